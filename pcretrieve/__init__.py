@@ -1,0 +1,62 @@
+"""pcretrieve: raw 3D scans of things that bend in, ranked shapes out.
+
+Names are imported when first used, so that ``import pcretrieve`` takes no time.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from pcretrieve.batch.pipeline import reconstruct, signature
+    from pcretrieve.catalogue import Catalogue
+    from pcretrieve.options import PipelineOptions
+    from pcretrieve.retrieval import SignatureIndex
+    from pcretrieve.scan import read_scan
+    from pcretrieve.signatures import r_bihdm, shape_dna
+    from pcretrieve.spectral import eigenpairs, laplace_beltrami
+    from pcretrieve.types import PointCloud, TriangleMesh
+
+__version__ = "0.1.0"
+
+__all__ = [
+    "Catalogue",
+    "PipelineOptions",
+    "PointCloud",
+    "SignatureIndex",
+    "TriangleMesh",
+    "__version__",
+    "eigenpairs",
+    "laplace_beltrami",
+    "r_bihdm",
+    "read_scan",
+    "reconstruct",
+    "shape_dna",
+    "signature",
+]
+
+_HOMES = {
+    "Catalogue": "pcretrieve.catalogue",
+    "PipelineOptions": "pcretrieve.options",
+    "PointCloud": "pcretrieve.types",
+    "SignatureIndex": "pcretrieve.retrieval",
+    "TriangleMesh": "pcretrieve.types",
+    "eigenpairs": "pcretrieve.spectral",
+    "laplace_beltrami": "pcretrieve.spectral",
+    "r_bihdm": "pcretrieve.signatures",
+    "read_scan": "pcretrieve.scan",
+    "reconstruct": "pcretrieve.batch.pipeline",
+    "shape_dna": "pcretrieve.signatures",
+    "signature": "pcretrieve.batch.pipeline",
+}
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOMES:
+        raise AttributeError(f"module 'pcretrieve' has no attribute {name!r}")
+    return getattr(import_module(_HOMES[name]), name)
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

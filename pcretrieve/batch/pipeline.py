@@ -1,0 +1,188 @@
+"""The only module that knows every stage: scan → surface → spectrum → signature."""
+
+from __future__ import annotations
+
+import time
+import traceback
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from pcretrieve.adapters import tetwild
+from pcretrieve.errors import (
+    DegenerateMeshError,
+    InputError,
+    MemoryExceeded,
+    PcretrieveError,
+    ShapeError,
+    UnexpectedError,
+)
+from pcretrieve.options import PipelineOptions
+from pcretrieve.scan import clean, oriented_normals, read_scan
+from pcretrieve.signatures import describe
+from pcretrieve.spectral import eigenpairs, laplace_beltrami
+from pcretrieve.surface import defects, poisson_surface, remesh, sampled, sound_mesh
+from pcretrieve.types import FloatArray, ModalSpectrum, PointCloud, Signature, Step, TriangleMesh
+
+__all__ = ["Shape", "as_scan", "process", "reconstruct", "signature"]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Shape:
+    """One scan, all the way.
+
+    Attributes
+    ----------
+    mesh : TriangleMesh
+        The surface, in the unit of the file; its provenance covers every stage.
+    spectrum : ModalSpectrum
+        Of that surface, scaled to unit area.
+    area : float
+        Of that surface; unit length² of the file.
+    """
+
+    mesh: TriangleMesh
+    spectrum: ModalSpectrum
+    area: float
+
+
+def signature(scan: object, options: PipelineOptions | None = None) -> Signature:
+    """The signature of one scan.
+
+    Parameters
+    ----------
+    scan : path, PointCloud, TriangleMesh, (n, 3) array, or Open3D geometry (legacy or tensor)
+    options : PipelineOptions, optional
+
+    Returns
+    -------
+    Signature
+        Dimensionless; the same for a scan in millimetres and in metres.
+
+    Raises
+    ------
+    ShapeError
+        If the scan cannot be read or has no usable surface.
+    """
+    options = options or PipelineOptions()
+    described = describe(process(scan, options).spectrum, options.signature)
+    return replace(described, digest=options.signature_digest)
+
+
+def reconstruct(scan: object, options: PipelineOptions | None = None) -> TriangleMesh:
+    """The surface of one scan: closed, connected, manifold, pointing outwards.
+
+    A mesh that is all of that already is used as it is, unless ``options.surface.mode`` says otherwise; with
+    ``keep``, a mesh may have holes. Lengths are in the unit of the scan; ``mesh.provenance`` tells what was
+    done, repaired and fallen back to.
+
+    Parameters
+    ----------
+    scan : path, PointCloud, TriangleMesh, (n, 3) array, or Open3D geometry (legacy or tensor)
+    options : PipelineOptions, optional
+
+    Raises
+    ------
+    ShapeError
+        If the scan cannot be read or has no usable surface.
+    """
+    options = options or PipelineOptions()
+    with _placed(scan):
+        value = as_scan(scan)
+        if isinstance(value, TriangleMesh):
+            kept = sound_mesh(value, options.surface)
+            if kept is not None:
+                return kept
+            value = sampled(value, options.surface)
+        if options.remesh.method == "tetwild":
+            tetwild.start()
+        cleaned = clean(value, options.scan)
+        # Open3D reconstructs in single precision: far from the origin it loses the shape, or crashes.
+        origin = cleaned.points.mean(axis=0)
+        cloud = oriented_normals(_moved(cleaned, -origin), options.scan)
+        mesh = remesh(poisson_surface(cloud, options.surface), options.remesh)
+        if found := defects(mesh):
+            raise DegenerateMeshError(f"the surface must be a closed manifold, it has defects: {found}")
+        return TriangleMesh(mesh.vertices + origin, mesh.faces, mesh.provenance)
+
+
+def process(scan: object, options: PipelineOptions) -> Shape:
+    """Surface and spectrum of one scan."""
+    mesh = reconstruct(scan, options)
+    with _placed(scan):
+        started = time.perf_counter()
+        area = mesh.area
+        # Unit area first: the reduced matrix scales as length⁴, and fixed tolerances should mean one thing.
+        unit = TriangleMesh((mesh.vertices - mesh.vertices.mean(axis=0)) / np.sqrt(area), mesh.faces)
+        pairs = eigenpairs(laplace_beltrami(unit, options.spectral.element), options.spectral.n_pairs)
+        sizes = {
+            "vertices": len(mesh.vertices),
+            "pairs": len(pairs.eigenvalues),
+            "residual": pairs.largest_residual,
+        }
+        step = Step("spectrum", time.perf_counter() - started, sizes)
+        return Shape(mesh.after(step), replace(ModalSpectrum.of(pairs), area=1.0), area)
+
+
+def as_scan(scan: object) -> PointCloud | TriangleMesh:
+    """The scan as one of pcretrieve's own types.
+
+    Raises
+    ------
+    InputError
+        If it is nothing that a scan can be made of.
+    """
+    if isinstance(scan, (PointCloud, TriangleMesh)):
+        return scan
+    if isinstance(scan, (str, Path)):
+        return read_scan(scan)
+    if isinstance(scan, np.ndarray):
+        return PointCloud(scan)
+    from pcretrieve.adapters.open3d import geometry_arrays
+
+    try:
+        points, faces, normals = geometry_arrays(scan)
+    except TypeError as error:
+        raise InputError(
+            "a scan must be a path, an (n, 3) array, a PointCloud, a TriangleMesh, or an Open3D point cloud "
+            f"or triangle mesh, got {type(scan).__name__}"
+        ) from error
+    return PointCloud(points, normals) if faces is None else TriangleMesh(points, faces)
+
+
+def _moved(cloud: PointCloud, by: FloatArray) -> PointCloud:
+    return replace(
+        cloud,
+        points=cloud.points + by,
+        viewpoints=None if cloud.viewpoints is None else cloud.viewpoints + by,
+    )
+
+
+@contextmanager
+def _placed(scan: object) -> Iterator[None]:
+    """Errors of a stage, with the scan that they happened to; whatever it is, the next scan can go on."""
+    name = Path(scan).name if isinstance(scan, (str, Path)) else None
+    try:
+        yield
+    except ShapeError as error:
+        error.shape_id = error.shape_id or name
+        raise
+    except PcretrieveError:
+        raise
+    except MemoryError as error:
+        raise MemoryExceeded(
+            "the scan needs more memory than there is, or than --memory allows: raise that, or thin the scan",
+            shape_id=name,
+        ) from error
+    except Exception as error:
+        *_, last = (
+            frame for frame in traceback.extract_tb(error.__traceback__) if "pcretrieve" in frame.filename
+        )
+        raise UnexpectedError(
+            f"{type(error).__name__}: {error} (at {Path(last.filename).name}, line {last.lineno}); this is a "
+            "fault of pcretrieve, please report it with the scan",
+            shape_id=name,
+        ) from error

@@ -1,0 +1,81 @@
+"""What a catalogue knows of one shape."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from pcretrieve.types import FloatArray, ModalSpectrum, Step, TriangleMesh
+
+__all__ = ["Content", "Record"]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Content:
+    """What processing made of a scan.
+
+    Attributes
+    ----------
+    mesh : TriangleMesh
+        Unit length of the file.
+    spectrum : ModalSpectrum
+        Of the mesh scaled to unit area.
+    signature : (L,) float64
+    """
+
+    mesh: TriangleMesh
+    spectrum: ModalSpectrum
+    signature: FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class Record:
+    """One shape's provenance: everything but its arrays.
+
+    Attributes
+    ----------
+    id : str
+        Distinct within a catalogue: the file's name without its suffix, numbered where that is taken.
+    path : str
+        Absolute path of the file as it was read.
+    content_hash : str
+        SHA-256 of the file; of a ``.conf``, of the file and all its views.
+    label : str or None
+        The shape's class.
+    status : {"done", "failed"}
+    stage, error, message : str or None
+        Where, how and why it failed.
+    steps : tuple of Step
+        What each stage did, repaired and fell back from, and how long it took.
+    area : float or None
+        Unit length² of the file.
+    n_vertices, n_faces, euler : int or None
+        Of the clean mesh.
+    options_digest : str
+        Of the options that made it.
+    versions : dict of str to str
+        Of pcretrieve and the libraries that move numbers.
+    added : str
+        UTC, ISO 8601.
+    """
+
+    id: str
+    path: str
+    content_hash: str
+    label: str | None = None
+    status: str = "done"
+    stage: str | None = None
+    error: str | None = None
+    message: str | None = None
+    steps: tuple[Step, ...] = ()
+    area: float | None = None
+    n_vertices: int | None = None
+    n_faces: int | None = None
+    euler: int | None = None
+    options_digest: str = ""
+    versions: dict[str, str] = field(default_factory=dict)
+    added: str = ""
+
+    @property
+    def seconds(self) -> float:
+        """Time that all stages took together."""
+        return sum(step.seconds for step in self.steps)

@@ -1,0 +1,96 @@
+"""What several commands share: options, and ways to say things."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+if TYPE_CHECKING:
+    from pcretrieve.catalogue import Record
+    from pcretrieve.options import PipelineOptions
+    from pcretrieve.types import Step
+
+__all__ = [
+    "catalogue_option",
+    "config_option",
+    "distance_option",
+    "failure_line",
+    "json_option",
+    "say",
+    "step_lines",
+    "surface_option",
+    "whitening_option",
+    "with_surface",
+    "write_json",
+]
+
+EXIT_SOME_FAILED = 3
+EXIT_INTERRUPTED = 130
+
+catalogue_option = click.option(
+    "--catalogue", "-c", type=click.Path(path_type=Path), required=True, metavar="FILE", help="The catalogue."
+)
+json_option = click.option("--json", "as_json", is_flag=True, help="Print one JSON document.")
+config_option = click.option(
+    "--config",
+    type=click.Path(path_type=Path),
+    metavar="TOML",
+    help="Pipeline options; `pcretrieve options` prints the defaults, each with its unit.",
+)
+surface_option = click.option(
+    "--surface",
+    type=click.Choice(["auto", "reconstruct", "keep"]),
+    help="What to do with meshes: keep closed manifold ones and reconstruct others (auto, the default), "
+    "reconstruct all, or keep all.",
+)
+distance_option = click.option(
+    "--distance",
+    type=click.Choice(["log", "d1", "d2"]),
+    default="log",
+    show_default=True,
+    help="Euclidean distance of log-signatures, or the paper's D1 or D2.",
+)
+whitening_option = click.option(
+    "--whitening",
+    type=click.Choice(["none", "pca", "within-class"]),
+    default="none",
+    show_default=True,
+    help="Decorrelate log-signatures over the catalogue, or by the variation within its classes.",
+)
+
+
+def say(message: str) -> None:
+    """For people, on standard error."""
+    click.echo(message, err=True)
+
+
+def write_json(document: object) -> None:
+    """For programs, on standard output."""
+    click.echo(json.dumps(document, indent=2, ensure_ascii=False))
+
+
+def failure_line(record: Record) -> str:
+    """Which shape failed, in which stage, why, and which file it was."""
+    file = "" if record.path in (record.message or "") else f" ({record.path})"
+    return f"failed: [{record.id} / {record.stage}] {record.message}{file}"
+
+
+def with_surface(options: PipelineOptions, surface: str | None) -> PipelineOptions:
+    """The options, with ``--surface`` where it was given."""
+    return options if surface is None else options.changed(surface={"mode": surface})
+
+
+def step_lines(steps: tuple[Step, ...]) -> list[str]:
+    """Provenance, one line a stage and one a note."""
+    lines = []
+    for step in steps:
+        sizes = ", ".join(
+            f"{name} {value:.3g}" if value % 1 else f"{name} {value:.0f}"
+            for name, value in step.sizes.items()
+        )
+        lines.append(f"{step.stage:<9} {step.seconds:7.3f} s  {sizes}")
+        lines += [f"{'':<9}            {note}" for note in step.notes]
+    return lines

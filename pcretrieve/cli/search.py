@@ -1,0 +1,212 @@
+"""Commands that compare shapes: query, evaluate, report."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from pcretrieve.cli.parts import (
+    catalogue_option,
+    distance_option,
+    json_option,
+    say,
+    whitening_option,
+    write_json,
+)
+
+if TYPE_CHECKING:
+    from pcretrieve.catalogue import Catalogue
+    from pcretrieve.options import SignatureOptions
+    from pcretrieve.types import SignatureTable
+
+__all__ = ["evaluate_command", "query_command", "report_command"]
+
+method_option = click.option(
+    "--method",
+    type=click.Choice(["r-bihdm", "shape-dna"]),
+    help="The descriptor.  [default: the catalogue's]",
+)
+n_values_option = click.option(
+    "--n-values", type=click.IntRange(min=1), metavar="L", help="Its length.  [default: the catalogue's]"
+)
+
+
+@click.command("query")
+@click.argument("scan", type=click.Path(path_type=Path))
+@catalogue_option
+@click.option("-k", "k", type=click.IntRange(min=1), default=10, show_default=True, help="How many.")
+@distance_option
+@whitening_option
+@method_option
+@n_values_option
+@json_option
+def query_command(
+    scan: Path,
+    catalogue: Path,
+    k: int,
+    distance: str,
+    whitening: str,
+    method: str | None,
+    n_values: int | None,
+    as_json: bool,
+) -> None:
+    """The shapes most like a scan, nearest first.
+
+    The scan is processed with the catalogue's own options; one that the catalogue holds is looked up.
+
+    \b
+    pcretrieve query --catalogue bodies.sqlite scan.ply -k 5 --whitening pca
+    """
+    from pcretrieve.batch.search import search
+    from pcretrieve.catalogue import Catalogue
+
+    with Catalogue(catalogue) as store:
+        options = _signature_options(store, method, n_values)
+        neighbors = search(store, scan, k=k, distance=distance, whitening=whitening, options=options)
+        records = [store.record(shape_id) for shape_id in neighbors.ids]
+    found = [
+        {"rank": rank, "id": record.id, "path": record.path, "label": record.label, "distance": float(gap)}
+        for rank, (record, gap) in enumerate(zip(records, neighbors.distances, strict=True), start=1)
+    ]
+    if as_json:
+        write_json(found)
+        return
+    for row in found:
+        click.echo(
+            f"{row['rank']:>4}  {row['distance']:<10.4g}  {row['label'] or '-':<16}  {row['id']:<24}  "
+            f"{row['path']}"
+        )
+
+
+@click.command("evaluate")
+@catalogue_option
+@click.option(
+    "--labels", type=click.Path(path_type=Path), metavar="CSV", help="Classes, in place of the stored ones."
+)
+@distance_option
+@whitening_option
+@method_option
+@n_values_option
+@json_option
+def evaluate_command(
+    catalogue: Path,
+    labels: Path | None,
+    distance: str,
+    whitening: str,
+    method: str | None,
+    n_values: int | None,
+    as_json: bool,
+) -> None:
+    """Retrieval measures of a labelled catalogue: NN, FT, ST, E, DCG, mAP.
+
+    Each shape is a query against all others; shapes that failed count as misses. Within-class whitening is
+    evaluated by five folds of classes, never on those that it was fitted on.
+
+    \b
+    pcretrieve evaluate --catalogue shrec11.sqlite --n-values 45 --whitening pca
+    """
+    from pcretrieve.catalogue import Catalogue
+    from pcretrieve.evaluation.folds import evaluate
+
+    with Catalogue(catalogue) as store:
+        table, failed = _labelled(store, labels, _signature_options(store, method, n_values))
+        measures = evaluate(table, distance=distance, whitening=whitening, failed_labels=failed)
+    document = asdict(measures) | {
+        "n_failed": len(failed),
+        "n_shapes": len(table),
+        "method": table.kind,
+        "n_values": table.values.shape[1],
+        "distance": distance,
+        "whitening": whitening,
+    }
+    if as_json:
+        write_json(document)
+        return
+    names = ("nn", "ft", "st", "e", "dcg", "map")
+    click.echo("  ".join(f"{name.upper() if name != 'map' else 'mAP':>6}" for name in names))
+    click.echo("  ".join(f"{document[name]:6.4f}" for name in names))
+    say(f"{measures.n_queries} queries in {len(table)} shapes, {len(failed)} failed ones count as misses")
+
+
+@click.command("report")
+@catalogue_option
+@click.option(
+    "--output",
+    "-o",
+    type=click.Path(path_type=Path),
+    required=True,
+    metavar="PAGE",
+    help="The HTML page to write.",
+)
+@click.option(
+    "--queries", type=click.IntRange(min=1), default=8, show_default=True, help="Rows of results, most."
+)
+@click.option("-k", "k", type=click.IntRange(min=1), default=5, show_default=True, help="Results in a row.")
+@distance_option
+@whitening_option
+@method_option
+@n_values_option
+def report_command(
+    catalogue: Path,
+    output: Path,
+    queries: int,
+    k: int,
+    distance: str,
+    whitening: str,
+    method: str | None,
+    n_values: int | None,
+) -> None:
+    """An HTML page: retrieval measures, and pictures of queries and their ranked results.
+
+    Queries are the first shape of each class, or of all where there are no classes.
+
+    \b
+    pcretrieve report --catalogue bodies.sqlite -o bodies.html
+    """
+    from pcretrieve.batch.pages import retrieval_page
+    from pcretrieve.catalogue import Catalogue
+
+    with Catalogue(catalogue) as store:
+        page = retrieval_page(
+            store,
+            output,
+            n_queries=queries,
+            k=k,
+            distance=distance,
+            whitening=whitening,
+            options=_signature_options(store, method, n_values),
+        )
+    click.echo(str(page))
+
+
+def _signature_options(store: Catalogue, method: str | None, n_values: int | None) -> SignatureOptions:
+    chosen = {
+        name: value for name, value in {"method": method, "n_values": n_values}.items() if value is not None
+    }
+    return store.options.changed(signature=chosen).signature
+
+
+def _labelled(
+    store: Catalogue, labels: Path | None, options: SignatureOptions
+) -> tuple[SignatureTable, list[str | None]]:
+    """The signatures with their classes, and the classes of the shapes that failed."""
+    from dataclasses import replace
+
+    from pcretrieve.batch.labels import match_labels, read_labels
+    from pcretrieve.errors import BenchmarkError
+
+    table, records = store.signatures(options), store.records()
+    classes = {record.id: record.label for record in records}
+    if labels is not None:
+        matched, unknown = match_labels(read_labels(labels), {record.id: record.path for record in records})
+        if unknown:
+            say(f"{labels} names {len(unknown)} shapes that are not in {store.path}, such as {unknown[0]}")
+        classes = {shape_id: matched.get(shape_id) for shape_id in classes}
+    if not any(classes.values()):
+        advice = f"no name in {labels} fits one" if labels else "give --labels"
+        raise BenchmarkError(f"no shape in {store.path} has a class: {advice}")
+    failed = [classes[record.id] for record in records if record.status == "failed"]
+    return replace(table, labels=tuple(classes[shape_id] for shape_id in table.ids)), failed

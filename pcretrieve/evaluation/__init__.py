@@ -1,0 +1,1 @@
+"""How well shapes of one class find each other."""

@@ -1,0 +1,223 @@
+"""Every number of the pipeline: one frozen options class per stage, nested in `PipelineOptions`.
+
+Lengths are relative to the bounding-box diagonal of the points unless their description names another unit,
+so that one scan in millimetres and in metres gives one signature. TOML in, digest out.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import sys
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from pcretrieve.errors import OptionError
+
+if sys.version_info >= (3, 11):
+    import tomllib
+else:
+    import tomli as tomllib
+
+__all__ = [
+    "PipelineOptions",
+    "RemeshOptions",
+    "ScanOptions",
+    "SignatureOptions",
+    "SpectralOptions",
+    "SurfaceOptions",
+    "describe_options",
+    "options_difference",
+]
+
+# Raised whenever the code, rather than an option, moves a signature: old catalogues must not mix with new
+# numbers. CHANGELOG, "Changed numbers", says what moved.
+NUMBERS_VERSION = 1
+
+Share = Annotated[float, Field(ge=0, le=1)]
+Length = Annotated[float, Field(ge=0, lt=1)]
+Count = Annotated[int, Field(ge=1)]
+
+
+class _Options(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, use_attribute_docstrings=True)
+
+    def __init__(self, **values: Any) -> None:
+        try:
+            super().__init__(**values)
+        except ValidationError as error:
+            raise OptionError(_explain(error)) from error
+
+
+class ScanOptions(_Options):
+    """Raw points → clean points with normals that point outwards."""
+
+    voxel: Length = 0.003
+    """Points closer than this are averaged; relative to the diagonal, 0 keeps all."""
+    outlier_neighbors: Count = 20
+    """Neighbours whose mean distance marks a stray point; points."""
+    outlier_std: Annotated[float, Field(gt=0)] = 2.0
+    """How unusual that distance may be; standard deviations over the cloud."""
+    normal_neighbors: Annotated[int, Field(ge=3)] = 12
+    """Neighbours that a normal is fitted to; points."""
+    orientation: Literal["auto", "viewpoint", "flood", "tangent-plane", "given"] = "auto"
+    """Where normals get their sign: the sensors' positions, a flood of the outside, tangent planes, or the
+    file's own (given). auto: sensors where the file has them, else its own normals, else flood."""
+    flood_cell: Annotated[float, Field(gt=0, lt=0.1)] = 0.008
+    """Edge of the voxels that the outside is flooded through; relative to the diagonal."""
+    flood_retries: Annotated[int, Field(ge=0, le=10)] = 4
+    """How often a flood that leaked inside is tried again with wider walls."""
+
+
+class SurfaceOptions(_Options):
+    """Clean points → closed surface."""
+
+    mode: Literal["auto", "reconstruct", "keep"] = "auto"
+    """What is done with a mesh: auto keeps a closed manifold one and reconstructs others, reconstruct always
+    does, keep never."""
+    poisson_depth: Annotated[int, Field(ge=4, le=12)] = 7
+    """Depth of the Poisson octree; the finest cell is scale · longest side / 2^depth."""
+    poisson_scale: Annotated[float, Field(ge=1)] = 1.1
+    """Side of the Poisson cube; relative to the longest side of the bounding box."""
+    density_trim: Share = 0.0
+    """Surface with the least support that is cut before remeshing; share of its vertices."""
+    target_faces: Annotated[int, Field(ge=200)] = 5_000
+    """Size that the surface is simplified to; faces."""
+    sample_points: Annotated[int, Field(ge=100)] = 30_000
+    """Points that a mesh with defects is sampled by before it is reconstructed; points."""
+    max_discarded: Share = 0.1
+    """Largest second component that is dropped in favour of the first; share of the area. A larger one is
+    another body, and an error."""
+
+
+class RemeshOptions(_Options):
+    """Closed surface → clean surface, by way of tetrahedra (fTetWild)."""
+
+    method: Literal["tetwild", "none"] = "tetwild"
+    """The remesher."""
+    edge_length: Annotated[float, Field(gt=0, lt=1)] = 0.05
+    """Ideal edge of the tetrahedra; relative to the diagonal."""
+    envelope: Annotated[float, Field(gt=0, lt=0.1)] = 0.001
+    """How far the surface may move; relative to the diagonal."""
+    optimize: bool = False
+    """Improve the tetrahedra inside. Ten times slower, and the surface's signature does not gain."""
+    timeout: Annotated[float, Field(gt=0)] = 60.0
+    """When the remesher is killed and its input used instead; seconds."""
+    max_change: Share = 0.1
+    """Change of area or volume beyond which its answer is refused and its input used instead; relative."""
+
+
+class SpectralOptions(_Options):
+    """Surface of unit area → lowest eigenpairs of its Laplace–Beltrami operator."""
+
+    element: Literal["linear"] = "linear"
+    """Finite element."""
+    n_pairs: Annotated[int, Field(ge=3)] = 61
+    """Eigenpairs that are computed and kept, the constant one included; pairs."""
+
+
+class SignatureOptions(_Options):
+    """Eigenpairs → descriptor."""
+
+    method: Literal["r-bihdm", "shape-dna"] = "r-bihdm"
+    """The descriptor."""
+    n_values: Count = 23
+    """Length L of the descriptor; values."""
+    n_modes: Annotated[int, Field(ge=2)] = 60
+    """Modes m that the reduced matrix of R-BiHDM is cut at; modes."""
+
+
+class PipelineOptions(_Options):
+    """All of them. `PipelineOptions()` is the measured default."""
+
+    scan: ScanOptions = ScanOptions()
+    surface: SurfaceOptions = SurfaceOptions()
+    remesh: RemeshOptions = RemeshOptions()
+    spectral: SpectralOptions = SpectralOptions()
+    signature: SignatureOptions = SignatureOptions()
+
+    @classmethod
+    def from_toml(cls, path: str | Path) -> PipelineOptions:
+        """Options from a TOML file with one table per stage; what it does not name keeps its default.
+
+        Raises
+        ------
+        OptionError
+            Where the file cannot be read, is not TOML, or names an option or a value that does not exist.
+        """
+        try:
+            values = tomllib.loads(Path(path).read_text(encoding="utf-8"))
+        except OSError as error:
+            raise OptionError(f"cannot read the options file {path}: {error.strerror}") from error
+        except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+            raise OptionError(f"{path} is not valid TOML: {error}") from error
+        try:
+            return cls(**values)
+        except OptionError as error:
+            raise OptionError(f"{path}: {error.message}") from error
+
+    def changed(self, **stages: dict[str, Any]) -> PipelineOptions:
+        """These options with some replaced: ``options.changed(surface={"mode": "keep"})``."""
+        values = self.model_dump()
+        for stage, changes in stages.items():
+            values.setdefault(stage, {}).update(changes)
+        return type(self)(**values)
+
+    @property
+    def digest(self) -> str:
+        """Fingerprint of everything that moves a stored spectrum: 16 hexadecimal digits.
+
+        `signature` is left out: signatures are computed anew from the stored spectrum, so one catalogue
+        serves every method and length.
+        """
+        values = self.model_dump(exclude={"signature"})
+        values["numbers_version"] = NUMBERS_VERSION
+        return hashlib.sha256(json.dumps(values, sort_keys=True).encode()).hexdigest()[:16]
+
+    @property
+    def signature_digest(self) -> str:
+        """Fingerprint of everything that moves a signature: only those that agree in it compare."""
+        return hashlib.sha256((self.digest + self.signature.model_dump_json()).encode()).hexdigest()[:16]
+
+
+def options_difference(theirs: PipelineOptions, ours: PipelineOptions) -> list[str]:
+    """One line for each option that differs: ``surface.poisson_depth: 7 there, 8 here``."""
+    there, here = theirs.model_dump(), ours.model_dump()
+    return [
+        f"{stage}.{name}: {there[stage][name]!r} there, {here[stage][name]!r} here"
+        for stage in there
+        for name in there[stage]
+        if there[stage][name] != here[stage][name]
+    ]
+
+
+def describe_options(options: PipelineOptions) -> str:
+    """The options as commented TOML, ready to be edited and passed to ``--config``."""
+    lines = []
+    for stage in type(options).model_fields:
+        group: _Options = getattr(options, stage)
+        lines += [f"# {group.__doc__}", f"[{stage}]"]
+        for name, info in type(group).model_fields.items():
+            lines += [f"# {line}" for line in (info.description or "").splitlines()]
+            lines += [f"{name} = {json.dumps(getattr(group, name))}"]
+        lines.append("")
+    return "\n".join(lines)
+
+
+def _explain(error: ValidationError) -> str:
+    """What must hold and what was given, one clause for each bad option."""
+    clauses = []
+    for problem in error.errors():
+        name = ".".join(str(part) for part in problem["loc"])
+        cause = problem.get("ctx", {}).get("error")
+        if isinstance(cause, OptionError):
+            clauses.append(f"in [{name}], {cause.message}")
+        elif problem["type"] == "extra_forbidden":
+            clauses.append(f"there is no option {name!r}; `pcretrieve options` lists them all")
+        else:
+            clauses.append(
+                f"{name}: {problem['msg'][0].lower()}{problem['msg'][1:]}, got {problem['input']!r}"
+            )
+    return "; ".join(clauses)

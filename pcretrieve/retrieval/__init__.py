@@ -1,0 +1,16 @@
+"""Signatures in, ranked shapes out: distances, whitening, and an exact index."""
+
+from pcretrieve.retrieval.distances import DISTANCES, log_signatures, pairwise
+from pcretrieve.retrieval.index import SignatureIndex
+from pcretrieve.retrieval.whitening import DEFAULT_DAMPING, WHITENINGS, Whitening, fit_whitening
+
+__all__ = [
+    "DEFAULT_DAMPING",
+    "DISTANCES",
+    "WHITENINGS",
+    "SignatureIndex",
+    "Whitening",
+    "fit_whitening",
+    "log_signatures",
+    "pairwise",
+]

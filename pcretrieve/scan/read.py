@@ -1,0 +1,185 @@
+"""A file → points or a mesh, whatever its format."""
+
+from __future__ import annotations
+
+import stat
+import time
+from collections.abc import Callable
+from functools import cache
+from importlib.metadata import entry_points
+from pathlib import Path
+
+import numpy as np
+
+from pcretrieve.errors import InputError, ScanReadError
+from pcretrieve.scan import views
+from pcretrieve.scan.mesh_files import read_mesh
+from pcretrieve.scan.obj import read_obj
+from pcretrieve.scan.pcd import read_pcd
+from pcretrieve.scan.ply import read_ply
+from pcretrieve.scan.raw import RawScan
+from pcretrieve.scan.text import read_pts, read_xyz, read_xyzn
+from pcretrieve.types import PointCloud, Step, TriangleMesh
+
+__all__ = ["check_file", "read_scan", "readers"]
+
+# Beyond these, products of six lengths (squares of volumes) leave the range of float64.
+LARGEST_COORDINATE, SMALLEST_COORDINATE = 1e50, 1e-50
+
+Reader = Callable[[Path], RawScan]
+
+
+def _read_conf(path: Path) -> RawScan:
+    scans = []
+    for view, rotation, translation in views.read_poses(path):
+        try:
+            if view.suffix.lower() == path.suffix.lower():
+                raise ScanReadError("a view must be a single range scan, not a .conf file of its own")
+            scan = _read(view)
+            if not np.isfinite(scan.points).all(axis=1).any():
+                raise ScanReadError("it has no points with finite coordinates")
+        except ScanReadError as error:
+            raise ScanReadError(f"its view {view.name}: {error.message}") from error
+        scans.append((views.seen_from_front(scan), rotation, translation))
+    return views.merge(scans)
+
+
+BUILT_IN: dict[str, Reader] = {
+    ".ply": read_ply,
+    ".pcd": read_pcd,
+    ".xyz": read_xyz,
+    ".xyzn": read_xyzn,
+    ".pts": read_pts,
+    ".obj": read_obj,
+    ".off": read_mesh,
+    ".stl": read_mesh,
+    ".glb": read_mesh,
+    ".conf": _read_conf,
+}
+
+
+@cache
+def readers() -> dict[str, Reader]:
+    """Readers by suffix: the built-in ones, and those of the entry-point group ``pcretrieve.readers``.
+
+    An entry point is named by its suffix, dot included, and gives a function from a path to a `RawScan`.
+    """
+    added = {}
+    for entry in entry_points(group="pcretrieve.readers"):
+        try:
+            added[entry.name.lower()] = entry.load()
+        except (ImportError, AttributeError) as error:
+            raise InputError(
+                f"the reader of {entry.name} files, {entry.value}, cannot be loaded ({error}): repair or "
+                "uninstall the package that brings it"
+            ) from error
+    return BUILT_IN | added
+
+
+def read_scan(path: str | Path) -> PointCloud | TriangleMesh:
+    """Read a scan.
+
+    Parameters
+    ----------
+    path : str or Path
+        Points: ``.ply .pcd .xyz .xyzn .pts``, or the posed range scans that a Stanford ``.conf`` merges.
+        Meshes: ``.ply .obj .off .stl .glb``.
+
+    Returns
+    -------
+    PointCloud or TriangleMesh
+        A mesh where the file has faces. In the unit of the file. Points that are NaN or infinite, as depth
+        cameras write them where they saw nothing, are dropped and the provenance says how many.
+
+    Raises
+    ------
+    ScanReadError
+        If the file is missing, unreadable, of another format than its name says, truncated, or empty.
+    """
+    path = Path(path)
+    started = time.perf_counter()
+    try:
+        return _scan(_read(path), started=started)
+    except ScanReadError as error:
+        if str(path) in error.message:
+            raise
+        raise ScanReadError(f"{path}: {error.message}") from error
+
+
+def _read(path: Path) -> RawScan:
+    reader = readers().get(path.suffix.lower())
+    if reader is None:
+        name = f"in {path.suffix}" if path.suffix else "without a suffix"
+        raise ScanReadError(f"there is no reader for names {name}, only for {' '.join(sorted(readers()))}")
+    try:
+        check_file(path)
+        return reader(path)
+    except OSError as error:
+        raise ScanReadError(f"cannot read {path}: {error.strerror or error}") from error
+
+
+def check_file(path: Path) -> None:
+    """Whether there is something to read.
+
+    Raises
+    ------
+    OSError
+        If there is no such file.
+    ScanReadError
+        If it is no regular file (a pipe may never end), or empty.
+    """
+    status = path.stat()
+    if stat.S_ISDIR(status.st_mode):
+        raise ScanReadError(f"{path} is a folder, not a scan")
+    if not stat.S_ISREG(status.st_mode):
+        raise ScanReadError(f"{path} must be a regular file, not a pipe or a device: save the scan to a file")
+    if not status.st_size:
+        raise ScanReadError("the file is empty: scan or export it again")
+
+
+def _scan(raw: RawScan, *, started: float) -> PointCloud | TriangleMesh:
+    """The checked value: finite points, faces that name them, normals of unit length."""
+    n = len(raw.points)
+    finite = np.isfinite(raw.points).all(axis=1)  # (n,)
+    notes = list(raw.notes)
+    if not finite.any():
+        held = f"all {n} of this one are NaN or infinite" if n else "this one has none at all"
+        raise ScanReadError(f"a scan must have points with finite coordinates, {held}")
+    largest = np.abs(raw.points[finite]).max()
+    if largest > LARGEST_COORDINATE or 0 < largest < SMALLEST_COORDINATE:
+        raise ScanReadError(
+            f"coordinates must be {SMALLEST_COORDINATE:g} to {LARGEST_COORDINATE:g} in size, so that areas "
+            f"and volumes are numbers too, got {largest:g}: give the scan in another unit"
+        )
+    if not finite.all():
+        notes.append(f"dropped {n - finite.sum()} of {n} points that were NaN or infinite")
+    if raw.faces is not None:
+        faces = raw.faces
+        if faces.size and (faces.min() < 0 or faces.max() >= n):
+            raise ScanReadError(f"faces must name vertices 0 to {n - 1}, got {faces.min()} to {faces.max()}")
+        whole = finite[faces].all(axis=1)  # (m,)
+        if whole.any():
+            renumbered = np.cumsum(finite) - 1  # (n,)
+            step = Step(
+                "read", time.perf_counter() - started, {"vertices": n, "faces": len(faces)}, tuple(notes)
+            )
+            return TriangleMesh(raw.points[finite], renumbered[faces[whole]].astype(np.int32), (step,))
+        notes.append("took the vertices as points: no face has three of them")
+
+    normals = raw.normals
+    if normals is not None:
+        length = np.linalg.norm(normals, axis=1, keepdims=True)
+        usable = np.isfinite(length[finite]) & (length[finite] > 0)
+        if usable.all():
+            normals = (normals / np.where(length > 0, length, 1))[finite]
+        else:
+            notes.append(f"ignored the file's normals: {int((~usable).sum())} of them have no direction")
+            normals = None
+    viewpoints = raw.viewpoints
+    if viewpoints is not None:
+        viewpoints = np.broadcast_to(viewpoints, (n, 3))[finite]
+        if not np.isfinite(viewpoints).all():
+            notes.append("ignored the file's sensor positions: some are NaN or infinite")
+            viewpoints = None
+    step = Step("read", time.perf_counter() - started, {"points": n}, tuple(notes))
+    return PointCloud(raw.points[finite], normals, viewpoints, (step,))

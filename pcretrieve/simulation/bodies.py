@@ -1,0 +1,104 @@
+"""Articulated bodies: people, four-legged animals and hands, each of them in many poses."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from pcretrieve.errors import InputError, OptionError
+from pcretrieve.simulation import animals, hands, people
+from pcretrieve.simulation.contacts import close_contacts
+from pcretrieve.simulation.kinematics import motions
+from pcretrieve.simulation.skeleton import Bone, Pose, Subject
+from pcretrieve.simulation.skin import follow, skin
+from pcretrieve.types import TriangleMesh
+
+__all__ = ["POSES", "body", "make_subject"]
+
+# Measures are drawn within this many standard deviations, so that no subject is a freak.
+LARGEST_DEVIATION = 2.0
+
+
+@dataclass(frozen=True, slots=True)
+class _Family:
+    measures: Mapping[str, tuple[float, float]]
+    skeleton: Callable[[Mapping[str, float]], tuple[Bone, ...]]
+    cell: float
+    poses: Mapping[str, Pose]
+
+
+FAMILIES = {
+    "person": _Family(people.MEASURES, people.skeleton, people.CELL, people.POSES),
+    "animal": _Family(animals.MEASURES, animals.skeleton, animals.CELL, animals.POSES),
+    "hand": _Family(hands.MEASURES, hands.skeleton, hands.CELL, hands.POSES),
+}
+
+POSES: Mapping[str, Mapping[str, Pose]] = {name: family.poses for name, family in FAMILIES.items()}
+"""Poses by family and name; those with contacts (`Pose.touching`) bring parts of the body together."""
+
+
+def make_subject(family: str, rng: np.random.Generator) -> Subject:
+    """An individual of a family, its limbs and girths drawn from normal distributions.
+
+    Parameters
+    ----------
+    family : {"person", "animal", "hand"}
+    rng : numpy.random.Generator
+
+    Raises
+    ------
+    OptionError
+        If there is no such family.
+    """
+    if family not in FAMILIES:
+        raise OptionError(f"family must be one of {', '.join(FAMILIES)}, got {family!r}")
+    kind = FAMILIES[family]
+    deviations = np.clip(rng.standard_normal(len(kind.measures)), -LARGEST_DEVIATION, LARGEST_DEVIATION)
+    measures = {
+        name: mean * (1 + spread * deviation)
+        for (name, (mean, spread)), deviation in zip(kind.measures.items(), deviations.tolist(), strict=True)
+    }
+    return Subject(family, kind.skeleton(measures), kind.cell)
+
+
+def body(
+    subject: Subject, pose: Pose, rng: np.random.Generator | None = None, *, jitter: float = 2.0
+) -> TriangleMesh:
+    """The surface of a subject in a pose.
+
+    All poses of one subject have the same faces, so that they are closed manifolds of Euler characteristic 2
+    even where parts touch; there the surface may cut through itself a little, as soft flesh would yield.
+
+    Parameters
+    ----------
+    subject : Subject
+    pose : Pose
+        Of the subject's family; its contacts are closed whatever the subject's proportions.
+    rng : numpy.random.Generator or None, default None
+        Where given, every angle of every joint deviates a little: the same pose is never taken twice.
+    jitter : float, default 2
+        Standard deviation of those deviations; degrees.
+
+    Returns
+    -------
+    TriangleMesh
+        About 7 thousand vertices; m. The first call for a subject takes some seconds, which go into its
+        skin; the others only bend it.
+
+    Raises
+    ------
+    InputError
+        If the pose turns joints that the subject does not have.
+    """
+    strange = sorted(pose.joints - subject.joints)
+    if strange:
+        raise InputError(
+            f"a pose must turn joints of the {subject.family}, got {', '.join(strange)}: "
+            f"take one of POSES[{subject.family!r}]"
+        )
+    if rng is not None:
+        pose = pose.jittered(subject.joints, jitter, rng)
+    own = skin(subject)
+    return follow(own, motions(subject, close_contacts(own, pose)))

@@ -1,0 +1,60 @@
+"""Parts of a body that touch: hands on hips, a closed fist."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from scipy.optimize import least_squares
+
+from pcretrieve.simulation.kinematics import motions
+from pcretrieve.simulation.skeleton import Contact, Pose, bone_distance
+from pcretrieve.simulation.skin import Skin, blend
+from pcretrieve.types import FloatArray
+
+__all__ = ["close_contacts"]
+
+# Joints give way by about 1/STIFFNESS radians for a gap of one body size: little enough to keep the look of a
+# pose, much enough to leave less than a thousandth of the body size of any gap open.
+STIFFNESS = 0.02
+
+# Step of finite differences relative to each angle: wide enough to see past the facets of the skin, whose
+# nearest corner changes from angle to angle.
+DIFFERENCE = 0.01
+
+
+def close_contacts(skin: Skin, pose: Pose) -> Pose:
+    """The pose nearest to `pose` in which its contacts touch.
+
+    Least squares over the joints that give way: gaps in body sizes against `STIFFNESS` times the change of
+    the angles in radians. Without contacts, the pose itself.
+    """
+    joints = sorted({joint for contact in pose.contacts for joint in contact.by})
+    if not joints:
+        return pose
+    size = skin.subject.size
+    given = np.radians([pose.angles.get(joint, (0, 0, 0)) for joint in joints]).ravel()  # (3j,)
+
+    def turned(angles: FloatArray) -> Pose:
+        triples = np.degrees(angles).reshape(-1, 3).tolist()
+        changed = {joint: tuple(triple) for joint, triple in zip(joints, triples, strict=True)}
+        return replace(pose, angles={**pose.angles, **changed})
+
+    def residuals(angles: FloatArray) -> FloatArray:
+        moved = motions(skin.subject, turned(angles))
+        gaps = [_gap(skin, moved, contact) / size for contact in pose.contacts]
+        return np.concatenate([gaps, STIFFNESS * (angles - given)])
+
+    return turned(least_squares(residuals, given, diff_step=np.full(len(given), DIFFERENCE)).x)
+
+
+def _gap(skin: Skin, moved: FloatArray, contact: Contact) -> float:
+    """Distance from the skin of the part that comes to the flesh it comes to rest on, negative inside; m."""
+    bones = skin.subject.bones
+    coming = np.isin(skin.owner, [skin.subject.number(name) for name in contact.bones])
+    points = blend(skin.weights[coming], moved, skin.rest.vertices[coming])
+    gaps = []
+    for number in map(skin.subject.number, contact.onto):
+        to_rest = np.linalg.inv(moved[number])
+        gaps.append(bone_distance(bones[number], points @ to_rest[:3, :3].T + to_rest[:3, 3]).min())
+    return float(min(gaps))

@@ -1,0 +1,62 @@
+"""Scan files as scanners write them: binary, single precision, little-endian."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from scipy.spatial.transform import Rotation
+
+from pcretrieve.types import FloatArray
+
+__all__ = ["write_conf", "write_pcd", "write_ply"]
+
+
+def write_ply(path: Path, points: FloatArray) -> None:
+    """(n, 3) points as a PLY file."""
+    header = (
+        "ply\nformat binary_little_endian 1.0\n"
+        f"element vertex {len(points)}\n"
+        "property float x\nproperty float y\nproperty float z\nend_header\n"
+    )
+    path.write_bytes(header.encode() + points.astype("<f4").tobytes())
+
+
+def write_pcd(path: Path, points: FloatArray, viewpoint: FloatArray, orientation: Rotation) -> None:
+    """(n, 3) points as a PCD file, with the pose of the sensor in the frame of the points.
+
+    Parameters
+    ----------
+    viewpoint : (3,) float64
+        Position of the sensor.
+    orientation : Rotation
+        From the axes of the sensor (x right, y down, z ahead) to those of the points.
+    """
+    pose = [*viewpoint, *orientation.as_quat(canonical=True)[[3, 0, 1, 2]]]  # w first
+    header = (
+        "# .PCD v0.7 - Point Cloud Data file format\n"
+        "VERSION 0.7\nFIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nCOUNT 1 1 1\n"
+        f"WIDTH {len(points)}\nHEIGHT 1\n"
+        f"VIEWPOINT {' '.join(f'{value:.9g}' for value in pose)}\n"
+        f"POINTS {len(points)}\nDATA binary\n"
+    )
+    path.write_bytes(header.encode() + points.astype("<f4").tobytes())
+
+
+def write_conf(path: Path, names: Sequence[str], motions: FloatArray) -> None:
+    """A Stanford ``.conf``: where the scans of one body belong.
+
+    Parameters
+    ----------
+    names : sequence of str, length v
+        Scan files beside `path`.
+    motions : (v, 4, 4) float64
+        Rigid motion of each scan to the common frame. A line ``bmesh name tx ty tz qx qy qz qw`` says it by
+        its translation and by the quaternion of the *inverse* of its rotation, as the Stanford repository
+        does.
+    """
+    lines = []
+    for name, motion in zip(names, motions, strict=True):
+        inverse = Rotation.from_matrix(motion[:3, :3]).inv().as_quat(canonical=True)
+        lines.append(" ".join(["bmesh", name, *(f"{value:.9g}" for value in (*motion[:3, 3], *inverse))]))
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")

@@ -1,0 +1,154 @@
+"""Hands, and the gestures that they make.
+
+The plain numbers in the builders are the sculpture: places in metres and parts of measures, chosen for looks.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from pcretrieve.simulation.limbs import limb
+from pcretrieve.simulation.skeleton import Bone, Contact, Pose, RoundCone, Vector, vector
+from pcretrieve.types import FloatArray
+
+__all__ = ["CELL", "MEASURES", "POSES", "skeleton"]
+
+# Mean in metres, and standard deviation relative to it: rounded figures of adults.
+MEASURES: dict[str, tuple[float, float]] = {
+    "palm_length": (0.095, 0.07),
+    "palm_width": (0.080, 0.08),
+    "palm_girth": (0.015, 0.12),  # half thickness
+    "thumb": (0.105, 0.09),  # with its metacarpal
+    "index": (0.072, 0.08),
+    "middle": (0.080, 0.08),
+    "ring": (0.074, 0.08),
+    "little": (0.058, 0.10),
+    "finger_girth": (0.0090, 0.10),  # radius
+    "thumb_girth": (0.0125, 0.10),  # radius
+    "wrist_girth": (0.027, 0.10),  # half width
+}
+
+# Edge of the skin's grid: less than half of the thinnest flesh, the little finger; m.
+CELL = 0.003
+
+FRONT: Vector = (0.0, 0.0, 1.0)
+FINGERS = ("index", "middle", "ring", "little")
+
+# Where the palm ends and the knuckles begin, relative to the length of both.
+PALM = 0.72
+
+# Lengths of the phalanges relative to the finger, and of the thumb's metacarpal and phalanges to the thumb.
+PHALANGES = (0.46, 0.30, 0.24)
+THUMB_BONES = (0.42, 0.32, 0.26)
+
+
+def skeleton(measures: Mapping[str, float]) -> tuple[Bone, ...]:
+    """Bones and flesh of a hand with these `MEASURES`: fingers up, palm to the front, thumb to the left."""
+    m = measures
+    length, width, girth = m["palm_length"], m["palm_width"], m["palm_girth"]
+    stump = RoundCone((0, -0.06, 0), (0, 0.005, 0), (1.08 * m["wrist_girth"], m["wrist_girth"]), 0.72)
+    # Knuckles lie on an arc; the fingers fan out from the wrist, far enough apart for no fillet to web them.
+    x = width * np.array([0.36, 0.12, -0.12, -0.35])
+    y = length * np.array([0.95, 1.0, 0.95, 0.86])
+    fan = np.radians([11.0, 3.0, -5.0, -14.0])
+    # Closed fingers rest on the palm, not on the knuckles, whose skin gives way under them: two bones.
+    ends = np.stack([x, y, np.zeros(4)], axis=1)
+    roots = ends * [0.45, 0, 1] + [0, 0.012, 0]
+    middles = roots + PALM * (ends - roots)
+    tip = 0.95 * m["finger_girth"] + 0.002
+    radius = girth + PALM * (tip - girth)
+    heel = [RoundCone(vector(a), vector(b), (girth, radius)) for a, b in zip(roots, middles, strict=True)]
+    knuckles = [RoundCone(vector(a), vector(b), (radius, tip)) for a, b in zip(middles, ends, strict=True)]
+    ball = RoundCone(
+        (0.30 * width, 0.25 * length, 0.004), (0.36 * width, 0.55 * length, 0.004), (girth, 0.8 * girth)
+    )
+    break_line: Vector = (0, PALM * length, 0)
+    bones = [
+        Bone("stump", None, (0, -0.06, 0), (0, 0, 0), FRONT, (stump,), "stump"),
+        Bone("palm", "stump", (0, 0, 0), break_line, FRONT, (*heel, ball), "wrist"),
+        Bone("knuckles", "palm", break_line, (0, length, 0), FRONT, tuple(knuckles), "wrist", share=0),
+    ]
+    for finger, a, b, angle in zip(FINGERS, x, y, fan, strict=True):
+        thickness = m["finger_girth"] * (0.86 if finger == "little" else 1.0)
+        radii = thickness * np.array([1.0, 0.94, 0.88, 0.78])
+        bones += _digit(
+            finger,
+            (a, b, 0),
+            (np.sin(angle), np.cos(angle), 0),
+            FRONT,
+            [m[finger] * p for p in PHALANGES],
+            radii,
+        )
+    radii = m["thumb_girth"] * np.array([1.15, 1.0, 0.92, 0.78])
+    bones += _digit(
+        "thumb",
+        (0.26 * width, 0.16 * length, 0.006),
+        (0.74, 0.64, 0.20),
+        (-0.62, 0.25, 0.74),
+        [m["thumb"] * p for p in THUMB_BONES],
+        radii,
+    )
+    return tuple(bones)
+
+
+def _digit(
+    name: str, start: Vector, along: Vector, front: Vector, lengths: list[float], radii: FloatArray
+) -> tuple[Bone, ...]:
+    """Three bones, `name`_1 to `name`_3, turned by joints of the same names."""
+    pieces = [
+        (f"{name}_{k + 1}", f"{name}_{k + 1}", lengths[k], (float(radii[k]), float(radii[k + 1])))
+        for k in range(3)
+    ]
+    return limb("palm" if name == "thumb" else "knuckles", start, along, front, pieces)
+
+
+def _curl(fingers: tuple[str, ...], turns: tuple[float, float, float]) -> dict[str, Vector]:
+    return {f"{finger}_{k + 1}": (turn, 0, 0) for finger in fingers for k, turn in enumerate(turns)}
+
+
+def _on_palm(*fingers: str) -> tuple[Contact, ...]:
+    return tuple(Contact((f"{finger}_3",), ("palm",), (f"{finger}_1", f"{finger}_2")) for finger in fingers)
+
+
+_CLOSED = (80.0, 95.0, 50.0)
+_THUMB_IN: dict[str, Vector] = {"thumb_1": (24, 0, 0), "thumb_2": (30, 0, 0), "thumb_3": (38, 0, 0)}
+_SIDE_BY_SIDE = (("index", "middle"), ("ring", "middle"), ("little", "ring"))
+
+POSES: dict[str, Pose] = {
+    "open": Pose({}),
+    "relaxed": Pose(_curl(FINGERS, (22, 28, 16)) | {"thumb_2": (12, 0, 0)}),
+    "spread": Pose(
+        {"index_1": (-6, -8, 0), "ring_1": (-6, 6, 0), "little_1": (-8, 14, 0), "thumb_1": (-16, 10, 0)}
+    ),
+    "grasp": Pose(_curl(FINGERS, (42, 48, 28)) | {"thumb_1": (20, 0, 0), "thumb_2": (22, 0, 0)}),
+    "claw": Pose(_curl(FINGERS, (-12, 75, 48)) | {"thumb_2": (30, 0, 0), "thumb_3": (35, 0, 0)}),
+    "table": Pose(_curl(FINGERS, (78, 6, 4)) | {"thumb_1": (8, 0, 0)}),
+    "wave": Pose({"wrist": (-38, 14, 0)} | _curl(FINGERS, (10, 12, 8))),
+    "flex": Pose({"wrist": (52, 0, 0)} | _curl(FINGERS, (18, 30, 18))),
+    "fan": Pose(
+        {"index_1": (0, 0, 0), "middle_1": (25, 0, 0), "ring_1": (50, 0, 0), "little_1": (72, 0, 0)}
+        | {"middle_2": (15, 0, 0), "ring_2": (32, 0, 0), "little_2": (45, 0, 0)}
+    ),
+    "thumb_out": Pose(_curl(FINGERS, (55, 72, 40)) | {"thumb_1": (-14, 0, 0), "thumb_3": (-10, 0, 0)}),
+    "fist": Pose(_curl(FINGERS, _CLOSED) | _THUMB_IN, contacts=_on_palm(*FINGERS)),
+    "point": Pose(
+        _curl(FINGERS[1:], _CLOSED) | _THUMB_IN,
+        contacts=(*_on_palm(*FINGERS[1:]), Contact(("thumb_3",), ("middle_2", "middle_3"), ("thumb_1",))),
+    ),
+    "victory": Pose(
+        _curl(FINGERS[2:], _CLOSED) | _THUMB_IN,
+        contacts=(*_on_palm(*FINGERS[2:]), Contact(("thumb_3",), ("ring_2", "ring_3"), ("thumb_1",))),
+    ),
+    "together": Pose(
+        contacts=tuple(
+            Contact((f"{finger}_2", f"{finger}_3"), (f"{next_to}_2", f"{next_to}_3"), (f"{finger}_1",))
+            for finger, next_to in _SIDE_BY_SIDE
+        )
+    ),
+    "ring": Pose(
+        _curl(("index",), (48, 55, 35)) | _curl(FINGERS[2:], (10, 15, 8)) | _THUMB_IN,
+        contacts=(Contact(("thumb_3",), ("index_3",), ("thumb_1", "index_1")),),
+    ),
+}

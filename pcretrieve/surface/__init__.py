@@ -1,0 +1,18 @@
+"""Points → closed surface: Poisson reconstruction, remeshing, topology."""
+
+from pcretrieve.surface.reconstruct import poisson_surface, sampled, sound_mesh
+from pcretrieve.surface.remesh import remesh
+from pcretrieve.surface.repair import repaired
+from pcretrieve.surface.topology import Defects, defects
+from pcretrieve.surface.write import write_mesh
+
+__all__ = [
+    "Defects",
+    "defects",
+    "poisson_surface",
+    "remesh",
+    "repaired",
+    "sampled",
+    "sound_mesh",
+    "write_mesh",
+]

@@ -1,0 +1,141 @@
+"""Points, or a mesh with defects → closed, connected, outward-oriented manifold."""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+
+from pcretrieve.adapters import open3d
+from pcretrieve.errors import DegenerateMeshError, ReconstructionError
+from pcretrieve.options import SurfaceOptions
+from pcretrieve.surface.repair import ONE_SIDED, largest_component, outward, repaired, used_vertices
+from pcretrieve.surface.topology import compact, defects, orient_faces
+from pcretrieve.types import FloatArray, IntArray, PointCloud, Step, TriangleMesh
+
+__all__ = ["poisson_surface", "sampled", "sound_mesh"]
+
+# Makes the points that are drawn from a mesh reproducible.
+SAMPLE_SEED = 0
+
+
+def sound_mesh(mesh: TriangleMesh, options: SurfaceOptions) -> TriangleMesh | None:
+    """The mesh itself where it can be used as it is; None where it has to be reconstructed.
+
+    ``auto`` keeps a closed, connected manifold, turned outwards; ``keep`` keeps what is left after bad faces,
+    non-manifold edges and all but the largest component are repaired away, holes included; ``reconstruct``
+    keeps nothing.
+
+    Raises
+    ------
+    DegenerateMeshError
+        If it is to be kept and is one-sided, or has no face with an area.
+    """
+    started = time.perf_counter()
+    if options.mode == "reconstruct":
+        return None
+    if options.mode == "auto":
+        if defects(mesh):
+            return None
+        used, loose = used_vertices(mesh)
+        kept, turned = outward(used)
+        notes = (*loose, *turned)
+    else:
+        kept, notes = repaired(mesh)
+    step = Step(
+        "topology",
+        time.perf_counter() - started,
+        {"vertices": len(kept.vertices), "faces": len(kept.faces), "euler": kept.euler_characteristic},
+        notes,
+    )
+    return TriangleMesh(kept.vertices, kept.faces, (*mesh.provenance, step))
+
+
+def sampled(mesh: TriangleMesh, options: SurfaceOptions) -> PointCloud:
+    """Points on a mesh, uniform by area.
+
+    Raises
+    ------
+    DegenerateMeshError
+        If no face has an area, or the surface is one-sided.
+    """
+    started = time.perf_counter()
+    areas = mesh.face_areas  # (m,)
+    if not areas.sum() > 0:
+        raise DegenerateMeshError(f"no face of {len(mesh.faces)} has an area", stage="surface")
+    if orient_faces(mesh) is None:
+        raise DegenerateMeshError(ONE_SIDED, stage="surface")
+    found = defects(mesh)
+    rng = np.random.default_rng(SAMPLE_SEED)
+    n = options.sample_points
+    face = rng.choice(len(mesh.faces), size=n, p=areas / areas.sum())  # (n,)
+    # Uniform on a triangle: Osada et al., "Shape distributions", ACM TOG 2002, equation (1).
+    u, v = np.sqrt(rng.random(n)), rng.random(n)
+    weights = np.column_stack([1 - u, u * (1 - v), u * v])  # (n, 3)
+    points = np.einsum("nk,nkd->nd", weights, mesh.vertices[mesh.faces[face]])
+    step = Step(
+        "sample",
+        time.perf_counter() - started,
+        {"points": n},
+        (f"sampled {n} points from a mesh with defects: {found}",) if found else (),
+    )
+    return PointCloud(points, provenance=(*mesh.provenance, step))
+
+
+def poisson_surface(cloud: PointCloud, options: SurfaceOptions) -> TriangleMesh:
+    """The Poisson surface of oriented points: closed, connected, manifold, pointing outwards.
+
+    With ``options.density_trim`` it has holes where it was cut, for the remesher to close.
+
+    Parameters
+    ----------
+    cloud : PointCloud
+        With normals.
+    options : SurfaceOptions
+
+    Raises
+    ------
+    ReconstructionError
+        If there is no surface, the points hold two bodies, or no closed manifold came out.
+    """
+    if cloud.normals is None:
+        raise ReconstructionError("reconstruction needs points with normals, these have none")
+    started = time.perf_counter()
+    vertices, faces, density = open3d.poisson(
+        cloud.points, cloud.normals, depth=options.poisson_depth, scale=options.poisson_scale
+    )
+    if not len(faces):
+        raise ReconstructionError(f"Poisson reconstruction of {len(cloud.points)} points gave no surface")
+    n_raw = len(faces)
+    trimmed = _trimmed(vertices, faces, density, options.density_trim)
+    surface, dropped = largest_component(trimmed, options.max_discarded)
+    if len(surface.faces) > options.target_faces:
+        surface = TriangleMesh(
+            *open3d.simplify(surface.vertices, surface.faces, n_faces=options.target_faces)
+        )
+    final, notes = repaired(surface)
+    if options.density_trim == 0 and (found := defects(final)):
+        raise ReconstructionError(
+            f"the points must surround a body, their surface has {found}: "
+            "scan the sides that are missing, or merge this view with others"
+        )
+    step = Step(
+        "surface",
+        time.perf_counter() - started,
+        {
+            "points": len(cloud.points),
+            "faces_poisson": n_raw,
+            "faces": len(final.faces),
+            "euler": final.euler_characteristic,
+        },
+        (*dropped, *notes),
+    )
+    return TriangleMesh(final.vertices, final.faces, (*cloud.provenance, step))
+
+
+def _trimmed(vertices: FloatArray, faces: IntArray, density: FloatArray, share: float) -> TriangleMesh:
+    """Without the vertices that the fewest points support."""
+    if share == 0:
+        return compact(vertices, faces)
+    kept = density >= np.quantile(density, share)
+    return compact(vertices, faces[kept[faces].all(axis=1)])

@@ -1,0 +1,91 @@
+"""Surface → clean surface, by way of tetrahedra."""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+
+from pcretrieve.adapters import tetwild
+from pcretrieve.errors import RemeshError, ShapeError
+from pcretrieve.options import RemeshOptions
+from pcretrieve.surface.edges import edges_of
+from pcretrieve.surface.repair import repaired
+from pcretrieve.surface.topology import compact, defects, twins
+from pcretrieve.types import FloatArray, IntArray, Step, TriangleMesh
+
+__all__ = ["remesh"]
+
+# Faces of a tetrahedron with positive volume, counter-clockwise seen from outside.
+OUTWARD_FACES = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])
+
+
+def remesh(mesh: TriangleMesh, options: RemeshOptions) -> TriangleMesh:
+    """The boundary of the tetrahedra that fTetWild fills a surface with.
+
+    fTetWild's answer is used where, once repaired, it is closed and manifold and within
+    ``options.max_change`` of its input's area and volume (of its area, where the input has holes);
+    otherwise the input is returned and the provenance says why.
+
+    Parameters
+    ----------
+    mesh : TriangleMesh
+        Pointing outwards (positive volume).
+    options : RemeshOptions
+
+    Raises
+    ------
+    RemeshError
+        If the answer cannot be used, and neither can the input, which has holes or other defects.
+    """
+    if options.method == "none":
+        return mesh
+    started = time.perf_counter()
+    try:
+        nodes, tetrahedra = tetwild.tetrahedralize(
+            mesh.vertices,
+            mesh.faces,
+            edge_length=options.edge_length,
+            envelope=options.envelope,
+            optimize=options.optimize,
+            timeout=options.timeout,
+        )
+        result, notes = repaired(compact(nodes, boundary_faces(nodes, tetrahedra)))
+        _check_change(mesh, result, options.max_change)
+    except ShapeError as error:
+        if found := defects(mesh):
+            raise RemeshError(
+                f"the surface has defects ({found}) and could not be remeshed: {error.message}"
+            ) from error
+        result, notes = mesh, (f"kept the surface as it was before remeshing: {error.message}",)
+    step = Step(
+        "remesh",
+        time.perf_counter() - started,
+        {"faces_in": len(mesh.faces), "faces": len(result.faces)},
+        notes,
+    )
+    return TriangleMesh(result.vertices, result.faces, (*mesh.provenance, step))
+
+
+def boundary_faces(nodes: FloatArray, tetrahedra: IntArray) -> IntArray:
+    """(m, 3) faces that belong to one tetrahedron only, counter-clockwise seen from outside."""
+    a, b, c, d = (nodes[tetrahedra[:, k]] for k in range(4))
+    negative = np.einsum("ij,ij->i", np.cross(b - a, c - a), d - a) < 0  # (q,)
+    corners = np.where(negative[:, None], tetrahedra[:, [0, 2, 1, 3]], tetrahedra)
+    faces = corners[:, OUTWARD_FACES].reshape(-1, 3)  # (4q, 3)
+    group = twins(faces)
+    return np.asarray(faces[np.bincount(group)[group] == 1], dtype=np.int32)
+
+
+def _check_change(before: TriangleMesh, after: TriangleMesh, most: float) -> None:
+    if found := defects(after):
+        raise RemeshError(f"its surface has defects: {found}")
+    sizes = [("area", before.area, after.area)]
+    if not (edges_of(before.faces).use == 1).any():
+        sizes.append(("volume", before.volume, after.volume))
+    for name, old, new in sizes:
+        if abs(new - old) > most * abs(old):
+            raise RemeshError(
+                f"it changed the {name} from {old:.6g} to {new:.6g}, by more than "
+                f"remesh.max_change = {most:.0%}"
+            )

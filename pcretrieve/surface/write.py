@@ -1,0 +1,35 @@
+"""A surface → a mesh file."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from pcretrieve.errors import InputError
+from pcretrieve.types import TriangleMesh
+
+__all__ = ["write_mesh"]
+
+SUFFIXES = (".ply", ".obj", ".off", ".stl", ".glb")
+
+
+def write_mesh(mesh: TriangleMesh, path: str | Path) -> None:
+    """Write a mesh, in the format that the path's suffix names.
+
+    Raises
+    ------
+    InputError
+        If the suffix is not one of ``.ply .obj .off .stl .glb``, or the file cannot be written.
+    """
+    import trimesh
+
+    path = Path(path)
+    if path.suffix.lower() not in SUFFIXES:
+        raise InputError(f"a mesh file must end in one of {' '.join(SUFFIXES)}, got {path.name}")
+    data: Any = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False).export(
+        file_type=path.suffix[1:].lower()
+    )
+    try:
+        path.write_bytes(data.encode() if isinstance(data, str) else data)
+    except OSError as error:
+        raise InputError(f"cannot write {path}: {error.strerror or error}") from error

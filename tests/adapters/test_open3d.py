@@ -1,0 +1,162 @@
+"""Open3D behind arrays: right numbers, the same ones each time, and no trace of its own types."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+import shapes
+
+from pcretrieve.adapters import open3d as adapter
+from pcretrieve.surface.topology import compact, defects
+from pcretrieve.types import FloatArray, TriangleMesh
+
+BALL = shapes.icosphere(3)
+POINTS = shapes.points_on(BALL, 3000, seed=1)
+POINTS = POINTS / np.linalg.norm(POINTS, axis=1, keepdims=True)  # so that they are their own normals
+
+
+@pytest.fixture(scope="module")
+def o3d() -> Any:
+    import open3d
+
+    return open3d
+
+
+def geometries(o3d: Any) -> dict[str, tuple[Any, FloatArray, Any, Any]]:
+    """Name → geometry, and the points, faces and normals that were put in."""
+    utility, legacy, tensor = o3d.utility, o3d.geometry, o3d.t.geometry
+    bare = legacy.PointCloud(utility.Vector3dVector(POINTS))
+    cloud = legacy.PointCloud(bare)
+    cloud.normals = utility.Vector3dVector(5 * POINTS)  # not of unit length
+    mesh = legacy.TriangleMesh(
+        utility.Vector3dVector(BALL.vertices.copy()), utility.Vector3iVector(BALL.faces.copy())
+    )
+    return {
+        "points": (bare, POINTS, None, None),
+        "points with normals": (cloud, POINTS, None, POINTS),
+        "mesh": (mesh, BALL.vertices, BALL.faces, None),
+        "tensor points": (tensor.PointCloud.from_legacy(bare, o3d.core.float64), POINTS, None, None),
+        "tensor points with normals": (
+            tensor.PointCloud.from_legacy(cloud, o3d.core.float64),
+            POINTS,
+            None,
+            POINTS,
+        ),
+        "tensor mesh": (
+            tensor.TriangleMesh.from_legacy(mesh, o3d.core.float64, o3d.core.int64),
+            BALL.vertices,
+            BALL.faces,
+            None,
+        ),
+    }
+
+
+# --- exchange -----------------------------------------------------------------------------------------
+
+
+def test_every_geometry_gives_the_arrays_it_was_made_of(o3d: Any) -> None:
+    for name, (geometry, points, faces, normals) in geometries(o3d).items():
+        found = adapter.geometry_arrays(geometry)
+        assert (found[0] == points).all(), name
+        for ours, theirs in zip(found[1:], (faces, normals), strict=True):
+            assert (ours is None) == (theirs is None), name
+            if ours is not None:
+                np.testing.assert_allclose(ours.astype(float), theirs, atol=1e-15, err_msg=name)
+
+
+def test_arrays_outlive_their_geometry(o3d: Any) -> None:
+    points, _, _ = adapter.geometry_arrays(o3d.geometry.PointCloud(o3d.utility.Vector3dVector(POINTS)))
+    assert (points == POINTS).all()
+    assert points.flags.owndata
+
+
+@pytest.mark.parametrize("thing", [None, 3, "bunny.ply", POINTS, [[0, 0, 0]]], ids=lambda t: type(t).__name__)
+def test_nothing_else_is_a_geometry(thing: object, o3d: Any) -> None:
+    with pytest.raises(TypeError, match="neither a point cloud nor a triangle mesh: " + type(thing).__name__):
+        adapter.geometry_arrays(thing)
+    with pytest.raises(TypeError, match="LineSet"):
+        adapter.geometry_arrays(o3d.geometry.LineSet())
+
+
+def test_locked_arrays_go_in_and_stay_as_they_are() -> None:
+    points = POINTS.copy()
+    points.flags.writeable = False
+    adapter.estimate_normals(points, n_neighbors=10)
+    adapter.simplify(BALL.vertices, BALL.faces, n_faces=300)
+    assert (points == POINTS).all()
+
+
+# --- points -------------------------------------------------------------------------------------------
+
+
+def test_strays_are_found_and_the_rest_keeps_its_order() -> None:
+    rng = np.random.default_rng(0)
+    strays = np.sort(rng.choice(3000, size=12, replace=False))
+    points = POINTS.copy()
+    points[strays] *= rng.uniform(1.5, 3, (12, 1))
+    kept = adapter.statistical_inliers(points, n_neighbors=20, std_ratio=2.0)
+    assert (np.diff(kept) > 0).all()
+    assert not set(strays.tolist()) & set(kept.tolist())
+    assert len(kept) > 2900
+
+
+def test_normals_of_a_sphere_are_its_points_up_to_sign() -> None:
+    normals = adapter.estimate_normals(POINTS, n_neighbors=20)
+    np.testing.assert_allclose(np.linalg.norm(normals, axis=1), 1, atol=1e-12)
+    assert np.abs(np.einsum("ij,ij->i", normals, POINTS)).min() > 0.99
+
+
+def test_tangent_planes_agree_on_a_side() -> None:
+    flips = np.random.default_rng(0).choice([-1.0, 1.0], size=(len(POINTS), 1))
+    oriented = adapter.orient_by_tangent_planes(POINTS, POINTS * flips, n_neighbors=12)
+    sides = np.sign(np.einsum("ij,ij->i", oriented, POINTS))
+    assert abs(sides.sum()) == len(POINTS)
+
+
+# --- surfaces -----------------------------------------------------------------------------------------
+
+
+def test_poisson_gives_the_sphere_the_same_one_each_time() -> None:
+    vertices, faces, density = adapter.poisson(POINTS, POINTS, depth=5, scale=1.1)
+    again = adapter.poisson(POINTS, POINTS, depth=5, scale=1.1)
+    for one, two in zip((vertices, faces, density), again, strict=True):
+        np.testing.assert_array_equal(np.asarray(one), np.asarray(two))
+    assert faces.dtype == np.int32
+    assert density.shape == (len(vertices),)
+    surface = compact(vertices, faces)
+    assert not defects(surface)
+    np.testing.assert_allclose(np.linalg.norm(surface.vertices, axis=1), 1, atol=0.01)
+    assert surface.volume == pytest.approx(4 / 3 * np.pi, rel=0.01)
+
+
+def test_simplification_keeps_the_body() -> None:
+    body = shapes.body(4)
+    vertices, faces = adapter.simplify(body.vertices, body.faces, n_faces=1000)
+    coarse = TriangleMesh(vertices, faces)
+    assert len(faces) <= 1000
+    assert len(faces) > 900
+    assert coarse.volume == pytest.approx(body.volume, rel=0.01)
+
+
+def test_rays_meet_the_sphere_where_they_should() -> None:
+    scene = adapter.RayScene(BALL.vertices, BALL.faces)
+    origins = np.array([[3.0, 0.1, 0.2], [3.0, 0.0, 0.0], [0.0, 0.0, 5.0]])
+    directions = np.array([[-1.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -2.0]])
+    distance, normals, face = scene.cast(origins, directions)
+    assert distance[0] == pytest.approx(3 - np.sqrt(1 - 0.05), abs=0.01)
+    assert np.isinf(distance[1])
+    assert face[1] == -1
+    assert distance[2] == pytest.approx(2.0, abs=0.01)  # in lengths of the direction
+    for ray in (0, 2):
+        corners = BALL.vertices[BALL.faces[face[ray]]]
+        hit = origins[ray] + distance[ray] * directions[ray]
+        assert np.linalg.det(corners - hit) == pytest.approx(0, abs=1e-6)  # in the plane of that face
+        assert normals[ray] @ hit > 0.9  # outwards, as its faces are
+
+
+def test_distances_to_the_sphere() -> None:
+    query = np.array([[0.0, 0.0, 0.0], [2.0, 0.0, 0.0], [0.0, -0.5, 0.0]])
+    found = adapter.RayScene(BALL.vertices, BALL.faces).distance(query)
+    np.testing.assert_allclose(found, [1, 1, 0.5], atol=0.02)

@@ -1,0 +1,228 @@
+"""The fTetWild server: there when it is needed, gone when it is not, whatever is killed."""
+
+from __future__ import annotations
+
+import gc
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import shapes
+
+from pcretrieve.adapters import tetwild
+from pcretrieve.adapters.tetwild import tetrahedralize
+from pcretrieve.errors import RemeshError
+from pcretrieve.types import FloatArray, IntArray
+
+BALL = shapes.icosphere(2)
+
+# How long a process may take to notice that another has gone; seconds.
+PATIENCE = 20.0
+
+ASK_ONCE = """
+import numpy as np
+from pcretrieve.adapters.tetwild import tetrahedralize
+vertices = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], dtype=float)
+faces = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]], dtype=np.int32)
+tetrahedralize(vertices, faces, edge_length=0.5, envelope=0.01, optimize=False, timeout=60)
+print("answered", flush=True)
+"""
+
+
+def ball(
+    *, faces: IntArray = BALL.faces, edge_length: float = 0.2, envelope: float = 0.001, timeout: float = 60.0
+) -> tuple[FloatArray, IntArray]:
+    return tetrahedralize(
+        BALL.vertices, faces, edge_length=edge_length, envelope=envelope, optimize=False, timeout=timeout
+    )
+
+
+def volume(nodes: FloatArray, tetrahedra: IntArray) -> float:
+    a, b, c, d = (nodes[tetrahedra[:, k]] for k in range(4))
+    return float(np.abs(np.einsum("ij,ij->i", np.cross(b - a, c - a), d - a)).sum() / 6)
+
+
+def servers(parent: int) -> set[int]:
+    """Processes that a process has started and that run the server."""
+    found = set()
+    for status in Path("/proc").glob("[0-9]*/stat"):
+        try:
+            started_by = int(status.read_text().rpartition(")")[2].split()[1])
+            command = (status.parent / "cmdline").read_text()
+        except OSError:  # it ended while we looked
+            continue
+        if started_by == parent and "tetwild import serve" in command:
+            found.add(int(status.parent.name))
+    return found
+
+
+def runs(process: int) -> bool:
+    """Whether a process is there, with any thread that is more than a zombie."""
+    try:
+        threads = [task.read_text() for task in Path(f"/proc/{process}/task").glob("*/stat")]
+    except OSError:  # it ended while we looked
+        return runs(process)
+    return any(thread.rpartition(")")[2].split()[0] not in "ZX" for thread in threads)
+
+
+def wait_until(holds: Callable[[], bool]) -> bool:
+    deadline = time.monotonic() + PATIENCE
+    while not holds():
+        if time.monotonic() > deadline:
+            return False
+        time.sleep(0.02)
+    return True
+
+
+def own_server() -> int:
+    (process,) = servers(os.getpid())
+    return process
+
+
+pytestmark = pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="needs /proc to count processes")
+
+
+@pytest.fixture
+def client(tmp_path: Path) -> Iterator[subprocess.Popen[str]]:
+    """Another Python that has asked once, and now waits with its server idle.
+
+    The folder that it runs in holds modules that are not meant; isolated, it does not look there, and its
+    server must not either.
+    """
+    for name in ("signal", "numpy", "pytetwild", "pcretrieve"):
+        (tmp_path / f"{name}.py").write_text("raise SystemExit('the wrong module')\n")
+    process = subprocess.Popen(
+        [sys.executable, "-I", "-c", ASK_ONCE + "input()"],
+        cwd=tmp_path,
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+    )
+    assert process.stdout is not None
+    assert process.stdout.readline() == "answered\n"
+    with process:
+        yield process
+        process.kill()
+
+
+# --- answers ------------------------------------------------------------------------------------------
+
+
+def test_a_ball_is_filled() -> None:
+    nodes, tetrahedra = ball()
+    assert nodes.dtype == np.float64
+    assert tetrahedra.dtype == np.int32
+    assert nodes.shape[1:] == (3,)
+    assert tetrahedra.shape[1:] == (4,)
+    assert volume(nodes, tetrahedra) == pytest.approx(BALL.volume, rel=0.02)
+
+
+def test_one_server_answers_again_and_again() -> None:
+    ball()
+    first = own_server()
+    ball()
+    assert own_server() == first
+
+
+def test_start_is_ahead_of_the_first_surface() -> None:
+    tetwild.start()
+    early = own_server()
+    ball()
+    assert own_server() == early
+
+
+@pytest.mark.parametrize(
+    ("question", "message"),
+    [
+        (lambda: ball(faces=BALL.faces[:1]), r"^\[remesh\] fTetWild gave no tetrahedra$"),
+        (lambda: ball(edge_length=2.0), r"^\[remesh\] fTetWild failed: Edge length factor must be between"),
+    ],
+    ids=["nothing to fill", "refused"],
+)
+def test_no_answer_is_an_error_and_the_next_one_is_right(question: Callable[[], Any], message: str) -> None:
+    with pytest.raises(RemeshError, match=message):
+        question()
+    assert volume(*ball()) == pytest.approx(BALL.volume, rel=0.02)
+
+
+def test_it_leaves_no_files_where_it_is_asked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    ball()
+    assert list(tmp_path.iterdir()) == []
+
+
+# --- death --------------------------------------------------------------------------------------------
+
+
+def test_it_is_stopped_when_its_time_is_over_and_the_next_one_answers() -> None:
+    ball()
+    first = own_server()
+    with pytest.raises(RemeshError, match=r"fTetWild did not finish within 0\.001 s and was stopped"):
+        ball(timeout=0.001)
+    assert not runs(first)
+    assert len(ball()[1])
+    assert own_server() != first
+
+
+def test_its_death_over_a_surface_is_an_error() -> None:
+    tetwild.start()
+    slow = shapes.ellipsoid(subdivisions=5)
+    threading.Timer(0.2, lambda: os.kill(own_server(), signal.SIGKILL)).start()
+    with pytest.raises(RemeshError, match=r"^\[remesh\] fTetWild died, with exit code -9$"):
+        tetrahedralize(
+            slow.vertices, slow.faces, edge_length=0.05, envelope=0.001, optimize=True, timeout=PATIENCE
+        )
+
+
+def test_it_may_be_killed_between_two_surfaces() -> None:
+    ball()
+    first = own_server()
+    os.kill(first, signal.SIGKILL)
+    assert wait_until(lambda: not runs(first))
+    assert len(ball()[1])
+    gc.collect()  # nothing of the dead one is left unclosed, which would be a warning here
+
+
+def test_ctrl_c_in_the_terminal_is_not_its_business() -> None:
+    ball()
+    first = own_server()
+    os.kill(first, signal.SIGINT)
+    assert len(ball()[1])
+    assert own_server() == first
+
+
+def test_it_ends_with_an_interpreter_that_exits(client: subprocess.Popen[str]) -> None:
+    (server,) = servers(client.pid)
+    folder = Path(f"/proc/{server}/cwd").readlink()
+    client.communicate("\n", timeout=PATIENCE)
+    assert client.returncode == 0
+    assert wait_until(lambda: not runs(server))
+    assert not folder.exists()
+
+
+def test_it_ends_with_a_client_that_is_killed(client: subprocess.Popen[str]) -> None:
+    (server,) = servers(client.pid)
+    folder = Path(f"/proc/{server}/cwd").readlink()
+    client.kill()
+    assert wait_until(lambda: not runs(server))
+    assert wait_until(lambda: not folder.exists())
+
+
+def test_its_time_runs_though_its_client_be_dead() -> None:
+    endless = "edge_length=0.001, envelope=1e-4, optimize=True, timeout=1)"
+    code = ASK_ONCE.replace("edge_length=0.5, envelope=0.01, optimize=False, timeout=60)", endless)
+    assert endless in code
+    with subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE) as client:
+        assert wait_until(lambda: bool(servers(client.pid)))
+        (server,) = servers(client.pid)
+        time.sleep(0.5)  # its question is on its way
+        client.kill()
+    assert wait_until(lambda: not runs(server))

@@ -1,0 +1,57 @@
+"""What holds of the whole way from a scan to its signature."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import shapes
+
+from pcretrieve import PipelineOptions, PointCloud, TriangleMesh, reconstruct, signature
+from pcretrieve.errors import InputError, ReconstructionError, ScanReadError
+
+# fTetWild is not deterministic, and not the point here.
+OPTIONS = PipelineOptions().changed(remesh={"method": "none"})
+POINTS = shapes.points_on(shapes.body(), 8000)
+
+
+def test_a_mesh_has_one_signature_in_any_unit_and_place() -> None:
+    body = shapes.body()
+    values = signature(body).values
+    for scale, shift in ((1e-3, 0), (1e3, 0), (1, 1e6)):
+        other = TriangleMesh(scale * body.vertices + shift, body.faces)
+        np.testing.assert_allclose(signature(other).values, values, rtol=1e-6)
+
+
+@pytest.mark.parametrize("shift", [1e3, 1e6, 1e9])
+def test_a_cloud_far_from_the_origin_is_the_same_body(shift: float) -> None:
+    """As map coordinates are; Open3D's single precision alone would lose it, or crash."""
+    cloud = PointCloud(POINTS, viewpoints=3 * POINTS)
+    here = reconstruct(cloud, OPTIONS)
+    there = reconstruct(PointCloud(POINTS + shift, viewpoints=3 * POINTS + shift), OPTIONS)
+    assert there.volume == pytest.approx(here.volume, rel=1e-3)
+    np.testing.assert_allclose(there.vertices.mean(axis=0) - shift, here.vertices.mean(axis=0), atol=1e-3)
+    np.testing.assert_allclose(
+        np.log(signature(there, OPTIONS).values), np.log(signature(here, OPTIONS).values), atol=0.02
+    )
+
+
+def test_an_error_names_its_scan_and_its_stage(tmp_path: Path) -> None:
+    (tmp_path / "few.xyz").write_text("1 2 3\n4 5 6\n")
+    with pytest.raises(ReconstructionError) as raised:
+        reconstruct(tmp_path / "few.xyz")
+    assert (raised.value.shape_id, raised.value.stage) == ("few.xyz", "clean")
+    assert str(raised.value).startswith("[few.xyz / clean] a scan needs at least 100 points, got 2")
+    with pytest.raises(ScanReadError, match=r"^\[gone\.ply / read\] cannot read .*gone\.ply"):
+        signature(tmp_path / "gone.ply")
+
+
+def test_what_is_no_scan_is_the_callers_fault() -> None:
+    with pytest.raises(InputError, match=r"a scan must be a path, an \(n, 3\) array, .* got dict"):
+        reconstruct({"points": POINTS})
+
+
+def test_an_empty_cloud() -> None:
+    with pytest.raises(ReconstructionError, match="at least 100 points, got 0"):
+        reconstruct(np.empty((0, 3)))

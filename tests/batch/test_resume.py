@@ -1,0 +1,82 @@
+"""An ingest that is stopped loses nothing, and goes on."""
+
+from __future__ import annotations
+
+import json
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+import shapes
+
+from pcretrieve import Catalogue, PipelineOptions, signature
+from pcretrieve.simulation import write_ply
+from pcretrieve.surface import write_mesh
+from pcretrieve.types import TriangleMesh
+
+N_SHAPES = 12
+PATIENCE = 60  # seconds
+
+
+def command(folder: Path) -> list[str]:
+    return [
+        *(sys.executable, "-m", "pcretrieve", "ingest", str(folder)),
+        *("--catalogue", str(folder / "c.sqlite"), "--workers", "1", "--json"),
+    ]
+
+
+def test_ctrl_c_keeps_what_is_finished_and_the_same_command_goes_on(tmp_path: Path) -> None:
+    for number in range(N_SHAPES):
+        ball = shapes.icosphere(4)
+        write_mesh(
+            TriangleMesh(ball.vertices * [1, 1, 1 + number / 5], ball.faces), tmp_path / f"{number}.off"
+        )
+    running = subprocess.Popen(command(tmp_path), stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+    started = time.monotonic()
+    n_stored = 0
+    while not n_stored and time.monotonic() < started + PATIENCE:
+        time.sleep(0.05)
+        if (tmp_path / "c.sqlite-wal").exists():
+            with Catalogue(tmp_path / "c.sqlite") as reader:  # readable while it is being written
+                n_stored = len(reader)
+    running.send_signal(signal.SIGINT)
+    _, said = running.communicate(timeout=PATIENCE)
+    assert running.returncode == 130
+    assert b"the same command goes on from there" in said
+    with Catalogue(tmp_path / "c.sqlite") as catalogue:
+        kept = {record.id for record in catalogue.records()}
+    assert 0 < len(kept) < N_SHAPES
+
+    answer = json.loads(subprocess.run(command(tmp_path), capture_output=True, check=True).stdout)
+    assert set(answer["held"]) == kept
+    assert len(answer["done"]) == N_SHAPES - len(kept)
+    again = json.loads(subprocess.run(command(tmp_path), capture_output=True, check=True).stdout)
+    assert (len(again["held"]), again["done"]) == (N_SHAPES, [])
+
+
+def test_a_shape_that_takes_too_long_is_given_up_and_the_others_are_not(tmp_path: Path) -> None:
+    write_ply(tmp_path / "slow.ply", shapes.points_on(shapes.body(), 20_000))
+    write_mesh(shapes.icosphere(3), tmp_path / "quick.off")
+    # Millions of tetrahedra, under a limit of seconds that includes a worker's imports.
+    (tmp_path / "fine.toml").write_text(
+        "[remesh]\noptimize = true\nedge_length = 0.002\nenvelope = 1e-5\ntimeout = 3600\n"
+    )
+    limited = [*command(tmp_path), "--config", str(tmp_path / "fine.toml"), "--timeout", "20"]
+    ended = subprocess.run(limited, capture_output=True, check=False)
+    answer = json.loads(ended.stdout)
+    assert ended.returncode == 3
+    assert answer["done"] == ["quick"]
+    assert [failure["error"] for failure in answer["failed"]] == ["StageTimeout"]
+
+
+@pytest.mark.parametrize("unit", [1e-3, 1e3])
+def test_the_unit_of_a_scan_does_not_matter(unit: float) -> None:
+    # fTetWild is not deterministic, so the comparison is without it.
+    options = PipelineOptions().changed(remesh={"method": "none"})
+    points = shapes.points_on(shapes.body(), 8000, noise=1e-3)
+    metres, other = signature(points, options), signature(points * unit, options)
+    np.testing.assert_allclose(np.log(other.values), np.log(metres.values), atol=0.02)

@@ -1,0 +1,182 @@
+"""What is no catalogue, or not the one that was meant, is told apart and left as it was."""
+
+from __future__ import annotations
+
+import json
+import sqlite3
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import closing
+from pathlib import Path
+
+import pytest
+import shapes
+
+from pcretrieve import Catalogue, PipelineOptions
+from pcretrieve.batch.pipeline import process
+from pcretrieve.catalogue import Content, Record
+from pcretrieve.errors import CatalogueError
+from pcretrieve.signatures import describe
+
+OPTIONS = PipelineOptions().changed(scan={"voxel": 0.005}, signature={"n_values": 15})
+
+
+@pytest.fixture
+def path(tmp_path: Path) -> Path:
+    """A catalogue of one shape, with options of its own."""
+    with Catalogue(tmp_path / "c.sqlite", OPTIONS, create=True) as store:
+        shape = process(shapes.icosphere(3), OPTIONS)
+        values = describe(shape.spectrum, OPTIONS.signature).values
+        store.put(Record("ball", "/ball.off", "hash"), Content(shape.mesh, shape.spectrum, values))
+    return store.path
+
+
+def execute(path: Path, *statements: str) -> None:
+    with closing(sqlite3.connect(path)) as connection, connection:
+        for statement in statements:
+            connection.execute(statement)
+
+
+# --- options --------------------------------------------------------------------------------------------
+
+
+def test_a_catalogue_knows_its_options(path: Path) -> None:
+    with Catalogue(path) as own, Catalogue(path, OPTIONS, create=True) as same:
+        assert own.options == same.options == OPTIONS
+
+
+def test_other_options_are_named(path: Path) -> None:
+    with pytest.raises(CatalogueError) as raised:
+        Catalogue(path, PipelineOptions(), create=True)
+    assert raised.value.message == (
+        f"{path} was built with other options: scan.voxel: 0.005 there, 0.003 here; signature.n_values: 15 "
+        "there, 23 here. Ingest into a new catalogue, or leave the options out to use its own"
+    )
+
+
+def test_a_new_catalogue_gets_the_defaults(tmp_path: Path) -> None:
+    with Catalogue(tmp_path / "new.sqlite", create=True) as store:
+        assert store.options == PipelineOptions()
+
+
+def test_of_several_that_make_one_catalogue_each_gets_the_same(tmp_path: Path) -> None:
+    def voxel(number: int) -> float:
+        with Catalogue(tmp_path / "new.sqlite", create=True) as store:
+            store.put(Record(f"r{number}", f"/r{number}", "", status="failed"))
+            return store.options.scan.voxel
+
+    with ThreadPoolExecutor(8) as several:
+        assert len(set(several.map(voxel, range(8)))) == 1
+    with Catalogue(tmp_path / "new.sqlite") as store:
+        assert len(store.records()) == 8
+
+
+# --- what is no catalogue -------------------------------------------------------------------------------
+
+
+def test_a_folder(tmp_path: Path) -> None:
+    with pytest.raises(CatalogueError, match="is a folder: name a file for --catalogue"):
+        Catalogue(tmp_path, create=True)
+
+
+def test_nothing_there(tmp_path: Path) -> None:
+    with pytest.raises(CatalogueError, match="make one with `pcretrieve ingest`"):
+        Catalogue(tmp_path / "c.sqlite")
+    assert not list(tmp_path.iterdir())
+
+
+def test_no_folder_to_put_it_into(tmp_path: Path) -> None:
+    with pytest.raises(CatalogueError, match=r"there is no folder .*nowhere to put a catalogue into"):
+        Catalogue(tmp_path / "nowhere" / "c.sqlite", create=True)
+
+
+def test_an_empty_file_is_none_yet(tmp_path: Path) -> None:
+    (tmp_path / "c.sqlite").touch()
+    with pytest.raises(CatalogueError, match="there is no catalogue"):
+        Catalogue(tmp_path / "c.sqlite")
+    assert not (tmp_path / "c.sqlite").stat().st_size
+    with Catalogue(tmp_path / "c.sqlite", create=True) as store:
+        assert len(store) == 0
+
+
+@pytest.mark.parametrize("create", [False, True])
+def test_a_file_of_another_kind_is_left_as_it_is(create: bool, tmp_path: Path) -> None:
+    (tmp_path / "scan.ply").write_bytes(b"ply\nformat ascii 1.0\n" * 100)
+    before = (tmp_path / "scan.ply").read_bytes()
+    with pytest.raises(CatalogueError, match="is not a catalogue: give another --catalogue"):
+        Catalogue(tmp_path / "scan.ply", create=create)
+    assert (tmp_path / "scan.ply").read_bytes() == before
+
+
+@pytest.mark.parametrize("create", [False, True])
+@pytest.mark.parametrize("version", [0, 1, 99])
+def test_a_database_of_another_program_is_left_as_it_is(create: bool, version: int, tmp_path: Path) -> None:
+    execute(tmp_path / "mail.db", "CREATE TABLE meta (mail TEXT)", f"PRAGMA user_version = {version}")
+    before = (tmp_path / "mail.db").read_bytes()
+    with pytest.raises(CatalogueError, match="is an SQLite file, but no catalogue"):
+        Catalogue(tmp_path / "mail.db", create=create)
+    assert (tmp_path / "mail.db").read_bytes() == before
+
+
+def test_a_newer_catalogue(path: Path) -> None:
+    execute(path, "PRAGMA user_version = 2")
+    with pytest.raises(CatalogueError, match=r"newer pcretrieve \(schema 2, this one knows 1\): upgrade"):
+        Catalogue(path)
+
+
+def test_options_of_a_version_that_had_more_of_them(path: Path) -> None:
+    options = json.dumps({"surface": {"fairness": 3}})
+    execute(path, f"UPDATE meta SET value = '{options}' WHERE key = 'options'")
+    with pytest.raises(CatalogueError, match="was built by a pcretrieve with other options"):
+        Catalogue(path)
+
+
+def test_numbers_of_another_version(path: Path) -> None:
+    execute(path, "UPDATE meta SET value = '0123' WHERE key = 'digest'")
+    with pytest.raises(CatalogueError, match="whose numbers differ"):
+        Catalogue(path)
+
+
+# --- damage ---------------------------------------------------------------------------------------------
+
+
+def truncated(path: Path) -> None:
+    path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+
+
+def overwritten(path: Path) -> None:
+    data = bytearray(path.read_bytes())
+    data[4096:] = b"\x55" * (len(data) - 4096)
+    path.write_bytes(data)
+
+
+DAMAGES: dict[str, Callable[[Path], None]] = {
+    "truncated": truncated,
+    "overwritten": overwritten,
+    "no options": lambda path: execute(path, "DELETE FROM meta"),
+    "options that are no JSON": lambda path: execute(
+        path, "UPDATE meta SET value = '{' WHERE key = 'options'"
+    ),
+    "options that are a list": lambda path: execute(
+        path, "UPDATE meta SET value = '[]' WHERE key = 'options'"
+    ),
+    "steps that are no JSON": lambda path: execute(path, "UPDATE shapes SET steps = '['"),
+    "steps of another kind": lambda path: execute(path, "UPDATE shapes SET steps = '[{\"cat\": 1}]'"),
+    "no signature": lambda path: execute(path, "UPDATE shapes SET signature = NULL"),
+    "bytes for a mesh": lambda path: execute(path, "UPDATE shapes SET mesh = x'00112233'"),
+    "half a mesh": lambda path: execute(path, "UPDATE shapes SET mesh = substr(mesh, 1, length(mesh) / 2)"),
+    "an archive with a flipped byte": lambda path: execute(
+        path,
+        "UPDATE shapes SET mesh = CAST(substr(mesh, 1, 2000) || x'ff00ff' || substr(mesh, 2004) AS BLOB)",
+    ),
+}
+
+
+@pytest.mark.parametrize("damage", DAMAGES)
+def test_damage_is_told(damage: str, path: Path) -> None:
+    DAMAGES[damage](path)
+    with pytest.raises(CatalogueError, match=r"is damaged \(.*\): restore a copy, or ingest into a new"):  # noqa: SIM117
+        with Catalogue(path) as store:
+            store.records()
+            store.signatures()
+            store.mesh("ball")

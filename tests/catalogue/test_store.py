@@ -1,0 +1,197 @@
+"""The catalogue gives back what was put in, to readers and writers at once."""
+
+from __future__ import annotations
+
+import os
+import sqlite3
+from collections.abc import Iterator
+from contextlib import closing
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+import shapes
+
+from pcretrieve import Catalogue, PipelineOptions
+from pcretrieve.batch.pipeline import process
+from pcretrieve.catalogue import Content, Record, opening
+from pcretrieve.errors import CatalogueError, InputError
+from pcretrieve.options import SignatureOptions
+from pcretrieve.retrieval import fit_whitening, log_signatures
+from pcretrieve.signatures import describe
+
+OPTIONS = PipelineOptions()
+N_SHAPES = 6
+
+
+@cache
+def content(number: int) -> Content:
+    """What processing makes of an egg, one longer than the other."""
+    shape = process(shapes.ellipsoid((1, 1, 1 + number / 5), subdivisions=3), OPTIONS)
+    return Content(shape.mesh, shape.spectrum, describe(shape.spectrum, OPTIONS.signature).values)
+
+
+def record(number: int) -> Record:
+    label = "round" if number < N_SHAPES // 2 else "long"
+    steps = content(number).mesh.provenance
+    return Record(f"egg{number}", f"/eggs/egg{number}.off", f"hash{number}", label, steps=steps)
+
+
+@pytest.fixture
+def catalogue(tmp_path: Path) -> Iterator[Catalogue]:
+    with Catalogue(tmp_path / "eggs.sqlite", create=True) as store:
+        for number in range(N_SHAPES):
+            store.put(record(number), content(number))
+        yield store
+
+
+def count(catalogue: Catalogue, table: str) -> int:
+    with closing(sqlite3.connect(catalogue.path)) as other:
+        return int(other.execute(f"SELECT count(*) FROM {table}").fetchone()[0])
+
+
+# --- in and out -----------------------------------------------------------------------------------------
+
+
+def test_what_is_put_in_comes_back(catalogue: Catalogue) -> None:
+    stored, given = catalogue.record("egg2"), content(2)
+    assert (stored.path, stored.content_hash, stored.label) == ("/eggs/egg2.off", "hash2", "round")
+    assert (stored.status, stored.options_digest) == ("done", OPTIONS.digest)
+    assert stored.steps == given.mesh.provenance
+    assert (stored.n_vertices, stored.n_faces, stored.euler) == (642, 1280, 2)
+    assert stored.area == given.mesh.area
+    mesh, spectrum = catalogue.mesh("egg2"), catalogue.spectrum("egg2")
+    np.testing.assert_array_equal(mesh.vertices, given.mesh.vertices)
+    np.testing.assert_array_equal(mesh.faces, given.mesh.faces)
+    np.testing.assert_array_equal(spectrum.eigenvalues, given.spectrum.eigenvalues)
+    np.testing.assert_array_equal(spectrum.moments, given.spectrum.moments)
+    np.testing.assert_array_equal(catalogue.signatures().values[2], given.signature)
+
+
+def test_everything_outlives_the_process_in_one_file(catalogue: Catalogue) -> None:
+    before = catalogue.records()
+    catalogue.close()
+    assert list(catalogue.path.parent.iterdir()) == [catalogue.path]
+    with Catalogue(catalogue.path) as again:
+        assert again.records() == before
+        assert len(again) == N_SHAPES
+
+
+@pytest.mark.parametrize("of", ["id", "path"])
+def test_a_shape_takes_the_place_of_the_one_with_its_id_or_path(of: str, catalogue: Catalogue) -> None:
+    new = Record("new", "/eggs/new.off", "newhash")
+    same = {"id": Record("egg0", new.path, "newhash"), "path": Record("new", "/eggs/egg0.off", "newhash")}[of]
+    catalogue.put(same, content(5))
+    assert len(catalogue) == N_SHAPES
+    assert catalogue.record(same.id).content_hash == "newhash"
+    np.testing.assert_array_equal(catalogue.mesh(same.id).vertices, content(5).mesh.vertices)
+
+
+def test_a_failed_shape_is_known_but_has_nothing_to_give(catalogue: Catalogue) -> None:
+    why = {"status": "failed", "stage": "clean", "error": "ReconstructionError", "message": "all equal"}
+    catalogue.put(Record("bad", "/eggs/bad.ply", "x", "round", **why))  # type: ignore[arg-type]
+    assert catalogue.record("bad").message == "all equal"
+    assert len(catalogue) == N_SHAPES
+    assert "bad" not in catalogue.signatures().ids
+    with pytest.raises(InputError, match="'bad' has no mesh: it failed in clean: all equal"):
+        catalogue.mesh("bad")
+
+
+def test_labels_moves_and_removals(catalogue: Catalogue) -> None:
+    catalogue.set_labels({"egg0": "odd", "nobody": "odd"})
+    catalogue.move("egg1", "/nest/egg1.off")
+    catalogue.remove("egg2")
+    assert catalogue.record("egg0").label == "odd"
+    assert catalogue.record("egg1").path == "/nest/egg1.off"
+    assert catalogue.signatures().ids == ("egg0", "egg1", "egg3", "egg4", "egg5")
+    for gone in ("egg2", "nobody"):
+        with pytest.raises(InputError, match=f"holds no shape '{gone}'; `pcretrieve list` names them"):
+            catalogue.remove(gone)
+
+
+@pytest.mark.parametrize("options", [SignatureOptions(n_values=10), SignatureOptions(method="shape-dna")])
+def test_other_descriptors_are_made_from_the_stored_spectra(
+    options: SignatureOptions, catalogue: Catalogue
+) -> None:
+    table = catalogue.signatures(options)
+    assert table.kind == options.method
+    assert table.digest != catalogue.signatures().digest
+    for row, values in enumerate(table.values):
+        np.testing.assert_allclose(values, describe(content(row).spectrum, options).values, rtol=1e-9)
+
+
+# --- whitening ------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("kind", ["pca", "within-class"])
+def test_a_whitening_is_stored_and_fitted_anew_once_the_shapes_change(
+    kind: str, catalogue: Catalogue
+) -> None:
+    def fitted() -> bytes:
+        """By whoever asks: what the catalogue answers is always what its shapes give."""
+        table = catalogue.signatures()
+        expected = fit_whitening(
+            kind, log_signatures(table.values), table.labels, options_digest=table.digest
+        ).to_arrays()
+        for _ in ("fitted", "read back"):
+            answer = catalogue.whitening(kind).to_arrays()
+            for name, values in expected.items():
+                np.testing.assert_array_equal(answer[name], values)
+        assert count(catalogue, "whitenings") == 1
+        return np.asarray(expected["matrix"]).tobytes()
+
+    first = fitted()
+    catalogue.remove("egg5")
+    second = fitted()
+    catalogue.put(record(5), content(0))
+    third = fitted()
+    assert len({first, second, third}) == 3
+
+
+def test_a_whitening_by_class_follows_the_labels(catalogue: Catalogue) -> None:
+    before = catalogue.whitening("within-class").matrix
+    catalogue.set_labels({"egg2": "long"})
+    assert not np.array_equal(catalogue.whitening("within-class").matrix, before)
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="root may write every file")
+def test_a_catalogue_that_may_not_be_written_can_be_read(catalogue: Catalogue) -> None:
+    catalogue.close()
+    catalogue.path.parent.chmod(0o500)
+    try:
+        with Catalogue(catalogue.path) as reader:
+            assert len(reader) == N_SHAPES
+            assert reader.whitening("pca").kind == "pca"
+            with pytest.raises(CatalogueError, match="cannot be written to"):
+                reader.remove("egg0")
+        with pytest.raises(CatalogueError, match="cannot be written to"):
+            Catalogue(catalogue.path, create=True)
+    finally:
+        catalogue.path.parent.chmod(0o700)
+
+
+# --- several at once ------------------------------------------------------------------------------------
+
+
+def test_readers_see_the_last_whole_state_while_somebody_writes(catalogue: Catalogue) -> None:
+    with closing(sqlite3.connect(catalogue.path)) as writer:
+        writer.execute("BEGIN IMMEDIATE")
+        writer.execute("DELETE FROM shapes")
+        with Catalogue(catalogue.path) as reader:
+            assert len(reader) == N_SHAPES
+        writer.commit()
+    assert len(catalogue) == 0
+
+
+def test_two_writers_take_turns_or_say_so(catalogue: Catalogue, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(opening, "LOCK_TIMEOUT", 0.05)
+    with closing(sqlite3.connect(catalogue.path)) as writer, Catalogue(catalogue.path) as other:
+        writer.execute("BEGIN IMMEDIATE")
+        with pytest.raises(
+            CatalogueError, match="is locked by another process: wait until that has finished"
+        ):
+            other.remove("egg0")
+        writer.rollback()
+        other.remove("egg0")
+    assert len(catalogue) == N_SHAPES - 1

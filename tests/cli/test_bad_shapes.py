@@ -1,0 +1,134 @@
+"""Every bad scan in one batch: one message each, and nothing lost of the others."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import shapes
+
+from pcretrieve.surface import write_mesh
+from pcretrieve.types import FloatArray, TriangleMesh
+
+GOOD = ("copy_of_good", "zwei-Körper-é", "inside_out", "some_nan")
+
+# What the message of each must name.
+REASONS = {
+    "empty": ("read", "empty"),
+    "truncated": ("read", "not a complete PLY file"),
+    "truncated_text": ("read", "not a complete PLY file"),
+    "huge": ("read", "not a complete PLY file"),
+    "huge_pcd": ("read", "not a complete PCD file"),
+    "all_nan": ("read", "finite"),
+    "equal": ("clean", "equal"),
+    "line": ("clean", "on a line"),
+    "plane": ("clean", "in a plane"),
+    "ten": ("clean", "at least 100 points, got 10"),
+    "one_triangle": ("", "plane"),
+    "two_bodies": ("surface", "more than one body"),
+    "mobius": ("surface", "one-sided"),
+    "other_format": ("read", "not a"),
+    "broken_link": ("read", "cannot read"),
+}
+
+
+def ply(points: FloatArray, count: int | None = None) -> bytes:
+    header = (
+        f"ply\nformat binary_little_endian 1.0\nelement vertex {len(points) if count is None else count}\n"
+        "property float x\nproperty float y\nproperty float z\nend_header\n"
+    )
+    return header.encode() + points.astype("<f4").tobytes()
+
+
+def run(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, "-m", "pcretrieve", *map(str, arguments)],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+
+
+@pytest.fixture(scope="module")
+def batch(
+    tmp_path_factory: pytest.TempPathFactory,
+) -> tuple[subprocess.CompletedProcess[str], dict[str, Any]]:
+    """One ingest of all of them."""
+    folder = tmp_path_factory.mktemp("bad")
+    rng = np.random.default_rng(0)
+    ball = shapes.icosphere(3)
+    points = shapes.points_on(ball, 3000)
+    write_mesh(ball, folder / "good.off")
+    write_mesh(TriangleMesh(ball.vertices * [1, 1, 2], ball.faces), folder / "zwei-Körper-é.off")
+    write_mesh(TriangleMesh(ball.vertices * [1, 2, 3], ball.faces[:, ::-1]), folder / "inside_out.off")
+    holed = points.copy()
+    holed[::100] = np.nan
+    (folder / "some_nan.ply").write_bytes(ply(holed))
+    (folder / "empty.ply").write_bytes(b"")
+    (folder / "truncated.ply").write_bytes(ply(points)[:-7000])
+    text = "\n".join(" ".join(map(str, point)) for point in points[:50])
+    header = ply(points).split(b"end_header")[0].decode().replace("binary_little_endian", "ascii")
+    (folder / "truncated_text.ply").write_text(f"{header}end_header\n{text}\n")
+    (folder / "huge.ply").write_bytes(ply(points, count=10**12))
+    (folder / "huge_pcd.pcd").write_text(
+        "VERSION 0.7\nFIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nCOUNT 1 1 1\nWIDTH 1000000000000\nHEIGHT 1\n"
+        "VIEWPOINT 0 0 0 1 0 0 0\nPOINTS 1000000000000\nDATA ascii\n1 2 3\n"
+    )
+    (folder / "all_nan.ply").write_bytes(ply(np.full((500, 3), np.inf)))
+    (folder / "equal.ply").write_bytes(ply(np.ones((500, 3))))
+    (folder / "line.ply").write_bytes(ply(np.outer(rng.random(500), [1.0, 2.0, 3.0])))
+    (folder / "plane.ply").write_bytes(ply(rng.random((500, 3)) * [1, 1, 0]))
+    (folder / "ten.xyz").write_text("\n".join(text.splitlines()[:10]))
+    (folder / "one_triangle.off").write_text("OFF\n3 1 0\n0 0 0\n1 0 0\n0 1 0\n3 0 1 2\n")
+    apart = shapes.moved(ball, 0)
+    both = shapes.joined(ball, TriangleMesh(apart.vertices + 10, apart.faces))
+    write_mesh(both, folder / "two_bodies.off")
+    write_mesh(shapes.mobius_strip(), folder / "mobius.off")
+    (folder / "other_format.ply").write_bytes((folder / "good.off").read_bytes())
+    (folder / "broken_link.ply").symlink_to(folder / "nowhere.ply")
+    (folder / "copy_of_good.off").write_bytes((folder / "good.off").read_bytes())
+    names = "\n".join(["file,class", "copy_of_good,ball", "zwei-Körper-é.off,Ei", "unknown_shape,ball"])
+    (folder / "labels.csv").write_text(names, encoding="utf-8")
+    listed = sorted(path.name for path in folder.iterdir() if path.suffix != ".csv")
+    (folder / "manifest.txt").write_text("\n".join(listed), encoding="utf-8")
+    result = run(
+        "ingest",
+        folder / "manifest.txt",
+        "-c",
+        folder / "c.sqlite",
+        "--labels",
+        folder / "labels.csv",
+        "--json",
+    )
+    return result, json.loads(result.stdout)
+
+
+def test_the_good_ones_are_kept(batch: tuple[subprocess.CompletedProcess[str], dict[str, Any]]) -> None:
+    result, answer = batch
+    # Of two files with one content, the first in the order given is the shape.
+    assert set(answer["done"]) == set(GOOD)
+    assert [Path(twin["path"]).name for twin in answer["duplicates"]] == ["good.off"]
+    assert answer["unknown_labels"] == ["unknown_shape"]
+    assert result.returncode == 3
+    assert "Traceback" not in result.stderr
+
+
+@pytest.mark.parametrize("name", REASONS)
+def test_each_bad_one_says_why(
+    name: str, batch: tuple[subprocess.CompletedProcess[str], dict[str, Any]]
+) -> None:
+    result, answer = batch
+    failed = {failure["id"]: failure for failure in answer["failed"]}
+    stage, reason = REASONS[name]
+    assert stage in failed[name]["stage"]
+    assert reason in failed[name]["message"]
+    assert len([line for line in result.stderr.splitlines() if f"[{name} /" in line]) == 1
+
+
+def test_no_other_shape_failed(batch: tuple[subprocess.CompletedProcess[str], dict[str, Any]]) -> None:
+    assert {failure["id"] for failure in batch[1]["failed"]} == set(REASONS)

@@ -1,0 +1,230 @@
+"""Grouped folds: what they keep apart, and what an evaluation makes of them."""
+
+from dataclasses import asdict, replace
+
+import numpy as np
+import pytest
+
+from pcretrieve.errors import BenchmarkError, OptionError
+from pcretrieve.evaluation.folds import (
+    evaluate,
+    grouped_folds,
+    rank_table,
+    table_distances,
+    within_class_distances,
+    within_class_folds,
+)
+from pcretrieve.retrieval import DISTANCES, fit_whitening, log_signatures, pairwise
+from pcretrieve.types import FloatArray, SignatureTable
+
+
+def a_table(*, seed: int = 0, n_classes: int = 10, per_class: int = 6, n_values: int = 8) -> SignatureTable:
+    """Classes that differ where poses do not: the spread within classes hides that between them."""
+    rng = np.random.default_rng(seed)
+    centres = rng.normal(size=(n_classes, n_values)) * np.geomspace(0.3, 0.02, n_values)
+    poses = rng.normal(size=(n_classes * per_class, n_values)) * np.geomspace(0.02, 1.0, n_values)
+    values = np.exp(np.repeat(centres, per_class, axis=0) + poses - 3)
+    labels = [f"class {number}" for number in range(n_classes) for _ in range(per_class)]
+    return SignatureTable(
+        tuple(f"T{i:02}" for i in range(len(values))), values, "r-bihdm", "3f2a", tuple(labels)
+    )
+
+
+def distance_matrix(table: SignatureTable, distance: str) -> FloatArray:
+    """(N, N) with NaN where no query was made."""
+    matrix = np.full((len(table), len(table)), np.nan)
+    for queries, distances in within_class_distances(table, distance):
+        matrix[queries] = distances
+    return matrix
+
+
+def test_every_class_is_in_one_fold() -> None:
+    labels = [f"class {number % 13}" for number in range(50)]
+    folds = grouped_folds(labels)
+    assert sorted(name for fold in folds for name in fold) == sorted(set(labels))
+    assert sorted(len(fold) for fold in folds) == [2, 2, 3, 3, 3]
+
+
+def test_classes_of_one_are_spread_beside_the_others() -> None:
+    folds = grouped_folds([*"aabbccddeeff", *"uvwxyz", None], n_folds=3)
+    assert [sum(name in "abcdef" for name in fold) for fold in folds] == [2, 2, 2]
+    assert [sum(name in "uvwxyz" for name in fold) for fold in folds] == [2, 2, 2]
+
+
+def test_folds_are_always_the_same_whatever_the_order_of_shapes() -> None:
+    labels = [f"class {number % 13}" for number in range(50)]
+    assert grouped_folds(labels) == grouped_folds(labels[::-1])
+
+
+def test_another_generator_deals_other_folds() -> None:
+    labels = [f"class {number % 20}" for number in range(60)]
+    assert grouped_folds(labels, rng=np.random.default_rng(1)) != grouped_folds(labels)
+
+
+def test_too_few_classes() -> None:
+    with pytest.raises(BenchmarkError, match="5 folds need at least 5 classes with 2 shapes or more, got 4"):
+        grouped_folds([*"aabbccdd", *"efgh"])
+
+
+def test_a_single_fold() -> None:
+    with pytest.raises(OptionError, match="n_folds must be at least 2, got 1"):
+        grouped_folds("aabb", n_folds=1)
+
+
+def test_queries_are_all_labelled_shapes_once() -> None:
+    table = a_table()
+    table = replace(table, labels=(None, *table.labels[1:-1], "single"))
+    queries = np.concatenate([fold.queries for fold in within_class_folds(table)])
+    assert sorted(queries) == list(range(1, 60))
+
+
+def test_the_whitening_has_seen_no_value_of_the_classes_it_is_scored_on() -> None:
+    table = a_table()
+    poison = np.random.default_rng(7)
+    for number, fold in enumerate(within_class_folds(table)):
+        values = table.values.copy()
+        values[fold.queries] = poison.lognormal(0, 5, values[fold.queries].shape)
+        poisoned = list(within_class_folds(replace(table, values=values)))
+        assert (poisoned[number].queries == fold.queries).all()
+        assert (poisoned[number].whitening.matrix == fold.whitening.matrix).all()
+        assert (poisoned[number].whitening.mean == fold.whitening.mean).all()
+        # All other folds are fitted on those values, so the poison did reach the fit where it may.
+        for other in range(5):
+            same = (
+                poisoned[other].whitening.matrix == list(within_class_folds(table))[other].whitening.matrix
+            ).all()
+            assert same == (other == number)
+
+
+def test_the_whitening_has_seen_no_label_of_the_classes_it_is_scored_on() -> None:
+    table = a_table()
+    for number, fold in enumerate(within_class_folds(table)):
+        labels = np.array(table.labels)
+        labels[fold.queries] = np.random.default_rng(7).permutation(labels[fold.queries])
+        poisoned = list(within_class_folds(replace(table, labels=tuple(labels.tolist()))))[number]
+        assert (poisoned.queries == fold.queries).all()
+        assert (poisoned.whitening.matrix == fold.whitening.matrix).all()
+
+
+def test_the_whitening_of_a_fold_is_that_of_the_other_folds() -> None:
+    table = a_table()
+    logs = log_signatures(table.values)
+    for fold in within_class_folds(table, damping=0.2):
+        others = np.setdiff1d(np.arange(60), fold.queries)
+        expected = fit_whitening("within-class", logs[others], [table.labels[i] for i in others], damping=0.2)
+        np.testing.assert_allclose(fold.whitening.matrix, expected.matrix, rtol=1e-12)
+        assert fold.whitening.options_digest == "3f2a"
+
+
+@pytest.mark.parametrize("distance", DISTANCES)
+def test_queries_are_ranked_against_the_whole_gallery(distance: str) -> None:
+    table = a_table()
+    matrix = distance_matrix(table, distance)
+    logs = log_signatures(table.values)
+    for fold in within_class_folds(table):
+        whitened = fold.whitening.apply(logs)
+        assert (matrix[fold.queries] == pairwise(distance, whitened[fold.queries], whitened)).all()
+
+
+def test_unlabelled_shapes_are_ranked_but_not_fitted_on() -> None:
+    table = a_table()
+    stranger = SignatureTable(
+        (*table.ids, "stranger"),
+        np.vstack([table.values, np.full(8, 50.0)]),
+        "r-bihdm",
+        "3f2a",
+        (*table.labels, None),
+    )
+    alone, among = distance_matrix(table, "log"), distance_matrix(stranger, "log")
+    assert among.shape == (61, 61)
+    assert (among[:60, :60] == alone).all()
+    assert np.isnan(among[60]).all()
+
+
+@pytest.mark.parametrize("whitening", ["none", "pca"])
+@pytest.mark.parametrize("distance", DISTANCES)
+def test_whitening_without_labels_is_fitted_on_the_whole_gallery(distance: str, whitening: str) -> None:
+    table = a_table()
+    logs = log_signatures(table.values)
+    whitened = fit_whitening(whitening, logs).apply(logs)
+    (block,) = table_distances(table, distance, whitening=whitening)
+    assert (block.distances == pairwise(distance, whitened, whitened)).all()
+
+
+def test_a_large_table_comes_in_several_blocks() -> None:
+    rng = np.random.default_rng(0)
+    ids = tuple(f"T{number}" for number in range(3000))
+    table = SignatureTable(ids, rng.lognormal(size=(3000, 2)), "r-bihdm", labels=("A", "B") * 1500)
+    blocks = list(table_distances(table))
+    assert len(blocks) > 1
+    assert (np.concatenate([block.queries for block in blocks]) == np.arange(3000)).all()
+
+
+def test_within_class_whitening_is_not_scored_on_its_own_classes() -> None:
+    with pytest.raises(OptionError, match="use within_class_distances"):
+        list(table_distances(a_table(), whitening="within-class"))
+
+
+def test_within_class_whitening_removes_what_poses_have_in_common() -> None:
+    table = a_table()
+    assert evaluate(table, whitening="within-class").map > evaluate(table).map + 0.2
+
+
+def test_within_class_whitening_finds_nothing_in_noise() -> None:
+    """Where labels mean nothing, only a whitening that has seen the scored classes seems to help."""
+    rng = np.random.default_rng(3)
+    table = a_table()
+    honest, leaking = [], []
+    for _ in range(10):
+        values = rng.lognormal(size=(60, 30))
+        noise = replace(table, values=values)
+        logs = log_signatures(values)
+        seen = fit_whitening("within-class", logs, table.labels).apply(logs)
+        baseline = evaluate(noise).map
+        honest.append(evaluate(noise, whitening="within-class").map - baseline)
+        leaking.append(evaluate(replace(noise, values=np.exp(seen))).map - baseline)
+    assert np.mean(honest) < 0
+    assert np.mean(leaking) > 0.1
+
+
+@pytest.mark.parametrize("whitening", ["none", "pca", "within-class"])
+def test_evaluation_does_not_depend_on_the_order_of_shapes(whitening: str) -> None:
+    table = a_table()
+    order = np.random.default_rng(5).permutation(60)
+    shuffled = SignatureTable(
+        tuple(table.ids[i] for i in order),
+        table.values[order],
+        "r-bihdm",
+        "3f2a",
+        tuple(table.labels[i] for i in order),
+    )
+    assert asdict(evaluate(shuffled, whitening=whitening)) == pytest.approx(
+        asdict(evaluate(table, whitening=whitening))
+    )
+
+
+@pytest.mark.parametrize("whitening", ["none", "pca", "within-class"])
+def test_failures_lower_every_measure(whitening: str) -> None:
+    table = a_table()
+    whole = evaluate(table, whitening=whitening)
+    failed = evaluate(table, whitening=whitening, failed_labels=["class 3", "class 3", None])
+    assert (failed.n_queries, failed.n_failed) == (62, 2)
+    for name in ("nn", "ft", "dcg", "map"):
+        assert getattr(failed, name) < getattr(whole, name)
+
+
+def test_a_query_whose_class_mates_all_failed_is_in_some_fold() -> None:
+    table = a_table()
+    table = replace(table, labels=(*table.labels[:-1], "rare"))
+    result = rank_table(table, whitening="within-class", failed_labels=["rare"])
+    assert result.labels.count("rare") == 2
+    assert len(result.labels) == 61
+
+
+@pytest.mark.parametrize("distance", DISTANCES)
+def test_evaluate_passes_the_distance_on(distance: str) -> None:
+    table = a_table()
+    (block,) = table_distances(table, distance)
+    nearest = np.where(np.eye(60, dtype=bool), np.inf, block.distances).argmin(axis=1)
+    hits = [table.labels[i] == table.labels[j] for i, j in enumerate(nearest)]
+    assert evaluate(table, distance=distance).nn == pytest.approx(np.mean(hits))

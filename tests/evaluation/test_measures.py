@@ -1,0 +1,294 @@
+"""Rankings and measures, worked by hand."""
+
+from collections.abc import Iterator
+from dataclasses import asdict
+from math import log2
+
+import numpy as np
+import pytest
+
+from pcretrieve.errors import BenchmarkError, InputError, OptionError
+from pcretrieve.evaluation.measures import (
+    RetrievalMeasures,
+    evaluate_rankings,
+    precision_recall,
+    query_scores,
+)
+from pcretrieve.evaluation.rankings import DistanceBlock, Rankings, rank_gallery
+from pcretrieve.types import FloatArray
+
+MEASURES = ("nn", "ft", "st", "e", "dcg", "map")
+
+# Two classes, X = abc and Y = de, and the order in which each shape finds the others.
+LABELS = {"a": "X", "b": "X", "c": "X", "d": "Y", "e": "Y"}
+ORDERS = {"a": "bdce", "b": "deac", "c": "abde", "d": "eabc", "e": "adbc"}
+
+
+def distances_of(orders: dict[str, str]) -> FloatArray:
+    """(N, N) distances that rank the shapes, in order of the keys, as told."""
+    return np.array(
+        [[0 if j == i else 1 + order.index(j) for j in orders] for i, order in orders.items()], float
+    )
+
+
+def ranked(orders: dict[str, str], labels: dict[str, str | None], failed: str = "") -> Rankings:
+    block = DistanceBlock(np.arange(len(orders)), distances_of(orders))
+    return rank_gallery([block], list(orders), [labels.get(i) for i in orders], failed_labels=failed)
+
+
+def measured(orders: dict[str, str], labels: dict[str, str | None], failed: str = "") -> RetrievalMeasures:
+    return evaluate_rankings(ranked(orders, labels, failed))
+
+
+def by_rows(distances: FloatArray) -> Iterator[DistanceBlock]:
+    """One row at a time, the last one first."""
+    for row in range(len(distances))[::-1]:
+        yield DistanceBlock(np.array([row]), distances[row : row + 1])
+
+
+def random_benchmark(seed: int = 0, n: int = 60) -> tuple[FloatArray, list[str], list[str | None]]:
+    rng = np.random.default_rng(seed)
+    labels: list[str | None] = [f"class {number}" for number in rng.integers(0, 8, n)]
+    return rng.random((n, n)), [f"T{number}" for number in rng.permutation(n)], labels
+
+
+def test_hand_worked_scores() -> None:
+    scores = query_scores(ranked(ORDERS, {**LABELS}))
+    assert scores.ids == tuple("abcde")
+    assert scores.labels == tuple("XXXYY")
+    third = 1 / log2(3)
+    np.testing.assert_allclose(scores.nn, [1, 0, 1, 1, 0])
+    np.testing.assert_allclose(scores.ft, [1 / 2, 0, 1, 1, 0])
+    np.testing.assert_allclose(scores.st, [1, 1, 1, 1, 1])
+    # All 4 others are among the 32 nearest: recall is 1, precision R / 4.
+    np.testing.assert_allclose(scores.e, [2 / 3, 2 / 3, 2 / 3, 2 / 5, 2 / 5])
+    # Ranks 1 and 2 gain 1 each, rank 3 gains 1 / log₂ 3 and rank 4 a half.
+    np.testing.assert_allclose(scores.dcg, [(1 + third) / 2, (third + 1 / 2) / 2, 1, 1, 1])
+    np.testing.assert_allclose(scores.ap, [(1 + 2 / 3) / 2, (1 / 3 + 2 / 4) / 2, 1, 1, 1 / 2])
+
+
+def test_hand_worked_means() -> None:
+    result = measured(ORDERS, {**LABELS})
+    assert result.nn == pytest.approx(3 / 5)
+    assert result.ft == pytest.approx(1 / 2)
+    assert result.st == pytest.approx(1)
+    assert result.e == pytest.approx((3 * 2 / 3 + 2 * 2 / 5) / 5)
+    assert result.dcg == pytest.approx((3 + (1 + 1 / log2(3)) / 2 + (1 / log2(3) + 1 / 2) / 2) / 5)
+    assert result.map == pytest.approx(3 / 4)
+    assert (result.n_queries, result.n_failed, result.n_single) == (5, 0, 0)
+
+
+def test_ties_are_broken_by_id() -> None:
+    ids, labels = ["d", "b", "c", "a"], ["X", "Y", "Y", "X"]
+    block = DistanceBlock(np.arange(4), np.ones((4, 4)))
+    result = rank_gallery([block], ids, labels)
+    # d finds a b c; b finds a c d; c finds a b d; a finds b c d.
+    assert result.ids == ("d", "b", "c", "a")
+    assert result.hit_rank.tolist() == [1, 2, 2, 3]
+
+
+def test_a_query_does_not_find_itself_even_among_copies() -> None:
+    distances = np.zeros((3, 3))
+    result = rank_gallery([DistanceBlock(np.arange(3), distances)], ["a", "b", "c"], ["Y", "X", "X"])
+    # b is found by c at rank 2 (a comes first), and c by b likewise; a is alone.
+    assert result.hit_rank.tolist() == [2, 2]
+    assert result.n_single == 1
+
+
+def test_a_class_of_one_is_no_query_but_stands_in_the_way() -> None:
+    result = measured({"a": "xb", "b": "xa", "x": "ab"}, {"a": "A", "b": "A", "x": "alone"})
+    assert (result.n_queries, result.n_single) == (2, 1)
+    assert (result.nn, result.st, result.map) == (0, 1, 1 / 2)
+
+
+def test_a_shape_without_label_is_no_query_but_stands_in_the_way() -> None:
+    with_strangers = {"a": "xyb", "b": "ayx", "x": "yab", "y": "xab"}
+    result = measured(with_strangers, {"a": "A", "b": "A"})
+    # Two shapes without a label have no class in common: x and y do not find each other.
+    assert (result.n_queries, result.n_single) == (2, 0)
+    # The second tier of a class of two has two places, and b is third on a's list.
+    assert (result.nn, result.st, result.map) == (1 / 2, 1 / 2, (1 / 3 + 1) / 2)
+
+
+def test_a_failed_shape_is_a_query_without_score_and_a_miss_for_its_class() -> None:
+    result = ranked({"a": "bx", "b": "ax", "x": "ab"}, {"a": "A", "b": "A"}, failed="A")
+    scores = query_scores(result)
+    assert scores.ids == ("a", "b", None)
+    assert scores.labels == ("A", "A", "A")
+    # R = 2, one of them found at rank 1 of 2.
+    np.testing.assert_allclose(scores.nn, [1, 1, 0])
+    np.testing.assert_allclose(scores.ft, [1 / 2, 1 / 2, 0])
+    np.testing.assert_allclose(scores.st, [1 / 2, 1 / 2, 0])
+    np.testing.assert_allclose(scores.e, [2 / (2 + 2), 2 / (2 + 2), 0])
+    np.testing.assert_allclose(scores.dcg, [1 / 2, 1 / 2, 0])
+    np.testing.assert_allclose(scores.ap, [1 / 2, 1 / 2, 0])
+    means = evaluate_rankings(result)
+    assert (means.n_queries, means.n_failed) == (3, 1)
+    assert means.nn == pytest.approx(2 / 3)
+
+
+def test_failures_without_class_mates_or_labels() -> None:
+    block = DistanceBlock(np.arange(2), np.ones((2, 2)))
+    result = rank_gallery([block], ["a", "b"], ["A", "A"], failed_labels=[None, "alone"])
+    assert (result.n_failed, result.n_single, len(result.labels)) == (0, 1, 2)
+
+
+def test_a_shape_whose_only_class_mate_failed() -> None:
+    result = measured({"a": "x", "x": "a"}, {"a": "A"}, failed="A")
+    assert [getattr(result, name) for name in MEASURES] == [0] * 6
+    assert (result.n_queries, result.n_failed, result.n_single) == (2, 1, 0)
+
+
+def test_all_of_a_class_failed() -> None:
+    result = evaluate_rankings(rank_gallery([], [], [], failed_labels=["A", "A"]))
+    assert [getattr(result, name) for name in MEASURES] == [0] * 6
+    assert result.n_queries == result.n_failed == 2
+
+
+def test_a_class_larger_than_the_list_of_e() -> None:
+    """40 shapes in one class, 32 shown: the best E is below 1."""
+    n = 45
+    labels = ["A"] * 40 + [None] * 5
+    near = np.where(np.arange(n) < 40, 1.0, 2.0)
+    result = evaluate_rankings(
+        rank_gallery(
+            [DistanceBlock(np.arange(40), np.tile(near, (40, 1)))], [f"{i:02}" for i in range(n)], labels
+        )
+    )
+    assert result.e == pytest.approx(2 / (1 / 1 + 39 / 32))
+    assert (result.nn, result.ft, result.st, result.dcg, result.map) == pytest.approx((1, 1, 1, 1, 1))
+
+
+def test_a_second_tier_longer_than_the_list() -> None:
+    """40 shapes in one class, all ranked behind the 5 others: 2R = 78 nearest are all 44."""
+    n = 45
+    labels = ["A"] * 40 + [None] * 5
+    far = np.where(np.arange(n) < 40, 2.0, 1.0)
+    result = evaluate_rankings(
+        rank_gallery(
+            [DistanceBlock(np.arange(40), np.tile(far, (40, 1)))], [f"{i:02}" for i in range(n)], labels
+        )
+    )
+    assert (result.nn, result.st) == (0, 1)
+    assert result.ft == pytest.approx(34 / 39)
+    assert result.e == pytest.approx(2 * 27 / (32 + 39))
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_perfect_ranking_scores_one(seed: int) -> None:
+    _, ids, labels = random_benchmark(seed)
+    names = np.array(labels, dtype=str)
+    distances = (names[:, np.newaxis] != names).astype(float)
+    result = evaluate_rankings(rank_gallery(by_rows(distances), ids, labels))
+    assert (result.nn, result.ft, result.st, result.dcg, result.map) == pytest.approx((1, 1, 1, 1, 1))
+    assert result.e < 1
+
+
+def test_blocks_of_any_size_and_order_give_the_same() -> None:
+    distances, ids, labels = random_benchmark()
+    at_once = rank_gallery([DistanceBlock(np.arange(60), distances)], ids, labels)
+    row_by_row = rank_gallery(by_rows(distances), ids, labels)
+    assert asdict(evaluate_rankings(at_once)) == asdict(evaluate_rankings(row_by_row))
+    assert (at_once.hit_rank == row_by_row.hit_rank).all()
+
+
+def test_the_order_of_the_gallery_does_not_matter() -> None:
+    distances, ids, labels = random_benchmark()
+    distances = np.round(distances, 1)  # many ties
+    order = np.random.default_rng(5).permutation(60)
+    shuffled = rank_gallery(
+        by_rows(distances[np.ix_(order, order)]), [ids[i] for i in order], [labels[i] for i in order]
+    )
+    expected = asdict(evaluate_rankings(rank_gallery(by_rows(distances), ids, labels)))
+    assert asdict(evaluate_rankings(shuffled)) == pytest.approx(expected)
+
+
+def test_ranks_are_those_of_sorting_by_distance_and_id() -> None:
+    distances, ids, labels = random_benchmark(n=200)
+    distances = np.round(distances, 1)
+    result = rank_gallery(by_rows(distances), ids, labels)
+    for query in range(200):
+        others = [i for i in range(200) if i != query]
+        others.sort(key=lambda i: (distances[query, i], ids[i]))
+        expected = [rank for rank, i in enumerate(others, start=1) if labels[i] == labels[query]]
+        assert result.hit_rank[result.hit_query == query].tolist() == expected
+
+
+def test_only_the_order_of_distances_matters() -> None:
+    distances, ids, labels = random_benchmark()
+    squared = evaluate_rankings(rank_gallery(by_rows(distances**2), ids, labels))
+    assert asdict(squared) == asdict(evaluate_rankings(rank_gallery(by_rows(distances), ids, labels)))
+
+
+def test_average_precision_agrees_with_scikit_learn() -> None:
+    from sklearn.metrics import average_precision_score
+
+    distances, ids, labels = random_benchmark()
+    scores = query_scores(rank_gallery(by_rows(distances), ids, labels))
+    for query in range(60):
+        others = np.arange(60) != query
+        relevant = np.array([label == labels[query] for label in labels])[others]
+        expected = average_precision_score(relevant, -distances[query, others])
+        assert scores.ap[query] == pytest.approx(expected)
+
+
+def test_precision_recall_hand_worked() -> None:
+    # Query a alone: hits at ranks 1 and 3 of R = 2, so precision 1 up to recall ½ and ⅔ beyond.
+    result = ranked({"a": "bdc", "b": "acd", "c": "abd", "d": "abc"}, {"a": "X", "b": "X", "c": "X"})
+    curve = precision_recall(result, n_points=5)
+    assert curve.recall.tolist() == [0, 0.25, 0.5, 0.75, 1]
+    np.testing.assert_allclose(curve.precision, [1, 1, 1, (2 / 3 + 1 + 1) / 3, (2 / 3 + 1 + 1) / 3])
+
+
+def test_precision_recall_takes_the_best_precision_further_on() -> None:
+    # b finds d e a c: precision ⅓ at recall ½, but ½ at recall 1.
+    result = ranked(
+        {"b": "deac", "a": "bcde", "c": "abde", "d": "abce", "e": "abcd"}, {"a": "X", "b": "X", "c": "X"}
+    )
+    np.testing.assert_allclose(precision_recall(result, n_points=3).precision, (1 / 2 + 1 + 1) / 3)
+
+
+def test_precision_recall_of_failures_falls_to_zero() -> None:
+    result = ranked({"a": "b", "b": "a"}, {"a": "A", "b": "A"}, failed="A")
+    np.testing.assert_allclose(precision_recall(result, n_points=3).precision, [2 / 3, 2 / 3, 0])
+
+
+def test_precision_recall_descends() -> None:
+    distances, ids, labels = random_benchmark()
+    curve = precision_recall(rank_gallery(by_rows(distances), ids, labels))
+    assert len(curve.recall) == 11
+    assert (np.diff(curve.precision) <= 0).all()
+
+
+def test_precision_recall_needs_two_points() -> None:
+    with pytest.raises(OptionError, match="n_points must be at least 2, got 1"):
+        precision_recall(ranked(ORDERS, {**LABELS}), n_points=1)
+
+
+def test_nothing_to_retrieve() -> None:
+    with pytest.raises(
+        BenchmarkError, match="a class with at least 2 shapes, got 2 classes and none so large"
+    ):
+        rank_gallery([], ["a", "b", "c"], ["A", "B", None])
+
+
+def test_labels_that_do_not_fit() -> None:
+    with pytest.raises(InputError, match=r"labels must be as many as ids \(2\), got 1"):
+        rank_gallery([], ["a", "b"], ["A"])
+
+
+def test_queries_missing_or_repeated() -> None:
+    block = DistanceBlock(np.array([0, 1]), np.ones((2, 3)))
+    with pytest.raises(InputError, match="exactly once, got 1 queries missing and 2 repeated"):
+        rank_gallery([block, block], ["a", "b", "c"], ["A", "A", "A"])
+
+
+@pytest.mark.parametrize("bad", [np.nan, -1.0, -np.inf])
+def test_distances_that_are_none(bad: float) -> None:
+    with pytest.raises(InputError, match="must be 0 or more, got 1 that are negative or NaN"):
+        rank_gallery([DistanceBlock(np.array([0]), np.array([[0, bad]]))], ["a", "b"], ["A", "A"])
+
+
+def test_distances_to_another_gallery() -> None:
+    with pytest.raises(InputError, match=r"must have shape \(1, 2\), queries by gallery, got \(1, 3\)"):
+        rank_gallery([DistanceBlock(np.array([0]), np.ones((1, 3)))], ["a", "b"], ["A", "A"])

@@ -1,0 +1,210 @@
+"""The index against brute force, for every distance and whitening."""
+
+import numpy as np
+import pytest
+
+from pcretrieve.errors import InputError, OptionError
+from pcretrieve.retrieval import (
+    DISTANCES,
+    WHITENINGS,
+    SignatureIndex,
+    fit_whitening,
+    log_signatures,
+    pairwise,
+)
+from pcretrieve.types import FloatArray, Signature, SignatureTable
+
+
+def a_table(n: int, *, seed: int = 0, n_values: int = 15, copies: int = 0) -> SignatureTable:
+    """Classes of five, in a shuffled order of ids; the last `copies` rows repeat the first ones."""
+    rng = np.random.default_rng(seed)
+    scale = np.geomspace(1, 0.05, n_values)
+    centres = rng.normal(size=(n // 5 + 1, n_values)) * scale
+    logs = centres[np.arange(n) // 5] + 0.3 * scale * rng.normal(size=(n, n_values)) - 3
+    if copies:
+        logs[-copies:] = logs[:copies]
+    ids = tuple(f"T{number}" for number in rng.permutation(n))
+    labels = tuple(f"class {number // 5}" for number in range(n))
+    return SignatureTable(ids, np.exp(logs), "r-bihdm", "3f2a", labels)
+
+
+def by_brute_force(
+    index: SignatureIndex, table: SignatureTable, values: FloatArray, k: int
+) -> tuple[tuple[str, ...], list[float]]:
+    """The first k of all shapes, sorted by (distance, id)."""
+    query, gallery = (index.whitening.apply(log_signatures(v)) for v in (values[np.newaxis], table.values))
+    distances = pairwise(index.distance, query, gallery)[0]
+    ranked = sorted(zip(distances.tolist(), table.ids, strict=True))[:k]
+    return tuple(shape for _, shape in ranked), [distance for distance, _ in ranked]
+
+
+@pytest.mark.parametrize("whitening", WHITENINGS)
+@pytest.mark.parametrize("distance", DISTANCES)
+@pytest.mark.parametrize("seed", range(3))
+def test_agrees_with_brute_force(distance: str, whitening: str, seed: int) -> None:
+    table = a_table(300, seed=seed, copies=60)
+    index = SignatureIndex(table, distance=distance, whitening=whitening)
+    rng = np.random.default_rng(seed + 100)
+    near = table.values[:15] * np.exp(0.1 * rng.normal(size=(15, 15)))
+    outside = np.exp(rng.normal(size=(15, 15)) * 8)
+    far_outside = np.exp(rng.uniform(-300, 300, size=(5, 15)))
+    for values in (*table.values[:15], *near, *outside, *far_outside):
+        for k in (1, 10, 299):
+            found = index.query(values, k)
+            ids, distances = by_brute_force(index, table, values, k)
+            assert found.distances.tolist() == distances
+            assert found.ids == ids
+
+
+@pytest.mark.parametrize("distance", DISTANCES)
+def test_leaves_most_of_a_gallery_out(distance: str) -> None:
+    """The lower bound is worth having: few shapes are measured exactly."""
+    table = a_table(3000)
+    index = SignatureIndex(table, distance=distance)
+    points = index.whitening.apply(log_signatures(table.values[:20]))
+    measured = [len(index._candidates(point[np.newaxis], 5)) for point in points]
+    assert np.median(measured) < 100
+
+
+@pytest.mark.parametrize("distance", DISTANCES)
+def test_ties_are_broken_by_id(distance: str) -> None:
+    values = np.full((7, 4), 0.5)
+    table = SignatureTable(tuple("gbfadce"), values, "r-bihdm")
+    found = SignatureIndex(table, distance=distance).query(values[0], 3)
+    assert found.ids == ("a", "b", "c")
+    assert (found.distances == 0).all()
+
+
+@pytest.mark.parametrize("whitening", ["none", "pca"])
+@pytest.mark.parametrize("distance", DISTANCES)
+def test_two_shapes(distance: str, whitening: str) -> None:
+    table = a_table(2)
+    index = SignatureIndex(table, distance=distance, whitening=whitening)
+    for values in table.values:
+        found = index.query(values, 10)
+        assert (found.ids, found.distances.tolist()) == by_brute_force(index, table, values, 10)
+        assert found.distances[0] == 0
+
+
+@pytest.mark.parametrize("distance", DISTANCES)
+def test_one_shape(distance: str) -> None:
+    table = a_table(1)
+    found = SignatureIndex(table, distance=distance).query(table.values[0] * 2, 10)
+    assert found.ids == table.ids
+    assert found.distances[0] > 0
+
+
+def test_one_shape_cannot_be_whitened() -> None:
+    with pytest.raises(InputError, match="needs at least 2 distinct shapes"):
+        SignatureIndex(a_table(1), whitening="pca")
+
+
+@pytest.mark.parametrize("distance", DISTANCES)
+def test_all_shapes_for_a_k_beyond_them(distance: str) -> None:
+    table = a_table(12)
+    found = SignatureIndex(table, distance=distance).query(table.values[3], 1000)
+    assert sorted(found.ids) == sorted(table.ids)
+    assert (np.diff(found.distances) >= 0).all()
+
+
+def test_infinite_distances_are_ranked_by_id() -> None:
+    values = np.exp([[700.0], [-700.0], [699.0], [-699.0], [-698.0]])
+    index = SignatureIndex(SignatureTable(tuple("dceba"), values, "r-bihdm"), distance="d2")
+    point = np.exp([720.0 - 15])
+    assert (index.query(point, 4).ids, index.query(point, 4).distances[2]) == (tuple("deab"), np.inf)
+
+
+@pytest.mark.parametrize("distance", DISTANCES)
+@pytest.mark.parametrize("n_leading", [1, 15, 100])
+def test_the_leading_directions_change_no_answer(distance: str, n_leading: int) -> None:
+    table = a_table(200)
+    index = SignatureIndex(table, distance=distance, n_leading=n_leading)
+    for values in table.values[:10]:
+        assert index.query(values).ids == by_brute_force(index, table, values, 10)[0]
+
+
+def test_many_queries_are_the_queries_one_by_one() -> None:
+    table = a_table(50)
+    index = SignatureIndex(table, whitening="pca")
+    for values, found in zip(table.values, index.query_many(table.values, 4), strict=True):
+        assert found.ids == index.query(values, 4).ids
+
+
+def test_a_signature_is_as_good_as_its_values() -> None:
+    table = a_table(50)
+    index = SignatureIndex(table)
+    signature = Signature(table.values[5], "r-bihdm", "3f2a")
+    assert index.query(signature).ids == index.query(table.values[5]).ids
+    assert index.query(signature).ids[0] == table.ids[5]
+
+
+def test_a_whitening_fitted_before_serves_as_well() -> None:
+    table = a_table(50)
+    whitening = fit_whitening("pca", log_signatures(table.values), options_digest=table.digest)
+    before, now = SignatureIndex(table, whitening=whitening), SignatureIndex(table, whitening="pca")
+    assert before.whitening.digest == now.whitening.digest
+    assert before.query(table.values[0]).ids == now.query(table.values[0]).ids
+
+
+def test_the_order_of_the_table_does_not_matter() -> None:
+    table = a_table(80, copies=10)
+    order = np.random.default_rng(4).permutation(80)
+    shuffled = SignatureTable(tuple(table.ids[i] for i in order), table.values[order], "r-bihdm", "3f2a")
+    for values in table.values[:10]:
+        assert SignatureIndex(shuffled).query(values).ids == SignatureIndex(table).query(values).ids
+
+
+def test_length() -> None:
+    assert len(SignatureIndex(a_table(12))) == 12
+
+
+def test_unknown_names() -> None:
+    with pytest.raises(OptionError, match="distance must be one of log, d1, d2, got 'l2'"):
+        SignatureIndex(a_table(5), distance="l2")
+    with pytest.raises(OptionError, match="whitening must be one of none, pca, within-class, got 'zca'"):
+        SignatureIndex(a_table(5), whitening="zca")
+
+
+def test_no_directions() -> None:
+    with pytest.raises(OptionError, match="n_leading must be at least 1, got 0"):
+        SignatureIndex(a_table(5), n_leading=0)
+
+
+def test_an_empty_table() -> None:
+    with pytest.raises(InputError, match="an index needs at least 1 shape, got an empty table"):
+        SignatureIndex(SignatureTable((), np.zeros((0, 5)), "r-bihdm"))
+
+
+def test_a_whitening_of_other_signatures() -> None:
+    whitening = fit_whitening("pca", log_signatures(a_table(50).values), options_digest="77b1")
+    with pytest.raises(InputError, match=r"same options as the table \('3f2a'\), got '77b1'; fit it again"):
+        SignatureIndex(a_table(50), whitening=whitening)
+    shorter = fit_whitening("pca", log_signatures(a_table(50, n_values=9).values), options_digest="3f2a")
+    with pytest.raises(InputError, match=r"must have shape \(N, 9\)"):
+        SignatureIndex(a_table(50), whitening=shorter)
+
+
+@pytest.mark.parametrize("k", [0, -3, 2.5, True])
+def test_a_number_of_neighbours_that_is_none(k: int) -> None:
+    with pytest.raises(OptionError, match=f"k must be a whole number of at least 1, got {k}"):
+        SignatureIndex(a_table(5)).query(np.ones(15), k)
+
+
+@pytest.mark.parametrize(("kind", "digest"), [("shape-dna", "3f2a"), ("r-bihdm", "77b1")])
+def test_a_signature_of_another_make(kind: str, digest: str) -> None:
+    with pytest.raises(InputError, match=f"same method and options.*got '{kind}' '{digest}'"):
+        SignatureIndex(a_table(5)).query(Signature(np.ones(15), kind, digest))
+
+
+@pytest.mark.parametrize("bad", [0.0, -1.0, np.nan, np.inf])
+def test_values_that_are_no_signature(bad: float) -> None:
+    values = np.ones(15)
+    values[3] = bad
+    with pytest.raises(InputError, match=f"positive and finite, got {bad}"):
+        SignatureIndex(a_table(5)).query(values)
+
+
+@pytest.mark.parametrize("shape", [(14,), (1, 15), ()])
+def test_values_of_another_shape(shape: tuple[int, ...]) -> None:
+    with pytest.raises(InputError, match=r"the query must have shape \(15,\)"):
+        SignatureIndex(a_table(5)).query(np.ones(shape))

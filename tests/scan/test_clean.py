@@ -1,0 +1,118 @@
+"""Thinning keeps the shape, strays go, and what is no body is refused."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import shapes
+from scipy.spatial import cKDTree
+
+from pcretrieve.errors import ReconstructionError
+from pcretrieve.options import ScanOptions
+from pcretrieve.scan import clean
+from pcretrieve.types import FloatArray, PointCloud
+
+OPTIONS = ScanOptions()
+COARSE = ScanOptions(voxel=0.02)
+BODY = PointCloud(shapes.points_on(shapes.body(3), 6000))
+
+
+def gaps(gallery: FloatArray, points: FloatArray) -> FloatArray:
+    """(n,) distance of each point to the nearest of the gallery."""
+    distance, _ = cKDTree(gallery).query(points)
+    return np.asarray(distance)
+
+
+def notes(cloud: PointCloud) -> tuple[str, ...]:
+    return cloud.provenance[-1].notes
+
+
+def test_one_point_is_left_of_each_voxel_and_none_moves_beyond_it() -> None:
+    thinned = clean(BODY, COARSE)
+    cell = COARSE.voxel * BODY.diagonal
+    assert gaps(BODY.points, thinned.points).max() <= np.sqrt(3) * cell
+    assert thinned.provenance[-1].sizes["points_thinned"] < 0.5 * len(BODY.points)
+    assert np.quantile(gaps(thinned.points, BODY.points), 0.99) <= np.sqrt(3) * cell
+
+
+def test_without_a_voxel_every_inlier_is_kept_as_it_is() -> None:
+    kept = clean(BODY, ScanOptions(voxel=0, outlier_std=100))
+    np.testing.assert_array_equal(kept.points, BODY.points)
+    assert notes(kept) == ()
+
+
+@pytest.mark.parametrize("unit", [1e-3, 1e3])
+def test_the_unit_does_not_matter(unit: float) -> None:
+    metres, other = clean(BODY, COARSE), clean(PointCloud(unit * BODY.points), COARSE)
+    np.testing.assert_allclose(other.points, unit * metres.points, rtol=1e-9)
+
+
+def test_strays_go_and_the_body_stays() -> None:
+    rng = np.random.default_rng(0)
+    strays = 3 * BODY.diagonal * (rng.random((20, 3)) - 0.5)
+    far_from_body = gaps(BODY.points, strays) > 0.1 * BODY.diagonal
+    cleaned = clean(PointCloud(np.concatenate([BODY.points, strays[far_from_body]])), OPTIONS)
+    assert gaps(BODY.points, cleaned.points).max() < 0.02 * BODY.diagonal
+    assert gaps(cleaned.points, BODY.points).max() < 0.02 * BODY.diagonal
+    assert any("as strays" in note for note in notes(cleaned))
+
+
+@pytest.mark.parametrize("distance", [1e3, 1e10, 3e38], ids=["far", "very far", "largest float32"])
+def test_one_point_far_away_does_not_coarsen_the_rest(distance: float) -> None:
+    """A depth camera writes such points where it saw nothing; the diagonal must not follow them."""
+    cleaned = clean(PointCloud(np.concatenate([BODY.points, [[distance, 0, 0]]])), OPTIONS)
+    np.testing.assert_array_equal(cleaned.points, clean(BODY, OPTIONS).points)
+    assert notes(cleaned)[0] == "dropped 1 of 6001 points more than 20 median distances from the middle"
+
+
+def test_a_second_body_is_not_taken_for_strays() -> None:
+    both = PointCloud(np.concatenate([BODY.points, BODY.points[::10] + 100 * BODY.diagonal]))
+    assert not any("median distances" in note for note in notes(clean(both, ScanOptions(voxel=0))))
+
+
+def test_each_point_keeps_a_sensor_that_saw_its_voxel() -> None:
+    left = BODY.points[:, 0] < 0
+    sensors = np.where(left[:, None], [-9.0, 0, 0], [9.0, 0, 0])
+    cleaned = clean(replace(BODY, viewpoints=sensors), COARSE)
+    cell = COARSE.voxel * BODY.diagonal
+    clear = np.abs(cleaned.points[:, 0]) > cell
+    assert cleaned.viewpoints is not None
+    np.testing.assert_array_equal(cleaned.viewpoints[clear, 0], 9 * np.sign(cleaned.points[clear, 0]))
+
+
+def test_normals_are_averaged_and_opposite_ones_are_not() -> None:
+    ball = shapes.icosphere(5)
+    cleaned = clean(PointCloud(ball.vertices, normals=ball.vertices), COARSE)
+    assert cleaned.normals is not None
+    np.testing.assert_allclose(np.linalg.norm(cleaned.normals, axis=1), 1)
+    assert (np.einsum("ij,ij->i", cleaned.normals, cleaned.points) > 0.99).all()
+
+    sheet = np.concatenate([ball.vertices, ball.vertices])
+    both = clean(PointCloud(sheet, normals=np.concatenate([ball.vertices, -ball.vertices])), COARSE)
+    assert both.normals is not None
+    np.testing.assert_allclose(np.linalg.norm(both.normals, axis=1), 1)
+
+
+RANDOM = np.random.default_rng(0).random((500, 3))
+
+NO_BODIES: dict[str, tuple[FloatArray, str]] = {
+    "too few": (RANDOM[:99], "a scan needs at least 100 points, got 99: scan more densely"),
+    "equal": (np.ones((500, 3)), "all 500 are equal"),
+    "line": (np.outer(RANDOM[:, 0], [1, 2, 3]) + 5, "lie on a line"),
+    "plane": (RANDOM @ [[1, 0, 1], [0, 1, 1], [0, 0, 0]], "lie in a plane: scan it from several sides"),
+}
+
+
+@pytest.mark.parametrize("what", NO_BODIES)
+def test_what_is_no_body(what: str) -> None:
+    points, words = NO_BODIES[what]
+    with pytest.raises(ReconstructionError, match=words) as raised:
+        clean(PointCloud(points), OPTIONS)
+    assert raised.value.stage == "clean"
+
+
+def test_too_few_points_after_thinning() -> None:
+    with pytest.raises(ReconstructionError, match=r"got \d+: scan more densely, or lower scan\.voxel"):
+        clean(BODY, ScanOptions(voxel=0.3))

@@ -1,0 +1,94 @@
+"""Normals point out of the body, whatever tells which side that is."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import shapes
+
+from pcretrieve.errors import ReconstructionError
+from pcretrieve.options import ScanOptions
+from pcretrieve.scan import oriented_normals
+from pcretrieve.types import FloatArray, PointCloud, TriangleMesh
+
+SURFACES = {"ball": shapes.icosphere(3), "torus": shapes.torus(), "body": shapes.body()}
+
+
+def scanned(mesh: TriangleMesh, n: int = 8000) -> tuple[PointCloud, FloatArray]:
+    """Points on a mesh, and the normals of the faces that they lie on."""
+    points = shapes.points_on(mesh, n)
+    rng = np.random.default_rng(0)
+    face = rng.choice(len(mesh.faces), size=n, p=mesh.face_areas / mesh.area)  # as `points_on` drew them
+    a, b, c = (mesh.vertices[mesh.faces[face, k]] for k in range(3))
+    across = np.cross(b - a, c - a)
+    return PointCloud(points), across / np.linalg.norm(across, axis=1, keepdims=True)
+
+
+def share_right(cloud: PointCloud, true: FloatArray) -> float:
+    assert cloud.normals is not None
+    np.testing.assert_allclose(np.linalg.norm(cloud.normals, axis=1), 1)
+    return float((np.einsum("ij,ij->i", cloud.normals, true) > 0).mean())
+
+
+@pytest.mark.parametrize("name", SURFACES)
+@pytest.mark.parametrize("method", ["flood", "tangent-plane"])
+def test_normals_point_outwards(method: str, name: str) -> None:
+    cloud, true = scanned(SURFACES[name])
+    assert share_right(oriented_normals(cloud, ScanOptions(orientation=method)), true) > 0.99
+
+
+def test_a_sensor_sees_outsides_only() -> None:
+    """Each point of a torus, its inner side too, is given a sensor that sees it."""
+    cloud, true = scanned(SURFACES["torus"])
+    seen = replace(cloud, viewpoints=cloud.points + 0.1 * true)
+    assert share_right(oriented_normals(seen, ScanOptions(orientation="viewpoint")), true) == 1
+
+
+@pytest.mark.parametrize("unit", [1e-3, 1e3])
+def test_the_unit_does_not_matter(unit: float) -> None:
+    cloud, _ = scanned(SURFACES["body"])
+    ours = oriented_normals(cloud, ScanOptions()).normals
+    theirs = oriented_normals(PointCloud(unit * cloud.points), ScanOptions()).normals
+    assert ours is not None
+    assert theirs is not None
+    assert (np.einsum("ij,ij->i", ours, theirs) > 0).mean() > 0.999
+
+
+def test_auto_believes_sensors_before_normals_before_a_flood() -> None:
+    cloud, true = scanned(SURFACES["ball"], 2000)
+    wrong = replace(cloud, normals=-true)
+    assert share_right(oriented_normals(cloud, ScanOptions()), true) > 0.99
+    given = oriented_normals(wrong, ScanOptions())
+    assert share_right(given, true) == 0
+    assert given.provenance[-1].notes == ("used the file's own normals",)
+    seen = replace(wrong, viewpoints=100 * cloud.points)
+    assert share_right(oriented_normals(seen, ScanOptions()), true) == 1
+
+
+def test_a_hole_in_the_scan_is_closed_by_thicker_walls() -> None:
+    cloud, true = scanned(SURFACES["ball"])
+    seen = cloud.points[:, 2] < 0.994  # a hole of radius 0.11, seven cells wide
+    holed = oriented_normals(PointCloud(cloud.points[seen]), ScanOptions())
+    assert share_right(holed, true[seen]) > 0.99
+    assert "flood leaked; thickened its walls to" in holed.provenance[-1].notes[0]
+
+
+def test_where_no_wall_holds_tangent_planes_decide() -> None:
+    cloud, true = scanned(SURFACES["ball"])
+    seen = cloud.points[:, 2] < 0.5
+    bowl = oriented_normals(PointCloud(cloud.points[seen]), ScanOptions(flood_retries=1))
+    assert share_right(bowl, true[seen]) > 0.99
+    assert "tangent planes decided instead" in bowl.provenance[-1].notes[0]
+
+
+@pytest.mark.parametrize(
+    ("method", "words"),
+    [("given", "needs a scan with normals, this one has none"), ("viewpoint", "needs sensor positions")],
+)
+def test_what_a_scan_does_not_have(method: str, words: str) -> None:
+    cloud, _ = scanned(SURFACES["ball"], 500)
+    with pytest.raises(ReconstructionError, match=words) as raised:
+        oriented_normals(cloud, ScanOptions(orientation=method))
+    assert raised.value.stage == "orient"

@@ -1,0 +1,224 @@
+"""Laws of articulated bodies: what a pose may change, and what it must not."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import replace
+from functools import cache
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from pcretrieve.errors import InputError, OptionError
+from pcretrieve.simulation import POSES, Bone, Contact, Pose, RoundCone, Subject, body, make_subject
+from pcretrieve.simulation.contacts import close_contacts
+from pcretrieve.simulation.kinematics import motions
+from pcretrieve.simulation.skeleton import bone_distance
+from pcretrieve.simulation.skin import skin
+from pcretrieve.types import FloatArray, TriangleMesh
+
+FAMILIES = sorted(POSES)
+
+
+@cache
+def someone(family: str) -> Subject:
+    return make_subject(family, np.random.default_rng(3))
+
+
+def rod(*, radius: float = 0.1, length: float = 1.0, name: str = "rod", parent: str | None = None) -> Bone:
+    start, end = (0.0, 0.0, 0.0), (0.0, length, 0.0)
+    return Bone(name, parent, start, end, (0, 0, 1), (RoundCone(start, end, (radius, radius)),), name)
+
+
+def edge_uses(mesh: TriangleMesh) -> tuple[set[tuple[int, int]], int]:
+    """Directed edges, and how many there are with repetitions."""
+    directed = mesh.faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2).tolist()
+    return {(a, b) for a, b in directed}, len(directed)
+
+
+def tip(subject: Subject, pose: Pose, bone: str) -> FloatArray:
+    k = subject.number(bone)
+    end: FloatArray = (motions(subject, pose)[k] @ [*subject.bones[k].tail, 1])[:3]
+    return end
+
+
+@pytest.mark.parametrize("family", FAMILIES)
+def test_a_body_is_a_closed_oriented_sphere(family: str) -> None:
+    mesh = body(someone(family), POSES[family][next(iter(POSES[family]))])
+    edges, n_sides = edge_uses(mesh)
+    assert len(edges) == n_sides, "two faces run along an edge the same way"
+    assert all((b, a) in edges for a, b in edges), "an edge has only one face"
+    assert mesh.euler_characteristic == 2
+    assert mesh.volume > 0
+    assert 5_000 < len(mesh.vertices) < 10_000
+
+
+@pytest.mark.parametrize("family", FAMILIES)
+def test_poses_share_faces_and_nearly_area(family: str) -> None:
+    subject = someone(family)
+    rest = skin(subject).rest
+    for name, pose in POSES[family].items():
+        mesh = body(subject, pose)
+        assert np.array_equal(mesh.faces, rest.faces), name
+        assert mesh.area == pytest.approx(rest.area, rel=0.05), name
+        assert mesh.volume == pytest.approx(rest.volume, rel=0.15), name
+
+
+@pytest.mark.parametrize("family", FAMILIES)
+def test_the_catalogue_of_poses_is_rich_and_fits(family: str) -> None:
+    poses = POSES[family]
+    assert len(poses) >= 10
+    assert sum(pose.touching for pose in poses.values()) >= 2
+    bones = {bone.name for bone in someone(family).bones}
+    for name, pose in poses.items():
+        assert pose.joints <= someone(family).joints, name
+        assert all({*contact.bones, *contact.onto} <= bones for contact in pose.contacts), name
+
+
+def gaps(subject: Subject, pose: Pose, contacts: tuple[Contact, ...]) -> list[float]:
+    """From the skin of what comes to the flesh that it rests on, negative inside, relative to the body."""
+    own = skin(subject)
+    moved = motions(subject, close_contacts(own, pose))
+    mesh = body(subject, pose)
+    found = []
+    for contact in contacts:
+        coming = mesh.vertices[np.isin(own.owner, [subject.number(bone) for bone in contact.bones])]
+        flesh = []
+        for number in map(subject.number, contact.onto):
+            at_rest = (np.column_stack([coming, np.ones(len(coming))]) @ np.linalg.inv(moved[number]).T)[
+                :, :3
+            ]
+            flesh.append(bone_distance(subject.bones[number], at_rest).min())
+        found.append(min(flesh) / subject.size)
+    return found
+
+
+@pytest.mark.parametrize("family", FAMILIES)
+def test_contacts_are_closed_whatever_the_jitter(family: str) -> None:
+    subject, rng = someone(family), np.random.default_rng(0)
+    for name, pose in POSES[family].items():
+        jittered = pose.jittered(subject.joints, 2.0, rng)
+        assert all(abs(gap) < 0.01 for gap in gaps(subject, jittered, pose.contacts)), name
+
+
+def test_it_is_the_contacts_that_close_them() -> None:
+    subject, pose = someone("person"), POSES["person"]["think"]
+    assert gaps(subject, replace(pose, contacts=()), pose.contacts)[0] > 0.02
+
+
+def test_without_angles_a_body_is_at_rest() -> None:
+    subject = someone("hand")
+    at_rest = body(subject, Pose()).vertices
+    assert np.allclose(at_rest, skin(subject).rest.vertices, atol=1e-12)
+
+
+def test_weights_are_shares() -> None:
+    weights = skin(someone("hand")).weights
+    assert np.allclose(weights.sum(axis=1), 1)
+    assert weights.min() >= 0
+
+
+def test_turning_the_root_moves_the_body_rigidly() -> None:
+    subject = someone("hand")
+    still, turned = (body(subject, Pose({"stump": angles})) for angles in ((0, 0, 0), (40, -70, 110)))
+    assert not np.allclose(still.vertices, turned.vertices, atol=0.01)
+    assert np.allclose(still.face_areas, turned.face_areas, rtol=1e-9)
+    assert still.volume == pytest.approx(turned.volume, rel=1e-9)
+
+
+def test_bend_goes_to_the_front_and_spread_away_from_the_body() -> None:
+    subject, still = someone("person"), Pose()
+    hand = tip(subject, still, "left_hand")
+    assert tip(subject, Pose({"left_elbow": (60, 0, 0)}), "left_hand")[2] > hand[2] + 0.1
+    assert tip(subject, Pose({"left_shoulder": (0, 30, 0)}), "left_hand")[1] > hand[1] + 0.1
+    foot = tip(subject, still, "left_calf")
+    assert tip(subject, Pose({"left_hip": (0, 30, 0)}), "left_calf")[0] > foot[0] + 0.1
+
+
+def test_left_and_right_read_the_same_angles() -> None:
+    subject, mirror = someone("person"), np.array([-1, 1, 1])
+    for joint, end in (("shoulder", "hand"), ("elbow", "fingers"), ("hip", "foot")):
+        left = tip(subject, Pose({f"left_{joint}": (35, -20, 50)}), f"left_{end}")
+        right = tip(subject, Pose({f"right_{joint}": (35, -20, 50)}), f"right_{end}")
+        assert np.allclose(left * mirror, right, atol=1e-12), joint
+
+
+def test_bones_keep_their_lengths_and_stay_joined() -> None:
+    subject, pose = someone("animal"), POSES["animal"]["gallop"]
+    moved = motions(subject, pose)
+    for bone, motion in zip(subject.bones, moved, strict=True):
+        assert np.allclose(motion[:3, :3] @ motion[:3, :3].T, np.eye(3), atol=1e-12)
+        if bone.parent is not None:
+            head = [*bone.head, 1]
+            assert np.allclose(motion @ head, moved[subject.number(bone.parent)] @ head, atol=1e-12)
+
+
+def test_the_skin_of_a_rod_is_a_capsule_and_converges() -> None:
+    radius, length = 0.3, 1.0
+    area, volume = 2 * np.pi * radius * (length + 2 * radius), np.pi * radius**2 * (length + 4 / 3 * radius)
+    errors = []
+    for cell in (0.12, 0.06, 0.03):
+        mesh = skin(Subject("rod", (rod(radius=radius, length=length),), cell)).rest
+        errors.append((1 - mesh.area / area, 1 - mesh.volume / volume))
+    assert errors[-1] == pytest.approx((0, 0), abs=0.005)
+    # Vertices lie on the surface, so that halving the cells quarters the error.
+    assert all(coarse[1] / fine[1] > 3 for coarse, fine in pairwise(errors))
+
+
+def test_a_seed_is_a_subject() -> None:
+    one, same, other = (make_subject("person", np.random.default_rng(seed)) for seed in (1, 1, 2))
+    assert one == same
+    assert one != other
+
+
+def test_jitter_is_small_and_belongs_to_its_generator() -> None:
+    subject, pose = someone("hand"), POSES["hand"]["grasp"]
+    plain = body(subject, pose)
+    one, same, other = (body(subject, pose, np.random.default_rng(seed)) for seed in (1, 1, 2))
+    assert np.array_equal(one.vertices, same.vertices)
+    assert not np.allclose(one.vertices, other.vertices, atol=1e-4)
+    # The stump turns by some degrees too, so compare what turning does not change.
+    assert one.diagonal == pytest.approx(plain.diagonal, rel=0.1)
+    assert body(subject, pose, np.random.default_rng(1), jitter=0.0).vertices == pytest.approx(plain.vertices)
+
+
+def test_an_unknown_family_is_refused() -> None:
+    with pytest.raises(OptionError, match="family must be one of person, animal, hand, got 'plant'"):
+        make_subject("plant", np.random.default_rng(0))
+
+
+@pytest.mark.parametrize("pose", ["gallop", "lie"])
+def test_a_pose_of_another_family_is_refused(pose: str) -> None:
+    with pytest.raises(InputError, match=r"must turn joints of the hand, got .*POSES\['hand'\]"):
+        body(someone("hand"), POSES["animal"][pose])
+
+
+@pytest.mark.parametrize(
+    ("bones", "message"),
+    [
+        ((rod(), rod(parent="rod")), "distinct names, got 'rod' twice"),
+        ((rod(), rod(name="loose")), "got 'loose' on None"),
+        ((rod(), rod(name="lost", parent="nowhere")), "got 'lost' on 'nowhere'"),
+        ((rod(parent="nowhere"),), "got 'rod' on 'nowhere'"),
+        ((rod(length=0.0),), "bones must have a length, got 'rod'"),
+        ((rod(radius=0.0),), "radii must be positive"),
+    ],
+)
+def test_a_skeleton_that_is_none_is_refused(bones: tuple[Bone, ...], message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        Subject("rod", bones, cell=0.1)
+
+
+def test_flesh_in_two_pieces_is_refused() -> None:
+    far = replace(
+        rod(name="far", parent="rod"), flesh=(RoundCone((3.0, 0.0, 0.0), (3.0, 1.0, 0.0), (0.1, 0.1)),)
+    )
+    with pytest.raises(InputError, match="must form one ball, of Euler characteristic 2, got 4"):
+        skin(Subject("rods", (rod(), far), cell=0.05))
+
+
+def test_a_missing_scikit_image_is_named_with_its_extra(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "skimage.measure", None)
+    with pytest.raises(ImportError, match=r"scikit-image.*pcretrieve\[simulation\]"):
+        skin(Subject("rod", (rod(),), cell=0.07))

@@ -1,0 +1,138 @@
+"""The sample set: made by a seed, and what its files say is where things are."""
+
+from __future__ import annotations
+
+import csv
+import runpy
+from collections import Counter
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from pcretrieve.adapters.open3d import RayScene
+from pcretrieve.simulation import POSES, RigOptions, body, camera_pose, make_subject, write_ply
+from pcretrieve.types import FloatArray
+
+ROOT = Path(__file__).parents[2]
+SCANS = ROOT / "scans"
+
+# What the issue allows is 10 MB; some room is left.
+LARGEST_SET = 9e6
+
+
+def script() -> dict[str, Any]:
+    return runpy.run_path(str(ROOT / "scripts" / "make_scans"))
+
+
+def read_pcd(path: Path) -> tuple[FloatArray, FloatArray]:
+    """Points and VIEWPOINT (tx ty tz qw qx qy qz)."""
+    header, _, content = path.read_bytes().partition(b"DATA binary\n")
+    said = dict(line.split(maxsplit=1) for line in header.decode().splitlines() if not line.startswith("#"))
+    points = np.frombuffer(content, "<f4").reshape(-1, 3).astype(np.float64)
+    assert said["FIELDS"] == "x y z"
+    assert int(said["POINTS"]) == int(said["WIDTH"]) == len(points)
+    return points, np.array(said["VIEWPOINT"].split(), dtype=np.float64)
+
+
+def read_conf(path: Path) -> list[tuple[Path, Rotation, FloatArray]]:
+    """File, rotation and translation of each view."""
+    lines = [line.split() for line in path.read_text(encoding="utf-8").splitlines()]
+    assert all(words[0] == "bmesh" for words in lines)
+    numbers = [np.array(words[2:], dtype=np.float64) for words in lines]
+    return [
+        (path.parent / words[1], Rotation.from_quat(pose[3:]).inv(), pose[:3])
+        for words, pose in zip(lines, numbers, strict=True)
+    ]
+
+
+def read_ply(path: Path) -> FloatArray:
+    header, _, content = path.read_bytes().partition(b"end_header\n")
+    points = np.frombuffer(content, "<f4").reshape(-1, 3).astype(np.float64)
+    assert f"element vertex {len(points)}\n".encode() in header
+    return points
+
+
+def test_the_same_seed_makes_the_same_bytes(tmp_path: Path) -> None:
+    main = script()["main"]
+    for run in ("one", "two"):
+        assert main(["--out", str(tmp_path / run), "--only", "hand-2_fan", "--only", "hand-1_open"]) == 0
+    one, two = (
+        {file.relative_to(tmp_path / run): file.read_bytes() for file in (tmp_path / run).rglob("*.*")}
+        for run in ("one", "two")
+    )
+    assert len(one) == 2 + RigOptions().n_views + 1
+    assert one == two
+
+
+def test_another_seed_makes_other_points(tmp_path: Path) -> None:
+    main = script()["main"]
+    for seed in ("1", "2"):
+        main(["--out", str(tmp_path / seed), "--seed", seed, "--only", "hand-1_open"])
+    one, two = (read_ply(tmp_path / seed / "hand-1" / "hand-1_open.ply") for seed in ("1", "2"))
+    assert len(one) != len(two) or not np.allclose(one, two)
+
+
+def test_views_lie_on_the_body_and_sensors_where_they_stood(tmp_path: Path) -> None:
+    namespace, rng = script(), np.random.default_rng(4)
+    surface = body(make_subject("hand", rng), POSES["hand"]["spread"])
+    placed = namespace["random_motion"](rng)
+    conf = namespace["write_views"](tmp_path / "hand_spread", surface, placed, rng)
+    scene, rig = RayScene(surface.vertices, surface.faces), RigOptions()
+    views = read_conf(conf)
+    assert len(views) == rig.n_views
+    back = np.linalg.inv(placed)
+    for number, (path, rotation, translation) in enumerate(views):
+        points, pose = read_pcd(path)
+        on_body = namespace["moved"](back, rotation.apply(points) + translation)
+        off = scene.distance(on_body) / surface.diagonal
+        assert np.quantile(off, 0.95) < 4 * rig.noise
+        camera = camera_pose(surface, rig, number)
+        sensor = namespace["moved"](back, rotation.apply(pose[None, :3]) + translation)[0]
+        assert sensor == pytest.approx(camera[:3, 3], abs=1e-6)
+        # The sensor looks along its own z axis, which the quaternion turns into the frame of the points.
+        ahead = Rotation.from_quat(pose[[4, 5, 6, 3]]).apply([0, 0, 1])
+        towards = np.median(points, axis=0) - pose[:3]
+        assert ahead @ towards / np.linalg.norm(towards) > 0.9
+    assert max(rotation.magnitude() for _, rotation, _ in views) > 0.1
+
+
+def test_an_unknown_scan_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as stop:
+        script()["main"](["--out", str(tmp_path), "--only", "person-1_flies"])
+    assert stop.value.code == 2
+    assert "--only must name scans of the set, got person-1_flies" in capsys.readouterr().err
+
+
+def test_the_help_has_an_example(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit):
+        script()["main"](["--help"])
+    assert "example:" in capsys.readouterr().out
+
+
+def test_a_ply_file_reads_back(tmp_path: Path) -> None:
+    points = np.random.default_rng(0).normal(size=(7, 3))
+    write_ply(tmp_path / "points.ply", points)
+    assert read_ply(tmp_path / "points.ply") == pytest.approx(points, rel=1e-6)
+
+
+def test_the_sample_set_is_whole_and_small() -> None:
+    with (SCANS / "labels.csv").open(newline="", encoding="utf-8") as file:
+        labels = list(csv.DictReader(file))
+    assert list(labels[0]) == ["file", "class"]
+    counts = Counter(row["class"] for row in labels)
+    assert len(counts) == 8
+    assert set(counts.values()) == {5}
+    files = {SCANS / row["file"] for row in labels}
+    views = {view for file in files if file.suffix == ".conf" for view, _, _ in read_conf(file)}
+    assert all(file.is_file() for file in files | views)
+    strange = {file for file in SCANS.rglob("*.*") if file.is_file()} - files - views
+    assert strange == {SCANS / "labels.csv", SCANS / "README.md"}
+    assert sum(file.stat().st_size for file in SCANS.rglob("*") if file.is_file()) < LARGEST_SET
+
+
+def test_every_subject_of_the_set_has_a_touching_pose() -> None:
+    for subject in script()["SUBJECTS"]:
+        assert any(POSES[subject.family][pose].touching for pose in subject.poses), subject.name

@@ -1,0 +1,236 @@
+"""Laws of the virtual scanner, on a ball of radius 1: its diagonal is 2√3."""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import Any
+
+import numpy as np
+import pytest
+
+from pcretrieve.errors import InputError, OptionError
+from pcretrieve.simulation import (
+    Bone,
+    Pose,
+    RigOptions,
+    RoundCone,
+    Subject,
+    UniformOptions,
+    body,
+    camera_pose,
+    scan,
+    scan_uniformly,
+    scan_views,
+)
+from pcretrieve.types import FloatArray, PointCloud, TriangleMesh
+
+# The ball is made of flat faces whose middles lie at most this much below it.
+SAG = 1.5e-3
+
+PERFECT: dict[str, Any] = {
+    "noise": 0.0,
+    "flying_share": 0.0,
+    "n_holes": 0,
+    "stray_share": 0.0,
+    "n_points": None,
+    "pixels": 80,
+}
+
+
+@cache
+def ball() -> TriangleMesh:
+    flesh = RoundCone((0, 0, 0), (0, 0, 0), (1, 1))
+    bone = Bone("ball", None, (0, 0, 0), (0, 0.1, 0), (0, 0, 1), (flesh,), "ball")
+    return body(Subject("ball", (bone,), cell=0.06), Pose())
+
+
+def rng(seed: int = 0) -> np.random.Generator:
+    return np.random.default_rng(seed)
+
+
+def rays(cloud: PointCloud) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Unit direction from the sensor to each point, distance on, and distance to the unit ball that way."""
+    assert cloud.viewpoints is not None
+    offset = cloud.points - cloud.viewpoints
+    distance = np.linalg.norm(offset, axis=1)
+    direction = offset / distance[:, None]
+    along = -np.einsum("ij,ij->i", cloud.viewpoints, direction)
+    missing = (cloud.viewpoints**2).sum(axis=1) - along**2
+    return direction, distance, along - np.sqrt(np.maximum(1 - missing, 0))
+
+
+def test_a_perfect_scanner_sees_the_surface_from_its_cameras() -> None:
+    options = RigOptions(**PERFECT, max_incidence=70)
+    views = scan_views(ball(), options, rng())
+    assert len(views) == options.n_views
+    for number, view in enumerate(views):
+        assert view.viewpoints is not None
+        camera = camera_pose(ball(), options, number)
+        assert np.allclose(view.viewpoints, camera[:3, 3])
+        assert np.linalg.norm(camera[:3, 3]) == pytest.approx(options.distance * ball().diagonal, rel=1e-3)
+        assert np.abs(np.linalg.norm(view.points, axis=1) - 1).max() < SAG
+        cosine = -np.einsum("ij,ij->i", rays(view)[0], view.points)
+        # Normals of faces and of the ball differ by half an edge.
+        assert cosine.min() > np.cos(np.radians(70)) - 0.05
+        assert cosine.max() > 0.998
+
+
+def test_cameras_are_right_handed_and_look_at_the_middle() -> None:
+    options = RigOptions()
+    for view in range(options.n_views):
+        axes, position = camera_pose(ball(), options, view)[:3, :3], camera_pose(ball(), options, view)[:3, 3]
+        assert np.allclose(axes @ axes.T, np.eye(3))
+        assert np.linalg.det(axes) == pytest.approx(1)
+        assert np.allclose(axes[:, 2], -position / np.linalg.norm(position), atol=1e-3)
+        assert axes[1, 1] < 0, "the camera stands on its head"
+    assert camera_pose(ball(), options, 0)[2, 3] > 0
+
+
+def test_the_image_just_holds_the_bounding_sphere() -> None:
+    # The ball fills the middle of an image that is made for a sphere of radius √3.
+    options = RigOptions(
+        **PERFECT | {"pixels": 200}, n_views=1, elevations=(0,), distance=20, max_incidence=90
+    )
+    seen = len(scan(ball(), options, rng()).points)
+    assert seen / 200**2 == pytest.approx(np.pi / 4 / 3, rel=0.03)
+
+
+def test_noise_has_its_size_along_the_ray_and_grows_with_incidence() -> None:
+    noise = 0.004
+    options = RigOptions(**PERFECT | {"noise": noise, "pixels": 200}, max_incidence=75)
+    direction, distance, true = rays(scan(ball(), options, rng()))
+    cloud_normal = scan(ball(), RigOptions(**PERFECT | {"pixels": 200}, max_incidence=75), rng()).points
+    cosine = -np.einsum("ij,ij->i", direction, cloud_normal)  # same pixels, in the same order
+    error = (distance - true) / (noise * ball().diagonal)
+    for low, high in ((0.97, 1.0), (0.45, 0.55)):
+        band = (cosine > low) & (cosine < high)
+        expected = np.sqrt((cosine[band] ** -2).mean())
+        assert error[band].std() == pytest.approx(expected, rel=0.1)
+
+
+def test_flying_pixels_lie_behind_edges_within_reach() -> None:
+    reach = 0.03
+    settings = PERFECT | {"flying_share": 1.0}
+    options = RigOptions(**settings, flying_reach=reach, max_incidence=90)
+    _, distance, true = rays(scan(ball(), options, rng()))
+    behind = distance - true
+    flying = behind > 0.01 * ball().diagonal
+    assert 0 < flying.sum() < 0.2 * len(behind)
+    # At the very rim, flat faces lie in front of the ball by more than their sag.
+    assert behind.max() < (reach + 0.01) * ball().diagonal
+
+
+def test_strays_are_as_many_as_asked_for_and_stay_in_their_box() -> None:
+    options = RigOptions(**PERFECT | {"n_points": 5_000, "stray_share": 0.1})
+    points = scan(ball(), options, rng()).points
+    off = np.abs(np.linalg.norm(points, axis=1) - 1) > SAG
+    assert len(points) == pytest.approx(5_500, abs=options.n_views)
+    assert off.sum() == pytest.approx(500, abs=options.n_views)
+    assert np.abs(points[off]).max() < 1.2 + SAG
+    assert np.abs(points[off]).max() > 1.1
+
+
+def test_holes_stay_empty() -> None:
+    n, radius = 40_000, 0.1
+    options = UniformOptions(n_points=n, noise=0, n_holes=1, hole_radius=radius, stray_share=0)
+    # A ball whose centre lies on the unit sphere cuts a cap of area π r² out of it, wherever it lies.
+    share = (radius * ball().diagonal) ** 2 / 4
+    for seed in range(3):
+        missing = n - len(scan_uniformly(ball(), options, rng(seed)).points)
+        assert missing == pytest.approx(n * share, abs=4 * np.sqrt(n * share))
+
+
+def test_cameras_share_the_holes() -> None:
+    whole = RigOptions(**PERFECT)
+    holed = RigOptions(**PERFECT | {"n_holes": 1}, hole_radius=0.1)
+    seen, left = (scan(ball(), options, rng()).points for options in (whole, holed))
+    gone = seen[~np.isin(seen, left).all(axis=1)]
+    assert len(gone) > 0
+    middle = gone.mean(axis=0) / np.linalg.norm(gone.mean(axis=0))
+    radius = 0.1 * ball().diagonal
+    assert np.linalg.norm(gone - middle, axis=1).max() < 1.1 * radius
+    assert np.linalg.norm(left - middle, axis=1).min() > 0.9 * radius
+
+
+def test_uniform_points_are_uniform() -> None:
+    options = UniformOptions(n_points=40_000, noise=0, n_holes=0, stray_share=0)
+    points = scan_uniformly(ball(), options, rng()).points
+    assert points.mean(axis=0) == pytest.approx([0, 0, 0], abs=0.015)
+    assert points.T @ points / len(points) == pytest.approx(np.eye(3) / 3, abs=0.01)
+
+
+def test_uniform_noise_has_its_size() -> None:
+    options = UniformOptions(noise=0.005, n_holes=0, stray_share=0)
+    radii = np.linalg.norm(scan_uniformly(ball(), options, rng()).points, axis=1)
+    assert radii.std() == pytest.approx(0.005 * ball().diagonal, rel=0.05)
+
+
+def test_uniform_scans_have_no_sensors() -> None:
+    assert scan_uniformly(ball(), UniformOptions(), rng()).viewpoints is None
+
+
+def test_a_scan_is_its_views_one_after_another() -> None:
+    options = RigOptions(pixels=60, n_points=1_000)
+    together, views = scan(ball(), options, rng()), scan_views(ball(), options, rng())
+    assert np.array_equal(together.points, np.concatenate([view.points for view in views]))
+    sensors = [view.viewpoints for view in views if view.viewpoints is not None]
+    assert together.viewpoints is not None
+    assert np.array_equal(together.viewpoints, np.concatenate(sensors))
+
+
+@pytest.mark.parametrize("unit", [2.0**-10, 2.0**10])
+def test_the_unit_does_not_matter(unit: float) -> None:
+    other = TriangleMesh(ball().vertices * unit, ball().faces)
+    options = RigOptions(pixels=60)
+    assert scan(other, options, rng()).points / unit == pytest.approx(scan(ball(), options, rng()).points)
+    uniform = UniformOptions(n_points=500)
+    assert scan_uniformly(other, uniform, rng()).points / unit == pytest.approx(
+        scan_uniformly(ball(), uniform, rng()).points
+    )
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"n_views": 0}, "n_views must be at least 1, got 0"),
+        ({"pixels": 0}, "pixels must be at least 1, got 0"),
+        ({"n_points": 0}, "n_points must be at least 1, got 0"),
+        ({"elevations": ()}, "elevations must be at least 1, got 0"),
+        ({"elevations": (0.0, 90.0)}, "elevations must lie between -90 and 90 degrees"),
+        ({"distance": 0.5}, "distance must exceed 0.5"),
+        ({"max_incidence": 0.0}, "max_incidence must lie between 0 and 90 degrees, got 0"),
+        ({"max_incidence": 91.0}, "max_incidence must lie between 0 and 90 degrees, got 91"),
+        ({"noise": -1.0}, "noise must be at least 0, got -1"),
+        ({"noise": float("nan")}, "noise must be at least 0, got nan"),
+        ({"flying_reach": -1.0}, "flying_reach must be at least 0"),
+        ({"flying_share": 1.5}, "flying_share must be a share between 0 and 1, got 1.5"),
+        ({"n_holes": -1}, "n_holes must be at least 0"),
+        ({"hole_radius": -0.1}, "hole_radius must be at least 0"),
+        ({"stray_share": -0.1}, "stray_share must be a share between 0 and 1, got -0.1"),
+    ],
+)
+def test_options_out_of_range_are_refused(options: dict[str, Any], message: str) -> None:
+    with pytest.raises(OptionError, match=message):
+        RigOptions(**options)
+    uniform = {"n_points", "noise", "n_holes", "hole_radius", "stray_share"}
+    if set(options) <= uniform:
+        with pytest.raises(OptionError, match=message):
+            UniformOptions(**options)
+
+
+def test_a_surface_without_area_is_refused() -> None:
+    nothing = TriangleMesh(np.zeros((3, 3)), np.array([[0, 1, 2]]))
+    for attempt in (
+        lambda: scan_views(nothing, RigOptions(), rng()),
+        lambda: scan_uniformly(nothing, UniformOptions(), rng()),
+    ):
+        with pytest.raises(InputError, match="needs a surface with area, got 1 faces without"):
+            attempt()
+
+
+def test_a_surface_seen_from_inside_only_is_refused() -> None:
+    inside_out = TriangleMesh(ball().vertices, ball().faces[:, ::-1])
+    with pytest.raises(
+        InputError, match="cameras must see the surface, got no point: its faces point inwards"
+    ):
+        scan_views(inside_out, RigOptions(pixels=40), rng())

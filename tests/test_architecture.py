@@ -1,0 +1,142 @@
+"""Which way data flows, read from the imports themselves."""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Iterator
+from pathlib import Path
+from typing import NamedTuple
+
+import pytest
+
+import pcretrieve
+
+ROOT = Path(pcretrieve.__file__).parent
+
+# What every stage stands on.
+FOUNDATION = {"types", "errors", "options", "adapters"}
+
+# The way of the data: a package may know those before it, never those after it.
+STAGES = [
+    "scan",
+    "surface",
+    "spectral",
+    "signatures",
+    "retrieval",
+    "catalogue",
+    "evaluation",
+    "batch",
+    "cli",
+]
+
+# Scans for tests and demonstrations are made beside the way, not on it.
+BESIDE = {"simulation"}
+
+# Slow to import, or unsafe: each behind one door, which opens when it is first used.
+DOORS = {"open3d": "adapters/open3d.py", "pytetwild": "adapters/tetwild.py"}
+SLOW = {*DOORS, "trimesh"}
+
+# Stages from a scan to a signature, which one module alone puts together.
+COMPOSED = {"scan", "surface", "spectral", "signatures"}
+
+
+class Import(NamedTuple):
+    """One imported module, as its absolute name, and whether it is imported with the importing one."""
+
+    name: str
+    at_once: bool
+
+
+def sources() -> list[Path]:
+    return sorted(ROOT.rglob("*.py"))
+
+
+def tree(path: Path) -> ast.Module:
+    return ast.parse(path.read_text(encoding="utf-8"))
+
+
+def imports(path: Path) -> Iterator[Import]:
+    module = tree(path)
+    later = {
+        node
+        for function in ast.walk(module)
+        if isinstance(function, (ast.FunctionDef, ast.AsyncFunctionDef)) or is_for_type_checking(function)
+        for node in ast.walk(function)
+    }
+    for node in ast.walk(module):
+        if isinstance(node, ast.Import):
+            for alias in node.names:
+                yield Import(alias.name, node not in later)
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, f"{path} imports relatively"
+            assert node.module is not None
+            for alias in node.names:
+                yield Import(f"{node.module}.{alias.name}", node not in later)
+
+
+def is_for_type_checking(node: ast.AST) -> bool:
+    return isinstance(node, ast.If) and isinstance(node.test, ast.Name) and node.test.id == "TYPE_CHECKING"
+
+
+def room(path: Path) -> str:
+    """The package that a source belongs to; for one at the top level, its own name."""
+    return path.relative_to(ROOT).parts[0].removesuffix(".py")
+
+
+def rooms_used(path: Path) -> set[str]:
+    names = [found.name.split(".") for found in imports(path)]
+    return {parts[1] for parts in names if parts[0] == "pcretrieve" and len(parts) > 1} - {room(path)}
+
+
+@pytest.fixture(params=sources(), ids=lambda path: path.relative_to(ROOT).as_posix())
+def source(request: pytest.FixtureRequest) -> Path:
+    path: Path = request.param
+    return path
+
+
+def test_every_room_has_its_place() -> None:
+    assert {room(path) for path in sources()} == {*STAGES, *FOUNDATION, *BESIDE, "__init__", "__main__"}
+
+
+def test_data_flows_one_way(source: Path) -> None:
+    here = room(source)
+    if here in STAGES:
+        allowed = FOUNDATION | set(STAGES[: STAGES.index(here)])
+        # The command line may make scans, and asks the package for its version.
+        allowed |= BESIDE | {"__version__"} if here == "cli" else set()
+    elif here in FOUNDATION:
+        allowed = FOUNDATION
+    elif here in BESIDE:
+        allowed = FOUNDATION | set(STAGES) - {"batch", "cli"}
+    else:
+        return
+    assert rooms_used(source) <= allowed
+
+
+def test_nothing_but_the_pipeline_composes_the_stages() -> None:
+    composing = {
+        path.relative_to(ROOT).as_posix() for path in sources() if len(rooms_used(path) & COMPOSED) > 2
+    }
+    assert composing == {"__init__.py", "batch/pipeline.py"}
+
+
+def test_third_parties_have_one_door_each(source: Path) -> None:
+    for found in imports(source):
+        package = found.name.split(".")[0]
+        if package in DOORS:
+            assert source.relative_to(ROOT).as_posix() == DOORS[package]
+        if package in SLOW:
+            assert not found.at_once, f"{package} must be imported where it is used"
+
+
+def test_doors_lead_somewhere() -> None:
+    for package, door in DOORS.items():
+        assert package in {found.name.split(".")[0] for found in imports(ROOT / door)}
+
+
+def test_the_library_never_prints(source: Path) -> None:
+    if room(source) == "cli":
+        return
+    for node in ast.walk(tree(source)):
+        printing = isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id == "print"
+        assert not printing, f"line {getattr(node, 'lineno', 0)}"

@@ -1,0 +1,216 @@
+"""Options: TOML in, digest out, nothing that does not exist."""
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+from pydantic import BaseModel, ValidationError
+
+from pcretrieve.errors import OptionError
+from pcretrieve.options import (
+    PipelineOptions,
+    RemeshOptions,
+    SurfaceOptions,
+    describe_options,
+    options_difference,
+)
+
+# Another value for each option: one that its type and limits allow, and that is not the default.
+OTHER: dict[str, dict[str, Any]] = {
+    "scan": {
+        "voxel": 0.01,
+        "outlier_neighbors": 10,
+        "outlier_std": 3.0,
+        "normal_neighbors": 16,
+        "orientation": "flood",
+        "flood_cell": 0.01,
+        "flood_retries": 2,
+    },
+    "surface": {
+        "mode": "keep",
+        "poisson_depth": 8,
+        "poisson_scale": 1.2,
+        "density_trim": 0.01,
+        "target_faces": 4000,
+        "sample_points": 1000,
+        "max_discarded": 0.2,
+    },
+    "remesh": {
+        "method": "none",
+        "edge_length": 0.1,
+        "envelope": 0.01,
+        "optimize": True,
+        "timeout": 5.0,
+        "max_change": 0.2,
+    },
+    "spectral": {"n_pairs": 91},
+    "signature": {"method": "shape-dna", "n_values": 30, "n_modes": 70},
+}
+
+# One value each: a single element exists so far.
+SINGLE = {("spectral", "element")}
+
+
+def every_option() -> list[tuple[str, str]]:
+    return [
+        (stage, name)
+        for stage, values in PipelineOptions().model_dump().items()
+        for name in values
+        if (stage, name) not in SINGLE
+    ]
+
+
+def test_the_table_above_names_every_option() -> None:
+    assert every_option() == [(stage, name) for stage, values in OTHER.items() for name in values]
+
+
+# --- TOML ---------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("options", [PipelineOptions(), PipelineOptions(**OTHER)])
+def test_described_options_read_back_as_themselves(options: PipelineOptions, tmp_path: Path) -> None:
+    path = tmp_path / "options.toml"
+    path.write_text(describe_options(options), encoding="utf-8")
+    assert PipelineOptions.from_toml(path) == options
+
+
+def test_every_option_is_explained() -> None:
+    lines = describe_options(PipelineOptions()).splitlines()
+    for number, line in enumerate(lines):
+        if " = " in line and not line.startswith("#"):
+            assert lines[number - 1].startswith("# "), line
+
+
+def test_what_a_file_does_not_name_keeps_its_default(tmp_path: Path) -> None:
+    path = tmp_path / "options.toml"
+    path.write_text("[remesh]\nmethod = 'none'\n")
+    assert PipelineOptions.from_toml(path) == PipelineOptions().changed(remesh={"method": "none"})
+    path.write_text("")
+    assert PipelineOptions.from_toml(path) == PipelineOptions()
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        (b"[surface\n", r"options.toml is not valid TOML: Expected ']'"),
+        (b"# \xff\n", r"options.toml is not valid TOML: 'utf-8' codec"),
+        (b"[surfice]\n", r"options.toml: there is no option 'surfice'; `pcretrieve options` lists them all"),
+        (b"[surface]\ndepth = 7\n", r"options.toml: in \[surface\], there is no option 'depth'"),
+        (
+            b"[surface]\npoisson_depth = 3\n",
+            r"in \[surface\], poisson_depth: input should be greater than or equal to 4, got 3",
+        ),
+        (
+            b"[scan]\nvoxel = 'small'\n[surface]\nmode = 'guess'\n",
+            r"in \[scan\], voxel: input should be a valid number.*, got 'small'; "
+            r"in \[surface\], mode: input should be 'auto', 'reconstruct' or 'keep', got 'guess'",
+        ),
+        (b"surface = 3\n", r"surface: input should be a valid dictionary .*, got 3"),
+    ],
+)
+def test_a_bad_file_says_what_is_wrong_with_it(text: bytes, message: str, tmp_path: Path) -> None:
+    path = tmp_path / "options.toml"
+    path.write_bytes(text)
+    with pytest.raises(OptionError, match=message):
+        PipelineOptions.from_toml(path)
+
+
+def test_a_missing_file(tmp_path: Path) -> None:
+    with pytest.raises(OptionError, match=r"cannot read the options file .*absent\.toml: No such file"):
+        PipelineOptions.from_toml(tmp_path / "absent.toml")
+
+
+# --- values -------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("stage", "name", "bad"),
+    [
+        ("scan", "voxel", -0.1),
+        ("scan", "voxel", 1.0),
+        ("scan", "voxel", float("nan")),
+        ("scan", "outlier_neighbors", 0),
+        ("scan", "outlier_std", 0.0),
+        ("scan", "normal_neighbors", 2),
+        ("scan", "orientation", "up"),
+        ("scan", "flood_cell", 0.0),
+        ("scan", "flood_retries", -1),
+        ("surface", "mode", "Auto"),
+        ("surface", "poisson_depth", 13),
+        ("surface", "poisson_depth", 7.5),
+        ("surface", "poisson_scale", 0.9),
+        ("surface", "density_trim", 1.1),
+        ("surface", "target_faces", 100),
+        ("surface", "sample_points", 10),
+        ("surface", "max_discarded", -0.1),
+        ("remesh", "method", "tetgen"),
+        ("remesh", "edge_length", 0.0),
+        ("remesh", "envelope", 0.2),
+        ("remesh", "optimize", "perhaps"),
+        ("remesh", "timeout", 0),
+        ("remesh", "timeout", float("inf")),
+        ("remesh", "max_change", 2),
+        ("spectral", "element", "cubic"),
+        ("spectral", "n_pairs", 2),
+        ("signature", "method", "sift"),
+        ("signature", "n_values", 0),
+        ("signature", "n_modes", 1),
+    ],
+)
+def test_values_that_cannot_be(stage: str, name: str, bad: object) -> None:
+    with pytest.raises(OptionError, match=rf"in \[{stage}\], {name}: input should .*, got {bad!r}"):
+        PipelineOptions().changed(**{stage: {name: bad}})
+
+
+def test_one_stage_by_itself_checks_too() -> None:
+    with pytest.raises(OptionError, match=r"timeout: input should be greater than 0, got -1"):
+        RemeshOptions(timeout=-1)
+    with pytest.raises(OptionError, match=r"there is no option 'depth'"):
+        SurfaceOptions(depth=7)  # type: ignore[call-arg]
+
+
+def test_changed_leaves_the_rest_and_the_original_alone() -> None:
+    options = PipelineOptions()
+    changed = options.changed(surface={"mode": "keep"}, spectral={"n_pairs": 91})
+    assert options == PipelineOptions()
+    assert options_difference(options, changed) == [
+        "surface.mode: 'auto' there, 'keep' here",
+        "spectral.n_pairs: 61 there, 91 here",
+    ]
+
+
+def test_frozen() -> None:
+    options = PipelineOptions()
+    for model, name in ((options, "scan"), (options.scan, "voxel")):
+        assert isinstance(model, BaseModel)
+        with pytest.raises(ValidationError, match="frozen"):
+            setattr(model, name, None)
+
+
+# --- digest -------------------------------------------------------------------------------------------
+
+
+def test_digest_is_short_and_the_same_for_the_same_options() -> None:
+    digest = PipelineOptions().digest
+    assert digest == PipelineOptions().changed(surface={"mode": "auto"}).digest
+    assert len(digest) == 16
+    assert set(digest) <= set("0123456789abcdef")
+
+
+@pytest.mark.parametrize(("stage", "name"), every_option())
+def test_digest_changes_with_every_option_that_moves_a_spectrum(stage: str, name: str) -> None:
+    options = PipelineOptions()
+    changed = options.changed(**{stage: {name: OTHER[stage][name]}})
+    assert options_difference(options, changed) == [
+        f"{stage}.{name}: {options.model_dump()[stage][name]!r} there, {OTHER[stage][name]!r} here"
+    ]
+    # One catalogue serves every signature.
+    assert (changed.digest == options.digest) == (stage == "signature")
+
+
+def test_digests_tell_options_apart() -> None:
+    digests = {
+        PipelineOptions().changed(**{stage: {name: OTHER[stage][name]}}).digest
+        for stage, name in every_option()
+    }
+    assert len(digests) == 1 + sum(len(values) for stage, values in OTHER.items() if stage != "signature")

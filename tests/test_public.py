@@ -1,0 +1,105 @@
+"""The public names: exact, documented, and free of charge until they are used."""
+
+import importlib
+import inspect
+import pkgutil
+import re
+import subprocess
+import sys
+from importlib.metadata import version
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+
+import pcretrieve
+
+HEAVY = ("numpy", "scipy", "sklearn", "open3d", "pytetwild", "trimesh", "pydantic")
+
+
+def modules() -> list[ModuleType]:
+    return [
+        importlib.import_module(found.name)
+        for found in pkgutil.walk_packages(pcretrieve.__path__, "pcretrieve.")
+        if not found.name.endswith("__main__")
+    ]
+
+
+def test_all_is_what_the_documentation_promises() -> None:
+    assert set(pcretrieve.__all__) == {
+        "Catalogue",
+        "PipelineOptions",
+        "PointCloud",
+        "SignatureIndex",
+        "TriangleMesh",
+        "__version__",
+        "eigenpairs",
+        "laplace_beltrami",
+        "r_bihdm",
+        "read_scan",
+        "reconstruct",
+        "shape_dna",
+        "signature",
+    }
+    assert dir(pcretrieve) == sorted(pcretrieve.__all__)
+
+
+@pytest.mark.parametrize("name", sorted(set(pcretrieve.__all__) - {"__version__"}))
+def test_every_public_name_is_there_and_documented(name: str) -> None:
+    value = getattr(pcretrieve, name)
+    assert value.__name__ == name
+    documentation = inspect.getdoc(value)
+    assert documentation
+    if inspect.isfunction(value):
+        assert "Parameters\n---" in documentation
+        assert "Raises\n---" in documentation
+        for parameter in inspect.signature(value).parameters:
+            assert re.search(rf"^{parameter} : ", documentation, re.MULTILINE), parameter
+
+
+def test_there_are_no_other_names() -> None:
+    with pytest.raises(AttributeError, match="module 'pcretrieve' has no attribute 'retrieve'"):
+        _ = pcretrieve.retrieve
+
+
+def test_the_version_is_that_of_the_distribution() -> None:
+    assert pcretrieve.__version__ == version("pcretrieve")
+
+
+@pytest.mark.parametrize("module", modules(), ids=lambda module: str(module.__name__))
+def test_every_module_says_what_it_is_and_lists_what_it_offers(module: ModuleType) -> None:
+    assert module.__file__
+    assert module.__doc__ or not Path(module.__file__).stat().st_size
+    for name in getattr(module, "__all__", ()):
+        value = getattr(module, name)
+        if getattr(value, "__module__", None) == module.__name__:
+            assert inspect.getdoc(value), f"{module.__name__}.{name} has no documentation"
+
+
+def imported_by(*arguments: str) -> set[str]:
+    """Packages that a fresh interpreter has imported after running with these arguments."""
+    done = subprocess.run(
+        [sys.executable, "-X", "importtime", *arguments], capture_output=True, text=True, check=True
+    )
+    return {line.rsplit("|", 1)[1].strip().split(".")[0] for line in done.stderr.splitlines() if "|" in line}
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ("-c", "import pcretrieve"),
+        ("-c", "import pcretrieve; dir(pcretrieve); pcretrieve.__version__"),
+        ("-m", "pcretrieve", "--help"),
+        ("-m", "pcretrieve", "--version"),
+    ],
+    ids=" ".join,
+)
+def test_starting_is_light(arguments: tuple[str, ...]) -> None:
+    imported = imported_by(*arguments)
+    assert "pcretrieve" in imported
+    assert imported.isdisjoint(HEAVY)
+
+
+@pytest.mark.parametrize("name", ["read_scan", "SignatureIndex", "eigenpairs", "reconstruct"])
+def test_third_parties_wait_until_they_are_needed(name: str) -> None:
+    assert imported_by("-c", f"from pcretrieve import {name}").isdisjoint({"open3d", "pytetwild", "trimesh"})
