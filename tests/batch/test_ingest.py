@@ -275,7 +275,7 @@ def test_no_process_outlives_an_ingest(send: Callable[[int], None], code: int, t
         send(running.pid)
         _, said = running.communicate(timeout=PATIENCE)
     assert running.returncode == code
-    # A worker that has not finished starting may find the pool's semaphores gone, and say so from multiprocessing.
+    # A worker that is still starting may find the pool gone, and say so from within multiprocessing.
     assert "pcretrieve/" not in said.replace(str(tmp_path), "")
     if code > 0:
         assert "the same command goes on from there" in said
