@@ -1,0 +1,204 @@
+"""The command that makes one cloud of several range scans: merge."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from pcretrieve.cli.parts import EXIT_SOME_FAILED, json_option, say, write_json
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from pcretrieve.scan.register import Merged
+    from pcretrieve.types import FloatArray, PointCloud
+
+__all__ = ["merge_command"]
+
+
+@click.command("merge")
+@click.argument("paths", nargs=-1, metavar="VIEWS...")
+@click.option(
+    "--output",
+    "-o",
+    type=click.Path(path_type=Path),
+    required=True,
+    metavar="CLOUD",
+    help=".ply or .pcd, which keep the sensor of each point, or .xyzn, which keeps normals only.",
+)
+@click.option(
+    "--refine/--no-refine", default=True, help="Adjust the poses of a .conf, or take them as given."
+)
+@click.option(
+    "--sensor",
+    type=click.Choice(["front", "origin"]),
+    default="front",
+    show_default=True,
+    help="Where the sensor of a file is that names none: far out on +z, as range scanners have it, or at the "
+    "origin, as in frames of a depth camera.",
+)
+@click.option("--max-range", type=float, metavar="LENGTH", help="Drop what is farther from the sensor.")
+@click.option("--keep-largest", is_flag=True, help="Keep the largest connected piece of each view only.")
+@click.option(
+    "--voxel", type=float, metavar="SHARE", help="Thin the cloud to one point a cell.  [default: 0]"
+)
+@click.option(
+    "--reach", type=float, metavar="SHARE", help="Distance at which surfaces are one.  [default: 0.01]"
+)
+@click.option(
+    "--min-overlap",
+    type=float,
+    metavar="SHARE",
+    help="Points of a view that another must have seen too.  [default: 0.1]",
+)
+@json_option
+def merge_command(
+    paths: tuple[str, ...],
+    output: Path,
+    refine: bool,
+    sensor: str,
+    max_range: float | None,
+    keep_largest: bool,
+    voxel: float | None,
+    reach: float | None,
+    min_overlap: float | None,
+    as_json: bool,
+) -> None:
+    """Range scans of one body into one cloud: files, folders, globs, or one .conf.
+
+    Views may lie anywhere, in any order; those of a Stanford .conf start from its poses. A view that finds no
+    place where it shares a surface with the others is left out, and the exit code is 3. Voxel and reach are
+    relative to the median diagonal of the views, the range is in the unit of the files.
+
+    \b
+    pcretrieve merge bunny/*.ply -o bunny.ply
+    pcretrieve merge frames/ --sensor origin --max-range 1.5 --keep-largest -o body.ply
+    """
+    from tqdm import tqdm
+
+    from pcretrieve.batch.discover import printable
+    from pcretrieve.options import MergeOptions
+    from pcretrieve.scan.register import merge_views
+    from pcretrieve.scan.write import write_cloud
+
+    if not paths:
+        raise click.UsageError("name at least two views, or one .conf")
+    chosen = {"voxel": voxel, "reach": reach, "min_overlap": min_overlap, "max_range": max_range}
+    given = {name: value for name, value in chosen.items() if value is not None}
+    options = MergeOptions(refine=refine, sensor=sensor, keep_largest=keep_largest, **given)
+    files, poses = _views(paths)
+    _check_output(output, files)
+    views = [_read(file) for file in files]
+    with tqdm(total=math.comb(len(views), 2), unit="pair", desc="merge", disable=None) as bar:
+
+        def on_pair(done: int, total: int) -> None:
+            bar.total = total
+            bar.update(done - bar.n)
+
+        merged = merge_views(views, options, poses=poses, on_pair=on_pair)
+    write_cloud(merged.cloud, output)
+    names = [printable(file) for file in files]
+    _tell(merged, names, output)
+    if as_json:
+        write_json(_document(merged, names, output))
+    if merged.left_out:
+        click.get_current_context().exit(EXIT_SOME_FAILED)
+
+
+def _views(paths: Sequence[str]) -> tuple[list[Path], FloatArray | None]:
+    """The files that hold one view each; and (v, 4, 4) poses, where a .conf gives them."""
+    import numpy as np
+
+    from pcretrieve.batch.discover import discover
+    from pcretrieve.errors import InputError, ScanReadError
+    from pcretrieve.scan.views import read_poses
+
+    files = discover(paths)
+    confs = [file for file in files if file.suffix.lower() == ".conf"]
+    if not confs:
+        return files, None
+    if len(files) > 1:
+        raise InputError(f"a .conf names all views of its cloud, got {len(files)} files with {confs[0]}")
+    try:
+        views = read_poses(confs[0])
+    except (ScanReadError, OSError) as error:
+        cause = error.message if isinstance(error, ScanReadError) else error.strerror
+        raise ScanReadError(f"{confs[0]}: {cause}") from error
+    poses = np.tile(np.eye(4), (len(views), 1, 1))
+    for pose, (_, rotation, translation) in zip(poses, views, strict=True):
+        pose[:3, :3], pose[:3, 3] = rotation.as_matrix(), translation
+    return [file for file, _, _ in views], poses
+
+
+def _read(file: Path) -> PointCloud:
+    """One view; of a mesh, its vertices."""
+    from pcretrieve.scan import read_scan
+    from pcretrieve.types import PointCloud
+
+    scan = read_scan(file)
+    return scan if isinstance(scan, PointCloud) else PointCloud(scan.vertices)
+
+
+def _check_output(output: Path, files: Sequence[Path]) -> None:
+    """Before minutes of work: whether its result could be written."""
+    from pcretrieve.errors import InputError
+    from pcretrieve.scan.write import SUFFIXES
+
+    if output.suffix.lower() not in SUFFIXES:
+        raise InputError(f"a point file must end in one of {' '.join(SUFFIXES)}, got {output}")
+    if not output.parent.is_dir():
+        raise InputError(f"there is no folder {output.parent} to put {output.name} into: make it first")
+    if output.is_dir():
+        raise InputError(f"{output} is a folder: name a file for the cloud")
+    if output.exists() and any(file.exists() and output.samefile(file) for file in files):
+        raise InputError(f"{output} is one of the views: name another file for the cloud")
+
+
+def _tell(merged: Merged, names: Sequence[str], output: Path) -> None:
+    """What became of each view, for people."""
+    say(f"{'view':<8}  {'overlap':>7}  {'rms':>10}  file")
+    for number, name in enumerate(names):
+        if number in merged.left_out:
+            say(f"{'left out':<8}  {'-':>7}  {'-':>10}  {name}")
+        else:
+            say(f"{'placed':<8}  {merged.shares[number]:7.1%}  {merged.rms(number):10.3g}  {name}")
+    (step,) = merged.cloud.provenance
+    for note in step.notes:
+        say(note)
+    say(
+        f"placed {len(names) - len(merged.left_out)} of {len(names)} views, rms {merged.rms():.3g} "
+        f"({merged.rms() / merged.scale:.2%} of a view's diagonal), {len(merged.cloud.points)} points, "
+        f"{step.seconds:.1f} s: {output}"
+    )
+
+
+def _document(merged: Merged, names: Sequence[str], output: Path) -> dict[str, object]:
+    """The same for programs: JSON knows no NaN."""
+
+    def number_or_none(value: float) -> float | None:
+        return value if math.isfinite(value) else None
+
+    (step,) = merged.cloud.provenance
+    return {
+        "cloud": str(output),
+        "points": len(merged.cloud.points),
+        "diagonal": merged.scale,
+        "rms": number_or_none(merged.rms()),
+        "views": [
+            {
+                "path": name,
+                "placed": number not in merged.left_out,
+                "pose": None if number in merged.left_out else merged.poses[number].tolist(),
+                "overlap": float(merged.shares[number]),
+                "rms": number_or_none(merged.rms(number)),
+            }
+            for number, name in enumerate(names)
+        ],
+        "overlaps": [asdict(overlap) for overlap in merged.overlaps],
+        "notes": list(step.notes),
+        "seconds": round(step.seconds, 3),
+    }
