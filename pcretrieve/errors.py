@@ -42,8 +42,8 @@ class PcretrieveError(Exception):
     message : str
         What must hold, what was given, what to do.
     stage : str or None
-        The stage it happened in: ``read``, ``clean``, ``orient``, ``surface``, ``remesh``, ``topology``,
-        ``spectrum``, ``signature``; or ``worker``, where the process that worked on it ended.
+        The stage it happened in: ``read``, ``merge``, ``clean``, ``orient``, ``surface``, ``remesh``,
+        ``topology``, ``spectrum``, ``signature``; or ``worker``, where the process that worked on it ended.
     shape_id : str or None
         The shape it happened to.
     """

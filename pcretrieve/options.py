@@ -22,6 +22,7 @@ else:
     import tomli as tomllib
 
 __all__ = [
+    "MergeOptions",
     "PipelineOptions",
     "RemeshOptions",
     "ScanOptions",
@@ -34,7 +35,7 @@ __all__ = [
 
 # Raised whenever the code, rather than an option, moves a signature: old catalogues must not mix with new
 # numbers. CHANGELOG, "Changed numbers", says what moved.
-NUMBERS_VERSION = 1
+NUMBERS_VERSION = 2
 
 Share = Annotated[float, Field(ge=0, le=1)]
 Length = Annotated[float, Field(ge=0, lt=1)]
@@ -54,21 +55,57 @@ class _Options(BaseModel):
 class ScanOptions(_Options):
     """Raw points → clean points with normals that point outwards."""
 
-    voxel: Length = 0.003
+    voxel: Length = 0.0015
     """Points closer than this are averaged; relative to the diagonal, 0 keeps all."""
     outlier_neighbors: Count = 20
     """Neighbours whose mean distance marks a stray point; points."""
     outlier_std: Annotated[float, Field(gt=0)] = 2.0
     """How unusual that distance may be; standard deviations over the cloud."""
-    normal_neighbors: Annotated[int, Field(ge=3)] = 12
+    normal_neighbors: Annotated[int, Field(ge=3)] = 16
     """Neighbours that a normal is fitted to; points."""
     orientation: Literal["auto", "viewpoint", "flood", "tangent-plane", "given"] = "auto"
     """Where normals get their sign: the sensors' positions, a flood of the outside, tangent planes, or the
     file's own (given). auto: sensors where the file has them, else its own normals, else flood."""
-    flood_cell: Annotated[float, Field(gt=0, lt=0.1)] = 0.008
-    """Edge of the voxels that the outside is flooded through; relative to the diagonal."""
+    flood_cell: Annotated[float, Field(gt=0, lt=0.1)] = 0.005
+    """Edge of the cells that the outside is flooded through; relative to the diagonal. Never less than 1.3
+    spacings of the points."""
+    flood_gap: Length = 0.02
+    """Radius of the largest hole that the flood is kept out of at first; relative to the diagonal."""
     flood_retries: Annotated[int, Field(ge=0, le=10)] = 4
-    """How often a flood that leaked inside is tried again with wider walls."""
+    """How often a flood that leaked inside is tried again with wider gaps shut."""
+
+
+class MergeOptions(_Options):
+    """Range scans without poses → one cloud. Lengths are relative to the median diagonal of the views, after
+    their background is gone; it happens before the pipeline, and is no part of it."""
+
+    refine: bool = True
+    """Move views whose poses are given so that their surfaces meet."""
+    sensor: Literal["front", "origin"] = "front"
+    """Where the sensor of a view is that names none: far out on the z axis of its frame, as range scanners
+    write them, or at its origin, as depth cameras do."""
+    max_range: Annotated[float, Field(gt=0)] | None = None
+    """Distance from the sensor beyond which points are background; unit of the file."""
+    keep_largest: bool = False
+    """Drop all but the largest connected piece of each view as background."""
+    piece_gap: Annotated[float, Field(gt=0, lt=1)] = 0.02
+    """Gap that parts two pieces; relative to the diagonal of the view."""
+    voxel: Length = 0.0
+    """Points of the merged cloud closer than this are one, 0 keeps all."""
+    cell: Annotated[float, Field(gt=0, lt=0.1)] = 0.012
+    """Points that views are matched by: one in each cell of this edge."""
+    n_tries: Annotated[int, Field(ge=1000)] = 200_000
+    """Pairs of matching points that are tried for each two views; pairs."""
+    n_candidates: Count = 12
+    """Different motions of one view onto another that are refined and judged."""
+    reach: Annotated[float, Field(gt=0, lt=0.1)] = 0.01
+    """Distance within which points of two views are one surface."""
+    min_overlap: Share = 0.1
+    """Surface that a view must share with the others; share of its points."""
+    max_contradiction: Share = 0.02
+    """Points of views that may lie where others saw through; relative to those that others saw too."""
+    seed: Annotated[int, Field(ge=0)] = 0
+    """Of the random tries."""
 
 
 class SurfaceOptions(_Options):
@@ -77,26 +114,42 @@ class SurfaceOptions(_Options):
     mode: Literal["auto", "reconstruct", "keep"] = "auto"
     """What is done with a mesh: auto keeps a closed manifold one and reconstructs others, reconstruct always
     does, keep never."""
+    method: Literal["growth", "poisson"] = "growth"
+    """How points become a surface. growth: the body that they enclose, grown on a grid with the genus asked
+    for, closed and manifold in every case. poisson: Open3D's Poisson surface as it comes."""
+    genus: Literal["auto", "sphere", "free"] | Annotated[int, Field(ge=0)] = "auto"
+    """Handles that growth leaves: none (sphere), a number, all that the points suggest (free), or those as
+    thick as the body round them (auto)."""
+    cell: Annotated[float, Field(gt=0, lt=0.1)] = 0.0033
+    """Edge of the cells that the body is grown of; relative to the diagonal. Never less than the spacing of
+    the points."""
+    gap: Length = 0.02
+    """Radius of the largest hole in the scan that growth keeps the outside out of; relative to the
+    diagonal."""
+    bridge: Length = 0.08
+    """Widest gap that a piece cut off by a hole is joined to the body across; relative to the diagonal."""
+    fill_depth: Annotated[int, Field(ge=4, le=12)] = 6
+    """Depth of the Poisson octree that growth fills holes from."""
     poisson_depth: Annotated[int, Field(ge=4, le=12)] = 7
-    """Depth of the Poisson octree; the finest cell is scale · longest side / 2^depth."""
+    """Depth of the octree of the method poisson; the finest cell is scale · longest side / 2^depth."""
     poisson_scale: Annotated[float, Field(ge=1)] = 1.1
     """Side of the Poisson cube; relative to the longest side of the bounding box."""
     density_trim: Share = 0.0
-    """Surface with the least support that is cut before remeshing; share of its vertices."""
-    target_faces: Annotated[int, Field(ge=200)] = 5_000
+    """Surface with the least support that the method poisson cuts before remeshing; share of its vertices."""
+    target_faces: Annotated[int, Field(ge=200)] = 10_000
     """Size that the surface is simplified to; faces."""
     sample_points: Annotated[int, Field(ge=100)] = 30_000
     """Points that a mesh with defects is sampled by before it is reconstructed; points."""
     max_discarded: Share = 0.1
-    """Largest second component that is dropped in favour of the first; share of the area. A larger one is
-    another body, and an error."""
+    """Largest second piece that is dropped in favour of the first; share of the points (growth) or of the
+    area (poisson). A larger one is another body, and an error."""
 
 
 class RemeshOptions(_Options):
     """Closed surface → clean surface, by way of tetrahedra (fTetWild)."""
 
-    method: Literal["tetwild", "none"] = "tetwild"
-    """The remesher."""
+    method: Literal["none", "tetwild"] = "none"
+    """The remesher. Growth gives a closed manifold by itself."""
     edge_length: Annotated[float, Field(gt=0, lt=1)] = 0.05
     """Ideal edge of the tetrahedra; relative to the diagonal."""
     envelope: Annotated[float, Field(gt=0, lt=0.1)] = 0.001
@@ -158,6 +211,19 @@ class PipelineOptions(_Options):
         except OptionError as error:
             raise OptionError(f"{path}: {error.message}") from error
 
+    @classmethod
+    def preset(cls, name: str) -> PipelineOptions:
+        """The options for a common source of scans, by name: one of `PRESETS`.
+
+        Raises
+        ------
+        OptionError
+            If there is no such preset.
+        """
+        if name not in PRESETS:
+            raise OptionError(f"there is no preset {name!r}; there are {', '.join(PRESETS)}")
+        return cls(**PRESETS[name])
+
     def changed(self, **stages: dict[str, Any]) -> PipelineOptions:
         """These options with some replaced: ``options.changed(surface={"mode": "keep"})``."""
         values = self.model_dump()
@@ -180,6 +246,25 @@ class PipelineOptions(_Options):
     def signature_digest(self) -> str:
         """Fingerprint of everything that moves a signature: only those that agree in it compare."""
         return hashlib.sha256((self.digest + self.signature.model_dump_json()).encode()).hexdigest()[:16]
+
+
+# What differs from the default for scans of a common source.
+PRESETS: dict[str, dict[str, dict[str, Any]]] = {
+    # A ring of cameras: dense, little noise, every side seen. Finer cells hold fingers and ears.
+    "body-scanner": {"surface": {"cell": 0.0025}},
+    # Walked round by hand: strays, and holes wherever the walk did not lead.
+    "handheld": {
+        "scan": {"outlier_std": 1.5, "flood_gap": 0.03},
+        "surface": {"gap": 0.03},
+    },
+    # Frames of a depth sensor: noise of a third of a per cent and more.
+    "depth-camera": {
+        "scan": {"voxel": 0.004, "outlier_std": 1.5, "normal_neighbors": 30, "flood_gap": 0.03},
+        "surface": {"cell": 0.006, "gap": 0.03},
+    },
+    # Modelled, or cleaned by hand: taken as they are, but for repairs.
+    "clean-mesh": {"surface": {"mode": "keep"}},
+}
 
 
 def options_difference(theirs: PipelineOptions, ours: PipelineOptions) -> list[str]:
@@ -206,11 +291,15 @@ def describe_options(options: PipelineOptions) -> str:
     return "\n".join(lines)
 
 
+TYPES_TRIED = ("literal['auto','sphere','free']", "constrained-int")
+
+
 def _explain(error: ValidationError) -> str:
     """What must hold and what was given, one clause for each bad option."""
     clauses = []
     for problem in error.errors():
-        name = ".".join(str(part) for part in problem["loc"])
+        # Of an option that may be one of several types, pydantic names the type too.
+        name = ".".join(str(part) for part in problem["loc"] if part not in TYPES_TRIED)
         cause = problem.get("ctx", {}).get("error")
         if isinstance(cause, OptionError):
             clauses.append(f"in [{name}], {cause.message}")

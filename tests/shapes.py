@@ -7,7 +7,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pcretrieve.types import FloatArray, IntArray, TriangleMesh
+from pcretrieve.types import FloatArray, IntArray, PointCloud, TriangleMesh
 
 # Faces of a tetrahedron whose corners 1, 2, 3 run anticlockwise seen from outside its corner 0.
 TETRAHEDRON_FACES = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])
@@ -152,12 +152,23 @@ def joined(*meshes: TriangleMesh) -> TriangleMesh:
 
 def points_on(mesh: TriangleMesh, n: int, *, noise: float = 0.0, seed: int = 0) -> FloatArray:
     """(n, 3) points, uniform by area, with Gaussian noise (relative to the diagonal)."""
+    points: FloatArray = oriented_points_on(mesh, n, noise=noise, seed=seed).points.copy()
+    return points
+
+
+def oriented_points_on(mesh: TriangleMesh, n: int, *, noise: float = 0.0, seed: int = 0) -> PointCloud:
+    """`points_on`, with the normals of the faces that they come from."""
     rng = np.random.default_rng(seed)
     areas = mesh.face_areas
     face = rng.choice(len(areas), size=n, p=areas / areas.sum())
     weights = rng.dirichlet(np.ones(3), size=n)  # uniform on a triangle
-    points: FloatArray = np.einsum("nk,nkd->nd", weights, mesh.vertices[mesh.faces[face]])
-    return points + noise * mesh.diagonal * rng.standard_normal((n, 3))
+    corners = mesh.vertices[mesh.faces[face]]  # (n, 3, 3)
+    points = np.einsum("nk,nkd->nd", weights, corners)
+    across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    return PointCloud(
+        points + noise * mesh.diagonal * rng.standard_normal((n, 3)),
+        normals=across / np.linalg.norm(across, axis=1, keepdims=True),
+    )
 
 
 def _quads(i: ArrayLike, j: ArrayLike, i1: ArrayLike, j1: ArrayLike, width: int) -> IntArray:

@@ -21,13 +21,20 @@ OTHER: dict[str, dict[str, Any]] = {
         "voxel": 0.01,
         "outlier_neighbors": 10,
         "outlier_std": 3.0,
-        "normal_neighbors": 16,
+        "normal_neighbors": 12,
         "orientation": "flood",
         "flood_cell": 0.01,
+        "flood_gap": 0.03,
         "flood_retries": 2,
     },
     "surface": {
         "mode": "keep",
+        "method": "poisson",
+        "genus": 1,
+        "cell": 0.005,
+        "gap": 0.03,
+        "bridge": 0.1,
+        "fill_depth": 7,
         "poisson_depth": 8,
         "poisson_scale": 1.2,
         "density_trim": 0.01,
@@ -36,7 +43,7 @@ OTHER: dict[str, dict[str, Any]] = {
         "max_discarded": 0.2,
     },
     "remesh": {
-        "method": "none",
+        "method": "tetwild",
         "edge_length": 0.1,
         "envelope": 0.01,
         "optimize": True,
@@ -83,8 +90,8 @@ def test_every_option_is_explained() -> None:
 
 def test_what_a_file_does_not_name_keeps_its_default(tmp_path: Path) -> None:
     path = tmp_path / "options.toml"
-    path.write_text("[remesh]\nmethod = 'none'\n")
-    assert PipelineOptions.from_toml(path) == PipelineOptions().changed(remesh={"method": "none"})
+    path.write_text("[remesh]\nmethod = 'tetwild'\n")
+    assert PipelineOptions.from_toml(path) == PipelineOptions().changed(remesh={"method": "tetwild"})
     path.write_text("")
     assert PipelineOptions.from_toml(path) == PipelineOptions()
 
@@ -134,8 +141,14 @@ def test_a_missing_file(tmp_path: Path) -> None:
         ("scan", "normal_neighbors", 2),
         ("scan", "orientation", "up"),
         ("scan", "flood_cell", 0.0),
+        ("scan", "flood_gap", 1.0),
         ("scan", "flood_retries", -1),
         ("surface", "mode", "Auto"),
+        ("surface", "method", "marching"),
+        ("surface", "cell", 0.0),
+        ("surface", "gap", -0.1),
+        ("surface", "bridge", 1.0),
+        ("surface", "fill_depth", 3),
         ("surface", "poisson_depth", 13),
         ("surface", "poisson_depth", 7.5),
         ("surface", "poisson_scale", 0.9),

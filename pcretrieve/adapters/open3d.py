@@ -17,6 +17,7 @@ from pcretrieve.types import FloatArray, IntArray
 __all__ = [
     "RayScene",
     "estimate_normals",
+    "feature_histograms",
     "geometry_arrays",
     "orient_by_tangent_planes",
     "poisson",
@@ -161,7 +162,7 @@ class RayScene:
     def __init__(self, vertices: FloatArray, faces: IntArray) -> None:
         o3d = _open3d()
         self._tensor = o3d.core.Tensor
-        self._scene = o3d.t.geometry.RaycastingScene()
+        self._scene = o3d.t.geometry.RaycastingScene(nthreads=1)
         self._scene.add_triangles(
             o3d.core.Tensor(np.asarray(vertices, dtype=np.float32)),
             o3d.core.Tensor(np.asarray(faces, dtype=np.uint32)),
@@ -190,7 +191,38 @@ class RayScene:
         normals = answer["primitive_normals"].numpy().astype(np.float64)
         return distance, normals, face.astype(np.int32)
 
+    def crossings(self, origins: FloatArray, direction: FloatArray) -> tuple[NDArray[np.intp], FloatArray]:
+        """Every hit of every ray, with the ray's number and the distance in lengths of the direction.
+
+        Parameters
+        ----------
+        origins : (k, 3) float64
+        direction : (3,) float64
+            The same for all rays.
+        """
+        rays = np.concatenate([origins, np.broadcast_to(direction, origins.shape)], axis=1)  # (k, 6)
+        answer = self._scene.list_intersections(self._tensor(rays.astype(np.float32)))
+        return answer["ray_ids"].numpy().astype(np.intp), answer["t_hit"].numpy().astype(np.float64)
+
     def distance(self, points: FloatArray) -> FloatArray:
         """(k,) distance to the surface."""
         query = self._tensor(np.asarray(points, dtype=np.float32))
         return np.asarray(self._scene.compute_distance(query).numpy(), dtype=np.float64)
+
+
+# --- features -----------------------------------------------------------------------------------------
+
+
+def feature_histograms(points: FloatArray, normals: FloatArray, *, radius: float) -> FloatArray:
+    """(n, 33) fast point feature histograms [1]_: how normals turn within `radius` of each point.
+
+    They do not change when the points move.
+
+    References
+    ----------
+    .. [1] Rusu et al., "Fast point feature histograms (FPFH) for 3D registration", ICRA 2009.
+    """
+    o3d = _open3d()
+    search = o3d.geometry.KDTreeSearchParamRadius(radius)
+    features = o3d.pipelines.registration.compute_fpfh_feature(_cloud(points, normals), search)
+    return np.array(features.data.T)  # (n, 33)

@@ -24,10 +24,27 @@ from pcretrieve.options import PipelineOptions
 from pcretrieve.scan import clean, oriented_normals, read_scan
 from pcretrieve.signatures import describe
 from pcretrieve.spectral import eigenpairs, laplace_beltrami
-from pcretrieve.surface import defects, poisson_surface, remesh, sampled, sound_mesh
+from pcretrieve.surface import (
+    SurfaceMarks,
+    body_surface,
+    defects,
+    poisson_surface,
+    remesh,
+    sampled,
+    sound_mesh,
+)
 from pcretrieve.types import FloatArray, ModalSpectrum, PointCloud, Signature, Step, TriangleMesh
 
-__all__ = ["Shape", "as_scan", "process", "reconstruct", "signature"]
+__all__ = [
+    "Seen",
+    "Shape",
+    "as_scan",
+    "placed",
+    "process",
+    "reconstruct",
+    "signature",
+    "surface_stages",
+]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -47,6 +64,27 @@ class Shape:
     mesh: TriangleMesh
     spectrum: ModalSpectrum
     area: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Seen:
+    """What there is of a scan after some stage, in its own unit.
+
+    Attributes
+    ----------
+    scan : PointCloud or None
+        The raw points; None where a mesh is used as it is.
+    cloud : PointCloud or None
+        Cleaned, and once they are known with normals.
+    mesh : TriangleMesh or None
+    marks : SurfaceMarks or None
+        Where the surface was cut and bridged.
+    """
+
+    scan: PointCloud | None = None
+    cloud: PointCloud | None = None
+    mesh: TriangleMesh | None = None
+    marks: SurfaceMarks | None = None
 
 
 def signature(scan: object, options: PipelineOptions | None = None) -> Signature:
@@ -89,30 +127,54 @@ def reconstruct(scan: object, options: PipelineOptions | None = None) -> Triangl
     ShapeError
         If the scan cannot be read or has no usable surface.
     """
-    options = options or PipelineOptions()
-    with _placed(scan):
-        value = as_scan(scan)
-        if isinstance(value, TriangleMesh):
-            kept = sound_mesh(value, options.surface)
-            if kept is not None:
-                return kept
-            value = sampled(value, options.surface)
-        if options.remesh.method == "tetwild":
-            tetwild.start()
-        cleaned = clean(value, options.scan)
-        # Open3D reconstructs in single precision: far from the origin it loses the shape, or crashes.
-        origin = cleaned.points.mean(axis=0)
-        cloud = oriented_normals(_moved(cleaned, -origin), options.scan)
-        mesh = remesh(poisson_surface(cloud, options.surface), options.remesh)
-        if found := defects(mesh):
-            raise DegenerateMeshError(f"the surface must be a closed manifold, it has defects: {found}")
-        return TriangleMesh(mesh.vertices + origin, mesh.faces, mesh.provenance)
+    with placed(scan):
+        *_, last = surface_stages(scan, options or PipelineOptions())
+    if last.mesh is None:
+        raise TypeError("the last stage always has a surface")
+    return last.mesh
+
+
+def surface_stages(scan: object, options: PipelineOptions) -> Iterator[Seen]:
+    """The way from a scan to its surface, one stage at a time; the last has the final surface.
+
+    Raises
+    ------
+    ShapeError
+        In the stage that fails; what the stages before it made has been seen by then.
+    """
+    value = as_scan(scan)
+    if isinstance(value, TriangleMesh):
+        yield Seen(scan=PointCloud(value.vertices, provenance=value.provenance))
+        kept = sound_mesh(value, options.surface)
+        if kept is not None:
+            yield Seen(mesh=kept)
+            return
+        value = sampled(value, options.surface)
+    if options.remesh.method == "tetwild":
+        tetwild.start()
+    yield (seen := Seen(scan=value))
+    cleaned = clean(value, options.scan)
+    yield (seen := replace(seen, cloud=replace(cleaned, normals=None)))
+    # Open3D reconstructs in single precision: far from the origin it loses the shape, or crashes.
+    origin = cleaned.points.mean(axis=0)
+    cloud = oriented_normals(_moved(cleaned, -origin), options.scan)
+    yield (seen := replace(seen, cloud=_moved(cloud, origin)))
+    if options.surface.method == "poisson":
+        mesh, marks = poisson_surface(cloud, options.surface), None
+    else:
+        mesh, found = body_surface(cloud, options.surface)
+        marks = SurfaceMarks(found.cuts + origin, found.bridges + origin)
+    yield (seen := replace(seen, mesh=replace(mesh, vertices=mesh.vertices + origin), marks=marks))
+    final = remesh(mesh, options.remesh)
+    yield replace(seen, mesh=replace(final, vertices=final.vertices + origin))
+    if wrong := defects(final):
+        raise DegenerateMeshError(f"the surface must be a closed manifold, it has defects: {wrong}")
 
 
 def process(scan: object, options: PipelineOptions) -> Shape:
     """Surface and spectrum of one scan."""
     mesh = reconstruct(scan, options)
-    with _placed(scan):
+    with placed(scan):
         started = time.perf_counter()
         area = mesh.area
         # Unit area first: the reduced matrix scales as length⁴, and fixed tolerances should mean one thing.
@@ -162,7 +224,7 @@ def _moved(cloud: PointCloud, by: FloatArray) -> PointCloud:
 
 
 @contextmanager
-def _placed(scan: object) -> Iterator[None]:
+def placed(scan: object) -> Iterator[None]:
     """Errors of a stage, with the scan that they happened to; whatever it is, the next scan can go on."""
     name = Path(scan).name if isinstance(scan, (str, Path)) else None
     try:

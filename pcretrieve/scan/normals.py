@@ -7,27 +7,35 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pcretrieve.adapters import open3d
 from pcretrieve.errors import ReconstructionError
 from pcretrieve.options import ScanOptions
+from pcretrieve.scan.outside import Outside, flood, spacing
 from pcretrieve.types import FloatArray, PointCloud, Step
 
 __all__ = ["oriented_normals"]
 
-# The flood decides a point by probing along its normal at these distances, in cells beyond the wall.
-PROBES = (0.5, 1.0, 1.5, 2.0, 3.0)
+# Neighbours whose own direction leans less than this towards a point's are on the other side of a thin part.
+SAME_SIDE = 0.2
 
-# Cells that a wall is thickened by, on either side of the points, in the first try. A hole narrower than
-# 2 · WALL + 1 cells is closed by it.
-WALL = 2
+# Neighbours count by a Gaussian of their distance, this wide relative to the farthest.
+NEIGHBOR_SPREAD = 0.7
+
+# Points this far below the outside say nothing about whether the flood leaked; cells.
+SHOWN = 4.0
+
+# Least cell of the flood; spacings of the points. Its walls must be tight.
+FLOOD_CELL = 1.3
+
+# How much wider a gap is kept shut at each try.
+WIDER = 1.4
 
 # Share of neighbouring normals that must agree on a side. Over 26 scans of TOSCA a tight flood reaches .995
 # to .999, one that leaked inside .75 to .89.
 LEAST_AGREEMENT = 0.95
 
-# Decided neighbours whose normals an undecided point follows.
+# Neighbours that are asked whether they agree.
 VOTERS = 8
 
 
@@ -56,78 +64,90 @@ def oriented_normals(cloud: PointCloud, options: ScanOptions) -> PointCloud:
         return cloud.after(
             Step("orient", time.perf_counter() - started, {}, ("used the file's own normals",))
         )
-    normals = open3d.estimate_normals(cloud.points, n_neighbors=options.normal_neighbors)
-    oriented, notes = ORIENTATIONS[method](cloud, normals, options)
-    step = Step("orient", time.perf_counter() - started, {"points": len(normals)}, notes)
+    oriented, notes = ORIENTATIONS[method](cloud, options)
+    step = Step("orient", time.perf_counter() - started, {"points": len(oriented)}, notes)
     return replace(cloud, normals=oriented).after(step)
 
 
-def _by_viewpoint(
-    cloud: PointCloud, normals: FloatArray, options: ScanOptions
-) -> tuple[FloatArray, tuple[str, ...]]:
-    """A sensor sees outsides only."""
+def _by_viewpoint(cloud: PointCloud, options: ScanOptions) -> tuple[FloatArray, tuple[str, ...]]:
+    """A sensor sees outsides only; where it looks along the surface, the flood tells the sides apart."""
     if cloud.viewpoints is None:
         raise ReconstructionError(
             "scan.orientation 'viewpoint' needs sensor positions, this scan has none: take 'auto'",
             stage="orient",
         )
-    towards = np.einsum("ij,ij->i", normals, cloud.viewpoints - cloud.points)  # (n,)
-    return np.where(towards[:, None] < 0, -normals, normals), ()
+    towards = _unit(cloud.viewpoints - cloud.points)
+    outside, _, notes = _tight_flood(cloud, options)
+    if outside is not None:
+        towards = _unit(towards + outside.direction_at(cloud.points))
+    return _guided_normals(cloud.points, towards, options), notes
 
 
-def _by_tangent_planes(
-    cloud: PointCloud, normals: FloatArray, options: ScanOptions
-) -> tuple[FloatArray, tuple[str, ...]]:
+def _by_tangent_planes(cloud: PointCloud, options: ScanOptions) -> tuple[FloatArray, tuple[str, ...]]:
+    normals = open3d.estimate_normals(cloud.points, n_neighbors=options.normal_neighbors)
     oriented = open3d.orient_by_tangent_planes(cloud.points, normals, n_neighbors=options.normal_neighbors)
     # The spanning tree starts at the highest point, whose normal must look up.
     top = cloud.points[:, 2].argmax()
     return (-oriented if oriented[top, 2] < 0 else oriented), ()
 
 
-def _by_flood(
-    cloud: PointCloud, normals: FloatArray, options: ScanOptions
-) -> tuple[FloatArray, tuple[str, ...]]:
-    """Flood the outside from a corner; turn each normal towards the wet side.
+def _by_flood(cloud: PointCloud, options: ScanOptions) -> tuple[FloatArray, tuple[str, ...]]:
+    """Each normal looks where the outside is nearest; where no flood is tight, tangent planes decide."""
+    _, oriented, notes = _tight_flood(cloud, options)
+    if oriented is None:
+        oriented, _ = _by_tangent_planes(cloud, options)
+        notes = (*notes, "tangent planes decided which side is outside")
+    return oriented, notes
 
-    A hole wider than the wall lets the flood inside, which shows: front and back are both wet, and
-    neighbours disagree. Then the wall is thickened and the flood tried again; where no wall holds, tangent
-    planes decide.
+
+def _tight_flood(
+    cloud: PointCloud, options: ScanOptions
+) -> tuple[Outside | None, FloatArray | None, tuple[str, ...]]:
+    """Flood the outside from a corner, shutting wider and wider gaps until it does not leak inside.
+
+    A leak shows in the normals that follow from it, (n, 3): neighbours disagree.
     """
-    cell = options.flood_cell * cloud.diagonal
+    cell = max(options.flood_cell * cloud.diagonal, FLOOD_CELL * spacing(cloud.points))
+    gap = options.flood_gap
     for attempt in range(options.flood_retries + 1):
-        wall = WALL + attempt
-        score = _flood_score(cloud.points, normals, cell=cell, wall=wall)  # (n,)
-        decided = score != 0
-        oriented = normals * np.sign(score)[:, None]
-        if decided.sum() > VOTERS and _agreement(cloud.points[decided], oriented[decided]) >= LEAST_AGREEMENT:
-            if not decided.all():
-                oriented[~decided] = _follow(cloud.points, normals, oriented, decided)
-            return oriented, (f"flood leaked; thickened its walls to {wall} cells",) if attempt else ()
-    oriented, _ = _by_tangent_planes(cloud, normals, options)
-    return oriented, (f"flood leaked through every wall up to {wall} cells; tangent planes decided instead",)
+        gap = options.flood_gap * WIDER**attempt
+        outside = flood(cloud.points, cell=cell, gap=gap * cloud.diagonal)
+        oriented = _guided_normals(cloud.points, outside.direction_at(cloud.points), options)
+        shown = outside.depth_at(cloud.points) < SHOWN
+        if shown.sum() > VOTERS and _agreement(cloud.points[shown], oriented[shown]) >= LEAST_AGREEMENT:
+            note = f"the flood leaked; gaps up to {gap:.3f} of the diagonal were shut"
+            return outside, oriented, (note,) if attempt else ()
+    return None, None, (f"the flood leaked with gaps up to {gap:.3f} of the diagonal shut",)
 
 
-def _flood_score(points: FloatArray, normals: FloatArray, *, cell: float, wall: int) -> FloatArray:
-    """(n,) wet probes in front of each point minus wet probes behind it."""
-    from scipy import ndimage
+def _unit(vectors: FloatArray) -> FloatArray:
+    """(n, 3) vectors of length one; zero stays zero."""
+    length = np.linalg.norm(vectors, axis=1, keepdims=True)
+    return np.asarray(vectors / np.where(length > 0, length, 1))
 
-    margin = wall + int(np.ceil(max(PROBES))) + 2  # so that no probe leaves the grid and the corner is wet
-    origin = points.min(axis=0) - margin * cell
-    shape = np.ceil(np.ptp(points, axis=0) / cell).astype(int) + 2 * margin + 1
 
-    def cells(positions: FloatArray) -> tuple[NDArray[np.intp], ...]:
-        return tuple(((positions - origin) / cell).astype(np.intp).T)
+def _guided_normals(points: FloatArray, guide: FloatArray, options: ScanOptions) -> FloatArray:
+    """(n, 3) unit normals of the best plane through those neighbours that lie on the same side of the body.
 
-    dry = np.zeros(shape, dtype=bool)
-    dry[cells(points)] = True
-    dry = ndimage.binary_dilation(dry, np.ones((3, 3, 3), dtype=bool), iterations=wall)
-    basins, _ = ndimage.label(~dry)
-    wet = basins == basins[0, 0, 0]
-    score = np.zeros(len(points))
-    for probe in PROBES:
-        reach = (wall + probe) * cell * normals
-        score += wet[cells(points + reach)].astype(float) - wet[cells(points - reach)]
-    return score
+    Ears, fingers and tails are thinner than a neighbourhood is wide: with the points of both sides in it, a
+    plane stands askew. Neighbours count as far as their guide, a rough (n, 3) direction to the outside,
+    agrees with the point's own; each normal takes the sign of its guide.
+    """
+    from scipy.spatial import cKDTree
+
+    k = min(options.normal_neighbors, len(points))
+    found = cKDTree(points).query(points, k=k)
+    distance, near = np.asarray(found[0]), np.asarray(found[1])  # (n, k)
+    agreement = np.einsum("ij,ikj->ik", guide, guide[near])
+    weight = np.clip((agreement - SAME_SIDE) / (1 - SAME_SIDE), 0, 1)
+    weight[~guide.any(axis=1)] = 1
+    weight *= np.exp(-((distance / (NEIGHBOR_SPREAD * distance[:, -1:] + np.finfo(float).tiny)) ** 2))
+    neighbors = points[near]  # (n, k, 3)
+    middle = np.einsum("nk,nkd->nd", weight, neighbors) / weight.sum(axis=1, keepdims=True)
+    apart = neighbors - middle[:, None]
+    _, axes = np.linalg.eigh(np.einsum("nk,nki,nkj->nij", weight, apart, apart, optimize=True))
+    normals = axes[:, :, 0]
+    return np.asarray(np.where(np.einsum("ij,ij->i", normals, guide)[:, None] < 0, -normals, normals))
 
 
 def _agreement(points: FloatArray, oriented: FloatArray) -> float:
@@ -140,19 +160,7 @@ def _agreement(points: FloatArray, oriented: FloatArray) -> float:
     return float((cosines > 0).mean())
 
 
-def _follow(
-    points: FloatArray, normals: FloatArray, oriented: FloatArray, decided: NDArray[np.bool_]
-) -> FloatArray:
-    """Normals of the undecided points, on the side that their decided neighbours take."""
-    from scipy.spatial import cKDTree
-
-    _, nearest = cKDTree(points[decided]).query(points[~decided], k=min(VOTERS, int(decided.sum())))
-    votes: FloatArray = oriented[decided][nearest].sum(axis=1)  # (u, 3)
-    agreement = np.einsum("ij,ij->i", normals[~decided], votes)
-    return np.where(agreement[:, None] < 0, -normals[~decided], normals[~decided])
-
-
-Orientation = Callable[[PointCloud, FloatArray, ScanOptions], tuple[FloatArray, tuple[str, ...]]]
+Orientation = Callable[[PointCloud, ScanOptions], tuple[FloatArray, tuple[str, ...]]]
 
 ORIENTATIONS: dict[str, Orientation] = {
     "viewpoint": _by_viewpoint,

@@ -1,5 +1,6 @@
-"""Points → closed surface: Poisson reconstruction, remeshing, topology."""
+"""Points → closed surface: reconstruction, remeshing, topology."""
 
+from pcretrieve.surface.body import SurfaceMarks, body_surface
 from pcretrieve.surface.reconstruct import poisson_surface, sampled, sound_mesh
 from pcretrieve.surface.remesh import remesh
 from pcretrieve.surface.repair import repaired
@@ -8,6 +9,8 @@ from pcretrieve.surface.write import write_mesh
 
 __all__ = [
     "Defects",
+    "SurfaceMarks",
+    "body_surface",
     "defects",
     "poisson_surface",
     "remesh",

@@ -1,0 +1,383 @@
+"""Surface → the same surface with fewer faces, compiled."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from pcretrieve.errors import DegenerateMeshError
+from pcretrieve.surface.topology import compact
+from pcretrieve.types import FloatArray, IntArray, TriangleMesh
+
+__all__ = ["simplified"]
+
+# What a square of a distance along the surface costs beside one off it. Less follows creases more closely,
+# more gives more even faces.
+EVENNESS = 0.02
+
+# A vertex whose faces are all flat weighs this share of the mean, so that every two have one best place.
+LEAST_WEIGHT = 1e-6
+
+# A face must not turn further than this in one step: the cosine.
+LEAST_COSINE = 0.8
+
+# A face may become as poor as this (1 is equilateral, 0 is flat), or as the poorest it stands in for.
+LEAST_QUALITY = 0.5
+
+Keys = NDArray[np.int64]
+
+
+def simplified(mesh: TriangleMesh, n_faces: int) -> TriangleMesh:
+    """The surface with at most `n_faces` faces, and the same topology.
+
+    Edges are collapsed [1]_ where that keeps the link condition [2]_, so that the Euler characteristic,
+    manifoldness and orientation of every component stay, and no face turns over or becomes a sliver; the
+    surface keeps more faces than asked for where no such edge is left. The cheapest edge goes first, to the
+    place x where
+
+        Σ A_f/3 ((n_f · (x − p_f))² + EVENNESS |x − p_f|²)
+
+    over the corners p_f, with their faces f of normal n_f and area A_f, of all that was drawn together there
+    is least. The second term makes the faces even. Faces and numbering do not depend on the unit of length.
+
+    Parameters
+    ----------
+    mesh : TriangleMesh
+        Closed, manifold and oriented; of any number of components.
+    n_faces : int
+
+    Raises
+    ------
+    DegenerateMeshError
+        If an edge is not in exactly two faces that agree on its sides, a vertex has more than one fan, or no
+        face has an area.
+
+    References
+    ----------
+    .. [1] Garland and Heckbert, "Surface simplification using quadric error metrics", SIGGRAPH 1997.
+    .. [2] Dey, Edelsbrunner, Guha and Nekhayev, "Topology preserving edge contraction", Publications de
+       l'Institut Mathématique 66, 1999.
+    """
+    vertices, corners = mesh.vertices.copy(), mesh.faces.flatten()  # (n, 3), (3m,): changed on the way
+    twin, n_bad = _twins(corners, len(vertices))
+    if n_bad:
+        raise DegenerateMeshError(
+            "a surface must be closed, manifold and oriented to be simplified, this one is not at "
+            f"{n_bad} half-edges or vertices; repair it first"
+        )
+    quadrics, area = _quadrics(vertices, corners)
+    if not area > 0:
+        raise DegenerateMeshError(f"no face of {len(mesh.faces)} has an area")
+    faces = _collapsed(vertices, corners, twin, quadrics / area, area, n_faces)
+    return compact(vertices, faces)
+
+
+# Half-edge 3 f + k runs from corner k of face f to the next one, as in `edges`.
+
+
+@njit(cache=True)
+def _next(h: int) -> int:
+    return h - 2 if h % 3 == 2 else h + 1
+
+
+@njit(cache=True)
+def _previous(h: int) -> int:
+    return h + 2 if h % 3 == 0 else h - 1
+
+
+@njit(cache=True)
+def _twins(corners: IntArray, n_vertices: int) -> tuple[IntArray, int]:
+    """(3m,) the half-edge that runs back along each; how many have not exactly one, or how many vertices not
+    exactly one fan."""
+    starts = np.zeros(n_vertices + 1, dtype=np.int32)
+    for v in corners:
+        starts[v + 1] += 1
+    starts = np.cumsum(starts)
+    fill = starts[:-1].copy()
+    leaving = np.empty(len(corners), dtype=np.int32)  # half-edges by the vertex that they leave
+    for h in range(len(corners)):
+        leaving[fill[corners[h]]] = h
+        fill[corners[h]] += 1
+    twin = np.full(len(corners), -1, dtype=np.int32)
+    n_bad = 0
+    for h in range(len(corners)):
+        tail, head = corners[h], corners[_next(h)]
+        n_back, n_along = 0, 0
+        for g in leaving[starts[head] : starts[head + 1]]:
+            if corners[_next(g)] == tail:
+                twin[h] = g
+                n_back += 1
+        for g in leaving[starts[tail] : starts[tail + 1]]:
+            n_along += corners[_next(g)] == head
+        n_bad += tail == head or n_back != 1 or n_along != 1
+    if n_bad:
+        return twin, n_bad
+    for v in range(n_vertices):
+        n_around = starts[v + 1] - starts[v]
+        if n_around:
+            first = leaving[starts[v]]
+            h = twin[_previous(first)]
+            n_fan = 1
+            while h != first:
+                h = twin[_previous(h)]
+                n_fan += 1
+            n_bad += n_fan != n_around
+    return twin, n_bad
+
+
+@njit(cache=True)
+def _quadrics(vertices: FloatArray, corners: IntArray) -> tuple[FloatArray, float]:
+    """(n, 6) for each vertex Σ A_f/3 (n_f n_fᵀ + EVENNESS I), as xx, yy, zz, xy, xz, yz; and the area."""
+    quadrics = np.zeros((len(vertices), 6))
+    area = 0.0
+    for f in range(0, len(corners), 3):
+        x, y, z, double = _normal(vertices[corners[f]], vertices[corners[f + 1]], vertices[corners[f + 2]])
+        area += double / 2
+        even = EVENNESS * double / 6
+        steep = 1 / (6 * double) if double > 0 else 0.0  # the normal above is `double` long
+        for v in corners[f : f + 3]:
+            q = quadrics[v]
+            q[0] += steep * x * x + even
+            q[1] += steep * y * y + even
+            q[2] += steep * z * z + even
+            q[3] += steep * x * y
+            q[4] += steep * x * z
+            q[5] += steep * y * z
+    quadrics[:, :3] += LEAST_WEIGHT * EVENNESS * area / len(vertices)
+    return quadrics, area
+
+
+@njit(cache=True)
+def _normal(a: FloatArray, b: FloatArray, c: FloatArray) -> tuple[float, float, float, float]:
+    """Normal of a triangle, as long as twice its area, and that length."""
+    ux, uy, uz = b[0] - a[0], b[1] - a[1], b[2] - a[2]
+    vx, vy, vz = c[0] - a[0], c[1] - a[1], c[2] - a[2]
+    x, y, z = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
+    return x, y, z, np.sqrt(x * x + y * y + z * z)
+
+
+@njit(cache=True)
+def _times(q: FloatArray, x: float, y: float, z: float) -> tuple[float, float, float]:
+    return (
+        q[0] * x + q[3] * y + q[4] * z,
+        q[3] * x + q[1] * y + q[5] * z,
+        q[4] * x + q[5] * y + q[2] * z,
+    )
+
+
+@njit(cache=True)
+def _meeting(vertices: FloatArray, quadrics: FloatArray, u: int, v: int, place: FloatArray) -> float:
+    """Write the best `place` for two vertices as one; what the move there costs.
+
+    Each vertex stands where its own quadric is least, so that a move by y costs yᵀ Q y more, and the place
+    solves Q_u (x − u) + Q_v (x − v) = 0.
+    """
+    p, q = quadrics[u], quadrics[v]
+    dx = vertices[v, 0] - vertices[u, 0]
+    dy = vertices[v, 1] - vertices[u, 1]
+    dz = vertices[v, 2] - vertices[u, 2]
+    bx, by, bz = _times(q, dx, dy, dz)
+    xx, yy, zz = p[0] + q[0], p[1] + q[1], p[2] + q[2]
+    xy, xz, yz = p[3] + q[3], p[4] + q[4], p[5] + q[5]
+    # The inverse of a symmetric 3 x 3 matrix by its cofactors.
+    cxx, cxy, cxz = yy * zz - yz * yz, xz * yz - xy * zz, xy * yz - xz * yy
+    cyy, cyz, czz = xx * zz - xz * xz, xy * xz - xx * yz, xx * yy - xy * xy
+    determinant = xx * cxx + xy * cxy + xz * cxz
+    x = (cxx * bx + cxy * by + cxz * bz) / determinant
+    y = (cxy * bx + cyy * by + cyz * bz) / determinant
+    z = (cxz * bx + cyz * by + czz * bz) / determinant
+    place[0], place[1], place[2] = vertices[u, 0] + x, vertices[u, 1] + y, vertices[u, 2] + z
+    px, py, pz = _times(p, x, y, z)
+    qx, qy, qz = _times(q, dx - x, dy - y, dz - z)
+    return float(x * px + y * py + z * pz + (dx - x) * qx + (dy - y) * qy + (dz - z) * qz)
+
+
+@njit(cache=True)
+def _key(cost: float, edge: int) -> int:
+    """Sorts by cost, in single precision, then by number.
+
+    Costs that are equal but for the last digits of a double are equal: rounding does not choose among them.
+    """
+    return int(np.int64(np.float32(cost).view(np.int32)) << 32 | edge)
+
+
+@njit(cache=True)
+def _sink(heap: Keys, size: int, at: int) -> None:
+    key = heap[at]
+    while True:
+        child = 2 * at + 1
+        if child >= size:
+            break
+        if child + 1 < size and heap[child + 1] < heap[child]:
+            child += 1
+        if heap[child] >= key:
+            break
+        heap[at] = heap[child]
+        at = child
+    heap[at] = key
+
+
+@njit(cache=True)
+def _rise(heap: Keys, at: int) -> None:
+    key = heap[at]
+    while at > 0 and heap[(at - 1) // 2] > key:
+        heap[at] = heap[(at - 1) // 2]
+        at = (at - 1) // 2
+    heap[at] = key
+
+
+@njit(cache=True)
+def _keeps_shape(vertices: FloatArray, corners: IntArray, twin: IntArray, h: int, place: FloatArray) -> bool:
+    """Whether no face turns over, or becomes a sliver, as the two ends of a half-edge move to one place."""
+    poorest_before, poorest = np.inf, np.inf
+    for start in (h, twin[h]):
+        old = vertices[corners[start]]
+        g = start
+        while True:
+            b, c = vertices[corners[_next(g)]], vertices[corners[_previous(g)]]
+            ox, oy, oz, before = _normal(old, b, c)
+            poorest_before = min(poorest_before, _quality(old, b, c, before))
+            following = twin[_previous(g)]
+            if following == start:
+                break
+            if g != start:  # the first and the last face around each end vanish
+                nx, ny, nz, after = _normal(place, b, c)
+                if ox * nx + oy * ny + oz * nz < LEAST_COSINE * before * after:
+                    return False
+                poorest = min(poorest, _quality(place, b, c, after))
+            g = following
+    return poorest >= min(poorest_before, LEAST_QUALITY)
+
+
+@njit(cache=True)
+def _quality(a: FloatArray, b: FloatArray, c: FloatArray, double: float) -> float:
+    """4√3 area over the sum of the squared sides of a triangle, of twice the area `double`."""
+    squares = 0.0
+    for k in range(3):
+        squares += (a[k] - b[k]) ** 2 + (b[k] - c[k]) ** 2 + (c[k] - a[k]) ** 2
+    return 2 * np.sqrt(3) * double / squares if squares > 0 else 0.0
+
+
+@njit(cache=True)
+def _keeps_topology(corners: IntArray, twin: IntArray, h: int, mark: IntArray, label: int) -> bool:
+    """The link condition: the ends share two neighbours, and are not on a tetrahedron."""
+    n_u, g = 0, h
+    while n_u == 0 or g != h:
+        mark[corners[_next(g)]] = label
+        n_u += 1
+        g = twin[_previous(g)]
+    n_v, n_shared, g = 0, 0, twin[h]
+    while n_v == 0 or g != twin[h]:
+        n_shared += mark[corners[_next(g)]] == label
+        n_v += 1
+        g = twin[_previous(g)]
+    return n_shared == 2 and n_u + n_v > 6
+
+
+@njit(cache=True)
+def _merge(corners: IntArray, twin: IntArray, edge: IntArray, half: IntArray, h: int) -> int:
+    """Give the corners at the head of a half-edge to its tail and take out both its faces.
+
+    Returns
+    -------
+    int
+        A half-edge that leaves the tail and is still there.
+    """
+    g, tail = twin[h], corners[h]
+    while corners[g] != tail:
+        corners[g] = tail
+        g = twin[_previous(g)]
+    half[edge[h]] = -1
+    stays = h
+    for gone in (h, twin[h]):
+        a, b = twin[_next(gone)], twin[_previous(gone)]
+        half[edge[a]] = -1
+        twin[a], twin[b] = b, a
+        edge[a] = edge[b]
+        half[edge[b]] = b
+        corners[gone - gone % 3] = -1
+        stays = b
+    return stays
+
+
+@njit(cache=True)
+def _collapsed(
+    vertices: FloatArray,
+    corners: IntArray,
+    twin: IntArray,
+    quadrics: FloatArray,
+    area: float,
+    n_faces: int,
+) -> IntArray:
+    """The (m, 3) faces that are left; moves the vertices."""
+    spent = np.zeros(len(vertices))  # the quadric of each vertex where it stands
+    moved = np.zeros(len(vertices), dtype=np.int32)  # the step in which it came there
+    mark = np.zeros(len(vertices), dtype=np.int32)
+    place = np.empty(3)
+    edge = np.empty(len(corners), dtype=np.int32)  # of each half-edge
+    half = np.empty(len(corners) // 2, dtype=np.int32)  # a half-edge of each edge; -1 once it is gone
+    known = np.zeros(len(half), dtype=np.int32)  # the step in which its cost was found
+    queued = np.ones(len(half), dtype=np.bool_)
+    heap = np.empty(len(half), dtype=np.int64)
+    size = 0
+    for h in range(len(corners)):
+        if h < twin[h]:
+            edge[h] = edge[twin[h]] = size
+            half[size] = h
+            cost = _meeting(vertices, quadrics, corners[h], corners[twin[h]], place)
+            heap[size] = _key(cost / area, size)
+            size += 1
+    for at in range(size // 2 - 1, -1, -1):
+        _sink(heap, size, at)
+
+    n_left, step, label = len(corners) // 3, 0, 0
+    while n_left > n_faces and size > 0:
+        e = heap[0] & 0x7FFFFFFF
+        h = half[e]
+        if h >= 0:
+            u, v = corners[h], corners[twin[h]]
+            cost = _meeting(vertices, quadrics, u, v, place) + spent[u] + spent[v]
+            if max(moved[u], moved[v]) > known[e]:
+                # Costs only grow: of all edges the cheapest is one that is first and known.
+                known[e] = step
+                heap[0] = _key(cost / area, e)
+                _sink(heap, size, 0)
+                continue
+        size -= 1
+        heap[0] = heap[size]
+        _sink(heap, size, 0)
+        queued[e] = False
+        label += 1
+        if (
+            h < 0
+            or not _keeps_topology(corners, twin, h, mark, label)
+            or not _keeps_shape(vertices, corners, twin, h, place)
+        ):
+            continue
+        step += 1
+        n_left -= 2
+        vertices[u] = place
+        quadrics[u] += quadrics[v]
+        spent[u] = cost
+        moved[u] = step
+        start = _merge(corners, twin, edge, half, h)
+        # What was refused around here may be possible now. It comes next: it was cheaper than all that is
+        # left, unless an end moved, and then its cost is found again.
+        g = start
+        while True:
+            k = twin[g]
+            while True:
+                if not queued[edge[k]]:
+                    queued[edge[k]] = True
+                    heap[size] = _key(0.0, edge[k])
+                    _rise(heap, size)
+                    size += 1
+                k = twin[_previous(k)]
+                if k == twin[g]:
+                    break
+            g = twin[_previous(g)]
+            if g == start:
+                break
+    left: IntArray = corners.reshape(-1, 3)[corners[::3] >= 0]
+    return left

@@ -1,0 +1,178 @@
+"""Points become the one body that they enclose, whatever its size, its holes and its contacts."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+import pytest
+import shapes
+
+from pcretrieve.errors import ReconstructionError
+from pcretrieve.options import ScanOptions, SurfaceOptions
+from pcretrieve.scan import oriented_normals
+from pcretrieve.scan.outside import spacing
+from pcretrieve.simulation import POSES, UniformOptions, body, make_subject, scan_uniformly
+from pcretrieve.surface import SurfaceMarks, body_surface, defects
+from pcretrieve.types import PointCloud, TriangleMesh
+
+# Of the limb of `limbed`.
+LIMB_RADIUS = 0.06
+
+
+@cache
+def cloud_of(name: str) -> PointCloud:
+    mesh = {
+        "ellipsoid": shapes.ellipsoid(),
+        "ball": shapes.icosphere(4),
+        "torus": shapes.torus(),
+        "body": shapes.body(),
+    }
+    return shapes.oriented_points_on(mesh[name], 8000, noise=0.0005)
+
+
+def limbed() -> PointCloud:
+    """An ellipsoid with a thin limb along x, from 0.9 to 2.7."""
+    trunk = shapes.ellipsoid()
+    rod = shapes.ellipsoid((1.0, LIMB_RADIUS, LIMB_RADIUS))
+    limb = TriangleMesh(rod.vertices + np.array([1.7, 0, 0]), rod.faces)
+    on_trunk = shapes.oriented_points_on(trunk, 8000)
+    on_limb = shapes.oriented_points_on(limb, round(8000 * limb.area / trunk.area))
+    clear = (((on_trunk.points - [1.7, 0, 0]) / [1, LIMB_RADIUS, LIMB_RADIUS]) ** 2).sum(axis=1) > 1
+    free = ((on_limb.points / [1, 0.7, 0.5]) ** 2).sum(axis=1) > 1
+    one, other = on_trunk.select(clear), on_limb.select(free)
+    assert one.normals is not None
+    assert other.normals is not None
+    return PointCloud(
+        np.concatenate([one.points, other.points]), normals=np.concatenate([one.normals, other.normals])
+    )
+
+
+@cache
+def person(pose: str) -> PointCloud:
+    mesh = body(make_subject("person", np.random.default_rng(3)), POSES["person"][pose])
+    options = UniformOptions(n_points=15_000, n_holes=0, stray_share=0)
+    return oriented_normals(scan_uniformly(mesh, options, np.random.default_rng(0)), ScanOptions())
+
+
+def surface(cloud: PointCloud, **options: object) -> tuple[TriangleMesh, SurfaceMarks]:
+    mesh, marks = body_surface(cloud, SurfaceOptions.model_validate(options))
+    assert not defects(mesh)
+    assert mesh.volume > 0
+    return mesh, marks
+
+
+@pytest.mark.parametrize(
+    ("name", "true"), [("ellipsoid", shapes.ellipsoid()), ("body", shapes.body())], ids=["ellipsoid", "body"]
+)
+def test_a_body_comes_back(name: str, true: TriangleMesh) -> None:
+    mesh, marks = surface(cloud_of(name))
+    assert mesh.euler_characteristic == 2
+    assert mesh.area == pytest.approx(true.area, rel=0.02)
+    assert mesh.volume == pytest.approx(true.volume, rel=0.02)
+    assert len(mesh.faces) <= SurfaceOptions().target_faces
+    assert not len(marks.cuts)
+    assert not len(marks.bridges)
+
+
+@pytest.mark.parametrize(
+    ("genus", "euler"), [("auto", 0), ("sphere", 2), ("free", 0), (0, 2), (1, 0)], ids=str
+)
+def test_a_torus_keeps_the_handles_asked_for(genus: str | int, euler: int) -> None:
+    mesh, marks = surface(cloud_of("torus"), genus=genus)
+    assert mesh.euler_characteristic == euler
+    assert mesh.volume == pytest.approx(shapes.torus().volume, rel=0.02)
+    if euler == 2:
+        cloud = cloud_of("torus")
+        cell = max(SurfaceOptions().cell * cloud.diagonal, spacing(cloud.points))
+        # One slice through the tube, a cell or two thick.
+        assert np.hypot(np.hypot(*marks.cuts.T[:2]) - 1, marks.cuts[:, 2]).max() < 0.4 + cell
+        assert 0.7 < len(marks.cuts) * cell**2 / (np.pi * 0.4**2) < 2
+    else:
+        assert not len(marks.cuts)
+
+
+def test_handles_that_are_not_there_are_not_made() -> None:
+    mesh, _ = surface(cloud_of("torus"), genus=2)
+    assert mesh.euler_characteristic == 0
+    assert mesh.provenance[-1].notes == ("only 1 of 2 handles were found",)
+
+
+@pytest.mark.parametrize("unit", [1e-3, 1e3])
+def test_the_unit_does_not_matter(unit: float) -> None:
+    here, _ = surface(cloud_of("body"))
+    cloud = cloud_of("body")
+    there, _ = surface(PointCloud(unit * cloud.points, normals=cloud.normals))
+    assert there.euler_characteristic == here.euler_characteristic
+    assert there.area == pytest.approx(unit**2 * here.area, rel=1e-3)
+    assert there.volume == pytest.approx(unit**3 * here.volume, rel=1e-3)
+
+
+def test_the_answer_is_the_same_each_time() -> None:
+    first, second = surface(cloud_of("ellipsoid"))[0], surface(cloud_of("ellipsoid"))[0]
+    np.testing.assert_array_equal(first.faces, second.faces)
+    np.testing.assert_array_equal(first.vertices, second.vertices)
+
+
+@pytest.mark.parametrize("height", [0.495, 0.48])
+def test_a_hole_is_closed(height: float) -> None:
+    """Narrower than the gap of the flood, and five times as wide."""
+    cloud = cloud_of("ellipsoid")
+    mesh, _ = surface(cloud.select(cloud.points[:, 2] < height))
+    true = shapes.ellipsoid()
+    assert mesh.euler_characteristic == 2
+    assert mesh.area == pytest.approx(true.area, rel=0.02)
+    assert mesh.volume == pytest.approx(true.volume, rel=0.02)
+    assert mesh.provenance[-1].sizes["invented"] > 0
+
+
+def test_a_limb_that_a_hole_cuts_in_two_is_bridged() -> None:
+    whole = limbed()
+    away = np.abs(whole.points[:, 0] - 1.8) > 0.1
+    mesh, marks = surface(whole.select(away))
+    assert mesh.euler_characteristic == 2
+    assert len(marks.bridges)
+    assert (np.abs(marks.bridges[:, 0] - 1.8) < 0.15).all()
+    assert np.hypot(marks.bridges[:, 1], marks.bridges[:, 2]).max() < 2 * LIMB_RADIUS
+    assert mesh.vertices[:, 0].max() == pytest.approx(2.7, abs=0.05)
+    assert "joined a piece with 3" in mesh.provenance[-1].notes[0]
+    assert mesh.area == pytest.approx(surface(whole)[0].area, rel=0.02)
+
+
+def test_without_bridges_the_piece_is_dropped_and_said_so() -> None:
+    whole = limbed()
+    mesh, marks = surface(whole.select(np.abs(whole.points[:, 0] - 1.8) > 0.1), bridge=0.0)
+    assert not len(marks.bridges)
+    assert mesh.vertices[:, 0].max() < 1.8
+    assert "dropped a piece with 3" in mesh.provenance[-1].notes[0]
+
+
+@pytest.mark.parametrize("pose", ["hands_on_hips", "attention", "legs_crossed"])
+def test_limbs_that_touch_are_cut_apart(pose: str) -> None:
+    mesh, marks = surface(person(pose))
+    assert mesh.euler_characteristic == 2
+    assert 0 < len(marks.cuts) < 0.01 * mesh.provenance[-1].sizes["cells"]
+    free, _ = surface(person(pose), genus="free")
+    assert free.euler_characteristic < 0
+
+
+def test_two_bodies_are_refused() -> None:
+    ball = shapes.icosphere(3, 0.6)
+    two = shapes.joined(shapes.icosphere(3), TriangleMesh(ball.vertices + np.array([3, 0, 0]), ball.faces))
+    message = r"two bodies or more: a second piece has 2\d% of the points; cut them apart, or raise"
+    with pytest.raises(ReconstructionError, match=message):
+        surface(shapes.oriented_points_on(two, 8000))
+    mesh, _ = surface(shapes.oriented_points_on(two, 8000), max_discarded=0.3)
+    assert mesh.volume == pytest.approx(shapes.icosphere(3).volume, rel=0.02)
+
+
+@pytest.mark.parametrize("name", ["ball", "ellipsoid", "body"])
+def test_a_scan_of_one_side_is_refused(name: str) -> None:
+    cloud = cloud_of(name)
+    with pytest.raises(ReconstructionError, match="the points must surround a body"):
+        surface(cloud.select(cloud.points[:, 2] > 0))
+
+
+def test_points_without_normals_are_refused() -> None:
+    with pytest.raises(ReconstructionError, match="needs points with normals, these have none"):
+        body_surface(PointCloud(cloud_of("ball").points), SurfaceOptions())

@@ -1,0 +1,137 @@
+"""Whatever the cells are, their surface is a closed manifold with the topology of the cells."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from pcretrieve.surface import defects
+from pcretrieve.surface.marching import crossed, marched
+from pcretrieve.surface.topology import Defects
+from pcretrieve.types import FloatArray, TriangleMesh
+
+Mask = NDArray[np.bool_]
+
+SOUND = Defects(0, 0, 0, 0, 0, 1)
+
+
+def random_cells(share: float, seed: int, n: int = 14) -> Mask:
+    return np.pad(np.random.default_rng(seed).random((n, n, n)) < share, 1)
+
+
+def surface(body: Mask, crossings: FloatArray | None = None) -> TriangleMesh:
+    given = np.full((3, *body.shape), 0.5) if crossings is None else crossings
+    return TriangleMesh(*marched(body, given))
+
+
+def digital_euler(body: Mask) -> int:
+    """Of cells connected through their faces: cells − pairs + squares of four − cubes of eight."""
+    total = 0
+    for along in np.ndindex(2, 2, 2):
+        cells = body
+        for axis in np.flatnonzero(along):
+            cells = np.logical_and(*(np.delete(cells, end, axis=axis) for end in (0, -1)))
+        total += (-1) ** sum(along) * int(cells.sum())
+    return total
+
+
+def ball(radius: float, n: int) -> tuple[Mask, FloatArray]:
+    """Cells of a ball about n / 2 − 0.3 on each axis, and where its sphere crosses the lines between them."""
+    at = np.moveaxis(np.indices((n, n, n)), 0, -1) - (n / 2 - 0.3)
+    level = (at**2).sum(axis=-1) - radius**2
+    crossings = np.full((3, n, n, n), 0.5)
+    for axis in range(3):
+        # The root in [0, 1] of |x + t e|² = r².
+        here = at[..., axis]
+        root = np.sqrt(np.maximum(here**2 - level, 0))
+        crossings[axis] = np.where(level < 0, -here + root, -here - root)
+    return level < 0, crossings
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("share", [0.15, 0.5, 0.85])
+def test_any_set_of_cells_has_a_closed_manifold_surface(share: float, seed: int) -> None:
+    body = random_cells(share, seed)
+    crossings = np.random.default_rng(seed).uniform(0.02, 0.98, (3, *body.shape))
+    mesh = surface(body, crossings)
+    assert replace(defects(mesh), components=1) == SOUND
+    assert mesh.euler_characteristic == 2 * digital_euler(body)
+
+
+def test_each_of_the_256_cubes() -> None:
+    for case in range(1, 256):
+        cells = (case >> np.arange(8) & 1).astype(bool).reshape(2, 2, 2)
+        body = np.pad(cells, 1)
+        mesh = surface(body)
+        assert replace(defects(mesh), components=1) == SOUND, case
+        assert mesh.euler_characteristic == 2 * digital_euler(body), case
+        assert mesh.volume > 0, case
+
+
+def test_six_cells_round_a_diagonal_are_a_ring() -> None:
+    """The two cells that are missing see each other through the corner that they share."""
+    cells = np.ones((2, 2, 2), dtype=bool)
+    cells[0, 0, 0] = cells[1, 1, 1] = False
+    mesh = surface(np.pad(cells, 1))
+    assert not defects(mesh)
+    assert mesh.euler_characteristic == 0
+
+
+@pytest.mark.parametrize("offset", [(0, 1, 1), (1, 1, 1)])
+def test_cells_that_share_an_edge_or_a_corner_are_two_bodies(offset: tuple[int, int, int]) -> None:
+    cells = np.zeros((2, 2, 2), dtype=bool)
+    cells[0, 0, 0] = cells[offset] = True
+    assert defects(surface(np.pad(cells, 1))).components == 2
+
+
+@pytest.mark.parametrize("share", [0.15, 0.5, 0.85])
+def test_the_surface_looks_out_of_the_body_everywhere(share: float) -> None:
+    body = random_cells(share, 0)
+    mesh = surface(body)
+    a, b, c = (mesh.vertices[mesh.faces[:, k]] for k in range(3))
+    normals = np.zeros_like(mesh.vertices)
+    np.add.at(normals, mesh.faces, np.cross(b - a, c - a)[:, None])  # (n, 3), summed round each vertex
+    n = 0
+    for axis, at in enumerate(crossed(body)):
+        outwards = np.where(body[tuple(at.T)], 1, -1)
+        assert (outwards * normals[n : n + len(at), axis] > 0).all()
+        n += len(at)
+
+
+def test_a_box_has_its_volume_but_for_bevelled_edges() -> None:
+    a, b, c = np.array([4, 6, 9])
+    mesh = surface(np.pad(np.ones((a, b, c), dtype=bool), 1))
+    # Of each edge a prism is cut off, of each corner all but a tetrahedron; both half a cell wide.
+    edges = 4 * (a - 1 + b - 1 + c - 1) / 8
+    corners = 8 * (1 / 8 - 1 / 48)
+    assert mesh.volume == pytest.approx(a * b * c - edges - corners, rel=1e-12)
+    assert mesh.vertices.min() == 0.5
+    assert mesh.vertices.max() == c + 0.5
+
+
+def test_vertices_lie_where_the_surface_crosses() -> None:
+    body = random_cells(0.4, 1)
+    crossings = np.random.default_rng(2).random((3, *body.shape))
+    vertices, _ = marched(body, crossings)
+    n = 0
+    for axis, at in enumerate(crossed(body)):
+        expected = at.astype(np.float64)
+        expected[:, axis] += crossings[axis][tuple(at.T)]
+        np.testing.assert_array_equal(vertices[n : n + len(at)], expected)
+        n += len(at)
+    assert n > 1000
+
+
+def test_a_ball_converges_with_the_square_of_the_cell() -> None:
+    errors = []
+    for radius in (5.0, 10.0, 20.0):
+        body, crossings = ball(radius, int(2 * radius) + 6)
+        mesh = surface(body, crossings)
+        assert not defects(mesh)
+        errors.append(1 - mesh.volume / (4 / 3 * np.pi * radius**3))
+    assert errors[-1] == pytest.approx(0, abs=2e-3)
+    assert all(3 < coarse / fine < 5 for coarse, fine in pairwise(errors))
