@@ -9,6 +9,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from pcretrieve.batch.inspection import signature_spread
     from pcretrieve.batch.pipeline import reconstruct, signature
     from pcretrieve.catalogue import Catalogue
     from pcretrieve.options import PipelineOptions
@@ -34,6 +35,7 @@ __all__ = [
     "reconstruct",
     "shape_dna",
     "signature",
+    "signature_spread",
 ]
 
 _HOMES = {
@@ -49,6 +51,7 @@ _HOMES = {
     "reconstruct": "pcretrieve.batch.pipeline",
     "shape_dna": "pcretrieve.signatures",
     "signature": "pcretrieve.batch.pipeline",
+    "signature_spread": "pcretrieve.batch.inspection",
 }
 
 

@@ -14,7 +14,7 @@ import pytest
 
 import pcretrieve
 
-HEAVY = ("numpy", "scipy", "sklearn", "open3d", "pytetwild", "trimesh", "pydantic")
+HEAVY = ("numpy", "scipy", "sklearn", "numba", "open3d", "pytetwild", "trimesh", "pydantic")
 
 
 def modules() -> list[ModuleType]:
@@ -40,6 +40,7 @@ def test_all_is_what_the_documentation_promises() -> None:
         "reconstruct",
         "shape_dna",
         "signature",
+        "signature_spread",
     }
     assert dir(pcretrieve) == sorted(pcretrieve.__all__)
 

@@ -16,9 +16,9 @@ from pcretrieve.cli.parts import (
     config_option,
     failure_line,
     json_option,
+    load_options,
     say,
     surface_option,
-    with_surface,
     write_json,
 )
 
@@ -81,7 +81,6 @@ def ingest_command(
     from pcretrieve.batch.ingest import ingest
     from pcretrieve.batch.labels import read_labels
     from pcretrieve.catalogue import Catalogue
-    from pcretrieve.options import PipelineOptions
 
     if not paths:
         raise click.UsageError("name at least one scan")
@@ -90,7 +89,7 @@ def ingest_command(
     # Without options of its own, a run goes on with those that the catalogue was built with.
     options = None
     if config or surface:
-        options = with_surface(PipelineOptions.from_toml(config) if config else PipelineOptions(), surface)
+        options = load_options(config, surface)
     with (
         Catalogue(catalogue, options, create=True) as store,
         tqdm(total=len(scans), unit="scan", desc="ingest", disable=None) as bar,

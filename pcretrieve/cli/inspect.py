@@ -7,7 +7,15 @@ from pathlib import Path
 
 import click
 
-from pcretrieve.cli.parts import catalogue_option, config_option, json_option, say, step_lines, write_json
+from pcretrieve.cli.parts import (
+    catalogue_option,
+    config_option,
+    json_option,
+    load_options,
+    say,
+    step_lines,
+    write_json,
+)
 
 __all__ = ["export_command", "list_command", "options_command", "remove_command", "show_command"]
 
@@ -133,6 +141,6 @@ def options_command(config: Path | None) -> None:
     \b
     pcretrieve options > mine.toml
     """
-    from pcretrieve.options import PipelineOptions, describe_options
+    from pcretrieve.options import describe_options
 
-    click.echo(describe_options(PipelineOptions.from_toml(config) if config else PipelineOptions()))
+    click.echo(describe_options(load_options(config)))

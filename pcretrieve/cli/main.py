@@ -28,8 +28,10 @@ EXIT_SIGNAL = 128
 
 # Command → module and function, imported when the command is run or asked for its own help.
 COMMANDS = {
+    "merge": "merge",
     "reconstruct": "shapes",
     "signature": "shapes",
+    "inspect": "inspect_scan",
     "ingest": "collect",
     "query": "search",
     "evaluate": "search",

@@ -19,11 +19,11 @@ __all__ = [
     "distance_option",
     "failure_line",
     "json_option",
+    "load_options",
     "say",
     "step_lines",
     "surface_option",
     "whitening_option",
-    "with_surface",
     "write_json",
 ]
 
@@ -37,8 +37,9 @@ json_option = click.option("--json", "as_json", is_flag=True, help="Print one JS
 config_option = click.option(
     "--config",
     type=click.Path(path_type=Path),
-    metavar="TOML",
-    help="Pipeline options; `pcretrieve options` prints the defaults, each with its unit.",
+    metavar="TOML|PRESET",
+    help="Pipeline options: a file such as `pcretrieve options` prints, or one of body-scanner, handheld, "
+    "depth-camera, clean-mesh.",
 )
 surface_option = click.option(
     "--surface",
@@ -78,8 +79,16 @@ def failure_line(record: Record) -> str:
     return f"failed: [{record.id} / {record.stage}] {record.message}{file}"
 
 
-def with_surface(options: PipelineOptions, surface: str | None) -> PipelineOptions:
-    """The options, with ``--surface`` where it was given."""
+def load_options(config: Path | None, surface: str | None = None) -> PipelineOptions:
+    """The options that ``--config`` and ``--surface`` ask for."""
+    from pcretrieve.options import PRESETS, PipelineOptions
+
+    if config is None:
+        options = PipelineOptions()
+    elif str(config) in PRESETS and not config.exists():
+        options = PipelineOptions.preset(str(config))
+    else:
+        options = PipelineOptions.from_toml(config)
     return options if surface is None else options.changed(surface={"mode": surface})
 
 

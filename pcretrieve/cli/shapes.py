@@ -12,10 +12,10 @@ from pcretrieve.cli.parts import (
     config_option,
     failure_line,
     json_option,
+    load_options,
     say,
     step_lines,
     surface_option,
-    with_surface,
     write_json,
 )
 
@@ -45,12 +45,11 @@ def reconstruct_command(
     pcretrieve reconstruct scan.ply -o body.obj --report
     """
     from pcretrieve.batch.pipeline import reconstruct
-    from pcretrieve.options import PipelineOptions
     from pcretrieve.surface import write_mesh
 
     _check_output(output, scan)
-    options = PipelineOptions.from_toml(config) if config else PipelineOptions()
-    mesh = reconstruct(scan, with_surface(options, surface))
+    options = load_options(config, surface)
+    mesh = reconstruct(scan, options)
     write_mesh(mesh, output)
     facts = {
         "mesh": str(output),
@@ -101,12 +100,11 @@ def signature_command(
     from pcretrieve.batch.plan import failed
     from pcretrieve.catalogue import Record
     from pcretrieve.errors import ShapeError
-    from pcretrieve.options import PipelineOptions
     from pcretrieve.signatures import describe
 
     if not paths:
         raise click.UsageError("name at least one scan")
-    options = with_surface(PipelineOptions.from_toml(config) if config else PipelineOptions(), surface)
+    options = load_options(config, surface)
     chosen = {
         key: value for key, value in {"method": method, "n_values": n_values}.items() if value is not None
     }

@@ -23,7 +23,7 @@ from pcretrieve.errors import InputError
 from pcretrieve.evaluation.measures import PrecisionRecall, RetrievalMeasures
 from pcretrieve.types import Failure
 
-__all__ = ["Card", "Panel", "write_report"]
+__all__ = ["Card", "Panel", "template", "write_file", "write_report"]
 
 PNG_MAGIC = b"\x89PNG\r\n\x1a\n"
 
@@ -177,7 +177,7 @@ def write_report(
         Where the file cannot be written.
     """
     target = Path(path).absolute()
-    page = _template().render(
+    page = template().render(
         title=title,
         facts=facts,
         panels=panels,
@@ -188,7 +188,7 @@ def write_report(
         failures=failures,
     )
     # A file name may hold bytes that are no text; the page then shows a question mark.
-    _write(target, page.encode("utf-8", errors="replace"))
+    write_file(target, page.encode("utf-8", errors="replace"))
     return target
 
 
@@ -232,7 +232,8 @@ def _data_uri(picture: bytes) -> str:
 
 
 @cache
-def _template() -> Template:
+def template() -> Template:
+    """The page's template; its environment has those of the other pages."""
     environment = Environment(
         loader=PackageLoader("pcretrieve.evaluation", ""),
         autoescape=True,
@@ -245,7 +246,7 @@ def _template() -> Template:
     return environment.get_template("report.html")
 
 
-def _write(target: Path, page: bytes) -> None:
+def write_file(target: Path, page: bytes) -> None:
     """Beside the target first, then moved over it: nobody ever reads half a page."""
     draft = target.with_name(f".{target.name}.{os.getpid()}")
     try:

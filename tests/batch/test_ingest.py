@@ -263,9 +263,10 @@ def wait_for(condition: Callable[[], bool]) -> bool:
 def test_no_process_outlives_an_ingest(send: Callable[[int], None], code: int, tmp_path: Path) -> None:
     for number in range(4):
         write_ply(tmp_path / f"{number}.ply", shapes.points_on(shapes.body(3), 3000, seed=number))
+    (tmp_path / "options.toml").write_text("[remesh]\nmethod = 'tetwild'\n")
     command = [sys.executable, "-m", "pcretrieve", "ingest", tmp_path, "-c", tmp_path / "c.sqlite"]
     with subprocess.Popen(
-        [*map(str, command), "--workers", "2"],
+        [*map(str, command), "--workers", "2", "--config", str(tmp_path / "options.toml")],
         env=os.environ | {MARK: str(tmp_path)},
         stderr=subprocess.PIPE,
         text=True,

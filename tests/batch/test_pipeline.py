@@ -8,11 +8,9 @@ import numpy as np
 import pytest
 import shapes
 
-from pcretrieve import PipelineOptions, PointCloud, TriangleMesh, reconstruct, signature
+from pcretrieve import PointCloud, TriangleMesh, reconstruct, signature
 from pcretrieve.errors import InputError, ReconstructionError, ScanReadError
 
-# fTetWild is not deterministic, and not the point here.
-OPTIONS = PipelineOptions().changed(remesh={"method": "none"})
 POINTS = shapes.points_on(shapes.body(), 8000)
 
 
@@ -28,13 +26,11 @@ def test_a_mesh_has_one_signature_in_any_unit_and_place() -> None:
 def test_a_cloud_far_from_the_origin_is_the_same_body(shift: float) -> None:
     """As map coordinates are; Open3D's single precision alone would lose it, or crash."""
     cloud = PointCloud(POINTS, viewpoints=3 * POINTS)
-    here = reconstruct(cloud, OPTIONS)
-    there = reconstruct(PointCloud(POINTS + shift, viewpoints=3 * POINTS + shift), OPTIONS)
+    here = reconstruct(cloud)
+    there = reconstruct(PointCloud(POINTS + shift, viewpoints=3 * POINTS + shift))
     assert there.volume == pytest.approx(here.volume, rel=1e-3)
     np.testing.assert_allclose(there.vertices.mean(axis=0) - shift, here.vertices.mean(axis=0), atol=1e-3)
-    np.testing.assert_allclose(
-        np.log(signature(there, OPTIONS).values), np.log(signature(here, OPTIONS).values), atol=0.02
-    )
+    np.testing.assert_allclose(np.log(signature(there).values), np.log(signature(here).values), atol=0.02)
 
 
 def test_an_error_names_its_scan_and_its_stage(tmp_path: Path) -> None:

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 import shapes
 
-from pcretrieve import Catalogue, PipelineOptions, signature
+from pcretrieve import Catalogue, signature
 from pcretrieve.simulation import write_ply
 from pcretrieve.surface import write_mesh
 from pcretrieve.types import TriangleMesh
@@ -63,7 +63,8 @@ def test_a_shape_that_takes_too_long_is_given_up_and_the_others_are_not(tmp_path
     write_mesh(shapes.icosphere(3), tmp_path / "quick.off")
     # Millions of tetrahedra, under a limit of seconds that includes a worker's imports.
     (tmp_path / "fine.toml").write_text(
-        "[remesh]\noptimize = true\nedge_length = 0.002\nenvelope = 1e-5\ntimeout = 3600\n"
+        "[remesh]\nmethod = 'tetwild'\n"
+        "optimize = true\nedge_length = 0.002\nenvelope = 1e-5\ntimeout = 3600\n"
     )
     limited = [*command(tmp_path), "--config", str(tmp_path / "fine.toml"), "--timeout", "20"]
     ended = subprocess.run(limited, capture_output=True, check=False)
@@ -75,8 +76,6 @@ def test_a_shape_that_takes_too_long_is_given_up_and_the_others_are_not(tmp_path
 
 @pytest.mark.parametrize("unit", [1e-3, 1e3])
 def test_the_unit_of_a_scan_does_not_matter(unit: float) -> None:
-    # fTetWild is not deterministic, so the comparison is without it.
-    options = PipelineOptions().changed(remesh={"method": "none"})
     points = shapes.points_on(shapes.body(), 8000, noise=1e-3)
-    metres, other = signature(points, options), signature(points * unit, options)
+    metres, other = signature(points), signature(points * unit)
     np.testing.assert_allclose(np.log(other.values), np.log(metres.values), atol=0.02)

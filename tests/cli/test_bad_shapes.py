@@ -30,7 +30,7 @@ REASONS = {
     "plane": ("clean", "in a plane"),
     "ten": ("clean", "at least 100 points, got 10"),
     "one_triangle": ("", "plane"),
-    "two_bodies": ("surface", "more than one body"),
+    "two_bodies": ("surface", "two bodies or more"),
     "mobius": ("surface", "one-sided"),
     "other_format": ("read", "not a"),
     "broken_link": ("read", "cannot read"),

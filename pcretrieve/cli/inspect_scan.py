@@ -1,0 +1,125 @@
+"""The command that shows why a scan is bad: inspect. Those on what a catalogue holds are in `inspect.py`."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from pcretrieve.cli.parts import (
+    EXIT_SOME_FAILED,
+    config_option,
+    json_option,
+    load_options,
+    say,
+    surface_option,
+    write_json,
+)
+
+if TYPE_CHECKING:
+    from pcretrieve.evaluation.inspect_page import Inspection
+
+__all__ = ["inspect_command"]
+
+
+@click.command("inspect")
+@click.argument("scan", type=click.Path(path_type=Path))
+@click.option(
+    "--output",
+    "-o",
+    type=click.Path(path_type=Path),
+    metavar="PAGE",
+    help="The HTML page to write.  [default: the scan's name with .html, here]",
+)
+@click.option(
+    "--png", type=click.Path(path_type=Path), metavar="FILE", help="All pictures on one sheet, too."
+)
+@click.option(
+    "--rescans",
+    type=click.IntRange(min=0),
+    default=4,
+    show_default=True,
+    help="Surfaces made anew from nine tenths of the points, for the signature's error bar; 0 for none.",
+)
+@config_option
+@surface_option
+@json_option
+def inspect_command(
+    scan: Path,
+    output: Path | None,
+    png: Path | None,
+    rescans: int,
+    config: Path | None,
+    surface: str | None,
+    as_json: bool,
+) -> None:
+    """An HTML page that shows what is wrong with a scan, and what to do about it.
+
+    Points, normals and surface from all sides and in a view that turns; what was dropped, filled in, cut and
+    bridged; the signature with its error bar. A scan that fails is shown as far as it came, and the exit code
+    is 3.
+
+    \b
+    pcretrieve inspect scan.ply
+    pcretrieve inspect scan.ply -o page.html --png sheet.png --rescans 0
+    """
+    from pcretrieve.batch.discover import printable
+    from pcretrieve.batch.inspection import inspect_scan
+    from pcretrieve.errors import InputError
+    from pcretrieve.evaluation.inspect_page import write_inspection_page
+    from pcretrieve.evaluation.inspect_pictures import write_inspection_png
+
+    if not scan.is_file():
+        raise InputError(f"there is no scan {printable(scan)}: name a file")
+    page = output or Path(scan.stem + ".html")
+    for target in (page, png):
+        if target is not None:
+            _check_output(target, scan)
+    options = load_options(config, surface)
+    inspection = inspect_scan(scan, options, n_rescans=rescans)
+    page = write_inspection_page(inspection, page)
+    if png is not None:
+        write_inspection_png(inspection, png)
+    for check in inspection.checks:
+        advice = "" if check.verdict == "passed" else f": {check.words}"
+        say(f"{check.verdict:<6}  {check.name:<16}  {check.shown}{advice}")
+    say(inspection.summary)
+    if as_json:
+        write_json(_document(inspection, page, png))
+    else:
+        click.echo(printable(page))
+    if inspection.failure is not None:
+        click.get_current_context().exit(EXIT_SOME_FAILED)
+
+
+def _check_output(target: Path, scan: Path) -> None:
+    """Before minutes of work: whether its result could be written."""
+    from pcretrieve.errors import InputError
+
+    if not target.parent.is_dir():
+        raise InputError(f"there is no folder {target.parent} to put {target.name} into: make it first")
+    if target.is_dir():
+        raise InputError(f"{target} is a folder: name a file")
+    if target.exists() and target.samefile(scan):
+        raise InputError(f"{target} is the scan itself: name another file")
+
+
+def _document(inspection: Inspection, page: Path, png: Path | None) -> dict[str, object]:
+    described, deviation = inspection.signature, inspection.deviation
+    return {
+        "scan": inspection.path,
+        "page": str(page),
+        "png": None if png is None else str(png),
+        "verdict": inspection.verdict,
+        "summary": inspection.summary,
+        "checks": [asdict(check) for check in inspection.checks],
+        "cuts": inspection.cuts.tolist(),
+        "bridges": inspection.bridges.tolist(),
+        "signature": None if described is None else described.values.tolist(),
+        "deviation": None if deviation is None else deviation.tolist(),
+        "spread": inspection.spread,
+        "failure": None if inspection.failure is None else asdict(inspection.failure),
+        "steps": [asdict(step) for step in inspection.steps],
+    }
