@@ -1,6 +1,7 @@
 """Simulated scans of bending bodies, for samples, tests and benchmarks. Needs ``pcretrieve[simulation]``."""
 
 from pcretrieve.simulation.bodies import POSES, body, make_subject
+from pcretrieve.simulation.damage import DamageOptions, damaged
 from pcretrieve.simulation.files import write_conf, write_pcd, write_ply
 from pcretrieve.simulation.rig import (
     RigOptions,
@@ -16,6 +17,7 @@ __all__ = [
     "POSES",
     "Bone",
     "Contact",
+    "DamageOptions",
     "Pose",
     "RigOptions",
     "RoundCone",
@@ -23,6 +25,7 @@ __all__ = [
     "UniformOptions",
     "body",
     "camera_pose",
+    "damaged",
     "make_subject",
     "scan",
     "scan_uniformly",

@@ -274,6 +274,26 @@ POSES: dict[str, Pose] = {
             Contact(("right_forearm", "right_hand"), ("left_forearm", "left_hand"), ("right_shoulder",)),
         ),
     ),
+    "hands_clasped": Pose(
+        {
+            "left_shoulder": (34, -32, 58),
+            "left_elbow": (66, 0, 0),
+            "right_shoulder": (24, -32, 58),
+            "right_elbow": (66, 0, 0),
+        },
+        contacts=(Contact(("left_fingers",), ("right_hand",), ("left_shoulder", "right_shoulder")),),
+    ),
+    "legs_crossed": Pose(
+        both(shoulder=(30, -30, 0), elbow=(40, 0, 0))
+        | {
+            "left_hip": (104, -26, 0),
+            "left_knee": (-92, 0, 0),
+            "right_hip": (86, 2, 0),
+            "right_knee": (-84, 0, 0),
+            "spine": (8, 0, 0),
+        },
+        contacts=(Contact(("left_thigh", "left_calf"), ("right_thigh",), ("left_hip",)),),
+    ),
     "attention": Pose(
         both(shoulder=(0, -42, 0), hip=(0, -6, 0)),
         contacts=(

@@ -49,7 +49,7 @@ def test_other_options_are_named(path: Path) -> None:
     with pytest.raises(CatalogueError) as raised:
         Catalogue(path, PipelineOptions(), create=True)
     assert raised.value.message == (
-        f"{path} was built with other options: scan.voxel: 0.005 there, 0.003 here; signature.n_values: 15 "
+        f"{path} was built with other options: scan.voxel: 0.005 there, 0.0015 here; signature.n_values: 15 "
         "there, 23 here. Ingest into a new catalogue, or leave the options out to use its own"
     )
 

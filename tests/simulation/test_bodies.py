@@ -102,6 +102,18 @@ def test_contacts_are_closed_whatever_the_jitter(family: str) -> None:
         assert all(abs(gap) < 0.01 for gap in gaps(subject, jittered, pose.contacts)), name
 
 
+def test_hands_that_clasp_and_legs_that_cross_are_on_the_other_side() -> None:
+    subject = someone("person")
+    own = skin(subject)
+    at_rest = body(subject, Pose())
+    for name, part in (("hands_clasped", "left_fingers"), ("legs_crossed", "left_calf")):
+        moved = motions(subject, close_contacts(own, POSES["person"][name]))
+        k = subject.number(part)
+        end = moved[k] @ [*subject.bones[k].tail, 1]
+        assert subject.bones[k].tail[0] > 0 > end[0], name
+        assert body(subject, POSES["person"][name]).diagonal < at_rest.diagonal, name
+
+
 def test_it_is_the_contacts_that_close_them() -> None:
     subject, pose = someone("person"), POSES["person"]["think"]
     assert gaps(subject, replace(pose, contacts=()), pose.contacts)[0] > 0.02

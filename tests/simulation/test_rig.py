@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 from typing import Any
 
@@ -167,6 +168,36 @@ def test_uniform_noise_has_its_size() -> None:
 
 def test_uniform_scans_have_no_sensors() -> None:
     assert scan_uniformly(ball(), UniformOptions(), rng()).viewpoints is None
+
+
+def test_sensors_of_uniform_scans_see_their_points() -> None:
+    options = UniformOptions(n_points=5_000, noise=0, n_holes=0, stray_share=0.1, sensors=True)
+    cloud = scan_uniformly(ball(), options, rng())
+    blind = scan_uniformly(ball(), replace(options, sensors=False), rng())
+    assert np.array_equal(cloud.points, blind.points), "a ball hides nothing"
+    assert cloud.viewpoints is not None
+    assert np.linalg.norm(cloud.viewpoints, axis=1) == pytest.approx(
+        RigOptions().distance * ball().diagonal, rel=1e-3
+    )
+    direction, distance, true = (part[:5_000] for part in rays(cloud))
+    # Rays that graze the ball meet its flat faces far from where they meet the ball itself.
+    cosine = -np.einsum("ij,ij->i", direction, cloud.points[:5_000])
+    assert cosine.min() > np.cos(np.radians(RigOptions().max_incidence)) - 0.05
+    assert np.abs(distance - true)[cosine > 0.5].max() < 2 * SAG
+    # Uniform directions, each taken with probability cos θ: the mean of cos² over that of cos.
+    assert cosine.mean() == pytest.approx(2 / 3, abs=0.05)
+
+
+def test_what_no_sensor_sees_is_left_out() -> None:
+    inner, outer = ball(), TriangleMesh(1.5 * ball().vertices, ball().faces)
+    nested = TriangleMesh(
+        np.concatenate([outer.vertices, inner.vertices]),
+        np.concatenate([outer.faces, inner.faces + len(outer.vertices)]),
+    )
+    options = UniformOptions(n_points=2_000, noise=0, n_holes=0, stray_share=0, sensors=True)
+    points = scan_uniformly(nested, options, rng()).points
+    assert np.linalg.norm(points, axis=1).min() > 1.4
+    assert len(points) == pytest.approx(2_000 * 1.5**2 / (1 + 1.5**2), abs=100)
 
 
 def test_a_scan_is_its_views_one_after_another() -> None:
