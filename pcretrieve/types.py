@@ -252,16 +252,20 @@ class LaplaceBeltrami(_Value):
     ----------
     stiffness : (n, n) sparse
         Symmetric positive semi-definite, S·1 = 0 on every connected component; dimensionless. Natural
-        (Neumann) boundary condition.
+        (Neumann) boundary condition. With Dirichlet boundary positive definite.
     mass : (n, n) sparse
         Symmetric positive definite, 1ᵀM·1 = area; unit length².
     n_components : int
-        Connected components, each of which brings one zero eigenvalue.
+        Connected components, each of which brings one zero eigenvalue; 0 with Dirichlet boundary, which
+        leaves no null space.
+    nodes : (n,) int32 or None
+        The node that each row is of, ascending: with Dirichlet boundary, those inside. None: all of them.
     """
 
     stiffness: csc_array
     mass: csc_array
     n_components: int = 1
+    nodes: IntArray | None = None
 
     def __post_init__(self) -> None:
         n = self.stiffness.shape[0]
@@ -274,10 +278,12 @@ class LaplaceBeltrami(_Value):
             raise InputError("stiffness and mass must be finite, got NaN or infinite entries")
         if not self.area > 0:
             raise InputError(f"mass must sum up to a positive area, got {self.area:g}")
+        if self.nodes is not None:
+            object.__setattr__(self, "nodes", _locked("nodes", self.nodes, (n,), np.int32))
 
     @property
     def area(self) -> float:
-        """1ᵀM·1, unit length²."""
+        """1ᵀM·1, unit length²; with Dirichlet boundary less than the area of the surface."""
         return float(self.mass.sum())
 
 

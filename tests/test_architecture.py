@@ -33,7 +33,11 @@ STAGES = [
 BESIDE = {"simulation"}
 
 # Slow to import, or unsafe: each behind one door, which opens when it is first used.
-DOORS = {"open3d": "adapters/open3d.py", "pytetwild": "adapters/tetwild.py"}
+DOORS = {
+    "open3d": "adapters/open3d.py",
+    "pytetwild": "adapters/tetwild.py",
+    "robust_laplacian": "adapters/robust_laplacian.py",
+}
 SLOW = {*DOORS, "trimesh"}
 
 # Stages from a scan to a signature, which one module alone puts together.

@@ -163,7 +163,7 @@ def test_a_missing_file(tmp_path: Path) -> None:
         ("remesh", "timeout", 0),
         ("remesh", "timeout", float("inf")),
         ("remesh", "max_change", 2),
-        ("spectral", "element", "cubic"),
+        ("spectral", "element", "quintic"),
         ("spectral", "n_pairs", 2),
         ("signature", "method", "sift"),
         ("signature", "n_values", 0),

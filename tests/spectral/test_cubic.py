@@ -1,0 +1,195 @@
+"""Cubic finite elements: their matrices derived anew as rationals, and what they are exact for."""
+
+from __future__ import annotations
+
+import time
+from collections import defaultdict
+from fractions import Fraction
+from math import factorial
+
+import numpy as np
+import pytest
+import shapes
+
+from pcretrieve.spectral import eigenpairs, laplace_beltrami
+from pcretrieve.spectral.cubic import CUBIC, cubic_nodes
+from pcretrieve.spectral.elements import Element, sides_of
+from pcretrieve.spectral.linear import LINEAR
+from pcretrieve.types import FloatArray, TriangleMesh
+
+# --- the same matrices, from the basis functions ------------------------------------------------------
+
+# Polynomials in barycentric coordinates: their powers, and the coefficient.
+Polynomial = dict[tuple[int, int, int], Fraction]
+Nodes = list[tuple[int, int, int]]
+
+# Barycentric coordinates, times the degree: corners, the way along each side, the centre.
+LINEAR_NODES = [(1, 0, 0), (0, 1, 0), (0, 0, 1)]
+CUBIC_NODES = [
+    *((3, 0, 0), (0, 3, 0), (0, 0, 3)),
+    *((2, 1, 0), (1, 2, 0), (0, 2, 1), (0, 1, 2), (1, 0, 2), (2, 0, 1)),
+    (1, 1, 1),
+]
+ELEMENTS = [(LINEAR, LINEAR_NODES), (CUBIC, CUBIC_NODES)]
+
+elements = pytest.mark.parametrize(("element", "nodes"), ELEMENTS, ids=["linear", "cubic"])
+
+
+def product(p: Polynomial, q: Polynomial) -> Polynomial:
+    out: Polynomial = defaultdict(Fraction)
+    for (a, b, c), x in p.items():
+        for (d, e, f), y in q.items():
+            out[a + d, b + e, c + f] += x * y
+    return out
+
+
+def mean(p: Polynomial) -> Fraction:
+    """(1/a) ∫ λ₀ᵃ λ₁ᵇ λ₂ᶜ = 2 a! b! c! / (a + b + c + 2)!"""
+    return sum(
+        (
+            x * Fraction(2 * factorial(a) * factorial(b) * factorial(c), factorial(a + b + c + 2))
+            for (a, b, c), x in p.items()
+        ),
+        Fraction(0),
+    )
+
+
+def basis(node: tuple[int, int, int], degree: int) -> Polynomial:
+    """One at `node`, zero at all others: Π (degree · λ_k − s) / (node_k − s) over s < node_k."""
+    out: Polynomial = {(0, 0, 0): Fraction(1)}
+    for k, power in enumerate(node):
+        unit = tuple(int(k == j) for j in range(3))
+        for s in range(power):
+            factor = {unit: Fraction(degree, power - s), (0, 0, 0): Fraction(-s, power - s)}
+            out = product(out, factor)  # type: ignore[arg-type]
+    return out
+
+
+def along(p: Polynomial, k: int) -> Polynomial:
+    """D_k p: towards corner k + 1, away from corner k."""
+    out: Polynomial = defaultdict(Fraction)
+    for powers, x in p.items():
+        for corner, sign in (((k + 1) % 3, 1), (k, -1)):
+            lower = tuple(power - (j == corner) for j, power in enumerate(powers))
+            if powers[corner]:
+                out[lower] += sign * powers[corner] * x  # type: ignore[index]
+    return out
+
+
+def gram(functions: list[Polynomial]) -> list[list[Fraction]]:
+    return [[mean(product(p, q)) for q in functions] for p in functions]
+
+
+def derived(nodes: Nodes) -> tuple[list[list[list[Fraction]]], list[list[Fraction]]]:
+    """C_0, C_1, C_2 and the mass matrix."""
+    functions = [basis(node, sum(node)) for node in nodes]
+    return [gram([along(p, k) for p in functions]) for k in range(3)], gram(functions)
+
+
+def rational(matrix: FloatArray) -> list[list[Fraction]]:
+    """The rationals that these floats are nearest to, with denominators as the elements have them."""
+    return [[Fraction(x).limit_denominator(6720) for x in row] for row in matrix]
+
+
+@elements
+def test_matrices_are_those_of_the_basis_functions(element: Element, nodes: Nodes) -> None:
+    stiffness, mass = derived(nodes)
+    assert rational(element.along) == stiffness[0]
+    assert rational(element.mass) == mass
+    turn = element.turn
+    assert [
+        [stiffness[1][turn[i]][turn[j]] for j in range(len(nodes))] for i in range(len(nodes))
+    ] == stiffness[0]
+    assert [[stiffness[2][j][i] for j in turn[turn]] for i in turn[turn]] == stiffness[0]
+
+
+@elements
+def test_nodes_turn_and_lie_on_their_side(element: Element, nodes: Nodes) -> None:
+    for node, turned in zip(nodes, element.turn, strict=True):
+        assert nodes[turned] == (node[2], node[0], node[1])
+    assert {i for i, node in enumerate(nodes) if node[2] == 0} == set(element.side.tolist())
+
+
+def test_the_same_derivation_gives_table_6() -> None:
+    """Ye and Yu, Appendix C: L = (1/a) Σ l_k² J_k, side k opposite corner k; J_k = (C_i + C_j − C_k) / 8."""
+    sides, mass = derived(LINEAR_NODES)
+    c = np.array([sides[1], sides[2], sides[0]])  # side k runs from corner k: opposite corner 0 is side 1
+    j1, j2, j3 = (c.sum(axis=0) - 2 * c[k] for k in range(3))
+    assert j1.tolist() == [[2, -1, -1], [-1, 0, 1], [-1, 1, 0]]  # all over 8
+    assert j2.tolist() == [[0, -1, 1], [-1, 2, -1], [1, -1, 0]]
+    assert j3.tolist() == [[0, 1, -1], [1, 0, -1], [-1, -1, 2]]
+    assert (12 * np.array(mass)).tolist() == [[2, 1, 1], [1, 2, 1], [1, 1, 2]]
+
+
+@elements
+def test_stiffness_by_squared_side_lengths_is_the_same(element: Element, nodes: Nodes) -> None:
+    """The paper's own sum, with Table 7 as derived here, on a triangle of no particular shape."""
+    triangle = TriangleMesh(
+        np.array([[0, 0, 0], [2, 0.3, 0], [0.4, 1.1, 0.7]]), np.array([[0, 1, 2]], np.int32)
+    )
+    sides = np.array(derived(nodes)[0], dtype=float)
+    c = sides[[1, 2, 0]]
+    squared = [np.sum((triangle.vertices[k - 2] - triangle.vertices[k - 1]) ** 2) for k in range(3)]
+    wanted = sum(squared[k] * (c.sum(axis=0) - 2 * c[k]) / 8 for k in range(3)) / triangle.area
+    name = "linear" if len(nodes) == 3 else "cubic"
+    stiffness = laplace_beltrami(triangle, name).stiffness.toarray()  # type: ignore[arg-type]
+    rows = triangle.faces[0] if len(nodes) == 3 else cubic_nodes(triangle, sides_of(triangle))[0]
+    np.testing.assert_allclose(stiffness[np.ix_(rows, rows)], wanted, atol=1e-14)
+
+
+# --- what they are exact for --------------------------------------------------------------------------
+
+
+def positions(mesh: TriangleMesh) -> FloatArray:
+    """(N, 3) where the nodes lie; that of a shared node as its last face sees it."""
+    nodes = cubic_nodes(mesh, sides_of(mesh))
+    places = np.empty((nodes.max() + 1, 3))
+    places[nodes] = np.einsum("qk,mkx->mqx", np.array(CUBIC_NODES) / 3, mesh.vertices[mesh.faces])
+    return places
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_neighbours_agree_where_their_nodes_lie(seed: int) -> None:
+    mesh = shapes.renumbered(shapes.mobius_strip(), seed)  # where faces even disagree on the side
+    nodes = cubic_nodes(mesh, sides_of(mesh))
+    seen = np.einsum("qk,mkx->mqx", np.array(CUBIC_NODES) / 3, mesh.vertices[mesh.faces])
+    np.testing.assert_allclose(positions(mesh)[nodes], seen, atol=1e-14)
+    assert len(np.unique(positions(mesh).round(9), axis=0)) == nodes.max() + 1  # and no two are in one place
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_energy_and_norm_of_a_cubic_function_are_exact(seed: int) -> None:
+    mesh = shapes.renumbered(shapes.square(3), seed)
+    operator = laplace_beltrami(mesh, "cubic")
+    x, y, _ = positions(mesh).T
+    u = x**3 + 2 * x * y**2
+    # ∫ (3x² + 2y²)² + (4xy)², and ∫ u²
+    assert u @ operator.stiffness @ u == pytest.approx(9 / 5 + 12 / 9 + 4 / 5 + 16 / 9, rel=1e-13)
+    assert u @ operator.mass @ u == pytest.approx(1 / 7 + 4 / 15 + 4 / 15, rel=1e-13)
+
+
+def test_six_digits_with_36_vertices() -> None:
+    mesh = shapes.square(5)
+    assert len(mesh.vertices) == 36
+    eigenvalues = eigenpairs(laplace_beltrami(mesh, "cubic"), 10).eigenvalues
+    np.testing.assert_allclose(eigenvalues[1:3], np.pi**2, rtol=1e-6)
+
+
+def test_lumped_mass_costs_two_orders() -> None:
+    errors = [
+        eigenpairs(laplace_beltrami(shapes.square(n), "cubic", mass="lumped"), 4).eigenvalues[1] / np.pi**2
+        - 1
+        for n in (6, 12)
+    ]
+    assert np.log2(errors[0] / errors[1]) == pytest.approx(4, abs=0.2)
+
+
+def test_assembly_takes_no_time() -> None:
+    mesh = shapes.torus(100, 50)
+    assert mesh.faces.shape == (10_000, 3)
+    seconds = []
+    for _ in range(3):
+        started = time.perf_counter()
+        laplace_beltrami(mesh, "cubic")
+        seconds.append(time.perf_counter() - started)
+    assert min(seconds) < 0.2

@@ -1,0 +1,296 @@
+"""What holds of every element: the laws of the matrices, the boundary, and what is refused."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+import shapes
+from scipy.linalg import eigh
+
+from pcretrieve.errors import DegenerateMeshError, InputError, OptionError
+from pcretrieve.spectral import eigenpairs, laplace_beltrami
+from pcretrieve.spectral.operators import ELEMENTS
+from pcretrieve.types import FloatArray, IntArray, LaplaceBeltrami, PointCloud, TriangleMesh
+
+BOUNDED = {"square": shapes.square(5), "Möbius strip": shapes.mobius_strip(16, 3)}
+BOUNDARY_EDGES = {"square": 20, "Möbius strip": 32}
+SURFACES = {
+    "tetrahedron": shapes.tetrahedron(),
+    "sphere": shapes.icosphere(1),
+    "body": shapes.body(1),
+    "torus": shapes.torus(16, 8),
+    **BOUNDED,
+}
+
+elements = pytest.mark.parametrize("element", ELEMENTS)
+surfaces = pytest.mark.parametrize("mesh", SURFACES.values(), ids=SURFACES)
+bounded = pytest.mark.parametrize("mesh", BOUNDED.values(), ids=BOUNDED)
+
+
+def book(n: int, pages: int = 3) -> TriangleMesh:
+    """Unit squares that share one side: an edge with as many faces as there are pages."""
+    page = shapes.square(n)
+    spine = page.vertices[:, 0] == 0  # (v,)
+    numbers = np.arange(len(spine))
+    free = numbers[~spine]
+    vertices, faces = [page.vertices], [page.faces]
+    for k in range(1, pages):
+        angle = 2 * np.pi * k / pages
+        turned = page.vertices[free] * [np.cos(angle), 1, 0] + page.vertices[free, :1] * [0, 0, np.sin(angle)]
+        own = numbers.copy()
+        own[free] = len(spine) + (k - 1) * len(free) + np.arange(len(free))
+        vertices.append(turned)
+        faces.append(own[page.faces])
+    return TriangleMesh(np.concatenate(vertices), np.concatenate(faces))
+
+
+def spectrum(operator: LaplaceBeltrami, n: int) -> FloatArray:
+    """The n smallest eigenvalues, whatever the boundary."""
+    found: FloatArray = eigh(
+        operator.stiffness.toarray(), operator.mass.toarray(), eigvals_only=True, subset_by_index=[0, n - 1]
+    )
+    return found
+
+
+# --- matrices -----------------------------------------------------------------------------------------
+
+
+@elements
+@surfaces
+def test_stiffness_is_symmetric_semi_definite_and_kills_constants(mesh: TriangleMesh, element: Any) -> None:
+    stiffness = laplace_beltrami(mesh, element).stiffness
+    assert abs(stiffness - stiffness.T).max() == 0
+    assert np.abs(stiffness.sum(axis=1)).max() < 1e-12
+    eigenvalues = np.linalg.eigvalsh(stiffness.toarray())
+    assert eigenvalues[0] > -1e-12
+    assert eigenvalues[1] > 1e-6  # connected: constants are all that it kills
+
+
+@pytest.mark.parametrize(
+    ("element", "mass"),
+    [
+        *(("linear", "consistent"), ("linear", "lumped"), ("cubic", "consistent"), ("cubic", "lumped")),
+        ("intrinsic-delaunay", "lumped"),
+    ],
+)
+@surfaces
+def test_mass_is_symmetric_definite_and_adds_up_to_the_area(
+    mesh: TriangleMesh, element: Any, mass: Any
+) -> None:
+    operator = laplace_beltrami(mesh, element, mass=mass)
+    assert abs(operator.mass - operator.mass.T).max() == 0
+    assert np.linalg.eigvalsh(operator.mass.toarray())[0] > 0
+    assert operator.area == pytest.approx(mesh.area, rel=1e-13)
+
+
+@pytest.mark.parametrize("element", ["linear", "cubic"])
+@surfaces
+def test_lumped_mass_is_the_row_sums(mesh: TriangleMesh, element: Any) -> None:
+    consistent = laplace_beltrami(mesh, element, mass="consistent").mass
+    lumped = laplace_beltrami(mesh, element, mass="lumped").mass
+    assert lumped.nnz == lumped.shape[0]
+    np.testing.assert_allclose(lumped.diagonal(), consistent.sum(axis=1), rtol=1e-12)
+
+
+@elements
+@pytest.mark.parametrize("scale", [1e-3, 1.0, 1e3])
+def test_moving_leaves_both_and_scaling_squares_mass(element: Any, scale: float) -> None:
+    mesh = shapes.body(2)
+    here = laplace_beltrami(mesh, element)
+    there = laplace_beltrami(shapes.moved(mesh, seed=0, scale=scale), element)
+    assert abs(there.stiffness - here.stiffness).max() < 1e-10
+    assert abs(there.mass - scale**2 * here.mass).max() < 1e-10 * scale**2
+
+
+@elements
+def test_eigenvalues_do_not_depend_on_numbers(element: Any) -> None:
+    mesh = shapes.body(2)
+    here, there = (
+        eigenpairs(laplace_beltrami(each, element), 30) for each in (mesh, shapes.renumbered(mesh, 4))
+    )
+    np.testing.assert_allclose(there.eigenvalues, here.eigenvalues, rtol=1e-9)
+
+
+@elements
+def test_components_are_counted_even_where_an_edge_has_no_stiffness(element: Any) -> None:
+    def count(mesh: TriangleMesh) -> int:
+        return laplace_beltrami(mesh, element).n_components
+
+    assert count(shapes.joined(shapes.tetrahedron(), shapes.square(2))) == 2
+    assert count(shapes.two_tetrahedra("vertex")) == 1
+    # Every edge to the middle of this square faces 45° twice, every side of it a right angle.
+    square = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0], [0.5, 0.5, 0]])
+    faces = np.array([[0, 1, 4], [1, 2, 4], [2, 3, 4], [3, 0, 4]], dtype=np.int32)
+    assert count(TriangleMesh(square, faces)) == 1
+
+
+# --- what they converge to ----------------------------------------------------------------------------
+
+
+@elements
+def test_eigenvalues_of_the_sphere_converge_at_order_two(element: Any) -> None:
+    """Faces are flat, so this is as good as a curved surface gets, with cubic elements too."""
+    exact = np.array([degree * (degree + 1) for degree in range(5) for _ in range(2 * degree + 1)])[1:]
+    errors = [
+        np.abs(eigenpairs(laplace_beltrami(shapes.icosphere(level), element), 25).eigenvalues[1:] / exact - 1)
+        for level in (2, 3, 4)
+    ]
+    worst = np.max(errors, axis=1)
+    np.testing.assert_allclose(np.log2(worst[:-1] / worst[1:]), 2, atol=0.25)
+    assert worst[-1] < 0.012
+
+
+@pytest.mark.parametrize(
+    ("element", "sizes", "order"),
+    [("linear", (16, 32), 2), ("intrinsic-delaunay", (16, 32), 2), ("cubic", (4, 8), 6)],
+)
+@pytest.mark.parametrize("boundary", ["neumann", "dirichlet"])
+def test_eigenvalues_of_the_square_converge_at_their_order(
+    element: Any, sizes: tuple[int, ...], order: float, boundary: Any
+) -> None:
+    waves = range(10) if boundary == "neumann" else range(1, 11)
+    exact = np.sort([np.pi**2 * (m**2 + n**2) for m in waves for n in waves])[:6]
+    errors = [
+        np.abs(spectrum(laplace_beltrami(shapes.square(n), element, boundary=boundary), 6) - exact)
+        for n in sizes
+    ]
+    first = int(boundary == "neumann")  # 0 is exact
+    rates = np.log2(errors[0] / errors[1])[first:]
+    np.testing.assert_allclose(rates, order, atol=0.1 * order)
+
+
+@elements
+def test_three_pages_of_a_book_vibrate_as_one(element: Any) -> None:
+    """Across the pages, waves of a star with three rays: cos(π/2) at the ends, twice, or sin(π) = 0, once."""
+    across = np.array([0, 0.5, 0.5, 1, 1.5, 1.5])
+    exact = np.sort([(np.pi * k) ** 2 + (np.pi * n) ** 2 for k in across for n in range(3)])[:10]
+    size, tolerance = (4, 1e-4) if element == "cubic" else (12, 0.02)
+    mesh = book(size)
+    operator = laplace_beltrami(mesh, element)
+    assert abs(operator.stiffness.sum(axis=1)).max() < 1e-12
+    assert operator.area == pytest.approx(3, rel=1e-12)
+    np.testing.assert_allclose(spectrum(operator, 10), exact, rtol=tolerance, atol=1e-9)
+
+
+# --- Dirichlet ----------------------------------------------------------------------------------------
+
+
+@elements
+@pytest.mark.parametrize("name", BOUNDED)
+def test_nodes_on_the_boundary_have_no_rows(name: str, element: Any) -> None:
+    mesh = BOUNDED[name]
+    free = laplace_beltrami(mesh, element)
+    held = laplace_beltrami(mesh, element, boundary="dirichlet")
+    nodes = held.nodes
+    assert free.nodes is None
+    assert nodes is not None
+    per_edge = 3 if element == "cubic" else 1  # its first vertex, and the nodes on it
+    assert len(nodes) == free.mass.shape[0] - per_edge * BOUNDARY_EDGES[name]
+    assert abs(held.stiffness - free.stiffness[nodes][:, nodes]).max() == 0
+    assert abs(held.mass - free.mass[nodes][:, nodes]).max() == 0
+
+
+@elements
+@bounded
+def test_dirichlet_leaves_no_null_space(mesh: TriangleMesh, element: Any) -> None:
+    held = laplace_beltrami(mesh, element, boundary="dirichlet")
+    assert held.n_components == 0
+    assert np.linalg.eigvalsh(held.stiffness.toarray())[0] > 1e-3
+    assert 0 < held.area < mesh.area
+
+
+def test_vertices_inside_a_square_are_those_left() -> None:
+    mesh = shapes.square(6)
+    nodes = laplace_beltrami(mesh, boundary="dirichlet").nodes
+    inside = ((mesh.vertices[:, :2] > 0) & (mesh.vertices[:, :2] < 1)).all(axis=1)
+    np.testing.assert_array_equal(nodes, np.flatnonzero(inside))
+
+
+@elements
+def test_an_edge_with_three_faces_is_no_boundary(element: Any) -> None:
+    mesh = book(2)
+    nodes = laplace_beltrami(mesh, element, boundary="dirichlet").nodes
+    assert nodes is not None
+    middle_of_the_spine = int(np.flatnonzero((mesh.vertices == [0, 0.5, 0]).all(axis=1))[0])
+    assert middle_of_the_spine in nodes
+
+
+@elements
+def test_a_closed_surface_has_no_boundary_to_hold(element: Any) -> None:
+    message = r"needs a boundary on every component, got 1 of 1 that are closed: use 'neumann'"
+    with pytest.raises(DegenerateMeshError, match=message):
+        laplace_beltrami(shapes.icosphere(1), element, boundary="dirichlet")
+    half_closed = shapes.joined(shapes.icosphere(1), shapes.square(3))
+    with pytest.raises(DegenerateMeshError, match="got 1 of 2 that are closed"):
+        laplace_beltrami(half_closed, element, boundary="dirichlet")
+    two = laplace_beltrami(shapes.joined(shapes.square(3), shapes.square(3)), element, boundary="dirichlet")
+    assert two.n_components == 0
+
+
+def test_a_surface_that_is_all_boundary() -> None:
+    with pytest.raises(DegenerateMeshError, match="needs nodes inside, got all on the boundary: refine it"):
+        laplace_beltrami(shapes.square(1), boundary="dirichlet")
+    # Its cubic elements have nodes inside: four on the diagonal and in the middles of its two faces.
+    assert laplace_beltrami(shapes.square(1), "cubic", boundary="dirichlet").mass.shape == (4, 4)
+
+
+# --- refusals -----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (
+            {"element": "quintic"},
+            "element must be 'linear', 'cubic', 'intrinsic-delaunay' or 'points', got 'qu",
+        ),
+        ({"mass": "barycentric"}, "mass must be 'consistent' or 'lumped', got 'barycentric'"),
+        ({"boundary": "robin"}, "boundary must be 'neumann' or 'dirichlet', got 'robin'"),
+        (
+            {"element": "intrinsic-delaunay", "mass": "consistent"},
+            "element 'intrinsic-delaunay' has lumped mass only, got mass='consistent'",
+        ),
+        ({"element": "points", "boundary": "dirichlet"}, "element 'points' has boundary='neumann' only"),
+    ],
+)
+def test_options_that_do_not_exist(options: Any, message: str) -> None:
+    with pytest.raises(OptionError, match=message):
+        laplace_beltrami(shapes.tetrahedron(), **options)
+
+
+def test_an_element_of_a_surface_takes_no_cloud_and_the_other_way_round() -> None:
+    cloud = PointCloud(shapes.icosphere(2).vertices)
+    with pytest.raises(InputError, match="element 'cubic' needs a TriangleMesh, got PointCloud"):
+        laplace_beltrami(cloud, "cubic")
+    with pytest.raises(InputError, match=r"element 'points' needs a PointCloud or an .* got a TriangleMesh"):
+        laplace_beltrami(shapes.icosphere(2), "points")
+
+
+@elements
+@pytest.mark.parametrize(
+    ("faces", "message"),
+    [
+        (np.zeros((0, 3), dtype=np.int32), "a surface must have faces, got none"),
+        (np.array([[0, 1, 2]], dtype=np.int32), "every vertex must be in a face, got 2 that are in none"),
+    ],
+)
+def test_what_is_no_surface(faces: IntArray, message: str, element: Any) -> None:
+    with pytest.raises(DegenerateMeshError, match=message):
+        laplace_beltrami(TriangleMesh(np.eye(5, 3), faces), element)
+
+
+@pytest.mark.parametrize("element", ["linear", "cubic"])
+@pytest.mark.parametrize(
+    ("vertices", "faces", "message"),
+    [
+        (np.outer(range(3), [1, 2, 3]), [[0, 1, 2]], "every face must have an area, got 1 of 1 without"),
+        (np.eye(3), [[0, 1, 2], [0, 1, 1]], "every face must have an area, got 1 of 2 without"),
+    ],
+)
+def test_a_face_without_area_has_no_gradient(
+    vertices: FloatArray, faces: list[list[int]], message: str, element: Any
+) -> None:
+    with pytest.raises(DegenerateMeshError, match=message):
+        laplace_beltrami(TriangleMesh(vertices, np.array(faces, dtype=np.int32)), element)

@@ -1,0 +1,154 @@
+"""Linear elements on a cloud: the laws of the others, without a surface."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+import shapes
+
+from pcretrieve.errors import DegenerateMeshError
+from pcretrieve.signatures import r_bihdm
+from pcretrieve.spectral import eigenpairs, laplace_beltrami
+from pcretrieve.spectral.points import stars
+from pcretrieve.types import FloatArray, LaplaceBeltrami, PointCloud
+
+SPHERE = shapes.points_on(shapes.icosphere(6), 2000)
+BODY = shapes.points_on(shapes.body(5), 4000)
+
+
+def on_points(points: FloatArray, **options: Any) -> LaplaceBeltrami:
+    return laplace_beltrami(points, "points", **options)
+
+
+def grid(n: int) -> FloatArray:
+    """(n², 3) in the unit square: every four points on one circle."""
+    return shapes.square(n - 1).vertices
+
+
+# --- matrices -----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("mass", ["consistent", "lumped"])
+@pytest.mark.parametrize("points", [SPHERE[:500], BODY[:800], grid(12)], ids=["sphere", "body", "grid"])
+def test_the_laws_of_the_matrices(points: FloatArray, mass: Any) -> None:
+    operator = on_points(points, mass=mass)
+    stiffness = operator.stiffness
+    assert operator.n_components == 1
+    assert abs(stiffness - stiffness.T).max() == 0
+    assert np.abs(stiffness.sum(axis=1)).max() < 1e-10
+    eigenvalues = np.linalg.eigvalsh(stiffness.toarray())
+    assert eigenvalues[0] > -1e-12
+    assert eigenvalues[1] > 1e-4
+    assert abs(operator.mass - operator.mass.T).max() == 0
+    assert np.linalg.eigvalsh(operator.mass.toarray())[0] > 0
+
+
+def test_a_cloud_and_its_array_are_one() -> None:
+    cloud, array = laplace_beltrami(PointCloud(SPHERE), "points"), on_points(SPHERE)
+    assert abs(cloud.stiffness - array.stiffness).max() == 0
+    assert abs(cloud.mass - array.mass).max() == 0
+
+
+@pytest.mark.parametrize(("scale", "shift"), [(1e-3, 0.0), (1.0, 10.0), (1e3, -1e4)])
+def test_moving_leaves_stiffness_and_scaling_squares_mass(scale: float, shift: float) -> None:
+    turn, _ = np.linalg.qr(np.random.default_rng(1).standard_normal((3, 3)))
+    here, there = eigenpairs(on_points(BODY), 30), eigenpairs(on_points(scale * (BODY @ turn.T + shift)), 30)
+    assert there.area == pytest.approx(scale**2 * here.area, rel=1e-3)
+    # Where four points are nearly on a circle, either diagonal will do.
+    np.testing.assert_allclose(scale**2 * there.eigenvalues[1:], here.eigenvalues[1:], rtol=2e-4)
+
+
+def test_the_order_of_the_points_does_not_matter() -> None:
+    order = np.random.default_rng(0).permutation(len(BODY))
+    here, there = eigenpairs(on_points(BODY), 30), eigenpairs(on_points(BODY[order]), 30)
+    np.testing.assert_allclose(there.eigenvalues[1:], here.eigenvalues[1:], rtol=2e-4)
+
+
+# --- triangles ----------------------------------------------------------------------------------------
+
+
+def test_all_corners_find_a_triangle_where_the_plane_is_flat() -> None:
+    rng = np.random.default_rng(0)
+    points = np.column_stack([rng.random((1500, 2)), np.zeros(1500)])
+    inside = np.abs(points[:, :2] - 0.5).max(axis=1) < 0.35
+    triangles, times = np.unique(np.sort(stars(points), axis=1), axis=0, return_counts=True)
+    assert (times[inside[triangles].all(axis=1)] == 3).all()
+
+
+def test_no_neighbour_lies_in_the_circle_of_a_triangle() -> None:
+    rng = np.random.default_rng(3)
+    points = np.column_stack([rng.random((400, 2)), np.zeros(400)])
+    triangles = stars(points)
+    inside = np.abs(points[:, :2] - 0.5).max(axis=1) < 0.3
+    a, b, c = points[triangles[inside[triangles].all(axis=1)]].transpose(1, 0, 2)
+    # Centre of the circle, from |x − a|² = |x − b|² = |x − c|²
+    sides = 2 * np.stack([b - a, c - a], axis=1)[:, :, :2]
+    lengths = np.stack([(b**2 - a**2).sum(axis=1), (c**2 - a**2).sum(axis=1)], axis=1)
+    centre = np.linalg.solve(sides, lengths[:, :, None])[:, :, 0]
+    radius = np.linalg.norm(centre - a[:, :2], axis=1)
+    nearest = np.linalg.norm(centre[:, None] - points[:, :2], axis=2).min(axis=1)
+    assert (nearest > radius * (1 - 1e-6)).all()
+
+
+def test_a_grid_has_the_area_that_it_covers() -> None:
+    assert on_points(grid(31)).area == pytest.approx(1, rel=0.01)
+
+
+@pytest.mark.parametrize(("points", "area"), [(SPHERE, 4 * np.pi), (BODY, shapes.body(5).area)])
+def test_the_mass_is_the_area_of_the_surface_that_was_sampled(points: FloatArray, area: float) -> None:
+    assert on_points(points).area == pytest.approx(area, rel=0.01)
+
+
+# --- what they converge to ----------------------------------------------------------------------------
+
+
+def test_eigenvalues_of_the_sphere_converge_at_order_two() -> None:
+    exact = np.array([degree * (degree + 1) for degree in range(5) for _ in range(2 * degree + 1)])[1:]
+    sizes = (500, 2000, 8000)  # the spacing halves
+    errors = []
+    for n in sizes:
+        # Random samples scatter about the trend; a spiral of equal areas does not.
+        height = 1 - (2 * np.arange(n) + 1) / n
+        angle = np.pi * (1 + np.sqrt(5)) * np.arange(n)
+        ring = np.sqrt(1 - height**2)
+        spiral = np.column_stack([ring * np.cos(angle), ring * np.sin(angle), height])
+        errors.append(np.abs(eigenpairs(on_points(spiral), 25).eigenvalues[1:] / exact - 1).max())
+    rates = np.log2(np.array(errors[:-1]) / errors[1:])
+    np.testing.assert_allclose(rates, 2, atol=0.4)
+    assert errors[-1] < 0.005
+
+
+def test_random_points_have_the_eigenvalues_of_their_surface() -> None:
+    surface = eigenpairs(laplace_beltrami(shapes.body(5)), 30).eigenvalues[1:]
+    np.testing.assert_allclose(eigenpairs(on_points(BODY), 30).eigenvalues[1:], surface, rtol=0.05)
+
+
+def test_a_signature_straight_from_a_cloud() -> None:
+    from_cloud = r_bihdm(eigenpairs(on_points(BODY))).values
+    from_surface = r_bihdm(eigenpairs(laplace_beltrami(shapes.body(5)))).values
+    np.testing.assert_allclose(np.log(from_cloud), np.log(from_surface), atol=0.1)
+
+
+def test_two_bodies_are_two_components() -> None:
+    assert on_points(np.concatenate([SPHERE, SPHERE + 10])).n_components == 2
+
+
+# --- refusals -----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("points", "message"),
+    [
+        (SPHERE[:40], "a cloud must have at least 41 points, got 40"),
+        (SPHERE[np.r_[0:500, 0:3]], "points must be distinct, got 6 that are there more than once"),
+        (
+            np.eye(100, 3)[:1] * np.arange(100)[:, None],
+            "got 100 that do not: points on a line are no surface",
+        ),
+    ],
+)
+def test_refuses(points: FloatArray, message: str) -> None:
+    with pytest.raises(DegenerateMeshError, match=message):
+        on_points(points)
