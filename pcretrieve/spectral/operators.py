@@ -25,7 +25,7 @@ ELEMENTS: dict[str, Callable[[TriangleMesh], Assembled]] = {
     "intrinsic-delaunay": intrinsic_delaunay,
 }
 
-# Lumped mass is all that the first has, and no worse for the second.
+# Lumped mass is all that the first has, and better for the second.
 LUMPED = {"intrinsic-delaunay", "points"}
 
 
