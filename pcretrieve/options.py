@@ -165,9 +165,10 @@ class RemeshOptions(_Options):
 class SpectralOptions(_Options):
     """Surface of unit area → lowest eigenpairs of its Laplace–Beltrami operator."""
 
-    element: Literal["linear", "cubic", "intrinsic-delaunay"] = "linear"
-    """How the operator is discretised: linear or cubic finite elements, or linear ones on the intrinsic
-    Delaunay triangulation of the surface, which stands bad and non-manifold triangles."""
+    element: Literal["linear", "cubic", "intrinsic-delaunay", "points"] = "linear"
+    """How the operator is discretised: linear or cubic finite elements; linear ones on the intrinsic Delaunay
+    triangulation of the surface, which stands bad and non-manifold triangles; or linear ones on the cleaned
+    points (points), with no surface made at all."""
     n_pairs: Annotated[int, Field(ge=3)] = 61
     """Eigenpairs that are computed and kept, the constant one included; pairs."""
 

@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+from scipy.sparse import csc_array
 
 from pcretrieve.adapters import tetwild
 from pcretrieve.errors import (
@@ -23,7 +24,7 @@ from pcretrieve.errors import (
 from pcretrieve.options import PipelineOptions
 from pcretrieve.scan import clean, oriented_normals, read_scan
 from pcretrieve.signatures import describe
-from pcretrieve.spectral import eigenpairs, laplace_beltrami
+from pcretrieve.spectral import eigenpairs, laplace_beltrami, star_mesh
 from pcretrieve.surface import (
     SurfaceMarks,
     body_surface,
@@ -54,7 +55,8 @@ class Shape:
     Attributes
     ----------
     mesh : TriangleMesh
-        The surface, in the unit of the file; its provenance covers every stage.
+        The surface, in the unit of the file; its provenance covers every stage. With the element points, the
+        triangles that neighbouring points form, with small holes.
     spectrum : ModalSpectrum
         Of that surface, scaled to unit area.
     area : float
@@ -173,13 +175,24 @@ def surface_stages(scan: object, options: PipelineOptions) -> Iterator[Seen]:
 
 def process(scan: object, options: PipelineOptions) -> Shape:
     """Surface and spectrum of one scan."""
-    mesh = reconstruct(scan, options)
     with placed(scan):
-        started = time.perf_counter()
-        area = mesh.area
-        # Unit area first: the reduced matrix scales as length⁴, and fixed tolerances should mean one thing.
-        unit = TriangleMesh((mesh.vertices - mesh.vertices.mean(axis=0)) / np.sqrt(area), mesh.faces)
-        pairs = eigenpairs(laplace_beltrami(unit, options.spectral.element), options.spectral.n_pairs)
+        if options.spectral.element == "points":
+            cloud = _oriented(scan, options)
+            started = time.perf_counter()
+            centred = _moved(cloud, -cloud.points.mean(axis=0))
+            mesh = replace(star_mesh(centred), vertices=cloud.points)
+            operator = laplace_beltrami(centred, "points")
+            area = operator.area
+            unit = replace(operator, mass=csc_array(operator.mass / area))
+        else:
+            mesh = reconstruct(scan, options)
+            started = time.perf_counter()
+            area = mesh.area
+            # Unit area first: the reduced matrix scales as length⁴, and fixed tolerances should mean one
+            # thing.
+            vertices = (mesh.vertices - mesh.vertices.mean(axis=0)) / np.sqrt(area)
+            unit = laplace_beltrami(TriangleMesh(vertices, mesh.faces), options.spectral.element)
+        pairs = eigenpairs(unit, options.spectral.n_pairs)
         sizes = {
             "vertices": len(mesh.vertices),
             "pairs": len(pairs.eigenvalues),
@@ -187,6 +200,14 @@ def process(scan: object, options: PipelineOptions) -> Shape:
         }
         step = Step("spectrum", time.perf_counter() - started, sizes)
         return Shape(mesh.after(step), replace(ModalSpectrum.of(pairs), area=1.0), area)
+
+
+def _oriented(scan: object, options: PipelineOptions) -> PointCloud:
+    """The cleaned points with their normals, of a mesh those sampled from it: the way as far as a surface."""
+    for seen in surface_stages(scan, options.changed(surface={"mode": "reconstruct"})):
+        if seen.cloud is not None and seen.cloud.normals is not None:
+            return seen.cloud
+    raise TypeError("a surface is always made from oriented points")
 
 
 def as_scan(scan: object) -> PointCloud | TriangleMesh:

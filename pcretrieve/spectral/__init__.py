@@ -2,5 +2,6 @@
 
 from pcretrieve.spectral.eigen import eigenpairs
 from pcretrieve.spectral.operators import laplace_beltrami
+from pcretrieve.spectral.points import star_mesh
 
-__all__ = ["eigenpairs", "laplace_beltrami"]
+__all__ = ["eigenpairs", "laplace_beltrami", "star_mesh"]

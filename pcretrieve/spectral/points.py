@@ -12,7 +12,7 @@ from pcretrieve.spectral.elements import Assembled, assembled, sides_of
 from pcretrieve.spectral.linear import LINEAR
 from pcretrieve.types import FloatArray, IntArray, PointCloud, TriangleMesh
 
-__all__ = ["points", "stars"]
+__all__ = ["points", "star_mesh", "stars"]
 
 # Neighbours that the triangles of a point are sought among, and those that its tangent plane is fitted to
 # where the cloud has no normals. Of points strewn at random over a sphere, 20 miss triangles worth 3 % of the
@@ -72,6 +72,22 @@ def points(cloud: PointCloud) -> Assembled:
         )
     stiffness, mass, _ = assembled(mesh, mesh.faces, LINEAR, sides_of(mesh))
     return Assembled(csc_array(stiffness / 3), csc_array(mass / 3), np.zeros(n, dtype=bool))
+
+
+def star_mesh(cloud: PointCloud) -> TriangleMesh:
+    """The triangles that two of their corners at least agree on: a surface to look at, with small holes.
+
+    Where the cloud has normals, faces are counter-clockwise seen from where they point. The area is that of
+    `points` within a few per cent.
+    """
+    faces = stars(cloud.points, cloud.normals)
+    _, first, times = np.unique(np.sort(faces, axis=1), axis=0, return_index=True, return_counts=True)
+    faces = faces[first[times > 1]]
+    if cloud.normals is not None:
+        a, b, c = cloud.points[faces].transpose(1, 0, 2)
+        inward = np.einsum("mi,mi->m", np.cross(b - a, c - a), cloud.normals[faces[:, 0]]) < 0
+        faces[inward] = faces[inward, ::-1]
+    return TriangleMesh(cloud.points, faces, cloud.provenance)
 
 
 def stars(positions: FloatArray, normals: FloatArray | None = None) -> IntArray:

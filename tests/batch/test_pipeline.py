@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 import shapes
 
-from pcretrieve import PointCloud, TriangleMesh, reconstruct, signature
+from pcretrieve import PipelineOptions, PointCloud, TriangleMesh, reconstruct, signature
+from pcretrieve.batch.pipeline import process
 from pcretrieve.errors import InputError, ReconstructionError, ScanReadError
 
 POINTS = shapes.points_on(shapes.body(), 8000)
@@ -20,6 +21,38 @@ def test_a_mesh_has_one_signature_in_any_unit_and_place() -> None:
     for scale, shift in ((1e-3, 0), (1e3, 0), (1, 1e6)):
         other = TriangleMesh(scale * body.vertices + shift, body.faces)
         np.testing.assert_allclose(signature(other).values, values, rtol=1e-6)
+
+
+@pytest.mark.parametrize("element", ["cubic", "intrinsic-delaunay"])
+def test_every_element_of_a_surface_can_be_asked_for(element: str) -> None:
+    body = shapes.body(4)
+    options = PipelineOptions().changed(spectral={"element": element})
+    values = signature(body, options).values
+    np.testing.assert_allclose(np.log(values), np.log(signature(body).values), atol=0.1)
+    assert (values != signature(body).values).all()
+
+
+@pytest.mark.parametrize("scan", [POINTS, shapes.body(4)], ids=["cloud", "mesh"])
+def test_points_need_no_surface(scan: object) -> None:
+    options = PipelineOptions().changed(spectral={"element": "points"})
+    shape = process(scan, options)
+    stages = [step.stage for step in shape.mesh.provenance]
+    assert stages[-1] == "spectrum"
+    assert "surface" not in stages
+    body = shapes.body(4)
+    assert shape.area == pytest.approx(body.area, rel=0.03)
+    assert shape.mesh.area == pytest.approx(shape.area, rel=0.03)
+    assert shape.mesh.volume == pytest.approx(body.volume, rel=0.05)  # its faces point outwards
+    error = np.log(signature(scan, options).values) - np.log(signature(body).values)
+    assert np.abs(error).max() < 0.15
+
+
+def test_a_cloud_has_one_signature_from_its_points_in_any_unit_and_place() -> None:
+    options = PipelineOptions().changed(spectral={"element": "points"})
+    here = signature(POINTS, options).values
+    for scale, shift in ((1e-3, 0.0), (1e3, 1e7)):
+        there = signature(scale * POINTS + shift, options).values
+        np.testing.assert_allclose(np.log(there), np.log(here), atol=0.02)
 
 
 @pytest.mark.parametrize("shift", [1e3, 1e6, 1e9])
