@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 from scipy.sparse import csc_array
+from scipy.sparse.csgraph import connected_components
 
 from pcretrieve.adapters import tetwild
 from pcretrieve.errors import (
@@ -18,6 +19,7 @@ from pcretrieve.errors import (
     InputError,
     MemoryExceeded,
     PcretrieveError,
+    ReconstructionError,
     ShapeError,
     UnexpectedError,
 )
@@ -34,7 +36,15 @@ from pcretrieve.surface import (
     sampled,
     sound_mesh,
 )
-from pcretrieve.types import FloatArray, ModalSpectrum, PointCloud, Signature, Step, TriangleMesh
+from pcretrieve.types import (
+    FloatArray,
+    LaplaceBeltrami,
+    ModalSpectrum,
+    PointCloud,
+    Signature,
+    Step,
+    TriangleMesh,
+)
 
 __all__ = [
     "Seen",
@@ -179,17 +189,14 @@ def process(scan: object, options: PipelineOptions) -> Shape:
         if options.spectral.element == "points":
             cloud = _oriented(scan, options)
             started = time.perf_counter()
-            centred = _moved(cloud, -cloud.points.mean(axis=0))
-            mesh = replace(star_mesh(centred), vertices=cloud.points)
-            operator = laplace_beltrami(centred, "points")
-            area = operator.area
+            cloud, operator, notes = _largest_piece(cloud, options)
+            mesh, area = star_mesh(cloud), operator.area
             unit = replace(operator, mass=csc_array(operator.mass / area))
         else:
-            mesh = reconstruct(scan, options)
+            mesh, notes = reconstruct(scan, options), ()
             started = time.perf_counter()
             area = mesh.area
-            # Unit area first: the reduced matrix scales as length⁴, and fixed tolerances should mean one
-            # thing.
+            # Unit area: the reduced matrix scales as length⁴, and tolerances should mean one thing.
             vertices = (mesh.vertices - mesh.vertices.mean(axis=0)) / np.sqrt(area)
             unit = laplace_beltrami(TriangleMesh(vertices, mesh.faces), options.spectral.element)
         pairs = eigenpairs(unit, options.spectral.n_pairs)
@@ -198,7 +205,7 @@ def process(scan: object, options: PipelineOptions) -> Shape:
             "pairs": len(pairs.eigenvalues),
             "residual": pairs.largest_residual,
         }
-        step = Step("spectrum", time.perf_counter() - started, sizes)
+        step = Step("spectrum", time.perf_counter() - started, sizes, notes)
         return Shape(mesh.after(step), replace(ModalSpectrum.of(pairs), area=1.0), area)
 
 
@@ -208,6 +215,27 @@ def _oriented(scan: object, options: PipelineOptions) -> PointCloud:
         if seen.cloud is not None and seen.cloud.normals is not None:
             return seen.cloud
     raise TypeError("a surface is always made from oriented points")
+
+
+def _largest_piece(
+    cloud: PointCloud, options: PipelineOptions
+) -> tuple[PointCloud, LaplaceBeltrami, tuple[str, ...]]:
+    """The points that hang together, without clumps of strays; their operator; and what was dropped."""
+    operator = laplace_beltrami(_moved(cloud, -cloud.points.mean(axis=0)), "points")
+    if operator.n_components == 1:
+        return cloud, operator, ()
+    _, piece = connected_components(operator.stiffness, directed=False)  # (n,)
+    share = np.bincount(piece) / len(piece)
+    second = np.sort(share)[-2]
+    if second > options.surface.max_discarded:
+        raise ReconstructionError(
+            f"the scan holds two bodies or more: a second piece has {second:.0%} of the points; cut them "
+            "apart, or raise surface.max_discarded"
+        )
+    kept = np.flatnonzero(piece == share.argmax())
+    stiffness, mass = (csc_array(full[:, kept][kept]) for full in (operator.stiffness, operator.mass))
+    note = f"dropped {len(share) - 1} loose pieces with {1 - share.max():.1%} of the points"
+    return cloud.select(kept), LaplaceBeltrami(stiffness, mass), (note,)
 
 
 def as_scan(scan: object) -> PointCloud | TriangleMesh:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -34,7 +35,7 @@ def test_every_element_of_a_surface_can_be_asked_for(element: str) -> None:
 
 @pytest.mark.parametrize("scan", [POINTS, shapes.body(4)], ids=["cloud", "mesh"])
 def test_points_need_no_surface(scan: object) -> None:
-    options = PipelineOptions().changed(spectral={"element": "points"})
+    options = PipelineOptions().changed(spectral={"element": "points"}, surface={"sample_points": 8000})
     shape = process(scan, options)
     stages = [step.stage for step in shape.mesh.provenance]
     assert stages[-1] == "spectrum"
@@ -45,6 +46,20 @@ def test_points_need_no_surface(scan: object) -> None:
     assert shape.mesh.volume == pytest.approx(body.volume, rel=0.05)  # its faces point outwards
     error = np.log(signature(scan, options).values) - np.log(signature(body).values)
     assert np.abs(error).max() < 0.15
+
+
+def test_of_points_in_two_pieces_the_larger_is_kept() -> None:
+    options = PipelineOptions().changed(spectral={"element": "points"})
+    flock = 0.3 * shapes.points_on(shapes.icosphere(2), 300) + [0, 0, 5]  # a clump of strays
+    both = process(np.concatenate([POINTS, flock]), options)
+    assert both.area == pytest.approx(process(POINTS, options).area, rel=0.03)
+    assert both.mesh.vertices[:, 2].max() < 4
+    (note,) = both.mesh.provenance[-1].notes
+    assert re.match(r"dropped \d+ loose pieces with \d\.\d% of the points", note)
+    with pytest.raises(
+        ReconstructionError, match="the scan holds two bodies or more: a second piece has 50%"
+    ):
+        process(np.concatenate([POINTS, np.add(POINTS, [0, 0, 8])]), options)
 
 
 def test_a_cloud_has_one_signature_from_its_points_in_any_unit_and_place() -> None:

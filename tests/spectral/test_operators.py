@@ -169,6 +169,7 @@ def test_three_pages_of_a_book_vibrate_as_one(element: Any) -> None:
     size, tolerance = (4, 1e-4) if element == "cubic" else (12, 0.02)
     mesh = book(size)
     operator = laplace_beltrami(mesh, element)
+    assert abs(operator.stiffness - operator.stiffness.T).max() == 0
     assert abs(operator.stiffness.sum(axis=1)).max() < 1e-12
     assert operator.area == pytest.approx(3, rel=1e-12)
     np.testing.assert_allclose(spectrum(operator, 10), exact, rtol=tolerance, atol=1e-9)
