@@ -71,6 +71,7 @@ IDENTITY = csc_array(eye_array(3))
             "stiffness and mass must be finite, got NaN or infinite entries",
         ),
         (LaplaceBeltrami, [IDENTITY, 0 * IDENTITY], "mass must sum up to a positive area, got 0"),
+        (LaplaceBeltrami, [IDENTITY, IDENTITY, 0, [0, 1]], "nodes must have shape (3), got (2,)"),
         (
             Eigenpairs,
             [np.zeros(2), np.zeros((3, 1)), IDENTITY],
@@ -104,6 +105,7 @@ def everything() -> list[Any]:
         mesh,
         PointCloud(CORNERS, CORNERS, np.zeros(3), mesh.provenance),
         operator,
+        laplace_beltrami(shapes.square(3), boundary="dirichlet"),
         pairs,
         ModalSpectrum.of(pairs),
         Signature(np.ones(3), "x", "L=3"),

@@ -55,6 +55,12 @@ def cubic(mesh: TriangleMesh) -> Assembled:
     length on a flat surface. The faces of a curved one stay flat: there, order 2 remains, of the distance
     between the faces and what they stand for. With lumped mass the order is 4.
 
+    Returns
+    -------
+    Assembled
+        S symmetric positive semi-definite, dimensionless, its null space the constants of each component; M
+        symmetric positive definite, unit length². S·1 = 0 and 1ᵀM·1 = area.
+
     Raises
     ------
     DegenerateMeshError

@@ -23,6 +23,12 @@ def linear(mesh: TriangleMesh) -> Assembled:
     Row i is vertex i. The stiffness is the cotangent matrix: exact for linear functions, its eigenvalues of
     order 2 in the edge length and, with consistent mass on a flat surface, never below the true ones.
 
+    Returns
+    -------
+    Assembled
+        S symmetric positive semi-definite, dimensionless, its null space the constants of each component; M
+        symmetric positive definite, unit length². S·1 = 0 and 1ᵀM·1 = area.
+
     Raises
     ------
     DegenerateMeshError
