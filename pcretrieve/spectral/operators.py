@@ -90,10 +90,9 @@ def laplace_beltrami(
             raise InputError(f"element {element!r} needs a TriangleMesh, got {type(surface).__name__}")
         assembled = ELEMENTS[element](surface)
 
-    # Nodes of one face are connected, but between right angles an edge has no stiffness. A consistent mass
-    # matrix couples them all; where there is none, the edges that Delaunay leaves with some are enough.
-    coupling = assembled.stiffness if element == "intrinsic-delaunay" else assembled.mass
-    n_components, component = connected_components(coupling, directed=False)
+    # Between right angles an edge has no stiffness. But a function that is one on some nodes of a component
+    # and zero on the others has a gradient, so not all entries between the two can vanish.
+    n_components, component = connected_components(assembled.stiffness, directed=False)
     matrix = assembled.mass
     if mass == "lumped" or (mass is None and element in LUMPED):
         matrix = csc_array(diags_array(matrix.sum(axis=1)))

@@ -188,8 +188,8 @@ def test_assembly_takes_no_time() -> None:
     mesh = shapes.torus(100, 50)
     assert mesh.faces.shape == (10_000, 3)
     seconds = []
-    for _ in range(3):
-        started = time.perf_counter()
+    for _ in range(5):
+        started = time.process_time()  # whatever else the machine does
         laplace_beltrami(mesh, "cubic")
-        seconds.append(time.perf_counter() - started)
+        seconds.append(time.process_time() - started)
     assert min(seconds) < 0.2
