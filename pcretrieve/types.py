@@ -10,7 +10,7 @@ Arrays are copied in, checked once and locked; everything behind this door trust
 from __future__ import annotations
 
 from dataclasses import dataclass, field, fields, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from scipy.sparse import csc_array
 
 __all__ = [
+    "Describable",
     "Eigenpairs",
     "Failure",
     "FloatArray",
@@ -332,23 +333,80 @@ class ModalSpectrum(_Value):
         ⟨φ_i², φ_j⟩, row i and column j; unit length⁻¹.
     area : float
         Unit length².
+    overlaps : (k, k) float64 or None
+        ⟨φ_i², φ_j²⟩; unit length⁻². None where an earlier pcretrieve stored the spectrum.
     """
 
     eigenvalues: FloatArray
     moments: FloatArray
     area: float
+    overlaps: FloatArray | None = None
 
     def __post_init__(self) -> None:
         eigenvalues = _locked("eigenvalues", self.eigenvalues, (None,))
         k = len(eigenvalues)
         object.__setattr__(self, "eigenvalues", eigenvalues)
         object.__setattr__(self, "moments", _locked("moments", self.moments, (k, k)))
+        if self.overlaps is not None:
+            object.__setattr__(self, "overlaps", _locked("overlaps", self.overlaps, (k, k)))
 
     @classmethod
     def of(cls, pairs: Eigenpairs) -> ModalSpectrum:
-        """Of eigenpairs, with ∫ f²g taken as Σ f_i² D_ij g_j (Ye and Yu, section 3)."""
+        """Of eigenpairs, with ∫ f²g taken as Σ f_i² D_ij g_j (Ye and Yu, section 3), and ∫ f²g² alike."""
         phi = pairs.eigenvectors  # (n, k)
-        return cls(pairs.eigenvalues, (phi**2).T @ (pairs.mass @ phi), pairs.area)
+        squares = phi**2
+        return cls(
+            pairs.eigenvalues,
+            squares.T @ (pairs.mass @ phi),
+            pairs.area,
+            overlaps=squares.T @ (pairs.mass @ squares),
+        )
+
+    def known_overlaps(self) -> FloatArray:
+        """The overlaps.
+
+        Raises
+        ------
+        InputError
+            If the spectrum has none.
+        """
+        if self.overlaps is None:
+            raise InputError(
+                "this spectrum was stored without ⟨φ_i², φ_j²⟩, by an earlier pcretrieve: ingest the scans "
+                "anew, or take another descriptor"
+            )
+        return self.overlaps
+
+    def scaled(self, area: float) -> ModalSpectrum:
+        """Of the same surface, enlarged or shrunk to another area."""
+        factor = area / self.area
+        return ModalSpectrum(
+            self.eigenvalues / factor,
+            self.moments / np.sqrt(factor),
+            area,
+            None if self.overlaps is None else self.overlaps / factor,
+        )
+
+
+class Describable(Protocol):
+    """What a descriptor may ask of a shape; the catalogue reads what is asked for, and nothing else.
+
+    Attributes
+    ----------
+    spectrum : ModalSpectrum
+        Of the surface scaled to unit area.
+    area : float
+        Of the surface; unit length² of the file.
+    mesh : TriangleMesh
+        The surface, in the unit of the file.
+    """
+
+    @property
+    def spectrum(self) -> ModalSpectrum: ...
+    @property
+    def area(self) -> float: ...
+    @property
+    def mesh(self) -> TriangleMesh: ...
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -358,7 +416,7 @@ class Signature(_Value):
     Attributes
     ----------
     values : (L,) float64
-        Positive, dimensionless, largest first.
+        Positive; dimensionless, but for the scale ``absolute``. In the order that its method states.
     kind : str
         The method that made it, such as ``r-bihdm``.
     digest : str
