@@ -9,10 +9,11 @@ from __future__ import annotations
 import hashlib
 import json
 import sys
+from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 
 from pcretrieve.errors import OptionError
 
@@ -31,6 +32,7 @@ __all__ = [
     "SurfaceOptions",
     "describe_options",
     "options_difference",
+    "signature_methods",
 ]
 
 # Raised whenever the code, rather than an option, moves a signature: old catalogues must not mix with new
@@ -173,15 +175,60 @@ class SpectralOptions(_Options):
     """Eigenpairs that are computed and kept, the constant one included; pairs."""
 
 
-class SignatureOptions(_Options):
-    """Eigenpairs → descriptor."""
+# Descriptors that come with pcretrieve, and those of them that have no size to keep.
+METHODS = (
+    "r-bihdm",
+    "bihdm",
+    "shape-dna",
+    "shape-dna-norm1",
+    "sd-gdm",
+    "hks-bow",
+    "hks-bow-spatial",
+    "si-hks-bow",
+    "si-hks-bow-spatial",
+    "wks",
+    "combined",
+)
+SIZELESS = {name for name in METHODS if "hks" in name} | {"wks", "shape-dna-norm1"}
 
-    method: Literal["r-bihdm", "shape-dna"] = "r-bihdm"
-    """The descriptor."""
+# The entry points by which other packages add descriptors.
+PLUGIN_GROUP = "pcretrieve.signatures"
+
+
+def signature_methods() -> tuple[str, ...]:
+    """The names of all descriptors: pcretrieve's own, then those of other packages by name."""
+    added = {point.name for point in entry_points(group=PLUGIN_GROUP)}
+    return (*METHODS, *sorted(added.difference(METHODS)))
+
+
+class SignatureOptions(_Options):
+    """Spectrum and surface → descriptor."""
+
+    method: str = "r-bihdm"
+    """The descriptor; `pcretrieve signature --help` lists them all."""
     n_values: Count = 23
-    """Length L of the descriptor; values."""
+    """Length L of the descriptor; values. Of combined, of each half; of bags of features, their words."""
     n_modes: Annotated[int, Field(ge=2)] = 60
-    """Modes m that the reduced matrix of R-BiHDM is cut at; modes."""
+    """Modes m that R-BiHDM, BiHDM, heat and wave kernels are cut at; modes."""
+    scale: Literal["relative", "absolute"] = "relative"
+    """Whether bodies of one form and two sizes are the same (relative) or not (absolute). absolute keeps the
+    unit of the file: use it where all files have the same, which in most collections they do not."""
+
+    @field_validator("method")
+    @classmethod
+    def _exists(cls, method: str) -> str:
+        if method not in METHODS and method not in (names := signature_methods()):
+            raise ValueError(f"input should be one of {', '.join(names)}, got {method!r}")
+        return method
+
+    @model_validator(mode="after")
+    def _has_a_size(self) -> SignatureOptions:
+        if self.scale == "absolute" and self.method in SIZELESS:
+            raise ValueError(
+                f"scale: must be relative for {self.method}, which has no size to keep; absolute is for "
+                + ", ".join(name for name in METHODS if name not in SIZELESS)
+            )
+        return self
 
 
 class PipelineOptions(_Options):
@@ -305,6 +352,8 @@ def _explain(error: ValidationError) -> str:
         cause = problem.get("ctx", {}).get("error")
         if isinstance(cause, OptionError):
             clauses.append(f"in [{name}], {cause.message}")
+        elif problem["type"] == "value_error":
+            clauses.append(f"{name}: {cause}" if name else str(cause))
         elif problem["type"] == "extra_forbidden":
             clauses.append(f"there is no option {name!r}; `pcretrieve options` lists them all")
         else:

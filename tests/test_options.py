@@ -51,7 +51,7 @@ OTHER: dict[str, dict[str, Any]] = {
         "max_change": 0.2,
     },
     "spectral": {"n_pairs": 91},
-    "signature": {"method": "shape-dna", "n_values": 30, "n_modes": 70},
+    "signature": {"method": "shape-dna", "n_values": 30, "n_modes": 70, "scale": "absolute"},
 }
 
 # One value each: a single element exists so far.
@@ -168,6 +168,7 @@ def test_a_missing_file(tmp_path: Path) -> None:
         ("signature", "method", "sift"),
         ("signature", "n_values", 0),
         ("signature", "n_modes", 1),
+        ("signature", "scale", "unit"),
     ],
 )
 def test_values_that_cannot_be(stage: str, name: str, bad: object) -> None:

@@ -118,7 +118,7 @@ def signature(scan: object, options: PipelineOptions | None = None) -> Signature
         If the scan cannot be read or has no usable surface.
     """
     options = options or PipelineOptions()
-    described = describe(process(scan, options).spectrum, options.signature)
+    described = describe(process(scan, options), options.signature)
     return replace(described, digest=options.signature_digest)
 
 

@@ -50,6 +50,6 @@ def search(
         raise InputError(f"{catalogue.path} holds no shapes: ingest some first")
     digest = content_hash(Path(scan))
     held = next((r for r in catalogue.records() if r.content_hash == digest and r.status == "done"), None)
-    spectrum = catalogue.spectrum(held.id) if held else process(scan, catalogue.options).spectrum
+    shape = catalogue.shape(held.id) if held else process(scan, catalogue.options)
     index = SignatureIndex(table, distance=distance, whitening=catalogue.whitening(whitening, options))
-    return index.query(describe(spectrum, options or catalogue.options.signature).values, k)
+    return index.query(describe(shape, options or catalogue.options.signature).values, k)

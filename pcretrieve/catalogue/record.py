@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
 from pcretrieve.types import FloatArray, ModalSpectrum, Step, TriangleMesh
 
-__all__ = ["Content", "Record"]
+if TYPE_CHECKING:
+    from pcretrieve.catalogue.store import Catalogue
+
+__all__ = ["Content", "Record", "StoredShape"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -25,6 +29,37 @@ class Content:
     mesh: TriangleMesh
     spectrum: ModalSpectrum
     signature: FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class StoredShape:
+    """A shape as descriptors see it, read from its catalogue piece by piece as it is asked for.
+
+    Attributes
+    ----------
+    spectrum : ModalSpectrum
+        Of the mesh scaled to unit area.
+    area : float
+        Unit length² of the file.
+    mesh : TriangleMesh
+        Unit length of the file.
+    """
+
+    catalogue: Catalogue
+    id: str
+
+    @property
+    def spectrum(self) -> ModalSpectrum:
+        return self.catalogue.spectrum(self.id)
+
+    @property
+    def area(self) -> float:
+        # A shape that failed has none, but its spectrum is refused before.
+        return self.catalogue.record(self.id).area or 0.0
+
+    @property
+    def mesh(self) -> TriangleMesh:
+        return self.catalogue.mesh(self.id)
 
 
 @dataclass(frozen=True, slots=True)

@@ -18,8 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcretrieve.catalogue.opening import connect, damaged, is_writable, open_options, translated
-from pcretrieve.catalogue.record import Content, Record
-from pcretrieve.errors import InputError
+from pcretrieve.catalogue.record import Content, Record, StoredShape
+from pcretrieve.errors import InputError, ShapeError
 from pcretrieve.options import PipelineOptions, SignatureOptions
 from pcretrieve.retrieval import Whitening, fit_whitening, log_signatures
 from pcretrieve.signatures import describe
@@ -103,7 +103,9 @@ class Catalogue:
                 "n_faces": len(mesh.faces),
                 "euler": mesh.euler_characteristic,
                 "eigenvalues": _packed(values=content.spectrum.eigenvalues),
-                "moments": _packed(values=content.spectrum.moments),
+                "moments": _packed(
+                    values=content.spectrum.moments, overlaps=content.spectrum.known_overlaps()
+                ),
                 "signature": _packed(values=content.signature),
                 "mesh": _packed(vertices=mesh.vertices, faces=mesh.faces),
             }
@@ -160,27 +162,35 @@ class Catalogue:
     def spectrum(self, shape_id: str) -> ModalSpectrum:
         """The spectrum of a shape, scaled to unit area."""
         eigenvalues = self._arrays("eigenvalues", shape_id)["values"]
-        return ModalSpectrum(eigenvalues, self._arrays("moments", shape_id)["values"], area=1.0)
+        moments = self._arrays("moments", shape_id)
+        # Earlier versions stored no overlaps.
+        return ModalSpectrum(eigenvalues, moments["values"], area=1.0, overlaps=moments.get("overlaps"))
+
+    def shape(self, shape_id: str) -> StoredShape:
+        """A shape, for `describe`."""
+        return StoredShape(self, shape_id)
 
     def signatures(self, options: SignatureOptions | None = None) -> SignatureTable:
         """The signatures of all shapes that did not fail, by id.
 
-        With `options` other than the catalogue's own, they are computed anew from the stored spectra.
+        With `options` other than the catalogue's own, they are computed anew from what is stored.
         """
         own = options is None or options == self.options.signature
         options = self.options.signature if options is None else options
         ids, labels, values = [], [], []
-        columns = "signature, NULL" if own else "eigenvalues, moments"
-        query = f"SELECT id, label, {columns} FROM shapes WHERE status = 'done' ORDER BY id"
-        for shape_id, label, first, second in self._all(query):
+        query = "SELECT id, label, signature FROM shapes WHERE status = 'done' ORDER BY id"
+        for shape_id, label, signature in self._all(query):
             ids.append(shape_id)
             labels.append(label)
-            array = self._unpacked(first)["values"]
-            if not own:
-                array = describe(
-                    ModalSpectrum(array, self._unpacked(second)["values"], area=1.0), options
-                ).values
-            values.append(array)
+            try:
+                values.append(
+                    self._unpacked(signature)["values"]
+                    if own
+                    else describe(self.shape(shape_id), options).values
+                )
+            except ShapeError as error:
+                error.shape_id = shape_id
+                raise
         digest = self.options.model_copy(update={"signature": options}).signature_digest
         rows = np.array(values) if values else np.empty((0, options.n_values))
         return SignatureTable(tuple(ids), rows, options.method, digest, tuple(labels))

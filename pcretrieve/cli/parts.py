@@ -20,6 +20,8 @@ __all__ = [
     "failure_line",
     "json_option",
     "load_options",
+    "method_option",
+    "n_values_option",
     "say",
     "step_lines",
     "surface_option",
@@ -60,6 +62,28 @@ whitening_option = click.option(
     default="none",
     show_default=True,
     help="Decorrelate log-signatures over the catalogue, or by the variation within its classes.",
+)
+
+
+class _Method(click.ParamType):  # type: ignore[type-arg]  # generic since click 8.3 only
+    """A descriptor, listed by name where help is asked for; the options themselves check it."""
+
+    name = "method"
+
+    def get_metavar(self, param: click.Parameter, ctx: click.Context | None = None) -> str:
+        from pcretrieve.options import signature_methods
+
+        return f"[{'|'.join(signature_methods())}]"
+
+
+method_option = click.option(
+    "--method", type=_Method(), help="The descriptor.  [default: r-bihdm, or the catalogue's]"
+)
+n_values_option = click.option(
+    "--n-values",
+    type=click.IntRange(min=1),
+    metavar="L",
+    help="Its length.  [default: 23, or the catalogue's]",
 )
 
 

@@ -12,6 +12,8 @@ from pcretrieve.cli.parts import (
     catalogue_option,
     distance_option,
     json_option,
+    method_option,
+    n_values_option,
     say,
     whitening_option,
     write_json,
@@ -23,15 +25,6 @@ if TYPE_CHECKING:
     from pcretrieve.types import SignatureTable
 
 __all__ = ["evaluate_command", "query_command", "report_command"]
-
-method_option = click.option(
-    "--method",
-    type=click.Choice(["r-bihdm", "shape-dna"]),
-    help="The descriptor.  [default: the catalogue's]",
-)
-n_values_option = click.option(
-    "--n-values", type=click.IntRange(min=1), metavar="L", help="Its length.  [default: the catalogue's]"
-)
 
 
 @click.command("query")

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import asdict
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -13,11 +15,21 @@ from pcretrieve.cli.parts import (
     failure_line,
     json_option,
     load_options,
+    method_option,
+    n_values_option,
     say,
     step_lines,
     surface_option,
     write_json,
 )
+
+if TYPE_CHECKING:
+    from pcretrieve.catalogue import Record
+    from pcretrieve.options import PipelineOptions
+    from pcretrieve.types import Signature
+
+    # Name, what came of it, and what else a JSON document tells.
+    Row = tuple[str, Signature | Record, dict[str, object]]
 
 __all__ = ["reconstruct_command", "signature_command"]
 
@@ -73,28 +85,78 @@ def reconstruct_command(
 
 
 @click.command("signature")
-@click.argument("paths", nargs=-1, metavar="PATH...")
+@click.argument("paths", nargs=-1, metavar="[PATH|ID]...")
 @click.option(
-    "--method", type=click.Choice(["r-bihdm", "shape-dna"]), help="The descriptor.  [default: r-bihdm]"
+    "--from-catalogue",
+    type=click.Path(path_type=Path),
+    metavar="FILE",
+    help="Take shapes of a catalogue, by id or all of them, and no scans.",
 )
-@click.option("--n-values", type=click.IntRange(min=1), metavar="L", help="Its length.  [default: 23]")
+@method_option
+@n_values_option
+@click.option(
+    "--n-modes", type=click.IntRange(min=2), metavar="M", help="Modes of the surface.  [default: 60]"
+)
+@click.option(
+    "--scale",
+    type=click.Choice(["relative", "absolute"]),
+    help="Ignore the size of bodies, or keep it, where all files have one unit.  [default: relative]",
+)
 @config_option
 @surface_option
 @json_option
 def signature_command(
     paths: tuple[str, ...],
+    from_catalogue: Path | None,
     method: str | None,
     n_values: int | None,
+    n_modes: int | None,
+    scale: str | None,
     config: Path | None,
     surface: str | None,
     as_json: bool,
 ) -> None:
     """Signatures of scans, one line each: path, then values.
 
+    With --from-catalogue, of shapes that it holds, computed from what it stores: id, then values.
+
     \b
     pcretrieve signature body.obj
     pcretrieve signature scans/ --method shape-dna --json
+    pcretrieve signature --from-catalogue bodies.sqlite T12 T17 --method wks --n-values 40
     """
+    from pcretrieve.catalogue import Record
+
+    if from_catalogue is not None and (config or surface):
+        raise click.UsageError("a catalogue has options of its own: leave out --config and --surface")
+    if from_catalogue is None and not paths:
+        raise click.UsageError("name at least one scan")
+    given = {"method": method, "n_values": n_values, "n_modes": n_modes, "scale": scale}
+    chosen = {name: value for name, value in given.items() if value is not None}
+    if from_catalogue is not None:
+        rows = _of_catalogue(from_catalogue, paths, chosen)
+    else:
+        rows = _of_scans(paths, load_options(config, surface).changed(signature=chosen))
+    found: list[dict[str, object]] = []
+    n_failed = 0
+    for name, outcome, facts in rows:
+        if isinstance(outcome, Record):
+            n_failed += 1
+            say(failure_line(outcome))
+            facts |= {"error": outcome.error, "stage": outcome.stage, "message": outcome.message}
+        else:
+            facts |= {"kind": outcome.kind, "values": outcome.values.tolist()}
+            if not as_json:
+                click.echo("\t".join([name, *(f"{value:.9g}" for value in outcome.values)]))
+        found.append(facts)
+    if as_json:
+        write_json(found)
+    if n_failed:
+        click.get_current_context().exit(EXIT_SOME_FAILED)
+
+
+def _of_scans(paths: tuple[str, ...], options: PipelineOptions) -> Iterator[Row]:
+    """Signatures of scans, or the records of their failures."""
     from pcretrieve.batch.discover import discover, printable
     from pcretrieve.batch.pipeline import process
     from pcretrieve.batch.plan import failed
@@ -102,42 +164,38 @@ def signature_command(
     from pcretrieve.errors import ShapeError
     from pcretrieve.signatures import describe
 
-    if not paths:
-        raise click.UsageError("name at least one scan")
-    options = load_options(config, surface)
-    chosen = {
-        key: value for key, value in {"method": method, "n_values": n_values}.items() if value is not None
-    }
-    options = options.changed(signature=chosen)
-    found: list[dict[str, object]] = []
-    n_failed = 0
     for path in discover(paths):
         name = printable(path)
         try:
             shape = process(path, options)
+            signature = describe(shape, options.signature)
         except ShapeError as error:
-            n_failed += 1
-            record = failed(Record(Path(name).stem, name, ""), error)
-            say(failure_line(record))
-            found.append(
-                {"path": name, "error": record.error, "stage": record.stage, "message": record.message}
-            )
+            yield name, failed(Record(Path(name).stem, name, ""), error), {"path": name}
             continue
-        signature = describe(shape.spectrum, options.signature)
-        found.append(
-            {
-                "path": name,
-                "kind": signature.kind,
-                "values": signature.values.tolist(),
-                "seconds": round(sum(step.seconds for step in shape.mesh.provenance), 3),
-            }
-        )
-        if not as_json:
-            click.echo("\t".join([name, *(f"{value:.9g}" for value in signature.values)]))
-    if as_json:
-        write_json(found)
-    if n_failed:
-        click.get_current_context().exit(EXIT_SOME_FAILED)
+        seconds = sum(step.seconds for step in shape.mesh.provenance)
+        yield name, signature, {"path": name, "seconds": round(seconds, 3)}
+
+
+def _of_catalogue(path: Path, ids: tuple[str, ...], chosen: dict[str, Any]) -> Iterator[Row]:
+    """Signatures of shapes that a catalogue holds, or the records of their failures."""
+    from pcretrieve.batch.plan import failed
+    from pcretrieve.catalogue import Catalogue
+    from pcretrieve.errors import ShapeError
+    from pcretrieve.signatures import describe
+
+    with Catalogue(path) as store:
+        options = store.options.changed(signature=chosen).signature
+        records = [store.record(shape_id) for shape_id in ids] or store.records()
+        for record in records:
+            facts: dict[str, object] = {"id": record.id, "path": record.path}
+            if record.status == "failed":
+                if ids:
+                    yield record.id, record, facts
+                continue
+            try:
+                yield record.id, describe(store.shape(record.id), options), facts
+            except ShapeError as error:
+                yield record.id, failed(record, error), facts
 
 
 def _check_output(output: Path, scan: Path) -> None:

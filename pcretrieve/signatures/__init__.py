@@ -1,22 +1,111 @@
-"""Eigenpairs → descriptor: one file per method, and the table that names them."""
+"""Spectrum and surface → descriptor: one file per method, and the table that names them.
+
+A method takes a shape and the options and gives a `Signature`. Other packages add their own by an entry point
+of the group ``pcretrieve.signatures`` that leads to such a function::
+
+    [project.entry-points."pcretrieve.signatures"]
+    diameter = "their_package:diameter"
+
+It is then a `--method` like any other. A name of pcretrieve's own cannot be taken.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from importlib.metadata import EntryPoint, entry_points
 
-from pcretrieve.options import SignatureOptions
+from pcretrieve.errors import OptionError, PcretrieveError, ShapeError
+from pcretrieve.options import PLUGIN_GROUP, SignatureOptions, signature_methods
+from pcretrieve.signatures.bihdm import bihdm, full_matrix
+from pcretrieve.signatures.combined import combined
+from pcretrieve.signatures.hks_bow import hks_bow
 from pcretrieve.signatures.r_bihdm import r_bihdm, reduced_matrix
-from pcretrieve.signatures.shape_dna import shape_dna
-from pcretrieve.types import ModalSpectrum, Signature
+from pcretrieve.signatures.sd_gdm import sd_gdm
+from pcretrieve.signatures.shape_dna import BY, shape_dna
+from pcretrieve.signatures.wks import wks
+from pcretrieve.types import Describable, ModalSpectrum, Signature
 
-__all__ = ["METHODS", "describe", "r_bihdm", "reduced_matrix", "shape_dna"]
+__all__ = [
+    "METHODS",
+    "bihdm",
+    "combined",
+    "describe",
+    "full_matrix",
+    "hks_bow",
+    "r_bihdm",
+    "reduced_matrix",
+    "sd_gdm",
+    "shape_dna",
+    "wks",
+]
 
-METHODS: dict[str, Callable[[ModalSpectrum, SignatureOptions], Signature]] = {
-    "r-bihdm": lambda spectrum, options: r_bihdm(spectrum, options.n_values, options.n_modes),
-    "shape-dna": lambda spectrum, options: shape_dna(spectrum, options.n_values),
+Method = Callable[[Describable, SignatureOptions], Signature]
+
+
+def _spectrum(shape: Describable, options: SignatureOptions) -> ModalSpectrum:
+    """Of the surface in the unit of its file, where its size is to count."""
+    return shape.spectrum.scaled(shape.area) if options.scale == "absolute" else shape.spectrum
+
+
+def _bag(*, spatial: bool = False, scale_invariant: bool = False) -> Method:
+    return lambda shape, options: hks_bow(
+        shape.mesh, options.n_values, options.n_modes, spatial=spatial, scale_invariant=scale_invariant
+    )
+
+
+METHODS: dict[str, Method] = {
+    "r-bihdm": lambda shape, o: r_bihdm(_spectrum(shape, o), o.n_values, o.n_modes, scale=o.scale),
+    "bihdm": lambda shape, o: bihdm(_spectrum(shape, o), o.n_values, o.n_modes, scale=o.scale),
+    "shape-dna": lambda shape, o: shape_dna(_spectrum(shape, o), o.n_values, normalized_by=BY[o.scale]),
+    "shape-dna-norm1": lambda shape, o: shape_dna(shape.spectrum, o.n_values, normalized_by="first"),
+    "sd-gdm": lambda shape, o: sd_gdm(shape.mesh, o.n_values, scale=o.scale),
+    "hks-bow": _bag(),
+    "hks-bow-spatial": _bag(spatial=True),
+    "si-hks-bow": _bag(scale_invariant=True),
+    "si-hks-bow-spatial": _bag(spatial=True, scale_invariant=True),
+    "wks": lambda shape, o: wks(shape.spectrum, o.n_values, o.n_modes),
+    "combined": lambda shape, o: combined(_spectrum(shape, o), o.n_values, o.n_modes, scale=o.scale),
 }
 
 
-def describe(spectrum: ModalSpectrum, options: SignatureOptions) -> Signature:
-    """The descriptor that `options` names."""
-    return METHODS[options.method](spectrum, options)
+def describe(shape: Describable, options: SignatureOptions) -> Signature:
+    """The descriptor that `options` names.
+
+    Raises
+    ------
+    OptionError
+        If there is no such descriptor, its package cannot be loaded, or a length does not fit the spectrum.
+    ShapeError
+        If the shape has none.
+    """
+    method = METHODS.get(options.method)
+    return method(shape, options) if method else _added(shape, options)
+
+
+def _added(shape: Describable, options: SignatureOptions) -> Signature:
+    """The descriptor of another package, which may fail in ways that nobody here has thought of."""
+    point = next(iter(entry_points(group=PLUGIN_GROUP, name=options.method)), None)
+    if point is None:
+        raise OptionError(
+            f"there is no descriptor {options.method!r}; there are {', '.join(signature_methods())}"
+        )
+    name = f"the descriptor {point.name!r} of the package {_package(point)}"
+    try:
+        method = point.load()
+    except Exception as error:
+        raise OptionError(
+            f"{name} cannot be loaded, {type(error).__name__}: {error}; upgrade or uninstall that package"
+        ) from error
+    try:
+        made = method(shape, options)
+    except PcretrieveError:
+        raise
+    except Exception as error:
+        raise ShapeError(f"{name} failed, {type(error).__name__}: {error}", stage="signature") from error
+    if not isinstance(made, Signature) or not (made.values > 0).all():
+        raise ShapeError(f"{name} must give a Signature of positive values, got {made!r}", stage="signature")
+    return made
+
+
+def _package(point: EntryPoint) -> str:
+    return point.dist.name if point.dist else point.module

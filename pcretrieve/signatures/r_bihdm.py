@@ -6,15 +6,23 @@ retrieval", The Visual Computer 32 (2016).
 
 from __future__ import annotations
 
+from typing import Literal
+
 import numpy as np
 
 from pcretrieve.errors import OptionError, SpectrumError
 from pcretrieve.types import Eigenpairs, FloatArray, ModalSpectrum, Signature
 
-__all__ = ["r_bihdm", "reduced_matrix"]
+__all__ = ["leading", "r_bihdm", "reduced_matrix"]
 
 
-def r_bihdm(pairs: Eigenpairs | ModalSpectrum, n_values: int = 23, n_modes: int = 60) -> Signature:
+def r_bihdm(
+    pairs: Eigenpairs | ModalSpectrum,
+    n_values: int = 23,
+    n_modes: int = 60,
+    *,
+    scale: Literal["relative", "absolute"] = "relative",
+) -> Signature:
     """The R-BiHDM signature, equation (10).
 
     Parameters
@@ -27,11 +35,14 @@ def r_bihdm(pairs: Eigenpairs | ModalSpectrum, n_values: int = 23, n_modes: int 
         m, the modes that the matrix is cut at. The paper asks for m > max(60, 2L); between 60 and 100
         no retrieval figure moves.
 
+    scale : {"relative", "absolute"}, default "relative"
+        Whether the values are divided by μ_0.
+
     Returns
     -------
     Signature
         values (L,): |μ_j / μ_0| for j = 1 … L, dimensionless, largest first; unchanged by isometry and
-        scaling.
+        scaling. Absolute: |μ_j|, unit length⁴; unchanged by isometry.
 
     Raises
     ------
@@ -40,16 +51,35 @@ def r_bihdm(pairs: Eigenpairs | ModalSpectrum, n_values: int = 23, n_modes: int 
     SpectrumError
         If the reduced matrix does not have one positive and m negative eigenvalues.
     """
+    matrix = reduced_matrix(pairs, n_modes)
+    return Signature(
+        leading(matrix, n_values, n_modes, scale), kind="r-bihdm", digest=f"L={n_values} m={n_modes} {scale}"
+    )
+
+
+def leading(
+    matrix: FloatArray, n_values: int, n_modes: int, scale: Literal["relative", "absolute"]
+) -> FloatArray:
+    """(L,) magnitudes of the negative eigenvalues, largest first, relative to the positive one: (10).
+
+    Raises
+    ------
+    OptionError
+        If `n_values` is not between 1 and `n_modes`.
+    SpectrumError
+        If not exactly one eigenvalue is positive.
+    """
     if not 1 <= n_values <= n_modes:
         raise OptionError(f"n_values must be between 1 and n_modes = {n_modes}, got {n_values}")
-    mu = np.linalg.eigvalsh(reduced_matrix(pairs, n_modes))  # (m + 1,) ascending
-    if not (mu[-1] > 0 > mu[-2]):
+    mu = np.linalg.eigvalsh(matrix)  # ascending
+    # BiHDM has one eigenvalue more than modes, which may be zero.
+    if not (mu[-1] > 0 > mu[n_modes - 1]):
         raise SpectrumError(
-            f"the reduced matrix must have one positive eigenvalue, got {int((mu > 0).sum())}: "
+            f"the matrix must have one positive eigenvalue, got {int((mu > 0).sum())}: "
             "the eigenpairs are not those of a connected surface"
         )
-    mu_bar = np.abs(mu[:n_values] / mu[-1])  # (L,)
-    return Signature(mu_bar, kind="r-bihdm", digest=f"L={n_values} m={n_modes}")
+    magnitudes: FloatArray = np.abs(mu[:n_values])  # (L,)
+    return magnitudes / mu[-1] if scale == "relative" else magnitudes
 
 
 def reduced_matrix(pairs: Eigenpairs | ModalSpectrum, n_modes: int = 60) -> FloatArray:

@@ -26,7 +26,7 @@ def path(tmp_path: Path) -> Path:
     """A catalogue of one shape, with options of its own."""
     with Catalogue(tmp_path / "c.sqlite", OPTIONS, create=True) as store:
         shape = process(shapes.icosphere(3), OPTIONS)
-        values = describe(shape.spectrum, OPTIONS.signature).values
+        values = describe(shape, OPTIONS.signature).values
         store.put(Record("ball", "/ball.off", "hash"), Content(shape.mesh, shape.spectrum, values))
     return store.path
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import os
 import sqlite3
 from collections.abc import Iterator
@@ -14,9 +15,9 @@ import pytest
 import shapes
 
 from pcretrieve import Catalogue, PipelineOptions
-from pcretrieve.batch.pipeline import process
+from pcretrieve.batch.pipeline import Shape, process
 from pcretrieve.catalogue import Content, Record, opening
-from pcretrieve.errors import CatalogueError, InputError
+from pcretrieve.errors import CatalogueError, InputError, SpectrumError
 from pcretrieve.options import SignatureOptions
 from pcretrieve.retrieval import fit_whitening, log_signatures
 from pcretrieve.signatures import describe
@@ -26,10 +27,15 @@ N_SHAPES = 6
 
 
 @cache
-def content(number: int) -> Content:
+def egg(number: int) -> Shape:
     """What processing makes of an egg, one longer than the other."""
-    shape = process(shapes.ellipsoid((1, 1, 1 + number / 5), subdivisions=3), OPTIONS)
-    return Content(shape.mesh, shape.spectrum, describe(shape.spectrum, OPTIONS.signature).values)
+    return process(shapes.ellipsoid((1, 1, 1 + number / 5), subdivisions=3), OPTIONS)
+
+
+@cache
+def content(number: int) -> Content:
+    shape = egg(number)
+    return Content(shape.mesh, shape.spectrum, describe(shape, OPTIONS.signature).values)
 
 
 def record(number: int) -> Record:
@@ -66,6 +72,7 @@ def test_what_is_put_in_comes_back(catalogue: Catalogue) -> None:
     np.testing.assert_array_equal(mesh.faces, given.mesh.faces)
     np.testing.assert_array_equal(spectrum.eigenvalues, given.spectrum.eigenvalues)
     np.testing.assert_array_equal(spectrum.moments, given.spectrum.moments)
+    np.testing.assert_array_equal(spectrum.known_overlaps(), given.spectrum.known_overlaps())
     np.testing.assert_array_equal(catalogue.signatures().values[2], given.signature)
 
 
@@ -110,7 +117,15 @@ def test_labels_moves_and_removals(catalogue: Catalogue) -> None:
             catalogue.remove(gone)
 
 
-@pytest.mark.parametrize("options", [SignatureOptions(n_values=10), SignatureOptions(method="shape-dna")])
+@pytest.mark.parametrize(
+    "options",
+    [
+        SignatureOptions(n_values=10),
+        SignatureOptions(method="shape-dna", scale="absolute"),
+        SignatureOptions(method="bihdm", n_modes=40),
+        SignatureOptions(method="hks-bow"),
+    ],
+)
 def test_other_descriptors_are_made_from_the_stored_spectra(
     options: SignatureOptions, catalogue: Catalogue
 ) -> None:
@@ -118,7 +133,26 @@ def test_other_descriptors_are_made_from_the_stored_spectra(
     assert table.kind == options.method
     assert table.digest != catalogue.signatures().digest
     for row, values in enumerate(table.values):
-        np.testing.assert_allclose(values, describe(content(row).spectrum, options).values, rtol=1e-9)
+        np.testing.assert_allclose(values, describe(egg(row), options).values, rtol=1e-9)
+
+
+def test_spectra_that_an_earlier_version_stored_lack_overlaps_and_nothing_else(catalogue: Catalogue) -> None:
+    with closing(sqlite3.connect(catalogue.path)) as other, other:
+        for number in range(N_SHAPES):
+            blob = io.BytesIO()
+            np.savez_compressed(blob, values=content(number).spectrum.moments)
+            other.execute("UPDATE shapes SET moments = ? WHERE id = ?", (blob.getvalue(), f"egg{number}"))
+    assert len(catalogue.signatures(SignatureOptions(method="combined"))) == N_SHAPES
+    with pytest.raises(InputError, match="by an earlier pcretrieve: ingest the scans anew"):
+        catalogue.signatures(SignatureOptions(method="bihdm"))
+
+
+def test_a_shape_that_has_no_such_signature_is_named(catalogue: Catalogue) -> None:
+    few = process(shapes.ellipsoid(subdivisions=1), OPTIONS.changed(spectral={"n_pairs": 21}))
+    values = describe(egg(1), OPTIONS.signature).values
+    catalogue.put(record(1), Content(few.mesh, few.spectrum, values))
+    with pytest.raises(SpectrumError, match=r"\[egg1 / spectrum\] 61 eigenpairs need a surface of at least"):
+        catalogue.signatures(SignatureOptions(method="hks-bow"))
 
 
 # --- whitening ------------------------------------------------------------------------------------------
