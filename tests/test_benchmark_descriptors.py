@@ -1,0 +1,42 @@
+"""The table of descriptors has a row for each distance and whitening, and says what it leaves out."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import shapes
+
+from pcretrieve.surface import write_mesh
+
+SCRIPT = Path(__file__).parents[1] / "scripts" / "benchmark_descriptors"
+
+
+def test_a_set_of_five_classes(tmp_path: Path) -> None:
+    folder = tmp_path / "tosca"
+    folder.mkdir()
+    lines = ["file,class"]
+    for number in range(5):
+        for copy in range(2):
+            egg = shapes.ellipsoid((1, 1, 1 + number / 2), subdivisions=3)
+            name = f"egg{number}{copy}.off"
+            write_mesh(shapes.moved(egg, copy), folder / name)
+            lines.append(f"{name},kind{number}")
+    (folder / "labels.csv").write_text("\n".join(lines))
+    ended = subprocess.run(
+        [sys.executable, SCRIPT, "--data", tmp_path, "--methods", "wks", "hks-bow", "--n-values", "9", "99"],
+        capture_output=True,
+        text=True,
+    )
+    assert ended.returncode == 0, ended.stderr
+    head, missing, *rows = ended.stdout.splitlines()
+    assert head.split()[:5] == ["set", "method", "L", "distance", "whitening"]
+    assert missing.startswith("shrec11: left out, ")
+    assert "left out: n_values must be between 2 and 90" in rows.pop()
+    assert len(rows) == 3 * 9, "wks at two lengths, hks-bow at one"
+    figures = np.array([row.split()[5:] for row in rows], dtype=float)
+    plain = [row.split()[4] == "none" for row in rows]
+    assert (figures[plain, 0] == 1).all(), "the moved copy of each egg is its nearest neighbour"
+    assert (figures[:, -1] == 0).all(), "nothing failed"
