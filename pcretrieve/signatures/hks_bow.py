@@ -35,8 +35,8 @@ SPATIAL_TIME = 0.02
 # is on a millionth of it would outweigh all others in a distance of logarithms.
 SMALLEST_SHARE = 1e-3
 
-# Means of fewer points than this are no vocabulary.
-POINTS_PER_WORD = 6
+# Means of fewer points than this are no vocabulary, and some would be left without any.
+POINTS_PER_WORD = 8
 
 SAMPLE = "hks_sample.npy"
 
