@@ -5,7 +5,9 @@
     │  ├─ OptionError
     │  └─ BenchmarkError
     ├─ ShapeError                   this shape's fault: record it, go on
-    │  ├─ ScanReadError  ReconstructionError  RemeshError  DegenerateMeshError  SpectrumError
+    │  ├─ ScanReadError  ReconstructionError  RemeshError  DegenerateMeshError
+    │  ├─ SpectrumError
+    │  │  └─ ExtraZeroModes  NegativeEigenvalues  NonFiniteSpectrum  SpectrumNotConverged
     │  └─ StageTimeout  WorkerDied  MemoryExceeded  UnexpectedError
     └─ CatalogueError               other options, newer schema, locked, corrupt
 
@@ -19,8 +21,11 @@ __all__ = [
     "BenchmarkError",
     "CatalogueError",
     "DegenerateMeshError",
+    "ExtraZeroModes",
     "InputError",
     "MemoryExceeded",
+    "NegativeEigenvalues",
+    "NonFiniteSpectrum",
     "OptionError",
     "PcretrieveError",
     "ReconstructionError",
@@ -28,6 +33,7 @@ __all__ = [
     "ScanReadError",
     "ShapeError",
     "SpectrumError",
+    "SpectrumNotConverged",
     "StageTimeout",
     "UnexpectedError",
     "WorkerDied",
@@ -105,6 +111,22 @@ class SpectrumError(ShapeError):
     """The eigenvalue problem has no usable answer."""
 
     default_stage = "spectrum"
+
+
+class ExtraZeroModes(SpectrumError):
+    """More eigenvalues are zero than the one of a connected surface."""
+
+
+class NegativeEigenvalues(SpectrumError):
+    """The operator is not positive semi-definite."""
+
+
+class NonFiniteSpectrum(SpectrumError):
+    """The solver gave NaN or infinite numbers."""
+
+
+class SpectrumNotConverged(SpectrumError):
+    """The solver stopped before its residuals fell below the tolerance."""
 
 
 class StageTimeout(ShapeError):

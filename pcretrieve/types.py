@@ -295,19 +295,26 @@ class Eigenpairs(_Value):
     Attributes
     ----------
     eigenvalues : (k,) float64
-        Ascending, λ₀ = 0; unit length⁻².
+        Ascending, λ₀ = 0 if there is a zero mode; unit length⁻².
     eigenvectors : (n, k) float64
-        ΦᵀMΦ = I; unit length⁻¹. φ₀ is the positive constant 1/√area.
+        ΦᵀMΦ = I; unit length⁻¹. φ₀ of a zero mode is the positive constant 1/√area.
     mass : (n, n) sparse
         The mass matrix that they are orthonormal in; unit length².
     largest_residual : float
         max ‖S φ − λ M φ‖ / (λ ‖M φ‖) over the pairs with λ > 0.
+    iterations : int
+        Solves with the shifted matrix: of a block of vectors (``krylov``), of one (``arpack``); none by
+        ``dense``.
+    solver : str
+        Who found them: ``krylov``, ``arpack`` or ``dense``.
     """
 
     eigenvalues: FloatArray
     eigenvectors: FloatArray
     mass: csc_array
     largest_residual: float = 0.0
+    iterations: int = 0
+    solver: str = ""
 
     def __post_init__(self) -> None:
         eigenvalues = _locked("eigenvalues", self.eigenvalues, (None,))

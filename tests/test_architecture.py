@@ -34,6 +34,7 @@ BESIDE = {"simulation"}
 
 # Slow to import, or unsafe: each behind one door, which opens when it is first used.
 DOORS = {
+    "cholespy": "spectral/krylov.py",
     "open3d": "adapters/open3d.py",
     "pytetwild": "adapters/tetwild.py",
     "robust_laplacian": "adapters/robust_laplacian.py",

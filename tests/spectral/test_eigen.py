@@ -1,17 +1,42 @@
-"""Eigenpairs: orthonormal, ordered, the same to the bit, by either route; and what has none."""
+"""Eigenpairs: orthonormal, ordered, the same to the bit, by every route; and what has none."""
 
 from __future__ import annotations
+
+from dataclasses import replace
+from functools import partial
+from itertools import pairwise
+from typing import Literal, get_args
 
 import numpy as np
 import pytest
 import shapes
-from scipy.sparse import block_diag, csc_array
+from scipy.linalg import eigh
+from scipy.sparse import block_diag, csc_array, diags_array
+from scipy.sparse.linalg import eigsh
 
-from pcretrieve.errors import OptionError, SpectrumError
-from pcretrieve.spectral import eigen, eigenpairs, laplace_beltrami
-from pcretrieve.types import LaplaceBeltrami, TriangleMesh
+from pcretrieve.errors import (
+    ExtraZeroModes,
+    NegativeEigenvalues,
+    NonFiniteSpectrum,
+    OptionError,
+    SpectrumError,
+    SpectrumNotConverged,
+)
+from pcretrieve.spectral import eigen, eigenpairs, krylov, laplace_beltrami
+from pcretrieve.types import Eigenpairs, FloatArray, LaplaceBeltrami, TriangleMesh
+
+Solver = Literal["krylov", "arpack"]
 
 BODY = laplace_beltrami(shapes.body(3))
+
+# Stiffness of a thread between two surfaces, whose edges have about 1.
+THREAD = 0.1
+
+
+@pytest.fixture(params=get_args(Solver))
+def solver(request: pytest.FixtureRequest) -> Solver:
+    name: Solver = request.param
+    return name
 
 
 @pytest.fixture(params=[12, 61, 250], ids=lambda n: f"{n} pairs")  # the last of them by the dense route
@@ -20,19 +45,33 @@ def n_pairs(request: pytest.FixtureRequest) -> int:
     return n
 
 
-def is_dense(operator: LaplaceBeltrami, n_pairs: int) -> bool:
-    return operator.mass.shape[0] < eigen.DENSE_UNKNOWNS_PER_PAIR * n_pairs
+def residuals(operator: LaplaceBeltrami, pairs: Eigenpairs) -> FloatArray:
+    mapped = operator.mass @ pairs.eigenvectors[:, 1:]
+    residual = operator.stiffness @ pairs.eigenvectors[:, 1:] - pairs.eigenvalues[1:] * mapped
+    relative: FloatArray = np.linalg.norm(residual, axis=0) / (
+        pairs.eigenvalues[1:] * np.linalg.norm(mapped, axis=0)
+    )
+    return relative
 
 
-def test_both_routes_are_tested_here() -> None:
-    assert [is_dense(BODY, n) for n in (12, 61, 250)] == [False, False, True]
+def dense_eigenvalues(operator: LaplaceBeltrami) -> FloatArray:
+    eigenvalues: FloatArray = eigh(operator.stiffness.toarray(), operator.mass.toarray(), eigvals_only=True)
+    return eigenvalues
 
 
 # --- what they are ------------------------------------------------------------------------------------
 
 
-def test_orthonormal_ascending_and_from_zero(n_pairs: int) -> None:
-    pairs = eigenpairs(BODY, n_pairs)
+def test_they_say_who_found_them(n_pairs: int, solver: Solver) -> None:
+    pairs = eigenpairs(BODY, n_pairs, solver=solver)
+    assert pairs.solver == ("dense" if n_pairs == 250 else solver)
+    assert (pairs.iterations == 0) == (pairs.solver == "dense")
+    if pairs.solver == "krylov":
+        assert n_pairs < pairs.iterations * krylov.BLOCK < krylov.basis_size(n_pairs)
+
+
+def test_orthonormal_ascending_and_from_zero(n_pairs: int, solver: Solver) -> None:
+    pairs = eigenpairs(BODY, n_pairs, solver=solver)
     phi = pairs.eigenvectors
     assert phi.shape == (BODY.mass.shape[0], n_pairs)
     np.testing.assert_allclose(phi.T @ (BODY.mass @ phi), np.eye(n_pairs), atol=1e-9)
@@ -41,66 +80,156 @@ def test_orthonormal_ascending_and_from_zero(n_pairs: int) -> None:
     assert (phi[:, 0] == 1 / np.sqrt(pairs.area)).all()
 
 
-def test_each_solves_its_equation(n_pairs: int) -> None:
-    pairs = eigenpairs(BODY, n_pairs)
-    mapped = BODY.mass @ pairs.eigenvectors[:, 1:]
-    residual = BODY.stiffness @ pairs.eigenvectors[:, 1:] - pairs.eigenvalues[1:] * mapped
-    relative = np.linalg.norm(residual, axis=0) / (pairs.eigenvalues[1:] * np.linalg.norm(mapped, axis=0))
-    assert relative.max() == pytest.approx(pairs.largest_residual, rel=0.5)
-    assert relative.max() < 1e-9
+@pytest.mark.parametrize("tolerance", [1e-6, 1e-8, 1e-10])
+def test_residuals_are_what_was_asked_for(tolerance: float, n_pairs: int, solver: Solver) -> None:
+    pairs = eigenpairs(BODY, n_pairs, solver=solver, tolerance=tolerance)
+    largest = residuals(BODY, pairs).max()
+    assert largest == pytest.approx(pairs.largest_residual, rel=0.5)
+    assert largest < 10 * tolerance
 
 
-def test_the_sign_is_that_of_the_largest_entry(n_pairs: int) -> None:
-    phi = eigenpairs(BODY, n_pairs).eigenvectors
+def test_a_looser_tolerance_takes_fewer_iterations() -> None:
+    iterations = [eigenpairs(BODY, 61, tolerance=tolerance).iterations for tolerance in (1e-6, 1e-11)]
+    assert iterations[0] < iterations[1]
+
+
+def test_the_sign_is_that_of_the_largest_entry(n_pairs: int, solver: Solver) -> None:
+    phi = eigenpairs(BODY, n_pairs, solver=solver).eigenvectors
     assert (phi.max(axis=0) >= -phi.min(axis=0)).all()
 
 
-def test_the_same_bits_each_time(n_pairs: int) -> None:
-    one, two = eigenpairs(BODY, n_pairs), eigenpairs(laplace_beltrami(shapes.body(3)), n_pairs)
+def test_the_same_bits_each_time(n_pairs: int, solver: Solver) -> None:
+    one, two = (
+        eigenpairs(operator, n_pairs, solver=solver) for operator in (BODY, laplace_beltrami(shapes.body(3)))
+    )
     assert (one.eigenvalues == two.eigenvalues).all()
     assert (one.eigenvectors == two.eigenvectors).all()
 
 
-def test_both_routes_agree() -> None:
-    sparse, dense = eigenpairs(BODY, 61), eigenpairs(BODY, 250)
+@pytest.mark.parametrize("mass", ["consistent", "lumped"])
+def test_all_routes_agree(solver: Solver, mass: Literal["consistent", "lumped"]) -> None:
+    operator = laplace_beltrami(shapes.body(3), mass=mass)
+    sparse, dense = eigenpairs(operator, 61, solver=solver, tolerance=1e-9), eigenpairs(operator, 250)
     np.testing.assert_allclose(sparse.eigenvalues[1:], dense.eigenvalues[1:61], rtol=1e-10)
     np.testing.assert_allclose(sparse.eigenvectors, dense.eigenvectors[:, :61], atol=1e-6)
 
 
-def test_fewer_pairs_are_the_first_of_more() -> None:
+def test_fewer_pairs_are_the_first_of_more(solver: Solver) -> None:
     np.testing.assert_allclose(
-        eigenpairs(BODY, 12).eigenvalues, eigenpairs(BODY, 61).eigenvalues[:12], rtol=1e-10
+        eigenpairs(BODY, 12, solver=solver).eigenvalues,
+        eigenpairs(BODY, 61, solver=solver).eigenvalues[:12],
+        rtol=1e-10,
     )
 
 
-def test_all_of_a_symmetric_surface_are_found() -> None:
-    # Clusters of equal eigenvalues tempt Lanczos to find one of each.
-    sphere = laplace_beltrami(shapes.icosphere(3))
-    assert not is_dense(sphere, 100)
-    sparse = eigenpairs(sphere, 100).eigenvalues
-    dense = np.linalg.eigvals(np.linalg.solve(sphere.mass.toarray(), sphere.stiffness.toarray())).real
-    np.testing.assert_allclose(sparse[1:], np.sort(dense)[1:100], rtol=1e-8)
+@pytest.mark.parametrize("n_pairs", [2, 3, 5, 20, 150])
+def test_any_number_of_pairs(n_pairs: int) -> None:
+    pairs = eigenpairs(BODY, n_pairs)
+    assert pairs.solver == "krylov"
+    np.testing.assert_allclose(pairs.eigenvalues[1:], dense_eigenvalues(BODY)[1:n_pairs], rtol=1e-9)
+
+
+@pytest.mark.parametrize("extra", [-1, 0, 1, 40])
+def test_where_the_basis_has_just_room(extra: int) -> None:
+    # Nearly all of the space is in the basis.
+    n_pairs = (BODY.mass.shape[0] - extra - krylov.basis_size(0) - krylov.BLOCK) // 3
+    pairs = eigenpairs(BODY, n_pairs)
+    np.testing.assert_allclose(pairs.eigenvalues[1:], dense_eigenvalues(BODY)[1:n_pairs], rtol=1e-9)
+
+
+def test_a_basis_without_room_is_restarted(monkeypatch: pytest.MonkeyPatch) -> None:
+    whole = eigenpairs(BODY, 61, tolerance=1e-9)
+    monkeypatch.setattr(krylov, "VECTORS_PER_PAIR", 1)
+    assert krylov.basis_size(61) < whole.iterations * krylov.BLOCK
+    restarted = eigenpairs(BODY, 61, tolerance=1e-9)
+    assert whole.iterations <= restarted.iterations < 2 * whole.iterations
+    assert residuals(BODY, restarted).max() < 1e-8
+    np.testing.assert_allclose(restarted.eigenvalues[1:], whole.eigenvalues[1:], rtol=1e-11)
+    np.testing.assert_allclose(restarted.eigenvectors, whole.eigenvectors, atol=1e-6)
 
 
 @pytest.mark.parametrize("scale", [1e-3, 1e4])
-def test_scaling_and_moving(scale: float) -> None:
-    moved = eigenpairs(laplace_beltrami(shapes.moved(shapes.body(3), seed=3, scale=scale)))
-    here = eigenpairs(BODY)
+def test_scaling_and_moving(scale: float, solver: Solver) -> None:
+    moved = eigenpairs(
+        laplace_beltrami(shapes.moved(shapes.body(3), seed=3, scale=scale)), solver=solver, tolerance=1e-9
+    )
+    here = eigenpairs(BODY, solver=solver, tolerance=1e-9)
     np.testing.assert_allclose(moved.eigenvalues * scale**2, here.eigenvalues, rtol=1e-8)
     np.testing.assert_allclose(moved.eigenvectors * scale, here.eigenvectors, atol=1e-6)
 
 
-def test_lumped_mass_serves_as_well() -> None:
-    operator = laplace_beltrami(shapes.body(3), mass="lumped")
-    pairs = eigenpairs(operator)
-    gram = pairs.eigenvectors.T @ (operator.mass @ pairs.eigenvectors)
-    np.testing.assert_allclose(gram, np.eye(61), atol=1e-9)
-
-
-def test_a_long_tube_hangs_together() -> None:
+def test_a_long_tube_hangs_together(solver: Solver) -> None:
     ball = shapes.icosphere(3)
-    tube = eigenpairs(laplace_beltrami(TriangleMesh(ball.vertices * [100, 1, 1], ball.faces)), 5)
-    assert 0 < tube.eigenvalues[1] * tube.area < 0.5
+    tube = laplace_beltrami(TriangleMesh(ball.vertices * [100, 1, 1], ball.faces))
+    pairs = eigenpairs(tube, 61, solver=solver)
+    assert 0 < pairs.eigenvalues[1] * pairs.area < 0.5
+    np.testing.assert_allclose(pairs.eigenvalues[1:], dense_eigenvalues(tube)[1:61], rtol=1e-8)
+
+
+# --- clusters -----------------------------------------------------------------------------------------
+
+# Clusters of equal eigenvalues tempt Krylov spaces to find one of each.
+
+
+@pytest.mark.parametrize("n_pairs", [36, 64, 100])
+@pytest.mark.parametrize("mass", ["consistent", "lumped"])
+def test_all_of_a_symmetric_surface_are_found(
+    n_pairs: int, mass: Literal["consistent", "lumped"], solver: Solver
+) -> None:
+    # The 120 symmetries of the icosahedron make eigenvalues up to fivefold.
+    sphere = laplace_beltrami(shapes.icosphere(3), mass=mass)
+    pairs = eigenpairs(sphere, n_pairs, solver=solver)
+    assert pairs.solver == solver
+    np.testing.assert_allclose(pairs.eigenvalues[1:], dense_eigenvalues(sphere)[1:n_pairs], rtol=1e-9)
+
+
+def test_harmonics_of_the_sphere_are_complete() -> None:
+    # 2l + 1 to each l(l + 1), nearly equal on a fine mesh: l = 7 ends at 64.
+    eigenvalues = eigenpairs(laplace_beltrami(shapes.icosphere(5)), 64).eigenvalues
+    degrees = np.round((np.sqrt(1 + 4 * eigenvalues) - 1) / 2)
+    np.testing.assert_array_equal(degrees, np.repeat(np.arange(8), 2 * np.arange(8) + 1))
+
+
+def test_the_square_is_complete(solver: Solver) -> None:
+    square = laplace_beltrami(shapes.square(24))
+    pairs = eigenpairs(square, 61, solver=solver)
+    assert pairs.solver == solver
+    np.testing.assert_allclose(pairs.eigenvalues[1:], dense_eigenvalues(square)[1:61], rtol=1e-9)
+
+
+def test_copies_beyond_the_block_are_found() -> None:
+    # Ten equal bodies, each hung by a thread on the next: clusters of ten, wider than a block.
+    ten = laplace_beltrami(shapes.joined(*[shapes.body(2)] * 10))
+    n = ten.mass.shape[0] // 10
+    knots = np.arange(10) * n
+    threads = diags_array(np.zeros(10 * n)).tolil()
+    for one, next_one in pairwise(knots):
+        threads[one, next_one] = threads[next_one, one] = -THREAD
+        threads[one, one] += THREAD
+        threads[next_one, next_one] += THREAD
+    hung = LaplaceBeltrami(csc_array(ten.stiffness + csc_array(threads)), ten.mass)
+    pairs = eigenpairs(hung, 61)
+    assert pairs.solver == "krylov"
+    np.testing.assert_allclose(pairs.eigenvalues[1:], dense_eigenvalues(hung)[1:61], rtol=1e-9)
+
+
+# --- no zero mode -------------------------------------------------------------------------------------
+
+
+def test_without_a_zero_mode_nothing_is_pinned(n_pairs: int, solver: Solver) -> None:
+    # One vertex held: the matrices without its row and column.
+    held = LaplaceBeltrami(csc_array(BODY.stiffness[1:, 1:]), csc_array(BODY.mass[1:, 1:]), n_components=0)
+    pairs = eigenpairs(held, n_pairs, solver=solver)
+    np.testing.assert_allclose(pairs.eigenvalues, dense_eigenvalues(held)[:n_pairs], rtol=1e-9)
+    phi = pairs.eigenvectors
+    assert phi[:, 0].std() > 0.01 * phi[:, 0].mean() > 0
+    np.testing.assert_allclose(phi.T @ (held.mass @ phi), np.eye(n_pairs), atol=1e-9)
+
+
+def test_an_operator_that_only_says_it_has_a_zero_mode(solver: Solver) -> None:
+    held = LaplaceBeltrami(csc_array(BODY.stiffness[1:, 1:]), csc_array(BODY.mass[1:, 1:]))
+    with pytest.raises(SpectrumError, match=r"a connected surface must have the eigenvalue 0, got λ₀·area ="):
+        eigenpairs(held, 12, solver=solver)
 
 
 # --- what has none ------------------------------------------------------------------------------------
@@ -120,6 +249,18 @@ def test_one_pair_is_none(n: int) -> None:
         eigenpairs(BODY, n)
 
 
+@pytest.mark.parametrize("tolerance", [0, -1e-8, 1e-5, np.nan])
+def test_tolerances_that_mean_nothing(tolerance: float) -> None:
+    with pytest.raises(OptionError, match="tolerance must be above 0 and at most 1e-06, got "):
+        eigenpairs(BODY, tolerance=tolerance)
+
+
+@pytest.mark.parametrize("name", ["lobpcg", "dense", ""])
+def test_there_are_two_solvers(name: str) -> None:
+    with pytest.raises(OptionError, match=f"solver must be 'krylov' or 'arpack', got '{name}'"):
+        eigenpairs(BODY, solver=name)  # type: ignore[arg-type]
+
+
 def test_too_few_vertices() -> None:
     message = (
         r"^\[spectrum\] 61 eigenpairs need a surface of at least 62 vertices, got 42: use a finer surface or "
@@ -132,35 +273,61 @@ def test_too_few_vertices() -> None:
 
 def test_two_components() -> None:
     two = laplace_beltrami(shapes.joined(shapes.icosphere(2), shapes.icosphere(2)))
-    with pytest.raises(SpectrumError, match=r"the surface must be connected, got 2 components"):
+    with pytest.raises(ExtraZeroModes, match=r"the surface must be connected, got 2 components"):
         eigenpairs(two)
 
 
 @pytest.mark.parametrize("level", [2, 3], ids=["dense", "sparse"])
-def test_two_components_that_say_they_are_one(level: int) -> None:
+def test_two_components_that_say_they_are_one(level: int, solver: Solver) -> None:
     two = laplace_beltrami(shapes.joined(shapes.icosphere(level), shapes.icosphere(level)))
     with pytest.raises(
-        SpectrumError, match=r"λ₁·area must be at least 1e-06, got .*: the surface is not conn"
+        ExtraZeroModes, match=r"at least 1e-06 after 1 zero modes, got .*: the surface is not"
     ):
-        eigenpairs(LaplaceBeltrami(two.stiffness, two.mass), 100)
+        eigenpairs(replace(two, n_components=1), 100, solver=solver)
 
 
 @pytest.mark.parametrize("n", [12, 250], ids=["sparse", "dense"])
 def test_an_unknown_without_mass(n: int) -> None:
-    with pytest.raises(
-        SpectrumError, match=r"the eigenvalue solver failed: .*(singular|not positive definite)"
-    ):
+    with pytest.raises(SpectrumError, match=r"every unknown must have mass, got 1 of 643 without"):
         eigenpairs(loose_end(BODY), n)
 
 
 @pytest.mark.parametrize("n", [12, 250], ids=["sparse", "dense"])
-def test_a_stiffness_of_the_wrong_sign(n: int) -> None:
-    with pytest.raises(SpectrumError, match=r"λ₁·area must be at least 1e-06, got -"):
-        eigenpairs(LaplaceBeltrami(-BODY.stiffness, BODY.mass), n)
+def test_a_mass_that_is_not_definite(n: int, solver: Solver) -> None:
+    mass = BODY.mass.tolil()
+    mass[3, 5] = mass[5, 3] = 1.0
+    with pytest.raises(SpectrumError):
+        eigenpairs(LaplaceBeltrami(BODY.stiffness, csc_array(mass)), n, solver=solver)
 
 
-def test_a_stiffness_that_is_not_symmetric() -> None:
+@pytest.mark.parametrize("n", [12, 250], ids=["sparse", "dense"])
+@pytest.mark.parametrize("amount", [1.0, 0.5 / dense_eigenvalues(BODY)[-1] / BODY.area], ids=["far", "near"])
+def test_a_stiffness_of_the_wrong_sign(n: int, amount: float, solver: Solver) -> None:
+    # The near ones are above the shift, so that there is a Cholesky factor.
+    with pytest.raises(NegativeEigenvalues, match=r"(must not be negative, got -|must be positive definite)"):
+        eigenpairs(LaplaceBeltrami(-amount * BODY.stiffness, BODY.mass), n, solver=solver)
+
+
+def test_a_tolerance_beyond_arithmetic() -> None:
+    with pytest.raises(
+        SpectrumNotConverged, match=r"residuals must fall below 1e-25, got .* after 82 blocks"
+    ):
+        eigenpairs(BODY, 12, tolerance=1e-25)
+
+
+def test_arpack_that_runs_out_of_iterations(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(eigen, "eigsh", partial(eigsh, maxiter=1, ncv=72))
+    with pytest.raises(SpectrumNotConverged, match=r"ARPACK .*No convergence"):
+        eigenpairs(BODY, 61, solver="arpack")
+
+
+def test_overflow() -> None:
+    with pytest.raises(NonFiniteSpectrum, match="got overflow or NaN"):
+        eigenpairs(LaplaceBeltrami(BODY.stiffness, csc_array(BODY.mass * 1e200)), 12)
+
+
+def test_a_stiffness_that_is_not_symmetric(solver: Solver) -> None:
     skewed = BODY.stiffness.tolil()
     skewed[0, 5] += 1
-    with pytest.raises(SpectrumError, match=r"relative residuals must stay below 1e-05, got "):
-        eigenpairs(LaplaceBeltrami(csc_array(skewed), BODY.mass), 12)
+    with pytest.raises(SpectrumError):
+        eigenpairs(LaplaceBeltrami(csc_array(skewed), BODY.mass), 12, solver=solver)
