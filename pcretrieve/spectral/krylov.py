@@ -133,7 +133,8 @@ def block_krylov(
         worst = float(np.linalg.norm(outside[:, :n_pairs], axis=0).max())
         if worst <= tolerance:
             # T φ / θ instead of φ: it is known, and better by one iteration.
-            vectors = basis[:width].T @ mixing[:, :n_pairs] + block @ outside[:, :n_pairs]  # (n, n_pairs)
+            vectors = np.ascontiguousarray(block) @ outside[:, :n_pairs]  # (n, n_pairs)
+            vectors += (mixing[:, :n_pairs].T @ basis[:width]).T
             return 1 / theta[:n_pairs] + shift, vectors, n_blocks
         if full:
             width = (n_pairs + size) // 2
@@ -173,7 +174,8 @@ def _orthonormal(
             raise NonFiniteSpectrum("the operator must be of a size to compute with, got overflow or NaN")
         lower = np.linalg.cholesky(gram)
         inverse = solve_triangular(lower, np.eye(BLOCK), lower=True).T
-        block, mapped = block @ inverse, mapped @ inverse
+        # In rows, as the basis takes it: to transpose by BLAS is faster than to copy.
+        block, mapped = (inverse.T @ block.T).T, mapped @ inverse
         along += error.T @ left
         left = lower.T @ left
         condition = np.linalg.norm(lower) * np.linalg.norm(inverse) / BLOCK
