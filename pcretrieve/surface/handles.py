@@ -1,0 +1,115 @@
+"""A body with the topology asked for, grown along the points."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from pcretrieve.options import SurfaceOptions
+from pcretrieve.scan.outside import FARTHEST, Outside, distances
+from pcretrieve.surface.field import normals_of
+from pcretrieve.surface.growth import grown
+from pcretrieve.surface.marching import marched
+from pcretrieve.types import FloatArray, PointCloud, TriangleMesh
+
+__all__ = ["with_topology"]
+
+Mask = NDArray[np.bool_]
+Voxels = NDArray[np.float32]
+
+# How much deeper than its distance to the nearest point a cell may count; cells. Little, so that the way
+# through a contact, between the points of two skins, is narrower than the way through a thin limb.
+SKIN_DEPTH = 0.3
+
+# A point is a disk of this radius that growth does not pass through while there is another way; cells.
+DISK = 2.0
+
+# Disks stand across an axis only where their normal leans this far towards it.
+LEAST_LEAN = 0.3
+
+# A cut this thick beside the body's greatest depth went through a true handle.
+HANDLE = 0.6
+
+
+def with_topology(
+    inside: Mask, cloud: PointCloud, outside: Outside, options: SurfaceOptions, notes: list[str]
+) -> tuple[Mask, NDArray[np.intp]]:
+    """The cells with the genus asked for, and those that had to go, (k, 3)."""
+    if options.genus == "free":
+        return inside, np.zeros((0, 3), dtype=np.intp)
+    depth = distances(~inside, np.inf)
+    # Where limbs touch, points lie between them: the way through is narrow there.
+    to_points = np.where(outside.distance < FARTHEST, outside.distance + SKIN_DEPTH, np.inf)
+    priority = np.minimum(depth, to_points).astype(np.float32)
+    walls = _walls(outside.grid.coordinates(cloud.points), normals_of(cloud), outside.grid.shape)
+    body = grown(inside, priority, walls)
+    if options.genus not in ("sphere", 0):
+        body = _with_handles(inside, body, depth, options.genus, notes)
+    return body, np.argwhere(inside & ~body)
+
+
+def _with_handles(inside: Mask, body: Mask, depth: Voxels, genus: str | int, notes: list[str]) -> Mask:
+    """The body with its thickest cuts undone, each of which closes one handle.
+
+    A contact is thin beside the limbs that meet in it, a true handle is not: ``auto`` undoes the cuts that
+    reach `HANDLE` of the body's own greatest depth. A number undoes as many, thickest first.
+    """
+    from scipy import ndimage
+
+    cuts, _ = ndimage.label(inside & ~body, np.ones((3, 3, 3)))
+    boxes = ndimage.find_objects(cuts)
+    thickness = ndimage.maximum(depth, cuts, np.arange(1, len(boxes) + 1))
+    wanted = len(boxes) if genus == "auto" else int(genus)
+    made = 0
+    for cut in np.argsort(-np.asarray(thickness)):
+        if made == wanted or (genus == "auto" and thickness[cut] < HANDLE * depth.max()):
+            break
+        box = tuple(slice(side.start - 2, side.stop + 2) for side in boxes[cut])
+        closed = body[box] | (cuts[box] == cut + 1)
+        change = _euler(closed) - _euler(body[box])
+        if change == -2:  # one handle, and nothing else
+            body[box] = closed
+            made += 1
+    if genus == "auto" and made:
+        notes.append(f"kept {made} handles as thick as the body round them; genus = 'sphere' would cut them")
+    elif genus != "auto" and made < int(genus):
+        notes.append(f"only {made} of {genus} handles were found")
+    return body
+
+
+def _euler(body: Mask) -> int:
+    """Euler characteristic of the surface of some cells, as `marched` makes it."""
+    padded = np.pad(body, 1)
+    if not padded.any():
+        return 0
+    vertices, faces = marched(padded, np.full((3, *padded.shape), 0.5))
+    return TriangleMesh(vertices, faces).euler_characteristic
+
+
+@njit(cache=True)
+def _walls(at: FloatArray, normals: FloatArray, shape: tuple[int, int, int]) -> Mask:
+    """Ways from a cell to the next along each axis that pass through a disk round a point."""
+    walls = np.zeros((3, shape[0], shape[1], shape[2]), dtype=np.bool_)
+    place = np.zeros(3, dtype=np.int64)
+    for i in range(len(at)):
+        for axis in range(3):
+            lean = normals[i, axis]
+            if abs(lean) < LEAST_LEAN:
+                continue
+            first, second = (axis + 1) % 3, (axis + 2) % 3
+            for a in range(int(np.ceil(at[i, first] - DISK)), int(np.floor(at[i, first] + DISK)) + 1):
+                for b in range(int(np.ceil(at[i, second] - DISK)), int(np.floor(at[i, second] + DISK)) + 1):
+                    da, db = a - at[i, first], b - at[i, second]
+                    along = -(normals[i, first] * da + normals[i, second] * db) / lean
+                    if da * da + db * db + along * along > DISK * DISK:
+                        continue
+                    place[axis], place[first], place[second] = int(np.floor(at[i, axis] + along)), a, b
+                    if (
+                        (place >= 0).all()
+                        and place[0] < shape[0]
+                        and place[1] < shape[1]
+                        and place[2] < shape[2]
+                    ):
+                        walls[axis, place[0], place[1], place[2]] = True
+    return walls
