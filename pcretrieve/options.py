@@ -37,7 +37,7 @@ __all__ = [
 
 # Raised whenever the code, rather than an option, moves a signature: old catalogues must not mix with new
 # numbers. CHANGELOG, "Changed numbers", says what moved.
-NUMBERS_VERSION = 2
+NUMBERS_VERSION = 3
 
 Share = Annotated[float, Field(ge=0, le=1)]
 Length = Annotated[float, Field(ge=0, lt=1)]
@@ -122,7 +122,7 @@ class SurfaceOptions(_Options):
     genus: Literal["auto", "sphere", "free"] | Annotated[int, Field(ge=0)] = "auto"
     """Handles that growth leaves: none (sphere), a number, all that the points suggest (free), or those as
     thick as the body round them (auto)."""
-    cell: Annotated[float, Field(gt=0, lt=0.1)] = 0.0033
+    cell: Annotated[float, Field(gt=0, lt=0.1)] = 0.0045
     """Edge of the cells that the body is grown of; relative to the diagonal. Never less than the spacing of
     the points."""
     gap: Length = 0.02
@@ -130,6 +130,9 @@ class SurfaceOptions(_Options):
     diagonal."""
     bridge: Length = 0.08
     """Widest gap that a piece cut off by a hole is joined to the body across; relative to the diagonal."""
+    reconstructions: Count = 1
+    """Surfaces that growth makes of one scan, on grids shifted against each other. The signature is the mean
+    of theirs, and what they differ by is its error bar; surfaces."""
     fill_depth: Annotated[int, Field(ge=4, le=12)] = 6
     """Depth of the Poisson octree that growth fills holes from."""
     poisson_depth: Annotated[int, Field(ge=4, le=12)] = 7

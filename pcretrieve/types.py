@@ -406,6 +406,8 @@ class Describable(Protocol):
         Of the surface; unit length² of the file.
     mesh : TriangleMesh
         The surface, in the unit of the file.
+    others : tuple of ModalSpectrum
+        Of further surfaces made of the same scan, each scaled to unit area.
     """
 
     @property
@@ -414,6 +416,8 @@ class Describable(Protocol):
     def area(self) -> float: ...
     @property
     def mesh(self) -> TriangleMesh: ...
+    @property
+    def others(self) -> tuple[ModalSpectrum, ...]: ...
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -428,14 +432,21 @@ class Signature(_Value):
         The method that made it, such as ``r-bihdm``.
     digest : str
         Fingerprint of the options that made it; signatures compare only where kinds and digests agree.
+    deviation : (L,) float64 or None
+        Error bar: standard deviation of the logarithm of each value over the surfaces that were made of the
+        scan. None where there was one.
     """
 
     values: FloatArray
     kind: str
     digest: str = ""
+    deviation: FloatArray | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "values", _locked("values", self.values, (None,)))
+        if self.deviation is not None:
+            deviation = _locked("deviation", self.deviation, (len(self.values),))
+            object.__setattr__(self, "deviation", deviation)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

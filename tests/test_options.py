@@ -34,6 +34,7 @@ OTHER: dict[str, dict[str, Any]] = {
         "cell": 0.005,
         "gap": 0.03,
         "bridge": 0.1,
+        "reconstructions": 3,
         "fill_depth": 7,
         "poisson_depth": 8,
         "poisson_scale": 1.2,
@@ -50,21 +51,13 @@ OTHER: dict[str, dict[str, Any]] = {
         "timeout": 5.0,
         "max_change": 0.2,
     },
-    "spectral": {"n_pairs": 91},
+    "spectral": {"element": "cubic", "n_pairs": 91},
     "signature": {"method": "shape-dna", "n_values": 30, "n_modes": 70, "scale": "absolute"},
 }
 
-# One value each: a single element exists so far.
-SINGLE = {("spectral", "element")}
-
 
 def every_option() -> list[tuple[str, str]]:
-    return [
-        (stage, name)
-        for stage, values in PipelineOptions().model_dump().items()
-        for name in values
-        if (stage, name) not in SINGLE
-    ]
+    return [(stage, name) for stage, values in PipelineOptions().model_dump().items() for name in values]
 
 
 def test_the_table_above_names_every_option() -> None:

@@ -14,7 +14,7 @@ from scipy.spatial import cKDTree
 
 from pcretrieve.adapters.open3d import RayScene
 from pcretrieve.batch.discover import printable
-from pcretrieve.batch.pipeline import Seen, as_scan, placed, signature, surface_stages
+from pcretrieve.batch.pipeline import Seen, as_scan, described_shape, placed, signature, surface_stages
 from pcretrieve.errors import OptionError, ShapeError
 from pcretrieve.evaluation.inspect_page import Inspection
 from pcretrieve.evaluation.scan_checks import (
@@ -30,6 +30,7 @@ from pcretrieve.evaluation.scan_checks import (
     surface_checks,
 )
 from pcretrieve.options import PipelineOptions
+from pcretrieve.signatures import describe
 from pcretrieve.surface import (
     sampled,
     sound_mesh,
@@ -185,7 +186,7 @@ def _stages(scan: object, options: PipelineOptions, n_rescans: int) -> Iterator[
         seen = Seen()
         for seen in surface_stages(scan, options):
             yield _Described(seen)
-        described = signature(seen.mesh, options.changed(surface={"mode": "keep"}))
+        described = describe(described_shape(seen, options), options.signature)
         yield (so_far := _Described(seen, replace(described, digest=options.signature_digest)))
         if n_rescans and seen.scan is not None:
             rescans = _rescans(seen.scan, options, n=n_rescans, share=RESCAN_SHARE, seed=0)

@@ -29,7 +29,7 @@ from pcretrieve.signatures import describe
 from pcretrieve.spectral import eigenpairs, laplace_beltrami, star_mesh
 from pcretrieve.surface import (
     SurfaceMarks,
-    body_surface,
+    body_surfaces,
     defects,
     poisson_surface,
     remesh,
@@ -50,6 +50,7 @@ __all__ = [
     "Seen",
     "Shape",
     "as_scan",
+    "described_shape",
     "placed",
     "process",
     "reconstruct",
@@ -71,11 +72,14 @@ class Shape:
         Of that surface, scaled to unit area.
     area : float
         Of that surface; unit length² of the file.
+    others : tuple of ModalSpectrum
+        Of the other surfaces that were made of the scan, each scaled to unit area.
     """
 
     mesh: TriangleMesh
     spectrum: ModalSpectrum
     area: float
+    others: tuple[ModalSpectrum, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -91,12 +95,15 @@ class Seen:
     mesh : TriangleMesh or None
     marks : SurfaceMarks or None
         Where the surface was cut and bridged.
+    others : tuple of TriangleMesh
+        Further surfaces of the same scan.
     """
 
     scan: PointCloud | None = None
     cloud: PointCloud | None = None
     mesh: TriangleMesh | None = None
     marks: SurfaceMarks | None = None
+    others: tuple[TriangleMesh, ...] = ()
 
 
 def signature(scan: object, options: PipelineOptions | None = None) -> Signature:
@@ -140,7 +147,8 @@ def reconstruct(scan: object, options: PipelineOptions | None = None) -> Triangl
         If the scan cannot be read or has no usable surface.
     """
     with placed(scan):
-        *_, last = surface_stages(scan, options or PipelineOptions())
+        options = options or PipelineOptions()
+        *_, last = surface_stages(scan, options.changed(surface={"reconstructions": 1}))
     if last.mesh is None:
         raise TypeError("the last stage always has a surface")
     return last.mesh
@@ -171,42 +179,91 @@ def surface_stages(scan: object, options: PipelineOptions) -> Iterator[Seen]:
     origin = cleaned.points.mean(axis=0)
     cloud = oriented_normals(_moved(cleaned, -origin), options.scan)
     yield (seen := replace(seen, cloud=_moved(cloud, origin)))
+    surfaces: Iterator[tuple[TriangleMesh, SurfaceMarks | None]]
     if options.surface.method == "poisson":
-        mesh, marks = poisson_surface(cloud, options.surface), None
+        surfaces = iter([(poisson_surface(cloud, options.surface), None)])
     else:
-        mesh, found = body_surface(cloud, options.surface)
-        marks = SurfaceMarks(found.cuts + origin, found.bridges + origin)
-    yield (seen := replace(seen, mesh=replace(mesh, vertices=mesh.vertices + origin), marks=marks))
+        surfaces = body_surfaces(cloud, options.surface)
+    mesh, found = next(surfaces)
+    marks = None if found is None else SurfaceMarks(found.cuts + origin, found.bridges + origin)
+    yield (seen := replace(seen, mesh=_mesh_moved(mesh, origin), marks=marks))
+    final = _mesh_moved(_final(mesh, options), origin)
+    yield (seen := replace(seen, mesh=final))
+    try:
+        for other, _ in surfaces:
+            yield (seen := replace(seen, others=(*seen.others, _final(other, options))))
+    except ReconstructionError as error:
+        # The first one stands: one surface is enough for a signature, if not for its error bar.
+        note = Step("surface", 0.0, notes=(f"no further surface could be made: {error.message}",))
+        yield replace(seen, mesh=final.after(note))
+
+
+def _final(mesh: TriangleMesh, options: PipelineOptions) -> TriangleMesh:
     final = remesh(mesh, options.remesh)
-    yield replace(seen, mesh=replace(final, vertices=final.vertices + origin))
     if wrong := defects(final):
         raise DegenerateMeshError(f"the surface must be a closed manifold, it has defects: {wrong}")
+    return final
 
 
 def process(scan: object, options: PipelineOptions) -> Shape:
     """Surface and spectrum of one scan."""
     with placed(scan):
         if options.spectral.element == "points":
-            cloud = _oriented(scan, options)
-            started = time.perf_counter()
-            cloud, operator, notes = _largest_piece(cloud, options)
-            mesh, area = star_mesh(cloud), operator.area
-            unit = replace(operator, mass=csc_array(operator.mass / area))
-        else:
-            mesh, notes = reconstruct(scan, options), ()
-            started = time.perf_counter()
-            area = mesh.area
-            # Unit area: the reduced matrix scales as length⁴, and tolerances should mean one thing.
-            vertices = (mesh.vertices - mesh.vertices.mean(axis=0)) / np.sqrt(area)
-            unit = laplace_beltrami(TriangleMesh(vertices, mesh.faces), options.spectral.element)
-        pairs = eigenpairs(unit, options.spectral.n_pairs)
-        sizes = {
-            "vertices": len(mesh.vertices),
-            "pairs": len(pairs.eigenvalues),
-            "residual": pairs.largest_residual,
-        }
-        step = Step("spectrum", time.perf_counter() - started, sizes, notes)
-        return Shape(mesh.after(step), replace(ModalSpectrum.of(pairs), area=1.0), area)
+            return _of_points(scan, options)
+        *_, last = surface_stages(scan, options)
+        return described_shape(last, options)
+
+
+def described_shape(seen: Seen, options: PipelineOptions) -> Shape:
+    """What descriptors need of the surfaces of one scan.
+
+    Raises
+    ------
+    SpectrumError
+        If a surface has no spectrum.
+    """
+    mesh = seen.mesh
+    if mesh is None:
+        raise TypeError("there is a surface after the last stage")
+    started = time.perf_counter()
+    spectrum, facts = _spectrum(mesh, options)
+    others = tuple(_spectrum(other, options)[0] for other in seen.others)
+    before = 0 if seen.cloud is None else len(seen.cloud.provenance)
+    steps = [step for other in seen.others for step in other.provenance[before:]]
+    step = Step("spectrum", time.perf_counter() - started, facts)
+    return Shape(replace(mesh, provenance=(*mesh.provenance, *steps, step)), spectrum, mesh.area, others)
+
+
+def _spectrum(mesh: TriangleMesh, options: PipelineOptions) -> tuple[ModalSpectrum, dict[str, float]]:
+    # Unit area: the reduced matrix scales as length⁴, and tolerances should mean one thing.
+    vertices = (mesh.vertices - mesh.vertices.mean(axis=0)) / np.sqrt(mesh.area)
+    operator = laplace_beltrami(TriangleMesh(vertices, mesh.faces), options.spectral.element)
+    return _solved(operator, options, len(mesh.vertices))
+
+
+def _solved(
+    operator: LaplaceBeltrami, options: PipelineOptions, n_vertices: int
+) -> tuple[ModalSpectrum, dict[str, float]]:
+    """The spectrum of an operator of unit area, and the sizes that its step states."""
+    pairs = eigenpairs(operator, options.spectral.n_pairs)
+    sizes = {
+        "vertices": n_vertices,
+        "pairs": len(pairs.eigenvalues),
+        "residual": pairs.largest_residual,
+    }
+    return replace(ModalSpectrum.of(pairs), area=1.0), sizes
+
+
+def _of_points(scan: object, options: PipelineOptions) -> Shape:
+    """The spectrum of a cloud that no surface is made of."""
+    cloud = _oriented(scan, options)
+    started = time.perf_counter()
+    cloud, operator, notes = _largest_piece(cloud, options)
+    mesh = star_mesh(cloud)
+    unit = replace(operator, mass=csc_array(operator.mass / operator.area))
+    spectrum, sizes = _solved(unit, options, len(mesh.vertices))
+    step = Step("spectrum", time.perf_counter() - started, sizes, notes)
+    return Shape(mesh.after(step), spectrum, operator.area)
 
 
 def _oriented(scan: object, options: PipelineOptions) -> PointCloud:
@@ -262,6 +319,10 @@ def as_scan(scan: object) -> PointCloud | TriangleMesh:
             f"or triangle mesh, got {type(scan).__name__}"
         ) from error
     return PointCloud(points, normals) if faces is None else TriangleMesh(points, faces)
+
+
+def _mesh_moved(mesh: TriangleMesh, by: FloatArray) -> TriangleMesh:
+    return replace(mesh, vertices=mesh.vertices + by)
 
 
 def _moved(cloud: PointCloud, by: FloatArray) -> PointCloud:

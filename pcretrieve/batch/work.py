@@ -34,7 +34,7 @@ def prepare(memory: float | None) -> None:
 def content(path: Path, options: PipelineOptions) -> Content:
     """Everything that a catalogue stores of one scan."""
     shape = process(path, options)
-    return Content(shape.mesh, shape.spectrum, describe(shape, options.signature).values)
+    return Content(shape.mesh, shape.spectrum, describe(shape, options.signature).values, shape.others)
 
 
 @cache

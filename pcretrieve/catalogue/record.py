@@ -24,11 +24,14 @@ class Content:
     spectrum : ModalSpectrum
         Of the mesh scaled to unit area.
     signature : (L,) float64
+    others : tuple of ModalSpectrum
+        Of further surfaces made of the same scan.
     """
 
     mesh: TriangleMesh
     spectrum: ModalSpectrum
     signature: FloatArray
+    others: tuple[ModalSpectrum, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,6 +46,8 @@ class StoredShape:
         Unit length² of the file.
     mesh : TriangleMesh
         Unit length of the file.
+    others : tuple of ModalSpectrum
+        Of further surfaces made of the same scan.
     """
 
     catalogue: Catalogue
@@ -50,7 +55,11 @@ class StoredShape:
 
     @property
     def spectrum(self) -> ModalSpectrum:
-        return self.catalogue.spectrum(self.id)
+        return self.catalogue.spectra(self.id)[0]
+
+    @property
+    def others(self) -> tuple[ModalSpectrum, ...]:
+        return self.catalogue.spectra(self.id)[1:]
 
     @property
     def area(self) -> float:

@@ -17,8 +17,8 @@ CREATE TABLE IF NOT EXISTS shapes (
     n_vertices     INTEGER,
     n_faces        INTEGER,
     euler          INTEGER,
-    eigenvalues    BLOB,            -- (k,) of the surface scaled to unit area
-    moments        BLOB,            -- (k, k) ⟨φ_i², φ_j⟩ of the same, and (k, k) overlaps ⟨φ_i², φ_j²⟩
+    eigenvalues    BLOB,            -- (s, k) of each of its surfaces, scaled to unit area
+    moments        BLOB,            -- (s, k, k) ⟨φ_i², φ_j⟩ of the same, and overlaps ⟨φ_i², φ_j²⟩
     signature      BLOB,            -- (L,) by the options of this catalogue
     mesh           BLOB,            -- vertices and faces, unit length of the file
     options_digest TEXT NOT NULL,

@@ -97,14 +97,16 @@ class Catalogue:
         }
         if content is not None:
             mesh = content.mesh
+            spectra = (content.spectrum, *content.others)
             row |= {
                 "area": mesh.area,
                 "n_vertices": len(mesh.vertices),
                 "n_faces": len(mesh.faces),
                 "euler": mesh.euler_characteristic,
-                "eigenvalues": _packed(values=content.spectrum.eigenvalues),
+                "eigenvalues": _packed(values=np.stack([s.eigenvalues for s in spectra])),
                 "moments": _packed(
-                    values=content.spectrum.moments, overlaps=content.spectrum.known_overlaps()
+                    values=np.stack([s.moments for s in spectra]),
+                    overlaps=np.stack([s.known_overlaps() for s in spectra]),
                 ),
                 "signature": _packed(values=content.signature),
                 "mesh": _packed(vertices=mesh.vertices, faces=mesh.faces),
@@ -159,12 +161,18 @@ class Catalogue:
         arrays = self._arrays("mesh", shape_id)
         return TriangleMesh(arrays["vertices"], arrays["faces"], self.record(shape_id).steps)
 
-    def spectrum(self, shape_id: str) -> ModalSpectrum:
-        """The spectrum of a shape, scaled to unit area."""
-        eigenvalues = self._arrays("eigenvalues", shape_id)["values"]
-        moments = self._arrays("moments", shape_id)
-        # Earlier versions stored no overlaps.
-        return ModalSpectrum(eigenvalues, moments["values"], area=1.0, overlaps=moments.get("overlaps"))
+    def spectra(self, shape_id: str) -> tuple[ModalSpectrum, ...]:
+        """The spectra of a shape's surfaces, each scaled to unit area; that of its mesh is the first."""
+        eigenvalues = np.atleast_2d(self._arrays("eigenvalues", shape_id)["values"])  # (s, k)
+        arrays = self._arrays("moments", shape_id)
+        n, k = eigenvalues.shape
+        # Earlier versions stored one surface, and no overlaps.
+        moments = arrays["values"].reshape(n, k, k)
+        overlaps = arrays["overlaps"].reshape(n, k, k) if "overlaps" in arrays else [None] * n
+        return tuple(
+            ModalSpectrum(values, moment, area=1.0, overlaps=overlap)
+            for values, moment, overlap in zip(eigenvalues, moments, overlaps, strict=True)
+        )
 
     def shape(self, shape_id: str) -> StoredShape:
         """A shape, for `describe`."""

@@ -18,8 +18,9 @@ Voxels = NDArray[np.float32]
 # Free voxels round the points: room for walls, and for a gradient at the outermost point.
 MARGIN = 3
 
-# Neighbours that the spacing is measured by.
+# Neighbours that the spacing is measured by, and points that it is measured at.
 COMPANY = 6
+MEASURED = 5000
 
 # Beyond this, the distance to the points matters to nobody; cells.
 FARTHEST = 12.0
@@ -47,9 +48,9 @@ class Grid:
     shape: tuple[int, int, int]
 
     @classmethod
-    def around(cls, points: FloatArray, cell: float, margin: int) -> Grid:
-        """The cells that hold (n, 3) points, and `margin` more on every side."""
-        low, high = points.min(axis=0), points.max(axis=0)
+    def around(cls, points: FloatArray, cell: float, margin: int, shift: FloatArray | float = 0.0) -> Grid:
+        """The cells that hold (n, 3) points, and `margin` more on every side, `shift` cells lower."""
+        low, high = points.min(axis=0) - np.asarray(shift) * cell, points.max(axis=0)
         n_x, n_y, n_z = (np.ceil((high - low) / cell).astype(int) + 2 * margin + 1).tolist()
         return cls(low - margin * cell, cell, (n_x, n_y, n_z))
 
@@ -96,7 +97,7 @@ class Outside:
         return slope / np.where(length > 0, length, 1)
 
 
-def flood(points: FloatArray, *, cell: float, gap: float) -> Outside:
+def flood(points: FloatArray, *, cell: float, gap: float, shift: FloatArray | float = 0.0) -> Outside:
     """Flood the outside from a corner of the bounding box.
 
     Walls as thick as `gap` keep the flood out of holes in the scan; what stays wet then creeps through the
@@ -109,9 +110,11 @@ def flood(points: FloatArray, *, cell: float, gap: float) -> Outside:
         Edge of a cell; about the spacing of the points, unit of the file.
     gap : float
         Radius of the largest hole that is kept shut; unit of the file.
+    shift : (3,) float64 or 0
+        Of the cells against the points; cells.
     """
     wall = gap / cell
-    grid = Grid.around(points, cell, int(np.ceil(wall)) + MARGIN)
+    grid = Grid.around(points, cell, int(np.ceil(wall)) + MARGIN, shift)
     occupied = np.zeros(grid.shape, dtype=bool)
     occupied[grid.index(points)] = True
     distance = distances(occupied, max(FARTHEST, wall + 1))
@@ -128,7 +131,8 @@ def spacing(points: FloatArray) -> float:
     from scipy.spatial import cKDTree
 
     k = min(COMPANY, len(points) - 1)
-    distance, _ = cKDTree(points).query(points, k=[k + 1])
+    some = points[:: max(1, len(points) // MEASURED)]
+    distance, _ = cKDTree(points).query(some, k=[k + 1])
     return float(np.sqrt(np.pi / k) * np.median(distance))
 
 

@@ -12,7 +12,11 @@ It is then a `--method` like any other. A name of pcretrieve's own cannot be tak
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from importlib.metadata import EntryPoint, entry_points
+from typing import NamedTuple
+
+import numpy as np
 
 from pcretrieve.errors import OptionError, PcretrieveError, ShapeError
 from pcretrieve.options import PLUGIN_GROUP, SignatureOptions, signature_methods
@@ -23,7 +27,7 @@ from pcretrieve.signatures.r_bihdm import r_bihdm, reduced_matrix
 from pcretrieve.signatures.sd_gdm import sd_gdm
 from pcretrieve.signatures.shape_dna import BY, shape_dna
 from pcretrieve.signatures.wks import wks
-from pcretrieve.types import Describable, ModalSpectrum, Signature
+from pcretrieve.types import Describable, ModalSpectrum, Signature, TriangleMesh
 
 __all__ = [
     "METHODS",
@@ -68,8 +72,15 @@ METHODS: dict[str, Method] = {
 }
 
 
+# Those that see no more of a shape than its stored surface.
+OF_MESH = ("sd-gdm", "hks-bow", "hks-bow-spatial", "si-hks-bow", "si-hks-bow-spatial")
+
+
 def describe(shape: Describable, options: SignatureOptions) -> Signature:
     """The descriptor that `options` names.
+
+    Where a scan was made into several surfaces, values are the geometric mean of theirs. Descriptors in
+    `OF_MESH` describe the first surface alone.
 
     Raises
     ------
@@ -78,6 +89,26 @@ def describe(shape: Describable, options: SignatureOptions) -> Signature:
     ShapeError
         If the shape has none.
     """
+    made = _one(shape, options)
+    if not shape.others or options.method in OF_MESH:
+        return made
+    others = [
+        _one(_Rebuilt(spectrum, shape.area, shape.mesh, ()), options).values for spectrum in shape.others
+    ]
+    logs = np.log([made.values, *others])
+    return replace(made, values=np.exp(logs.mean(axis=0)), deviation=logs.std(axis=0, ddof=1))
+
+
+class _Rebuilt(NamedTuple):
+    """A shape by another of its surfaces."""
+
+    spectrum: ModalSpectrum
+    area: float
+    mesh: TriangleMesh
+    others: tuple[ModalSpectrum, ...]
+
+
+def _one(shape: Describable, options: SignatureOptions) -> Signature:
     method = METHODS.get(options.method)
     return method(shape, options) if method else _added(shape, options)
 

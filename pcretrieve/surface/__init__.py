@@ -1,6 +1,6 @@
 """Points → closed surface: reconstruction, remeshing, topology."""
 
-from pcretrieve.surface.body import SurfaceMarks, body_surface
+from pcretrieve.surface.body import SurfaceMarks, body_surfaces
 from pcretrieve.surface.reconstruct import poisson_surface, sampled, sound_mesh
 from pcretrieve.surface.remesh import remesh
 from pcretrieve.surface.repair import repaired
@@ -10,7 +10,7 @@ from pcretrieve.surface.write import write_mesh
 __all__ = [
     "Defects",
     "SurfaceMarks",
-    "body_surface",
+    "body_surfaces",
     "defects",
     "poisson_surface",
     "remesh",

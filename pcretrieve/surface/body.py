@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -22,7 +23,7 @@ from pcretrieve.surface.smooth import smoothed
 from pcretrieve.surface.topology import compact, defects
 from pcretrieve.types import FloatArray, PointCloud, Step, TriangleMesh
 
-__all__ = ["SurfaceMarks", "body_surface"]
+__all__ = ["SurfaceMarks", "body_surfaces"]
 
 Mask = NDArray[np.bool_]
 Voxels = NDArray[np.float32]
@@ -40,6 +41,10 @@ SMOOTHING = 8
 
 # Share of a surface that may be invented. Up to .18 the area was within a per cent, from .33 on it was wrong.
 MOST_INVENTED = 0.3
+
+# How far the cells of each further surface are shifted against those of the one before, modulo a cell: the
+# multiples fill a cell evenly (Roberts, "The unreasonable effectiveness of quasirandom sequences", 2018).
+SHIFT = np.array([0.8191725134, 0.6710436067, 0.5497004779])
 
 # A crossing is kept this far from the centres of its cells, so that no triangle loses its area.
 MARGIN = 0.02
@@ -61,14 +66,17 @@ class SurfaceMarks:
     bridges: FloatArray
 
 
-def body_surface(cloud: PointCloud, options: SurfaceOptions) -> tuple[TriangleMesh, SurfaceMarks]:
-    """The surface of the body that oriented points enclose: closed, connected, manifold, pointing outwards.
+def body_surfaces(cloud: PointCloud, options: SurfaceOptions) -> Iterator[tuple[TriangleMesh, SurfaceMarks]]:
+    """Surfaces of the body that oriented points enclose: closed, connected, manifold, pointing outwards.
 
-    Near the points, a cell is inside where the weighted distance to their tangent planes is negative; away
+    Near the points, a cell is inside where the distance to the sphere that fits them is negative; away
     from them, in holes of the scan, where a coarse Poisson surface says so. The outside that a flood reaches
     is never inside. The body is then grown again inside those cells with the topology asked for (see
     `growth`): limbs that touch are cut apart, first of all along points that lie between them. Pieces that
     holes have cut off are joined to the body.
+
+    Each of the surfaces is made on cells that are shifted against those of the others: they differ where the
+    points leave a choice, in contacts and thin parts.
 
     Parameters
     ----------
@@ -76,8 +84,8 @@ def body_surface(cloud: PointCloud, options: SurfaceOptions) -> tuple[TriangleMe
         With normals.
     options : SurfaceOptions
 
-    Returns
-    -------
+    Yields
+    ------
     mesh : TriangleMesh
     marks : SurfaceMarks
 
@@ -87,11 +95,21 @@ def body_surface(cloud: PointCloud, options: SurfaceOptions) -> tuple[TriangleMe
         If the points do not surround a body, or hold two.
     """
     started = time.perf_counter()
-    notes: list[str] = []
     cell = max(options.cell * cloud.diagonal, spacing(cloud.points))
     coarse = _coarse_surface(cloud, options)
+    for number in range(options.reconstructions):
+        mesh, marks, step = _body_surface(cloud, coarse, cell, number * SHIFT % 1, options)
+        step = replace(step, seconds=time.perf_counter() - started)
+        yield TriangleMesh(mesh.vertices, mesh.faces, (*cloud.provenance, step)), marks
+        started = time.perf_counter()
+
+
+def _body_surface(
+    cloud: PointCloud, coarse: TriangleMesh, cell: float, shift: FloatArray, options: SurfaceOptions
+) -> tuple[TriangleMesh, SurfaceMarks, Step]:
+    notes: list[str] = []
     for gap in (options.gap, *(options.gap * wider for wider in WIDER)):
-        outside = flood(cloud.points, cell=cell, gap=gap * cloud.diagonal)
+        outside = flood(cloud.points, cell=cell, gap=gap * cloud.diagonal, shift=shift)
         filled, coarse_crossings = _inside_surface(coarse, outside.grid)
         distance, weight = distance_field(cloud, outside)
         known = weight > LEAST_WEIGHT
@@ -120,7 +138,7 @@ def body_surface(cloud: PointCloud, options: SurfaceOptions) -> tuple[TriangleMe
     final = simplified(mesh, options.target_faces)
     step = Step(
         "surface",
-        time.perf_counter() - started,
+        0.0,
         {
             "points": len(cloud.points),
             "cells": int(body.sum()),
@@ -134,7 +152,7 @@ def body_surface(cloud: PointCloud, options: SurfaceOptions) -> tuple[TriangleMe
         tuple(notes),
     )
     marks = SurfaceMarks(_centres(cuts, grid), _centres(bridges, grid))
-    return TriangleMesh(final.vertices, final.faces, (*cloud.provenance, step)), marks
+    return final, marks, step
 
 
 def _coarse_surface(cloud: PointCloud, options: SurfaceOptions) -> TriangleMesh:

@@ -55,18 +55,21 @@ def _with_handles(inside: Mask, body: Mask, depth: Voxels, genus: str | int, not
     A contact is thin beside the limbs that meet in it, a true handle is not: ``auto`` undoes the cuts that
     reach `HANDLE` of the body's own greatest depth. A number undoes as many, thickest first.
     """
-    from scipy import ndimage
-
-    cuts, _ = ndimage.label(inside & ~body, np.ones((3, 3, 3)))
-    boxes = ndimage.find_objects(cuts)
-    thickness = ndimage.maximum(depth, cuts, np.arange(1, len(boxes) + 1))
-    wanted = len(boxes) if genus == "auto" else int(genus)
+    left_out = np.argwhere(inside & ~body)  # (k, 3)
+    cut_of = _pieces(left_out)
+    n_cuts = int(cut_of.max(initial=-1)) + 1
+    thickness = np.zeros(n_cuts)
+    np.maximum.at(thickness, cut_of, depth[tuple(left_out.T)])
+    wanted = n_cuts if genus == "auto" else int(genus)
     made = 0
-    for cut in np.argsort(-np.asarray(thickness)):
+    for cut in np.argsort(-thickness):
         if made == wanted or (genus == "auto" and thickness[cut] < HANDLE * depth.max()):
             break
-        box = tuple(slice(side.start - 2, side.stop + 2) for side in boxes[cut])
-        closed = body[box] | (cuts[box] == cut + 1)
+        cells = left_out[cut_of == cut]
+        low = cells.min(axis=0) - 2
+        box = tuple(slice(a, b) for a, b in zip(low, cells.max(axis=0) + 3, strict=True))
+        closed = body[box].copy()
+        closed[tuple((cells - low).T)] = True
         change = _euler(closed) - _euler(body[box])
         if change == -2:  # one handle, and nothing else
             body[box] = closed
@@ -76,6 +79,20 @@ def _with_handles(inside: Mask, body: Mask, depth: Voxels, genus: str | int, not
     elif genus != "auto" and made < int(genus):
         notes.append(f"only {made} of {genus} handles were found")
     return body
+
+
+def _pieces(cells: NDArray[np.intp]) -> NDArray[np.int32]:
+    """(k,) numbers of the connected pieces that (k, 3) cells belong to; corners connect."""
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+    from scipy.spatial import cKDTree
+
+    if not len(cells):
+        return np.zeros(0, dtype=np.int32)
+    pairs = cKDTree(cells).query_pairs(1.8, output_type="ndarray")  # (p, 2), farther than √3
+    links = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(len(cells), len(cells)))
+    piece: NDArray[np.int32] = connected_components(links, directed=False)[1]
+    return piece
 
 
 def _euler(body: Mask) -> int:

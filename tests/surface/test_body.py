@@ -13,7 +13,7 @@ from pcretrieve.options import ScanOptions, SurfaceOptions
 from pcretrieve.scan import oriented_normals
 from pcretrieve.scan.outside import spacing
 from pcretrieve.simulation import POSES, UniformOptions, body, make_subject, scan_uniformly
-from pcretrieve.surface import SurfaceMarks, body_surface, defects
+from pcretrieve.surface import SurfaceMarks, body_surfaces, defects
 from pcretrieve.types import PointCloud, TriangleMesh
 
 # Of the limb of `limbed`.
@@ -56,7 +56,7 @@ def person(pose: str) -> PointCloud:
 
 
 def surface(cloud: PointCloud, **options: object) -> tuple[TriangleMesh, SurfaceMarks]:
-    mesh, marks = body_surface(cloud, SurfaceOptions.model_validate(options))
+    mesh, marks = next(body_surfaces(cloud, SurfaceOptions.model_validate(options)))
     assert not defects(mesh)
     assert mesh.volume > 0
     return mesh, marks
@@ -175,4 +175,4 @@ def test_a_scan_of_one_side_is_refused(name: str) -> None:
 
 def test_points_without_normals_are_refused() -> None:
     with pytest.raises(ReconstructionError, match="needs points with normals, these have none"):
-        body_surface(PointCloud(cloud_of("ball").points), SurfaceOptions())
+        next(body_surfaces(PointCloud(cloud_of("ball").points), SurfaceOptions()))
