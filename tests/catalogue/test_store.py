@@ -7,6 +7,7 @@ import os
 import sqlite3
 from collections.abc import Iterator
 from contextlib import closing
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
@@ -229,3 +230,15 @@ def test_two_writers_take_turns_or_say_so(catalogue: Catalogue, monkeypatch: pyt
         writer.rollback()
         other.remove("egg0")
     assert len(catalogue) == N_SHAPES - 1
+
+
+def test_every_surface_of_a_scan_is_kept(catalogue: Catalogue) -> None:
+    shape = replace(egg(2), others=(egg(3).spectrum, egg(4).spectrum))
+    signature = describe(shape, OPTIONS.signature).values
+    catalogue.put(record(2), Content(shape.mesh, shape.spectrum, signature, shape.others))
+    spectra = catalogue.spectra("egg2")
+    assert len(spectra) == 3
+    for stored, given in zip(spectra, (shape.spectrum, *shape.others), strict=True):
+        np.testing.assert_array_equal(stored.eigenvalues, given.eigenvalues)
+        np.testing.assert_array_equal(stored.moments, given.moments)
+    np.testing.assert_array_equal(describe(catalogue.shape("egg2"), OPTIONS.signature).values, signature)

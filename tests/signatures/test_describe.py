@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -163,3 +164,14 @@ def test_geodesic_distances_of_surfaces_that_do_not_suit(monkeypatch: pytest.Mon
 def test_too_few_vertices_for_a_heat_kernel() -> None:
     with pytest.raises(SpectrumError, match="61 eigenpairs need a surface of at least 62 vertices"):
         METHODS["hks-bow"](Shape(shapes.icosphere(1), body().spectrum, 1.0), SignatureOptions())
+
+
+def test_a_shape_of_several_surfaces_is_described_by_their_mean() -> None:
+    longer = process(shapes.ellipsoid((1, 1, 1.4), subdivisions=3), PipelineOptions())
+    options = SignatureOptions(n_values=N_VALUES)
+    both = describe(replace(body(), others=(longer.spectrum,)), options)
+    logs = np.log([describe(shape, options).values for shape in (body(), longer)])
+    np.testing.assert_allclose(np.log(both.values), logs.mean(axis=0), rtol=0, atol=1e-12)
+    assert both.deviation is not None
+    np.testing.assert_allclose(both.deviation, np.abs(logs[0] - logs[1]) / np.sqrt(2), atol=1e-12)
+    assert describe(body(), options).deviation is None

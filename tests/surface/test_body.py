@@ -176,3 +176,20 @@ def test_a_scan_of_one_side_is_refused(name: str) -> None:
 def test_points_without_normals_are_refused() -> None:
     with pytest.raises(ReconstructionError, match="needs points with normals, these have none"):
         next(body_surfaces(PointCloud(cloud_of("ball").points), SurfaceOptions()))
+
+
+def test_a_thin_rod_keeps_its_thickness() -> None:
+    """Five cells across: the mean distance to tangent planes gives it a quarter more area."""
+    rod = shapes.ellipsoid((1.0, 0.025, 0.025), subdivisions=5)
+    rebuilt, _ = surface(shapes.oriented_points_on(rod, 4000), cell=0.005)
+    assert 0.9 < rebuilt.area / rod.area < 1.15
+
+
+def test_surfaces_of_one_scan_differ_but_little() -> None:
+    cloud = person("stand")
+    options = SurfaceOptions(reconstructions=3)
+    made = [mesh for mesh, _ in body_surfaces(cloud, options)]
+    assert len(made) == 3
+    assert all(not defects(mesh) and mesh.euler_characteristic == 2 for mesh in made)
+    areas = np.array([mesh.area for mesh in made])
+    assert 0 < np.ptp(areas) < 0.02 * areas.mean()
