@@ -204,6 +204,9 @@ def signature_methods() -> tuple[str, ...]:
     return (*METHODS, *sorted(added.difference(METHODS)))
 
 
+Scale = Literal["relative", "area", "absolute"]
+
+
 class SignatureOptions(_Options):
     """Spectrum and surface → descriptor."""
 
@@ -213,9 +216,10 @@ class SignatureOptions(_Options):
     """Length L of the descriptor; values. Of combined, of each half; of bags of features, their words."""
     n_modes: Annotated[int, Field(ge=2)] = 60
     """Modes m that R-BiHDM, BiHDM, heat and wave kernels are cut at; modes."""
-    scale: Literal["relative", "absolute"] = "relative"
-    """Whether bodies of one form and two sizes are the same (relative) or not (absolute). absolute keeps the
-    unit of the file: use it where all files have the same, which in most collections they do not."""
+    scale: Scale = "relative"
+    """What values are measured by: the descriptor's own first one (relative, as the papers do), the area of
+    the surface (area), or the unit of the file (absolute). The first two are the same for bodies of one form
+    and two sizes; the last needs files of one unit, which in most collections they are not."""
 
     @field_validator("method")
     @classmethod
@@ -226,9 +230,9 @@ class SignatureOptions(_Options):
 
     @model_validator(mode="after")
     def _has_a_size(self) -> SignatureOptions:
-        if self.scale == "absolute" and self.method in SIZELESS:
+        if self.scale != "relative" and self.method in SIZELESS:
             raise ValueError(
-                f"scale: must be relative for {self.method}, which has no size to keep; absolute is for "
+                f"scale: must be relative for {self.method}, which has no size to keep; the others are for "
                 + ", ".join(name for name in METHODS if name not in SIZELESS)
             )
         return self

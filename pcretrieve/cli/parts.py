@@ -23,6 +23,7 @@ __all__ = [
     "method_option",
     "n_values_option",
     "say",
+    "scale_option",
     "step_lines",
     "surface_option",
     "whitening_option",
@@ -84,6 +85,14 @@ n_values_option = click.option(
     type=click.IntRange(min=1),
     metavar="L",
     help="Its length.  [default: 23, or the catalogue's]",
+)
+
+
+scale_option = click.option(
+    "--scale",
+    type=click.Choice(["relative", "area", "absolute"]),
+    help="What its values are measured by: its own first one, the area of the surface, or the unit of the "
+    "files, which keeps the size of bodies.  [default: relative, or the catalogue's]",
 )
 
 

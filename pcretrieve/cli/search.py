@@ -15,6 +15,7 @@ from pcretrieve.cli.parts import (
     method_option,
     n_values_option,
     say,
+    scale_option,
     whitening_option,
     write_json,
 )
@@ -35,6 +36,7 @@ __all__ = ["evaluate_command", "query_command", "report_command"]
 @whitening_option
 @method_option
 @n_values_option
+@scale_option
 @json_option
 def query_command(
     scan: Path,
@@ -44,6 +46,7 @@ def query_command(
     whitening: str,
     method: str | None,
     n_values: int | None,
+    scale: str | None,
     as_json: bool,
 ) -> None:
     """The shapes most like a scan, nearest first.
@@ -57,7 +60,7 @@ def query_command(
     from pcretrieve.catalogue import Catalogue
 
     with Catalogue(catalogue) as store:
-        options = _signature_options(store, method, n_values)
+        options = _signature_options(store, method, n_values, scale)
         neighbors = search(store, scan, k=k, distance=distance, whitening=whitening, options=options)
         records = [store.record(shape_id) for shape_id in neighbors.ids]
     found = [
@@ -83,6 +86,7 @@ def query_command(
 @whitening_option
 @method_option
 @n_values_option
+@scale_option
 @json_option
 def evaluate_command(
     catalogue: Path,
@@ -91,6 +95,7 @@ def evaluate_command(
     whitening: str,
     method: str | None,
     n_values: int | None,
+    scale: str | None,
     as_json: bool,
 ) -> None:
     """Retrieval measures of a labelled catalogue: NN, FT, ST, E, DCG, mAP.
@@ -105,7 +110,7 @@ def evaluate_command(
     from pcretrieve.evaluation.folds import evaluate
 
     with Catalogue(catalogue) as store:
-        table, failed = _labelled(store, labels, _signature_options(store, method, n_values))
+        table, failed = _labelled(store, labels, _signature_options(store, method, n_values, scale))
         measures = evaluate(table, distance=distance, whitening=whitening, failed_labels=failed)
     document = asdict(measures) | {
         "n_failed": len(failed),
@@ -142,6 +147,7 @@ def evaluate_command(
 @whitening_option
 @method_option
 @n_values_option
+@scale_option
 def report_command(
     catalogue: Path,
     output: Path,
@@ -151,6 +157,7 @@ def report_command(
     whitening: str,
     method: str | None,
     n_values: int | None,
+    scale: str | None,
 ) -> None:
     """An HTML page: retrieval measures, and pictures of queries and their ranked results.
 
@@ -170,15 +177,16 @@ def report_command(
             k=k,
             distance=distance,
             whitening=whitening,
-            options=_signature_options(store, method, n_values),
+            options=_signature_options(store, method, n_values, scale),
         )
     click.echo(str(page))
 
 
-def _signature_options(store: Catalogue, method: str | None, n_values: int | None) -> SignatureOptions:
-    chosen = {
-        name: value for name, value in {"method": method, "n_values": n_values}.items() if value is not None
-    }
+def _signature_options(
+    store: Catalogue, method: str | None, n_values: int | None, scale: str | None
+) -> SignatureOptions:
+    given = {"method": method, "n_values": n_values, "scale": scale}
+    chosen = {name: value for name, value in given.items() if value is not None}
     return store.options.changed(signature=chosen).signature
 
 

@@ -18,6 +18,7 @@ from pcretrieve.cli.parts import (
     method_option,
     n_values_option,
     say,
+    scale_option,
     step_lines,
     surface_option,
     write_json,
@@ -97,11 +98,7 @@ def reconstruct_command(
 @click.option(
     "--n-modes", type=click.IntRange(min=2), metavar="M", help="Modes of the surface.  [default: 60]"
 )
-@click.option(
-    "--scale",
-    type=click.Choice(["relative", "absolute"]),
-    help="Ignore the size of bodies, or keep it, where all files have one unit.  [default: relative]",
-)
+@scale_option
 @config_option
 @surface_option
 @json_option
@@ -146,6 +143,8 @@ def signature_command(
             facts |= {"error": outcome.error, "stage": outcome.stage, "message": outcome.message}
         else:
             facts |= {"kind": outcome.kind, "values": outcome.values.tolist()}
+            if outcome.deviation is not None:
+                facts |= {"deviation": outcome.deviation.tolist()}
             if not as_json:
                 click.echo("\t".join([name, *(f"{value:.9g}" for value in outcome.values)]))
         found.append(facts)

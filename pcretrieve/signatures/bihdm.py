@@ -6,10 +6,9 @@ retrieval", The Visual Computer 32 (2016).
 
 from __future__ import annotations
 
-from typing import Literal
-
 import numpy as np
 
+from pcretrieve.options import Scale
 from pcretrieve.signatures.r_bihdm import leading, reduced_matrix
 from pcretrieve.types import Eigenpairs, FloatArray, ModalSpectrum, Signature
 
@@ -21,7 +20,7 @@ def bihdm(
     n_values: int = 23,
     n_modes: int = 60,
     *,
-    scale: Literal["relative", "absolute"] = "relative",
+    scale: Scale = "relative",
 ) -> Signature:
     """The BiHDM signature, equation (8) cut at m modes.
 
@@ -33,7 +32,7 @@ def bihdm(
         L, at most `n_modes`.
     n_modes : int, default 60
         m, the modes that the distance is summed over.
-    scale : {"relative", "absolute"}, default "relative"
+    scale : {"relative", "area", "absolute"}, default "relative"
 
     Returns
     -------
@@ -49,9 +48,8 @@ def bihdm(
         If the kernel does not have one positive eigenvalue.
     """
     matrix = full_matrix(pairs, n_modes)
-    return Signature(
-        leading(matrix, n_values, n_modes, scale), kind="bihdm", digest=f"L={n_values} m={n_modes} {scale}"
-    )
+    values = leading(matrix, n_values, n_modes, scale, pairs.area)
+    return Signature(values, kind="bihdm", digest=f"L={n_values} m={n_modes} {scale}")
 
 
 def full_matrix(pairs: Eigenpairs | ModalSpectrum, n_modes: int = 60) -> FloatArray:

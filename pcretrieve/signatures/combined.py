@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Literal
-
 import numpy as np
 
+from pcretrieve.options import Scale
 from pcretrieve.signatures.r_bihdm import r_bihdm
 from pcretrieve.signatures.shape_dna import BY, shape_dna
 from pcretrieve.types import Eigenpairs, ModalSpectrum, Signature
@@ -18,7 +17,7 @@ def combined(
     n_values: int = 23,
     n_modes: int = 60,
     *,
-    scale: Literal["relative", "absolute"] = "relative",
+    scale: Scale = "relative",
 ) -> Signature:
     """The signatures of `r_bihdm` and `shape_dna`, one after the other.
 
@@ -32,7 +31,7 @@ def combined(
         L, at most `n_modes`.
     n_modes : int, default 60
         m, as in `r_bihdm`.
-    scale : {"relative", "absolute"}, default "relative"
+    scale : {"relative", "area", "absolute"}, default "relative"
 
     Returns
     -------

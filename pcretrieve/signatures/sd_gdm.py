@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from typing import Literal
-
 import numpy as np
 
 from pcretrieve.errors import DegenerateMeshError, OptionError
+from pcretrieve.options import Scale
 from pcretrieve.types import FloatArray, Signature, TriangleMesh
 
 __all__ = ["geodesic_matrix", "sd_gdm"]
@@ -15,9 +14,7 @@ __all__ = ["geodesic_matrix", "sd_gdm"]
 N_FACES = 1000
 
 
-def sd_gdm(
-    mesh: TriangleMesh, n_values: int = 23, *, scale: Literal["relative", "absolute"] = "relative"
-) -> Signature:
+def sd_gdm(mesh: TriangleMesh, n_values: int = 23, *, scale: Scale = "relative") -> Signature:
     """The SD-GDM signature [1]_. Needs ``pcretrieve[geodesic]``.
 
     Parameters
@@ -26,14 +23,14 @@ def sd_gdm(
         Closed, where it has more than a thousand faces.
     n_values : int, default 23
         L, less than the number of vertices.
-    scale : {"relative", "absolute"}, default "relative"
+    scale : {"relative", "area", "absolute"}, default "relative"
 
     Returns
     -------
     Signature
         values (L,): |μ_j / μ_0| for j = 1 … L, with μ the eigenvalues of `geodesic_matrix` in order of
-        magnitude; dimensionless, largest first, unchanged by isometry and scaling. Absolute: |μ_j|, unit
-        length³.
+        magnitude, or |μ_j| / area^(3/2); dimensionless, largest first, unchanged by isometry and scaling.
+        Absolute: |μ_j|, unit length³.
 
     Raises
     ------
@@ -54,9 +51,8 @@ def sd_gdm(
             "use a finer surface or fewer values"
         )
     values: FloatArray = mu[1 : n_values + 1]  # (L,)
-    return Signature(
-        values / mu[0] if scale == "relative" else values, kind="sd-gdm", digest=f"L={n_values} {scale}"
-    )
+    unit = {"relative": mu[0], "area": mesh.area**1.5, "absolute": 1.0}[scale]
+    return Signature(values / unit, kind="sd-gdm", digest=f"L={n_values} {scale}")
 
 
 def geodesic_matrix(mesh: TriangleMesh) -> FloatArray:

@@ -10,7 +10,11 @@ from pcretrieve.types import Eigenpairs, ModalSpectrum, Signature
 __all__ = ["BY", "shape_dna"]
 
 # What makes the spectrum free of size, or leaves it as it is.
-BY: dict[str, Literal["area", "nothing"]] = {"relative": "area", "absolute": "nothing"}
+BY: dict[str, Literal["area", "nothing"]] = {
+    "relative": "area",
+    "area": "area",
+    "absolute": "nothing",
+}
 
 
 def shape_dna(

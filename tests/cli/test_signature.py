@@ -196,6 +196,7 @@ def test_a_descriptor_that_fails_fails_its_shape_only(
     [
         ("--method", "bihdm", "--n-values", "7", "--n-modes", "30"),
         ("--method", "combined", "--scale", "absolute"),
+        ("--method", "bihdm", "--scale", "area"),
         ("--method", "hks-bow-spatial", "--n-values", "5"),
     ],
     ids=" ".join,

@@ -75,6 +75,14 @@ POWERS = {"r-bihdm": 4, "bihdm": 4, "shape-dna": 2, "sd-gdm": 3, "combined": [4]
 def test_size_is_kept_where_it_is_asked_for_and_nowhere_else(method: str) -> None:
     twice = process(TriangleMesh(2 * shapes.body(3).vertices, shapes.body(3).faces), PipelineOptions())
     np.testing.assert_allclose(values(twice, method), values(body(), method), rtol=1e-5)
+    if method not in SIZELESS:
+        by_area = values(twice, method, "area")
+        np.testing.assert_allclose(by_area, values(body(), method, "area"), rtol=1e-5)
+        np.testing.assert_allclose(
+            by_area * twice.area ** (np.array(POWERS[method]) / 2),
+            values(twice, method, "absolute"),
+            rtol=1e-5,
+        )
     if method in SIZELESS:
         with pytest.raises(OptionError, match=f"scale: must be relative for {method}, which has no size"):
             SignatureOptions(method=method, scale="absolute")
