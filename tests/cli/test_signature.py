@@ -224,3 +224,18 @@ def test_shapes_of_a_catalogue_that_have_no_signature(run: Run, catalogue: Path)
     assert usage.code == 2
     assert "a catalogue has options of its own: leave out --config and --surface" in usage.stderr
     assert run("signature").code == 2
+
+
+def test_the_error_bar_of_a_scan_made_into_two_surfaces(run: Run, tmp_path: Path) -> None:
+    cloud = tmp_path / "body.xyz"
+    np.savetxt(cloud, shapes.points_on(shapes.body(), 6000))
+    config = tmp_path / "two.toml"
+    config.write_text("[surface]\nreconstructions = 2\n", encoding="utf-8")
+    (alone,) = json.loads(run("signature", cloud, "--json").stdout)
+    (both,) = json.loads(run("signature", cloud, "--config", config, "--json").stdout)
+    assert "deviation" not in alone
+    assert len(both["deviation"]) == len(both["values"])
+    # The first surface is the same, so the mean is off it by the error bar, over the root of 2.
+    off = np.abs(np.log(both["values"]) - np.log(alone["values"]))
+    np.testing.assert_allclose(np.sqrt(2) * off, both["deviation"], rtol=1e-6, atol=1e-9)
+    assert 0 < max(both["deviation"]) < 0.2
