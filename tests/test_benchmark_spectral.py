@@ -41,6 +41,13 @@ def test_quartering_keeps_the_surface(script: dict[str, Any]) -> None:
     np.testing.assert_allclose(np.sort(finer.face_areas), np.sort(np.repeat(mesh.face_areas / 4, 4)))
 
 
+def test_cubic_elements_have_order_six_on_the_square(script: dict[str, Any]) -> None:
+    for boundary, largest in (("neumann", 1e-6), ("dirichlet", 1e-5)):
+        errors, orders = script["square_errors"]((3, 5), boundary)
+        assert 0 < errors[1] < largest, "at 36 vertices"
+        assert 5.8 < orders[0] < 6.2
+
+
 def test_it_prints_the_time_of_a_signature() -> None:
     ended = subprocess.run(
         [sys.executable, SCRIPT, "--part", "signature"], capture_output=True, text=True, env=dict(os.environ)
