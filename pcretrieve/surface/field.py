@@ -80,6 +80,13 @@ def distance_field(cloud: PointCloud, outside: Outside) -> tuple[Voxels, Voxels]
 
 
 def normals_of(cloud: PointCloud) -> FloatArray:
+    """The normals of a cloud that must have some.
+
+    Raises
+    ------
+    ReconstructionError
+        If it has none.
+    """
     if cloud.normals is None:
         raise ReconstructionError("reconstruction needs points with normals, these have none")
     return cloud.normals

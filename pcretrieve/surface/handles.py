@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from pcretrieve.options import SurfaceOptions
 from pcretrieve.scan.outside import FARTHEST, Outside, distances
+from pcretrieve.surface.edges import joined_by
 from pcretrieve.surface.field import normals_of
 from pcretrieve.surface.growth import grown
 from pcretrieve.surface.marching import marched
@@ -27,6 +28,9 @@ DISK = 2.0
 
 # Disks stand across an axis only where their normal leans this far towards it.
 LEAST_LEAN = 0.3
+
+# Cells that share a corner are less than this apart, those that do not are more.
+CORNER = 1.8
 
 # A cut this thick beside the body's greatest depth went through a true handle.
 HANDLE = 0.6
@@ -81,18 +85,14 @@ def _with_handles(inside: Mask, body: Mask, depth: Voxels, genus: str | int, not
     return body
 
 
-def _pieces(cells: NDArray[np.intp]) -> NDArray[np.int32]:
+def _pieces(cells: NDArray[np.intp]) -> NDArray[np.intp]:
     """(k,) numbers of the connected pieces that (k, 3) cells belong to; corners connect."""
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import connected_components
     from scipy.spatial import cKDTree
 
     if not len(cells):
-        return np.zeros(0, dtype=np.int32)
-    pairs = cKDTree(cells).query_pairs(1.8, output_type="ndarray")  # (p, 2), farther than √3
-    links = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(len(cells), len(cells)))
-    piece: NDArray[np.int32] = connected_components(links, directed=False)[1]
-    return piece
+        return np.zeros(0, dtype=np.intp)
+    a, b = cKDTree(cells).query_pairs(CORNER, output_type="ndarray").T
+    return joined_by(a, b, len(cells))
 
 
 def _euler(body: Mask) -> int:
