@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 from scipy.sparse import csc_array
 from scipy.sparse.csgraph import connected_components
+from threadpoolctl import threadpool_limits
 
 from pcretrieve.adapters import tetwild
 from pcretrieve.errors import (
@@ -206,8 +207,11 @@ def _final(mesh: TriangleMesh, options: PipelineOptions) -> TriangleMesh:
 
 
 def process(scan: object, options: PipelineOptions) -> Shape:
-    """Surface and spectrum of one scan."""
-    with placed(scan):
+    """Surface and spectrum of one scan, on one thread.
+
+    More would not help, blocks being narrow, and wait for each other where other work keeps a core busy.
+    """
+    with threadpool_limits(limits=1), placed(scan):
         if options.spectral.element == "points":
             return _of_points(scan, options)
         *_, last = surface_stages(scan, options)
