@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 from pcretrieve.types import FloatArray, ModalSpectrum, Step, TriangleMesh
@@ -34,7 +35,7 @@ class Content:
     others: tuple[ModalSpectrum, ...] = ()
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class StoredShape:
     """A shape as descriptors see it, read from its catalogue piece by piece as it is asked for.
 
@@ -53,13 +54,17 @@ class StoredShape:
     catalogue: Catalogue
     id: str
 
+    @cached_property
+    def _spectra(self) -> tuple[ModalSpectrum, ...]:
+        return self.catalogue.spectra(self.id)
+
     @property
     def spectrum(self) -> ModalSpectrum:
-        return self.catalogue.spectra(self.id)[0]
+        return self._spectra[0]
 
     @property
     def others(self) -> tuple[ModalSpectrum, ...]:
-        return self.catalogue.spectra(self.id)[1:]
+        return self._spectra[1:]
 
     @property
     def area(self) -> float:

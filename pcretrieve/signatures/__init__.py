@@ -90,7 +90,7 @@ def describe(shape: Describable, options: SignatureOptions) -> Signature:
         If the shape has none.
     """
     made = _one(shape, options)
-    if not shape.others or options.method in OF_MESH:
+    if options.method in OF_MESH or not shape.others:
         return made
     others = [
         _one(_Rebuilt(spectrum, shape.area, shape.mesh, ()), options).values for spectrum in shape.others
