@@ -98,26 +98,33 @@ def assembled(mesh: TriangleMesh, nodes: Index, element: Element, sides: Sides) 
     half_cotangents = -opposite / (4 * area[:, None])  # (m, 3)
 
     n = int(nodes.max()) + 1
-    stiffness = np.zeros((*nodes.shape, nodes.shape[1]))  # (m, q, q)
     boundary = np.zeros(n, dtype=bool)
-    along, side = element.along, element.side
+    along, side, back = [element.along], element.side, np.argsort(element.turn)
     for k in range(3):
-        stiffness += half_cotangents[:, k, None, None] * along
         boundary[nodes[sides.use[sides.edge[:, k]] == 1][:, side]] = True
-        back = np.argsort(element.turn)
-        along, side = along[np.ix_(back, back)], element.turn[side]
-    return Assembled(
-        _summed(stiffness, nodes, n), _summed(area[:, None, None] * element.mass, nodes, n), boundary
+        along.append(along[k][np.ix_(back, back)])
+        side = element.turn[side]
+    stiffness, mass = _summed(
+        half_cotangents @ np.reshape(along[:3], (3, -1)), area[:, None] * element.mass.ravel(), nodes, n
     )
+    return Assembled(stiffness, mass, boundary)
 
 
-def _summed(local: FloatArray, nodes: Index, n: int) -> csc_array:
-    """(n, n) sums of the (m, q, q) matrices of all faces."""
+def _summed(one: FloatArray, other: FloatArray, nodes: Index, n: int) -> tuple[csc_array, csc_array]:
+    """(n, n) sums of the (m, q²) matrices of all faces."""
+    # As real and imaginary part of one matrix, so that its pattern is sorted once for both.
+    local = np.empty(one.shape, dtype=np.complex128)
+    local.real, local.imag = one, other
     q = nodes.shape[1]
     rows, columns = np.repeat(nodes, q, axis=1).ravel(), np.tile(nodes, (1, q)).ravel()
     total = csc_array(coo_array((local.ravel(), (rows, columns)), shape=(n, n)))
     # Where more than two faces meet, rounding depends on the order that they are added up in.
-    return csc_array((total + total.T) / 2)
+    total = csc_array((total + total.T) / 2)
+    first, second = (
+        csc_array((part.copy(), total.indices, total.indptr), shape=(n, n))
+        for part in (total.data.real, total.data.imag)
+    )
+    return first, second
 
 
 def check_faces(mesh: TriangleMesh) -> None:
@@ -144,6 +151,8 @@ def check_vertices(mesh: TriangleMesh) -> None:
     """
     if not len(mesh.faces):
         raise DegenerateMeshError("a surface must have faces, got none")
-    n_loose = len(mesh.vertices) - len(np.unique(mesh.faces))
+    loose = np.ones(len(mesh.vertices), dtype=bool)
+    loose[mesh.faces] = False
+    n_loose = int(loose.sum())
     if n_loose:
         raise DegenerateMeshError(f"every vertex must be in a face, got {n_loose} that are in none")
