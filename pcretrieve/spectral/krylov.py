@@ -1,16 +1,17 @@
 """Shift-invert block Krylov iteration: the lowest pairs of S φ = λ M φ.
 
 T = (S − σM)⁻¹M has the eigenvectors of the pencil, the eigenvalues θ = 1/(λ − σ), and is symmetric in the
-inner product of M. Blocks of it are made M-orthonormal to all that came before, and T projected on to them
-gives θ, largest first, from the wanted end.
+inner product of M. Blocks of it are made M-orthonormal to the two that came before, from time to time to all,
+and T projected on to them gives θ, largest first, from the wanted end.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import math
+from collections.abc import Callable, Iterator
 
 import numpy as np
-from scipy.linalg import LinAlgError, eigh, solve_triangular
+from scipy.linalg import LinAlgError, eigh
 from scipy.sparse import csc_array, csr_array
 
 from pcretrieve.errors import NegativeEigenvalues, NonFiniteSpectrum, SpectrumNotConverged
@@ -18,33 +19,36 @@ from pcretrieve.types import FloatArray
 
 __all__ = ["basis_size", "block_krylov"]
 
-# A mesh of 20k vertices, 61 pairs, seconds on one busy core and relative error of the eigenvalues:
+# A mesh of 20k vertices, 61 pairs, seconds on one core of a shared machine, relative error of the
+# eigenvalues:
 #
-#     blocks of  4, 49 of them (196 vectors)      0.49  1e-13
-#     blocks of  8, 26 of them (208 vectors)      0.49  5e-13    <- 20: 0.36, 1e-5; 24: 0.44, 3e-10; 32: 0.59
-#     blocks of 16, 17 of them (272 vectors)      0.64  9e-13
-#     blocks of 8, restarted at 157 vectors       0.51  1e-13
-#     ARPACK on the same Cholesky factor          0.99  1e-13
-#     ARPACK on SuperLU                           1.43
-#     LaPy 1.7 (matrices included)                1.47
-#     LOBPCG, 80 vectors, that factor's inverse   3.31  1e-12
+#     blocks of  4, 45 of them (180 vectors)      0.27  1e-13
+#     blocks of  8, 24 of them (192 vectors)      0.28  1e-9     <- tolerance 1e-6: 27 of them, 0.30, 1e-13
+#     blocks of 16, 15 of them (240 vectors)      0.34  8e-10
+#     blocks of 8, each made orthogonal to all    0.32  1e-9
+#     blocks of 8, restarted at 157 vectors       0.28  1e-9
+#     ARPACK on the same Cholesky factor          0.98  1e-13
+#     ARPACK on SuperLU                           1.13
+#     LaPy 1.7 (matrices included)                1.09
+#     LOBPCG, 80 vectors, that factor's inverse   3.06  2e-7
 #
 # A block finds as many copies of an eigenvalue as it has columns. The symmetries of a body in space make five
 # at most, exactly equal; but of the harmonics of a fine sphere, equal to some digits, blocks of 4 miss one of
 # fifteen and blocks of 8 none. More than eight *exactly* equal ones would not be complete.
 BLOCK = 8
 
-# 61 pairs converge in about 230 vectors, 3 in 50, 250 in 640: with this much room nothing is restarted.
+# To 1e-4, 61 pairs converge in about 200 vectors, 3 in 40, 250 in 580: with this much room nothing is
+# restarted.
 VECTORS_PER_PAIR = 3
 SPARE_VECTORS = 12 * BLOCK
 
 # Hardly a surface converges before the basis has this many.
-VECTORS_PER_PAIR_AT_FIRST_LOOK = 2.2
-SPARE_VECTORS_AT_FIRST_LOOK = 4 * BLOCK
+VECTORS_PER_PAIR_AT_FIRST_LOOK = 2.3
+SPARE_VECTORS_AT_FIRST_LOOK = 5 * BLOCK
 
-# A look at the residuals costs as much as a third of a block, and a block makes them fall by a factor of
-# three to five: the next look can wait until they may have arrived.
-FALL_PER_BLOCK = 5
+# A look at the residuals costs as much as a third of a block or more, and a block makes them fall by a factor
+# of three to five: the next look can wait until they should have arrived.
+FALL_PER_BLOCK = 4
 
 # Vectors that are multiplied by T before it is given up, in bases.
 LONGEST_RUN = 5
@@ -54,6 +58,11 @@ LONGEST_RUN = 5
 # the smallest eigenvalues dominate, and after a restart; the others lose a factor of two.
 LARGEST_LOSS = 5.0
 MOST_ROUNDS = 6
+
+# Largest entry of QᵀMQ − I. A block is taken to be orthogonal to all but the last two of the basis until it
+# is thought to lose more than this, which is every other time: what is lost grows by hundreds in each block,
+# so that √ε, all that eigenvalues need, saves nothing more. It is thought to be ten times what it is.
+LARGEST_LOST = 1e-11
 
 # Columns of the basis that a restart combines at once: a copy of the whole would double the memory.
 CHUNK = 4096
@@ -67,7 +76,7 @@ def basis_size(n_pairs: int) -> int:
 def block_krylov(
     stiffness: csc_array, mass: csc_array, n_pairs: int, *, shift: float, tolerance: float
 ) -> tuple[FloatArray, FloatArray, int]:
-    """Block Lanczos [1]_ with full reorthogonalisation and thick restart [2]_.
+    """Block Lanczos [1]_ with partial reorthogonalisation [2]_ and thick restart [3]_.
 
     Parameters
     ----------
@@ -77,14 +86,14 @@ def block_krylov(
     shift : float
         σ, below the smallest eigenvalue; unit length⁻².
     tolerance : float
-        On ‖T φ − θ φ‖ / θ in the norm of M, of every wanted pair. Eigenvalues are better by its square.
+        On ‖T φ − θ φ‖ / θ in the norm of M, of every wanted pair. Eigenvalues are off by its square.
 
     Returns
     -------
     eigenvalues : (n_pairs,) float64
         Ascending; unit length⁻².
     vectors : (n, n_pairs) float64
-        M-orthonormal; unit length⁻¹.
+        M-orthonormal to `LARGEST_LOST`; unit length⁻¹.
     n_blocks : int
         Blocks that T was applied to.
 
@@ -98,31 +107,45 @@ def block_krylov(
     ----------
     .. [1] Grimes, Lewis and Simon, "A shifted block Lanczos algorithm for solving sparse symmetric
        generalized eigenproblems", SIAM J. Matrix Anal. Appl. 15 (1994).
-    .. [2] Wu and Simon, "Thick-restart Lanczos method for large symmetric eigenvalue problems", SIAM J.
+    .. [2] Simon, "The Lanczos algorithm with partial reorthogonalization", Math. Comp. 42 (1984); for
+       short in Bai et al., "Templates for the solution of algebraic eigenvalue problems", SIAM 2000,
+       equations (4.18), what may be lost, and (4.19), how it grows.
+    .. [3] Wu and Simon, "Thick-restart Lanczos method for large symmetric eigenvalue problems", SIAM J.
        Matrix Anal. Appl. 22 (2000).
     """
     n, size = mass.shape[0], basis_size(n_pairs)
-    rows = csr_array(mass)
+    by_rows = csr_array(mass)
     solve = _cholesky(csr_array(stiffness - shift * mass))
-    basis = np.empty((size, n))
+    basis = np.empty((size + BLOCK, n))
     projected = np.zeros((size, size))  # QᵀMTQ
+    lost = np.zeros((size, size))  # QᵀMQ − I, as it is thought to be
+    rounding = np.finfo(float).eps / abs(shift)  # of T X: θ of a zero mode is the largest
     # A fixed start makes the answer reproducible. It must have a part in every eigenspace, so it must not be
     # symmetric where the surface is.
-    start = solve(rows @ np.random.default_rng(0).standard_normal((n, BLOCK)))
+    random = np.random.default_rng(0)
+    start = solve(by_rows @ random.standard_normal((n, BLOCK)))
+    # Of QᵀMT block, the last rows. Before them is nothing but rounding and what `lost` makes of it, and that
+    # is left out: T projected on to an orthonormal basis of the same space has none of it [2]_.
     known = np.empty((0, BLOCK))
-    block, mapped, _, left = _orthonormal(start, basis[:0], rows, known)
+    block, mapped, left, drift = _orthonormal(start, basis[:0], by_rows, known, known)
     width, look_at = 0, int(VECTORS_PER_PAIR_AT_FIRST_LOOK * n_pairs) + SPARE_VECTORS_AT_FIRST_LOOK
     for n_blocks in range(1, LONGEST_RUN * size // BLOCK + 1):
         new = slice(width, width + BLOCK)
         width += BLOCK
         basis[new] = block.T
+        lost[: new.start, new] = drift
+        lost[new, : new.start] = drift.T
         image = solve(mapped)
         known = np.concatenate([known, mapped.T @ image])
-        # T Q_new = Q along + block left
-        block, mapped, along, left = _orthonormal(image, basis[:width], rows, known)
-        known = left.T  # QᵀMT block of the last block in Q; of those before it, nothing but rounding
-        projected[:width, new] = along
-        projected[new, :width] = along.T
+        rows = slice(width - len(known), width)
+        projected[rows, new] = known
+        projected[new, rows] = known.T
+        # QᵀM of what will be left of the image: QᵀMTQ_new written in two ways, as T is symmetric.
+        drift = projected[:width, :width] @ lost[:width, new] - lost[:width, rows] @ known
+        drift += rounding * random.standard_normal(drift.shape)
+        # T Q_new = Q_rows known + block left
+        block, mapped, left, drift = _orthonormal(image, basis[:width], by_rows, known, drift)
+        known = left.T
         full = width + BLOCK > size
         if width < look_at and not full:
             continue
@@ -133,55 +156,71 @@ def block_krylov(
         worst = float(np.linalg.norm(outside[:, :n_pairs], axis=0).max())
         if worst <= tolerance:
             # T φ / θ instead of φ: it is known, and better by one iteration.
-            vectors = np.ascontiguousarray(block) @ outside[:, :n_pairs]  # (n, n_pairs)
-            vectors += (mixing[:, :n_pairs].T @ basis[:width]).T
+            basis[width : width + BLOCK] = block.T
+            outside = outside[:, :n_pairs]
+            parts = np.concatenate([mixing[:, :n_pairs], outside])  # (width + BLOCK, n_pairs)
+            parts -= parts @ (outside.T @ outside) / 2  # M-orthonormal, as φ was
+            vectors = np.empty((n, n_pairs))
+            for part in _chunks(n):
+                vectors[part] = basis[: len(parts), part].T @ parts
             return 1 / theta[:n_pairs] + shift, vectors, n_blocks
         if full:
             width = (n_pairs + size) // 2
-            for first in range(0, n, CHUNK):
-                columns = slice(first, first + CHUNK)
-                basis[:width, columns] = mixing[:, :width].T @ basis[: len(theta), columns]
+            turn = mixing[:, :width]
+            for part in _chunks(n):
+                basis[:width, part] = turn.T @ basis[: len(turn), part]
+            projected[:] = 0
             projected[:width, :width] = np.diag(theta[:width])
             known = (outside * theta)[:, :width].T
-        look_at = width + BLOCK * int(max(1, np.log(worst / tolerance) / np.log(FALL_PER_BLOCK)))
+            lost[:width, :width] = turn.T @ lost[: len(turn), : len(turn)] @ turn
+            drift = turn.T @ drift
+        look_at = width + BLOCK * math.ceil(np.log(worst / tolerance) / np.log(FALL_PER_BLOCK))
     raise SpectrumNotConverged(
         f"residuals must fall below {tolerance:g}, got {worst:.1e} after {n_blocks} blocks: "
         "allow a larger tolerance, or try solver='arpack'"
     )
 
 
-def _orthonormal(
-    block: FloatArray, basis: FloatArray, mass: csr_array, known: FloatArray
-) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """An M-orthonormal X with block = Qᵀ along + X left; and M X, along, left.
+def _chunks(n: int) -> Iterator[slice]:
+    """Of the rows of the basis' transpose: products of the whole would need as much room again."""
+    for first in range(0, n, CHUNK):
+        yield slice(first, first + CHUNK)
 
-    `known` is what is known of `along`: its last rows.
+
+def _orthonormal(
+    block: FloatArray, basis: FloatArray, mass: csr_array, known: FloatArray, drift: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """An M-orthonormal X with block = Qᵀ known + X left, Q the last rows of the basis; and M X, left, QᵀMX.
+
+    `drift` is what the block is thought to have along the basis beyond `known`; the last of the results is
+    what X is thought to have, no more than `LARGEST_LOST`.
     """
-    along, left = np.zeros((len(basis), BLOCK)), np.eye(BLOCK)
-    # All of T X but rounding lies along the last two blocks. Taken off first, it cannot multiply what the
-    # basis lacks in orthogonality: in one pass with the others, the error grows by half in every block.
-    rows = slice(len(basis) - len(known), None)
-    along[rows] = known
-    block = block - basis[rows].T @ known  # (n, BLOCK)
+    # Taken off first, it cannot multiply what the basis lacks in orthogonality.
+    block = block - basis[len(basis) - len(known) :].T @ known  # (n, BLOCK)
     mapped = mass @ block
-    for _ in range(MOST_ROUNDS):
-        # Products with the block in rows take two thirds of the time of those with the block in columns.
-        error = np.ascontiguousarray(mapped.T) @ basis.T  # (BLOCK, width)
-        block -= (error @ basis).T
-        mapped = mass @ block
+    left = np.eye(BLOCK)
+    for n_rounds in range(MOST_ROUNDS):
+        if n_rounds:
+            # Products with the block in rows take two thirds of the time of those with the block in columns.
+            error = np.ascontiguousarray(mapped.T) @ basis.T  # (BLOCK, width)
+            block -= (error @ basis).T
+            mapped = mass @ block
+            drift = np.zeros_like(drift)
         gram = block.T @ mapped  # (BLOCK, BLOCK)
         if not np.isfinite(gram).all():
             raise NonFiniteSpectrum("the operator must be of a size to compute with, got overflow or NaN")
         lower = np.linalg.cholesky(gram)
-        inverse = solve_triangular(lower, np.eye(BLOCK), lower=True).T
+        inverse = np.linalg.inv(lower).T
+        lost = drift @ inverse  # (width, BLOCK)
+        if np.abs(lost).max(initial=0) > LARGEST_LOST:
+            continue
         # In rows, as the basis takes it: to transpose by BLAS is faster than to copy.
         block, mapped = (inverse.T @ block.T).T, mapped @ inverse
-        along += error.T @ left
         left = lower.T @ left
         condition = np.linalg.norm(lower) * np.linalg.norm(inverse) / BLOCK
-        loss = np.sqrt(((error**2).sum(axis=1) / gram.diagonal()).max())
+        loss = np.sqrt(((error**2).sum(axis=1) / gram.diagonal()).max()) if n_rounds else 0.0
         if max(condition, loss) <= LARGEST_LOSS:
-            return block, mapped, along, left
+            return block, mapped, left, lost
     raise LinAlgError("the space has no room for another block")
 
 

@@ -148,6 +148,39 @@ def test_a_basis_without_room_is_restarted(monkeypatch: pytest.MonkeyPatch) -> N
     np.testing.assert_allclose(restarted.eigenvectors, whole.eigenvectors, atol=1e-6)
 
 
+# --- orthogonality ------------------------------------------------------------------------------------
+
+
+def lack_of_orthogonality(operator: LaplaceBeltrami, n_pairs: int) -> float:
+    phi = eigenpairs(operator, n_pairs).eigenvectors
+    return float(np.abs(phi.T @ (operator.mass @ phi) - np.eye(n_pairs)).max())
+
+
+@pytest.mark.parametrize("n_pairs", [12, 61, 250])
+@pytest.mark.parametrize("stretch", [1, 100], ids=["sphere", "tube"])
+def test_it_is_kept_where_it_is_hard_to(n_pairs: int, stretch: float) -> None:
+    # Multiple eigenvalues, and an eigenvalue close to that of the zero mode.
+    ball = shapes.icosphere(4)
+    mesh = TriangleMesh(ball.vertices * [stretch, 1, 1], ball.faces)
+    assert lack_of_orthogonality(laplace_beltrami(mesh), n_pairs) < 1e-11
+
+
+def test_it_is_kept_by_the_estimate_of_what_is_lost(monkeypatch: pytest.MonkeyPatch) -> None:
+    often = eigenpairs(BODY, 150).eigenvalues
+    monkeypatch.setattr(krylov, "LARGEST_LOST", 0)
+    always = eigenpairs(BODY, 150).eigenvalues
+    np.testing.assert_allclose(often[1:], always[1:], rtol=1e-12)
+    monkeypatch.setattr(krylov, "LARGEST_LOST", 1e-5)
+    assert 1e-9 < lack_of_orthogonality(BODY, 150) < 1e-5
+
+
+def test_it_is_kept_through_restarts(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(krylov, "VECTORS_PER_PAIR", 1)
+    monkeypatch.setattr(krylov, "SPARE_VECTORS", 6 * krylov.BLOCK)
+    assert eigenpairs(BODY, 61).iterations * krylov.BLOCK > 1.5 * krylov.basis_size(61)
+    assert lack_of_orthogonality(BODY, 61) < 1e-11
+
+
 @pytest.mark.parametrize("scale", [1e-3, 1e4])
 def test_scaling_and_moving(scale: float, solver: Solver) -> None:
     moved = eigenpairs(
@@ -180,7 +213,7 @@ def test_all_of_a_symmetric_surface_are_found(
     sphere = laplace_beltrami(shapes.icosphere(3), mass=mass)
     pairs = eigenpairs(sphere, n_pairs, solver=solver)
     assert pairs.solver == solver
-    np.testing.assert_allclose(pairs.eigenvalues[1:], dense_eigenvalues(sphere)[1:n_pairs], rtol=1e-9)
+    np.testing.assert_allclose(pairs.eigenvalues[1:], dense_eigenvalues(sphere)[1:n_pairs], rtol=1e-8)
 
 
 def test_harmonics_of_the_sphere_are_complete() -> None:
@@ -210,7 +243,8 @@ def test_copies_beyond_the_block_are_found() -> None:
     hung = LaplaceBeltrami(csc_array(ten.stiffness + csc_array(threads)), ten.mass)
     pairs = eigenpairs(hung, 61)
     assert pairs.solver == "krylov"
-    np.testing.assert_allclose(pairs.eigenvalues[1:], dense_eigenvalues(hung)[1:61], rtol=1e-9)
+    # The last cluster is cut: its values, equal to five digits, come out mixed.
+    np.testing.assert_allclose(pairs.eigenvalues[1:], dense_eigenvalues(hung)[1:61], rtol=1e-6)
 
 
 # --- no zero mode -------------------------------------------------------------------------------------
@@ -220,7 +254,7 @@ def test_without_a_zero_mode_nothing_is_pinned(n_pairs: int, solver: Solver) -> 
     # One vertex held: the matrices without its row and column.
     held = LaplaceBeltrami(csc_array(BODY.stiffness[1:, 1:]), csc_array(BODY.mass[1:, 1:]), n_components=0)
     pairs = eigenpairs(held, n_pairs, solver=solver)
-    np.testing.assert_allclose(pairs.eigenvalues, dense_eigenvalues(held)[:n_pairs], rtol=1e-9)
+    np.testing.assert_allclose(pairs.eigenvalues, dense_eigenvalues(held)[:n_pairs], rtol=1e-8)
     phi = pairs.eigenvectors
     assert phi[:, 0].std() > 0.01 * phi[:, 0].mean() > 0
     np.testing.assert_allclose(phi.T @ (held.mass @ phi), np.eye(n_pairs), atol=1e-9)
@@ -249,9 +283,9 @@ def test_one_pair_is_none(n: int) -> None:
         eigenpairs(BODY, n)
 
 
-@pytest.mark.parametrize("tolerance", [0, -1e-8, 1e-5, np.nan])
+@pytest.mark.parametrize("tolerance", [0, -1e-8, 1e-2, np.nan])
 def test_tolerances_that_mean_nothing(tolerance: float) -> None:
-    with pytest.raises(OptionError, match="tolerance must be above 0 and at most 1e-06, got "):
+    with pytest.raises(OptionError, match=r"tolerance must be above 0 and at most 0\.001, got "):
         eigenpairs(BODY, tolerance=tolerance)
 
 
