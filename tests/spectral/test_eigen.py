@@ -162,7 +162,7 @@ def test_it_is_kept_where_it_is_hard_to(n_pairs: int, stretch: float) -> None:
     # Multiple eigenvalues, and an eigenvalue close to that of the zero mode.
     ball = shapes.icosphere(4)
     mesh = TriangleMesh(ball.vertices * [stretch, 1, 1], ball.faces)
-    assert lack_of_orthogonality(laplace_beltrami(mesh), n_pairs) < 1e-11
+    assert lack_of_orthogonality(laplace_beltrami(mesh), n_pairs) < 1e-10
 
 
 def test_it_is_kept_by_the_estimate_of_what_is_lost(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -178,7 +178,7 @@ def test_it_is_kept_through_restarts(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(krylov, "VECTORS_PER_PAIR", 1)
     monkeypatch.setattr(krylov, "SPARE_VECTORS", 6 * krylov.BLOCK)
     assert eigenpairs(BODY, 61).iterations * krylov.BLOCK > 1.5 * krylov.basis_size(61)
-    assert lack_of_orthogonality(BODY, 61) < 1e-11
+    assert lack_of_orthogonality(BODY, 61) < 1e-10
 
 
 @pytest.mark.parametrize("scale", [1e-3, 1e4])
