@@ -57,6 +57,7 @@ def retrieval_page(
     InputError
         If the catalogue holds no shapes, or the page cannot be written.
     """
+    options = options or catalogue.options.signature
     table = catalogue.signatures(options)
     if not len(table):
         raise InputError(f"{catalogue.path} holds no shapes: ingest some first")
@@ -107,6 +108,7 @@ def retrieval_page(
             "shapes": str(len(table)),
             "classes": str(n_classes),
             "signature": f"{table.kind}, {table.values.shape[1]} values",
+            "scale": options.scale,
             "distance": distance,
             "whitening": whitening,
         },

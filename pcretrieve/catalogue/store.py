@@ -52,7 +52,7 @@ class Catalogue:
     Examples
     --------
     >>> with Catalogue("people.sqlite") as catalogue:          # doctest: +SKIP
-    ...     index = SignatureIndex(catalogue.signatures(), whitening=catalogue.whitening("pca"))
+    ...     index = SignatureIndex(catalogue.signatures(), whitening=catalogue.whitening("within-class"))
     """
 
     def __init__(

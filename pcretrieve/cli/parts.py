@@ -90,9 +90,11 @@ n_values_option = click.option(
 
 scale_option = click.option(
     "--scale",
-    type=click.Choice(["relative", "area", "absolute"]),
-    help="What its values are measured by: its own first one, the area of the surface, or the unit of the "
-    "files, which keeps the size of bodies.  [default: relative, or the catalogue's]",
+    type=click.Choice(["area", "relative", "absolute"]),
+    help="What its values are measured by: the area of the surface, its own first one, or the unit of the "
+    "files, which keeps the size of bodies. By area R-BiHDM retrieves better (mAP on SHREC'11 .978 to .970), "
+    "but not 45 values PCA whitened (.982 to .986): --whitening pca takes relative values in place of a "
+    "catalogue's by area, unless this option is given.  [default: area, or the catalogue's]",
 )
 
 

@@ -60,7 +60,7 @@ def query_command(
     from pcretrieve.catalogue import Catalogue
 
     with Catalogue(catalogue) as store:
-        options = _signature_options(store, method, n_values, scale)
+        options = _signature_options(store, method, n_values, scale, whitening)
         neighbors = search(store, scan, k=k, distance=distance, whitening=whitening, options=options)
         records = [store.record(shape_id) for shape_id in neighbors.ids]
     found = [
@@ -110,13 +110,15 @@ def evaluate_command(
     from pcretrieve.evaluation.folds import evaluate
 
     with Catalogue(catalogue) as store:
-        table, failed = _labelled(store, labels, _signature_options(store, method, n_values, scale))
+        options = _signature_options(store, method, n_values, scale, whitening)
+        table, failed = _labelled(store, labels, options)
         measures = evaluate(table, distance=distance, whitening=whitening, failed_labels=failed)
     document = asdict(measures) | {
         "n_failed": len(failed),
         "n_shapes": len(table),
         "method": table.kind,
         "n_values": table.values.shape[1],
+        "scale": options.scale,
         "distance": distance,
         "whitening": whitening,
     }
@@ -126,7 +128,10 @@ def evaluate_command(
     names = ("nn", "ft", "st", "e", "dcg", "map")
     click.echo("  ".join(f"{name.upper() if name != 'map' else 'mAP':>6}" for name in names))
     click.echo("  ".join(f"{document[name]:6.4f}" for name in names))
-    say(f"{measures.n_queries} queries in {len(table)} shapes, {len(failed)} failed ones count as misses")
+    say(
+        f"{measures.n_queries} queries in {len(table)} shapes, {len(failed)} failed ones count as misses; "
+        f"scale {options.scale}"
+    )
 
 
 @click.command("report")
@@ -177,14 +182,20 @@ def report_command(
             k=k,
             distance=distance,
             whitening=whitening,
-            options=_signature_options(store, method, n_values, scale),
+            options=_signature_options(store, method, n_values, scale, whitening),
         )
     click.echo(str(page))
 
 
 def _signature_options(
-    store: Catalogue, method: str | None, n_values: int | None, scale: str | None
+    store: Catalogue, method: str | None, n_values: int | None, scale: str | None, whitening: str
 ) -> SignatureOptions:
+    """The catalogue's own, with what the command line names in its place.
+
+    By area is the better default but for PCA whitening, which takes the values relative in its place.
+    """
+    if scale is None and whitening == "pca" and store.options.signature.scale == "area":
+        scale = "relative"
     given = {"method": method, "n_values": n_values, "scale": scale}
     chosen = {name: value for name, value in given.items() if value is not None}
     return store.options.changed(signature=chosen).signature

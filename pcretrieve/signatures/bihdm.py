@@ -20,7 +20,7 @@ def bihdm(
     n_values: int = 23,
     n_modes: int = 60,
     *,
-    scale: Scale = "relative",
+    scale: Scale = "area",
 ) -> Signature:
     """The BiHDM signature, equation (8) cut at m modes.
 
@@ -32,7 +32,7 @@ def bihdm(
         L, at most `n_modes`.
     n_modes : int, default 60
         m, the modes that the distance is summed over.
-    scale : {"relative", "area", "absolute"}, default "relative"
+    scale : {"area", "relative", "absolute"}, default "area"
 
     Returns
     -------

@@ -17,7 +17,7 @@ def combined(
     n_values: int = 23,
     n_modes: int = 60,
     *,
-    scale: Scale = "relative",
+    scale: Scale = "area",
 ) -> Signature:
     """The signatures of `r_bihdm` and `shape_dna`, one after the other.
 
@@ -31,7 +31,7 @@ def combined(
         L, at most `n_modes`.
     n_modes : int, default 60
         m, as in `r_bihdm`.
-    scale : {"relative", "area", "absolute"}, default "relative"
+    scale : {"area", "relative", "absolute"}, default "area"
 
     Returns
     -------

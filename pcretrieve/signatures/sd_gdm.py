@@ -14,7 +14,7 @@ __all__ = ["geodesic_matrix", "sd_gdm"]
 N_FACES = 1000
 
 
-def sd_gdm(mesh: TriangleMesh, n_values: int = 23, *, scale: Scale = "relative") -> Signature:
+def sd_gdm(mesh: TriangleMesh, n_values: int = 23, *, scale: Scale = "area") -> Signature:
     """The SD-GDM signature [1]_. Needs ``pcretrieve[geodesic]``.
 
     Parameters
@@ -23,13 +23,13 @@ def sd_gdm(mesh: TriangleMesh, n_values: int = 23, *, scale: Scale = "relative")
         Closed, where it has more than a thousand faces.
     n_values : int, default 23
         L, less than the number of vertices.
-    scale : {"relative", "area", "absolute"}, default "relative"
+    scale : {"area", "relative", "absolute"}, default "area"
 
     Returns
     -------
     Signature
-        values (L,): |μ_j / μ_0| for j = 1 … L, with μ the eigenvalues of `geodesic_matrix` in order of
-        magnitude, or |μ_j| / area^(3/2); dimensionless, largest first, unchanged by isometry and scaling.
+        values (L,): |μ_j| / area^(3/2) for j = 1 … L, with μ the eigenvalues of `geodesic_matrix` in order
+        of magnitude, or |μ_j / μ_0|; dimensionless, largest first, unchanged by isometry and scaling.
         Absolute: |μ_j|, unit length³.
 
     Raises

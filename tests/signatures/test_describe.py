@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
 
@@ -14,9 +15,9 @@ from pcretrieve.batch.pipeline import Shape, process
 from pcretrieve.errors import DegenerateMeshError, OptionError, SpectrumError
 from pcretrieve.options import METHODS as NAMES
 from pcretrieve.options import SIZELESS, PipelineOptions, SignatureOptions, signature_methods
-from pcretrieve.signatures import METHODS, describe, sd_gdm, shape_dna, wks
+from pcretrieve.signatures import METHODS, bihdm, combined, describe, r_bihdm, sd_gdm, shape_dna, wks
 from pcretrieve.signatures.sd_gdm import geodesic_matrix
-from pcretrieve.types import FloatArray, TriangleMesh
+from pcretrieve.types import FloatArray, Signature, TriangleMesh
 
 N_VALUES = 9
 
@@ -75,20 +76,38 @@ POWERS = {"r-bihdm": 4, "bihdm": 4, "shape-dna": 2, "sd-gdm": 3, "combined": [4]
 def test_size_is_kept_where_it_is_asked_for_and_nowhere_else(method: str) -> None:
     twice = process(TriangleMesh(2 * shapes.body(3).vertices, shapes.body(3).faces), PipelineOptions())
     np.testing.assert_allclose(values(twice, method), values(body(), method), rtol=1e-5)
-    if method not in SIZELESS:
-        by_area = values(twice, method, "area")
-        np.testing.assert_allclose(by_area, values(body(), method, "area"), rtol=1e-5)
-        np.testing.assert_allclose(
-            by_area * twice.area ** (np.array(POWERS[method]) / 2),
-            values(twice, method, "absolute"),
-            rtol=1e-5,
-        )
+    by_area = values(twice, method, "area")
+    np.testing.assert_allclose(by_area, values(body(), method, "area"), rtol=1e-5)
     if method in SIZELESS:
-        with pytest.raises(OptionError, match=f"scale: must be relative for {method}, which has no size"):
-            SignatureOptions(method=method, scale="absolute")
         return
+    np.testing.assert_allclose(
+        by_area * twice.area ** (np.array(POWERS[method]) / 2), values(twice, method, "absolute"), rtol=1e-5
+    )
     growth = values(twice, method, "absolute") / values(body(), method, "absolute")
     np.testing.assert_allclose(growth, 2.0 ** np.array(POWERS[method]), rtol=1e-5)
+
+
+@pytest.mark.parametrize("name", sorted(SIZELESS))
+def test_without_size_by_area_and_relative_are_the_same(name: str) -> None:
+    np.testing.assert_array_equal(values(body(), name, "area"), values(body(), name, "relative"))
+    with pytest.raises(OptionError, match=f"scale: must be area or relative for {name}, which has no size"):
+        SignatureOptions(method=name, scale="absolute")
+
+
+@pytest.mark.parametrize("function", [r_bihdm, bihdm, combined])
+def test_a_descriptor_by_itself_is_that_of_the_default_options(function: Callable[..., Signature]) -> None:
+    name = function.__name__.replace("_", "-")
+    described = describe(body(), SignatureOptions(method=name))
+    assert described.digest == function(body().spectrum).digest
+    np.testing.assert_array_equal(described.values, function(body().spectrum).values)
+    relative = function(body().spectrum, scale="relative").values
+    assert not np.allclose(described.values, relative, rtol=0.1)
+
+
+def test_geodesic_distances_by_themselves_are_those_of_the_default_options() -> None:
+    pytest.importorskip("potpourri3d", reason="geodesic distances come from potpourri3d")
+    described = describe(body(), SignatureOptions(method="sd-gdm"))
+    np.testing.assert_array_equal(described.values, sd_gdm(body().mesh).values)
 
 
 def test_absolute_shape_dna_is_the_spectrum_in_the_unit_of_the_file() -> None:

@@ -1,0 +1,101 @@
+"""`pcretrieve query`, `evaluate`, `report`: which scale signatures are compared by, and that it is said."""
+
+from __future__ import annotations
+
+import json
+import re
+from dataclasses import asdict
+from pathlib import Path
+
+import numpy as np
+import pytest
+import shapes
+from click.testing import CliRunner, Result
+
+from pcretrieve import Catalogue, PipelineOptions
+from pcretrieve.batch.ingest import ingest
+from pcretrieve.cli.main import cli
+from pcretrieve.evaluation.folds import evaluate
+from pcretrieve.options import SignatureOptions
+from pcretrieve.surface import write_mesh
+
+PCA = ("--whitening", "pca")
+N_CLASSES = 4
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
+    """Eggs of four kinds, three that differ a little of each."""
+    folder, found = tmp_path_factory.mktemp("eggs"), []
+    for kind in range(N_CLASSES):
+        for number in range(3):
+            axes = (1 + 0.1 * number, 1, 1.2 + 0.15 * kind)
+            found.append(folder / f"{kind}{number}.off")
+            write_mesh(shapes.ellipsoid(axes, subdivisions=3), found[-1])
+    return found
+
+
+@pytest.fixture(scope="module", params=["area", "relative"])
+def catalogue(
+    request: pytest.FixtureRequest, files: list[Path], tmp_path_factory: pytest.TempPathFactory
+) -> Path:
+    """One that was built by default, and one that was told to be relative."""
+    path = tmp_path_factory.mktemp(request.param) / "c.sqlite"
+    built = {
+        "area": PipelineOptions(),
+        "relative": PipelineOptions().changed(signature={"scale": "relative"}),
+    }
+    with Catalogue(path, built[request.param], create=True) as store:
+        ingest(files, store, labels={file.name: f"kind{file.name[0]}" for file in files})
+    return path
+
+
+def run(*arguments: object) -> Result:
+    result = CliRunner().invoke(cli, [str(word) for word in arguments])
+    assert result.exit_code == 0, result.output
+    return result
+
+
+def own(catalogue: Path) -> str:
+    with Catalogue(catalogue) as store:
+        return store.options.signature.scale
+
+
+@pytest.mark.parametrize("given", ["none", "pca"])
+@pytest.mark.parametrize("scale", [None, "area", "relative"])
+def test_pca_whitening_takes_values_relative_unless_a_scale_is_named(
+    given: str, scale: str | None, catalogue: Path
+) -> None:
+    expected = scale or ("relative" if given == "pca" else own(catalogue))
+    chosen = ("--scale", scale) if scale else ()
+    found = json.loads(run("evaluate", "-c", catalogue, "--whitening", given, *chosen, "--json").stdout)
+    assert found["scale"] == expected
+    with Catalogue(catalogue) as store:
+        tables = {s: store.signatures(SignatureOptions(scale=s)) for s in ("area", "relative")}
+    measures = {s: asdict(evaluate(table, whitening=given)) for s, table in tables.items()}
+    assert measures["area"] != measures["relative"], "there is something to be told apart"
+    assert {name: found[name] for name in measures[expected]} == measures[expected]
+    assert f"; scale {expected}\n" in run("evaluate", "-c", catalogue, "--whitening", given, *chosen).output
+
+
+def test_queries_and_pages_do_as_evaluation_does(catalogue: Path, files: list[Path], tmp_path: Path) -> None:
+    def gaps(*chosen: str) -> list[float]:
+        return [
+            row["distance"]
+            for row in json.loads(run("query", "-c", catalogue, files[0], *chosen, "--json").stdout)
+        ]
+
+    assert gaps(*PCA) == gaps(*PCA, "--scale", "relative")
+    assert not np.allclose(gaps(*PCA), gaps(*PCA, "--scale", "area"), rtol=1e-3)
+    assert gaps() == gaps("--scale", own(catalogue))
+    for chosen, expected in (((), own(catalogue)), (PCA, "relative"), ((*PCA, "--scale", "area"), "area")):
+        page = tmp_path / "page.html"
+        run("report", "-c", catalogue, "-o", page, "--queries", 1, *chosen)
+        assert re.search(rf"<dt>scale</dt>\s*<dd>{expected}</dd>", page.read_text(encoding="utf-8"))
+
+
+def test_a_catalogue_that_stored_relative_keeps_it(catalogue: Path) -> None:
+    with Catalogue(catalogue) as store:
+        stored, anew = store.signatures(), store.signatures(SignatureOptions(scale=own(catalogue)))
+    np.testing.assert_array_equal(stored.values, anew.values)
+    assert catalogue.parent.name.startswith(own(catalogue))
