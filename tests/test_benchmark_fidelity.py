@@ -55,8 +55,8 @@ def test_the_columns_are_stable() -> None:
         "set condition name digest scans failed normals_right closed euler_right distance_mean "
         "distance_hausdorff log_error_median log_error_mean nn map nn_within map_within clean_nn clean_map "
         "clean_nn_within clean_map_within seconds stages peak_mib rescan_spread textbook_seconds "
-        "textbook_ratio nn_area map_area nn_pca map_pca clean_nn_area clean_map_area clean_nn_pca "
-        "clean_map_pca"
+        "textbook_ratio nn_relative map_relative nn_pca map_pca clean_nn_relative clean_map_relative "
+        "clean_nn_pca clean_map_pca"
     )
 
 
