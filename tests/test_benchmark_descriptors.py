@@ -1,4 +1,4 @@
-"""The table of descriptors has a row for each distance and whitening, and says what it leaves out."""
+"""The table of descriptors has a row for each scale, distance and whitening, and says what it leaves out."""
 
 from __future__ import annotations
 
@@ -26,17 +26,23 @@ def test_a_set_of_five_classes(tmp_path: Path) -> None:
             lines.append(f"{name},kind{number}")
     (folder / "labels.csv").write_text("\n".join(lines))
     ended = subprocess.run(
-        [sys.executable, SCRIPT, "--data", tmp_path, "--methods", "wks", "hks-bow", "--n-values", "9", "99"],
+        [
+            *(sys.executable, SCRIPT, "--data", tmp_path, "--n-values", "9", "99"),
+            *("--methods", "wks", "r-bihdm", "hks-bow"),
+        ],
         capture_output=True,
         text=True,
     )
     assert ended.returncode == 0, ended.stderr
     head, missing, *rows = ended.stdout.splitlines()
-    assert head.split()[:5] == ["set", "method", "L", "distance", "whitening"]
+    assert head.split()[:6] == ["set", "method", "L", "scale", "distance", "whitening"]
     assert missing.startswith("shrec11: left out, ")
     assert "left out: n_values must be between 2 and 90" in rows.pop()
-    assert len(rows) == 3 * 9, "wks at two lengths, hks-bow at one"
-    figures = np.array([row.split()[5:] for row in rows], dtype=float)
-    plain = [row.split()[4] == "none" for row in rows]
+    longer = [row for row in rows if "left out: n_values must be between 1 and n_modes = 60" in row]
+    assert [row.split()[1:4] for row in longer] == [["r-bihdm", "99", s] for s in ("relative", "area")]
+    rows = [row for row in rows if row not in longer]
+    assert len(rows) == 5 * 9, "wks at two lengths, r-bihdm by two scales, hks-bow once"
+    figures = np.array([row.split()[6:] for row in rows], dtype=float)
+    plain = [row.split()[5] == "none" for row in rows]
     assert (figures[plain, 0] == 1).all(), "the moved copy of each egg is its nearest neighbour"
     assert (figures[:, -1] == 0).all(), "nothing failed"
