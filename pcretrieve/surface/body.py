@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 from pcretrieve.adapters import open3d
 from pcretrieve.errors import ReconstructionError
 from pcretrieve.options import SurfaceOptions
-from pcretrieve.scan.outside import Grid, flood, spacing
-from pcretrieve.surface.field import LEAST_WEIGHT, distance_field, normals_of, slits
+from pcretrieve.scan.outside import Grid, distances, flood, spacing
+from pcretrieve.surface.contacts import contacts, walls
+from pcretrieve.surface.field import LEAST_WEIGHT, distance_field, folded, normals_of
 from pcretrieve.surface.handles import with_topology
 from pcretrieve.surface.marching import crossed, marched
 from pcretrieve.surface.pieces import joined
@@ -71,8 +72,8 @@ def body_surfaces(cloud: PointCloud, options: SurfaceOptions) -> Iterator[tuple[
 
     Near the points, a cell is inside where the distance to the sphere that fits them is negative; away
     from them, in holes of the scan, where a coarse Poisson surface says so. The outside that a flood reaches
-    is never inside. The body is then grown again inside those cells with the topology asked for (see
-    `growth`): limbs that touch are cut apart, first of all along points that lie between them. Pieces that
+    is never inside. Skins that touch are parted (see `contacts`). The body is then grown again inside those
+    cells with the topology asked for (see `growth`): limbs that touch are cut apart, first of all along points that lie between them. Pieces that
     holes have cut off are joined to the body.
 
     Each of the surfaces is made on cells that are shifted against those of the others: they differ where the
@@ -124,7 +125,9 @@ def _body_surface(
         notes.append("the flood of the outside leaked into the body and was not used")
     grid = outside.grid
     inside = np.where(known, distance < 0, filled) & ~outside.wet
-    inside &= ~slits(cloud, outside, inside)
+    open_ = cloud.select(~folded(cloud, outside, inside))
+    skins = walls(grid.coordinates(open_.points), normals_of(open_), grid.shape)
+    inside &= ~contacts(inside, skins, distances(~inside, np.inf))
     inside, bridges = joined(inside, cloud.points, grid, options, notes)
     if not inside.any():
         raise ReconstructionError(f"{len(cloud.points)} points enclose nothing")

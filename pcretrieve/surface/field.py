@@ -10,7 +10,7 @@ from pcretrieve.errors import ReconstructionError
 from pcretrieve.scan.outside import Outside
 from pcretrieve.types import FloatArray, PointCloud
 
-__all__ = ["LEAST_WEIGHT", "distance_field", "normals_of", "slits"]
+__all__ = ["LEAST_WEIGHT", "distance_field", "folded", "normals_of"]
 
 Mask = NDArray[np.bool_]
 Voxels = NDArray[np.float32]
@@ -36,10 +36,10 @@ LEAST_WEIGHT = 0.15
 HIDDEN = 0.02
 HIDDEN_CELLS = 4.5
 
-# Such points make a slit where they are at least this many cells, and where this share of the cells round
-# them is outside. A contact of limbs is open all along its rim (.15 to .49 in TOSCA), a closed mouth only at
-# the lips (.02 to .13): it is left out of the surface.
-LEAST_SLIT = 100
+# Such points are a fold, and left out of the surface, where they are at least this many cells, and less than
+# this share of the cells round them is outside. A contact of limbs is open all along its rim (.15 to .49 in
+# TOSCA), a closed mouth only at the lips (.02 to .13).
+LEAST_FOLD = 100
 LEAST_OPEN = 0.135
 
 
@@ -92,24 +92,26 @@ def normals_of(cloud: PointCloud) -> FloatArray:
     return cloud.normals
 
 
-def slits(cloud: PointCloud, outside: Outside, inside: Mask) -> Mask:
-    """Cells at points deep inside `inside`: two skins that touch there, or one that is folded in."""
+def folded(cloud: PointCloud, outside: Outside, inside: Mask) -> Mask:
+    """(n,) points of skin that is folded in, as in a closed mouth: hidden, many, and hardly open anywhere."""
     from scipy import ndimage
 
     grid = outside.grid
-    if cloud.viewpoints is not None:
-        return np.zeros(grid.shape, dtype=bool)
-    slit = np.zeros(grid.shape, dtype=bool)
-    slit[grid.index(cloud.points[_hidden(cloud, outside)])] = True
-    slit = ndimage.binary_dilation(slit)
-    pieces, n = ndimage.label(slit, np.ones((3, 3, 3)))
-    kept = np.zeros(n + 1, dtype=bool)
+    hidden = _hidden(cloud, outside)
+    if cloud.viewpoints is not None or not hidden.any():
+        return np.zeros(len(hidden), dtype=bool)
+    places = grid.index(cloud.points)
+    fold = np.zeros(grid.shape, dtype=bool)
+    fold[tuple(place[hidden] for place in places)] = True
+    fold = ndimage.binary_dilation(fold)
+    pieces, n = ndimage.label(fold, np.ones((3, 3, 3)))
+    closed = np.zeros(n + 1, dtype=bool)
     for piece, box in enumerate(ndimage.find_objects(pieces), start=1):
         wider = tuple(slice(max(0, side.start - 1), side.stop + 1) for side in box)
         cells = pieces[wider] == piece
         rim = ndimage.binary_dilation(cells) & ~cells
-        kept[piece] = cells.sum() >= LEAST_SLIT and (rim & ~inside[wider]).sum() >= LEAST_OPEN * rim.sum()
-    return np.asarray(kept[pieces])
+        closed[piece] = cells.sum() >= LEAST_FOLD and (rim & ~inside[wider]).sum() < LEAST_OPEN * rim.sum()
+    return np.asarray(hidden & closed[pieces[places]])
 
 
 def _hidden(cloud: PointCloud, outside: Outside) -> Mask:

@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from pcretrieve.options import SurfaceOptions
 from pcretrieve.scan.outside import FARTHEST, Outside, distances
+from pcretrieve.surface.contacts import walls
 from pcretrieve.surface.edges import joined_by
 from pcretrieve.surface.field import normals_of
 from pcretrieve.surface.growth import grown
 from pcretrieve.surface.marching import marched
-from pcretrieve.types import FloatArray, PointCloud, TriangleMesh
+from pcretrieve.types import PointCloud, TriangleMesh
 
 __all__ = ["with_topology"]
 
@@ -22,12 +22,6 @@ Voxels = NDArray[np.float32]
 # How much deeper than its distance to the nearest point a cell may count; cells. Little, so that the way
 # through a contact, between the points of two skins, is narrower than the way through a thin limb.
 SKIN_DEPTH = 0.3
-
-# A point is a disk of this radius that growth does not pass through while there is another way; cells.
-DISK = 2.0
-
-# Disks stand across an axis only where their normal leans this far towards it.
-LEAST_LEAN = 0.3
 
 # Cells that share a corner are less than this apart, those that do not are more.
 CORNER = 1.8
@@ -46,8 +40,8 @@ def with_topology(
     # Where limbs touch, points lie between them: the way through is narrow there.
     to_points = np.where(outside.distance < FARTHEST, outside.distance + SKIN_DEPTH, np.inf)
     priority = np.minimum(depth, to_points).astype(np.float32)
-    walls = _walls(outside.grid.coordinates(cloud.points), normals_of(cloud), outside.grid.shape)
-    body = grown(inside, priority, walls)
+    skins = walls(outside.grid.coordinates(cloud.points), normals_of(cloud), outside.grid.shape)
+    body = grown(inside, priority, skins)
     if options.genus not in ("sphere", 0):
         body = _with_handles(inside, body, depth, options.genus, notes)
     return body, np.argwhere(inside & ~body)
@@ -102,31 +96,3 @@ def _euler(body: Mask) -> int:
         return 0
     vertices, faces = marched(padded, np.full((3, *padded.shape), 0.5))
     return TriangleMesh(vertices, faces).euler_characteristic
-
-
-@njit(cache=True)
-def _walls(at: FloatArray, normals: FloatArray, shape: tuple[int, int, int]) -> Mask:
-    """Ways from a cell to the next along each axis that pass through a disk round a point."""
-    walls = np.zeros((3, shape[0], shape[1], shape[2]), dtype=np.bool_)
-    place = np.zeros(3, dtype=np.int64)
-    for i in range(len(at)):
-        for axis in range(3):
-            lean = normals[i, axis]
-            if abs(lean) < LEAST_LEAN:
-                continue
-            first, second = (axis + 1) % 3, (axis + 2) % 3
-            for a in range(int(np.ceil(at[i, first] - DISK)), int(np.floor(at[i, first] + DISK)) + 1):
-                for b in range(int(np.ceil(at[i, second] - DISK)), int(np.floor(at[i, second] + DISK)) + 1):
-                    da, db = a - at[i, first], b - at[i, second]
-                    along = -(normals[i, first] * da + normals[i, second] * db) / lean
-                    if da * da + db * db + along * along > DISK * DISK:
-                        continue
-                    place[axis], place[first], place[second] = int(np.floor(at[i, axis] + along)), a, b
-                    if (
-                        (place >= 0).all()
-                        and place[0] < shape[0]
-                        and place[1] < shape[1]
-                        and place[2] < shape[2]
-                    ):
-                        walls[axis, place[0], place[1], place[2]] = True
-    return walls

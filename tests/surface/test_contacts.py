@@ -1,0 +1,63 @@
+"""Skins that touch inside a body come apart, and nothing else does."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from pcretrieve.scan.outside import distances
+from pcretrieve.surface.contacts import DETOUR, contacts, walls
+
+Mask = NDArray[np.bool_]
+N = 30
+
+
+def block() -> Mask:
+    """One slab of cells, in which nothing shows that it is folded."""
+    inside = np.zeros((N, N, 12), dtype=bool)
+    inside[3:-3, 3:-3, 3:-3] = True
+    return inside
+
+
+def fold(reach: int) -> Mask:
+    """Points half way up the block, from its side to `reach` cells in, as a wall."""
+    x, z = np.meshgrid(np.arange(3, 3 + reach), np.arange(12), indexing="ij")
+    points = np.column_stack([x.ravel(), np.full(x.size, N / 2), z.ravel()]).astype(float)
+    return walls(points, np.tile([0.0, 1.0, 0.0], (len(points), 1)), block().shape)
+
+
+def parted(inside: Mask, wall: Mask) -> Mask:
+    return contacts(inside, wall, distances(~inside, np.inf))
+
+
+def test_a_body_without_points_in_it_has_no_contacts() -> None:
+    assert not parted(block(), np.zeros((3, *block().shape), dtype=bool)).any()
+
+
+@pytest.mark.parametrize("reach", [10, 14, 18])
+def test_a_fold_is_parted_in_one_layer_as_deep_as_it_goes(reach: int) -> None:
+    found = parted(block(), fold(reach))
+    layers = np.flatnonzero(found.any(axis=(0, 2)))
+    assert len(layers) == 1
+    assert abs(layers[0] - N / 2) <= 1
+    # Near its end, where the way round is short, it stays shut.
+    depth = np.flatnonzero(found.any(axis=(1, 2))).max() - 2
+    assert reach - DETOUR / 2 <= depth <= reach + 2
+    legs, n = ndimage.label((block() & ~found)[3 : 3 + reach - DETOUR // 2])
+    assert n == 2
+    assert legs[0, 5, 6] != legs[0, -5, 6]
+
+
+def test_signs_of_normals_do_not_matter() -> None:
+    rng = np.random.default_rng(0)
+    at, normals = rng.uniform(4, 20, (50, 3)), rng.standard_normal((50, 3))
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    np.testing.assert_array_equal(walls(at, normals, (24, 24, 24)), walls(at, -normals, (24, 24, 24)))
+
+
+def test_noise_parts_nothing() -> None:
+    inside = block()
+    wall = np.random.default_rng(0).random((3, *inside.shape)) < 0.5
+    assert not parted(inside, wall).any()
