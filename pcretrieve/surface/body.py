@@ -73,8 +73,8 @@ def body_surfaces(cloud: PointCloud, options: SurfaceOptions) -> Iterator[tuple[
     Near the points, a cell is inside where the distance to the sphere that fits them is negative; away
     from them, in holes of the scan, where a coarse Poisson surface says so. The outside that a flood reaches
     is never inside. Skins that touch are parted (see `contacts`). The body is then grown again inside those
-    cells with the topology asked for (see `growth`): limbs that touch are cut apart, first of all along points that lie between them. Pieces that
-    holes have cut off are joined to the body.
+    cells with the topology asked for (see `growth`): limbs that touch are cut apart, first of all along
+    points that lie between them. Pieces that holes have cut off are joined to the body.
 
     Each of the surfaces is made on cells that are shifted against those of the others: they differ where the
     points leave a choice, in contacts and thin parts.
