@@ -72,9 +72,10 @@ def body_surfaces(cloud: PointCloud, options: SurfaceOptions) -> Iterator[tuple[
 
     Near the points, a cell is inside where the distance to the sphere that fits them is negative; away
     from them, in holes of the scan, where a coarse Poisson surface says so. The outside that a flood reaches
-    is never inside. Skins that touch are parted (see `contacts`). The body is then grown again inside those
-    cells with the topology asked for (see `growth`): limbs that touch are cut apart, first of all along
-    points that lie between them. Pieces that holes have cut off are joined to the body.
+    is never inside. Unless the genus is ``free``, skins that touch are parted (see `contacts`), and the body
+    is grown again inside those cells with the topology asked for (see `growth`): limbs that touch are cut
+    apart, first of all along points that lie between them. Pieces that holes have cut off are joined to the
+    body.
 
     Each of the surfaces is made on cells that are shifted against those of the others: they differ where the
     points leave a choice, in contacts and thin parts.
@@ -125,9 +126,10 @@ def _body_surface(
         notes.append("the flood of the outside leaked into the body and was not used")
     grid = outside.grid
     inside = np.where(known, distance < 0, filled) & ~outside.wet
-    open_ = cloud.select(~folded(cloud, outside, inside))
-    skins = walls(grid.coordinates(open_.points), normals_of(open_), grid.shape)
-    inside &= ~contacts(inside, skins, distances(~inside, np.inf))
+    if options.genus != "free":
+        skin = cloud.select(~folded(cloud, outside, inside))
+        between = walls(grid.coordinates(skin.points), normals_of(skin), grid.shape)
+        inside &= ~contacts(inside, between, distances(~inside, np.inf))
     inside, bridges = joined(inside, cloud.points, grid, options, notes)
     if not inside.any():
         raise ReconstructionError(f"{len(cloud.points)} points enclose nothing")
