@@ -211,9 +211,10 @@ def test_all_of_a_symmetric_surface_are_found(
 ) -> None:
     # The 120 symmetries of the icosahedron make eigenvalues up to fivefold.
     sphere = laplace_beltrami(shapes.icosphere(3), mass=mass)
-    pairs = eigenpairs(sphere, n_pairs, solver=solver)
-    assert pairs.solver == solver
-    np.testing.assert_allclose(pairs.eigenvalues[1:], dense_eigenvalues(sphere)[1:n_pairs], rtol=1e-8)
+    for tolerance, error in ((1e-4, 1e-8), (1e-6, 1e-9)):
+        pairs = eigenpairs(sphere, n_pairs, solver=solver, tolerance=tolerance)
+        assert pairs.solver == solver
+        np.testing.assert_allclose(pairs.eigenvalues[1:], dense_eigenvalues(sphere)[1:n_pairs], rtol=error)
 
 
 def test_harmonics_of_the_sphere_are_complete() -> None:
@@ -241,10 +242,11 @@ def test_copies_beyond_the_block_are_found() -> None:
         threads[one, one] += THREAD
         threads[next_one, next_one] += THREAD
     hung = LaplaceBeltrami(csc_array(ten.stiffness + csc_array(threads)), ten.mass)
-    pairs = eigenpairs(hung, 61)
-    assert pairs.solver == "krylov"
-    # The last cluster is cut: its values, equal to five digits, come out mixed.
-    np.testing.assert_allclose(pairs.eigenvalues[1:], dense_eigenvalues(hung)[1:61], rtol=1e-6)
+    # The last cluster is cut: at the looser tolerance its values, equal to five digits, come out mixed.
+    for tolerance, error in ((1e-4, 1e-6), (1e-6, 1e-9)):
+        pairs = eigenpairs(hung, 61, tolerance=tolerance)
+        assert pairs.solver == "krylov"
+        np.testing.assert_allclose(pairs.eigenvalues[1:], dense_eigenvalues(hung)[1:61], rtol=error)
 
 
 # --- no zero mode -------------------------------------------------------------------------------------
@@ -253,8 +255,8 @@ def test_copies_beyond_the_block_are_found() -> None:
 def test_without_a_zero_mode_nothing_is_pinned(n_pairs: int, solver: Solver) -> None:
     # One vertex held: the matrices without its row and column.
     held = LaplaceBeltrami(csc_array(BODY.stiffness[1:, 1:]), csc_array(BODY.mass[1:, 1:]), n_components=0)
-    pairs = eigenpairs(held, n_pairs, solver=solver)
-    np.testing.assert_allclose(pairs.eigenvalues, dense_eigenvalues(held)[:n_pairs], rtol=1e-8)
+    pairs = eigenpairs(held, n_pairs, solver=solver, tolerance=1e-6)
+    np.testing.assert_allclose(pairs.eigenvalues, dense_eigenvalues(held)[:n_pairs], rtol=1e-9)
     phi = pairs.eigenvectors
     assert phi[:, 0].std() > 0.01 * phi[:, 0].mean() > 0
     np.testing.assert_allclose(phi.T @ (held.mass @ phi), np.eye(n_pairs), atol=1e-9)

@@ -108,9 +108,10 @@ def test_moving_leaves_both_and_scaling_squares_mass(element: Any, scale: float)
 def test_eigenvalues_do_not_depend_on_numbers(element: Any) -> None:
     mesh = shapes.body(2)
     here, there = (
-        eigenpairs(laplace_beltrami(each, element), 30) for each in (mesh, shapes.renumbered(mesh, 4))
+        eigenpairs(laplace_beltrami(each, element), 30, tolerance=1e-6)
+        for each in (mesh, shapes.renumbered(mesh, 4))
     )
-    np.testing.assert_allclose(there.eigenvalues, here.eigenvalues, rtol=1e-7)
+    np.testing.assert_allclose(there.eigenvalues, here.eigenvalues, rtol=1e-9)
 
 
 @elements
