@@ -33,13 +33,39 @@ DETOUR = 6
 # of the diagonal gives .03 to .06, of .3 % .10 to .17.
 MOST_CONTACTS = 0.08
 
+# Cells of the skin share a side or an edge with one outside, and are less than this from it; cells.
+SIDE_OR_EDGE = 1.5
 
+
+@njit(cache=True)
 def walls(at: FloatArray, normals: FloatArray, shape: tuple[int, int, int]) -> Mask:
     """Ways from a cell to the next that pass through a disk round a point: (3, a, b, c), along each axis.
 
     `at`, (n, 3), are coordinates of the points in cells, `normals` their normals; the signs do not matter.
     """
-    return _walls(at, normals, shape)
+    walls = np.zeros((3, shape[0], shape[1], shape[2]), dtype=np.bool_)
+    place = np.zeros(3, dtype=np.int64)
+    for i in range(len(at)):
+        for axis in range(3):
+            lean = normals[i, axis]
+            if abs(lean) < LEAST_LEAN:
+                continue
+            first, second = (axis + 1) % 3, (axis + 2) % 3
+            for a in range(int(np.ceil(at[i, first] - DISK)), int(np.floor(at[i, first] + DISK)) + 1):
+                for b in range(int(np.ceil(at[i, second] - DISK)), int(np.floor(at[i, second] + DISK)) + 1):
+                    da, db = a - at[i, first], b - at[i, second]
+                    along = -(normals[i, first] * da + normals[i, second] * db) / lean
+                    if da * da + db * db + along * along > DISK * DISK:
+                        continue
+                    place[axis], place[first], place[second] = int(np.floor(at[i, axis] + along)), a, b
+                    if (
+                        (place >= 0).all()
+                        and place[0] < shape[0]
+                        and place[1] < shape[1]
+                        and place[2] < shape[2]
+                    ):
+                        walls[axis, place[0], place[1], place[2]] = True
+    return walls
 
 
 def contacts(inside: Mask, walls: Mask, depth: Voxels) -> Mask:
@@ -65,7 +91,7 @@ def contacts(inside: Mask, walls: Mask, depth: Voxels) -> Mask:
     # From the middle of a body, two legs that touch are equally far.
     limb = _away(inside, walls, int(depth.argmax())).argmax()
     found = _contacts(inside, _away(inside, walls, int(limb)))
-    skin = inside & (depth < 1.5)
+    skin = inside & (depth < SIDE_OR_EDGE)
     if found.sum() > MOST_CONTACTS * skin.sum():
         return np.zeros_like(found)
     return found
@@ -120,30 +146,3 @@ def _contacts(inside: Mask, away: NDArray[np.int32]) -> Mask:
                                 far = max(far, there)
                 found[x, y, z] = far - near >= DETOUR
     return found
-
-
-@njit(cache=True)
-def _walls(at: FloatArray, normals: FloatArray, shape: tuple[int, int, int]) -> Mask:
-    walls = np.zeros((3, shape[0], shape[1], shape[2]), dtype=np.bool_)
-    place = np.zeros(3, dtype=np.int64)
-    for i in range(len(at)):
-        for axis in range(3):
-            lean = normals[i, axis]
-            if abs(lean) < LEAST_LEAN:
-                continue
-            first, second = (axis + 1) % 3, (axis + 2) % 3
-            for a in range(int(np.ceil(at[i, first] - DISK)), int(np.floor(at[i, first] + DISK)) + 1):
-                for b in range(int(np.ceil(at[i, second] - DISK)), int(np.floor(at[i, second] + DISK)) + 1):
-                    da, db = a - at[i, first], b - at[i, second]
-                    along = -(normals[i, first] * da + normals[i, second] * db) / lean
-                    if da * da + db * db + along * along > DISK * DISK:
-                        continue
-                    place[axis], place[first], place[second] = int(np.floor(at[i, axis] + along)), a, b
-                    if (
-                        (place >= 0).all()
-                        and place[0] < shape[0]
-                        and place[1] < shape[1]
-                        and place[2] < shape[2]
-                    ):
-                        walls[axis, place[0], place[1], place[2]] = True
-    return walls

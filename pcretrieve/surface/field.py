@@ -65,10 +65,8 @@ def distance_field(cloud: PointCloud, outside: Outside) -> tuple[Voxels, Voxels]
     .. [1] Guennebaud and Gross, "Algebraic point set surfaces", ACM Transactions on Graphics 26 (2007),
        equation (4) of "Dynamic sampling and rendering of algebraic point set surfaces" (2008) for the fit.
     """
-    points, normals = cloud.points, normals_of(cloud)
-    if cloud.viewpoints is None:
-        shown = ~_hidden(cloud, outside)
-        points, normals = points[shown], normals[shown]
+    shown = ~_hidden(cloud, outside)
+    points, normals = cloud.points[shown], normals_of(cloud)[shown]
     at, shape = outside.grid.coordinates(points), outside.grid.shape
     near = np.flatnonzero(_near(at, shape))
     number = np.full(shape, -1, dtype=np.int32)
@@ -98,8 +96,8 @@ def folded(cloud: PointCloud, outside: Outside, inside: Mask) -> Mask:
 
     grid = outside.grid
     hidden = _hidden(cloud, outside)
-    if cloud.viewpoints is not None or not hidden.any():
-        return np.zeros(len(hidden), dtype=bool)
+    if not hidden.any():
+        return hidden
     places = grid.index(cloud.points)
     fold = np.zeros(grid.shape, dtype=bool)
     fold[tuple(place[hidden] for place in places)] = True
@@ -115,7 +113,9 @@ def folded(cloud: PointCloud, outside: Outside, inside: Mask) -> Mask:
 
 
 def _hidden(cloud: PointCloud, outside: Outside) -> Mask:
-    """(n,) points that the outside does not come near to."""
+    """(n,) points that the outside does not come near to, nor any sensor saw."""
+    if cloud.viewpoints is not None:
+        return np.zeros(len(cloud.points), dtype=bool)
     depth = outside.depth_at(cloud.points)  # (n,) cells
     return np.asarray(depth > max(HIDDEN_CELLS, HIDDEN * cloud.diagonal / outside.grid.cell))
 
