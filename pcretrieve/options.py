@@ -37,7 +37,7 @@ __all__ = [
 
 # Raised whenever the code, rather than an option, moves a signature: old catalogues must not mix with new
 # numbers. CHANGELOG, "Changed numbers", says what moved.
-NUMBERS_VERSION = 4
+NUMBERS_VERSION = 5
 
 Share = Annotated[float, Field(ge=0, le=1)]
 Length = Annotated[float, Field(ge=0, lt=1)]
@@ -130,9 +130,9 @@ class SurfaceOptions(_Options):
     diagonal."""
     bridge: Length = 0.08
     """Widest gap that a piece cut off by a hole is joined to the body across; relative to the diagonal."""
-    reconstructions: Count = 1
-    """Surfaces that growth makes of one scan, on grids shifted against each other. The signature is the mean
-    of theirs, and what they differ by is its error bar; surfaces."""
+    reconstructions: Count = 2
+    """Surfaces that growth makes of one scan, of cells of this size, a third larger, a quarter smaller, and
+    so on in turn. The signature is the mean of theirs, and what they differ by is its error bar; surfaces."""
     fill_depth: Annotated[int, Field(ge=4, le=12)] = 6
     """Depth of the Poisson octree that growth fills holes from."""
     poisson_depth: Annotated[int, Field(ge=4, le=12)] = 7

@@ -27,7 +27,7 @@ def retrieval_page(
     n_queries: int = 8,
     k: int = 5,
     distance: str = "log",
-    whitening: str = "none",
+    whitening: str | None = None,
     options: SignatureOptions | None = None,
 ) -> Path:
     """Write a page with retrieval measures, and pictures of queries and their ranked results.
@@ -41,9 +41,11 @@ def retrieval_page(
         Rows of results: the first shape of each class, or of all where there are no classes.
     k : int, default 5
         Results in a row, the query itself left out.
-    distance, whitening : str
-        As in `SignatureIndex` and `Catalogue.whitening`. Measures with ``within-class`` come from grouped
-        folds, the rows from the whitening that a query would get.
+    distance : str
+        As in `SignatureIndex`.
+    whitening : str, optional
+        As in `Catalogue.whitening`. Measures with ``within-class`` come from grouped folds, the rows from the
+        whitening that a query would get.
     options : SignatureOptions, optional
         A descriptor other than the catalogue's own.
 
@@ -63,7 +65,8 @@ def retrieval_page(
         raise InputError(f"{catalogue.path} holds no shapes: ingest some first")
     records = {record.id: record for record in catalogue.records()}
     failed = [record for record in records.values() if record.status == "failed"]
-    index = SignatureIndex(table, distance=distance, whitening=catalogue.whitening(whitening, options))
+    whitened = catalogue.whitening(whitening, options)
+    index = SignatureIndex(table, distance=distance, whitening=whitened)
 
     def card(record: Record, pixels: int, gap: float | None = None, relevant: bool | None = None) -> Card:
         picture = thumbnail(catalogue.mesh(record.id), size=pixels)
@@ -90,7 +93,7 @@ def retrieval_page(
         rankings = rank_table(
             table,
             distance=distance,
-            whitening=whitening,
+            whitening="within-class" if whitened.kind == "within-class" else whitened,
             failed_labels=[record.label for record in failed],
         )
         measures, curve = evaluate_rankings(rankings), precision_recall(rankings)
@@ -110,7 +113,7 @@ def retrieval_page(
             "signature": f"{table.kind}, {table.values.shape[1]} values",
             "scale": options.scale,
             "distance": distance,
-            "whitening": whitening,
+            "whitening": whitened.kind,
         },
         precision_recall=curve,
     )

@@ -22,7 +22,7 @@ def search(
     *,
     k: int = 10,
     distance: str = "log",
-    whitening: str = "none",
+    whitening: str | None = None,
     options: SignatureOptions | None = None,
 ) -> Neighbors:
     """The shapes of a catalogue nearest to a scan.
@@ -33,8 +33,10 @@ def search(
     scan : str or Path
         Processed with the catalogue's own options; looked up by content where the catalogue holds it.
     k : int, default 10
-    distance, whitening : str
-        As in `SignatureIndex` and `Catalogue.whitening`.
+    distance : str
+        As in `SignatureIndex`.
+    whitening : str, optional
+        As in `Catalogue.whitening`.
     options : SignatureOptions, optional
         A descriptor other than the catalogue's own.
 

@@ -59,10 +59,11 @@ distance_option = click.option(
 )
 whitening_option = click.option(
     "--whitening",
-    type=click.Choice(["none", "pca", "within-class"]),
-    default="none",
-    show_default=True,
-    help="Decorrelate log-signatures over the catalogue, or by the variation within its classes.",
+    type=click.Choice(["none", "resolution", "pca", "within-class"]),
+    help="Let log-signatures count less in directions in which the resolution of a surface moves them, as it "
+    "did those of simulated bodies (resolution); or decorrelate them over the catalogue (pca), or by the "
+    "variation within its classes.  "
+    "[default: resolution for r-bihdm by area, else none]",
 )
 
 

@@ -134,16 +134,22 @@ def within_class_distances(
 
 
 def table_distances(
-    table: SignatureTable, distance: str = "log", *, whitening: str = "none", damping: float | None = None
+    table: SignatureTable,
+    distance: str = "log",
+    *,
+    whitening: Whitening | str = "none",
+    damping: float | None = None,
 ) -> Iterator[DistanceBlock]:
-    """Distances of each labelled shape to the whole gallery, whitened by all of it: ``none`` or ``pca``."""
+    """Distances of each labelled shape to the whole gallery, in a whitening that knows no labels."""
     if whitening == "within-class":
         raise OptionError(
             "whitening must be none or pca here, got 'within-class', which would be scored on the classes "
             "it was fitted on; use within_class_distances"
         )
     logs = log_signatures(table.values)
-    whitened = fit_whitening(whitening, logs, damping=damping).apply(logs)
+    if isinstance(whitening, str):
+        whitening = fit_whitening(whitening, logs, damping=damping)
+    whitened = whitening.apply(logs)
     yield from _blocks(distance, whitened, np.flatnonzero([label is not None for label in table.labels]))
 
 
@@ -151,7 +157,7 @@ def rank_table(
     table: SignatureTable,
     *,
     distance: str = "log",
-    whitening: str = "none",
+    whitening: Whitening | str = "none",
     failed_labels: Iterable[str | None] = (),
     n_folds: int = N_FOLDS,
     damping: float | None = None,
@@ -169,7 +175,7 @@ def evaluate(
     table: SignatureTable,
     *,
     distance: str = "log",
-    whitening: str = "none",
+    whitening: Whitening | str = "none",
     failed_labels: Iterable[str | None] = (),
     n_folds: int = N_FOLDS,
     damping: float | None = None,
@@ -183,8 +189,9 @@ def evaluate(
         With labels; shapes without one are in the gallery, but no queries.
     distance : str
         ``log``, ``d1`` or ``d2``; see `pcretrieve.retrieval.distances`.
-    whitening : str
-        ``none``; ``pca``, fitted on the whole table; or ``within-class``, by grouped folds.
+    whitening : Whitening or str
+        One made before, such as `resolution_whitening`; ``none``; ``pca``, fitted on the whole table; or
+        ``within-class``, by grouped folds.
     failed_labels : iterable of (str or None)
         Classes of the shapes that failed, which count as misses.
     n_folds, rng

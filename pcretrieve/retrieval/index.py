@@ -81,7 +81,8 @@ class SignatureIndex:
     distance : str
         A name in `pcretrieve.retrieval.DISTANCES`: ``log`` (default), ``d1`` or ``d2``.
     whitening : Whitening or str
-        A whitening fitted before, or the kind of one to fit on `table`; by default ``none``.
+        One made before, such as `resolution_whitening`, or the kind of one to fit on `table`; by default
+        ``none``.
     n_leading : int
         Directions that the tree searches for ``log`` and ``d2``; changes the speed, never the answer.
 

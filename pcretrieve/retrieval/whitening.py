@@ -27,9 +27,16 @@ from numpy.typing import NDArray
 from pcretrieve.errors import InputError, OptionError
 from pcretrieve.types import FloatArray
 
-__all__ = ["DEFAULT_DAMPING", "WHITENINGS", "Whitening", "fit_whitening"]
+__all__ = [
+    "DEFAULT_DAMPING",
+    "WHITENINGS",
+    "Whitening",
+    "checked_damping",
+    "fit_whitening",
+    "inverse_square_root",
+]
 
-WHITENINGS = ("none", "pca", "within-class")
+WHITENINGS = ("none", "resolution", "pca", "within-class")
 
 #: What keeps noise in the directions of least spread from being blown up, each in its own unit. On SHREC'11,
 #: L = 45, mean average precision is .967 without whitening and .986 with the default for ``pca``; damping of
@@ -37,6 +44,7 @@ WHITENINGS = ("none", "pca", "within-class")
 DEFAULT_DAMPING: Mapping[str, float] = MappingProxyType(
     {
         "pca": 0.01,  # of the largest variance, added to every variance
+        "resolution": 0.03,  # likewise
         "within-class": 0.10,  # of the way from the within-class covariance to its mean variance
     }
 )
@@ -49,7 +57,7 @@ class Whitening:
     Attributes
     ----------
     kind : str
-        ``none``, ``pca`` or ``within-class``.
+        One of `WHITENINGS`.
     mean : (L,) float64
         Mean log-signature of the fitted shapes; zero for ``none``.
     matrix : (L, L) float64
@@ -159,7 +167,7 @@ def fit_whitening(
     damping: float | None = None,
     options_digest: str = "",
 ) -> Whitening:
-    """Fit a whitening to log-signatures.
+    """Fit a whitening to log-signatures. That of `resolution_whitening` is not fitted, and not among them.
 
     Parameters
     ----------
@@ -191,12 +199,12 @@ def fit_whitening(
         return Whitening(
             kind, np.zeros(n_values), np.eye(n_values), n_fitted=len(logs), options_digest=options_digest
         )
-    damping = DEFAULT_DAMPING[kind] if damping is None else float(damping)
-    if not 0 < damping <= 1:
-        raise OptionError(f"damping must lie in (0, 1], got {damping}")
+    if kind not in _FITS:
+        raise OptionError(f"whitening {kind!r} is not fitted to shapes: see resolution_whitening")
+    damping = checked_damping(kind, damping)
     fitted, covariance = _FITS[kind](logs, labels, damping)
     total = _covariance(fitted)
-    root = _inverse_square_root(covariance)
+    root = inverse_square_root(covariance)
     scale = np.sqrt(np.trace(total) / np.trace(root @ total @ root))
     return Whitening(kind, fitted.mean(axis=0), scale * root, len(fitted), damping, options_digest)
 
@@ -252,7 +260,21 @@ def _covariance(logs: FloatArray) -> FloatArray:
     return covariance
 
 
-def _inverse_square_root(covariance: FloatArray) -> FloatArray:
+def checked_damping(kind: str, damping: float | None) -> float:
+    """The damping asked for, or the default of a kind of whitening.
+
+    Raises
+    ------
+    OptionError
+        If it does not lie in (0, 1].
+    """
+    damping = DEFAULT_DAMPING[kind] if damping is None else float(damping)
+    if not 0 < damping <= 1:
+        raise OptionError(f"damping must lie in (0, 1], got {damping}")
+    return damping
+
+
+def inverse_square_root(covariance: FloatArray) -> FloatArray:
     """C^(−1/2), symmetric, of a symmetric positive definite C."""
     variances, directions = np.linalg.eigh(covariance)
     root: FloatArray = (directions / np.sqrt(variances)) @ directions.T

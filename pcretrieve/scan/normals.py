@@ -7,6 +7,7 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pcretrieve.adapters import open3d
 from pcretrieve.errors import ReconstructionError
@@ -37,6 +38,8 @@ LEAST_AGREEMENT = 0.95
 
 # Neighbours that are asked whether they agree.
 VOTERS = 8
+
+Neighborhoods = tuple[FloatArray, NDArray[np.intp]]
 
 
 def oriented_normals(cloud: PointCloud, options: ScanOptions) -> PointCloud:
@@ -77,10 +80,11 @@ def _by_viewpoint(cloud: PointCloud, options: ScanOptions) -> tuple[FloatArray, 
             stage="orient",
         )
     towards = _unit(cloud.viewpoints - cloud.points)
-    outside, _, notes = _tight_flood(cloud, options)
+    neighbors = _neighbors(cloud.points, options)
+    outside, _, notes = _tight_flood(cloud, neighbors, options)
     if outside is not None:
         towards = _unit(towards + outside.direction_at(cloud.points))
-    return _guided_normals(cloud.points, towards, options), notes
+    return _guided_normals(cloud.points, towards, neighbors, options), notes
 
 
 def _by_tangent_planes(cloud: PointCloud, options: ScanOptions) -> tuple[FloatArray, tuple[str, ...]]:
@@ -93,7 +97,8 @@ def _by_tangent_planes(cloud: PointCloud, options: ScanOptions) -> tuple[FloatAr
 
 def _by_flood(cloud: PointCloud, options: ScanOptions) -> tuple[FloatArray, tuple[str, ...]]:
     """Each normal looks where the outside is nearest; where no flood is tight, tangent planes decide."""
-    _, oriented, notes = _tight_flood(cloud, options)
+    neighbors = _neighbors(cloud.points, options)
+    _, oriented, notes = _tight_flood(cloud, neighbors, options)
     if oriented is None:
         oriented, _ = _by_tangent_planes(cloud, options)
         notes = (*notes, "tangent planes decided which side is outside")
@@ -101,7 +106,7 @@ def _by_flood(cloud: PointCloud, options: ScanOptions) -> tuple[FloatArray, tupl
 
 
 def _tight_flood(
-    cloud: PointCloud, options: ScanOptions
+    cloud: PointCloud, neighbors: Neighborhoods, options: ScanOptions
 ) -> tuple[Outside | None, FloatArray | None, tuple[str, ...]]:
     """Flood the outside from a corner, shutting wider and wider gaps until it does not leak inside.
 
@@ -112,9 +117,10 @@ def _tight_flood(
     for attempt in range(options.flood_retries + 1):
         gap = options.flood_gap * WIDER**attempt
         outside = flood(cloud.points, cell=cell, gap=gap * cloud.diagonal)
-        oriented = _guided_normals(cloud.points, outside.direction_at(cloud.points), options)
+        towards = outside.direction_at(cloud.points)
+        oriented = _guided_normals(cloud.points, towards, neighbors, options)
         shown = outside.depth_at(cloud.points) < SHOWN
-        if shown.sum() > VOTERS and _agreement(cloud.points[shown], oriented[shown]) >= LEAST_AGREEMENT:
+        if _agreement(oriented, neighbors, shown) >= LEAST_AGREEMENT:
             note = f"the flood leaked; gaps up to {gap:.3f} of the diagonal were shut"
             return outside, oriented, (note,) if attempt else ()
     return None, None, (f"the flood leaked with gaps up to {gap:.3f} of the diagonal shut",)
@@ -126,38 +132,43 @@ def _unit(vectors: FloatArray) -> FloatArray:
     return np.asarray(vectors / np.where(length > 0, length, 1))
 
 
-def _guided_normals(points: FloatArray, guide: FloatArray, options: ScanOptions) -> FloatArray:
+def _guided_normals(
+    points: FloatArray, guide: FloatArray, neighbors: Neighborhoods, options: ScanOptions
+) -> FloatArray:
     """(n, 3) unit normals of the best plane through those neighbours that lie on the same side of the body.
 
     Ears, fingers and tails are thinner than a neighbourhood is wide: with the points of both sides in it, a
     plane stands askew. Neighbours count as far as their guide, a rough (n, 3) direction to the outside,
     agrees with the point's own; each normal takes the sign of its guide.
     """
-    from scipy.spatial import cKDTree
-
-    k = min(options.normal_neighbors, len(points))
-    found = cKDTree(points).query(points, k=k)
-    distance, near = np.asarray(found[0]), np.asarray(found[1])  # (n, k)
+    distance, near = (of[:, : options.normal_neighbors] for of in neighbors)  # (n, k)
     agreement = np.einsum("ij,ikj->ik", guide, guide[near])
     weight = np.clip((agreement - SAME_SIDE) / (1 - SAME_SIDE), 0, 1)
     weight[~guide.any(axis=1)] = 1
     weight *= np.exp(-((distance / (NEIGHBOR_SPREAD * distance[:, -1:] + np.finfo(float).tiny)) ** 2))
-    neighbors = points[near]  # (n, k, 3)
-    middle = np.einsum("nk,nkd->nd", weight, neighbors) / weight.sum(axis=1, keepdims=True)
-    apart = neighbors - middle[:, None]
+    around = points[near]  # (n, k, 3)
+    middle = np.einsum("nk,nkd->nd", weight, around) / weight.sum(axis=1, keepdims=True)
+    apart = around - middle[:, None]
     _, axes = np.linalg.eigh(np.einsum("nk,nki,nkj->nij", weight, apart, apart, optimize=True))
     normals = axes[:, :, 0]
     return np.asarray(np.where(np.einsum("ij,ij->i", normals, guide)[:, None] < 0, -normals, normals))
 
 
-def _agreement(points: FloatArray, oriented: FloatArray) -> float:
-    """Share of pairs of neighbours whose normals point to one side."""
+def _agreement(oriented: FloatArray, neighbors: Neighborhoods, shown: NDArray[np.bool_]) -> float:
+    """Share of pairs of neighbours, both among the shown, whose normals point to one side."""
+    near = neighbors[1][shown, 1 : VOTERS + 1]  # (m, VOTERS), without the point itself
+    agree = np.einsum("ij,ikj->ik", oriented[shown], oriented[near]) > 0
+    pairs = shown[near]
+    return float((agree & pairs).sum() / max(1, pairs.sum()))
+
+
+def _neighbors(points: FloatArray, options: ScanOptions) -> Neighborhoods:
+    """(n, k) distances and numbers of the points nearest to each, itself first."""
     from scipy.spatial import cKDTree
 
-    _, nearest = cKDTree(points).query(points, k=VOTERS + 1)  # (n, VOTERS + 1), itself first
-    neighbors = oriented[np.asarray(nearest)[:, 1:]]  # (n, VOTERS, 3)
-    cosines: FloatArray = np.einsum("ij,ikj->ik", oriented, neighbors)
-    return float((cosines > 0).mean())
+    k = max(options.normal_neighbors, VOTERS + 1)
+    distance, near = cKDTree(points).query(points, k=min(k, len(points)))
+    return np.asarray(distance), np.asarray(near)
 
 
 Orientation = Callable[[PointCloud, ScanOptions], tuple[FloatArray, tuple[str, ...]]]

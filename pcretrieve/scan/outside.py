@@ -97,7 +97,14 @@ class Outside:
         return slope / np.where(length > 0, length, 1)
 
 
-def flood(points: FloatArray, *, cell: float, gap: float, shift: FloatArray | float = 0.0) -> Outside:
+def flood(
+    points: FloatArray,
+    *,
+    cell: float,
+    gap: float,
+    shift: FloatArray | float = 0.0,
+    deepest: float = np.inf,
+) -> Outside:
     """Flood the outside from a corner of the bounding box.
 
     Walls as thick as `gap` keep the flood out of holes in the scan; what stays wet then creeps through the
@@ -112,6 +119,8 @@ def flood(points: FloatArray, *, cell: float, gap: float, shift: FloatArray | fl
         Radius of the largest hole that is kept shut; unit of the file.
     shift : (3,) float64 or 0
         Of the cells against the points; cells.
+    deepest : float
+        Depths beyond this are not measured; cells.
     """
     wall = gap / cell
     grid = Grid.around(points, cell, int(np.ceil(wall)) + MARGIN, shift)
@@ -119,7 +128,7 @@ def flood(points: FloatArray, *, cell: float, gap: float, shift: FloatArray | fl
     occupied[grid.index(points)] = True
     distance = distances(occupied, max(FARTHEST, wall + 1))
     wet = _flooded(distance, wall, SKIN)
-    return Outside(grid, wet, distances(wet, np.inf), distance)
+    return Outside(grid, wet, distances(wet, deepest), distance)
 
 
 def spacing(points: FloatArray) -> float:
@@ -147,9 +156,9 @@ def distances(sources: Mask, limit: float) -> Voxels:
     n_x, n_y, n_z = sources.shape
     n = sources.size
     result = np.full(n, limit, dtype=np.float32)
-    nearest = np.full(n, -1, dtype=np.int64)
+    nearest = np.empty(n, dtype=np.int32)
     is_source = sources.ravel()
-    front = np.empty(n, dtype=np.int64)
+    front = np.empty(n, dtype=np.int32)
     queued = np.zeros(n, dtype=np.bool_)
     count = 0
     for x in range(n_x):
@@ -200,39 +209,41 @@ def distances(sources: Mask, limit: float) -> Voxels:
 
 @njit(cache=True)
 def _flooded(distance: Voxels, wall: float, skin: float) -> Mask:
-    """Cells reached from corner 0: first outside the walls only, then as many steps as a wall is thick."""
-    n_x, n_y, n_z = distance.shape
-    wet = np.zeros(distance.shape, dtype=np.bool_)
-    front = np.empty((distance.size, 3), dtype=np.int16)
+    """Cells reached from the border: first outside the walls only, then as many steps as a wall is thick.
+
+    The border must lie outside the walls.
+    """
+    _, n_y, n_z = distance.shape
+    to_points = distance.ravel()
+    is_wet = np.zeros(distance.size, dtype=np.bool_)
+    wet = is_wet.reshape(distance.shape)
+    wet[0], wet[-1] = True, True
+    wet[:, 0], wet[:, -1] = True, True
+    wet[:, :, 0], wet[:, :, -1] = True, True
+    step = (n_y * n_z, n_z, 1)
+    front = np.empty(distance.size, dtype=np.int32)
     steps = np.zeros(distance.size, dtype=np.int16)
-    wet[0, 0, 0] = True
-    front[0] = 0
-    n, i = 1, 0
+    front[0] = n_y * n_z + n_z + 1
+    is_wet[front[0]] = True
+    n = 1
     most = int(wall) + 1
     # Breadth first; the second pass starts from everything that the first has reached.
     for creeping in range(2):
         limit = skin if creeping else wall
         i = 0
         while i < n:
-            x, y, z = front[i]
-            for axis in range(3):
-                for step in (-1, 1):
-                    u, v, w = int(x), int(y), int(z)
-                    if axis == 0:
-                        u += step
-                    elif axis == 1:
-                        v += step
-                    else:
-                        w += step
-                    if u < 0 or v < 0 or w < 0 or u >= n_x or v >= n_y or w >= n_z or wet[u, v, w]:
-                        continue
-                    if distance[u, v, w] <= limit or (creeping and steps[i] >= most):
-                        continue
-                    wet[u, v, w] = True
-                    front[n, 0], front[n, 1], front[n, 2] = u, v, w
-                    steps[n] = steps[i] + 1 if creeping else 0
-                    n += 1
+            cell = front[i]
             i += 1
+            if creeping and steps[i - 1] >= most:
+                continue
+            for axis in range(3):
+                for other in (cell - step[axis], cell + step[axis]):
+                    if is_wet[other] or to_points[other] <= limit:
+                        continue
+                    is_wet[other] = True
+                    front[n] = other
+                    steps[n] = steps[i - 1] + 1 if creeping else 0
+                    n += 1
     return wet
 
 

@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 from pcretrieve.adapters import open3d
 from pcretrieve.errors import ReconstructionError
 from pcretrieve.options import SurfaceOptions
-from pcretrieve.scan.outside import Grid, distances, flood, spacing
+from pcretrieve.scan.outside import Grid, flood, spacing
 from pcretrieve.surface.contacts import contacts, walls
-from pcretrieve.surface.field import LEAST_WEIGHT, distance_field, folded, normals_of
+from pcretrieve.surface.field import LEAST_WEIGHT, distance_field, folded, hidden_below, normals_of
 from pcretrieve.surface.handles import with_topology
-from pcretrieve.surface.marching import crossed, marched
+from pcretrieve.surface.marching import Crossings, crossed, marched
 from pcretrieve.surface.pieces import joined
 from pcretrieve.surface.repair import largest_component
 from pcretrieve.surface.simplify import simplified
@@ -42,6 +42,10 @@ SMOOTHING = 8
 
 # Share of a surface that may be invented. Up to .18 the area was within a per cent, from .33 on it was wrong.
 MOST_INVENTED = 0.3
+
+# Cells of the first surface, the second, the third, and so on in turn; relative to those asked for. Small
+# ones part fingers and take gaps of the sampling for holes, large ones the reverse: none is right everywhere.
+CELLS = (1.0, 4 / 3, 3 / 4)
 
 # How far the cells of each further surface are shifted against those of the one before, modulo a cell: the
 # multiples fill a cell evenly (Roberts, "The unreasonable effectiveness of quasirandom sequences", 2018).
@@ -77,8 +81,8 @@ def body_surfaces(cloud: PointCloud, options: SurfaceOptions) -> Iterator[tuple[
     apart, first of all along points that lie between them. Pieces that holes have cut off are joined to the
     body.
 
-    Each of the surfaces is made on cells that are shifted against those of the others: they differ where the
-    points leave a choice, in contacts and thin parts.
+    Each of the surfaces is made on cells of another size, shifted against those of the others: they differ
+    where the points leave a choice, in contacts and thin parts.
 
     Parameters
     ----------
@@ -97,9 +101,10 @@ def body_surfaces(cloud: PointCloud, options: SurfaceOptions) -> Iterator[tuple[
         If the points do not surround a body, or hold two.
     """
     started = time.perf_counter()
-    cell = max(options.cell * cloud.diagonal, spacing(cloud.points))
+    least = spacing(cloud.points)
     coarse = _coarse_surface(cloud, options)
     for number in range(options.reconstructions):
+        cell = max(CELLS[number % len(CELLS)] * options.cell * cloud.diagonal, least)
         mesh, marks, step = _body_surface(cloud, coarse, cell, number * SHIFT % 1, options)
         step = replace(step, seconds=time.perf_counter() - started)
         yield TriangleMesh(mesh.vertices, mesh.faces, (*cloud.provenance, step)), marks
@@ -110,8 +115,9 @@ def _body_surface(
     cloud: PointCloud, coarse: TriangleMesh, cell: float, shift: FloatArray, options: SurfaceOptions
 ) -> tuple[TriangleMesh, SurfaceMarks, Step]:
     notes: list[str] = []
+    deepest = hidden_below(cloud.diagonal, cell) + 1  # asked for between cells
     for gap in (options.gap, *(options.gap * wider for wider in WIDER)):
-        outside = flood(cloud.points, cell=cell, gap=gap * cloud.diagonal, shift=shift)
+        outside = flood(cloud.points, cell=cell, gap=gap * cloud.diagonal, shift=shift, deepest=deepest)
         filled, coarse_crossings = _inside_surface(coarse, outside.grid)
         distance, weight = distance_field(cloud, outside)
         known = weight > LEAST_WEIGHT
@@ -126,14 +132,20 @@ def _body_surface(
         notes.append("the flood of the outside leaked into the body and was not used")
     grid = outside.grid
     inside = np.where(known, distance < 0, filled) & ~outside.wet
+    skins = walls(grid.coordinates(cloud.points), normals_of(cloud), grid.shape)
     if options.genus != "free":
-        skin = cloud.select(~folded(cloud, outside, inside))
-        between = walls(grid.coordinates(skin.points), normals_of(skin), grid.shape)
-        inside &= ~contacts(inside, between, distances(~inside, np.inf))
+        folds = folded(cloud, outside, inside)
+        open_skin = cloud.select(~folds)
+        between = (
+            walls(grid.coordinates(open_skin.points), normals_of(open_skin), grid.shape)
+            if folds.any()
+            else skins
+        )
+        inside &= ~contacts(inside, between, outside.distance)
     inside, bridges = joined(inside, cloud.points, grid, options, notes)
     if not inside.any():
         raise ReconstructionError(f"{len(cloud.points)} points enclose nothing")
-    body, cuts = with_topology(inside, cloud, outside, options, notes)
+    body, cuts = with_topology(inside, skins, outside, options, notes)
     mesh, invented = _surface(body, inside, np.where(known, distance, np.nan), coarse_crossings, grid)
     if invented > MOST_INVENTED:
         raise ReconstructionError(
@@ -216,8 +228,7 @@ def _surface(
 
     Invented are caps of holes, cuts and bridges: they are smoothed, and the rest is left where it is.
     """
-    crossings = np.full((3, *grid.shape), 0.5)
-    invented = []
+    crossings, invented = [], []
     for axis, here in enumerate(crossed(body)):
         low = tuple(here.T)
         high = tuple((here + np.eye(3, dtype=np.intp)[axis]).T)
@@ -228,7 +239,7 @@ def _surface(
         share = np.divide(at_low, at_low - at_high, out=np.full(len(here), 0.5), where=believed)
         coarse = coarse_crossings[axis][low]
         share = np.where(believed, share, np.where(changes & np.isfinite(coarse), coarse, 0.5))
-        crossings[axis][low] = np.clip(share, MARGIN, 1 - MARGIN)
+        crossings.append(Crossings(here, np.clip(share, MARGIN, 1 - MARGIN)))
         invented.append(~believed)
     vertices, faces = marched(body, crossings)
     loose = np.concatenate([*invented, np.zeros(len(vertices) - sum(map(len, invented)), dtype=bool)])

@@ -33,9 +33,6 @@ DETOUR = 6
 # of the diagonal gives .03 to .06, of .3 % .10 to .17.
 MOST_CONTACTS = 0.08
 
-# Cells of the skin share a side or an edge with one outside, and are less than this from it; cells.
-SIDE_OR_EDGE = 1.5
-
 
 @njit(cache=True)
 def walls(at: FloatArray, normals: FloatArray, shape: tuple[int, int, int]) -> Mask:
@@ -68,7 +65,7 @@ def walls(at: FloatArray, normals: FloatArray, shape: tuple[int, int, int]) -> M
     return walls
 
 
-def contacts(inside: Mask, walls: Mask, depth: Voxels) -> Mask:
+def contacts(inside: Mask, walls: Mask, to_points: Voxels) -> Mask:
     """Cells to leave out so that skins that touch come apart.
 
     The way to every cell is measured from the end of one limb, and does not pass through walls. Where it is
@@ -80,8 +77,8 @@ def contacts(inside: Mask, walls: Mask, depth: Voxels) -> Mask:
     inside : (a, b, c) bool
         Cells that may be body; False on the border of the grid.
     walls : (3, a, b, c) bool
-    depth : (a, b, c) float32
-        Distance to the nearest cell outside; cells.
+    to_points : (a, b, c) float32
+        Distance to the nearest point; cells.
 
     Returns
     -------
@@ -89,10 +86,10 @@ def contacts(inside: Mask, walls: Mask, depth: Voxels) -> Mask:
         None at all where there are so many that they tell of noise.
     """
     # From the middle of a body, two legs that touch are equally far.
-    limb = _away(inside, walls, int(depth.argmax())).argmax()
+    middle = np.where(inside, to_points, -1).argmax()
+    limb = _away(inside, walls, int(middle)).argmax()
     found = _contacts(inside, _away(inside, walls, int(limb)))
-    skin = inside & (depth < SIDE_OR_EDGE)
-    if found.sum() > MOST_CONTACTS * skin.sum():
+    if found.sum() > MOST_CONTACTS * _skin_size(inside):
         return np.zeros_like(found)
     return found
 
@@ -121,6 +118,25 @@ def _away(inside: Mask, walls: Mask, source: int) -> NDArray[np.int32]:
                 queue[last] = other
                 last += 1
     return away.reshape(inside.shape)
+
+
+@njit(cache=True)
+def _skin_size(inside: Mask) -> int:
+    """Cells that share a side or an edge with one outside."""
+    n_x, n_y, n_z = inside.shape
+    size = 0
+    for x in range(1, n_x - 1):
+        for y in range(1, n_y - 1):
+            for z in range(1, n_z - 1):
+                if not inside[x, y, z]:
+                    continue
+                bare = False
+                for u in range(-1, 2):
+                    for v in range(-1, 2):
+                        for w in range(-1, 2):
+                            bare |= abs(u) + abs(v) + abs(w) < 3 and not inside[x + u, y + v, z + w]
+                size += bare
+    return size
 
 
 @njit(cache=True)

@@ -10,7 +10,7 @@ from pcretrieve.errors import ReconstructionError
 from pcretrieve.scan.outside import Outside
 from pcretrieve.types import FloatArray, PointCloud
 
-__all__ = ["LEAST_WEIGHT", "distance_field", "folded", "normals_of"]
+__all__ = ["LEAST_WEIGHT", "distance_field", "folded", "hidden_below", "normals_of"]
 
 Mask = NDArray[np.bool_]
 Voxels = NDArray[np.float32]
@@ -116,8 +116,12 @@ def _hidden(cloud: PointCloud, outside: Outside) -> Mask:
     """(n,) points that the outside does not come near to, nor any sensor saw."""
     if cloud.viewpoints is not None:
         return np.zeros(len(cloud.points), dtype=bool)
-    depth = outside.depth_at(cloud.points)  # (n,) cells
-    return np.asarray(depth > max(HIDDEN_CELLS, HIDDEN * cloud.diagonal / outside.grid.cell))
+    return np.asarray(outside.depth_at(cloud.points) > hidden_below(cloud.diagonal, outside.grid.cell))
+
+
+def hidden_below(diagonal: float, cell: float) -> float:
+    """Depth below the outside from which points without a sensor are hidden; cells."""
+    return max(HIDDEN_CELLS, HIDDEN * diagonal / cell)
 
 
 @njit(cache=True)

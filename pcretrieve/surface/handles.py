@@ -7,12 +7,10 @@ from numpy.typing import NDArray
 
 from pcretrieve.options import SurfaceOptions
 from pcretrieve.scan.outside import FARTHEST, Outside, distances
-from pcretrieve.surface.contacts import walls
 from pcretrieve.surface.edges import joined_by
-from pcretrieve.surface.field import normals_of
 from pcretrieve.surface.growth import grown
 from pcretrieve.surface.marching import marched
-from pcretrieve.types import PointCloud, TriangleMesh
+from pcretrieve.types import TriangleMesh
 
 __all__ = ["with_topology"]
 
@@ -31,17 +29,19 @@ HANDLE = 0.6
 
 
 def with_topology(
-    inside: Mask, cloud: PointCloud, outside: Outside, options: SurfaceOptions, notes: list[str]
+    inside: Mask, walls: Mask, outside: Outside, options: SurfaceOptions, notes: list[str]
 ) -> tuple[Mask, NDArray[np.intp]]:
-    """The cells with the genus asked for, and those that had to go, (k, 3)."""
+    """The cells with the genus asked for, and those that had to go, (k, 3).
+
+    `walls`, (3, a, b, c), are ways between cells that pass through the points' skin.
+    """
     if options.genus == "free":
         return inside, np.zeros((0, 3), dtype=np.intp)
     depth = distances(~inside, np.inf)
     # Where limbs touch, points lie between them: the way through is narrow there.
     to_points = np.where(outside.distance < FARTHEST, outside.distance + SKIN_DEPTH, np.inf)
     priority = np.minimum(depth, to_points).astype(np.float32)
-    skins = walls(outside.grid.coordinates(cloud.points), normals_of(cloud), outside.grid.shape)
-    body = grown(inside, priority, skins)
+    body = grown(inside, priority, walls)
     if options.genus not in ("sphere", 0):
         body = _with_handles(inside, body, depth, options.genus, notes)
     return body, np.argwhere(inside & ~body)
@@ -94,5 +94,5 @@ def _euler(body: Mask) -> int:
     padded = np.pad(body, 1)
     if not padded.any():
         return 0
-    vertices, faces = marched(padded, np.full((3, *padded.shape), 0.5))
+    vertices, faces = marched(padded)
     return TriangleMesh(vertices, faces).euler_characteristic

@@ -2,14 +2,32 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import cache
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pcretrieve.types import FloatArray, IntArray
 
-__all__ = ["marched"]
+__all__ = ["Crossings", "crossed", "marched"]
+
+
+class Crossings(NamedTuple):
+    """Where a surface crosses lines from the centre of a cell to the next along one axis.
+
+    Attributes
+    ----------
+    at : (k, 3) intp
+        The cells, as `crossed` gives them.
+    share : (k,) float64, or float for all
+        Of the way to the next centre.
+    """
+
+    at: NDArray[np.intp]
+    share: FloatArray | float
+
 
 # Corner k of a cube has the bits of k as its coordinates.
 CORNERS = np.array([[k >> 2 & 1, k >> 1 & 1, k & 1] for k in range(8)])
@@ -24,7 +42,7 @@ TUBES = {255 ^ (1 << k | 1 << (7 - k)) for k in range(4)}
 LONG = 6
 
 
-def marched(body: NDArray[np.bool_], crossings: FloatArray) -> tuple[FloatArray, IntArray]:
+def marched(body: NDArray[np.bool_], crossings: Sequence[Crossings] = ()) -> tuple[FloatArray, IntArray]:
     """The surface between the cells of a body and the others [1]_.
 
     Cells of the body are connected through their faces, cells outside through faces, edges and corners: a
@@ -36,9 +54,9 @@ def marched(body: NDArray[np.bool_], crossings: FloatArray) -> tuple[FloatArray,
     ----------
     body : (a, b, c) bool
         False on the border of the grid.
-    crossings : (3, a, b, c) float64
-        Where the surface crosses the line from a cell's centre to the next centre along each axis, between 0
-        and 1. Only the lines between a cell of the body and another matter.
+    crossings : sequence of Crossings, optional
+        Where the surface crosses the lines of `crossed` along each axis, between 0 and 1; by default, in the
+        middle.
 
     Returns
     -------
@@ -52,14 +70,14 @@ def marched(body: NDArray[np.bool_], crossings: FloatArray) -> tuple[FloatArray,
     .. [1] Lorensen and Cline, "Marching cubes", SIGGRAPH 1987, with the ambiguous faces decided as in
        Kong and Rosenfeld, "Digital topology: introduction and survey", 1989, for (6, 26)-adjacency.
     """
-    number = np.full((3, *body.shape), -1, dtype=np.int32)
+    number = np.empty((3, *body.shape), dtype=np.int32)  # of the vertex on each line that is crossed
     placed = []
     n = 0
-    for axis, at in enumerate(crossed(body)):
+    for axis, (at, share) in enumerate(crossings or [Crossings(at, 0.5) for at in crossed(body)]):
         number[axis][tuple(at.T)] = np.arange(n, n + len(at))
         n += len(at)
         position = at.astype(np.float64)
-        position[:, axis] += crossings[axis][tuple(at.T)]
+        position[:, axis] += share
         placed.append(position)
     vertices = np.concatenate(placed)
 

@@ -30,9 +30,11 @@ def joined(
         return inside, nowhere
     # Points lie on the surface of their piece, in it or just outside.
     at = np.array(grid.index(points))  # (3, n)
+    near = pieces[tuple(at)]  # (n,)
+    beside = near == 0
     round_it = np.indices((3, 3, 3)).reshape(3, 27, 1) - 1
-    x, y, z = at[:, None] + round_it  # (27, n) each
-    near = pieces[x, y, z].max(axis=0)  # (n,)
+    x, y, z = at[:, None, beside] + round_it  # (27, b) each
+    near[beside] = pieces[x, y, z].max(axis=0, initial=0)
     support = np.bincount(near, minlength=n + 1) / len(points)
     sizes = np.bincount(pieces.ravel())
     sizes[0] = 0

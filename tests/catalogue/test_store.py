@@ -20,7 +20,7 @@ from pcretrieve.batch.pipeline import Shape, process
 from pcretrieve.catalogue import Content, Record, opening
 from pcretrieve.errors import CatalogueError, InputError, SpectrumError
 from pcretrieve.options import SignatureOptions
-from pcretrieve.retrieval import fit_whitening, log_signatures
+from pcretrieve.retrieval import SignatureIndex, fit_whitening, log_signatures
 from pcretrieve.signatures import describe
 
 OPTIONS = PipelineOptions()
@@ -182,6 +182,17 @@ def test_a_whitening_is_stored_and_fitted_anew_once_the_shapes_change(
     catalogue.put(record(5), content(0))
     third = fitted()
     assert len({first, second, third}) == 3
+
+
+def test_the_default_whitening_is_not_fitted_and_not_stored(catalogue: Catalogue) -> None:
+    table = catalogue.signatures()
+    whitening = catalogue.whitening()
+    assert whitening.kind == "resolution"
+    assert whitening.options_digest == table.digest
+    catalogue.remove("egg5")
+    np.testing.assert_array_equal(catalogue.whitening().matrix, whitening.matrix)
+    assert count(catalogue, "whitenings") == 0
+    assert len(SignatureIndex(catalogue.signatures(), whitening=whitening).query(table.values[0], 3).ids) == 3
 
 
 def test_a_whitening_by_class_follows_the_labels(catalogue: Catalogue) -> None:

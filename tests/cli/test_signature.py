@@ -229,10 +229,10 @@ def test_shapes_of_a_catalogue_that_have_no_signature(run: Run, catalogue: Path)
 def test_the_error_bar_of_a_scan_made_into_two_surfaces(run: Run, tmp_path: Path) -> None:
     cloud = tmp_path / "body.xyz"
     np.savetxt(cloud, shapes.points_on(shapes.body(), 6000))
-    config = tmp_path / "two.toml"
-    config.write_text("[surface]\nreconstructions = 2\n", encoding="utf-8")
-    (alone,) = json.loads(run("signature", cloud, "--json").stdout)
-    (both,) = json.loads(run("signature", cloud, "--config", config, "--json").stdout)
+    config = tmp_path / "one.toml"
+    config.write_text("[surface]\nreconstructions = 1\n", encoding="utf-8")
+    (alone,) = json.loads(run("signature", cloud, "--config", config, "--json").stdout)
+    (both,) = json.loads(run("signature", cloud, "--json").stdout)
     assert "deviation" not in alone
     assert len(both["deviation"]) == len(both["values"])
     # The first surface is the same, so the mean is off it by the error bar, over the root of 2.

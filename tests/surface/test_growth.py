@@ -46,7 +46,7 @@ def no_walls(inside: Mask) -> Mask:
 
 
 def euler(body: Mask) -> int:
-    mesh = TriangleMesh(*marched(body, np.full((3, *body.shape), 0.5)))
+    mesh = TriangleMesh(*marched(body))
     assert not defects(mesh)
     return mesh.euler_characteristic
 

@@ -10,7 +10,7 @@ import pytest
 from numpy.typing import NDArray
 
 from pcretrieve.surface import defects
-from pcretrieve.surface.marching import crossed, marched
+from pcretrieve.surface.marching import Crossings, crossed, marched
 from pcretrieve.surface.topology import Defects
 from pcretrieve.types import FloatArray, TriangleMesh
 
@@ -24,8 +24,12 @@ def random_cells(share: float, seed: int, n: int = 14) -> Mask:
 
 
 def surface(body: Mask, crossings: FloatArray | None = None) -> TriangleMesh:
-    given = np.full((3, *body.shape), 0.5) if crossings is None else crossings
-    return TriangleMesh(*marched(body, given))
+    return TriangleMesh(*marched(body, [] if crossings is None else on_lines(body, crossings)))
+
+
+def on_lines(body: Mask, crossings: FloatArray) -> list[Crossings]:
+    """Those of (3, a, b, c) crossings that matter."""
+    return [Crossings(at, crossings[axis][tuple(at.T)]) for axis, at in enumerate(crossed(body))]
 
 
 def digital_euler(body: Mask) -> int:
@@ -116,7 +120,7 @@ def test_a_box_has_its_volume_but_for_bevelled_edges() -> None:
 def test_vertices_lie_where_the_surface_crosses() -> None:
     body = random_cells(0.4, 1)
     crossings = np.random.default_rng(2).random((3, *body.shape))
-    vertices, _ = marched(body, crossings)
+    vertices, _ = marched(body, on_lines(body, crossings))
     n = 0
     for axis, at in enumerate(crossed(body)):
         expected = at.astype(np.float64)

@@ -1,0 +1,79 @@
+"""Whitening by what resolution changes: where its map comes from, what it does, and what it is not for."""
+
+import runpy
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from shapes import body, points_on
+
+import pcretrieve.retrieval
+from pcretrieve import PipelineOptions
+from pcretrieve.batch.pipeline import process
+from pcretrieve.errors import OptionError
+from pcretrieve.options import SignatureOptions
+from pcretrieve.retrieval import default_whitening, resolution_whitening
+from pcretrieve.signatures import describe
+from pcretrieve.types import FloatArray
+
+SCRIPT = Path(__file__).parents[2] / "scripts" / "sample_resolution"
+SAMPLE = np.load(Path(pcretrieve.retrieval.__file__).with_name("resolution.npy"))
+
+
+def script() -> dict[str, Any]:
+    return runpy.run_path(str(SCRIPT))
+
+
+def test_the_sample_is_what_the_script_measures() -> None:
+    measured = script()
+    made: FloatArray = measured["logs"]("animal", 3)
+    stored = SAMPLE[:, measured["N_BODIES"] + 3]
+    # Another machine's rounding may move a cell from one side of a surface to the other.
+    np.testing.assert_allclose(made, stored, rtol=0, atol=0.02)
+    assert np.abs(made[0] - made[1]).max() > 0.02
+
+
+@pytest.mark.parametrize("scale", ["area", "relative"])
+@pytest.mark.parametrize("n_values", [1, 23, 60])
+def test_what_resolution_changes_counts_less(scale: str, n_values: int) -> None:
+    options = SignatureOptions.model_validate({"scale": scale, "n_values": n_values})
+    whitening = resolution_whitening(options)
+    logs = SAMPLE[:, :, :60] - (SAMPLE[:, :, 60:] if scale == "relative" else 0)
+    change = (logs[0] - logs[1])[:, :n_values].astype(np.float64)
+    size = np.linalg.norm(change, axis=1)
+    change = change[np.argsort(size)][: whitening.n_fitted]
+    anything = np.random.default_rng(0).normal(size=(4000, n_values))
+
+    def stretch(differences: FloatArray) -> float:
+        mapped = differences @ whitening.matrix
+        return float((mapped**2).sum() / (differences**2).sum())
+
+    assert stretch(anything) == pytest.approx(1, rel=0.1)
+    assert stretch(change) < 0.5 or n_values == 1
+    assert whitening.kind == "resolution"
+    assert 0.8 * len(size) < whitening.n_fitted < 0.9 * len(size)
+
+
+def test_values_by_area_are_what_the_sample_holds() -> None:
+    """Order and unit of a signature are those of the sample's columns."""
+    shape = process(points_on(body(), 6000), PipelineOptions().changed(surface={"reconstructions": 1}))
+    logs = script()["log_values"](shape)
+    values = describe(shape, SignatureOptions(n_values=60)).values
+    np.testing.assert_allclose(np.log(values), logs[:60], rtol=1e-12)
+    relative = describe(shape, SignatureOptions(n_values=60, scale="relative")).values
+    np.testing.assert_allclose(np.log(relative), logs[:60] - logs[60], rtol=1e-9, atol=1e-12)
+
+
+@pytest.mark.parametrize("given", [{"method": "shape-dna"}, {"n_modes": 50}, {"scale": "absolute"}])
+def test_signatures_that_were_not_measured(given: dict[str, str | int]) -> None:
+    options = SignatureOptions.model_validate(given)
+    with pytest.raises(OptionError, match="'resolution' has been measured for r-bihdm with n_modes = 60"):
+        resolution_whitening(options)
+    assert default_whitening(options) == "none"
+    assert default_whitening(SignatureOptions()) == "resolution"
+
+
+def test_damping_must_be_a_share() -> None:
+    with pytest.raises(OptionError, match=r"damping must lie in \(0, 1\], got 0"):
+        resolution_whitening(SignatureOptions(), damping=0)
