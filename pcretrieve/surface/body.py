@@ -213,9 +213,9 @@ def _inside_surface(mesh: TriangleMesh, grid: Grid) -> tuple[Mask, Voxels]:
             index[other] = lines[line[on_grid], k]
         crossings[(axis, index[0], index[1], index[2])] = (at - place)[on_grid]
         if axis == 2:
-            turns = np.zeros(grid.shape, dtype=np.int32)
+            turns = np.zeros(grid.shape, dtype=np.uint8)
             np.add.at(turns, (index[0], index[1], index[2] + 1), 1)
-            inside = turns.cumsum(axis=2) % 2 == 1
+            inside = turns.cumsum(axis=2, dtype=np.uint8) % 2 == 1  # parity survives the overflow
     for side in (0, -1):
         inside[side] = inside[:, side] = inside[:, :, side] = False
     return inside, crossings

@@ -98,18 +98,25 @@ def folded(cloud: PointCloud, outside: Outside, inside: Mask) -> Mask:
     hidden = _hidden(cloud, outside)
     if not hidden.any():
         return hidden
-    places = grid.index(cloud.points)
-    fold = np.zeros(grid.shape, dtype=bool)
-    fold[tuple(place[hidden] for place in places)] = True
+    places = np.array(grid.index(cloud.points[hidden]))  # (3, h)
+    # With two cells round them, which the grid has: one for the fold, one for its rim.
+    low, high = places.min(axis=1) - 2, places.max(axis=1) + 3
+    nearby = tuple(slice(a, b) for a, b in zip(low, high, strict=True))
+    fold = np.zeros(high - low, dtype=bool)
+    fold[tuple(places - low[:, None])] = True
     fold = ndimage.binary_dilation(fold)
     pieces, n = ndimage.label(fold, np.ones((3, 3, 3)))
     closed = np.zeros(n + 1, dtype=bool)
     for piece, box in enumerate(ndimage.find_objects(pieces), start=1):
-        wider = tuple(slice(max(0, side.start - 1), side.stop + 1) for side in box)
+        wider = tuple(slice(side.start - 1, side.stop + 1) for side in box)
         cells = pieces[wider] == piece
         rim = ndimage.binary_dilation(cells) & ~cells
-        closed[piece] = cells.sum() >= LEAST_FOLD and (rim & ~inside[wider]).sum() < LEAST_OPEN * rim.sum()
-    return np.asarray(hidden & closed[pieces[places]])
+        closed[piece] = (
+            cells.sum() >= LEAST_FOLD and (rim & ~inside[nearby][wider]).sum() < LEAST_OPEN * rim.sum()
+        )
+    found = np.zeros(len(cloud.points), dtype=bool)
+    found[hidden] = closed[pieces[tuple(places - low[:, None])]]
+    return found
 
 
 def _hidden(cloud: PointCloud, outside: Outside) -> Mask:
