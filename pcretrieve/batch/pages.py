@@ -27,7 +27,7 @@ def retrieval_page(
     n_queries: int = 8,
     k: int = 5,
     distance: str = "log",
-    whitening: str | None = None,
+    whitening: str = "none",
     options: SignatureOptions | None = None,
 ) -> Path:
     """Write a page with retrieval measures, and pictures of queries and their ranked results.
@@ -41,11 +41,9 @@ def retrieval_page(
         Rows of results: the first shape of each class, or of all where there are no classes.
     k : int, default 5
         Results in a row, the query itself left out.
-    distance : str
-        As in `SignatureIndex`.
-    whitening : str, optional
-        As in `Catalogue.whitening`. Measures with ``within-class`` come from grouped folds, the rows from the
-        whitening that a query would get.
+    distance, whitening : str
+        As in `SignatureIndex` and `Catalogue.whitening`. Measures with ``within-class`` come from grouped
+        folds, the rows from the whitening that a query would get.
     options : SignatureOptions, optional
         A descriptor other than the catalogue's own.
 
@@ -93,7 +91,8 @@ def retrieval_page(
         rankings = rank_table(
             table,
             distance=distance,
-            whitening="within-class" if whitened.kind == "within-class" else whitened,
+            # Within classes it is fitted anew for each fold.
+            whitening=whitening if whitening == "within-class" else whitened,
             failed_labels=[record.label for record in failed],
         )
         measures, curve = evaluate_rankings(rankings), precision_recall(rankings)
@@ -113,7 +112,7 @@ def retrieval_page(
             "signature": f"{table.kind}, {table.values.shape[1]} values",
             "scale": options.scale,
             "distance": distance,
-            "whitening": whitened.kind,
+            "whitening": whitening,
         },
         precision_recall=curve,
     )

@@ -22,7 +22,7 @@ def search(
     *,
     k: int = 10,
     distance: str = "log",
-    whitening: str | None = None,
+    whitening: str = "none",
     options: SignatureOptions | None = None,
 ) -> Neighbors:
     """The shapes of a catalogue nearest to a scan.
@@ -33,10 +33,8 @@ def search(
     scan : str or Path
         Processed with the catalogue's own options; looked up by content where the catalogue holds it.
     k : int, default 10
-    distance : str
-        As in `SignatureIndex`.
-    whitening : str, optional
-        As in `Catalogue.whitening`.
+    distance, whitening : str
+        As in `SignatureIndex` and `Catalogue.whitening`.
     options : SignatureOptions, optional
         A descriptor other than the catalogue's own.
 

@@ -21,13 +21,7 @@ from pcretrieve.catalogue.opening import connect, damaged, is_writable, open_opt
 from pcretrieve.catalogue.record import Content, Record, StoredShape
 from pcretrieve.errors import InputError, ShapeError
 from pcretrieve.options import PipelineOptions, SignatureOptions
-from pcretrieve.retrieval import (
-    Whitening,
-    default_whitening,
-    fit_whitening,
-    log_signatures,
-    resolution_whitening,
-)
+from pcretrieve.retrieval import Whitening, fit_whitening, log_signatures, resolution_whitening
 from pcretrieve.signatures import describe
 from pcretrieve.types import ModalSpectrum, SignatureTable, Step, TriangleMesh
 
@@ -209,7 +203,7 @@ class Catalogue:
         rows = np.array(values) if values else np.empty((0, options.n_values))
         return SignatureTable(tuple(ids), rows, options.method, digest, tuple(labels))
 
-    def whitening(self, kind: str | None = None, options: SignatureOptions | None = None) -> Whitening:
+    def whitening(self, kind: str, options: SignatureOptions | None = None) -> Whitening:
         """The whitening of this catalogue's signatures.
 
         ``pca`` and ``within-class`` are fitted on the shapes that it holds now, and stored; fitted anew once
@@ -217,15 +211,13 @@ class Catalogue:
 
         Parameters
         ----------
-        kind : {"none", "resolution", "pca", "within-class"}, optional
-            By default that of `default_whitening`.
+        kind : {"none", "resolution", "pca", "within-class"}
         options : SignatureOptions, optional
             As in `signatures`.
         """
-        table, options = self.signatures(options), options or self.options.signature
-        kind = kind or default_whitening(options)
+        table = self.signatures(options)
         if kind == "resolution":
-            return resolution_whitening(options, options_digest=table.digest)
+            return resolution_whitening(options or self.options.signature, options_digest=table.digest)
         fingerprint = _fingerprint(table)
         row = self._one(
             "SELECT arrays FROM whitenings WHERE kind = ? AND fingerprint = ?", (kind, fingerprint)

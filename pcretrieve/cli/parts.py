@@ -60,10 +60,11 @@ distance_option = click.option(
 whitening_option = click.option(
     "--whitening",
     type=click.Choice(["none", "resolution", "pca", "within-class"]),
+    default="none",
+    show_default=True,
     help="Let log-signatures count less in directions in which the resolution of a surface moves them, as it "
-    "did those of simulated bodies (resolution); or decorrelate them over the catalogue (pca), or by the "
-    "variation within its classes.  "
-    "[default: resolution for r-bihdm by area, else none]",
+    "did those of simulated bodies (resolution, for r-bihdm); or decorrelate them over the catalogue (pca), "
+    "or by the variation within its classes.",
 )
 
 

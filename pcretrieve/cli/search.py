@@ -43,7 +43,7 @@ def query_command(
     catalogue: Path,
     k: int,
     distance: str,
-    whitening: str | None,
+    whitening: str,
     method: str | None,
     n_values: int | None,
     scale: str | None,
@@ -92,7 +92,7 @@ def evaluate_command(
     catalogue: Path,
     labels: Path | None,
     distance: str,
-    whitening: str | None,
+    whitening: str,
     method: str | None,
     n_values: int | None,
     scale: str | None,
@@ -108,12 +108,10 @@ def evaluate_command(
     """
     from pcretrieve.catalogue import Catalogue
     from pcretrieve.evaluation.folds import evaluate
-    from pcretrieve.retrieval import default_whitening
 
     with Catalogue(catalogue) as store:
         options = _signature_options(store, method, n_values, scale, whitening)
         table, failed = _labelled(store, labels, options)
-        whitening = whitening or default_whitening(options)
         # Within classes it is fitted anew for each fold.
         fitted = whitening if whitening == "within-class" else store.whitening(whitening, options)
         measures = evaluate(table, distance=distance, whitening=fitted, failed_labels=failed)
@@ -134,7 +132,7 @@ def evaluate_command(
     click.echo("  ".join(f"{document[name]:6.4f}" for name in names))
     say(
         f"{measures.n_queries} queries in {len(table)} shapes, {len(failed)} failed ones count as misses; "
-        f"scale {options.scale}, whitening {whitening}"
+        f"scale {options.scale}"
     )
 
 
@@ -163,7 +161,7 @@ def report_command(
     queries: int,
     k: int,
     distance: str,
-    whitening: str | None,
+    whitening: str,
     method: str | None,
     n_values: int | None,
     scale: str | None,
@@ -192,7 +190,7 @@ def report_command(
 
 
 def _signature_options(
-    store: Catalogue, method: str | None, n_values: int | None, scale: str | None, whitening: str | None
+    store: Catalogue, method: str | None, n_values: int | None, scale: str | None, whitening: str
 ) -> SignatureOptions:
     """The catalogue's own, with what the command line names in its place.
 

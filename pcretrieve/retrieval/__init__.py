@@ -2,7 +2,7 @@
 
 from pcretrieve.retrieval.distances import DISTANCES, log_signatures, pairwise
 from pcretrieve.retrieval.index import SignatureIndex
-from pcretrieve.retrieval.resolution import default_whitening, resolution_whitening
+from pcretrieve.retrieval.resolution import resolution_whitening
 from pcretrieve.retrieval.whitening import DEFAULT_DAMPING, WHITENINGS, Whitening, fit_whitening
 
 __all__ = [
@@ -11,7 +11,6 @@ __all__ = [
     "WHITENINGS",
     "SignatureIndex",
     "Whitening",
-    "default_whitening",
     "fit_whitening",
     "log_signatures",
     "pairwise",

@@ -184,13 +184,12 @@ def test_a_whitening_is_stored_and_fitted_anew_once_the_shapes_change(
     assert len({first, second, third}) == 3
 
 
-def test_the_default_whitening_is_not_fitted_and_not_stored(catalogue: Catalogue) -> None:
+def test_the_whitening_by_resolution_is_not_fitted_and_not_stored(catalogue: Catalogue) -> None:
     table = catalogue.signatures()
-    whitening = catalogue.whitening()
-    assert whitening.kind == "resolution"
+    whitening = catalogue.whitening("resolution")
     assert whitening.options_digest == table.digest
     catalogue.remove("egg5")
-    np.testing.assert_array_equal(catalogue.whitening().matrix, whitening.matrix)
+    np.testing.assert_array_equal(catalogue.whitening("resolution").matrix, whitening.matrix)
     assert count(catalogue, "whitenings") == 0
     assert len(SignatureIndex(catalogue.signatures(), whitening=whitening).query(table.values[0], 3).ids) == 3
 

@@ -13,7 +13,7 @@ from pcretrieve import PipelineOptions
 from pcretrieve.batch.pipeline import process
 from pcretrieve.errors import OptionError
 from pcretrieve.options import SignatureOptions
-from pcretrieve.retrieval import default_whitening, resolution_whitening
+from pcretrieve.retrieval import resolution_whitening
 from pcretrieve.signatures import describe
 from pcretrieve.types import FloatArray
 
@@ -70,8 +70,6 @@ def test_signatures_that_were_not_measured(given: dict[str, str | int]) -> None:
     options = SignatureOptions.model_validate(given)
     with pytest.raises(OptionError, match="'resolution' has been measured for r-bihdm with n_modes = 60"):
         resolution_whitening(options)
-    assert default_whitening(options) == "none"
-    assert default_whitening(SignatureOptions()) == "resolution"
 
 
 def test_damping_must_be_a_share() -> None:
