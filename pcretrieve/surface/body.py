@@ -133,6 +133,7 @@ def _body_surface(
     grid = outside.grid
     inside = np.where(known, distance < 0, filled) & ~outside.wet
     skins = walls(grid.coordinates(cloud.points), normals_of(cloud), grid.shape)
+    parted = np.zeros_like(inside)
     if options.genus != "free":
         folds = folded(cloud, outside, inside)
         open_skin = cloud.select(~folds)
@@ -141,12 +142,14 @@ def _body_surface(
             if folds.any()
             else skins
         )
-        inside &= ~contacts(inside, between, outside.distance)
+        parted = contacts(inside, between, outside.distance)
+        inside &= ~parted
     inside, bridges = joined(inside, cloud.points, grid, options, notes)
     if not inside.any():
         raise ReconstructionError(f"{len(cloud.points)} points enclose nothing")
     body, cuts = with_topology(inside, skins, outside, options, notes)
-    mesh, invented = _surface(body, inside, np.where(known, distance, np.nan), coarse_crossings, grid)
+    known_distance = np.where(known, distance, np.nan)
+    mesh, invented = _surface(body, inside, parted, known_distance, coarse_crossings, grid)
     if invented > MOST_INVENTED:
         raise ReconstructionError(
             f"the points must surround a body, {invented:.0%} of its surface had to be invented: "
@@ -222,13 +225,15 @@ def _inside_surface(mesh: TriangleMesh, grid: Grid) -> tuple[Mask, Voxels]:
 
 
 def _surface(
-    body: Mask, inside: Mask, distance: Voxels, coarse_crossings: Voxels, grid: Grid
+    body: Mask, inside: Mask, parted: Mask, distance: Voxels, coarse_crossings: Voxels, grid: Grid
 ) -> tuple[TriangleMesh, float]:
     """The body's surface where the distance to the points is zero, and the share of it that is invented.
 
-    Invented are caps of holes, cuts and bridges: they are smoothed, and the rest is left where it is.
+    Invented are caps of holes, cuts and bridges: they are smoothed, and the rest is left where it is. So are
+    skins that were parted, but points lie there: they do not count.
     """
     crossings, invented = [], []
+    n_invented = 0
     for axis, here in enumerate(crossed(body)):
         low = tuple(here.T)
         high = tuple((here + np.eye(3, dtype=np.intp)[axis]).T)
@@ -241,10 +246,11 @@ def _surface(
         share = np.where(believed, share, np.where(changes & np.isfinite(coarse), coarse, 0.5))
         crossings.append(Crossings(here, np.clip(share, MARGIN, 1 - MARGIN)))
         invented.append(~believed)
+        n_invented += int((~believed & ~parted[low] & ~parted[high]).sum())
     vertices, faces = marched(body, crossings)
     loose = np.concatenate([*invented, np.zeros(len(vertices) - sum(map(len, invented)), dtype=bool)])
     moved = smoothed(vertices, faces, np.flatnonzero(loose), SMOOTHING)
-    return TriangleMesh(moved * grid.cell + grid.origin, faces), float(loose.mean())
+    return TriangleMesh(moved * grid.cell + grid.origin, faces), n_invented / len(vertices)
 
 
 def _centres(cells: NDArray[np.intp], grid: Grid) -> FloatArray:

@@ -15,6 +15,8 @@ from pcretrieve.errors import InputError, ReconstructionError, ScanReadError
 
 POINTS = shapes.points_on(shapes.body(), 8000)
 
+DATA = Path(__file__).parents[2].parent / "shared" / "data"
+
 
 def test_a_mesh_has_one_signature_in_any_unit_and_place() -> None:
     body = shapes.body()
@@ -99,3 +101,13 @@ def test_what_is_no_scan_is_the_callers_fault() -> None:
 def test_an_empty_cloud() -> None:
     with pytest.raises(ReconstructionError, match="at least 100 points, got 0"):
         reconstruct(np.empty((0, 3)))
+
+
+@pytest.mark.skipif(
+    not DATA.is_dir(), reason="needs the Stanford dragon beside the checkout, in ../shared/data"
+)
+def test_the_dragon_has_a_surface() -> None:
+    """Its coils touch, its mouth is full of points, and a quarter of it no scan shows."""
+    surface = reconstruct(DATA / "stanford_dragon" / "dragonStandRight.conf")
+    assert surface.euler_characteristic == 2
+    assert surface.provenance[-1].sizes["invented"] < 0.3
