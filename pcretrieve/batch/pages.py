@@ -91,8 +91,7 @@ def retrieval_page(
         rankings = rank_table(
             table,
             distance=distance,
-            # Within classes it is fitted anew for each fold.
-            whitening=whitening if whitening == "within-class" else whitened,
+            whitening=whitened,
             failed_labels=[record.label for record in failed],
         )
         measures, curve = evaluate_rankings(rankings), precision_recall(rankings)

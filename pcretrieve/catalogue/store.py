@@ -199,9 +199,8 @@ class Catalogue:
             except ShapeError as error:
                 error.shape_id = shape_id
                 raise
-        digest = self.options.model_copy(update={"signature": options}).signature_digest
         rows = np.array(values) if values else np.empty((0, options.n_values))
-        return SignatureTable(tuple(ids), rows, options.method, digest, tuple(labels))
+        return SignatureTable(tuple(ids), rows, options.method, self._digest(options), tuple(labels))
 
     def whitening(self, kind: str, options: SignatureOptions | None = None) -> Whitening:
         """The whitening of this catalogue's signatures.
@@ -215,9 +214,10 @@ class Catalogue:
         options : SignatureOptions, optional
             As in `signatures`.
         """
-        table = self.signatures(options)
         if kind == "resolution":
-            return resolution_whitening(options or self.options.signature, options_digest=table.digest)
+            options = options or self.options.signature
+            return resolution_whitening(options, options_digest=self._digest(options))
+        table = self.signatures(options)
         fingerprint = _fingerprint(table)
         row = self._one(
             "SELECT arrays FROM whitenings WHERE kind = ? AND fingerprint = ?", (kind, fingerprint)
@@ -237,6 +237,10 @@ class Catalogue:
         return whitening
 
     # --- inside ---------------------------------------------------------------------------------------
+
+    def _digest(self, options: SignatureOptions) -> str:
+        """Of the signatures that some options make of what is stored."""
+        return self.options.model_copy(update={"signature": options}).signature_digest
 
     def _arrays(self, column: str, shape_id: str) -> dict[str, NDArray[Any]]:
         record = self.record(shape_id)

@@ -108,13 +108,13 @@ def evaluate_command(
     """
     from pcretrieve.catalogue import Catalogue
     from pcretrieve.evaluation.folds import evaluate
+    from pcretrieve.retrieval import resolution_whitening
 
     with Catalogue(catalogue) as store:
         options = _signature_options(store, method, n_values, scale, whitening)
         table, failed = _labelled(store, labels, options)
-        # Within classes it is fitted anew for each fold.
-        fitted = whitening if whitening == "within-class" else store.whitening(whitening, options)
-        measures = evaluate(table, distance=distance, whitening=fitted, failed_labels=failed)
+        used = resolution_whitening(options) if whitening == "resolution" else whitening
+        measures = evaluate(table, distance=distance, whitening=used, failed_labels=failed)
     document = asdict(measures) | {
         "n_failed": len(failed),
         "n_shapes": len(table),

@@ -141,7 +141,7 @@ def table_distances(
     damping: float | None = None,
 ) -> Iterator[DistanceBlock]:
     """Distances of each labelled shape to the whole gallery, in a whitening that knows no labels."""
-    if whitening == "within-class":
+    if _kind(whitening) == "within-class":
         raise OptionError(
             "whitening must be none or pca here, got 'within-class', which would be scored on the classes "
             "it was fitted on; use within_class_distances"
@@ -164,7 +164,7 @@ def rank_table(
     rng: np.random.Generator | None = None,
 ) -> Rankings:
     """Rank the whole table for each labelled shape in it; parameters as in `evaluate`."""
-    if whitening == "within-class":
+    if _kind(whitening) == "within-class":
         blocks = within_class_distances(table, distance, n_folds=n_folds, damping=damping, rng=rng)
     else:
         blocks = table_distances(table, distance, whitening=whitening, damping=damping)
@@ -191,7 +191,7 @@ def evaluate(
         ``log``, ``d1`` or ``d2``; see `pcretrieve.retrieval.distances`.
     whitening : Whitening or str
         One made before, such as `resolution_whitening`; ``none``; ``pca``, fitted on the whole table; or
-        ``within-class``, by grouped folds.
+        ``within-class``, which is always fitted anew, by grouped folds.
     failed_labels : iterable of (str or None)
         Classes of the shapes that failed, which count as misses.
     n_folds, rng
@@ -210,6 +210,10 @@ def evaluate(
             rng=rng,
         )
     )
+
+
+def _kind(whitening: Whitening | str) -> str:
+    return whitening if isinstance(whitening, str) else whitening.kind
 
 
 def _blocks(distance: str, whitened: FloatArray, queries: Positions) -> Iterator[DistanceBlock]:

@@ -120,7 +120,7 @@ def _tight_flood(
         towards = outside.direction_at(cloud.points)
         oriented = _guided_normals(cloud.points, towards, neighbors, options)
         shown = outside.depth_at(cloud.points) < SHOWN
-        if _agreement(oriented, neighbors, shown) >= LEAST_AGREEMENT:
+        if shown.sum() > VOTERS and _agreement(oriented, neighbors, shown) >= LEAST_AGREEMENT:
             note = f"the flood leaked; gaps up to {gap:.3f} of the diagonal were shut"
             return outside, oriented, (note,) if attempt else ()
     return None, None, (f"the flood leaked with gaps up to {gap:.3f} of the diagonal shut",)

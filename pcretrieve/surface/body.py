@@ -132,17 +132,12 @@ def _body_surface(
         notes.append("the flood of the outside leaked into the body and was not used")
     grid = outside.grid
     inside = np.where(known, distance < 0, filled) & ~outside.wet
-    skins = walls(grid.coordinates(cloud.points), normals_of(cloud), grid.shape)
-    parted = np.zeros_like(inside)
+    parted, skins = np.zeros_like(inside), np.zeros((3, *grid.shape), dtype=bool)
     if options.genus != "free":
+        skins = _walls(cloud, grid)
         folds = folded(cloud, outside, inside)
-        open_skin = cloud.select(~folds)
-        between = (
-            walls(grid.coordinates(open_skin.points), normals_of(open_skin), grid.shape)
-            if folds.any()
-            else skins
-        )
-        parted = contacts(inside, between, outside.distance)
+        open_skins = _walls(cloud.select(~folds), grid) if folds.any() else skins
+        parted = contacts(inside, open_skins, outside.distance)
         inside &= ~parted
     inside, bridges = joined(inside, cloud.points, grid, options, notes)
     if not inside.any():
@@ -173,6 +168,10 @@ def _body_surface(
     )
     marks = SurfaceMarks(_centres(cuts, grid), _centres(bridges, grid))
     return final, marks, step
+
+
+def _walls(cloud: PointCloud, grid: Grid) -> Mask:
+    return walls(grid.coordinates(cloud.points), normals_of(cloud), grid.shape)
 
 
 def _coarse_surface(cloud: PointCloud, options: SurfaceOptions) -> TriangleMesh:
@@ -248,8 +247,7 @@ def _surface(
         invented.append(~believed)
         n_invented += int((~believed & ~parted[low] & ~parted[high]).sum())
     vertices, faces = marched(body, crossings)
-    loose = np.concatenate([*invented, np.zeros(len(vertices) - sum(map(len, invented)), dtype=bool)])
-    moved = smoothed(vertices, faces, np.flatnonzero(loose), SMOOTHING)
+    moved = smoothed(vertices, faces, np.flatnonzero(np.concatenate(invented)), SMOOTHING)
     return TriangleMesh(moved * grid.cell + grid.origin, faces), n_invented / len(vertices)
 
 

@@ -165,6 +165,14 @@ def test_within_class_whitening_is_not_scored_on_its_own_classes() -> None:
         list(table_distances(a_table(), whitening="within-class"))
 
 
+def test_within_class_whitening_that_was_fitted_before_is_not_scored_either() -> None:
+    table = a_table()
+    fitted = fit_whitening("within-class", log_signatures(table.values), table.labels)
+    with pytest.raises(OptionError, match="would be scored on the classes"):
+        list(table_distances(table, whitening=fitted))
+    assert evaluate(table, whitening=fitted) == evaluate(table, whitening="within-class")
+
+
 def test_within_class_whitening_removes_what_poses_have_in_common() -> None:
     table = a_table()
     assert evaluate(table, whitening="within-class").map > evaluate(table).map + 0.2
