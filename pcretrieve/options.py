@@ -37,7 +37,7 @@ __all__ = [
 
 # Raised whenever the code, rather than an option, moves a signature: old catalogues must not mix with new
 # numbers. CHANGELOG, "Changed numbers", says what moved.
-NUMBERS_VERSION = 5
+NUMBERS_VERSION = 6
 
 Share = Annotated[float, Field(ge=0, le=1)]
 Length = Annotated[float, Field(ge=0, lt=1)]

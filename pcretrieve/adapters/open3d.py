@@ -191,19 +191,6 @@ class RayScene:
         normals = answer["primitive_normals"].numpy().astype(np.float64)
         return distance, normals, face.astype(np.int32)
 
-    def crossings(self, origins: FloatArray, direction: FloatArray) -> tuple[NDArray[np.intp], FloatArray]:
-        """Every hit of every ray, with the ray's number and the distance in lengths of the direction.
-
-        Parameters
-        ----------
-        origins : (k, 3) float64
-        direction : (3,) float64
-            The same for all rays.
-        """
-        rays = np.concatenate([origins, np.broadcast_to(direction, origins.shape)], axis=1)  # (k, 6)
-        answer = self._scene.list_intersections(self._tensor(rays.astype(np.float32)))
-        return answer["ray_ids"].numpy().astype(np.intp), answer["t_hit"].numpy().astype(np.float64)
-
     def distance(self, points: FloatArray) -> FloatArray:
         """(k,) distance to the surface."""
         query = self._tensor(np.asarray(points, dtype=np.float32))

@@ -15,6 +15,7 @@ from pcretrieve.options import SurfaceOptions
 from pcretrieve.scan.outside import Grid, flood, spacing
 from pcretrieve.surface.contacts import contacts, walls
 from pcretrieve.surface.field import LEAST_WEIGHT, distance_field, folded, hidden_below, normals_of
+from pcretrieve.surface.filled import filled
 from pcretrieve.surface.handles import with_topology
 from pcretrieve.surface.marching import Crossings, crossed, marched
 from pcretrieve.surface.pieces import joined
@@ -118,11 +119,11 @@ def _body_surface(
     deepest = hidden_below(cloud.diagonal, cell) + 1  # asked for between cells
     for gap in (options.gap, *(options.gap * wider for wider in WIDER)):
         outside = flood(cloud.points, cell=cell, gap=gap * cloud.diagonal, shift=shift, deepest=deepest)
-        filled, coarse_crossings = _inside_surface(coarse, outside.grid)
+        coarse_inside, coarse_crossings = filled(coarse, outside.grid)
         distance, weight = distance_field(cloud, outside)
         known = weight > LEAST_WEIGHT
         # Judged away from the points, where the coarse surface may lie a cell off.
-        core = filled & ~known
+        core = coarse_inside & ~known
         if (outside.wet & core).sum() <= MOST_WET * core.sum():
             break
     else:
@@ -131,7 +132,7 @@ def _body_surface(
         known = weight > LEAST_WEIGHT
         notes.append("the flood of the outside leaked into the body and was not used")
     grid = outside.grid
-    inside = np.where(known, distance < 0, filled) & ~outside.wet
+    inside = np.where(known, distance < 0, coarse_inside) & ~outside.wet
     parted, skins = np.zeros_like(inside), np.zeros((3, *grid.shape), dtype=bool)
     if options.genus != "free":
         skins = _walls(cloud, grid)
@@ -189,38 +190,6 @@ def _coarse_surface(cloud: PointCloud, options: SurfaceOptions) -> TriangleMesh:
             "scan the sides that are missing, or merge this view with others"
         )
     return surface
-
-
-def _inside_surface(mesh: TriangleMesh, grid: Grid) -> tuple[Mask, Voxels]:
-    """Cells inside closed surfaces, by the parity of crossings along the last axis, and where lines cross.
-
-    The crossings, (3, a, b, c), lie between a cell's centre and the next along each axis; NaN where none is.
-    """
-    scene = open3d.RayScene(mesh.vertices - grid.origin, mesh.faces)
-    crossings = np.full((3, *grid.shape), np.nan, dtype=np.float32)
-    inside = np.zeros(grid.shape, dtype=bool)
-    for axis in range(3):
-        others = [k for k in range(3) if k != axis]
-        lines = np.indices([grid.shape[k] for k in others]).reshape(2, -1).T  # (l, 2)
-        origins = np.zeros((len(lines), 3))
-        # Not through the vertices, which may lie on the grid.
-        origins[:, others] = (lines + np.array([1e-4, 1.7e-4])) * grid.cell
-        origins[:, axis] = -grid.cell
-        line, distance = scene.crossings(origins, np.eye(3)[axis])
-        at = distance / grid.cell - 1
-        place = np.floor(at).astype(np.intp)
-        on_grid = (place >= 0) & (place < grid.shape[axis] - 1)
-        index: list[NDArray[np.intp]] = [place[on_grid]] * 3
-        for k, other in enumerate(others):
-            index[other] = lines[line[on_grid], k]
-        crossings[(axis, index[0], index[1], index[2])] = (at - place)[on_grid]
-        if axis == 2:
-            turns = np.zeros(grid.shape, dtype=np.uint8)
-            np.add.at(turns, (index[0], index[1], index[2] + 1), 1)
-            inside = turns.cumsum(axis=2, dtype=np.uint8) % 2 == 1  # parity survives the overflow
-    for side in (0, -1):
-        inside[side] = inside[:, side] = inside[:, :, side] = False
-    return inside, crossings
 
 
 def _surface(
