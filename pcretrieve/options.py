@@ -57,8 +57,9 @@ class _Options(BaseModel):
 class ScanOptions(_Options):
     """Raw points → clean points with normals that point outwards."""
 
-    voxel: Length = 0.0015
-    """Points closer than this are averaged; relative to the diagonal, 0 keeps all."""
+    voxel: Literal["auto"] | Length = "auto"
+    """Edge of the voxels in which points are averaged; relative to the diagonal, 0 keeps all. auto: .003 for
+    dense clouds, .0015 for others."""
     outlier_neighbors: Count = 20
     """Neighbours whose mean distance marks a stray point; points."""
     outlier_std: Annotated[float, Field(gt=0)] = 2.0
@@ -122,9 +123,9 @@ class SurfaceOptions(_Options):
     genus: Literal["auto", "sphere", "free"] | Annotated[int, Field(ge=0)] = "auto"
     """Handles that growth leaves: none (sphere), a number, all that the points suggest (free), or those as
     thick as the body round them (auto)."""
-    cell: Annotated[float, Field(gt=0, lt=0.1)] = 0.0045
-    """Edge of the cells that the body is grown of; relative to the diagonal. Never less than the spacing of
-    the points."""
+    cell: Literal["auto"] | Annotated[float, Field(gt=0, lt=0.1)] = "auto"
+    """Edge of the cells that the body is grown of; relative to the diagonal. auto: .0033 to .0045, by the
+    noise of the points. Never less than the spacing of the points."""
     gap: Length = 0.02
     """Radius of the largest hole in the scan that growth keeps the outside out of; relative to the
     diagonal."""
@@ -307,9 +308,7 @@ class PipelineOptions(_Options):
 
 # What differs from the default for scans of a common source.
 PRESETS: dict[str, dict[str, dict[str, Any]]] = {
-    # A ring of cameras round a person, who has no handles: wherever limbs touch they are cut apart. Finer
-    # cells than the default lie closer to such dense points, and retrieve worse (38 easy scans of TOSCA, by
-    # area: mAP .90 with the default, .82 with .0033, .86 with .0025).
+    # A ring of cameras round a person, who has no handles: wherever limbs touch they are cut apart.
     "body-scanner": {"surface": {"genus": "sphere"}},
     # Walked round by hand: strays, and holes wherever the walk did not lead.
     "handheld": {
@@ -350,7 +349,7 @@ def describe_options(options: PipelineOptions) -> str:
     return "\n".join(lines)
 
 
-TYPES_TRIED = ("literal['auto','sphere','free']", "constrained-int")
+TYPES_TRIED = ("literal['auto','sphere','free']", "literal['auto']", "constrained-int", "constrained-float")
 
 
 def _explain(error: ValidationError) -> str:

@@ -102,7 +102,8 @@ def test_what_a_file_does_not_name_keeps_its_default(tmp_path: Path) -> None:
         ),
         (
             b"[scan]\nvoxel = 'small'\n[surface]\nmode = 'guess'\n",
-            r"in \[scan\], voxel: input should be a valid number.*, got 'small'; "
+            r"in \[scan\], voxel: input should be 'auto', got 'small'; "
+            r"voxel: input should be a valid number.*, got 'small'; "
             r"in \[surface\], mode: input should be 'auto', 'reconstruct' or 'keep', got 'guess'",
         ),
         (b"surface = 3\n", r"surface: input should be a valid dictionary .*, got 3"),

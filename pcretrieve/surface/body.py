@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 from pcretrieve.adapters import open3d
 from pcretrieve.errors import ReconstructionError
 from pcretrieve.options import SurfaceOptions
-from pcretrieve.scan.outside import Grid, flood, spacing
+from pcretrieve.scan.outside import Grid, flood
+from pcretrieve.scan.sampling import noise, spacing
 from pcretrieve.surface.contacts import contacts, walls
 from pcretrieve.surface.field import LEAST_WEIGHT, distance_field, folded, hidden_below, normals_of
 from pcretrieve.surface.filled import filled
@@ -43,6 +44,14 @@ SMOOTHING = 8
 
 # Share of a surface that may be invented. Up to .18 the area was within a per cent, from .33 on it was wrong.
 MOST_INVENTED = 0.3
+
+# Cells are this many times as large as the noise of the points, within limits relative to the diagonal: small
+# ones part fingers if points are exact, and make them ragged if they are not. mAP of TOSCA, 100 000 points,
+# cells of .0045 and .0033: with noise of .0005 .842 and .867; with noise of .001, averaged in voxels of .003
+# and .0025, .813 and .775.
+NOISES = 6.5
+FINEST = 0.0033
+COARSEST = 0.0045
 
 # Cells of the first surface, the second, the third, and so on in turn; relative to those asked for. Small
 # ones part fingers and take gaps of the sampling for holes, large ones the reverse: none is right everywhere.
@@ -103,9 +112,10 @@ def body_surfaces(cloud: PointCloud, options: SurfaceOptions) -> Iterator[tuple[
     """
     started = time.perf_counter()
     least = spacing(cloud.points)
+    size = _cell(cloud, options)
     coarse = _coarse_surface(cloud, options)
     for number in range(options.reconstructions):
-        cell = max(CELLS[number % len(CELLS)] * options.cell * cloud.diagonal, least)
+        cell = max(CELLS[number % len(CELLS)] * size, least)
         mesh, marks, step = _body_surface(cloud, coarse, cell, number * SHIFT % 1, options)
         step = replace(step, seconds=time.perf_counter() - started)
         yield TriangleMesh(mesh.vertices, mesh.faces, (*cloud.provenance, step)), marks
@@ -169,6 +179,13 @@ def _body_surface(
     )
     marks = SurfaceMarks(_centres(cuts, grid), _centres(bridges, grid))
     return final, marks, step
+
+
+def _cell(cloud: PointCloud, options: SurfaceOptions) -> float:
+    """Edge of the first surface's cells; unit of the file."""
+    if options.cell != "auto":
+        return options.cell * cloud.diagonal
+    return float(np.clip(NOISES * noise(cloud.points), FINEST * cloud.diagonal, COARSEST * cloud.diagonal))
 
 
 def _walls(cloud: PointCloud, grid: Grid) -> Mask:

@@ -49,7 +49,7 @@ def test_other_options_are_named(path: Path) -> None:
     with pytest.raises(CatalogueError) as raised:
         Catalogue(path, PipelineOptions(), create=True)
     assert raised.value.message == (
-        f"{path} was built with other options: scan.voxel: 0.005 there, 0.0015 here; signature.n_values: 15 "
+        f"{path} was built with other options: scan.voxel: 0.005 there, 'auto' here; signature.n_values: 15 "
         "there, 23 here. Ingest into a new catalogue, or leave the options out to use its own"
     )
 
@@ -60,7 +60,7 @@ def test_a_new_catalogue_gets_the_defaults(tmp_path: Path) -> None:
 
 
 def test_of_several_that_make_one_catalogue_each_gets_the_same(tmp_path: Path) -> None:
-    def voxel(number: int) -> float:
+    def voxel(number: int) -> float | str:
         with Catalogue(tmp_path / "new.sqlite", create=True) as store:
             store.put(Record(f"r{number}", f"/r{number}", "", status="failed"))
             return store.options.scan.voxel

@@ -15,7 +15,8 @@ from pcretrieve.scan import clean
 from pcretrieve.types import FloatArray, PointCloud
 
 OPTIONS = ScanOptions()
-COARSE = ScanOptions(voxel=0.02)
+VOXEL = 0.02
+COARSE = ScanOptions(voxel=VOXEL)
 BODY = PointCloud(shapes.points_on(shapes.body(3), 6000))
 
 
@@ -31,10 +32,16 @@ def notes(cloud: PointCloud) -> tuple[str, ...]:
 
 def test_one_point_is_left_of_each_voxel_and_none_moves_beyond_it() -> None:
     thinned = clean(BODY, COARSE)
-    cell = COARSE.voxel * BODY.diagonal
+    cell = VOXEL * BODY.diagonal
     assert gaps(BODY.points, thinned.points).max() <= np.sqrt(3) * cell
     assert thinned.provenance[-1].sizes["points_thinned"] < 0.5 * len(BODY.points)
     assert np.quantile(gaps(thinned.points, BODY.points), 0.99) <= np.sqrt(3) * cell
+
+
+def test_dense_clouds_are_averaged_and_others_keep_their_points() -> None:
+    few, many = (shapes.oriented_points_on(shapes.ellipsoid(), n, noise=0.001) for n in (10_000, 200_000))
+    assert len(clean(few, OPTIONS).points) > 0.9 * len(few.points)
+    assert len(clean(many, OPTIONS).points) < 0.6 * len(many.points)
 
 
 def test_without_a_voxel_every_inlier_is_kept_as_it_is() -> None:
@@ -76,7 +83,7 @@ def test_each_point_keeps_a_sensor_that_saw_its_voxel() -> None:
     left = BODY.points[:, 0] < 0
     sensors = np.where(left[:, None], [-9.0, 0, 0], [9.0, 0, 0])
     cleaned = clean(replace(BODY, viewpoints=sensors), COARSE)
-    cell = COARSE.voxel * BODY.diagonal
+    cell = VOXEL * BODY.diagonal
     clear = np.abs(cleaned.points[:, 0]) > cell
     assert cleaned.viewpoints is not None
     np.testing.assert_array_equal(cleaned.viewpoints[clear, 0], 9 * np.sign(cleaned.points[clear, 0]))

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import shapes
 
-from pcretrieve.scan.outside import Grid, flood, spacing
+from pcretrieve.scan.outside import Grid, flood
 from pcretrieve.types import FloatArray
 
 RADIUS = 1.0
@@ -85,13 +85,3 @@ def test_a_grid_holds_its_points_with_room_to_spare() -> None:
     centres = index.T * grid.cell + grid.origin
     assert np.abs(points - centres).max() <= 0.05 + 1e-12
     np.testing.assert_allclose(grid.coordinates(centres), index.T, atol=1e-9)
-
-
-def test_regular_and_random_samplings_have_the_same_spacing() -> None:
-    side, n = 0.02, 50
-    i, j = np.indices((n, n)).reshape(2, -1)
-    plane = np.zeros(n * n)
-    regular = side * np.column_stack([i, j, plane])
-    scattered = np.random.default_rng(0).random((n * n, 3)) * [side * n, side * n, 0]
-    assert spacing(regular) == pytest.approx(side, rel=0.15)
-    assert spacing(scattered) == pytest.approx(side, rel=0.15)
