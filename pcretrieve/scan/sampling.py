@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from pcretrieve.types import FloatArray
 
@@ -25,6 +24,8 @@ def spacing(points: FloatArray) -> float:
     Measured by the circle that holds the `COMPANY` nearest neighbours, so that a regular and a random
     sampling of the same density give the same.
     """
+    from scipy.spatial import cKDTree
+
     k = min(COMPANY, len(points) - 1)
     distance, _ = cKDTree(points).query(_some(points), k=[k + 1])
     return float(np.sqrt(np.pi / k) * np.median(distance))
@@ -35,6 +36,8 @@ def noise(points: FloatArray) -> float:
 
     About .8 of the standard deviation of each coordinate where points are scattered in all directions.
     """
+    from scipy.spatial import cKDTree
+
     k = min(IN_PLANE + 1, len(points))
     _, near = cKDTree(points).query(_some(points), k=k)
     offsets = points[near] - points[near].mean(axis=1, keepdims=True)  # (m, k, 3)
