@@ -51,7 +51,7 @@ def filled(mesh: TriangleMesh, grid: Grid) -> tuple[Mask, Voxels]:
 
 @njit(cache=True)
 def _cross(at: FloatArray, faces: NDArray[np.int32], crossings: Voxels, odd: Mask) -> None:
-    """Note the crossings along each axis; `odd` turns in the cell that follows one along the last."""
+    """Note the crossings along each axis; `odd` turns in the first cell after each one along the last."""
     shape = odd.shape
     place = np.zeros(3, dtype=np.int64)
     for f in range(len(faces)):
@@ -79,12 +79,13 @@ def _cross(at: FloatArray, faces: NDArray[np.int32], crossings: Voxels, odd: Mas
                     s = ((x - a[i]) * k - g * (y - a[j])) / area
                     t = (e * (y - a[j]) - (x - a[i]) * h) / area
                     along = a[axis] + s * (b[axis] - a[axis]) + t * (c[axis] - a[axis])
-                    place[axis], place[i], place[j] = int(np.floor(along)), u, v
-                    if place[axis] < 0 or place[axis] >= shape[axis] - 1:
-                        continue
-                    crossings[axis, place[0], place[1], place[2]] = along - np.floor(along)
-                    if axis == 2:
-                        odd[place[0], place[1], place[2] + 1] ^= True
+                    below = int(np.floor(along))
+                    if axis == 2 and below < shape[2] - 1:
+                        # What is crossed before the grid begins turns all of it.
+                        odd[u, v, max(0, below + 1)] ^= True
+                    if 0 <= below < shape[axis] - 1:
+                        place[axis], place[i], place[j] = below, u, v
+                        crossings[axis, place[0], place[1], place[2]] = along - below
 
 
 @njit(cache=True)

@@ -45,7 +45,14 @@ def test_crossings_lie_on_the_surface() -> None:
         np.testing.assert_allclose(np.abs(places - centre).sum(axis=1), RADIUS, atol=1e-3)
 
 
-def test_border_is_never_inside() -> None:
-    inside, _ = filled(octahedron(np.array([3.0, 12.0, 12.0])), GRID)
-    assert inside.any()
-    assert not inside[0].any()
+@pytest.mark.parametrize("axis", range(3))
+@pytest.mark.parametrize("end", [3.31, 19.62])
+def test_what_sticks_out_of_the_grid_is_cut_off_at_its_border(axis: int, end: float) -> None:
+    centre = np.full(3, 12.27)
+    centre[axis] = end
+    inside, _ = filled(octahedron(centre), GRID)
+    cells = np.moveaxis(np.indices(GRID.shape), 0, -1)
+    solid = np.abs(cells - centre).sum(axis=-1) < RADIUS
+    for side in (0, -1):
+        solid[side] = solid[:, side] = solid[:, :, side] = False
+    np.testing.assert_array_equal(inside, solid)
