@@ -37,7 +37,7 @@ __all__ = [
 
 # Raised whenever the code, rather than an option, moves a signature: old catalogues must not mix with new
 # numbers. CHANGELOG, "Changed numbers", says what moved.
-NUMBERS_VERSION = 6
+NUMBERS_VERSION = 7
 
 Share = Annotated[float, Field(ge=0, le=1)]
 Length = Annotated[float, Field(ge=0, lt=1)]
@@ -222,6 +222,10 @@ class SignatureOptions(_Options):
     as the papers do), or the unit of the file (absolute). The first two are the same for bodies of one form
     and two sizes; the last needs files of one unit, which in most collections they are not. R-BiHDM retrieves
     better by area, but relative where many values are PCA whitened."""
+    size_weight: Annotated[float, Field(ge=0, le=20)] = 0.0
+    """Weight of the size of bodies beside their form: the descriptor gets one value more, the area of the
+    surface to this power. 0 leaves size out; with 6, bodies whose areas are a sixth apart are 1 apart. Like
+    the scale absolute it needs files of one unit, and it is the better of the two."""
 
     @field_validator("method")
     @classmethod
@@ -308,8 +312,9 @@ class PipelineOptions(_Options):
 
 # What differs from the default for scans of a common source.
 PRESETS: dict[str, dict[str, dict[str, Any]]] = {
-    # A ring of cameras round a person, who has no handles: wherever limbs touch they are cut apart.
-    "body-scanner": {"surface": {"genus": "sphere"}},
+    # A ring of cameras round a person, who has no handles: wherever limbs touch they are cut apart. All scans
+    # have the scanner's unit, so that size tells people apart too.
+    "body-scanner": {"surface": {"genus": "sphere"}, "signature": {"size_weight": 6.0}},
     # Walked round by hand: strays, and holes wherever the walk did not lead.
     "handheld": {
         "scan": {"outlier_std": 1.5, "flood_gap": 0.03},

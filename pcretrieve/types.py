@@ -407,7 +407,7 @@ class Describable(Protocol):
     mesh : TriangleMesh
         The surface, in the unit of the file.
     others : tuple of ModalSpectrum
-        Of further surfaces made of the same scan, each scaled to unit area.
+        Of further surfaces made of the same scan, each scaled as the first one was.
     """
 
     @property
@@ -427,7 +427,8 @@ class Signature(_Value):
     Attributes
     ----------
     values : (L,) float64
-        Positive; dimensionless, but for the scale ``absolute``. In the order that its method states.
+        Positive; dimensionless, but for the scale ``absolute``. In the order that its method states; where
+        size has a weight, its value comes last.
     kind : str
         The method that made it, such as ``r-bihdm``.
     digest : str

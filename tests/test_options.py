@@ -52,7 +52,13 @@ OTHER: dict[str, dict[str, Any]] = {
         "max_change": 0.2,
     },
     "spectral": {"element": "cubic", "n_pairs": 91},
-    "signature": {"method": "shape-dna", "n_values": 30, "n_modes": 70, "scale": "absolute"},
+    "signature": {
+        "method": "shape-dna",
+        "n_values": 30,
+        "n_modes": 70,
+        "scale": "absolute",
+        "size_weight": 2.5,
+    },
 }
 
 
@@ -163,6 +169,8 @@ def test_a_missing_file(tmp_path: Path) -> None:
         ("signature", "n_values", 0),
         ("signature", "n_modes", 1),
         ("signature", "scale", "unit"),
+        ("signature", "size_weight", -1),
+        ("signature", "size_weight", 21),
     ],
 )
 def test_values_that_cannot_be(stage: str, name: str, bad: object) -> None:

@@ -79,7 +79,8 @@ def inspect_scan(scan: object, options: PipelineOptions | None = None, *, n_resc
     InputError
         If `scan` is nothing that a scan can be made of, or `n_rescans` is 1 or negative.
     """
-    options = options or PipelineOptions()
+    # The form alone: in its picture, a size in the unit of the file would dwarf all other values.
+    options = (options or PipelineOptions()).changed(signature={"size_weight": 0})
     if n_rescans:
         _check_rescans(n_rescans, RESCAN_SHARE)
     path = printable(scan) if isinstance(scan, (str, Path)) else ""

@@ -110,6 +110,7 @@ def retrieval_page(
             "classes": str(n_classes),
             "signature": f"{table.kind}, {table.values.shape[1]} values",
             "scale": options.scale,
+            "weight of size": f"{options.size_weight:g}",
             "distance": distance,
             "whitening": whitening,
         },

@@ -74,7 +74,7 @@ class Shape:
     area : float
         Of that surface; unit length² of the file.
     others : tuple of ModalSpectrum
-        Of the other surfaces that were made of the scan, each scaled to unit area.
+        Of the other surfaces that were made of the scan, each scaled as the first one was.
     """
 
     mesh: TriangleMesh
@@ -231,7 +231,7 @@ def described_shape(seen: Seen, options: PipelineOptions) -> Shape:
         raise TypeError("there is a surface after the last stage")
     started = time.perf_counter()
     spectrum, facts = _spectrum(mesh, options)
-    others = tuple(_spectrum(other, options)[0] for other in seen.others)
+    others = tuple(_spectrum(other, options)[0].scaled(other.area / mesh.area) for other in seen.others)
     before = 0 if seen.cloud is None else len(seen.cloud.provenance)
     steps = [step for other in seen.others for step in other.provenance[before:]]
     step = Step("spectrum", time.perf_counter() - started, facts)

@@ -17,7 +17,7 @@ CREATE TABLE IF NOT EXISTS shapes (
     n_vertices     INTEGER,
     n_faces        INTEGER,
     euler          INTEGER,
-    eigenvalues    BLOB,            -- (s, k) of each of its surfaces, scaled to unit area
+    eigenvalues    BLOB,            -- (s, k) of each of its surfaces, and areas (s,), where the first has 1
     moments        BLOB,            -- (s, k, k) ⟨φ_i², φ_j⟩ of the same, and overlaps ⟨φ_i², φ_j²⟩
     signature      BLOB,            -- (L,) by the options of this catalogue
     mesh           BLOB,            -- vertices and faces, unit length of the file

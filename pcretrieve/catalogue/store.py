@@ -103,7 +103,10 @@ class Catalogue:
                 "n_vertices": len(mesh.vertices),
                 "n_faces": len(mesh.faces),
                 "euler": mesh.euler_characteristic,
-                "eigenvalues": _packed(values=np.stack([s.eigenvalues for s in spectra])),
+                "eigenvalues": _packed(
+                    values=np.stack([s.eigenvalues for s in spectra]),
+                    areas=np.array([s.area for s in spectra]),
+                ),
                 "moments": _packed(
                     values=np.stack([s.moments for s in spectra]),
                     overlaps=np.stack([s.known_overlaps() for s in spectra]),
@@ -162,16 +165,16 @@ class Catalogue:
         return TriangleMesh(arrays["vertices"], arrays["faces"], self.record(shape_id).steps)
 
     def spectra(self, shape_id: str) -> tuple[ModalSpectrum, ...]:
-        """The spectra of a shape's surfaces, each scaled to unit area; that of its mesh is the first."""
-        eigenvalues = np.atleast_2d(self._arrays("eigenvalues", shape_id)["values"])  # (s, k)
-        arrays = self._arrays("moments", shape_id)
+        """The spectra of a shape's surfaces, that of its mesh first, in the unit in which that has area 1."""
+        spectra, arrays = self._arrays("eigenvalues", shape_id), self._arrays("moments", shape_id)
+        eigenvalues = np.atleast_2d(spectra["values"])  # (s, k)
         n, k = eigenvalues.shape
-        # Earlier versions stored one surface, and no overlaps.
+        # Earlier versions stored one surface; or no overlaps; or no areas, each surface scaled to one.
+        areas = spectra.get("areas", np.ones(n)).tolist()
         moments = arrays["values"].reshape(n, k, k)
         overlaps = arrays["overlaps"].reshape(n, k, k) if "overlaps" in arrays else [None] * n
         return tuple(
-            ModalSpectrum(values, moment, area=1.0, overlaps=overlap)
-            for values, moment, overlap in zip(eigenvalues, moments, overlaps, strict=True)
+            ModalSpectrum(*of_one) for of_one in zip(eigenvalues, moments, areas, overlaps, strict=True)
         )
 
     def shape(self, shape_id: str) -> StoredShape:

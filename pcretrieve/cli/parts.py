@@ -24,6 +24,7 @@ __all__ = [
     "n_values_option",
     "say",
     "scale_option",
+    "size_weight_option",
     "step_lines",
     "surface_option",
     "whitening_option",
@@ -97,6 +98,15 @@ scale_option = click.option(
     "files, which keeps the size of bodies. By area R-BiHDM retrieves better (mAP on SHREC'11 .978 to .970), "
     "but not 45 values PCA whitened (.982 to .986): --whitening pca takes relative values in place of a "
     "catalogue's by area, unless this option is given.  [default: area, or the catalogue's]",
+)
+
+
+size_weight_option = click.option(
+    "--size-weight",
+    type=click.FloatRange(min=0, max=20),
+    metavar="W",
+    help="Weigh the size of bodies beside their form, where all files have one unit: one value more, their "
+    "area to this power. 6 is best for people.  [default: 0, none, or the catalogue's]",
 )
 
 

@@ -16,6 +16,7 @@ from pcretrieve.cli.parts import (
     n_values_option,
     say,
     scale_option,
+    size_weight_option,
     whitening_option,
     write_json,
 )
@@ -27,6 +28,10 @@ if TYPE_CHECKING:
 
 __all__ = ["evaluate_command", "query_command", "report_command"]
 
+# Bodies whose areas differ by more than this may be in different units: from a mouse to a horse it is less,
+# from centimetres to metres more.
+MIXED_UNITS = 3000
+
 
 @click.command("query")
 @click.argument("scan", type=click.Path(path_type=Path))
@@ -37,6 +42,7 @@ __all__ = ["evaluate_command", "query_command", "report_command"]
 @method_option
 @n_values_option
 @scale_option
+@size_weight_option
 @json_option
 def query_command(
     scan: Path,
@@ -47,6 +53,7 @@ def query_command(
     method: str | None,
     n_values: int | None,
     scale: str | None,
+    size_weight: float | None,
     as_json: bool,
 ) -> None:
     """The shapes most like a scan, nearest first.
@@ -60,7 +67,7 @@ def query_command(
     from pcretrieve.catalogue import Catalogue
 
     with Catalogue(catalogue) as store:
-        options = _signature_options(store, method, n_values, scale, whitening)
+        options = _signature_options(store, whitening, method, n_values, scale, size_weight)
         neighbors = search(store, scan, k=k, distance=distance, whitening=whitening, options=options)
         records = [store.record(shape_id) for shape_id in neighbors.ids]
     found = [
@@ -87,6 +94,7 @@ def query_command(
 @method_option
 @n_values_option
 @scale_option
+@size_weight_option
 @json_option
 def evaluate_command(
     catalogue: Path,
@@ -96,6 +104,7 @@ def evaluate_command(
     method: str | None,
     n_values: int | None,
     scale: str | None,
+    size_weight: float | None,
     as_json: bool,
 ) -> None:
     """Retrieval measures of a labelled catalogue: NN, FT, ST, E, DCG, mAP.
@@ -111,7 +120,7 @@ def evaluate_command(
     from pcretrieve.retrieval import resolution_whitening
 
     with Catalogue(catalogue) as store:
-        options = _signature_options(store, method, n_values, scale, whitening)
+        options = _signature_options(store, whitening, method, n_values, scale, size_weight)
         table, failed = _labelled(store, labels, options)
         used = resolution_whitening(options) if whitening == "resolution" else whitening
         measures = evaluate(table, distance=distance, whitening=used, failed_labels=failed)
@@ -121,6 +130,7 @@ def evaluate_command(
         "method": table.kind,
         "n_values": table.values.shape[1],
         "scale": options.scale,
+        "size_weight": options.size_weight,
         "distance": distance,
         "whitening": whitening,
     }
@@ -132,7 +142,7 @@ def evaluate_command(
     click.echo("  ".join(f"{document[name]:6.4f}" for name in names))
     say(
         f"{measures.n_queries} queries in {len(table)} shapes, {len(failed)} failed ones count as misses; "
-        f"scale {options.scale}"
+        f"scale {options.scale}" + (f", size weight {options.size_weight:g}" if options.size_weight else "")
     )
 
 
@@ -155,6 +165,7 @@ def evaluate_command(
 @method_option
 @n_values_option
 @scale_option
+@size_weight_option
 def report_command(
     catalogue: Path,
     output: Path,
@@ -165,6 +176,7 @@ def report_command(
     method: str | None,
     n_values: int | None,
     scale: str | None,
+    size_weight: float | None,
 ) -> None:
     """An HTML page: retrieval measures, and pictures of queries and their ranked results.
 
@@ -184,13 +196,18 @@ def report_command(
             k=k,
             distance=distance,
             whitening=whitening,
-            options=_signature_options(store, method, n_values, scale, whitening),
+            options=_signature_options(store, whitening, method, n_values, scale, size_weight),
         )
     click.echo(str(page))
 
 
 def _signature_options(
-    store: Catalogue, method: str | None, n_values: int | None, scale: str | None, whitening: str
+    store: Catalogue,
+    whitening: str,
+    method: str | None,
+    n_values: int | None,
+    scale: str | None,
+    size_weight: float | None,
 ) -> SignatureOptions:
     """The catalogue's own, with what the command line names in its place.
 
@@ -198,9 +215,17 @@ def _signature_options(
     """
     if scale is None and whitening == "pca" and store.options.signature.scale == "area":
         scale = "relative"
-    given = {"method": method, "n_values": n_values, "scale": scale}
+    given = {"method": method, "n_values": n_values, "scale": scale, "size_weight": size_weight}
     chosen = {name: value for name, value in given.items() if value is not None}
-    return store.options.changed(signature=chosen).signature
+    options = store.options.changed(signature=chosen).signature
+    if options.size_weight or options.scale == "absolute":
+        areas = [record.area for record in store.records() if record.area]
+        if areas and max(areas) > MIXED_UNITS * min(areas):
+            say(
+                f"the largest body in {store.path} has {max(areas) / min(areas):.0f} times the area of the "
+                "smallest: size tells them apart only if all files have one unit"
+            )
+    return options
 
 
 def _labelled(

@@ -19,6 +19,7 @@ from pcretrieve.cli.parts import (
     n_values_option,
     say,
     scale_option,
+    size_weight_option,
     step_lines,
     surface_option,
     write_json,
@@ -99,6 +100,7 @@ def reconstruct_command(
     "--n-modes", type=click.IntRange(min=2), metavar="M", help="Modes of the surface.  [default: 60]"
 )
 @scale_option
+@size_weight_option
 @config_option
 @surface_option
 @json_option
@@ -109,6 +111,7 @@ def signature_command(
     n_values: int | None,
     n_modes: int | None,
     scale: str | None,
+    size_weight: float | None,
     config: Path | None,
     surface: str | None,
     as_json: bool,
@@ -128,7 +131,13 @@ def signature_command(
         raise click.UsageError("a catalogue has options of its own: leave out --config and --surface")
     if from_catalogue is None and not paths:
         raise click.UsageError("name at least one scan")
-    given = {"method": method, "n_values": n_values, "n_modes": n_modes, "scale": scale}
+    given = {
+        "method": method,
+        "n_values": n_values,
+        "n_modes": n_modes,
+        "scale": scale,
+        "size_weight": size_weight,
+    }
     chosen = {name: value for name, value in given.items() if value is not None}
     if from_catalogue is not None:
         rows = _of_catalogue(from_catalogue, paths, chosen)

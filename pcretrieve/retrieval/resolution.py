@@ -63,7 +63,8 @@ def resolution_whitening(
     Returns
     -------
     Whitening
-        Its s leaves the mean square length of differences that know no direction as it was.
+        Its s leaves the mean square length of differences that know no direction as it was. The value that
+        is the size, where that has a weight, stays what it is.
 
     Raises
     ------
@@ -86,5 +87,9 @@ def resolution_whitening(
     covariance = change.T @ change / len(change)
     largest = np.linalg.eigvalsh(covariance)[-1]
     root = inverse_square_root(covariance + damping * largest * np.eye(len(covariance)))
-    scale = np.sqrt(len(root) / np.trace(root @ root))
-    return Whitening("resolution", logs.mean(axis=(0, 1)), scale * root, len(change), damping, options_digest)
+    root *= np.sqrt(len(root) / np.trace(root @ root))
+    mean = logs.mean(axis=(0, 1))
+    if options.size_weight:
+        root, mean = np.pad(root, (0, 1)), np.append(mean, 0.0)
+        root[-1, -1] = 1
+    return Whitening("resolution", mean, root, len(change), damping, options_digest)

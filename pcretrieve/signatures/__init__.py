@@ -80,7 +80,8 @@ def describe(shape: Describable, options: SignatureOptions) -> Signature:
     """The descriptor that `options` names.
 
     Where a scan was made into several surfaces, values are the geometric mean of theirs. Descriptors in
-    `OF_MESH` describe the first surface alone.
+    `OF_MESH` describe the first surface alone. Where size has a weight w, the last value is area^w, unit
+    length^(2w) of the file.
 
     Raises
     ------
@@ -93,7 +94,8 @@ def describe(shape: Describable, options: SignatureOptions) -> Signature:
     if options.method in OF_MESH or not shape.others:
         return made
     others = [
-        _one(_Rebuilt(spectrum, shape.area, shape.mesh, ()), options).values for spectrum in shape.others
+        _one(_Rebuilt(other.scaled(1.0), shape.area * other.area, shape.mesh, ()), options).values
+        for other in shape.others
     ]
     logs = np.log([made.values, *others])
     return replace(made, values=np.exp(logs.mean(axis=0)), deviation=logs.std(axis=0, ddof=1))
@@ -110,7 +112,10 @@ class _Rebuilt(NamedTuple):
 
 def _one(shape: Describable, options: SignatureOptions) -> Signature:
     method = METHODS.get(options.method)
-    return method(shape, options) if method else _added(shape, options)
+    made = method(shape, options) if method else _added(shape, options)
+    if not options.size_weight:
+        return made
+    return replace(made, values=np.append(made.values, shape.area**options.size_weight))
 
 
 def _added(shape: Describable, options: SignatureOptions) -> Signature:

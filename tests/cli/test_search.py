@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import re
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
@@ -113,3 +113,43 @@ def test_a_catalogue_that_stored_relative_keeps_it(catalogue: Path) -> None:
         stored, anew = store.signatures(), store.signatures(SignatureOptions(scale=own(catalogue)))
     np.testing.assert_array_equal(stored.values, anew.values)
     assert catalogue.parent.name.startswith(own(catalogue))
+
+
+def test_size_tells_bodies_of_one_form_apart(tmp_path: Path) -> None:
+    """A small and a large one of each of two forms, seen by form, and by form and size."""
+    scans = []
+    for name, length, size in (("a", 1.2, 1.0), ("b", 1.2, 1.3), ("c", 1.3, 1.0), ("d", 1.3, 1.3)):
+        mesh = shapes.ellipsoid((1, 1, length), subdivisions=3)
+        scans.append(tmp_path / f"{name}.off")
+        write_mesh(replace(mesh, vertices=mesh.vertices * size), scans[-1])
+    path = tmp_path / "c.sqlite"
+    with Catalogue(path, PipelineOptions(), create=True) as store:
+        ingest(scans, store)
+
+    def nearest(*chosen: object) -> str:
+        return str(json.loads(run("query", "-c", path, scans[0], *chosen, "--json").stdout)[1]["id"])
+
+    assert nearest() == "b"
+    assert nearest("--size-weight", 6) == "c"
+    with Catalogue(path) as store:
+        areas = {record.id: record.area for record in store.records()}
+        assert areas["a"] is not None
+        sized = store.signatures(SignatureOptions(size_weight=6))
+    assert sized.values[0, -1] == pytest.approx(areas["a"] ** 6)
+    said = run("query", "-c", path, scans[0], "--size-weight", 6).stderr
+    assert said == "", "they are all of one unit"
+
+
+def test_mixed_units_are_noticed_where_size_counts(tmp_path: Path) -> None:
+    scans = []
+    for name, unit in (("metres", 1.0), ("millimetres", 1000.0)):
+        mesh = shapes.ellipsoid((1, 1, 1.2), subdivisions=3)
+        scans.append(tmp_path / f"{name}.off")
+        write_mesh(replace(mesh, vertices=mesh.vertices * unit), scans[-1])
+    path = tmp_path / "c.sqlite"
+    with Catalogue(path, PipelineOptions(), create=True) as store:
+        ingest(scans, store)
+    assert run("query", "-c", path, scans[0]).stderr == ""
+    for chosen in (("--size-weight", 1), ("--scale", "absolute")):
+        said = run("query", "-c", path, scans[0], *chosen).stderr
+        assert "1000000 times the area of the smallest: size tells them apart only if all files have" in said

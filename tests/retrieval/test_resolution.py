@@ -65,6 +65,13 @@ def test_values_by_area_are_what_the_sample_holds() -> None:
     np.testing.assert_allclose(np.log(relative), logs[:60] - logs[60], rtol=1e-9, atol=1e-12)
 
 
+def test_size_stays_what_it_is() -> None:
+    logs = np.random.default_rng(0).normal(size=(5, 24))
+    form = resolution_whitening(SignatureOptions()).apply(logs[:, :-1])
+    sized = resolution_whitening(SignatureOptions(size_weight=6)).apply(logs)
+    np.testing.assert_allclose(sized, np.column_stack([form, logs[:, -1]]), rtol=1e-12)
+
+
 @pytest.mark.parametrize("given", [{"method": "shape-dna"}, {"n_modes": 50}, {"scale": "absolute"}])
 def test_signatures_that_were_not_measured(given: dict[str, str | int]) -> None:
     options = SignatureOptions.model_validate(given)

@@ -15,7 +15,17 @@ from pcretrieve.batch.pipeline import Shape, process
 from pcretrieve.errors import DegenerateMeshError, OptionError, SpectrumError
 from pcretrieve.options import METHODS as NAMES
 from pcretrieve.options import SIZELESS, PipelineOptions, SignatureOptions, signature_methods
-from pcretrieve.signatures import METHODS, bihdm, combined, describe, r_bihdm, sd_gdm, shape_dna, wks
+from pcretrieve.signatures import (
+    METHODS,
+    OF_MESH,
+    bihdm,
+    combined,
+    describe,
+    r_bihdm,
+    sd_gdm,
+    shape_dna,
+    wks,
+)
 from pcretrieve.signatures.sd_gdm import geodesic_matrix
 from pcretrieve.types import FloatArray, Signature, TriangleMesh
 
@@ -202,3 +212,18 @@ def test_a_shape_of_several_surfaces_is_described_by_their_mean() -> None:
     assert both.deviation is not None
     np.testing.assert_allclose(both.deviation, np.abs(logs[0] - logs[1]) / np.sqrt(2), atol=1e-12)
     assert describe(body(), options).deviation is None
+
+
+def test_size_is_one_value_more_beside_the_form(method: str) -> None:
+    longer = process(shapes.ellipsoid((1, 1, 1.4), subdivisions=3), PipelineOptions())
+    shape = Shape(body().mesh, body().spectrum, 3.0, (longer.spectrum.scaled(1.1),))
+    options = SignatureOptions(method=method, n_values=N_VALUES)
+    form, sized = describe(shape, options), describe(shape, options.model_copy(update={"size_weight": 6.0}))
+    np.testing.assert_array_equal(sized.values[:-1], form.values)
+    areas = 6 * np.log([3.0, 3.0 if method in OF_MESH else 3.3])
+    assert np.log(sized.values[-1]) == pytest.approx(areas.mean())
+    if method in OF_MESH:
+        assert sized.deviation is None
+    else:
+        assert sized.deviation is not None
+        assert sized.deviation[-1] == pytest.approx(areas.std(ddof=1))
