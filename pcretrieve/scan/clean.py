@@ -6,6 +6,7 @@ import time
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pcretrieve.adapters import open3d
 from pcretrieve.errors import ReconstructionError
@@ -85,18 +86,23 @@ def _without_far_points(cloud: PointCloud) -> tuple[PointCloud, tuple[str, ...]]
 
 def _thinned(cloud: PointCloud, voxel: float | str) -> PointCloud:
     if isinstance(voxel, str):
-        averaged = _averaged(cloud, DENSE_VOXEL * cloud.diagonal)
-        if len(cloud.points) >= DENSE * len(averaged.points):
-            return averaged
-        voxel = VOXEL
+        n_voxels = len(np.unique(_voxels(cloud.points, DENSE_VOXEL * cloud.diagonal)))
+        voxel = DENSE_VOXEL if len(cloud.points) >= DENSE * n_voxels else VOXEL
     return _averaged(cloud, voxel * cloud.diagonal) if voxel else cloud
 
 
-def _averaged(cloud: PointCloud, cell: float) -> PointCloud:
-    index = np.floor((cloud.points - cloud.points.min(axis=0)) / cell).astype(np.int64)  # (n, 3)
+def _voxels(points: FloatArray, edge: float) -> NDArray[np.int64]:
+    """(n,) number of the voxel that each point lies in."""
+    index = np.floor((points - points.min(axis=0)) / edge).astype(np.int64)  # (n, 3)
     sides = index.max(axis=0) + 1
-    key = (index[:, 0] * sides[1] + index[:, 1]) * sides[2] + index[:, 2]  # (n,)
-    _, first, group, counts = np.unique(key, return_index=True, return_inverse=True, return_counts=True)
+    number: NDArray[np.int64] = (index[:, 0] * sides[1] + index[:, 1]) * sides[2] + index[:, 2]
+    return number
+
+
+def _averaged(cloud: PointCloud, edge: float) -> PointCloud:
+    _, first, group, counts = np.unique(
+        _voxels(cloud.points, edge), return_index=True, return_inverse=True, return_counts=True
+    )
 
     def average(values: FloatArray) -> FloatArray:
         sums = [np.bincount(group, weights=values[:, axis]) for axis in range(3)]
