@@ -170,10 +170,12 @@ def test_two_bodies_are_refused() -> None:
 
 
 @pytest.mark.parametrize("name", ["ball", "ellipsoid", "body"])
-def test_a_scan_of_one_side_is_refused(name: str) -> None:
+@pytest.mark.parametrize("axis", [0, 1, 2])
+@pytest.mark.parametrize("side", [1, -1])
+def test_a_scan_of_one_side_is_refused(name: str, axis: int, side: int) -> None:
     cloud = cloud_of(name)
     with pytest.raises(ReconstructionError, match="the points must surround a body"):
-        surface(cloud.select(cloud.points[:, 2] > 0))
+        surface(cloud.select(side * cloud.points[:, axis] > 0))
 
 
 def test_points_without_normals_are_refused() -> None:
