@@ -317,12 +317,16 @@ PRESETS: dict[str, dict[str, dict[str, Any]]] = {
     # with the size at the weights 3, 6 and 9.6 .912, .931, .925, and with volume^(2/3) at 6 .896; by the
     # absolute spectrum alone .872.
     "body-scanner": {"surface": {"genus": "sphere"}, "signature": {"size_weight": 6.0}},
-    # Walked round by hand: strays, and holes wherever the walk did not lead.
+    # Walked round by hand: strays, and holes wherever the walk did not lead. TOSCA from everywhere, 40 000
+    # points, noise .0015, ten holes of radius .03, 2 % strays: median log-signature error .63 -> .58, mAP
+    # .692 -> .712; but .765 -> .756 where nine cameras leave few holes.
     "handheld": {
         "scan": {"outlier_std": 1.5, "flood_gap": 0.03},
         "surface": {"gap": 0.03},
     },
-    # Frames of a depth sensor: noise of a third of a per cent and more.
+    # Frames of a depth sensor: noise of a third of a per cent and more. Every second mesh of TOSCA seen by
+    # nine cameras, 60 000 points, noise .005: median log-signature error 1.63 -> .82, mAP .538 -> .637, in
+    # 2.1 s instead of 3.7 s; with noise of .003 and 20 000 points mAP .703 -> .687.
     "depth-camera": {
         "scan": {"voxel": 0.004, "outlier_std": 1.5, "normal_neighbors": 30, "flood_gap": 0.03},
         "surface": {"cell": 0.006, "gap": 0.03},

@@ -5,8 +5,8 @@ on who was scanned. What that does to log-signatures has been measured once, on 
 hands: each was scanned, and rebuilt from cells of two sizes. Directions in which the two differ count less
 [1]_. Nothing is fitted to the shapes that are compared: one of them, or a million, get the same map.
 
-mAP without and with it, L = 23: TOSCA's clean meshes .960, .956; its scans .827, .865; easy scans .840, .863;
-scans with sensor positions .779, .806; SHREC'11 .978, .981 (L = 60: .979, .987). Where little but the girth
+mAP without and with it, L = 23: TOSCA's clean meshes .960, .956; its scans .820, .868; easy scans .858, .874;
+scans with sensor positions .780, .807; SHREC'11 .978, .981 (L = 60: .979, .987). Where little but the girth
 of limbs tells bodies apart it does harm, for that is what resolution changes too: ten simulated people .936,
 .848, and their scans .893, .815.
 
