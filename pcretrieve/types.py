@@ -203,9 +203,18 @@ class TriangleMesh(_Value):
         return bounding_diagonal(self.vertices)
 
     @property
+    def area_vectors(self) -> FloatArray:
+        """(m, 3) normals of the faces, as long as these are large, unit length².
+
+        Those of a closed surface add up to zero.
+        """
+        a, b, c = (self.vertices[self.faces[:, k]] for k in range(3))
+        return np.cross(b - a, c - a) / 2
+
+    @property
     def face_areas(self) -> FloatArray:
         """(m,) areas, unit length²."""
-        areas: FloatArray = np.linalg.norm(self._doubled_area_vectors(), axis=1) / 2
+        areas: FloatArray = np.linalg.norm(self.area_vectors, axis=1)
         return areas
 
     @property
@@ -227,7 +236,7 @@ class TriangleMesh(_Value):
         Means something for closed surfaces only.
         """
         corner = self.vertices[self.faces[:, 0]] - self.vertices.mean(axis=0)
-        return float(np.einsum("ij,ij->", corner, self._doubled_area_vectors()) / 6)
+        return float(np.einsum("ij,ij->", corner, self.area_vectors) / 3)
 
     @property
     def euler_characteristic(self) -> int:
@@ -235,10 +244,6 @@ class TriangleMesh(_Value):
         ends = self.faces.astype(np.int64), self.faces[:, [1, 2, 0]]  # (m, 3) each
         edges = np.minimum(*ends) * len(self.vertices) + np.maximum(*ends)  # (m, 3): a number for each pair
         return len(np.unique(self.faces)) - len(np.unique(edges)) + len(self.faces)
-
-    def _doubled_area_vectors(self) -> FloatArray:
-        a, b, c = (self.vertices[self.faces[:, k]] for k in range(3))
-        return np.cross(b - a, c - a)
 
     def after(self, step: Step) -> TriangleMesh:
         """The same surface, with one more step in its provenance."""

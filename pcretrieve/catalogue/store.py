@@ -174,7 +174,8 @@ class Catalogue:
         moments = arrays["values"].reshape(n, k, k)
         overlaps = arrays["overlaps"].reshape(n, k, k) if "overlaps" in arrays else [None] * n
         return tuple(
-            ModalSpectrum(*of_one) for of_one in zip(eigenvalues, moments, areas, overlaps, strict=True)
+            ModalSpectrum(values, moment, area=area, overlaps=overlap)
+            for values, moment, area, overlap in zip(eigenvalues, moments, areas, overlaps, strict=True)
         )
 
     def shape(self, shape_id: str) -> StoredShape:

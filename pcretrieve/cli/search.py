@@ -219,13 +219,17 @@ def _signature_options(
     chosen = {name: value for name, value in given.items() if value is not None}
     options = store.options.changed(signature=chosen).signature
     if options.size_weight or options.scale == "absolute":
-        areas = [record.area for record in store.records() if record.area]
-        if areas and max(areas) > MIXED_UNITS * min(areas):
-            say(
-                f"the largest body in {store.path} has {max(areas) / min(areas):.0f} times the area of the "
-                "smallest: size tells them apart only if all files have one unit"
-            )
+        _warn_of_mixed_units(store)
     return options
+
+
+def _warn_of_mixed_units(store: Catalogue) -> None:
+    areas = [record.area for record in store.records() if record.area]
+    if areas and max(areas) > MIXED_UNITS * min(areas):
+        say(
+            f"the largest body in {store.path} has {max(areas) / min(areas):.0f} times the area of the "
+            "smallest: size tells them apart only if all files have one unit"
+        )
 
 
 def _labelled(

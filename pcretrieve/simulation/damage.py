@@ -116,9 +116,8 @@ def _turned(vertices: FloatArray, faces: IntArray, rng: np.random.Generator) -> 
 
 def _vertex_normals(mesh: TriangleMesh) -> FloatArray:
     """(n, 3) unit normals of vertices: of the faces round them, weighted by area."""
-    a, b, c = (mesh.vertices[mesh.faces[:, k]] for k in range(3))
-    normals = np.zeros_like(mesh.vertices)
+    normals, of_faces = np.zeros_like(mesh.vertices), mesh.area_vectors
     for k in range(3):
-        np.add.at(normals, mesh.faces[:, k], np.cross(b - a, c - a))
+        np.add.at(normals, mesh.faces[:, k], of_faces)
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), np.finfo(float).tiny)
     return normals

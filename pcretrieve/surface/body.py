@@ -45,8 +45,8 @@ SMOOTHING = 8
 # Share of a surface that may be invented. Up to .18 the area was within a per cent, from .33 on it was wrong.
 MOST_INVENTED = 0.3
 
-# How far the invented part may lie on one side: the sum of its area vectors, relative to its area.
-# .04 for the dragon, a quarter of whose surface is invented in many places; .23 to .34 for halves of bodies.
+# How far the invented part may lie on one side, by `_one_sidedness`: .04 for the dragon, a quarter of whose
+# surface is invented in many places; .23 to .34 for halves of bodies.
 MOST_ONE_SIDED = 0.15
 
 # Cells are this many times as large as the noise of the points, within limits relative to the diagonal: small
@@ -159,11 +159,13 @@ def _body_surface(
         raise ReconstructionError(f"{len(cloud.points)} points enclose nothing")
     body, cuts = with_topology(inside, skins, outside, options, notes)
     known_distance = np.where(known, distance, np.nan)
-    mesh, invented, one_sided = _surface(body, inside, parted, known_distance, coarse_crossings, grid)
-    if invented > MOST_INVENTED or one_sided > MOST_ONE_SIDED:
+    mesh, is_invented = _surface(body, inside, parted, known_distance, coarse_crossings, grid)
+    invented = float(is_invented.mean())
+    one_sided = _one_sidedness(mesh, is_invented) > MOST_ONE_SIDED
+    if invented > MOST_INVENTED or one_sided:
         raise ReconstructionError(
             f"the points must surround a body, {invented:.0%} of its surface had to be invented"
-            f"{', on one side' if one_sided > MOST_ONE_SIDED else ''}: "
+            f"{', on one side' if one_sided else ''}: "
             "scan the sides that are missing, or merge this view with others"
         )
     final = simplified(mesh, options.target_faces)
@@ -216,9 +218,8 @@ def _coarse_surface(cloud: PointCloud, options: SurfaceOptions) -> TriangleMesh:
 
 def _surface(
     body: Mask, inside: Mask, parted: Mask, distance: Voxels, coarse_crossings: Voxels, grid: Grid
-) -> tuple[TriangleMesh, float, float]:
-    """The body's surface where the distance to the points is zero, the share of it that is invented, and how
-    far that lies on one side.
+) -> tuple[TriangleMesh, Mask]:
+    """The body's surface where the distance to the points is zero, and (n,) which vertices are invented.
 
     Invented are caps of holes, cuts and bridges: they are smoothed, and the rest is left where it is. So are
     skins that were parted, but points lie there: they do not count.
@@ -239,13 +240,20 @@ def _surface(
         unseen.append(~believed & ~parted[low] & ~parted[high])
     vertices, faces = marched(body, crossings)
     moved = smoothed(vertices, faces, np.flatnonzero(np.concatenate(invented)), SMOOTHING)
-    counted = np.zeros(len(vertices))
-    on_lines = np.concatenate(unseen)
-    counted[: len(on_lines)] = on_lines  # the few vertices after those lie inside cells
-    a, b, c = (moved[faces[:, k]] for k in range(3))
-    areas = np.cross(b - a, c - a)  # (m, 3): vectors of twice the area, outwards; they add up to zero
-    one_sided = np.linalg.norm(counted[faces].mean(axis=1) @ areas) / np.linalg.norm(areas, axis=1).sum()
-    return TriangleMesh(moved * grid.cell + grid.origin, faces), float(counted.mean()), float(one_sided)
+    counted = np.concatenate(unseen)
+    # The few vertices after those on lines lie inside cells.
+    counted = np.pad(counted, (0, len(vertices) - len(counted)))
+    return TriangleMesh(moved * grid.cell + grid.origin, faces), counted
+
+
+def _one_sidedness(mesh: TriangleMesh, invented: Mask) -> float:
+    """The sum of the area vectors of a part of a closed surface, relative to the whole area.
+
+    What is left of the surface has the opposite sum: 0 where it looks to all sides alike, 1/2 where it is
+    one side of a sheet.
+    """
+    share = invented[mesh.faces].mean(axis=1)  # (m,)
+    return float(np.linalg.norm(share @ mesh.area_vectors) / mesh.area)
 
 
 def _centres(cells: NDArray[np.intp], grid: Grid) -> FloatArray:
