@@ -115,7 +115,8 @@ def _one(shape: Describable, options: SignatureOptions) -> Signature:
     made = method(shape, options) if method else _added(shape, options)
     if not options.size_weight:
         return made
-    return replace(made, values=np.append(made.values, shape.area**options.size_weight))
+    # Another package's error bar, where it has one, does not cover the size.
+    return replace(made, values=np.append(made.values, shape.area**options.size_weight), deviation=None)
 
 
 def _added(shape: Describable, options: SignatureOptions) -> Signature:

@@ -227,3 +227,11 @@ def test_size_is_one_value_more_beside_the_form(method: str) -> None:
     else:
         assert sized.deviation is not None
         assert sized.deviation[-1] == pytest.approx(areas.std(ddof=1))
+
+
+def test_an_error_bar_of_another_package_does_not_cover_the_size(monkeypatch: pytest.MonkeyPatch) -> None:
+    theirs = Signature(np.ones(3), kind="theirs", deviation=np.full(3, 0.1))
+    monkeypatch.setitem(METHODS, "r-bihdm", lambda shape, options: theirs)
+    assert describe(body(), SignatureOptions()).deviation is theirs.deviation
+    sized = describe(body(), SignatureOptions(size_weight=1))
+    assert (len(sized.values), sized.deviation) == (4, None)
