@@ -6,6 +6,7 @@ import csv
 import glob
 import hashlib
 import io
+import logging
 import os
 from collections.abc import Collection, Mapping, Sequence
 from itertools import count
@@ -15,6 +16,8 @@ from pcretrieve.errors import InputError, ScanReadError
 from pcretrieve.scan import check_file, readers, view_paths
 
 __all__ = ["content_hash", "discover", "printable", "shape_ids"]
+
+logger = logging.getLogger(__name__)
 
 MANIFESTS = frozenset({".txt", ".csv"})
 PATH_COLUMNS = ("path", "file", "filename", "name")
@@ -117,13 +120,32 @@ def _expand(argument: str | Path) -> list[Path]:
 
 
 def _scans_below(path: Path) -> list[Path]:
-    """Everything that is named like a scan and not hidden; a broken link stays in, reading it will tell."""
-    found = sorted(path.rglob("[!.]*")) if path.is_dir() else [path]
-    return [scan for scan in found if scan.suffix.lower() in readers() and not scan.is_dir()]
+    """The files that are named like scans and are not hidden, of a folder those of all folders below it too.
+
+    A link that leads nowhere is among them: reading it gives a failed shape. A subfolder that may not be read
+    is passed over with a warning, because one (``lost+found``) is on every disk.
+    """
+
+    def pass_over(error: OSError) -> None:
+        folder = Path(error.filename)
+        if folder == path:
+            raise error
+        logger.warning("passed over the folder %s and all scans in it: %s", folder, error.strerror)
+
+    if path.is_dir():
+        below = os.walk(path, onerror=pass_over)
+        found = sorted(Path(folder, name) for folder, _, names in below for name in names)
+    else:
+        found = [path]
+    known = readers()
+    return [scan for scan in found if scan.suffix.lower() in known and not scan.name.startswith(".")]
 
 
 def _manifest(path: Path) -> list[Path]:
     try:
+        # Reading a pipe or a device may never end.
+        if path.exists() and not path.is_file():
+            raise InputError(f"the manifest {path} must be a regular file, not a pipe or a device")
         text = path.read_text(encoding="utf-8-sig")
     except (OSError, UnicodeDecodeError) as error:
         raise InputError(f"cannot read the manifest {path}: {error}") from error

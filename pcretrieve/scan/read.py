@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import stat
 import time
 from collections.abc import Callable
 from functools import cache
@@ -13,6 +12,7 @@ import numpy as np
 
 from pcretrieve.errors import InputError, ScanReadError
 from pcretrieve.scan import views
+from pcretrieve.scan.files import check_file
 from pcretrieve.scan.mesh_files import read_mesh
 from pcretrieve.scan.obj import read_obj
 from pcretrieve.scan.pcd import read_pcd
@@ -21,7 +21,7 @@ from pcretrieve.scan.raw import RawScan
 from pcretrieve.scan.text import read_pts, read_xyz, read_xyzn
 from pcretrieve.types import PointCloud, Step, TriangleMesh
 
-__all__ = ["check_file", "read_scan", "readers"]
+__all__ = ["read_scan", "readers"]
 
 # Beyond these, products of six lengths (squares of volumes) leave the range of float64.
 LARGEST_COORDINATE, SMALLEST_COORDINATE = 1e50, 1e-50
@@ -116,25 +116,6 @@ def _read(path: Path) -> RawScan:
         return reader(path)
     except OSError as error:
         raise ScanReadError(f"cannot read {path}: {error.strerror or error}") from error
-
-
-def check_file(path: Path) -> None:
-    """Whether there is something to read.
-
-    Raises
-    ------
-    OSError
-        If there is no such file.
-    ScanReadError
-        If it is no regular file (a pipe may never end), or empty.
-    """
-    status = path.stat()
-    if stat.S_ISDIR(status.st_mode):
-        raise ScanReadError(f"{path} is a folder, not a scan")
-    if not stat.S_ISREG(status.st_mode):
-        raise ScanReadError(f"{path} must be a regular file, not a pipe or a device: save the scan to a file")
-    if not status.st_size:
-        raise ScanReadError("the file is empty: scan or export it again")
 
 
 def _scan(raw: RawScan, *, started: float) -> PointCloud | TriangleMesh:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from pcretrieve.errors import ScanReadError
+from pcretrieve.scan.files import check_file
 from pcretrieve.scan.raw import RawScan
 from pcretrieve.scan.text import text_lines
 
@@ -15,6 +17,11 @@ __all__ = ["read_poses", "view_paths"]
 
 # bmesh FILE tx ty tz qx qy qz qw
 N_POSE_NUMBERS = 7
+
+# A sensor that goes round a body for half a minute at thirty frames a second takes 900 views.
+MOST_VIEWS = 1000
+# One line is about 100 bytes; the path of a view may be 4096 bytes long.
+MOST_CONF_BYTES = MOST_VIEWS * 4096
 
 # Far enough that its rays are all but parallel; in diagonals of the view.
 SENSOR_DISTANCE = 10.0
@@ -26,11 +33,29 @@ def read_poses(path: Path) -> list[tuple[Path, Rotation, np.ndarray]]:
     A point p of a view lies at R p + t in the common frame. R is the inverse of the quaternion that the
     file gives: with it the views of the Stanford scans meet, with the quaternion itself they do not.
 
+    Parameters
+    ----------
+    path : Path
+
     Returns
     -------
     list of (Path, Rotation, (3,) float64)
+        Each view once, `MOST_VIEWS` at most; translations in the unit of the views.
+
+    Raises
+    ------
+    OSError
+        If there is no such file.
+    ScanReadError
+        If it is not a regular file, not such a text, names no views, too many, or one of them twice.
     """
+    check_file(path)
+    if path.stat().st_size > MOST_CONF_BYTES:
+        raise ScanReadError(
+            f"a .conf file must have at most {MOST_CONF_BYTES} bytes, got {path.stat().st_size}"
+        )
     lines = text_lines(path)
+    named: dict[str, int] = {}
     poses = []
     for number, line in enumerate(lines, start=1):
         words = line.split()
@@ -45,7 +70,16 @@ def read_poses(path: Path) -> list[tuple[Path, Rotation, np.ndarray]]:
             raise ScanReadError(
                 f"line {number} must read `bmesh FILE tx ty tz qx qy qz qw`, seven finite numbers: {error}"
             ) from error
-        poses.append((path.parent / words[1], rotation, np.array(pose[:3])))
+        view = path.parent / words[1]
+        # The real path, so that a view cannot be named again through links.
+        earlier = named.setdefault(os.path.realpath(view), number)
+        if earlier != number:
+            raise ScanReadError(f"each view must be named once, lines {earlier} and {number} name {words[1]}")
+        if len(named) > MOST_VIEWS:
+            raise ScanReadError(
+                f"a .conf file must name at most {MOST_VIEWS} views: merge parts of the scan first"
+            )
+        poses.append((view, rotation, np.array(pose[:3])))
     if not poses:
         raise ScanReadError(
             "a .conf file must name its views by lines `bmesh FILE tx ty tz qx qy qz qw`, got none"
@@ -58,8 +92,8 @@ def view_paths(path: Path) -> list[Path]:
 
     Raises
     ------
-    ScanReadError
-        If it cannot be read, or is no such file.
+    OSError, ScanReadError
+        As `read_poses` does.
     """
     return [view for view, _, _ in read_poses(path)]
 

@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
 from pcretrieve.batch.discover import content_hash, discover, printable, shape_ids
 from pcretrieve.errors import InputError, ScanReadError
+
+# The user without rights, on Linux.
+NOBODY = 65534
 
 FILES = (
     "a.ply",
@@ -115,6 +119,41 @@ def test_what_means_no_scans(argument: str, words: str, folder: Path) -> None:
         discover([argument])
 
 
+def test_a_conf_that_never_ends_stops_nothing(folder: Path) -> None:
+    os.mkfifo(folder / "pipe.conf")
+    (folder / "endless.conf").symlink_to("/dev/zero")
+    assert names(".") == ["a.ply", "b.OBJ", "deep/c.xyz", "deep/er/d.off", "endless.conf", "pipe.conf"]
+
+
+@pytest.mark.parametrize("suffix", [".txt", ".csv"])
+def test_a_manifest_must_be_a_regular_file(suffix: str, folder: Path) -> None:
+    os.mkfifo(folder / f"pipe{suffix}")
+    (folder / f"endless{suffix}").symlink_to("/dev/zero")
+    for name in ("pipe", "endless"):
+        with pytest.raises(InputError, match=f"{name}.* must be a regular file"):
+            discover([f"{name}{suffix}"])
+
+
+@pytest.fixture
+def locked(folder: Path) -> Iterator[Path]:
+    """A subfolder that may not be read, also where root runs the tests."""
+    user = os.geteuid()
+    folder.chmod(0o755)
+    (folder / "deep" / "er").chmod(0)
+    if user == 0:
+        os.seteuid(NOBODY)
+    yield folder / "deep" / "er"
+    os.seteuid(user)
+    (folder / "deep" / "er").chmod(0o755)
+
+
+def test_a_folder_that_may_not_be_read_is_named(locked: Path, caplog: pytest.LogCaptureFixture) -> None:
+    assert names(".") == ["a.ply", "b.OBJ", "deep/c.xyz"]
+    with pytest.raises(InputError, match=r"cannot look into deep/er: Permission denied"):
+        discover(["deep/er"])
+    assert caplog.messages == ["passed over the folder deep/er and all scans in it: Permission denied"]
+
+
 # --- identity -------------------------------------------------------------------------------------------
 
 
@@ -142,6 +181,13 @@ def test_a_conf_changes_with_each_of_its_views(folder: Path) -> None:
         ("lost.conf", r"cannot read .*gone\.ply"),
         ("odd.conf", r"odd\.conf: line 1 must read"),
         ("link.conf", r"cannot read .*link\.conf"),
+        ("pipe.conf", r"pipe\.conf must be a regular file"),
+        ("endless.conf", r"endless\.conf must be a regular file"),
+        ("device.conf", r"endless\.ply must be a regular file"),
+        ("again.conf", r"again\.conf: each view must be named once, lines 1 and 3 name deep/\.\./a\.ply"),
+        ("linked.conf", r"linked\.conf: each view must be named once, lines 1 and 2 name alias\.ply"),
+        ("many.conf", r"many\.conf: a \.conf file must name at most 1000 views"),
+        ("long.conf", r"long\.conf: a \.conf file must have at most 4096000 bytes, got 4096001"),
     ],
 )
 def test_content_that_cannot_be_had(name: str, words: str, folder: Path) -> None:
@@ -150,6 +196,18 @@ def test_content_that_cannot_be_had(name: str, words: str, folder: Path) -> None
     (folder / "lost.conf").write_text("bmesh gone.ply 0 0 0 0 0 0 1\n")
     (folder / "odd.conf").write_text("bmesh a.ply 0\n")
     (folder / "link.conf").symlink_to("nowhere")
+    os.mkfifo(folder / "pipe.conf")
+    for suffix in ("conf", "ply"):
+        (folder / f"endless.{suffix}").symlink_to("/dev/zero")
+    (folder / "alias.ply").symlink_to("a.ply")
+    for conf, views in (
+        ("device", ["a.ply", "endless.ply"]),
+        ("again", ["a.ply", "b.OBJ", "deep/../a.ply"]),
+        ("linked", ["a.ply", "alias.ply"]),
+        ("many", [f"{k}.ply" for k in range(1001)]),
+    ):
+        (folder / f"{conf}.conf").write_text("".join(f"bmesh {view} 0 0 0 0 0 0 1\n" for view in views))
+    (folder / "long.conf").write_bytes(b"#" * 4_096_001)
     with pytest.raises(ScanReadError, match=words):
         content_hash(folder / name)
 
