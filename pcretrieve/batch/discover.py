@@ -9,9 +9,9 @@ import io
 import logging
 import os
 from collections.abc import Collection, Mapping, Sequence
-from itertools import count
 from pathlib import Path
 
+from pcretrieve.catalogue import numbered_id
 from pcretrieve.errors import InputError, ScanReadError
 from pcretrieve.scan import check_file, readers, view_paths
 
@@ -86,13 +86,17 @@ def shape_ids(paths: Collection[str], taken: Mapping[str, str]) -> dict[str, str
     """
     used = set(taken)
     ids = {path: shape_id for shape_id, path in taken.items()}
+    last: dict[str, int] = {}  # number given to each name: the search goes on from there
     for path in paths:
         if path in ids:
             continue
         stem = Path(path).stem
-        candidates = (stem if number == 1 else f"{stem}-{number}" for number in count(1))
-        ids[path] = next(candidate for candidate in candidates if candidate not in used)
-        used.add(ids[path])
+        number = last.get(stem, 0) + 1
+        while (shape_id := numbered_id(stem, number)) in used:
+            number += 1
+        last[stem] = number
+        ids[path] = shape_id
+        used.add(shape_id)
     return {path: ids[path] for path in paths}
 
 

@@ -8,12 +8,12 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, TimeoutError, wait
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from multiprocessing import resource_tracker
 from pathlib import Path
 
 from pcretrieve.batch import work
-from pcretrieve.batch.plan import Summary, failed, plan
+from pcretrieve.batch.plan import failed, plan
 from pcretrieve.catalogue import Catalogue, Content, Record
 from pcretrieve.errors import PcretrieveError, ShapeError, StageTimeout, WorkerDied
 
@@ -21,6 +21,32 @@ __all__ = ["Summary", "ingest"]
 
 # Shapes handed to the pool ahead of each worker: enough that none waits, few enough that Ctrl-C is prompt.
 AHEAD = 2
+
+
+@dataclass(slots=True)
+class Summary:
+    """What an ingest did.
+
+    Attributes
+    ----------
+    done : list of Record
+        Processed now.
+    failed : list of Record
+        Failed now. A shape that finished in an earlier run keeps its place in the catalogue.
+    held : list of Record
+        Skipped: the catalogue has the same content already, done or failed, under that path, or under one
+        that is gone since.
+    duplicates : list of (Path, Record)
+        Skipped: the same content under another path.
+    unknown_labels : list of str
+        Names in the label file that stand for none of the scans.
+    """
+
+    done: list[Record] = field(default_factory=list)
+    failed: list[Record] = field(default_factory=list)
+    held: list[Record] = field(default_factory=list)
+    duplicates: list[tuple[Path, Record]] = field(default_factory=list)
+    unknown_labels: list[str] = field(default_factory=list)
 
 
 def ingest(
@@ -58,29 +84,41 @@ def ingest(
     on_shape : callable, optional
         Called with each record once it is stored, and with those skipped.
     """
-    summary = Summary()
-    queue = plan(paths, catalogue, labels or {}, summary, retry_failed=retry_failed, on_skip=on_shape)
+    todo = plan(paths, catalogue.records(), labels or {}, retry_failed=retry_failed)
+    catalogue.revise(moved=todo.moved, removed=todo.removed, labels=todo.labels)
+    summary = Summary(
+        held=list(todo.held), duplicates=list(todo.duplicates), unknown_labels=list(todo.unknown_labels)
+    )
+    for record in (*todo.held, *(twin for _, twin in todo.duplicates)):
+        on_shape(record)
 
     def store(record: Record, content: Content | None) -> None:
-        catalogue.put(record, content)
-        stored = catalogue.record(record.id)
+        stored = catalogue.put(record, content)
+        if content is None:
+            stored = _reported(record, stored)
         (summary.failed if content is None else summary.done).append(stored)
         on_shape(stored)
 
-    readable = []
-    for path, record in queue:
-        if record.status == "failed":
-            store(record, None)
-        else:
-            readable.append((path, record))
-    if not readable:
+    for record in todo.unreadable:
+        store(record, None)
+    if not todo.process:
         return summary
-    for record, outcome in _outcomes(readable, catalogue, min(workers, len(readable)), timeout, memory):
+    for record, outcome in _outcomes(
+        todo.process, catalogue, min(workers, len(todo.process)), timeout, memory
+    ):
         if isinstance(outcome, ShapeError):
             store(failed(record, outcome), None)
         else:
             store(replace(record, steps=outcome.mesh.provenance), outcome)
     return summary
+
+
+def _reported(failure: Record, stored: Record) -> Record:
+    """A failure as it is reported, which says where the catalogue keeps an earlier result instead."""
+    if stored.status == "failed":
+        return stored
+    kept = f"{failure.message}; the catalogue keeps what was made of this file on {stored.added}"
+    return replace(failure, id=stored.id, message=kept)
 
 
 def _outcomes(

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from pcretrieve.types import FloatArray, ModalSpectrum, Step, TriangleMesh
@@ -11,7 +13,7 @@ from pcretrieve.types import FloatArray, ModalSpectrum, Step, TriangleMesh
 if TYPE_CHECKING:
     from pcretrieve.catalogue.store import Catalogue
 
-__all__ = ["Content", "Record", "StoredShape"]
+__all__ = ["Content", "Record", "StoredShape", "free_id", "numbered_id"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -128,3 +130,29 @@ class Record:
     def seconds(self) -> float:
         """Time that all stages took together."""
         return sum(step.seconds for step in self.steps)
+
+
+def numbered_id(stem: str, number: int) -> str:
+    """The id of the `number`-th file that is called `stem`: ``cat``, ``cat-2``, ``cat-3``."""
+    return stem if number == 1 else f"{stem}-{number}"
+
+
+def free_id(record: Record, is_taken: Callable[[str], bool]) -> str:
+    """The record's id, or its file's name with a number where another path has that id.
+
+    The number is doubled until it is free and then bisected, because one name may have many numbers.
+    """
+    if not is_taken(record.id):
+        return record.id
+    stem = Path(record.path).stem
+    free = 1
+    while is_taken(numbered_id(stem, free)):
+        free *= 2
+    taken = free // 2
+    while free - taken > 1:
+        middle = (free + taken) // 2
+        if is_taken(numbered_id(stem, middle)):
+            taken = middle
+        else:
+            free = middle
+    return numbered_id(stem, free)

@@ -3,31 +3,28 @@
 from __future__ import annotations
 
 import hashlib
-import io
-import json
+import sqlite3
 import zlib
-from collections.abc import Iterable, Mapping
-from dataclasses import asdict, fields
-from datetime import datetime, timezone
+from collections.abc import Collection, Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from types import TracebackType
-from typing import Any, cast
+from typing import Any
 from zipfile import BadZipFile
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pcretrieve.catalogue.opening import connect, damaged, is_writable, open_options, translated
-from pcretrieve.catalogue.record import Content, Record, StoredShape
+from pcretrieve.catalogue.record import Content, Record, StoredShape, free_id
+from pcretrieve.catalogue.row import RECORD_COLUMNS, packed, record_of, row_of, unpacked
 from pcretrieve.errors import InputError, ShapeError
 from pcretrieve.options import PipelineOptions, SignatureOptions
 from pcretrieve.retrieval import Whitening, fit_whitening, log_signatures, resolution_whitening
 from pcretrieve.signatures import describe
-from pcretrieve.types import ModalSpectrum, SignatureTable, Step, TriangleMesh
+from pcretrieve.types import ModalSpectrum, SignatureTable, TriangleMesh
 
 __all__ = ["Catalogue"]
-
-RECORD_COLUMNS = tuple(column.name for column in fields(Record))
 
 
 class Catalogue:
@@ -84,60 +81,85 @@ class Catalogue:
 
     # --- writing --------------------------------------------------------------------------------------
 
-    def put(self, record: Record, content: Content | None = None) -> None:
-        """Store a shape, in place of an earlier one with the same id or path.
+    def put(self, record: Record, content: Content | None = None) -> Record:
+        """Store a shape under its path, in one transaction.
 
-        `content` is None for a shape that failed.
+        The id is given out here, because other processes may have stored shapes since `record` was made: a
+        path that the catalogue holds keeps its id, and an id that belongs to another path gets the next free
+        number. A failure never takes the place of a finished shape.
+
+        Parameters
+        ----------
+        record : Record
+        content : Content, optional
+            None for a shape that failed.
+
+        Returns
+        -------
+        Record
+            What the catalogue holds of that path now.
         """
-        row: dict[str, Any] = asdict(record) | {
-            "steps": json.dumps([asdict(step) for step in record.steps]),
-            "versions": json.dumps(record.versions),
-            "options_digest": self.options.digest,
-            "added": datetime.now(timezone.utc).isoformat(timespec="seconds"),
-        }
-        if content is not None:
-            mesh = content.mesh
-            spectra = (content.spectrum, *content.others)
-            row |= {
-                "area": mesh.area,
-                "n_vertices": len(mesh.vertices),
-                "n_faces": len(mesh.faces),
-                "euler": mesh.euler_characteristic,
-                "eigenvalues": _packed(
-                    values=np.stack([s.eigenvalues for s in spectra]),
-                    areas=np.array([s.area for s in spectra]),
-                ),
-                "moments": _packed(
-                    values=np.stack([s.moments for s in spectra]),
-                    overlaps=np.stack([s.known_overlaps() for s in spectra]),
-                ),
-                "signature": _packed(values=content.signature),
-                "mesh": _packed(vertices=mesh.vertices, faces=mesh.faces),
-            }
-        names = ", ".join(row)
-        marks = ", ".join(f":{name}" for name in row)
-        with translated(self.path), self._connection:
-            self._connection.execute(f"INSERT OR REPLACE INTO shapes ({names}) VALUES ({marks})", row)
-            self._connection.execute("DELETE FROM whitenings")
+        row = row_of(record, content, self.options.digest)
+        with self._writing() as connection:
+            earlier = self._one("SELECT id FROM shapes WHERE path = ?", (record.path,))
+            row["id"] = earlier[0] if earlier else free_id(record, self._is_taken)
+            names = ", ".join(row)
+            marks = ", ".join(f":{name}" for name in row)
+            anew = ", ".join(f"{name} = excluded.{name}" for name in row)
+            connection.execute(
+                f"INSERT INTO shapes ({names}) VALUES ({marks}) ON CONFLICT (path) DO UPDATE SET {anew} "
+                "WHERE excluded.status = 'done' OR shapes.status = 'failed'",
+                row,
+            )
+            connection.execute("DELETE FROM whitenings")
+            return self.record(row["id"])
 
     def remove(self, shape_id: str) -> None:
-        """Forget a shape."""
-        self.record(shape_id)
-        with translated(self.path), self._connection:
-            self._connection.execute("DELETE FROM shapes WHERE id = ?", (shape_id,))
-            self._connection.execute("DELETE FROM whitenings")
+        """Forget a shape.
 
-    def move(self, shape_id: str, path: str) -> None:
-        """Note that a shape's file is now called `path`."""
-        with translated(self.path), self._connection:
-            self._connection.execute("UPDATE shapes SET path = ? WHERE id = ?", (path, shape_id))
+        Raises
+        ------
+        InputError
+            If there is none of that id.
+        """
+        with self._writing() as connection:
+            self.record(shape_id)
+            connection.execute("DELETE FROM shapes WHERE id = ?", (shape_id,))
+            connection.execute("DELETE FROM whitenings")
 
-    def set_labels(self, labels: Mapping[str, str]) -> None:
-        """Label shapes, by id."""
-        with translated(self.path), self._connection:
-            self._connection.executemany(
-                "UPDATE shapes SET label = ? WHERE id = ?", [(label, key) for key, label in labels.items()]
+    def revise(
+        self,
+        *,
+        moved: Mapping[str, str] | None = None,
+        removed: Collection[str] = (),
+        labels: Mapping[str, str] | None = None,
+    ) -> None:
+        """Rename, forget and label shapes by path, in one transaction.
+
+        Paths that the catalogue does not hold are ignored: another process may have renamed or removed the
+        same shapes a moment ago.
+
+        Parameters
+        ----------
+        moved : mapping of path to path, optional
+            New path of a file by its old one. Where the catalogue holds the new path, nothing is renamed.
+        removed : collection of str, optional
+            Paths of shapes to forget.
+        labels : mapping of path to class, optional
+            By the new path where a file was renamed.
+        """
+        with self._writing() as connection:
+            connection.executemany(
+                "UPDATE OR IGNORE shapes SET path = ? WHERE path = ?",
+                [(new, old) for old, new in (moved or {}).items()],
             )
+            connection.executemany("DELETE FROM shapes WHERE path = ?", [(path,) for path in removed])
+            connection.executemany(
+                "UPDATE shapes SET label = ? WHERE path = ?",
+                [(label, path) for path, label in (labels or {}).items()],
+            )
+            if removed:
+                connection.execute("DELETE FROM whitenings")
 
     # --- reading --------------------------------------------------------------------------------------
 
@@ -232,7 +254,7 @@ class Catalogue:
             kind, log_signatures(table.values), list(table.labels), options_digest=table.digest
         )
         if kind != "none" and is_writable(self.path):
-            arrays = _packed(**whitening.to_arrays())
+            arrays = packed(**whitening.to_arrays())
             with translated(self.path), self._connection:
                 self._connection.execute(
                     "INSERT OR REPLACE INTO whitenings VALUES (?, ?, ?, ?)",
@@ -241,6 +263,16 @@ class Catalogue:
         return whitening
 
     # --- inside ---------------------------------------------------------------------------------------
+
+    @contextmanager
+    def _writing(self) -> Iterator[sqlite3.Connection]:
+        """One transaction, which takes the write lock at its start: what it reads stays true to its end."""
+        with translated(self.path), self._connection:
+            self._connection.execute("BEGIN IMMEDIATE")
+            yield self._connection
+
+    def _is_taken(self, shape_id: str) -> bool:
+        return self._one("SELECT 1 FROM shapes WHERE id = ?", (shape_id,)) is not None
 
     def _digest(self, options: SignatureOptions) -> str:
         """Of the signatures that some options make of what is stored."""
@@ -255,17 +287,14 @@ class Catalogue:
         return self._unpacked(self._one(f"SELECT {column} FROM shapes WHERE id = ?", (shape_id,))[0])
 
     def _record(self, row: tuple[Any, ...]) -> Record:
-        values = dict(zip(RECORD_COLUMNS, row, strict=True))
         try:
-            steps = [Step(**step | {"notes": tuple(step["notes"])}) for step in json.loads(values["steps"])]
-            return Record(**values | {"steps": tuple(steps), "versions": json.loads(values["versions"])})
+            return record_of(row)
         except (ValueError, TypeError, KeyError) as error:
-            raise damaged(self.path, f"shape {values['id']!r} has no readable provenance") from error
+            raise damaged(self.path, f"shape {row[0]!r} has no readable provenance") from error
 
     def _unpacked(self, blob: bytes) -> dict[str, NDArray[Any]]:
         try:
-            with np.load(io.BytesIO(blob), allow_pickle=False) as archive:
-                return cast("dict[str, NDArray[Any]]", dict(archive))
+            return unpacked(blob)
         except (ValueError, TypeError, EOFError, OSError, BadZipFile, zlib.error) as error:
             raise damaged(self.path, f"an array cannot be read: {error}") from error
 
@@ -282,9 +311,3 @@ def _fingerprint(table: SignatureTable) -> str:
     digest = hashlib.sha256(repr((table.ids, table.labels, table.kind, table.digest)).encode())
     digest.update(table.values.tobytes())
     return digest.hexdigest()[:16]
-
-
-def _packed(**arrays: Any) -> bytes:
-    buffer = io.BytesIO()
-    np.savez_compressed(buffer, **arrays)
-    return buffer.getvalue()

@@ -8,7 +8,9 @@ from pathlib import Path
 
 import pytest
 
+from pcretrieve.batch import discover as discover_module
 from pcretrieve.batch.discover import content_hash, discover, printable, shape_ids
+from pcretrieve.catalogue import numbered_id
 from pcretrieve.errors import InputError, ScanReadError
 
 # The user without rights, on Linux.
@@ -225,3 +227,17 @@ def test_ids_stay_with_their_paths() -> None:
 def test_names_that_are_not_utf8_can_be_printed() -> None:
     assert printable("Körper 雪.ply") == "Körper 雪.ply"
     assert printable(os.fsdecode(b"latin-\xe9.ply")) == "latin-\\xe9.ply"
+
+
+def test_ids_of_one_name_in_many_folders_are_tried_once_each(monkeypatch: pytest.MonkeyPatch) -> None:
+    tried: list[str] = []
+
+    def counted(stem: str, number: int) -> str:
+        tried.append(numbered_id(stem, number))
+        return tried[-1]
+
+    monkeypatch.setattr(discover_module, "numbered_id", counted)
+    taken = shape_ids([f"/old/{folder}/scan.ply" for folder in range(1000)], {})
+    ids = shape_ids([f"/new/{folder}/scan.ply" for folder in range(1000)], {v: k for k, v in taken.items()})
+    assert list(ids.values()) == [f"scan-{number}" for number in range(1001, 2001)]
+    assert len(tried) == 3000  # the second thousand passes the first one once

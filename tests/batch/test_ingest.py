@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import multiprocessing
 import os
 import signal
@@ -137,6 +138,94 @@ def test_a_failure_is_remembered_until_it_is_to_be_tried_again(folder: Path, fil
     assert ids([*again(folder, filled, retry_failed=True).failed]) == ["flat"]
     (folder / "flat.xyz").unlink()
     assert ids([*again(folder, filled).held]) == ["a", "b"]
+
+
+def test_a_file_out_of_reach_keeps_what_was_made_of_it(folder: Path, filled: Catalogue) -> None:
+    """Its copy stays a copy, and the next run that reaches the file finds all as it was."""
+    before, signatures = filled.records(), filled.signatures().values
+    content = (folder / "a.off").read_bytes()
+    (folder / "a.off").unlink()
+    (folder / "a.off").symlink_to("away")
+    (folder / "b.off").write_bytes((folder / "b.off").read_bytes()[:1000])  # half copied
+    summary = again(folder, filled)
+    assert ids([*summary.failed]) == ["a", "b"]
+    for record in summary.failed:
+        assert "; the catalogue keeps what was made of this file on" in str(record.message)
+    assert [path.name for path, _ in summary.duplicates] == ["copy.off"]
+    assert filled.records() == before
+    np.testing.assert_array_equal(filled.signatures().values, signatures)
+    (folder / "a.off").unlink()
+    (folder / "a.off").write_bytes(content)
+    assert ids([*again(folder, filled).held]) == ["a"]
+
+
+def test_files_cut_off_to_the_same_content_keep_what_was_made_of_them(
+    folder: Path, filled: Catalogue
+) -> None:
+    """The second of them is a copy of the first, but the first one's content is no scan."""
+    before = filled.records()
+    for name in ("a", "b"):
+        (folder / f"{name}.off").write_text("OFF\n")
+    summary = again(folder, filled)
+    assert (ids([*summary.failed]), [path.name for path, _ in summary.duplicates]) == (["a"], ["b.off"])
+    assert [record for record in filled.records() if record.id != "copy"] == before
+
+
+# --- several ingests at once ----------------------------------------------------------------------------
+
+
+def test_an_ingest_within_another_takes_none_of_its_ids(folder: Path, catalogue: Catalogue) -> None:
+    """Another folder is stored between the plan and the first shape of this one."""
+    other = folder.parent / "other"
+    other.mkdir()
+    for number, name in enumerate(("a", "b")):
+        egg(other / f"{name}.off", 3 + number)
+    plan_made = False
+
+    def interfere(record: object) -> None:
+        nonlocal plan_made
+        if not plan_made:
+            plan_made = True
+            assert len(again(other, catalogue).done) == 2
+
+    summary = again(folder, catalogue, on_shape=interfere)
+    assert len(summary.done) == 2
+    records = catalogue.records()
+    assert [record.id for record in records] == ["a", "a-2", "b", "b-2"]
+    assert {record.path for record in records} == {
+        *(str(other / f"{name}.off") for name in "ab"),
+        *(str(folder / f"{name}.off") for name in "ab"),
+    }
+
+
+@pytest.mark.parametrize("same", [False, True], ids=["other files of the same names", "the same files"])
+def test_two_processes_that_ingest_at_once_store_every_shape_once(same: bool, tmp_path: Path) -> None:
+    folders = [tmp_path / name for name in ("one", "two")]
+    for start, folder in enumerate(folders):
+        folder.mkdir()
+        for number in range(4):
+            egg(folder / f"{number}.off", 1 + (start + 2 * number) / 8)
+    command = [sys.executable, "-m", "pcretrieve", "ingest", "-c", tmp_path / "c.sqlite", "--workers", "1"]
+    running = [
+        subprocess.Popen(
+            [*map(str, command), "--json", folders[0] if same else folder],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+        )
+        for folder in folders
+    ]
+    for process in running:
+        said, errors = process.communicate(timeout=PATIENCE)
+        assert process.returncode == 0, errors.decode()
+        answer = json.loads(said)
+        assert len(answer["done"]) + len(answer["held"]) == 4
+    with Catalogue(tmp_path / "c.sqlite") as catalogue:
+        records = catalogue.records()
+        assert len(catalogue.signatures().ids) == len(records)
+    expected = folders[:1] if same else folders
+    assert sorted(record.path for record in records) == sorted(
+        str(folder / f"{number}.off") for folder in expected for number in range(4)
+    )
 
 
 # --- shapes that hang, die, fill the memory -----------------------------------------------------------

@@ -86,14 +86,27 @@ def test_everything_outlives_the_process_in_one_file(catalogue: Catalogue) -> No
         assert len(again) == N_SHAPES
 
 
-@pytest.mark.parametrize("of", ["id", "path"])
-def test_a_shape_takes_the_place_of_the_one_with_its_id_or_path(of: str, catalogue: Catalogue) -> None:
-    new = Record("new", "/eggs/new.off", "newhash")
-    same = {"id": Record("egg0", new.path, "newhash"), "path": Record("new", "/eggs/egg0.off", "newhash")}[of]
-    catalogue.put(same, content(5))
+def test_a_shape_takes_the_place_of_the_one_with_its_path(catalogue: Catalogue) -> None:
+    stored = catalogue.put(Record("new", "/eggs/egg0.off", "newhash"), content(5))
     assert len(catalogue) == N_SHAPES
-    assert catalogue.record(same.id).content_hash == "newhash"
-    np.testing.assert_array_equal(catalogue.mesh(same.id).vertices, content(5).mesh.vertices)
+    assert (stored.id, stored.content_hash) == ("egg0", "newhash")
+    assert catalogue.record("egg0") == stored
+    np.testing.assert_array_equal(catalogue.mesh("egg0").vertices, content(5).mesh.vertices)
+
+
+def test_an_id_that_another_path_has_gets_the_next_number(catalogue: Catalogue) -> None:
+    before = catalogue.record("egg0")
+    stored = [catalogue.put(Record("egg0", f"/nest{n}/egg0.off", "newhash"), content(5)) for n in range(20)]
+    assert [record.id for record in stored] == [f"egg0-{number}" for number in range(2, 22)]
+    assert len(catalogue) == N_SHAPES + 20
+    assert catalogue.record("egg0") == before
+
+
+def test_a_failure_takes_no_finished_shapes_place(catalogue: Catalogue) -> None:
+    before = catalogue.record("egg0")
+    stored = catalogue.put(Record("egg0", "/eggs/egg0.off", "", status="failed", message="away"))
+    assert stored == before == catalogue.record("egg0")
+    np.testing.assert_array_equal(catalogue.mesh("egg0").vertices, content(0).mesh.vertices)
 
 
 def test_a_failed_shape_is_known_but_has_nothing_to_give(catalogue: Catalogue) -> None:
@@ -107,12 +120,20 @@ def test_a_failed_shape_is_known_but_has_nothing_to_give(catalogue: Catalogue) -
 
 
 def test_labels_moves_and_removals(catalogue: Catalogue) -> None:
-    catalogue.set_labels({"egg0": "odd", "nobody": "odd"})
-    catalogue.move("egg1", "/nest/egg1.off")
+    catalogue.revise(
+        moved={
+            "/eggs/egg1.off": "/nest/egg1.off",
+            "/eggs/egg3.off": "/eggs/egg4.off",
+            "/nobody": "/somebody",
+        },
+        removed=["/eggs/egg5.off", "/nobody"],
+        labels={"/eggs/egg0.off": "odd", "/nest/egg1.off": "moved", "/nobody": "odd"},
+    )
     catalogue.remove("egg2")
     assert catalogue.record("egg0").label == "odd"
-    assert catalogue.record("egg1").path == "/nest/egg1.off"
-    assert catalogue.signatures().ids == ("egg0", "egg1", "egg3", "egg4", "egg5")
+    assert (catalogue.record("egg1").path, catalogue.record("egg1").label) == ("/nest/egg1.off", "moved")
+    assert catalogue.record("egg3").path == "/eggs/egg3.off"  # a path that is taken is left alone
+    assert catalogue.signatures().ids == ("egg0", "egg1", "egg3", "egg4")
     for gone in ("egg2", "nobody"):
         with pytest.raises(InputError, match=f"holds no shape '{gone}'; `pcretrieve list` names them"):
             catalogue.remove(gone)
@@ -196,7 +217,7 @@ def test_the_whitening_by_resolution_is_not_fitted_and_not_stored(catalogue: Cat
 
 def test_a_whitening_by_class_follows_the_labels(catalogue: Catalogue) -> None:
     before = catalogue.whitening("within-class").matrix
-    catalogue.set_labels({"egg2": "long"})
+    catalogue.revise(labels={"/eggs/egg2.off": "long"})
     assert not np.array_equal(catalogue.whitening("within-class").matrix, before)
 
 
