@@ -1,18 +1,18 @@
-"""What can go wrong, as one tree.
+"""The exceptions of pcretrieve, as one tree.
 
     PcretrieveError                 .stage .shape_id
-    ├─ InputError (ValueError)      the caller's fault: stop
+    ├─ InputError (ValueError)      an invalid request: a batch stops
     │  ├─ OptionError
     │  └─ BenchmarkError
-    ├─ ShapeError                   this shape's fault: record it, go on
+    ├─ ShapeError                   one shape cannot be processed: a batch records it and goes on
     │  ├─ ScanReadError  ReconstructionError  RemeshError  DegenerateMeshError
     │  ├─ SpectrumError
     │  │  └─ ExtraZeroModes  NegativeEigenvalues  NonFiniteSpectrum  SpectrumNotConverged
     │  └─ StageTimeout  WorkerDied  MemoryExceeded  UnexpectedError
     └─ CatalogueError               other options, newer schema, locked, corrupt
 
-A stage raises with the cause; whoever knows the shape and the stage adds the place. `str(error)` then
-reads ``[T17 / remesh] no closed surface``.
+The function that fails raises an exception with the cause; the pipeline adds the stage and the identifier of
+the shape. `str(error)` is then, for example, ``[T17 / remesh] no closed surface``.
 """
 
 from __future__ import annotations
@@ -41,17 +41,17 @@ __all__ = [
 
 
 class PcretrieveError(Exception):
-    """Base of every error that pcretrieve raises on purpose.
+    """Base class of all exceptions that pcretrieve raises deliberately.
 
     Attributes
     ----------
     message : str
         What must hold, what was given, what to do.
     stage : str or None
-        The stage it happened in: ``read``, ``merge``, ``clean``, ``orient``, ``surface``, ``remesh``,
-        ``topology``, ``spectrum``, ``signature``; or ``worker``, where the process that worked on it ended.
+        The stage that failed: ``read``, ``merge``, ``clean``, ``orient``, ``surface``, ``remesh``,
+        ``topology``, ``spectrum`` or ``signature``; ``worker`` if the worker process ended.
     shape_id : str or None
-        The shape it happened to.
+        Identifier of the shape that was being processed.
     """
 
     default_stage: str | None = None
@@ -68,19 +68,19 @@ class PcretrieveError(Exception):
 
 
 class InputError(PcretrieveError, ValueError):
-    """The caller asked for something that cannot be done."""
+    """The arguments of a call are invalid."""
 
 
 class OptionError(InputError):
-    """An option has a value that it cannot have, or a name that does not exist."""
+    """An option does not exist, or its value is invalid."""
 
 
 class BenchmarkError(InputError):
-    """A labelled set does not fit its labels, or is too small for what was asked."""
+    """The labels of a data set do not match its shapes, or are too few for the evaluation."""
 
 
 class ShapeError(PcretrieveError):
-    """One shape cannot be processed; the others can."""
+    """One shape cannot be processed; other shapes are not affected."""
 
 
 class ScanReadError(ShapeError):
@@ -90,31 +90,31 @@ class ScanReadError(ShapeError):
 
 
 class ReconstructionError(ShapeError):
-    """No surface can be made from these points."""
+    """No surface can be reconstructed from the points."""
 
     default_stage = "surface"
 
 
 class RemeshError(ShapeError):
-    """The remesher gave nothing usable."""
+    """The remesher returned no usable surface."""
 
     default_stage = "remesh"
 
 
 class DegenerateMeshError(ShapeError):
-    """A surface is not one that a spectrum can be computed on."""
+    """The surface is such that its spectrum cannot be computed."""
 
     default_stage = "topology"
 
 
 class SpectrumError(ShapeError):
-    """The eigenvalue problem has no usable answer."""
+    """The eigenvalue problem has no usable solution."""
 
     default_stage = "spectrum"
 
 
 class ExtraZeroModes(SpectrumError):
-    """More eigenvalues are zero than the one of a connected surface."""
+    """The operator has more than the one zero eigenvalue of a connected surface."""
 
 
 class NegativeEigenvalues(SpectrumError):
@@ -122,32 +122,32 @@ class NegativeEigenvalues(SpectrumError):
 
 
 class NonFiniteSpectrum(SpectrumError):
-    """The solver gave NaN or infinite numbers."""
+    """The eigenvalue solver returned NaN or infinite numbers."""
 
 
 class SpectrumNotConverged(SpectrumError):
-    """The solver stopped before its residuals fell below the tolerance."""
+    """The eigenvalue solver stopped before its residuals were below the tolerance."""
 
 
 class StageTimeout(ShapeError):
-    """A shape took longer than it was given."""
+    """The processing of a shape exceeded its time limit."""
 
     default_stage = "worker"
 
 
 class WorkerDied(ShapeError):
-    """The process that worked on a shape ended without an answer."""
+    """The worker process of a shape ended without a result."""
 
     default_stage = "worker"
 
 
 class MemoryExceeded(ShapeError):
-    """A shape needed more memory than it was given."""
+    """The processing of a shape exceeded its memory limit."""
 
 
 class UnexpectedError(ShapeError):
-    """A shape met a fault in pcretrieve, or in a library under it, that nobody has thought of."""
+    """The processing of a shape raised an exception that pcretrieve does not handle."""
 
 
 class CatalogueError(PcretrieveError):
-    """The catalogue file cannot be used as asked."""
+    """The catalogue cannot be opened, read or written as requested."""

@@ -1,7 +1,9 @@
-"""Every number of the pipeline: one frozen options class per stage, nested in `PipelineOptions`.
+"""The parameters of the pipeline: one frozen options class for each stage, nested in `PipelineOptions`.
 
-Lengths are relative to the bounding-box diagonal of the points unless their description names another unit,
-so that one scan in millimetres and in metres gives one signature. TOML in, digest out.
+Options are read from TOML, validated when an object is made, and identified by a digest. Lengths are relative
+to the diagonal of the axis-aligned bounding box of the points ("the diagonal"), unless the description of the
+option names another unit, so that the signature of a scan does not depend on the unit of its file. How the
+default values were chosen is in docs/decisions.md, by the name of the option.
 """
 
 from __future__ import annotations
@@ -35,8 +37,9 @@ __all__ = [
     "signature_methods",
 ]
 
-# Raised whenever the code, rather than an option, moves a signature: old catalogues must not mix with new
-# numbers. CHANGELOG, "Changed numbers", says what moved.
+# Version of the numerical results, part of the digest. It is incremented when a change of the code, not of an
+# option, changes a signature, because signatures of different versions must not be compared. The changes are
+# listed in CHANGELOG.md under "Changed numbers".
 NUMBERS_VERSION = 7
 
 Share = Annotated[float, Field(ge=0, le=1)]
@@ -55,131 +58,143 @@ class _Options(BaseModel):
 
 
 class ScanOptions(_Options):
-    """Raw points → clean points with normals that point outwards."""
+    """Raw points → filtered points with normals that point outwards."""
 
     voxel: Literal["auto"] | Length = "auto"
-    """Edge of the voxels in which points are averaged; relative to the diagonal, 0 keeps all. auto: .003 for
-    dense clouds, .0015 for others."""
+    """Edge of the voxels in which points are averaged (voxel-grid filter); relative to the diagonal, 0 for no
+    filter. auto: .003 for dense clouds, .0015 for others."""
     outlier_neighbors: Count = 20
-    """Neighbours whose mean distance marks a stray point; points."""
+    """Statistical outlier removal: number of neighbours to which the mean distance of a point is computed."""
     outlier_std: Annotated[float, Field(gt=0)] = 2.0
-    """How unusual that distance may be; standard deviations over the cloud."""
+    """Statistical outlier removal: largest mean distance that is kept; standard deviations above the mean of
+    the cloud."""
     normal_neighbors: Annotated[int, Field(ge=3)] = 16
-    """Neighbours that a normal is fitted to; points."""
+    """Number of neighbours to which the tangent plane of a point is fitted."""
     orientation: Literal["auto", "viewpoint", "flood", "tangent-plane", "given"] = "auto"
-    """Where normals get their sign: the sensors' positions, a flood of the outside, tangent planes, or the
-    file's own (given). auto: sensors where the file has them, else its own normals, else flood."""
+    """How the sign of normals is found. viewpoint: towards the sensor; flood: towards the outside, found by
+    flood fill; tangent-plane: consistently along a minimum spanning tree; given: the normals in the file.
+    auto: viewpoint if the file has sensor positions, else given if it has normals, else flood."""
     flood_cell: Annotated[float, Field(gt=0, lt=0.1)] = 0.005
-    """Edge of the cells that the outside is flooded through; relative to the diagonal. Never less than 1.3
-    spacings of the points."""
+    """Edge of the grid cells of the flood fill; relative to the diagonal. At least 1.3 times the spacing of
+    the points."""
     flood_gap: Length = 0.02
-    """Radius of the largest hole that the flood is kept out of at first; relative to the diagonal."""
+    """Radius of the largest hole in the scan through which the flood fill does not pass, at the first
+    attempt; relative to the diagonal."""
     flood_retries: Annotated[int, Field(ge=0, le=10)] = 4
-    """How often a flood that leaked inside is tried again with wider gaps shut."""
+    """Number of further attempts, each with a larger radius, if the flood fill leaks into the body."""
 
 
 class MergeOptions(_Options):
-    """Range scans without poses → one cloud. Lengths are relative to the median diagonal of the views, after
-    their background is gone; it happens before the pipeline, and is no part of it."""
+    """Range scans (views), with or without poses → one cloud in one frame, before the pipeline.
+
+    Lengths called relative are relative to the median bounding-box diagonal of the views without background.
+    """
 
     refine: bool = True
-    """Move views whose poses are given so that their surfaces meet."""
+    """Refine given poses by registration."""
     sensor: Literal["front", "origin"] = "front"
-    """Where the sensor of a view is that names none: far out on the z axis of its frame, as range scanners
-    write them, or at its origin, as depth cameras do."""
+    """Position of the sensor of a view whose file has none. front: far along the z axis of the frame of the
+    view, the convention of range scanners; origin: at its origin, the convention of depth cameras."""
     max_range: Annotated[float, Field(gt=0)] | None = None
-    """Distance from the sensor beyond which points are background; unit of the file."""
+    """Distance from the sensor beyond which points are removed as background; unit of the file."""
     keep_largest: bool = False
-    """Drop all but the largest connected piece of each view as background."""
+    """Remove all but the largest connected component of each view as background."""
     piece_gap: Annotated[float, Field(gt=0, lt=1)] = 0.02
-    """Gap that parts two pieces; relative to the diagonal of the view."""
+    """Distance between points above which they are in different components; relative to the diagonal of the
+    view."""
     voxel: Length = 0.0
-    """Points of the merged cloud closer than this are one, 0 keeps all."""
+    """Edge of the voxels in which points of the merged cloud are averaged, 0 for no averaging; relative."""
     cell: Annotated[float, Field(gt=0, lt=0.1)] = 0.012
-    """Points that views are matched by: one in each cell of this edge."""
+    """Edge of the voxels of which each gives one point to the matching of features; relative."""
     n_tries: Annotated[int, Field(ge=1000)] = 200_000
-    """Pairs of matching points that are tried for each two views; pairs."""
+    """Number of random samples of point correspondences for each pair of views."""
     n_candidates: Count = 12
-    """Different motions of one view onto another that are refined and judged."""
+    """Number of distinct rigid motions for each pair of views that are refined and verified."""
     reach: Annotated[float, Field(gt=0, lt=0.1)] = 0.01
-    """Distance within which points of two views are one surface."""
+    """Largest distance between corresponding points of two registered views; relative."""
     min_overlap: Share = 0.1
-    """Surface that a view must share with the others; share of its points."""
+    """Smallest overlap of a view with the other views; fraction of its points."""
     max_contradiction: Share = 0.02
-    """Points of views that may lie where others saw through; relative to those that others saw too."""
+    """Largest number of points of a view that lie in space which another view observed as empty; relative to
+    the number of points in the overlap."""
     seed: Annotated[int, Field(ge=0)] = 0
-    """Of the random tries."""
+    """Seed of the random samples."""
 
 
 class SurfaceOptions(_Options):
-    """Clean points → closed surface."""
+    """Filtered points with normals → closed surface."""
 
     mode: Literal["auto", "reconstruct", "keep"] = "auto"
-    """What is done with a mesh: auto keeps a closed manifold one and reconstructs others, reconstruct always
-    does, keep never."""
+    """What is done if the input is a mesh. auto: reconstruct it unless it is closed and manifold;
+    reconstruct: always; keep: never."""
     method: Literal["growth", "poisson"] = "growth"
-    """How points become a surface. growth: the body that they enclose, grown on a grid with the genus asked
-    for, closed and manifold in every case. poisson: Open3D's Poisson surface as it comes."""
+    """The method of surface reconstruction. growth: topology-preserving region growing on a voxel grid, which
+    gives a closed manifold surface of the genus below; poisson: screened Poisson reconstruction by Open3D."""
     genus: Literal["auto", "sphere", "free"] | Annotated[int, Field(ge=0)] = "auto"
-    """Handles that growth leaves: none (sphere), a number, all that the points suggest (free), or those as
-    thick as the body round them (auto)."""
+    """Genus, the number of handles, of the surface by growth. sphere: 0; a number: that number; free:
+    whatever the points suggest; auto: only handles about as thick as the body."""
     cell: Literal["auto"] | Annotated[float, Field(gt=0, lt=0.1)] = "auto"
-    """Edge of the cells that the body is grown of; relative to the diagonal. auto: .0033 to .0045, by the
-    noise of the points. Never less than the spacing of the points."""
+    """Edge of the voxels of growth; relative to the diagonal. auto: .0033 to .0045, by the noise of the
+    points. At least the spacing of the points."""
     gap: Length = 0.02
-    """Radius of the largest hole in the scan that growth keeps the outside out of; relative to the
+    """Radius of the largest hole in the scan that growth closes against the outside; relative to the
     diagonal."""
     bridge: Length = 0.08
-    """Widest gap that a piece cut off by a hole is joined to the body across; relative to the diagonal."""
+    """Largest distance over which growth connects a component that a hole has separated to the body; relative
+    to the diagonal."""
     reconstructions: Count = 2
-    """Surfaces that growth makes of one scan, of cells of this size, a third larger, a quarter smaller, and
-    so on in turn. The signature is the mean of theirs, and what they differ by is its error bar; surfaces."""
+    """Number of surfaces that growth reconstructs from one scan, with voxels of the edge above, 4/3 of it,
+    3/4 of it, and so on in turn. The signature is the geometric mean over the surfaces, and its error bar is
+    the standard deviation over them."""
     fill_depth: Annotated[int, Field(ge=4, le=12)] = 6
-    """Depth of the Poisson octree that growth fills holes from."""
+    """Octree depth of the Poisson surface by which growth fills holes."""
     poisson_depth: Annotated[int, Field(ge=4, le=12)] = 7
-    """Depth of the octree of the method poisson; the finest cell is scale · longest side / 2^depth."""
+    """Octree depth of the method poisson; its smallest cell is poisson_scale · longest side / 2^depth."""
     poisson_scale: Annotated[float, Field(ge=1)] = 1.1
-    """Side of the Poisson cube; relative to the longest side of the bounding box."""
+    """Side of the cube of the method poisson; relative to the longest side of the bounding box."""
     density_trim: Share = 0.0
-    """Surface with the least support that the method poisson cuts before remeshing; share of its vertices."""
+    """Fraction of the vertices, those with the lowest point density, that the method poisson removes before
+    remeshing."""
     target_faces: Annotated[int, Field(ge=200)] = 10_000
-    """Size that the surface is simplified to; faces."""
+    """Largest number of faces after simplification."""
     sample_points: Annotated[int, Field(ge=100)] = 30_000
-    """Points that a mesh with defects is sampled by before it is reconstructed; points."""
+    """Number of points sampled on a mesh with defects before it is reconstructed."""
     max_discarded: Share = 0.1
-    """Largest second piece that is dropped in favour of the first; share of the points (growth) or of the
-    area (poisson). A larger one is another body, and an error."""
+    """Largest size of a second connected component that is removed; fraction of the points (growth) or of the
+    area (poisson). A larger component is a second body, and an error."""
 
 
 class RemeshOptions(_Options):
-    """Closed surface → clean surface, by way of tetrahedra (fTetWild)."""
+    """Closed surface → boundary of a tetrahedral mesh (fTetWild)."""
 
     method: Literal["none", "tetwild"] = "none"
-    """The remesher. Growth gives a closed manifold by itself."""
+    """The remesher. The surface method growth needs none, because its surface is a closed manifold."""
     edge_length: Annotated[float, Field(gt=0, lt=1)] = 0.05
-    """Ideal edge of the tetrahedra; relative to the diagonal."""
+    """Ideal edge length of the tetrahedra; relative to the diagonal."""
     envelope: Annotated[float, Field(gt=0, lt=0.1)] = 0.001
-    """How far the surface may move; relative to the diagonal."""
+    """Largest distance of the new surface from the old one; relative to the diagonal."""
     optimize: bool = False
-    """Improve the tetrahedra inside. Ten times slower, and the surface's signature does not gain."""
+    """Optimise the quality of the tetrahedra. Slow, without benefit for the signature of the surface."""
     timeout: Annotated[float, Field(gt=0)] = 60.0
-    """When the remesher is killed and its input used instead; seconds."""
+    """Time limit; seconds. After it the surface is used as it was before remeshing."""
     max_change: Share = 0.1
-    """Change of area or volume beyond which its answer is refused and its input used instead; relative."""
+    """Largest relative change of area or volume. Beyond it the surface is used as it was before remeshing."""
 
 
 class SpectralOptions(_Options):
-    """Surface of unit area → lowest eigenpairs of its Laplace–Beltrami operator."""
+    """Surface of unit area → smallest eigenpairs of its Laplace–Beltrami operator."""
 
     element: Literal["linear", "cubic", "intrinsic-delaunay", "points"] = "linear"
-    """How the operator is discretised: linear or cubic finite elements; linear ones on the intrinsic Delaunay
-    triangulation of the surface, which stands bad and non-manifold triangles; or linear ones on the cleaned
-    points (points), with no surface made at all."""
+    """Discretisation of the operator. linear, cubic: finite elements on the triangles of the surface;
+    intrinsic-delaunay: linear elements on the intrinsic Delaunay triangulation of the tufted cover, robust to
+    badly shaped and non-manifold triangles; points: linear elements on local triangulations of the filtered
+    points, without a surface."""
     n_pairs: Annotated[int, Field(ge=3)] = 61
-    """Eigenpairs that are computed and kept, the constant one included; pairs."""
+    """Number of eigenpairs that are computed and stored, including the constant eigenfunction."""
 
 
-# Descriptors that come with pcretrieve, and those of them that have no size to keep.
+# The descriptors of pcretrieve, and those of them that are invariant to scaling by construction, for which
+# the scale "absolute" is not defined.
 METHODS = (
     "r-bihdm",
     "bihdm",
@@ -195,12 +210,18 @@ METHODS = (
 )
 SIZELESS = {name for name in METHODS if "hks" in name} | {"wks", "shape-dna-norm1"}
 
-# The entry points by which other packages add descriptors.
+# The group of entry points by which other packages add descriptors.
 PLUGIN_GROUP = "pcretrieve.signatures"
 
 
 def signature_methods() -> tuple[str, ...]:
-    """The names of all descriptors: pcretrieve's own, then those of other packages by name."""
+    """The names of all descriptors.
+
+    Returns
+    -------
+    tuple of str
+        The descriptors of pcretrieve, then the descriptors of other packages in alphabetical order.
+    """
     added = {point.name for point in entry_points(group=PLUGIN_GROUP)}
     return (*METHODS, *sorted(added.difference(METHODS)))
 
@@ -212,20 +233,21 @@ class SignatureOptions(_Options):
     """Spectrum and surface → descriptor."""
 
     method: str = "r-bihdm"
-    """The descriptor; `pcretrieve signature --help` lists them all."""
+    """The descriptor; `pcretrieve signature --help` lists all of them."""
     n_values: Count = 23
-    """Length L of the descriptor; values. Of combined, of each half; of bags of features, their words."""
+    """Number L of values of the descriptor. For combined, of each of its two parts; for bags of features, the
+    number of words."""
     n_modes: Annotated[int, Field(ge=2)] = 60
-    """Modes m that R-BiHDM, BiHDM, heat and wave kernels are cut at; modes."""
+    """Number m of modes at which R-BiHDM, BiHDM, and the heat and wave kernels are truncated."""
     scale: Scale = "area"
-    """What values are measured by: the area of the surface (area), the descriptor's own first one (relative,
-    as the papers do), or the unit of the file (absolute). The first two are the same for bodies of one form
-    and two sizes; the last needs files of one unit, which in most collections they are not. R-BiHDM retrieves
-    better by area, but relative where many values are PCA whitened."""
+    """Normalisation of the values: by the area of the surface (area), by the first value of the descriptor
+    (relative, as in the papers), or none (absolute). area and relative are invariant to scaling; absolute
+    compares sizes too, and is meaningful only if all files are in one unit. For R-BiHDM area gives better
+    rankings than relative, except after PCA whitening of many values."""
     size_weight: Annotated[float, Field(ge=0, le=20)] = 0.0
-    """Weight of the size of bodies beside their form: the descriptor gets one value more, the area of the
-    surface to this power. 0 leaves size out; with 6, bodies whose areas are a sixth apart are 1 apart. Like
-    the scale absolute it needs files of one unit, and it is the better of the two."""
+    """Weight w of the size of a body relative to its form: area^w is appended to the values, if w > 0. In log
+    distances, bodies whose areas differ by a factor of exp(1/w) are then 1 apart. Meaningful only if all
+    files are in one unit. Gives better rankings than the scale absolute."""
 
     @field_validator("method")
     @classmethod
@@ -245,7 +267,7 @@ class SignatureOptions(_Options):
 
 
 class PipelineOptions(_Options):
-    """All of them. `PipelineOptions()` is the measured default."""
+    """The options of all stages. `PipelineOptions()` are the defaults; docs/decisions.md has the reasons."""
 
     scan: ScanOptions = ScanOptions()
     surface: SurfaceOptions = SurfaceOptions()
@@ -255,12 +277,22 @@ class PipelineOptions(_Options):
 
     @classmethod
     def from_toml(cls, path: str | Path) -> PipelineOptions:
-        """Options from a TOML file with one table per stage; what it does not name keeps its default.
+        """Read options from a TOML file with one table for each stage.
+
+        Parameters
+        ----------
+        path : str or Path
+            The file. Options that it does not name have their default values.
+
+        Returns
+        -------
+        PipelineOptions
+            The options in the file.
 
         Raises
         ------
         OptionError
-            Where the file cannot be read, is not TOML, or names an option or a value that does not exist.
+            If the file cannot be read, is not TOML, or has an unknown option or an invalid value.
         """
         try:
             values = tomllib.loads(Path(path).read_text(encoding="utf-8"))
@@ -275,19 +307,45 @@ class PipelineOptions(_Options):
 
     @classmethod
     def preset(cls, name: str) -> PipelineOptions:
-        """The options for a common source of scans, by name: one of `PRESETS`.
+        """The options for a common source of scans.
+
+        Parameters
+        ----------
+        name : str
+            A key of `PRESETS`.
+
+        Returns
+        -------
+        PipelineOptions
+            The defaults with the changes of the preset.
 
         Raises
         ------
         OptionError
-            If there is no such preset.
+            If there is no preset of this name.
         """
         if name not in PRESETS:
             raise OptionError(f"there is no preset {name!r}; there are {', '.join(PRESETS)}")
         return cls(**PRESETS[name])
 
     def changed(self, **stages: dict[str, Any]) -> PipelineOptions:
-        """These options with some replaced: ``options.changed(surface={"mode": "keep"})``."""
+        """A copy with some options replaced, such as ``options.changed(surface={"mode": "keep"})``.
+
+        Parameters
+        ----------
+        **stages : dict
+            For each stage, the options that change and their new values.
+
+        Returns
+        -------
+        PipelineOptions
+            The copy.
+
+        Raises
+        ------
+        OptionError
+            If there is no such option, or its value is not allowed.
+        """
         values = self.model_dump()
         for stage, changes in stages.items():
             values.setdefault(stage, {}).update(changes)
@@ -295,10 +353,10 @@ class PipelineOptions(_Options):
 
     @property
     def digest(self) -> str:
-        """Fingerprint of everything that moves a stored spectrum: 16 hexadecimal digits.
+        """Hash of everything that a stored spectrum depends on: 16 hexadecimal digits.
 
-        `signature` is left out: signatures are computed anew from the stored spectrum, so one catalogue
-        serves every method and length.
+        The options of the stage `signature` are not included, because signatures are computed from the stored
+        spectrum on demand: one catalogue serves all methods and numbers of values.
         """
         values = self.model_dump(exclude={"signature"})
         values["numbers_version"] = NUMBERS_VERSION
@@ -306,38 +364,46 @@ class PipelineOptions(_Options):
 
     @property
     def signature_digest(self) -> str:
-        """Fingerprint of everything that moves a signature: only those that agree in it compare."""
+        """Hash of everything that a signature depends on: signatures are comparable only if it is equal."""
         return hashlib.sha256((self.digest + self.signature.model_dump_json()).encode()).hexdigest()[:16]
 
 
-# What differs from the default for scans of a common source.
+# The options that differ from the defaults for scans of a common source. The measurements behind each preset
+# are in docs/decisions.md, PRESETS.
 PRESETS: dict[str, dict[str, dict[str, Any]]] = {
-    # A ring of cameras round a person, who has no handles: wherever limbs touch they are cut apart. All scans
-    # have the scanner's unit, so that size tells people apart too. mAP of ten simulated people by form .893,
-    # with the size at the weights 3, 6 and 9.6 .912, .931, .925, and with volume^(2/3) at 6 .896; by the
-    # absolute spectrum alone .872.
+    # A ring of cameras around a person. People have genus 0: handles appear only where limbs touch, and are
+    # cut. All scans are in the unit of the scanner, so that sizes are comparable too.
     "body-scanner": {"surface": {"genus": "sphere"}, "signature": {"size_weight": 6.0}},
-    # Walked round by hand: strays, and holes wherever the walk did not lead. TOSCA from everywhere, 40 000
-    # points, noise .0015, ten holes of radius .03, 2 % strays: median log-signature error .63 -> .58, mAP
-    # .692 -> .712; but .765 -> .756 where nine cameras leave few holes.
+    # A hand-held scanner moved around the body: many outliers, and large holes in places that it missed.
     "handheld": {
         "scan": {"outlier_std": 1.5, "flood_gap": 0.03},
         "surface": {"gap": 0.03},
     },
-    # Frames of a depth sensor: noise of a third of a per cent and more. Every second mesh of TOSCA seen by
-    # nine cameras, 60 000 points, noise .005: median log-signature error 1.63 -> .82, mAP .538 -> .637, in
-    # 2.1 s instead of 3.7 s; with noise of .003 and 20 000 points mAP .703 -> .687.
+    # Frames of a depth sensor: noise of 0.3 % of the diagonal and more.
     "depth-camera": {
         "scan": {"voxel": 0.004, "outlier_std": 1.5, "normal_neighbors": 30, "flood_gap": 0.03},
         "surface": {"cell": 0.006, "gap": 0.03},
     },
-    # Modelled, or cleaned by hand: taken as they are, but for repairs.
+    # Meshes from modelling software, or cleaned by hand: repaired, but not reconstructed.
     "clean-mesh": {"surface": {"mode": "keep"}},
 }
 
 
 def options_difference(theirs: PipelineOptions, ours: PipelineOptions) -> list[str]:
-    """One line for each option that differs: ``surface.poisson_depth: 7 there, 8 here``."""
+    """The options in which two sets of options differ.
+
+    Parameters
+    ----------
+    theirs : PipelineOptions
+        The options called "there", such as those of a stored catalogue.
+    ours : PipelineOptions
+        The options called "here".
+
+    Returns
+    -------
+    list of str
+        One line for each option, such as ``surface.poisson_depth: 7 there, 8 here``.
+    """
     there, here = theirs.model_dump(), ours.model_dump()
     return [
         f"{stage}.{name}: {there[stage][name]!r} there, {here[stage][name]!r} here"
@@ -348,7 +414,18 @@ def options_difference(theirs: PipelineOptions, ours: PipelineOptions) -> list[s
 
 
 def describe_options(options: PipelineOptions) -> str:
-    """The options as commented TOML, ready to be edited and passed to ``--config``."""
+    """Options as TOML, with the description of each option as a comment, for ``--config``.
+
+    Parameters
+    ----------
+    options : PipelineOptions
+        The options to write.
+
+    Returns
+    -------
+    str
+        A TOML document that `PipelineOptions.from_toml` reads back to equal options.
+    """
     lines = []
     for stage in type(options).model_fields:
         group: _Options = getattr(options, stage)
@@ -364,10 +441,10 @@ TYPES_TRIED = ("literal['auto','sphere','free']", "literal['auto']", "constraine
 
 
 def _explain(error: ValidationError) -> str:
-    """What must hold and what was given, one clause for each bad option."""
+    """What must hold and what was given, one clause for each invalid option."""
     clauses = []
     for problem in error.errors():
-        # Of an option that may be one of several types, pydantic names the type too.
+        # If an option can have several types, the location in pydantic's error includes the type tried.
         name = ".".join(str(part) for part in problem["loc"] if part not in TYPES_TRIED)
         cause = problem.get("ctx", {}).get("error")
         if isinstance(cause, OptionError):

@@ -1,10 +1,11 @@
-"""The frozen values that flow from stage to stage.
+"""The immutable values that are passed from stage to stage.
 
-Arrays are copied in, checked once and locked; everything behind this door trusts them. Conventions:
+Arrays are copied, checked and made read-only when a value is made; functions that take such a value do not
+check it again. Conventions:
 
 - lengths are in the unit of the file, coordinates are float64;
-- faces are counter-clockwise seen from outside;
-- the Laplace–Beltrami operator is positive semi-definite (−Δ u = λ u), eigenvalues ascend from λ₀ = 0.
+- the vertices of a face are in counter-clockwise order, seen from outside;
+- the Laplace–Beltrami operator is positive semi-definite (−Δ u = λ u), eigenvalues ascend from λ_0 = 0.
 """
 
 from __future__ import annotations
@@ -39,17 +40,17 @@ __all__ = [
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int32]
 
-# A face flatter than this (its area over its longest edge squared) has cotangents beyond 1e8, and a
-# stiffness matrix loses the digits that the small eigenvalues live in.
+# Smallest ratio of the area of a face to the square of its longest edge. Below it cotangents of the angles
+# exceed 1e8, and rounding errors of the stiffness matrix reach the size of its small eigenvalues.
 SMALLEST_ASPECT = 1e-9
 
 
-# Normals come from files with single precision, and from averages.
+# Tolerance of the length of unit normals: files store them in single precision, and averages are not exact.
 UNIT_TOLERANCE = 1e-3
 
 
 def _numbers(name: str, values: ArrayLike) -> NDArray[Any]:
-    """The values as an array of real numbers, of whatever shape and type."""
+    """The values as an array of real numbers, of any shape and type."""
     try:
         array = np.asarray(values)
     except ValueError as error:  # rows of different lengths
@@ -62,7 +63,7 @@ def _numbers(name: str, values: ArrayLike) -> NDArray[Any]:
 def _locked(
     name: str, values: ArrayLike, shape: tuple[int | None, ...], dtype: type[np.generic] = np.float64
 ) -> NDArray[Any]:
-    """A private, read-only copy of `values`, with None in `shape` for any length."""
+    """A read-only copy of `values`; None in `shape` stands for any length."""
     given = _numbers(name, values)
     wanted = "(" + ", ".join("n" if length is None else str(length) for length in shape) + ")"
     if given.ndim != len(shape) or any(
@@ -72,7 +73,7 @@ def _locked(
     if not np.isfinite(given).all():
         bad = int((~np.isfinite(given)).sum())
         raise InputError(f"{name} must be finite, got {bad} values that are NaN or infinite")
-    with np.errstate(invalid="ignore", over="ignore"):  # what does not fit is found below
+    with np.errstate(invalid="ignore", over="ignore"):  # overflow is detected below
         array = np.array(given, dtype=dtype, order="C")
     if np.issubdtype(dtype, np.integer) and (array != given).any():
         bad = int((array != given).sum())
@@ -82,7 +83,7 @@ def _locked(
 
 
 class _Value:
-    """Pickled as what it was made of, so that arrays are checked and locked again where they arrive."""
+    """Base of the values: pickled by its constructor arguments, so that copies are read-only too."""
 
     __slots__ = ()
 
@@ -92,17 +93,18 @@ class _Value:
 
 @dataclass(frozen=True, slots=True)
 class Step:
-    """What one stage did to one shape.
+    """The record of one stage of the processing of one shape.
 
     Attributes
     ----------
     stage : str
+        Name of the stage.
     seconds : float
         Wall-clock time.
     sizes : dict of str to float
         Counts, and lengths in the unit of the file.
     notes : tuple of str
-        Every repair and every fallback, in words, with its size. Empty where nothing was touched.
+        A sentence for each repair and each fallback, with its size. Empty if there was none.
     """
 
     stage: str
@@ -113,18 +115,19 @@ class Step:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PointCloud(_Value):
-    """Points, in the unit of the file.
+    """A point cloud, in the unit of the file.
 
     Parameters
     ----------
     points : (n, 3) float64
+        Coordinates.
     normals : (n, 3) float64 or None
-        Unit length, pointing out of the body.
+        Unit normals that point out of the body.
     viewpoints : (n, 3) float64 or None
-        Position of the sensor that saw each point, in the frame of the points. A (3,) array is one sensor
-        for all of them.
+        Position of the sensor that measured each point, in the frame of the points. A (3,) array is the
+        position of one sensor for all points.
     provenance : tuple of Step
-        How these points came to be.
+        The stages that made the cloud, in order.
     """
 
     points: FloatArray
@@ -153,11 +156,11 @@ class PointCloud(_Value):
 
     @property
     def diagonal(self) -> float:
-        """Diagonal of the axis-aligned bounding box: the length that relative options refer to."""
+        """Diagonal of the axis-aligned bounding box, to which relative lengths in options refer."""
         return bounding_diagonal(self.points)
 
     def select(self, index: NDArray[Any]) -> PointCloud:
-        """The points at `index` (a mask or positions), with all that belongs to them."""
+        """The points at `index` (a mask or positions), with their normals and viewpoints."""
         return replace(
             self,
             points=self.points[index],
@@ -166,7 +169,7 @@ class PointCloud(_Value):
         )
 
     def after(self, step: Step) -> PointCloud:
-        """The same cloud, with one more step in its provenance."""
+        """The same cloud with one more step in its provenance."""
         return replace(self, provenance=(*self.provenance, step))
 
 
@@ -177,10 +180,11 @@ class TriangleMesh(_Value):
     Parameters
     ----------
     vertices : (n, 3) float64
+        Coordinates.
     faces : (m, 3) int32
-        Vertex numbers, counter-clockwise seen from outside.
+        Vertex numbers of each triangle, counter-clockwise seen from outside.
     provenance : tuple of Step
-        How this surface came to be.
+        The stages that made the surface, in order.
     """
 
     vertices: FloatArray
@@ -204,22 +208,22 @@ class TriangleMesh(_Value):
 
     @property
     def area_vectors(self) -> FloatArray:
-        """(m, 3) normals of the faces, as long as these are large, unit length².
+        """(m, 3) area vectors: outward normals of the faces, with the area as their length; unit length².
 
-        Those of a closed surface add up to zero.
+        The area vectors of a closed surface sum up to zero.
         """
         a, b, c = (self.vertices[self.faces[:, k]] for k in range(3))
         return np.cross(b - a, c - a) / 2
 
     @property
     def face_areas(self) -> FloatArray:
-        """(m,) areas, unit length²."""
+        """(m,) areas of the faces, unit length²."""
         areas: FloatArray = np.linalg.norm(self.area_vectors, axis=1)
         return areas
 
     @property
     def flat_faces(self) -> NDArray[np.bool_]:
-        """(m,) faces without an area to speak of, in which no gradient can be computed."""
+        """(m,) mask of degenerate faces, whose area is too small for the gradients of linear elements."""
         corners = self.vertices[self.faces]  # (m, 3, 3)
         longest = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1, initial=0)  # (m,)
         return np.asarray(self.face_areas <= SMALLEST_ASPECT * longest**2)
@@ -231,41 +235,44 @@ class TriangleMesh(_Value):
 
     @property
     def volume(self) -> float:
-        """Signed enclosed volume, unit length³; positive where the faces point outwards.
+        """Signed enclosed volume, unit length³; positive if the faces are oriented outwards.
 
-        Means something for closed surfaces only.
+        Meaningful for closed surfaces only.
         """
         corner = self.vertices[self.faces[:, 0]] - self.vertices.mean(axis=0)
         return float(np.einsum("ij,ij->", corner, self.area_vectors) / 3)
 
     @property
     def euler_characteristic(self) -> int:
-        """V − E + F, over the vertices that some face uses: 2 for a sphere, 0 for a torus."""
+        """V − E + F, without unreferenced vertices: 2 for a sphere, 0 for a torus."""
         ends = self.faces.astype(np.int64), self.faces[:, [1, 2, 0]]  # (m, 3) each
-        edges = np.minimum(*ends) * len(self.vertices) + np.maximum(*ends)  # (m, 3): a number for each pair
+        edges = np.minimum(*ends) * len(self.vertices) + np.maximum(
+            *ends
+        )  # (m, 3): one number for each unordered pair of vertices
         return len(np.unique(self.faces)) - len(np.unique(edges)) + len(self.faces)
 
     def after(self, step: Step) -> TriangleMesh:
-        """The same surface, with one more step in its provenance."""
+        """The same surface with one more step in its provenance."""
         return replace(self, provenance=(*self.provenance, step))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LaplaceBeltrami(_Value):
-    """A discrete Laplace–Beltrami operator S u = λ M u.
+    """A discrete Laplace–Beltrami operator: the matrices of the generalised eigenvalue problem S u = λ M u.
 
     Attributes
     ----------
     stiffness : (n, n) sparse
-        Symmetric positive semi-definite, S·1 = 0 on every connected component; dimensionless. Natural
-        (Neumann) boundary condition. With Dirichlet boundary positive definite.
+        S, symmetric, dimensionless. With the natural (Neumann) boundary condition positive semi-definite,
+        with S·1 = 0 on every connected component; with the Dirichlet boundary condition positive definite.
     mass : (n, n) sparse
-        Symmetric positive definite, 1ᵀM·1 = area; unit length².
+        M, symmetric positive definite, 1ᵀM·1 = area; unit length².
     n_components : int
-        Connected components, each of which brings one zero eigenvalue; 0 with Dirichlet boundary, which
-        leaves no null space.
+        Dimension of the null space of S: the number of connected components, or 0 with the Dirichlet boundary
+        condition.
     nodes : (n,) int32 or None
-        The node that each row is of, ascending: with Dirichlet boundary, those inside. None: all of them.
+        The nodes of the finite elements to which the rows belong, ascending: with the Dirichlet boundary
+        condition, the interior nodes. None: all nodes.
     """
 
     stiffness: csc_array
@@ -289,29 +296,30 @@ class LaplaceBeltrami(_Value):
 
     @property
     def area(self) -> float:
-        """1ᵀM·1, unit length²; with Dirichlet boundary less than the area of the surface."""
+        """1ᵀM·1, unit length²; with the Dirichlet boundary condition less than the area of the surface."""
         return float(self.mass.sum())
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Eigenpairs(_Value):
-    """The lowest eigenpairs of a Laplace–Beltrami operator.
+    """The smallest eigenpairs of a Laplace–Beltrami operator.
 
     Attributes
     ----------
     eigenvalues : (k,) float64
-        Ascending, λ₀ = 0 if there is a zero mode; unit length⁻².
+        Ascending; λ_0 = 0 with the Neumann boundary condition; unit length⁻².
     eigenvectors : (n, k) float64
-        ΦᵀMΦ = I; unit length⁻¹. φ₀ of a zero mode is the positive constant 1/√area.
+        One eigenvector φ_i in each column, ΦᵀMΦ = I; unit length⁻¹. The eigenvector of λ_0 = 0 is the
+        positive constant 1/√area.
     mass : (n, n) sparse
-        The mass matrix that they are orthonormal in; unit length².
+        M, the mass matrix of the inner product; unit length².
     largest_residual : float
-        max ‖S φ − λ M φ‖ / (λ ‖M φ‖) over the pairs with λ > 0.
+        max ‖S φ − λ M φ‖ / (λ ‖M φ‖) over the pairs with λ > 0, dimensionless.
     iterations : int
-        Solves with the shifted matrix: of a block of vectors (``krylov``), of one (``arpack``); none by
-        ``dense``.
+        Number of solves with the shifted stiffness matrix: of a block of vectors (``krylov``), of one vector
+        (``arpack``); 0 for ``dense``.
     solver : str
-        Who found them: ``krylov``, ``arpack`` or ``dense``.
+        The eigenvalue solver: ``krylov``, ``arpack`` or ``dense``.
     """
 
     eigenvalues: FloatArray
@@ -335,18 +343,20 @@ class Eigenpairs(_Value):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ModalSpectrum(_Value):
-    """What the spectral descriptors need of a surface, and all that is stored of one.
+    """The eigenvalues and the inner products of eigenfunctions that the spectral descriptors are made of.
+
+    The catalogue stores it in the place of the eigenvectors, which are larger by orders of magnitude.
 
     Attributes
     ----------
     eigenvalues : (k,) float64
-        Ascending, λ₀ = 0; unit length⁻².
+        Ascending, λ_0 = 0; unit length⁻².
     moments : (k, k) float64
-        ⟨φ_i², φ_j⟩, row i and column j; unit length⁻¹.
+        ⟨φ_i², φ_j⟩ = ∫ φ_i² φ_j in row i and column j; unit length⁻¹.
     area : float
-        Unit length².
+        Area of the surface, unit length².
     overlaps : (k, k) float64 or None
-        ⟨φ_i², φ_j²⟩; unit length⁻². None where an earlier pcretrieve stored the spectrum.
+        ⟨φ_i², φ_j²⟩ = ∫ φ_i² φ_j²; unit length⁻². None if the spectrum was stored by an early version.
     """
 
     eigenvalues: FloatArray
@@ -364,7 +374,22 @@ class ModalSpectrum(_Value):
 
     @classmethod
     def of(cls, pairs: Eigenpairs) -> ModalSpectrum:
-        """Of eigenpairs, with ∫ f²g taken as Σ f_i² D_ij g_j (Ye and Yu, section 3), and ∫ f²g² alike."""
+        """The modal spectrum of eigenpairs.
+
+        The integral ∫ f²g is discretised as Σ f_i² M_ij g_j with the mass matrix M (Ye and Yu, "A fast modal
+        space transform for robust nonrigid shape retrieval", 2016, section 3), and ∫ f²g² as Σ f_i² M_ij
+        g_j².
+
+        Parameters
+        ----------
+        pairs : Eigenpairs
+            k eigenpairs of a connected surface, the constant eigenfunction first.
+
+        Returns
+        -------
+        ModalSpectrum
+            In the unit of the eigenpairs.
+        """
         phi = pairs.eigenvectors  # (n, k)
         squares = phi**2
         return cls(
@@ -375,12 +400,17 @@ class ModalSpectrum(_Value):
         )
 
     def known_overlaps(self) -> FloatArray:
-        """The overlaps.
+        """The overlaps, if they were stored.
+
+        Returns
+        -------
+        (k, k) float64
+            ⟨φ_i², φ_j²⟩; unit length⁻².
 
         Raises
         ------
         InputError
-            If the spectrum has none.
+            If the spectrum was stored without overlaps.
         """
         if self.overlaps is None:
             raise InputError(
@@ -390,7 +420,7 @@ class ModalSpectrum(_Value):
         return self.overlaps
 
     def scaled(self, area: float) -> ModalSpectrum:
-        """Of the same surface, enlarged or shrunk to another area."""
+        """The modal spectrum of the same surface after uniform scaling to another area."""
         factor = area / self.area
         return ModalSpectrum(
             self.eigenvalues / factor,
@@ -401,46 +431,45 @@ class ModalSpectrum(_Value):
 
 
 class Describable(Protocol):
-    """What a descriptor may ask of a shape; the catalogue reads what is asked for, and nothing else.
+    """The interface of a shape that descriptors are computed from.
 
-    Attributes
-    ----------
-    spectrum : ModalSpectrum
-        Of the surface scaled to unit area.
-    area : float
-        Of the surface; unit length² of the file.
-    mesh : TriangleMesh
-        The surface, in the unit of the file.
-    others : tuple of ModalSpectrum
-        Of further surfaces made of the same scan, each scaled as the first one was.
+    A shape of the catalogue reads each attribute from the file on first access.
     """
 
     @property
-    def spectrum(self) -> ModalSpectrum: ...
+    def spectrum(self) -> ModalSpectrum:
+        """The modal spectrum of the first surface, scaled to unit area."""
+
     @property
-    def area(self) -> float: ...
+    def area(self) -> float:
+        """The area of the first surface; unit length² of the file."""
+
     @property
-    def mesh(self) -> TriangleMesh: ...
+    def mesh(self) -> TriangleMesh:
+        """The first surface, in the unit of the file."""
+
     @property
-    def others(self) -> tuple[ModalSpectrum, ...]: ...
+    def others(self) -> tuple[ModalSpectrum, ...]:
+        """The modal spectra of further surfaces of the same scan, scaled by the same factor as the first."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Signature(_Value):
-    """A short vector that does not change when the body moves.
+    """A global shape descriptor: a short vector, invariant to isometric deformation of the surface.
 
     Attributes
     ----------
     values : (L,) float64
-        Positive; dimensionless, but for the scale ``absolute``. In the order that its method states; where
-        size has a weight, its value comes last.
+        Positive; dimensionless, except for the scale ``absolute``. In the order stated by the method; the
+        size, if it has a weight, is the last value.
     kind : str
-        The method that made it, such as ``r-bihdm``.
+        The method, such as ``r-bihdm``.
     digest : str
-        Fingerprint of the options that made it; signatures compare only where kinds and digests agree.
+        Hash of the options; two signatures are comparable only if both their kinds and their digests are
+        equal.
     deviation : (L,) float64 or None
-        Error bar: standard deviation of the logarithm of each value over the surfaces that were made of the
-        scan. None where there was one.
+        Error bar: standard deviation (ddof = 1) of the logarithm of each value over the surfaces
+        reconstructed from one scan. None if there is one surface only.
     """
 
     values: FloatArray
@@ -457,18 +486,18 @@ class Signature(_Value):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SignatureTable(_Value):
-    """Signatures of many shapes, all of one kind.
+    """Signatures of many shapes, of one kind.
 
     Attributes
     ----------
     ids : tuple of str, length N
-        Distinct.
+        Identifiers of the shapes, distinct.
     values : (N, L) float64
-        One signature a row; positive, dimensionless.
+        One signature in each row; positive, in the units of `Signature`.
     kind, digest : str
-        As in `Signature`.
+        Method and hash of the options, as in `Signature`.
     labels : tuple of (str or None), length N
-        Class of each shape, where known.
+        Class of each shape; None if unknown.
     """
 
     ids: tuple[str, ...]
@@ -495,13 +524,14 @@ class SignatureTable(_Value):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Neighbors(_Value):
-    """The shapes nearest to one query.
+    """The nearest neighbours of one query.
 
     Attributes
     ----------
     ids : tuple of str, length k
+        Identifiers of the shapes, nearest first; equally near shapes in alphabetical order.
     distances : (k,) float64
-        Ascending; ties by id.
+        Distances to the query, ascending; dimensionless.
     """
 
     ids: tuple[str, ...]
@@ -510,7 +540,7 @@ class Neighbors(_Value):
 
 @dataclass(frozen=True, slots=True)
 class Failure:
-    """Why a shape has no signature: the stage, the exception's name, and its message."""
+    """Why a shape has no signature: the stage that failed, the name of the exception and its message."""
 
     shape_id: str
     stage: str
@@ -519,5 +549,5 @@ class Failure:
 
 
 def bounding_diagonal(points: FloatArray) -> float:
-    """Diagonal of the axis-aligned bounding box of (n, 3) points; 0 where there are none."""
+    """Diagonal of the axis-aligned bounding box of (n, 3) points; 0 if there are no points."""
     return float(np.linalg.norm(np.ptp(points, axis=0))) if len(points) else 0.0

@@ -1,4 +1,4 @@
-"""Signatures in, ranked shapes out: distances, whitening, and an exact index."""
+"""Signatures → ranked shapes: distances, whitening, and an exact nearest-neighbour index."""
 
 from pcretrieve.retrieval.distances import DISTANCES, log_signatures, pairwise
 from pcretrieve.retrieval.index import SignatureIndex

@@ -1,14 +1,13 @@
-"""Distances between signatures, all of them functions of log-signatures.
+"""Distances between signatures, as functions of the difference of their logarithms.
 
-Let a and b be two signatures and x = log a − log b, coordinate by coordinate. Then
+Let a and b be two signatures and x = log a − log b, element by element. Then
 
     d1    Σ |a − b| / (a + b)      = Σ tanh(|x| / 2)         a metric, at most L
     d2    √ Σ (a − b)² / (a b)     = √ Σ 4 sinh²(x / 2)      not a metric
     log   √ Σ x²                                             a metric, and log ≤ d2, since |sinh u| ≥ |u|
 
-`d1` and `d2` are the dissimilarities D₁ and D₂ (equation 11) of Ye and Yu [1]_. All three depend on the
-differences of log-signatures alone. Where log-signatures have been whitened to y, they are the distances of
-the positive vectors exp(y).
+`d1` and `d2` are the dissimilarities D₁ and D₂ of Ye and Yu [1]_ (D₂ is equation (11)). If a whitening maps
+log-signatures to y, the distances are those of the positive vectors exp(y).
 
 References
 ----------
@@ -29,7 +28,7 @@ from pcretrieve.types import FloatArray
 
 __all__ = ["DISTANCES", "log_signatures", "pairwise"]
 
-# Values held at once while distances are computed: 1 MB, which stays in the processor's cache.
+# Number of differences in memory at once: 1 MiB, which fits the processor's second-level cache.
 CHUNK_VALUES = 2**17
 
 
@@ -39,7 +38,7 @@ def _d1(x: FloatArray) -> FloatArray:
 
 
 def _d2(x: FloatArray) -> FloatArray:
-    # Signatures more than e^700 apart have a D₂ beyond float64: infinite is the right answer there.
+    # sinh²(x / 2) overflows float64 if |x| > 710: an infinite distance is then the intended result.
     with np.errstate(over="ignore"):
         root: FloatArray = np.sqrt((4 * np.sinh(x / 2) ** 2).sum(axis=-1))
     return root
@@ -50,24 +49,29 @@ def _log(x: FloatArray) -> FloatArray:
     return root
 
 
-#: The distances by name: (…, L) differences of log-signatures to (…) distances.
+#: The distances by name: functions from (…, L) differences of log-signatures to (…) distances.
 DISTANCES: Mapping[str, Callable[[FloatArray], FloatArray]] = MappingProxyType(
     {"log": _log, "d1": _d1, "d2": _d2}
 )
 
 
 def log_signatures(values: ArrayLike) -> FloatArray:
-    """Natural logarithm of signature values.
+    """Natural logarithms of signature values.
 
     Parameters
     ----------
     values : (…, L) array_like
         Positive and finite; dimensionless.
 
+    Returns
+    -------
+    (…, L) float64
+        Log-signatures, dimensionless.
+
     Raises
     ------
     InputError
-        Where a value is not a positive, finite number.
+        If a value is not a positive finite number.
     """
     try:
         array = np.asarray(values, dtype=np.float64)
@@ -84,19 +88,19 @@ def log_signatures(values: ArrayLike) -> FloatArray:
 
 
 def pairwise(distance: str, queries: FloatArray, gallery: FloatArray) -> FloatArray:
-    """Distance of every query to every shape of the gallery.
+    """Distances of all queries to all shapes of the gallery.
 
-    A pair's distance depends on that pair alone, to the last bit: equal signatures tie exactly, and
-    d(a, b) = d(b, a).
+    The floating-point result for a pair depends on this pair alone: equal signatures have exactly equal
+    distances, and d(a, b) = d(b, a) exactly.
 
     Parameters
     ----------
     distance : str
-        A name in `DISTANCES`.
+        A key of `DISTANCES`.
     queries : (Q, L) float64
-        Log-signatures, whitened or not.
+        Log-signatures, with or without whitening.
     gallery : (N, L) float64
-        Log-signatures in the same space.
+        Log-signatures with the same whitening.
 
     Returns
     -------
@@ -106,9 +110,9 @@ def pairwise(distance: str, queries: FloatArray, gallery: FloatArray) -> FloatAr
     Raises
     ------
     OptionError
-        For a distance that does not exist.
+        If the distance does not exist.
     InputError
-        Where the two sets do not have the same number of values.
+        If the two arrays do not have the same number of columns.
     """
     if distance not in DISTANCES:
         raise OptionError(f"distance must be one of {', '.join(DISTANCES)}, got {distance!r}")

@@ -1,13 +1,20 @@
-"""Exact nearest neighbours among many signatures.
+"""Exact k-nearest-neighbour search among many signatures, by filter and refinement [1]_.
 
-A BallTree searches an embedding of the log-signatures in which distances are cheap and never longer than the
-true ones. What it finds is then measured exactly:
+A ball tree searches an embedding of the log-signatures in which distances are fast to compute and are lower
+bounds of the exact distances. A query has three steps:
 
-1. the k shapes nearest by the bound have k exact distances, the largest of which is τ;
-2. each of the k true neighbours is no farther than τ, hence no farther than τ by the bound either;
-3. all shapes that near by the bound are ranked by exact distance, ties by id.
+1. Filter: find the k shapes with the smallest lower bounds, and compute their exact distances. Let τ be the
+   largest of them. At least k shapes are within τ of the query, so that each of the k nearest neighbours is.
+2. Range query: find all shapes with a lower bound of at most τ. They include the k nearest neighbours,
+   because a lower bound does not exceed the exact distance.
+3. Refinement: sort these shapes by exact distance, equal distances by identifier.
 
-The answer is that of comparing the query with every shape, to the last bit.
+The result is equal to that of comparing the query with every shape, bit for bit.
+
+References
+----------
+.. [1] Korn, Sidiropoulos, Faloutsos, Siegel and Protopapas, "Fast nearest neighbor search in medical image
+   databases", VLDB 1996.
 """
 
 from __future__ import annotations
@@ -26,25 +33,32 @@ from pcretrieve.types import FloatArray, Neighbors, Signature, SignatureTable
 
 __all__ = ["SignatureIndex"]
 
-# Directions of largest variance that the tree searches. One query, 45 values, 100 000 shapes, k = 10: 2 to
-# 4 ms with 6 directions; 2 to 20 ms with 3, whose bound lets too much through; 5 to 10 ms with all 45, where
-# the tree leaves little out. Comparing with every shape takes 16 ms.
+# Number of principal directions in which the tree searches. With fewer directions the lower bound is looser
+# and more shapes need an exact distance; with more the tree prunes less. See docs/decisions.md, N_LEADING.
 N_LEADING = 6
 
-# exp stays within float64, with room for the sums over a whole gallery.
+# Largest magnitude of a logarithm before exp, so that sums over a gallery stay finite in float64.
 LARGEST_LOG = 300.0
 
-# Rounding of a sum of L products of numbers of size s is a few L·s·ε: the bound is trusted only up to that.
+# Tolerance of the lower bound. The rounding error of a sum of L products of numbers of magnitude s is at most
+# a few L·s·ε; this is the factor of L·s.
 ROUNDING = 64 * float(np.finfo(np.float64).eps)
 
 Embedding = Callable[[FloatArray], FloatArray]
 
 
 def _leading_directions(gallery: FloatArray, n_leading: int) -> tuple[str, Embedding]:
-    """Coordinates along the gallery's directions of largest variance; Euclidean distance.
+    """Coordinates along the first principal directions of the gallery, with the Euclidean distance.
 
-    Rotations keep the Euclidean distance of log-signatures and leaving coordinates out shortens it, so this
-    bounds the distance ``log`` from below, and ``d2``, which is never less than ``log``.
+    An orthogonal projection does not increase the Euclidean distance. The distance of the coordinates is
+    therefore a lower bound of ``log``, and of ``d2``, since ``log`` ≤ ``d2``.
+
+    Returns
+    -------
+    metric : str
+        The metric of the embedding, by its name in `BallTree`.
+    embedding : function
+        The map from (n, L) log-signatures to (n, n_leading) coordinates.
     """
     mean = gallery.mean(axis=0)
     centred = gallery - mean
@@ -54,11 +68,18 @@ def _leading_directions(gallery: FloatArray, n_leading: int) -> tuple[str, Embed
 
 
 def _positive_values(gallery: FloatArray, n_leading: int) -> tuple[str, Embedding]:
-    """Signature values, from log-signatures; Canberra distance Σ |a − b| / (|a| + |b|), which is ``d1``.
+    """Signature values, with the Canberra distance Σ |a − b| / (|a| + |b|), which equals ``d1``.
 
-    It is a metric, and compiled into BallTree. A common factor per value leaves it alone, so the mean is
-    taken off for the sake of exp. Clipping brings two logarithms nearer, never apart, and tanh(|x| / 2) grows
-    with |x|: what is clipped is bounded from below.
+    The distance does not change if a value of all signatures is multiplied by one factor; subtracting the
+    mean of the logarithms keeps exp in range. Clipping does not increase |x|, nor therefore tanh(|x| / 2):
+    the distance of clipped values is a lower bound of ``d1``.
+
+    Returns
+    -------
+    metric : str
+        The metric of the embedding, by its name in `BallTree`.
+    embedding : function
+        The map from (n, L) log-signatures to (n, L) positive values.
     """
     mean = gallery.mean(axis=0)
     return "canberra", lambda logs: np.exp(np.clip(logs - mean, -LARGEST_LOG, LARGEST_LOG))
@@ -70,33 +91,36 @@ _EMBEDDINGS: Mapping[str, Callable[[FloatArray, int], tuple[str, Embedding]]] = 
 
 
 class SignatureIndex:
-    """A searchable table of signatures.
+    """An exact k-nearest-neighbour index of a table of signatures.
 
-    The tree is built here and not stored: its pickle changes between versions of scikit-learn, and building
-    takes 0.3 s for 100 000 shapes.
+    The index is built in memory from the table and not stored in the catalogue, because the pickle of a
+    `BallTree` depends on the version of scikit-learn. See docs/decisions.md, SignatureIndex, for the time.
 
     Parameters
     ----------
     table : SignatureTable
-    distance : str
-        A name in `pcretrieve.retrieval.DISTANCES`: ``log`` (default), ``d1`` or ``d2``.
-    whitening : Whitening or str
-        One made before, such as `resolution_whitening`, or the kind of one to fit on `table`; by default
-        ``none``.
-    n_leading : int
-        Directions that the tree searches for ``log`` and ``d2``; changes the speed, never the answer.
+        The gallery, at least one signature.
+    distance : str, default "log"
+        A key of `pcretrieve.retrieval.DISTANCES`: ``log``, ``d1`` or ``d2``.
+    whitening : Whitening or str, default "none"
+        A fitted whitening, such as `resolution_whitening`, or the kind of whitening to fit on `table`.
+    n_leading : int, default 6
+        Number of principal directions in which the tree searches for ``log`` and ``d2``; it affects the time,
+        not the result.
 
     Attributes
     ----------
     distance : str
+        The name of the distance.
     whitening : Whitening
+        The fitted whitening.
 
     Raises
     ------
     OptionError
-        For a distance or a whitening that does not exist, or `n_leading` below 1.
+        If the distance or the whitening does not exist, or `n_leading` is less than 1.
     InputError
-        For an empty table, or a whitening that was fitted on signatures made by other options.
+        If the table is empty, or the whitening was fitted on signatures with other options.
     """
 
     def __init__(
@@ -128,7 +152,7 @@ class SignatureIndex:
         self._kind, self._digest = table.kind, table.digest
         by_id = sorted(range(len(table)), key=table.ids.__getitem__)
         self._ids = tuple(table.ids[row] for row in by_id)
-        self._gallery = whitening.apply(logs[by_id])  # (N, L); rows ascend by id, so ties do
+        self._gallery = whitening.apply(logs[by_id])  # (N, L), sorted by id: so are ties
         self._size = max(1.0, float(np.abs(self._gallery).max(initial=0)))
         metric, self._embed = _EMBEDDINGS[distance](self._gallery, n_leading)
         self._tree: Any = BallTree(self._embed(self._gallery), metric=metric)
@@ -137,22 +161,27 @@ class SignatureIndex:
         return len(self._ids)
 
     def query(self, signature: Signature | ArrayLike, k: int = 10) -> Neighbors:
-        """The `k` shapes nearest to one signature, itself included where it is in the table.
+        """The `k` nearest neighbours of one signature, including the signature itself if it is in the table.
 
         Parameters
         ----------
         signature : Signature or (L,) array_like
-            Positive values, as in the table; not whitened, not logarithms.
-        k : int
-            Shapes wanted, at least 1. A table with fewer shapes gives all of them.
+            Signature values as in the table: positive, neither logarithms nor whitened.
+        k : int, default 10
+            Number of neighbours, at least 1. If the table has fewer shapes, all of them are returned.
+
+        Returns
+        -------
+        Neighbors
+            Nearest first; equal distances by identifier.
 
         Raises
         ------
         OptionError
-            For `k` below 1.
+            If `k` is not an integer of at least 1.
         InputError
-            For a signature of another kind, digest or length than the table's, or one with values that are
-            not positive and finite.
+            If the kind, the digest or the length of the signature is not that of the table, or a value is not
+            positive and finite.
         """
         if isinstance(k, bool) or not isinstance(k, (int, np.integer)) or k < 1:
             raise OptionError(f"k must be a whole number of at least 1, got {k!r}")
@@ -165,25 +194,38 @@ class SignatureIndex:
         return Neighbors(tuple(self._ids[row] for row in candidates[order]), ranked)
 
     def query_many(self, signatures: Iterable[Signature | ArrayLike], k: int = 10) -> list[Neighbors]:
-        """`query` for each signature, or each row of a (Q, L) array, in order."""
+        """The nearest neighbours of each of Q signatures, in order.
+
+        Parameters
+        ----------
+        signatures : iterable of Signature or (Q, L) array_like
+            The queries, each as in `query`.
+        k : int, default 10
+            Number of neighbours of each query, at least 1.
+
+        Returns
+        -------
+        list of Neighbors, length Q
+            The result of `query` for each signature.
+        """
         return [self.query(signature, k) for signature in signatures]
 
     def _candidates(self, point: FloatArray, k: int) -> NDArray[np.intp]:
-        """Rows of the gallery, ascending, among which are the `k` nearest and all that tie with them."""
+        """Rows of the gallery, ascending, that include the `k` nearest and all rows at equal distance."""
         embedded = self._embed(point)
         bounds, rows = self._tree.query(embedded, k=min(k + 1, len(self)))  # (1, k + 1), ascending
         exact = pairwise(self.distance, point, self._gallery[rows[0]])[0]
         farthest = np.partition(exact, k - 1)[k - 1]
         size = max(self._size, float(np.abs(point).max(initial=0)))
         radius = farthest + ROUNDING * (farthest + size * point.shape[1])
-        # Where even the last bound is beyond the radius, so is every shape that the tree left out.
+        # If the largest lower bound found exceeds the radius, the bounds of all other shapes do too.
         if rows.shape[1] < len(self) and bounds[0, -1] <= radius:
             rows = self._tree.query_radius(embedded, radius)
         candidates: NDArray[np.intp] = np.sort(rows[0])
         return candidates
 
     def _checked_logs(self, signature: Signature | ArrayLike) -> FloatArray:
-        """(L,) logarithms of a query that belongs in this table."""
+        """(L,) logarithms of a query, after checks that it is comparable with the table."""
         if isinstance(signature, Signature):
             if (signature.kind, signature.digest) != (self._kind, self._digest):
                 raise InputError(

@@ -1,19 +1,19 @@
-"""Whitening by what the resolution of a surface changes.
+"""Whitening by the covariance that the resolution of the reconstruction causes in log-signatures.
 
-How far fingers are parted and folds are open in a reconstruction depends on the size of its cells more than
-on who was scanned. What that does to log-signatures has been measured once, on simulated people, animals and
-hands: each was scanned, and rebuilt from cells of two sizes. Directions in which the two differ count less
-[1]_. Nothing is fitted to the shapes that are compared: one of them, or a million, get the same map.
+Whether fingers are separated and folds are open in a reconstructed surface depends more on the edge of the
+voxels than on the body. The effect of the edge on log-signatures was measured once, on simulated people,
+animals and hands: each body was scanned, and reconstructed with two voxel edges. The whitening reduces the
+weight of the directions in which the two log-signatures of a body differ (within-class covariance
+normalisation [1]_ with one class of two members for each body). It is not fitted to the shapes that are
+compared, and therefore the same for every gallery.
 
-mAP without and with it, L = 23: TOSCA's clean meshes .960, .956; its scans .820, .868; easy scans .858, .874;
-scans with sensor positions .780, .807; SHREC'11 .978, .981 (L = 60: .979, .987). Where little but the girth
-of limbs tells bodies apart it does harm, for that is what resolution changes too: ten simulated people .936,
-.848, and their scans .893, .815.
+It improves the rankings of scans, but not of bodies that differ mainly in the girth of their limbs, because
+the voxel edge changes this girth too. See docs/decisions.md, resolution_whitening.
 
 References
 ----------
 .. [1] Hatch, Kajarekar and Stolcke, "Within-class covariance normalization for SVM-based speaker
-   recognition", Interspeech 2006; each body is a class of two members here.
+   recognition", Interspeech 2006.
 """
 
 from __future__ import annotations
@@ -28,13 +28,13 @@ from pcretrieve.retrieval.whitening import Whitening, checked_damping, inverse_s
 
 __all__ = ["is_measured", "resolution_whitening"]
 
-# (2, n, m + 1) float32, made by scripts/sample_resolution: logarithms of |μ_1| … |μ_m| and μ_0 over the
-# squared area, of n bodies, from small cells and from large ones.
+# (2, n, m + 1) float32, written by scripts/sample_resolution: logarithms of |μ_1| … |μ_m| and μ_0, divided by
+# the squared area, of n bodies reconstructed with the smaller and with the larger voxel edge.
 SAMPLE = "resolution.npy"
 
-# The share of bodies that it is taken from: in the others, cells of one size fused limbs, or lost a tail, and
-# those few would outweigh the rest. mAP of TOSCA's scans by each half of the sample, .825 without whitening:
-# .808 and .776 with all bodies, .844 and .854 with these.
+# Fraction of the bodies, those with the smallest change, of which the covariance is computed (trimming). In
+# the others limbs fused, or a tail was lost, at one of the voxel edges, and these few outliers would dominate
+# the covariance. See docs/decisions.md, MOST.
 MOST = 0.85
 
 METHOD = "r-bihdm"
@@ -42,34 +42,45 @@ N_MODES = 60
 
 
 def is_measured(options: SignatureOptions) -> bool:
-    """Whether there is a `resolution_whitening` of such signatures."""
+    """Whether `resolution_whitening` is defined for signatures with these options.
+
+    Parameters
+    ----------
+    options : SignatureOptions
+        The options of the signatures.
+
+    Returns
+    -------
+    bool
+        True for R-BiHDM with 60 modes, normalised by the area or relative.
+    """
     return options.method == METHOD and options.n_modes == N_MODES and options.scale != "absolute"
 
 
 def resolution_whitening(
     options: SignatureOptions, *, damping: float | None = None, options_digest: str = ""
 ) -> Whitening:
-    """The whitening W = s (C + d c I)^(−1/2), C being the mean square of what resolution changes.
+    """The whitening W = s (C + d c I)^(−1/2), with C the second moment of the changes caused by resolution.
 
     Parameters
     ----------
     options : SignatureOptions
-        Of the signatures: R-BiHDM with 60 modes, by area or relative.
+        The options of the signatures: R-BiHDM with 60 modes, normalised by the area or relative.
     damping : float, optional
-        d, in (0, 1], in units of c, the largest eigenvalue of C; by default as in `DEFAULT_DAMPING`.
-    options_digest : str
-        Digest of the table that it is for.
+        d, in (0, 1], in units of c, the largest eigenvalue of C. By default that of `DEFAULT_DAMPING`.
+    options_digest : str, default ""
+        Digest of the table to which the whitening is applied.
 
     Returns
     -------
     Whitening
-        Its s leaves the mean square length of differences that know no direction as it was. The value that
-        is the size, where that has a weight, stays what it is.
+        s is such that W preserves the expected squared length of isotropic vectors: tr(W²) = L. If the
+        options have a size weight, W is the identity on the last value, which is the size.
 
     Raises
     ------
     OptionError
-        For other signatures, or damping out of range.
+        If the whitening is not defined for the options, or the damping is not in (0, 1].
     """
     if not is_measured(options):
         raise OptionError(

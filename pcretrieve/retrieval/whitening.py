@@ -1,11 +1,14 @@
-"""Whitening: a linear map of log-signatures after which distances weigh all directions of spread alike.
+"""Whitening: an affine map of log-signatures after which all directions have the same variance.
 
-The matrix is a symmetric inverse square root W = s C^(−1/2). Of all matrices that whiten, the symmetric
-one moves the coordinates least [1]_, so that D₁ and D₂, which unlike the Euclidean distance depend on the
-choice of axes, still compare what were nearly the same signature values; it is also the only one that does
-not depend on the sign and order of eigenvectors. The scale s leaves the total variance of the fitted shapes
-as it was. Without it D₁ and D₂, which are not homogeneous, would leave the range that they were made for, and
-distances could not be compared across whitenings.
+The matrix is the symmetric inverse square root W = s C^(−1/2) of a covariance C (ZCA whitening). Of all
+whitening matrices the symmetric one changes the coordinates least in the mean square [1]_. This matters for
+D₁ and D₂, which unlike the Euclidean distance depend on the coordinate axes: they compare values that are
+close to the original ones. The symmetric root is also independent of the sign and the order of the
+eigenvectors of C.
+
+The factor s preserves the total variance of the shapes of the fit. D₁ and D₂ are not homogeneous, so that
+without s they would be evaluated far from the magnitudes for which they were designed, and distances with
+different whitenings would not be comparable.
 
 References
 ----------
@@ -38,14 +41,13 @@ __all__ = [
 
 WHITENINGS = ("none", "resolution", "pca", "within-class")
 
-#: What keeps noise in the directions of least spread from being blown up, each in its own unit. On SHREC'11,
-#: L = 45, mean average precision is .967 without whitening and .986 with the default for ``pca``; damping of
-#: 0.0001 gives .946. For ``within-class`` anything from 0.05 to 0.2 gives .986 to .987.
+#: Regularisation of the covariance, which limits the amplification of noise in directions of small variance.
+#: See docs/decisions.md, DEFAULT_DAMPING.
 DEFAULT_DAMPING: Mapping[str, float] = MappingProxyType(
     {
-        "pca": 0.01,  # of the largest variance, added to every variance
-        "resolution": 0.03,  # likewise
-        "within-class": 0.10,  # of the way from the within-class covariance to its mean variance
+        "pca": 0.01,  # Tikhonov: times the largest eigenvalue, added to all eigenvalues
+        "resolution": 0.03,  # as for pca
+        "within-class": 0.10,  # shrinkage intensity towards the mean variance times the identity
     }
 )
 
@@ -59,15 +61,15 @@ class Whitening:
     kind : str
         One of `WHITENINGS`.
     mean : (L,) float64
-        Mean log-signature of the fitted shapes; zero for ``none``.
+        Mean log-signature of the shapes of the fit; zero for ``none``.
     matrix : (L, L) float64
-        W; symmetric positive definite, dimensionless; the identity for ``none``.
+        W, symmetric positive definite, dimensionless; the identity for ``none``.
     n_fitted : int
-        Shapes that it was fitted on.
+        Number of shapes of the fit.
     damping : float
-        As in `fit_whitening`; zero for ``none``.
+        Regularisation as in `fit_whitening`; zero for ``none``.
     options_digest : str
-        Digest of the signatures that it was fitted on, and that it may be applied to.
+        Digest of the signatures of the fit, to which alone the whitening may be applied.
     """
 
     kind: str
@@ -95,7 +97,7 @@ class Whitening:
 
     @property
     def digest(self) -> str:
-        """Fingerprint of what made it: kind, damping, and the options behind the signatures."""
+        """Hash of the kind, the damping, and the options of the signatures."""
         made_by = json.dumps([self.kind, self.damping, self.options_digest])
         return hashlib.sha256(made_by.encode()).hexdigest()
 
@@ -105,11 +107,17 @@ class Whitening:
         Parameters
         ----------
         logs : (N, L) float64
+            Log-signatures, one in each row.
 
         Returns
         -------
         (N, L) float64
-            The input itself for ``none``.
+            W (x − mean) for each row x; the input array itself for ``none``.
+
+        Raises
+        ------
+        InputError
+            If the log-signatures do not have L values.
         """
         if logs.ndim != 2 or logs.shape[1] != len(self.mean):
             raise InputError(
@@ -118,13 +126,13 @@ class Whitening:
             )
         if self.kind == "none":
             return logs
-        # Not a BLAS product: there the last bit of a row depends on the rows around it, and equal signatures
-        # would no longer tie.
+        # einsum instead of a BLAS product, in which the rounding of a row depends on the other rows: equal
+        # signatures would no longer be at exactly equal distances.
         whitened: FloatArray = np.einsum("ij,kj->ik", logs - self.mean, self.matrix)
         return whitened
 
     def to_arrays(self) -> dict[str, NDArray[Any]]:
-        """All of it as plain arrays, for `numpy.savez` or a database; none of them needs pickle."""
+        """The attributes as arrays by name, for `numpy.savez` or a database; no array needs pickle."""
         return {
             "kind": np.array(self.kind),
             "mean": self.mean,
@@ -136,12 +144,22 @@ class Whitening:
 
     @classmethod
     def from_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> Whitening:
-        """The whitening that `to_arrays` took apart.
+        """The inverse of `to_arrays`.
+
+        Parameters
+        ----------
+        arrays : mapping of str to array
+            The attributes by name.
+
+        Returns
+        -------
+        Whitening
+            The whitening with these attributes.
 
         Raises
         ------
         InputError
-            Where an array is missing or does not fit.
+            If an array is missing or has the wrong shape.
         """
         missing = [name for name in cls.__slots__ if name not in arrays]
         if missing:
@@ -167,29 +185,36 @@ def fit_whitening(
     damping: float | None = None,
     options_digest: str = "",
 ) -> Whitening:
-    """Fit a whitening to log-signatures. That of `resolution_whitening` is not fitted, and not among them.
+    """Fit a whitening to log-signatures.
 
     Parameters
     ----------
     kind : str
-        ``none``: the identity. ``pca``: C is the covariance of all the shapes, labelled or not, with
-        `damping` times its largest eigenvalue added to every eigenvalue. ``within-class``: C is the pooled
-        covariance of shapes about the mean of their class, moved by the fraction `damping` towards its mean
-        variance times the identity.
+        ``none``: W is the identity. ``pca``: C is the covariance of all shapes, labelled or not, with
+        `damping` times its largest eigenvalue added to every eigenvalue (Tikhonov regularisation).
+        ``within-class``: C is the pooled within-class covariance, shrunk with intensity `damping` towards its
+        mean variance times the identity. ``resolution`` is not fitted: see `resolution_whitening`.
     logs : (N, L) float64
-    labels : sequence of (str or None), length N
-        For ``within-class`` only. Shapes without a label, or alone in their class, are ignored.
+        Log-signatures, one in each row.
+    labels : sequence of (str or None), length N, optional
+        Classes, for ``within-class`` only. Shapes without a label, and classes of one shape, are ignored.
     damping : float, optional
-        In (0, 1]; by default ``DEFAULT_DAMPING[kind]``. Ignored for ``none``.
-    options_digest : str
-        Digest of the table that the log-signatures come from.
+        In (0, 1]. By default ``DEFAULT_DAMPING[kind]``; ignored for ``none``.
+    options_digest : str, default ""
+        Digest of the table of the signatures.
+
+    Returns
+    -------
+    Whitening
+        The mean and the matrix W = s C^(−1/2) of the map.
 
     Raises
     ------
     OptionError
-        For a kind that does not exist, or damping out of range.
+        If the kind does not exist or is not fitted, or the damping is not in (0, 1].
     InputError
-        Where there are fewer than two distinct shapes to fit on.
+        If a log-signature is not finite, there are fewer than two distinct shapes, or, for ``within-class``,
+        no class with two distinct shapes.
     """
     _check_kind(kind)
     if logs.ndim != 2 or not np.isfinite(logs).all():
@@ -212,7 +237,7 @@ def fit_whitening(
 def _pca(
     logs: FloatArray, labels: Sequence[str | None] | None, damping: float
 ) -> tuple[FloatArray, FloatArray]:
-    """All shapes, and their damped covariance (L, L)."""
+    """All shapes (N, L), and their regularised covariance (L, L)."""
     _check_distinct("pca", logs)
     covariance = _covariance(logs)
     largest = np.linalg.eigvalsh(covariance)[-1]
@@ -222,7 +247,7 @@ def _pca(
 def _within_class(
     logs: FloatArray, labels: Sequence[str | None] | None, damping: float
 ) -> tuple[FloatArray, FloatArray]:
-    """The shapes that share a class with another, and their shrunk pooled covariance (L, L)."""
+    """The shapes in classes of at least two shapes, and their shrunk pooled covariance (L, L)."""
     if labels is None or len(labels) != len(logs):
         given = "none" if labels is None else str(len(labels))
         raise InputError(f"within-class whitening needs one label per shape ({len(logs)}), got {given}")
@@ -261,12 +286,24 @@ def _covariance(logs: FloatArray) -> FloatArray:
 
 
 def checked_damping(kind: str, damping: float | None) -> float:
-    """The damping asked for, or the default of a kind of whitening.
+    """The damping of a whitening, or its default, after a check of its range.
+
+    Parameters
+    ----------
+    kind : str
+        A key of `DEFAULT_DAMPING`.
+    damping : float or None
+        None for the default of the kind.
+
+    Returns
+    -------
+    float
+        In (0, 1].
 
     Raises
     ------
     OptionError
-        If it does not lie in (0, 1].
+        If the damping is not in (0, 1].
     """
     damping = DEFAULT_DAMPING[kind] if damping is None else float(damping)
     if not 0 < damping <= 1:
@@ -275,7 +312,18 @@ def checked_damping(kind: str, damping: float | None) -> float:
 
 
 def inverse_square_root(covariance: FloatArray) -> FloatArray:
-    """C^(−1/2), symmetric, of a symmetric positive definite C."""
+    """The symmetric inverse square root C^(−1/2) of a covariance.
+
+    Parameters
+    ----------
+    covariance : (L, L) float64
+        C, symmetric positive definite.
+
+    Returns
+    -------
+    (L, L) float64
+        Symmetric positive definite.
+    """
     variances, directions = np.linalg.eigh(covariance)
     root: FloatArray = (directions / np.sqrt(variances)) @ directions.T
     return root

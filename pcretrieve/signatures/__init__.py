@@ -1,12 +1,13 @@
-"""Spectrum and surface → descriptor: one file per method, and the table that names them.
+"""Spectrum and surface → global shape descriptor: one module for each method, and a table of the methods.
 
-A method takes a shape and the options and gives a `Signature`. Other packages add their own by an entry point
-of the group ``pcretrieve.signatures`` that leads to such a function::
+A method is a function of a shape and `SignatureOptions` that returns a `Signature`. Another package adds a
+method by an entry point of the group ``pcretrieve.signatures`` that names such a function::
 
     [project.entry-points."pcretrieve.signatures"]
-    diameter = "their_package:diameter"
+    diameter = "other_package:diameter"
 
-It is then a `--method` like any other. A name of pcretrieve's own cannot be taken.
+The name of the entry point is then a value of the option `--method`. The names of pcretrieve's own methods
+are reserved.
 """
 
 from __future__ import annotations
@@ -47,7 +48,7 @@ Method = Callable[[Describable, SignatureOptions], Signature]
 
 
 def _spectrum(shape: Describable, options: SignatureOptions) -> ModalSpectrum:
-    """Of the surface in the unit of its file, where its size is to count."""
+    """The spectrum of the surface on unit area; for the scale ``absolute``, in the unit of the file."""
     return shape.spectrum.scaled(shape.area) if options.scale == "absolute" else shape.spectrum
 
 
@@ -72,23 +73,36 @@ METHODS: dict[str, Method] = {
 }
 
 
-# Those that see no more of a shape than its stored surface.
+# Methods that are computed from the stored surface instead of the stored spectrum.
 OF_MESH = ("sd-gdm", "hks-bow", "hks-bow-spatial", "si-hks-bow", "si-hks-bow-spatial")
 
 
 def describe(shape: Describable, options: SignatureOptions) -> Signature:
-    """The descriptor that `options` names.
+    """The signature of a shape by the method and the parameters in `options`.
 
-    Where a scan was made into several surfaces, values are the geometric mean of theirs. Descriptors in
-    `OF_MESH` describe the first surface alone. Where size has a weight w, the last value is area^w, unit
-    length^(2w) of the file.
+    If several surfaces were reconstructed from one scan, each value is the geometric mean over the surfaces;
+    the methods in `OF_MESH` describe the first surface only.
+
+    Parameters
+    ----------
+    shape : Describable
+        The spectrum, the area and the surface of the shape, and the spectra of its further surfaces.
+    options : SignatureOptions
+        The method, the number of values and of modes, the scale, and the weight w of the size.
+
+    Returns
+    -------
+    Signature
+        In the order and the units of the method. If w > 0, area^w is appended as the last value, unit
+        length^(2 w) of the file. `Signature.deviation` is None if there is one surface only.
 
     Raises
     ------
     OptionError
-        If there is no such descriptor, its package cannot be loaded, or a length does not fit the spectrum.
+        If the method does not exist, its package cannot be loaded, or the number of values or of modes does
+        not fit the spectrum.
     ShapeError
-        If the shape has none.
+        If the signature of this shape cannot be computed.
     """
     made = _one(shape, options)
     if options.method in OF_MESH or not shape.others:
@@ -102,7 +116,7 @@ def describe(shape: Describable, options: SignatureOptions) -> Signature:
 
 
 class _Rebuilt(NamedTuple):
-    """A shape by another of its surfaces."""
+    """The shape with one of its further surfaces in the place of the first."""
 
     spectrum: ModalSpectrum
     area: float
@@ -115,12 +129,12 @@ def _one(shape: Describable, options: SignatureOptions) -> Signature:
     made = method(shape, options) if method else _added(shape, options)
     if not options.size_weight:
         return made
-    # Another package's error bar, where it has one, does not cover the size.
+    # The error bar that a method of another package may return has no entry for the size.
     return replace(made, values=np.append(made.values, shape.area**options.size_weight), deviation=None)
 
 
 def _added(shape: Describable, options: SignatureOptions) -> Signature:
-    """The descriptor of another package, which may fail in ways that nobody here has thought of."""
+    """The signature by a method of another package; any exception there becomes one of `errors`."""
     point = next(iter(entry_points(group=PLUGIN_GROUP, name=options.method)), None)
     if point is None:
         raise OptionError(

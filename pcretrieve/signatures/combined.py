@@ -1,4 +1,4 @@
-"""R-BiHDM and Shape-DNA side by side."""
+"""The concatenation of the R-BiHDM and the Shape-DNA signature."""
 
 from __future__ import annotations
 
@@ -19,31 +19,36 @@ def combined(
     *,
     scale: Scale = "area",
 ) -> Signature:
-    """The signatures of `r_bihdm` and `shape_dna`, one after the other.
+    """The values of `r_bihdm` followed by the values of `shape_dna`, from one spectrum.
 
-    Both come from one spectrum, but err in different directions: whitened, they tell more than either.
+    The errors of the two descriptors are only partly correlated, so that whitened retrieval by both is better
+    than by either of them.
 
     Parameters
     ----------
     pairs : Eigenpairs or ModalSpectrum
-        At least `n_modes` + 1 of them.
+        At least `n_modes` + 1 eigenpairs of a connected surface.
     n_values : int, default 23
-        L, at most `n_modes`.
+        L, the number of values of each descriptor, at most `n_modes`.
     n_modes : int, default 60
-        m, as in `r_bihdm`.
+        m, the number of modes, as in `r_bihdm`.
     scale : {"area", "relative", "absolute"}, default "area"
+        Normalisation of both descriptors: as in `r_bihdm`; Shape-DNA is normalised by the area for ``area``
+        and ``relative``, and not normalised for ``absolute``.
 
     Returns
     -------
     Signature
-        values (2 L,): first those of R-BiHDM, then those of Shape-DNA, each largest first.
+        values : (2 L,) float64: L values of R-BiHDM, then L values of Shape-DNA, each part largest first.
+        Dimensionless; for ``absolute``, unit length⁴ and unit length² respectively.
 
     Raises
     ------
     OptionError
-        If `n_values` or `n_modes` does not fit.
+        If `n_modes` is not between 1 and the number of eigenpairs − 1, or `n_values` not between 1 and
+        `n_modes`.
     SpectrumError
-        As `r_bihdm`.
+        If the matrix of R-BiHDM does not have a positive and m negative eigenvalues.
     """
     spectrum = pairs if isinstance(pairs, ModalSpectrum) else ModalSpectrum.of(pairs)
     halves = (

@@ -1,9 +1,10 @@
-"""ShapeGoogle: a surface as a bag of words, each of them a way that heat leaves a point.
+"""ShapeGoogle: a bag of features, with heat kernel signatures as the point descriptor.
 
-The words are the same for every collection. They are means (k-means from a fixed start) of the features of
-some hundred points on simulated people, animals and hands, which are stored beside this file; so a signature
-depends on its own shape alone, and signatures of different collections compare. A vocabulary learned from the
-gallery would fit it better and change with every shape that is added.
+The vocabulary is the same for every gallery: its words are the cluster centres (k-means from a fixed start)
+of the point descriptors of some hundred points on simulated people, animals and hands, which are stored
+beside this file and made by ``scripts/sample_heat``. The signature of a shape therefore depends on this shape
+alone, and signatures of different galleries are comparable. A vocabulary learned from the gallery would
+quantise the gallery better, but change every signature with every shape that is added.
 """
 
 from __future__ import annotations
@@ -21,21 +22,23 @@ from pcretrieve.types import Eigenpairs, FloatArray, Signature, TriangleMesh
 
 __all__ = ["heat_features", "hks_bow", "unit_eigenpairs"]
 
-# Six times, as ShapeGoogle has, on a surface of unit area: the first sees a finger, the last half the body.
+# Diffusion times on a surface of unit area, six as in ShapeGoogle. In time t heat spreads over a distance of
+# about √(4 t): 0.09 for the first time, 0.9 for the last.
 TIMES = np.geomspace(0.002, 0.2, 6)
 
-# Bronstein and Kokkinos: derivatives over sixteenths of an octave of time, and six of their frequencies.
+# Scale-invariant heat kernel signature (Bronstein and Kokkinos): logarithms of the diffusion times, about a
+# tenth of an octave apart, and the number of low frequencies of the derivative that are kept.
 LOG_TIMES = np.linspace(np.log(0.001), np.log(1), 97)
 N_FREQUENCIES = 6
 
-# How far heat goes between two words that are counted as near each other; time on a surface of unit area.
+# Diffusion time of the heat kernel that weighs pairs of words, on a surface of unit area.
 SPATIAL_TIME = 0.02
 
-# Added to every word's share of the surface: a word that is not on it would have no logarithm, and one that
-# is on a millionth of it would outweigh all others in a distance of logarithms.
+# Added to the frequency of every word (additive smoothing): the distances compare logarithms of frequencies,
+# in which a frequency of zero is not defined, and a very small one would outweigh all others.
 SMALLEST_SHARE = 1e-3
 
-# Means of fewer points than this are no vocabulary, and some would be left without any.
+# Smallest mean number of sample points for each cluster of k-means: with fewer points clusters become empty.
 POINTS_PER_WORD = 8
 
 SAMPLE = "hks_sample.npy"
@@ -49,38 +52,39 @@ def hks_bow(
     spatial: bool = False,
     scale_invariant: bool = False,
 ) -> Signature:
-    """Heat kernel signatures, vector-quantised softly into a bag of words [1]_, sections 3 and 4.
+    """Bag of features of heat kernel signatures, with soft vector quantisation [1]_, sections 3 and 4.
 
-    A point belongs to words in proportion to exp(−‖p − word‖² / 2σ²), with σ twice the median distance from a
-    word to the next.
+    The weight θ_w(x) of word w at point x with descriptor p is proportional to exp(−‖p − w‖² / 2σ²), and
+    Σ_w θ_w(x) = 1. σ is twice the median distance from a word to the nearest other word.
 
     Parameters
     ----------
     mesh : TriangleMesh
-        Connected.
+        Connected surface, of any area.
     n_words : int, default 23
-        Words of the vocabulary.
+        L, the number of words of the vocabulary.
     n_modes : int, default 60
-        m, the modes that the heat kernel is summed over.
+        m, the number of modes in the sum of the heat kernel.
     spatial : bool, default False
-        Count pairs of words, weighted by the heat that flows between them, in place of words.
+        Spatially sensitive bag of features: frequencies of pairs of words, weighted by the heat kernel
+        between their points, instead of frequencies of words.
     scale_invariant : bool, default False
-        Describe points by scale-invariant heat kernel signatures [2]_. The others are free of the size of the
-        surface too, but not of that of its parts.
+        Take scale-invariant heat kernel signatures [2]_ as the point descriptor. Plain heat kernel signatures
+        on unit area are invariant to the scale of the whole surface, but not to a local scale.
 
     Returns
     -------
     Signature
-        values (L,): the share of the surface in each word, plus a thousandth; or, spatially sensitive, that
-        of each of the L (L + 1) / 2 pairs. Dimensionless, in the order of the vocabulary; unchanged by
-        isometry and scaling.
+        values : (L,) float64: ∫ θ_w / A + 0.001 for each word w, in the order of the vocabulary. With
+        `spatial` (L (L + 1) / 2,) float64: ∬ θ_v(x) k(x, y) θ_w(y) dx dy + 0.001 on unit area, with the heat
+        kernel k, for v ≤ w. Dimensionless, invariant to isometry and scaling.
 
     Raises
     ------
     OptionError
-        If there are too many words.
+        If `n_words` is not between 2 and an eighth of the number of sample points.
     SpectrumError, DegenerateMeshError
-        If the surface has no spectrum of `n_modes` modes.
+        If the first `n_modes` + 1 eigenpairs of the surface cannot be computed.
 
     References
     ----------
@@ -92,7 +96,7 @@ def hks_bow(
     words, width = _vocabulary(n_words, scale_invariant)
     pairs = unit_eigenpairs(mesh, n_modes)
     squared = cdist(heat_features(pairs, scale_invariant=scale_invariant), words, "sqeuclidean")  # (n, L)
-    # Relative to the nearest word, so that a point far from all of them still belongs to some.
+    # Subtracting the smallest distance keeps the sum from underflowing to zero far from all words.
     nearness = np.exp(-(squared - squared.min(axis=1, keepdims=True)) / (2 * width**2))
     belongs = nearness / nearness.sum(axis=1, keepdims=True)  # (n, L)
     in_modes = (pairs.mass @ pairs.eigenvectors).T @ belongs  # (m + 1, L): ∫ φ_k θ_w
@@ -100,9 +104,9 @@ def hks_bow(
         heat = np.exp(-SPATIAL_TIME * pairs.eigenvalues)  # (m + 1,)
         shares = ((in_modes.T * heat) @ in_modes)[np.triu_indices(n_words)]  # (L (L + 1) / 2,)
     else:
-        shares = in_modes[0]  # φ_0 is one on unit area
+        shares = in_modes[0]  # (L,): ∫ θ_w, since φ_0 = 1 on unit area
     kind = "si-hks-bow" if scale_invariant else "hks-bow"
-    # The heat kernel cut at m modes may be negative where it is small.
+    # The heat kernel truncated at m modes may be negative where it is small.
     return Signature(
         np.maximum(shares, 0) + SMALLEST_SHARE,
         kind=f"{kind}-spatial" if spatial else kind,
@@ -111,25 +115,41 @@ def hks_bow(
 
 
 def unit_eigenpairs(mesh: TriangleMesh, n_modes: int) -> Eigenpairs:
-    """The m + 1 lowest eigenpairs of a surface scaled to unit area, by linear elements."""
+    """The m + 1 smallest eigenpairs of a surface after scaling to unit area, by linear finite elements.
+
+    Parameters
+    ----------
+    mesh : TriangleMesh
+        Connected surface, of any area.
+    n_modes : int
+        m, the number of modes without the constant eigenfunction.
+
+    Returns
+    -------
+    Eigenpairs
+        m + 1 eigenpairs on unit area.
+    """
     unit = TriangleMesh((mesh.vertices - mesh.vertices.mean(axis=0)) / np.sqrt(mesh.area), mesh.faces)
     return eigenpairs(laplace_beltrami(unit), n_modes + 1)
 
 
 def heat_features(pairs: Eigenpairs, *, scale_invariant: bool = False) -> FloatArray:
-    """Heat kernel signatures of all vertices.
+    """Heat kernel signatures of all vertices, h_t(x) = Σ_k exp(−λ_k t) φ_k(x)².
 
     Parameters
     ----------
     pairs : Eigenpairs
-        Of a surface of unit area.
+        Eigenpairs of a surface of unit area with n vertices.
     scale_invariant : bool, default False
+        Compute scale-invariant heat kernel signatures.
 
     Returns
     -------
     (n, 6) float64
-        log of h_t(x) = Σ exp(−λ_k t) φ_k(x)² over its mean, at six times; or the magnitudes of the six lowest
-        frequencies of ∂ log h / ∂ log t over log t, which a change of size only shifts.
+        Dimensionless: log h_t(x) − log of the mean of h_t over the surface, at six diffusion times. With
+        `scale_invariant` the magnitudes of the six lowest frequencies of the Fourier transform of
+        ∂ log h / ∂ log t over log t: a scaling shifts this derivative along log t, which changes the phases
+        alone.
     """
     times = np.exp(LOG_TIMES) if scale_invariant else TIMES
     decay = np.exp(-np.outer(pairs.eigenvalues, times))  # (k, t)
@@ -142,7 +162,7 @@ def heat_features(pairs: Eigenpairs, *, scale_invariant: bool = False) -> FloatA
 
 @cache
 def _vocabulary(n_words: int, scale_invariant: bool) -> tuple[FloatArray, float]:
-    """(L, 6) words, and the σ that points belong to them by."""
+    """The (L, 6) words of the vocabulary, and the width σ of soft quantisation."""
     sample = np.load(str(resources.files(__package__).joinpath(SAMPLE)))[int(scale_invariant)]  # (s, 6)
     most = len(sample) // POINTS_PER_WORD
     if not 2 <= n_words <= most:

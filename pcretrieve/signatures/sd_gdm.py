@@ -1,4 +1,4 @@
-"""SD-GDM: the spectrum of the geodesic distance between all points of a surface."""
+"""SD-GDM: the spectrum of the geodesic distance matrix of a surface."""
 
 from __future__ import annotations
 
@@ -10,34 +10,37 @@ from pcretrieve.types import FloatArray, Signature, TriangleMesh
 
 __all__ = ["geodesic_matrix", "sd_gdm"]
 
-# Faces that a surface is simplified to, as its authors do: the matrix has a row for each of 500 vertices.
+# Number of faces to which a surface is simplified first, as Smeets et al. do: a closed surface of genus 0
+# then has 502 vertices, and the dense matrix 502 rows.
 N_FACES = 1000
 
 
 def sd_gdm(mesh: TriangleMesh, n_values: int = 23, *, scale: Scale = "area") -> Signature:
-    """The SD-GDM signature [1]_. Needs ``pcretrieve[geodesic]``.
+    """The SD-GDM signature of a surface [1]_; requires the extra ``pcretrieve[geodesic]``.
 
     Parameters
     ----------
     mesh : TriangleMesh
-        Closed, where it has more than a thousand faces.
+        Connected; also closed if it has more than 1000 faces, because it is then simplified.
     n_values : int, default 23
-        L, less than the number of vertices.
+        L, the number of values, less than the number of vertices.
     scale : {"area", "relative", "absolute"}, default "area"
+        What the eigenvalues are divided by: A^(3/2) with the area A, the eigenvalue μ_0 of largest
+        magnitude, or nothing.
 
     Returns
     -------
     Signature
-        values (L,): |μ_j| / area^(3/2) for j = 1 … L, with μ the eigenvalues of `geodesic_matrix` in order
-        of magnitude, or |μ_j / μ_0|; dimensionless, largest first, unchanged by isometry and scaling.
-        Absolute: |μ_j|, unit length³.
+        values : (L,) float64, largest first, with μ_0, μ_1, … the eigenvalues of `geodesic_matrix` by
+        descending magnitude. ``area``: |μ_j| / A^(3/2) for j = 1 … L; ``relative``: |μ_j / μ_0|; both
+        dimensionless, invariant to isometry and scaling. ``absolute``: |μ_j|, unit length³.
 
     Raises
     ------
     OptionError
         If potpourri3d is not installed.
     DegenerateMeshError
-        If there are too few vertices, or the surface is open and too large.
+        If the surface has at most L vertices, or has more than 1000 faces and is open.
 
     References
     ----------
@@ -56,17 +59,30 @@ def sd_gdm(mesh: TriangleMesh, n_values: int = 23, *, scale: Scale = "area") -> 
 
 
 def geodesic_matrix(mesh: TriangleMesh) -> FloatArray:
-    """√M D √M: geodesic distances as an integral operator, on a simplified surface.
+    """The matrix √M D √M of the integral operator whose kernel is the geodesic distance.
 
-    Its authors leave the area M of the vertices out, so that dense parts weigh more. Distances are those of
-    the heat method [1]_, made symmetric: 2 % off on a sphere of 500 vertices in 0.1 s, where fast marching,
-    which they took, is as far off in 0.3 s. Exact polyhedral distances take 2 s and, on the coarse meshes of
-    SHREC'11, retrieve less (FT .90 against .94).
+    D holds the geodesic distances between the vertices of the simplified surface, and M is its lumped mass
+    matrix. Smeets et al. take the eigenvalues of D, in which densely sampled parts of a surface weigh more.
+    The distances are computed by the heat method [1]_ and averaged over the two directions; see
+    docs/decisions.md, geodesic_matrix, for other methods.
+
+    Parameters
+    ----------
+    mesh : TriangleMesh
+        Connected; also closed if it has more than 1000 faces.
 
     Returns
     -------
     (n, n) float64
-        Symmetric, zero on the diagonal; n near 500, or fewer where the surface has fewer; scales as length³.
+        Symmetric, zero on the diagonal, unit length³. n is the number of vertices after simplification to at
+        most 1000 faces.
+
+    Raises
+    ------
+    OptionError
+        If potpourri3d is not installed.
+    DegenerateMeshError
+        If the surface has more than 1000 faces and is open.
 
     References
     ----------
@@ -80,7 +96,8 @@ def geodesic_matrix(mesh: TriangleMesh) -> FloatArray:
             "sd-gdm needs potpourri3d, which is not installed: pip install pcretrieve[geodesic]"
         ) from error
 
-    # Compiled at its first import: only for those who ask for this descriptor.
+    # Imported here because the module's numba functions are compiled on import, which no other descriptor
+    # needs.
     from pcretrieve.surface.simplify import simplified
 
     coarse = simplified(mesh, N_FACES) if len(mesh.faces) > N_FACES else mesh

@@ -1,4 +1,4 @@
-"""Shape-DNA: the Laplace–Beltrami spectrum itself."""
+"""Shape-DNA: the spectrum of the Laplace–Beltrami operator."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from pcretrieve.types import Eigenpairs, ModalSpectrum, Signature
 
 __all__ = ["BY", "shape_dna"]
 
-# What makes the spectrum free of size, or leaves it as it is.
+# The normalisation of the spectrum for each value of the option `scale`.
 BY: dict[str, Literal["area", "nothing"]] = {
     "relative": "area",
     "area": "area",
@@ -23,29 +23,31 @@ def shape_dna(
     *,
     normalized_by: Literal["area", "first", "nothing"] = "area",
 ) -> Signature:
-    """The first non-zero eigenvalues [1]_.
+    """The Shape-DNA signature of a surface: its smallest non-zero eigenvalues [1]_, as reciprocals.
 
     Parameters
     ----------
     pairs : Eigenpairs or ModalSpectrum
-        At least `n_values` + 1 of them; one more where they are normalised by the first.
+        At least `n_values` + 1 eigenpairs of a connected surface; `n_values` + 2 for ``first``.
     n_values : int, default 23
+        L, the number of values.
     normalized_by : {"area", "first", "nothing"}, default "area"
-        ``first`` divides by λ_1, which makes it one and leaves it out. The run OrigM-n12-norm1 of SHREC'11 is
-        taken to be this with `n_values` 11: its printed measures come out within 0.006 under the Euclidean
-        distance of λ_j / (j λ_1). The weights 1/j have no say in distances of log-signatures, D₁ or D₂.
+        Normalisation of the eigenvalues: by the area A, by λ_1, or none. ``first`` leaves λ_1 itself out,
+        because it becomes 1; with 11 values it is the run OrigM-n12-norm1 of SHREC'11, see docs/decisions.md,
+        normalized_by.
 
     Returns
     -------
     Signature
-        values (L,): 1 / (λ_j · area) for j = 1 … L, or λ_1 / λ_{j+1}, dimensionless and unchanged by isometry
-        and scaling; or 1 / λ_j, unit length². Largest first. The reciprocal keeps the order of the other
-        descriptors, and every distance of pcretrieve is the same for a signature and its reciprocal.
+        values : (L,) float64, largest first. ``area``: 1 / (λ_j A) for j = 1 … L; ``first``: λ_1 / λ_{j+1};
+        both dimensionless, invariant to isometry and scaling. ``nothing``: 1 / λ_j, unit length², invariant
+        to isometry. Reciprocals, so that values descend as in the other descriptors; every distance of
+        `pcretrieve.retrieval` is the same for two signatures and for their reciprocals.
 
     Raises
     ------
     OptionError
-        If there are too few pairs for `n_values`.
+        If `n_values` is less than 1, or more than the eigenpairs allow.
 
     References
     ----------

@@ -1,4 +1,4 @@
-"""The wave kernel signature of all points of a surface, as one vector."""
+"""The second moment of the wave kernel signature over a surface, as a global descriptor."""
 
 from __future__ import annotations
 
@@ -9,38 +9,39 @@ from pcretrieve.types import Eigenpairs, ModalSpectrum, Signature
 
 __all__ = ["wks"]
 
-# Width of the distribution of energies; relative to their range. Aubry et al. take seven of a hundred steps.
+# σ of the distribution of energies, relative to their range. Aubry et al. take 7 of 100 energy steps.
 WIDTH = 0.07
 
 
 def wks(pairs: Eigenpairs | ModalSpectrum, n_values: int = 23, n_modes: int = 60) -> Signature:
-    """How unevenly waves of each energy are spread over the surface.
+    """The second moment of the wave kernel signature over a surface, at L energies.
 
-    The wave kernel signature of a point [1]_, equations (4) and (5), is
+    The wave kernel signature of a point x at energy e [1]_, equations (4) and (5), is
 
         w_e(x) = Σ_k p_k(e) φ_k(x)²,    p_k(e) ∝ exp(−(e − log λ_k)² / 2σ²),    Σ_k p_k(e) = 1,
 
-    summed over m modes. Its mean over the surface is 1 / A whatever the surface: the lowest moment that tells
-    surfaces apart is the second, which needs no point of the surface, only ⟨φ_i², φ_j²⟩.
+    summed over m modes. Its mean over a surface of area A is 1 / A for every surface. The lowest moment that
+    distinguishes surfaces is the second one, which is a sum of ⟨φ_i², φ_j²⟩.
 
     Parameters
     ----------
     pairs : Eigenpairs or ModalSpectrum
-        At least `n_modes` + 1 of them.
+        At least `n_modes` + 1 eigenpairs of a connected surface.
     n_values : int, default 23
-        Energies, evenly spaced from log λ_1 to log λ_m.
+        L, the number of energies, evenly spaced from log λ_1 to log λ_m.
     n_modes : int, default 60
+        m, the number of modes in the sum.
 
     Returns
     -------
     Signature
-        values (L,): A ∫ w_e², in the order of e; dimensionless, 1 where every point is like every other, as
-        on a sphere, and else more. Unchanged by isometry and scaling.
+        values : (L,) float64: A ∫ w_e², in the order of ascending energies. Dimensionless, at least 1, and 1
+        if w_e is constant on the surface. Invariant to isometry and scaling.
 
     Raises
     ------
     OptionError
-        If `n_modes` does not fit.
+        If `n_modes` is not between 2 and the number of eigenpairs − 1.
     InputError
         If the spectrum was stored without overlaps.
 
