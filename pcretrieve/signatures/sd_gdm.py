@@ -96,8 +96,8 @@ def geodesic_matrix(mesh: TriangleMesh) -> FloatArray:
             "sd-gdm needs potpourri3d, which is not installed: pip install pcretrieve[geodesic]"
         ) from error
 
-    # Imported here because the module's numba functions are compiled on import, which no other descriptor
-    # needs.
+    # Imported here because the module's numba functions are compiled on import,
+    # which no other descriptor needs.
     from pcretrieve.surface.simplify import simplified
 
     coarse = simplified(mesh, N_FACES) if len(mesh.faces) > N_FACES else mesh

@@ -1,4 +1,4 @@
-"""Points → closed surface: reconstruction, remeshing, topology."""
+"""Oriented points, or a mesh with defects → closed surface: reconstruction, repair, remeshing."""
 
 from pcretrieve.surface.body import SurfaceMarks, body_surfaces
 from pcretrieve.surface.reconstruct import poisson_surface, sampled, sound_mesh

@@ -1,4 +1,15 @@
-"""Oriented points → the body that they enclose, on a grid, and its surface."""
+"""Oriented points → the enclosed body as a set of voxels → its closed surface.
+
+This is the surface method ``growth``. Its steps are:
+
+1. Flood fill finds the voxels outside the body (`flood`).
+2. Voxels near the points get a signed distance to the surface (`field`).
+3. Voxels far from the points, in holes of the scan, are classified by a coarse Poisson surface (`filled`).
+4. Voxels between two parts of the body that touch are removed (`contacts`).
+5. Components that a hole of the scan has separated are connected (`pieces`).
+6. Topology-preserving region growing removes handles that the body does not have (`growth`, `handles`).
+7. The boundary of the voxels is triangulated, smoothed and simplified (`marching`, `smooth`, `simplify`).
+"""
 
 from __future__ import annotations
 
@@ -14,7 +25,7 @@ from pcretrieve.errors import ReconstructionError
 from pcretrieve.options import SurfaceOptions
 from pcretrieve.scan.outside import Grid, flood
 from pcretrieve.scan.sampling import noise, spacing
-from pcretrieve.surface.contacts import contacts, walls
+from pcretrieve.surface.contacts import contact_layer, walls
 from pcretrieve.surface.field import LEAST_WEIGHT, distance_field, folded, hidden_below, normals_of
 from pcretrieve.surface.filled import filled
 from pcretrieve.surface.handles import with_topology
@@ -31,54 +42,56 @@ __all__ = ["SurfaceMarks", "body_surfaces"]
 Mask = NDArray[np.bool_]
 Voxels = NDArray[np.float32]
 
-# Share of the body that the flood may claim before it has leaked, and how much wider gaps are shut then.
+# Largest fraction of the interior of the coarse surface that the flood fill may
+# reach. If it reaches more, it has leaked through a hole, and is repeated with the
+# radius of closed holes multiplied by each factor in turn.
 MOST_WET = 0.02
 WIDER = (1.4, 2.0)
 
-# Side of the cube of the coarse surface, relative to the longest side of the bounding box: room for the lid
-# of a hole at the box's own border.
+# Side of the cube of the coarse Poisson surface, relative to the longest side of the bounding box. Larger
+# than the default of 1.1, so that holes at the border of the bounding box can be closed outside it.
 FILL_SCALE = 1.5
 
-# Rounds of smoothing where the surface was invented: caps of holes, cuts and bridges.
+# Rounds of Taubin smoothing of the surface that no points support: in holes, at cuts and at bridges.
 SMOOTHING = 8
 
-# Share of a surface that may be invented. Up to .18 the area was within a per cent, from .33 on it was wrong.
+# Largest fraction of the vertices that no points support. See docs/decisions.md, MOST_INVENTED.
 MOST_INVENTED = 0.3
 
-# How far the invented part may lie on one side, by `_one_sidedness`: .04 for the dragon, a quarter of whose
-# surface is invented in many places; .23 to .34 for halves of bodies.
+# Largest `_one_sidedness` of the surface that no points support. See docs/decisions.md, MOST_ONE_SIDED.
 MOST_ONE_SIDED = 0.15
 
-# Cells are this many times as large as the noise of the points, within limits relative to the diagonal: small
-# ones part fingers if points are exact, and make them ragged if they are not. mAP of TOSCA, 100 000 points,
-# cells of .0045 and .0033: with noise of .0005 .842 and .867; with noise of .001, averaged in voxels of .003
-# and .0025, .813 and .775.
+# Edge of the voxels in units of the noise of the points, and its limits relative to the diagonal. Small
+# voxels separate fingers if the points are exact, but give a rough surface if the points are noisy. See
+# docs/decisions.md, NOISES.
 NOISES = 6.5
 FINEST = 0.0033
 COARSEST = 0.0045
 
-# Cells of the first surface, the second, the third, and so on in turn; relative to those asked for. Small
-# ones part fingers and take gaps of the sampling for holes, large ones the reverse: none is right everywhere.
+# Edge of the voxels of the first, the second and the third surface, and so on in turn; relative to the edge
+# in the options. Small voxels separate fingers but open holes where the sampling is sparse, large voxels do
+# the reverse; the surfaces differ where the result depends on the edge.
 CELLS = (1.0, 4 / 3, 3 / 4)
 
-# How far the cells of each further surface are shifted against those of the one before, modulo a cell: the
-# multiples fill a cell evenly (Roberts, "The unreasonable effectiveness of quasirandom sequences", 2018).
+# Shift of the grid of each further surface relative to the one before, modulo one voxel. Its multiples are a
+# low-discrepancy sequence (Roberts, "The unreasonable effectiveness of quasirandom sequences", 2018).
 SHIFT = np.array([0.8191725134, 0.6710436067, 0.5497004779])
 
-# A crossing is kept this far from the centres of its cells, so that no triangle loses its area.
+# Smallest distance of a vertex on a grid line from the ends of its edge, in voxels, so that no triangle
+# becomes degenerate.
 MARGIN = 0.02
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SurfaceMarks:
-    """Where a surface is not what the points say.
+    """Where the topology of a surface was changed.
 
     Attributes
     ----------
     cuts : (k, 3) float64
-        Cells that were left out so that the body has the topology asked for; unit of the file.
+        Centres of the voxels that were removed to obtain the requested genus; unit of the file.
     bridges : (j, 3) float64
-        Cells that were added to join a piece to the body; unit of the file.
+        Centres of the voxels that were added to connect a component to the body; unit of the file.
     """
 
     cuts: FloatArray
@@ -86,33 +99,35 @@ class SurfaceMarks:
 
 
 def body_surfaces(cloud: PointCloud, options: SurfaceOptions) -> Iterator[tuple[TriangleMesh, SurfaceMarks]]:
-    """Surfaces of the body that oriented points enclose: closed, connected, manifold, pointing outwards.
+    """Reconstruct the surface of the body that oriented points enclose, on several grids.
 
-    Near the points, a cell is inside where the distance to the sphere that fits them is negative; away
-    from them, in holes of the scan, where a coarse Poisson surface says so. The outside that a flood reaches
-    is never inside. Unless the genus is ``free``, skins that touch are parted (see `contacts`), and the body
-    is grown again inside those cells with the topology asked for (see `growth`): limbs that touch are cut
-    apart, first of all along points that lie between them. Pieces that holes have cut off are joined to the
-    body.
+    Near the points a voxel is inside if the signed distance to the algebraic sphere fitted to the points is
+    negative. Elsewhere, in holes of the scan, it is inside if it is inside a coarse Poisson surface. A voxel
+    that the flood fill of the outside reaches is never inside. Components separated by holes are connected to
+    the body. Unless the genus is ``free``, voxels between parts that touch are removed (see `contacts`), and
+    topology-preserving region growing inside the remaining voxels gives the body its genus (see `growth`).
 
-    Each of the surfaces is made on cells of another size, shifted against those of the others: they differ
-    where the points leave a choice, in contacts and thin parts.
+    Each surface is made on a grid of another voxel edge and another origin. The surfaces differ where the
+    points do not determine the surface: where parts touch, and in thin parts.
 
     Parameters
     ----------
     cloud : PointCloud
-        With normals.
+        Points with normals.
     options : SurfaceOptions
+        All options except `mode` and those of the method poisson are used.
 
     Yields
     ------
     mesh : TriangleMesh
+        Closed, connected, manifold and oriented outwards; unit of the file.
     marks : SurfaceMarks
+        Where voxels were removed and added.
 
     Raises
     ------
     ReconstructionError
-        If the points do not surround a body, or hold two.
+        If the points do not surround a body, or surround two.
     """
     started = time.perf_counter()
     least = spacing(cloud.points)
@@ -130,13 +145,13 @@ def _body_surface(
     cloud: PointCloud, coarse: TriangleMesh, cell: float, shift: FloatArray, options: SurfaceOptions
 ) -> tuple[TriangleMesh, SurfaceMarks, Step]:
     notes: list[str] = []
-    deepest = hidden_below(cloud.diagonal, cell) + 1  # asked for between cells
+    deepest = hidden_below(cloud.diagonal, cell) + 1  # interpolated between voxels
     for gap in (options.gap, *(options.gap * wider for wider in WIDER)):
         outside = flood(cloud.points, cell=cell, gap=gap * cloud.diagonal, shift=shift, deepest=deepest)
         coarse_inside, coarse_crossings = filled(coarse, outside.grid)
         distance, weight = distance_field(cloud, outside)
         known = weight > LEAST_WEIGHT
-        # Judged away from the points, where the coarse surface may lie a cell off.
+        # Far from the points only: near them the coarse surface can be inaccurate by a voxel.
         core = coarse_inside & ~known
         if (outside.wet & core).sum() <= MOST_WET * core.sum():
             break
@@ -152,7 +167,7 @@ def _body_surface(
         skins = _walls(cloud, grid)
         folds = folded(cloud, outside, inside)
         open_skins = _walls(cloud.select(~folds), grid) if folds.any() else skins
-        parted = contacts(inside, open_skins, outside.distance)
+        parted = contact_layer(inside, open_skins, outside.distance)
         inside &= ~parted
     inside, bridges = joined(inside, cloud.points, grid, options, notes)
     if not inside.any():
@@ -189,7 +204,7 @@ def _body_surface(
 
 
 def _cell(cloud: PointCloud, options: SurfaceOptions) -> float:
-    """Edge of the first surface's cells; unit of the file."""
+    """Edge of the voxels of the first surface; unit of the file."""
     if options.cell != "auto":
         return options.cell * cloud.diagonal
     return float(np.clip(NOISES * noise(cloud.points), FINEST * cloud.diagonal, COARSEST * cloud.diagonal))
@@ -200,7 +215,7 @@ def _walls(cloud: PointCloud, grid: Grid) -> Mask:
 
 
 def _coarse_surface(cloud: PointCloud, options: SurfaceOptions) -> TriangleMesh:
-    """Poisson's surface, for what lies away from the points."""
+    """The largest component of a coarse Poisson surface; it decides far from the points."""
     vertices, faces, _ = open3d.poisson(
         cloud.points, normals_of(cloud), depth=options.fill_depth, scale=FILL_SCALE
     )
@@ -219,10 +234,34 @@ def _coarse_surface(cloud: PointCloud, options: SurfaceOptions) -> TriangleMesh:
 def _surface(
     body: Mask, inside: Mask, parted: Mask, distance: Voxels, coarse_crossings: Voxels, grid: Grid
 ) -> tuple[TriangleMesh, Mask]:
-    """The body's surface where the distance to the points is zero, and (n,) which vertices are invented.
+    """The boundary surface of the voxels of the body, with vertices at the zeros of the signed distance.
 
-    Invented are caps of holes, cuts and bridges: they are smoothed, and the rest is left where it is. So are
-    skins that were parted, but points lie there: they do not count.
+    A vertex lies on a grid line between a voxel of the body and one outside. Where the signed distance
+    changes its sign as the body does, the vertex is at the linearly interpolated zero. Elsewhere it is at the
+    crossing of the coarse surface, if there is one, else in the middle, and is smoothed afterwards.
+
+    Parameters
+    ----------
+    body : (a, b, c) bool
+        The body after region growing.
+    inside : (a, b, c) bool
+        The body before it.
+    parted : (a, b, c) bool
+        The voxels removed by `contact_layer`.
+    distance : (a, b, c) float32
+        Signed distance to the points; in voxels, NaN far from the points.
+    coarse_crossings : (3, a, b, c) float32
+        Where the coarse surface crosses the grid lines, from `filled`.
+    grid : Grid
+        The grid of the arrays.
+
+    Returns
+    -------
+    mesh : TriangleMesh
+        In the unit of the file.
+    invented : (n,) bool
+        Vertices that no points support. Vertices beside removed contact voxels do not count, because there
+        are points near them.
     """
     crossings, invented, unseen = [], [], []
     for axis, here in enumerate(crossed(body)):
@@ -241,17 +280,15 @@ def _surface(
     vertices, faces = marched(body, crossings)
     moved = smoothed(vertices, faces, np.flatnonzero(np.concatenate(invented)), SMOOTHING)
     counted = np.concatenate(unseen)
-    # The few vertices after those on lines lie inside cells.
+    # The vertices after those on grid lines, inside cubes of the grid, are few.
     counted = np.pad(counted, (0, len(vertices) - len(counted)))
     return TriangleMesh(moved * grid.cell + grid.origin, faces), counted
 
 
 def _one_sidedness(mesh: TriangleMesh, invented: Mask) -> float:
-    """The sum of the area vectors of a part of a closed surface, relative to the whole area.
-
-    What is left of the surface has the opposite sum: 0 where it looks to all sides alike, 1/2 where it is
-    one side of a sheet.
-    """
+    """The norm of the sum of the area vectors of unsupported faces, relative to the whole area."""
+    # The area vectors of the whole surface sum up to zero. The ratio is 0 if the normals of the unsupported
+    # part balance, and 1/2 if this part is one side of a sheet and the points are the other.
     share = invented[mesh.faces].mean(axis=1)  # (m,)
     return float(np.linalg.norm(share @ mesh.area_vectors) / mesh.area)
 

@@ -1,7 +1,8 @@
-"""Where the skins of two limbs touch inside what looks like one body.
+"""Contacts: places where two parts of a body touch, found by geodesic distances inside the body.
 
-A calf folded against its thigh makes no handle: nothing about the topology says that they are two. But the
-points between them are a wall, and the way round it, through the knee, is long.
+Two parts that touch, such as a calf folded against its thigh, do not always form a handle, so that the
+topology of the voxels does not show the contact. But the points between them separate the two parts, and the
+shortest path inside the body that avoids the points, through the knee, is long.
 """
 
 from __future__ import annotations
@@ -12,33 +13,44 @@ from numpy.typing import NDArray
 
 from pcretrieve.types import FloatArray
 
-__all__ = ["contacts", "walls"]
+__all__ = ["contact_layer", "walls"]
 
 Mask = NDArray[np.bool_]
 Voxels = NDArray[np.float32]
 
-# A point is a disk of this radius that growth does not pass through while there is another way; cells.
+# Radius of the surfel, an oriented disk, that represents a point; in voxels.
 DISK = 2.0
 
-# Disks stand across an axis only where their normal leans this far towards it.
+# Smallest magnitude of the component of a normal along an axis for its surfel to cross links along this axis.
 LEAST_LEAN = 0.3
 
-# Two cells side by side with a way this long from one to the other lie on two skins; cells. The disks of a
-# fold end two cells beyond it, and the way round those is shorter. Mean error of 23 log-values over 19 easy
-# scans of TOSCA with contacts: no contacts .118, 5 .090, 6 .084; over 13 of them, with the way measured from
-# the middle of the body: no contacts .135, 10 .098, 20 .143. Below 5, noise makes every skin two.
+# Smallest difference of geodesic distances, in steps, by which two adjacent voxels belong to two parts that
+# touch. Larger than the detour around the surfels at the rim of a fold, which extend two voxels beyond it.
+# See docs/decisions.md, DETOUR.
 DETOUR = 6
 
-# More such cells than this come of noise, not of contacts; relative to the cells of the skin. Noise of .1 %
-# of the diagonal gives .03 to .06, of .3 % .10 to .17.
+# Largest number of voxels in contact layers, relative to the boundary voxels of the body. More of them are
+# caused by noise, and all are then ignored. See docs/decisions.md, MOST_CONTACTS.
 MOST_CONTACTS = 0.08
 
 
 @njit(cache=True)
 def walls(at: FloatArray, normals: FloatArray, shape: tuple[int, int, int]) -> Mask:
-    """Ways from a cell to the next that pass through a disk round a point: (3, a, b, c), along each axis.
+    """The links between adjacent voxels that cross the surfel of a point.
 
-    `at`, (n, 3), are coordinates of the points in cells, `normals` their normals; the signs do not matter.
+    Parameters
+    ----------
+    at : (n, 3) float64
+        Coordinates of the points, in voxels.
+    normals : (n, 3) float64
+        Unit normals of the points; their sign does not matter.
+    shape : tuple of int, length 3
+        (a, b, c), the shape of the grid.
+
+    Returns
+    -------
+    (3, a, b, c) bool
+        For each axis and voxel, whether the link to the next voxel along the axis crosses a surfel.
     """
     walls = np.zeros((3, shape[0], shape[1], shape[2]), dtype=np.bool_)
     place = np.zeros(3, dtype=np.int64)
@@ -65,27 +77,29 @@ def walls(at: FloatArray, normals: FloatArray, shape: tuple[int, int, int]) -> M
     return walls
 
 
-def contacts(inside: Mask, walls: Mask, to_points: Voxels) -> Mask:
-    """Cells to leave out so that skins that touch come apart.
+def contact_layer(inside: Mask, walls: Mask, to_points: Voxels) -> Mask:
+    """The voxels to be removed so that parts of a body that touch are separated.
 
-    The way to every cell is measured from the end of one limb, and does not pass through walls. Where it is
-    much longer to a cell than to the one beside it, that cell is a contact: a layer of the skin which lies
-    farther. So is one that cannot be reached, between two that can, at different ends of a way.
+    Geodesic distances are computed from the end of one limb along links that cross no surfel. A voxel is in
+    the layer if its distance exceeds that of an adjacent voxel by `DETOUR`: it is a boundary voxel of the
+    part that is farther from the limb. A voxel that is not reached is in the layer if two voxels around it
+    differ as much in their distance.
 
     Parameters
     ----------
     inside : (a, b, c) bool
-        Cells that may be body; False on the border of the grid.
+        Voxels that may belong to the body; False on the border of the grid.
     walls : (3, a, b, c) bool
+        The links that cross a surfel, from `walls`.
     to_points : (a, b, c) float32
-        Distance to the nearest point; cells.
+        Distance to the nearest point; in voxels.
 
     Returns
     -------
     (a, b, c) bool
-        None at all where there are so many that they tell of noise.
+        The voxels of the layer. All False if there are so many that noise is the cause.
     """
-    # From the middle of a body, two legs that touch are equally far.
+    # The deepest voxel is not a suitable source: two legs that touch are at equal distances from it.
     middle = np.where(inside, to_points, -1).argmax()
     limb = _away(inside, walls, int(middle)).argmax()
     found = _contacts(inside, _away(inside, walls, int(limb)))
@@ -96,7 +110,7 @@ def contacts(inside: Mask, walls: Mask, to_points: Voxels) -> Mask:
 
 @njit(cache=True)
 def _away(inside: Mask, walls: Mask, source: int) -> NDArray[np.int32]:
-    """Steps from a cell to each that is reached without passing through a wall; −1 elsewhere."""
+    """Steps from a source to each voxel by breadth-first search that crosses no surfel; −1 elsewhere."""
     _, n_y, n_z = inside.shape
     allowed = inside.ravel()
     wall = (walls[0].ravel(), walls[1].ravel(), walls[2].ravel())
@@ -122,7 +136,7 @@ def _away(inside: Mask, walls: Mask, source: int) -> NDArray[np.int32]:
 
 @njit(cache=True)
 def _skin_size(inside: Mask) -> int:
-    """Cells that share a side or an edge with one outside."""
+    """Number of boundary voxels: inside, and 18-adjacent to a voxel outside."""
     n_x, n_y, n_z = inside.shape
     size = 0
     for x in range(1, n_x - 1):
@@ -141,7 +155,7 @@ def _skin_size(inside: Mask) -> int:
 
 @njit(cache=True)
 def _contacts(inside: Mask, away: NDArray[np.int32]) -> Mask:
-    """Cells much farther away than one beside them, or not reached and round which are near and far ones."""
+    """Voxels at which the distance jumps: to a 6-neighbour or, if not reached, around the voxel."""
     n_x, n_y, n_z = inside.shape
     found = np.zeros(inside.shape, dtype=np.bool_)
     for x in range(1, n_x - 1):

@@ -1,4 +1,4 @@
-"""Oriented points → signed distance to their surface, on the cells of a grid near them."""
+"""Oriented points → signed distance to their surface (algebraic point set surface) in voxels near them."""
 
 from __future__ import annotations
 
@@ -15,55 +15,62 @@ __all__ = ["LEAST_WEIGHT", "distance_field", "folded", "hidden_below", "normals_
 Mask = NDArray[np.bool_]
 Voxels = NDArray[np.float32]
 
-# Each cell sees the points this far round itself, weighted by a Gaussian; cells.
+# Radius of the neighbourhood of a voxel, and standard deviation of the Gaussian
+# weight of its points; in voxels.
 REACH = 3.0
 SPREAD = 1.5
 
-# How much of the curvature of the fitted sphere is believed: β of the source. 0 shrinks limbs and loses
-# fingers, the mean distance to the tangent planes (no sphere at all) swells tails and hands by half their
-# area. Human scans of TOSCA, log-signature error: planes .435, β = .5 .417, 1 .414, 1.6 .329, 2.2 .333.
+# β of the fit (Guennebaud et al. 2008): the factor of the quadratic coefficient of the fitted sphere. β = 1
+# is the least-squares sphere, β = 0 a plane. Small β shrinks thin limbs. See docs/decisions.md, CURVATURE.
 CURVATURE = 1.6
 
-# Points that lie closer together than this, as a share of a cell², tell no curvature.
+# Smallest weighted variance of the points of a neighbourhood for a sphere to be fitted, in voxels². Otherwise
+# a plane is fitted.
 LEAST_EXTENT = 0.25
 
-# Least sum of weights that a distance is believed at: about that of one point at the end of its reach.
+# Smallest sum of weights for a distance to be used: about the weight of one point at the distance REACH.
 LEAST_WEIGHT = 0.15
 
-# A point without a sensor is part of the surface only where the outside comes this near; relative to the
-# diagonal, and to cells where those are coarse. Deeper ones lie in contacts and closed mouths, where no side
-# can be told from the other.
+# Largest depth below the outside of a point of the surface, if its sensor is not known: the larger of a
+# length relative to the diagonal and a length in voxels. Deeper ("hidden") points lie at contacts and in
+# closed mouths, where the direction of the outside is ambiguous.
 HIDDEN = 0.02
 HIDDEN_CELLS = 4.5
 
-# Such points are a fold, and left out of the surface, where they are at least this many cells, and less than
-# this share of the cells round them is outside. A contact of limbs is open all along its rim (.15 to .49 in
-# TOSCA), a closed mouth only at the lips (.02 to .13).
+# A component of hidden points is a fold, such as a closed mouth, if it has at least this many voxels and at
+# most this fraction of the voxels around it is outside. The rim of a contact between limbs is open, that of a
+# fold is mostly closed. See docs/decisions.md, LEAST_OPEN.
 LEAST_FOLD = 100
 LEAST_OPEN = 0.135
 
 
 def distance_field(cloud: PointCloud, outside: Outside) -> tuple[Voxels, Voxels]:
-    """Distance to the algebraic sphere that fits the points and normals near each cell [1]_.
+    """Signed distance to the algebraic sphere that is fitted to the points near each voxel [1]_ [2]_.
 
     Parameters
     ----------
     cloud : PointCloud
-        With normals.
+        Points with normals.
     outside : Outside
-        Points without a sensor that it does not come near to are left out.
+        The outside of the body. Hidden points are not used.
 
     Returns
     -------
-    distance : float32 array of the grid's shape
-        Negative inside; cells. 0 where no point is near.
-    weight : float32 array of the grid's shape
-        Of the points near each cell: about 1 for each next to it.
+    distance : float32 array of the shape of the grid
+        Negative inside; in voxels. 0 far from the points.
+    weight : float32 array of the shape of the grid
+        Sum of the Gaussian weights of the points near each voxel; at most 1 for each point.
+
+    Raises
+    ------
+    ReconstructionError
+        If the points have no normals.
 
     References
     ----------
-    .. [1] Guennebaud and Gross, "Algebraic point set surfaces", ACM Transactions on Graphics 26 (2007),
-       equation (4) of "Dynamic sampling and rendering of algebraic point set surfaces" (2008) for the fit.
+    .. [1] G. Guennebaud and M. Gross, "Algebraic point set surfaces", ACM Transactions on Graphics 26 (2007).
+    .. [2] G. Guennebaud, M. Germann and M. Gross, "Dynamic sampling and rendering of algebraic point set
+       surfaces", Computer Graphics Forum 27 (2008), equation (4).
     """
     shown = ~_hidden(cloud, outside)
     points, normals = cloud.points[shown], normals_of(cloud)[shown]
@@ -78,12 +85,22 @@ def distance_field(cloud: PointCloud, outside: Outside) -> tuple[Voxels, Voxels]
 
 
 def normals_of(cloud: PointCloud) -> FloatArray:
-    """The normals of a cloud that must have some.
+    """The normals of a cloud, which must have normals.
+
+    Parameters
+    ----------
+    cloud : PointCloud
+        Points with normals.
+
+    Returns
+    -------
+    (n, 3) float64
+        Unit normals.
 
     Raises
     ------
     ReconstructionError
-        If it has none.
+        If the cloud has no normals.
     """
     if cloud.normals is None:
         raise ReconstructionError("reconstruction needs points with normals, these have none")
@@ -91,7 +108,22 @@ def normals_of(cloud: PointCloud) -> FloatArray:
 
 
 def folded(cloud: PointCloud, outside: Outside, inside: Mask) -> Mask:
-    """(n,) points of skin that is folded in, as in a closed mouth: hidden, many, and hardly open anywhere."""
+    """The points of folds, such as closed mouths: large components of hidden points that are hardly open.
+
+    Parameters
+    ----------
+    cloud : PointCloud
+        n points with normals.
+    outside : Outside
+        The outside of the body.
+    inside : bool array of the shape of the grid
+        The voxels inside the body.
+
+    Returns
+    -------
+    (n,) bool
+        The points of folds.
+    """
     from scipy import ndimage
 
     grid = outside.grid
@@ -99,7 +131,7 @@ def folded(cloud: PointCloud, outside: Outside, inside: Mask) -> Mask:
     if not hidden.any():
         return hidden
     places = np.array(grid.index(cloud.points[hidden]))  # (3, h)
-    # With two cells round them, which the grid has: one for the fold, one for its rim.
+    # The bounding box of the hidden points, enlarged by one voxel for the dilation and one for the rim.
     low, high = places.min(axis=1) - 2, places.max(axis=1) + 3
     nearby = tuple(slice(a, b) for a, b in zip(low, high, strict=True))
     fold = np.zeros(high - low, dtype=bool)
@@ -120,20 +152,33 @@ def folded(cloud: PointCloud, outside: Outside, inside: Mask) -> Mask:
 
 
 def _hidden(cloud: PointCloud, outside: Outside) -> Mask:
-    """(n,) points that the outside does not come near to, nor any sensor saw."""
+    """(n,) mask of hidden points: far from the outside; none if the positions of the sensors are known."""
     if cloud.viewpoints is not None:
         return np.zeros(len(cloud.points), dtype=bool)
     return np.asarray(outside.depth_at(cloud.points) > hidden_below(cloud.diagonal, outside.grid.cell))
 
 
 def hidden_below(diagonal: float, cell: float) -> float:
-    """Depth below the outside from which points without a sensor are hidden; cells."""
+    """The depth below the outside from which points are hidden.
+
+    Parameters
+    ----------
+    diagonal : float
+        Diagonal of the bounding box; unit of the file.
+    cell : float
+        Edge of a voxel; unit of the file.
+
+    Returns
+    -------
+    float
+        In voxels.
+    """
     return max(HIDDEN_CELLS, HIDDEN * diagonal / cell)
 
 
 @njit(cache=True)
 def _near(at: FloatArray, shape: tuple[int, int, int]) -> Mask:
-    """Cells that some point reaches."""
+    """Voxels with a point at a distance of at most `REACH`."""
     near = np.zeros(shape, dtype=np.bool_)
     for i in range(len(at)):
         x, y, z = at[i]
@@ -147,7 +192,7 @@ def _near(at: FloatArray, shape: tuple[int, int, int]) -> Mask:
 
 @njit(cache=True)
 def _summed(at: FloatArray, normals: FloatArray, number: NDArray[np.int32], n: int) -> FloatArray:
-    """(n, 9) sums over the points p near each numbered cell, seen from there: w, wp, wn, wp·p, wp·n."""
+    """(n, 9) sums of w, w p, w n, w p·p, w p·n over the points p near each voxel, relative to its centre."""
     shape = number.shape
     sums = np.zeros((n, 9))
     for i in range(len(at)):
@@ -174,14 +219,15 @@ def _summed(at: FloatArray, normals: FloatArray, number: NDArray[np.int32], n: i
 
 
 def _fitted(sums: FloatArray) -> FloatArray:
-    """(n, 2) distances to the sphere u₀ + u·p + q p·p = 0 that fits each row of sums, and their weights."""
+    """(n, 2) distances to the sphere u₀ + u·p + q p·p = 0 fitted to each row of sums, and the weights."""
     weight, points, normals = sums[:, 0], sums[:, 1:4], sums[:, 4:7]
     extent = sums[:, 7] - np.einsum("ij,ij->i", points, points) / weight
     turn = sums[:, 8] - np.einsum("ij,ij->i", points, normals) / weight
     q = np.where(extent > LEAST_EXTENT * weight, CURVATURE * turn / (2 * np.maximum(extent, 1e-9)), 0)
     u = (normals - 2 * q[:, None] * points) / weight[:, None]
     u_0 = -(np.einsum("ij,ij->i", u, points) + q * sums[:, 7]) / weight
-    # The root of u₀ + |u| d + q d² that does not vanish with q; beyond the centre, that of the centre.
+    # Minus the root d of u₀ + |u| d + q d² that stays finite as q → 0; if it is not real, the distance to the
+    # centre of the sphere.
     steepness = np.linalg.norm(u, axis=1)
     root = np.sqrt(np.maximum(steepness**2 - 4 * u_0 * q, 0))
     return np.column_stack([2 * u_0 / (steepness + root + 1e-9), weight])

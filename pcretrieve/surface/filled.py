@@ -1,4 +1,4 @@
-"""A closed mesh → the cells of a grid inside it, and where the lines between cells cross it."""
+"""A closed mesh → the voxels inside it (scan conversion by parity), and its crossings with the grid lines."""
 
 from __future__ import annotations
 
@@ -14,30 +14,31 @@ __all__ = ["filled"]
 Mask = NDArray[np.bool_]
 Voxels = NDArray[np.float32]
 
-# Lines pass this far beside the centres of cells, on which vertices may lie; cells.
+# Offset of the lines from the centres of the voxels, at which vertices may lie; in voxels.
 BESIDE = (1e-4, 1.7e-4)
 
 
 def filled(mesh: TriangleMesh, grid: Grid) -> tuple[Mask, Voxels]:
-    """Cells inside, and the lines through their centres cut by the mesh.
+    """Voxels inside a mesh, and the crossings of the mesh with the lines through their centres.
 
-    A cell is inside where the line through it along the last axis has crossed the mesh an odd number of
-    times. Faces that share an edge ask the same question of it, and take the answer by the way they turn: a
-    line crosses one of them, never both or neither, as rays cast in single precision do.
+    A voxel is inside if the line to it along the last axis crosses the mesh an odd number of times (parity
+    rule). The side of an edge on which a line passes is computed identically for both faces at the edge, so
+    that the line crosses exactly one of them. Rays cast in single precision do not guarantee this.
 
     Parameters
     ----------
     mesh : TriangleMesh
         Closed.
     grid : Grid
-        Cells on its border are never inside.
+        A grid of shape (a, b, c). Voxels on its border are never inside.
 
     Returns
     -------
-    inside : bool array of the grid's shape
+    inside : (a, b, c) bool
+        Voxels whose centre is inside the mesh.
     crossings : (3, a, b, c) float32
-        Along each axis, where the mesh cuts the way from a cell's centre to the next, in [0, 1); NaN where it
-        does not.
+        For each axis and voxel, where the mesh crosses the line from the centre of the voxel to the next
+        centre: a fraction in [0, 1), NaN if it does not.
     """
     at = grid.coordinates(mesh.vertices)
     crossings = np.full((3, *grid.shape), np.nan, dtype=np.float32)
@@ -51,7 +52,7 @@ def filled(mesh: TriangleMesh, grid: Grid) -> tuple[Mask, Voxels]:
 
 @njit(cache=True)
 def _cross(at: FloatArray, faces: NDArray[np.int32], crossings: Voxels, odd: Mask) -> None:
-    """Note the crossings along each axis; `odd` turns in the first cell after each one along the last."""
+    """Write the crossings along each axis, and flip `odd` in the voxel after each along the last axis."""
     shape = odd.shape
     place = np.zeros(3, dtype=np.int64)
     for f in range(len(faces)):
@@ -70,7 +71,7 @@ def _cross(at: FloatArray, faces: NDArray[np.int32], crossings: Voxels, odd: Mas
                         continue
                     if left != _left(at, faces[f, 2], faces[f, 0], i, j, x, y):
                         continue
-                    # Where the line meets the plane a + s (b - a) + t (c - a).
+                    # The intersection of the line with the plane a + s (b - a) + t (c - a).
                     e, g = b[i] - a[i], c[i] - a[i]
                     h, k = b[j] - a[j], c[j] - a[j]
                     area = e * k - g * h
@@ -81,7 +82,7 @@ def _cross(at: FloatArray, faces: NDArray[np.int32], crossings: Voxels, odd: Mas
                     along = a[axis] + s * (b[axis] - a[axis]) + t * (c[axis] - a[axis])
                     below = int(np.floor(along))
                     if axis == 2 and below < shape[2] - 1:
-                        # What is crossed before the grid begins turns all of it.
+                        # A crossing before the first voxel changes the parity of all voxels of the line.
                         odd[u, v, max(0, below + 1)] ^= True
                     if 0 <= below < shape[axis] - 1:
                         place[axis], place[i], place[j] = below, u, v
@@ -90,10 +91,11 @@ def _cross(at: FloatArray, faces: NDArray[np.int32], crossings: Voxels, odd: Mas
 
 @njit(cache=True)
 def _left(at: FloatArray, p: int, q: int, i: int, j: int, x: float, y: float) -> bool:
-    """Whether (x, y) lies left of the way from p to q, seen along an axis; one answer for both directions."""
+    """Whether (x, y) is left of the directed line from p to q in the projection along an axis."""
+    # Evaluated from the lower to the higher vertex number, so that the two directions never agree.
     low, high = min(p, q), max(p, q)
     across, up = at[high, i] - at[low, i], at[high, j] - at[low, j]
     turn = across * (y - at[low, j]) - up * (x - at[low, i])
-    if turn == 0:  # as if (x, y) were a little farther along the first axis, and far less along the second
+    if turn == 0:  # symbolic perturbation: (x, y) moves by ε along the first axis, by ε² along the second
         turn = across if up == 0 else -up
     return bool((turn > 0) == (p < q))

@@ -1,8 +1,8 @@
-"""A body with the topology of a ball, grown inside another [1]_.
+"""Topology-preserving region growing: the largest part of a body that has the topology of a ball [1]_.
 
-Where limbs touch, their cells run together and make handles that the body does not have. Growing the body
-cell by cell, deepest first, and never adding a cell that would close a handle, leaves the last cells of each
-contact out.
+Where limbs touch, their voxels are connected and form handles that the body does not have. The region grows
+voxel by voxel, in order of descending depth, and only by simple points, which do not change its topology. The
+voxels that remain outside are at the thinnest place of each handle: at the contact.
 
 References
 ----------
@@ -20,12 +20,13 @@ __all__ = ["grown"]
 
 Mask = NDArray[np.bool_]
 
-# Priorities are kept in this many steps a cell.
+# Number of integer priorities for each voxel edge of depth.
 STEPS = 8
 
-# Cells round a cell are numbered x·9 + y·3 + z with x, y, z in 0 … 2, itself 13; sets of them are the bits of
-# an integer. SIX[k]: cells that share a face with k, among those that share a face or an edge with 13.
-# ALL_ROUND[k]: cells that share a face, an edge or a corner with k.
+# The 3 × 3 × 3 neighbourhood of a voxel. Its voxels are numbered x·9 + y·3 + z with x, y, z in 0 … 2, the
+# centre is number 13, and a set of them is an integer with one bit for each. SIX[k] are the 6-neighbours of
+# voxel k within the 18-neighbourhood of the centre, ALL_ROUND[k] its 26-neighbours without the centre, FACES
+# the 6-neighbours of the centre, and EVERYTHING its 26-neighbours.
 _AROUND = np.array([[x, y, z] for x in range(3) for y in range(3) for z in range(3)])
 _APART = np.abs(_AROUND[:, None] - _AROUND[None])  # (27, 27, 3)
 _BITS = 1 << np.arange(27)
@@ -37,23 +38,24 @@ EVERYTHING = int(_BITS.sum() - _BITS[13])
 
 
 def grown(inside: Mask, priority: NDArray[np.float32], walls: NDArray[np.bool_]) -> Mask:
-    """The largest body without handles or cavities that growth in order of priority reaches.
+    """Grow a region without handles and cavities from the voxel of highest priority.
 
-    Cells are connected through their faces in the body, and through faces, edges and corners outside it.
+    The region is 6-connected and its complement 26-connected.
 
     Parameters
     ----------
     inside : (a, b, c) bool
-        Cells that may be added; False on the border of the grid.
+        Voxels that may be added; False on the border of the grid.
     priority : (a, b, c) float32
-        Cells are added highest first; the body starts from the highest of all.
+        Voxels of the front are added in order of descending priority.
     walls : (3, a, b, c) bool
-        Whether the way from a cell to the next along each axis passes through a surface. Growth takes such a
-        way only when no other is left.
+        Whether the link from a voxel to the next along each axis crosses a surfel, from `contacts.walls`. The
+        region grows along such links only after all voxels that are reached by other links.
 
     Returns
     -------
     (a, b, c) bool
+        The region, of genus 0.
     """
     steps = np.where(inside, np.clip(priority * STEPS, 0, 30_000) + 1, 0).astype(np.int16)
     return _grown(steps, walls, int(steps.argmax()), int(steps.max()) + 1)
@@ -70,7 +72,8 @@ def _grown(steps: NDArray[np.int16], walls: Mask, seed: int, n_buckets: int) -> 
     for k in range(27):
         offset[k] = (k // 9 - 1) * n_y * n_z + (k // 3 % 3 - 1) * n_z + k % 3 - 1
     along_x, along_y = n_y * n_z, n_z
-    # Two queues of buckets, each a linked list through `after`: 1 for cells reached freely, 0 through walls.
+    # Two bucket queues, whose buckets are linked lists through `after`: 1 for voxels that are reached by a
+    # link without a surfel, 0 for the others.
     head = np.full((2, n_buckets), -1, dtype=np.int64)
     tail = np.full((2, n_buckets), -1, dtype=np.int64)
     after = np.full((2, n), -1, dtype=np.int64)
@@ -99,7 +102,7 @@ def _grown(steps: NDArray[np.int16], walls: Mask, seed: int, n_buckets: int) -> 
             if k != 13 and body[cell + offset[k]]:
                 around |= 1 << k
         if not empty and not _is_simple(around):
-            continue  # it is asked again when a cell round it is added
+            continue  # it is queued again when a neighbour is added
         empty = False
         body[cell] = True
         for k in range(27):
@@ -133,11 +136,10 @@ def _grown(steps: NDArray[np.int16], walls: Mask, seed: int, n_buckets: int) -> 
 
 @njit(cache=True)
 def _is_simple(body: int) -> bool:
-    """Whether adding a cell changes no topology, given the cells of the body round it.
-
-    It does not where the body touches it through one connected piece, and so does the rest (Bertrand and
-    Malandain, "A new characterization of three-dimensional simple points", 1994).
-    """
+    """Whether a voxel with these neighbours in the region is a simple point: adding it keeps the topology."""
+    # It is simple if exactly one component of the region, in the 18-neighbourhood, and exactly one component
+    # of the complement, in the 26-neighbourhood, are adjacent to it (Bertrand and Malandain, "A new
+    # characterization of three-dimensional simple points", 1994).
     faces = body & FACES
     if faces == 0:
         return False
@@ -150,7 +152,7 @@ def _is_simple(body: int) -> bool:
 
 @njit(cache=True)
 def _reached(start: int, allowed: int, neighbors: NDArray[np.int64]) -> int:
-    """The connected piece of `allowed` that holds `start`."""
+    """The connected component of the set `allowed` that contains `start`."""
     reached = front = start
     while front:
         found = 0

@@ -1,4 +1,4 @@
-"""A body with the topology asked for, grown along the points."""
+"""The genus of a body: region growing removes all handles, and true handles are restored."""
 
 from __future__ import annotations
 
@@ -17,28 +17,47 @@ __all__ = ["with_topology"]
 Mask = NDArray[np.bool_]
 Voxels = NDArray[np.float32]
 
-# How much deeper than its distance to the nearest point a cell may count; cells. Little, so that the way
-# through a contact, between the points of two skins, is narrower than the way through a thin limb.
+# Largest amount by which the depth of a voxel, as the priority of region growing, may exceed its distance to
+# the nearest point; in voxels. It is small, so that a contact, with points of both surfaces in it, has a
+# lower priority than the interior of a thin limb.
 SKIN_DEPTH = 0.3
 
-# Cells that share a corner are less than this apart, those that do not are more.
+# Voxels are 26-adjacent if their centres are less than this apart: √3 < 1.8 < 2.
 CORNER = 1.8
 
-# A cut this thick beside the body's greatest depth went through a true handle.
+# Smallest thickness of a cut, relative to the greatest depth of the body, for its handle to be a true one.
 HANDLE = 0.6
 
 
 def with_topology(
     inside: Mask, walls: Mask, outside: Outside, options: SurfaceOptions, notes: list[str]
 ) -> tuple[Mask, NDArray[np.intp]]:
-    """The cells with the genus asked for, and those that had to go, (k, 3).
+    """The body with the requested genus.
 
-    `walls`, (3, a, b, c), are ways between cells that pass through the points' skin.
+    Parameters
+    ----------
+    inside : (a, b, c) bool
+        Voxels that may belong to the body; False on the border of the grid.
+    walls : (3, a, b, c) bool
+        Whether the link from a voxel to the next along each axis crosses a surfel, from `contacts.walls`.
+    outside : Outside
+        The outside of the body, on the same grid.
+    options : SurfaceOptions
+        Of which `genus` is used.
+    notes : list of str
+        Notes on the handles are appended.
+
+    Returns
+    -------
+    body : (a, b, c) bool
+        The voxels of the body.
+    cuts : (k, 3) int
+        The voxels that were removed.
     """
     if options.genus == "free":
         return inside, np.zeros((0, 3), dtype=np.intp)
     depth = distances(~inside, np.inf)
-    # Where limbs touch, points lie between them: the way through is narrow there.
+    # At a contact there are points between the limbs: the priority is low there.
     to_points = np.where(outside.distance < FARTHEST, outside.distance + SKIN_DEPTH, np.inf)
     priority = np.minimum(depth, to_points).astype(np.float32)
     body = grown(inside, priority, walls)
@@ -48,11 +67,9 @@ def with_topology(
 
 
 def _with_handles(inside: Mask, body: Mask, depth: Voxels, genus: str | int, notes: list[str]) -> Mask:
-    """The body with its thickest cuts undone, each of which closes one handle.
-
-    A contact is thin beside the limbs that meet in it, a true handle is not: ``auto`` undoes the cuts that
-    reach `HANDLE` of the body's own greatest depth. A number undoes as many, thickest first.
-    """
+    """The body after restoring the handles with the thickest cuts, as many as the genus requires."""
+    # A contact is thin compared with the limbs, a true handle is not: ``auto`` restores the handles whose
+    # cuts are at least `HANDLE` as deep as the body. Each component of the removed voxels is a cut.
     left_out = np.argwhere(inside & ~body)  # (k, 3)
     cut_of = _pieces(left_out)
     n_cuts = int(cut_of.max(initial=-1)) + 1
@@ -69,7 +86,7 @@ def _with_handles(inside: Mask, body: Mask, depth: Voxels, genus: str | int, not
         closed = body[box].copy()
         closed[tuple((cells - low).T)] = True
         change = _euler(closed) - _euler(body[box])
-        if change == -2:  # one handle, and nothing else
+        if change == -2:  # exactly one handle
             body[box] = closed
             made += 1
     if genus == "auto" and made:
@@ -80,7 +97,7 @@ def _with_handles(inside: Mask, body: Mask, depth: Voxels, genus: str | int, not
 
 
 def _pieces(cells: NDArray[np.intp]) -> NDArray[np.intp]:
-    """(k,) numbers of the connected pieces that (k, 3) cells belong to; corners connect."""
+    """(k,) number of the 26-connected component of each of (k, 3) voxels."""
     from scipy.spatial import cKDTree
 
     if not len(cells):
@@ -90,7 +107,7 @@ def _pieces(cells: NDArray[np.intp]) -> NDArray[np.intp]:
 
 
 def _euler(body: Mask) -> int:
-    """Euler characteristic of the surface of some cells, as `marched` makes it."""
+    """Euler characteristic of the surface that `marched` makes of a set of voxels."""
     padded = np.pad(body, 1)
     if not padded.any():
         return 0

@@ -1,4 +1,4 @@
-"""Cells of a body → triangles: marching cubes whose surface is a closed manifold for every set of cells."""
+"""A set of voxels → triangulated surface: marching cubes with a closed manifold for every set of voxels."""
 
 from __future__ import annotations
 
@@ -15,62 +15,63 @@ __all__ = ["Crossings", "crossed", "marched"]
 
 
 class Crossings(NamedTuple):
-    """Where a surface crosses lines from the centre of a cell to the next along one axis.
+    """Where a surface crosses the links from a voxel to the next along one axis.
 
     Attributes
     ----------
     at : (k, 3) intp
-        The cells, as `crossed` gives them.
+        The voxels at which the links begin, from `crossed`.
     share : (k,) float64, or float for all
-        Of the way to the next centre.
+        Position of the crossing, as a fraction of the link.
     """
 
     at: NDArray[np.intp]
     share: FloatArray | float
 
 
-# Corner k of a cube has the bits of k as its coordinates.
+# A cube has the centres of eight voxels as its corners. The coordinates of corner k are the bits of k.
 CORNERS = np.array([[k >> 2 & 1, k >> 1 & 1, k & 1] for k in range(8)])
 EDGES = [(a, b) for a in range(8) for b in range(a + 1, 8) if (a ^ b).bit_count() == 1]
 NUMBER = {frozenset(edge): k for k, edge in enumerate(EDGES)}
 
-# Cubes all of whose corners but two opposite ones are in the body.
+# Cubes with all corners in the body except two opposite ones.
 TUBES = {255 ^ (1 << k | 1 << (7 - k)) for k in range(4)}
 
-# Loops of this length and more get a vertex in their middle. A shorter loop meets no face of its cube twice,
-# so that no diagonal of it can lie in a face and coincide with a diagonal of the next cube.
+# Loops of at least this length are triangulated with a vertex in their middle. A
+# shorter loop crosses no face of its cube twice, so that none of its diagonals lies
+# in a face and coincides with a diagonal of the adjacent cube.
 LONG = 6
 
 
 def marched(body: NDArray[np.bool_], crossings: Sequence[Crossings] = ()) -> tuple[FloatArray, IntArray]:
-    """The surface between the cells of a body and the others [1]_.
+    """The boundary surface of a set of voxels, by marching cubes [1]_.
 
-    Cells of the body are connected through their faces, cells outside through faces, edges and corners: a
-    face of a cube with two opposite corners in the body separates them, and two opposite corners of a cube
-    that alone are outside are connected. With these rules the surface is closed and manifold, and has the
-    topology of the body's boundary, for every set of cells.
+    The set is 6-connected and its complement 26-connected. Hence, on a face of a cube with two opposite
+    corners in the set, these corners are separated; and two opposite corners of a cube that are its only ones
+    outside are connected through the cube. With these rules the surface is closed and manifold, and has the
+    topology of the boundary, for every set of voxels.
 
     Parameters
     ----------
     body : (a, b, c) bool
-        False on the border of the grid.
-    crossings : sequence of Crossings, optional
-        Where the surface crosses the lines of `crossed` along each axis, between 0 and 1; by default, in the
+        The set; False on the border of the grid.
+    crossings : sequence of Crossings, length 3, optional
+        Where the surface crosses the links of `crossed` along each axis, between 0 and 1. By default in the
         middle.
 
     Returns
     -------
     vertices : (n, 3) float64
-        In cells; the first of them, in the order of `crossed`, lie on lines between centres.
+        Coordinates, in voxels. The vertices on links come first, in the order of `crossed`.
     faces : (m, 3) int32
-        Counter-clockwise seen from outside.
+        Vertex numbers, counter-clockwise seen from outside.
 
     References
     ----------
     .. [1] Lorensen and Cline, "Marching cubes", SIGGRAPH 1987, with the ambiguous faces decided as in
        Kong and Rosenfeld, "Digital topology: introduction and survey", 1989, for (6, 26)-adjacency.
     """
-    number = np.empty((3, *body.shape), dtype=np.int32)  # of the vertex on each line that is crossed
+    number = np.empty((3, *body.shape), dtype=np.int32)  # of the vertex on each crossed link
     placed = []
     n = 0
     for axis, (at, share) in enumerate(crossings or [Crossings(at, 0.5) for at in crossed(body)]):
@@ -96,7 +97,7 @@ def marched(body: NDArray[np.bool_], crossings: Sequence[Crossings] = ()) -> tup
             continue
 
         def vertex(edge: int, group: NDArray[np.intp] = group) -> IntArray:
-            """(g,) the vertex on an edge of each cube."""
+            """(g,) vertex on an edge of each cube of the group."""
             low, high = EDGES[edge]
             axis = int((CORNERS[high] - CORNERS[low]).argmax())
             return np.asarray(number[axis][tuple((group + CORNERS[low]).T)])
@@ -118,7 +119,18 @@ def marched(body: NDArray[np.bool_], crossings: Sequence[Crossings] = ()) -> tup
 
 
 def crossed(body: NDArray[np.bool_]) -> list[NDArray[np.intp]]:
-    """For each axis, the cells whose line to the next cell along it leaves or enters the body, (k, 3)."""
+    """The links between adjacent voxels of which one is in a set and the other is not.
+
+    Parameters
+    ----------
+    body : (a, b, c) bool
+        The set of voxels.
+
+    Returns
+    -------
+    list of (k, 3) int, length 3
+        For each axis, the voxels at which these links begin.
+    """
     found = []
     for axis in range(3):
         here = [slice(None)] * 3
@@ -130,10 +142,7 @@ def crossed(body: NDArray[np.bool_]) -> list[NDArray[np.intp]]:
 
 @cache
 def _loops(case: int) -> list[list[int]]:
-    """Closed rings of crossed edges of a cube whose corners in the body are the bits of `case`.
-
-    Each ring is counter-clockwise seen from outside the body.
-    """
+    """Loops of crossed edges, counter-clockwise seen from outside, for the inner corners `case`."""
     inside = [bool(case >> k & 1) for k in range(8)]
     follows: dict[int, int] = {}
     for ring in _cube_faces():
@@ -141,7 +150,7 @@ def _loops(case: int) -> list[list[int]]:
             first, last = ring[s], ring[(s + 1) % 4]
             if inside[first] or not inside[last]:
                 continue
-            # A run of corners in the body starts here; the surface cuts it off, and no other run with it.
+            # A run of corners in the set begins here. The surface separates it from the other corners.
             t = s + 1
             while inside[ring[(t + 1) % 4]]:
                 t += 1
@@ -160,15 +169,13 @@ def _loops(case: int) -> list[list[int]]:
 
 @cache
 def _tube(case: int) -> list[list[int]]:
-    """Triangles, as edges of the cube, between the loops round two opposite corners outside the body.
-
-    Cells that share a corner are connected outside the body, so that the loops are the ends of a tube.
-    """
+    """Triangles, as edges of the cube, of the tube between the loops around two opposite outer corners."""
     ends = _loops(case)
     triangles = []
     for loop, other in (ends, ends[::-1]):
         for first, last in zip(loop, loop[1:] + loop[:1], strict=True):
-            # The corner of the body that both edges see: it is next to the other end's corner.
+            # The corner that both edges have in common is adjacent to the corner at
+            # the other end of the tube.
             corners = [*EDGES[first], *EDGES[last]]
             outer = max(corners, key=corners.count)
             across = outer ^ (EDGES[first][0] ^ EDGES[first][1]) ^ (EDGES[last][0] ^ EDGES[last][1])
@@ -178,7 +185,7 @@ def _tube(case: int) -> list[list[int]]:
 
 @cache
 def _cube_faces() -> list[list[int]]:
-    """Corners of each face of a cube, counter-clockwise seen from outside the cube."""
+    """The corners of each face of a cube, counter-clockwise seen from outside the cube."""
     faces = []
     for axis in range(3):
         for side in (0, 1):

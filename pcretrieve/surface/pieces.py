@@ -1,4 +1,4 @@
-"""Parts of a body that holes in the scan have cut off, joined to it."""
+"""Components of a body that a hole in the scan has separated: connected to the body, or removed."""
 
 from __future__ import annotations
 
@@ -14,21 +14,50 @@ __all__ = ["joined"]
 
 Mask = NDArray[np.bool_]
 
-# Pieces that hold at least this share of the points belong to the body, and are joined to it.
+# Smallest fraction of the points in a component for it to be connected to the body.
 LEAST_PIECE = 0.002
 
 
 def joined(
     inside: Mask, points: FloatArray, grid: Grid, options: SurfaceOptions, notes: list[str]
 ) -> tuple[Mask, NDArray[np.intp]]:
-    """The largest piece with those that belong to it, without cavities; and (j, 3) cells that join them."""
+    """Connect the large components of a set of voxels, and fill its cavities.
+
+    A component with at least `LEAST_PIECE` of the points is connected to the body by a cylinder of voxels if
+    it is near enough; other components are removed.
+
+    Parameters
+    ----------
+    inside : (a, b, c) bool
+        The set of voxels; False on the border of the grid.
+    points : (n, 3) float64
+        The points of the scan; unit of the file.
+    grid : Grid
+        The grid of the voxels.
+    options : SurfaceOptions
+        Of which `bridge` and `max_discarded` are used.
+    notes : list of str
+        A note for each component that was connected or removed is appended.
+
+    Returns
+    -------
+    body : (a, b, c) bool
+        6-connected, without cavities.
+    bridges : (j, 3) int
+        The voxels that were added to connect components.
+
+    Raises
+    ------
+    ReconstructionError
+        If a component that is too far away has more than `max_discarded` of the points.
+    """
     from scipy import ndimage
 
     nowhere = np.zeros((0, 3), dtype=np.intp)
     pieces, n = ndimage.label(inside)
     if n == 0:
         return inside, nowhere
-    # Points lie on the surface of their piece, in it or just outside.
+    # A point is on the surface of its component: in one of its voxels, or in one adjacent to it.
     at = np.array(grid.index(points))  # (3, n)
     near = pieces[tuple(at)]  # (n,)
     beside = near == 0
@@ -65,14 +94,14 @@ def joined(
 
 
 def _thickness(piece: Mask) -> float:
-    """Largest distance from the outside; cells."""
+    """Largest distance of a voxel of the component from its complement; in voxels."""
     from scipy.ndimage import distance_transform_edt
 
     return float(distance_transform_edt(piece).max())
 
 
 def _tube(start: NDArray[np.intp], end: NDArray[np.intp], *, radius: float) -> NDArray[np.intp]:
-    """(k, 3) cells nearer than `radius` to the line between two cells."""
+    """(k, 3) voxels at a distance of at most `radius` from the segment between two voxels; in voxels."""
     low = np.minimum(start, end) - int(radius) - 1
     box = np.indices(np.abs(end - start) + 2 * int(radius) + 3).reshape(3, -1).T + low  # (b, 3)
     along = (end - start).astype(np.float64)

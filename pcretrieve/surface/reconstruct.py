@@ -1,4 +1,4 @@
-"""Points, or a mesh with defects → closed, connected, outward-oriented manifold."""
+"""Input meshes: kept, or sampled for reconstruction; and Poisson reconstruction of oriented points."""
 
 from __future__ import annotations
 
@@ -15,21 +15,30 @@ from pcretrieve.types import FloatArray, IntArray, PointCloud, Step, TriangleMes
 
 __all__ = ["poisson_surface", "sampled", "sound_mesh"]
 
-# Makes the points that are drawn from a mesh reproducible.
+# Seed of the points that are sampled on a mesh, so that the samples are reproducible.
 SAMPLE_SEED = 0
 
 
 def sound_mesh(mesh: TriangleMesh, options: SurfaceOptions) -> TriangleMesh | None:
-    """The mesh itself where it can be used as it is; None where it has to be reconstructed.
+    """The mesh that is used without reconstruction, or None if it must be reconstructed.
 
-    ``auto`` keeps a closed, connected manifold, turned outwards; ``keep`` keeps what is left after bad faces,
-    non-manifold edges and all but the largest component are repaired away, holes included; ``reconstruct``
-    keeps nothing.
+    Parameters
+    ----------
+    mesh : TriangleMesh
+        Any mesh.
+    options : SurfaceOptions
+        Of which `mode` is used. ``auto``: keep a closed, connected manifold, and orient it outwards.
+        ``keep``: keep the repaired mesh, see `repaired`, with its holes. ``reconstruct``: keep no mesh.
+
+    Returns
+    -------
+    TriangleMesh or None
+        The mesh, with a step ``topology`` in its provenance. None if it must be reconstructed.
 
     Raises
     ------
     DegenerateMeshError
-        If it is to be kept and is one-sided, or has no face with an area.
+        If the mode is ``keep`` and the mesh is one-sided, or has no face with an area.
     """
     started = time.perf_counter()
     if options.mode == "reconstruct":
@@ -52,7 +61,19 @@ def sound_mesh(mesh: TriangleMesh, options: SurfaceOptions) -> TriangleMesh | No
 
 
 def sampled(mesh: TriangleMesh, options: SurfaceOptions) -> PointCloud:
-    """Points on a mesh, uniform by area.
+    """Random points on a mesh, with uniform density by area.
+
+    Parameters
+    ----------
+    mesh : TriangleMesh
+        Any two-sided mesh.
+    options : SurfaceOptions
+        Of which `sample_points`, the number of points, is used.
+
+    Returns
+    -------
+    PointCloud
+        The points without normals, with a step ``sample`` in its provenance. Equal meshes give equal points.
 
     Raises
     ------
@@ -69,7 +90,7 @@ def sampled(mesh: TriangleMesh, options: SurfaceOptions) -> PointCloud:
     rng = np.random.default_rng(SAMPLE_SEED)
     n = options.sample_points
     face = rng.choice(len(mesh.faces), size=n, p=areas / areas.sum())  # (n,)
-    # Uniform on a triangle: Osada et al., "Shape distributions", ACM TOG 2002, equation (1).
+    # Uniform density on a triangle: Osada et al., "Shape distributions", ACM TOG 2002, equation (1).
     u, v = np.sqrt(rng.random(n)), rng.random(n)
     weights = np.column_stack([1 - u, u * (1 - v), u * v])  # (n, 3)
     points = np.einsum("nk,nkd->nd", weights, mesh.vertices[mesh.faces[face]])
@@ -83,20 +104,27 @@ def sampled(mesh: TriangleMesh, options: SurfaceOptions) -> PointCloud:
 
 
 def poisson_surface(cloud: PointCloud, options: SurfaceOptions) -> TriangleMesh:
-    """The Poisson surface of oriented points: closed, connected, manifold, pointing outwards.
-
-    With ``options.density_trim`` it has holes where it was cut, for the remesher to close.
+    """Screened Poisson reconstruction of oriented points, simplified and repaired.
 
     Parameters
     ----------
     cloud : PointCloud
-        With normals.
+        Points with normals.
     options : SurfaceOptions
+        Of which `poisson_depth`, `poisson_scale`, `density_trim`, `max_discarded` and `target_faces` are
+        used.
+
+    Returns
+    -------
+    TriangleMesh
+        A connected manifold, oriented outwards. Closed if `density_trim` is 0; otherwise it has holes where
+        vertices were removed, which the remesher closes.
 
     Raises
     ------
     ReconstructionError
-        If there is no surface, the points hold two bodies, or no closed manifold came out.
+        If the points have no normals, the reconstruction is empty, has two large components, or is not a
+        closed manifold.
     """
     if cloud.normals is None:
         raise ReconstructionError("reconstruction needs points with normals, these have none")
@@ -134,7 +162,7 @@ def poisson_surface(cloud: PointCloud, options: SurfaceOptions) -> TriangleMesh:
 
 
 def _trimmed(vertices: FloatArray, faces: IntArray, density: FloatArray, share: float) -> TriangleMesh:
-    """Without the vertices that the fewest points support."""
+    """The mesh without the fraction `share` of its vertices that have the lowest point density."""
     if share == 0:
         return compact(vertices, faces)
     kept = density >= np.quantile(density, share)

@@ -1,4 +1,4 @@
-"""Surface → clean surface, by way of tetrahedra."""
+"""Surface → boundary of a tetrahedral mesh (fTetWild)."""
 
 from __future__ import annotations
 
@@ -11,32 +11,38 @@ from pcretrieve.errors import RemeshError, ShapeError
 from pcretrieve.options import RemeshOptions
 from pcretrieve.surface.edges import edges_of
 from pcretrieve.surface.repair import repaired
-from pcretrieve.surface.topology import compact, defects, twins
+from pcretrieve.surface.topology import compact, defects, face_groups
 from pcretrieve.types import FloatArray, IntArray, Step, TriangleMesh
 
 __all__ = ["remesh"]
 
-# Faces of a tetrahedron with positive volume, counter-clockwise seen from outside.
+# The faces of a tetrahedron of positive volume, counter-clockwise seen from outside.
 OUTWARD_FACES = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])
 
 
 def remesh(mesh: TriangleMesh, options: RemeshOptions) -> TriangleMesh:
-    """The boundary of the tetrahedra that fTetWild fills a surface with.
+    """The boundary of the tetrahedral mesh that fTetWild generates inside a surface.
 
-    fTetWild's answer is used where, once repaired, it is closed and manifold and within
-    ``options.max_change`` of its input's area and volume (of its area, where the input has holes);
-    otherwise the input is returned and the provenance says why.
+    The boundary is used if, after repair, it is a closed manifold, and its area and volume differ by at most
+    ``options.max_change`` from those of the input (if the input has holes, only the area is compared).
+    Otherwise the input is returned, with the reason in its provenance.
 
     Parameters
     ----------
     mesh : TriangleMesh
-        Pointing outwards (positive volume).
+        Oriented outwards (positive volume).
     options : RemeshOptions
+        The method and its parameters. With the method ``none`` the input is returned.
+
+    Returns
+    -------
+    TriangleMesh
+        Closed, connected, manifold and oriented outwards.
 
     Raises
     ------
     RemeshError
-        If the answer cannot be used, and neither can the input, which has holes or other defects.
+        If the boundary cannot be used, and the input has defects.
     """
     if options.method == "none":
         return mesh
@@ -68,12 +74,25 @@ def remesh(mesh: TriangleMesh, options: RemeshOptions) -> TriangleMesh:
 
 
 def boundary_faces(nodes: FloatArray, tetrahedra: IntArray) -> IntArray:
-    """(m, 3) faces that belong to one tetrahedron only, counter-clockwise seen from outside."""
+    """The boundary of a tetrahedral mesh: the faces that belong to exactly one tetrahedron.
+
+    Parameters
+    ----------
+    nodes : (p, 3) float64
+        Coordinates of the nodes.
+    tetrahedra : (q, 4) int32
+        Node numbers of each tetrahedron, in any orientation.
+
+    Returns
+    -------
+    (m, 3) int32
+        Node numbers of each face, counter-clockwise seen from outside.
+    """
     a, b, c, d = (nodes[tetrahedra[:, k]] for k in range(4))
     negative = np.einsum("ij,ij->i", np.cross(b - a, c - a), d - a) < 0  # (q,)
     corners = np.where(negative[:, None], tetrahedra[:, [0, 2, 1, 3]], tetrahedra)
     faces = corners[:, OUTWARD_FACES].reshape(-1, 3)  # (4q, 3)
-    group = twins(faces)
+    group = face_groups(faces)
     return np.asarray(faces[np.bincount(group)[group] == 1], dtype=np.int32)
 
 

@@ -1,4 +1,4 @@
-"""Repairs that leave a note: nothing is put right in silence."""
+"""Repair of triangle meshes. Every repair returns notes on what was changed."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import numpy as np
 from pcretrieve.errors import DegenerateMeshError, ReconstructionError
 from pcretrieve.surface.edges import edges_of, joined_by
 from pcretrieve.surface.split import split_non_manifold
-from pcretrieve.surface.topology import compact, components, orient_faces, twins
+from pcretrieve.surface.topology import compact, components, face_groups, orient_faces
 from pcretrieve.types import TriangleMesh
 
 __all__ = [
@@ -26,19 +26,27 @@ ONE_SIDED = "the surface is one-sided, as a Möbius strip is, and bounds no body
 
 
 def repaired(mesh: TriangleMesh) -> tuple[TriangleMesh, Notes]:
-    """A mesh without bad faces, split where it is not manifold, one component, pointing outwards.
+    """A connected, oriented manifold without degenerate and duplicate faces, from any mesh.
 
-    A closed surface stays closed. Holes stay: they are the surface's business, not a triangulation's.
+    Non-manifold edges and vertices are split, all but the largest component are removed, and the faces are
+    oriented outwards. A closed surface remains closed. Holes are not filled.
+
+    Parameters
+    ----------
+    mesh : TriangleMesh
+        Any mesh.
 
     Returns
     -------
     mesh : TriangleMesh
+        The repaired mesh.
     notes : tuple of str
+        A sentence for each kind of repair that was necessary.
 
     Raises
     ------
     DegenerateMeshError
-        If nothing is left, or the surface is one-sided.
+        If no faces remain, or the surface is one-sided.
     """
     used, loose = used_vertices(mesh)
     thick, flat = collapse_flat_faces(used)
@@ -62,20 +70,46 @@ def repaired(mesh: TriangleMesh) -> tuple[TriangleMesh, Notes]:
 
 
 def used_vertices(mesh: TriangleMesh) -> tuple[TriangleMesh, Notes]:
-    """The mesh without the vertices that are in no face."""
+    """Remove unreferenced vertices.
+
+    Parameters
+    ----------
+    mesh : TriangleMesh
+        Any mesh.
+
+    Returns
+    -------
+    mesh : TriangleMesh
+        The mesh without the vertices that are in no face.
+    notes : tuple of str
+        Number of the vertices, if there were any.
+    """
     used = compact(mesh.vertices, mesh.faces)
     n_loose = len(mesh.vertices) - len(used.vertices)
     return (used, (f"dropped {n_loose} vertices that are in no face",)) if n_loose else (mesh, ())
 
 
 def collapse_flat_faces(mesh: TriangleMesh) -> tuple[TriangleMesh, Notes]:
-    """The mesh with the shortest side of each face without an area drawn together to a point.
+    """Collapse the shortest side of each degenerate face.
 
-    Their neighbours close up behind them, where dropping such faces would leave slits. The point is an end of
-    their longest side, on which the third corner lies: the shape does not move.
+    Removing the faces instead would leave slits between their neighbours. The side is collapsed to the
+    end that it shares with the longest side of the face. The other end lies on the longest side too, so that
+    the shape does not change.
+
+    Parameters
+    ----------
+    mesh : TriangleMesh
+        Any mesh.
+
+    Returns
+    -------
+    mesh : TriangleMesh
+        A mesh without degenerate faces.
+    notes : tuple of str
+        Number of the faces that were removed, if there were any.
     """
     n_faces, flat = len(mesh.faces), mesh.flat_faces
-    while flat.any():  # each round leaves fewer faces
+    while flat.any():  # terminates: each round removes faces
         corners = mesh.faces[flat]  # (f, 3)
         sides = mesh.vertices[corners] - mesh.vertices[np.roll(corners, -1, axis=1)]  # (f, 3, 3)
         length = np.linalg.norm(sides, axis=2)  # (f, 3): from corner k to corner k + 1
@@ -94,19 +128,31 @@ def collapse_flat_faces(mesh: TriangleMesh) -> tuple[TriangleMesh, Notes]:
 
 
 def drop_repeated_faces(mesh: TriangleMesh) -> tuple[TriangleMesh, Notes]:
-    """The mesh with one face for each set of corners, or none where two copies lie back to back.
+    """Remove duplicate faces, and pairs of faces with the same corners and opposite orientation.
 
-    Such copies are a fin, or a pillow, and enclose nothing; a closed surface stays closed without both. They
-    are told from a face that was written twice, whichever way round, by their sides: these have an even
-    number of faces. Where most faces are back to back the mesh is two-sided on purpose, and one of each two
-    stays.
+    A pair of opposite faces encloses no volume, as in a fin, and a closed surface remains closed without it.
+    It is distinguished from a face that was stored twice by the number of faces at its sides, which is even
+    for a pair. If most faces are in such pairs, the mesh is a deliberate two-sided sheet, and one face of
+    each pair is kept.
+
+    Parameters
+    ----------
+    mesh : TriangleMesh
+        Any mesh.
+
+    Returns
+    -------
+    mesh : TriangleMesh
+        A mesh in which no two faces have the same corners.
+    notes : tuple of str
+        Number of the faces that were removed, if there were any.
     """
-    group = twins(mesh.faces)  # (m,)
+    group = face_groups(mesh.faces)  # (m,)
     _, first, count = np.unique(group, return_index=True, return_counts=True)
     if len(first) == len(group):
         return mesh, ()
     a, b, c = mesh.faces.T
-    handed = np.sign(a - b) * np.sign(b - c) * np.sign(c - a)  # (m,) ±1: which way round the corners run
+    handed = np.sign(a - b) * np.sign(b - c) * np.sign(c - a)  # (m,) ±1: parity of the order of the corners
     even = (edges_of(mesh.faces).crowd.reshape(-1, 3) % 2 == 0).all(axis=1)  # (m,)
     cancelled = (np.bincount(group, weights=handed) == 0) & even[first]
     if 2 * count[cancelled].sum() > len(group):
@@ -118,12 +164,26 @@ def drop_repeated_faces(mesh: TriangleMesh) -> tuple[TriangleMesh, Notes]:
 
 
 def largest_component(mesh: TriangleMesh, most: float = 1.0) -> tuple[TriangleMesh, Notes]:
-    """The component of largest area, and what was dropped for it.
+    """The connected component of largest area.
+
+    Parameters
+    ----------
+    mesh : TriangleMesh
+        Any mesh.
+    most : float, default 1.0
+        Largest area of the second component, relative to the whole area.
+
+    Returns
+    -------
+    mesh : TriangleMesh
+        The largest component.
+    notes : tuple of str
+        Number and area of the components that were removed, if there were any.
 
     Raises
     ------
     ReconstructionError
-        If the second one has more than the share `most` of the whole area.
+        If the second component has more than `most` of the area.
     """
     piece = components(mesh)  # (m,)
     areas = np.bincount(piece, weights=mesh.face_areas)
@@ -140,7 +200,20 @@ def largest_component(mesh: TriangleMesh, most: float = 1.0) -> tuple[TriangleMe
 
 
 def outward(mesh: TriangleMesh) -> tuple[TriangleMesh, Notes]:
-    """The mesh with positive volume; meant for closed ones."""
+    """Orient a closed mesh outwards.
+
+    Parameters
+    ----------
+    mesh : TriangleMesh
+        Closed and consistently oriented.
+
+    Returns
+    -------
+    mesh : TriangleMesh
+        The mesh with positive volume.
+    notes : tuple of str
+        A note, if the orientation was reversed.
+    """
     if mesh.volume >= 0:
         return mesh, ()
     turned = TriangleMesh(mesh.vertices, mesh.faces[:, ::-1], mesh.provenance)

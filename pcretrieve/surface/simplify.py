@@ -1,4 +1,4 @@
-"""Surface → the same surface with fewer faces, compiled."""
+"""Surface → the same surface with fewer faces: edge collapse by quadric errors, compiled by numba."""
 
 from __future__ import annotations
 
@@ -12,46 +12,54 @@ from pcretrieve.types import FloatArray, IntArray, TriangleMesh
 
 __all__ = ["simplified"]
 
-# What a square of a distance along the surface costs beside one off it. Less follows creases more closely,
-# more gives more even faces.
+# Weight of the squared distance along the surface, relative to the squared distance from it. A smaller weight
+# preserves creases better, a larger one gives faces of more even shape.
 EVENNESS = 0.02
 
-# A vertex whose faces are all flat weighs this share of the mean, so that every two have one best place.
+# Smallest weight of a vertex, relative to the mean weight, so that the quadric of every edge has a unique
+# minimum even if all faces at its vertices are degenerate.
 LEAST_WEIGHT = 1e-6
 
-# A face must not turn further than this in one step: the cosine.
+# Cosine of the largest angle by which the normal of a face may turn in one collapse.
 LEAST_COSINE = 0.8
 
-# A face may become as poor as this (1 is equilateral, 0 is flat), or as the poorest it stands in for.
+# Smallest quality of a face (1 is equilateral, 0 is degenerate) after a collapse,
+# unless the quality before it was smaller.
 LEAST_QUALITY = 0.5
 
 Keys = NDArray[np.int64]
 
 
 def simplified(mesh: TriangleMesh, n_faces: int) -> TriangleMesh:
-    """The surface with at most `n_faces` faces, and the same topology.
+    """A surface with at most `n_faces` faces and the same topology, by edge collapse [1]_.
 
-    Edges are collapsed [1]_ where that keeps the link condition [2]_, so that the Euler characteristic,
-    manifoldness and orientation of every component stay, and no face turns over or becomes a sliver; the
-    surface keeps more faces than asked for where no such edge is left. The cheapest edge goes first, to the
-    place x where
+    An edge is collapsed only if it satisfies the link condition [2]_, so that the Euler characteristic, the
+    manifoldness and the orientation of every component are preserved, and if no face turns over or becomes a
+    sliver. If no such edge is left, the result has more than `n_faces` faces. The edge of least cost is
+    collapsed first. Its vertex moves to the minimum x, and its cost is the minimum value, of
 
         Σ A_f/3 ((n_f · (x − p_f))² + EVENNESS |x − p_f|²)
 
-    over the corners p_f, with their faces f of normal n_f and area A_f, of all that was drawn together there
-    is least. The second term makes the faces even. Faces and numbering do not depend on the unit of length.
+    over the original corners p_f, in faces f of normal n_f and area A_f, that have been collapsed into the
+    vertex. The second term gives faces of even shape. The result does not depend on the unit of length.
 
     Parameters
     ----------
     mesh : TriangleMesh
-        Closed, manifold and oriented; of any number of components.
+        Closed, manifold and oriented; any number of components.
     n_faces : int
+        Largest number of faces.
+
+    Returns
+    -------
+    TriangleMesh
+        Closed, manifold and oriented; unit of the input.
 
     Raises
     ------
     DegenerateMeshError
-        If an edge is not in exactly two faces that agree on its sides, a vertex has more than one fan, or no
-        face has an area.
+        If an edge is not in exactly two faces of consistent orientation, a vertex has more than one fan of
+        faces, or no face has an area.
 
     References
     ----------
@@ -59,7 +67,7 @@ def simplified(mesh: TriangleMesh, n_faces: int) -> TriangleMesh:
     .. [2] Dey, Edelsbrunner, Guha and Nekhayev, "Topology preserving edge contraction", Publications de
        l'Institut Mathématique 66, 1999.
     """
-    vertices, corners = mesh.vertices.copy(), mesh.faces.flatten()  # (n, 3), (3m,): changed on the way
+    vertices, corners = mesh.vertices.copy(), mesh.faces.flatten()  # (n, 3), (3m,): modified below
     twin, n_bad = _twins(corners, len(vertices))
     if n_bad:
         raise DegenerateMeshError(
@@ -73,7 +81,8 @@ def simplified(mesh: TriangleMesh, n_faces: int) -> TriangleMesh:
     return compact(vertices, faces)
 
 
-# Half-edge 3 f + k runs from corner k of face f to the next one, as in `edges`.
+# Half-edge 3 f + k goes from corner k of face f to the next corner, as in `edges`. Its twin is the half-edge
+# of the adjacent face on the same edge, in the opposite direction.
 
 
 @njit(cache=True)
@@ -88,14 +97,13 @@ def _previous(h: int) -> int:
 
 @njit(cache=True)
 def _twins(corners: IntArray, n_vertices: int) -> tuple[IntArray, int]:
-    """(3m,) the half-edge that runs back along each; how many have not exactly one, or how many vertices not
-    exactly one fan."""
+    """(3m,) twins of half-edges; number of half-edges without one, or else of vertices with two fans."""
     starts = np.zeros(n_vertices + 1, dtype=np.int32)
     for v in corners:
         starts[v + 1] += 1
     starts = np.cumsum(starts)
     fill = starts[:-1].copy()
-    leaving = np.empty(len(corners), dtype=np.int32)  # half-edges by the vertex that they leave
+    leaving = np.empty(len(corners), dtype=np.int32)  # half-edges, grouped by their first vertex
     for h in range(len(corners)):
         leaving[fill[corners[h]]] = h
         fill[corners[h]] += 1
@@ -128,14 +136,14 @@ def _twins(corners: IntArray, n_vertices: int) -> tuple[IntArray, int]:
 
 @njit(cache=True)
 def _quadrics(vertices: FloatArray, corners: IntArray) -> tuple[FloatArray, float]:
-    """(n, 6) for each vertex Σ A_f/3 (n_f n_fᵀ + EVENNESS I), as xx, yy, zz, xy, xz, yz; and the area."""
+    """The (n, 6) quadrics Σ A_f/3 (n_f n_fᵀ + EVENNESS I) as xx, yy, zz, xy, xz, yz; and the area."""
     quadrics = np.zeros((len(vertices), 6))
     area = 0.0
     for f in range(0, len(corners), 3):
         x, y, z, double = _normal(vertices[corners[f]], vertices[corners[f + 1]], vertices[corners[f + 2]])
         area += double / 2
         even = EVENNESS * double / 6
-        steep = 1 / (6 * double) if double > 0 else 0.0  # the normal above is `double` long
+        steep = 1 / (6 * double) if double > 0 else 0.0  # (x, y, z) has the length `double`
         for v in corners[f : f + 3]:
             q = quadrics[v]
             q[0] += steep * x * x + even
@@ -150,7 +158,7 @@ def _quadrics(vertices: FloatArray, corners: IntArray) -> tuple[FloatArray, floa
 
 @njit(cache=True)
 def _normal(a: FloatArray, b: FloatArray, c: FloatArray) -> tuple[float, float, float, float]:
-    """Normal of a triangle, as long as twice its area, and that length."""
+    """The normal of a triangle with twice its area as the length, and this length."""
     ux, uy, uz = b[0] - a[0], b[1] - a[1], b[2] - a[2]
     vx, vy, vz = c[0] - a[0], c[1] - a[1], c[2] - a[2]
     x, y, z = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
@@ -168,11 +176,9 @@ def _times(q: FloatArray, x: float, y: float, z: float) -> tuple[float, float, f
 
 @njit(cache=True)
 def _meeting(vertices: FloatArray, quadrics: FloatArray, u: int, v: int, place: FloatArray) -> float:
-    """Write the best `place` for two vertices as one; what the move there costs.
-
-    Each vertex stands where its own quadric is least, so that a move by y costs yᵀ Q y more, and the place
-    solves Q_u (x − u) + Q_v (x − v) = 0.
-    """
+    """Write the minimum of the quadrics of two vertices to `place`; return its additional cost."""
+    # Each vertex is at the minimum of its own quadric, so that a displacement y costs yᵀ Q y more. The
+    # minimum x of the sum solves Q_u (x − u) + Q_v (x − v) = 0.
     p, q = quadrics[u], quadrics[v]
     dx = vertices[v, 0] - vertices[u, 0]
     dy = vertices[v, 1] - vertices[u, 1]
@@ -180,7 +186,7 @@ def _meeting(vertices: FloatArray, quadrics: FloatArray, u: int, v: int, place: 
     bx, by, bz = _times(q, dx, dy, dz)
     xx, yy, zz = p[0] + q[0], p[1] + q[1], p[2] + q[2]
     xy, xz, yz = p[3] + q[3], p[4] + q[4], p[5] + q[5]
-    # The inverse of a symmetric 3 x 3 matrix by its cofactors.
+    # The inverse of a symmetric 3 × 3 matrix by its cofactors.
     cxx, cxy, cxz = yy * zz - yz * yz, xz * yz - xy * zz, xy * yz - xz * yy
     cyy, cyz, czz = xx * zz - xz * xz, xy * xz - xx * yz, xx * yy - xy * xy
     determinant = xx * cxx + xy * cxy + xz * cxz
@@ -195,10 +201,9 @@ def _meeting(vertices: FloatArray, quadrics: FloatArray, u: int, v: int, place: 
 
 @njit(cache=True)
 def _key(cost: float, edge: int) -> int:
-    """Sorts by cost, in single precision, then by number.
-
-    Costs that are equal but for the last digits of a double are equal: rounding does not choose among them.
-    """
+    """An integer that sorts by cost, then by edge number."""
+    # The cost is rounded to single precision, so that rounding errors of double
+    # precision do not affect the order.
     return int(np.int64(np.float32(cost).view(np.int32)) << 32 | edge)
 
 
@@ -229,7 +234,7 @@ def _rise(heap: Keys, at: int) -> None:
 
 @njit(cache=True)
 def _keeps_shape(vertices: FloatArray, corners: IntArray, twin: IntArray, h: int, place: FloatArray) -> bool:
-    """Whether no face turns over, or becomes a sliver, as the two ends of a half-edge move to one place."""
+    """Whether no face turns over, or becomes a sliver, if both ends of a half-edge move to `place`."""
     poorest_before, poorest = np.inf, np.inf
     for start in (h, twin[h]):
         old = vertices[corners[start]]
@@ -241,7 +246,7 @@ def _keeps_shape(vertices: FloatArray, corners: IntArray, twin: IntArray, h: int
             following = twin[_previous(g)]
             if following == start:
                 break
-            if g != start:  # the first and the last face around each end vanish
+            if g != start:  # the first and the last face around each end are removed by the collapse
                 nx, ny, nz, after = _normal(place, b, c)
                 if ox * nx + oy * ny + oz * nz < LEAST_COSINE * before * after:
                     return False
@@ -252,7 +257,7 @@ def _keeps_shape(vertices: FloatArray, corners: IntArray, twin: IntArray, h: int
 
 @njit(cache=True)
 def _quality(a: FloatArray, b: FloatArray, c: FloatArray, double: float) -> float:
-    """4√3 area over the sum of the squared sides of a triangle, of twice the area `double`."""
+    """4√3 area / Σ sides² of a triangle, where `double` is twice its area."""
     squares = 0.0
     for k in range(3):
         squares += (a[k] - b[k]) ** 2 + (b[k] - c[k]) ** 2 + (c[k] - a[k]) ** 2
@@ -261,7 +266,7 @@ def _quality(a: FloatArray, b: FloatArray, c: FloatArray, double: float) -> floa
 
 @njit(cache=True)
 def _keeps_topology(corners: IntArray, twin: IntArray, h: int, mark: IntArray, label: int) -> bool:
-    """The link condition: the ends share two neighbours, and are not on a tetrahedron."""
+    """The link condition: the ends have exactly two common neighbours, and are not in a tetrahedron."""
     n_u, g = 0, h
     while n_u == 0 or g != h:
         mark[corners[_next(g)]] = label
@@ -277,13 +282,7 @@ def _keeps_topology(corners: IntArray, twin: IntArray, h: int, mark: IntArray, l
 
 @njit(cache=True)
 def _merge(corners: IntArray, twin: IntArray, edge: IntArray, half: IntArray, h: int) -> int:
-    """Give the corners at the head of a half-edge to its tail and take out both its faces.
-
-    Returns
-    -------
-    int
-        A half-edge that leaves the tail and is still there.
-    """
+    """Collapse the head of a half-edge into its tail, and return a remaining half-edge from the tail."""
     g, tail = twin[h], corners[h]
     while corners[g] != tail:
         corners[g] = tail
@@ -310,14 +309,14 @@ def _collapsed(
     area: float,
     n_faces: int,
 ) -> IntArray:
-    """The (m, 3) faces that are left; moves the vertices."""
-    spent = np.zeros(len(vertices))  # the quadric of each vertex where it stands
-    moved = np.zeros(len(vertices), dtype=np.int32)  # the step in which it came there
+    """Collapse edges in place, and return the (m, 3) remaining faces."""
+    spent = np.zeros(len(vertices))  # the value of the quadric of each vertex at its position
+    moved = np.zeros(len(vertices), dtype=np.int32)  # the step in which it was moved to its position
     mark = np.zeros(len(vertices), dtype=np.int32)
     place = np.empty(3)
-    edge = np.empty(len(corners), dtype=np.int32)  # of each half-edge
-    half = np.empty(len(corners) // 2, dtype=np.int32)  # a half-edge of each edge; -1 once it is gone
-    known = np.zeros(len(half), dtype=np.int32)  # the step in which its cost was found
+    edge = np.empty(len(corners), dtype=np.int32)  # the edge of each half-edge
+    half = np.empty(len(corners) // 2, dtype=np.int32)  # a half-edge of each edge; −1 if the edge was removed
+    known = np.zeros(len(half), dtype=np.int32)  # the step in which the cost of the edge was computed
     queued = np.ones(len(half), dtype=np.bool_)
     heap = np.empty(len(half), dtype=np.int64)
     size = 0
@@ -339,7 +338,8 @@ def _collapsed(
             u, v = corners[h], corners[twin[h]]
             cost = _meeting(vertices, quadrics, u, v, place) + spent[u] + spent[v]
             if max(moved[u], moved[v]) > known[e]:
-                # Costs only grow: of all edges the cheapest is one that is first and known.
+                # Lazy update: costs never decrease, so that the first edge whose
+                # cost is up to date is the minimum.
                 known[e] = step
                 heap[0] = _key(cost / area, e)
                 _sink(heap, size, 0)
@@ -362,8 +362,8 @@ def _collapsed(
         spent[u] = cost
         moved[u] = step
         start = _merge(corners, twin, edge, half, h)
-        # What was refused around here may be possible now. It comes next: it was cheaper than all that is
-        # left, unless an end moved, and then its cost is found again.
+        # Edges around here that were rejected may be possible now. They are queued first: their costs were
+        # below those of all queued edges, unless an end was moved, and then the cost is computed again.
         g = start
         while True:
             k = twin[g]

@@ -1,4 +1,4 @@
-"""Smoothing of a part of a surface."""
+"""Taubin smoothing of a part of a surface."""
 
 from __future__ import annotations
 
@@ -9,20 +9,28 @@ from pcretrieve.types import FloatArray, IntArray
 
 __all__ = ["smoothed"]
 
-# Shrink and swell of Taubin's filter: what it lets pass keeps its volume.
+# The factors λ > 0 and μ < −λ of Taubin's filter: a low-pass filter without shrinkage.
 SHRINK, SWELL = 0.5, -0.53
 
 
 def smoothed(vertices: FloatArray, faces: IntArray, moving: NDArray[np.intp], n_rounds: int) -> FloatArray:
-    """(n, 3) vertices of which some have moved towards the mean of their neighbours, and back [1]_.
+    """Smooth some vertices of a surface by Taubin's filter [1]_.
 
     Parameters
     ----------
     vertices : (n, 3) float64
+        Coordinates of all vertices, in any unit.
     faces : (m, 3) int32
+        Vertex numbers of each face.
     moving : (k,) int
-        Numbers of the vertices that may move.
+        The vertices that are smoothed; the others are fixed.
     n_rounds : int
+        Number of rounds, each with one step λ and one step μ.
+
+    Returns
+    -------
+    (n, 3) float64
+        Coordinates of all vertices, in the unit of the input.
 
     References
     ----------

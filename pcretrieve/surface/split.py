@@ -1,4 +1,4 @@
-"""Cutting a surface apart until it is a manifold."""
+"""Splitting of non-manifold edges and vertices."""
 
 from __future__ import annotations
 
@@ -11,24 +11,39 @@ __all__ = ["split_non_manifold"]
 
 
 def split_non_manifold(mesh: TriangleMesh) -> TriangleMesh:
-    """Cut a surface apart where more than two faces share an edge, or two fans share a vertex.
+    """Split edges with more than two faces, and vertices with more than one fan of faces [1]_.
 
-    Around such an edge the faces are sorted by angle and paired so that each pair bounds one wedge of the
-    inside; each vertex then gets one copy per fan of paired faces. The shape does not move. A closed,
-    outward-oriented input comes back as a closed manifold (Guéziec et al., "Cutting and stitching",
-    IEEE TVCG 2001, with the stitching decided by the solid). Faces around an edge that do not agree on an
-    inside, as where three sheets meet, are cut apart and leave a boundary.
+    The faces around a non-manifold edge are sorted by angle and paired, such that each pair bounds one wedge
+    of the interior. Each vertex is then copied once for each fan of paired faces. The shape does not change.
+    If the faces around an edge do not bound an interior, as where three sheets meet, they are separated and
+    leave a boundary.
+
+    Parameters
+    ----------
+    mesh : TriangleMesh
+        Consistently oriented, without degenerate and duplicate faces.
+
+    Returns
+    -------
+    TriangleMesh
+        A manifold; closed, if the input is closed and oriented outwards.
+
+    References
+    ----------
+    .. [1] A. Guéziec, G. Taubin, F. Lazarus and B. Horn, "Cutting and stitching: converting sets of polygons
+           to
+       manifold surfaces", IEEE TVCG 7 (2001); the pairing by the interior is ours.
     """
     edges = edges_of(mesh.faces)
     crowded = edges.use > 2
     agreed = np.flatnonzero(crowded & (edges.balance == 0))
     pairs = np.concatenate([edges.pairs, *(_pairs_around(mesh, edges, edge) for edge in agreed.tolist())])
     fan = fans(edges, pairs)
-    _, first = np.unique(fan, return_index=True)  # a corner of each fan
+    _, first = np.unique(fan, return_index=True)  # one corner of each fan
     vertices, faces = mesh.vertices[edges.tail[first]], fan.reshape(-1, 3)
     if crowded.any():
-        # Both ends of an edge may stay in one fan each, and its pairs on one edge then: each pair gets a
-        # vertex of its own in the middle.
+        # If both ends of an edge have one fan only, its pairs of faces still share the edge. Each pair then
+        # gets a vertex of its own in the middle of the edge.
         still = edges_of(faces)
         sides = np.flatnonzero(still.crowd > 2)  # half-edges
         pair = np.arange(len(fan))
@@ -43,16 +58,17 @@ def split_non_manifold(mesh: TriangleMesh) -> TriangleMesh:
 
 
 def _pairs_around(mesh: TriangleMesh, edges: Edges, edge: int) -> Index:
-    """(use / 2, 2) half-edges of one edge, paired so that each pair bounds one wedge of the inside."""
+    """(use / 2, 2) half-edges of one edge, paired such that each pair bounds one wedge of the interior."""
     around = edges.around(edge)  # (use,)
     low, high = np.sort(edges.ends[edge])
     apex = mesh.faces[around // 3, (around + 2) % 3]  # third corner of each face
     axis = mesh.vertices[high] - mesh.vertices[low]
-    across = np.linalg.svd(axis[None])[2][1:]  # (2, 3): axes at right angles to the edge
+    across = np.linalg.svd(axis[None])[2][1:]  # (2, 3): axes perpendicular to the edge
     across[1] *= np.sign(np.linalg.det([*across, axis]))
     x, y = across @ (mesh.vertices[apex] - mesh.vertices[low]).T  # (use,) each
-    # Seen against the axis, the inside lies anticlockwise of a face whose half-edge runs against it. What
-    # such a face opens, the next free one of the others closes: like parentheses on a circle.
+    # Seen against the axis, the interior is counter-clockwise of a face whose
+    # half-edge is opposite to the axis. Such a face opens a wedge, and the next free
+    # face of the other direction closes it, as parentheses match.
     opened: list[int] = []
     unopened: list[int] = []
     pairs: list[tuple[int, int]] = []
@@ -68,10 +84,10 @@ def _pairs_around(mesh: TriangleMesh, edges: Edges, edge: int) -> Index:
 
 
 def _cut_in_the_middle(faces: Index, middle: Index) -> Index:
-    """Cut faces in two at vertices in the middle of their sides: (m, 3), -1 where a side stays whole."""
+    """Bisect faces at the vertices in the middle of their sides, given as (m, 3) numbers, −1 for none."""
     while (cut := (middle >= 0).any(axis=1)).any():
         side = np.argmax(middle[cut] >= 0, axis=1)
-        turn = (side[:, None] + np.arange(3)) % 3  # so that the side to be cut comes first
+        turn = (side[:, None] + np.arange(3)) % 3  # the side to be bisected comes first
         a, b, c = np.take_along_axis(faces[cut], turn, axis=1).T
         ab, bc, ca = np.take_along_axis(middle[cut], turn, axis=1).T
         whole = np.full_like(ab, -1)

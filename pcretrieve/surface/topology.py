@@ -1,4 +1,4 @@
-"""What a triangulation is made of, and what is wrong with it."""
+"""Components, orientation and defects of a triangulation."""
 
 from __future__ import annotations
 
@@ -10,27 +10,27 @@ from numpy.typing import NDArray
 from pcretrieve.surface.edges import Index, edges_of, fans, joined_by
 from pcretrieve.types import FloatArray, IntArray, TriangleMesh
 
-__all__ = ["Defects", "compact", "components", "defects", "orient_faces", "twins"]
+__all__ = ["Defects", "compact", "components", "defects", "face_groups", "orient_faces"]
 
 
 @dataclass(frozen=True, slots=True)
 class Defects:
-    """Counts of what keeps a triangulation from being a closed, oriented, connected manifold.
+    """The number of each kind of defect of a triangulation.
 
     Attributes
     ----------
     boundary_edges : int
-        Edges of one face.
+        Edges with one face.
     non_manifold_edges : int
-        Edges of three faces or more.
+        Edges with three or more faces.
     non_manifold_vertices : int
-        Vertices where more than one fan of faces meets, apart from the ends of non-manifold edges.
+        Vertices with more than one fan of faces, except those of non-manifold edges.
     inconsistent_edges : int
-        Edges of two faces that disagree on which side is outside.
+        Edges with two faces of opposite orientation.
     degenerate_faces : int
-        Faces without an area, or with the corners of an earlier face.
+        Faces without an area, and duplicates of an earlier face.
     components : int
-        Pieces that share no vertex; 1 in a connected surface.
+        Connected components; 1 for a connected surface, which is no defect.
     """
 
     boundary_edges: int
@@ -61,17 +61,27 @@ SOUND = Defects(0, 0, 0, 0, 0, 1)
 
 
 def defects(mesh: TriangleMesh) -> Defects:
-    """Count the defects of a mesh; falsy where it is a closed, oriented, connected manifold.
+    """Count the defects of a mesh.
 
-    Self-intersection is not a defect here: the Laplace–Beltrami operator does not see it, and testing for
-    it takes a hundred times longer than all the rest.
+    Self-intersections are not counted: the Laplace–Beltrami operator does not depend on them, and their
+    detection takes a hundred times longer than everything else (docs/decisions.md, defects).
+
+    Parameters
+    ----------
+    mesh : TriangleMesh
+        Any mesh.
+
+    Returns
+    -------
+    Defects
+        False as a truth value, if the mesh is a closed, oriented, connected manifold.
     """
     edges = edges_of(mesh.faces)
     crowded = edges.use > 2
-    _, first = np.unique(fans(edges, edges.pairs), return_index=True)  # a corner of each fan
+    _, first = np.unique(fans(edges, edges.pairs), return_index=True)  # one corner of each fan
     pinched = np.bincount(edges.tail[first], minlength=len(mesh.vertices)) > 1  # (n,)
     pinched[edges.ends[crowded]] = False
-    sound = np.unique(twins(mesh.faces)[~mesh.flat_faces])  # groups
+    sound = np.unique(face_groups(mesh.faces)[~mesh.flat_faces])  # groups
     return Defects(
         boundary_edges=int((edges.use == 1).sum()),
         non_manifold_edges=int(crowded.sum()),
@@ -83,31 +93,46 @@ def defects(mesh: TriangleMesh) -> Defects:
 
 
 def components(mesh: TriangleMesh) -> Index:
-    """(m,) number of the connected piece that each face belongs to, 0 for the piece of largest area."""
+    """The connected components of a mesh.
+
+    Parameters
+    ----------
+    mesh : TriangleMesh
+        A mesh of m faces.
+
+    Returns
+    -------
+    (m,) int
+        Number of the component of each face, in order of descending area.
+    """
     a, b, c = mesh.faces.T
     of_vertex = joined_by(np.concatenate([a, b]), np.concatenate([b, c]), len(mesh.vertices))  # (n,)
-    _, of_face = np.unique(of_vertex[a], return_inverse=True)  # (m,); loose vertices are no pieces
+    _, of_face = np.unique(of_vertex[a], return_inverse=True)  # (m,); unreferenced vertices are no components
     largest_first = np.argsort(-np.bincount(of_face, weights=mesh.face_areas), kind="stable")
     return np.asarray(np.argsort(largest_first)[of_face], dtype=np.intp)
 
 
 def orient_faces(mesh: TriangleMesh) -> tuple[TriangleMesh, int] | None:
-    """Turn faces until neighbours agree; None where that cannot be (a Möbius strip).
+    """Reverse faces until the orientation is consistent at every edge with two faces.
 
-    Faces are neighbours across edges that no third face shares.
+    Parameters
+    ----------
+    mesh : TriangleMesh
+        Any mesh.
 
     Returns
     -------
-    mesh : TriangleMesh
-        Each patch of neighbours keeps the side of most of its faces; where as many want one side as the
-        other, that of its first face.
-    n_turned : int
+    (TriangleMesh, int) or None
+        The consistently oriented mesh, and the number of reversed faces. In each patch of faces that are
+        connected at edges with two faces, the orientation of the majority is kept; if both are equally
+        frequent, that of the first face. None if the surface is not orientable (a Möbius strip).
     """
     edges, m = edges_of(mesh.faces), len(mesh.faces)
     a, b = edges.pairs.T  # half-edges
     disagree = (edges.tail[a] < edges.head[a]) == (edges.tail[b] < edges.head[b])
-    # Two copies of each face, one turned: neighbours that agree join like copies, others join unlike ones.
-    # A face joined to its own turned copy lies on a one-sided surface.
+    # The orientation double cover: two copies of each face, one of them reversed. At
+    # each edge, copies of consistent orientation are connected. A surface is not
+    # orientable if a face is connected to its own reversed copy.
     patch = joined_by(
         np.concatenate([a // 3, a // 3 + m]),
         np.concatenate([b // 3 + m * disagree, b // 3 + m * ~disagree]),
@@ -116,23 +141,48 @@ def orient_faces(mesh: TriangleMesh) -> tuple[TriangleMesh, int] | None:
     as_given, turned = patch[:m], patch[m:]  # (m,)
     if (as_given == turned).any():
         return None
-    votes = np.bincount(as_given, minlength=2 * m)  # faces that each choice of copies leaves as they are
-    # Patches are numbered by their first members: among rivals, the first face's own copy comes first.
+    votes = np.bincount(as_given, minlength=2 * m)  # number of unreversed faces in each sheet of the cover
+    # Classes are numbered by their first elements: of two sheets the one with the
+    # unreversed first face is lower.
     turn = (votes[as_given] < votes[turned]) | ((votes[as_given] == votes[turned]) & (as_given > turned))
     faces = np.where(turn[:, None], mesh.faces[:, ::-1], mesh.faces)
     return TriangleMesh(mesh.vertices, faces, mesh.provenance), int(turn.sum())
 
 
 def compact(vertices: FloatArray, faces: IntArray) -> TriangleMesh:
-    """The mesh of these faces, without the vertices that none of them uses."""
+    """A mesh of the vertices that are referenced by faces.
+
+    Parameters
+    ----------
+    vertices : (n, 3) float64
+        Coordinates.
+    faces : (m, 3) int32
+        Vertex numbers of each face.
+
+    Returns
+    -------
+    TriangleMesh
+        The faces, with the referenced vertices renumbered in their order.
+    """
     used = np.zeros(len(vertices), dtype=bool)
     used[faces] = True
     number = np.cumsum(used) - 1
     return TriangleMesh(vertices[used], number[faces])
 
 
-def twins(faces: NDArray[np.integer]) -> Index:
-    """(m,) group of each face: faces with the same corners, in whatever order, are in one group."""
+def face_groups(faces: NDArray[np.integer]) -> Index:
+    """Group faces that have the same three corners, in any order.
+
+    Parameters
+    ----------
+    faces : (m, 3) int
+        Vertex numbers of each face.
+
+    Returns
+    -------
+    (m,) int
+        Number of the group of each face.
+    """
     corners = np.sort(faces, axis=1)  # (m, 3)
     order = np.lexsort(corners.T)
     new = np.diff(corners[order], axis=0, prepend=-1).any(axis=1)  # (m,)

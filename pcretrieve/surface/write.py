@@ -1,4 +1,4 @@
-"""A surface → a mesh file."""
+"""Writing of mesh files."""
 
 from __future__ import annotations
 
@@ -14,7 +14,14 @@ SUFFIXES = (".ply", ".obj", ".off", ".stl", ".glb")
 
 
 def write_mesh(mesh: TriangleMesh, path: str | Path) -> None:
-    """Write a mesh, in the format that the path's suffix names.
+    """Write a mesh to a file, in the format of the suffix.
+
+    Parameters
+    ----------
+    mesh : TriangleMesh
+        The mesh; its unit is that of the file.
+    path : str or Path
+        The file, with one of the suffixes ``.ply .obj .off .stl .glb``. An existing file is replaced.
 
     Raises
     ------

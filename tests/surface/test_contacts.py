@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from pcretrieve.scan.outside import distances
-from pcretrieve.surface.contacts import DETOUR, contacts, walls
+from pcretrieve.surface.contacts import DETOUR, contact_layer, walls
 
 Mask = NDArray[np.bool_]
 N = 30
@@ -29,7 +29,7 @@ def fold(reach: int) -> Mask:
 
 
 def parted(inside: Mask, wall: Mask) -> Mask:
-    return contacts(inside, wall, distances(~inside, np.inf))
+    return contact_layer(inside, wall, distances(~inside, np.inf))
 
 
 def test_a_body_without_points_in_it_has_no_contacts() -> None:
