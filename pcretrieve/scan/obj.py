@@ -10,16 +10,19 @@ from pathlib import Path
 
 import numpy as np
 
-from pcretrieve.scan.raw import RawScan, incomplete, triangles
+from pcretrieve.scan.raw import RawScan, fans, incomplete
 from pcretrieve.scan.text import text_lines
 
 __all__ = ["read_obj"]
+
+# More vertices than any file holds.
+LARGEST_NUMBER = 2**40
 
 
 def read_obj(path: Path) -> RawScan:
     """The ``v`` and ``f`` lines; larger polygons are cut into triangles, everything else is ignored."""
     vertices: list[list[float]] = []
-    polygons: list[list[int]] = []
+    polygons: dict[int, list[list[int]]] = {}  # by their number of corners
     for number, line in enumerate(text_lines(path), start=1):
         words = line.split("#")[0].split()
         try:
@@ -27,17 +30,19 @@ def read_obj(path: Path) -> RawScan:
                 x, y, z = words[1:4]
                 vertices.append([float(x), float(y), float(z)])
             elif words[:1] == ["f"]:
-                polygons.append([_vertex(word, len(vertices)) for word in words[1:]])
+                corners = [_vertex(word, len(vertices)) for word in words[1:]]
+                polygons.setdefault(len(corners), []).append(corners)
         except ValueError as error:
             raise incomplete(path, f"line {number} is {line.strip()!r}") from error
     if not vertices:
         raise incomplete(path, "it holds no vertices")
-    return RawScan(np.array(vertices), triangles(polygons) if polygons else None)
+    faces = fans([np.array(alike) for alike in polygons.values()]) if polygons else None
+    return RawScan(np.array(vertices), faces)
 
 
 def _vertex(word: str, n_before: int) -> int:
     """Position of the vertex that ``v``, ``v/t`` or ``v/t/n`` names: from 1, or backwards from the last."""
     number = int(word.split("/")[0])
-    if number == 0:
-        raise ValueError("vertices are numbered from 1")
+    if not 0 < abs(number) <= LARGEST_NUMBER:
+        raise ValueError(f"vertices are numbered from 1 to {LARGEST_NUMBER}")
     return number - 1 if number > 0 else n_before + number

@@ -1,10 +1,7 @@
-"""PLY, read by plyfile."""
+"""PLY: text and binary, of either byte order."""
 
 from __future__ import annotations
 
-import contextlib
-import io
-import re
 import warnings
 from pathlib import Path
 from typing import Any
@@ -13,90 +10,120 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcretrieve.errors import ScanReadError
-from pcretrieve.scan.raw import RawScan, incomplete, triangles
+from pcretrieve.scan.ply_header import Element, read_header
+from pcretrieve.scan.ply_rows import Table, in_order, tables
+from pcretrieve.scan.raw import RawScan, fans, incomplete
 
 __all__ = ["read_ply"]
 
-END_OF_HEADER = re.compile(rb"end_header[ \t]*\r?\n")
-ELEMENT = re.compile(rb"^element[ \t]+(\S+)[ \t]+(\d+)", re.MULTILINE)
-
 FACE_PROPERTIES = ("vertex_indices", "vertex_index")
-# What lets plyfile map the faces of a binary file instead of reading them one by one.
-ALL_TRIANGLES = {"face": dict.fromkeys(FACE_PROPERTIES, 3)}
+
+# Of the largest type that an index can have.
+LARGEST_INDEX = 2**32 - 1
 
 
 def read_ply(path: Path) -> RawScan:
-    """Vertices with their normals and sensor positions (``vp_x vp_y vp_z``), and faces if there are any."""
+    """Read a PLY file.
+
+    Parameters
+    ----------
+    path : Path
+
+    Returns
+    -------
+    RawScan
+        The vertices ``x y z``, their normals ``nx ny nz`` and sensor positions ``vp_x vp_y vp_z``, and the
+        faces if there are any; polygons of more than three corners are cut into fans of triangles.
+
+    Raises
+    ------
+    ScanReadError
+        If it is not a PLY file, is cut short, or has no vertices with coordinates.
+    """
     data = path.read_bytes()
-    _check_promises(path, data)
-    content = _parsed(path, data)
-    if "vertex" not in content:
+    header = read_header(path, data)
+    # What follows the last vertex or face is not read: range scanners write their sampling grid there.
+    needed = [k for k, found in enumerate(header.elements) if found.name == "vertex" or _is_face(found)]
+    scan, faces, at = None, None, header.end
+    for element in header.elements[: needed[-1] + 1] if needed else ():
+        if header.is_text:
+            found, at = _of_text(path, data, at, element)
+        else:
+            body = np.frombuffer(data, np.uint8, offset=at)
+            found, used = tables(path, body, element, header.order)
+            at += used
+        if element.name == "vertex":
+            scan = _vertices(element, found)
+        elif _is_face(element):
+            faces = _faces(path, element, found)
+    if scan is None:
         raise ScanReadError("a PLY scan must have an element 'vertex', this file has none")
-    vertex = content["vertex"].data
-    scalars = {name for name in vertex.dtype.names or () if vertex.dtype[name].kind in "fiu"}
+    return scan._replace(faces=faces)
+
+
+def _is_face(element: Element) -> bool:
+    return element.name == "face" and element.n_rows > 0
+
+
+def _vertices(element: Element, found: list[Table]) -> RawScan:
+    scalars = {one.name: one.type for one in element.properties if one.length is None}
 
     def columns(*names: str) -> NDArray[np.float64] | None:
-        if not scalars.issuperset(names):
+        if not scalars.keys() >= {*names}:
             return None
-        return np.column_stack([vertex[name] for name in names]).astype(np.float64)
+        if not found:
+            return np.empty((0, len(names)))
+        # Of a text too, a number is as precise as its type. Files may hold any bytes: numpy warns of casting
+        # signalling NaN, which are dropped later.
+        with np.errstate(all="ignore"):
+            parts = [
+                [table.values[name].astype("f4" if scalars[name] == "f4" else "f8") for name in names]
+                for table in found
+            ]
+            return in_order(
+                [(table.numbers, np.hstack(part)) for table, part in zip(found, parts, strict=True)]
+            ).astype(np.float64)
 
     points = columns("x", "y", "z")
     if points is None:
         raise ScanReadError("the vertices of a PLY scan must have the numbers x, y and z")
-    faces = None
-    if "face" in content and content["face"].count:
-        face = content["face"].data
-        corners = next((face[name] for name in FACE_PROPERTIES if name in (face.dtype.names or ())), None)
-        if corners is None or (corners.ndim == 1 and corners.dtype != object):
-            raise ScanReadError(f"the faces of a PLY scan must have the list {' or '.join(FACE_PROPERTIES)}")
-        faces = triangles(corners) if corners.ndim == 1 else corners  # (m, 3)
-    return RawScan(points, faces, columns("nx", "ny", "nz"), columns("vp_x", "vp_y", "vp_z"))
+    return RawScan(points, None, columns("nx", "ny", "nz"), columns("vp_x", "vp_y", "vp_z"))
 
 
-def _parsed(path: Path, data: bytes) -> Any:
-    from plyfile import PlyData, PlyParseError
-
-    needed = _without_trailing_elements(data)
-    with warnings.catch_warnings():
-        # numpy warns before plyfile raises that the file ended early.
-        warnings.simplefilter("ignore", UserWarning)
-        if needed is data:
-            # Ten times as fast, but fails where a face has more corners or the file is broken.
-            with contextlib.suppress(PlyParseError, ValueError, OverflowError, TypeError):
-                return PlyData.read(str(path), known_list_len=ALL_TRIANGLES)
-        try:
-            return PlyData.read(io.BytesIO(needed))
-        except (PlyParseError, ValueError, OverflowError, TypeError) as error:
-            raise incomplete(path, error) from error
-
-
-def _check_promises(path: Path, data: bytes) -> None:
-    """Before anything is allocated: a vertex or a face takes a byte at least."""
-    end = END_OF_HEADER.search(data)
-    for found in ELEMENT.finditer(data, 0, end.start() if end else 0):
-        # As a float: int refuses a number of thousands of digits.
-        promised, left = float(found[2]), len(data) - (end.end() if end else 0)
-        if promised > left:
-            name = found[1].decode("latin-1")
-            raise incomplete(path, f"its header promises {promised:.0f} of {name}, {left} bytes follow")
+def _faces(path: Path, element: Element, found: list[Table]) -> NDArray[np.int64]:
+    """(m, 3) vertices of triangles."""
+    lists = {one.name for one in element.properties if one.length is not None and one.type[0] != "f"}
+    name = next((name for name in FACE_PROPERTIES if name in lists), None)
+    if name is None:
+        raise ScanReadError(
+            f"the faces of a PLY scan must have the list {' or '.join(FACE_PROPERTIES)} of whole numbers"
+        )
+    alike: dict[int, list[tuple[NDArray[np.intp], NDArray[Any]]]] = {}
+    for table in found:
+        corners = table.values[name]
+        if corners.dtype.kind == "f" and not ((np.abs(corners) <= LARGEST_INDEX) & (corners % 1 == 0)).all():
+            raise incomplete(path, "its faces name vertices by other than whole numbers")
+        alike.setdefault(corners.shape[1], []).append((table.numbers, corners))
+    return fans([in_order(parts) for parts in alike.values()])
 
 
-def _without_trailing_elements(data: bytes) -> bytes:
-    """The file with nothing declared behind its last vertex or face.
+def _of_text(path: Path, data: bytes, at: int, element: Element) -> tuple[list[Table], int]:
+    """The rows of an element of a text, a line each, and where the next element begins.
 
-    Range scanners store their sampling grid behind the points, as text ten times slower to parse than the
-    points themselves. A reader stops at the last element that the header names.
+    Their numbers are read at once, and stand for a binary file of nothing but doubles.
     """
-    end = END_OF_HEADER.search(data)
-    if end is None:
-        return data
-    header = data[: end.start()]
-    elements = [
-        (found.start(), found[1])
-        for found in ELEMENT.finditer(header)
-        if found[1] == b"vertex" or int(found[2])
-    ]
-    needed = [k for k, (_, name) in enumerate(elements) if name in (b"vertex", b"face")]
-    if not needed or needed[-1] == len(elements) - 1:
-        return data
-    return header[: elements[needed[-1] + 1][0]] + data[end.start() :]
+    line_end = b"\n" if data.find(b"\n", at) >= 0 else b"\r"
+    ends = at + 1 + np.flatnonzero(np.frombuffer(data, np.uint8, offset=at) == line_end[0])
+    if element.n_rows > len(ends) + 1:
+        raise incomplete(path, f"it ends after {len(ends)} of {element.n_rows} lines of {element.name}")
+    stop = int(np.concatenate([[at], ends, [len(data)]])[element.n_rows])
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("error", DeprecationWarning)  # before numpy 2.3 it was no error
+            numbers = np.fromstring(data[at:stop], sep=" ")
+    except (ValueError, DeprecationWarning) as error:
+        raise incomplete(path, f"its lines of {element.name} hold more than numbers") from error
+    found, used = tables(path, numbers.view(np.uint8), element.of_doubles(), "=")
+    if used != numbers.nbytes:
+        raise incomplete(path, f"its lines of {element.name} hold more than its header declares")
+    return found, stop

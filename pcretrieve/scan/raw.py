@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from pcretrieve.errors import ScanReadError
 
-__all__ = ["RawScan", "incomplete", "triangles"]
+__all__ = ["RawScan", "fans", "incomplete"]
 
 
 class RawScan(NamedTuple):
@@ -36,20 +36,32 @@ class RawScan(NamedTuple):
     notes: tuple[str, ...] = ()
 
 
-def triangles(polygons: Sequence[Sequence[int]] | NDArray[np.object_]) -> NDArray[np.int64]:
-    """Polygons as fans of triangles, (m, 3); those of fewer than three corners vanish."""
-    by_size: dict[int, list[Sequence[int]]] = {}
-    for polygon in polygons:
-        by_size.setdefault(len(polygon), []).append(polygon)
-    fans = []
-    for size, group in by_size.items():
-        corners = np.array(group, dtype=np.int64)  # (p, size)
-        fans += [corners[:, [0, k, k + 1]] for k in range(1, size - 1)]
-    return np.concatenate(fans) if fans else np.empty((0, 3), dtype=np.int64)
+def fans(polygons: Sequence[NDArray[Any]]) -> NDArray[np.int64]:
+    """Polygons as fans of triangles.
+
+    Parameters
+    ----------
+    polygons : sequence of (p, k) int
+        Of k corners each; those of fewer than three vanish.
+
+    Returns
+    -------
+    (m, 3) int64
+    """
+    triangles = [
+        corners if corners.shape[1] == 3 else corners[:, [0, k, k + 1]]
+        for corners in polygons
+        for k in range(1, corners.shape[1] - 1)
+    ]
+    if not triangles:
+        return np.empty((0, 3), dtype=np.int64)
+    return np.concatenate(triangles, dtype=np.int64, casting="unsafe")
 
 
 def incomplete(path: Path, reason: object) -> ScanReadError:
     """The error for a file that ends early, is damaged, or is of another format than its name says."""
+    if isinstance(reason, UnicodeError):
+        reason = "it holds bytes that are no text"  # instead of the words of a codec
     words = str(reason).splitlines() or [type(reason).__name__]
     return ScanReadError(
         f"not a complete {path.suffix[1:].upper()} file ({words[0]}): export or copy it again"
