@@ -1,5 +1,5 @@
-"""The heavy third parties, one file each: arrays in, arrays out.
+"""Interfaces to large third-party packages, one module for each: functions of arrays that return arrays.
 
-Nothing else in pcretrieve imports open3d, pytetwild or robust_laplacian. The first two take more than a
-second to import, so all are imported when first used, never when pcretrieve is.
+No other module of pcretrieve imports open3d, pytetwild or robust_laplacian. The import of open3d or pytetwild
+takes more than a second, and is therefore made at the first use.
 """

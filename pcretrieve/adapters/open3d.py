@@ -1,7 +1,7 @@
-"""Open3D, as functions on arrays.
+"""Open3D, as functions of arrays.
 
-Open3D's own threads are not used: its parallel Poisson reconstruction is neither reproducible nor safe in
-long runs (Open3D issues 6828 and 7229), and a batch fills the cores with shapes instead.
+Open3D is run on one thread: its parallel Poisson reconstruction is not reproducible and crashes in long runs
+(Open3D issues 6828 and 7229). A batch processes several shapes in parallel instead.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ __all__ = [
 
 @cache
 def _open3d() -> Any:
-    """The module, quiet and on one thread."""
+    """The module open3d, with messages disabled and on one thread."""
     import open3d
 
     open3d.utility.set_verbosity_level(open3d.utility.VerbosityLevel.Error)
@@ -42,12 +42,26 @@ def _open3d() -> Any:
 
 
 def geometry_arrays(geometry: object) -> tuple[FloatArray, IntArray | None, FloatArray | None]:
-    """Points, faces or None, unit normals or None, of an Open3D point cloud or mesh, legacy or tensor.
+    """The arrays of an Open3D point cloud or triangle mesh, of the legacy or the tensor interface.
+
+    Parameters
+    ----------
+    geometry : open3d geometry
+        A point cloud or a triangle mesh.
+
+    Returns
+    -------
+    points : (n, 3) float64
+        Coordinates of the points, or of the vertices.
+    faces : (m, 3) int32 or None
+        Vertex numbers of each face; None for a point cloud.
+    normals : (n, 3) float64 or None
+        Unit normals of a point cloud that has normals.
 
     Raises
     ------
     TypeError
-        For anything else.
+        If the argument is of another type.
     """
     o3d = _open3d()
     if isinstance(geometry, (o3d.t.geometry.PointCloud, o3d.t.geometry.TriangleMesh)):
@@ -68,7 +82,7 @@ def _unit_normals(cloud: Any) -> FloatArray | None:
 
 
 def _vectors(values: FloatArray) -> Any:
-    """A copy: Open3D refuses the locked arrays of pcretrieve's types."""
+    """A copy, because Open3D does not accept read-only arrays."""
     return _open3d().utility.Vector3dVector(np.array(values, dtype=np.float64))
 
 
@@ -84,13 +98,41 @@ def _cloud(points: FloatArray, normals: FloatArray | None = None) -> Any:
 
 
 def statistical_inliers(points: FloatArray, *, n_neighbors: int, std_ratio: float) -> NDArray[np.intp]:
-    """Positions of the points whose mean distance to their neighbours is not unusual, ascending."""
+    """Statistical outlier removal: the points whose mean distance to their neighbours is not exceptional.
+
+    Parameters
+    ----------
+    points : (n, 3) float64
+        Coordinates.
+    n_neighbors : int
+        Number of neighbours.
+    std_ratio : float
+        Largest mean distance, in standard deviations above the mean of all points.
+
+    Returns
+    -------
+    (k,) int
+        Positions of the points that are kept, ascending.
+    """
     _, kept = _cloud(points).remove_statistical_outlier(nb_neighbors=n_neighbors, std_ratio=std_ratio)
     return np.sort(np.asarray(kept, dtype=np.intp))
 
 
 def estimate_normals(points: FloatArray, *, n_neighbors: int) -> FloatArray:
-    """(n, 3) unit normals of the best plane through each point's neighbours; the sign is arbitrary."""
+    """Normals of the least-squares planes of the neighbours of each point.
+
+    Parameters
+    ----------
+    points : (n, 3) float64
+        Coordinates.
+    n_neighbors : int
+        Number of neighbours, including the point.
+
+    Returns
+    -------
+    (n, 3) float64
+        Unit normals of arbitrary sign.
+    """
     o3d = _open3d()
     cloud = _cloud(points)
     cloud.estimate_normals(o3d.geometry.KDTreeSearchParamKNN(n_neighbors))
@@ -98,7 +140,19 @@ def estimate_normals(points: FloatArray, *, n_neighbors: int) -> FloatArray:
 
 
 def orient_by_tangent_planes(points: FloatArray, normals: FloatArray, *, n_neighbors: int) -> FloatArray:
-    """(n, 3) normals made consistent along a minimum spanning tree [1]_.
+    """Orient normals consistently along a minimum spanning tree of the tangent planes [1]_.
+
+    Parameters
+    ----------
+    points, normals : (n, 3) float64
+        Coordinates and unit normals.
+    n_neighbors : int
+        Number of neighbours in the graph.
+
+    Returns
+    -------
+    (n, 3) float64
+        The normals or their opposites.
 
     References
     ----------
@@ -122,12 +176,23 @@ def poisson(
 ) -> tuple[FloatArray, IntArray, FloatArray]:
     """Screened Poisson reconstruction [1]_.
 
+    Parameters
+    ----------
+    points, normals : (p, 3) float64
+        Coordinates and unit normals that point outwards.
+    depth : int
+        Depth of the octree.
+    scale : float
+        Side of the cube of the reconstruction, relative to the longest side of the bounding box.
+
     Returns
     -------
     vertices : (n, 3) float64
+        Coordinates.
     faces : (m, 3) int32
+        Vertex numbers of each face, counter-clockwise seen from outside.
     density : (n,) float64
-        Octree depth that the points support at each vertex; larger is denser.
+        Depth of the octree at each vertex; larger where there are more points.
 
     References
     ----------
@@ -140,7 +205,23 @@ def poisson(
 
 
 def simplify(vertices: FloatArray, faces: IntArray, *, n_faces: int) -> tuple[FloatArray, IntArray]:
-    """The surface with about `n_faces` faces, by quadric error [1]_.
+    """Simplify a surface by edge collapse with quadric error metrics [1]_.
+
+    Parameters
+    ----------
+    vertices : (n, 3) float64
+        Coordinates.
+    faces : (m, 3) int32
+        Vertex numbers of each face.
+    n_faces : int
+        Number of faces after simplification, approximately.
+
+    Returns
+    -------
+    vertices : (p, 3) float64
+        Coordinates.
+    faces : (q, 3) int32
+        Vertex numbers of each face.
 
     References
     ----------
@@ -151,12 +232,14 @@ def simplify(vertices: FloatArray, faces: IntArray, *, n_faces: int) -> tuple[Fl
 
 
 class RayScene:
-    """A surface to cast rays at.
+    """A surface for ray casting and distance queries, in single precision.
 
     Parameters
     ----------
     vertices : (n, 3) float64
+        Coordinates.
     faces : (m, 3) int32
+        Vertex numbers of each face.
     """
 
     def __init__(self, vertices: FloatArray, faces: IntArray) -> None:
@@ -169,20 +252,21 @@ class RayScene:
         )
 
     def cast(self, origins: FloatArray, directions: FloatArray) -> tuple[FloatArray, FloatArray, IntArray]:
-        """First hit of each ray.
+        """The first intersection of each ray with the surface.
 
         Parameters
         ----------
         origins, directions : (k, 3) float64
+            Origins and directions of the rays; the directions may have any length.
 
         Returns
         -------
         distance : (k,) float64
-            In lengths of the direction; infinite where a ray hits nothing.
+            Distance from the origin in units of the length of the direction; infinite if there is none.
         normals : (k, 3) float64
-            Unit normal of the face that was hit, as the face is oriented.
+            Unit normals of the faces, by their orientation.
         face : (k,) int32
-            Number of that face; -1 where a ray hits nothing.
+            Numbers of the faces; −1 if there is no intersection.
         """
         rays = np.concatenate([origins, directions], axis=1).astype(np.float32)  # (k, 6)
         answer = self._scene.cast_rays(self._tensor(rays))
@@ -192,7 +276,7 @@ class RayScene:
         return distance, normals, face.astype(np.int32)
 
     def distance(self, points: FloatArray) -> FloatArray:
-        """(k,) distance to the surface."""
+        """(k,) unsigned distances of (k, 3) points to the surface."""
         query = self._tensor(np.asarray(points, dtype=np.float32))
         return np.asarray(self._scene.compute_distance(query).numpy(), dtype=np.float64)
 
@@ -201,9 +285,19 @@ class RayScene:
 
 
 def feature_histograms(points: FloatArray, normals: FloatArray, *, radius: float) -> FloatArray:
-    """(n, 33) fast point feature histograms [1]_: how normals turn within `radius` of each point.
+    """Fast point feature histograms (FPFH) [1]_, invariant to rigid motion.
 
-    They do not change when the points move.
+    Parameters
+    ----------
+    points, normals : (n, 3) float64
+        Coordinates and unit normals.
+    radius : float
+        Radius of the neighbourhood of a point; unit of the points.
+
+    Returns
+    -------
+    (n, 33) float64
+        Histograms of the angles between the normals in the neighbourhood of each point.
 
     References
     ----------

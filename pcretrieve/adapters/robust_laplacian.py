@@ -1,4 +1,4 @@
-"""robust_laplacian, as a function on arrays."""
+"""robust_laplacian, as a function of arrays."""
 
 from __future__ import annotations
 
@@ -10,12 +10,31 @@ __all__ = ["tufted_matrices"]
 
 
 def tufted_matrices(vertices: FloatArray, faces: IntArray) -> tuple[csc_array, csc_array]:
-    """(n, n) stiffness and diagonal mass on the vertices of any triangles.
+    """The tufted intrinsic Delaunay Laplacian [1]_ of any triangle mesh.
+
+    Parameters
+    ----------
+    vertices : (n, 3) float64
+        Coordinates.
+    faces : (m, 3) int32
+        Vertex numbers of each face; the mesh may have any connectivity.
+
+    Returns
+    -------
+    stiffness : (n, n) sparse
+        Symmetric positive semi-definite, dimensionless.
+    mass : (n, n) sparse
+        Diagonal, unit length².
 
     Raises
     ------
     RuntimeError
-        Where the library gives up.
+        If the library fails.
+
+    References
+    ----------
+    .. [1] N. Sharp and K. Crane, "A Laplacian for nonmanifold triangle meshes", Computer Graphics Forum
+       39(5), 2020.
     """
     from robust_laplacian import mesh_laplacian
 

@@ -1,8 +1,9 @@
-"""fTetWild (pytetwild), in a process of its own that can be killed.
+"""fTetWild (pytetwild), in a server process with a time limit.
 
-It holds the interpreter lock for its whole run, has no time limit, and takes a second to import: so one
-server process is started when first needed, answers one surface after another, and is killed where it
-overruns. The server ends with the process that asks it.
+fTetWild holds the global interpreter lock during a call and has no time limit of its
+own, and its import takes a second. It is therefore run in one server process, which
+is started at the first use, processes the surfaces one after another, and is killed
+if a surface exceeds its time limit. The server ends with its client process.
 """
 
 from __future__ import annotations
@@ -31,13 +32,13 @@ __all__ = ["serve", "start", "tetrahedralize"]
 
 Arrays = dict[str, NDArray[Any]]
 
-# Messages are .npz archives behind their length: arrays only, nothing that could be executed.
+# A message is its length, followed by an .npz archive of arrays. Nothing is pickled.
 LENGTH = struct.Struct("<q")
 
-# <sys/prctl.h>
+# From <sys/prctl.h>.
 PR_SET_PDEATHSIG = 1
 
-# The server finds its modules where its client does, and not in the folder that it happens to be started in.
+# The server has the sys.path of its client, instead of one that depends on the working directory.
 SERVER = "import sys; sys.path[:] = sys.argv[1:]; from pcretrieve.adapters.tetwild import serve; serve()"
 
 
@@ -50,31 +51,35 @@ def tetrahedralize(
     optimize: bool,
     timeout: float,
 ) -> tuple[FloatArray, IntArray]:
-    """Fill a surface with tetrahedra [1]_.
+    """Generate a tetrahedral mesh inside a surface [1]_.
 
-    Not deterministic: fTetWild seeds itself from the operating system.
+    The result is not deterministic, because fTetWild takes its seed from the operating system.
 
     Parameters
     ----------
     vertices : (n, 3) float64
+        Coordinates.
     faces : (m, 3) int32
-        Pointing outwards; an inside-out surface comes back as a dozen vertices, without an error.
+        Vertex numbers of each face, oriented outwards. For a surface that is oriented inwards the result is a
+        mesh of a few nodes, without an error.
     edge_length, envelope : float
-        Relative to the bounding-box diagonal.
+        Ideal edge length, and largest distance from the surface; relative to the bounding-box diagonal.
     optimize : bool
-        Improve the tetrahedra inside.
+        Optimise the quality of the tetrahedra.
     timeout : float
-        Seconds that it may work.
+        Time limit; seconds.
 
     Returns
     -------
     nodes : (p, 3) float64
+        Coordinates.
     tetrahedra : (q, 4) int32
+        Node numbers of each tetrahedron.
 
     Raises
     ------
     RemeshError
-        If it overran, died, failed, or gave nothing.
+        If the time limit was exceeded, the server ended, fTetWild failed, or the mesh is empty.
 
     References
     ----------
@@ -98,12 +103,12 @@ def tetrahedralize(
 
 
 def start() -> None:
-    """Start the server ahead of its first surface, so that its import overlaps other work."""
+    """Start the server before its first use, so that its imports overlap other work."""
     _server.process()
 
 
 class _Server:
-    """The client's end of the one server process."""
+    """The client side of the server process."""
 
     def __init__(self) -> None:
         self._process: subprocess.Popen[bytes] | None = None
@@ -111,7 +116,7 @@ class _Server:
         atexit.register(self.stop)
 
     def process(self) -> subprocess.Popen[bytes]:
-        """The running server; a new one where there is none."""
+        """The running server; it is started if there is none."""
         if self._process is not None and self._process.poll() is None:
             return self._process
         self.stop()
@@ -124,19 +129,19 @@ class _Server:
         return self._process
 
     def stop(self) -> None:
-        """Kill the server, if any."""
+        """Kill the server, if there is one."""
         if self._process is not None:
             self._process.kill()
             for pipe in (self._process.stdin, self._process.stdout):
                 if pipe is not None:
-                    # What is still buffered for a dead process cannot be written any more.
+                    # Closing fails if there is buffered data, because the process has ended.
                     with contextlib.suppress(OSError):
                         pipe.close()
             self._process.wait()
             self._process = None
 
     def ask(self, question: Arrays) -> Arrays:
-        """The server's answer; `RemeshError` where it dies over it."""
+        """The reply of the server; `RemeshError` if the server ends before it."""
         with self._lock:
             process = self.process()
             try:
@@ -178,7 +183,7 @@ def _receive(pipe: IO[bytes] | None) -> Arrays:
 def _answer(question: Arrays) -> Arrays:
     import pytetwild
 
-    # The alarm ends this process whoever holds the interpreter lock, and though its client be dead.
+    # The signal of the timer ends this process although fTetWild holds the interpreter lock.
     signal.setitimer(signal.ITIMER_REAL, float(question["timeout"]))
     try:
         nodes, tetrahedra = pytetwild.tetrahedralize(  # type: ignore[attr-defined]
@@ -197,20 +202,21 @@ def _answer(question: Arrays) -> Arrays:
 
 
 def serve() -> None:
-    """Answer surface after surface, from standard input to standard output, until the client has gone."""
-    # The terminal sends Ctrl-C to the server too; its client decides what that means. Blocked rather than
-    # ignored, because fTetWild sets signals back to their defaults.
+    """Run the server: process surfaces from standard input until the client closes it."""
+    # The terminal sends Ctrl-C to the server too, but the client handles it. The signal is blocked instead of
+    # ignored, because fTetWild resets the handlers of signals.
     signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])
     _end_with_client()
-    # fTetWild prints from C++: keep that from the messages and from the user. Python's errors still come.
+    # fTetWild prints from C++ to the descriptors 1 and 2, which are redirected.
+    # Python's errors are still shown.
     answers = os.fdopen(os.dup(sys.stdout.fileno()), "wb")
     sys.stderr = os.fdopen(os.dup(sys.stderr.fileno()), "w")
     nowhere = os.open(os.devnull, os.O_WRONLY)
     for stream in (1, 2):
         os.dup2(nowhere, stream)
-    import pytetwild  # noqa: F401  while the client still prepares its first surface
+    import pytetwild  # noqa: F401  imported before the client sends its first surface
 
-    # It also writes files where it runs; in a folder that is gone it cannot.
+    # fTetWild writes files into the working directory, which it cannot if the directory was removed.
     folder = Path(tempfile.mkdtemp(prefix="pcretrieve-"))
     os.chdir(folder)
     folder.rmdir()
@@ -220,10 +226,7 @@ def serve() -> None:
 
 
 def _end_with_client() -> None:
-    """Have the kernel kill this process when its client dies, even in the middle of a surface.
-
-    A client that overran its own limit is killed, and could not stop its server. Linux only; elsewhere the
-    server goes on to the end of its surface.
-    """
+    """Let the kernel kill this process when its client ends, also if the client is killed (Linux only)."""
+    # On other systems the server ends after its current surface.
     if sys.platform == "linux":
         ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)

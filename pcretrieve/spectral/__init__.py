@@ -1,4 +1,4 @@
-"""Surface → stiffness and mass → lowest eigenpairs."""
+"""Surface, or points → stiffness and mass matrices → smallest eigenpairs."""
 
 from pcretrieve.spectral.eigen import eigenpairs
 from pcretrieve.spectral.operators import laplace_beltrami

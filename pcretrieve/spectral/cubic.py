@@ -1,4 +1,4 @@
-"""Cubic (P3) finite elements: ten nodes on each face."""
+"""Cubic (P3) Lagrange elements: ten nodes on each face."""
 
 from __future__ import annotations
 
@@ -9,8 +9,9 @@ from pcretrieve.types import TriangleMesh
 
 __all__ = ["CUBIC", "cubic", "cubic_nodes"]
 
-# Corners 0, 1, 2; two nodes on each side, at a third and at two thirds of the way along it; the centre.
-# Exact rationals; tests/spectral/test_cubic.py derives them anew from the basis functions.
+# The nodes are the corners 0, 1, 2; two nodes on each side, at one third and two
+# thirds of it; and the centre. The entries are exact rationals, which
+# tests/spectral/test_cubic.py derives from the basis functions.
 CUBIC = Element(
     along=np.array(
         [
@@ -48,23 +49,27 @@ CUBIC = Element(
 
 
 def cubic(mesh: TriangleMesh) -> Assembled:
-    """Continuous functions, cubic on each face [1]_, Appendix C, Table 7.
+    """Stiffness and mass of continuous functions that are cubic on each face [1]_, Appendix C, Table 7.
 
-    Rows are the vertices, then two nodes on each edge, then the centre of each face, as `cubic_nodes` numbers
-    them: about nine times as many as vertices. Exact for cubic functions; eigenvalues of order 6 in the edge
-    length on a flat surface. The faces of a curved one stay flat: there, order 2 remains, of the distance
-    between the faces and what they stand for. With lumped mass the order is 4.
+    The eigenvalues of a flat surface converge with order 6 in the edge length; with lumped mass, with order
+    4. On a curved surface the flat faces limit the order to 2.
+
+    Parameters
+    ----------
+    mesh : TriangleMesh
+        A surface with n vertices, e edges and m faces.
 
     Returns
     -------
     Assembled
-        S symmetric positive semi-definite, dimensionless, its null space the constants of each component; M
-        symmetric positive definite, unit length². S·1 = 0 and 1ᵀM·1 = area.
+        Matrices of n + 2 e + m rows, about 9 n, in the order of `cubic_nodes`. S is symmetric positive
+        semi-definite, dimensionless, S·1 = 0, and its null space is spanned by the constants on the
+        components. M is symmetric positive definite, unit length², 1ᵀM·1 = area.
 
     Raises
     ------
     DegenerateMeshError
-        If there are no faces, a vertex without a face, or a face without area.
+        If there are no faces, a vertex is in no face, or a face has no area.
 
     References
     ----------
@@ -77,16 +82,28 @@ def cubic(mesh: TriangleMesh) -> Assembled:
 
 
 def cubic_nodes(mesh: TriangleMesh, sides: Sides) -> Index:
-    """(m, 10) the rows of the nodes of each face, in the order of `CUBIC`.
+    """The numbers of the nodes of each face.
 
-    With n vertices and e edges: vertex i is row i; the nodes of edge j are rows n + 2j, nearer to its lower
-    vertex, and n + 2j + 1; the centre of face f is row n + 2e + f.
+    With n vertices and e edges, node i is vertex i; nodes n + 2 j and n + 2 j + 1 are on edge j, the first
+    nearer to the vertex of lower number; node n + 2 e + f is the centre of face f.
+
+    Parameters
+    ----------
+    mesh : TriangleMesh
+        A surface of m faces.
+    sides : Sides
+        The edges of `mesh`.
+
+    Returns
+    -------
+    (m, 10) int32
+        Node numbers, in the order of the nodes of `CUBIC`.
     """
     n, m = len(mesh.vertices), len(mesh.faces)
     first = n + 2 * sides.edge  # (m, 3)
-    # The two faces at an edge run along it in opposite directions, and must mean the same node.
+    # The two faces at an edge traverse it in opposite directions, but must number its nodes equally.
     down = mesh.faces > np.roll(mesh.faces, -1, axis=1)  # (m, 3)
     on_sides = np.stack([first + down, first + ~down], axis=2).reshape(m, 6)
     centre = n + 2 * len(sides.use) + np.arange(m)
-    # Half the memory of int64, for indices of matrices with a hundred entries a face.
+    # int32 halves the memory of the indices of the matrices, which have 100 entries for each face.
     return np.column_stack([mesh.faces, on_sides, centre]).astype(np.int32)

@@ -1,4 +1,4 @@
-"""The lowest eigenpairs of a Laplace–Beltrami operator."""
+"""The smallest eigenpairs of a Laplace–Beltrami operator."""
 
 from __future__ import annotations
 
@@ -22,22 +22,23 @@ from pcretrieve.types import Eigenpairs, FloatArray, LaplaceBeltrami
 
 __all__ = ["eigenpairs"]
 
-# The pencil is singular at 0, so it is factorised at a shift below it, times the area: far enough that
-# S − σM is well conditioned and the zero mode does not drown the others, close enough that λ₁ (about 10) is
-# still what the shift is near to. −0.01 and −10 take as many iterations.
+# The shift σ of shift-invert iteration, times the area. S is singular, and S − σM is
+# factorised instead with σ < 0. |σ| is small enough that it is near to λ_1 (about 10
+# / area), and large enough that S − σM is well conditioned and θ_0 does not exceed
+# the other θ by orders of magnitude. See docs/decisions.md, RELATIVE_SHIFT.
 RELATIVE_SHIFT = -1.0
 
-# Lanczos finds the copies of a multiple eigenvalue one by one, the last of them late: on the sphere, 36 pairs
-# asked for without guards come without one of the eleven that belong to l = 5.
+# Number of additional eigenpairs that ARPACK computes. Lanczos iteration with single vectors finds the copies
+# of a multiple eigenvalue one after another, and the last of them late. See docs/decisions.md, GUARD_PAIRS.
 GUARD_PAIRS = 8
 
-# Residuals ‖S φ − λ M φ‖ / (λ ‖M φ‖) stay near the tolerance on sound surfaces; beyond this the pair is not
-# one. At the largest tolerance eigenvalues are good to 1e-6, and signatures to 1e-5.
+# Largest residual ‖S φ − λ M φ‖ / (λ ‖M φ‖) that is accepted; on valid surfaces it is near the tolerance.
+# With the largest tolerance the relative error of eigenvalues is 1e-6, and of signatures 1e-5.
 LARGEST_RESIDUAL = 1e-2
 LARGEST_TOLERANCE = 1e-3
 
-# λ₁ of a connected surface of unit area is at least 1e-3 for anything that a scanner sees (a tube a hundred
-# times longer than wide has 5e-3); what lies below is another zero mode, and what rounding makes of zero.
+# Smallest λ_1 · area of a connected surface. A tube that is a hundred times longer than wide has 5e-3; a
+# smaller value by orders of magnitude is a second zero eigenvalue with rounding errors.
 SMALLEST_GAP = 1e-6
 
 
@@ -48,46 +49,46 @@ def eigenpairs(
     solver: Literal["krylov", "arpack"] = "krylov",
     tolerance: float = 1e-4,
 ) -> Eigenpairs:
-    """Solve S φ = λ M φ for the smallest λ.
+    """The smallest eigenvalues λ of S φ = λ M φ, and their eigenvectors φ.
 
     Parameters
     ----------
     operator : LaplaceBeltrami
-        Of a connected surface; or with no component that has a zero mode (Dirichlet boundary).
+        The operator of a connected surface; or any operator with the Dirichlet boundary condition.
     n_pairs : int, default 61
-        How many, the constant one included.
+        Number of eigenpairs, including the constant eigenfunction; at least 2.
     solver : {"krylov", "arpack"}, default "krylov"
-        Block Krylov iteration on a sparse Cholesky factor (`block_krylov`), or shift-invert Lanczos by
-        ARPACK [1]_ on SuperLU, four times slower, as a check. Where `n_pairs` is so large a share of the
-        unknowns that neither has room, LAPACK's dense solver takes their place.
+        Block Krylov iteration with a sparse Cholesky factorisation (`block_krylov`); or shift-invert Lanczos
+        iteration by ARPACK [1]_ with SuperLU, about four times slower, for comparison. If the operator has
+        too few rows for either of them, LAPACK's dense solver is used.
     tolerance : float, default 1e-4
-        On the residuals ‖T φ − θ φ‖ / θ of T = (S − σM)⁻¹M, θ = 1/(λ − σ), σ = −1/area.
-        `Eigenpairs.largest_residual`, that of S φ = λ M φ, comes out about as large; eigenvalues are off by
-        its square, the 23 values of r-bihdm by 1e-8, those of any other spectral descriptor by less than
-        1e-6. Each further digit costs 4 % of the time. ARPACK goes on to rounding whatever it is.
+        Largest residual ‖T φ − θ φ‖ / θ of T = (S − σM)⁻¹M, with θ = 1/(λ − σ) and σ = −1/area; above 0, at
+        most 1e-3. `Eigenpairs.largest_residual`, the residual of S φ = λ M φ, is of about the same size. The
+        error of eigenvalues is of the order of its square: see docs/decisions.md, tolerance. ARPACK always
+        iterates to rounding accuracy.
 
     Returns
     -------
     Eigenpairs
-        Ascending, λ₀ = 0 exactly if there is a zero mode; ΦᵀMΦ = I. λ scales as length⁻², φ as length⁻¹.
-        The sign of each φ with λ > 0 is such that its largest entry in magnitude is positive. Same input,
-        same bits on one thread.
+        Eigenvalues ascending, unit length⁻², λ_0 = 0 exactly with the Neumann boundary condition;
+        eigenvectors with ΦᵀMΦ = I, unit length⁻¹. The entry of largest magnitude of each φ with λ > 0 is
+        positive. Equal inputs give equal results, bit for bit, on one thread.
 
     Raises
     ------
     OptionError
-        If fewer than 2 pairs are asked for, the tolerance is not between 0 and 1e-3, or `solver` is neither.
+        If `n_pairs` is less than 2, the tolerance is out of range, or the solver does not exist.
     ExtraZeroModes
         If the surface is not connected.
     NegativeEigenvalues
         If the stiffness matrix is not positive semi-definite.
     SpectrumNotConverged
-        If the residuals do not fall below the tolerance.
+        If the residuals do not decrease below the tolerance.
     NonFiniteSpectrum
-        If numbers overflow.
+        If a number overflows.
     SpectrumError
-        If the operator has fewer than `n_pairs` + 1 unknowns, an unknown has no mass, the solver fails
-        otherwise, or what it gives are no eigenpairs.
+        If the operator has at most `n_pairs` rows, a row has no mass, the solver fails for another reason, or
+        its results are not eigenpairs.
 
     References
     ----------
@@ -99,17 +100,17 @@ def eigenpairs(
     room = basis_size(n_pairs) + BLOCK
     used = solver if operator.mass.shape[0] >= room else "dense"
     try:
-        # Overflow is found by what comes out.
+        # Overflow is detected in the results.
         with np.errstate(over="ignore", invalid="ignore"):
             eigenvalues, vectors, iterations = BACKENDS[used](operator, n_pairs, tolerance)
     except ArpackNoConvergence as error:
         raise SpectrumNotConverged(f"ARPACK must converge to rounding, did not: {error}") from error
-    # SuperLU has no exception of its own: a singular matrix is a RuntimeError, as ArpackError is.
+    # SuperLU raises RuntimeError for a singular matrix; ArpackError is a RuntimeError too.
     except (LinAlgError, RuntimeError) as error:
         raise SpectrumError(f"the eigenvalue solver failed: {error}") from error
     largest_residual = _check_answer(operator, eigenvalues, vectors)
 
-    # The zero mode is known: say so, instead of keeping the solver's rounding.
+    # The zero eigenvalue and its eigenvector are known exactly, and replace the computed ones.
     if operator.n_components:
         eigenvalues[0] = 0.0
         vectors[:, 0] = 1 / np.sqrt(operator.area)
@@ -169,8 +170,8 @@ def _arpack(operator: LaplaceBeltrami, n_pairs: int, _: float) -> tuple[FloatArr
     stiffness, mass = operator.stiffness, operator.mass
     n = stiffness.shape[0]
     shift = RELATIVE_SHIFT / operator.area
-    # The shifted matrix is symmetric positive definite: its diagonal can be the pivot, and an ordering for
-    # symmetric patterns fills in a third of what the default one does.
+    # The shifted matrix is symmetric positive definite: diagonal pivots are stable, and minimum degree
+    # ordering of the symmetric pattern causes a third of the fill-in of the default ordering.
     factor = splu(
         csc_array(stiffness - shift * mass),
         permc_spec="MMD_AT_PLUS_A",
@@ -190,10 +191,11 @@ def _arpack(operator: LaplaceBeltrami, n_pairs: int, _: float) -> tuple[FloatArr
         M=mass,
         sigma=shift,
         OPinv=LinearOperator((n, n), matvec=solve, dtype=np.float64),
-        # ARPACK's own start is random; a fixed one makes the answer reproducible. It must have a part
-        # in every eigenspace, so it must not be symmetric where the surface is.
+        # A fixed start vector, for reproducible results. It is random, because it must have a component in
+        # every eigenspace, which a vector with the symmetry of a surface has not.
         v0=np.random.default_rng(0).standard_normal(n),
-        # To rounding: what it finds at a looser tolerance lacks copies in spite of the guards.
+        # Rounding accuracy: with a larger tolerance copies of multiple eigenvalues are missing in spite of
+        # the additional pairs.
         tol=0.0,
     )
     order = np.argsort(eigenvalues)[:n_pairs]

@@ -1,13 +1,14 @@
-"""Lagrange finite elements on a triangulated surface: from reference matrices to sparse ones.
+"""Lagrange finite elements on a triangulated surface: reference matrices, and assembly of sparse matrices.
 
-On a flat triangle of area a with angles θ, let D_k be the derivative along side k, times the side's length.
-The barycentric gradients add up to zero, and ∇λ_i·∇λ_j = −cot θ_k / (2a), θ_k opposite side k; so for every
-u
+On a flat triangle of area a, let D_k be the derivative in the direction of side k, times the length of the
+side, and θ_k the angle opposite to side k. The gradients of the barycentric coordinates λ_i sum up to zero,
+and ∇λ_i·∇λ_j = −cot θ_k / (2a) for the side k between corners i and j. Hence for every function u
 
     ∫ |∇u|² = Σ_k ½ cot θ_k · (1/a) ∫ (D_k u)²,
 
-and the stiffness matrix of any element is Σ_k ½ cot θ_k C_k with matrices C_k of rational numbers. Ye and
-Yu [1]_ write the same sum by squared side lengths, Appendix C: J_k = (C_i + C_j − C_k) / 8.
+and the stiffness matrix of a triangle is Σ_k ½ cot θ_k C_k for every Lagrange element, with reference
+matrices C_k of rational numbers. Ye and Yu [1]_ write this sum with squared side lengths, Appendix C: their
+matrices are J_k = (C_i + C_j − C_k) / 8.
 
 References
 ----------
@@ -34,18 +35,20 @@ Index = NDArray[np.integer]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Element:
-    """What a finite element is on every triangle. Side k runs from corner k to corner k + 1.
+    """The reference matrices of a finite element with q nodes on each triangle.
+
+    Side k is from corner k to corner k + 1 (modulo 3).
 
     Attributes
     ----------
     along : (q, q) float64
-        C_0 = (1/a) ∫ D_0 φ_i D_0 φ_j, dimensionless.
+        C_0 = (1/a) ∫ D_0 φ_i D_0 φ_j with the basis functions φ_i, dimensionless.
     mass : (q, q) float64
-        (1/a) ∫ φ_i φ_j, dimensionless; the J4 of the paper.
+        (1/a) ∫ φ_i φ_j, dimensionless; J4 of Ye and Yu.
     turn : (q,) int
-        The node that each node becomes when corner 0 becomes corner 1, corner 1 becomes 2, and 2 becomes 0.
+        The permutation of the nodes under the rotation of the triangle that maps corner k to corner k + 1.
     side : (r,) int
-        The nodes on side 0, its corners included.
+        The nodes on side 0, including its corners.
     """
 
     along: FloatArray
@@ -55,14 +58,14 @@ class Element:
 
 
 class Sides(NamedTuple):
-    """(m, 3) number of the edge that each side of each face lies on, and (e,) faces on each edge."""
+    """The (m, 3) edge numbers of the sides of each face, and the (e,) number of faces at each edge."""
 
     edge: Index
     use: Index
 
 
 class Assembled(NamedTuple):
-    """Stiffness, mass, and a mask of the rows whose nodes lie on the boundary."""
+    """The stiffness matrix, the mass matrix, and a mask of the rows whose nodes are on the boundary."""
 
     stiffness: csc_array
     mass: csc_array
@@ -70,7 +73,18 @@ class Assembled(NamedTuple):
 
 
 def sides_of(mesh: TriangleMesh) -> Sides:
-    """The edges of a surface, in ascending order of their lower and then of their higher vertex."""
+    """The edges of a surface, in ascending order of the lower and then of the higher vertex number.
+
+    Parameters
+    ----------
+    mesh : TriangleMesh
+        A surface of m faces.
+
+    Returns
+    -------
+    Sides
+        The edge of each side, and the number of faces at each edge.
+    """
     tail, head = mesh.faces.astype(np.int64), np.roll(mesh.faces, -1, axis=1)  # (m, 3) each
     key = np.minimum(tail, head) * len(mesh.vertices) + np.maximum(tail, head)
     _, edge, use = np.unique(key, return_inverse=True, return_counts=True)
@@ -78,22 +92,28 @@ def sides_of(mesh: TriangleMesh) -> Sides:
 
 
 def assembled(mesh: TriangleMesh, nodes: Index, element: Element, sides: Sides) -> Assembled:
-    """Consistent mass and stiffness.
+    """Assemble the stiffness matrix and the consistent mass matrix of an element.
 
     Parameters
     ----------
     mesh : TriangleMesh
-        That `check_faces` has passed.
+        A surface of m faces that satisfies `check_faces`.
     nodes : (m, q) int
-        The rows that the nodes of each face have in the matrices, every row in some face.
+        Node numbers of each face. Every number from 0 to the largest occurs.
     element : Element
+        The reference matrices.
     sides : Sides
-        Of `mesh`.
+        The edges of `mesh`.
+
+    Returns
+    -------
+    Assembled
+        S, dimensionless, and M, unit length², with one row for each node.
     """
     corners = mesh.vertices[mesh.faces]  # (m, 3, 3)
     edges = np.roll(corners, -1, axis=1) - corners  # (m, 3, 3)
     area = mesh.face_areas  # (m,)
-    # Side k meets the next one at corner k + 1 and the last at corner k: opposite it, between the other two.
+    # The angle opposite to side k is at corner k + 2, between sides k + 1 and k + 2.
     opposite = np.einsum("mkx,mkx->mk", np.roll(edges, -1, axis=1), np.roll(edges, -2, axis=1))
     half_cotangents = -opposite / (4 * area[:, None])  # (m, 3)
 
@@ -111,14 +131,15 @@ def assembled(mesh: TriangleMesh, nodes: Index, element: Element, sides: Sides) 
 
 
 def _summed(one: FloatArray, other: FloatArray, nodes: Index, n: int) -> tuple[csc_array, csc_array]:
-    """(n, n) sums of the (m, q²) matrices of all faces."""
-    # As real and imaginary part of one matrix, so that its pattern is sorted once for both.
+    """The (n, n) sums of the (m, q²) matrices of all faces, for two matrices of one pattern."""
+    # Assembled as the real and the imaginary part of one matrix, so that its pattern is sorted once.
     local = np.empty(one.shape, dtype=np.complex128)
     local.real, local.imag = one, other
     q = nodes.shape[1]
     rows, columns = np.repeat(nodes, q, axis=1).ravel(), np.tile(nodes, (1, q)).ravel()
     total = csc_array(coo_array((local.ravel(), (rows, columns)), shape=(n, n)))
-    # Where more than two faces meet, rounding depends on the order that they are added up in.
+    # Rounding depends on the order of summation where more than two faces meet: make
+    # the sum symmetric exactly.
     total = csc_array((total + total.T) / 2)
     first, second = (
         csc_array((part.copy(), total.indices, total.indptr), shape=(n, n))
@@ -128,12 +149,17 @@ def _summed(one: FloatArray, other: FloatArray, nodes: Index, n: int) -> tuple[c
 
 
 def check_faces(mesh: TriangleMesh) -> None:
-    """Refuse what no element can be set up on.
+    """Check that finite elements are defined on a mesh.
+
+    Parameters
+    ----------
+    mesh : TriangleMesh
+        The mesh.
 
     Raises
     ------
     DegenerateMeshError
-        If there are no faces, a vertex without a face, or a face without area.
+        If there are no faces, a vertex is in no face, or a face has no area.
     """
     check_vertices(mesh)
     flat = int(mesh.flat_faces.sum())
@@ -142,12 +168,17 @@ def check_faces(mesh: TriangleMesh) -> None:
 
 
 def check_vertices(mesh: TriangleMesh) -> None:
-    """As `check_faces`, but faces may be flat as long as they have three corners.
+    """Check that a mesh has faces, and that every vertex is in a face.
+
+    Parameters
+    ----------
+    mesh : TriangleMesh
+        The mesh.
 
     Raises
     ------
     DegenerateMeshError
-        If there are no faces, or a vertex without a face.
+        If there are no faces, or a vertex is in no face.
     """
     if not len(mesh.faces):
         raise DegenerateMeshError("a surface must have faces, got none")

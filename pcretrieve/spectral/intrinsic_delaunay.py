@@ -1,4 +1,4 @@
-"""The intrinsic Delaunay Laplacian: linear elements on a better triangulation of the same surface."""
+"""The intrinsic Delaunay Laplacian: linear elements on another triangulation of the same surface."""
 
 from __future__ import annotations
 
@@ -13,25 +13,31 @@ __all__ = ["intrinsic_delaunay"]
 
 
 def intrinsic_delaunay(mesh: TriangleMesh) -> Assembled:
-    """Linear elements on the intrinsic Delaunay triangulation of the tufted cover [1]_.
+    """Stiffness and lumped mass of linear elements on the intrinsic Delaunay triangulation [1]_.
 
-    Row i is vertex i; mass is lumped. Edges are flipped within the surface, which stays what it is, until no
-    entry of the stiffness off the diagonal is positive: the maximum principle holds, however thin the
-    triangles, and errors stay of order 2. On a surface that is Delaunay already it is that of linear
-    elements. Any triangles will do: edges with three faces and more, faces that disagree on the side, one
-    face twice. A face without area gets about a thousandth of its longest side squared: where there is one,
-    every side of the surface is made longer by up to 1e-5 of the mean one.
+    Edges are flipped within the surface, whose geometry does not change, until the triangulation is Delaunay.
+    No off-diagonal entry of the stiffness matrix is then positive, so that the maximum principle holds for
+    triangles of any shape, and the order of the error remains 2. If the triangulation is Delaunay from the
+    beginning, the stiffness matrix is that of `linear`. The flips are made in the tufted cover, which is a
+    manifold for every mesh: also with non-manifold edges, inconsistent orientation or duplicate faces.
+
+    Parameters
+    ----------
+    mesh : TriangleMesh
+        A surface with n vertices. If it has degenerate faces, all edges are lengthened by up to 1e-5 of the
+        mean edge length, and a degenerate face has an area of about 1e-3 times its longest side squared.
 
     Returns
     -------
     Assembled
-        S symmetric positive semi-definite, dimensionless, its null space the constants of each component; M
-        symmetric positive definite, unit length². S·1 = 0 and 1ᵀM·1 = area, but for flat faces.
+        Matrices of n rows, one for each vertex. S is symmetric positive semi-definite, dimensionless, S·1 =
+        0, and its null space is spanned by the constants on the components. M is diagonal and positive, unit
+        length²; 1ᵀM·1 = area, if there are no degenerate faces.
 
     Raises
     ------
     DegenerateMeshError
-        If there are no faces, a vertex without a face, a face that names a vertex twice, or no area at all.
+        If there are no faces, a vertex is in no face, a face has a vertex twice, or all faces have no area.
 
     References
     ----------

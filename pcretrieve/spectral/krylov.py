@@ -1,8 +1,10 @@
-"""Shift-invert block Krylov iteration: the lowest pairs of S φ = λ M φ.
+"""Shift-invert block Lanczos iteration: the smallest eigenpairs of S φ = λ M φ.
 
-T = (S − σM)⁻¹M has the eigenvectors of the pencil, the eigenvalues θ = 1/(λ − σ), and is symmetric in the
-inner product of M. Blocks of it are made M-orthonormal to the two that came before, from time to time to all,
-and T projected on to them gives θ, largest first, from the wanted end.
+T = (S − σM)⁻¹M has the eigenvectors φ, the eigenvalues θ = 1/(λ − σ), and is symmetric in the inner product
+of M. The iteration builds an M-orthonormal basis Q of the Krylov space of T, block by block. By the
+three-term recurrence, each new block T Q_new is orthogonalised against the last two blocks, and when rounding
+errors have accumulated, against the whole basis. The Rayleigh–Ritz method, the eigenpairs of QᵀMTQ,
+approximates the largest θ first, which are the smallest λ.
 """
 
 from __future__ import annotations
@@ -19,113 +21,123 @@ from pcretrieve.types import FloatArray
 
 __all__ = ["basis_size", "block_krylov"]
 
-# A mesh of 20k vertices, 61 pairs, seconds on one core of a shared machine, relative error of the
-# eigenvalues:
-#
-#     blocks of  4, 45 of them (180 vectors)      0.27  1e-13
-#     blocks of  8, 24 of them (192 vectors)      0.28  1e-9     <- tolerance 1e-6: 27 of them, 0.30, 1e-13
-#     blocks of 16, 15 of them (240 vectors)      0.34  8e-10
-#     blocks of 8, each made orthogonal to all    0.32  1e-9
-#     blocks of 8, restarted at 157 vectors       0.28  1e-9
-#     ARPACK on the same Cholesky factor          0.98  1e-13
-#     ARPACK on SuperLU                           1.13
-#     LaPy 1.7 (matrices included)                1.09
-#     LOBPCG, 80 vectors, that factor's inverse   3.06  2e-7
-#
-# A block finds as many copies of an eigenvalue as it has columns. The symmetries of a body in space make five
-# at most, exactly equal; but of the harmonics of a fine sphere, equal to some digits, blocks of 4 miss one of
-# fifteen and blocks of 8 none. More than eight *exactly* equal ones would not be complete.
+# Number of vectors in a block. An iteration finds at most as many copies of a multiple eigenvalue as the
+# block has vectors. The symmetry groups of bodies in space have irreducible representations of dimension 5 at
+# most, and thus eigenvalues of multiplicity 5 at most, except for accidental ones. For blocks of other sizes
+# and other solvers see docs/decisions.md, BLOCK.
 BLOCK = 8
 
-# To 1e-4, 61 pairs converge in about 200 vectors, 3 in 40, 250 in 580: with this much room nothing is
-# restarted.
+# Size of the basis: a multiple of the number of pairs, and a constant. Large enough that the iteration
+# usually converges without a restart. See docs/decisions.md, VECTORS_PER_PAIR.
 VECTORS_PER_PAIR = 3
 SPARE_VECTORS = 12 * BLOCK
 
-# Hardly a surface converges before the basis has this many.
+# Size of the basis at the first convergence test. The iteration rarely converges before it.
 VECTORS_PER_PAIR_AT_FIRST_LOOK = 2.3
 SPARE_VECTORS_AT_FIRST_LOOK = 5 * BLOCK
 
-# A look at the residuals costs as much as a third of a block or more, and a block makes them fall by a factor
-# of three to five: the next look can wait until they should have arrived.
+# Factor by which one block reduces the residuals, usually 3 to 5. A convergence test
+# takes at least a third of the time of a block; the next test is therefore made when
+# the residuals are expected to be below the tolerance.
 FALL_PER_BLOCK = 4
 
-# Vectors that are multiplied by T before it is given up, in bases.
+# Largest number of vectors to which T is applied, in units of the size of the basis.
 LONGEST_RUN = 5
 
-# Gram–Schmidt and Cholesky QR lose as many digits as the vectors lose length, or their smallest combination
-# does against the largest. Losing more than this, they are done again. It happens in the first blocks, which
-# the smallest eigenvalues dominate, and after a restart; the others lose a factor of two.
+# Largest loss of accuracy in one round of Gram–Schmidt orthogonalisation and
+# Cholesky QR, as a factor: the ratio of the lengths of the vectors before and after,
+# and the condition number of the block. Beyond it another round follows. Later
+# blocks lose a factor of about 2; the first ones, and those after a restart, more.
 LARGEST_LOSS = 5.0
 MOST_ROUNDS = 6
 
-# Largest entry of QᵀMQ − I. A block is taken to be orthogonal to all but the last two of the basis until it
-# is thought to lose more than this, which is every other time: what is lost grows by hundreds in each block,
-# so that √ε, all that eigenvalues need, saves nothing more. It is thought to be ten times what it is.
+# Largest estimated entry of QᵀMQ − I, beyond which a block is orthogonalised against the whole basis (partial
+# reorthogonalisation). The loss grows by factors of hundreds in each block, so that a reorthogonalisation is
+# necessary at every other block, and would be with √ε instead, which suffices for the eigenvalues. The
+# estimate is about ten times the actual loss.
 LARGEST_LOST = 3e-11
 
-# Columns of the basis that a restart combines at once: a copy of the whole would double the memory.
+# Number of columns of the basis that a product overwrites at once, because a copy of
+# the basis would double the memory.
 CHUNK = 4096
 
 
 def basis_size(n_pairs: int) -> int:
-    """Vectors that the basis may grow to before it is cut down."""
+    """The largest number of vectors in the basis, at which the iteration is restarted.
+
+    Parameters
+    ----------
+    n_pairs : int
+        Number of eigenpairs.
+
+    Returns
+    -------
+    int
+        Number of vectors.
+    """
     return VECTORS_PER_PAIR * n_pairs + SPARE_VECTORS
 
 
 def block_krylov(
     stiffness: csc_array, mass: csc_array, n_pairs: int, *, shift: float, tolerance: float
 ) -> tuple[FloatArray, FloatArray, int]:
-    """Block Lanczos [1]_ with partial reorthogonalisation [2]_ and thick restart [3]_.
+    """Block Lanczos iteration [1]_ with partial reorthogonalisation [2]_ and thick restart [3]_.
 
     Parameters
     ----------
     stiffness, mass : (n, n) sparse
-        Symmetric, S − σM positive definite, n larger than `basis_size` and a block.
+        S and M, symmetric, such that S − σM is positive definite; n at least `basis_size` + `BLOCK`.
     n_pairs : int
+        Number of eigenpairs.
     shift : float
-        σ, below the smallest eigenvalue; unit length⁻².
+        σ, less than the smallest eigenvalue; unit length⁻².
     tolerance : float
-        On ‖T φ − θ φ‖ / θ in the norm of M, of every wanted pair. Eigenvalues are off by its square.
+        Largest residual ‖T φ − θ φ‖ / θ of the pairs, in the norm of M; dimensionless. The error of
+        eigenvalues is of the order of its square.
 
     Returns
     -------
     eigenvalues : (n_pairs,) float64
         Ascending; unit length⁻².
     vectors : (n, n_pairs) float64
-        M-orthonormal to `LARGEST_LOST`; unit length⁻¹.
+        M-orthonormal up to `LARGEST_LOST`; unit length⁻¹.
     n_blocks : int
-        Blocks that T was applied to.
+        Number of blocks to which T was applied.
 
     Raises
     ------
-    NegativeEigenvalues, NonFiniteSpectrum, SpectrumNotConverged
+    NegativeEigenvalues
+        If S − σM is not positive definite.
+    NonFiniteSpectrum
+        If a number overflows.
+    SpectrumNotConverged
+        If the residuals do not decrease below the tolerance.
     LinAlgError
-        If the space has no room for another block.
+        If the space has too few dimensions for another block.
 
     References
     ----------
     .. [1] Grimes, Lewis and Simon, "A shifted block Lanczos algorithm for solving sparse symmetric
        generalized eigenproblems", SIAM J. Matrix Anal. Appl. 15 (1994).
-    .. [2] Simon, "The Lanczos algorithm with partial reorthogonalization", Math. Comp. 42 (1984); for
-       short in Bai et al., "Templates for the solution of algebraic eigenvalue problems", SIAM 2000,
-       equations (4.18), what may be lost, and (4.19), how it grows.
+    .. [2] Simon, "The Lanczos algorithm with partial reorthogonalization", Math. Comp. 42 (1984); also Bai et
+       al., "Templates for the solution of algebraic eigenvalue problems", SIAM 2000, equations (4.18) for the
+       admissible loss of orthogonality and (4.19) for its recurrence.
     .. [3] Wu and Simon, "Thick-restart Lanczos method for large symmetric eigenvalue problems", SIAM J.
        Matrix Anal. Appl. 22 (2000).
     """
     n, size = mass.shape[0], basis_size(n_pairs)
-    by_rows = mass.T  # M itself, which is symmetric, as CSR
+    by_rows = mass.T  # M in CSR format, since M is symmetric
     solve = _cholesky((stiffness - shift * mass).T)
     basis = np.empty((size + BLOCK, n))
     projected = np.zeros((size, size))  # QᵀMTQ
-    lost = np.zeros((size, size))  # QᵀMQ − I, as it is thought to be
-    rounding = np.finfo(float).eps / abs(shift)  # of T X: θ of a zero mode is the largest
-    # A fixed start makes the answer reproducible. It must have a part in every eigenspace, so it must not be
-    # symmetric where the surface is.
+    lost = np.zeros((size, size))  # estimate of QᵀMQ − I
+    rounding = np.finfo(float).eps / abs(shift)  # of T X: ‖T‖ ≤ 1 / |σ|, since λ ≥ 0
+    # A fixed start block, for reproducible results. It is random, because it must have a component in every
+    # eigenspace, which vectors with the symmetry of a surface have not.
     random = np.random.default_rng(0)
     start = solve(by_rows @ random.standard_normal((n, BLOCK)))
-    # Of QᵀMT block, the last rows. Before them is nothing but rounding and what `lost` makes of it, and that
-    # is left out: T projected on to an orthonormal basis of the same space has none of it [2]_.
+    # The last rows of QᵀMT block. The rows before them contain rounding errors and the effect of `lost` only.
+    # They are set to zero, as they are for T projected onto an orthonormal basis of the same space [2]_.
     known = np.empty((0, BLOCK))
     block, mapped, left, drift = _orthonormal(start, basis[:0], by_rows, known, known)
     width, look_at = 0, int(VECTORS_PER_PAIR_AT_FIRST_LOOK * n_pairs) + SPARE_VECTORS_AT_FIRST_LOOK
@@ -140,7 +152,8 @@ def block_krylov(
         rows = slice(width - len(known), width)
         projected[rows, new] = known
         projected[new, rows] = known.T
-        # QᵀM of what will be left of the image: QᵀMTQ_new written in two ways, as T is symmetric.
+        # Estimate of QᵀM of the remainder of the image: the recurrence (4.19) of
+        # [2]_, from the symmetry of QᵀMTQ.
         drift = projected[:width, :width] @ lost[:width, new] - lost[:width, rows] @ known
         drift += rounding * random.standard_normal(drift.shape)
         # T Q_new = Q_rows known + block left
@@ -152,14 +165,14 @@ def block_krylov(
 
         theta, mixing = eigh(projected[:width, :width], driver="evd", check_finite=False)
         theta, mixing = theta[::-1], mixing[:, ::-1]
-        outside = left @ mixing[new] / theta  # (BLOCK, width): what T φ / θ has outside the basis
+        outside = left @ mixing[new] / theta  # (BLOCK, width): the component of T φ / θ outside the basis
         worst = float(np.linalg.norm(outside[:, :n_pairs], axis=0).max())
         if worst <= tolerance:
-            # T φ / θ instead of φ: it is known, and better by one iteration.
+            # T φ / θ instead of φ: it is available, and more accurate by one iteration.
             basis[width : width + BLOCK] = block.T
             outside = outside[:, :n_pairs]
             parts = np.concatenate([mixing[:, :n_pairs], outside])  # (width + BLOCK, n_pairs)
-            parts -= parts @ (outside.T @ outside) / 2  # M-orthonormal, as φ was
+            parts -= parts @ (outside.T @ outside) / 2  # M-orthonormal again, to first order
             vectors = np.empty((n, n_pairs))
             for part in _chunks(n):
                 vectors[part] = basis[: len(parts), part].T @ parts
@@ -182,7 +195,7 @@ def block_krylov(
 
 
 def _chunks(n: int) -> Iterator[slice]:
-    """Of the rows of the basis' transpose: products of the whole would need as much room again."""
+    """Yield slices of the columns of the basis, for products in place."""
     for first in range(0, n, CHUNK):
         yield slice(first, first + CHUNK)
 
@@ -190,18 +203,46 @@ def _chunks(n: int) -> Iterator[slice]:
 def _orthonormal(
     block: FloatArray, basis: FloatArray, mass: csr_array, known: FloatArray, drift: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """An M-orthonormal X with block = Qᵀ known + X left, Q the last rows of the basis; and M X, left, QᵀMX.
+    """Orthogonalise a block against a basis, in the inner product of M.
 
-    `drift` is what the block is thought to have along the basis beyond `known`; the last of the results is
-    what X is thought to have, no more than `LARGEST_LOST`.
+    Parameters
+    ----------
+    block : (n, BLOCK) float64
+        The block.
+    basis : (width, n) float64
+        The basis, one vector in each row; Qᵀ are its last rows, as many as `known` has.
+    mass : (n, n) sparse
+        M.
+    known : (k, BLOCK) float64
+        The component of the block along Q.
+    drift : (width, BLOCK) float64
+        Estimate of the component of the block along the basis, apart from `known`.
+
+    Returns
+    -------
+    block : (n, BLOCK) float64
+        X, M-orthonormal, with block = Q known + X left.
+    mapped : (n, BLOCK) float64
+        M X.
+    left : (BLOCK, BLOCK) float64
+        The coefficients of X.
+    lost : (width, BLOCK) float64
+        Estimate of the component of X along the basis, at most `LARGEST_LOST`.
+
+    Raises
+    ------
+    NonFiniteSpectrum
+        If a number overflows.
+    LinAlgError
+        If the vectors of the block are linearly dependent on the basis.
     """
-    # Taken off first, it cannot multiply what the basis lacks in orthogonality.
+    # Subtracted first: a later projection would multiply it by the loss of orthogonality of the basis.
     block = block - basis[len(basis) - len(known) :].T @ known  # (n, BLOCK)
     mapped = mass @ block
     left = np.eye(BLOCK)
     for n_rounds in range(MOST_ROUNDS):
         if n_rounds:
-            # Products with the block in rows take two thirds of the time of those with the block in columns.
+            # A block in rows: this product takes two thirds of the time of the one with a block in columns.
             error = np.ascontiguousarray(mapped.T) @ basis.T  # (BLOCK, width)
             block -= (error @ basis).T
             mapped = mass @ block
@@ -214,7 +255,7 @@ def _orthonormal(
         lost = drift @ inverse  # (width, BLOCK)
         if np.abs(lost).max(initial=0) > LARGEST_LOST:
             continue
-        # In rows, as the basis takes it: to transpose by BLAS is faster than to copy.
+        # Stored by rows, as the basis is: a transposed product is faster than a copy.
         block, mapped = (inverse.T @ block.T).T, mapped @ inverse
         left = lower.T @ left
         condition = np.linalg.norm(lower) * np.linalg.norm(inverse) / BLOCK
@@ -225,8 +266,8 @@ def _orthonormal(
 
 
 def _cholesky(matrix: csr_array) -> Callable[[FloatArray], FloatArray]:
-    """The inverse of a symmetric positive definite matrix, of which one triangle is read."""
-    import cholespy  # its one door: it carries a CHOLMOD, and loads a GPU driver where it finds one
+    """The inverse of a symmetric positive definite matrix, as a function; one triangle of it is read."""
+    import cholespy  # only imported here: it loads CHOLMOD, and a GPU driver if there is one
 
     try:
         solver = cholespy.CholeskySolverD(
@@ -234,7 +275,7 @@ def _cholesky(matrix: csr_array) -> Callable[[FloatArray], FloatArray]:
             matrix.indptr.astype(np.int32),
             matrix.indices.astype(np.int32),
             matrix.data,
-            # As CSC it would be taken over, and freed, instead of copied.
+            # In CSC format the arrays would not be copied, and be freed by the solver.
             cholespy.MatrixType.CSR,
         )
     except ValueError as error:

@@ -1,4 +1,4 @@
-"""Linear (P1) finite elements: one node at each vertex."""
+"""Linear (P1) Lagrange elements: one node at each vertex."""
 
 from __future__ import annotations
 
@@ -18,21 +18,27 @@ LINEAR = Element(
 
 
 def linear(mesh: TriangleMesh) -> Assembled:
-    """Continuous functions, linear on each face [1]_, Appendix C, Table 6.
+    """Stiffness and mass of continuous functions that are linear on each face [1]_, Appendix C, Table 6.
 
-    Row i is vertex i. The stiffness is the cotangent matrix: exact for linear functions, its eigenvalues of
-    order 2 in the edge length and, with consistent mass on a flat surface, never below the true ones.
+    The stiffness matrix is the cotangent matrix. The eigenvalues converge with order 2 in the edge length.
+    With consistent mass on a flat surface they are upper bounds of the exact eigenvalues.
+
+    Parameters
+    ----------
+    mesh : TriangleMesh
+        A surface with n vertices.
 
     Returns
     -------
     Assembled
-        S symmetric positive semi-definite, dimensionless, its null space the constants of each component; M
-        symmetric positive definite, unit length². S·1 = 0 and 1ᵀM·1 = area.
+        Matrices of n rows, one for each vertex. S is symmetric positive semi-definite, dimensionless, S·1 =
+        0, and its null space is spanned by the constants on the components. M is symmetric positive definite,
+        unit length², 1ᵀM·1 = area.
 
     Raises
     ------
     DegenerateMeshError
-        If there are no faces, a vertex without a face, or a face without area.
+        If there are no faces, a vertex is in no face, or a face has no area.
 
     References
     ----------

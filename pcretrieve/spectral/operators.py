@@ -1,4 +1,4 @@
-"""Surface → stiffness and mass: the table of elements, and the boundary."""
+"""Surface → Laplace–Beltrami operator: the table of the elements, and the boundary conditions."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ ELEMENTS: dict[str, Callable[[TriangleMesh], Assembled]] = {
     "intrinsic-delaunay": intrinsic_delaunay,
 }
 
-# Lumped mass is all that the first has, and better for the second.
+# Elements with lumped mass by default: the first has no other, and for the second it is more accurate.
 LUMPED = {"intrinsic-delaunay", "points"}
 
 
@@ -36,41 +36,42 @@ def laplace_beltrami(
     mass: Literal["consistent", "lumped"] | None = None,
     boundary: Literal["neumann", "dirichlet"] = "neumann",
 ) -> LaplaceBeltrami:
-    """Stiffness and mass matrix of a surface.
+    """The stiffness and the mass matrix of the Laplace–Beltrami operator of a surface.
 
     Parameters
     ----------
     surface : TriangleMesh, or for points a PointCloud or (n, 3) float64
-        n vertices, each of them in some face. Boundaries are allowed.
+        A surface, with or without boundary, in which every vertex is in a face; or the points of one.
     element : {"linear", "cubic", "intrinsic-delaunay", "points"}, default "linear"
-        linear: one node at each vertex, order 2. cubic: ten on each face, order 6 where the surface is flat.
-        intrinsic-delaunay: linear on a better triangulation of the same surface, for faces of any shape and
-        edges with any number of them. points: that of a cloud, without a surface. `linear`, `cubic`,
-        `intrinsic_delaunay` and `points` tell more, and their sources.
+        Discretisation. ``linear``: linear Lagrange elements, order 2. ``cubic``: cubic ones, order 6 on flat
+        surfaces. ``intrinsic-delaunay``: linear elements on the intrinsic Delaunay triangulation, for badly
+        shaped and non-manifold triangles. ``points``: linear elements on local triangulations of points. The
+        sources are in `pcretrieve.spectral.linear`, `.cubic`, `.intrinsic_delaunay` and `.points`.
     mass : {"consistent", "lumped"}, optional
-        ∫ φ_i φ_j, or its row sums on the diagonal. Lumped mass makes the reduced matrix of R-BiHDM equal
-        the dense kernel exactly; consistent mass gives better eigenvalues. Default: consistent for linear and
-        cubic, lumped for points, and for intrinsic-delaunay, which has no other.
+        ``consistent``: ∫ φ_i φ_j. ``lumped``: its row sums on the diagonal. With lumped mass the reduced
+        matrix of R-BiHDM is exactly the projection of the dense kernel; consistent mass gives more accurate
+        eigenvalues. Default: consistent for ``linear`` and ``cubic``, lumped for ``points``, and for
+        ``intrinsic-delaunay``, for which consistent mass is not available.
     boundary : {"neumann", "dirichlet"}, default "neumann"
-        neumann: natural, nothing flows out. dirichlet: zero on the boundary, whose nodes have no rows.
+        Boundary condition. ``neumann``: zero normal derivative (natural). ``dirichlet``: zero on the
+        boundary, whose nodes have no rows in the matrices.
 
     Returns
     -------
     LaplaceBeltrami
-        Whatever the element: S symmetric positive semi-definite, dimensionless, unchanged by scaling; M
-        symmetric positive definite, scaling as length². Eigenvalues scale as length⁻². Neumann: S·1 = 0, the
-        null space is spanned by the constants of the components, and 1ᵀM·1 = area. Dirichlet: S is positive
-        definite, and 1ᵀM·1 lacks what the nodes on the boundary carry.
+        S symmetric positive semi-definite, dimensionless, invariant to scaling; M symmetric positive
+        definite, unit length². Neumann: S·1 = 0, the null space of S is spanned by the constants on the
+        components, and 1ᵀM·1 = area. Dirichlet: S is positive definite, and 1ᵀM·1 is less than the area.
 
     Raises
     ------
     InputError
-        If the surface is a cloud and the element is not points, or the other way round.
+        If the surface is a cloud and the element is not ``points``, or the reverse.
     OptionError
-        If `element`, `mass` or `boundary` is none of these, or they do not go together.
+        If `element`, `mass` or `boundary` does not exist, or their combination is not available.
     DegenerateMeshError
-        If the element cannot be set up on this surface; or with Dirichlet boundary a component has no
-        boundary, or nothing but boundary.
+        If the element is not defined on this surface; or, with the Dirichlet boundary condition, if a
+        component has no boundary, or there is no interior node.
     """
     _one_of("element", element, (*ELEMENTS, "points"))
     _one_of("mass", mass, (None, "consistent", "lumped"))
@@ -90,8 +91,9 @@ def laplace_beltrami(
             raise InputError(f"element {element!r} needs a TriangleMesh, got {type(surface).__name__}")
         assembled = ELEMENTS[element](surface)
 
-    # Between right angles an edge has no stiffness. But a function that is one on some nodes of a component
-    # and zero on the others has a gradient, so not all entries between the two can vanish.
+    # The stiffness of a single edge can be zero (between two right angles). But the indicator function of a
+    # proper subset of the nodes of a component has a non-zero gradient, so that not all entries between the
+    # subset and its complement are zero: the graph of S has the components of the surface.
     n_components, component = connected_components(assembled.stiffness, directed=False)
     matrix = assembled.mass
     if mass == "lumped" or (mass is None and element in LUMPED):

@@ -1,4 +1,4 @@
-"""Linear elements on a point cloud: no surface needed."""
+"""Linear elements on a point cloud, without a reconstructed surface."""
 
 from __future__ import annotations
 
@@ -14,49 +14,54 @@ from pcretrieve.types import FloatArray, IntArray, PointCloud, TriangleMesh
 
 __all__ = ["points", "star_mesh", "stars"]
 
-# Neighbours that the triangles of a point are sought among, and those that its tangent plane is fitted to
-# where the cloud has no normals. Of points strewn at random over a sphere, 20 miss triangles worth 3 % of the
-# area, 30 miss 0.4 %, 40 miss 0.1 %; but the more there are, the more lie on the other side of a thin limb.
-# 3000 points on each of 180 shapes of SHREC'11, first tier of R-BiHDM: 40 and 40 .591, 40 and 12 .619,
-# 30 and 30 .643, 30 and 12 .678; 40 with true normals .717; the meshes themselves .949.
+# Number of neighbours among which the triangles of a point are searched, and to which its tangent plane is
+# fitted if the cloud has no normals. With fewer neighbours triangles are missed, with more the neighbourhood
+# includes points of the opposite side of a thin limb. See docs/decisions.md, NEIGHBORS.
 NEIGHBORS = 30
 PLANE_NEIGHBORS = 12
 
-# A star needs that many; where fewer neighbours face the side of a point, its normal is not to be trusted.
+# Smallest number of neighbours with a normal on the side of that of the point. With fewer of them the normal
+# of the point is likely to be wrong, and all neighbours are used.
 FEWEST_AGREEING = 3
 
-# Four points of a grid lie on one circle, and their corners must agree on the diagonal. So the triangles are
-# sought with every point moved by this share of the distance to its nearest neighbour.
+# Amplitude of a random displacement of every point, relative to the distance to its nearest neighbour.
+# Without it the Delaunay triangulation of cocircular points, such as a grid, is not unique, and its points
+# may choose different diagonals.
 JITTER = 1e-4
 
-# Radians that rounding may turn a side of the hull to the right.
+# Tolerance for rounding of the turning angle between sides of a convex hull; radians.
 TURN_TOLERANCE = 1e-9
 
 
 def points(cloud: PointCloud) -> Assembled:
-    """Linear elements on the Delaunay triangles that each point forms in its tangent plane [1]_.
+    """Stiffness and mass of linear elements on Delaunay triangles in the tangent plane of each point [1]_.
 
-    Row i is point i. Where the cloud has normals, they are those of the planes, and neighbours that face the
-    other way are none: the two sides of a thin limb stay apart. Points need no order. Every triangle counts
-    for a third, as each of its corners should find it: where they all do, this is the linear element on the
-    Delaunay triangulation. So 1ᵀM·1 is the area of the surface that was sampled, within 1 % for a thousand
-    random points on a sphere; on an open surface it lacks a part of the outermost triangles. Noise adds
-    area: of 0.1, 0.3 and 1 % of the diagonal on 3000 points, 1, 9 and 70 %.
+    If the cloud has normals, they are the normals of the tangent planes, and neighbours with opposite normals
+    are not used, so that the two sides of a thin limb are not connected. The matrices of each triangle are
+    divided by three, because each of its corners should generate it; if all three do, the result is that of
+    linear elements on the Delaunay triangulation. The area 1ᵀM·1 is too small at the boundary of an open
+    surface, and too large for noisy points: see docs/decisions.md, points.
 
-    Either mass will do; lumped is somewhat better. The matrices that the package robust_laplacian makes of
-    such triangles [2]_ depend on where the cloud lies, by the rounding that orders the three copies of each
-    triangle round its sides, and their eigenvalues stay 5 % low on random points, however many.
+    The matrices that robust_laplacian makes of such triangles [2]_ are not used: they depend on the position
+    of the cloud, through the rounding by which the copies of a triangle are ordered around its sides, and
+    their eigenvalues are too small on random points.
+
+    Parameters
+    ----------
+    cloud : PointCloud
+        At least 31 distinct points, in any order, with or without normals.
 
     Returns
     -------
     Assembled
-        S symmetric positive semi-definite, dimensionless, its null space the constants of each component; M
-        symmetric positive definite, unit length². S·1 = 0 and 1ᵀM·1 = area as said.
+        Matrices of one row for each point. S is symmetric positive semi-definite, dimensionless, S·1 = 0, and
+        its null space is spanned by the constants on the components. M is symmetric positive definite, unit
+        length²; 1ᵀM·1 approximates the area of the sampled surface.
 
     Raises
     ------
     DegenerateMeshError
-        If there are too few points, one is there more than once, or one forms no triangle.
+        If there are too few points, two points are equal, or a point is in no triangle.
 
     References
     ----------
@@ -81,10 +86,23 @@ def points(cloud: PointCloud) -> Assembled:
 
 
 def star_mesh(cloud: PointCloud) -> TriangleMesh:
-    """The triangles that two of their corners at least agree on: a surface to look at, with small holes.
+    """A mesh of the Delaunay triangles that at least two of their corners generate, for display.
 
-    Where the cloud has normals, faces are counter-clockwise seen from where they point. The area is that of
-    `points` within a few per cent.
+    Parameters
+    ----------
+    cloud : PointCloud
+        At least 31 distinct points.
+
+    Returns
+    -------
+    TriangleMesh
+        A mesh with small holes, whose area is that of `points` within a few per cent. If the cloud has
+        normals, the faces are oriented by them.
+
+    Raises
+    ------
+    DegenerateMeshError
+        If two points are equal.
     """
     faces = stars(cloud.points, cloud.normals)
     _, first, times = np.unique(np.sort(faces, axis=1), axis=0, return_index=True, return_counts=True)
@@ -97,25 +115,32 @@ def star_mesh(cloud: PointCloud) -> TriangleMesh:
 
 
 def stars(positions: FloatArray, normals: FloatArray | None = None) -> IntArray:
-    """(t, 3) the Delaunay triangles at each point, among its nearest neighbours in its tangent plane.
+    """The star of each point: its Delaunay triangles with its nearest neighbours, in its tangent plane.
 
-    Inversion in a circle round the point takes circles through it to lines, so its triangles are the sides of
-    the convex hull of the inverted neighbours. The hulls of all points are wrapped at once. A point outside
-    its hull lies on a boundary, and the two sides that it sees are none of its triangles.
+    An inversion in a circle around the point maps circles through the point to lines. The Delaunay triangles
+    at the point are therefore given by the sides of the convex hull of the inverted neighbours, which is
+    computed by gift wrapping for all points at once. If the point itself is a vertex of this hull, it is on a
+    boundary, and the two sides at it give no triangles.
 
     Parameters
     ----------
     positions : (n, 3) float64
+        Coordinates of the points.
     normals : (n, 3) float64, optional
-        Unit length. Neighbours that face the other way are none.
+        Unit normals. Neighbours with opposite normals are not used.
+
+    Returns
+    -------
+    (t, 3) int32
+        Numbers of the points of each triangle, of which the first has the triangle in its star.
 
     Raises
     ------
     DegenerateMeshError
-        If a point is there more than once.
+        If two points are equal.
     """
     n = len(positions)
-    # (n, 1 + k), the first of them the point itself
+    # (n, 1 + k); the first column is the point itself
     distance, neighbors = map(np.asarray, KDTree(positions).query(positions, NEIGHBORS + 1))
     double = int((distance[:, 1] == 0).sum())
     if double:
@@ -124,12 +149,13 @@ def stars(positions: FloatArray, normals: FloatArray | None = None) -> IntArray:
     offset = shaken[neighbors] - shaken[:, None]  # (n, 1 + k, 3)
     plane, reaches = _tangent_planes(offset, neighbors, normals)
     planar = offset @ plane  # (n, 1 + k, 2)
-    # A neighbour keeps its direction in the plane and its distance in space. None at all is at infinity.
+    # The projection keeps the distance in space. Neighbours that are not used are at infinity.
     direction = np.exp(1j * np.arctan2(planar[..., 1], planar[..., 0]))
     length = np.where(reaches, np.linalg.norm(offset, axis=2), np.inf)
-    inverted = direction / length  # (n, 1 + k): the point itself, on the hull or not, is the origin
+    inverted = direction / length  # (n, 1 + k); the point itself, and neighbours not used, are at the origin
 
-    # Wrapping starts at the nearest neighbour, which is on the hull, along the tangent of its circle.
+    # Gift wrapping starts at the nearest neighbour, the inverted point of largest magnitude, which is on the
+    # hull, in the direction perpendicular to it.
     centre = np.arange(n)
     first = here = np.abs(inverted).argmax(axis=1)
     heading = 1j * inverted[centre, here]
@@ -153,7 +179,7 @@ def stars(positions: FloatArray, normals: FloatArray | None = None) -> IntArray:
 def _tangent_planes(
     offset: FloatArray, neighbors: NDArray[np.intp], normals: FloatArray | None
 ) -> tuple[FloatArray, NDArray[np.bool_]]:
-    """(n, 3, 2) axes of the tangent plane of each point, and (n, 1 + k) which are neighbours on its side."""
+    """The (n, 3, 2) axes of the tangent planes, and a (n, 1 + k) mask of the neighbours that are used."""
     reaches = np.ones(neighbors.shape, dtype=bool)
     reaches[:, 0] = False
     if normals is None:
@@ -163,4 +189,5 @@ def _tangent_planes(
         agree = np.einsum("nki,ni->nk", normals[neighbors[:, 1:]], normals) > 0  # (n, k)
         reaches[:, 1:] = agree | (agree.sum(axis=1, keepdims=True) < FEWEST_AGREEING)
         spread = np.eye(3) - normals[:, :, None] * normals[:, None, :]
-    return np.linalg.eigh(spread).eigenvectors[:, :, 1:], reaches  # the normal has the least
+    # The eigenvector of the smallest eigenvalue is the normal, and the other two span the plane.
+    return np.linalg.eigh(spread).eigenvectors[:, :, 1:], reaches
