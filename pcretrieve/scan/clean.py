@@ -1,4 +1,4 @@
-"""Raw points → points that a surface can be fitted to."""
+"""Raw points → filtered points: far points removed, voxel-grid filter, statistical outlier removal."""
 
 from __future__ import annotations
 
@@ -15,40 +15,47 @@ from pcretrieve.types import FloatArray, PointCloud, Step
 
 __all__ = ["clean"]
 
-# Fewer points than this say nothing about a body with limbs.
+# Smallest number of points of a scan, of the order of what resolves a body with limbs.
 FEWEST_POINTS = 100
 
-# Thickness over length below which points lie on a line or in a plane. The flattest bodies scanned here
-# (an open hand) have 0.1.
+# Smallest ratio of singular values of the centred points, below which they are collinear or coplanar. The
+# flattest body in the data sets, an open hand, has 0.1.
 SMALLEST_THICKNESS = 1e-3
 
-# Points farther from the middle than this are no part of a body, in median distances; no point of a body
-# seen so far is beyond 6. Depth cameras write such points where they saw nothing. They must go first, because
-# every length is relative to the diagonal. More of them than this share may be a second body.
+# Distance from the median point, in median distances, beyond which a point is an error; in the data sets no
+# point of a body is beyond 6. Depth cameras write such points for missing measurements. They are removed
+# first, because every length in the options is relative to the diagonal; but not if there are more of them
+# than this fraction, because they may be a second body.
 FAR_AWAY = 20
 MOST_FAR_POINTS = 0.05
 
-# Voxels that points are averaged in, relative to the diagonal: of dense clouds, with so many points in such a
-# voxel on the average, and of others. NN and mAP of TOSCA, typical scans .921 .820, averaged in the voxels of
-# dense ones .895 .823; with 100 000 points of the same noise .842 .757, averaged .921 .813.
+# Edge of the voxels for averaging, relative to the diagonal: of dense clouds, which have at least DENSE
+# points for each occupied voxel of this edge, and of other clouds. See docs/decisions.md, DENSE_VOXEL.
 DENSE_VOXEL = 0.003
 DENSE = 1.6
 VOXEL = 0.0015
 
 
 def clean(cloud: PointCloud, options: ScanOptions) -> PointCloud:
-    """Thin a cloud to one point per voxel and drop its strays.
+    """Filter a cloud: remove far points, average the points in each voxel, and remove statistical outliers.
+
+    Parameters
+    ----------
+    cloud : PointCloud
+        The raw points; normals and viewpoints are optional.
+    options : ScanOptions
+        Of which `voxel`, `outlier_neighbors` and `outlier_std` are used.
 
     Returns
     -------
     PointCloud
-        Averages of the points in each voxel, with their sensors; normals are dropped unless
-        ``options.orientation`` can use them. In the unit of the file.
+        The filtered points, with normals and viewpoints if there were any, and a step ``clean`` in the
+        provenance; unit of the file.
 
     Raises
     ------
     ReconstructionError
-        If fewer than 100 points, or only a point, a line or a plane, is left.
+        If fewer than 100 points are left, or all points are equal, collinear or coplanar.
     """
     started = time.perf_counter()
     near, notes = _without_far_points(cloud)
@@ -92,7 +99,7 @@ def _thinned(cloud: PointCloud, voxel: float | str) -> PointCloud:
 
 
 def _voxels(points: FloatArray, edge: float) -> NDArray[np.int64]:
-    """(n,) number of the voxel that each point lies in."""
+    """(n,) number of the voxel that contains each point."""
     index = np.floor((points - points.min(axis=0)) / edge).astype(np.int64)  # (n, 3)
     sides = index.max(axis=0) + 1
     number: NDArray[np.int64] = (index[:, 0] * sides[1] + index[:, 1]) * sides[2] + index[:, 2]
@@ -112,14 +119,14 @@ def _averaged(cloud: PointCloud, edge: float) -> PointCloud:
     if normals is not None:
         normals = average(normals)
         length = np.linalg.norm(normals, axis=1, keepdims=True)
-        # Opposite normals in one voxel cancel (a sheet seen from both sides): keep the first one's.
+        # Opposite normals in one voxel cancel (both sides of a thin sheet): that of the first point is kept.
         cancelled = length[:, 0] < SMALLEST_THICKNESS
         normals = np.where(cancelled[:, None], cloud.normals[first], normals / np.maximum(length, 1e-300))  # type: ignore[index]
     return replace(
         cloud,
         points=average(cloud.points),
         normals=normals,
-        # A mean of sensors is no sensor: the first point's stands for its voxel.
+        # A mean of sensor positions is not a sensor position: that of the first point in the voxel is kept.
         viewpoints=None if cloud.viewpoints is None else cloud.viewpoints[first],
     )
 

@@ -1,4 +1,4 @@
-"""Normals, and which side of a surface is outside."""
+"""Normals of the points of a scan, and their orientation."""
 
 from __future__ import annotations
 
@@ -18,41 +18,50 @@ from pcretrieve.types import FloatArray, PointCloud, Step
 
 __all__ = ["oriented_normals"]
 
-# Neighbours whose own direction leans less than this towards a point's are on the other side of a thin part.
+# Smallest cosine of the angle between the guide directions of two points on the same side of a thin part.
 SAME_SIDE = 0.2
 
-# Neighbours count by a Gaussian of their distance, this wide relative to the farthest.
+# Width of the Gaussian weight of neighbours, relative to the distance of the farthest one.
 NEIGHBOR_SPREAD = 0.7
 
-# Points this far below the outside say nothing about whether the flood leaked; cells.
+# Largest depth below the outside of points that are used to detect a leak; in voxels.
 SHOWN = 4.0
 
-# Least cell of the flood; spacings of the points. Its walls must be tight.
+# Smallest edge of the voxels of the flood fill, in spacings of the points. Smaller ones would leave gaps.
 FLOOD_CELL = 1.3
 
-# How much wider a gap is kept shut at each try.
+# Factor by which the radius of the holes that are closed grows at each attempt.
 WIDER = 1.4
 
-# Share of neighbouring normals that must agree on a side. Over 26 scans of TOSCA a tight flood reaches .995
-# to .999, one that leaked inside .75 to .89.
+# Smallest fraction of pairs of neighbours with consistent normals, below which the flood fill has leaked into
+# the body. See docs/decisions.md, LEAST_AGREEMENT.
 LEAST_AGREEMENT = 0.95
 
-# Neighbours that are asked whether they agree.
+# Number of neighbours of each point in these pairs.
 VOTERS = 8
 
 Neighborhoods = tuple[FloatArray, NDArray[np.intp]]
 
 
 def oriented_normals(cloud: PointCloud, options: ScanOptions) -> PointCloud:
-    """The cloud with unit normals that point out of the body.
+    """Estimate normals, and orient them outwards.
 
-    ``options.orientation`` says where their sign comes from: the sensor that saw each point, the file's own
-    normals, a flood of the space outside, or tangent planes.
+    Parameters
+    ----------
+    cloud : PointCloud
+        Filtered points; normals and viewpoints are optional.
+    options : ScanOptions
+        Of which `orientation`, `normal_neighbors` and the options of the flood fill are used.
+
+    Returns
+    -------
+    PointCloud
+        The points with unit normals that point out of the body, and a step ``orient`` in the provenance.
 
     Raises
     ------
     ReconstructionError
-        If it asks for sensors or normals that the scan does not have.
+        If the orientation requires viewpoints or normals that the cloud does not have.
     """
     started = time.perf_counter()
     method = options.orientation
@@ -74,7 +83,7 @@ def oriented_normals(cloud: PointCloud, options: ScanOptions) -> PointCloud:
 
 
 def _by_viewpoint(cloud: PointCloud, options: ScanOptions) -> tuple[FloatArray, tuple[str, ...]]:
-    """A sensor sees outsides only; where it looks along the surface, the flood tells the sides apart."""
+    """Normals towards the sensors; at grazing incidence the flood fill decides."""
     if cloud.viewpoints is None:
         raise ReconstructionError(
             "scan.orientation 'viewpoint' needs sensor positions, this scan has none: take 'auto'",
@@ -91,13 +100,13 @@ def _by_viewpoint(cloud: PointCloud, options: ScanOptions) -> tuple[FloatArray, 
 def _by_tangent_planes(cloud: PointCloud, options: ScanOptions) -> tuple[FloatArray, tuple[str, ...]]:
     normals = open3d.estimate_normals(cloud.points, n_neighbors=options.normal_neighbors)
     oriented = open3d.orient_by_tangent_planes(cloud.points, normals, n_neighbors=options.normal_neighbors)
-    # The spanning tree starts at the highest point, whose normal must look up.
+    # The outward normal of the highest point points upwards.
     top = cloud.points[:, 2].argmax()
     return (-oriented if oriented[top, 2] < 0 else oriented), ()
 
 
 def _by_flood(cloud: PointCloud, options: ScanOptions) -> tuple[FloatArray, tuple[str, ...]]:
-    """Each normal looks where the outside is nearest; where no flood is tight, tangent planes decide."""
+    """Normals towards the nearest outside; by tangent planes, if every flood fill leaks."""
     neighbors = _neighbors(cloud.points, options)
     _, oriented, notes = _tight_flood(cloud, neighbors, options)
     if oriented is None:
@@ -109,9 +118,18 @@ def _by_flood(cloud: PointCloud, options: ScanOptions) -> tuple[FloatArray, tupl
 def _tight_flood(
     cloud: PointCloud, neighbors: Neighborhoods, options: ScanOptions
 ) -> tuple[Outside | None, FloatArray | None, tuple[str, ...]]:
-    """Flood the outside from a corner, shutting wider and wider gaps until it does not leak inside.
+    """Repeat the flood fill with larger closed holes until it does not leak into the body.
 
-    A leak shows in the normals that follow from it, (n, 3): neighbours disagree.
+    A leak is detected by the normals towards the outside, which are then inconsistent between neighbours.
+
+    Returns
+    -------
+    outside : Outside or None
+        The outside; None if every flood fill leaked.
+    normals : (n, 3) float64 or None
+        Unit normals towards the outside; None if every flood fill leaked.
+    notes : tuple of str
+        Notes for the provenance.
     """
     cell = max(options.flood_cell * cloud.diagonal, FLOOD_CELL * spacing(cloud.points))
     gap = options.flood_gap
@@ -128,7 +146,7 @@ def _tight_flood(
 
 
 def _unit(vectors: FloatArray) -> FloatArray:
-    """(n, 3) vectors of length one; zero stays zero."""
+    """(n, 3) unit vectors; a zero vector is not changed."""
     length = np.linalg.norm(vectors, axis=1, keepdims=True)
     return np.asarray(vectors / np.where(length > 0, length, 1))
 
@@ -136,11 +154,27 @@ def _unit(vectors: FloatArray) -> FloatArray:
 def _guided_normals(
     points: FloatArray, guide: FloatArray, neighbors: Neighborhoods, options: ScanOptions
 ) -> FloatArray:
-    """(n, 3) unit normals of the best plane through those neighbours that lie on the same side of the body.
+    """Normals of weighted least-squares planes of the neighbours on the same side of the body.
 
-    Ears, fingers and tails are thinner than a neighbourhood is wide: with the points of both sides in it, a
-    plane stands askew. Neighbours count as far as their guide, a rough (n, 3) direction to the outside,
-    agrees with the point's own; each normal takes the sign of its guide.
+    In ears, fingers and tails, a neighbourhood contains points of both sides, and its least-squares plane is
+    wrong. Neighbours are therefore weighted by the agreement of their guide
+    directions with that of the point.
+
+    Parameters
+    ----------
+    points : (n, 3) float64
+        Coordinates.
+    guide : (n, 3) float64
+        Approximate unit direction to the outside at each point; zero if unknown.
+    neighbors : tuple of (n, k) float64 and (n, k) int
+        Distances and numbers of the neighbours.
+    options : ScanOptions
+        Of which `normal_neighbors` is used.
+
+    Returns
+    -------
+    (n, 3) float64
+        Unit normals, with the orientation of the guide.
     """
     distance, near = (of[:, : options.normal_neighbors] for of in neighbors)  # (n, k)
     agreement = np.einsum("ij,ikj->ik", guide, guide[near])
@@ -156,7 +190,7 @@ def _guided_normals(
 
 
 def _agreement(oriented: FloatArray, neighbors: Neighborhoods, shown: NDArray[np.bool_]) -> float:
-    """Share of pairs of neighbours, both among the shown, whose normals point to one side."""
+    """The fraction of pairs of neighbours, both in the mask `shown`, with consistent normals."""
     near = neighbors[1][shown, 1 : VOTERS + 1]  # (m, VOTERS), without the point itself
     agree = np.einsum("ij,ikj->ik", oriented[shown], oriented[near]) > 0
     pairs = shown[near]
@@ -164,7 +198,7 @@ def _agreement(oriented: FloatArray, neighbors: Neighborhoods, shown: NDArray[np
 
 
 def _neighbors(points: FloatArray, options: ScanOptions) -> Neighborhoods:
-    """(n, k) distances and numbers of the points nearest to each, itself first."""
+    """(n, k) distances and numbers of the nearest neighbours of each point, the point itself first."""
     from scipy.spatial import cKDTree
 
     k = max(options.normal_neighbors, VOTERS + 1)

@@ -1,4 +1,4 @@
-"""The space outside a body, on a grid."""
+"""The space outside a body, found by flood fill on a voxel grid, and distance maps on the grid."""
 
 from __future__ import annotations
 
@@ -15,28 +15,30 @@ __all__ = ["Grid", "Outside", "distances", "flood"]
 Mask = NDArray[np.bool_]
 Voxels = NDArray[np.float32]
 
-# Free voxels round the points: room for walls, and for a gradient at the outermost point.
+# Number of empty voxels around the points, in which finite differences are computed.
 MARGIN = 3
 
-# Beyond this, the distance to the points matters to nobody; cells.
+# Largest distance to the points that is measured; in voxels. No function uses larger ones.
 FARTHEST = 12.0
 
-# A surface sampled at about one point a cell is tight only when thickened: the outside stays this far from
-# every point; cells. Wide enough for the gaps of random sampling, narrow enough to reach between fingers.
+# Smallest distance of the outside from every point; in voxels. Points that sample a
+# surface with about one point in each voxel leave gaps, which this distance closes.
+# It is small enough for the outside to reach between fingers.
 SKIN = 1.8
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Grid:
-    """Cubic cells over a piece of space; a cell is known by its centre.
+    """A grid of cubic voxels. The coordinates of a voxel are those of its centre.
 
     Attributes
     ----------
     origin : (3,) float64
-        Centre of cell (0, 0, 0), in the unit of the file.
+        Centre of voxel (0, 0, 0); unit of the file.
     cell : float
-        Edge of a cell, in the unit of the file.
+        Edge of a voxel; unit of the file.
     shape : tuple of int, length 3
+        Number of voxels along each axis.
     """
 
     origin: FloatArray
@@ -45,33 +47,52 @@ class Grid:
 
     @classmethod
     def around(cls, points: FloatArray, cell: float, margin: int, shift: FloatArray | float = 0.0) -> Grid:
-        """The cells that hold (n, 3) points, and `margin` more on every side, `shift` cells lower."""
+        """The smallest grid that contains points and a margin.
+
+        Parameters
+        ----------
+        points : (n, 3) float64
+            Coordinates; unit of the file.
+        cell : float
+            Edge of a voxel; unit of the file.
+        margin : int
+            Number of additional voxels on every side.
+        shift : (3,) float64 or float, default 0.0
+            Displacement of the grid in the negative directions; in voxels.
+
+        Returns
+        -------
+        Grid
+            Every point is in a voxel of it.
+        """
         low, high = points.min(axis=0) - np.asarray(shift) * cell, points.max(axis=0)
         n_x, n_y, n_z = (np.ceil((high - low) / cell).astype(int) + 2 * margin + 1).tolist()
         return cls(low - margin * cell, cell, (n_x, n_y, n_z))
 
     def coordinates(self, points: FloatArray) -> FloatArray:
-        """(n, 3) positions in cells: whole numbers at the centres."""
+        """(n, 3) coordinates of points in voxels, integer at the centres."""
         return (points - self.origin) / self.cell
 
     def index(self, points: FloatArray) -> tuple[NDArray[np.intp], ...]:
-        """Of the cells that hold the points, ready to index an array of `shape`."""
+        """Indices, for an array of `shape`, of the voxels that contain the points."""
         return tuple(np.rint(self.coordinates(points)).astype(np.intp).T)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Outside:
-    """Where the outside is.
+    """The outside of a body.
 
     Attributes
     ----------
     grid : Grid
+        The grid of the arrays.
     wet : bool array of `grid.shape`
-        Cells that the outside reaches.
+        Voxels outside, which the flood fill has reached.
     depth : float32 array of `grid.shape`
-        Distance to the nearest wet cell; cells.
+        Distance to the nearest voxel outside; in voxels.
     distance : float32 array of `grid.shape`
-        Distance to the nearest cell that holds a point, at most `FARTHEST`; cells.
+        Distance to the nearest voxel with a point, at most `FARTHEST` or the thickness of the walls + 1; in
+        voxels.
     """
 
     grid: Grid
@@ -80,11 +101,11 @@ class Outside:
     distance: Voxels
 
     def depth_at(self, points: FloatArray) -> FloatArray:
-        """(n,) depths below the outside; cells."""
+        """(n,) depths of points below the outside, by trilinear interpolation; in voxels."""
         return _sampled(self.depth, self.grid.coordinates(points))
 
     def direction_at(self, points: FloatArray) -> FloatArray:
-        """(n, 3) unit vectors towards the nearest outside; zero where no side is nearer."""
+        """(n, 3) unit vectors in the direction of steepest descent of the depth; zero if there is none."""
         at = self.grid.coordinates(points)
         slope = np.empty((len(points), 3))
         for axis, step in enumerate(np.eye(3)):
@@ -101,22 +122,29 @@ def flood(
     shift: FloatArray | float = 0.0,
     deepest: float = np.inf,
 ) -> Outside:
-    """Flood the outside from a corner of the bounding box.
+    """Find the outside of a body by flood fill from the border of a grid.
 
-    Walls as thick as `gap` keep the flood out of holes in the scan; what stays wet then creeps through the
-    free cells between wall and points, so that it also comes between fingers, which the walls had closed.
+    First, the voxels within the distance `gap` of a point are walls, which close holes of the scan. Then the
+    flood fill continues from the voxels reached through those between walls and points, for as many steps as
+    the walls are thick, so that it reaches the space between fingers too, which the walls had closed.
 
     Parameters
     ----------
     points : (n, 3) float64
+        Coordinates; unit of the file.
     cell : float
-        Edge of a cell; about the spacing of the points, unit of the file.
+        Edge of a voxel, about the spacing of the points; unit of the file.
     gap : float
-        Radius of the largest hole that is kept shut; unit of the file.
-    shift : (3,) float64 or 0
-        Of the cells against the points; cells.
-    deepest : float
-        Depths beyond this are not measured; cells.
+        Radius of the largest hole that is closed; unit of the file.
+    shift : (3,) float64 or float, default 0.0
+        Displacement of the grid in the negative directions; in voxels.
+    deepest : float, default infinity
+        Largest depth that is measured; in voxels.
+
+    Returns
+    -------
+    Outside
+        The voxels outside, and the distances to them and to the points.
     """
     wall = gap / cell
     grid = Grid.around(points, cell, int(np.ceil(wall)) + MARGIN, shift)
@@ -129,11 +157,26 @@ def flood(
 
 @njit(cache=True)
 def distances(sources: Mask, limit: float) -> Voxels:
-    """Distance of each cell to the nearest source, and at most `limit`; cells.
+    """The distance of each voxel to the nearest source voxel, by propagation of the nearest source [1]_.
 
-    A wave runs out from the sources and carries the nearest one along: work is done only where the wave
-    comes, unlike in a transform of the whole grid (Danielsson, "Euclidean distance mapping", 1980; the error
-    of a wave over 26 neighbours stays below a tenth of a cell).
+    The propagation visits only voxels within the limit, unlike a distance transform of the whole grid. With a
+    26-neighbourhood its error is less than a tenth of a voxel.
+
+    Parameters
+    ----------
+    sources : (a, b, c) bool
+        The source voxels.
+    limit : float
+        Largest distance; in voxels.
+
+    Returns
+    -------
+    (a, b, c) float32
+        Distances, at most `limit`; in voxels.
+
+    References
+    ----------
+    .. [1] P.-E. Danielsson, "Euclidean distance mapping", Computer Graphics and Image Processing 14 (1980).
     """
     n_x, n_y, n_z = sources.shape
     n = sources.size
@@ -151,7 +194,7 @@ def distances(sources: Mask, limit: float) -> Voxels:
                     continue
                 result[cell] = 0
                 nearest[cell] = cell
-                # Only sources with another cell beside them send the wave out.
+                # The propagation starts at the boundary of the sources.
                 if (
                     (x > 0 and not is_source[cell - n_y * n_z])
                     or (x < n_x - 1 and not is_source[cell + n_y * n_z])
@@ -191,10 +234,7 @@ def distances(sources: Mask, limit: float) -> Voxels:
 
 @njit(cache=True)
 def _flooded(distance: Voxels, wall: float, skin: float) -> Mask:
-    """Cells reached from the border: first outside the walls only, then as many steps as a wall is thick.
-
-    The border must lie outside the walls.
-    """
+    """Voxels reached from the border: outside the walls, then by as many steps as they are thick."""
     _, n_y, n_z = distance.shape
     to_points = distance.ravel()
     is_wet = np.zeros(distance.size, dtype=np.bool_)
@@ -209,7 +249,7 @@ def _flooded(distance: Voxels, wall: float, skin: float) -> Mask:
     is_wet[front[0]] = True
     n = 1
     most = int(wall) + 1
-    # Breadth first; the second pass starts from everything that the first has reached.
+    # Breadth-first search; the second pass starts from all voxels that the first has reached.
     for creeping in range(2):
         limit = skin if creeping else wall
         i = 0
@@ -230,7 +270,7 @@ def _flooded(distance: Voxels, wall: float, skin: float) -> Mask:
 
 
 def _sampled(values: Voxels, at: FloatArray) -> FloatArray:
-    """(n,) values between cells, trilinear."""
+    """(n,) values at (n, 3) positions, by trilinear interpolation."""
     from scipy.ndimage import map_coordinates
 
     return np.asarray(map_coordinates(values, at.T, order=1), dtype=np.float64)

@@ -1,4 +1,4 @@
-"""How densely and how exactly points sample a surface."""
+"""The density and the noise of the points of a scan."""
 
 from __future__ import annotations
 
@@ -8,21 +8,32 @@ from pcretrieve.types import FloatArray
 
 __all__ = ["noise", "spacing"]
 
-# Neighbours that the spacing is measured by, those that a plane is fitted to, and points that both are
-# measured at.
+# Number of neighbours for the spacing, number of neighbours for a plane, and number
+# of points at which both are measured.
 COMPANY = 6
 IN_PLANE = 8
 MEASURED = 5000
 
-# Where surfaces curve, points leave their plane without any noise: the flattest quarter is believed.
+# Quantile of the distances from the planes. Curvature increases these distances, so that a low quantile is a
+# better estimate of the noise than the median.
 FLATTEST = 0.25
 
 
 def spacing(points: FloatArray) -> float:
-    """Side of the square of surface that each point stands for, of the median point; unit of the file.
+    """The spacing of points: the square root of the area of surface for each point, in the median.
 
-    Measured by the circle that holds the `COMPANY` nearest neighbours, so that a regular and a random
-    sampling of the same density give the same.
+    It is estimated from the circle that contains the `COMPANY` nearest neighbours, so that it is the same for
+    a regular and a random sampling of one density.
+
+    Parameters
+    ----------
+    points : (n, 3) float64
+        At least two points.
+
+    Returns
+    -------
+    float
+        Unit of the file.
     """
     from scipy.spatial import cKDTree
 
@@ -32,16 +43,26 @@ def spacing(points: FloatArray) -> float:
 
 
 def noise(points: FloatArray) -> float:
-    """Distance of points from the plane of their neighbours, in the root mean square; unit of the file.
+    """The noise of points: their root mean square distance from the plane of their neighbours.
 
-    About .8 of the standard deviation of each coordinate where points are scattered in all directions.
+    It is about 0.8 of the standard deviation of each coordinate, if the noise is isotropic.
+
+    Parameters
+    ----------
+    points : (n, 3) float64
+        At least two points.
+
+    Returns
+    -------
+    float
+        Unit of the file.
     """
     from scipy.spatial import cKDTree
 
     k = min(IN_PLANE + 1, len(points))
     _, near = cKDTree(points).query(_some(points), k=k)
     offsets = points[near] - points[near].mean(axis=1, keepdims=True)  # (m, k, 3)
-    # A plane takes three degrees of freedom from k points.
+    # A plane has three degrees of freedom, so that k points leave k − 3.
     from_plane = np.linalg.svd(offsets, compute_uv=False)[:, 2] / np.sqrt(max(1, k - 3))  # (m,)
     return float(np.quantile(from_plane, FLATTEST))
 
