@@ -9,13 +9,13 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from pcretrieve.batch.inspection import signature_spread
-    from pcretrieve.batch.pipeline import reconstruct, signature
     from pcretrieve.catalogue import Catalogue
+    from pcretrieve.descriptors import r_bihdm, shape_dna
+    from pcretrieve.inspection.inspect import signature_spread
     from pcretrieve.options import PipelineOptions
+    from pcretrieve.pipeline.process import reconstruct, signature
     from pcretrieve.retrieval import SignatureIndex
     from pcretrieve.scan import read_scan
-    from pcretrieve.signatures import r_bihdm, shape_dna
     from pcretrieve.spectral import eigenpairs, laplace_beltrami
     from pcretrieve.types import PointCloud, TriangleMesh
 
@@ -46,12 +46,12 @@ _HOMES = {
     "TriangleMesh": "pcretrieve.types",
     "eigenpairs": "pcretrieve.spectral",
     "laplace_beltrami": "pcretrieve.spectral",
-    "r_bihdm": "pcretrieve.signatures",
+    "r_bihdm": "pcretrieve.descriptors",
     "read_scan": "pcretrieve.scan",
-    "reconstruct": "pcretrieve.batch.pipeline",
-    "shape_dna": "pcretrieve.signatures",
-    "signature": "pcretrieve.batch.pipeline",
-    "signature_spread": "pcretrieve.batch.inspection",
+    "reconstruct": "pcretrieve.pipeline.process",
+    "shape_dna": "pcretrieve.descriptors",
+    "signature": "pcretrieve.pipeline.process",
+    "signature_spread": "pcretrieve.inspection.inspect",
 }
 
 

@@ -18,10 +18,10 @@ from numpy.typing import NDArray
 from pcretrieve.catalogue.opening import connect, damaged, is_writable, open_options, translated
 from pcretrieve.catalogue.record import Content, Record, StoredShape, free_id
 from pcretrieve.catalogue.row import RECORD_COLUMNS, packed, record_of, row_of, unpacked
+from pcretrieve.descriptors import describe
 from pcretrieve.errors import InputError, ShapeError
 from pcretrieve.options import PipelineOptions, SignatureOptions
 from pcretrieve.retrieval import Whitening, fit_whitening, log_signatures, resolution_whitening
-from pcretrieve.signatures import describe
 from pcretrieve.types import ModalSpectrum, SignatureTable, TriangleMesh
 
 __all__ = ["Catalogue"]

@@ -26,22 +26,23 @@ EXIT_USAGE = 2
 # What a shell reports of a program that a signal ended is this plus the signal's number.
 EXIT_SIGNAL = 128
 
-# Command → module and function, imported when the command is run or asked for its own help.
-COMMANDS = {
-    "merge": "merge",
-    "reconstruct": "shapes",
-    "signature": "shapes",
-    "inspect": "inspect_scan",
-    "ingest": "collect",
-    "query": "search",
-    "evaluate": "search",
-    "report": "search",
-    "list": "inspect",
-    "show": "inspect",
-    "remove": "inspect",
-    "export": "inspect",
-    "options": "inspect",
-}
+# Each is the function `NAME_command` of the module of its name, imported when the command is run or asked for
+# its own help.
+COMMANDS = (
+    "merge",
+    "reconstruct",
+    "signature",
+    "inspect",
+    "ingest",
+    "query",
+    "evaluate",
+    "report",
+    "list",
+    "show",
+    "remove",
+    "export",
+    "options",
+)
 
 
 class _LazyGroup(click.Group):
@@ -53,7 +54,7 @@ class _LazyGroup(click.Group):
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
         if cmd_name not in COMMANDS:
             return None
-        module = import_module(f"pcretrieve.cli.{COMMANDS[cmd_name]}")
+        module = import_module(f"pcretrieve.cli.{cmd_name}")
         command: click.Command = getattr(module, f"{cmd_name}_command")
         return command
 

@@ -80,7 +80,7 @@ def merge_command(
     """
     from tqdm import tqdm
 
-    from pcretrieve.batch.discover import printable
+    from pcretrieve.ingest.discover import printable
     from pcretrieve.options import MergeOptions
     from pcretrieve.scan.register import merge_views
     from pcretrieve.scan.write import write_cloud
@@ -113,8 +113,8 @@ def _views(paths: Sequence[str]) -> tuple[list[Path], FloatArray | None]:
     """The files that hold one view each; and (v, 4, 4) poses, where a .conf gives them."""
     import numpy as np
 
-    from pcretrieve.batch.discover import discover
     from pcretrieve.errors import InputError, ScanReadError
+    from pcretrieve.ingest.discover import discover
     from pcretrieve.scan.views import read_poses
 
     files = discover(paths)

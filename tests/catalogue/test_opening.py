@@ -13,10 +13,10 @@ import pytest
 import shapes
 
 from pcretrieve import Catalogue, PipelineOptions
-from pcretrieve.batch.pipeline import process
 from pcretrieve.catalogue import Content, Record
+from pcretrieve.descriptors import describe
 from pcretrieve.errors import CatalogueError
-from pcretrieve.signatures import describe
+from pcretrieve.pipeline.process import process
 
 OPTIONS = PipelineOptions().changed(scan={"voxel": 0.005}, signature={"n_values": 15})
 

@@ -16,12 +16,12 @@ import pytest
 import shapes
 
 from pcretrieve import Catalogue, PipelineOptions
-from pcretrieve.batch.pipeline import Shape, process
 from pcretrieve.catalogue import Content, Record, opening
+from pcretrieve.descriptors import describe
 from pcretrieve.errors import CatalogueError, InputError, SpectrumError
 from pcretrieve.options import SignatureOptions
+from pcretrieve.pipeline.process import Shape, process
 from pcretrieve.retrieval import SignatureIndex, fit_whitening, log_signatures
-from pcretrieve.signatures import describe
 
 OPTIONS = PipelineOptions()
 N_SHAPES = 6

@@ -13,9 +13,9 @@ import shapes
 from click.testing import CliRunner, Result
 
 from pcretrieve import Catalogue, PipelineOptions
-from pcretrieve.batch.ingest import ingest
 from pcretrieve.cli.main import cli
 from pcretrieve.evaluation.folds import evaluate
+from pcretrieve.ingest.run import ingest
 from pcretrieve.options import SignatureOptions
 from pcretrieve.surface import write_mesh
 

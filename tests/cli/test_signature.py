@@ -14,8 +14,8 @@ import pytest
 import shapes
 
 from pcretrieve import Catalogue, PipelineOptions
-from pcretrieve.batch.ingest import ingest
 from pcretrieve.cli.main import main
+from pcretrieve.ingest.run import ingest
 from pcretrieve.options import METHODS
 from pcretrieve.surface import write_mesh
 

@@ -10,11 +10,11 @@ from shapes import body, points_on
 
 import pcretrieve.retrieval
 from pcretrieve import PipelineOptions
-from pcretrieve.batch.pipeline import process
+from pcretrieve.descriptors import describe
 from pcretrieve.errors import OptionError
 from pcretrieve.options import SignatureOptions
+from pcretrieve.pipeline.process import process
 from pcretrieve.retrieval import resolution_whitening
-from pcretrieve.signatures import describe
 from pcretrieve.types import FloatArray
 
 SCRIPT = Path(__file__).parents[2] / "scripts" / "sample_resolution"

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 import shapes
 
+from pcretrieve.descriptors import r_bihdm
 from pcretrieve.errors import DegenerateMeshError
-from pcretrieve.signatures import r_bihdm
 from pcretrieve.spectral import eigenpairs, laplace_beltrami
 from pcretrieve.spectral.points import stars
 from pcretrieve.types import FloatArray, LaplaceBeltrami, PointCloud

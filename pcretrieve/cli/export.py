@@ -1,0 +1,56 @@
+"""The command that writes the meshes of a catalogue to files: export."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from pcretrieve.cli.parts import (
+    catalogue_option,
+    say,
+)
+
+__all__ = ["export_command"]
+
+
+@click.command("export")
+@click.argument("shape_ids", nargs=-1, metavar="[ID]...")
+@catalogue_option
+@click.option(
+    "--output",
+    "-o",
+    type=click.Path(path_type=Path),
+    required=True,
+    metavar="PATH",
+    help="A mesh file for one shape (.ply .obj .off .stl .glb), or a folder for .ply files.",
+)
+def export_command(shape_ids: tuple[str, ...], catalogue: Path, output: Path) -> None:
+    """Clean meshes out of a catalogue: those named, or all.
+
+    \b
+    pcretrieve export cat0 --catalogue bodies.sqlite -o cat0.obj
+    pcretrieve export --catalogue bodies.sqlite -o meshes/
+    """
+    from pcretrieve.catalogue import Catalogue
+    from pcretrieve.errors import InputError
+    from pcretrieve.surface import write_mesh
+
+    with Catalogue(catalogue) as store:
+        done = [record.id for record in store.records() if record.status == "done"]
+        if len(shape_ids) == 1 and output.suffix and not output.is_dir():
+            write_mesh(store.mesh(shape_ids[0]), output)
+            click.echo(str(output))
+            return
+        for shape_id in set(shape_ids) - set(done):
+            store.mesh(shape_id)  # all or none: says what is wrong with that one before any is written
+        try:
+            output.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise InputError(f"cannot make the folder {output}: {error.strerror}") from error
+        chosen = shape_ids or done
+        for shape_id in chosen:
+            path = output / f"{shape_id}.ply"
+            write_mesh(store.mesh(shape_id), path)
+            click.echo(str(path))
+    say(f"wrote {len(chosen)} meshes to {output}")

@@ -1,0 +1,158 @@
+"""The command that fills a catalogue: ingest."""
+
+from __future__ import annotations
+
+import os
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from pcretrieve.cli.parts import (
+    EXIT_INTERRUPTED,
+    EXIT_SOME_FAILED,
+    catalogue_option,
+    config_option,
+    failure_line,
+    json_option,
+    load_options,
+    say,
+    surface_option,
+    write_json,
+)
+
+if TYPE_CHECKING:
+    from pcretrieve.catalogue import Record
+
+__all__ = ["ingest_command"]
+
+# Names of a label file that are quoted where they fit no scan.
+QUOTED = 5
+
+
+@click.command("ingest")
+@click.argument("paths", nargs=-1, metavar="PATH...")
+@catalogue_option
+@click.option(
+    "--labels",
+    type=click.Path(path_type=Path),
+    metavar="CSV",
+    help="Classes: a CSV file,class or a PSB .cla.",
+)
+@config_option
+@surface_option
+@click.option(
+    "--workers",
+    type=click.IntRange(min=1),
+    default=len(os.sched_getaffinity(0)),
+    show_default="one per core",
+    metavar="N",
+)
+@click.option(
+    "--timeout", type=click.FloatRange(min=1), default=600, show_default=True, help="Per shape, seconds."
+)
+@click.option("--memory", type=click.FloatRange(min=0.5), metavar="GIB", help="Largest heap of one worker.")
+@click.option("--retry-failed", is_flag=True, help="Process again what failed before.")
+@json_option
+def ingest_command(
+    paths: tuple[str, ...],
+    catalogue: Path,
+    labels: Path | None,
+    config: Path | None,
+    surface: str | None,
+    workers: int,
+    timeout: float,
+    memory: float | None,
+    retry_failed: bool,
+    as_json: bool,
+) -> None:
+    """Scans into a catalogue: files, folders, globs, or manifests (.txt, .csv).
+
+    What the catalogue holds already is skipped, so a run that was stopped can be started again.
+
+    \b
+    pcretrieve ingest scans/ --labels scans/labels.csv --catalogue bodies.sqlite
+    pcretrieve ingest 'tosca/*.off' --surface keep --catalogue tosca.sqlite
+    """
+    from tqdm import tqdm
+
+    from pcretrieve.catalogue import Catalogue
+    from pcretrieve.ingest.discover import discover
+    from pcretrieve.ingest.labels import read_labels
+    from pcretrieve.ingest.run import ingest
+
+    if not paths:
+        raise click.UsageError("name at least one scan")
+    scans = discover(paths)
+    names = read_labels(labels) if labels else None
+    # Without options of its own, a run goes on with those that the catalogue was built with.
+    options = None
+    if config or surface:
+        options = load_options(config, surface)
+    with (
+        Catalogue(catalogue, options, create=True) as store,
+        tqdm(total=len(scans), unit="scan", desc="ingest", disable=None) as bar,
+    ):
+        n_failed = 0
+
+        def advance(record: Record) -> None:
+            nonlocal n_failed
+            if record.status == "failed":
+                n_failed += 1
+                tqdm.write(failure_line(record), file=sys.stderr)
+            bar.set_postfix(failed=n_failed, refresh=False)
+            bar.update()
+
+        try:
+            summary = ingest(
+                scans,
+                store,
+                labels=names,
+                workers=workers,
+                timeout=timeout,
+                memory=memory,
+                retry_failed=retry_failed,
+                on_shape=advance,
+            )
+        except (KeyboardInterrupt, SystemExit) as stop:
+            bar.close()
+            say(f"stopped; {len(store)} shapes are in {catalogue}, and the same command goes on from there")
+            sys.exit(stop.code if isinstance(stop, SystemExit) else EXIT_INTERRUPTED)
+    held_failed = [record for record in summary.held if record.status == "failed"]
+    for path, twin in summary.duplicates:
+        say(f"skipped {path}: the same content as {twin.id} ({twin.path})")
+    if summary.unknown_labels:
+        quoted = ", ".join(summary.unknown_labels[:QUOTED])
+        more = len(summary.unknown_labels) - QUOTED
+        say(
+            f"{labels} names {len(summary.unknown_labels)} shapes that are not among the scans: {quoted}"
+            + (f" and {more} more" if more > 0 else "")
+        )
+    failures = summary.failed + held_failed
+    say(
+        f"{len(summary.done)} done, {len(failures)} failed, {len(summary.held) - len(held_failed)} held "
+        f"already, {len(summary.duplicates)} duplicates: {catalogue}"
+    )
+    if as_json:
+        write_json(
+            {
+                "catalogue": str(catalogue),
+                "done": [record.id for record in summary.done],
+                "held": [record.id for record in summary.held if record.status == "done"],
+                "duplicates": [{"path": str(path), "id": twin.id} for path, twin in summary.duplicates],
+                "failed": [
+                    {
+                        "id": record.id,
+                        "path": record.path,
+                        "stage": record.stage,
+                        "error": record.error,
+                        "message": record.message,
+                    }
+                    for record in failures
+                ],
+                "unknown_labels": summary.unknown_labels,
+            }
+        )
+    if failures:
+        click.get_current_context().exit(EXIT_SOME_FAILED)

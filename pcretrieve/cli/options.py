@@ -1,0 +1,27 @@
+"""The command that prints all options: options."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from pcretrieve.cli.parts import (
+    config_option,
+    load_options,
+)
+
+__all__ = ["options_command"]
+
+
+@click.command("options")
+@config_option
+def options_command(config: Path | None) -> None:
+    """Every number of the pipeline with its unit, as TOML for --config.
+
+    \b
+    pcretrieve options > mine.toml
+    """
+    from pcretrieve.options import describe_options
+
+    click.echo(describe_options(load_options(config)))

@@ -1,0 +1,93 @@
+"""The command that makes a surface of a scan: reconstruct."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from pcretrieve.cli.parts import (
+    config_option,
+    json_option,
+    load_options,
+    say,
+    step_lines,
+    surface_option,
+    write_json,
+)
+
+if TYPE_CHECKING:
+    from pcretrieve.catalogue import Record
+    from pcretrieve.types import Signature
+
+    # Name, what came of it, and what else a JSON document tells.
+    Row = tuple[str, Signature | Record, dict[str, object]]
+
+__all__ = ["reconstruct_command"]
+
+
+@click.command("reconstruct")
+@click.argument("scan", type=click.Path(path_type=Path))
+@click.option(
+    "--output",
+    "-o",
+    type=click.Path(path_type=Path),
+    required=True,
+    metavar="MESH",
+    help=".ply .obj .off .stl .glb",
+)
+@click.option("--report", is_flag=True, help="Print what was done, repaired and fallen back to.")
+@config_option
+@surface_option
+@json_option
+def reconstruct_command(
+    scan: Path, output: Path, report: bool, config: Path | None, surface: str | None, as_json: bool
+) -> None:
+    """Points to a closed, oriented, manifold surface.
+
+    \b
+    pcretrieve reconstruct scan.ply -o body.obj --report
+    """
+    from pcretrieve.pipeline.process import reconstruct
+    from pcretrieve.surface import write_mesh
+
+    _check_output(output, scan)
+    options = load_options(config, surface)
+    mesh = reconstruct(scan, options)
+    write_mesh(mesh, output)
+    facts = {
+        "mesh": str(output),
+        "vertices": len(mesh.vertices),
+        "faces": len(mesh.faces),
+        "euler": mesh.euler_characteristic,
+        "area": mesh.area,
+        "volume": mesh.volume,
+    }
+    if as_json:
+        write_json(facts | {"steps": [asdict(step) for step in mesh.provenance]})
+        return
+    if report:
+        click.echo("\n".join(step_lines(mesh.provenance)))
+    say(
+        "  ".join(
+            f"{name} {value:.6g}" if isinstance(value, float) else f"{name} {value}"
+            for name, value in facts.items()
+        )
+    )
+
+
+def _check_output(output: Path, scan: Path) -> None:
+    """Before minutes of work: whether its result could be written."""
+    from pcretrieve.errors import InputError
+    from pcretrieve.surface.write import SUFFIXES
+
+    if output.suffix.lower() not in SUFFIXES:
+        raise InputError(f"a mesh file must end in one of {' '.join(SUFFIXES)}, got {output}")
+    if not output.parent.is_dir():
+        raise InputError(f"there is no folder {output.parent} to put {output.name} into: make it first")
+    if output.is_dir():
+        raise InputError(f"{output} is a folder: name a file for the mesh")
+    if output.exists() and scan.exists() and output.samefile(scan):
+        raise InputError(f"{output} is the scan itself: name another file for the mesh")

@@ -1,0 +1,42 @@
+"""The command that shows the provenance of a shape: show."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from pathlib import Path
+
+import click
+
+from pcretrieve.cli.parts import (
+    catalogue_option,
+    json_option,
+    step_lines,
+    write_json,
+)
+
+__all__ = ["show_command"]
+
+
+@click.command("show")
+@click.argument("shape_id", metavar="ID")
+@catalogue_option
+@json_option
+def show_command(shape_id: str, catalogue: Path, as_json: bool) -> None:
+    """A shape's provenance: where it came from, and what each stage did to it.
+
+    \b
+    pcretrieve show cat0 --catalogue bodies.sqlite
+    """
+    from pcretrieve.catalogue import Catalogue
+
+    with Catalogue(catalogue) as store:
+        record = store.record(shape_id)
+    if as_json:
+        write_json(asdict(record) | {"seconds": round(record.seconds, 3)})
+        return
+    for name, value in asdict(record).items():
+        if name == "versions":
+            value = ", ".join(f"{package} {version}" for package, version in record.versions.items())
+        if name != "steps" and value is not None:
+            click.echo(f"{name:<15} {value}")
+    click.echo("\n".join(step_lines(record.steps)))

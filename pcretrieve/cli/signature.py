@@ -1,0 +1,154 @@
+"""The command that prints signatures: signature."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from pcretrieve.cli.parts import (
+    EXIT_SOME_FAILED,
+    config_option,
+    failure_line,
+    json_option,
+    load_options,
+    method_option,
+    n_values_option,
+    say,
+    scale_option,
+    size_weight_option,
+    surface_option,
+    write_json,
+)
+
+if TYPE_CHECKING:
+    from pcretrieve.catalogue import Record
+    from pcretrieve.options import PipelineOptions
+    from pcretrieve.types import Signature
+
+    # Name, what came of it, and what else a JSON document tells.
+    Row = tuple[str, Signature | Record, dict[str, object]]
+
+__all__ = ["signature_command"]
+
+
+@click.command("signature")
+@click.argument("paths", nargs=-1, metavar="[PATH|ID]...")
+@click.option(
+    "--from-catalogue",
+    type=click.Path(path_type=Path),
+    metavar="FILE",
+    help="Take shapes of a catalogue, by id or all of them, and no scans.",
+)
+@method_option
+@n_values_option
+@click.option(
+    "--n-modes", type=click.IntRange(min=2), metavar="M", help="Modes of the surface.  [default: 60]"
+)
+@scale_option
+@size_weight_option
+@config_option
+@surface_option
+@json_option
+def signature_command(
+    paths: tuple[str, ...],
+    from_catalogue: Path | None,
+    method: str | None,
+    n_values: int | None,
+    n_modes: int | None,
+    scale: str | None,
+    size_weight: float | None,
+    config: Path | None,
+    surface: str | None,
+    as_json: bool,
+) -> None:
+    """Signatures of scans, one line each: path, then values.
+
+    With --from-catalogue, of shapes that it holds, computed from what it stores: id, then values.
+
+    \b
+    pcretrieve signature body.obj
+    pcretrieve signature scans/ --method shape-dna --json
+    pcretrieve signature --from-catalogue bodies.sqlite T12 T17 --method wks --n-values 40
+    """
+    from pcretrieve.catalogue import Record
+
+    if from_catalogue is not None and (config or surface):
+        raise click.UsageError("a catalogue has options of its own: leave out --config and --surface")
+    if from_catalogue is None and not paths:
+        raise click.UsageError("name at least one scan")
+    given = {
+        "method": method,
+        "n_values": n_values,
+        "n_modes": n_modes,
+        "scale": scale,
+        "size_weight": size_weight,
+    }
+    chosen = {name: value for name, value in given.items() if value is not None}
+    if from_catalogue is not None:
+        rows = _of_catalogue(from_catalogue, paths, chosen)
+    else:
+        rows = _of_scans(paths, load_options(config, surface).changed(signature=chosen))
+    found: list[dict[str, object]] = []
+    n_failed = 0
+    for name, outcome, facts in rows:
+        if isinstance(outcome, Record):
+            n_failed += 1
+            say(failure_line(outcome))
+            facts |= {"error": outcome.error, "stage": outcome.stage, "message": outcome.message}
+        else:
+            facts |= {"kind": outcome.kind, "values": outcome.values.tolist()}
+            if outcome.deviation is not None:
+                facts |= {"deviation": outcome.deviation.tolist()}
+            if not as_json:
+                click.echo("\t".join([name, *(f"{value:.9g}" for value in outcome.values)]))
+        found.append(facts)
+    if as_json:
+        write_json(found)
+    if n_failed:
+        click.get_current_context().exit(EXIT_SOME_FAILED)
+
+
+def _of_scans(paths: tuple[str, ...], options: PipelineOptions) -> Iterator[Row]:
+    """Signatures of scans, or the records of their failures."""
+    from pcretrieve.catalogue import Record
+    from pcretrieve.descriptors import describe
+    from pcretrieve.errors import ShapeError
+    from pcretrieve.ingest.discover import discover, printable
+    from pcretrieve.ingest.plan import failed
+    from pcretrieve.pipeline.process import process
+
+    for path in discover(paths):
+        name = printable(path)
+        try:
+            shape = process(path, options)
+            signature = describe(shape, options.signature)
+        except ShapeError as error:
+            yield name, failed(Record(Path(name).stem, name, ""), error), {"path": name}
+            continue
+        seconds = sum(step.seconds for step in shape.mesh.provenance)
+        yield name, signature, {"path": name, "seconds": round(seconds, 3)}
+
+
+def _of_catalogue(path: Path, ids: tuple[str, ...], chosen: dict[str, Any]) -> Iterator[Row]:
+    """Signatures of shapes that a catalogue holds, or the records of their failures."""
+    from pcretrieve.catalogue import Catalogue
+    from pcretrieve.descriptors import describe
+    from pcretrieve.errors import ShapeError
+    from pcretrieve.ingest.plan import failed
+
+    with Catalogue(path) as store:
+        options = store.options.changed(signature=chosen).signature
+        records = [store.record(shape_id) for shape_id in ids] or store.records()
+        for record in records:
+            facts: dict[str, object] = {"id": record.id, "path": record.path}
+            if record.status == "failed":
+                if ids:
+                    yield record.id, record, facts
+                continue
+            try:
+                yield record.id, describe(store.shape(record.id), options), facts
+            except ShapeError as error:
+                yield record.id, failed(record, error), facts

@@ -1,0 +1,273 @@
+"""One scan → what is wrong with it: each stage's work measured, and the error bar of its signature."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
+
+from pcretrieve.adapters.open3d import RayScene
+from pcretrieve.descriptors import describe
+from pcretrieve.errors import OptionError, ShapeError
+from pcretrieve.ingest.discover import printable
+from pcretrieve.inspection.checks import (
+    VERDICTS,
+    Check,
+    failure_check,
+    fit_checks,
+    marks_check,
+    normal_checks,
+    point_checks,
+    rescan_check,
+    spread_check,
+    surface_checks,
+)
+from pcretrieve.inspection.inspection import Inspection
+from pcretrieve.options import PipelineOptions
+from pcretrieve.pipeline.process import Seen, as_scan, described_shape, placed, signature, surface_stages
+from pcretrieve.surface import (
+    sampled,
+    sound_mesh,
+)
+from pcretrieve.types import Failure, FloatArray, PointCloud, Signature, TriangleMesh
+
+__all__ = ["inspect_scan", "signature_spread"]
+
+# Neighbours whose normals a point's own is compared with.
+N_NEIGHBORS = 8
+
+# A face farther than this from every point was filled in; median distances between nearest neighbours. With
+# points spread at random over a surface, one place in a million is as far from all of them.
+FILLED = 4
+
+# Cells that were cut or added nearer to each other than this are one cut or bridge; relative to the diagonal.
+PLACE = 0.02
+
+# A point this far from every cleaned one was dropped; median distances between nearest neighbours. Those of a
+# voxel are nearer to their mean.
+DROPPED = 1.1
+
+# Points in each rescan; relative to all.
+RESCAN_SHARE = 0.9
+
+
+def inspect_scan(scan: object, options: PipelineOptions | None = None, *, n_rescans: int = 4) -> Inspection:
+    """Everything that can be seen of a scan and of what the stages made of it.
+
+    A scan that fails is inspected as far as the stages came.
+
+    Parameters
+    ----------
+    scan : path, PointCloud, TriangleMesh, (n, 3) array, or Open3D geometry (legacy or tensor)
+    options : PipelineOptions, optional
+    n_rescans : int, default 4
+        As `signature_spread`; 0 leaves the error bar out.
+
+    Returns
+    -------
+    Inspection
+        In the unit of the scan.
+
+    Raises
+    ------
+    InputError
+        If `scan` is nothing that a scan can be made of, or `n_rescans` is 1 or negative.
+    """
+    # The form alone: in its picture, a size in the unit of the file would dwarf all other values.
+    options = (options or PipelineOptions()).changed(signature={"size_weight": 0})
+    if n_rescans:
+        _check_rescans(n_rescans, RESCAN_SHARE)
+    path = printable(scan) if isinstance(scan, (str, Path)) else ""
+    name = Path(path).name or "scan"
+    reached, failure = _Described(), None
+    try:
+        for described in _stages(scan, options, n_rescans):
+            reached = described
+    except ShapeError as error:
+        failure = Failure(name, error.stage or "worker", type(error).__name__, error.message)
+    return _inspection(name, path, reached, failure)
+
+
+def signature_spread(
+    scan: object,
+    options: PipelineOptions | None = None,
+    *,
+    n: int = 4,
+    share: float = RESCAN_SHARE,
+    seed: int = 0,
+) -> tuple[Signature, FloatArray, float]:
+    """The signature of a scan, and how far it moves when the surface is made anew from part of the points.
+
+    What moves it is chance: which points were caught, and what is cut, bridged or filled in because of that.
+    An error that all parts share, as of a side that nobody saw, does not show. A mesh that is used as it is
+    has no points to leave out, and does not move.
+
+    Parameters
+    ----------
+    scan : path, PointCloud, TriangleMesh, (n, 3) array, or Open3D geometry (legacy or tensor)
+    options : PipelineOptions, optional
+    n : int, default 4
+        How many parts are taken.
+    share : float, default 0.9
+        Points in each part, drawn at random; relative to all.
+    seed : int, default 0
+        Of the draws.
+
+    Returns
+    -------
+    signature : Signature
+        Of all points.
+    deviation : (L,) float64
+        Standard deviation of the logarithm of each value over the parts; dimensionless.
+    spread : float
+        Root mean square distance of the parts' log-signatures to their mean: the unit of the ``log``
+        distance of `SignatureIndex`.
+
+    Raises
+    ------
+    OptionError
+        If `n` is below 2, or `share` not between 0 and 1.
+    ShapeError
+        If the scan, or a part of it, has no usable surface.
+    """
+    options = options or PipelineOptions()
+    _check_rescans(n, share)
+    value = as_scan(scan)
+    described = signature(value, options)
+    if isinstance(value, TriangleMesh):
+        if sound_mesh(value, options.surface) is not None:
+            return described, np.zeros(len(described.values)), 0.0
+        value = sampled(value, options.surface)
+    deviation, spread = _scatter(_rescans(value, options, n=n, share=share, seed=seed))
+    return described, deviation, spread
+
+
+def _check_rescans(n: int, share: float) -> None:
+    if n < 2:
+        raise OptionError(f"a spread needs at least 2 rescans, got {n}")
+    if not 0 < share < 1:
+        raise OptionError(f"share must lie between 0 and 1, got {share}")
+
+
+def _rescans(cloud: PointCloud, options: PipelineOptions, *, n: int, share: float, seed: int) -> FloatArray:
+    """(n, L) log-signatures of random parts of a cloud."""
+    rng = np.random.default_rng(seed)
+    size = round(share * len(cloud.points))
+    parts = [np.sort(rng.choice(len(cloud.points), size, replace=False)) for _ in range(n)]
+    return np.log([signature(cloud.select(part), options).values for part in parts])
+
+
+def _scatter(logs: FloatArray) -> tuple[FloatArray, float]:
+    deviation: FloatArray = logs.std(axis=0)  # (L,)
+    return deviation, float(np.sqrt((deviation**2).sum()))
+
+
+# --- stages -------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Described:
+    """What there is after some stage, as in `Inspection`."""
+
+    seen: Seen = field(default_factory=Seen)
+    signature: Signature | None = None
+    deviation: FloatArray | None = None
+    spread: float | None = None
+
+
+def _stages(scan: object, options: PipelineOptions, n_rescans: int) -> Iterator[_Described]:
+    """As `pcretrieve.pipeline.process.signature`, one stage at a time; then the rescans."""
+    with placed(scan):
+        seen = Seen()
+        for seen in surface_stages(scan, options):
+            yield _Described(seen)
+        described = describe(described_shape(seen, options), options.signature)
+        yield (so_far := _Described(seen, replace(described, digest=options.signature_digest)))
+        if n_rescans and seen.scan is not None:
+            rescans = _rescans(seen.scan, options, n=n_rescans, share=RESCAN_SHARE, seed=0)
+            deviation, spread = _scatter(rescans)
+            yield replace(so_far, deviation=deviation, spread=spread)
+
+
+def _inspection(name: str, path: str, reached: _Described, failure: Failure | None) -> Inspection:
+    seen = reached.seen
+    scan, cloud, mesh = seen.scan, seen.cloud, seen.mesh
+    spacing = 0.0
+    dropped = np.zeros(0 if scan is None else len(scan.points), dtype=np.bool_)
+    filled = np.zeros(0 if mesh is None else len(mesh.faces), dtype=np.bool_)
+    cuts = bridges = np.zeros((0, 3))
+    checks: list[Check] = []
+    if cloud is None and scan is not None and len(scan.points) > 1:
+        spacing = float(np.median(_nearest(scan.points, scan.points, k=2)[0][:, 1]))
+    if scan is not None and cloud is not None:
+        distance, nearest = _nearest(cloud.points, cloud.points, k=N_NEIGHBORS + 1)  # itself first
+        spacing = float(np.median(distance[:, 1]))
+        dropped = _nearest(cloud.points, scan.points)[0][:, 0] > DROPPED * spacing
+        checks += point_checks(cloud, spacing=spacing)
+        if cloud.normals is not None:
+            checks += normal_checks(cloud.normals, nearest[:, 1:])
+    if mesh is not None:
+        checks += surface_checks(mesh)
+    if mesh is not None and cloud is not None:
+        filled = _nearest(cloud.points, mesh.vertices[mesh.faces].mean(axis=1))[0][:, 0] > FILLED * spacing
+        # Rays are cast in single precision: near the origin.
+        origin = cloud.points.mean(axis=0)
+        gap = RayScene(mesh.vertices - origin, mesh.faces).distance(cloud.points - origin)
+        lost = gap > FILLED * spacing
+        checks += fit_checks(
+            filled=float(mesh.face_areas[filled].sum() / mesh.area),
+            lost=float(lost.mean()),
+            noise=float(np.sqrt((gap[~lost] ** 2).sum() / max((~lost).sum(), 1))) / cloud.diagonal,
+        )
+    if seen.marks is not None and cloud is not None:
+        reach = PLACE * cloud.diagonal
+        cuts, bridges = _places(seen.marks.cuts, reach), _places(seen.marks.bridges, reach)
+        checks.append(marks_check(len(cuts), len(bridges)))
+    if reached.spread is not None:
+        checks.append(spread_check(reached.spread))
+    if failure is not None and reached.signature is not None:
+        checks.append(rescan_check(failure))
+        failure = None
+    elif failure is not None:
+        checks.append(failure_check(failure))
+    steps = next((part.provenance for part in (mesh, cloud, scan) if part is not None), ())
+    return Inspection(
+        name=name,
+        path=path,
+        checks=tuple(sorted(checks, key=lambda check: VERDICTS.index(check.verdict))),
+        scan=scan,
+        dropped=dropped,
+        cloud=cloud,
+        spacing=spacing,
+        mesh=mesh,
+        filled=filled,
+        cuts=cuts,
+        bridges=bridges,
+        signature=reached.signature,
+        deviation=reached.deviation,
+        spread=reached.spread,
+        failure=failure,
+        steps=steps,
+    )
+
+
+def _nearest(points: FloatArray, places: FloatArray, k: int = 1) -> tuple[FloatArray, NDArray[np.intp]]:
+    """(p, k) distances from each place to the points nearest to it, and their numbers."""
+    distance, number = cKDTree(points).query(places, k=np.arange(1, k + 1))
+    return np.asarray(distance), np.asarray(number)
+
+
+def _places(cells: FloatArray, reach: float) -> FloatArray:
+    """(p, 3) middles of the groups of cells that are nearer to each other than `reach`."""
+    near = cKDTree(cells).query_pairs(reach, output_type="ndarray") if len(cells) else np.zeros((0, 2), int)
+    links = coo_array((np.ones(len(near)), (near[:, 0], near[:, 1])), shape=(len(cells), len(cells)))
+    n, group = connected_components(links, directed=False)
+    sums = np.stack([np.bincount(group, cells[:, axis], n) for axis in range(3)], axis=1)
+    middles: FloatArray = sums / np.bincount(group, minlength=n)[:, None]
+    return middles

@@ -1,0 +1,155 @@
+"""A page to look at: one scan, what is wrong with it, and a view of it that can be turned.
+
+One HTML file that needs nothing else: pictures, points and the few lines that draw them are inlined, and no
+request leaves the page.
+"""
+
+from __future__ import annotations
+
+from base64 import b64encode
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pcretrieve.inspection.inspection import Inspection
+from pcretrieve.pages.inspection_pictures import (
+    AWAY,
+    BRIDGE,
+    CUT,
+    DROPPED,
+    FACING,
+    FILLED,
+    KEPT,
+    SKIN_WIDTH,
+    css,
+    inspection_views,
+    rows_of,
+    thinned,
+)
+from pcretrieve.pages.report import template, write_file
+from pcretrieve.pages.scan_pictures import Colour
+from pcretrieve.pages.thumbnail import CLAY
+from pcretrieve.types import FloatArray
+
+__all__ = ["write_inspection_page"]
+
+# Half the side of the cube that the view that turns can show, with room for strays near the body; farther
+# ones are left out. Relative to the radius of the ball round the body.
+STRAY_ROOM = 1.25
+
+# Largest 16-bit number: what the view that turns stores coordinates in.
+FULL_SCALE = 2**16 - 1
+
+
+def write_inspection_page(inspection: Inspection, path: str | Path) -> Path:
+    """Write the page; a file that is there already is replaced in one step, or left as it is.
+
+    Returns
+    -------
+    Path
+        Of the file, absolute.
+
+    Raises
+    ------
+    InputError
+        Where the file cannot be written.
+    """
+    target = Path(path).absolute()
+    page = (
+        template()
+        .environment.get_template("inspect.html")
+        .render(
+            it=inspection,
+            rows=[row.encoded() for row in rows_of(inspection)],
+            scene=_scene(inspection),
+            plot=_plot(inspection),
+        )
+    )
+    write_file(target, page.encode("utf-8", errors="replace"))
+    return target
+
+
+# --- the view that turns ------------------------------------------------------------------------------
+
+
+def _scene(it: Inspection) -> dict[str, Any] | None:
+    """What the page's own viewer draws: layers of points or faces, as base64 of little-endian arrays."""
+    views = inspection_views(it)
+    if not views:
+        return None
+    low, high = it.body.min(axis=0), it.body.max(axis=0)
+    centre = (low + high) / 2
+    reach = float(np.linalg.norm(it.body - centre, axis=1).max()) or 1.0  # of one place
+    half = STRAY_ROOM * reach
+
+    def layer_of(
+        name: str, label: str, points: FloatArray, colour: Colour, *, width: float, **more: Any
+    ) -> dict[str, Any]:
+        inside = (abs(points - centre) <= half).all(axis=1)
+        grid = np.round((points[inside] - centre + half) / (2 * half) * FULL_SCALE)
+        facts = {"name": name, "label": label, "colour": colour, "css": css(colour), "width": width / half}
+        return facts | {"at": _base64(grid.astype("<u2"))} | more
+
+    layers = []
+    if it.scan is not None:
+        kept, dropped = thinned(it.scan.points[~it.dropped]), thinned(it.scan.points[it.dropped])
+        layers.append(layer_of("points", "points", kept, KEPT, width=SKIN_WIDTH / 2 * it.spacing))
+        layers.append(layer_of("dropped", "dropped", dropped, DROPPED, width=half / 60, over=True))
+    if it.cloud is not None and it.cloud.normals is not None:
+        normals = np.round(127 * thinned(it.cloud.normals)).astype(np.int8)
+        points, width = thinned(it.cloud.points), SKIN_WIDTH * it.spacing
+        more = {"back": AWAY, "normal": _base64(normals)}
+        layers.append(layer_of("normals", "which side is outside", points, FACING, width=width, **more))
+    if it.mesh is not None:
+        vertices = it.mesh.vertices
+        for name, label, faces, colour in (
+            ("surface", "surface", it.mesh.faces, CLAY),
+            ("filled", "filled in", it.mesh.faces[it.filled], FILLED),
+        ):
+            corners = _base64(faces.astype("<u4"))
+            layers.append(layer_of(name, label, vertices, colour, width=0, faces=corners))
+        for name, places, colour in (("cuts", it.cuts, CUT), ("bridges", it.bridges, BRIDGE)):
+            layers.append(layer_of(name, name, places, colour, width=half / 30, over=True))
+    on = {"surface", "filled", "cuts", "bridges"} if it.mesh is not None else {"points", "dropped"}
+    return {"layers": layers, "on": sorted(on), "axes": views[0].axes.tolist(), "zoom": STRAY_ROOM}
+
+
+def _base64(values: NDArray[Any]) -> str:
+    return b64encode(np.ascontiguousarray(values).tobytes()).decode("ascii")
+
+
+# --- the signature ------------------------------------------------------------------------------------
+
+
+class _Plot(NamedTuple):
+    """Logarithms of a signature in the unit square of an SVG, whose y axis points down."""
+
+    line: str
+    band: str
+    bars: list[tuple[float, float]]
+    highest: float
+    lowest: float
+    largest: float
+
+
+def _plot(it: Inspection) -> _Plot | None:
+    if it.signature is None:
+        return None
+    logs = np.log(it.signature.values)  # (L,)
+    deviation = np.zeros_like(logs) if it.deviation is None else it.deviation
+    low, high = float((logs - deviation).min()), float((logs + deviation).max())
+    across = (np.arange(len(logs)) + 0.5) / len(logs)
+    largest = float(deviation.max())
+
+    def along(values: Sequence[float] | FloatArray, order: slice = slice(None)) -> str:
+        down = (high - np.asarray(values)) / max(high - low, np.finfo(float).tiny)
+        pairs = zip(across[order], down[order], strict=True)
+        return " ".join(f"{x:.4f},{y:.4f}" for x, y in pairs)
+
+    band = along(logs + deviation) + " " + along(logs - deviation, slice(None, None, -1))
+    heights = deviation / max(largest, np.finfo(float).tiny)
+    bars = [(float(x), float(height)) for x, height in zip(across, heights, strict=True)]
+    return _Plot(along(logs), band, bars, high, low, largest)

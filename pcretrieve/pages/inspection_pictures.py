@@ -1,0 +1,209 @@
+"""Pictures of one inspected scan, in rows: one thing from all sides, in colours that say what is wrong."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from io import BytesIO
+from pathlib import Path
+
+import numpy as np
+from PIL import Image, ImageDraw, ImageFont
+
+from pcretrieve.inspection.inspection import Inspection
+from pcretrieve.pages.report import write_file
+from pcretrieve.pages.scan_pictures import Colour, View, point_picture, rgb, surface_picture, views_of
+from pcretrieve.pages.thumbnail import CLAY
+from pcretrieve.types import FloatArray, PointCloud, TriangleMesh
+
+__all__ = [
+    "AWAY",
+    "BRIDGE",
+    "CUT",
+    "DROPPED",
+    "FACING",
+    "FILLED",
+    "KEPT",
+    "SKIN_WIDTH",
+    "Row",
+    "css",
+    "inspection_views",
+    "rows_of",
+    "thinned",
+    "write_inspection_png",
+]
+
+PICTURE_PIXELS = 280
+
+# A picture of this many colours is a third as large, and looks the same.
+N_COLOURS = 128
+
+# More points than this say no more in a picture, and make the page larger than 5 MB.
+MOST_POINTS = 45_000
+
+# sRGB in [0, 1]: blue is right, orange is wrong, also for the colour-blind; each on white and on black.
+KEPT = (0.42, 0.55, 0.70)
+DROPPED = (0.86, 0.10, 0.42)
+FACING = (0.24, 0.50, 0.82)
+AWAY = (0.95, 0.52, 0.10)
+FILLED = (0.95, 0.52, 0.10)
+CUT = (0.80, 0.05, 0.15)
+BRIDGE = (0.45, 0.15, 0.75)
+
+# Dropped points are few: drawn wider than others, they are seen.
+DROPPED_WIDTH = 2.5
+
+# Squares this wide close up to a skin, through which the far side does not show; median distances between
+# neighbours.
+SKIN_WIDTH = 3.5
+
+# Points without normals are shaded by depth, from this brightness at the far end to 1 at the near one.
+DARKEST = 0.35
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Row:
+    """One thing from all sides, without the empty space above and below, and what its colours mean."""
+
+    title: str
+    key: list[tuple[Colour, str]]
+    pictures: list[Image.Image]
+
+    def __post_init__(self) -> None:
+        boxes = [box for picture in self.pictures if (box := picture.getbbox())]
+        top, bottom = min((box[1] for box in boxes), default=0), max((box[3] for box in boxes), default=1)
+        cut = [picture.crop((0, top, picture.width, bottom)) for picture in self.pictures]
+        object.__setattr__(self, "pictures", cut)
+
+    def encoded(self) -> dict[str, object]:
+        """For the page: colours as CSS, pictures as PNG with a palette."""
+        files = []
+        for picture in self.pictures:
+            file = BytesIO()
+            picture.quantize(N_COLOURS).save(file, "PNG", optimize=True)
+            files.append(file.getvalue())
+        key = [(css(colour), words) for colour, words in self.key]
+        return {"title": self.title, "key": key, "pictures": files}
+
+
+def inspection_views(it: Inspection) -> list[View]:
+    """Views from four sides; none where there is nothing to see."""
+    return views_of(it.body) if len(it.body) else []
+
+
+def rows_of(it: Inspection) -> list[Row]:
+    """Points, normals, surface, and what was done to it: those that there are."""
+    rows = []
+    if it.scan is not None and inspection_views(it):
+        rows.append(_raw_row(it.scan, it))
+    if it.cloud is not None and it.cloud.normals is not None:
+        rows.append(_normals_row(it.cloud, it.cloud.normals, it))
+    if it.mesh is not None:
+        clay = np.tile(CLAY, (len(it.mesh.faces), 1))
+        plain = [surface_picture(it.mesh, clay, view, size=PICTURE_PIXELS) for view in inspection_views(it)]
+        rows.append(Row("Surface", [(CLAY, f"{len(it.mesh.faces)} faces")], plain))
+    if it.mesh is not None and it.cloud is not None:
+        rows.append(_marks_row(it.mesh, it))
+    return rows
+
+
+def _raw_row(scan: PointCloud, it: Inspection) -> Row:
+    kept, dropped = thinned(scan.points[~it.dropped]), thinned(scan.points[it.dropped])
+    width = SKIN_WIDTH / 2 * it.spacing
+    pictures = []
+    for view in inspection_views(it):
+        depth = view.seen(kept)[:, 2:]
+        bright = DARKEST + (1 - DARKEST) * (np.clip(depth, -1, 1) + 1) / 2  # (n, 1)
+        picture = point_picture(kept, bright * KEPT, view, width=width, size=PICTURE_PIXELS)
+        over = point_picture(
+            dropped,
+            np.tile(DROPPED, (len(dropped), 1)),
+            view,
+            width=max(DROPPED_WIDTH * width, view.half / 60),
+            size=PICTURE_PIXELS,
+        )
+        pictures.append(Image.alpha_composite(picture, over))
+    n = int(it.dropped.sum())
+    key = [(KEPT, f"{len(scan.points) - n} points"), (DROPPED, f"{n} dropped as strays")]
+    return Row("Points as they were read", key, pictures)
+
+
+def _normals_row(cloud: PointCloud, normals: FloatArray, it: Inspection) -> Row:
+    pictures = []
+    for view in inspection_views(it):
+        facing = normals @ view.axes[2]  # (n,)
+        colours = (
+            np.where(facing[:, None] > 0, FACING, AWAY) * (DARKEST + (1 - DARKEST) * abs(facing))[:, None]
+        )
+        picture = point_picture(
+            cloud.points, colours, view, width=SKIN_WIDTH * it.spacing, size=PICTURE_PIXELS
+        )
+        pictures.append(picture)
+    key = [(FACING, "outside faces you"), (AWAY, "inside faces you: a hole, or a patch turned over")]
+    return Row("Which side is outside", key, pictures)
+
+
+def _marks_row(mesh: TriangleMesh, it: Inspection) -> Row:
+    colours = np.where(it.filled[:, None], FILLED, CLAY)
+    rings = [(it.cuts, CUT), (it.bridges, BRIDGE)]
+    pictures = [
+        surface_picture(mesh, colours, view, size=PICTURE_PIXELS, rings=rings)
+        for view in inspection_views(it)
+    ]
+    key = [
+        (FILLED, "filled in, no point nearby"),
+        (CUT, f"cuts: {len(it.cuts)}"),
+        (BRIDGE, f"bridges: {len(it.bridges)}"),
+    ]
+    return Row("What was filled in, cut and bridged", key, pictures)
+
+
+def thinned(points: FloatArray) -> FloatArray:
+    """At most `MOST_POINTS` rows, evenly through the file."""
+    return points[np.linspace(0, len(points) - 1, min(len(points), MOST_POINTS)).astype(np.intp)]
+
+
+def css(colour: Colour) -> str:
+    """As style sheets write it."""
+    return "#" + bytes(rgb(colour)).hex()
+
+
+def write_inspection_png(inspection: Inspection, path: str | Path) -> Path:
+    """Write all pictures on one sheet, under the verdict; as `write_inspection_page` otherwise."""
+    target = Path(path).absolute()
+    rows = rows_of(inspection)
+    margin, line, title = 16, 22, 34
+    width = 2 * margin + len(inspection_views(inspection) or [0] * 4) * PICTURE_PIXELS
+    lines = [check for check in inspection.checks if check.verdict != "passed"]
+    height = 3 * margin + title + line * (1 + len(lines))
+    height += sum(row.pictures[0].height + 2 * line + margin for row in rows)
+    sheet = Image.new("RGB", (width, height), "white")
+    pen = ImageDraw.Draw(sheet)
+
+    def write(text: str, x: int, y: int, size: int, colour: Colour = (0.1, 0.1, 0.1)) -> None:
+        font = ImageFont.load_default(size)
+        while text and pen.textlength(text, font) > width - margin - x:
+            text = text[:-2].rstrip("…") + "…" if len(text) > 2 else ""
+        pen.text((x, y), text, rgb(colour), font)
+
+    write(inspection.name, margin, margin, 24)
+    y = margin + title
+    write(inspection.summary, margin, y, 16, CUT if inspection.verdict == "failed" else (0.1, 0.1, 0.1))
+    for check in lines:
+        y += line
+        write(f"{check.verdict}: {check.name}: {check.shown}. {check.words}", margin, y, 14, (0.3, 0.3, 0.3))
+    y += line + margin
+    for row in rows:
+        write(row.title, margin, y, 16)
+        x = margin
+        for colour, words in row.key:
+            pen.rectangle((x, y + line + 4, x + 10, y + line + 14), rgb(colour))
+            write(words, x + 16, y + line, 13, (0.3, 0.3, 0.3))
+            x += 36 + round(pen.textlength(words, ImageFont.load_default(13)))
+        y += 2 * line
+        for column, picture in enumerate(row.pictures):
+            sheet.paste(picture, (margin + column * PICTURE_PIXELS, y), picture)
+        y += row.pictures[0].height + margin
+    file = BytesIO()
+    sheet.save(file, "PNG")
+    write_file(target, file.getvalue())
+    return target

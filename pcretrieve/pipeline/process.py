@@ -1,0 +1,364 @@
+"""The only module that knows every stage: scan → surface → spectrum → signature."""
+
+from __future__ import annotations
+
+import time
+import traceback
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from scipy.sparse import csc_array
+from scipy.sparse.csgraph import connected_components
+from threadpoolctl import threadpool_limits
+
+from pcretrieve.adapters import tetwild
+from pcretrieve.descriptors import describe
+from pcretrieve.errors import (
+    DegenerateMeshError,
+    InputError,
+    MemoryExceeded,
+    PcretrieveError,
+    ReconstructionError,
+    ShapeError,
+    UnexpectedError,
+)
+from pcretrieve.options import PipelineOptions
+from pcretrieve.scan import clean, oriented_normals, read_scan
+from pcretrieve.spectral import eigenpairs, laplace_beltrami, star_mesh
+from pcretrieve.surface import (
+    SurfaceMarks,
+    body_surfaces,
+    defects,
+    poisson_surface,
+    remesh,
+    sampled,
+    sound_mesh,
+)
+from pcretrieve.types import (
+    FloatArray,
+    LaplaceBeltrami,
+    ModalSpectrum,
+    PointCloud,
+    Signature,
+    Step,
+    TriangleMesh,
+)
+
+__all__ = [
+    "Seen",
+    "Shape",
+    "as_scan",
+    "described_shape",
+    "placed",
+    "process",
+    "reconstruct",
+    "signature",
+    "surface_stages",
+]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Shape:
+    """One scan, all the way.
+
+    Attributes
+    ----------
+    mesh : TriangleMesh
+        The surface, in the unit of the file; its provenance covers every stage. With the element points, the
+        triangles that neighbouring points form, with small holes.
+    spectrum : ModalSpectrum
+        Of that surface, scaled to unit area.
+    area : float
+        Of that surface; unit length² of the file.
+    others : tuple of ModalSpectrum
+        Of the other surfaces that were made of the scan, each scaled as the first one was.
+    """
+
+    mesh: TriangleMesh
+    spectrum: ModalSpectrum
+    area: float
+    others: tuple[ModalSpectrum, ...] = ()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Seen:
+    """What there is of a scan after some stage, in its own unit.
+
+    Attributes
+    ----------
+    scan : PointCloud or None
+        The raw points; None where a mesh is used as it is.
+    cloud : PointCloud or None
+        Cleaned, and once they are known with normals.
+    mesh : TriangleMesh or None
+    marks : SurfaceMarks or None
+        Where the surface was cut and bridged.
+    others : tuple of TriangleMesh
+        Further surfaces of the same scan.
+    """
+
+    scan: PointCloud | None = None
+    cloud: PointCloud | None = None
+    mesh: TriangleMesh | None = None
+    marks: SurfaceMarks | None = None
+    others: tuple[TriangleMesh, ...] = ()
+
+
+def signature(scan: object, options: PipelineOptions | None = None) -> Signature:
+    """The signature of one scan.
+
+    Parameters
+    ----------
+    scan : path, PointCloud, TriangleMesh, (n, 3) array, or Open3D geometry (legacy or tensor)
+    options : PipelineOptions, optional
+
+    Returns
+    -------
+    Signature
+        Dimensionless; the same for a scan in millimetres and in metres.
+
+    Raises
+    ------
+    ShapeError
+        If the scan cannot be read or has no usable surface.
+    """
+    options = options or PipelineOptions()
+    described = describe(process(scan, options), options.signature)
+    return replace(described, digest=options.signature_digest)
+
+
+def reconstruct(scan: object, options: PipelineOptions | None = None) -> TriangleMesh:
+    """The surface of one scan: closed, connected, manifold, pointing outwards.
+
+    A mesh that is all of that already is used as it is, unless ``options.surface.mode`` says otherwise; with
+    ``keep``, a mesh may have holes. Lengths are in the unit of the scan; ``mesh.provenance`` tells what was
+    done, repaired and fallen back to.
+
+    Parameters
+    ----------
+    scan : path, PointCloud, TriangleMesh, (n, 3) array, or Open3D geometry (legacy or tensor)
+    options : PipelineOptions, optional
+
+    Raises
+    ------
+    ShapeError
+        If the scan cannot be read or has no usable surface.
+    """
+    with placed(scan):
+        options = options or PipelineOptions()
+        *_, last = surface_stages(scan, options.changed(surface={"reconstructions": 1}))
+    if last.mesh is None:
+        raise TypeError("the last stage always has a surface")
+    return last.mesh
+
+
+def surface_stages(scan: object, options: PipelineOptions) -> Iterator[Seen]:
+    """The way from a scan to its surface, one stage at a time; the last has the final surface.
+
+    Raises
+    ------
+    ShapeError
+        In the stage that fails; what the stages before it made has been seen by then.
+    """
+    value = as_scan(scan)
+    if isinstance(value, TriangleMesh):
+        yield Seen(scan=PointCloud(value.vertices, provenance=value.provenance))
+        kept = sound_mesh(value, options.surface)
+        if kept is not None:
+            yield Seen(mesh=kept)
+            return
+        value = sampled(value, options.surface)
+    if options.remesh.method == "tetwild":
+        tetwild.start()
+    yield (seen := Seen(scan=value))
+    cleaned = clean(value, options.scan)
+    yield (seen := replace(seen, cloud=replace(cleaned, normals=None)))
+    # Open3D reconstructs in single precision: far from the origin it loses the shape, or crashes.
+    origin = cleaned.points.mean(axis=0)
+    cloud = oriented_normals(_moved(cleaned, -origin), options.scan)
+    yield (seen := replace(seen, cloud=_moved(cloud, origin)))
+    surfaces: Iterator[tuple[TriangleMesh, SurfaceMarks | None]]
+    if options.surface.method == "poisson":
+        surfaces = iter([(poisson_surface(cloud, options.surface), None)])
+    else:
+        surfaces = body_surfaces(cloud, options.surface)
+    mesh, found = next(surfaces)
+    marks = None if found is None else SurfaceMarks(found.cuts + origin, found.bridges + origin)
+    yield (seen := replace(seen, mesh=_mesh_moved(mesh, origin), marks=marks))
+    final = _mesh_moved(_final(mesh, options), origin)
+    yield (seen := replace(seen, mesh=final))
+    try:
+        for other, _ in surfaces:
+            yield (seen := replace(seen, others=(*seen.others, _final(other, options))))
+    except ReconstructionError as error:
+        # The first one stands: one surface is enough for a signature, if not for its error bar.
+        note = Step("surface", 0.0, notes=(f"no further surface could be made: {error.message}",))
+        yield replace(seen, mesh=final.after(note))
+
+
+def _final(mesh: TriangleMesh, options: PipelineOptions) -> TriangleMesh:
+    final = remesh(mesh, options.remesh)
+    if wrong := defects(final):
+        raise DegenerateMeshError(f"the surface must be a closed manifold, it has defects: {wrong}")
+    return final
+
+
+def process(scan: object, options: PipelineOptions) -> Shape:
+    """Surface and spectrum of one scan, on one thread.
+
+    More would not help, blocks being narrow, and wait for each other where other work keeps a core busy.
+    """
+    with threadpool_limits(limits=1), placed(scan):
+        if options.spectral.element == "points":
+            return _of_points(scan, options)
+        *_, last = surface_stages(scan, options)
+        return described_shape(last, options)
+
+
+def described_shape(seen: Seen, options: PipelineOptions) -> Shape:
+    """What descriptors need of the surfaces of one scan.
+
+    Raises
+    ------
+    SpectrumError
+        If a surface has no spectrum.
+    """
+    mesh = seen.mesh
+    if mesh is None:
+        raise TypeError("there is a surface after the last stage")
+    started = time.perf_counter()
+    spectrum, facts = _spectrum(mesh, options)
+    others = tuple(_spectrum(other, options)[0].scaled(other.area / mesh.area) for other in seen.others)
+    before = 0 if seen.cloud is None else len(seen.cloud.provenance)
+    steps = [step for other in seen.others for step in other.provenance[before:]]
+    step = Step("spectrum", time.perf_counter() - started, facts)
+    return Shape(replace(mesh, provenance=(*mesh.provenance, *steps, step)), spectrum, mesh.area, others)
+
+
+def _spectrum(mesh: TriangleMesh, options: PipelineOptions) -> tuple[ModalSpectrum, dict[str, float]]:
+    # Unit area: the reduced matrix scales as length⁴, and tolerances should mean one thing.
+    vertices = (mesh.vertices - mesh.vertices.mean(axis=0)) / np.sqrt(mesh.area)
+    operator = laplace_beltrami(TriangleMesh(vertices, mesh.faces), options.spectral.element)
+    return _solved(operator, options, len(mesh.vertices))
+
+
+def _solved(
+    operator: LaplaceBeltrami, options: PipelineOptions, n_vertices: int
+) -> tuple[ModalSpectrum, dict[str, float]]:
+    """The spectrum of an operator of unit area, and the sizes that its step states."""
+    pairs = eigenpairs(operator, options.spectral.n_pairs)
+    sizes = {
+        "vertices": n_vertices,
+        "pairs": len(pairs.eigenvalues),
+        "residual": pairs.largest_residual,
+    }
+    return replace(ModalSpectrum.of(pairs), area=1.0), sizes
+
+
+def _of_points(scan: object, options: PipelineOptions) -> Shape:
+    """The spectrum of a cloud that no surface is made of."""
+    cloud = _oriented(scan, options)
+    started = time.perf_counter()
+    cloud, operator, notes = _largest_piece(cloud, options)
+    mesh = star_mesh(cloud)
+    unit = replace(operator, mass=csc_array(operator.mass / operator.area))
+    spectrum, sizes = _solved(unit, options, len(mesh.vertices))
+    step = Step("spectrum", time.perf_counter() - started, sizes, notes)
+    return Shape(mesh.after(step), spectrum, operator.area)
+
+
+def _oriented(scan: object, options: PipelineOptions) -> PointCloud:
+    """The cleaned points with their normals, of a mesh those sampled from it: the way as far as a surface."""
+    for seen in surface_stages(scan, options.changed(surface={"mode": "reconstruct"})):
+        if seen.cloud is not None and seen.cloud.normals is not None:
+            return seen.cloud
+    raise TypeError("a surface is always made from oriented points")
+
+
+def _largest_piece(
+    cloud: PointCloud, options: PipelineOptions
+) -> tuple[PointCloud, LaplaceBeltrami, tuple[str, ...]]:
+    """The points that hang together, without clumps of strays; their operator; and what was dropped."""
+    operator = laplace_beltrami(_moved(cloud, -cloud.points.mean(axis=0)), "points")
+    if operator.n_components == 1:
+        return cloud, operator, ()
+    _, piece = connected_components(operator.stiffness, directed=False)  # (n,)
+    share = np.bincount(piece) / len(piece)
+    second = np.sort(share)[-2]
+    if second > options.surface.max_discarded:
+        raise ReconstructionError(
+            f"the scan holds two bodies or more: a second piece has {second:.0%} of the points; cut them "
+            "apart, or raise surface.max_discarded"
+        )
+    kept = np.flatnonzero(piece == share.argmax())
+    stiffness, mass = (csc_array(full[:, kept][kept]) for full in (operator.stiffness, operator.mass))
+    note = f"dropped {len(share) - 1} loose pieces with {1 - share.max():.1%} of the points"
+    return cloud.select(kept), LaplaceBeltrami(stiffness, mass), (note,)
+
+
+def as_scan(scan: object) -> PointCloud | TriangleMesh:
+    """The scan as one of pcretrieve's own types.
+
+    Raises
+    ------
+    InputError
+        If it is nothing that a scan can be made of.
+    """
+    if isinstance(scan, (PointCloud, TriangleMesh)):
+        return scan
+    if isinstance(scan, (str, Path)):
+        return read_scan(scan)
+    if isinstance(scan, np.ndarray):
+        return PointCloud(scan)
+    from pcretrieve.adapters.open3d import geometry_arrays
+
+    try:
+        points, faces, normals = geometry_arrays(scan)
+    except TypeError as error:
+        raise InputError(
+            "a scan must be a path, an (n, 3) array, a PointCloud, a TriangleMesh, or an Open3D point cloud "
+            f"or triangle mesh, got {type(scan).__name__}"
+        ) from error
+    return PointCloud(points, normals) if faces is None else TriangleMesh(points, faces)
+
+
+def _mesh_moved(mesh: TriangleMesh, by: FloatArray) -> TriangleMesh:
+    return replace(mesh, vertices=mesh.vertices + by)
+
+
+def _moved(cloud: PointCloud, by: FloatArray) -> PointCloud:
+    return replace(
+        cloud,
+        points=cloud.points + by,
+        viewpoints=None if cloud.viewpoints is None else cloud.viewpoints + by,
+    )
+
+
+@contextmanager
+def placed(scan: object) -> Iterator[None]:
+    """Errors of a stage, with the scan that they happened to; whatever it is, the next scan can go on."""
+    name = Path(scan).name if isinstance(scan, (str, Path)) else None
+    try:
+        yield
+    except ShapeError as error:
+        error.shape_id = error.shape_id or name
+        raise
+    except PcretrieveError:
+        raise
+    except MemoryError as error:
+        raise MemoryExceeded(
+            "the scan needs more memory than there is, or than --memory allows: raise that, or thin the scan",
+            shape_id=name,
+        ) from error
+    except Exception as error:
+        *_, last = (
+            frame for frame in traceback.extract_tb(error.__traceback__) if "pcretrieve" in frame.filename
+        )
+        raise UnexpectedError(
+            f"{type(error).__name__}: {error} (at {Path(last.filename).name}, line {last.lineno}); this is a "
+            "fault of pcretrieve, please report it with the scan",
+            shape_id=name,
+        ) from error

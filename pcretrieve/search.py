@@ -1,0 +1,55 @@
+"""Catalogue and query scan → ranked shapes."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from pcretrieve.catalogue import Catalogue
+from pcretrieve.descriptors import describe
+from pcretrieve.errors import InputError
+from pcretrieve.ingest.discover import content_hash
+from pcretrieve.options import SignatureOptions
+from pcretrieve.pipeline.process import process
+from pcretrieve.retrieval import SignatureIndex
+from pcretrieve.types import Neighbors
+
+__all__ = ["search"]
+
+
+def search(
+    catalogue: Catalogue,
+    scan: str | Path,
+    *,
+    k: int = 10,
+    distance: str = "log",
+    whitening: str = "none",
+    options: SignatureOptions | None = None,
+) -> Neighbors:
+    """The shapes of a catalogue nearest to a scan.
+
+    Parameters
+    ----------
+    catalogue : Catalogue
+    scan : str or Path
+        Processed with the catalogue's own options; looked up by content where the catalogue holds it.
+    k : int, default 10
+    distance, whitening : str
+        As in `SignatureIndex` and `Catalogue.whitening`.
+    options : SignatureOptions, optional
+        A descriptor other than the catalogue's own.
+
+    Raises
+    ------
+    InputError
+        If the catalogue holds no shapes.
+    ShapeError
+        If the scan cannot be read or has no usable surface.
+    """
+    table = catalogue.signatures(options)
+    if not len(table):
+        raise InputError(f"{catalogue.path} holds no shapes: ingest some first")
+    digest = content_hash(Path(scan))
+    held = next((r for r in catalogue.records() if r.content_hash == digest and r.status == "done"), None)
+    shape = catalogue.shape(held.id) if held else process(scan, catalogue.options)
+    index = SignatureIndex(table, distance=distance, whitening=catalogue.whitening(whitening, options))
+    return index.query(describe(shape, options or catalogue.options.signature).values, k)

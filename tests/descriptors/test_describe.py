@@ -1,0 +1,237 @@
+"""What holds of every descriptor in the table."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+import shapes
+
+from pcretrieve.descriptors import (
+    METHODS,
+    OF_MESH,
+    bihdm,
+    combined,
+    describe,
+    r_bihdm,
+    sd_gdm,
+    shape_dna,
+    wks,
+)
+from pcretrieve.descriptors.sd_gdm import geodesic_matrix
+from pcretrieve.errors import DegenerateMeshError, OptionError, SpectrumError
+from pcretrieve.options import METHODS as NAMES
+from pcretrieve.options import SIZELESS, PipelineOptions, SignatureOptions, signature_methods
+from pcretrieve.pipeline.process import Shape, process
+from pcretrieve.types import FloatArray, Signature, TriangleMesh
+
+N_VALUES = 9
+
+# Geodesic distances come from another mesh once vertices have other numbers: ties are broken by number.
+TOLERANCE = dict.fromkeys(NAMES, 1e-6) | {"sd-gdm": 0.05}
+
+
+@pytest.fixture(params=NAMES)
+def method(request: pytest.FixtureRequest) -> str:
+    name: str = request.param
+    if name == "sd-gdm":
+        pytest.importorskip("potpourri3d", reason="geodesic distances come from potpourri3d")
+    return name
+
+
+@cache
+def body() -> Shape:
+    return process(shapes.body(3), PipelineOptions())
+
+
+def values(shape: Shape, method: str, scale: str = "relative") -> FloatArray:
+    options = SignatureOptions(method=method, n_values=N_VALUES, scale=scale)
+    return describe(shape, options).values
+
+
+def test_the_table_has_every_name_that_the_options_know() -> None:
+    assert tuple(METHODS) == NAMES == signature_methods()[: len(NAMES)]
+
+
+def test_a_descriptor_says_what_it_is_and_is_positive(method: str) -> None:
+    signature = describe(body(), SignatureOptions(method=method, n_values=N_VALUES))
+    assert signature.kind == method
+    length = {"combined": 2 * N_VALUES}.get(method, N_VALUES)
+    assert len(signature.values) == (N_VALUES * (N_VALUES + 1) // 2 if "spatial" in method else length)
+    assert (signature.values > 0).all()
+
+
+@pytest.mark.parametrize("change", [shapes.moved, shapes.renumbered])
+def test_it_does_not_see_motion_or_numbering(method: str, change) -> None:  # type: ignore[no-untyped-def]
+    other = process(change(shapes.body(3), 1), PipelineOptions())
+    np.testing.assert_allclose(
+        np.log(values(other, method)), np.log(values(body(), method)), atol=TOLERANCE[method]
+    )
+
+
+def test_it_tells_a_body_from_a_cigar(method: str) -> None:
+    cigar = process(shapes.ellipsoid((1.0, 0.2, 0.2), subdivisions=3), PipelineOptions())
+    gap = np.abs(np.log(values(cigar, method)) - np.log(values(body(), method))).max()
+    assert gap > 0.08  # more than motion and numbering change, of whatever descriptor
+
+
+# Powers of length that the values of absolute size grow by; R-BiHDM's and Shape-DNA's halves of combined.
+POWERS = {"r-bihdm": 4, "bihdm": 4, "shape-dna": 2, "sd-gdm": 3, "combined": [4] * N_VALUES + [2] * N_VALUES}
+
+
+def test_size_is_kept_where_it_is_asked_for_and_nowhere_else(method: str) -> None:
+    twice = process(TriangleMesh(2 * shapes.body(3).vertices, shapes.body(3).faces), PipelineOptions())
+    np.testing.assert_allclose(values(twice, method), values(body(), method), rtol=1e-5)
+    by_area = values(twice, method, "area")
+    np.testing.assert_allclose(by_area, values(body(), method, "area"), rtol=1e-5)
+    if method in SIZELESS:
+        return
+    np.testing.assert_allclose(
+        by_area * twice.area ** (np.array(POWERS[method]) / 2), values(twice, method, "absolute"), rtol=1e-5
+    )
+    growth = values(twice, method, "absolute") / values(body(), method, "absolute")
+    np.testing.assert_allclose(growth, 2.0 ** np.array(POWERS[method]), rtol=1e-5)
+
+
+@pytest.mark.parametrize("name", sorted(SIZELESS))
+def test_without_size_by_area_and_relative_are_the_same(name: str) -> None:
+    np.testing.assert_array_equal(values(body(), name, "area"), values(body(), name, "relative"))
+    with pytest.raises(OptionError, match=f"scale: must be area or relative for {name}, which has no size"):
+        SignatureOptions(method=name, scale="absolute")
+
+
+@pytest.mark.parametrize("function", [r_bihdm, bihdm, combined])
+def test_a_descriptor_by_itself_is_that_of_the_default_options(function: Callable[..., Signature]) -> None:
+    name = function.__name__.replace("_", "-")
+    described = describe(body(), SignatureOptions(method=name))
+    assert described.digest == function(body().spectrum).digest
+    np.testing.assert_array_equal(described.values, function(body().spectrum).values)
+    relative = function(body().spectrum, scale="relative").values
+    assert not np.allclose(described.values, relative, rtol=0.1)
+
+
+def test_geodesic_distances_by_themselves_are_those_of_the_default_options() -> None:
+    pytest.importorskip("potpourri3d", reason="geodesic distances come from potpourri3d")
+    described = describe(body(), SignatureOptions(method="sd-gdm"))
+    np.testing.assert_array_equal(described.values, sd_gdm(body().mesh).values)
+
+
+def test_absolute_shape_dna_is_the_spectrum_in_the_unit_of_the_file() -> None:
+    ball = process(shapes.icosphere(4, radius=3.0), PipelineOptions())
+    degrees = np.repeat([1, 2], [3, 5])  # l (l + 1) / r², each 2 l + 1 times
+    found = 1 / describe(ball, SignatureOptions(method="shape-dna", n_values=8, scale="absolute")).values
+    np.testing.assert_allclose(found, degrees * (degrees + 1) / 9, rtol=0.01)
+
+
+def test_shape_dna_by_its_first_value_is_a_ratio_that_needs_no_area() -> None:
+    spectrum = body().spectrum
+    ratios = shape_dna(spectrum, 8, normalized_by="first").values
+    np.testing.assert_allclose(1 / ratios, spectrum.eigenvalues[2:10] / spectrum.eigenvalues[1])
+
+
+def test_waves_are_spread_evenly_over_a_sphere_only() -> None:
+    """Whole multiplets: Σ φ² over an eigenspace is constant on a sphere, as the addition theorem has it."""
+    ball = process(shapes.icosphere(4), PipelineOptions()).spectrum
+    assert np.abs(wks(ball, 5, 48).values[0] - 1) < 5e-3  # l = 1 … 6
+    assert (wks(body().spectrum, 5, 48).values > 1.05).all()
+
+
+def test_wave_kernels_by_points_are_the_same() -> None:
+    """The second moment of the pointwise signature, without the overlaps."""
+    from pcretrieve import eigenpairs, laplace_beltrami
+
+    pairs = eigenpairs(laplace_beltrami(shapes.body(3), mass="lumped"), 31)
+    levels = np.log(pairs.eigenvalues[1:])
+    energies = np.linspace(levels[0], levels[-1], 4)
+    weights = np.exp(-((energies[:, None] - levels) ** 2) / (2 * (0.07 * (levels[-1] - levels[0])) ** 2))
+    pointwise = pairs.eigenvectors[:, 1:] ** 2 @ (weights / weights.sum(axis=1, keepdims=True)).T  # (n, 4)
+    area = pairs.mass.diagonal()
+    np.testing.assert_allclose(area @ pointwise, 1, rtol=1e-9, err_msg="the mean says nothing")
+    np.testing.assert_allclose(wks(pairs, 4, 30).values, pairs.area * (area @ pointwise**2), rtol=1e-9)
+
+
+@pytest.mark.parametrize("name", ["hks-bow", "si-hks-bow"])
+def test_words_share_out_the_surface(name: str) -> None:
+    shares = values(body(), name) - 1e-3
+    assert shares.sum() == pytest.approx(1, abs=1e-6)
+
+
+def test_pairs_of_words_see_where_words_are() -> None:
+    """Two halves of heat: what stays in a word and what goes to the others sum up to its share."""
+    pairs = values(body(), "hks-bow-spatial") - 1e-3
+    table = np.zeros((N_VALUES, N_VALUES))
+    table[np.triu_indices(N_VALUES)] = pairs
+    table = np.maximum(table, table.T)
+    shares = values(body(), "hks-bow") - 1e-3
+    np.testing.assert_allclose(table.sum(axis=1), shares, atol=2e-3)
+
+
+@pytest.mark.parametrize("n_words", [1, 91])
+def test_vocabularies_that_are_none(n_words: int) -> None:
+    options = SignatureOptions(method="hks-bow", n_values=n_words)
+    with pytest.raises(OptionError, match=r"n_values must be between 2 and 90 for a bag of words"):
+        describe(body(), options)
+
+
+def test_geodesic_distances_of_a_sphere() -> None:
+    """The operator of great-circle distances: its constant mode is ∫ d = 4π · π/2, and it is compact."""
+    pytest.importorskip("potpourri3d", reason="geodesic distances come from potpourri3d")
+    matrix = geodesic_matrix(shapes.icosphere(3))  # 1280 faces: simplified
+    assert len(matrix) == 502
+    np.testing.assert_array_equal(matrix, matrix.T)
+    largest = np.linalg.eigvalsh(matrix)[-1]
+    assert largest == pytest.approx(2 * np.pi**2, rel=0.03)
+
+
+def test_geodesic_distances_of_surfaces_that_do_not_suit(monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("potpourri3d", reason="geodesic distances come from potpourri3d")
+    with pytest.raises(DegenerateMeshError, match="must be closed, manifold and oriented to be simplified"):
+        sd_gdm(shapes.square(30))
+    with pytest.raises(DegenerateMeshError, match="30 values need a surface of at least 31 vertices, got 12"):
+        sd_gdm(shapes.icosphere(0), 30)
+    monkeypatch.setitem(sys.modules, "potpourri3d", None)
+    with pytest.raises(OptionError, match=r"not installed: pip install pcretrieve\[geodesic\]"):
+        sd_gdm(shapes.icosphere(1))
+
+
+def test_too_few_vertices_for_a_heat_kernel() -> None:
+    with pytest.raises(SpectrumError, match="61 eigenpairs need a surface of at least 62 vertices"):
+        METHODS["hks-bow"](Shape(shapes.icosphere(1), body().spectrum, 1.0), SignatureOptions())
+
+
+def test_a_shape_of_several_surfaces_is_described_by_their_mean() -> None:
+    longer = process(shapes.ellipsoid((1, 1, 1.4), subdivisions=3), PipelineOptions())
+    options = SignatureOptions(n_values=N_VALUES)
+    both = describe(replace(body(), others=(longer.spectrum,)), options)
+    logs = np.log([describe(shape, options).values for shape in (body(), longer)])
+    np.testing.assert_allclose(np.log(both.values), logs.mean(axis=0), rtol=0, atol=1e-12)
+    assert both.deviation is not None
+    np.testing.assert_allclose(both.deviation, np.abs(logs[0] - logs[1]) / np.sqrt(2), atol=1e-12)
+    assert describe(body(), options).deviation is None
+
+
+def test_size_is_one_value_more_beside_the_form(method: str) -> None:
+    longer = process(shapes.ellipsoid((1, 1, 1.4), subdivisions=3), PipelineOptions())
+    shape = Shape(body().mesh, body().spectrum, 3.0, (longer.spectrum.scaled(1.1),))
+    options = SignatureOptions(method=method, n_values=N_VALUES)
+    form, sized = describe(shape, options), describe(shape, options.model_copy(update={"size_weight": 6.0}))
+    np.testing.assert_array_equal(sized.values[:-1], form.values)
+    areas = 6 * np.log([3.0, 3.0 if method in OF_MESH else 3.3])
+    assert np.log(sized.values[-1]) == pytest.approx(areas.mean())
+    if method in OF_MESH:
+        assert sized.deviation is None
+    else:
+        assert sized.deviation is not None
+        assert sized.deviation[-1] == pytest.approx(areas.std(ddof=1))
+
+
+def test_an_error_bar_of_another_package_does_not_cover_the_size(monkeypatch: pytest.MonkeyPatch) -> None:
+    theirs = Signature(np.ones(3), kind="theirs", deviation=np.full(3, 0.1))
+    monkeypatch.setitem(METHODS, "r-bihdm", lambda shape, options: theirs)
+    assert describe(body(), SignatureOptions()).deviation is theirs.deviation
+    sized = describe(body(), SignatureOptions(size_weight=1))
+    assert (len(sized.values), sized.deviation) == (4, None)

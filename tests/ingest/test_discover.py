@@ -1,0 +1,243 @@
+"""What is named on the command line, and which scans that means."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from pcretrieve.catalogue import numbered_id
+from pcretrieve.errors import InputError, ScanReadError
+from pcretrieve.ingest import discover as discover_module
+from pcretrieve.ingest.discover import content_hash, discover, printable, shape_ids
+
+# The user without rights, on Linux.
+NOBODY = 65534
+
+FILES = (
+    "a.ply",
+    "b.OBJ",
+    "deep/c.xyz",
+    "deep/er/d.off",
+    "notes.md",
+    "labels.csv",
+    ".hidden.ply",
+    "deep/._a.ply",
+)
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    for name in FILES:
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).write_text(f"1 2 3 # {name}\n")
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def names(*arguments: str | Path) -> list[str]:
+    return [os.path.relpath(path) for path in discover(arguments)]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "found"),
+    [
+        (["a.ply", "deep/c.xyz"], ["a.ply", "deep/c.xyz"]),
+        (["."], ["a.ply", "b.OBJ", "deep/c.xyz", "deep/er/d.off"]),
+        (["deep", "a.ply", "deep/c.xyz", "a.ply"], ["deep/c.xyz", "deep/er/d.off", "a.ply"]),
+        (["*"], ["a.ply", "b.OBJ", "deep/c.xyz", "deep/er/d.off"]),
+        (["**/*.[oO]*"], ["b.OBJ", "deep/er/d.off"]),
+        (["deep/../deep/./c.xyz", "deep/c.xyz"], ["deep/c.xyz"]),
+        (["notes.md"], ["notes.md"]),  # named outright: reading it will say that it is no scan
+    ],
+    ids=["files", "folder", "each once", "glob", "deep glob", "one name for one file", "no scan"],
+)
+def test_files_folders_and_globs(arguments: list[str], found: list[str], folder: Path) -> None:
+    assert names(*arguments) == found
+
+
+def test_a_name_with_brackets_is_a_name_first(folder: Path) -> None:
+    (folder / "scan[1].ply").write_text("1 2 3\n")
+    assert names("scan[1].ply") == ["scan[1].ply"]
+
+
+@pytest.mark.parametrize(
+    ("manifest", "text"),
+    [
+        ("list.txt", "# mine\n../a.ply\n\nc.xyz\ngone.ply\n"),
+        ("list.csv", "class,File\ncat,../a.ply\ncat, c.xyz\ndog,\ndog,gone.ply\n"),
+        ("list.csv", "\ufeffpath\r\n../a.ply\r\nc.xyz\r\ngone.ply\r\n"),
+    ],
+    ids=["lines", "table", "from a spreadsheet"],
+)
+def test_a_manifest_names_paths_from_where_it_lies(manifest: str, text: str, folder: Path) -> None:
+    """Also one that is missing: that is this shape's failure, not the batch's."""
+    (folder / "deep" / manifest).write_text(text, encoding="utf-8", newline="")
+    assert names(f"deep/{manifest}") == ["a.ply", "deep/c.xyz", "deep/gone.ply"]
+
+
+def test_manifests_by_a_glob_of_their_own(folder: Path) -> None:
+    (folder / "one.txt").write_text("a.ply\n")
+    (folder / "two.txt").write_text("b.OBJ\n")
+    assert names("*.txt") == ["a.ply", "b.OBJ"]
+
+
+def test_links_that_lead_nowhere_are_not_passed_over(folder: Path) -> None:
+    (folder / "deep" / "link.ply").symlink_to("nowhere")
+    assert "deep/link.ply" in names("deep")
+
+
+def test_views_belong_to_their_conf(folder: Path) -> None:
+    (folder / "both.conf").write_text("bmesh a.ply 0 0 0 0 0 0 1\nbmesh deep/../deep/c.xyz 0 0 0 0 0 0 1\n")
+    (folder / "broken.conf").write_text("bmesh b.OBJ\n")
+    assert names(".") == ["b.OBJ", "both.conf", "broken.conf", "deep/er/d.off"]
+
+
+@pytest.mark.parametrize(
+    ("argument", "words"),
+    [
+        ("", "a path must not be empty"),
+        ("nowhere", "there is no file or folder nowhere"),
+        ("none*.ply", r"none\*\.ply names no scans; known are \.conf"),
+        ("hollow", r"hollow names no scans"),
+        ("x" * 300, "File name too long"),
+        ("column.csv", r"column\.csv must have a column path or file"),
+        ("hollow.txt", r"hollow\.txt names no scans"),
+        ("hollow.csv", r"hollow\.csv must have a column"),
+        ("bytes.txt", r"cannot read the manifest bytes\.txt"),
+        ("long.csv", r"long\.csv is not a CSV file: field larger than field limit"),
+    ],
+)
+def test_what_means_no_scans(argument: str, words: str, folder: Path) -> None:
+    (folder / "hollow").mkdir()
+    (folder / "column.csv").write_text("cat,dog\n1,2\n")
+    (folder / "hollow.txt").write_text("# nothing\n\n")
+    (folder / "hollow.csv").write_text("")
+    (folder / "bytes.txt").write_bytes(b"\xff\xfe\x00")
+    (folder / "long.csv").write_text("file\n" + "x" * 200_000)
+    with pytest.raises(InputError, match=words):
+        discover([argument])
+
+
+def test_a_conf_that_never_ends_stops_nothing(folder: Path) -> None:
+    os.mkfifo(folder / "pipe.conf")
+    (folder / "endless.conf").symlink_to("/dev/zero")
+    assert names(".") == ["a.ply", "b.OBJ", "deep/c.xyz", "deep/er/d.off", "endless.conf", "pipe.conf"]
+
+
+@pytest.mark.parametrize("suffix", [".txt", ".csv"])
+def test_a_manifest_must_be_a_regular_file(suffix: str, folder: Path) -> None:
+    os.mkfifo(folder / f"pipe{suffix}")
+    (folder / f"endless{suffix}").symlink_to("/dev/zero")
+    for name in ("pipe", "endless"):
+        with pytest.raises(InputError, match=f"{name}.* must be a regular file"):
+            discover([f"{name}{suffix}"])
+
+
+@pytest.fixture
+def locked(folder: Path) -> Iterator[Path]:
+    """A subfolder that may not be read, also where root runs the tests."""
+    user = os.geteuid()
+    folder.chmod(0o755)
+    (folder / "deep" / "er").chmod(0)
+    if user == 0:
+        os.seteuid(NOBODY)
+    yield folder / "deep" / "er"
+    os.seteuid(user)
+    (folder / "deep" / "er").chmod(0o755)
+
+
+def test_a_folder_that_may_not_be_read_is_named(locked: Path, caplog: pytest.LogCaptureFixture) -> None:
+    assert names(".") == ["a.ply", "b.OBJ", "deep/c.xyz"]
+    with pytest.raises(InputError, match=r"cannot look into deep/er: Permission denied"):
+        discover(["deep/er"])
+    assert caplog.messages == ["passed over the folder deep/er and all scans in it: Permission denied"]
+
+
+# --- identity -------------------------------------------------------------------------------------------
+
+
+def test_content_tells_files_apart_and_names_do_not(folder: Path) -> None:
+    (folder / "copy.ply").write_bytes((folder / "a.ply").read_bytes())
+    assert content_hash(folder / "copy.ply") == content_hash(folder / "a.ply")
+    assert content_hash(folder / "b.OBJ") != content_hash(folder / "a.ply")
+
+
+def test_a_conf_changes_with_each_of_its_views(folder: Path) -> None:
+    (folder / "one.conf").write_text("bmesh a.ply 0 0 0 0 0 0 1\n")
+    before = content_hash(folder / "one.conf")
+    (folder / "a.ply").write_text("4 5 6\n")
+    assert content_hash(folder / "one.conf") != before
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        ("gone.ply", r"cannot read .*gone\.ply: No such file"),
+        ("empty.ply", r"empty\.ply: the file is empty"),
+        ("pipe.ply", r"pipe\.ply must be a regular file"),
+        ("deep", r"deep is a folder, not a scan"),
+        ("zero\0.ply", "embedded null byte"),
+        ("lost.conf", r"cannot read .*gone\.ply"),
+        ("odd.conf", r"odd\.conf: line 1 must read"),
+        ("link.conf", r"cannot read .*link\.conf"),
+        ("pipe.conf", r"pipe\.conf must be a regular file"),
+        ("endless.conf", r"endless\.conf must be a regular file"),
+        ("device.conf", r"endless\.ply must be a regular file"),
+        ("again.conf", r"again\.conf: each view must be named once, lines 1 and 3 name deep/\.\./a\.ply"),
+        ("linked.conf", r"linked\.conf: each view must be named once, lines 1 and 2 name alias\.ply"),
+        ("many.conf", r"many\.conf: a \.conf file must name at most 1000 views"),
+        ("long.conf", r"long\.conf: a \.conf file must have at most 4096000 bytes, got 4096001"),
+    ],
+)
+def test_content_that_cannot_be_had(name: str, words: str, folder: Path) -> None:
+    (folder / "empty.ply").touch()
+    os.mkfifo(folder / "pipe.ply")
+    (folder / "lost.conf").write_text("bmesh gone.ply 0 0 0 0 0 0 1\n")
+    (folder / "odd.conf").write_text("bmesh a.ply 0\n")
+    (folder / "link.conf").symlink_to("nowhere")
+    os.mkfifo(folder / "pipe.conf")
+    for suffix in ("conf", "ply"):
+        (folder / f"endless.{suffix}").symlink_to("/dev/zero")
+    (folder / "alias.ply").symlink_to("a.ply")
+    for conf, views in (
+        ("device", ["a.ply", "endless.ply"]),
+        ("again", ["a.ply", "b.OBJ", "deep/../a.ply"]),
+        ("linked", ["a.ply", "alias.ply"]),
+        ("many", [f"{k}.ply" for k in range(1001)]),
+    ):
+        (folder / f"{conf}.conf").write_text("".join(f"bmesh {view} 0 0 0 0 0 0 1\n" for view in views))
+    (folder / "long.conf").write_bytes(b"#" * 4_096_001)
+    with pytest.raises(ScanReadError, match=words):
+        content_hash(folder / name)
+
+
+def test_ids_are_names_numbered_where_they_meet() -> None:
+    ids = shape_ids(["/a/cat.ply", "/b/cat.ply", "/b/dog.ply", "/c/cat.obj"], {})
+    assert list(ids.values()) == ["cat", "cat-2", "dog", "cat-3"]
+
+
+def test_ids_stay_with_their_paths() -> None:
+    taken = {"cat": "/old/cat.ply", "cat-2": "/b/cat.ply"}
+    assert shape_ids(["/a/cat.ply", "/b/cat.ply"], taken) == {"/a/cat.ply": "cat-3", "/b/cat.ply": "cat-2"}
+
+
+def test_names_that_are_not_utf8_can_be_printed() -> None:
+    assert printable("Körper 雪.ply") == "Körper 雪.ply"
+    assert printable(os.fsdecode(b"latin-\xe9.ply")) == "latin-\\xe9.ply"
+
+
+def test_ids_of_one_name_in_many_folders_are_tried_once_each(monkeypatch: pytest.MonkeyPatch) -> None:
+    tried: list[str] = []
+
+    def counted(stem: str, number: int) -> str:
+        tried.append(numbered_id(stem, number))
+        return tried[-1]
+
+    monkeypatch.setattr(discover_module, "numbered_id", counted)
+    taken = shape_ids([f"/old/{folder}/scan.ply" for folder in range(1000)], {})
+    ids = shape_ids([f"/new/{folder}/scan.ply" for folder in range(1000)], {v: k for k, v in taken.items()})
+    assert list(ids.values()) == [f"scan-{number}" for number in range(1001, 2001)]
+    assert len(tried) == 3000  # the second thousand passes the first one once

@@ -1,0 +1,372 @@
+"""Files come, go and change; shapes fail, hang and die: the catalogue holds what is there, once."""
+
+from __future__ import annotations
+
+import json
+import multiprocessing
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+import shapes
+
+from pcretrieve import Catalogue
+from pcretrieve.ingest.discover import discover
+from pcretrieve.ingest.run import Summary, ingest
+from pcretrieve.scan import readers
+from pcretrieve.simulation import write_ply
+from pcretrieve.surface import write_mesh
+
+PATIENCE = 60  # seconds
+MARK = "PCRETRIEVE_TEST_MARK"
+
+
+def egg(path: Path, length: float) -> bytes:
+    """A closed mesh, kept as it is, so quickly done; its bytes."""
+    write_mesh(shapes.ellipsoid((1, 1, length), subdivisions=3), path)
+    return path.read_bytes()
+
+
+def ids(records: list[object]) -> list[str]:
+    return sorted(record.id for record in records)  # type: ignore[attr-defined]
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """Two eggs; the first one twice."""
+    (tmp_path / "eggs").mkdir()
+    egg(tmp_path / "eggs" / "a.off", 1.5)
+    egg(tmp_path / "eggs" / "b.off", 2)
+    (tmp_path / "eggs" / "copy.off").write_bytes((tmp_path / "eggs" / "a.off").read_bytes())
+    return tmp_path / "eggs"
+
+
+@pytest.fixture
+def catalogue(tmp_path: Path) -> Iterator[Catalogue]:
+    with Catalogue(tmp_path / "c.sqlite", create=True) as store:
+        yield store
+
+
+@pytest.fixture
+def filled(folder: Path, catalogue: Catalogue) -> Catalogue:
+    ingest(discover([folder]), catalogue, labels={"a": "short", "b": "long"})
+    return catalogue
+
+
+def again(folder: Path, catalogue: Catalogue, **options: object) -> Summary:
+    return ingest(discover([folder]), catalogue, **options)  # type: ignore[arg-type]
+
+
+# --- files that stay, change, move ----------------------------------------------------------------------
+
+
+def test_one_content_is_processed_once(folder: Path, catalogue: Catalogue) -> None:
+    seen: list[str] = []
+    first = ingest(discover([folder]), catalogue, on_shape=lambda record: seen.append(record.id))
+    assert ids([*first.done]) == ["a", "b"]
+    assert [(path.name, twin.id) for path, twin in first.duplicates] == [("copy.off", "a")]
+    second = again(folder, catalogue)
+    assert (ids([*second.held]), second.done, len(second.duplicates)) == (["a", "b"], [], 1)
+    assert sorted(seen) == ["a", "a", "b"]  # once for each file
+
+
+def test_under_another_suffix_the_same_bytes_are_another_scan(tmp_path: Path, catalogue: Catalogue) -> None:
+    """Or a broken file could keep a good one out."""
+    content = egg(tmp_path / "z.off", 2)
+    (tmp_path / "a.ply").write_bytes(content)
+    summary = ingest(discover([tmp_path / "a.ply", tmp_path / "z.off"]), catalogue)
+    assert (ids([*summary.failed]), ids([*summary.done])) == (["a"], ["z"])
+
+
+def test_a_file_that_changed_is_processed_again(folder: Path, filled: Catalogue) -> None:
+    """And what stood for its old content, a copy, comes into its own."""
+    before = filled.signatures()
+    egg(folder / "a.off", 3)
+    summary = again(folder, filled)
+    assert (ids([*summary.done]), ids([*summary.held]), summary.duplicates) == (["a", "copy"], ["b"], [])
+    after = filled.signatures()
+    assert after.ids == ("a", "b", "copy")
+    np.testing.assert_array_equal(after.values[2], before.values[0])
+    assert not np.allclose(after.values[0], before.values[0])
+    assert filled.record("a").label == "short"
+
+
+def test_files_that_swap_their_names_swap_their_signatures(folder: Path, filled: Catalogue) -> None:
+    before = filled.signatures().values
+    (folder / "a.off").rename(folder / "x")
+    (folder / "b.off").rename(folder / "a.off")
+    (folder / "x").rename(folder / "b.off")
+    (folder / "copy.off").unlink()
+    again(folder, filled)
+    np.testing.assert_array_equal(filled.signatures().values, before[::-1])
+
+
+def test_a_file_that_becomes_a_copy_leaves_the_catalogue(folder: Path, filled: Catalogue) -> None:
+    (folder / "b.off").write_bytes((folder / "a.off").read_bytes())
+    summary = again(folder, filled)
+    assert (summary.done, ids([*summary.held]), len(summary.duplicates)) == ([], ["a"], 2)
+    assert filled.signatures().ids == ("a",)
+
+
+def test_a_folder_that_moves_takes_its_shapes_along(folder: Path, filled: Catalogue) -> None:
+    before = filled.record("b")
+    moved = folder.rename(folder.parent / "nest")
+    summary = again(moved, filled)
+    assert (summary.done, ids([*summary.held])) == ([], ["a", "b"])
+    after = filled.record("b")
+    assert after.path == str(moved / "b.off")
+    assert (after.added, after.label) == (before.added, "long")
+
+
+def test_labels_reach_shapes_that_are_held_already(folder: Path, filled: Catalogue) -> None:
+    summary = again(folder, filled, labels={"a.off": "small", "nobody": "small"})
+    assert [record.label for record in filled.records()] == ["small", "long"]
+    assert summary.unknown_labels == ["nobody"]
+
+
+def test_a_failure_is_remembered_until_it_is_to_be_tried_again(folder: Path, filled: Catalogue) -> None:
+    (folder / "flat.xyz").write_text("1 2 3\n" * 200)
+    assert ids([*again(folder, filled).failed]) == ["flat"]
+    remembered = again(folder, filled)
+    assert (remembered.failed, "flat" in ids([*remembered.held])) == ([], True)
+    assert ids([*again(folder, filled, retry_failed=True).failed]) == ["flat"]
+    (folder / "flat.xyz").unlink()
+    assert ids([*again(folder, filled).held]) == ["a", "b"]
+
+
+def test_a_file_out_of_reach_keeps_what_was_made_of_it(folder: Path, filled: Catalogue) -> None:
+    """Its copy stays a copy, and the next run that reaches the file finds all as it was."""
+    before, signatures = filled.records(), filled.signatures().values
+    content = (folder / "a.off").read_bytes()
+    (folder / "a.off").unlink()
+    (folder / "a.off").symlink_to("away")
+    (folder / "b.off").write_bytes((folder / "b.off").read_bytes()[:1000])  # half copied
+    summary = again(folder, filled)
+    assert ids([*summary.failed]) == ["a", "b"]
+    for record in summary.failed:
+        assert "; the catalogue keeps what was made of this file on" in str(record.message)
+    assert [path.name for path, _ in summary.duplicates] == ["copy.off"]
+    assert filled.records() == before
+    np.testing.assert_array_equal(filled.signatures().values, signatures)
+    (folder / "a.off").unlink()
+    (folder / "a.off").write_bytes(content)
+    assert ids([*again(folder, filled).held]) == ["a"]
+
+
+def test_files_cut_off_to_the_same_content_keep_what_was_made_of_them(
+    folder: Path, filled: Catalogue
+) -> None:
+    """The second of them is a copy of the first, but the first one's content is no scan."""
+    before = filled.records()
+    for name in ("a", "b"):
+        (folder / f"{name}.off").write_text("OFF\n")
+    summary = again(folder, filled)
+    assert (ids([*summary.failed]), [path.name for path, _ in summary.duplicates]) == (["a"], ["b.off"])
+    assert [record for record in filled.records() if record.id != "copy"] == before
+
+
+# --- several ingests at once ----------------------------------------------------------------------------
+
+
+def test_an_ingest_within_another_takes_none_of_its_ids(folder: Path, catalogue: Catalogue) -> None:
+    """Another folder is stored between the plan and the first shape of this one."""
+    other = folder.parent / "other"
+    other.mkdir()
+    for number, name in enumerate(("a", "b")):
+        egg(other / f"{name}.off", 3 + number)
+    plan_made = False
+
+    def interfere(record: object) -> None:
+        nonlocal plan_made
+        if not plan_made:
+            plan_made = True
+            assert len(again(other, catalogue).done) == 2
+
+    summary = again(folder, catalogue, on_shape=interfere)
+    assert len(summary.done) == 2
+    records = catalogue.records()
+    assert [record.id for record in records] == ["a", "a-2", "b", "b-2"]
+    assert {record.path for record in records} == {
+        *(str(other / f"{name}.off") for name in "ab"),
+        *(str(folder / f"{name}.off") for name in "ab"),
+    }
+
+
+@pytest.mark.parametrize("same", [False, True], ids=["other files of the same names", "the same files"])
+def test_two_processes_that_ingest_at_once_store_every_shape_once(same: bool, tmp_path: Path) -> None:
+    folders = [tmp_path / name for name in ("one", "two")]
+    for start, folder in enumerate(folders):
+        folder.mkdir()
+        for number in range(4):
+            egg(folder / f"{number}.off", 1 + (start + 2 * number) / 8)
+    command = [sys.executable, "-m", "pcretrieve", "ingest", "-c", tmp_path / "c.sqlite", "--workers", "1"]
+    running = [
+        subprocess.Popen(
+            [*map(str, command), "--json", folders[0] if same else folder],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+        )
+        for folder in folders
+    ]
+    for process in running:
+        said, errors = process.communicate(timeout=PATIENCE)
+        assert process.returncode == 0, errors.decode()
+        answer = json.loads(said)
+        assert len(answer["done"]) + len(answer["held"]) == 4
+    with Catalogue(tmp_path / "c.sqlite") as catalogue:
+        records = catalogue.records()
+        assert len(catalogue.signatures().ids) == len(records)
+    expected = folders[:1] if same else folders
+    assert sorted(record.path for record in records) == sorted(
+        str(folder / f"{number}.off") for folder in expected for number in range(4)
+    )
+
+
+# --- shapes that hang, die, fill the memory -----------------------------------------------------------
+
+VICIOUS = """
+import os, signal, time
+import numpy as np
+
+def read(path):
+    return DEEDS[path.stem]()
+
+def hang():
+    time.sleep(1000)
+
+def die():
+    os.kill(os.getpid(), signal.SIGKILL)
+
+def leave():
+    os._exit(7)
+
+def fill_the_memory():
+    return np.ones(1 << 29)
+
+def divide():
+    return 1 / 0
+
+DEEDS = {name: deed for name, deed in globals().items() if callable(deed)}
+"""
+
+CAUSES = {
+    "hang": ("StageTimeout", "worker", "not finished within 5 s: raise --timeout"),
+    "die": ("WorkerDied", "worker", "ended with SIGKILL"),
+    "leave": ("WorkerDied", "worker", "ended with exit code 7"),
+    "fill_the_memory": ("MemoryExceeded", "unknown", "raise that, or thin the scan"),
+    "divide": ("UnexpectedError", "unknown", "ZeroDivisionError: division by zero"),
+}
+
+
+@pytest.fixture
+def vicious(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """An installed reader of .vicious files, which does to its process what the file's name says."""
+    site = tmp_path / "site"
+    (site / "vicious-1.0.dist-info").mkdir(parents=True)
+    (site / "vicious-1.0.dist-info" / "METADATA").write_text(
+        "Metadata-Version: 2.1\nName: vicious\nVersion: 1\n"
+    )
+    (site / "vicious-1.0.dist-info" / "entry_points.txt").write_text(
+        "[pcretrieve.readers]\n.vicious = vicious:read\n"
+    )
+    (site / "vicious.py").write_text(VICIOUS)
+    monkeypatch.syspath_prepend(site)
+    readers.cache_clear()
+    yield
+    readers.cache_clear()
+
+
+@pytest.mark.usefixtures("vicious")
+def test_one_shape_takes_no_other_with_it(folder: Path, catalogue: Catalogue) -> None:
+    for deed in CAUSES:
+        (folder / f"{deed}.vicious").write_text(deed)
+    summary = again(folder, catalogue, workers=2, timeout=5, memory=1)
+    assert ids([*summary.done]) == ["a", "b"]
+    failed = {record.id: record for record in summary.failed}
+    assert failed.keys() == CAUSES.keys()
+    for deed, (error, stage, words) in CAUSES.items():
+        assert (failed[deed].error, failed[deed].stage) == (error, stage)
+        assert words in str(failed[deed].message)
+    assert "at vicious.py" not in str(failed["divide"].message)  # pcretrieve's own line, for its own report
+    assert not multiprocessing.active_children()
+
+
+def test_an_interrupt_keeps_what_is_stored_and_ends_the_workers(folder: Path, catalogue: Catalogue) -> None:
+    def interrupt(record: object) -> None:
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        again(folder, catalogue, on_shape=interrupt)
+    assert not multiprocessing.active_children()
+    assert len(again(folder, catalogue).held) <= 1  # the copy was told of first, perhaps
+    assert catalogue.signatures().ids == ("a", "b")
+
+
+# --- processes ------------------------------------------------------------------------------------------
+
+
+def marked(value: str) -> list[int]:
+    """Processes that were started with this mark in their environment."""
+    found = []
+    for process in Path("/proc").glob("[0-9]*"):
+        try:
+            environment = (process / "environ").read_bytes()
+            is_over = (process / "stat").read_text().rsplit(")", 1)[1].split()[0] == "Z"
+        except OSError:
+            continue  # it has ended
+        if f"{MARK}={value}".encode() in environment and not is_over:
+            found.append(int(process.name))
+    return found
+
+
+def runs_tetwild(pid: int) -> bool:
+    try:
+        return b"tetwild" in Path(f"/proc/{pid}/cmdline").read_bytes()
+    except OSError:
+        return False
+
+
+def wait_for(condition: Callable[[], bool]) -> bool:
+    end = time.monotonic() + PATIENCE
+    while not condition() and time.monotonic() < end:
+        time.sleep(0.05)
+    return condition()
+
+
+@pytest.mark.skipif(not Path("/proc/self/environ").exists(), reason="needs /proc to see other processes")
+@pytest.mark.parametrize(
+    ("send", "code"),
+    [
+        (lambda pid: os.killpg(pid, signal.SIGINT), 130),  # Ctrl-C reaches every process of the terminal
+        (lambda pid: os.kill(pid, signal.SIGTERM), 143),
+        (lambda pid: os.kill(pid, signal.SIGKILL), -signal.SIGKILL),
+    ],
+    ids=["Ctrl-C", "SIGTERM", "SIGKILL"],
+)
+def test_no_process_outlives_an_ingest(send: Callable[[int], None], code: int, tmp_path: Path) -> None:
+    for number in range(4):
+        write_ply(tmp_path / f"{number}.ply", shapes.points_on(shapes.body(3), 3000, seed=number))
+    (tmp_path / "options.toml").write_text("[remesh]\nmethod = 'tetwild'\n")
+    command = [sys.executable, "-m", "pcretrieve", "ingest", tmp_path, "-c", tmp_path / "c.sqlite"]
+    with subprocess.Popen(
+        [*map(str, command), "--workers", "2", "--config", str(tmp_path / "options.toml")],
+        env=os.environ | {MARK: str(tmp_path)},
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    ) as running:
+        assert wait_for(lambda: any(runs_tetwild(pid) for pid in marked(str(tmp_path))))
+        send(running.pid)
+        _, said = running.communicate(timeout=PATIENCE)
+    assert running.returncode == code
+    # A worker that is still starting may find the pool gone, and say so from within multiprocessing.
+    assert "pcretrieve/" not in said.replace(str(tmp_path), "")
+    if code > 0:
+        assert "the same command goes on from there" in said
+    assert wait_for(lambda: not marked(str(tmp_path)))

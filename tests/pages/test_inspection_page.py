@@ -1,0 +1,288 @@
+"""The page of one scan: its pictures show what is wrong, its viewer what it is told; nothing breaks it."""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+import subprocess
+from base64 import b64decode
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import shapes
+from numpy.typing import NDArray
+from PIL import Image
+
+from pcretrieve.errors import InputError
+from pcretrieve.inspection.checks import Check, fit_checks, normal_checks, spread_check, surface_checks
+from pcretrieve.inspection.inspection import Inspection
+from pcretrieve.pages.inspection_page import write_inspection_page
+from pcretrieve.pages.inspection_pictures import (
+    AWAY,
+    CUT,
+    DROPPED,
+    FACING,
+    FILLED,
+    rows_of,
+    write_inspection_png,
+)
+from pcretrieve.pages.scan_pictures import Colour
+from pcretrieve.pages.thumbnail import CLAY
+from pcretrieve.types import Failure, PointCloud, Signature, TriangleMesh
+
+CHROMIUM = shutil.which("chromium") or shutil.which("google-chrome")
+
+SPHERE = shapes.icosphere(5)
+STRAYS = np.array([[1.15, 0.1, 0.1], [0.2, -1.2, 0.3]])
+
+
+def inspection(n_turned: int = 0) -> Inspection:
+    """A sphere with its upper half filled in, a cut at its top, two strays, and the last normals turned."""
+    points = SPHERE.vertices[np.argsort(SPHERE.vertices[:, 0])]
+    normals = points.copy()
+    normals[len(points) - n_turned :] *= -1
+    mesh = shapes.icosphere(3)
+    return Inspection(
+        name="ball.ply",
+        path="scans/ball.ply",
+        checks=(
+            Check("Strays", "look", 0.05, "5 % dropped", "Look."),
+            Check("Points", "passed", 1.0, "many", "Fine."),
+        ),
+        scan=PointCloud(np.concatenate([points, STRAYS])),
+        dropped=np.arange(len(points) + 2) >= len(points),
+        cloud=PointCloud(points, normals),
+        spacing=0.035,
+        mesh=mesh,
+        filled=mesh.vertices[mesh.faces].mean(axis=1)[:, 2] > 0,
+        cuts=np.array([[0.0, 0, 1]]),
+        bridges=np.zeros((0, 3)),
+        signature=Signature(np.geomspace(1, 0.01, 10), "r-bihdm"),
+        deviation=np.linspace(0.01, 0.1, 10),
+        spread=0.2,
+        failure=None,
+        steps=(),
+    )
+
+
+def empty(failure: Failure) -> Inspection:
+    none = np.zeros((0, 3))
+    flags = np.zeros(0, dtype=bool)
+    checks = (Check("The read stage", "failed", None, failure.error, failure.message),)
+    return Inspection(
+        name=failure.shape_id, path="", checks=checks, scan=None, dropped=flags, cloud=None, spacing=0,
+        mesh=None, filled=flags, cuts=none, bridges=none, signature=None, deviation=None, spread=None,
+        failure=failure, steps=(),
+    )  # fmt: skip
+
+
+def pictures(seen: Inspection, title: str) -> list[NDArray[np.float64]]:
+    """(h, w, 4) each, in [0, 1]."""
+    (row,) = [row for row in rows_of(seen) if row.title == title]
+    return [np.asarray(picture, dtype=np.float64) / 255 for picture in row.pictures]
+
+
+def share_of(colour: Colour, picture: NDArray[np.float64]) -> float:
+    """Share of the opaque pixels that have this colour, however dark."""
+    pixels = picture[picture[..., 3] == 1][:, :3]
+    directions = pixels / np.maximum(np.linalg.norm(pixels, axis=1, keepdims=True), 1e-9)
+    return float((directions @ np.array(colour) / np.linalg.norm(colour) > 0.995).mean())
+
+
+def test_normals_that_point_outwards_are_blue_from_all_sides() -> None:
+    for picture in pictures(inspection(), "Which side is outside"):
+        assert share_of(FACING, picture) > 0.99
+
+
+def test_a_patch_turned_over_is_orange_on_its_side_only() -> None:
+    """The tenth of a sphere that lies farthest along x: seen along x, it covers a third of the disk."""
+    shares = [share_of(AWAY, picture) for picture in pictures(inspection(1024), "Which side is outside")]
+    assert max(shares) > 0.2
+    assert min(shares) < 0.01
+
+
+def test_strays_are_seen_beside_the_body() -> None:
+    for picture in pictures(inspection(), "Points as they were read"):
+        assert share_of(DROPPED, picture) > 0
+
+
+def test_half_of_the_surface_is_filled_and_the_cut_has_a_ring() -> None:
+    plain, marked = (
+        pictures(inspection(), title) for title in ("Surface", "What was filled in, cut and bridged")
+    )
+    for before, after in zip(plain, marked, strict=True):
+        assert share_of(CLAY, before) > 0.99
+        assert share_of(CLAY, after) + share_of(FILLED, after) > 0.95
+        assert 0 < share_of(CUT, after) < 0.02
+    assert np.mean([share_of(FILLED, after) for after in marked]) == pytest.approx(0.5, abs=0.05)
+
+
+# --- the page -----------------------------------------------------------------------------------------
+
+
+def scene_of(page: Path) -> dict[str, Any]:
+    text = page.read_text(encoding="utf-8")
+    (found,) = re.findall(r'<script type="application/json" id="scene">(.*?)</script>', text, re.DOTALL)
+    scene: dict[str, Any] = json.loads(found)
+    return scene
+
+
+def test_the_viewer_gets_points_normals_and_faces(tmp_path: Path) -> None:
+    seen = inspection()
+    scene = scene_of(write_inspection_page(seen, tmp_path / "page.html"))
+    layers = {layer["name"]: layer for layer in scene["layers"]}
+    assert list(layers) == ["points", "dropped", "normals", "surface", "filled", "cuts", "bridges"]
+
+    def places(name: str) -> NDArray[np.float64]:
+        grid = np.frombuffer(b64decode(layers[name]["at"]), "<u2").reshape(-1, 3).astype(np.float64)
+        places: NDArray[np.float64] = (2 * grid / (2**16 - 1) - 1) * scene["zoom"]  # radius of the body: 1
+        return places
+
+    assert seen.cloud is not None and seen.cloud.normals is not None and seen.mesh is not None
+    np.testing.assert_allclose(places("normals"), seen.cloud.points, atol=1e-4)
+    np.testing.assert_allclose(places("dropped"), STRAYS, atol=1e-4)
+    np.testing.assert_allclose(places("cuts"), seen.cuts, atol=1e-4)
+    np.testing.assert_allclose(places("surface"), seen.mesh.vertices, atol=1e-4)
+    assert len(places("bridges")) == 0
+    normals = np.frombuffer(b64decode(layers["normals"]["normal"]), np.int8).reshape(-1, 3)
+    np.testing.assert_allclose(normals / 127, seen.cloud.normals, atol=0.005)
+    faces = np.frombuffer(b64decode(layers["filled"]["faces"]), "<u4").reshape(-1, 3)
+    np.testing.assert_array_equal(faces, seen.mesh.faces[seen.filled])
+
+
+def test_the_page_needs_nothing_else_and_stays_small(tmp_path: Path) -> None:
+    many = shapes.points_on(SPHERE, 300_000)
+    seen = replace(
+        inspection(),
+        scan=PointCloud(many),
+        dropped=np.arange(len(many)) % 2 == 0,
+        cloud=PointCloud(many, many / np.linalg.norm(many, axis=1, keepdims=True)),
+        mesh=SPHERE,
+        filled=np.ones(len(SPHERE.faces), dtype=bool),
+    )
+    page = write_inspection_page(seen, tmp_path / "page.html")
+    assert page.stat().st_size < 5e6
+    text = page.read_text(encoding="utf-8")
+    assert "default-src 'none'" in text
+    assert not re.findall(r"""(?:src|href)=["'](?!data:)|https?:|url\(""", text)
+
+
+def test_names_cannot_break_the_page(tmp_path: Path) -> None:
+    nasty = "</script><script>alert(\"1\")</script> & ' onload='x"
+    seen = replace(inspection(), name=nasty, path=nasty, checks=(Check(nasty, "look", None, nasty, nasty),))
+    text = write_inspection_page(seen, tmp_path / "page.html").read_text(encoding="utf-8")
+    assert "alert(&#34;1&#34;)" in text
+    assert text.count("<script") == text.count("</script>") == 2
+
+
+def test_a_scan_that_could_not_be_read_has_a_page_and_a_sheet(tmp_path: Path) -> None:
+    seen = empty(Failure("gone.ply", "read", "ScanReadError", "not a complete PLY file"))
+    text = write_inspection_page(seen, tmp_path / "page.html").read_text(encoding="utf-8")
+    assert "not a complete PLY file" in text
+    assert "<canvas" not in text and "<img" not in text
+    with Image.open(write_inspection_png(seen, tmp_path / "sheet.png")) as sheet:
+        assert np.asarray(sheet).min() < 100  # something is written
+
+
+def test_pages_that_cannot_be_written(tmp_path: Path) -> None:
+    for write in (write_inspection_page, write_inspection_png):
+        with pytest.raises(InputError, match="a folder that exists"):
+            write(inspection(), tmp_path / "nowhere" / "file")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_the_summary_names_the_worst() -> None:
+    seen = inspection()
+    assert (seen.verdict, seen.summary) == ("look", "Usable, but look at: strays.")
+    passed = replace(seen, checks=seen.checks[1:])
+    assert (passed.verdict, passed.summary) == ("passed", "A good scan: all checks passed.")
+    failed = replace(seen, checks=(Check("Noise", "failed", 1.0, "much", "Hold still."), *seen.checks))
+    assert (failed.verdict, failed.summary) == ("failed", "Do not trust this scan: noise.")
+    stopped = replace(failed, failure=Failure("ball.ply", "surface", "ReconstructionError", "no"))
+    assert stopped.summary == "No signature, the surface stage failed; look at: noise."
+
+
+# --- the checks ---------------------------------------------------------------------------------------
+
+
+def test_normals_of_half_a_sphere_have_a_mean_of_one_half() -> None:
+    half = SPHERE.vertices[SPHERE.vertices[:, 1] > 0]
+    agree, sides = normal_checks(half, np.arange(len(half))[:, None])
+    assert (agree.verdict, agree.value) == ("passed", 0)
+    assert sides.verdict == "failed"
+    assert sides.value == pytest.approx(0.5, abs=0.02)
+    _, all_round = normal_checks(SPHERE.vertices, np.arange(len(SPHERE.vertices))[:, None])
+    assert all_round.verdict == "passed"
+
+
+@pytest.mark.parametrize(
+    ("mesh", "verdicts"),
+    [
+        (SPHERE, ["passed", "passed"]),
+        (shapes.torus(), ["passed", "look"]),
+        (shapes.square(3), ["look"]),
+        (shapes.joined(SPHERE, shapes.moved(SPHERE, 1)), ["look"]),
+    ],
+    ids=["sphere", "torus", "square", "two"],
+)
+def test_surfaces_are_told_apart(mesh: TriangleMesh, verdicts: list[str]) -> None:
+    assert [check.verdict for check in surface_checks(mesh)] == verdicts
+
+
+def test_worse_numbers_get_worse_verdicts() -> None:
+    for index, name in enumerate(("filled", "lost", "noise")):
+        verdicts = [
+            fit_checks(**{"filled": 0.0, "lost": 0.0, "noise": 0.0, name: value})[index].verdict
+            for value in (0, 0.006, 0.012, 0.5)
+        ]
+        assert verdicts[0] == "passed" and verdicts[-1] == "failed" and "look" in verdicts
+    assert [spread_check(spread).verdict for spread in (0.05, 0.3, 1)] == ["passed", "look", "failed"]
+
+
+def test_checks_that_mean_nothing() -> None:
+    with pytest.raises(InputError, match="must be one of failed, look, passed, got 'good'"):
+        Check("Points", "good", 1.0, "many", "Fine.")  # type: ignore[arg-type]
+    with pytest.raises(InputError, match="must be finite, got nan for 'Points'"):
+        Check("Points", "passed", float("nan"), "many", "Fine.")
+
+
+# --- in a browser -------------------------------------------------------------------------------------
+
+
+def screenshot(page: Path, preset: str, folder: Path) -> tuple[NDArray[np.float64], str]:
+    """The page from its 3D view on, and what the browser said."""
+    assert CHROMIUM
+    target = folder / f"{preset.split('@')[0] or 'plain'}.png"
+    done = subprocess.run(
+        [
+            CHROMIUM, "--headless", "--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader",
+            "--disable-background-networking", "--no-first-run", "--hide-scrollbars",
+            "--enable-logging=stderr",
+            f"--user-data-dir={folder / 'browser'}", "--window-size=1000,3000", "--virtual-time-budget=4000",
+            f"--screenshot={target}", f"{page.as_uri()}#{preset}",
+        ],
+        capture_output=True, text=True, timeout=120, check=False,
+    )  # fmt: skip
+    with Image.open(target) as picture:
+        pixels = np.asarray(picture.convert("RGBA"), dtype=np.float64) / 255
+    return pixels, done.stderr
+
+
+@pytest.mark.skipif(CHROMIUM is None, reason="needs chromium, to look at the page with")
+def test_the_viewer_shows_the_layers_that_the_address_names(tmp_path: Path) -> None:
+    """Pictures of other rows have the same colours: what counts is what the view adds."""
+    page = write_inspection_page(inspection(2048), tmp_path / "page.html")
+    colours = {"normals@0,0": FACING, "filled@0,60": FILLED, "dropped@0,0": DROPPED, "surface@0,0": CLAY}
+    nothing, said = screenshot(page, "nothing", tmp_path)
+    assert "CONSOLE" not in said
+    for preset, colour in colours.items():
+        shown, said = screenshot(page, preset, tmp_path)
+        assert "CONSOLE" not in said
+        assert shown.shape == nothing.shape
+        changed = shown[(shown != nothing).any(axis=2)]
+        assert len(changed) > 100
+        assert share_of(colour, changed[None]) > 0.1, preset
