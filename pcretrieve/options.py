@@ -28,6 +28,7 @@ __all__ = [
     "MergeOptions",
     "PipelineOptions",
     "RemeshOptions",
+    "RetrievalOptions",
     "ScanOptions",
     "SignatureOptions",
     "SpectralOptions",
@@ -239,15 +240,20 @@ class SignatureOptions(_Options):
     number of words."""
     n_modes: Annotated[int, Field(ge=2)] = 60
     """Number m of modes at which R-BiHDM, BiHDM, and the heat and wave kernels are truncated."""
-    scale: Scale = "area"
+    scale: Literal["auto", "relative", "area", "absolute"] = "auto"
     """Normalisation of the values: by the area of the surface (area), by the first value of the descriptor
     (relative, as in the papers), or none (absolute). area and relative are invariant to scaling; absolute
-    compares sizes too, and is meaningful only if all files are in one unit. For R-BiHDM area gives better
-    rankings than relative, except after PCA whitening of many values."""
+    compares sizes too, and is meaningful only if all files are in one unit. auto: relative if signatures are
+    compared after PCA whitening, area otherwise, which for R-BiHDM gives the better rankings."""
     size_weight: Annotated[float, Field(ge=0, le=20)] = 0.0
     """Weight w of the size of a body relative to its form: area^w is appended to the values, if w > 0. In log
     distances, bodies whose areas differ by a factor of exp(1/w) are then 1 apart. Meaningful only if all
     files are in one unit. Gives better rankings than the scale absolute."""
+
+    @property
+    def measured_by(self) -> Scale:
+        """The normalisation of a signature by itself: `scale`, with area for auto."""
+        return "area" if self.scale == "auto" else self.scale
 
     @field_validator("method")
     @classmethod
@@ -266,6 +272,29 @@ class SignatureOptions(_Options):
         return self
 
 
+WhiteningKind = Literal["none", "resolution", "pca", "within-class"]
+Damping = Literal["auto"] | Annotated[float, Field(gt=0, le=1)]
+
+
+class RetrievalOptions(_Options):
+    """Signatures → ranked shapes. No stored spectrum or signature depends on these options."""
+
+    distance: Literal["log", "d1", "d2"] = "log"
+    """Distance of two signatures: the Euclidean distance of their logarithms (log), or the dissimilarities D1
+    and D2 of Ye and Yu."""
+    whitening: WhiteningKind = "none"
+    """Linear map of log-signatures before they are compared: none; the whitening of the changes that the
+    resolution of a surface causes, measured on simulated bodies (resolution, for r-bihdm only); or that of
+    the covariance of the gallery (pca), or of its pooled within-class covariance (within-class)."""
+    damping: Damping = "auto"
+    """Regularisation of the covariance of a whitening: for pca and resolution relative to its largest
+    eigenvalue, for within-class the shrinkage intensity. auto: .01, .03 and .1."""
+    n_folds: Annotated[int, Field(ge=2)] = 5
+    """Number of folds of classes with which a within-class whitening is evaluated."""
+    fold_seed: Annotated[int, Field(ge=0)] = 0
+    """Seed of the random assignment of classes to folds."""
+
+
 class PipelineOptions(_Options):
     """The options of all stages. `PipelineOptions()` are the defaults; docs/decisions.md has the reasons."""
 
@@ -274,20 +303,24 @@ class PipelineOptions(_Options):
     remesh: RemeshOptions = RemeshOptions()
     spectral: SpectralOptions = SpectralOptions()
     signature: SignatureOptions = SignatureOptions()
+    retrieval: RetrievalOptions = RetrievalOptions()
 
     @classmethod
-    def from_toml(cls, path: str | Path) -> PipelineOptions:
+    def from_toml(cls, path: str | Path, base: PipelineOptions | None = None) -> PipelineOptions:
         """Read options from a TOML file with one table for each stage.
 
         Parameters
         ----------
         path : str or Path
-            The file. Options that it does not name have their default values.
+            The file.
+        base : PipelineOptions, optional
+            The values of options that the file does not name, such as those of a catalogue. By default the
+            defaults.
 
         Returns
         -------
         PipelineOptions
-            The options in the file.
+            The options in the file, and those of `base`.
 
         Raises
         ------
@@ -301,23 +334,25 @@ class PipelineOptions(_Options):
         except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
             raise OptionError(f"{path} is not valid TOML: {error}") from error
         try:
-            return cls(**values)
+            return (base or cls()).changed(**values)
         except OptionError as error:
             raise OptionError(f"{path}: {error.message}") from error
 
     @classmethod
-    def preset(cls, name: str) -> PipelineOptions:
+    def preset(cls, name: str, base: PipelineOptions | None = None) -> PipelineOptions:
         """The options for a common source of scans.
 
         Parameters
         ----------
         name : str
             A key of `PRESETS`.
+        base : PipelineOptions, optional
+            The values of options that the preset does not name. By default the defaults.
 
         Returns
         -------
         PipelineOptions
-            The defaults with the changes of the preset.
+            The options of `base` with the changes of the preset.
 
         Raises
         ------
@@ -326,7 +361,7 @@ class PipelineOptions(_Options):
         """
         if name not in PRESETS:
             raise OptionError(f"there is no preset {name!r}; there are {', '.join(PRESETS)}")
-        return cls(**PRESETS[name])
+        return (base or cls()).changed(**PRESETS[name])
 
     def changed(self, **stages: dict[str, Any]) -> PipelineOptions:
         """A copy with some options replaced, such as ``options.changed(surface={"mode": "keep"})``.
@@ -348,24 +383,50 @@ class PipelineOptions(_Options):
         """
         values = self.model_dump()
         for stage, changes in stages.items():
-            values.setdefault(stage, {}).update(changes)
+            known = isinstance(changes, dict) and stage in values
+            values[stage] = values[stage] | changes if known else changes
         return type(self)(**values)
 
     @property
     def digest(self) -> str:
         """Hash of everything that a stored spectrum depends on: 16 hexadecimal digits.
 
-        The options of the stage `signature` are not included, because signatures are computed from the stored
-        spectrum on demand: one catalogue serves all methods and numbers of values.
+        The options of the stages `signature` and `retrieval` are not included, because signatures are
+        computed from the stored spectrum on demand: one catalogue serves all methods, numbers of values and
+        distances.
         """
-        values = self.model_dump(exclude={"signature"})
+        values = self.model_dump(exclude={"signature", "retrieval"})
         values["numbers_version"] = NUMBERS_VERSION
         return hashlib.sha256(json.dumps(values, sort_keys=True).encode()).hexdigest()[:16]
 
     @property
     def signature_digest(self) -> str:
         """Hash of everything that a signature depends on: signatures are comparable only if it is equal."""
-        return hashlib.sha256((self.digest + self.signature.model_dump_json()).encode()).hexdigest()[:16]
+        return self._digest_of(self.signature.measured_by)
+
+    @property
+    def compared(self) -> SignatureOptions:
+        """The options of the signatures that are compared, with the normalisation that auto stands for."""
+        return self.signature.model_copy(update={"scale": self._compared_by})
+
+    @property
+    def compared_digest(self) -> str:
+        """Hash of everything that the signatures that are compared depend on.
+
+        It differs from `signature_digest` only where the scale auto means another normalisation. A table of
+        signatures, the whitening applied to it and a query must have the same one.
+        """
+        return self._digest_of(self._compared_by)
+
+    @property
+    def _compared_by(self) -> Scale:
+        if self.signature.scale == "auto" and self.retrieval.whitening == "pca":
+            return "relative"
+        return self.signature.measured_by
+
+    def _digest_of(self, scale: Scale) -> str:
+        signature = self.signature.model_copy(update={"scale": scale}).model_dump_json()
+        return hashlib.sha256((self.digest + signature).encode()).hexdigest()[:16]
 
 
 # The options that differ from the defaults for scans of a common source. The measurements behind each preset
@@ -390,7 +451,7 @@ PRESETS: dict[str, dict[str, dict[str, Any]]] = {
 
 
 def options_difference(theirs: PipelineOptions, ours: PipelineOptions) -> list[str]:
-    """The options in which two sets of options differ.
+    """The options of what a catalogue stores, retrieval therefore left out, in which two sets differ.
 
     Parameters
     ----------
@@ -404,7 +465,7 @@ def options_difference(theirs: PipelineOptions, ours: PipelineOptions) -> list[s
     list of str
         One line for each option, such as ``surface.poisson_depth: 7 there, 8 here``.
     """
-    there, here = theirs.model_dump(), ours.model_dump()
+    there, here = theirs.model_dump(exclude={"retrieval"}), ours.model_dump()
     return [
         f"{stage}.{name}: {there[stage][name]!r} there, {here[stage][name]!r} here"
         for stage in there

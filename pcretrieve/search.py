@@ -8,7 +8,7 @@ from pcretrieve.catalogue import Catalogue
 from pcretrieve.descriptors import describe
 from pcretrieve.errors import InputError
 from pcretrieve.ingest.discover import content_hash
-from pcretrieve.options import SignatureOptions
+from pcretrieve.options import PipelineOptions
 from pcretrieve.pipeline.process import process
 from pcretrieve.retrieval import SignatureIndex
 from pcretrieve.types import Neighbors
@@ -21,9 +21,7 @@ def search(
     scan: str | Path,
     *,
     k: int = 10,
-    distance: str = "log",
-    whitening: str = "none",
-    options: SignatureOptions | None = None,
+    options: PipelineOptions | None = None,
 ) -> Neighbors:
     """The shapes of a catalogue nearest to a scan.
 
@@ -33,23 +31,25 @@ def search(
     scan : str or Path
         Processed with the catalogue's own options; looked up by content where the catalogue holds it.
     k : int, default 10
-    distance, whitening : str
-        As in `SignatureIndex` and `Catalogue.whitening`.
-    options : SignatureOptions, optional
-        A descriptor other than the catalogue's own.
+    options : PipelineOptions, optional
+        With a descriptor, a distance or a whitening other than the catalogue's own, such as
+        ``catalogue.options.changed(retrieval={"whitening": "pca"})``.
 
     Raises
     ------
+    CatalogueError
+        If `options` are for other spectra than those of the catalogue.
     InputError
         If the catalogue holds no shapes.
     ShapeError
         If the scan cannot be read or has no usable surface.
     """
+    options = options or catalogue.options
     table = catalogue.signatures(options)
     if not len(table):
         raise InputError(f"{catalogue.path} holds no shapes: ingest some first")
     digest = content_hash(Path(scan))
     held = next((r for r in catalogue.records() if r.content_hash == digest and r.status == "done"), None)
     shape = catalogue.shape(held.id) if held else process(scan, catalogue.options)
-    index = SignatureIndex(table, distance=distance, whitening=catalogue.whitening(whitening, options))
-    return index.query(describe(shape, options or catalogue.options.signature).values, k)
+    index = SignatureIndex(table, options.retrieval, whitening=catalogue.whitening(options))
+    return index.query(describe(shape, options.compared).values, k)

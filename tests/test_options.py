@@ -59,6 +59,13 @@ OTHER: dict[str, dict[str, Any]] = {
         "scale": "absolute",
         "size_weight": 2.5,
     },
+    "retrieval": {
+        "distance": "d1",
+        "whitening": "within-class",
+        "damping": 0.2,
+        "n_folds": 3,
+        "fold_seed": 7,
+    },
 }
 
 
@@ -171,6 +178,12 @@ def test_a_missing_file(tmp_path: Path) -> None:
         ("signature", "scale", "unit"),
         ("signature", "size_weight", -1),
         ("signature", "size_weight", 21),
+        ("retrieval", "distance", "l2"),
+        ("retrieval", "whitening", "zca"),
+        ("retrieval", "damping", 0.0),
+        ("retrieval", "damping", 1.1),
+        ("retrieval", "n_folds", 1),
+        ("retrieval", "fold_seed", -1),
     ],
 )
 def test_values_that_cannot_be(stage: str, name: str, bad: object) -> None:
@@ -217,11 +230,11 @@ def test_digest_is_short_and_the_same_for_the_same_options() -> None:
 def test_digest_changes_with_every_option_that_moves_a_spectrum(stage: str, name: str) -> None:
     options = PipelineOptions()
     changed = options.changed(**{stage: {name: OTHER[stage][name]}})
-    assert options_difference(options, changed) == [
-        f"{stage}.{name}: {options.model_dump()[stage][name]!r} there, {OTHER[stage][name]!r} here"
-    ]
-    # One catalogue serves every signature.
-    assert (changed.digest == options.digest) == (stage == "signature")
+    difference = f"{stage}.{name}: {options.model_dump()[stage][name]!r} there, {OTHER[stage][name]!r} here"
+    assert options_difference(options, changed) == ([] if stage == "retrieval" else [difference])
+    # One catalogue serves every signature, and every way to compare them.
+    assert (changed.digest == options.digest) == (stage in ("signature", "retrieval"))
+    assert (changed.signature_digest == options.signature_digest) == (stage == "retrieval")
 
 
 def test_digests_tell_options_apart() -> None:
@@ -229,4 +242,46 @@ def test_digests_tell_options_apart() -> None:
         PipelineOptions().changed(**{stage: {name: OTHER[stage][name]}}).digest
         for stage, name in every_option()
     }
-    assert len(digests) == 1 + sum(len(values) for stage, values in OTHER.items() if stage != "signature")
+    moving = [values for stage, values in OTHER.items() if stage not in ("signature", "retrieval")]
+    assert len(digests) == 1 + sum(len(values) for values in moving)
+
+
+def test_digests_are_those_of_the_catalogues_that_there_are() -> None:
+    """Computed before there were options of retrieval, and the scale auto."""
+    options = PipelineOptions()
+    assert options.digest == "5a0792f956f5d98f"
+    assert options.signature_digest == "e210fc05c6a2027d"
+    relative = options.changed(signature={"scale": "relative"})
+    assert relative.signature_digest == "066bd807dd8f0f7e"
+    pca = options.changed(retrieval={"whitening": "pca"})
+    assert pca.signature_digest == options.signature_digest
+    assert pca.compared_digest == relative.signature_digest
+
+
+@pytest.mark.parametrize(
+    ("scale", "whitening", "expected"),
+    [
+        ("auto", "none", "area"),
+        ("auto", "resolution", "area"),
+        ("auto", "pca", "relative"),
+        ("auto", "within-class", "area"),
+        ("area", "pca", "area"),
+        ("relative", "none", "relative"),
+        ("absolute", "pca", "absolute"),
+    ],
+)
+def test_pca_whitened_signatures_are_relative_unless_a_scale_is_named(
+    scale: str, whitening: str, expected: str
+) -> None:
+    options = PipelineOptions().changed(signature={"scale": scale}, retrieval={"whitening": whitening})
+    assert options.compared == options.signature.model_copy(update={"scale": expected})
+    named = options.changed(signature={"scale": expected})
+    assert options.compared_digest == named.compared_digest == named.signature_digest
+
+
+def test_a_file_and_a_preset_change_the_options_that_they_are_laid_over(tmp_path: Path) -> None:
+    base = PipelineOptions().changed(surface={"genus": 1}, retrieval={"distance": "d2"})
+    path = tmp_path / "options.toml"
+    path.write_text("[retrieval]\nwhitening = 'pca'\n")
+    assert PipelineOptions.from_toml(path, base) == base.changed(retrieval={"whitening": "pca"})
+    assert PipelineOptions.preset("clean-mesh", base) == base.changed(surface={"mode": "keep"})

@@ -9,6 +9,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from importlib import resources
 from pathlib import Path
+from typing import Any
 
 from pcretrieve.errors import CatalogueError, OptionError
 from pcretrieve.options import PipelineOptions, options_difference
@@ -98,9 +99,9 @@ def open_options(
         )
     stored = dict(connection.execute("SELECT key, value FROM meta"))
     try:
-        own = PipelineOptions(**json.loads(stored["options"]))
+        own = PipelineOptions(**_as_today(json.loads(stored["options"])))
         digest = stored["digest"]
-    except (KeyError, TypeError, json.JSONDecodeError) as error:
+    except (KeyError, TypeError, AttributeError, json.JSONDecodeError) as error:
         raise damaged(path, "it has no readable options") from error
     except OptionError as error:
         raise CatalogueError(
@@ -112,12 +113,22 @@ def open_options(
             f"{path} was built by a pcretrieve whose numbers differ (digest {digest} there, {own.digest} "
             "here): ingest into a new catalogue"
         )
-    if options is not None and (difference := options_difference(own, options)):
+    if options is not None and options.signature_digest != own.signature_digest:
+        difference = "; ".join(options_difference(own, options))
         raise CatalogueError(
-            f"{path} was built with other options: {'; '.join(difference)}. Ingest into a new catalogue, or "
+            f"{path} was built with other options: {difference}. Ingest into a new catalogue, or "
             "leave the options out to use its own"
         )
     return own
+
+
+def _as_today(stored: dict[str, Any]) -> dict[str, Any]:
+    """Options as they are called today, from those that a catalogue was built with."""
+    signature = stored.get("signature", {})
+    # Before there were options of retrieval, a catalogue's scale "area" was what "auto" is today.
+    if "retrieval" not in stored and signature.get("scale") == "area":
+        return stored | {"signature": signature | {"scale": "auto"}}
+    return stored
 
 
 @contextmanager

@@ -19,9 +19,15 @@ from pcretrieve.catalogue.opening import connect, damaged, is_writable, open_opt
 from pcretrieve.catalogue.record import Content, Record, StoredShape, free_id
 from pcretrieve.catalogue.row import RECORD_COLUMNS, packed, record_of, row_of, unpacked
 from pcretrieve.descriptors import describe
-from pcretrieve.errors import InputError, ShapeError
-from pcretrieve.options import PipelineOptions, SignatureOptions
-from pcretrieve.retrieval import Whitening, fit_whitening, log_signatures, resolution_whitening
+from pcretrieve.errors import CatalogueError, InputError, ShapeError
+from pcretrieve.options import PipelineOptions, options_difference
+from pcretrieve.retrieval import (
+    Whitening,
+    checked_damping,
+    resolution_whitening,
+    table_whitening,
+    whitening_digest,
+)
 from pcretrieve.types import ModalSpectrum, SignatureTable, TriangleMesh
 
 __all__ = ["Catalogue"]
@@ -49,7 +55,10 @@ class Catalogue:
     Examples
     --------
     >>> with Catalogue("people.sqlite") as catalogue:          # doctest: +SKIP
-    ...     index = SignatureIndex(catalogue.signatures(), whitening=catalogue.whitening("within-class"))
+    ...     options = catalogue.options.changed(retrieval={"whitening": "within-class"})
+    ...     index = SignatureIndex(
+    ...         catalogue.signatures(options), options.retrieval, whitening=catalogue.whitening(options)
+    ...     )
     """
 
     def __init__(
@@ -204,13 +213,22 @@ class Catalogue:
         """A shape, for `describe`."""
         return StoredShape(self, shape_id)
 
-    def signatures(self, options: SignatureOptions | None = None) -> SignatureTable:
-        """The signatures of all shapes that did not fail, by id.
+    def signatures(self, options: PipelineOptions | None = None) -> SignatureTable:
+        """The signatures by which all shapes that did not fail are compared, by id.
 
-        With `options` other than the catalogue's own, they are computed anew from what is stored.
+        Parameters
+        ----------
+        options : PipelineOptions, optional
+            With a descriptor other than the catalogue's own, as ``catalogue.options.changed(signature=...)``;
+            it is computed anew from what is stored.
+
+        Raises
+        ------
+        CatalogueError
+            If `options` are for other spectra than those of the catalogue.
         """
-        own = options is None or options == self.options.signature
-        options = self.options.signature if options is None else options
+        options = self._fitting(options)
+        stored = options.compared_digest == self.options.signature_digest
         ids, labels, values = [], [], []
         query = "SELECT id, label, signature FROM shapes WHERE status = 'done' ORDER BY id"
         for shape_id, label, signature in self._all(query):
@@ -219,41 +237,50 @@ class Catalogue:
             try:
                 values.append(
                     self._unpacked(signature)["values"]
-                    if own
-                    else describe(self.shape(shape_id), options).values
+                    if stored
+                    else describe(self.shape(shape_id), options.compared).values
                 )
             except ShapeError as error:
                 error.shape_id = shape_id
                 raise
-        rows = np.array(values) if values else np.empty((0, options.n_values))
-        return SignatureTable(tuple(ids), rows, options.method, self._digest(options), tuple(labels))
+        signature = options.signature
+        rows = np.array(values) if values else np.empty((0, signature.n_values))
+        return SignatureTable(tuple(ids), rows, signature.method, options.compared_digest, tuple(labels))
 
-    def whitening(self, kind: str, options: SignatureOptions | None = None) -> Whitening:
-        """The whitening of this catalogue's signatures.
+    def whitening(self, options: PipelineOptions | None = None) -> Whitening:
+        """The whitening of this catalogue's signatures that options ask for.
 
         ``pca`` and ``within-class`` are fitted on the shapes that it holds now, and stored; fitted anew once
         they change.
 
         Parameters
         ----------
-        kind : {"none", "resolution", "pca", "within-class"}
-        options : SignatureOptions, optional
-            As in `signatures`.
+        options : PipelineOptions, optional
+            As in `signatures`: ``catalogue.options.changed(retrieval={"whitening": "pca"})``.
+
+        Raises
+        ------
+        CatalogueError
+            If `options` are for other spectra than those of the catalogue.
         """
+        options = self._fitting(options)
+        kind, damping = options.retrieval.whitening, options.retrieval.damping
         if kind == "resolution":
-            options = options or self.options.signature
-            return resolution_whitening(options, options_digest=self._digest(options))
+            return resolution_whitening(
+                options.compared, damping=damping, options_digest=options.compared_digest
+            )
         table = self.signatures(options)
+        if kind == "none":
+            return table_whitening(table, options.retrieval)
+        digest = whitening_digest(kind, checked_damping(kind, damping), table.digest)
         fingerprint = _fingerprint(table)
         row = self._one(
-            "SELECT arrays FROM whitenings WHERE kind = ? AND fingerprint = ?", (kind, fingerprint)
+            "SELECT arrays FROM whitenings WHERE digest = ? AND fingerprint = ?", (digest, fingerprint)
         )
         if row is not None:
             return Whitening.from_arrays(self._unpacked(row[0]))
-        whitening = fit_whitening(
-            kind, log_signatures(table.values), list(table.labels), options_digest=table.digest
-        )
-        if kind != "none" and is_writable(self.path):
+        whitening = table_whitening(table, options.retrieval)
+        if is_writable(self.path):
             arrays = packed(**whitening.to_arrays())
             with translated(self.path), self._connection:
                 self._connection.execute(
@@ -274,9 +301,17 @@ class Catalogue:
     def _is_taken(self, shape_id: str) -> bool:
         return self._one("SELECT 1 FROM shapes WHERE id = ?", (shape_id,)) is not None
 
-    def _digest(self, options: SignatureOptions) -> str:
-        """Of the signatures that some options make of what is stored."""
-        return self.options.model_copy(update={"signature": options}).signature_digest
+    def _fitting(self, options: PipelineOptions | None) -> PipelineOptions:
+        """The options of a request, once they have been seen to be for the spectra that are stored."""
+        if options is None:
+            return self.options
+        if options.digest != self.options.digest:
+            difference = "; ".join(options_difference(self.options, options))
+            raise CatalogueError(
+                f"{self.path} was built with other options: {difference}. Of those only the ones of "
+                "[signature] and [retrieval] can be changed: start from its own, Catalogue.options"
+            )
+        return options
 
     def _arrays(self, column: str, shape_id: str) -> dict[str, NDArray[Any]]:
         record = self.record(shape_id)

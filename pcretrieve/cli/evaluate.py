@@ -4,27 +4,22 @@ from __future__ import annotations
 
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from pcretrieve.cli.parts import (
     catalogue_option,
-    distance_option,
+    compared,
+    comparison_options,
     json_option,
-    method_option,
-    n_values_option,
     say,
-    scale_option,
-    size_weight_option,
-    whitening_option,
     write_json,
 )
-from pcretrieve.cli.signature_choice import signature_options
 
 if TYPE_CHECKING:
     from pcretrieve.catalogue import Catalogue
-    from pcretrieve.options import SignatureOptions
+    from pcretrieve.options import PipelineOptions
     from pcretrieve.types import SignatureTable
 
 __all__ = ["evaluate_command"]
@@ -35,23 +30,13 @@ __all__ = ["evaluate_command"]
 @click.option(
     "--labels", type=click.Path(path_type=Path), metavar="CSV", help="Classes, in place of the stored ones."
 )
-@distance_option
-@whitening_option
-@method_option
-@n_values_option
-@scale_option
-@size_weight_option
+@comparison_options
 @json_option
 def evaluate_command(
     catalogue: Path,
     labels: Path | None,
-    distance: str,
-    whitening: str,
-    method: str | None,
-    n_values: int | None,
-    scale: str | None,
-    size_weight: float | None,
     as_json: bool,
+    **comparison: Any,
 ) -> None:
     """Retrieval measures of a labelled catalogue: NN, FT, ST, E, DCG, mAP.
 
@@ -63,22 +48,23 @@ def evaluate_command(
     """
     from pcretrieve.catalogue import Catalogue
     from pcretrieve.evaluation.folds import evaluate
-    from pcretrieve.retrieval import resolution_whitening
 
     with Catalogue(catalogue) as store:
-        options = signature_options(store, whitening, method, n_values, scale, size_weight)
+        options = compared(store, **comparison)
         table, failed = _labelled(store, labels, options)
-        used = resolution_whitening(options) if whitening == "resolution" else whitening
-        measures = evaluate(table, distance=distance, whitening=used, failed_labels=failed)
+        measured = options.retrieval.whitening == "resolution"
+        whitening = store.whitening(options) if measured else None
+        measures = evaluate(table, options.retrieval, whitening=whitening, failed_labels=failed)
+    signature = options.compared
     document = asdict(measures) | {
         "n_failed": len(failed),
         "n_shapes": len(table),
         "method": table.kind,
         "n_values": table.values.shape[1],
-        "scale": options.scale,
-        "size_weight": options.size_weight,
-        "distance": distance,
-        "whitening": whitening,
+        "scale": signature.scale,
+        "size_weight": signature.size_weight,
+        "distance": options.retrieval.distance,
+        "whitening": options.retrieval.whitening,
     }
     if as_json:
         write_json(document)
@@ -88,12 +74,13 @@ def evaluate_command(
     click.echo("  ".join(f"{document[name]:6.4f}" for name in names))
     say(
         f"{measures.n_queries} queries in {len(table)} shapes, {len(failed)} failed ones count as misses; "
-        f"scale {options.scale}" + (f", size weight {options.size_weight:g}" if options.size_weight else "")
+        f"scale {signature.scale}"
+        + (f", size weight {signature.size_weight:g}" if signature.size_weight else "")
     )
 
 
 def _labelled(
-    store: Catalogue, labels: Path | None, options: SignatureOptions
+    store: Catalogue, labels: Path | None, options: PipelineOptions
 ) -> tuple[SignatureTable, list[str | None]]:
     """The signatures with their classes, and the classes of the shapes that failed."""
     from dataclasses import replace

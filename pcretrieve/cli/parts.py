@@ -3,20 +3,22 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
 if TYPE_CHECKING:
-    from pcretrieve.catalogue import Record
+    from pcretrieve.catalogue import Catalogue, Record
     from pcretrieve.options import PipelineOptions
     from pcretrieve.types import Step
 
 __all__ = [
     "catalogue_option",
+    "compared",
+    "comparison_options",
     "config_option",
-    "distance_option",
     "failure_line",
     "json_option",
     "load_options",
@@ -27,12 +29,15 @@ __all__ = [
     "size_weight_option",
     "step_lines",
     "surface_option",
-    "whitening_option",
     "write_json",
 ]
 
 EXIT_SOME_FAILED = 3
 EXIT_INTERRUPTED = 130
+
+# Bodies whose areas differ by more than this may be in different units: from a mouse to a horse it is less,
+# from centimetres to metres more.
+MIXED_UNITS = 3000
 
 catalogue_option = click.option(
     "--catalogue", "-c", type=click.Path(path_type=Path), required=True, metavar="FILE", help="The catalogue."
@@ -51,21 +56,24 @@ surface_option = click.option(
     help="What to do with meshes: keep closed manifold ones and reconstruct others (auto, the default), "
     "reconstruct all, or keep all.",
 )
-distance_option = click.option(
+_distance_option = click.option(
     "--distance",
     type=click.Choice(["log", "d1", "d2"]),
-    default="log",
-    show_default=True,
-    help="Euclidean distance of log-signatures, or the paper's D1 or D2.",
+    help="Euclidean distance of log-signatures, or the paper's D1 or D2.  [default: log, or the catalogue's]",
 )
-whitening_option = click.option(
+_whitening_option = click.option(
     "--whitening",
     type=click.Choice(["none", "resolution", "pca", "within-class"]),
-    default="none",
-    show_default=True,
     help="Let log-signatures count less in directions in which the resolution of a surface moves them, as it "
     "did those of simulated bodies (resolution, for r-bihdm); or decorrelate them over the catalogue (pca), "
-    "or by the variation within its classes.",
+    "or by the variation within its classes.  [default: none, or the catalogue's]",
+)
+_overlay_option = click.option(
+    "--config",
+    type=click.Path(path_type=Path),
+    metavar="TOML|PRESET",
+    help="Options in place of the catalogue's own: a file with the tables [signature] and [retrieval], or a "
+    "preset.",
 )
 
 
@@ -93,11 +101,10 @@ n_values_option = click.option(
 
 scale_option = click.option(
     "--scale",
-    type=click.Choice(["area", "relative", "absolute"]),
+    type=click.Choice(["auto", "area", "relative", "absolute"]),
     help="What its values are measured by: the area of the surface, its own first one, or the unit of the "
-    "files, which keeps the size of bodies. By area R-BiHDM retrieves better (mAP on SHREC'11 .978 to .970), "
-    "but not 45 values PCA whitened (.982 to .986): --whitening pca takes relative values in place of a "
-    "catalogue's by area, unless this option is given.  [default: area, or the catalogue's]",
+    "files, which keeps the size of bodies. auto is relative where signatures are compared PCA whitened, and "
+    "else by area.  [default: auto, or the catalogue's]",
 )
 
 
@@ -108,6 +115,42 @@ size_weight_option = click.option(
     help="Weigh the size of bodies beside their form, where all files have one unit: one value more, their "
     "area to this power. 6 is best for people.  [default: 0, none, or the catalogue's]",
 )
+
+
+def comparison_options(command: Callable[..., None]) -> Callable[..., None]:
+    """Give a command the options that say how shapes are compared, for `compared`."""
+    for option in (
+        _overlay_option,
+        size_weight_option,
+        scale_option,
+        n_values_option,
+        method_option,
+        _whitening_option,
+        _distance_option,
+    ):
+        command = option(command)
+    return command
+
+
+def compared(store: Catalogue, config: Path | None, **flags: Any) -> PipelineOptions:
+    """How a command compares the shapes of a catalogue: the catalogue's options, a file's, then its flags."""
+    given = {name: value for name, value in flags.items() if value is not None}
+    tables: dict[str, dict[str, Any]] = {"signature": {}, "retrieval": {}}
+    for name, value in given.items():
+        tables["retrieval" if name in ("distance", "whitening") else "signature"][name] = value
+    options = load_options(config, base=store.options).changed(**tables)
+    if options.signature.size_weight or options.signature.scale == "absolute":
+        _warn_of_mixed_units(store)
+    return options
+
+
+def _warn_of_mixed_units(store: Catalogue) -> None:
+    areas = [record.area for record in store.records() if record.area]
+    if areas and max(areas) > MIXED_UNITS * min(areas):
+        say(
+            f"the largest body in {store.path} has {max(areas) / min(areas):.0f} times the area of the "
+            "smallest: size tells them apart only if all files have one unit"
+        )
 
 
 def say(message: str) -> None:
@@ -126,16 +169,18 @@ def failure_line(record: Record) -> str:
     return f"failed: [{record.id} / {record.stage}] {record.message}{file}"
 
 
-def load_options(config: Path | None, surface: str | None = None) -> PipelineOptions:
-    """The options that ``--config`` and ``--surface`` ask for."""
+def load_options(
+    config: Path | None, surface: str | None = None, *, base: PipelineOptions | None = None
+) -> PipelineOptions:
+    """The options that ``--config`` and ``--surface`` ask for; the others are those of `base`."""
     from pcretrieve.options import PRESETS, PipelineOptions
 
     if config is None:
-        options = PipelineOptions()
+        options = base or PipelineOptions()
     elif str(config) in PRESETS and not config.exists():
-        options = PipelineOptions.preset(str(config))
+        options = PipelineOptions.preset(str(config), base)
     else:
-        options = PipelineOptions.from_toml(config)
+        options = PipelineOptions.from_toml(config, base)
     return options if surface is None else options.changed(surface={"mode": surface})
 
 

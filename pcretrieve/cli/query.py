@@ -3,25 +3,11 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import Any
 
 import click
 
-from pcretrieve.cli.parts import (
-    catalogue_option,
-    distance_option,
-    json_option,
-    method_option,
-    n_values_option,
-    scale_option,
-    size_weight_option,
-    whitening_option,
-    write_json,
-)
-from pcretrieve.cli.signature_choice import signature_options
-
-if TYPE_CHECKING:
-    pass
+from pcretrieve.cli.parts import catalogue_option, compared, comparison_options, json_option, write_json
 
 __all__ = ["query_command"]
 
@@ -30,24 +16,14 @@ __all__ = ["query_command"]
 @click.argument("scan", type=click.Path(path_type=Path))
 @catalogue_option
 @click.option("-k", "k", type=click.IntRange(min=1), default=10, show_default=True, help="How many.")
-@distance_option
-@whitening_option
-@method_option
-@n_values_option
-@scale_option
-@size_weight_option
+@comparison_options
 @json_option
 def query_command(
     scan: Path,
     catalogue: Path,
     k: int,
-    distance: str,
-    whitening: str,
-    method: str | None,
-    n_values: int | None,
-    scale: str | None,
-    size_weight: float | None,
     as_json: bool,
+    **comparison: Any,
 ) -> None:
     """The shapes most like a scan, nearest first.
 
@@ -60,8 +36,7 @@ def query_command(
     from pcretrieve.search import search
 
     with Catalogue(catalogue) as store:
-        options = signature_options(store, whitening, method, n_values, scale, size_weight)
-        neighbors = search(store, scan, k=k, distance=distance, whitening=whitening, options=options)
+        neighbors = search(store, scan, k=k, options=compared(store, **comparison))
         records = [store.record(shape_id) for shape_id in neighbors.ids]
     found = [
         {"rank": rank, "id": record.id, "path": record.path, "label": record.label, "distance": float(gap)}

@@ -3,23 +3,11 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import Any
 
 import click
 
-from pcretrieve.cli.parts import (
-    catalogue_option,
-    distance_option,
-    method_option,
-    n_values_option,
-    scale_option,
-    size_weight_option,
-    whitening_option,
-)
-from pcretrieve.cli.signature_choice import signature_options
-
-if TYPE_CHECKING:
-    pass
+from pcretrieve.cli.parts import catalogue_option, compared, comparison_options
 
 __all__ = ["report_command"]
 
@@ -38,23 +26,13 @@ __all__ = ["report_command"]
     "--queries", type=click.IntRange(min=1), default=8, show_default=True, help="Rows of results, most."
 )
 @click.option("-k", "k", type=click.IntRange(min=1), default=5, show_default=True, help="Results in a row.")
-@distance_option
-@whitening_option
-@method_option
-@n_values_option
-@scale_option
-@size_weight_option
+@comparison_options
 def report_command(
     catalogue: Path,
     output: Path,
     queries: int,
     k: int,
-    distance: str,
-    whitening: str,
-    method: str | None,
-    n_values: int | None,
-    scale: str | None,
-    size_weight: float | None,
+    **comparison: Any,
 ) -> None:
     """An HTML page: retrieval measures, and pictures of queries and their ranked results.
 
@@ -67,13 +45,6 @@ def report_command(
     from pcretrieve.pages.retrieval_page import retrieval_page
 
     with Catalogue(catalogue) as store:
-        page = retrieval_page(
-            store,
-            output,
-            n_queries=queries,
-            k=k,
-            distance=distance,
-            whitening=whitening,
-            options=signature_options(store, whitening, method, n_values, scale, size_weight),
-        )
+        options = compared(store, **comparison)
+        page = retrieval_page(store, output, n_queries=queries, k=k, options=options)
     click.echo(str(page))

@@ -49,7 +49,7 @@ Method = Callable[[Describable, SignatureOptions], Signature]
 
 def _spectrum(shape: Describable, options: SignatureOptions) -> ModalSpectrum:
     """The spectrum of the surface on unit area; for the scale ``absolute``, in the unit of the file."""
-    return shape.spectrum.scaled(shape.area) if options.scale == "absolute" else shape.spectrum
+    return shape.spectrum.scaled(shape.area) if options.measured_by == "absolute" else shape.spectrum
 
 
 def _bag(*, spatial: bool = False, scale_invariant: bool = False) -> Method:
@@ -59,17 +59,17 @@ def _bag(*, spatial: bool = False, scale_invariant: bool = False) -> Method:
 
 
 METHODS: dict[str, Method] = {
-    "r-bihdm": lambda shape, o: r_bihdm(_spectrum(shape, o), o.n_values, o.n_modes, scale=o.scale),
-    "bihdm": lambda shape, o: bihdm(_spectrum(shape, o), o.n_values, o.n_modes, scale=o.scale),
-    "shape-dna": lambda shape, o: shape_dna(_spectrum(shape, o), o.n_values, normalized_by=BY[o.scale]),
+    "r-bihdm": lambda shape, o: r_bihdm(_spectrum(shape, o), o.n_values, o.n_modes, scale=o.measured_by),
+    "bihdm": lambda shape, o: bihdm(_spectrum(shape, o), o.n_values, o.n_modes, scale=o.measured_by),
+    "shape-dna": lambda shape, o: shape_dna(_spectrum(shape, o), o.n_values, normalized_by=BY[o.measured_by]),
     "shape-dna-norm1": lambda shape, o: shape_dna(shape.spectrum, o.n_values, normalized_by="first"),
-    "sd-gdm": lambda shape, o: sd_gdm(shape.mesh, o.n_values, scale=o.scale),
+    "sd-gdm": lambda shape, o: sd_gdm(shape.mesh, o.n_values, scale=o.measured_by),
     "hks-bow": _bag(),
     "hks-bow-spatial": _bag(spatial=True),
     "si-hks-bow": _bag(scale_invariant=True),
     "si-hks-bow-spatial": _bag(spatial=True, scale_invariant=True),
     "wks": lambda shape, o: wks(shape.spectrum, o.n_values, o.n_modes),
-    "combined": lambda shape, o: combined(_spectrum(shape, o), o.n_values, o.n_modes, scale=o.scale),
+    "combined": lambda shape, o: combined(_spectrum(shape, o), o.n_values, o.n_modes, scale=o.measured_by),
 }
 
 

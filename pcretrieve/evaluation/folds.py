@@ -17,7 +17,8 @@ import numpy as np
 from pcretrieve.errors import BenchmarkError, OptionError
 from pcretrieve.evaluation.measures import RetrievalMeasures, evaluate_rankings
 from pcretrieve.evaluation.rankings import DistanceBlock, Positions, Rankings, rank_gallery
-from pcretrieve.retrieval import Whitening, fit_whitening, log_signatures, pairwise
+from pcretrieve.options import RetrievalOptions
+from pcretrieve.retrieval import Whitening, fit_whitening, log_signatures, pairwise, table_whitening
 from pcretrieve.types import FloatArray, SignatureTable
 
 __all__ = [
@@ -29,11 +30,6 @@ __all__ = [
     "within_class_distances",
     "within_class_folds",
 ]
-
-N_FOLDS = 5
-
-# Which classes share a fold moves a score by a few thousandths; a fixed seed makes scores comparable.
-FOLD_SEED = 0
 
 # Distances held at once: 32 MB.
 BLOCK_DISTANCES = 2**22
@@ -54,18 +50,16 @@ class Fold(NamedTuple):
 
 
 def grouped_folds(
-    labels: Iterable[str | None], *, n_folds: int = N_FOLDS, rng: np.random.Generator | None = None
+    labels: Iterable[str | None], options: RetrievalOptions | None = None
 ) -> tuple[tuple[str, ...], ...]:
     """Deal classes, not shapes, into folds.
 
     Parameters
     ----------
     labels : iterable of (str or None)
-        None is ignored.
-    n_folds : int
-        At least 2.
-    rng : numpy.random.Generator, optional
-        Shuffles the classes; by default always in the same way. The order of `labels` does not matter.
+        Their order does not matter; None is ignored.
+    options : RetrievalOptions, optional
+        How many folds, and the seed of the order in which classes are dealt.
 
     Returns
     -------
@@ -74,13 +68,11 @@ def grouped_folds(
 
     Raises
     ------
-    OptionError
-        For fewer than 2 folds.
     BenchmarkError
         Where fewer classes than folds have two shapes.
     """
-    if n_folds < 2:
-        raise OptionError(f"n_folds must be at least 2, got {n_folds}")
+    options = options or RetrievalOptions()
+    n_folds = options.n_folds
     sizes = Counter(label for label in labels if label is not None)
     shared = sorted(label for label, size in sizes.items() if size > 1)
     single = sorted(label for label, size in sizes.items() if size == 1)
@@ -89,97 +81,88 @@ def grouped_folds(
             f"{n_folds} folds need at least {n_folds} classes with 2 shapes or more, got {len(shared)}; "
             "label more shapes, ask for fewer folds, or use the whitening 'pca' or 'none'"
         )
-    rng = np.random.default_rng(FOLD_SEED) if rng is None else rng
+    rng = np.random.default_rng(options.fold_seed)
     dealt = [shared[i] for i in rng.permutation(len(shared))] + single
     return tuple(tuple(dealt[fold::n_folds]) for fold in range(n_folds))
 
 
-def within_class_folds(
-    table: SignatureTable,
-    *,
-    n_folds: int = N_FOLDS,
-    damping: float | None = None,
-    rng: np.random.Generator | None = None,
-) -> Iterator[Fold]:
+def within_class_folds(table: SignatureTable, options: RetrievalOptions | None = None) -> Iterator[Fold]:
     """The labelled shapes of each fold, with the within-class whitening fitted on the other folds.
 
-    `damping` is that of `fit_whitening`, `n_folds` and `rng` those of `grouped_folds`.
+    `options` say how the whitening is damped, and how classes are dealt, as in `grouped_folds`.
     """
+    options = options or RetrievalOptions()
     logs = log_signatures(table.values)
-    for classes in grouped_folds(table.labels, n_folds=n_folds, rng=rng):
+    for classes in grouped_folds(table.labels, options):
         scored = np.array([label in classes for label in table.labels])
         fitted = np.flatnonzero([label is not None for label in table.labels] & ~scored)
         whitening = fit_whitening(
             "within-class",
             logs[fitted],
             [table.labels[position] for position in fitted],
-            damping=damping,
+            damping=options.damping,
             options_digest=table.digest,
         )
         yield Fold(np.flatnonzero(scored), whitening)
 
 
 def within_class_distances(
-    table: SignatureTable,
-    distance: str = "log",
-    *,
-    n_folds: int = N_FOLDS,
-    damping: float | None = None,
-    rng: np.random.Generator | None = None,
+    table: SignatureTable, options: RetrievalOptions | None = None
 ) -> Iterator[DistanceBlock]:
     """Distances of each labelled shape to the whole gallery, whitened by its fold of `within_class_folds`."""
+    options = options or RetrievalOptions()
     logs = log_signatures(table.values)
-    for fold in within_class_folds(table, n_folds=n_folds, damping=damping, rng=rng):
-        yield from _blocks(distance, fold.whitening.apply(logs), fold.queries)
+    for fold in within_class_folds(table, options):
+        yield from _blocks(options.distance, fold.whitening.apply(logs), fold.queries)
 
 
 def table_distances(
-    table: SignatureTable,
-    distance: str = "log",
-    *,
-    whitening: Whitening | str = "none",
-    damping: float | None = None,
+    table: SignatureTable, options: RetrievalOptions | None = None, *, whitening: Whitening | None = None
 ) -> Iterator[DistanceBlock]:
-    """Distances of each labelled shape to the whole gallery, in a whitening that knows no labels."""
-    if _kind(whitening) == "within-class":
+    """Distances of each labelled shape to the whole gallery, in a whitening that knows no labels.
+
+    Raises
+    ------
+    OptionError
+        For a within-class whitening.
+    InputError
+        For a whitening that was fitted on signatures made by other options.
+    """
+    options = options or RetrievalOptions()
+    if _kind(options, whitening) == "within-class":
         raise OptionError(
-            "whitening must be none or pca here, got 'within-class', which would be scored on the classes "
+            "whitening must know no labels here, got 'within-class', which would be scored on the classes "
             "it was fitted on; use within_class_distances"
         )
-    logs = log_signatures(table.values)
-    if isinstance(whitening, str):
-        whitening = fit_whitening(whitening, logs, damping=damping)
-    whitened = whitening.apply(logs)
-    yield from _blocks(distance, whitened, np.flatnonzero([label is not None for label in table.labels]))
+    whitened = table_whitening(table, options, whitening).apply(log_signatures(table.values))
+    labelled = np.flatnonzero([label is not None for label in table.labels])
+    yield from _blocks(options.distance, whitened, labelled)
 
 
 def rank_table(
     table: SignatureTable,
+    options: RetrievalOptions | None = None,
     *,
-    distance: str = "log",
-    whitening: Whitening | str = "none",
+    whitening: Whitening | None = None,
     failed_labels: Iterable[str | None] = (),
-    n_folds: int = N_FOLDS,
-    damping: float | None = None,
-    rng: np.random.Generator | None = None,
 ) -> Rankings:
     """Rank the whole table for each labelled shape in it; parameters as in `evaluate`."""
-    if _kind(whitening) == "within-class":
-        blocks = within_class_distances(table, distance, n_folds=n_folds, damping=damping, rng=rng)
+    options = options or RetrievalOptions()
+    if whitening is not None:
+        whitening.check_made_for(table.digest)
+    if _kind(options, whitening) == "within-class":
+        blocks = within_class_distances(table, options)
     else:
-        blocks = table_distances(table, distance, whitening=whitening, damping=damping)
+        blocks = table_distances(table, options, whitening=whitening)
     return rank_gallery(blocks, table.ids, table.labels, failed_labels=failed_labels)
 
 
 def evaluate(
     table: SignatureTable,
+    options: RetrievalOptions | None = None,
     *,
-    distance: str = "log",
-    whitening: Whitening | str = "none",
+    whitening: Whitening | None = None,
     failed_labels: Iterable[str | None] = (),
-    n_folds: int = N_FOLDS,
-    damping: float | None = None,
-    rng: np.random.Generator | None = None,
 ) -> RetrievalMeasures:
     """Retrieval measures of a table of signatures.
 
@@ -187,33 +170,29 @@ def evaluate(
     ----------
     table : SignatureTable
         With labels; shapes without one are in the gallery, but no queries.
-    distance : str
-        ``log``, ``d1`` or ``d2``; see `pcretrieve.retrieval.distances`.
-    whitening : Whitening or str
-        One made before, such as `resolution_whitening`; ``none``; ``pca``, fitted on the whole table; or
-        ``within-class``, which is always fitted anew, by grouped folds.
+    options : RetrievalOptions, optional
+        The distance, and the whitening: ``pca`` is fitted to the whole table, ``within-class`` by grouped
+        folds.
+    whitening : Whitening, optional
+        One made before, such as `resolution_whitening`, in place of the one that `options` ask for. In place
+        of one of ``within-class``, others are fitted by grouped folds.
     failed_labels : iterable of (str or None)
         Classes of the shapes that failed, which count as misses.
-    n_folds, rng
-        As in `grouped_folds`; for ``within-class`` only.
-    damping : float, optional
-        As in `fit_whitening`.
+
+    Raises
+    ------
+    BenchmarkError
+        Where too few classes have two shapes.
+    InputError
+        For a whitening that was fitted on signatures made by other options.
+    OptionError
+        For the whitening ``resolution`` where it was not made before.
     """
-    return evaluate_rankings(
-        rank_table(
-            table,
-            distance=distance,
-            whitening=whitening,
-            failed_labels=failed_labels,
-            n_folds=n_folds,
-            damping=damping,
-            rng=rng,
-        )
-    )
+    return evaluate_rankings(rank_table(table, options, whitening=whitening, failed_labels=failed_labels))
 
 
-def _kind(whitening: Whitening | str) -> str:
-    return whitening if isinstance(whitening, str) else whitening.kind
+def _kind(options: RetrievalOptions, whitening: Whitening | None) -> str:
+    return options.whitening if whitening is None else whitening.kind
 
 
 def _blocks(distance: str, whitened: FloatArray, queries: Positions) -> Iterator[DistanceBlock]:

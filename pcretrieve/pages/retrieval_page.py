@@ -8,7 +8,7 @@ from pcretrieve.catalogue import Catalogue, Record
 from pcretrieve.errors import InputError
 from pcretrieve.evaluation.folds import rank_table
 from pcretrieve.evaluation.measures import evaluate_rankings, precision_recall
-from pcretrieve.options import SignatureOptions
+from pcretrieve.options import PipelineOptions
 from pcretrieve.pages.report import Card, Panel, write_report
 from pcretrieve.pages.thumbnail import thumbnail
 from pcretrieve.retrieval import SignatureIndex
@@ -26,9 +26,7 @@ def retrieval_page(
     *,
     n_queries: int = 8,
     k: int = 5,
-    distance: str = "log",
-    whitening: str = "none",
-    options: SignatureOptions | None = None,
+    options: PipelineOptions | None = None,
 ) -> Path:
     """Write a page with retrieval measures, and pictures of queries and their ranked results.
 
@@ -41,11 +39,9 @@ def retrieval_page(
         Rows of results: the first shape of each class, or of all where there are no classes.
     k : int, default 5
         Results in a row, the query itself left out.
-    distance, whitening : str
-        As in `SignatureIndex` and `Catalogue.whitening`. Measures with ``within-class`` come from grouped
-        folds, the rows from the whitening that a query would get.
-    options : SignatureOptions, optional
-        A descriptor other than the catalogue's own.
+    options : PipelineOptions, optional
+        With a descriptor, a distance or a whitening other than the catalogue's own. Measures with the
+        whitening ``within-class`` come from grouped folds, the rows from the whitening of a query.
 
     Returns
     -------
@@ -54,17 +50,19 @@ def retrieval_page(
 
     Raises
     ------
+    CatalogueError
+        If `options` are for other spectra than those of the catalogue.
     InputError
         If the catalogue holds no shapes, or the page cannot be written.
     """
-    options = options or catalogue.options.signature
+    options = options or catalogue.options
     table = catalogue.signatures(options)
     if not len(table):
         raise InputError(f"{catalogue.path} holds no shapes: ingest some first")
     records = {record.id: record for record in catalogue.records()}
     failed = [record for record in records.values() if record.status == "failed"]
-    whitened = catalogue.whitening(whitening, options)
-    index = SignatureIndex(table, distance=distance, whitening=whitened)
+    whitening = catalogue.whitening(options)
+    index = SignatureIndex(table, options.retrieval, whitening=whitening)
 
     def card(record: Record, pixels: int, gap: float | None = None, relevant: bool | None = None) -> Card:
         picture = thumbnail(catalogue.mesh(record.id), size=pixels)
@@ -90,8 +88,8 @@ def retrieval_page(
     if _has_pairs(table):
         rankings = rank_table(
             table,
-            distance=distance,
-            whitening=whitened,
+            options.retrieval,
+            whitening=whitening,
             failed_labels=[record.label for record in failed],
         )
         measures, curve = evaluate_rankings(rankings), precision_recall(rankings)
@@ -109,10 +107,10 @@ def retrieval_page(
             "shapes": str(len(table)),
             "classes": str(n_classes),
             "signature": f"{table.kind}, {table.values.shape[1]} values",
-            "scale": options.scale,
-            "weight of size": f"{options.size_weight:g}",
-            "distance": distance,
-            "whitening": whitening,
+            "scale": options.compared.scale,
+            "weight of size": f"{options.signature.size_weight:g}",
+            "distance": options.retrieval.distance,
+            "whitening": options.retrieval.whitening,
         },
         precision_recall=curve,
     )

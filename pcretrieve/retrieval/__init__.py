@@ -1,9 +1,10 @@
 """Signatures → ranked shapes: distances, whitening, and an exact nearest-neighbour index."""
 
 from pcretrieve.retrieval.distances import DISTANCES, log_signatures, pairwise
+from pcretrieve.retrieval.fitting import DEFAULT_DAMPING, checked_damping, fit_whitening, table_whitening
 from pcretrieve.retrieval.index import SignatureIndex
 from pcretrieve.retrieval.resolution import resolution_whitening
-from pcretrieve.retrieval.whitening import DEFAULT_DAMPING, WHITENINGS, Whitening, fit_whitening
+from pcretrieve.retrieval.whitening import WHITENINGS, Whitening, whitening_digest
 
 __all__ = [
     "DEFAULT_DAMPING",
@@ -11,8 +12,11 @@ __all__ = [
     "WHITENINGS",
     "SignatureIndex",
     "Whitening",
+    "checked_damping",
     "fit_whitening",
     "log_signatures",
     "pairwise",
     "resolution_whitening",
+    "table_whitening",
+    "whitening_digest",
 ]

@@ -27,8 +27,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pcretrieve.errors import InputError, OptionError
-from pcretrieve.retrieval.distances import DISTANCES, log_signatures, pairwise
-from pcretrieve.retrieval.whitening import Whitening, fit_whitening
+from pcretrieve.options import RetrievalOptions
+from pcretrieve.retrieval.distances import log_signatures, pairwise
+from pcretrieve.retrieval.fitting import table_whitening
+from pcretrieve.retrieval.whitening import Whitening
 from pcretrieve.types import FloatArray, Neighbors, Signature, SignatureTable
 
 __all__ = ["SignatureIndex"]
@@ -100,10 +102,10 @@ class SignatureIndex:
     ----------
     table : SignatureTable
         The gallery, at least one signature.
-    distance : str, default "log"
-        A key of `pcretrieve.retrieval.DISTANCES`: ``log``, ``d1`` or ``d2``.
-    whitening : Whitening or str, default "none"
-        A fitted whitening, such as `resolution_whitening`, or the kind of whitening to fit on `table`.
+    options : RetrievalOptions, optional
+        The distance, and the whitening to fit on `table`.
+    whitening : Whitening, optional
+        A whitening made before, such as `resolution_whitening`, instead of the one that `options` name.
     n_leading : int, default 6
         Number of principal directions in which the tree searches for ``log`` and ``d2``; it affects the time,
         not the result.
@@ -111,14 +113,14 @@ class SignatureIndex:
     Attributes
     ----------
     distance : str
-        The name of the distance.
+        A key of `pcretrieve.retrieval.DISTANCES`.
     whitening : Whitening
-        The fitted whitening.
+        The whitening of the gallery and of all queries.
 
     Raises
     ------
     OptionError
-        If the distance or the whitening does not exist, or `n_leading` is less than 1.
+        If `n_leading` is less than 1, or the whitening ``resolution`` is asked for and was not made before.
     InputError
         If the table is empty, or the whitening was fitted on signatures with other options.
     """
@@ -126,35 +128,28 @@ class SignatureIndex:
     def __init__(
         self,
         table: SignatureTable,
+        options: RetrievalOptions | None = None,
         *,
-        distance: str = "log",
-        whitening: Whitening | str = "none",
+        whitening: Whitening | None = None,
         n_leading: int = N_LEADING,
     ) -> None:
         from sklearn.neighbors import BallTree
 
-        if distance not in DISTANCES:
-            raise OptionError(f"distance must be one of {', '.join(DISTANCES)}, got {distance!r}")
+        options = options or RetrievalOptions()
         if n_leading < 1:
             raise OptionError(f"n_leading must be at least 1, got {n_leading}")
         if not len(table):
             raise InputError("an index needs at least 1 shape, got an empty table; ingest shapes first")
-        logs = log_signatures(table.values)
-        if isinstance(whitening, str):
-            whitening = fit_whitening(whitening, logs, table.labels, options_digest=table.digest)
-        elif whitening.options_digest != table.digest:
-            raise InputError(
-                f"the whitening must be fitted on signatures made by the same options as the table "
-                f"({table.digest!r}), got {whitening.options_digest!r}; fit it again"
-            )
-        self.distance = distance
-        self.whitening = whitening
+        self.distance = options.distance
+        self.whitening = table_whitening(table, options, whitening)
         self._kind, self._digest = table.kind, table.digest
         by_id = sorted(range(len(table)), key=table.ids.__getitem__)
         self._ids = tuple(table.ids[row] for row in by_id)
-        self._gallery = whitening.apply(logs[by_id])  # (N, L), sorted by id: so are ties
+        self._gallery = self.whitening.apply(
+            log_signatures(table.values[by_id])
+        )  # (N, L), sorted by id: so are ties
         self._size = max(1.0, float(np.abs(self._gallery).max(initial=0)))
-        metric, self._embed = _EMBEDDINGS[distance](self._gallery, n_leading)
+        metric, self._embed = _EMBEDDINGS[self.distance](self._gallery, n_leading)
         self._tree: Any = BallTree(self._embed(self._gallery), metric=metric)
 
     def __len__(self) -> int:

@@ -23,8 +23,9 @@ from importlib import resources
 import numpy as np
 
 from pcretrieve.errors import OptionError
-from pcretrieve.options import SignatureOptions
-from pcretrieve.retrieval.whitening import Whitening, checked_damping, inverse_square_root
+from pcretrieve.options import Damping, SignatureOptions
+from pcretrieve.retrieval.fitting import checked_damping, inverse_square_root
+from pcretrieve.retrieval.whitening import Whitening
 
 __all__ = ["is_measured", "resolution_whitening"]
 
@@ -54,11 +55,11 @@ def is_measured(options: SignatureOptions) -> bool:
     bool
         True for R-BiHDM with 60 modes, normalised by the area or relative.
     """
-    return options.method == METHOD and options.n_modes == N_MODES and options.scale != "absolute"
+    return options.method == METHOD and options.n_modes == N_MODES and options.measured_by != "absolute"
 
 
 def resolution_whitening(
-    options: SignatureOptions, *, damping: float | None = None, options_digest: str = ""
+    options: SignatureOptions, *, damping: Damping = "auto", options_digest: str = ""
 ) -> Whitening:
     """The whitening W = s (C + d c I)^(−1/2), with C the second moment of the changes caused by resolution.
 
@@ -66,8 +67,8 @@ def resolution_whitening(
     ----------
     options : SignatureOptions
         The options of the signatures: R-BiHDM with 60 modes, normalised by the area or relative.
-    damping : float, optional
-        d, in (0, 1], in units of c, the largest eigenvalue of C. By default that of `DEFAULT_DAMPING`.
+    damping : float or "auto", default "auto"
+        d, in (0, 1], in units of c, the largest eigenvalue of C. auto: that of `DEFAULT_DAMPING`.
     options_digest : str, default ""
         Digest of the table to which the whitening is applied.
 
@@ -85,11 +86,12 @@ def resolution_whitening(
     if not is_measured(options):
         raise OptionError(
             f"whitening 'resolution' has been measured for {METHOD} with n_modes = {N_MODES}, by area or "
-            f"relative, got {options.method} with {options.n_modes}, {options.scale}: take 'pca' or 'none'"
+            f"relative, got {options.method} with {options.n_modes}, {options.measured_by}: take 'pca' or "
+            "'none'"
         )
-    damping = checked_damping("resolution", damping)
+    used = checked_damping("resolution", damping)
     sample = np.load(str(resources.files(__package__).joinpath(SAMPLE))).astype(np.float64)
-    if options.scale == "relative":
+    if options.measured_by == "relative":
         sample -= sample[:, :, -1:]
     logs = sample[:, :, : options.n_values]
     change = logs[0] - logs[1]  # (n, L)
@@ -97,10 +99,10 @@ def resolution_whitening(
     change = change[size <= np.quantile(size, MOST)]
     covariance = change.T @ change / len(change)
     largest = np.linalg.eigvalsh(covariance)[-1]
-    root = inverse_square_root(covariance + damping * largest * np.eye(len(covariance)))
+    root = inverse_square_root(covariance + used * largest * np.eye(len(covariance)))
     root *= np.sqrt(len(root) / np.trace(root @ root))
     mean = logs.mean(axis=(0, 1))
     if options.size_weight:
         root, mean = np.pad(root, (0, 1)), np.append(mean, 0.0)
         root[-1, -1] = 1
-    return Whitening("resolution", mean, root, len(change), damping, options_digest)
+    return Whitening("resolution", mean, root, len(change), used, options_digest)

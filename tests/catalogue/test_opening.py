@@ -124,6 +124,18 @@ def test_a_newer_catalogue(path: Path) -> None:
         Catalogue(path)
 
 
+def test_options_of_a_version_that_had_none_of_retrieval(path: Path) -> None:
+    """It called "area" what is "auto" today, and goes on with files that name either."""
+    stored = OPTIONS.model_dump(exclude={"retrieval"})
+    stored["signature"]["scale"] = "area"
+    execute(path, f"UPDATE meta SET value = '{json.dumps(stored)}' WHERE key = 'options'")
+    for options in (None, OPTIONS, OPTIONS.changed(signature={"scale": "area"})):
+        with Catalogue(path, options) as store:
+            assert store.options == OPTIONS
+    with pytest.raises(CatalogueError, match=r"signature\.scale: 'auto' there, 'relative' here"):
+        Catalogue(path, OPTIONS.changed(signature={"scale": "relative"}))
+
+
 def test_options_of_a_version_that_had_more_of_them(path: Path) -> None:
     options = json.dumps({"surface": {"fairness": 3}})
     execute(path, f"UPDATE meta SET value = '{options}' WHERE key = 'options'")

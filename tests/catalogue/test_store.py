@@ -33,6 +33,10 @@ def egg(number: int) -> Shape:
     return process(shapes.ellipsoid((1, 1, 1 + number / 5), subdivisions=3), OPTIONS)
 
 
+def whitened(kind: str) -> PipelineOptions:
+    return OPTIONS.changed(retrieval={"whitening": kind})
+
+
 @cache
 def content(number: int) -> Content:
     shape = egg(number)
@@ -151,7 +155,7 @@ def test_labels_moves_and_removals(catalogue: Catalogue) -> None:
 def test_other_descriptors_are_made_from_the_stored_spectra(
     options: SignatureOptions, catalogue: Catalogue
 ) -> None:
-    table = catalogue.signatures(options)
+    table = catalogue.signatures(catalogue.options.changed(signature=options.model_dump()))
     assert table.kind == options.method
     assert table.digest != catalogue.signatures().digest
     for row, values in enumerate(table.values):
@@ -164,9 +168,9 @@ def test_spectra_that_an_earlier_version_stored_lack_overlaps_and_nothing_else(c
             blob = io.BytesIO()
             np.savez_compressed(blob, values=content(number).spectrum.moments)
             other.execute("UPDATE shapes SET moments = ? WHERE id = ?", (blob.getvalue(), f"egg{number}"))
-    assert len(catalogue.signatures(SignatureOptions(method="combined"))) == N_SHAPES
+    assert len(catalogue.signatures(OPTIONS.changed(signature={"method": "combined"}))) == N_SHAPES
     with pytest.raises(InputError, match="by an earlier pcretrieve: ingest the scans anew"):
-        catalogue.signatures(SignatureOptions(method="bihdm"))
+        catalogue.signatures(OPTIONS.changed(signature={"method": "bihdm"}))
 
 
 def test_a_shape_that_has_no_such_signature_is_named(catalogue: Catalogue) -> None:
@@ -174,7 +178,7 @@ def test_a_shape_that_has_no_such_signature_is_named(catalogue: Catalogue) -> No
     values = describe(egg(1), OPTIONS.signature).values
     catalogue.put(record(1), Content(few.mesh, few.spectrum, values))
     with pytest.raises(SpectrumError, match=r"\[egg1 / spectrum\] 61 eigenpairs need a surface of at least"):
-        catalogue.signatures(SignatureOptions(method="hks-bow"))
+        catalogue.signatures(OPTIONS.changed(signature={"method": "hks-bow"}))
 
 
 # --- whitening ------------------------------------------------------------------------------------------
@@ -186,12 +190,12 @@ def test_a_whitening_is_stored_and_fitted_anew_once_the_shapes_change(
 ) -> None:
     def fitted() -> bytes:
         """By whoever asks: what the catalogue answers is always what its shapes give."""
-        table = catalogue.signatures()
+        table = catalogue.signatures(whitened(kind))
         expected = fit_whitening(
             kind, log_signatures(table.values), table.labels, options_digest=table.digest
         ).to_arrays()
         for _ in ("fitted", "read back"):
-            answer = catalogue.whitening(kind).to_arrays()
+            answer = catalogue.whitening(whitened(kind)).to_arrays()
             for name, values in expected.items():
                 np.testing.assert_array_equal(answer[name], values)
         assert count(catalogue, "whitenings") == 1
@@ -205,20 +209,49 @@ def test_a_whitening_is_stored_and_fitted_anew_once_the_shapes_change(
     assert len({first, second, third}) == 3
 
 
+def test_whitenings_damped_in_two_ways_are_two(catalogue: Catalogue) -> None:
+    damped = [OPTIONS.changed(retrieval={"whitening": "pca", "damping": d}) for d in ("auto", 0.01, 0.5)]
+    found = [catalogue.whitening(options) for options in (*damped, *damped)]
+    assert [whitening.damping for whitening in found] == [0.01, 0.01, 0.5] * 2
+    np.testing.assert_array_equal(found[0].matrix, found[1].matrix)
+    assert not np.array_equal(found[1].matrix, found[2].matrix)
+    np.testing.assert_array_equal(found[2].matrix, found[5].matrix)
+
+
+def test_options_of_other_spectra_are_refused(catalogue: Catalogue) -> None:
+    other = OPTIONS.changed(spectral={"n_pairs": 91}, retrieval={"whitening": "pca"})
+    for ask in (catalogue.signatures, catalogue.whitening):
+        with pytest.raises(
+            CatalogueError, match=r"spectral.n_pairs: 61 there, 91 here. Of those only the ones"
+        ):
+            ask(other)
+
+
+def test_signatures_and_whitening_agree_about_the_scale(catalogue: Catalogue) -> None:
+    """PCA whitening is of relative values where no scale was named, in both of them."""
+    for scale, expected in (("auto", "relative"), ("area", "area"), ("relative", "relative")):
+        options = OPTIONS.changed(signature={"scale": scale}, retrieval={"whitening": "pca"})
+        table, whitening = catalogue.signatures(options), catalogue.whitening(options)
+        assert whitening.options_digest == table.digest == options.compared_digest
+        named = OPTIONS.changed(signature={"scale": expected})
+        np.testing.assert_array_equal(table.values, catalogue.signatures(named).values)
+        assert table.digest == named.signature_digest
+
+
 def test_the_whitening_by_resolution_is_not_fitted_and_not_stored(catalogue: Catalogue) -> None:
     table = catalogue.signatures()
-    whitening = catalogue.whitening("resolution")
+    whitening = catalogue.whitening(whitened("resolution"))
     assert whitening.options_digest == table.digest
     catalogue.remove("egg5")
-    np.testing.assert_array_equal(catalogue.whitening("resolution").matrix, whitening.matrix)
+    np.testing.assert_array_equal(catalogue.whitening(whitened("resolution")).matrix, whitening.matrix)
     assert count(catalogue, "whitenings") == 0
     assert len(SignatureIndex(catalogue.signatures(), whitening=whitening).query(table.values[0], 3).ids) == 3
 
 
 def test_a_whitening_by_class_follows_the_labels(catalogue: Catalogue) -> None:
-    before = catalogue.whitening("within-class").matrix
+    before = catalogue.whitening(whitened("within-class")).matrix
     catalogue.revise(labels={"/eggs/egg2.off": "long"})
-    assert not np.array_equal(catalogue.whitening("within-class").matrix, before)
+    assert not np.array_equal(catalogue.whitening(whitened("within-class")).matrix, before)
 
 
 @pytest.mark.skipif(os.geteuid() == 0, reason="root may write every file")
@@ -228,7 +261,7 @@ def test_a_catalogue_that_may_not_be_written_can_be_read(catalogue: Catalogue) -
     try:
         with Catalogue(catalogue.path) as reader:
             assert len(reader) == N_SHAPES
-            assert reader.whitening("pca").kind == "pca"
+            assert reader.whitening(whitened("pca")).kind == "pca"
             with pytest.raises(CatalogueError, match="cannot be written to"):
                 reader.remove("egg0")
         with pytest.raises(CatalogueError, match="cannot be written to"):

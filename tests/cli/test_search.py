@@ -16,7 +16,8 @@ from pcretrieve import Catalogue, PipelineOptions
 from pcretrieve.cli.main import cli
 from pcretrieve.evaluation.folds import evaluate
 from pcretrieve.ingest.run import ingest
-from pcretrieve.options import SignatureOptions
+from pcretrieve.options import RetrievalOptions, describe_options
+from pcretrieve.search import search
 from pcretrieve.surface import write_mesh
 
 PCA = ("--whitening", "pca")
@@ -58,7 +59,11 @@ def run(*arguments: object, code: int = 0) -> Result:
 
 def own(catalogue: Path) -> str:
     with Catalogue(catalogue) as store:
-        return store.options.signature.scale
+        return store.options.signature.measured_by
+
+
+def by(store: Catalogue, scale: str) -> PipelineOptions:
+    return store.options.changed(signature={"scale": scale})
 
 
 @pytest.mark.parametrize("given", ["none", "pca"])
@@ -71,8 +76,9 @@ def test_pca_whitening_takes_values_relative_unless_a_scale_is_named(
     found = json.loads(run("evaluate", "-c", catalogue, "--whitening", given, *chosen, "--json").stdout)
     assert found["scale"] == expected
     with Catalogue(catalogue) as store:
-        tables = {s: store.signatures(SignatureOptions(scale=s)) for s in ("area", "relative")}
-    measures = {s: asdict(evaluate(table, whitening=given)) for s, table in tables.items()}
+        tables = {s: store.signatures(by(store, s)) for s in ("area", "relative")}
+    retrieval = RetrievalOptions(whitening=given)
+    measures = {s: asdict(evaluate(table, retrieval)) for s, table in tables.items()}
     assert measures["area"] != measures["relative"], "there is something to be told apart"
     assert {name: found[name] for name in measures[expected]} == measures[expected]
     assert f"; scale {expected}\n" in run("evaluate", "-c", catalogue, "--whitening", given, *chosen).output
@@ -108,9 +114,67 @@ def test_queries_and_pages_do_as_evaluation_does(catalogue: Path, files: list[Pa
         assert re.search(rf"<dt>scale</dt>\s*<dd>{expected}</dd>", page.read_text(encoding="utf-8"))
 
 
+@pytest.mark.parametrize("whitening", ["none", "resolution", "pca", "within-class"])
+def test_python_and_the_command_give_the_same_numbers(
+    whitening: str, catalogue: Path, files: list[Path]
+) -> None:
+    printed = json.loads(run("query", "-c", catalogue, files[0], "--whitening", whitening, "--json").stdout)
+    with Catalogue(catalogue) as store:
+        found = search(store, files[0], options=store.options.changed(retrieval={"whitening": whitening}))
+    assert [row["id"] for row in printed] == list(found.ids)
+    assert [row["distance"] for row in printed] == found.distances.tolist()
+
+
+def test_a_file_gives_commands_their_options_and_flags_override_it(
+    catalogue: Path, files: list[Path], tmp_path: Path
+) -> None:
+    mine = tmp_path / "mine.toml"
+    mine.write_text("[signature]\nn_values = 9\n[retrieval]\nwhitening = 'pca'\ndistance = 'd1'\n")
+    asked = ("evaluate", "-c", catalogue, "--json")
+    by_file = json.loads(run(*asked, "--config", mine).stdout)
+    assert (by_file["n_values"], by_file["whitening"], by_file["distance"]) == (9, "pca", "d1")
+    assert by_file == json.loads(run(*asked, *PCA, "--distance", "d1", "--n-values", 9).stdout)
+    overridden = run(*asked, "--config", mine, "--whitening", "none", "--distance", "log", "--n-values", 23)
+    assert overridden.stdout == run(*asked).stdout
+    query = ("query", "-c", catalogue, files[0], "--json")
+    assert (
+        run(*query, "--config", mine).stdout
+        == run(*query, *PCA, "--distance", "d1", "--n-values", 9).stdout
+        != run(*query).stdout
+    )
+    run("report", "-c", catalogue, "-o", tmp_path / "page.html", "--queries", 1, "--config", mine)
+    page = (tmp_path / "page.html").read_text(encoding="utf-8")
+    for name, value in (("distance", "d1"), ("whitening", "pca"), ("scale", by_file["scale"])):
+        assert re.search(rf"<dt>{name}</dt>\s*<dd>{value}</dd>", page), name
+
+
+def test_a_file_cannot_change_how_stored_spectra_were_made(catalogue: Path, files: list[Path]) -> None:
+    for command in (("query", files[0]), ("evaluate",), ("report", "-o", "page.html")):
+        refused = run(*command, "-c", catalogue, "--config", "body-scanner", code=1)
+        assert "surface.genus: 'auto' there, 'sphere' here" in str(refused.exception)
+
+
+def test_a_catalogue_compares_as_the_options_that_it_was_made_with_say(
+    files: list[Path], tmp_path: Path
+) -> None:
+    options = PipelineOptions().changed(retrieval={"whitening": "pca", "distance": "d1"})
+    (tmp_path / "mine.toml").write_text(describe_options(options))
+    run("ingest", files[0].parent, "-c", tmp_path / "c.sqlite", "--config", tmp_path / "mine.toml")
+    run("ingest", files[0].parent, "-c", tmp_path / "plain.sqlite")
+    query = ("query", files[0], "--json")
+    own = run(*query, "-c", tmp_path / "c.sqlite").stdout
+    assert own == run(*query, "-c", tmp_path / "plain.sqlite", *PCA, "--distance", "d1").stdout
+    plain = run(*query, "-c", tmp_path / "plain.sqlite").stdout
+    assert (
+        plain == run(*query, "-c", tmp_path / "c.sqlite", "--whitening", "none", "--distance", "log").stdout
+    )
+    # Nothing that is stored depends on them, so that a catalogue goes on with others.
+    run("ingest", files[0].parent, "-c", tmp_path / "plain.sqlite", "--config", tmp_path / "mine.toml")
+
+
 def test_a_catalogue_that_stored_relative_keeps_it(catalogue: Path) -> None:
     with Catalogue(catalogue) as store:
-        stored, anew = store.signatures(), store.signatures(SignatureOptions(scale=own(catalogue)))
+        stored, anew = store.signatures(), store.signatures(by(store, own(catalogue)))
     np.testing.assert_array_equal(stored.values, anew.values)
     assert catalogue.parent.name.startswith(own(catalogue))
 
@@ -134,7 +198,7 @@ def test_size_tells_bodies_of_one_form_apart(tmp_path: Path) -> None:
     with Catalogue(path) as store:
         areas = {record.id: record.area for record in store.records()}
         assert areas["a"] is not None
-        sized = store.signatures(SignatureOptions(size_weight=6))
+        sized = store.signatures(store.options.changed(signature={"size_weight": 6}))
     assert sized.values[0, -1] == pytest.approx(areas["a"] ** 6)
     said = run("query", "-c", path, scans[0], "--size-weight", 6).stderr
     assert said == "", "they are all of one unit"

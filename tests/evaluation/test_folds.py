@@ -5,7 +5,7 @@ from dataclasses import asdict, replace
 import numpy as np
 import pytest
 
-from pcretrieve.errors import BenchmarkError, OptionError
+from pcretrieve.errors import BenchmarkError, InputError, OptionError
 from pcretrieve.evaluation.folds import (
     evaluate,
     grouped_folds,
@@ -14,8 +14,11 @@ from pcretrieve.evaluation.folds import (
     within_class_distances,
     within_class_folds,
 )
+from pcretrieve.options import RetrievalOptions
 from pcretrieve.retrieval import DISTANCES, fit_whitening, log_signatures, pairwise
 from pcretrieve.types import FloatArray, SignatureTable
+
+WITHIN_CLASS = RetrievalOptions(whitening="within-class")
 
 
 def a_table(*, seed: int = 0, n_classes: int = 10, per_class: int = 6, n_values: int = 8) -> SignatureTable:
@@ -33,7 +36,7 @@ def a_table(*, seed: int = 0, n_classes: int = 10, per_class: int = 6, n_values:
 def distance_matrix(table: SignatureTable, distance: str) -> FloatArray:
     """(N, N) with NaN where no query was made."""
     matrix = np.full((len(table), len(table)), np.nan)
-    for queries, distances in within_class_distances(table, distance):
+    for queries, distances in within_class_distances(table, RetrievalOptions(distance=distance)):
         matrix[queries] = distances
     return matrix
 
@@ -46,7 +49,7 @@ def test_every_class_is_in_one_fold() -> None:
 
 
 def test_classes_of_one_are_spread_beside_the_others() -> None:
-    folds = grouped_folds([*"aabbccddeeff", *"uvwxyz", None], n_folds=3)
+    folds = grouped_folds([*"aabbccddeeff", *"uvwxyz", None], RetrievalOptions(n_folds=3))
     assert [sum(name in "abcdef" for name in fold) for fold in folds] == [2, 2, 2]
     assert [sum(name in "uvwxyz" for name in fold) for fold in folds] == [2, 2, 2]
 
@@ -56,19 +59,14 @@ def test_folds_are_always_the_same_whatever_the_order_of_shapes() -> None:
     assert grouped_folds(labels) == grouped_folds(labels[::-1])
 
 
-def test_another_generator_deals_other_folds() -> None:
+def test_another_seed_deals_other_folds() -> None:
     labels = [f"class {number % 20}" for number in range(60)]
-    assert grouped_folds(labels, rng=np.random.default_rng(1)) != grouped_folds(labels)
+    assert grouped_folds(labels, RetrievalOptions(fold_seed=1)) != grouped_folds(labels)
 
 
 def test_too_few_classes() -> None:
     with pytest.raises(BenchmarkError, match="5 folds need at least 5 classes with 2 shapes or more, got 4"):
         grouped_folds([*"aabbccdd", *"efgh"])
-
-
-def test_a_single_fold() -> None:
-    with pytest.raises(OptionError, match="n_folds must be at least 2, got 1"):
-        grouped_folds("aabb", n_folds=1)
 
 
 def test_queries_are_all_labelled_shapes_once() -> None:
@@ -109,7 +107,7 @@ def test_the_whitening_has_seen_no_label_of_the_classes_it_is_scored_on() -> Non
 def test_the_whitening_of_a_fold_is_that_of_the_other_folds() -> None:
     table = a_table()
     logs = log_signatures(table.values)
-    for fold in within_class_folds(table, damping=0.2):
+    for fold in within_class_folds(table, RetrievalOptions(damping=0.2)):
         others = np.setdiff1d(np.arange(60), fold.queries)
         expected = fit_whitening("within-class", logs[others], [table.labels[i] for i in others], damping=0.2)
         np.testing.assert_allclose(fold.whitening.matrix, expected.matrix, rtol=1e-12)
@@ -147,7 +145,7 @@ def test_whitening_without_labels_is_fitted_on_the_whole_gallery(distance: str, 
     table = a_table()
     logs = log_signatures(table.values)
     whitened = fit_whitening(whitening, logs).apply(logs)
-    (block,) = table_distances(table, distance, whitening=whitening)
+    (block,) = table_distances(table, RetrievalOptions(distance=distance, whitening=whitening))
     assert (block.distances == pairwise(distance, whitened, whitened)).all()
 
 
@@ -162,20 +160,22 @@ def test_a_large_table_comes_in_several_blocks() -> None:
 
 def test_within_class_whitening_is_not_scored_on_its_own_classes() -> None:
     with pytest.raises(OptionError, match="use within_class_distances"):
-        list(table_distances(a_table(), whitening="within-class"))
+        list(table_distances(a_table(), WITHIN_CLASS))
 
 
 def test_within_class_whitening_that_was_fitted_before_is_not_scored_either() -> None:
     table = a_table()
-    fitted = fit_whitening("within-class", log_signatures(table.values), table.labels)
+    fitted = fit_whitening(
+        "within-class", log_signatures(table.values), table.labels, options_digest=table.digest
+    )
     with pytest.raises(OptionError, match="would be scored on the classes"):
         list(table_distances(table, whitening=fitted))
-    assert evaluate(table, whitening=fitted) == evaluate(table, whitening="within-class")
+    assert evaluate(table, whitening=fitted) == evaluate(table, WITHIN_CLASS)
 
 
 def test_within_class_whitening_removes_what_poses_have_in_common() -> None:
     table = a_table()
-    assert evaluate(table, whitening="within-class").map > evaluate(table).map + 0.2
+    assert evaluate(table, WITHIN_CLASS).map > evaluate(table).map + 0.2
 
 
 def test_within_class_whitening_finds_nothing_in_noise() -> None:
@@ -189,7 +189,7 @@ def test_within_class_whitening_finds_nothing_in_noise() -> None:
         logs = log_signatures(values)
         seen = fit_whitening("within-class", logs, table.labels).apply(logs)
         baseline = evaluate(noise).map
-        honest.append(evaluate(noise, whitening="within-class").map - baseline)
+        honest.append(evaluate(noise, WITHIN_CLASS).map - baseline)
         leaking.append(evaluate(replace(noise, values=np.exp(seen))).map - baseline)
     assert np.mean(honest) < 0
     assert np.mean(leaking) > 0.1
@@ -206,16 +206,18 @@ def test_evaluation_does_not_depend_on_the_order_of_shapes(whitening: str) -> No
         "3f2a",
         tuple(table.labels[i] for i in order),
     )
-    assert asdict(evaluate(shuffled, whitening=whitening)) == pytest.approx(
-        asdict(evaluate(table, whitening=whitening))
+    assert asdict(evaluate(shuffled, RetrievalOptions(whitening=whitening))) == pytest.approx(
+        asdict(evaluate(table, RetrievalOptions(whitening=whitening)))
     )
 
 
 @pytest.mark.parametrize("whitening", ["none", "pca", "within-class"])
 def test_failures_lower_every_measure(whitening: str) -> None:
     table = a_table()
-    whole = evaluate(table, whitening=whitening)
-    failed = evaluate(table, whitening=whitening, failed_labels=["class 3", "class 3", None])
+    whole = evaluate(table, RetrievalOptions(whitening=whitening))
+    failed = evaluate(
+        table, RetrievalOptions(whitening=whitening), failed_labels=["class 3", "class 3", None]
+    )
     assert (failed.n_queries, failed.n_failed) == (62, 2)
     for name in ("nn", "ft", "dcg", "map"):
         assert getattr(failed, name) < getattr(whole, name)
@@ -224,7 +226,7 @@ def test_failures_lower_every_measure(whitening: str) -> None:
 def test_a_query_whose_class_mates_all_failed_is_in_some_fold() -> None:
     table = a_table()
     table = replace(table, labels=(*table.labels[:-1], "rare"))
-    result = rank_table(table, whitening="within-class", failed_labels=["rare"])
+    result = rank_table(table, WITHIN_CLASS, failed_labels=["rare"])
     assert result.labels.count("rare") == 2
     assert len(result.labels) == 61
 
@@ -232,7 +234,32 @@ def test_a_query_whose_class_mates_all_failed_is_in_some_fold() -> None:
 @pytest.mark.parametrize("distance", DISTANCES)
 def test_evaluate_passes_the_distance_on(distance: str) -> None:
     table = a_table()
-    (block,) = table_distances(table, distance)
+    (block,) = table_distances(table, RetrievalOptions(distance=distance))
     nearest = np.where(np.eye(60, dtype=bool), np.inf, block.distances).argmin(axis=1)
     hits = [table.labels[i] == table.labels[j] for i, j in enumerate(nearest)]
-    assert evaluate(table, distance=distance).nn == pytest.approx(np.mean(hits))
+    assert evaluate(table, RetrievalOptions(distance=distance)).nn == pytest.approx(np.mean(hits))
+
+
+@pytest.mark.parametrize("kind", ["pca", "within-class"])
+def test_a_whitening_of_other_signatures_is_refused(kind: str) -> None:
+    table = a_table()
+    other = fit_whitening(kind, log_signatures(table.values), table.labels, options_digest="77b1")
+    for score in (evaluate, rank_table):
+        with pytest.raises(
+            InputError, match=r"same options as the table \('3f2a'\), got '77b1'; fit it again"
+        ):
+            score(table, whitening=other)
+
+
+def test_damping_and_folds_are_those_of_the_options() -> None:
+    table = a_table()
+    damped = replace(table, values=np.exp(_damped(table, "pca", 0.5)))
+    assert evaluate(table, RetrievalOptions(whitening="pca", damping=0.5)) == evaluate(damped)
+    few = RetrievalOptions(whitening="within-class", n_folds=2)
+    assert len(list(within_class_folds(table, few))) == 2
+    assert evaluate(table, few) != evaluate(table, WITHIN_CLASS)
+
+
+def _damped(table: SignatureTable, kind: str, damping: float) -> FloatArray:
+    logs = log_signatures(table.values)
+    return fit_whitening(kind, logs, damping=damping).apply(logs)

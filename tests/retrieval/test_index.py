@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from pcretrieve.errors import InputError, OptionError
+from pcretrieve.options import RetrievalOptions
 from pcretrieve.retrieval import (
     DISTANCES,
     SignatureIndex,
@@ -42,7 +43,7 @@ def by_brute_force(
 @pytest.mark.parametrize("seed", range(3))
 def test_agrees_with_brute_force(distance: str, whitening: str, seed: int) -> None:
     table = a_table(300, seed=seed, copies=60)
-    index = SignatureIndex(table, distance=distance, whitening=whitening)
+    index = SignatureIndex(table, RetrievalOptions(distance=distance, whitening=whitening))
     rng = np.random.default_rng(seed + 100)
     near = table.values[:15] * np.exp(0.1 * rng.normal(size=(15, 15)))
     outside = np.exp(rng.normal(size=(15, 15)) * 8)
@@ -59,7 +60,7 @@ def test_agrees_with_brute_force(distance: str, whitening: str, seed: int) -> No
 def test_leaves_most_of_a_gallery_out(distance: str) -> None:
     """The lower bound is worth having: few shapes are measured exactly."""
     table = a_table(3000)
-    index = SignatureIndex(table, distance=distance)
+    index = SignatureIndex(table, RetrievalOptions(distance=distance))
     points = index.whitening.apply(log_signatures(table.values[:20]))
     measured = [len(index._candidates(point[np.newaxis], 5)) for point in points]
     assert np.median(measured) < 100
@@ -69,7 +70,7 @@ def test_leaves_most_of_a_gallery_out(distance: str) -> None:
 def test_ties_are_broken_by_id(distance: str) -> None:
     values = np.full((7, 4), 0.5)
     table = SignatureTable(tuple("gbfadce"), values, "r-bihdm")
-    found = SignatureIndex(table, distance=distance).query(values[0], 3)
+    found = SignatureIndex(table, RetrievalOptions(distance=distance)).query(values[0], 3)
     assert found.ids == ("a", "b", "c")
     assert (found.distances == 0).all()
 
@@ -78,7 +79,7 @@ def test_ties_are_broken_by_id(distance: str) -> None:
 @pytest.mark.parametrize("distance", DISTANCES)
 def test_two_shapes(distance: str, whitening: str) -> None:
     table = a_table(2)
-    index = SignatureIndex(table, distance=distance, whitening=whitening)
+    index = SignatureIndex(table, RetrievalOptions(distance=distance, whitening=whitening))
     for values in table.values:
         found = index.query(values, 10)
         assert (found.ids, found.distances.tolist()) == by_brute_force(index, table, values, 10)
@@ -88,27 +89,27 @@ def test_two_shapes(distance: str, whitening: str) -> None:
 @pytest.mark.parametrize("distance", DISTANCES)
 def test_one_shape(distance: str) -> None:
     table = a_table(1)
-    found = SignatureIndex(table, distance=distance).query(table.values[0] * 2, 10)
+    found = SignatureIndex(table, RetrievalOptions(distance=distance)).query(table.values[0] * 2, 10)
     assert found.ids == table.ids
     assert found.distances[0] > 0
 
 
 def test_one_shape_cannot_be_whitened() -> None:
     with pytest.raises(InputError, match="needs at least 2 distinct shapes"):
-        SignatureIndex(a_table(1), whitening="pca")
+        SignatureIndex(a_table(1), RetrievalOptions(whitening="pca"))
 
 
 @pytest.mark.parametrize("distance", DISTANCES)
 def test_all_shapes_for_a_k_beyond_them(distance: str) -> None:
     table = a_table(12)
-    found = SignatureIndex(table, distance=distance).query(table.values[3], 1000)
+    found = SignatureIndex(table, RetrievalOptions(distance=distance)).query(table.values[3], 1000)
     assert sorted(found.ids) == sorted(table.ids)
     assert (np.diff(found.distances) >= 0).all()
 
 
 def test_infinite_distances_are_ranked_by_id() -> None:
     values = np.exp([[700.0], [-700.0], [699.0], [-699.0], [-698.0]])
-    index = SignatureIndex(SignatureTable(tuple("dceba"), values, "r-bihdm"), distance="d2")
+    index = SignatureIndex(SignatureTable(tuple("dceba"), values, "r-bihdm"), RetrievalOptions(distance="d2"))
     point = np.exp([720.0 - 15])
     assert (index.query(point, 4).ids, index.query(point, 4).distances[2]) == (tuple("deab"), np.inf)
 
@@ -117,14 +118,14 @@ def test_infinite_distances_are_ranked_by_id() -> None:
 @pytest.mark.parametrize("n_leading", [1, 15, 100])
 def test_the_leading_directions_change_no_answer(distance: str, n_leading: int) -> None:
     table = a_table(200)
-    index = SignatureIndex(table, distance=distance, n_leading=n_leading)
+    index = SignatureIndex(table, RetrievalOptions(distance=distance), n_leading=n_leading)
     for values in table.values[:10]:
         assert index.query(values).ids == by_brute_force(index, table, values, 10)[0]
 
 
 def test_many_queries_are_the_queries_one_by_one() -> None:
     table = a_table(50)
-    index = SignatureIndex(table, whitening="pca")
+    index = SignatureIndex(table, RetrievalOptions(whitening="pca"))
     for values, found in zip(table.values, index.query_many(table.values, 4), strict=True):
         assert found.ids == index.query(values, 4).ids
 
@@ -140,7 +141,8 @@ def test_a_signature_is_as_good_as_its_values() -> None:
 def test_a_whitening_fitted_before_serves_as_well() -> None:
     table = a_table(50)
     whitening = fit_whitening("pca", log_signatures(table.values), options_digest=table.digest)
-    before, now = SignatureIndex(table, whitening=whitening), SignatureIndex(table, whitening="pca")
+    before = SignatureIndex(table, whitening=whitening)
+    now = SignatureIndex(table, RetrievalOptions(whitening="pca"))
     assert before.whitening.digest == now.whitening.digest
     assert before.query(table.values[0]).ids == now.query(table.values[0]).ids
 
@@ -157,13 +159,9 @@ def test_length() -> None:
     assert len(SignatureIndex(a_table(12))) == 12
 
 
-def test_unknown_names() -> None:
-    with pytest.raises(OptionError, match="distance must be one of log, d1, d2, got 'l2'"):
-        SignatureIndex(a_table(5), distance="l2")
-    with pytest.raises(
-        OptionError, match="whitening must be one of none, resolution, pca, within-class, got 'zca'"
-    ):
-        SignatureIndex(a_table(5), whitening="zca")
+def test_a_whitening_that_is_not_fitted_must_be_made_before() -> None:
+    with pytest.raises(OptionError, match="'resolution' is not fitted to shapes: see resolution_whitening"):
+        SignatureIndex(a_table(5), RetrievalOptions(whitening="resolution"))
 
 
 def test_no_directions() -> None:
