@@ -1,4 +1,4 @@
-"""OFF, STL and GLB, read by trimesh."""
+"""OFF and STL, read by trimesh."""
 
 from __future__ import annotations
 
@@ -7,16 +7,57 @@ from typing import Any
 
 import numpy as np
 
-from pcretrieve.scan.raw import RawScan, incomplete
+from pcretrieve.scan.raw import RawScan, incomplete, merged_vertices
 
-__all__ = ["read_mesh"]
-
-# Formats that repeat a vertex for each face or normal that it takes part in.
-REPEATS_VERTICES = frozenset({".stl", ".glb"})
+__all__ = ["read_off", "read_stl"]
 
 
-def read_mesh(path: Path) -> RawScan:
-    """Vertices and triangles of an OFF, STL or GLB file; larger polygons are cut into triangles."""
+def read_off(path: Path) -> RawScan:
+    """Read an OFF file.
+
+    Parameters
+    ----------
+    path : Path
+
+    Returns
+    -------
+    RawScan
+        Vertices and triangles; larger polygons are cut into triangles.
+
+    Raises
+    ------
+    ScanReadError
+        If it is not an OFF file, is cut short, or has no vertices.
+    """
+    return _read(path)
+
+
+def read_stl(path: Path) -> RawScan:
+    """Read an STL file, binary or text.
+
+    Parameters
+    ----------
+    path : Path
+
+    Returns
+    -------
+    RawScan
+        Triangles, and their corners as vertices: corners at the same place, which the format repeats for each
+        triangle, are one vertex.
+
+    Raises
+    ------
+    ScanReadError
+        If it is not an STL file, is cut short, or has no triangles.
+    """
+    scan = _read(path)
+    if scan.faces is None:
+        raise incomplete(path, "it holds no triangles")
+    vertices, faces = merged_vertices(scan.points, scan.faces)
+    return RawScan(vertices, faces)
+
+
+def _read(path: Path) -> RawScan:
     import trimesh
 
     try:
@@ -30,7 +71,4 @@ def read_mesh(path: Path) -> RawScan:
         raise incomplete(path, error) from error
     if not len(vertices):
         raise incomplete(path, "it holds no vertices")
-    if path.suffix.lower() in REPEATS_VERTICES:
-        vertices, inverse = np.unique(vertices, axis=0, return_inverse=True)
-        faces = inverse.reshape(-1)[faces]
     return RawScan(vertices, faces if len(faces) else None)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from pcretrieve.errors import ScanReadError
 
-__all__ = ["RawScan", "fans", "incomplete"]
+__all__ = ["RawScan", "fans", "incomplete", "merged_vertices"]
 
 
 class RawScan(NamedTuple):
@@ -56,6 +56,21 @@ def fans(polygons: Sequence[NDArray[Any]]) -> NDArray[np.int64]:
     if not triangles:
         return np.empty((0, 3), dtype=np.int64)
     return np.concatenate(triangles, dtype=np.int64, casting="unsafe")
+
+
+def merged_vertices(
+    vertices: NDArray[Any], faces: NDArray[np.integer[Any]]
+) -> tuple[NDArray[Any], NDArray[np.integer[Any]]]:
+    """Vertices that are at the same place made one, in lexicographic order; and the faces between them.
+
+    Parameters
+    ----------
+    vertices : (n, 3) float
+    faces : (m, 3) int
+        Of these vertices.
+    """
+    vertices, inverse = np.unique(vertices, axis=0, return_inverse=True)
+    return vertices, inverse.reshape(-1)[faces]
 
 
 def incomplete(path: Path, reason: object) -> ScanReadError:

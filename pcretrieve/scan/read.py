@@ -13,7 +13,8 @@ import numpy as np
 from pcretrieve.errors import InputError, ScanReadError
 from pcretrieve.scan import views
 from pcretrieve.scan.files import check_file
-from pcretrieve.scan.mesh_files import read_mesh
+from pcretrieve.scan.glb import read_glb
+from pcretrieve.scan.mesh_files import read_off, read_stl
 from pcretrieve.scan.obj import read_obj
 from pcretrieve.scan.pcd import read_pcd
 from pcretrieve.scan.ply import read_ply
@@ -51,9 +52,9 @@ BUILT_IN: dict[str, Reader] = {
     ".xyzn": read_xyzn,
     ".pts": read_pts,
     ".obj": read_obj,
-    ".off": read_mesh,
-    ".stl": read_mesh,
-    ".glb": read_mesh,
+    ".off": read_off,
+    ".stl": read_stl,
+    ".glb": read_glb,
     ".conf": _read_conf,
 }
 

@@ -75,6 +75,35 @@ BROKEN = {
         + bytes(9),
         "not a complete PCD file",
     ),
+    "counts.pcd": (
+        pcd_header("x", "y", "z", n=3).replace("COUNT 1", "COUNT 99999999").encode() + ROWS.encode(),
+        "its header promises 100000001 values a point, 4096 may be",
+    ),
+    "underscores.pcd": (
+        pcd_header("x", "y", "z", n=3, data="binary").replace("POINTS 3", "POINTS 3_000_000").encode()
+        + bytes(36),
+        "its header promises 3000000 points, 36 bytes follow",
+    ),
+    "lzf_size.pcd": (
+        pcd_header("x", "y", "z", n=10**8, data="binary_compressed").encode()
+        + struct.pack("<II", 9, 12 * 10**8)
+        + bytes(9),
+        "it promises 1200000000 bytes in 9, 9 follow",
+    ),
+    "lzf_points.pcd": (
+        pcd_header("x", "y", "z", n=10**8, data="binary_compressed").encode()
+        + struct.pack("<II", 9, 36)
+        + bytes(9),
+        "its header promises 100000000 points, 36 bytes follow",
+    ),
+    "codec.pcd": (
+        b"VERSION 0.7\nFIELDS x \xff\nDATA binary\n",
+        "it holds bytes that are no text",
+    ),
+    "beyond.obj": (
+        b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 1000000000000000000000000000000\n",
+        "line 4 is 'f 1 2 1000000000000000000000000000000'",
+    ),
     "no_vertices.obj": (b"# nothing\n", "it holds no vertices"),
     "half_line.obj": (b"v 1 2 3\nv 1 2", "line 2 is 'v 1 2'"),
     "zeroth.obj": (b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 0 1 2\n", "line 4 is 'f 0 1 2'"),
