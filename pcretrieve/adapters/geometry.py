@@ -1,0 +1,112 @@
+"""Geometry of other packages and plain arrays → vertices, faces and normals.
+
+A package is told by the attributes of its values, never imported: whoever holds an Open3D, trimesh or PyVista
+value has imported that package already.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["GeometryArrays", "geometry_arrays"]
+
+# Corners of a triangle. PyVista writes this number before the vertices of each face.
+N_CORNERS = 3
+
+
+class GeometryArrays(NamedTuple):
+    """A point cloud or a triangle mesh as arrays, unchecked.
+
+    Attributes
+    ----------
+    points : (n, 3) array
+        Points of a cloud, vertices of a mesh; in the unit of the geometry.
+    faces : (m, 3) array or None
+        Vertex numbers; None for a point cloud.
+    normals : (n, 3) array or None
+        Unit normals of a point cloud, where it has them.
+    """
+
+    points: NDArray[Any]
+    faces: NDArray[Any] | None = None
+    normals: NDArray[Any] | None = None
+
+
+def geometry_arrays(geometry: object) -> GeometryArrays:
+    """The arrays of a point cloud or a triangle mesh, whichever package made it.
+
+    Parameters
+    ----------
+    geometry : object
+        An (n, 3) array of points; a pair (vertices, faces) of arrays; an Open3D point cloud or triangle mesh,
+        legacy or tensor; a trimesh mesh or point cloud; a PyVista ``PolyData``; or any value with
+        ``vertices`` and ``faces``, or with ``points`` (and ``normals``).
+
+    Returns
+    -------
+    GeometryArrays
+
+    Raises
+    ------
+    TypeError
+        If no points can be found in the value.
+    """
+    package = type(geometry).__module__.partition(".")[0]
+    if package == "open3d":
+        return _of_open3d(geometry)
+    if package == "pyvista":
+        return _of_pyvista(geometry)
+    vertices, faces = getattr(geometry, "vertices", None), getattr(geometry, "faces", None)
+    if vertices is not None:
+        return GeometryArrays(np.asarray(vertices), None if faces is None else np.asarray(faces))
+    points = getattr(geometry, "points", None)
+    if points is not None and not callable(points):
+        normals = getattr(geometry, "normals", None)
+        return GeometryArrays(np.asarray(points), normals=_unit(normals) if normals is not None else None)
+    if _is_pair(geometry):
+        first, second = geometry  # type: ignore[misc]  # told to be a pair
+        return GeometryArrays(np.asarray(first), np.asarray(second))
+    if isinstance(geometry, (str, bytes, dict)) or not isinstance(geometry, (np.ndarray, Sequence)):
+        raise TypeError(f"neither a point cloud nor a triangle mesh: {type(geometry).__name__}")
+    try:
+        return GeometryArrays(np.asarray(geometry))
+    except ValueError as error:  # rows of different lengths
+        raise TypeError(f"not an array of points: {error}") from error
+
+
+def _is_pair(geometry: object) -> bool:
+    """Whether a sequence holds the vertices and the faces of a mesh, and not two points."""
+    return isinstance(geometry, (tuple, list)) and len(geometry) == 2 and np.ndim(geometry[0]) == 2
+
+
+def _of_open3d(geometry: Any) -> GeometryArrays:
+    legacy = geometry.to_legacy() if hasattr(geometry, "to_legacy") else geometry
+    if hasattr(legacy, "triangles"):
+        return GeometryArrays(np.array(legacy.vertices), np.array(legacy.triangles))
+    if not hasattr(legacy, "points") or hasattr(legacy, "lines"):
+        raise TypeError(f"neither a point cloud nor a triangle mesh: {type(geometry).__name__}")
+    return GeometryArrays(
+        np.array(legacy.points), normals=_unit(legacy.normals) if legacy.has_normals() else None
+    )
+
+
+def _of_pyvista(geometry: Any) -> GeometryArrays:
+    if not hasattr(geometry, "faces"):
+        raise TypeError(
+            f"not a surface: a PyVista {type(geometry).__name__}; take its extract_surface() or its points"
+        )
+    if not len(geometry.faces):
+        return GeometryArrays(np.array(geometry.points))
+    faces = np.array(geometry.triangulate().faces).reshape(-1, 1 + N_CORNERS)
+    return GeometryArrays(np.array(geometry.points), faces[:, 1:])
+
+
+def _unit(normals: Any) -> NDArray[np.float64]:
+    """Normals divided by their length; those of length zero as they are."""
+    vectors = np.array(normals, dtype=np.float64)
+    length = np.linalg.norm(vectors, axis=-1, keepdims=True)
+    return np.asarray(vectors / np.where(length > 0, length, 1))

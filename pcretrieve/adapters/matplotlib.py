@@ -1,0 +1,182 @@
+"""Figures by matplotlib: arrays in, axes out.
+
+matplotlib is an extra (``pip install pcretrieve[plot]``); an axes of another figure may be handed in, so that
+several plots share one figure.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pcretrieve.errors import InputError
+
+__all__ = ["plot_points", "plot_ranking", "plot_signature", "plot_spectrum", "plot_surface"]
+
+FloatArray = NDArray[np.float64]
+
+# More points than this take long to draw, and show no more.
+MOST_POINTS = 20_000
+
+# A light clay, as in the pictures of the pages.
+CLAY = (0.86, 0.80, 0.74)
+
+
+def _pyplot() -> Any:
+    try:
+        from matplotlib import pyplot
+    except ImportError as error:
+        raise InputError("plots need matplotlib: pip install 'pcretrieve[plot]'") from error
+    return pyplot
+
+
+def _axes(axes: Any, **more: Any) -> Any:
+    return axes if axes is not None else _pyplot().figure().add_subplot(**more)
+
+
+def _equal_box(axes: Any, points: FloatArray) -> None:
+    """One scale on all three axes of a picture of a body."""
+    axes.set_box_aspect(np.maximum(np.ptp(points, axis=0), 1e-12 + np.ptp(points) * 1e-3))
+    axes.set_xlabel("x")
+    axes.set_ylabel("y")
+    axes.set_zlabel("z")
+
+
+def plot_points(points: FloatArray, axes: Any = None) -> Any:
+    """A point cloud in three dimensions.
+
+    Parameters
+    ----------
+    points : (n, 3) float64
+        Of more than 20 000, every second, third, ... is drawn.
+    axes : matplotlib axes with projection ``3d``, optional
+
+    Returns
+    -------
+    matplotlib axes
+
+    Raises
+    ------
+    InputError
+        If matplotlib is not installed.
+    """
+    axes = _axes(axes, projection="3d")
+    shown = points[:: -(-len(points) // MOST_POINTS) or 1]
+    axes.scatter(*shown.T, s=1, c=shown[:, 2], cmap="viridis", linewidths=0)
+    _equal_box(axes, points)
+    return axes
+
+
+def plot_surface(vertices: FloatArray, faces: NDArray[np.int32], axes: Any = None) -> Any:
+    """A shaded surface in three dimensions.
+
+    Parameters
+    ----------
+    vertices : (n, 3) float64
+    faces : (m, 3) int32
+    axes : matplotlib axes with projection ``3d``, optional
+
+    Returns
+    -------
+    matplotlib axes
+
+    Raises
+    ------
+    InputError
+        If matplotlib is not installed.
+    """
+    axes = _axes(axes, projection="3d")
+    axes.plot_trisurf(*vertices.T, triangles=faces, color=CLAY, linewidth=0)
+    _equal_box(axes, vertices)
+    return axes
+
+
+def plot_signature(
+    values: FloatArray, kind: str, deviation: FloatArray | None = None, axes: Any = None
+) -> Any:
+    """The values of a signature by their number, on a logarithmic scale where all are positive.
+
+    Parameters
+    ----------
+    values : (L,) float64
+    kind : str
+        The method, for the label.
+    deviation : (L,) float64, optional
+        Standard deviation of the logarithm of each value, drawn as an error bar.
+    axes : matplotlib axes, optional
+
+    Returns
+    -------
+    matplotlib axes
+
+    Raises
+    ------
+    InputError
+        If matplotlib is not installed.
+    """
+    axes = _axes(axes)
+    numbers = np.arange(1, len(values) + 1)
+    bars = None
+    if deviation is not None:
+        bars = [values - values * np.exp(-deviation), values * np.exp(deviation) - values]
+    axes.errorbar(numbers, values, yerr=bars, marker="o", markersize=3, linewidth=1, capsize=2, label=kind)
+    if (values > 0).all():
+        axes.set_yscale("log")
+    axes.set_xlabel("number of the value")
+    axes.set_ylabel(kind)
+    return axes
+
+
+def plot_spectrum(eigenvalues: FloatArray, axes: Any = None) -> Any:
+    """Eigenvalues by their number, starting from 0.
+
+    Parameters
+    ----------
+    eigenvalues : (k,) float64
+        Ascending; unit length⁻².
+    axes : matplotlib axes, optional
+
+    Returns
+    -------
+    matplotlib axes
+
+    Raises
+    ------
+    InputError
+        If matplotlib is not installed.
+    """
+    axes = _axes(axes)
+    axes.plot(np.arange(len(eigenvalues)), eigenvalues, marker="o", markersize=3, linewidth=1)
+    axes.set_xlabel("number of the eigenvalue")
+    axes.set_ylabel("eigenvalue, length⁻²")
+    return axes
+
+
+def plot_ranking(names: Sequence[str], distances: FloatArray, axes: Any = None) -> Any:
+    """Neighbours as horizontal bars, the nearest at the top.
+
+    Parameters
+    ----------
+    names : sequence of str, length k
+    distances : (k,) float64
+        Dimensionless.
+    axes : matplotlib axes, optional
+
+    Returns
+    -------
+    matplotlib axes
+
+    Raises
+    ------
+    InputError
+        If matplotlib is not installed.
+    """
+    axes = _axes(axes)
+    axes.barh(np.arange(len(names)), distances, color=CLAY)
+    axes.set_yticks(np.arange(len(names)), labels=list(names))
+    axes.invert_yaxis()
+    axes.set_xlabel("distance")
+    return axes
