@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcretrieve.inspection.inspection import Inspection
+from pcretrieve.pages.html import page_template
 from pcretrieve.pages.inspection_pictures import (
     AWAY,
     BRIDGE,
@@ -24,14 +25,12 @@ from pcretrieve.pages.inspection_pictures import (
     FILLED,
     KEPT,
     SKIN_WIDTH,
-    css,
     inspection_views,
     rows_of,
     thinned,
 )
-from pcretrieve.pages.report import template, write_file
-from pcretrieve.pages.scan_pictures import Colour
-from pcretrieve.pages.thumbnail import CLAY
+from pcretrieve.pages.report import write_file
+from pcretrieve.rendering import CLAY, Colour, css
 from pcretrieve.types import FloatArray
 
 __all__ = ["write_inspection_page"]
@@ -58,15 +57,11 @@ def write_inspection_page(inspection: Inspection, path: str | Path) -> Path:
         Where the file cannot be written.
     """
     target = Path(path).absolute()
-    page = (
-        template()
-        .environment.get_template("inspect.html")
-        .render(
-            it=inspection,
-            rows=[row.encoded() for row in rows_of(inspection)],
-            scene=_scene(inspection),
-            plot=_plot(inspection),
-        )
+    page = page_template("inspection.html").render(
+        it=inspection,
+        rows=[row.encoded() for row in rows_of(inspection)],
+        scene=_scene(inspection),
+        plot=_plot(inspection),
     )
     write_file(target, page.encode("utf-8", errors="replace"))
     return target

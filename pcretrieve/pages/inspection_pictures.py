@@ -11,8 +11,7 @@ from PIL import Image, ImageDraw, ImageFont
 
 from pcretrieve.inspection.inspection import Inspection
 from pcretrieve.pages.report import write_file
-from pcretrieve.pages.scan_pictures import Colour, View, point_picture, rgb, surface_picture, views_of
-from pcretrieve.pages.thumbnail import CLAY
+from pcretrieve.rendering import CLAY, Colour, View, css, point_picture, rgb, surface_picture, views_around
 from pcretrieve.types import FloatArray, PointCloud, TriangleMesh
 
 __all__ = [
@@ -25,7 +24,6 @@ __all__ = [
     "KEPT",
     "SKIN_WIDTH",
     "Row",
-    "css",
     "inspection_views",
     "rows_of",
     "thinned",
@@ -87,7 +85,7 @@ class Row:
 
 def inspection_views(it: Inspection) -> list[View]:
     """Views from four sides; none where there is nothing to see."""
-    return views_of(it.body) if len(it.body) else []
+    return views_around(it.body) if len(it.body) else []
 
 
 def rows_of(it: Inspection) -> list[Row]:
@@ -99,7 +97,10 @@ def rows_of(it: Inspection) -> list[Row]:
         rows.append(_normals_row(it.cloud, it.cloud.normals, it))
     if it.mesh is not None:
         clay = np.tile(CLAY, (len(it.mesh.faces), 1))
-        plain = [surface_picture(it.mesh, clay, view, size=PICTURE_PIXELS) for view in inspection_views(it)]
+        plain = [
+            surface_picture(it.mesh.vertices, it.mesh.faces, clay, view, size=PICTURE_PIXELS)
+            for view in inspection_views(it)
+        ]
         rows.append(Row("Surface", [(CLAY, f"{len(it.mesh.faces)} faces")], plain))
     if it.mesh is not None and it.cloud is not None:
         rows.append(_marks_row(it.mesh, it))
@@ -146,7 +147,7 @@ def _marks_row(mesh: TriangleMesh, it: Inspection) -> Row:
     colours = np.where(it.filled[:, None], FILLED, CLAY)
     rings = [(it.cuts, CUT), (it.bridges, BRIDGE)]
     pictures = [
-        surface_picture(mesh, colours, view, size=PICTURE_PIXELS, rings=rings)
+        surface_picture(mesh.vertices, mesh.faces, colours, view, size=PICTURE_PIXELS, rings=rings)
         for view in inspection_views(it)
     ]
     key = [
@@ -160,11 +161,6 @@ def _marks_row(mesh: TriangleMesh, it: Inspection) -> Row:
 def thinned(points: FloatArray) -> FloatArray:
     """At most `MOST_POINTS` rows, evenly through the file."""
     return points[np.linspace(0, len(points) - 1, min(len(points), MOST_POINTS)).astype(np.intp)]
-
-
-def css(colour: Colour) -> str:
-    """As style sheets write it."""
-    return "#" + bytes(rgb(colour)).hex()
 
 
 def write_inspection_png(inspection: Inspection, path: str | Path) -> Path:

@@ -6,24 +6,21 @@ One HTML file that needs nothing else: pictures are inlined, and no request leav
 from __future__ import annotations
 
 import os
-from base64 import b64encode
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from functools import cache
 from itertools import pairwise
 from math import isfinite
 from pathlib import Path
 from types import MappingProxyType
 from typing import NamedTuple
 
-from jinja2 import Environment, PackageLoader, StrictUndefined, Template
-
 from pcretrieve.errors import InputError
 from pcretrieve.evaluation.measures import PrecisionRecall, RetrievalMeasures
+from pcretrieve.pages.html import page_template
 from pcretrieve.types import Failure
 
-__all__ = ["Card", "Panel", "template", "write_file", "write_report"]
+__all__ = ["Card", "Panel", "write_file", "write_report"]
 
 PNG_MAGIC = b"\x89PNG\r\n\x1a\n"
 
@@ -177,7 +174,7 @@ def write_report(
         Where the file cannot be written.
     """
     target = Path(path).absolute()
-    page = template().render(
+    page = page_template("report.html").render(
         title=title,
         facts=facts,
         panels=panels,
@@ -219,31 +216,6 @@ def _curve(curve: PrecisionRecall) -> _Curve:
     return _Curve(
         " ".join(f"{x:.4f},{y:.4f}" for x, y in points), float(curve.precision[0]), float(curve.precision[-1])
     )
-
-
-def _three_digits(value: float) -> str:
-    """Three significant digits; whole numbers from 1000 on."""
-    text = f"{value:#.3g}".rstrip(".")
-    return f"{float(text):.0f}" if "e+" in text else text
-
-
-def _data_uri(picture: bytes) -> str:
-    return "data:image/png;base64," + b64encode(picture).decode("ascii")
-
-
-@cache
-def template() -> Template:
-    """The page's template; its environment has those of the other pages."""
-    environment = Environment(
-        loader=PackageLoader("pcretrieve.pages", ""),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    environment.filters["three_digits"] = _three_digits
-    environment.filters["data_uri"] = _data_uri
-    return environment.get_template("report.html")
 
 
 def write_file(target: Path, page: bytes) -> None:

@@ -10,7 +10,7 @@ from pcretrieve.evaluation.folds import rank_table
 from pcretrieve.evaluation.measures import evaluate_rankings, precision_recall
 from pcretrieve.options import PipelineOptions
 from pcretrieve.pages.report import Card, Panel, write_report
-from pcretrieve.pages.thumbnail import thumbnail
+from pcretrieve.rendering import thumbnail
 from pcretrieve.retrieval import SignatureIndex
 from pcretrieve.types import Failure, SignatureTable
 
@@ -65,7 +65,8 @@ def retrieval_page(
     index = SignatureIndex(table, options.retrieval, whitening=whitening)
 
     def card(record: Record, pixels: int, gap: float | None = None, relevant: bool | None = None) -> Card:
-        picture = thumbnail(catalogue.mesh(record.id), size=pixels)
+        mesh = catalogue.mesh(record.id)
+        picture = thumbnail(mesh.vertices, mesh.faces, size=pixels)
         return Card(record.id, record.label, record.path, gap, picture, relevant)
 
     panels = []

@@ -30,8 +30,7 @@ from pcretrieve.pages.inspection_pictures import (
     rows_of,
     write_inspection_png,
 )
-from pcretrieve.pages.scan_pictures import Colour
-from pcretrieve.pages.thumbnail import CLAY
+from pcretrieve.rendering import CLAY, Colour
 from pcretrieve.types import Failure, PointCloud, Signature, TriangleMesh
 
 CHROMIUM = shutil.which("chromium") or shutil.which("google-chrome")

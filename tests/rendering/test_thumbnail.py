@@ -9,9 +9,19 @@ from numpy.typing import ArrayLike, NDArray
 from PIL import Image
 from scipy.spatial.transform import Rotation
 
+from pcretrieve import rendering
 from pcretrieve.errors import DegenerateMeshError, OptionError
-from pcretrieve.pages.thumbnail import MARGIN, body_axes, thumbnail
+from pcretrieve.rendering import MARGIN
 from pcretrieve.types import FloatArray, TriangleMesh
+
+
+def thumbnail(mesh: TriangleMesh, **more: float) -> bytes:
+    return rendering.thumbnail(mesh.vertices, mesh.faces, **more)  # type: ignore[arg-type]
+
+
+def body_axes(mesh: TriangleMesh) -> FloatArray:
+    return rendering.body_axes(mesh.vertices, mesh.faces)
+
 
 CUBE = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], float) / 2
 CUBE_SIDES = [[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]]
@@ -214,3 +224,18 @@ def test_options_out_of_range() -> None:
         thumbnail(sphere(), size=0)
     with pytest.raises(OptionError, match="azimuth and elevation must be finite degrees, got nan and 10"):
         thumbnail(sphere(), azimuth=np.nan)
+
+
+def test_a_cloud_looks_like_its_surface() -> None:
+    mesh = pear()
+    corners = mesh.vertices[mesh.faces[mesh.face_areas > 0]]
+    points = corners.mean(axis=1)
+    seen = pixels(rendering.cloud_thumbnail(points, size=80))[:, :, 3] > 0
+    assert 0.1 < seen.mean() < 0.8
+    np.testing.assert_array_equal(
+        seen, pixels(rendering.cloud_thumbnail(1000 * points + 5, size=80))[:, :, 3] > 0
+    )
+
+
+def test_a_cloud_of_one_point_has_a_picture() -> None:
+    assert pixels(rendering.cloud_thumbnail(np.ones((1, 3))))[:, :, 3].any()

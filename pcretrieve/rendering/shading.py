@@ -1,0 +1,40 @@
+"""Lamps and the colour of clay."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["CLAY", "face_brightness"]
+
+#: A light clay, which stands out from white pages and from black ones; sRGB in [0, 1].
+CLAY = (0.86, 0.80, 0.74)
+
+# Directions to the two lamps as seen by the viewer (right, up, towards), and how strong the lamps are: a key
+# light from the upper left, as in drawings, and a weak fill light from the right so that no side is black.
+LIGHTS = (((-0.5, 0.7, 0.8), 0.72), ((0.9, 0.1, 0.5), 0.22))
+AMBIENT = 0.26
+
+
+def face_brightness(vertices: NDArray[np.float64], faces: NDArray[np.int32]) -> NDArray[np.float64]:
+    """Brightness of each face of a matt surface by Lambert's law; both sides of a face look the same.
+
+    Parameters
+    ----------
+    vertices : (n, 3) float64
+        In the frame of the viewer: right, up, towards.
+    faces : (m, 3) int32
+
+    Returns
+    -------
+    (m,) float64
+        In [0, 1].
+    """
+    a, b, c = (vertices[faces[:, k]] for k in range(3))
+    normals = np.cross(b - a, c - a)  # (m, 3)
+    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), np.finfo(float).tiny)
+    normals *= np.where(normals[:, 2:] < 0, -1, 1)
+    light = np.full(len(normals), AMBIENT)
+    for direction, strength in LIGHTS:
+        light += strength * np.maximum(normals @ direction / np.linalg.norm(direction), 0)
+    return np.minimum(light, 1)
