@@ -67,20 +67,15 @@ def geometry_arrays(geometry: object) -> GeometryArrays:
     if points is not None and not callable(points):
         normals = getattr(geometry, "normals", None)
         return GeometryArrays(np.asarray(points), normals=_unit(normals) if normals is not None else None)
-    if _is_pair(geometry):
-        first, second = geometry  # type: ignore[misc]  # told to be a pair
-        return GeometryArrays(np.asarray(first), np.asarray(second))
+    # Two arrays of rows are the vertices and the faces of a mesh; two rows are points.
+    if isinstance(geometry, (tuple, list)) and len(geometry) == 2 and np.ndim(geometry[0]) == 2:
+        return GeometryArrays(np.asarray(geometry[0]), np.asarray(geometry[1]))
     if isinstance(geometry, (str, bytes, dict)) or not isinstance(geometry, (np.ndarray, Sequence)):
         raise TypeError(f"neither a point cloud nor a triangle mesh: {type(geometry).__name__}")
     try:
         return GeometryArrays(np.asarray(geometry))
     except ValueError as error:  # rows of different lengths
         raise TypeError(f"not an array of points: {error}") from error
-
-
-def _is_pair(geometry: object) -> bool:
-    """Whether a sequence holds the vertices and the faces of a mesh, and not two points."""
-    return isinstance(geometry, (tuple, list)) and len(geometry) == 2 and np.ndim(geometry[0]) == 2
 
 
 def _of_open3d(geometry: Any) -> GeometryArrays:

@@ -37,4 +37,5 @@ def face_brightness(vertices: NDArray[np.float64], faces: NDArray[np.int32]) -> 
     light = np.full(len(normals), AMBIENT)
     for direction, strength in LIGHTS:
         light += strength * np.maximum(normals @ direction / np.linalg.norm(direction), 0)
-    return np.minimum(light, 1)
+    brightness: NDArray[np.float64] = np.minimum(light, 1)
+    return brightness

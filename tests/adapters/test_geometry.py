@@ -36,7 +36,7 @@ MESHES = {
 CLOUDS = {
     "open3d": open3d_cloud,
     "open3d tensor": lambda: o3d.t.geometry.PointCloud.from_legacy(open3d_cloud()),
-    "trimesh": lambda: trimesh.PointCloud(VERTICES),
+    "trimesh": lambda: trimesh.PointCloud(VERTICES),  # type: ignore[no-untyped-call]
     "pyvista": lambda: pyvista.PolyData(VERTICES),
     "points": lambda: SimpleNamespace(points=VERTICES),
     "array": lambda: VERTICES,
