@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from pcretrieve.arrays import FloatArray, IntArray
 from pcretrieve.errors import InputError
 
 if TYPE_CHECKING:
@@ -36,9 +37,6 @@ __all__ = [
     "Step",
     "TriangleMesh",
 ]
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int32]
 
 # Smallest ratio of the area of a face to the square of its longest edge. Below it cotangents of the angles
 # exceed 1e8, and rounding errors of the stiffness matrix reach the size of its small eigenvalues.

@@ -10,13 +10,11 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from pcretrieve.arrays import FloatArray, IntArray
 from pcretrieve.errors import InputError
 
 __all__ = ["plot_points", "plot_ranking", "plot_signature", "plot_spectrum", "plot_surface"]
-
-FloatArray = NDArray[np.float64]
 
 # More points than this take long to draw, and show no more.
 MOST_POINTS = 20_000
@@ -70,7 +68,7 @@ def plot_points(points: FloatArray, axes: Any = None) -> Any:
     return axes
 
 
-def plot_surface(vertices: FloatArray, faces: NDArray[np.int32], axes: Any = None) -> Any:
+def plot_surface(vertices: FloatArray, faces: IntArray, axes: Any = None) -> Any:
     """A shaded surface in three dimensions.
 
     Parameters

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pcretrieve.types import FloatArray, IntArray
+from pcretrieve.arrays import FloatArray, IntArray
 
 __all__ = [
     "RayScene",

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from scipy.sparse import csc_array
 
-from pcretrieve.types import FloatArray, IntArray
+from pcretrieve.arrays import FloatArray, IntArray
 
 __all__ = ["tufted_matrices"]
 

@@ -25,8 +25,8 @@ from typing import IO, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pcretrieve.arrays import FloatArray, IntArray
 from pcretrieve.errors import RemeshError
-from pcretrieve.types import FloatArray, IntArray
 
 __all__ = ["serve", "start", "tetrahedralize"]
 

@@ -8,9 +8,9 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pcretrieve.adapters.open3d import RayScene
+from pcretrieve.arrays import FloatArray, IntArray
 
 __all__ = [
     "MARGIN",
@@ -23,9 +23,6 @@ __all__ = [
     "views_around",
     "visible_faces",
 ]
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int32]
 
 #: Left free on each side of a picture; a share of its width.
 MARGIN = 0.04
@@ -100,6 +97,7 @@ def body_axes(vertices: FloatArray, faces: IntArray) -> FloatArray:
     Parameters
     ----------
     vertices : (n, 3) float64
+        Vertices of the surface, in any unit.
     faces : (m, 3) int32
         Of positive total area.
 
@@ -124,6 +122,7 @@ def principal_axes(points: FloatArray, weights: FloatArray) -> FloatArray:
     Parameters
     ----------
     points : (n, 3) float64
+        In the unit of the view.
     weights : (n,) float64
         Their sum is 1.
 
@@ -170,6 +169,7 @@ def visible_faces(vertices: FloatArray, faces: IntArray, size: int) -> IntArray:
     vertices : (n, 3) float64
         In the frame of the picture, which shows [-1, 1]² from above (along −z).
     faces : (m, 3) int32
+        Vertex numbers of the triangles.
     size : int
         Side of the picture; pixels.
 

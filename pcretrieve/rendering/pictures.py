@@ -5,16 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 
+from pcretrieve.arrays import FloatArray, IntArray
 from pcretrieve.rendering.camera import SUPERSAMPLING, View, pooled, visible_faces
 from pcretrieve.rendering.shading import face_brightness
 
 __all__ = ["Colour", "css", "point_picture", "rgb", "surface_picture"]
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int32]
 
 #: Red, green and blue in [0, 1].
 Colour = tuple[float, float, float]
@@ -32,9 +29,11 @@ def point_picture(
     Parameters
     ----------
     points : (n, 3) float64
+        In the unit of the view.
     colours : (n, 3) float64
         Red, green and blue in [0, 1].
     view : View
+        From where the picture is taken.
     width : float
         Of a square, within limits; unit of the scan.
     size : int
@@ -69,10 +68,13 @@ def surface_picture(
     Parameters
     ----------
     vertices : (n, 3) float64
+        Vertices of the surface, in any unit.
     faces : (m, 3) int32
+        Vertex numbers of the triangles.
     colours : (m, 3) float64
         Of its faces.
     view : View
+        From where the picture is taken.
     size : int
         Side of the picture; pixels.
     rings : sequence of ((k, 3) positions, colour)
@@ -100,6 +102,7 @@ def rgb(colour: Colour) -> tuple[int, int, int]:
     Parameters
     ----------
     colour : (red, green, blue) in [0, 1]
+        Red, green and blue.
 
     Returns
     -------
@@ -115,6 +118,7 @@ def css(colour: Colour) -> str:
     Parameters
     ----------
     colour : (red, green, blue) in [0, 1]
+        Red, green and blue.
 
     Returns
     -------

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
+
+from pcretrieve.arrays import FloatArray, IntArray
 
 __all__ = ["CLAY", "face_brightness"]
 
@@ -16,7 +17,7 @@ LIGHTS = (((-0.5, 0.7, 0.8), 0.72), ((0.9, 0.1, 0.5), 0.22))
 AMBIENT = 0.26
 
 
-def face_brightness(vertices: NDArray[np.float64], faces: NDArray[np.int32]) -> NDArray[np.float64]:
+def face_brightness(vertices: FloatArray, faces: IntArray) -> FloatArray:
     """Brightness of each face of a matt surface by Lambert's law; both sides of a face look the same.
 
     Parameters
@@ -24,6 +25,7 @@ def face_brightness(vertices: NDArray[np.float64], faces: NDArray[np.int32]) -> 
     vertices : (n, 3) float64
         In the frame of the viewer: right, up, towards.
     faces : (m, 3) int32
+        Vertex numbers of the triangles.
 
     Returns
     -------
@@ -37,5 +39,5 @@ def face_brightness(vertices: NDArray[np.float64], faces: NDArray[np.int32]) -> 
     light = np.full(len(normals), AMBIENT)
     for direction, strength in LIGHTS:
         light += strength * np.maximum(normals @ direction / np.linalg.norm(direction), 0)
-    brightness: NDArray[np.float64] = np.minimum(light, 1)
+    brightness: FloatArray = np.minimum(light, 1)
     return brightness

@@ -5,9 +5,9 @@ from __future__ import annotations
 from io import BytesIO
 
 import numpy as np
-from numpy.typing import NDArray
 from PIL import Image
 
+from pcretrieve.arrays import FloatArray, IntArray
 from pcretrieve.errors import DegenerateMeshError, OptionError
 from pcretrieve.rendering.camera import (
     MARGIN,
@@ -22,9 +22,6 @@ from pcretrieve.rendering.pictures import point_picture
 from pcretrieve.rendering.shading import CLAY, face_brightness
 
 __all__ = ["cloud_thumbnail", "thumbnail"]
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int32]
 
 # A palette makes a picture a third as large: with nothing, and each brightness at each coverage, the palette
 # holds what 8 bits can number. No eye tells 63 levels of one colour from more.
@@ -54,7 +51,9 @@ def thumbnail(
     Parameters
     ----------
     vertices : (n, 3) float64
+        Vertices of the surface, in any unit.
     faces : (m, 3) int32
+        Vertex numbers of the triangles.
     size : int, default 160
         Side of the square picture; pixels.
     azimuth, elevation : float, default 20 and 10
