@@ -51,6 +51,7 @@ def plot_points(points: FloatArray, axes: Any = None) -> Any:
     points : (n, 3) float64
         Of more than 20 000, every second, third, ... is drawn.
     axes : matplotlib axes with projection ``3d``, optional
+        What to draw into; by default new axes in a new figure.
 
     Returns
     -------
@@ -74,8 +75,11 @@ def plot_surface(vertices: FloatArray, faces: IntArray, axes: Any = None) -> Any
     Parameters
     ----------
     vertices : (n, 3) float64
+        Vertices of the surface, in any unit.
     faces : (m, 3) int32
+        Vertex numbers of the triangles.
     axes : matplotlib axes with projection ``3d``, optional
+        What to draw into; by default new axes in a new figure.
 
     Returns
     -------
@@ -100,11 +104,13 @@ def plot_signature(
     Parameters
     ----------
     values : (L,) float64
+        The signature.
     kind : str
         The method, for the label.
     deviation : (L,) float64, optional
         Standard deviation of the logarithm of each value, drawn as an error bar.
     axes : matplotlib axes, optional
+        What to draw into; by default new axes in a new figure.
 
     Returns
     -------
@@ -136,6 +142,7 @@ def plot_spectrum(eigenvalues: FloatArray, axes: Any = None) -> Any:
     eigenvalues : (k,) float64
         Ascending; unit length⁻².
     axes : matplotlib axes, optional
+        What to draw into; by default new axes in a new figure.
 
     Returns
     -------
@@ -159,9 +166,11 @@ def plot_ranking(names: Sequence[str], distances: FloatArray, axes: Any = None) 
     Parameters
     ----------
     names : sequence of str, length k
+        What each neighbour is called.
     distances : (k,) float64
         Dimensionless.
     axes : matplotlib axes, optional
+        What to draw into; by default new axes in a new figure.
 
     Returns
     -------
