@@ -154,7 +154,18 @@ def principal_axes(points: FloatArray, weights: FloatArray) -> FloatArray:
 
 
 def rotation(azimuth: float, elevation: float) -> FloatArray:
-    """(3, 3) rotation from body axes to those of a viewer who stands to the right and above; degrees."""
+    """The turn from the axes of a body to those of a viewer who stands to the right and above.
+
+    Parameters
+    ----------
+    azimuth, elevation : float
+        How far to the right of the front and above the viewer stands; degrees.
+
+    Returns
+    -------
+    (3, 3) float64
+        Rotation matrix.
+    """
     a, e = np.radians([azimuth, elevation])
     right = np.array([np.cos(a), 0.0, -np.sin(a)])
     towards = np.array([np.sin(a) * np.cos(e), np.sin(e), np.cos(a) * np.cos(e)])
@@ -188,7 +199,18 @@ def visible_faces(vertices: FloatArray, faces: IntArray, size: int) -> IntArray:
 
 
 def pooled(rays: FloatArray) -> FloatArray:
-    """Means over the rays of each pixel: (s, s, ...) to (s / `SUPERSAMPLING`, s / `SUPERSAMPLING`, ...)."""
+    """Means over the rays of each pixel.
+
+    Parameters
+    ----------
+    rays : (s, s, ...) float64
+        One value a ray, as from `visible_faces`.
+
+    Returns
+    -------
+    (s / `SUPERSAMPLING`, s / `SUPERSAMPLING`, ...) float64
+        One value a pixel.
+    """
     size = len(rays) // SUPERSAMPLING
     blocks = rays.reshape(size, SUPERSAMPLING, size, SUPERSAMPLING, *rays.shape[2:])
     means: FloatArray = blocks.mean(axis=(1, 3))
