@@ -3,20 +3,21 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import cache
 from importlib.metadata import entry_points
 from pathlib import Path
 
 import numpy as np
 
-from pcretrieve.errors import InputError, ScanReadError
+from pcretrieve.errors import ScanReadError
 from pcretrieve.scan import views
 from pcretrieve.scan.files import check_file
 from pcretrieve.scan.glb import read_glb
 from pcretrieve.scan.mesh_files import read_off, read_stl
 from pcretrieve.scan.obj import read_obj
 from pcretrieve.scan.pcd import read_pcd
+from pcretrieve.scan.plugins import PluginReader
 from pcretrieve.scan.ply import read_ply
 from pcretrieve.scan.raw import RawScan
 from pcretrieve.scan.text import read_pts, read_xyz, read_xyzn
@@ -60,21 +61,16 @@ BUILT_IN: dict[str, Reader] = {
 
 
 @cache
-def readers() -> dict[str, Reader]:
+def readers() -> Mapping[str, Reader]:
     """Readers by suffix: the built-in ones, and those of the entry-point group ``pcretrieve.readers``.
 
-    An entry point is named by its suffix, dot included, and gives a function from a path to a `RawScan`.
+    Returns
+    -------
+    mapping of str to callable
+        From a suffix, dot included and in lower case, to a function from a path to a `RawScan`.
     """
-    added = {}
-    for entry in entry_points(group="pcretrieve.readers"):
-        try:
-            added[entry.name.lower()] = entry.load()
-        except (ImportError, AttributeError) as error:
-            raise InputError(
-                f"the reader of {entry.name} files, {entry.value}, cannot be loaded ({error}): repair or "
-                "uninstall the package that brings it"
-            ) from error
-    return BUILT_IN | added
+    added = {entry.name.lower(): PluginReader(entry) for entry in entry_points(group="pcretrieve.readers")}
+    return {**BUILT_IN, **added}
 
 
 def read_scan(path: str | Path) -> PointCloud | TriangleMesh:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from scan_files import XYZ, pcd_header
 
 from pcretrieve import PointCloud, TriangleMesh, read_scan
-from pcretrieve.errors import InputError
+from pcretrieve.errors import ScanReadError
 from pcretrieve.scan import RawScan, readers
 from pcretrieve.surface import defects
 
@@ -271,10 +271,51 @@ def test_an_installed_package_brings_a_reader(plugin: Path, tmp_path: Path) -> N
     assert found.provenance[0].notes == ("read as a grid",)
 
 
-def test_a_package_whose_reader_cannot_be_loaded(plugin: Path, tmp_path: Path) -> None:
-    (plugin / "gridscan.py").write_text("import a_module_that_is_nowhere\n")
-    with pytest.raises(InputError, match=r"the reader of \.grid files, gridscan:read_grid, cannot be loaded"):
-        read_scan(tmp_path / "a.ply")
+@pytest.mark.parametrize(
+    ("code", "words"),
+    [
+        ("import a_module_that_is_nowhere", "cannot be loaded (ModuleNotFoundError: No module named"),
+        ("raise SystemExit(0)", "cannot be loaded (SystemExit: 0)"),
+        ("x = 1 / 0", "cannot be loaded (ZeroDivisionError: division by zero)"),
+        ("read_mesh = None", "cannot be loaded (AttributeError: module 'gridscan' has no attribute"),
+        ("read_grid = None", "failed (TypeError: 'NoneType' object is not callable)"),
+        ("def read_grid(path): return [1, 2]", "failed (TypeError: a reader must give a RawScan, got list)"),
+        ("def read_grid(path): raise SystemExit(0)", "failed (SystemExit: 0)"),
+        ("def read_grid(path): return path.suffix / 2", "failed (TypeError: unsupported operand"),
+        ("def read_grid(path): return RawScan([1, 2])", "points must have the shape (n, 3), got (2,)"),
+        ("def read_grid(path): return RawScan('abc')", "failed (ValueError: could not convert string"),
+        (
+            "def read_grid(path): return RawScan([[1, 2, 3]], normals=[[0, 0, 1]] * 2)",
+            "normals must have the shape (1, 3), got (2, 3)",
+        ),
+        (
+            "def read_grid(path): return RawScan([[1, 2, 3]], faces=[[0, 0, 0.5]])",
+            "faces must be whole numbers",
+        ),
+    ],
+)
+def test_a_package_whose_reader_is_broken_fails_its_own_files_only(
+    code: str, words: str, plugin: Path, tmp_path: Path
+) -> None:
+    (plugin / "gridscan.py").write_text(f"from pcretrieve.scan import RawScan\n{code}\n")
+    (tmp_path / "a.grid").write_text("1 2 3\n")
+    (tmp_path / "b.xyz").write_text("1 2 3\n")
+    with pytest.raises(ScanReadError) as raised:
+        read_scan(tmp_path / "a.grid")
+    start = "the reader of .grid files, gridscan:read_grid of the package gridscan 1.0,"
+    assert start in raised.value.message
+    assert words in raised.value.message
+    assert len(cloud(tmp_path / "b.xyz").points) == 1
+
+
+def test_a_reader_may_say_what_is_wrong_itself(plugin: Path, tmp_path: Path) -> None:
+    (plugin / "gridscan.py").write_text(
+        "from pcretrieve.errors import ScanReadError\n"
+        "def read_grid(path):\n    raise ScanReadError('the grid is not square')\n"
+    )
+    (tmp_path / "a.grid").write_text("1 2 3\n")
+    with pytest.raises(ScanReadError, match=r"a\.grid: the grid is not square$"):
+        read_scan(tmp_path / "a.grid")
 
 
 def test_a_raw_scan_needs_points_only() -> None:
