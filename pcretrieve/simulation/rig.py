@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from pcretrieve.adapters.open3d import RayScene
 from pcretrieve.errors import InputError, OptionError
+from pcretrieve.surface.sampling import uniform_points
 from pcretrieve.types import FloatArray, PointCloud, TriangleMesh
 
 __all__ = ["RigOptions", "UniformOptions", "camera_pose", "scan", "scan_uniformly", "scan_views"]
@@ -146,7 +147,7 @@ def scan_views(mesh: TriangleMesh, options: RigOptions, rng: np.random.Generator
     """
     _check_surface(mesh)
     scene = RayScene(mesh.vertices, mesh.faces)
-    holes = _sample(mesh, options.n_holes, rng)
+    holes = uniform_points(mesh, options.n_holes, rng)
     poses = [camera_pose(mesh, options, view) for view in range(options.n_views)]
     seen = [_see(scene, mesh, pose, options, holes, rng) for pose in poses]
     n_seen = sum(map(len, seen))
@@ -180,9 +181,9 @@ def scan(mesh: TriangleMesh, options: RigOptions, rng: np.random.Generator) -> P
 def scan_uniformly(mesh: TriangleMesh, options: UniformOptions, rng: np.random.Generator) -> PointCloud:
     """Points drawn from the surface in proportion to area, moved by noise in all directions, with holes."""
     _check_surface(mesh)
-    points = _sample(mesh, options.n_points, rng)
+    points = uniform_points(mesh, options.n_points, rng)
     points = points[
-        _outside(points, _sample(mesh, options.n_holes, rng), options.hole_radius * mesh.diagonal)
+        _outside(points, uniform_points(mesh, options.n_holes, rng), options.hole_radius * mesh.diagonal)
     ]
     noisy = points + rng.normal(0, options.noise * mesh.diagonal, points.shape)
     strays = _strays(mesh, round(options.stray_share * options.n_points), rng)
@@ -290,16 +291,6 @@ def _around(mesh: TriangleMesh, n: int, rng: np.random.Generator) -> FloatArray:
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
     there: FloatArray = _centre(mesh) + RigOptions().distance * mesh.diagonal * directions
     return there
-
-
-def _sample(mesh: TriangleMesh, n: int, rng: np.random.Generator) -> FloatArray:
-    """(n, 3) points of the surface, uniform by area."""
-    face = rng.choice(len(mesh.faces), size=n, p=mesh.face_areas / mesh.area)
-    # The square root makes barycentric coordinates uniform over the triangle (Osada et al. 2002, equation 1).
-    root, share = np.sqrt(rng.random(n)), rng.random(n)
-    weights = np.stack([1 - root, root * (1 - share), root * share], axis=1)  # (n, 3)
-    points: FloatArray = np.einsum("nk,nkd->nd", weights, mesh.vertices[mesh.faces[face]])
-    return points
 
 
 def _outside(points: FloatArray, centres: FloatArray, radius: float) -> NDArray[np.bool_]:

@@ -10,6 +10,7 @@ from pcretrieve.adapters import open3d
 from pcretrieve.errors import DegenerateMeshError, ReconstructionError
 from pcretrieve.options import SurfaceOptions
 from pcretrieve.surface.repair import ONE_SIDED, largest_component, outward, repaired, used_vertices
+from pcretrieve.surface.sampling import uniform_points
 from pcretrieve.surface.topology import compact, defects, orient_faces
 from pcretrieve.types import FloatArray, IntArray, PointCloud, Step, TriangleMesh
 
@@ -81,19 +82,14 @@ def sampled(mesh: TriangleMesh, options: SurfaceOptions) -> PointCloud:
         If no face has an area, or the surface is one-sided.
     """
     started = time.perf_counter()
-    areas = mesh.face_areas  # (m,)
-    if not areas.sum() > 0:
+    if not mesh.area > 0:
         raise DegenerateMeshError(f"no face of {len(mesh.faces)} has an area", stage="surface")
     if orient_faces(mesh) is None:
         raise DegenerateMeshError(ONE_SIDED, stage="surface")
     found = defects(mesh)
     rng = np.random.default_rng(SAMPLE_SEED)
     n = options.sample_points
-    face = rng.choice(len(mesh.faces), size=n, p=areas / areas.sum())  # (n,)
-    # Uniform density on a triangle: Osada et al., "Shape distributions", ACM TOG 2002, equation (1).
-    u, v = np.sqrt(rng.random(n)), rng.random(n)
-    weights = np.column_stack([1 - u, u * (1 - v), u * v])  # (n, 3)
-    points = np.einsum("nk,nkd->nd", weights, mesh.vertices[mesh.faces[face]])
+    points = uniform_points(mesh, n, rng)
     step = Step(
         "sample",
         time.perf_counter() - started,
