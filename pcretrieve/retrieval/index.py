@@ -1,12 +1,12 @@
 """Exact k-nearest-neighbour search among many signatures, by filter and refinement [1]_.
 
-A ball tree searches an embedding of the log-signatures in which distances are fast to compute and are lower
-bounds of the exact distances. A query has three steps:
+A query has three steps. The lower bounds are those of `pcretrieve.retrieval.lower_bounds`.
 
-1. Filter: find the k shapes with the smallest lower bounds, and compute their exact distances. Let τ be the
-   largest of them. At least k shapes are within τ of the query, so that each of the k nearest neighbours is.
-2. Range query: find all shapes with a lower bound of at most τ. They include the k nearest neighbours,
-   because a lower bound does not exceed the exact distance.
+1. Compute a lower bound of the distance to every shape, and the exact distances to a few shapes with small
+   bounds. Let τ be the k-th smallest of them: at least k shapes are within τ of the query, so that each of
+   the k nearest neighbours is.
+2. Filter: keep the shapes with a lower bound of at most τ. They include the k nearest neighbours, because a
+   lower bound does not exceed the exact distance.
 3. Refinement: sort these shapes by exact distance, equal distances by identifier.
 
 The result is equal to that of comparing the query with every shape, bit for bit.
@@ -19,9 +19,7 @@ References
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
-from types import MappingProxyType
-from typing import Any
+from collections.abc import Iterable
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -30,73 +28,24 @@ from pcretrieve.errors import InputError, OptionError
 from pcretrieve.options import RetrievalOptions
 from pcretrieve.retrieval.distances import log_signatures, pairwise
 from pcretrieve.retrieval.fitting import table_whitening
+from pcretrieve.retrieval.lower_bounds import LowerBounds
 from pcretrieve.retrieval.whitening import Whitening
 from pcretrieve.types import FloatArray, Neighbors, Signature, SignatureTable
 
 __all__ = ["SignatureIndex"]
 
-# Number of principal directions in which the tree searches. With fewer directions the lower bound is looser
-# and more shapes need an exact distance; with more the tree prunes less. See docs/decisions.md, N_LEADING.
-N_LEADING = 6
-
-# Largest magnitude of a logarithm before exp, so that sums over a gallery stay finite in float64.
-LARGEST_LOG = 300.0
-
 # Tolerance of the lower bound. The rounding error of a sum of L products of numbers of magnitude s is at most
 # a few L·s·ε; this is the factor of L·s.
 ROUNDING = 64 * float(np.finfo(np.float64).eps)
 
-Embedding = Callable[[FloatArray], FloatArray]
-
-
-def _leading_directions(gallery: FloatArray, n_leading: int) -> tuple[str, Embedding]:
-    """Coordinates along the first principal directions of the gallery, with the Euclidean distance.
-
-    An orthogonal projection does not increase the Euclidean distance. The distance of the coordinates is
-    therefore a lower bound of ``log``, and of ``d2``, since ``log`` ≤ ``d2``.
-
-    Returns
-    -------
-    metric : str
-        The metric of the embedding, by its name in `BallTree`.
-    embedding : function
-        The map from (n, L) log-signatures to (n, n_leading) coordinates.
-    """
-    mean = gallery.mean(axis=0)
-    centred = gallery - mean
-    _, directions = np.linalg.eigh(centred.T @ centred)  # variances ascend
-    leading = directions[:, ::-1][:, :n_leading]  # (L, n_leading)
-    return "euclidean", lambda logs: (logs - mean) @ leading
-
-
-def _positive_values(gallery: FloatArray, n_leading: int) -> tuple[str, Embedding]:
-    """Signature values, with the Canberra distance Σ |a − b| / (|a| + |b|), which equals ``d1``.
-
-    The distance does not change if a value of all signatures is multiplied by one factor; subtracting the
-    mean of the logarithms keeps exp in range. Clipping does not increase |x|, nor therefore tanh(|x| / 2):
-    the distance of clipped values is a lower bound of ``d1``.
-
-    Returns
-    -------
-    metric : str
-        The metric of the embedding, by its name in `BallTree`.
-    embedding : function
-        The map from (n, L) log-signatures to (n, L) positive values.
-    """
-    mean = gallery.mean(axis=0)
-    return "canberra", lambda logs: np.exp(np.clip(logs - mean, -LARGEST_LOG, LARGEST_LOG))
-
-
-_EMBEDDINGS: Mapping[str, Callable[[FloatArray, int], tuple[str, Embedding]]] = MappingProxyType(
-    {"log": _leading_directions, "d2": _leading_directions, "d1": _positive_values}
-)
+# Exact distances in the first step, relative to k, and the number of blocks of the table, relative to k, from
+# each of which the shape with the smallest lower bound is taken. See docs/decisions.md, N_FIRST.
+N_FIRST = 4
+N_BLOCKS = 64
 
 
 class SignatureIndex:
     """An exact k-nearest-neighbour index of a table of signatures.
-
-    The index is built in memory from the table and not stored in the catalogue, because the pickle of a
-    `BallTree` depends on the version of scikit-learn. See docs/decisions.md, SignatureIndex, for the time.
 
     Parameters
     ----------
@@ -106,9 +55,9 @@ class SignatureIndex:
         The distance, and the whitening to fit on `table`.
     whitening : Whitening, optional
         A whitening made before, such as `resolution_whitening`, instead of the one that `options` name.
-    n_leading : int, default 6
-        Number of principal directions in which the tree searches for ``log`` and ``d2``; it affects the time,
-        not the result.
+    n_leading : int, optional
+        Number of principal directions, or for ``d1`` of values, that the lower bounds are computed from; it
+        affects the time, not the result.
 
     Attributes
     ----------
@@ -131,12 +80,10 @@ class SignatureIndex:
         options: RetrievalOptions | None = None,
         *,
         whitening: Whitening | None = None,
-        n_leading: int = N_LEADING,
+        n_leading: int | None = None,
     ) -> None:
-        from sklearn.neighbors import BallTree
-
         options = options or RetrievalOptions()
-        if n_leading < 1:
+        if n_leading is not None and n_leading < 1:
             raise OptionError(f"n_leading must be at least 1, got {n_leading}")
         if not len(table):
             raise InputError("an index needs at least 1 shape, got an empty table; ingest shapes first")
@@ -149,8 +96,7 @@ class SignatureIndex:
             log_signatures(table.values[by_id])
         )  # (N, L), sorted by id: so are ties
         self._size = max(1.0, float(np.abs(self._gallery).max(initial=0)))
-        metric, self._embed = _EMBEDDINGS[self.distance](self._gallery, n_leading)
-        self._tree: Any = BallTree(self._embed(self._gallery), metric=metric)
+        self._bounds = LowerBounds.of(self.distance, self._gallery, n_leading)
 
     def __len__(self) -> int:
         return len(self._ids)
@@ -207,17 +153,28 @@ class SignatureIndex:
 
     def _candidates(self, point: FloatArray, k: int) -> NDArray[np.intp]:
         """Rows of the gallery, ascending, that include the `k` nearest and all rows at equal distance."""
-        embedded = self._embed(point)
-        bounds, rows = self._tree.query(embedded, k=min(k + 1, len(self)))  # (1, k + 1), ascending
-        exact = pairwise(self.distance, point, self._gallery[rows[0]])[0]
-        farthest = np.partition(exact, k - 1)[k - 1]
+        bounds = self._bounds.to(point[0])  # (N,)
+        # The smallest bound of each of many blocks is found faster than the smallest bounds of the table.
+        length = max(1, len(self) // (N_BLOCKS * k))
+        n_blocks = len(self) // length
+        best = bounds[: n_blocks * length].reshape(n_blocks, length).argmin(axis=1)
+        radius = self._radius(point, k, bounds, best + length * np.arange(n_blocks))
+        rows = np.flatnonzero(~(bounds > self._bounds.limit(point[0], radius)))
+        # Neighbours in one block were missed by the first step: the rows that are left include them.
+        radius = min(radius, self._radius(point, k, bounds, rows))
+        return rows[~(bounds[rows] > self._bounds.limit(point[0], radius))]
+
+    def _radius(
+        self, point: FloatArray, k: int, bounds: NDArray[np.float32], rows: NDArray[np.intp]
+    ) -> float:
+        """A radius within which at least `k` of some rows lie, rounding errors included."""
+        n = min(N_FIRST * k, len(rows))
+        first = rows[np.argpartition(bounds[rows], n - 1)[:n]]
+        exact = pairwise(self.distance, point, self._gallery[first])[0]
+        farthest = float(np.partition(exact, k - 1)[k - 1])
         size = max(self._size, float(np.abs(point).max(initial=0)))
-        radius = farthest + ROUNDING * (farthest + size * point.shape[1])
-        # If the largest lower bound found exceeds the radius, the bounds of all other shapes do too.
-        if rows.shape[1] < len(self) and bounds[0, -1] <= radius:
-            rows = self._tree.query_radius(embedded, radius)
-        candidates: NDArray[np.intp] = np.sort(rows[0])
-        return candidates
+        radius: float = farthest + ROUNDING * (farthest + size * point.shape[1])
+        return radius
 
     def _checked_logs(self, signature: Signature | ArrayLike) -> FloatArray:
         """(L,) logarithms of a query, after checks that it is comparable with the table."""
