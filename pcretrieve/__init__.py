@@ -11,11 +11,11 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from pcretrieve.catalogue import Catalogue
     from pcretrieve.descriptors import r_bihdm, shape_dna
+    from pcretrieve.formats import read_scan
     from pcretrieve.inspection.inspect import signature_spread
     from pcretrieve.options import PipelineOptions
     from pcretrieve.pipeline.process import reconstruct, signature
     from pcretrieve.retrieval import SignatureIndex
-    from pcretrieve.scan import read_scan
     from pcretrieve.spectral import eigenpairs, laplace_beltrami
     from pcretrieve.types import PointCloud, TriangleMesh
 
@@ -47,7 +47,7 @@ _HOMES = {
     "eigenpairs": "pcretrieve.spectral",
     "laplace_beltrami": "pcretrieve.spectral",
     "r_bihdm": "pcretrieve.descriptors",
-    "read_scan": "pcretrieve.scan",
+    "read_scan": "pcretrieve.formats",
     "reconstruct": "pcretrieve.pipeline.process",
     "shape_dna": "pcretrieve.descriptors",
     "signature": "pcretrieve.pipeline.process",

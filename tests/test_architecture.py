@@ -18,6 +18,8 @@ FOUNDATION = {"arrays", "conversion", "types", "errors", "options", "adapters", 
 
 # The way of the data: a package may know those before it, never those after it.
 STAGES = [
+    "formats",
+    "registration",
     "scan",
     "surface",
     "spectral",
@@ -46,7 +48,7 @@ DOORS = {
 SLOW = {*DOORS, "trimesh"}
 
 # Stages from a scan to a signature, which one module alone puts together.
-COMPOSED = {"scan", "surface", "spectral", "descriptors"}
+COMPOSED = {"formats", "scan", "surface", "spectral", "descriptors"}
 
 
 class Import(NamedTuple):

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import shapes
 
-from pcretrieve.surface import write_mesh
+from pcretrieve.formats import write_mesh
 
 SCRIPT = Path(__file__).parents[1] / "scripts" / "benchmark_descriptors"
 

@@ -34,7 +34,7 @@ def export_command(shape_ids: tuple[str, ...], catalogue: Path, output: Path) ->
     """
     from pcretrieve.catalogue import Catalogue
     from pcretrieve.errors import InputError
-    from pcretrieve.surface import write_mesh
+    from pcretrieve.formats import write_mesh
 
     with Catalogue(catalogue) as store:
         done = [record.id for record in store.records() if record.status == "done"]

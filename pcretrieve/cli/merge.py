@@ -14,7 +14,7 @@ from pcretrieve.cli.parts import EXIT_SOME_FAILED, json_option, say, write_json
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from pcretrieve.scan.register import Merged
+    from pcretrieve.registration import Merged
     from pcretrieve.types import FloatArray, PointCloud
 
 __all__ = ["merge_command"]
@@ -80,10 +80,10 @@ def merge_command(
     """
     from tqdm import tqdm
 
+    from pcretrieve.formats import write_cloud
     from pcretrieve.ingest.discover import printable
     from pcretrieve.options import MergeOptions
-    from pcretrieve.scan.register import merge_views
-    from pcretrieve.scan.write import write_cloud
+    from pcretrieve.registration import merge_views
 
     if not paths:
         raise click.UsageError("name at least two views, or one .conf")
@@ -114,8 +114,8 @@ def _views(paths: Sequence[str]) -> tuple[list[Path], FloatArray | None]:
     import numpy as np
 
     from pcretrieve.errors import InputError, ScanReadError
+    from pcretrieve.formats.views import read_poses
     from pcretrieve.ingest.discover import discover
-    from pcretrieve.scan.views import read_poses
 
     files = discover(paths)
     confs = [file for file in files if file.suffix.lower() == ".conf"]
@@ -136,7 +136,7 @@ def _views(paths: Sequence[str]) -> tuple[list[Path], FloatArray | None]:
 
 def _read(file: Path) -> PointCloud:
     """One view; of a mesh, its vertices."""
-    from pcretrieve.scan import read_scan
+    from pcretrieve.formats import read_scan
     from pcretrieve.types import PointCloud
 
     scan = read_scan(file)
@@ -146,7 +146,7 @@ def _read(file: Path) -> PointCloud:
 def _check_output(output: Path, files: Sequence[Path]) -> None:
     """Before minutes of work: whether its result could be written."""
     from pcretrieve.errors import InputError
-    from pcretrieve.scan.write import SUFFIXES
+    from pcretrieve.formats.write import SUFFIXES
 
     if output.suffix.lower() not in SUFFIXES:
         raise InputError(f"a point file must end in one of {' '.join(SUFFIXES)}, got {output}")

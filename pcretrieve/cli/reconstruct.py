@@ -50,8 +50,8 @@ def reconstruct_command(
     \b
     pcretrieve reconstruct scan.ply -o body.obj --report
     """
+    from pcretrieve.formats import write_mesh
     from pcretrieve.pipeline.process import reconstruct
-    from pcretrieve.surface import write_mesh
 
     _check_output(output, scan)
     options = load_options(config, surface)
@@ -81,7 +81,7 @@ def reconstruct_command(
 def _check_output(output: Path, scan: Path) -> None:
     """Before minutes of work: whether its result could be written."""
     from pcretrieve.errors import InputError
-    from pcretrieve.surface.write import SUFFIXES
+    from pcretrieve.formats.write_mesh import SUFFIXES
 
     if output.suffix.lower() not in SUFFIXES:
         raise InputError(f"a mesh file must end in one of {' '.join(SUFFIXES)}, got {output}")

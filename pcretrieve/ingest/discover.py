@@ -13,7 +13,7 @@ from pathlib import Path
 
 from pcretrieve.catalogue import numbered_id
 from pcretrieve.errors import InputError, ScanReadError
-from pcretrieve.scan import check_file, readers, view_paths
+from pcretrieve.formats import check_file, readers, view_paths
 
 __all__ = ["content_hash", "discover", "printable", "shape_ids"]
 

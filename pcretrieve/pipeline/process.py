@@ -25,8 +25,9 @@ from pcretrieve.errors import (
     ShapeError,
     UnexpectedError,
 )
+from pcretrieve.formats import read_scan
 from pcretrieve.options import PipelineOptions
-from pcretrieve.scan import clean, oriented_normals, read_scan
+from pcretrieve.scan import clean, oriented_normals
 from pcretrieve.spectral import eigenpairs, laplace_beltrami, star_mesh
 from pcretrieve.surface import (
     SurfaceMarks,

@@ -5,7 +5,6 @@ from pcretrieve.surface.reconstruct import poisson_surface, sampled, sound_mesh
 from pcretrieve.surface.remesh import remesh
 from pcretrieve.surface.repair import repaired
 from pcretrieve.surface.topology import Defects, defects
-from pcretrieve.surface.write import write_mesh
 
 __all__ = [
     "Defects",
@@ -17,5 +16,4 @@ __all__ = [
     "repaired",
     "sampled",
     "sound_mesh",
-    "write_mesh",
 ]

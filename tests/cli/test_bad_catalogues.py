@@ -12,7 +12,7 @@ import pytest
 import shapes
 
 from pcretrieve.cli.main import main
-from pcretrieve.surface import write_mesh
+from pcretrieve.formats import write_mesh
 
 
 def run(*arguments: str | Path) -> int:

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 import shapes
 
-from pcretrieve.surface import write_mesh
+from pcretrieve.formats import write_mesh
 from pcretrieve.types import FloatArray, TriangleMesh
 
 GOOD = ("copy_of_good", "zwei-Körper-é", "inside_out", "some_nan")

@@ -11,8 +11,8 @@ import pytest
 import shapes
 from PIL import Image
 
+from pcretrieve.formats import write_mesh
 from pcretrieve.simulation import write_ply
-from pcretrieve.surface import write_mesh
 
 FEW_CELLS = "[surface]\ncell = 0.01\ntarget_faces = 3000\n"
 

@@ -15,9 +15,9 @@ import shapes
 
 from pcretrieve import Catalogue, PipelineOptions
 from pcretrieve.cli.main import main
+from pcretrieve.formats import write_mesh
 from pcretrieve.ingest.run import ingest
 from pcretrieve.options import METHODS
-from pcretrieve.surface import write_mesh
 
 PLUGIN = {
     "pyproject.toml": """

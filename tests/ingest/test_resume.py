@@ -14,8 +14,8 @@ import pytest
 import shapes
 
 from pcretrieve import Catalogue, signature
+from pcretrieve.formats import write_mesh
 from pcretrieve.simulation import write_ply
-from pcretrieve.surface import write_mesh
 from pcretrieve.types import TriangleMesh
 
 N_SHAPES = 12

@@ -17,11 +17,10 @@ import pytest
 import shapes
 
 from pcretrieve import Catalogue
+from pcretrieve.formats import readers, write_mesh
 from pcretrieve.ingest.discover import discover
 from pcretrieve.ingest.run import Summary, ingest
-from pcretrieve.scan import readers
 from pcretrieve.simulation import write_ply
-from pcretrieve.surface import write_mesh
 
 PATIENCE = 60  # seconds
 MARK = "PCRETRIEVE_TEST_MARK"

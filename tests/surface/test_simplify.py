@@ -11,7 +11,7 @@ from scipy.ndimage import gaussian_filter
 
 from pcretrieve.adapters import open3d
 from pcretrieve.errors import DegenerateMeshError
-from pcretrieve.scan import read_scan
+from pcretrieve.formats import read_scan
 from pcretrieve.spectral import eigenpairs, laplace_beltrami
 from pcretrieve.surface import defects, repaired
 from pcretrieve.surface.edges import edges_of

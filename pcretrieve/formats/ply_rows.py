@@ -16,8 +16,8 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
-from pcretrieve.scan.ply_header import Element
-from pcretrieve.scan.raw import incomplete
+from pcretrieve.formats.ply_header import Element
+from pcretrieve.formats.raw import incomplete
 
 __all__ = ["Table", "in_order", "tables"]
 

@@ -11,7 +11,7 @@ import pytest
 from scan_files import XYZ
 
 from pcretrieve.errors import ScanReadError
-from pcretrieve.scan.ply import read_ply
+from pcretrieve.formats.ply import read_ply
 
 ORDERS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
 # What PLY calls a type, what the module struct calls it, and values at its limits.

@@ -9,9 +9,9 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from pcretrieve.errors import ScanReadError
-from pcretrieve.scan.files import check_file
-from pcretrieve.scan.raw import RawScan
-from pcretrieve.scan.text import text_lines
+from pcretrieve.formats.files import check_file
+from pcretrieve.formats.raw import RawScan
+from pcretrieve.formats.text import text_lines
 
 __all__ = ["read_poses", "view_paths"]
 

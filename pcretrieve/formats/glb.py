@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcretrieve.errors import ScanReadError
-from pcretrieve.scan.raw import RawScan, incomplete, merged_vertices
+from pcretrieve.formats.raw import RawScan, incomplete, merged_vertices
 from pcretrieve.types import FloatArray
 
 __all__ = ["read_glb"]

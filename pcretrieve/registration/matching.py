@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcretrieve.options import MergeOptions
-from pcretrieve.scan.alignment import View, moved, turned
+from pcretrieve.registration.alignment import View, moved, turned
 from pcretrieve.types import FloatArray
 
 __all__ = ["candidate_motions", "distinct"]

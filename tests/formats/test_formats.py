@@ -12,8 +12,8 @@ from scipy.spatial.transform import Rotation
 
 from pcretrieve import PointCloud, TriangleMesh, read_scan
 from pcretrieve.errors import ScanReadError
+from pcretrieve.formats import write_mesh
 from pcretrieve.simulation import write_conf, write_pcd, write_ply
-from pcretrieve.surface import write_mesh
 
 DATA = Path(__file__).parents[2].parent / "shared" / "data"
 POINTS = shapes.points_on(shapes.ellipsoid(), 500)

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcretrieve.errors import ScanReadError
-from pcretrieve.scan.raw import RawScan
+from pcretrieve.formats.raw import RawScan
 
 __all__ = ["PluginReader"]
 

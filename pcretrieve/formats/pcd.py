@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcretrieve.errors import ScanReadError
-from pcretrieve.scan.raw import RawScan, incomplete
+from pcretrieve.formats.raw import RawScan, incomplete
 
 if TYPE_CHECKING:
     from pypcd4.pypcd4 import MetaData

@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcretrieve.errors import ScanReadError
-from pcretrieve.scan.ply_header import Element, read_header
-from pcretrieve.scan.ply_rows import Table, in_order, tables
-from pcretrieve.scan.raw import RawScan, fans, incomplete
+from pcretrieve.formats.ply_header import Element, read_header
+from pcretrieve.formats.ply_rows import Table, in_order, tables
+from pcretrieve.formats.raw import RawScan, fans, incomplete
 
 __all__ = ["read_ply"]
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from pcretrieve.adapters import open3d
 from pcretrieve.options import MergeOptions
-from pcretrieve.scan.range_image import LEAST_COSINE, RangeImage
+from pcretrieve.registration.range_image import LEAST_COSINE, RangeImage
 from pcretrieve.types import FloatArray, PointCloud
 
 __all__ = ["Poses", "View", "adjusted", "moved", "one_of_each_cell", "paired", "turned", "view_of"]

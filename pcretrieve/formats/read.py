@@ -11,16 +11,16 @@ from pathlib import Path
 import numpy as np
 
 from pcretrieve.errors import ScanReadError
-from pcretrieve.scan import views
-from pcretrieve.scan.files import check_file
-from pcretrieve.scan.glb import read_glb
-from pcretrieve.scan.mesh_files import read_off, read_stl
-from pcretrieve.scan.obj import read_obj
-from pcretrieve.scan.pcd import read_pcd
-from pcretrieve.scan.plugins import PluginReader
-from pcretrieve.scan.ply import read_ply
-from pcretrieve.scan.raw import RawScan
-from pcretrieve.scan.text import read_pts, read_xyz, read_xyzn
+from pcretrieve.formats import views
+from pcretrieve.formats.files import check_file
+from pcretrieve.formats.glb import read_glb
+from pcretrieve.formats.mesh_files import read_off, read_stl
+from pcretrieve.formats.obj import read_obj
+from pcretrieve.formats.pcd import read_pcd
+from pcretrieve.formats.plugins import PluginReader
+from pcretrieve.formats.ply import read_ply
+from pcretrieve.formats.raw import RawScan
+from pcretrieve.formats.text import read_pts, read_xyz, read_xyzn
 from pcretrieve.types import PointCloud, Step, TriangleMesh
 
 __all__ = ["read_scan", "readers"]

@@ -17,8 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcretrieve.errors import InputError, ReconstructionError
+from pcretrieve.formats.views import SENSOR_DISTANCE
 from pcretrieve.options import MergeOptions
-from pcretrieve.scan.alignment import (
+from pcretrieve.registration.alignment import (
     NORMAL_NEIGHBORS,
     Poses,
     View,
@@ -29,8 +30,7 @@ from pcretrieve.scan.alignment import (
     turned,
     view_of,
 )
-from pcretrieve.scan.matching import candidate_motions, distinct
-from pcretrieve.scan.views import SENSOR_DISTANCE
+from pcretrieve.registration.matching import candidate_motions, distinct
 from pcretrieve.types import FloatArray, PointCloud, Step, bounding_diagonal
 
 __all__ = ["Merged", "Overlap", "merge_views"]

@@ -10,7 +10,7 @@ import re
 from pathlib import Path
 from typing import NamedTuple
 
-from pcretrieve.scan.raw import incomplete
+from pcretrieve.formats.raw import incomplete
 
 __all__ = ["Element", "Header", "Property", "read_header"]
 

@@ -15,7 +15,7 @@ from scan_files import XYZ, pcd_header
 
 from pcretrieve import PointCloud, TriangleMesh, read_scan
 from pcretrieve.errors import ScanReadError
-from pcretrieve.scan import RawScan, readers
+from pcretrieve.formats import RawScan, readers
 from pcretrieve.surface import defects
 
 CUBE = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], dtype=float)
@@ -249,7 +249,7 @@ def plugin(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         "[pcretrieve.readers]\n.grid = gridscan:read_grid\n"
     )
     (site / "gridscan.py").write_text(
-        "import numpy as np\nfrom pcretrieve.scan import RawScan\n\n"
+        "import numpy as np\nfrom pcretrieve.formats import RawScan\n\n"
         "def read_grid(path):\n    return RawScan(np.loadtxt(path), notes=('read as a grid',))\n"
     )
     monkeypatch.syspath_prepend(site)
@@ -297,7 +297,7 @@ def test_an_installed_package_brings_a_reader(plugin: Path, tmp_path: Path) -> N
 def test_a_package_whose_reader_is_broken_fails_its_own_files_only(
     code: str, words: str, plugin: Path, tmp_path: Path
 ) -> None:
-    (plugin / "gridscan.py").write_text(f"from pcretrieve.scan import RawScan\n{code}\n")
+    (plugin / "gridscan.py").write_text(f"from pcretrieve.formats import RawScan\n{code}\n")
     (tmp_path / "a.grid").write_text("1 2 3\n")
     (tmp_path / "b.xyz").write_text("1 2 3\n")
     with pytest.raises(ScanReadError) as raised:

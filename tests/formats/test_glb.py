@@ -12,7 +12,7 @@ import trimesh
 from scan_files import glb, gltf
 
 from pcretrieve.errors import ScanReadError
-from pcretrieve.scan.glb import read_glb
+from pcretrieve.formats.glb import read_glb
 from pcretrieve.types import FloatArray
 
 SQUARE = [(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0)]

@@ -11,7 +11,7 @@ from scan_files import XYZ, pcd_header
 
 from pcretrieve import read_scan
 from pcretrieve.errors import ScanReadError
-from pcretrieve.scan import view_paths
+from pcretrieve.formats import view_paths
 
 PLY = f"ply\nformat ascii 1.0\nelement vertex 3\n{XYZ}"
 ROWS = "0 0 0\n1 0 0\n0 1 0\n"

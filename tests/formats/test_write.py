@@ -10,7 +10,7 @@ import shapes
 
 from pcretrieve import PointCloud, read_scan
 from pcretrieve.errors import InputError
-from pcretrieve.scan.write import write_cloud
+from pcretrieve.formats import write_cloud
 
 POINTS = shapes.points_on(shapes.icosphere(3), 200)
 NORMALS = POINTS / np.linalg.norm(POINTS, axis=1, keepdims=True)

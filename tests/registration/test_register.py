@@ -13,10 +13,10 @@ from scipy.spatial.transform import Rotation
 
 from pcretrieve import PointCloud, TriangleMesh, read_scan
 from pcretrieve.errors import InputError, OptionError, ReconstructionError
+from pcretrieve.formats.views import read_poses
 from pcretrieve.options import MergeOptions
-from pcretrieve.scan.alignment import moved
-from pcretrieve.scan.register import Merged, merge_views
-from pcretrieve.scan.views import read_poses
+from pcretrieve.registration import Merged, merge_views
+from pcretrieve.registration.alignment import moved
 from pcretrieve.simulation import RigOptions, scan_views
 from pcretrieve.types import FloatArray
 

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from pcretrieve.scan.raw import RawScan, incomplete, merged_vertices
+from pcretrieve.formats.raw import RawScan, incomplete, merged_vertices
 
 __all__ = ["read_off", "read_stl"]
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pcretrieve.scan.range_image import RangeImage
+from pcretrieve.registration.range_image import RangeImage
 from pcretrieve.types import FloatArray
 
 SENSOR = np.array([0.0, 0.0, 5.0])

@@ -10,8 +10,8 @@ from pathlib import Path
 
 import numpy as np
 
-from pcretrieve.scan.raw import RawScan, fans, incomplete
-from pcretrieve.scan.text import text_lines
+from pcretrieve.formats.raw import RawScan, fans, incomplete
+from pcretrieve.formats.text import text_lines
 
 __all__ = ["read_obj"]
 

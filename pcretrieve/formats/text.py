@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcretrieve.errors import ScanReadError
-from pcretrieve.scan.raw import RawScan, incomplete
+from pcretrieve.formats.raw import RawScan, incomplete
 
 __all__ = ["read_pts", "read_xyz", "read_xyzn", "text_lines"]
 

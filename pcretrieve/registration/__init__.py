@@ -1,0 +1,9 @@
+"""Registration of range scans whose poses are not known, or known roughly.
+
+In come views as point clouds, each in a frame of its own; out go their rigid motions into a common frame,
+and the cloud that they make together.
+"""
+
+from pcretrieve.registration.register import Merged, Overlap, merge_views
+
+__all__ = ["Merged", "Overlap", "merge_views"]
