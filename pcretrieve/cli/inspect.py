@@ -107,7 +107,7 @@ def _check_output(target: Path, scan: Path) -> None:
 
 
 def _document(inspection: Inspection, page: Path, png: Path | None) -> dict[str, object]:
-    described, deviation = inspection.signature, inspection.deviation
+    described, deviation = inspection.signature, inspection.rescan_deviation
     return {
         "scan": inspection.path,
         "page": str(page),
@@ -118,7 +118,7 @@ def _document(inspection: Inspection, page: Path, png: Path | None) -> dict[str,
         "cuts": inspection.cuts.tolist(),
         "bridges": inspection.bridges.tolist(),
         "signature": None if described is None else described.values.tolist(),
-        "deviation": None if deviation is None else deviation.tolist(),
+        "rescan_deviation": None if deviation is None else deviation.tolist(),
         "spread": inspection.spread,
         "failure": None if inspection.failure is None else asdict(inspection.failure),
         "steps": [asdict(step) for step in inspection.steps],

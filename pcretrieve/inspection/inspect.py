@@ -177,7 +177,7 @@ class _Described:
 
     seen: Seen = field(default_factory=Seen)
     signature: Signature | None = None
-    deviation: FloatArray | None = None
+    rescan_deviation: FloatArray | None = None
     spread: float | None = None
 
 
@@ -192,7 +192,7 @@ def _stages(scan: object, options: PipelineOptions, n_rescans: int) -> Iterator[
         if n_rescans and seen.scan is not None:
             rescans = _rescans(seen.scan, options, n=n_rescans, share=RESCAN_SHARE, seed=0)
             deviation, spread = _scatter(rescans)
-            yield replace(so_far, deviation=deviation, spread=spread)
+            yield replace(so_far, rescan_deviation=deviation, spread=spread)
 
 
 def _inspection(name: str, path: str, reached: _Described, failure: Failure | None) -> Inspection:
@@ -250,7 +250,7 @@ def _inspection(name: str, path: str, reached: _Described, failure: Failure | No
         cuts=cuts,
         bridges=bridges,
         signature=reached.signature,
-        deviation=reached.deviation,
+        rescan_deviation=reached.rescan_deviation,
         spread=reached.spread,
         failure=failure,
         steps=steps,

@@ -40,8 +40,9 @@ class Inspection:
     cuts, bridges : (k, 3) float64
         Where the surface was cut apart, and where a gap in it was bridged.
     signature : Signature or None
-    deviation : (L,) float64 or None
-        Standard deviation of each logarithm of its values over rescans.
+    rescan_deviation : (L,) float64 or None
+        Standard deviation (ddof 0) of the logarithm of each value of the signature over simulated rescans. It
+        is not `Signature.deviation`, which is over surfaces reconstructed from one scan.
     spread : float or None
         Root mean square distance of the log-signatures of rescans to their mean.
     failure : Failure or None
@@ -61,7 +62,7 @@ class Inspection:
     cuts: FloatArray
     bridges: FloatArray
     signature: Signature | None
-    deviation: FloatArray | None
+    rescan_deviation: FloatArray | None
     spread: float | None
     failure: Failure | None
     steps: tuple[Step, ...]

@@ -134,7 +134,7 @@ def _plot(it: Inspection) -> _Plot | None:
     if it.signature is None:
         return None
     logs = np.log(it.signature.values)  # (L,)
-    deviation = np.zeros_like(logs) if it.deviation is None else it.deviation
+    deviation = np.zeros_like(logs) if it.rescan_deviation is None else it.rescan_deviation
     low, high = float((logs - deviation).min()), float((logs + deviation).max())
     across = (np.arange(len(logs)) + 0.5) / len(logs)
     largest = float(deviation.max())

@@ -68,8 +68,9 @@ def test_json_holds_checks_and_numbers(folder: Path) -> None:
     assert {"Points", "Normals", "Handles", "Signature"} <= {check["name"] for check in answer["checks"]}
     for check in answer["checks"]:
         assert f"{check['verdict']:<6}  {check['name']}" in result.stderr
-    assert len(answer["signature"]) == len(answer["deviation"]) == 23
-    assert answer["spread"] ** 2 == pytest.approx(sum(part**2 for part in answer["deviation"]))
+    assert len(answer["signature"]) == len(answer["rescan_deviation"]) == 23
+    assert "deviation" not in answer, "that is over the surfaces of one scan"
+    assert answer["spread"] ** 2 == pytest.approx(sum(part**2 for part in answer["rescan_deviation"]))
     assert [step["stage"] for step in answer["steps"]][:3] == ["read", "clean", "orient"]
     with Image.open(folder / "sheet.png") as sheet:
         assert sheet.format == "PNG" and sheet.width > 1000
@@ -81,7 +82,7 @@ def test_a_scan_that_fails_gets_its_page(scan: str, stage: str, folder: Path) ->
     assert result.returncode == 3
     answer = json.loads(result.stdout)
     assert answer["failure"]["stage"] == stage
-    assert answer["signature"] is answer["deviation"] is answer["spread"] is None
+    assert answer["signature"] is answer["rescan_deviation"] is answer["spread"] is None
     assert f"the {stage} stage failed" in Path(answer["page"]).read_text(encoding="utf-8")
     assert f"the {stage} stage failed" in result.stderr
 

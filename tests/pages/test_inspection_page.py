@@ -61,7 +61,7 @@ def inspection(n_turned: int = 0) -> Inspection:
         cuts=np.array([[0.0, 0, 1]]),
         bridges=np.zeros((0, 3)),
         signature=Signature(np.geomspace(1, 0.01, 10), "r-bihdm"),
-        deviation=np.linspace(0.01, 0.1, 10),
+        rescan_deviation=np.linspace(0.01, 0.1, 10),
         spread=0.2,
         failure=None,
         steps=(),
@@ -74,7 +74,7 @@ def empty(failure: Failure) -> Inspection:
     checks = (Check("The read stage", "failed", None, failure.error, failure.message),)
     return Inspection(
         name=failure.shape_id, path="", checks=checks, scan=None, dropped=flags, cloud=None, spacing=0,
-        mesh=None, filled=flags, cuts=none, bridges=none, signature=None, deviation=None, spread=None,
+        mesh=None, filled=flags, cuts=none, bridges=none, signature=None, rescan_deviation=None, spread=None,
         failure=failure, steps=(),
     )  # fmt: skip
 
