@@ -2,6 +2,10 @@
 
 Open3D is run on one thread: its parallel Poisson reconstruction is not reproducible and crashes in long runs
 (Open3D issues 6828 and 7229). A batch processes several shapes in parallel instead.
+
+Poisson reconstruction and ray casting compute in single precision: squares of lengths overflow beyond
+1e19 and vanish below 1e-22; Open3D then gives NaN, or ends the process by a segmentation fault. All functions
+therefore transform coordinates to a `Frame` of unit size before Open3D sees them, and transform results back.
 """
 
 from __future__ import annotations
@@ -12,7 +16,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pcretrieve.adapters.frame import DOUBLE_OFFSET, Frame, diagonal, power_of_two
 from pcretrieve.arrays import FloatArray, IntArray
+from pcretrieve.errors import ReconstructionError
 
 __all__ = [
     "RayScene",
@@ -24,6 +30,15 @@ __all__ = [
     "simplify",
     "statistical_inliers",
 ]
+
+# Binary digits of a coordinate in single precision: in a cube of side 1, points nearer than 2**-24 coincide.
+SINGLE_DIGITS = 24
+
+# Fewer points than this bound no surface.
+FEWEST_POINTS = 100
+
+# Surfaces with diagonals in this range are simplified in the caller's unit of length, see `simplify`.
+ORDINARY = 1e-6, 1e6
 
 
 @cache
@@ -114,7 +129,8 @@ def statistical_inliers(points: FloatArray, *, n_neighbors: int, std_ratio: floa
     (k,) int
         Positions of the points that are kept, ascending.
     """
-    _, kept = _cloud(points).remove_statistical_outlier(nb_neighbors=n_neighbors, std_ratio=std_ratio)
+    cloud = _cloud(Frame.around(points, offset=DOUBLE_OFFSET).inward(points))
+    _, kept = cloud.remove_statistical_outlier(nb_neighbors=n_neighbors, std_ratio=std_ratio)
     return np.sort(np.asarray(kept, dtype=np.intp))
 
 
@@ -134,7 +150,7 @@ def estimate_normals(points: FloatArray, *, n_neighbors: int) -> FloatArray:
         Unit normals of arbitrary sign.
     """
     o3d = _open3d()
-    cloud = _cloud(points)
+    cloud = _cloud(Frame.around(points, offset=DOUBLE_OFFSET).inward(points))
     cloud.estimate_normals(o3d.geometry.KDTreeSearchParamKNN(n_neighbors))
     return np.array(cloud.normals)
 
@@ -154,12 +170,24 @@ def orient_by_tangent_planes(points: FloatArray, normals: FloatArray, *, n_neigh
     (n, 3) float64
         The normals or their opposites.
 
+    Raises
+    ------
+    ReconstructionError
+        If the points have no Delaunay triangulation, from whose edges the tree is taken.
+
     References
     ----------
     .. [1] Hoppe et al., "Surface reconstruction from unorganized points", SIGGRAPH 1992.
     """
-    cloud = _cloud(points, normals)
-    cloud.orient_normals_consistent_tangent_plane(n_neighbors)
+    cloud = _cloud(Frame.around(points, offset=DOUBLE_OFFSET).inward(points), normals)
+    try:
+        cloud.orient_normals_consistent_tangent_plane(n_neighbors)
+    except RuntimeError as error:  # from Qhull: the points coincide in its precision
+        raise ReconstructionError(
+            f"tangent planes need a Delaunay triangulation, and {len(points)} points have none: look for "
+            "points that coincide or lie far from the body, and drop them",
+            stage="orient",
+        ) from error
     return np.array(cloud.normals)
 
 
@@ -194,14 +222,40 @@ def poisson(
     density : (n,) float64
         Depth of the octree at each vertex; larger where there are more points.
 
+    Raises
+    ------
+    ReconstructionError
+        If single precision cannot tell the points apart, or gives a surface that is not finite.
+
     References
     ----------
     .. [1] Kazhdan and Hoppe, "Screened Poisson surface reconstruction", ACM TOG 2013.
     """
+    frame = Frame.around(points)
+    framed = frame.inward(points)
+    _check_resolved(framed)
     mesh, density = _open3d().geometry.TriangleMesh.create_from_point_cloud_poisson(
-        _cloud(points, normals), depth=depth, scale=scale, n_threads=1
+        _cloud(framed, normals), depth=depth, scale=scale, n_threads=1
     )
-    return np.array(mesh.vertices), np.array(mesh.triangles, dtype=np.int32), np.array(density)
+    vertices = np.array(mesh.vertices)
+    if not np.isfinite(vertices).all():
+        raise ReconstructionError(
+            f"Poisson reconstruction must give finite vertices, {len(points)} points gave "
+            f"{np.isfinite(vertices).all(axis=1).sum()} of {len(vertices)}: look for points that are no part "
+            "of the body, and drop them"
+        )
+    return frame.outward(vertices), np.array(mesh.triangles, dtype=np.int32), np.array(density)
+
+
+def _check_resolved(framed: FloatArray) -> None:
+    """Whether points, in their frame, are distinct in single precision."""
+    n_distinct = len(np.unique(np.round(np.ldexp(framed, SINGLE_DIGITS)), axis=0))
+    if n_distinct < FEWEST_POINTS:
+        raise ReconstructionError(
+            f"at least {FEWEST_POINTS} points must be distinct in single precision, relative to the diagonal "
+            f"of all points; of {len(framed)} points {n_distinct} are: look for points far from the body "
+            "and drop them"
+        )
 
 
 def simplify(vertices: FloatArray, faces: IntArray, *, n_faces: int) -> tuple[FloatArray, IntArray]:
@@ -227,8 +281,13 @@ def simplify(vertices: FloatArray, faces: IntArray, *, n_faces: int) -> tuple[Fl
     ----------
     .. [1] Garland and Heckbert, "Surface simplification using quadric error metrics", SIGGRAPH 1997.
     """
-    mesh = _mesh(vertices, faces).simplify_quadric_decimation(n_faces)
-    return np.array(mesh.vertices), np.array(mesh.triangles, dtype=np.int32)
+    frame = Frame.around(vertices, offset=DOUBLE_OFFSET)
+    # Open3D compares determinants of quadrics with 1e-4 in any unit of length, so another unit gives other
+    # vertices. It computes in double precision here: ordinary lengths need no frame.
+    if ORDINARY[0] <= diagonal(vertices) <= ORDINARY[1]:
+        frame = Frame(np.zeros(3), 1.0)
+    mesh = _mesh(frame.inward(vertices), faces).simplify_quadric_decimation(n_faces)
+    return frame.outward(np.array(mesh.vertices)), np.array(mesh.triangles, dtype=np.int32)
 
 
 class RayScene:
@@ -245,9 +304,10 @@ class RayScene:
     def __init__(self, vertices: FloatArray, faces: IntArray) -> None:
         o3d = _open3d()
         self._tensor = o3d.core.Tensor
+        self._frame = Frame.around(vertices)
         self._scene = o3d.t.geometry.RaycastingScene(nthreads=1)
         self._scene.add_triangles(
-            o3d.core.Tensor(np.asarray(vertices, dtype=np.float32)),
+            o3d.core.Tensor(self._frame.inward(vertices).astype(np.float32)),
             o3d.core.Tensor(np.asarray(faces, dtype=np.uint32)),
         )
 
@@ -268,17 +328,19 @@ class RayScene:
         face : (k,) int32
             Numbers of the faces; −1 if there is no intersection.
         """
-        rays = np.concatenate([origins, directions], axis=1).astype(np.float32)  # (k, 6)
-        answer = self._scene.cast_rays(self._tensor(rays))
-        distance = answer["t_hit"].numpy().astype(np.float64)
+        length = power_of_two(float(np.abs(directions).max(initial=0)))
+        rays = np.concatenate([self._frame.inward(origins), directions / length], axis=1)  # (k, 6)
+        answer = self._scene.cast_rays(self._tensor(rays.astype(np.float32)))
+        distance = answer["t_hit"].numpy().astype(np.float64) * (self._frame.size / length)
         face = np.where(np.isfinite(distance), answer["primitive_ids"].numpy().astype(np.int64), -1)
         normals = answer["primitive_normals"].numpy().astype(np.float64)
         return distance, normals, face.astype(np.int32)
 
     def distance(self, points: FloatArray) -> FloatArray:
         """(k,) unsigned distances of (k, 3) points to the surface."""
-        query = self._tensor(np.asarray(points, dtype=np.float32))
-        return np.asarray(self._scene.compute_distance(query).numpy(), dtype=np.float64)
+        query = self._tensor(self._frame.inward(points).astype(np.float32))
+        framed: FloatArray = self._scene.compute_distance(query).numpy().astype(np.float64)
+        return framed * self._frame.size
 
 
 # --- features -----------------------------------------------------------------------------------------
@@ -304,6 +366,7 @@ def feature_histograms(points: FloatArray, normals: FloatArray, *, radius: float
     .. [1] Rusu et al., "Fast point feature histograms (FPFH) for 3D registration", ICRA 2009.
     """
     o3d = _open3d()
-    search = o3d.geometry.KDTreeSearchParamRadius(radius)
-    features = o3d.pipelines.registration.compute_fpfh_feature(_cloud(points, normals), search)
+    frame = Frame.around(points, offset=DOUBLE_OFFSET)
+    search = o3d.geometry.KDTreeSearchParamRadius(radius / frame.size)
+    features = o3d.pipelines.registration.compute_fpfh_feature(_cloud(frame.inward(points), normals), search)
     return np.array(features.data.T)  # (n, 33)

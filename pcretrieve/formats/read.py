@@ -96,7 +96,9 @@ def read_scan(path: str | Path) -> PointCloud | TriangleMesh:
     path = Path(path)
     started = time.perf_counter()
     try:
-        return _scan(_read(path), started=started)
+        # Garbage may be signaling NaN, or have no square: whatever is not finite is dropped in `_scan`.
+        with np.errstate(invalid="ignore", over="ignore"):
+            return _scan(_read(path), started=started)
     except ScanReadError as error:
         if str(path) in error.message:
             raise
@@ -156,8 +158,11 @@ def _scan(raw: RawScan, *, started: float) -> PointCloud | TriangleMesh:
     viewpoints = raw.viewpoints
     if viewpoints is not None:
         viewpoints = np.broadcast_to(viewpoints, (n, 3))[finite]
-        if not np.isfinite(viewpoints).all():
-            notes.append("ignored the file's sensor positions: some are NaN or infinite")
+        if not (np.abs(viewpoints) <= LARGEST_COORDINATE).all():
+            notes.append(
+                "ignored the file's sensor positions: some are NaN, infinite or beyond "
+                f"{LARGEST_COORDINATE:g}"
+            )
             viewpoints = None
     step = Step("read", time.perf_counter() - started, {"points": n}, tuple(notes))
     return PointCloud(raw.points[finite], normals, viewpoints, (step,))

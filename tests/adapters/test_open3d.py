@@ -9,6 +9,7 @@ import pytest
 import shapes
 
 from pcretrieve.adapters import open3d as adapter
+from pcretrieve.errors import ReconstructionError
 from pcretrieve.surface.topology import compact, defects
 from pcretrieve.types import FloatArray, TriangleMesh
 
@@ -113,6 +114,69 @@ def test_tangent_planes_agree_on_a_side() -> None:
     oriented = adapter.orient_by_tangent_planes(POINTS, POINTS * flips, n_neighbors=12)
     sides = np.sign(np.einsum("ij,ij->i", oriented, POINTS))
     assert abs(sides.sum()) == len(POINTS)
+
+
+def test_points_without_a_triangulation_have_no_tangent_planes_that_agree() -> None:
+    one_place, up = np.zeros((200, 3)), np.tile([0.0, 0.0, 1.0], (200, 1))
+    with pytest.raises(ReconstructionError, match="200 points have none") as raised:
+        adapter.orient_by_tangent_planes(one_place, up, n_neighbors=12)
+    assert raised.value.stage == "orient"
+
+
+# --- units and places ---------------------------------------------------------------------------------
+
+# A unit that is a power of two changes no digit, however far single precision is from bearing it.
+UNITS = [2.0**-150, 2.0**-40, 2.0**10, 2.0**70, 2.0**150]
+
+
+@pytest.mark.parametrize("unit", UNITS)
+def test_points_give_the_same_in_any_unit(unit: float) -> None:
+    for function in (
+        lambda points, _: adapter.statistical_inliers(points, n_neighbors=20, std_ratio=2.0),
+        lambda points, _: adapter.estimate_normals(points, n_neighbors=20),
+        lambda points, _: adapter.orient_by_tangent_planes(points, POINTS, n_neighbors=12),
+        lambda points, unit: adapter.feature_histograms(points, POINTS, radius=0.3 * unit),
+    ):
+        np.testing.assert_array_equal(function(unit * POINTS, unit), function(POINTS, 1.0))
+
+
+@pytest.mark.parametrize("unit", UNITS)
+def test_surfaces_are_the_same_in_any_unit(unit: float) -> None:
+    vertices, faces, density = adapter.poisson(unit * POINTS, POINTS, depth=5, scale=1.1)
+    expected = adapter.poisson(POINTS, POINTS, depth=5, scale=1.1)
+    np.testing.assert_array_equal(vertices / unit, expected[0])
+    np.testing.assert_array_equal(faces, expected[1])
+    np.testing.assert_array_equal(density, expected[2])
+
+
+@pytest.mark.parametrize("unit", UNITS)
+def test_rays_meet_the_same_in_any_unit(unit: float) -> None:
+    rng = np.random.default_rng(0)
+    origins, directions = 2 * rng.normal(size=(500, 3)), rng.normal(size=(500, 3))
+    here, there = (adapter.RayScene(scale * BALL.vertices, BALL.faces) for scale in (1.0, unit))
+    for found, expected in zip(
+        there.cast(unit * origins, unit * directions), here.cast(origins, directions), strict=True
+    ):
+        np.testing.assert_array_equal(found, expected)
+    unscaled = there.cast(unit * origins, directions)[0]
+    np.testing.assert_array_equal(unscaled / unit, here.cast(origins, directions)[0])
+    np.testing.assert_array_equal(there.distance(unit * origins) / unit, here.distance(origins))
+
+
+@pytest.mark.parametrize("place", [np.array([2.0**20, -(2.0**24), 0]), np.array([0, 3e8, 1e9])], ids=str)
+def test_rays_meet_a_surface_far_from_the_origin(place: FloatArray) -> None:
+    """In single precision, its vertices would be 64 or more apart there, or coincide."""
+    scene = adapter.RayScene(BALL.vertices + place, BALL.faces)
+    distance, _, _ = scene.cast(np.array([[3.0, 0.1, 0.2]]) + place, np.array([[-1.0, 0.0, 0.0]]))
+    assert distance[0] == pytest.approx(3 - np.sqrt(1 - 0.05), abs=0.01)
+    assert scene.distance(place[None]) == pytest.approx(1, abs=0.02)
+
+
+@pytest.mark.parametrize("unit", [1e-30, 1e40])
+def test_simplification_keeps_the_body_in_any_unit(unit: float) -> None:
+    body = shapes.body(4)
+    vertices, faces = adapter.simplify(unit * body.vertices, body.faces, n_faces=1000)
+    assert TriangleMesh(vertices / unit, faces).volume == pytest.approx(body.volume, rel=0.01)
 
 
 # --- surfaces -----------------------------------------------------------------------------------------

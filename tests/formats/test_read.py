@@ -121,7 +121,7 @@ def test_faces_of_two_corners_leave_points(tmp_path: Path) -> None:
 
 def ply_table(path: Path, names: str, rows: NDArray[np.float64], *, grid: bool = False) -> None:
     """Vertices with these properties; behind them, where asked for, the sampling grid of a range scanner."""
-    properties = "".join(f"property float {name}\n" for name in names.split())
+    properties = "".join(f"property double {name}\n" for name in names.split())
     trailing = "element range_grid 2\nproperty list uchar int vertex_indices\n" if grid else ""
     header = f"ply\nformat ascii 1.0\nelement vertex {len(rows)}\n{properties}{trailing}end_header\n"
     body = "\n".join(" ".join(map(str, row)) for row in rows) + ("\n0\n1 0\n" if grid else "\n")
@@ -180,11 +180,14 @@ def test_normals_without_a_direction_are_left_out_with_a_note(normal: str, tmp_p
     assert found.provenance[0].notes == ("ignored the file's normals: 1 of them have no direction",)
 
 
-def test_sensors_nowhere_are_left_out_with_a_note(tmp_path: Path) -> None:
-    ply_table(tmp_path / "a.ply", "x y z vp_x vp_y vp_z", np.column_stack([CUBE, np.full((8, 3), np.nan)]))
+@pytest.mark.parametrize("position", [np.nan, np.inf, -1e60])
+def test_sensors_nowhere_are_left_out_with_a_note(position: float, tmp_path: Path) -> None:
+    ply_table(tmp_path / "a.ply", "x y z vp_x vp_y vp_z", np.column_stack([CUBE, np.full((8, 3), position)]))
     found = cloud(tmp_path / "a.ply")
     assert found.viewpoints is None
-    assert found.provenance[0].notes == ("ignored the file's sensor positions: some are NaN or infinite",)
+    assert found.provenance[0].notes == (
+        "ignored the file's sensor positions: some are NaN, infinite or beyond 1e+50",
+    )
 
 
 # --- points that are no numbers -------------------------------------------------------------------------

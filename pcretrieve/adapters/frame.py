@@ -1,0 +1,121 @@
+"""Coordinates that single precision can bear, and the way back from them."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from pcretrieve.arrays import FloatArray
+
+__all__ = ["DOUBLE_OFFSET", "SINGLE_OFFSET", "Frame", "diagonal", "power_of_two"]
+
+# How far the middle of the points may lie from the origin of their frame; sizes of the frame. In single
+# precision a coordinate has 24 binary digits, all of which are needed to tell points apart. In double
+# precision covariances are differences of mean squares: at 512 sizes those lose 18 of their 53 binary digits.
+SINGLE_OFFSET, DOUBLE_OFFSET = 0.5, 512.0
+
+
+class Frame(NamedTuple):
+    """The coordinates (x − origin) / size, in which the points have a diagonal between 1/2 and 1.
+
+    The size is a power of two, and the origin is a multiple of it, zero for points around the origin of the
+    caller: the coordinates of such points keep all their digits both ways.
+
+    Attributes
+    ----------
+    origin : (3,) float64
+        Unit of the caller.
+    size : float
+        Unit of the caller.
+    """
+
+    origin: FloatArray
+    size: float
+
+    @classmethod
+    def around(cls, points: FloatArray, *, offset: float = SINGLE_OFFSET) -> Frame:
+        """The frame of some points.
+
+        Parameters
+        ----------
+        points : (n, 3) float64
+            Coordinates; unit of the caller.
+        offset : float
+            Largest distance from the origin of the frame to the middle of the bounding box, on each axis;
+            sizes of the frame.
+
+        Returns
+        -------
+        Frame
+            Of unit size where there are no points, or where they coincide.
+        """
+        if not len(points):
+            return cls(np.zeros(3), 1.0)
+        size = power_of_two(diagonal(points))
+        step = 2 * offset * size
+        middle = (points.min(axis=0) + points.max(axis=0)) / 2
+        return cls(np.round(middle / step) * step, size)
+
+    def inward(self, points: FloatArray) -> FloatArray:
+        """Transform points to this frame.
+
+        Parameters
+        ----------
+        points : (n, 3) float64
+            Coordinates; unit of the caller.
+
+        Returns
+        -------
+        (n, 3) float64
+            Coordinates in this frame.
+        """
+        return np.asarray((points - self.origin) / self.size)
+
+    def outward(self, points: FloatArray) -> FloatArray:
+        """Transform points back from this frame.
+
+        Parameters
+        ----------
+        points : (n, 3) float64
+            Coordinates in this frame.
+
+        Returns
+        -------
+        (n, 3) float64
+            Coordinates; unit of the caller.
+        """
+        return np.asarray(points * self.size + self.origin)
+
+
+def diagonal(points: FloatArray) -> float:
+    """Diagonal of the axis-aligned bounding box.
+
+    Parameters
+    ----------
+    points : (n, 3) float64
+        At least one point.
+
+    Returns
+    -------
+    float
+        Unit of the points.
+    """
+    return float(np.linalg.norm(np.ptp(points, axis=0)))
+
+
+def power_of_two(length: float) -> float:
+    """The least power of two above a length.
+
+    Parameters
+    ----------
+    length : float
+        Not negative.
+
+    Returns
+    -------
+    float
+        1 where the length is zero.
+    """
+    return math.ldexp(1.0, math.frexp(length)[1])
