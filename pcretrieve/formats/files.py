@@ -1,4 +1,4 @@
-"""Which files may be opened at all."""
+"""A check that is made before a file is opened."""
 
 from __future__ import annotations
 
@@ -11,21 +11,21 @@ __all__ = ["check_file"]
 
 
 def check_file(path: Path) -> None:
-    """Check, before a file is opened, that reading it comes to an end and gives something.
+    """Check that a path is a regular file with content.
 
-    Opening a pipe waits for a writer, and reading a device may go on until the memory is full.
+    Opening a pipe would wait for a writer, and reading a device may not end.
 
     Parameters
     ----------
     path : Path
-        Symbolic links are followed.
+        The path; symbolic links are followed.
 
     Raises
     ------
     OSError
-        If there is no such file.
+        If the path does not exist.
     ScanReadError
-        If it is not a regular file, or empty.
+        If it is not a regular file, or is empty.
     """
     status = path.stat()
     if stat.S_ISDIR(status.st_mode):

@@ -1,7 +1,11 @@
-"""GLB, the binary form of glTF 2.0: triangles and points of its scene, without materials.
+"""The format GLB, the binary form of glTF 2.0 [1]_: triangles and points of the scene, without materials.
 
-Khronos Group, "glTF 2.0 Specification", 2021, https://registry.khronos.org/glTF/specs/2.0/glTF-2.0.html.
-External files and data URIs are not followed.
+External files and data URIs are not read.
+
+References
+----------
+.. [1] Khronos Group, "glTF 2.0 Specification", 2021,
+   https://registry.khronos.org/glTF/specs/2.0/glTF-2.0.html.
 """
 
 from __future__ import annotations
@@ -26,16 +30,16 @@ JSON_CHUNK, BINARY_CHUNK = b"JSON", b"BIN\0"
 
 COMPONENTS = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 WIDTHS = {"SCALAR": 1, "VEC3": 3}
-# Modes of a primitive; others are points and lines.
+# Modes of a primitive with triangles; the others are points and lines.
 TRIANGLES, STRIP, FAN = 4, 5, 6
 
-# A mesh that several nodes show is repeated in the scene. Vertices and indices together may be as many as the
-# file has bytes, or as many as this.
+# A mesh is repeated in the scene for each node that refers to it. The number of vertices and indices in the
+# scene is limited to the number of bytes of the file, or to this number if the file is smaller.
 MOST_OF_SMALL_FILE = 1_000_000
 
 
 class Document(NamedTuple):
-    """The JSON tree of a file, its binary chunk, and the number of its bytes."""
+    """The JSON tree of a file, its binary chunk, and its size; bytes."""
 
     tree: Any
     binary: bytes
@@ -43,7 +47,7 @@ class Document(NamedTuple):
 
 
 class Primitive(NamedTuple):
-    """Vertices in the frame of their mesh, and the triangles between them."""
+    """The vertices of a primitive, in the frame of its mesh, and its triangles."""
 
     vertices: NDArray[Any]
     faces: NDArray[np.int64]
@@ -55,26 +59,29 @@ def read_glb(path: Path) -> RawScan:
     Parameters
     ----------
     path : Path
+        The file.
 
     Returns
     -------
     RawScan
-        Vertices and triangles of all nodes of the scene, in metres. Vertices that were split because their
-        faces differ in material or normal are one again.
+        Vertices and triangles of all nodes of the scene, in metres. Vertices at the same place are merged,
+        because the format duplicates them for faces of different materials and normals.
 
     Raises
     ------
+    OSError
+        If the file cannot be read.
     ScanReadError
-        If it is not a GLB file, is cut short, is compressed, or its scene has no vertices.
+        If the file is not a GLB file, is truncated, is compressed, or its scene has no vertices.
     """
     data = path.read_bytes()
     try:
-        # Any bytes may be coordinates, also such as overflow; they are checked later.
+        # Overflow of coordinates in casts is not reported here: coordinates are checked later.
         with np.errstate(all="ignore"):
             vertices, faces = _scene(_document(data))
     except ScanReadError as error:
         raise incomplete(path, error.message) from error
-    # What the tree lacks, what has another type than the format says, and references to what does not exist.
+    # Missing members of the tree, members of a wrong type, and invalid references.
     except (ArithmeticError, AttributeError, LookupError, RecursionError, TypeError, ValueError) as error:
         raise incomplete(path, f"its JSON part is broken: {type(error).__name__} {error}") from error
     vertices, faces = merged_vertices(vertices, faces)
@@ -102,7 +109,7 @@ def _document(data: bytes) -> Document:
 
 
 def _scene(document: Document) -> tuple[NDArray[Any], NDArray[Any]]:
-    """(n, 3) vertices in the frame of the scene and (m, 3) triangles."""
+    """(n, 3) vertices in the frame of the scene, and (m, 3) triangles."""
     tree = document.tree
     placed = list(_placed_meshes(tree))
     sizes = {mesh: _n_values(tree, mesh) for mesh in {mesh for mesh, _ in placed}}
@@ -117,7 +124,7 @@ def _scene(document: Document) -> tuple[NDArray[Any], NDArray[Any]]:
     for mesh, motion in placed:
         for vertices, faces in meshes[mesh]:
             points.append(_moved(vertices.astype(np.float64), motion))
-            # A reflection turns triangles inside out.
+            # A reflection reverses the orientation of triangles.
             triangles.append((faces[:, ::-1] if np.linalg.det(motion[:3, :3]) < 0 else faces) + n_points)
             n_points += len(vertices)
     if not n_points:
@@ -126,7 +133,7 @@ def _scene(document: Document) -> tuple[NDArray[Any], NDArray[Any]]:
 
 
 def _placed_meshes(tree: Any) -> Iterator[tuple[int, FloatArray]]:
-    """Each mesh that a node of the scene shows, with the (4, 4) transform to the frame of the scene."""
+    """Yield the mesh of each node, with the (4, 4) transform to the frame of the scene."""
     nodes, seen = tree.get("nodes", []), set()
     waiting = [(root, np.eye(4)) for root in tree["scenes"][tree.get("scene", 0)].get("nodes", [])]
     while waiting:
@@ -142,7 +149,7 @@ def _placed_meshes(tree: Any) -> Iterator[tuple[int, FloatArray]]:
 
 
 def _transform(node: Any) -> FloatArray:
-    """From the frame of a node to that of its parent, (4, 4)."""
+    """The (4, 4) transform from the frame of a node to that of its parent."""
     matrix = np.array(node.get("matrix", np.eye(4).ravel()), dtype=np.float64).reshape(4, 4).T
     if "translation" in node:
         translation = np.eye(4)
@@ -158,7 +165,7 @@ def _transform(node: Any) -> FloatArray:
 
 
 def _rotation(quaternion: FloatArray) -> FloatArray:
-    """(3, 3) matrix of a quaternion x y z w."""
+    """The (3, 3) rotation matrix of a quaternion x, y, z, w."""
     x, y, z, w = quaternion * np.sqrt(2 / (quaternion @ quaternion))
     return np.array(
         [
@@ -180,7 +187,7 @@ def _moved(points: FloatArray, motion: FloatArray) -> FloatArray:
 
 
 def _n_values(tree: Any, mesh: int) -> int:
-    """Vertices and indices that a mesh promises."""
+    """The declared number of vertices and indices of a mesh."""
     return sum(
         int(tree["accessors"][accessor]["count"])
         for primitive in tree["meshes"][mesh]["primitives"]
@@ -202,13 +209,13 @@ def _primitive(document: Document, primitive: Any) -> Primitive:
     if mode == TRIANGLES:
         return Primitive(vertices, corners.reshape(-1, 3))
     k = np.arange(max(len(corners) - 2, 0))
-    # Every second triangle of a strip has its corners the other way round.
+    # Every second triangle of a strip has the opposite orientation.
     order = (k, k + 1 + k % 2, k + 2 - k % 2) if mode == STRIP else (k + 1, k + 2, 0 * k)
     return Primitive(vertices, corners[np.column_stack(order)])
 
 
 def _values(document: Document, accessor: int, kind: str) -> NDArray[Any]:
-    """(count, width) values."""
+    """The (count, width) values of an accessor."""
     declared = document.tree["accessors"][accessor]
     if "sparse" in declared or "bufferView" not in declared:
         raise ScanReadError("its values are sparse or compressed: export it plainly")

@@ -1,4 +1,4 @@
-"""OFF and STL, read by trimesh."""
+"""The formats OFF and STL, read by trimesh."""
 
 from __future__ import annotations
 
@@ -18,16 +18,21 @@ def read_off(path: Path) -> RawScan:
     Parameters
     ----------
     path : Path
+        The file.
 
     Returns
     -------
     RawScan
-        Vertices and triangles; larger polygons are cut into triangles.
+        Vertices and triangles; polygons are triangulated. Unit of the file.
 
     Raises
     ------
+    OSError
+        If the file cannot be read.
+    MemoryError
+        If the file is too large for the memory.
     ScanReadError
-        If it is not an OFF file, is cut short, or has no vertices.
+        If the file is not an OFF file, is truncated, or has no vertices.
     """
     return _read(path)
 
@@ -38,17 +43,22 @@ def read_stl(path: Path) -> RawScan:
     Parameters
     ----------
     path : Path
+        The file.
 
     Returns
     -------
     RawScan
-        Triangles, and their corners as vertices: corners at the same place, which the format repeats for each
-        triangle, are one vertex.
+        Triangles and vertices; corners of triangles at the same place are merged into one vertex. Unit of the
+        file.
 
     Raises
     ------
+    OSError
+        If the file cannot be read.
+    MemoryError
+        If the file is too large for the memory.
     ScanReadError
-        If it is not an STL file, is cut short, or has no triangles.
+        If the file is not an STL file, is truncated, or has no triangles.
     """
     scan = _read(path)
     if scan.faces is None:
@@ -66,7 +76,7 @@ def _read(path: Path) -> RawScan:
         faces = np.asarray(mesh.faces, dtype=np.int64).reshape(-1, 3)
     except (OSError, MemoryError):
         raise
-    # trimesh has no exception of its own: a broken file surfaces as whatever its parser met.
+    # trimesh has no exception class of its own: a damaged file raises whatever its parser does.
     except Exception as error:
         raise incomplete(path, error) from error
     if not len(vertices):

@@ -1,7 +1,7 @@
-"""OBJ, vertices and faces only.
+"""The format OBJ, vertices and faces only.
 
-A mesh library splits vertices along the seams of textures, normals and materials, which opens a closed
-surface; here a face has the vertices that the file gives it.
+Mesh libraries duplicate vertices at the seams of textures, normals and materials, which opens a closed
+surface. This reader keeps the vertices of the file.
 """
 
 from __future__ import annotations
@@ -15,12 +15,30 @@ from pcretrieve.formats.text import text_lines
 
 __all__ = ["read_obj"]
 
-# More vertices than any file holds.
+# Largest vertex number; more than any file has.
 LARGEST_NUMBER = 2**40
 
 
 def read_obj(path: Path) -> RawScan:
-    """The ``v`` and ``f`` lines; larger polygons are cut into triangles, everything else is ignored."""
+    """Read the ``v`` and ``f`` lines of an OBJ file; other lines are ignored.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+
+    Returns
+    -------
+    RawScan
+        Vertices and triangles; polygons are triangulated. Unit of the file.
+
+    Raises
+    ------
+    OSError
+        If the file cannot be read.
+    ScanReadError
+        If the file is not text, a line is invalid, or there are no vertices.
+    """
     vertices: list[list[float]] = []
     polygons: dict[int, list[list[int]]] = {}  # by their number of corners
     for number, line in enumerate(text_lines(path), start=1):
@@ -41,7 +59,7 @@ def read_obj(path: Path) -> RawScan:
 
 
 def _vertex(word: str, n_before: int) -> int:
-    """Position of the vertex that ``v``, ``v/t`` or ``v/t/n`` names: from 1, or backwards from the last."""
+    """Vertex number, from 0, of ``v``, ``v/t`` or ``v/t/n``: from 1 in the file, negative from the last."""
     number = int(word.split("/")[0])
     if not 0 < abs(number) <= LARGEST_NUMBER:
         raise ValueError(f"vertices are numbered from 1 to {LARGEST_NUMBER}")

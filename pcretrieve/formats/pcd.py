@@ -1,4 +1,4 @@
-"""PCD, read by pypcd4, with the position of its sensor."""
+"""The format PCD, read by pypcd4, with the position of the sensor."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ if TYPE_CHECKING:
 __all__ = ["read_pcd"]
 
 HEADER = re.compile(rb"\A.*?^DATA[ \t]+(\w+)[ \t]*\r?\n", re.MULTILINE | re.DOTALL)
-# Where pypcd4 takes a header to end that has no line DATA.
+# Number of lines after which pypcd4 ends a header without a line DATA.
 MOST_HEADER_LINES = 10
 
-# LZF writes three bytes for 264 equal ones, and never fewer.
+# Largest compression ratio of LZF: 264 bytes in 3.
 LZF_RATIO = 88
-# The longest descriptor that PCL stores with each point has 1980 values.
+# Largest number of values of a point. The largest descriptor of PCL has 1980.
 MOST_VALUES = 4096
 
 
@@ -35,19 +35,24 @@ def read_pcd(path: Path) -> RawScan:
     Parameters
     ----------
     path : Path
+        The file.
 
     Returns
     -------
     RawScan
-        Points with their normals and sensor positions. Sensors come from the fields ``vp_x vp_y vp_z`` where
-        the file has them (PCL's PointWithViewpoint), else from the header's VIEWPOINT, which is in the frame
-        of the points. Its default, the origin without a rotation, is what programs write that know of no
-        sensor, and stands for none.
+        Points, and normals if there are any; unit of the file. The positions of the sensors are those of the
+        fields ``vp_x vp_y vp_z`` (PCL's PointWithViewpoint), or else VIEWPOINT of the header, which is in the
+        frame of the points. The default of VIEWPOINT, the origin without rotation, is written by programs
+        that do not know the sensor, and is ignored.
 
     Raises
     ------
+    OSError
+        If the file cannot be read.
+    MemoryError
+        If the file is too large for the memory.
     ScanReadError
-        If it is not a PCD file, is cut short, or has no fields ``x y z``.
+        If the file is not a PCD file, is truncated, or has no fields ``x y z``.
     """
     from pypcd4.pypcd4 import MetaData, PointCloud
 
@@ -56,7 +61,7 @@ def read_pcd(path: Path) -> RawScan:
     if header is None:
         raise incomplete(path, "its header has no line DATA")
     if header[1] == b"ascii":
-        # pypcd4 takes one space between numbers, and none behind the last.
+        # pypcd4 accepts single spaces between numbers only, and none at the end of a line.
         data = b"\n".join(b" ".join(line.split()) for line in data.splitlines())
     try:
         lines, start = _header_lines(data)
@@ -64,8 +69,8 @@ def read_pcd(path: Path) -> RawScan:
         content = PointCloud.from_fileobj(io.BytesIO(data))  # type: ignore[arg-type]
     except (ScanReadError, MemoryError):
         raise
-    # pypcd4 has no exception of its own: a broken header or body surfaces as whatever numpy, its header
-    # grammar (pydantic) or its decompressor met.
+    # pypcd4 has no exception class of its own: a damaged file raises whatever numpy, pydantic (the header) or
+    # the decompressor does.
     except Exception as error:
         raise incomplete(path, error) from error
 
@@ -74,7 +79,7 @@ def read_pcd(path: Path) -> RawScan:
             return None
         return np.asarray(content.numpy(names), dtype=np.float64).reshape(-1, 3)
 
-    # Any bytes may be coordinates, also such as overflow; they are checked later.
+    # Overflow of coordinates in casts is not reported here: coordinates are checked later.
     with np.errstate(all="ignore"):
         points = columns("x", "y", "z")
         normals = columns("normal_x", "normal_y", "normal_z")
@@ -91,7 +96,7 @@ def read_pcd(path: Path) -> RawScan:
 
 
 def _header_lines(data: bytes) -> tuple[list[str], int]:
-    """The lines that pypcd4 takes for the header, and where the points begin; bytes."""
+    """The lines of the header, as pypcd4 splits them, and the position of the points; bytes."""
     lines: list[str] = []
     start = 0
     for line in io.BytesIO(data):
@@ -105,13 +110,7 @@ def _header_lines(data: bytes) -> tuple[list[str], int]:
 
 
 def _check_promises(path: Path, header: MetaData, body: memoryview) -> None:
-    """Check, before anything is allocated, that the file can hold what its header promises.
-
-    Raises
-    ------
-    ScanReadError
-        If it cannot.
-    """
+    """Check, before arrays are allocated, that the file is large enough for its header."""
     n_values = sum(header.count)
     if n_values > MOST_VALUES:
         raise incomplete(path, f"its header promises {n_values} values a point, {MOST_VALUES} may be")

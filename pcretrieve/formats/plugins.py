@@ -1,4 +1,4 @@
-"""Readers that other packages bring, by the entry-point group ``pcretrieve.readers``."""
+"""Readers of other packages, from the entry-point group ``pcretrieve.readers``."""
 
 from __future__ import annotations
 
@@ -15,14 +15,15 @@ __all__ = ["PluginReader"]
 
 
 class PluginReader:
-    """The reader that an entry point names, loaded when it is first used.
+    """The reader of an entry point, which is loaded at its first use.
 
-    Whatever is wrong with it is an error of the files that it should read, and of no others.
+    An error in the reader is reported for the files of its suffix only.
 
     Parameters
     ----------
     entry : EntryPoint
-        Named by the suffix of its files, dot included; its value is a function from a path to a `RawScan`.
+        Its name is the suffix of the files, including the dot, and its value is a function from a path to a
+        `RawScan`.
     """
 
     def __init__(self, entry: EntryPoint) -> None:
@@ -31,10 +32,20 @@ class PluginReader:
     def __call__(self, path: Path) -> RawScan:
         """Read a file.
 
+        Parameters
+        ----------
+        path : Path
+            The file.
+
+        Returns
+        -------
+        RawScan
+            The arrays of the file, with checked types and shapes.
+
         Raises
         ------
         ScanReadError
-            If the reader cannot be loaded, raises anything but a lack of memory, or gives no scan.
+            If the reader cannot be loaded, raises an exception, or does not return a valid `RawScan`.
         """
         try:
             read = self._entry.load()
@@ -57,13 +68,7 @@ class PluginReader:
 
 
 def _checked(scan: object) -> RawScan:
-    """The arrays of a scan in the types and shapes that `RawScan` promises.
-
-    Raises
-    ------
-    TypeError, ValueError
-        If it is not a scan, or they cannot be had.
-    """
+    """The scan with arrays of the types and shapes of `RawScan`; TypeError or ValueError if it has others."""
     if not isinstance(scan, RawScan):
         raise TypeError(f"a reader must give a RawScan, got {type(scan).__name__}")
     points = _rows(scan.points, "points")

@@ -1,4 +1,4 @@
-"""PLY: text and binary, of either byte order."""
+"""The format PLY: text, and binary of both byte orders."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ __all__ = ["read_ply"]
 
 FACE_PROPERTIES = ("vertex_indices", "vertex_index")
 
-# Of the largest type that an index can have.
+# Largest value of the types of an index.
 LARGEST_INDEX = 2**32 - 1
 
 
@@ -28,21 +28,24 @@ def read_ply(path: Path) -> RawScan:
     Parameters
     ----------
     path : Path
+        The file.
 
     Returns
     -------
     RawScan
-        The vertices ``x y z``, their normals ``nx ny nz`` and sensor positions ``vp_x vp_y vp_z``, and the
-        faces if there are any; polygons of more than three corners are cut into fans of triangles.
+        The vertices ``x y z``, and their normals ``nx ny nz``, the positions of their sensors ``vp_x vp_y
+        vp_z`` and the faces, if there are any; polygons are triangulated. Unit of the file.
 
     Raises
     ------
+    OSError
+        If the file cannot be read.
     ScanReadError
-        If it is not a PLY file, is cut short, or has no vertices with coordinates.
+        If the file is not a PLY file, is truncated, or has no vertices with coordinates.
     """
     data = path.read_bytes()
     header = read_header(path, data)
-    # What follows the last vertex or face is not read: range scanners write their sampling grid there.
+    # Elements after the vertices and the faces are not read, such as the sampling grid of range scanners.
     needed = [k for k, found in enumerate(header.elements) if found.name == "vertex" or _is_face(found)]
     scan, faces, at = None, None, header.end
     for element in header.elements[: needed[-1] + 1] if needed else ():
@@ -73,8 +76,8 @@ def _vertices(element: Element, found: list[Table]) -> RawScan:
             return None
         if not found:
             return np.empty((0, len(names)))
-        # Of a text too, a number is as precise as its type. Files may hold any bytes: numpy warns of casting
-        # signalling NaN, which are dropped later.
+        # Numbers of a text file are rounded to the precision of their type. numpy warns of casts of
+        # signalling NaN, which a file may have; such points are removed later.
         with np.errstate(all="ignore"):
             parts = [
                 [table.values[name].astype("f4" if scalars[name] == "f4" else "f8") for name in names]
@@ -91,7 +94,7 @@ def _vertices(element: Element, found: list[Table]) -> RawScan:
 
 
 def _faces(path: Path, element: Element, found: list[Table]) -> NDArray[np.int64]:
-    """(m, 3) vertices of triangles."""
+    """(m, 3) vertex numbers of triangles."""
     lists = {one.name for one in element.properties if one.length is not None and one.type[0] != "f"}
     name = next((name for name in FACE_PROPERTIES if name in lists), None)
     if name is None:
@@ -108,10 +111,8 @@ def _faces(path: Path, element: Element, found: list[Table]) -> NDArray[np.int64
 
 
 def _of_text(path: Path, data: bytes, at: int, element: Element) -> tuple[list[Table], int]:
-    """The rows of an element of a text, a line each, and where the next element begins.
-
-    Their numbers are read at once, and stand for a binary file of nothing but doubles.
-    """
+    """The rows of an element of a text file, one on each line, and the position of the next element."""
+    # The numbers are parsed in one call, and then read as the rows of a binary file of doubles.
     line_end = b"\n" if data.find(b"\n", at) >= 0 else b"\r"
     ends = at + 1 + np.flatnonzero(np.frombuffer(data, np.uint8, offset=at) == line_end[0])
     if element.n_rows > len(ends) + 1:

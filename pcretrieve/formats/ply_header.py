@@ -1,7 +1,11 @@
-"""What a PLY file declares about its content.
+"""The header of a PLY file [1]_.
 
-A header names elements (``vertex``, ``face``, others), the number of rows of each, and the properties that a
-row holds: numbers, and lists that begin with their length. Greg Turk, "The PLY Polygon File Format", 1994.
+A header declares elements (``vertex``, ``face``, others), the number of rows of each, and the properties of a
+row: numbers, and lists of numbers that begin with their length.
+
+References
+----------
+.. [1] Greg Turk, "The PLY Polygon File Format", 1994.
 """
 
 from __future__ import annotations
@@ -39,15 +43,16 @@ LAST_LINE = {b"\n": rb"\nend_header[ \t]*\r?\n", b"\r": rb"\rend_header[ \t]*\r"
 
 
 class Property(NamedTuple):
-    """One value of each row, or a list of values.
+    """A column of an element: one number, or a list of numbers, in each row.
 
     Attributes
     ----------
     name : str
+        Name of the column.
     type : str
-        Of a value, as numpy names it: ``f4``.
+        Type of a number, as a numpy type string: ``f4``.
     length : str or None
-        Type of the length in front of a list; None for a single value.
+        Type of the length of a list; None for a single number.
     """
 
     name: str
@@ -56,28 +61,29 @@ class Property(NamedTuple):
 
 
 class Element(NamedTuple):
-    """A table: its number of rows, and what each row holds."""
+    """A table of a file: its name, its number of rows, and its columns."""
 
     name: str
     n_rows: int
     properties: tuple[Property, ...]
 
     def of_doubles(self) -> Element:
-        """The same with all numbers, lengths of lists too, in double precision."""
+        """The element with all numbers, and lengths of lists, in double precision."""
         doubles = (Property(name, "f8", length and "f8") for name, _, length in self.properties)
         return self._replace(properties=tuple(doubles))
 
 
 class Header(NamedTuple):
-    """What a file declares.
+    """The declarations of a file.
 
     Attributes
     ----------
     order : str
-        Byte order of a binary file, as numpy writes it: ``<`` or ``>``; empty for a text.
+        Byte order of a binary file, as in numpy: ``<`` or ``>``. Empty for a text file.
     elements : tuple of Element
+        The elements, in the order of the file.
     end : int
-        Where the rows begin; bytes.
+        Position of the first row; bytes.
     """
 
     order: str
@@ -86,6 +92,7 @@ class Header(NamedTuple):
 
     @property
     def is_text(self) -> bool:
+        """Whether the file is a text file."""
         return not self.order
 
 
@@ -95,14 +102,19 @@ def read_header(path: Path, data: bytes) -> Header:
     Parameters
     ----------
     path : Path
-        For messages.
+        The file, for messages.
     data : bytes
-        The whole file.
+        The content of the file.
+
+    Returns
+    -------
+    Header
+        The declarations.
 
     Raises
     ------
     ScanReadError
-        If there is no such header, or the file is too short for the rows that it declares.
+        If the header is invalid, or the file is too short for the declared rows.
     """
     first = FIRST_LINE.match(data)
     if first is None:
@@ -141,10 +153,10 @@ def read_header(path: Path, data: bytes) -> Header:
 
 
 def _n_rows(path: Path, name: str, number: str, n_bytes: int) -> int:
-    """The number of rows, if there can be that many: a row takes one byte at least."""
+    """The number of rows, after a check: a row has at least one byte."""
     if not number.isdecimal():
         raise LookupError
-    # As a float: int refuses a number of thousands of digits.
+    # float, because int raises an exception for a number of thousands of digits.
     if float(number) > n_bytes:
         raise incomplete(path, f"its header promises {float(number):.0f} of {name}, {n_bytes} bytes follow")
     return int(number)

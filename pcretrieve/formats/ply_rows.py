@@ -1,8 +1,8 @@
-"""The rows of a PLY element, as tables of rows that are alike.
+"""The rows of a PLY element, as tables of rows with equal lengths of lists.
 
-Rows follow one another without an index, and a list may have another length in each row. In most files it has
-not: then all rows are one table, which numpy views as it is. Otherwise the rows are walked through, for where
-each of them starts.
+Rows are stored without an index, and the length of a list may differ between rows.
+In most files it does not: all rows are then one table, a numpy view of the file.
+Otherwise the positions of the rows are found one after another.
 """
 
 from __future__ import annotations
@@ -21,21 +21,21 @@ from pcretrieve.formats.raw import incomplete
 
 __all__ = ["Table", "in_order", "tables"]
 
-# What the module struct calls the types that the length of a list may have; f8 is that of numbers of a text.
+# Format characters of the module struct for the types of the length of a list; f8 is for text files.
 CODES = {"i1": "b", "u1": "B", "i2": "h", "u2": "H", "i4": "i", "u4": "I", "f8": "d"}
 
 
 class Table(NamedTuple):
-    """Rows of one element that are alike: each list is as long as that of the other rows.
+    """Rows of an element with equal lengths of lists.
 
     Attributes
     ----------
     numbers : (p,) int
-        Which rows of the element.
+        Numbers of the rows in the element.
     values : dict of str to (p, k) array
-        Of each property; k is 1 if it is not a list.
+        The values of each property; k is 1 for a property that is not a list.
     lengths : list of (p, 1) array
-        What stands before the values of each list.
+        The lengths of each list, as stored in the file.
     """
 
     numbers: NDArray[np.intp]
@@ -44,7 +44,7 @@ class Table(NamedTuple):
 
 
 class Row(NamedTuple):
-    """Where a row is, and the lengths of its lists."""
+    """The first byte of a row, the byte after it, and the lengths of its lists."""
 
     start: int
     stop: int
@@ -57,24 +57,25 @@ def tables(path: Path, body: NDArray[np.uint8], element: Element, order: str) ->
     Parameters
     ----------
     path : Path
-        For messages.
+        The file, for messages.
     body : (b,) uint8
-        The file from the first of these rows on.
+        The content of the file, from the first row on.
     element : Element
+        The element.
     order : str
-        Byte order, as numpy writes it.
+        Byte order, as in numpy.
 
     Returns
     -------
-    list of Table
-        In the order of their first rows.
-    int
-        Where the next element begins in the body; bytes.
+    tables : list of Table
+        The rows, in the order of the first row of each table.
+    stop : int
+        Position of the next element in `body`; bytes.
 
     Raises
     ------
     ScanReadError
-        If the body ends before the last row, or a length is not one.
+        If `body` ends before the last row, or a length is invalid.
     """
     n = element.n_rows
     if not n:
@@ -98,7 +99,18 @@ def tables(path: Path, body: NDArray[np.uint8], element: Element, order: str) ->
 
 
 def in_order(parts: list[tuple[NDArray[np.intp], NDArray[Any]]]) -> NDArray[Any]:
-    """Row numbers and values of several tables → all values, in the order of the rows."""
+    """Merge values of several tables in the order of the rows.
+
+    Parameters
+    ----------
+    parts : list of ((p,) int, (p, k) array)
+        Numbers of the rows, and their values, of each table.
+
+    Returns
+    -------
+    (n, k) array
+        The values of all rows.
+    """
     if len(parts) == 1:
         return parts[0][1]
     numbers, values = (np.concatenate(part) for part in zip(*parts, strict=True))
@@ -107,7 +119,7 @@ def in_order(parts: list[tuple[NDArray[np.intp], NDArray[Any]]]) -> NDArray[Any]
 
 
 def _rows(path: Path, body: NDArray[np.uint8], element: Element, order: str) -> Iterator[Row]:
-    """Every row, one after the other."""
+    """Yield the positions of the rows, one after another."""
     content = body.data
     readers = {type_: struct.Struct(order + code) for type_, code in CODES.items()}
     stop = 0
@@ -137,7 +149,7 @@ def _table(
     lengths: tuple[int, ...],
     order: str,
 ) -> Table:
-    """Views of (p, w) bytes, without a copy."""
+    """A table of views of (p, w) bytes, without copies."""
 
     def view(start: int, stop: int, type_: str) -> NDArray[Any]:
         shape = (len(block), (stop - start) // _size(type_))
@@ -158,5 +170,5 @@ def _table(
 
 
 def _size(type_: str) -> int:
-    """Bytes of one value."""
+    """The number of bytes of a value."""
     return int(type_[1])

@@ -1,4 +1,4 @@
-"""What a reader gives: the arrays of one file, before anything is checked."""
+"""The result of a reader: the arrays of one file, before they are checked."""
 
 from __future__ import annotations
 
@@ -15,18 +15,20 @@ __all__ = ["RawScan", "fans", "incomplete", "merged_vertices"]
 
 
 class RawScan(NamedTuple):
-    """Arrays of one file, in its own unit; coordinates may still be NaN.
+    """The arrays of one file, in its unit.
 
     Attributes
     ----------
     points : (n, 3) float
+        Coordinates, which may be NaN or infinite.
     faces : (m, 3) int or None
-        None for a point cloud.
+        Vertex numbers of triangles; None for a point cloud.
     normals : (n, 3) float or None
+        Normals, of any length.
     viewpoints : (n, 3) or (3,) float or None
-        Sensor positions, in the frame of the points.
+        Positions of the sensors of all points, or of one sensor, in the frame of the points.
     notes : tuple of str
-        What the reader had to work around.
+        Notes of the reader for the provenance.
     """
 
     points: NDArray[Any]
@@ -37,16 +39,17 @@ class RawScan(NamedTuple):
 
 
 def fans(polygons: Sequence[NDArray[Any]]) -> NDArray[np.int64]:
-    """Polygons as fans of triangles.
+    """Triangulate polygons as fans around their first corners.
 
     Parameters
     ----------
     polygons : sequence of (p, k) int
-        Of k corners each; those of fewer than three vanish.
+        Vertex numbers of polygons of k corners; polygons of fewer than three corners are ignored.
 
     Returns
     -------
     (m, 3) int64
+        Vertex numbers of the triangles.
     """
     triangles = [
         corners if corners.shape[1] == 3 else corners[:, [0, k, k + 1]]
@@ -61,22 +64,43 @@ def fans(polygons: Sequence[NDArray[Any]]) -> NDArray[np.int64]:
 def merged_vertices(
     vertices: NDArray[Any], faces: NDArray[np.integer[Any]]
 ) -> tuple[NDArray[Any], NDArray[np.integer[Any]]]:
-    """Vertices that are at the same place made one, in lexicographic order; and the faces between them.
+    """Merge vertices with equal coordinates.
 
     Parameters
     ----------
     vertices : (n, 3) float
+        Coordinates.
     faces : (m, 3) int
-        Of these vertices.
+        Vertex numbers of each face.
+
+    Returns
+    -------
+    vertices : (p, 3) float
+        Distinct coordinates, in lexicographic order.
+    faces : (m, 3) int
+        Numbers of the merged vertices of each face.
     """
     vertices, inverse = np.unique(vertices, axis=0, return_inverse=True)
     return vertices, inverse.reshape(-1)[faces]
 
 
 def incomplete(path: Path, reason: object) -> ScanReadError:
-    """The error for a file that ends early, is damaged, or is of another format than its name says."""
+    """The error for a file that is truncated, damaged, or not of the format of its suffix.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    reason : object
+        An exception or a text, of which the first line is used.
+
+    Returns
+    -------
+    ScanReadError
+        The error to be raised.
+    """
     if isinstance(reason, UnicodeError):
-        reason = "it holds bytes that are no text"  # instead of the words of a codec
+        reason = "it holds bytes that are no text"  # instead of the message of the codec
     words = str(reason).splitlines() or [type(reason).__name__]
     return ScanReadError(
         f"not a complete {path.suffix[1:].upper()} file ({words[0]}): export or copy it again"

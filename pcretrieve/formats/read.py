@@ -1,4 +1,4 @@
-"""A file → points or a mesh, whatever its format."""
+"""A file → a point cloud or a mesh: the table of readers, and the checks of their results."""
 
 from __future__ import annotations
 
@@ -25,7 +25,8 @@ from pcretrieve.types import PointCloud, Step, TriangleMesh
 
 __all__ = ["read_scan", "readers"]
 
-# Beyond these, products of six lengths (squares of volumes) leave the range of float64.
+# Limits of the largest coordinate: products of six lengths, such as squares of
+# volumes, stay in the range of float64.
 LARGEST_COORDINATE, SMALLEST_COORDINATE = 1e50, 1e-50
 
 Reader = Callable[[Path], RawScan]
@@ -62,12 +63,15 @@ BUILT_IN: dict[str, Reader] = {
 
 @cache
 def readers() -> Mapping[str, Reader]:
-    """Readers by suffix: the built-in ones, and those of the entry-point group ``pcretrieve.readers``.
+    """The readers by suffix: those of pcretrieve, and those of other packages.
+
+    Other packages add readers by entry points of the group ``pcretrieve.readers``. The name of an entry point
+    is the suffix, including the dot, and its value is a function from a path to a `RawScan`.
 
     Returns
     -------
-    mapping of str to callable
-        From a suffix, dot included and in lower case, to a function from a path to a `RawScan`.
+    mapping of str to function
+        The reader of each suffix, in lower case.
     """
     added = {entry.name.lower(): PluginReader(entry) for entry in entry_points(group="pcretrieve.readers")}
     return {**BUILT_IN, **added}
@@ -85,13 +89,14 @@ def read_scan(path: str | Path) -> PointCloud | TriangleMesh:
     Returns
     -------
     PointCloud or TriangleMesh
-        A mesh where the file has faces. In the unit of the file. Points that are NaN or infinite, as depth
-        cameras write them where they saw nothing, are dropped and the provenance says how many.
+        A mesh, if the file has faces; unit of the file. Points with NaN or infinite coordinates, which depth
+        cameras write for missing measurements, are removed, and the provenance has their number.
 
     Raises
     ------
     ScanReadError
-        If the file is missing, unreadable, of another format than its name says, truncated, or empty.
+        If the file does not exist, cannot be read, is not of the format of its
+        suffix, is truncated, or is empty.
     """
     path = Path(path)
     started = time.perf_counter()
@@ -118,7 +123,7 @@ def _read(path: Path) -> RawScan:
 
 
 def _scan(raw: RawScan, *, started: float) -> PointCloud | TriangleMesh:
-    """The checked value: finite points, faces that name them, normals of unit length."""
+    """A cloud or a mesh with finite points, valid faces and unit normals, from the arrays of a file."""
     n = len(raw.points)
     finite = np.isfinite(raw.points).all(axis=1)  # (n,)
     notes = list(raw.notes)

@@ -1,4 +1,4 @@
-"""Several range scans and their poses → one cloud."""
+"""Stanford ``.conf`` files: several range scans with given poses → one cloud."""
 
 from __future__ import annotations
 
@@ -15,39 +15,41 @@ from pcretrieve.formats.text import text_lines
 
 __all__ = ["read_poses", "view_paths"]
 
-# bmesh FILE tx ty tz qx qy qz qw
+# Numbers after the file name on a line `bmesh FILE tx ty tz qx qy qz qw`.
 N_POSE_NUMBERS = 7
 
-# A sensor that goes round a body for half a minute at thirty frames a second takes 900 views.
+# Largest number of views: about half a minute of a sensor with thirty frames a second.
 MOST_VIEWS = 1000
-# One line is about 100 bytes; the path of a view may be 4096 bytes long.
+# Largest size of a file: a path has at most 4096 bytes, and a line usually 100.
 MOST_CONF_BYTES = MOST_VIEWS * 4096
 
-# Far enough that its rays are all but parallel; in diagonals of the view.
+# Distance of the conventional sensor of range scanners, in diagonals of the view:
+# its rays are nearly parallel.
 SENSOR_DISTANCE = 10.0
 
 
 def read_poses(path: Path) -> list[tuple[Path, Rotation, np.ndarray]]:
-    """File, rotation and translation of each view of a Stanford ``.conf`` file.
+    """Read the poses of the views of a Stanford ``.conf`` file.
 
-    A point p of a view lies at R p + t in the common frame. R is the inverse of the quaternion that the
-    file gives: with it the views of the Stanford scans meet, with the quaternion itself they do not.
+    A point p of a view is at R p + t in the common frame. R is the inverse of the rotation of the quaternion
+    in the file; with this convention the views of the Stanford scans are registered.
 
     Parameters
     ----------
     path : Path
+        The file.
 
     Returns
     -------
     list of (Path, Rotation, (3,) float64)
-        Each view once, `MOST_VIEWS` at most; translations in the unit of the views.
+        File, rotation R and translation t of each view, at most `MOST_VIEWS`; unit of the views.
 
     Raises
     ------
     OSError
-        If there is no such file.
+        If the file does not exist.
     ScanReadError
-        If it is not a regular file, not such a text, names no views, too many, or one of them twice.
+        If the file is not a regular file, is invalid, has no views or too many, or has a view twice.
     """
     check_file(path)
     if path.stat().st_size > MOST_CONF_BYTES:
@@ -71,7 +73,7 @@ def read_poses(path: Path) -> list[tuple[Path, Rotation, np.ndarray]]:
                 f"line {number} must read `bmesh FILE tx ty tz qx qy qz qw`, seven finite numbers: {error}"
             ) from error
         view = path.parent / words[1]
-        # The real path, so that a view cannot be named again through links.
+        # The real path, so that a view is found again under another name.
         earlier = named.setdefault(os.path.realpath(view), number)
         if earlier != number:
             raise ScanReadError(f"each view must be named once, lines {earlier} and {number} name {words[1]}")
@@ -88,22 +90,41 @@ def read_poses(path: Path) -> list[tuple[Path, Rotation, np.ndarray]]:
 
 
 def view_paths(path: Path) -> list[Path]:
-    """The files that a ``.conf`` file merges.
+    """The files of the views of a ``.conf`` file.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+
+    Returns
+    -------
+    list of Path
+        The files, in the order of the ``.conf`` file.
 
     Raises
     ------
     OSError, ScanReadError
-        As `read_poses` does.
+        If `read_poses` raises it.
     """
     return [view for view, _, _ in read_poses(path)]
 
 
 def seen_from_front(scan: RawScan) -> RawScan:
-    """The view with a sensor far out on the z axis of its own frame, where the file names none.
+    """Add the conventional sensor of range scanners to a view without sensor positions.
 
-    Range scanners write a height over the plane that they look at along −z; so do those of the Stanford
-    repository. With it the dragon's Poisson surface has Euler characteristic 0, with a flood of the
-    outside −204.
+    Range scanners, such as those of the Stanford repository, write heights over a plane: the sensor looks in
+    the direction −z. It is placed far along the z axis. See docs/decisions.md, seen_from_front.
+
+    Parameters
+    ----------
+    scan : RawScan
+        A view in its own frame.
+
+    Returns
+    -------
+    RawScan
+        The view with the position of its sensor.
     """
     if scan.viewpoints is not None or not len(scan.points):
         return scan
@@ -113,9 +134,17 @@ def seen_from_front(scan: RawScan) -> RawScan:
 
 
 def merge(views: list[tuple[RawScan, Rotation, np.ndarray]]) -> RawScan:
-    """The views in their common frame.
+    """Merge views with given poses.
 
-    Normals and sensor positions survive where every view has them.
+    Parameters
+    ----------
+    views : list of (RawScan, Rotation, (3,) float64)
+        The views, with rotation and translation of each into the common frame.
+
+    Returns
+    -------
+    RawScan
+        All points in the common frame; with normals and positions of sensors, if every view has them.
     """
     points, normals, viewpoints = [], [], []
     for scan, rotation, translation in views:
@@ -123,7 +152,7 @@ def merge(views: list[tuple[RawScan, Rotation, np.ndarray]]) -> RawScan:
         if scan.normals is not None:
             normals.append(rotation.apply(scan.normals))
         if scan.viewpoints is not None:
-            # A copy: scipy's rotations refuse read-only views.
+            # A copy, because scipy's rotations do not accept read-only arrays.
             sensors = np.array(np.broadcast_to(scan.viewpoints, scan.points.shape))
             viewpoints.append(rotation.apply(sensors) + translation)
     return RawScan(

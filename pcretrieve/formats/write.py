@@ -1,4 +1,4 @@
-"""Points → a scan file that `read_scan` gives back."""
+"""Writing of point clouds, in formats that `read_scan` reads."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ __all__ = ["SUFFIXES", "write_cloud"]
 
 SUFFIXES = (".ply", ".pcd", ".xyzn")
 
-# Digits of text, which single precision needs.
+# Significant digits in text files, sufficient for single precision.
 DIGITS = 9
 
-# PCL's own point types are of single precision, and its programs expect that of files.
+# The point types of PCL are of single precision, and its programs expect such files.
 NUMBERS = {".ply": "<f8", ".pcd": "<f4"}
 NAMES = {
     ".ply": ("x y z", "nx ny nz", "vp_x vp_y vp_z"),
@@ -28,10 +28,16 @@ NAMES = {
 
 
 def write_cloud(cloud: PointCloud, path: str | Path) -> None:
-    """Write points with their normals and sensor positions, whole or not at all.
+    """Write points with their normals and the positions of their sensors, in one atomic step.
 
-    ``.ply`` (double precision) and ``.pcd`` (single) hold a sensor position for each point, as fields ``vp_x
-    vp_y vp_z``, those of PCL's PointWithViewpoint. ``.xyzn`` holds normals only, to nine digits.
+    Parameters
+    ----------
+    cloud : PointCloud
+        The points; their unit is that of the file.
+    path : str or Path
+        The file. ``.ply`` (double precision) and ``.pcd`` (single precision) store the position of the sensor
+        of each point in fields ``vp_x vp_y vp_z``, as PCL's PointWithViewpoint. ``.xyzn`` stores points and
+        normals with nine digits. An existing file is replaced.
 
     Raises
     ------
@@ -79,7 +85,7 @@ def _pcd_header(fields: list[str], n: int) -> str:
 
 
 def _replace(path: Path, data: bytes) -> None:
-    """Into a file beside it first: what stands there is whole at any time, the old one or the new."""
+    """Write a temporary file in the same directory, and rename it: the file is complete at any time."""
     descriptor, name = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
     beside = Path(name)
     try:
@@ -87,7 +93,7 @@ def _replace(path: Path, data: bytes) -> None:
             file.write(data)
         mask = os.umask(0)
         os.umask(mask)
-        beside.chmod(0o666 & ~mask)  # as any other file is made; mkstemp keeps its own private
+        beside.chmod(0o666 & ~mask)  # the usual permissions; mkstemp makes private files
         beside.replace(path)
     finally:
         beside.unlink(missing_ok=True)

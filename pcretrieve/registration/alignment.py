@@ -1,4 +1,4 @@
-"""Views that nearly meet → views that do."""
+"""Simultaneous registration of views from approximate poses (multi-view ICP)."""
 
 from __future__ import annotations
 
@@ -15,43 +15,44 @@ from pcretrieve.types import FloatArray, PointCloud
 
 __all__ = ["Poses", "View", "adjusted", "moved", "one_of_each_cell", "paired", "turned", "view_of"]
 
-# Neighbours that a normal is fitted to; points.
+# Number of neighbours for a normal.
 NORMAL_NEIGHBORS = 16
 
-# Radius of a feature, in cells: large enough to tell a nose from a knee.
+# Radius of the neighbourhood of a feature, in voxels. It is of the size of distinctive parts of a body.
 FEATURE_RADIUS = 6
 
-# Points of each view that poses are adjusted and judged by.
+# Number of points of each view for registration and verification.
 SOME_POINTS = 1000
 
-# A plane is looked for at the nearest point, which lies this many spacings beside it at most.
+# Largest distance, in spacings, of the nearest point from the foot of the perpendicular to its tangent plane.
 BESIDE = 2
 
-# Fewer pairs of points than a rigid motion has freedoms say nothing of it.
+# Degrees of freedom of a rigid motion, and smallest number of correspondences between two views.
 FREEDOMS = 6
 
 Poses = Mapping[int, FloatArray]
-"""Rigid motions (4, 4) into a common frame, by the number of the view."""
+"""Rigid motions, (4, 4) float64, of views into a common frame, by the number of the view."""
 
 
 class View(NamedTuple):
-    """What one sensor saw, made ready to be aligned, in its own frame.
+    """A range scan: the points that one sensor measured from one position, prepared for registration.
 
     Attributes
     ----------
     cloud : PointCloud
-        With normals that face the sensor, and its position.
+        The points in the frame of the view, with normals towards the sensor, and its position.
     points, normals : (k, 3) float64
-        One point of each cell.
+        One point in each voxel.
     features : (k, 33) float64
-        How the surface turns about each of them.
+        Fast point feature histograms of these points.
     sample : (s,) int
-        Some of them, at random.
+        Positions of a random sample of these points.
     image : RangeImage
+        The range image of the cloud.
     tree : cKDTree
-        Of all points of the cloud.
+        The k-d tree of all points of the cloud.
     spacing : float
-        Median distance from a point to the next; unit of the file.
+        Median distance from a point to its nearest neighbour; unit of the file.
     """
 
     cloud: PointCloud
@@ -67,14 +68,25 @@ class View(NamedTuple):
 def view_of(
     points: FloatArray, sensor: FloatArray, scale: float, options: MergeOptions, rng: np.random.Generator
 ) -> View:
-    """The points that one sensor saw, made ready.
+    """Prepare a view for registration.
 
     Parameters
     ----------
     points : (n, 3) float64
+        Coordinates, without background.
     sensor : (3,) float64
+        Position of the sensor; unit of the points.
     scale : float
-        What relative lengths refer to; unit of the points.
+        The length to which relative options refer; unit of the points.
+    options : MergeOptions
+        Of which `cell` is used.
+    rng : numpy.random.Generator
+        For the sample.
+
+    Returns
+    -------
+    View
+        The view in its own frame.
     """
     from scipy.spatial import cKDTree
 
@@ -96,7 +108,20 @@ def view_of(
 
 
 def one_of_each_cell(points: FloatArray, cell: float) -> NDArray[np.intp]:
-    """Positions of the first point in each cell, ascending; of every point where cells have no size."""
+    """Voxel-grid subsampling: the first point in each voxel.
+
+    Parameters
+    ----------
+    points : (n, 3) float64
+        Coordinates.
+    cell : float
+        Edge of a voxel, unit of the points; 0 selects every point.
+
+    Returns
+    -------
+    (k,) int
+        Positions of the points, ascending.
+    """
     if not cell:
         return np.arange(len(points))
     _, first = np.unique(np.floor(points / cell), axis=0, return_index=True)
@@ -104,32 +129,69 @@ def one_of_each_cell(points: FloatArray, cell: float) -> NDArray[np.intp]:
 
 
 def moved(motion: FloatArray, points: FloatArray) -> FloatArray:
-    """(n, 3) points under a motion (4, 4); under each of several, (m, 4, 4), they are (m, n, 3)."""
+    """Apply rigid motions to points.
+
+    Parameters
+    ----------
+    motion : (4, 4) or (m, 4, 4) float64
+        One motion, or m motions.
+    points : (n, 3) float64
+        Coordinates.
+
+    Returns
+    -------
+    (n, 3) or (m, n, 3) float64
+        Coordinates after the motion, or after each motion.
+    """
     return np.asarray(turned(motion, points) + motion[..., None, :3, 3])
 
 
 def turned(motion: FloatArray, directions: FloatArray) -> FloatArray:
-    """The same for directions."""
+    """Apply the rotations of rigid motions to directions.
+
+    Parameters
+    ----------
+    motion : (4, 4) or (m, 4, 4) float64
+        One motion, or m motions.
+    directions : (n, 3) float64
+        Vectors.
+
+    Returns
+    -------
+    (n, 3) or (m, n, 3) float64
+        Vectors after the rotation, or after each rotation.
+    """
     return np.asarray(directions @ np.swapaxes(motion[..., :3, :3], -1, -2))
 
 
 def paired(
     first: View, second: View, first_pose: FloatArray, second_pose: FloatArray, reach: float
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Points of `second` within `reach` of the surface of `first` that face the same way.
+    """Point-to-plane correspondences of two views: nearest neighbours with similar normals.
+
+    Parameters
+    ----------
+    first, second : View
+        The views.
+    first_pose, second_pose : (4, 4) float64
+        Their poses in the common frame.
+    reach : float
+        Largest distance between a point and the tangent plane of its nearest neighbour; unit of the points.
 
     Returns
     -------
-    points, planes : (p, 3) float64
-        Points of the sample of `second`, and the normals of their nearest neighbours in `first`, in the
-        common frame.
+    points : (p, 3) float64
+        Points of the sample of `second`, in the common frame.
+    planes : (p, 3) float64
+        Unit normals of their nearest neighbours in `first`, in the common frame.
     distance : (p,) float64
-        From those tangent planes, positive in front.
+        Signed distances from the tangent planes, positive on the side of the normal; unit of the points.
     """
     motion = np.linalg.inv(first_pose) @ second_pose  # from the frame of `second` to that of `first`
     points = moved(motion, second.points[second.sample])
     normals = turned(motion, second.normals[second.sample])
-    # Near the rim of a view, or between its points, the nearest point is beside the foot of the distance.
+    # Near the boundary of a view, and between its points, the nearest point is not
+    # at the foot of the perpendicular.
     bound = np.hypot(reach, BESIDE * first.spacing)
     nearest = np.asarray(first.tree.query(points, distance_upper_bound=bound)[1])
     near = nearest < len(first.cloud.points)
@@ -143,24 +205,36 @@ def paired(
 def adjusted(
     views: Sequence[View], poses: Poses, *, fixed: Sequence[int], reaches: Sequence[float]
 ) -> dict[int, FloatArray]:
-    """The poses, changed so that all surfaces meet.
+    """Refine the poses of several views simultaneously, by point-to-plane ICP [1]_ [2]_.
 
-    Gauss–Newton on the distances of points to the tangent planes of their nearest neighbours in every other
-    view, all pairs of views at once, so that no error adds up round the body [1]_. The twist (ω, v) of a view
-    moves its points by ω × x + v. A distance n · (x_j − x_i) thus has the gradient g = (x × n, n) in the
-    twist of view j, and −g in that of view i.
+    Each step minimises the distances of points from the tangent planes of their nearest
+    neighbours in all other views, by Gauss–Newton. All pairs of views are used in one
+    system, so that errors do not accumulate around the body. The twist (ω, v) of a view
+    moves its points by ω × x + v. The distance n · (x_j − x_i) therefore has the gradient g
+    = (x × n, n) with respect to the twist of view j, and −g with respect to that of view i.
 
     Parameters
     ----------
+    views : sequence of View
+        All views.
+    poses : mapping of int to (4, 4) float64
+        Poses of the views to be registered, by number.
     fixed : sequence of int
-        Views that stay where they are.
+        Numbers of the views whose poses do not change.
     reaches : sequence of float
-        Distance within which points are paired, step by step; unit of the points.
+        Largest distance of correspondences, one for each step; unit of the points.
+
+    Returns
+    -------
+    dict of int to (4, 4) float64
+        The refined poses.
 
     References
     ----------
-    .. [1] Pulli, "Multiview registration for large data sets", 3DIM 1999; the distance is that of Chen and
-       Medioni, "Object modelling by registration of multiple range images", IVC 1992.
+    .. [1] Y. Chen and G. Medioni, "Object modelling by registration of multiple
+           range images", Image and Vision
+       Computing 10 (1992).
+    .. [2] K. Pulli, "Multiview registration for large data sets", 3DIM 1999.
     """
     changed = dict(poses)
     free = [number for number in poses if number not in fixed]
@@ -173,9 +247,9 @@ def adjusted(
             points, planes, distance = paired(views[i], views[j], changed[i], changed[j], reach)
             if len(points) < FREEDOMS:
                 continue
-            # Tukey's biweight: a pair that goes out of reach had no weight left when it went.
+            # Tukey's biweight, which is zero at the largest distance: the cost is continuous.
             weight = (1 - (distance / reach) ** 2) ** 2
-            arm = (points - middle) / reach  # so that ω and v are of one size
+            arm = (points - middle) / reach  # scaled, so that ω and v have the same unit
             gradient = np.concatenate([np.cross(arm, planes), planes], axis=1)  # (p, 6)
             block = gradient.T @ (weight[:, None] * gradient)
             pull = gradient.T @ (weight * distance)
@@ -186,7 +260,7 @@ def adjusted(
             if i in column and j in column:
                 matrix[column[i], column[j]] -= block
                 matrix[column[j], column[i]] -= block
-        # Least squares: a view without pairs stays, and so does one on a plane along that plane.
+        # The minimum-norm solution: undetermined motions, such as a slide along a plane, are zero.
         twist = np.linalg.lstsq(matrix, right, rcond=1e-9)[0].astype(np.float64)
         for number, at in column.items():
             changed[number] = _twist(twist[at], middle, reach) @ changed[number]
@@ -194,7 +268,7 @@ def adjusted(
 
 
 def _twist(twist: FloatArray, middle: FloatArray, length: float) -> FloatArray:
-    """(4, 4) motion of a twist (ω · length, v) about `middle`."""
+    """The (4, 4) rigid motion of a twist (ω · length, v) about the point `middle`."""
     from scipy.spatial.transform import Rotation
 
     motion = np.eye(4)

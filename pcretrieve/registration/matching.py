@@ -1,4 +1,4 @@
-"""Two views → the motions that may bring them together."""
+"""Two views → candidates of the rigid motion between them, by feature matching and random sampling."""
 
 from __future__ import annotations
 
@@ -11,40 +11,59 @@ from pcretrieve.types import FloatArray
 
 __all__ = ["candidate_motions", "distinct"]
 
-# Of the points of a view, those whose features are farthest from the mean are looked up in another view, and
-# that many look-alikes taken of each.
+# Number of points of a view, those with the most distinctive features, that are matched with another view,
+# and number of matches of each point.
 KEY_POINTS, LOOK_ALIKES = 1500, 4
 
-# How far a pair of points must be apart to fix a motion, and by how much two pairs of look-alikes may
-# differ: in their length (cells) and in the cosines between their line and their normals.
+# Smallest distance of two points that determine a motion, in voxels; and the largest
+# differences of two corresponding pairs of points: of their distances, in voxels,
+# and of the cosines between their line and their normals.
 SHORTEST_PAIR, PAIR_LENGTH, PAIR_COSINE = 10, 1.5, 0.2
 
-# Motions that are scored, and points of either view that they are scored by.
+# Number of motions that are scored, and number of points of each view for the score.
 MOST_MOTIONS, FEW_POINTS = 1500, 200
 
-# Agreement is counted within this many reaches: candidates are rough.
+# Tolerance of the score, in units of the option `reach`; larger than 1, because the
+# candidates are approximate.
 ROUGH = 2
 
-# Motions that differ by less than this angle (cosine: 25 degrees) and this many cells lead to one place when
-# they are refined.
+# Largest difference of two motions that are refined to the same motion: cosine of the angle (25 degrees), and
+# distance in voxels.
 SAME_COSINE, SAME_CELLS = 0.906, 10
 
 
 def candidate_motions(
     first: View, second: View, scale: float, options: MergeOptions, rng: np.random.Generator
 ) -> FloatArray:
-    """(m, 4, 4) motions of `second` into the frame of `first`, best first.
+    """Candidates of the rigid motion between two views.
 
-    Two oriented points fix a motion. Pairs of points in both views that look alike (by their features), are
-    equally far apart and have normals at equal angles each propose one. Those are kept that both sensors bear
-    out: where one saw a surface, the other saw the same and not through it.
+    Two oriented points determine a rigid motion. Random pairs of points of one view are matched with pairs of
+    points of the other view that have similar features, equal distances and equal angles between their
+    normals. The resulting motions are scored by the range images of both views: by the points that agree,
+    minus the points that contradict.
+
+    Parameters
+    ----------
+    first, second : View
+        The views.
+    scale : float
+        The length to which relative options refer; unit of the points.
+    options : MergeOptions
+        Of which `cell`, `n_tries`, `n_candidates` and `reach` are used.
+    rng : numpy.random.Generator
+        For the random pairs.
+
+    Returns
+    -------
+    (m, 4, 4) float64
+        At most `n_candidates` distinct motions of `second` into the frame of `first`, highest score first.
     """
     cell = options.cell * scale
     here, there = _look_alikes(first.features, second.features)  # (l,), (l,)
     one, two = rng.integers(len(here), size=(2, options.n_tries))
     length, cosines, frame, middle = _pairs(first, here[one], here[two])
     other_length, other_cosines, other_frame, other_middle = _pairs(second, there[one], there[two])
-    # 1 where two pairs are just as unlike as they may be.
+    # The dissimilarity of two pairs; 1 is the largest that is accepted.
     unlike = np.maximum(
         np.abs(length - other_length) / (PAIR_LENGTH * cell),
         np.abs(cosines - other_cosines).max(axis=1) / PAIR_COSINE,
@@ -64,7 +83,24 @@ def candidate_motions(
 
 
 def distinct(motions: FloatArray, view: View, cell: float, *, most: int) -> list[int]:
-    """Positions of the first motions of a view that lead to different places, in order."""
+    """Select distinct motions of a view.
+
+    Parameters
+    ----------
+    motions : (m, 4, 4) float64
+        Motions, best first.
+    view : View
+        The view that is moved.
+    cell : float
+        Edge of a voxel; unit of the points.
+    most : int
+        Largest number of motions.
+
+    Returns
+    -------
+    list of int
+        Positions of the motions that differ from all those before them.
+    """
     kept: list[int] = []
     middles = moved(motions, view.points.mean(axis=0, keepdims=True))[:, 0]  # (m, 3)
     for number, motion in enumerate(motions):
@@ -78,15 +114,15 @@ def distinct(motions: FloatArray, view: View, cell: float, *, most: int) -> list
 
 
 def _look_alikes(first: FloatArray, second: FloatArray) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Positions of points in two views that look alike, (l,) each."""
+    """(l,) and (l,) positions of points of two views with similar features."""
     usual = np.concatenate([first, second]).mean(axis=0)
     alike = []
     for features, others in ((first, second), (second, first)):
-        # What looks like everything else, such as a plane, tells nothing.
+        # Features near the mean, such as those of a plane, are not distinctive.
         keys = np.argsort(-np.linalg.norm(features - usual, axis=1), kind="stable")[:KEY_POINTS]
         distance = (others**2).sum(axis=1) - 2 * features[
             keys
-        ] @ others.T  # (keys, n): squared, less a constant
+        ] @ others.T  # (keys, n): squared, minus a constant
         n = min(LOOK_ALIKES, len(others))
         alike.append((np.repeat(keys, n), np.argpartition(distance, n - 1, axis=1)[:, :n].ravel()))
     (here, there), (back, forth) = alike
@@ -96,7 +132,7 @@ def _look_alikes(first: FloatArray, second: FloatArray) -> tuple[NDArray[np.intp
 def _pairs(
     view: View, one: NDArray[np.intp], two: NDArray[np.intp]
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Of pairs of oriented points: lengths (n,), cosines (n, 3), frames (n, 3, 3) and middles (n, 3)."""
+    """The lengths (n,), cosines (n, 3), frames (n, 3, 3) and midpoints (n, 3) of pairs of oriented points."""
     line = view.points[two] - view.points[one]
     length: FloatArray = np.linalg.norm(line, axis=1)
     line /= np.maximum(length, np.finfo(float).tiny)[:, None]
@@ -109,7 +145,7 @@ def _pairs(
 
 
 def _scores(first: View, second: View, motions: FloatArray, tolerance: float) -> FloatArray:
-    """(m,) agreements less contradictions: a few points of `second` in the picture of `first`, as shares."""
+    """(m,) fraction of points of `second` that agree with the image of `first`, minus contradictions."""
     few = second.sample[:FEW_POINTS]
     said = first.image.compare(
         moved(motions, second.points[few]), turned(motions, second.normals[few]), tolerance=tolerance

@@ -1,4 +1,4 @@
-"""What one sensor saw, as a picture of depths: where its surface is, and which space it saw through."""
+"""Range images of views: which points a sensor measured, and which space it observed as empty."""
 
 from __future__ import annotations
 
@@ -11,28 +11,29 @@ from pcretrieve.types import FloatArray
 
 __all__ = ["Comparison", "RangeImage"]
 
-# Pixels per median distance of neighbouring rays: most pixels inside the silhouette then hold a point.
+# Edge of a pixel, in median distances of neighbouring rays, so that most pixels
+# inside the silhouette contain a point.
 PIXEL = 2.0
 
-# Pixels on a side, at most.
+# Largest number of pixels along a side.
 LARGEST_SIDE = 512
 
-# Rays whose distances tell that of all.
+# Number of rays that are sampled for the median distance.
 SAMPLE = 2000
 
-# Cosine of the angle between two normals beyond which points are not of one surface: 60 degrees.
+# Smallest cosine of the angle between the normals of corresponding points: 60 degrees.
 LEAST_COSINE = 0.5
 
 
 class Comparison(NamedTuple):
-    """What a sensor says of points: each is on its surface, in front of it, or neither.
+    """The comparison of points with a range image. A point that is occluded is in neither mask.
 
     Attributes
     ----------
     agrees : (..., n) bool
-        On the surface that the sensor saw, facing the same way.
+        Points on the measured surface, with a similar normal.
     contradicts : (..., n) bool
-        In space that the sensor saw through.
+        Points in space that the sensor observed as empty: between the sensor and the measured surface.
     """
 
     agrees: NDArray[np.bool_]
@@ -40,13 +41,14 @@ class Comparison(NamedTuple):
 
 
 class RangeImage:
-    """A central projection of points onto the pixels of their sensor.
+    """The central projection of points onto an image plane of their sensor.
 
     Parameters
     ----------
     points, normals : (n, 3) float64
-        Normals have unit length and face the sensor.
+        Coordinates, and unit normals that point towards the sensor.
     sensor : (3,) float64
+        Position of the sensor; unit of the points.
     """
 
     def __init__(self, points: FloatArray, normals: FloatArray, sensor: FloatArray) -> None:
@@ -65,10 +67,10 @@ class RangeImage:
         self._low = rays[ahead_of_it].min(axis=0)
         extent = float(np.ptp(rays[ahead_of_it], axis=0).max())
         self._pixel = max(PIXEL * float(np.median(spacing)), extent / LARGEST_SIDE)
-        # A frame of empty pixels, which all points beside the picture are sent to.
+        # A border of empty pixels, to which all points outside the image are mapped.
         self._shape = np.floor(np.ptp(rays[ahead_of_it], axis=0) / self._pixel).astype(np.int64) + 3
         pixel = self._pixels(rays, depth)
-        order = np.argsort(-depth, kind="stable")  # the nearest point of a pixel is written last
+        order = np.argsort(-depth, kind="stable")  # the nearest point in a pixel is written last
         self._nearest = np.full(self._shape.prod(), -1)
         self._nearest[pixel[order]] = order
         self._nearest.reshape(self._shape)[[0, -1], :] = -1
@@ -76,36 +78,43 @@ class RangeImage:
         self._front = self._front_of_neighbors(depth)
 
     def _project(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """(..., 2) tangents of the rays, and (...) distances to the sensor; negative behind it."""
+        """(..., 2) image coordinates, and (...) distances to the sensor; negative behind the sensor."""
         seen = (points - self._sensor) @ self._axes  # (..., 3)
         ahead = np.where(seen[..., 2] > 0, seen[..., 2], np.nan)
         depth = np.linalg.norm(seen, axis=-1)
         return seen[..., :2] / ahead[..., None], np.where(seen[..., 2] > 0, depth, -1.0)
 
     def _pixels(self, rays: FloatArray, depth: FloatArray) -> NDArray[np.int64]:
-        """(...) number of the pixel that each ray meets; 0, an empty one, where it meets none."""
+        """(...) number of the pixel of each ray; 0, an empty pixel, outside the image."""
         index = np.nan_to_num((rays - self._low) / self._pixel, nan=-1.0)
         index = np.clip(np.floor(index), -1, self._shape - 2).astype(np.int64) + 1  # (..., 2)
         return np.where(depth > 0, index[..., 0] * self._shape[1] + index[..., 1], 0)
 
     def _front_of_neighbors(self, depth: FloatArray) -> FloatArray:
-        """(pixels,) least depth in each pixel and the eight around it.
-
-        A slanted surface, or an edge that a pixel straddles, is then contradicted by nothing.
-        """
+        """(pixels,) smallest depth in each pixel and its eight neighbours."""
         from scipy import ndimage
+
+        # The minimum, so that points of an inclined surface, or at a depth edge, do not contradict the image.
 
         nearest = np.where(self._nearest >= 0, depth[self._nearest], np.inf).reshape(self._shape)
         return np.asarray(ndimage.minimum_filter(nearest, size=3, mode="nearest")).ravel()
 
     def compare(self, points: FloatArray, normals: FloatArray, *, tolerance: float) -> Comparison:
-        """Points in the frame of this view, (..., n, 3), against what was seen.
+        """Compare points with the image.
 
         Parameters
         ----------
+        points, normals : (..., n, 3) float64
+            Coordinates and unit normals, in the frame of the view.
         tolerance : float
-            Distance to the plane of the point seen within which a point agrees, and in front of everything
-            seen near its ray beyond which it contradicts; unit of the points.
+            Largest distance of a point that agrees from the tangent plane of the measured point, and smallest
+            distance of a point that contradicts in front of the measured points around its ray; unit of the
+            points.
+
+        Returns
+        -------
+        Comparison
+            The points that agree, and the points that contradict.
         """
         rays, depth = self._project(points)
         pixel = self._pixels(rays, depth)

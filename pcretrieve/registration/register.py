@@ -1,8 +1,8 @@
-"""Range scans from unknown places → one cloud.
+"""Global registration: range scans (views) with unknown poses → one cloud.
 
-Any two views are matched, and views are grouped from the best match on, each group joined to another where
-all sensors bear it out: where one saw a surface, no other may have seen through it. What fits nowhere is left
-out, and said so.
+All pairs of views are matched. Groups of views are merged in the order of the quality of the matches; a merge
+is accepted only if the range images of all views agree with it: no view may have points in space that another
+view observed as empty. Views outside the largest group are left out, with a note in the provenance.
 """
 
 from __future__ import annotations
@@ -35,37 +35,39 @@ from pcretrieve.types import FloatArray, PointCloud, Step, bounding_diagonal
 
 __all__ = ["Merged", "Overlap", "merge_views"]
 
-# Distances within which points are paired while poses are adjusted, step by step; reaches.
+# Largest distances of correspondences in the steps of a refinement, in units of the option `reach`: of a
+# match, of the final poses, and of two groups.
 COARSE, FINE = (4.0, 4.0, 3.0, 3.0, 2.0, 2.0, 1.5, 1.0), (2.0, 1.5, 1.0, 1.0, 1.0, 0.7, 0.7, 0.5, 0.5, 0.5)
 JOINING = (3.0, 2.0, 1.5, 1.0)
 
-# Surfaces that meet this many times as loosely as those of the best match are different ones, unless they
-# meet within this share of the reach. Smooth parts of different bodies, with residuals all over the reach,
-# have 0.39 to 0.5 of it; views of one body 0.15 to 0.34, depending on noise.
+# A match is rejected if its root mean square distance is more than LOOSE times that of the best match, and
+# more than TIGHT times the option `reach`. See docs/decisions.md, LOOSE.
 LOOSE, TIGHT = 2.0, 0.25
 
-# Views that are not together after one search are searched for once more, with other random tries.
+# Number of searches. Views that are not in one group after the first are matched
+# again, with other random samples.
 ROUNDS = 2
 
-# Pairs of views that share less than this share by chance; of the points of one of them.
+# Smallest overlap of two views that is reported; fraction of the points of one of them.
 LEAST_SHARE = 0.02
 
-# Voxels touch where their numbers differ by one in each coordinate; corners by √3.
+# Voxels are 26-adjacent if their indices are less than this apart: √3 < 1.8 < 2.
 TOUCHING = 1.8
 
 
 @dataclass(frozen=True, slots=True)
 class Overlap:
-    """Where two placed views show one surface.
+    """The overlap of two registered views.
 
     Attributes
     ----------
     first, second : int
         Numbers of the views, ``first < second``.
     share : float
-        Points within reach of the other view's surface, of all points of the view that has more of them.
+        Fraction of the points of one view with a correspondence in the other, for
+        the view with the larger one.
     rms : float
-        Root mean square of their distance to its tangent planes; unit of the file.
+        Root mean square distance of the correspondences, point to plane; unit of the file.
     """
 
     first: int
@@ -76,21 +78,21 @@ class Overlap:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Merged:
-    """Views in one frame.
+    """Registered views.
 
     Attributes
     ----------
     cloud : PointCloud
-        The points of all placed views in the frame of the first of them, or of the given poses; with the
-        sensor that saw each, or that was assumed to, and normals that face it.
+        The points of all registered views, in the frame of the first of them, or of the given poses; with
+        normals towards the sensors, and the position of the sensor of each point.
     poses : (v, 4, 4) float64
-        Rigid motion of each view into that frame; NaN for one that was left out.
+        Rigid motion of each view into this frame; NaN if the view was left out.
     shares : (v,) float64
-        Points of each view that another placed view saw too, of all its points; 0 for one that was left out.
+        Fraction of the points of each view that another registered view measured too; 0 if it was left out.
     overlaps : tuple of Overlap
-        Pairs of placed views that share a surface.
+        The overlaps of pairs of registered views.
     scale : float
-        Median diagonal of the views: what relative lengths refer to; unit of the file.
+        Median diagonal of the views, to which relative options refer; unit of the file.
     """
 
     cloud: PointCloud
@@ -101,25 +103,36 @@ class Merged:
 
     @property
     def left_out(self) -> tuple[int, ...]:
-        """Numbers of the views that could not be placed."""
+        """Numbers of the views that could not be registered."""
         return tuple(np.flatnonzero(np.isnan(self.poses[:, 0, 0])).tolist())
 
     def rms(self, view: int | None = None) -> float:
-        """Of the overlaps of one view, or of all, weighted by their shares; NaN where there are none."""
+        """The root mean square distance of overlaps, weighted by their shares.
+
+        Parameters
+        ----------
+        view : int or None, default None
+            Number of a view, for its overlaps only. None: all overlaps.
+
+        Returns
+        -------
+        float
+            Unit of the file; NaN if there is no overlap.
+        """
         chosen = [pair for pair in self.overlaps if view in (None, pair.first, pair.second)]
         weight = sum(pair.share for pair in chosen)
         return float(np.sqrt(sum(pair.share * pair.rms**2 for pair in chosen) / weight)) if weight else np.nan
 
 
 class _Verdict(NamedTuple):
-    """What sensors say of two groups of views.
+    """The verification of two groups of views by their range images.
 
     Attributes
     ----------
     share : float
-        Points of a view that the other group saw too, of all its points, in the view that has most of them.
+        Fraction of the points of a view that agree with the other group, for the view with the largest one.
     contradiction : float
-        Points that the other group saw through, relative to those that it saw too.
+        Number of points that contradict the other group, relative to the number of those that agree.
     """
 
     share: float
@@ -130,17 +143,17 @@ class _Verdict(NamedTuple):
 
 
 class _Match(NamedTuple):
-    """A motion from the frame of the second view of an overlap to that of the first."""
+    """A verified motion from the frame of the second view of an overlap to that of the first."""
 
     overlap: Overlap
     motion: FloatArray  # (4, 4)
 
     @property
     def rank(self) -> tuple[float, int, int]:
-        """Ascending from the best.
+        """A sort key, ascending from the best match: by the overlap divided by its residual.
 
-        A body's own symmetries make false matches that share much, and that no sensor contradicts; they meet
-        less closely.
+        Symmetries of a body cause false matches with a large overlap and without contradictions, but with a
+        larger residual than true matches.
         """
         return -self.overlap.share / self.overlap.rms, self.overlap.first, self.overlap.second
 
@@ -152,32 +165,34 @@ def merge_views(
     poses: FloatArray | None = None,
     on_pair: Callable[[int, int], None] | None = None,
 ) -> Merged:
-    """Bring range scans into one frame.
+    """Register range scans, and merge them into one cloud.
 
     Parameters
     ----------
     views : sequence of PointCloud, length v
-        Each as one sensor saw it, in a frame of its own, all in one unit.
+        The points that one sensor measured from one position, each view in a frame
+        of its own; all in one unit.
     options : MergeOptions
+        The parameters of the registration.
     poses : (v, 4, 4) float64, optional
-        Rigid motions of the views into a common frame. They are refined (``options.refine``), and no view is
-        left out. Without them each pose is searched for.
+        Rigid motions of the views into a common frame. They are refined if ``options.refine`` is set, and no
+        view is left out. Without them all poses are searched.
     on_pair : function, optional
-        Told how many pairs of views have been matched, and of how many; those of different groups are matched
-        once more.
+        Called with the number of pairs of views that have been matched, and the number of all pairs. Pairs of
+        views in different groups are matched twice.
 
     Returns
     -------
     Merged
-        The same for the same views and options, to the last bit.
+        The merged cloud and the poses. Equal views and options give equal results, bit for bit.
 
     Raises
     ------
     InputError
-        If there are fewer than two views, poses are not one rigid motion for each, a view was seen by more
-        than one sensor, or ``max_range`` is given without a sensor to measure from.
+        If there are fewer than two views, the poses are not one rigid motion for each view, a view has more
+        than one sensor position, or ``max_range`` is given and the position of the sensor is not known.
     ReconstructionError
-        If a view has too few points, or no two views share a surface.
+        If a view has too few points, or no two views overlap.
     """
     started = time.perf_counter()
     if len(views) < 2:
@@ -232,7 +247,7 @@ def _check_poses(poses: FloatArray, n_views: int) -> None:
 
 
 def _sensor(view: PointCloud, number: int, options: MergeOptions) -> FloatArray:
-    """(3,) position of the sensor, assumed where the view names none."""
+    """(3,) position of the sensor; a conventional one, if the view has none."""
     if not len(view.points):
         raise ReconstructionError(f"view {number} has no points: leave it out", stage="merge")
     if view.viewpoints is not None:
@@ -254,7 +269,7 @@ def _sensor(view: PointCloud, number: int, options: MergeOptions) -> FloatArray:
 
 
 def _foreground(points: FloatArray, sensor: FloatArray, number: int, options: MergeOptions) -> FloatArray:
-    """(n, 3) points that are neither too far away nor apart from most others."""
+    """(n, 3) points within `max_range`, and of the largest component, if these options are set."""
     if options.max_range is not None:
         points = points[np.linalg.norm(points - sensor, axis=1) <= options.max_range]
     if options.keep_largest and len(points):
@@ -269,7 +284,7 @@ def _foreground(points: FloatArray, sensor: FloatArray, number: int, options: Me
 
 
 def _largest_piece(points: FloatArray, gap: float) -> NDArray[np.bool_]:
-    """(n,) whether a point is of the piece with the most points; pieces are chains of touching voxels."""
+    """(n,) mask of the component with the most points, by 26-connected voxels of the edge `gap`."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
     from scipy.spatial import cKDTree
@@ -284,7 +299,7 @@ def _largest_piece(points: FloatArray, gap: float) -> NDArray[np.bool_]:
 
 
 def _joined(clouds: Sequence[PointCloud], poses: FloatArray) -> PointCloud:
-    """All clouds in the common frame, one after another."""
+    """The concatenation of all clouds, in the common frame."""
     parts = [
         (moved(pose, cloud.points), turned(pose, cloud.normals), moved(pose, cloud.viewpoints))
         for cloud, pose in zip(clouds, poses, strict=True)
@@ -304,7 +319,7 @@ def _largest_group(
     rng: np.random.Generator,
     on_pair: Callable[[int, int], None] | None,
 ) -> dict[int, FloatArray]:
-    """Poses of the views that fit together, in the frame of the first of them."""
+    """Poses of the views of the largest group, in the frame of the first of them."""
     reach = options.reach * scale
     groups = [{number: np.eye(4)} for number in range(len(views))]
     matches: list[_Match] = []
@@ -338,7 +353,7 @@ def _matches(
     options: MergeOptions,
     rng: np.random.Generator,
 ) -> list[_Match]:
-    """Different motions of one view onto another that both sensors bear out."""
+    """Distinct, refined motions of one view onto another that the range images of both verify."""
     found = []
     reach = options.reach * scale
     here = {first: np.eye(4)}
@@ -361,11 +376,9 @@ def _grouped(
     reach: float,
     options: MergeOptions,
 ) -> list[dict[int, FloatArray]]:
-    """The groups, joined where matches join them and all sensors bear it out.
-
-    They grow from the best match on, so that one that deceives two views (a back that looks like a front)
-    comes up against what many others saw.
-    """
+    """Groups of views, after merging groups by their matches, if the range images of all views verify it."""
+    # In the order of the quality of the matches: a false match, such as of a back with a front, can be
+    # verified by the two views alone, but is contradicted by the other views of larger groups.
     joined = list(groups)
     ranked = sorted(matches, key=lambda match: match.rank)
     loosest = max(LOOSE * ranked[0].overlap.rms, TIGHT * reach) if ranked else 0.0
@@ -387,7 +400,7 @@ def _grouped(
 def _settled(
     views: Sequence[View], poses: Poses, reaches: Sequence[float], reach: float
 ) -> dict[int, FloatArray]:
-    """The poses, all adjusted but that of the first."""
+    """The poses after refinement of all of them except the first."""
     return adjusted(views, poses, fixed=[min(poses)], reaches=np.multiply(reaches, reach).tolist())
 
 
@@ -402,7 +415,7 @@ def _verdict(views: Sequence[View], group: Poses, other: Poses, reach: float) ->
 def _seen_by(
     views: Sequence[View], group: Poses, other: Poses, reach: float
 ) -> list[tuple[NDArray[np.bool_], NDArray[np.bool_]]]:
-    """For each view of a group: points of its sample that a sensor of the other saw, and saw through only."""
+    """For each view of a group, masks of points that agree with the other group and that contradict it."""
     answers = []
     for number, pose in group.items():
         view = views[number]
@@ -421,7 +434,7 @@ def _seen_by(
 
 
 def _overlap(views: Sequence[View], poses: Poses, first: int, second: int, reach: float) -> Overlap:
-    """What two views share; a rms of NaN where that is nothing."""
+    """The overlap of two views; its rms is NaN, if there are no correspondences."""
     shares, distances = [], []
     for here, there in ((first, second), (second, first)):
         distance = paired(views[here], views[there], poses[here], poses[there], reach)[2]

@@ -1,6 +1,6 @@
 """Raw points of one scan, prepared for a surface.
 
-In comes a point cloud with strays; out goes a cleaned one, whose normals look outwards.
+In comes a point cloud with outliers; out goes a filtered one, with normals that point outwards.
 """
 
 from pcretrieve.scan.clean import clean
