@@ -1,7 +1,7 @@
 """The immutable values that are passed from stage to stage.
 
 Arrays are copied, checked and made read-only when a value is made; functions that take such a value do not
-check it again. Conventions:
+check it again. Two values are equal if their arrays are, whatever their provenance. Conventions:
 
 - lengths are in the unit of the file, coordinates are float64;
 - the vertices of a face are in counter-clockwise order, seen from outside;
@@ -10,14 +10,15 @@ check it again. Conventions:
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from pcretrieve.arrays import FloatArray, IntArray
 from pcretrieve.errors import InputError
+from pcretrieve.values import Value, locked, numbers
 
 if TYPE_CHECKING:
     from scipy.sparse import csc_array
@@ -47,48 +48,6 @@ SMALLEST_ASPECT = 1e-9
 UNIT_TOLERANCE = 1e-3
 
 
-def _numbers(name: str, values: ArrayLike) -> NDArray[Any]:
-    """The values as an array of real numbers, of any shape and type."""
-    try:
-        array = np.asarray(values)
-    except ValueError as error:  # rows of different lengths
-        raise InputError(f"{name} must be an array of numbers: {error}") from error
-    if array.dtype.kind not in "iuf":
-        raise InputError(f"{name} must be an array of numbers, got one of type {array.dtype}")
-    return array
-
-
-def _locked(
-    name: str, values: ArrayLike, shape: tuple[int | None, ...], dtype: type[np.generic] = np.float64
-) -> NDArray[Any]:
-    """A read-only copy of `values`; None in `shape` stands for any length."""
-    given = _numbers(name, values)
-    wanted = "(" + ", ".join("n" if length is None else str(length) for length in shape) + ")"
-    if given.ndim != len(shape) or any(
-        length not in (None, found) for length, found in zip(shape, given.shape, strict=True)
-    ):
-        raise InputError(f"{name} must have shape {wanted}, got {given.shape}")
-    if not np.isfinite(given).all():
-        bad = int((~np.isfinite(given)).sum())
-        raise InputError(f"{name} must be finite, got {bad} values that are NaN or infinite")
-    with np.errstate(invalid="ignore", over="ignore"):  # overflow is detected below
-        array = np.array(given, dtype=dtype, order="C")
-    if np.issubdtype(dtype, np.integer) and (array != given).any():
-        bad = int((array != given).sum())
-        raise InputError(f"{name} must be whole numbers below 2³¹, got {bad} that are not")
-    array.flags.writeable = False
-    return array
-
-
-class _Value:
-    """Base of the values: pickled by its constructor arguments, so that copies are read-only too."""
-
-    __slots__ = ()
-
-    def __reduce__(self) -> tuple[type, tuple[Any, ...]]:
-        return type(self), tuple(getattr(self, part.name) for part in fields(self))  # type: ignore[arg-type]
-
-
 @dataclass(frozen=True, slots=True)
 class Step:
     """The record of one stage of the processing of one shape.
@@ -112,7 +71,7 @@ class Step:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class PointCloud(_Value):
+class PointCloud(Value):
     """A point cloud, in the unit of the file.
 
     Parameters
@@ -131,14 +90,14 @@ class PointCloud(_Value):
     points: FloatArray
     normals: FloatArray | None = None
     viewpoints: FloatArray | None = None
-    provenance: tuple[Step, ...] = ()
+    provenance: tuple[Step, ...] = field(default=(), compare=False)
 
     def __post_init__(self) -> None:
-        points = _locked("points", self.points, (None, 3))
+        points = locked("points", self.points, (None, 3))
         object.__setattr__(self, "points", points)
         n = len(points)
         if self.normals is not None:
-            normals = _locked("normals", self.normals, (n, 3))
+            normals = locked("normals", self.normals, (n, 3))
             off = np.abs(np.linalg.norm(normals, axis=1) - 1) > UNIT_TOLERANCE  # (n,)
             if off.any():
                 raise InputError(
@@ -147,10 +106,10 @@ class PointCloud(_Value):
                 )
             object.__setattr__(self, "normals", normals)
         if self.viewpoints is not None:
-            viewpoints = _numbers("viewpoints", self.viewpoints)
+            viewpoints = numbers("viewpoints", self.viewpoints)
             if viewpoints.shape == (3,):
                 viewpoints = np.broadcast_to(viewpoints, (n, 3))
-            object.__setattr__(self, "viewpoints", _locked("viewpoints", viewpoints, (n, 3)))
+            object.__setattr__(self, "viewpoints", locked("viewpoints", viewpoints, (n, 3)))
 
     @property
     def diagonal(self) -> float:
@@ -172,7 +131,7 @@ class PointCloud(_Value):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class TriangleMesh(_Value):
+class TriangleMesh(Value):
     """A triangulated surface, in the unit of the file.
 
     Parameters
@@ -187,11 +146,11 @@ class TriangleMesh(_Value):
 
     vertices: FloatArray
     faces: IntArray
-    provenance: tuple[Step, ...] = ()
+    provenance: tuple[Step, ...] = field(default=(), compare=False)
 
     def __post_init__(self) -> None:
-        vertices = _locked("vertices", self.vertices, (None, 3))
-        faces = _locked("faces", self.faces, (None, 3), np.int32)
+        vertices = locked("vertices", self.vertices, (None, 3))
+        faces = locked("faces", self.faces, (None, 3), np.int32)
         if faces.size and not (faces.min() >= 0 and faces.max() < len(vertices)):
             raise InputError(
                 f"faces must name vertices 0 to {len(vertices) - 1}, got {faces.min()} to {faces.max()}"
@@ -255,7 +214,7 @@ class TriangleMesh(_Value):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class LaplaceBeltrami(_Value):
+class LaplaceBeltrami(Value):
     """A discrete Laplace–Beltrami operator: the matrices of the generalised eigenvalue problem S u = λ M u.
 
     Attributes
@@ -290,7 +249,7 @@ class LaplaceBeltrami(_Value):
         if not self.area > 0:
             raise InputError(f"mass must sum up to a positive area, got {self.area:g}")
         if self.nodes is not None:
-            object.__setattr__(self, "nodes", _locked("nodes", self.nodes, (n,), np.int32))
+            object.__setattr__(self, "nodes", locked("nodes", self.nodes, (n,), np.int32))
 
     @property
     def area(self) -> float:
@@ -299,7 +258,7 @@ class LaplaceBeltrami(_Value):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Eigenpairs(_Value):
+class Eigenpairs(Value):
     """The smallest eigenpairs of a Laplace–Beltrami operator.
 
     Attributes
@@ -328,9 +287,9 @@ class Eigenpairs(_Value):
     solver: str = ""
 
     def __post_init__(self) -> None:
-        eigenvalues = _locked("eigenvalues", self.eigenvalues, (None,))
+        eigenvalues = locked("eigenvalues", self.eigenvalues, (None,))
         object.__setattr__(self, "eigenvalues", eigenvalues)
-        eigenvectors = _locked("eigenvectors", self.eigenvectors, (self.mass.shape[0], len(eigenvalues)))
+        eigenvectors = locked("eigenvectors", self.eigenvectors, (self.mass.shape[0], len(eigenvalues)))
         object.__setattr__(self, "eigenvectors", eigenvectors)
 
     @property
@@ -340,7 +299,7 @@ class Eigenpairs(_Value):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class ModalSpectrum(_Value):
+class ModalSpectrum(Value):
     """The eigenvalues and the inner products of eigenfunctions that the spectral descriptors are made of.
 
     The catalogue stores it in the place of the eigenvectors, which are larger by orders of magnitude.
@@ -363,12 +322,12 @@ class ModalSpectrum(_Value):
     overlaps: FloatArray | None = None
 
     def __post_init__(self) -> None:
-        eigenvalues = _locked("eigenvalues", self.eigenvalues, (None,))
+        eigenvalues = locked("eigenvalues", self.eigenvalues, (None,))
         k = len(eigenvalues)
         object.__setattr__(self, "eigenvalues", eigenvalues)
-        object.__setattr__(self, "moments", _locked("moments", self.moments, (k, k)))
+        object.__setattr__(self, "moments", locked("moments", self.moments, (k, k)))
         if self.overlaps is not None:
-            object.__setattr__(self, "overlaps", _locked("overlaps", self.overlaps, (k, k)))
+            object.__setattr__(self, "overlaps", locked("overlaps", self.overlaps, (k, k)))
 
     @classmethod
     def of(cls, pairs: Eigenpairs) -> ModalSpectrum:
@@ -452,7 +411,7 @@ class Describable(Protocol):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Signature(_Value):
+class Signature(Value):
     """A global shape descriptor: a short vector, invariant to isometric deformation of the surface.
 
     Attributes
@@ -476,14 +435,14 @@ class Signature(_Value):
     deviation: FloatArray | None = None
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "values", _locked("values", self.values, (None,)))
+        object.__setattr__(self, "values", locked("values", self.values, (None,)))
         if self.deviation is not None:
-            deviation = _locked("deviation", self.deviation, (len(self.values),))
+            deviation = locked("deviation", self.deviation, (len(self.values),))
             object.__setattr__(self, "deviation", deviation)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class SignatureTable(_Value):
+class SignatureTable(Value):
     """Signatures of many shapes, of one kind.
 
     Attributes
@@ -509,7 +468,7 @@ class SignatureTable(_Value):
         n = len(self.ids)
         if len(set(self.ids)) != n:
             raise InputError("ids must be distinct")
-        object.__setattr__(self, "values", _locked("values", self.values, (n, None)))
+        object.__setattr__(self, "values", locked("values", self.values, (n, None)))
         if self.values.size and self.values.min() <= 0:
             raise InputError(f"signature values must be positive, got {self.values.min()}")
         object.__setattr__(self, "labels", tuple(self.labels) or (None,) * n)
@@ -521,19 +480,34 @@ class SignatureTable(_Value):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Neighbors(_Value):
+class Neighbors(Value):
     """The nearest neighbours of one query.
 
     Attributes
     ----------
     ids : tuple of str, length k
-        Identifiers of the shapes, nearest first; equally near shapes in alphabetical order.
+        Identifiers of the shapes, distinct, nearest first; equally near shapes in alphabetical order.
     distances : (k,) float64
-        Distances to the query, ascending; dimensionless.
+        Distances to the query, not negative, ascending; dimensionless. May be infinite.
     """
 
     ids: tuple[str, ...]
     distances: FloatArray
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "ids", tuple(self.ids))
+        distances = locked("distances", self.distances, (len(self.ids),), finite=False)
+        if len(set(self.ids)) != len(self.ids):
+            raise InputError("ids must be distinct")
+        if not ((distances >= 0).all() and (distances[:-1] <= distances[1:]).all()):
+            raise InputError("distances must ascend from 0 or more, got others; sort the shapes by distance")
+        tied = distances[:-1] == distances[1:]
+        if any(tie and self.ids[i] > self.ids[i + 1] for i, tie in enumerate(tied)):
+            raise InputError("ids of equally distant shapes must be in alphabetical order, got another one")
+        object.__setattr__(self, "distances", distances)
+
+    def __len__(self) -> int:
+        return len(self.ids)
 
 
 @dataclass(frozen=True, slots=True)

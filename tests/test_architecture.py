@@ -14,7 +14,7 @@ import pcretrieve
 ROOT = Path(pcretrieve.__file__).parent
 
 # What every stage stands on.
-FOUNDATION = {"arrays", "conversion", "types", "errors", "options", "adapters", "rendering"}
+FOUNDATION = {"arrays", "conversion", "values", "types", "errors", "options", "adapters", "rendering"}
 
 # The way of the data: a package may know those before it, never those after it.
 STAGES = [

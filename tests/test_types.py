@@ -2,6 +2,7 @@
 
 import pickle
 import re
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -11,11 +12,13 @@ from scipy.sparse import csc_array, eye_array
 
 from pcretrieve import errors
 from pcretrieve.errors import InputError, PcretrieveError
+from pcretrieve.retrieval import fit_whitening
 from pcretrieve.spectral import eigenpairs, laplace_beltrami
 from pcretrieve.types import (
     Eigenpairs,
     LaplaceBeltrami,
     ModalSpectrum,
+    Neighbors,
     PointCloud,
     Signature,
     SignatureTable,
@@ -87,6 +90,12 @@ IDENTITY = csc_array(eye_array(3))
             [("a",), np.ones((1, 2)), "x", "", ("cat", "dog")],
             "labels must be as many as ids (1), got 2",
         ),
+        (Neighbors, [("a", "b"), np.zeros(3)], "distances must have shape (2), got (3,)"),
+        (Neighbors, [("a", "a"), np.zeros(2)], "ids must be distinct"),
+        (Neighbors, [("a", "b"), [0.0, np.nan]], "distances must be numbers, got 1 values that are NaN"),
+        (Neighbors, [("a", "b"), [1.0, 0.5]], "distances must ascend from 0 or more"),
+        (Neighbors, [("a", "b"), [-1.0, 0.5]], "distances must ascend from 0 or more"),
+        (Neighbors, [("b", "a"), [0.5, 0.5]], "ids of equally distant shapes must be in alphabetical order"),
     ],
 )
 def test_refuses(kind: type[Any], arguments: list[Any], message: str) -> None:
@@ -110,6 +119,8 @@ def everything() -> list[Any]:
         ModalSpectrum.of(pairs),
         Signature(np.ones(3), "x", "L=3"),
         SignatureTable(("a", "b"), np.ones((2, 3)), "x", "L=3", ("cat", None)),
+        Neighbors(("a", "c", "b"), np.array([0.0, 0.0, np.inf])),
+        fit_whitening("pca", np.eye(3), options_digest="L=3"),
     ]
 
 
@@ -127,12 +138,45 @@ def test_frozen_copied_and_locked_also_after_pickling(value: Any) -> None:
         for name in one.__dataclass_fields__:
             with pytest.raises(AttributeError):
                 setattr(one, name, None)
+    assert copy == value
     for name in value.__dataclass_fields__:
         here, there = getattr(value, name), getattr(copy, name)
         if isinstance(here, csc_array):
             assert (here != there).nnz == 0
         else:
             np.testing.assert_array_equal(here, there)
+
+
+# One part of each value, and another content for it.
+CHANGES: dict[str, tuple[str, Callable[[Any], Any]]] = {
+    "TriangleMesh": ("vertices", lambda vertices: 2 * vertices),
+    "PointCloud": ("normals", lambda normals: None),
+    "LaplaceBeltrami": ("stiffness", lambda stiffness: 2 * stiffness),
+    "Eigenpairs": ("eigenvectors", np.negative),
+    "ModalSpectrum": ("overlaps", lambda overlaps: None),
+    "Signature": ("deviation", lambda deviation: np.ones(3)),
+    "SignatureTable": ("labels", lambda labels: ("cat", "dog")),
+    "Neighbors": ("distances", lambda distances: distances + 1),
+    "Whitening": ("damping", lambda damping: damping / 2),
+}
+
+
+@pytest.mark.parametrize("value", everything(), ids=lambda value: type(value).__name__)
+def test_equal_are_values_of_equal_parts(value: Any) -> None:
+    name, change = CHANGES[type(value).__name__]
+    parts = {part: getattr(value, part) for part in value.__dataclass_fields__}
+    assert type(value)(**parts) == value
+    assert type(value)(**parts | {name: change(parts[name])}) != value
+    assert value != tuple(parts.values())
+    with pytest.raises(TypeError, match="unhashable"):
+        hash(value)
+
+
+def test_how_a_value_was_made_is_no_part_of_it() -> None:
+    mesh = shapes.icosphere(1)
+    cloud = PointCloud(mesh.vertices)
+    for value in (mesh, cloud):
+        assert value.after(Step("made", 0.5)) == value
 
 
 def test_arrays_are_private() -> None:

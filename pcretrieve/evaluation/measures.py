@@ -35,6 +35,7 @@ from numpy.typing import NDArray
 from pcretrieve.errors import OptionError
 from pcretrieve.evaluation.rankings import Positions, Rankings
 from pcretrieve.types import FloatArray
+from pcretrieve.values import Value
 
 __all__ = [
     "PrecisionRecall",
@@ -50,7 +51,7 @@ E_CUTOFF = 32
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class QueryScores:
+class QueryScores(Value):
     """The measures of each query, as (Q,) arrays in [0, 1]; `ids` and `labels` as in `Rankings`."""
 
     ids: tuple[str | None, ...]

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from pcretrieve.errors import BenchmarkError, InputError
 from pcretrieve.types import FloatArray
+from pcretrieve.values import Value
 
 __all__ = ["DistanceBlock", "Positions", "Rankings", "rank_gallery"]
 
@@ -38,7 +39,7 @@ class DistanceBlock(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Rankings:
+class Rankings(Value):
     """Where each query's relevant shapes came: all that the measures depend on.
 
     Attributes

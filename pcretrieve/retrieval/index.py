@@ -130,9 +130,7 @@ class SignatureIndex:
         candidates = self._candidates(point, min(int(k), len(self)))
         distances = pairwise(self.distance, point, self._gallery[candidates])[0]
         order = np.argsort(distances, kind="stable")[:k]
-        ranked = distances[order]
-        ranked.flags.writeable = False
-        return Neighbors(tuple(self._ids[row] for row in candidates[order]), ranked)
+        return Neighbors(tuple(self._ids[row] for row in candidates[order]), distances[order])
 
     def query_many(self, signatures: Iterable[Signature | ArrayLike], k: int = 10) -> list[Neighbors]:
         """The nearest neighbours of each of Q signatures, in order.

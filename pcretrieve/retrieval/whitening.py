@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from pcretrieve.errors import InputError, OptionError
 from pcretrieve.options import WhiteningKind
 from pcretrieve.types import FloatArray
+from pcretrieve.values import Value, locked
 
 __all__ = ["WHITENINGS", "Whitening", "whitening_digest"]
 
@@ -25,7 +26,7 @@ WHITENINGS: tuple[str, ...] = get_args(WhiteningKind)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Whitening:
+class Whitening(Value):
     """The map x → W (x − mean) of log-signatures.
 
     Attributes
@@ -54,17 +55,8 @@ class Whitening:
     def __post_init__(self) -> None:
         if self.kind not in WHITENINGS:
             raise OptionError(f"whitening must be one of {', '.join(WHITENINGS)}, got {self.kind!r}")
-        mean = np.array(self.mean, dtype=np.float64)
-        matrix = np.array(self.matrix, dtype=np.float64)
-        if mean.ndim != 1 or matrix.shape != (len(mean), len(mean)):
-            raise InputError(
-                f"mean and matrix must have shapes (L,) and (L, L), got {mean.shape} and {matrix.shape}"
-            )
-        if not (np.isfinite(mean).all() and np.isfinite(matrix).all()):
-            raise InputError(
-                "mean and matrix of a whitening must be finite, got NaN or infinity; fit it again"
-            )
-        mean.flags.writeable = matrix.flags.writeable = False
+        mean = locked("the mean of a whitening", self.mean, (None,))
+        matrix = locked("the matrix of a whitening", self.matrix, (len(mean), len(mean)))
         object.__setattr__(self, "mean", mean)
         object.__setattr__(self, "matrix", matrix)
 

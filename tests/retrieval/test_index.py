@@ -1,5 +1,7 @@
 """The index against brute force, for every distance and whitening."""
 
+import pickle
+
 import numpy as np
 import pytest
 
@@ -153,6 +155,24 @@ def test_the_order_of_the_table_does_not_matter() -> None:
     shuffled = SignatureTable(tuple(table.ids[i] for i in order), table.values[order], "r-bihdm", "3f2a")
     for values in table.values[:10]:
         assert SignatureIndex(shuffled).query(values).ids == SignatureIndex(table).query(values).ids
+
+
+@pytest.mark.parametrize("whitening", ["none", "pca"])
+@pytest.mark.parametrize("distance", DISTANCES)
+def test_an_index_that_was_pickled_answers_as_before(distance: str, whitening: str) -> None:
+    table = a_table(200, copies=20)
+    index = SignatureIndex(table, RetrievalOptions(distance=distance, whitening=whitening))
+    copy = pickle.loads(pickle.dumps(index))
+    assert copy.whitening == index.whitening
+    for values in table.values[:10]:
+        assert copy.query(values) == index.query(values)
+
+
+def test_neighbours_cannot_be_changed() -> None:
+    found = SignatureIndex(a_table(12)).query(a_table(12).values[0], 3)
+    for one in (found, pickle.loads(pickle.dumps(found))):
+        with pytest.raises(ValueError, match="read-only"):
+            one.distances[0] = 1
 
 
 def test_length() -> None:

@@ -249,7 +249,7 @@ def test_stored_arrays_that_are_not_all_there() -> None:
 
 def test_stored_arrays_that_do_not_fit() -> None:
     arrays = fit_whitening("none", np.zeros((2, 3))).to_arrays()
-    with pytest.raises(InputError, match=r"must have shapes \(L,\) and \(L, L\), got \(3,\) and \(2, 2\)"):
+    with pytest.raises(InputError, match=r"the matrix of a whitening must have shape \(3, 3\), got \(2, 2\)"):
         Whitening.from_arrays(arrays | {"matrix": np.eye(2)})
     with pytest.raises(InputError, match="must be finite"):
         Whitening.from_arrays(arrays | {"mean": np.full(3, np.nan)})

@@ -1,0 +1,127 @@
+"""What all immutable values have in common: read-only arrays, equality by value, and pickling."""
+
+from __future__ import annotations
+
+from dataclasses import fields
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pcretrieve.errors import InputError
+
+__all__ = ["Value", "locked", "numbers"]
+
+
+class Value:
+    """Base of the immutable values, which are dataclasses without an equality of their own.
+
+    Equal are values of one class whose compared fields are equal, arrays element by element. A value is
+    pickled by its constructor arguments, so that the arrays of copies are checked and read-only too.
+    """
+
+    __slots__ = ()
+
+    def __eq__(self, other: object) -> bool:
+        if type(other) is not type(self):
+            return NotImplemented
+        compared = [part.name for part in fields(self) if part.compare]  # type: ignore[arg-type]
+        return all(_equal(getattr(self, name), getattr(other, name)) for name in compared)
+
+    # Arrays have no hash, and one of the other fields alone would be misleading.
+    __hash__ = None  # type: ignore[assignment]
+
+    def __reduce__(self) -> tuple[type, tuple[Any, ...]]:
+        return type(self), tuple(getattr(self, part.name) for part in fields(self))  # type: ignore[arg-type]
+
+
+def _equal(one: Any, other: Any) -> bool:
+    if type(one) is not type(other):
+        return False
+    if isinstance(one, np.ndarray):
+        return np.array_equal(one, other)
+    if hasattr(one, "nnz"):  # sparse
+        return bool(one.shape == other.shape and (one != other).nnz == 0)
+    return bool(one == other)
+
+
+def numbers(name: str, values: ArrayLike) -> NDArray[Any]:
+    """Real numbers as an array of any shape and type.
+
+    Parameters
+    ----------
+    name : str
+        The name of the values in messages.
+    values : array_like
+        The numbers.
+
+    Returns
+    -------
+    ndarray
+        `values` itself, if it is an array.
+
+    Raises
+    ------
+    InputError
+        If the values are no array of real numbers.
+    """
+    try:
+        array = np.asarray(values)
+    except ValueError as error:  # rows of different lengths
+        raise InputError(f"{name} must be an array of numbers: {error}") from error
+    if array.dtype.kind not in "iuf":
+        raise InputError(f"{name} must be an array of numbers, got one of type {array.dtype}")
+    return array
+
+
+def locked(
+    name: str,
+    values: ArrayLike,
+    shape: tuple[int | None, ...],
+    dtype: type[np.generic] = np.float64,
+    *,
+    finite: bool = True,
+) -> NDArray[Any]:
+    """A read-only copy of an array, after a check of its shape and its values.
+
+    Parameters
+    ----------
+    name : str
+        The name of the array in messages.
+    values : array_like
+        Real numbers.
+    shape : tuple of (int or None)
+        The shape that the array must have; None stands for any length.
+    dtype : type, default float64
+        The type of the copy.
+    finite : bool, default True
+        Whether infinite values are refused, as NaN always is.
+
+    Returns
+    -------
+    ndarray
+        In C order.
+
+    Raises
+    ------
+    InputError
+        If the array has another shape, NaN or infinite values, or values that do not fit the type.
+    """
+    given = numbers(name, values)
+    wanted = "(" + ", ".join("n" if length is None else str(length) for length in shape) + ")"
+    if given.ndim != len(shape) or any(
+        length not in (None, found) for length, found in zip(shape, given.shape, strict=True)
+    ):
+        raise InputError(f"{name} must have shape {wanted}, got {given.shape}")
+    bad = ~np.isfinite(given) if finite else np.isnan(given)
+    if bad.any():
+        kinds = "NaN or infinite" if finite else "NaN"
+        wanted = "finite" if finite else "numbers"
+        raise InputError(f"{name} must be {wanted}, got {bad.sum()} values that are {kinds}")
+    with np.errstate(invalid="ignore", over="ignore"):  # overflow is detected below
+        array = np.array(given, dtype=dtype, order="C")
+    if np.issubdtype(dtype, np.integer) and (array != given).any():
+        n_bad = int((array != given).sum())
+        raise InputError(f"{name} must be whole numbers below 2³¹, got {n_bad} that are not")
+    array.flags.writeable = False
+    return array
