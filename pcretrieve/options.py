@@ -363,6 +363,31 @@ class PipelineOptions(_Options):
             raise OptionError(f"there is no preset {name!r}; there are {', '.join(PRESETS)}")
         return (base or cls()).changed(**PRESETS[name])
 
+    @classmethod
+    def named(cls, name: str | Path, base: PipelineOptions | None = None) -> PipelineOptions:
+        """The options of a TOML file, or of a preset if there is no file of that name.
+
+        Parameters
+        ----------
+        name : str or Path
+            The file, or a key of `PRESETS`.
+        base : PipelineOptions, optional
+            The values of options that the file or the preset does not name. By default the defaults.
+
+        Returns
+        -------
+        PipelineOptions
+            As of `from_toml` or `preset`.
+
+        Raises
+        ------
+        OptionError
+            If there is neither such a file nor such a preset, or the file cannot be read or is invalid.
+        """
+        if str(name) in PRESETS and not Path(name).exists():
+            return cls.preset(str(name), base)
+        return cls.from_toml(name, base)
+
     def changed(self, **stages: dict[str, Any]) -> PipelineOptions:
         """A copy with some options replaced, such as ``options.changed(surface={"mode": "keep"})``.
 

@@ -6,7 +6,8 @@ several plots share one figure.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,7 +15,7 @@ import numpy as np
 from pcretrieve.arrays import FloatArray, IntArray
 from pcretrieve.errors import InputError
 
-__all__ = ["plot_points", "plot_ranking", "plot_signature", "plot_spectrum", "plot_surface"]
+__all__ = ["draw_curves", "plot_points", "plot_ranking", "plot_signature", "plot_spectrum", "plot_surface"]
 
 # More points than this take long to draw, and show no more.
 MOST_POINTS = 20_000
@@ -187,3 +188,37 @@ def plot_ranking(names: Sequence[str], distances: FloatArray, axes: Any = None) 
     axes.invert_yaxis()
     axes.set_xlabel("distance")
     return axes
+
+
+def draw_curves(
+    path: Path, x: Sequence[float], curves: Mapping[str, FloatArray], *, x_label: str, y_label: str
+) -> None:
+    """Write a picture of curves with logarithmic axes.
+
+    Parameters
+    ----------
+    path : Path
+        The file, of any format that matplotlib knows by its suffix.
+    x : sequence of float, length n
+        Positive.
+    curves : mapping of str to (n,) float64
+        Positive values by the name of the curve, which may hold mathematical text.
+    x_label, y_label : str
+        Names of the axes.
+
+    Raises
+    ------
+    InputError
+        If matplotlib is not installed.
+    """
+    _pyplot()  # or an error that says what to install
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(6, 4), layout="constrained")
+    axes = figure.subplots()
+    for name, curve in curves.items():
+        axes.loglog(x, curve, "o-", label=name)
+    axes.set_xlabel(x_label)
+    axes.set_ylabel(y_label)
+    axes.legend()
+    figure.savefig(path, dpi=150)

@@ -173,14 +173,11 @@ def load_options(
     config: Path | None, surface: str | None = None, *, base: PipelineOptions | None = None
 ) -> PipelineOptions:
     """The options that ``--config`` and ``--surface`` ask for; the others are those of `base`."""
-    from pcretrieve.options import PRESETS, PipelineOptions
+    from pcretrieve.options import PipelineOptions
 
-    if config is None:
-        options = base or PipelineOptions()
-    elif str(config) in PRESETS and not config.exists():
-        options = PipelineOptions.preset(str(config), base)
-    else:
-        options = PipelineOptions.from_toml(config, base)
+    options = base or PipelineOptions()
+    if config is not None:
+        options = PipelineOptions.named(config, options)
     return options if surface is None else options.changed(surface={"mode": surface})
 
 

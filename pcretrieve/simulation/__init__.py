@@ -1,17 +1,15 @@
-"""Simulated scans of bending bodies, for samples, tests and benchmarks. Needs ``pcretrieve[simulation]``."""
+"""Simulated scans of articulated bodies, for samples, tests and benchmarks.
+
+In come a seed and options; out come people, animals and hands in many poses as triangle meshes, and what a
+virtual scanner sees of them as point clouds and files.
+"""
 
 from pcretrieve.simulation.bodies import POSES, body, make_subject
 from pcretrieve.simulation.damage import DamageOptions, damaged
 from pcretrieve.simulation.files import write_conf, write_pcd, write_ply
-from pcretrieve.simulation.rig import (
-    RigOptions,
-    UniformOptions,
-    camera_pose,
-    scan,
-    scan_uniformly,
-    scan_views,
-)
+from pcretrieve.simulation.rig import RigOptions, camera_pose, scan, scan_views
 from pcretrieve.simulation.skeleton import Bone, Contact, Pose, RoundCone, Subject
+from pcretrieve.simulation.uniform import UniformOptions, scan_uniformly
 
 __all__ = [
     "POSES",

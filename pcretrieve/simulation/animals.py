@@ -1,6 +1,7 @@
-"""Four-legged animals, from cat to horse in their proportions, and the poses that they take.
+"""Four-legged animals, from cat to horse in their proportions, and their poses.
 
-The plain numbers in the builders are the sculpture: places in metres and parts of measures, chosen for looks.
+The numbers in the functions that build the skeleton are positions in metres and fractions of the measures.
+They were chosen by eye.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ from pcretrieve.simulation.skeleton import COLLINEAR, Bone, Contact, Pose, Round
 
 __all__ = ["CELL", "MEASURES", "POSES", "skeleton"]
 
-# Mean in metres, and standard deviation relative to it: wide, for these are different kinds of animals.
+# Mean in metres, and standard deviation relative to the mean: large, because species differ.
 MEASURES: dict[str, tuple[float, float]] = {
     "trunk": (0.62, 0.10),  # hip joint to shoulder
     "neck": (0.24, 0.25),
@@ -34,12 +35,12 @@ MEASURES: dict[str, tuple[float, float]] = {
     "tail_girth": (0.025, 0.15),  # radius
 }
 
-# Edge of the skin's grid: half of the thinnest flesh, the ears; m.
+# Edge of the grid cells of the skin: half of the thickness of the ears, the thinnest part; m.
 CELL = 0.017
 
 AHEAD: Vector = (0.0, 0.0, 1.0)
 DOWN: Vector = (0.0, -1.0, 0.0)
-# At rest the legs are straight and apart; standing bends them.
+# At rest the legs are straight and apart; the pose "stand" bends them.
 LEG: Vector = (0.10, -0.99, 0.0)
 # Height of the trunk relative to its width.
 TALL = 1.2
@@ -48,7 +49,18 @@ TAIL_BONES = 4
 
 
 def skeleton(measures: Mapping[str, float]) -> tuple[Bone, ...]:
-    """Bones and flesh of an animal with these `MEASURES`; its hip joints are at the origin's height."""
+    """Bones and flesh of an animal; the hip joints are at the height of the origin.
+
+    Parameters
+    ----------
+    measures : mapping of str to float
+        Values of `MEASURES`; m.
+
+    Returns
+    -------
+    tuple of Bone
+        Parents before children.
+    """
     left = _hind_leg(measures) + _fore_leg(measures)
     return _trunk(measures) + _tail(measures) + left + tuple(mirrored(bone) for bone in left)
 

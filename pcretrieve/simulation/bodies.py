@@ -1,4 +1,4 @@
-"""Articulated bodies: people, four-legged animals and hands, each of them in many poses."""
+"""Articulated bodies: people, four-legged animals and hands in many poses."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pcretrieve.errors import InputError, OptionError
-from pcretrieve.simulation import animals, hands, people
+from pcretrieve.simulation import animals, hands, people, people_poses
 from pcretrieve.simulation.contacts import close_contacts
 from pcretrieve.simulation.kinematics import motions
 from pcretrieve.simulation.skeleton import Bone, Pose, Subject
@@ -17,12 +17,14 @@ from pcretrieve.types import TriangleMesh
 
 __all__ = ["POSES", "body", "make_subject"]
 
-# Measures are drawn within this many standard deviations, so that no subject is a freak.
+# Measures are clipped to this many standard deviations about the mean.
 LARGEST_DEVIATION = 2.0
 
 
 @dataclass(frozen=True, slots=True)
 class _Family:
+    """Bodies of one kind: how they vary, how they are built, and the poses that they take."""
+
     measures: Mapping[str, tuple[float, float]]
     skeleton: Callable[[Mapping[str, float]], tuple[Bone, ...]]
     cell: float
@@ -30,22 +32,28 @@ class _Family:
 
 
 FAMILIES = {
-    "person": _Family(people.MEASURES, people.skeleton, people.CELL, people.POSES),
+    "person": _Family(people.MEASURES, people.skeleton, people.CELL, people_poses.POSES),
     "animal": _Family(animals.MEASURES, animals.skeleton, animals.CELL, animals.POSES),
     "hand": _Family(hands.MEASURES, hands.skeleton, hands.CELL, hands.POSES),
 }
 
 POSES: Mapping[str, Mapping[str, Pose]] = {name: family.poses for name, family in FAMILIES.items()}
-"""Poses by family and name; those with contacts (`Pose.touching`) bring parts of the body together."""
+"""Poses by family and name. In poses with contacts (`Pose.touching`) parts of the body touch each other."""
 
 
 def make_subject(family: str, rng: np.random.Generator) -> Subject:
-    """An individual of a family, its limbs and girths drawn from normal distributions.
+    """An individual of a family, with lengths and girths drawn from normal distributions.
 
     Parameters
     ----------
     family : {"person", "animal", "hand"}
+        The kind of body.
     rng : numpy.random.Generator
+        Source of the random numbers.
+
+    Returns
+    -------
+    Subject
 
     Raises
     ------
@@ -68,24 +76,25 @@ def body(
 ) -> TriangleMesh:
     """The surface of a subject in a pose.
 
-    All poses of one subject have the same faces, so that they are closed manifolds of Euler characteristic 2
-    even where parts touch; there the surface may cut through itself a little, as soft flesh would yield.
+    All poses of one subject have the same faces, so that each surface is a closed manifold of Euler
+    characteristic 2, even where parts touch; there the surface may intersect itself slightly.
 
     Parameters
     ----------
     subject : Subject
+        Whose surface.
     pose : Pose
-        Of the subject's family; its contacts are closed whatever the subject's proportions.
+        Of the subject's family; the contacts of the pose are closed for any proportions of the subject.
     rng : numpy.random.Generator or None, default None
-        Where given, every angle of every joint deviates a little: the same pose is never taken twice.
+        If given, a random deviation is added to every angle of every joint.
     jitter : float, default 2
-        Standard deviation of those deviations; degrees.
+        Standard deviation of these deviations; degrees.
 
     Returns
     -------
     TriangleMesh
-        About 7 thousand vertices; m. The first call for a subject takes some seconds, which go into its
-        skin; the others only bend it.
+        About 7 thousand vertices; m. The first call for a subject makes the skin, which takes some seconds;
+        further calls only bend the skin.
 
     Raises
     ------

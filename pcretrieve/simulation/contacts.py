@@ -1,4 +1,4 @@
-"""Parts of a body that touch: hands on hips, a closed fist."""
+"""Contacts between parts of a body, such as hands on hips or a closed fist."""
 
 from __future__ import annotations
 
@@ -14,20 +14,33 @@ from pcretrieve.types import FloatArray
 
 __all__ = ["close_contacts"]
 
-# Joints give way by about 1/STIFFNESS radians for a gap of one body size: little enough to keep the look of a
-# pose, much enough to leave less than a thousandth of the body size of any gap open.
+# Weight of the change of an angle (radians) against a gap (body sizes) in the least-squares problem: large
+# enough to keep the joints near the given pose, small enough to close every gap to less than a thousandth of
+# the body size.
 STIFFNESS = 0.02
 
-# Step of finite differences relative to each angle: wide enough to see past the facets of the skin, whose
-# nearest corner changes from angle to angle.
+# Step of the finite differences, relative to each angle. The gap is not smooth in the angles, because the
+# nearest vertex of the skin changes; the step is wide enough to average over these changes.
 DIFFERENCE = 0.01
 
 
 def close_contacts(skin: Skin, pose: Pose) -> Pose:
-    """The pose nearest to `pose` in which its contacts touch.
+    """The pose nearest to a pose in which the contacts of the pose touch.
 
-    Least squares over the joints that give way: gaps in body sizes against `STIFFNESS` times the change of
-    the angles in radians. Without contacts, the pose itself.
+    Least squares over the joints of the contacts: gaps in body sizes, and `STIFFNESS` times the change of
+    the angles in radians.
+
+    Parameters
+    ----------
+    skin : Skin
+        Of the subject that takes the pose.
+    pose : Pose
+        With any number of contacts.
+
+    Returns
+    -------
+    Pose
+        Without contacts, the pose itself.
     """
     joints = sorted({joint for contact in pose.contacts for joint in contact.by})
     if not joints:
@@ -49,7 +62,7 @@ def close_contacts(skin: Skin, pose: Pose) -> Pose:
 
 
 def _gap(skin: Skin, moved: FloatArray, contact: Contact) -> float:
-    """Distance from the skin of the part that comes to the flesh it comes to rest on, negative inside; m."""
+    """Distance from the skin of the part that moves to the flesh that it shall touch, negative inside; m."""
     bones = skin.subject.bones
     coming = np.isin(skin.owner, [skin.subject.number(name) for name in contact.bones])
     points = blend(skin.weights[coming], moved, skin.rest.vertices[coming])

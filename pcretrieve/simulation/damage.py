@@ -1,4 +1,4 @@
-"""Clean meshes → meshes as they are found: open, turned inside out in places, crossing themselves."""
+"""Clean meshes → meshes with typical defects: holes, flipped faces, self-intersections, duplicates."""
 
 from __future__ import annotations
 
@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from pcretrieve.errors import InputError, OptionError
+from pcretrieve.errors import InputError
+from pcretrieve.simulation.checks import check_at_least, check_shares
 from pcretrieve.types import FloatArray, IntArray, TriangleMesh
 
 __all__ = ["DamageOptions", "damaged"]
@@ -16,24 +17,25 @@ __all__ = ["DamageOptions", "damaged"]
 
 @dataclass(frozen=True, slots=True)
 class DamageOptions:
-    """What is wrong with a mesh, in patches: faces whose middles lie in a ball round one of them.
+    """Defects of a mesh, in patches: the faces whose centroids lie in a ball round the centroid of one face.
 
     Attributes
     ----------
     n_holes : int, default 4
         Patches that are cut out.
     n_flipped : int, default 4
-        Patches whose faces are turned inside out.
+        Patches whose faces are flipped.
     n_flaps : int, default 3
-        Copies of patches, turned about their middles so that they cut through the surface.
+        Copies of patches, rotated at random about the mean of their vertices, so that they intersect the
+        surface.
     radius : float, default 0.02
         Of these patches; diagonals.
     duplicated_share : float, default 0.01
-        Faces that come twice, half of them turned the second time; relative to all.
+        Faces that are there twice, half of the second copies flipped; relative to all faces.
     shell_radius : float, default 0.15
-        Of one patch that has a second shell beneath it; diagonals. 0 for none.
+        Radius of one patch that has a second shell beneath it; diagonals. 0 for no shell.
     shell_depth : float, default 0.004
-        How far beneath the surface that shell lies; diagonals.
+        Distance of the shell from the surface; diagonals.
 
     Raises
     ------
@@ -50,24 +52,27 @@ class DamageOptions:
     shell_depth: float = 0.004
 
     def __post_init__(self) -> None:
-        for name in ("n_holes", "n_flipped", "n_flaps", "radius", "shell_radius", "shell_depth"):
-            if not getattr(self, name) >= 0:
-                raise OptionError(f"{name} must be at least 0, got {getattr(self, name)}")
-        if not 0 <= self.duplicated_share <= 1:
-            raise OptionError(
-                f"duplicated_share must be a share between 0 and 1, got {self.duplicated_share}"
-            )
+        check_at_least(0, n_holes=self.n_holes, n_flipped=self.n_flipped, n_flaps=self.n_flaps)
+        check_at_least(0, radius=self.radius, shell_radius=self.shell_radius, shell_depth=self.shell_depth)
+        check_shares(duplicated_share=self.duplicated_share)
 
 
 def damaged(mesh: TriangleMesh, options: DamageOptions, rng: np.random.Generator) -> TriangleMesh:
-    """The mesh with defects at random places; what is left of its surface stays where it was.
+    """A mesh with defects at random places; what is left of the surface stays where it was.
 
     Parameters
     ----------
     mesh : TriangleMesh
         Closed, pointing outwards.
     options : DamageOptions
+        How many defects, and how large.
     rng : numpy.random.Generator
+        Source of the random numbers.
+
+    Returns
+    -------
+    TriangleMesh
+        In the unit and the frame of `mesh`.
 
     Raises
     ------
@@ -79,12 +84,12 @@ def damaged(mesh: TriangleMesh, options: DamageOptions, rng: np.random.Generator
     middles = mesh.vertices[mesh.faces].mean(axis=1)  # (m, 3)
 
     def patch(radius: float) -> NDArray[np.bool_]:
-        """(m,) faces round a random one."""
+        """(m,) whether each face belongs to a patch round a random face."""
         centre = middles[rng.integers(len(middles))]
         near: NDArray[np.bool_] = np.linalg.norm(middles - centre, axis=1) <= radius * mesh.diagonal
         return near
 
-    # All sheets are taken from the whole surface, before it has holes.
+    # Flaps and the shell are copied from the whole surface, before holes are cut.
     sheets = [_turned(mesh.vertices, mesh.faces[patch(options.radius)], rng) for _ in range(options.n_flaps)]
     if options.shell_radius > 0:
         beneath = mesh.vertices - options.shell_depth * mesh.diagonal * _vertex_normals(mesh)
@@ -108,14 +113,14 @@ def damaged(mesh: TriangleMesh, options: DamageOptions, rng: np.random.Generator
 
 
 def _turned(vertices: FloatArray, faces: IntArray, rng: np.random.Generator) -> tuple[FloatArray, IntArray]:
-    """All vertices turned at random about the middle of some faces, and these faces."""
+    """All vertices, rotated at random about the mean vertex of some faces, and these faces."""
     middle = vertices[faces].mean(axis=(0, 1))
     turn = Rotation.from_quat(rng.standard_normal(4)).as_matrix()
     return (vertices - middle) @ turn.T + middle, faces
 
 
 def _vertex_normals(mesh: TriangleMesh) -> FloatArray:
-    """(n, 3) unit normals of vertices: of the faces round them, weighted by area."""
+    """(n, 3) unit normals of vertices: means of the normals of the incident faces, weighted by area."""
     normals, of_faces = np.zeros_like(mesh.vertices), mesh.area_vectors
     for k in range(3):
         np.add.at(normals, mesh.faces[:, k], of_faces)

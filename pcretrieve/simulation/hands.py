@@ -1,6 +1,7 @@
-"""Hands, and the gestures that they make.
+"""Hands and their gestures.
 
-The plain numbers in the builders are the sculpture: places in metres and parts of measures, chosen for looks.
+The numbers in the functions that build the skeleton are positions in metres and fractions of the measures.
+They were chosen by eye.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ from pcretrieve.types import FloatArray
 
 __all__ = ["CELL", "MEASURES", "POSES", "skeleton"]
 
-# Mean in metres, and standard deviation relative to it: rounded figures of adults.
+# Mean in metres, and standard deviation relative to the mean: rounded figures of adults.
 MEASURES: dict[str, tuple[float, float]] = {
     "palm_length": (0.095, 0.07),
     "palm_width": (0.080, 0.08),
@@ -30,13 +31,13 @@ MEASURES: dict[str, tuple[float, float]] = {
     "wrist_girth": (0.027, 0.10),  # half width
 }
 
-# Edge of the skin's grid: less than half of the thinnest flesh, the little finger; m.
+# Edge of the grid cells of the skin: less than half of the thickness of the little finger; m.
 CELL = 0.003
 
 FRONT: Vector = (0.0, 0.0, 1.0)
 FINGERS = ("index", "middle", "ring", "little")
 
-# Where the palm ends and the knuckles begin, relative to the length of both.
+# Length of the palm, relative to the length of palm and knuckles.
 PALM = 0.72
 
 # Lengths of the phalanges relative to the finger, and of the thumb's metacarpal and phalanges to the thumb.
@@ -45,15 +46,28 @@ THUMB_BONES = (0.42, 0.32, 0.26)
 
 
 def skeleton(measures: Mapping[str, float]) -> tuple[Bone, ...]:
-    """Bones and flesh of a hand with these `MEASURES`: fingers up, palm to the front, thumb to the left."""
+    """Bones and flesh of a hand: fingers up, palm to the front, thumb to the left.
+
+    Parameters
+    ----------
+    measures : mapping of str to float
+        Values of `MEASURES`; m.
+
+    Returns
+    -------
+    tuple of Bone
+        Parents before children.
+    """
     m = measures
     length, width, girth = m["palm_length"], m["palm_width"], m["palm_girth"]
     stump = RoundCone((0, -0.06, 0), (0, 0.005, 0), (1.08 * m["wrist_girth"], m["wrist_girth"]), 0.72)
-    # Knuckles lie on an arc; the fingers fan out from the wrist, far enough apart for no fillet to web them.
+    # The knuckles lie on an arc; the fingers fan out from the wrist, far enough apart for no fillet to join
+    # them.
     x = width * np.array([0.36, 0.12, -0.12, -0.35])
     y = length * np.array([0.95, 1.0, 0.95, 0.86])
     fan = np.radians([11.0, 3.0, -5.0, -14.0])
-    # Closed fingers rest on the palm, not on the knuckles, whose skin gives way under them: two bones.
+    # Closed fingers touch the palm, not the knuckles, whose skin is deformed by the bent fingers: palm and
+    # knuckles are two bones.
     ends = np.stack([x, y, np.zeros(4)], axis=1)
     roots = ends * [0.45, 0, 1] + [0, 0.012, 0]
     middles = roots + PALM * (ends - roots)

@@ -1,6 +1,6 @@
-"""Where a pose takes the bones.
+"""Forward kinematics: how a pose moves the bones.
 
-A rigid motion is a (4, 4) matrix that maps points at rest to where they are in the pose.
+A rigid motion is a (4, 4) matrix that maps a point of the rest pose to the same point in another pose.
 """
 
 from __future__ import annotations
@@ -15,13 +15,20 @@ __all__ = ["motions"]
 
 
 def motions(subject: Subject, pose: Pose) -> FloatArray:
-    """Forward kinematics: the rigid motion of each bone.
+    """The rigid motion of each bone, from the rest pose to another pose.
+
+    Parameters
+    ----------
+    subject : Subject
+        Whose bones.
+    pose : Pose
+        Angles of the joints.
 
     Returns
     -------
     (b, 4, 4) float64
-        Each is its parent's motion after a turn about the bone's own head at rest; the root turns about its
-        head too.
+        A bone rotates about its own head at rest, and then moves with its parent. The root rotates about its
+        head.
     """
     turns = _turns(subject, pose)  # (b, 3, 3)
     heads = np.array([bone.head for bone in subject.bones])  # (b, 3)
@@ -37,7 +44,7 @@ def motions(subject: Subject, pose: Pose) -> FloatArray:
 
 
 def _turns(subject: Subject, pose: Pose) -> FloatArray:
-    """(b, 3, 3) rotation of each bone relative to its parent, in the axes of rest."""
+    """(b, 3, 3) rotation of each bone relative to its parent, in the axes of the rest pose."""
     bones = subject.bones
     angles = np.array([np.multiply(bone.share, pose.angles.get(bone.joint, (0, 0, 0))) for bone in bones])
     along = np.array([np.subtract(bone.tail, bone.head) for bone in bones])  # (b, 3)

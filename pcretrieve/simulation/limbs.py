@@ -1,4 +1,4 @@
-"""Limbs: chains of bones with round bends, on the left and mirrored to the right."""
+"""Limbs: chains of bones with round bends, and their mirror images."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from pcretrieve.simulation.skeleton import COLLINEAR, Bone, RoundCone, Vector, v
 
 __all__ = ["both", "limb", "mirrored"]
 
-# Skin folds on the inside of a joint that bends in one place. Half of the bend at either end of a link, this
-# long relative to the radius of the limb, keeps it round.
+# Length of a link, relative to the radius of the limb. Linear blend skinning folds the skin on the inside of
+# a joint that bends at one point; with half of the bend at either end of a link the joint stays round.
 LINK = 1.2
 
 
@@ -24,16 +24,21 @@ def limb(
     front: Vector,
     pieces: Sequence[tuple[str, str, float, tuple[float, float]]],
 ) -> tuple[Bone, ...]:
-    """A straight chain of bones; each has a link before it, which takes half of the turn of its joint.
+    """A straight chain of bones, with a link before each bone that takes half of the angles of its joint.
 
     Parameters
     ----------
     parent : str
         Bone that carries the limb.
     start, along, front : 3 floats
-        Where the first joint is, m, and the direction and front of the limb at rest.
+        Position of the first joint (m), direction and front of the limb at rest.
     pieces : sequence of (joint, bone, length, radii)
         From the trunk outwards; m.
+
+    Returns
+    -------
+    tuple of Bone
+        A link and a bone for each piece.
     """
     direction = np.asarray(along, dtype=np.float64) / np.linalg.norm(along)
     ends = np.cumsum([0.0, *(length for _, _, length, _ in pieces)])
@@ -58,7 +63,18 @@ def limb(
 
 
 def mirrored(bone: Bone) -> Bone:
-    """The right bone to a left one."""
+    """The right bone that is the mirror image of a left bone.
+
+    Parameters
+    ----------
+    bone : Bone
+        Its names begin with ``left_``.
+
+    Returns
+    -------
+    Bone
+        Its names begin with ``right_``.
+    """
 
     def across(point: Vector) -> Vector:
         return (-point[0], point[1], point[2])
@@ -77,7 +93,18 @@ def mirrored(bone: Bone) -> Bone:
 
 
 def both(**angles: Vector) -> dict[str, Vector]:
-    """The same angles for the left and the right joint of each name."""
+    """The same angles for the left and the right joint of each name.
+
+    Parameters
+    ----------
+    **angles : 3 floats
+        (bend, spread, twist) by the name of the joint without its side; degrees.
+
+    Returns
+    -------
+    dict of str to 3 floats
+        Angles by the name of the joint with its side; degrees.
+    """
     return {f"{side}_{joint}": turn for joint, turn in angles.items() for side in ("left", "right")}
 
 

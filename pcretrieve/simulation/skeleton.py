@@ -1,6 +1,6 @@
-"""Bones, the flesh on them, and the poses that turn them.
+"""Skeletons: bones, the flesh round them, and poses.
 
-Conventions, said once: lengths in metres; at rest x points to the body's left, y up and z to its front.
+Lengths are in metres. In the rest pose the x axis points to the left of the body, y up and z to its front.
 """
 
 from __future__ import annotations
@@ -28,25 +28,26 @@ __all__ = [
 
 Vector = tuple[float, float, float]
 
-# Fillet of a round cone that carries on where another ends.
+# Fillet of a round cone that continues another one in the same direction.
 COLLINEAR = 0.2
 
 
 @dataclass(frozen=True, slots=True)
 class RoundCone:
-    """The union of balls whose centre and radius go evenly from one end to the other.
+    """The union of balls whose centre and radius are linear functions of one parameter.
 
     Attributes
     ----------
     start, end : 3 floats
-        Centres of the end balls at rest; m.
+        Centres of the first and the last ball at rest; m.
     radii : 2 floats
-        Of the end balls; m.
+        Radii of the first and the last ball; m.
     depth : float, default 1
-        Thickness along the front of its bone, relative to the radius: balls become lenses below 1.
+        Thickness along the front of the bone, relative to the radius: below 1, the balls are ellipsoids.
     fillet : float, default 0.7
-        Width of the fillet towards the flesh before it, relative to its smaller radius: wide where a limb
-        grows out of a trunk, narrow (`COLLINEAR`) where the next piece goes on and a fillet would be a ring.
+        Width of the fillet towards the flesh of the bones before, relative to the smaller radius: wide where
+        a limb begins at a trunk, narrow (`COLLINEAR`) between pieces of one limb, round which a wide fillet
+        would be a visible ring.
     """
 
     start: Vector
@@ -58,25 +59,27 @@ class RoundCone:
 
 @dataclass(frozen=True, slots=True)
 class Bone:
-    """A rigid piece of a skeleton.
+    """A rigid part of a skeleton.
 
     Attributes
     ----------
     name : str
+        Unique in the skeleton.
     parent : str or None
-        The bone that carries this one; None for the root.
+        Name of the bone that carries this bone; None for the root.
     head, tail : 3 floats
-        Where it starts, which is what it turns about, and where it ends, at rest; m.
+        Start of the bone, which is its centre of rotation, and end of the bone, at rest; m.
     front : 3 floats
-        Where it bends to, at right angles to the bone as far as need be.
+        Direction to which the bone bends; its part at right angles to the bone counts.
     flesh : tuple of RoundCone
-        What is around it; none round a link that only makes the bend of a joint rounder.
+        The flesh round the bone. Empty for a link, a bone that only makes the bend of a joint rounder.
     joint : str
-        The joint whose angles turn it. Several bones of one joint bend it by degrees, as spines do.
+        Name of the joint that rotates the bone. Several bones may share the angles of one joint, as in a
+        spine.
     share : float, default 1
-        Part of those angles that this bone takes.
+        Fraction of the angles of the joint that this bone takes.
     side : {1, -1}, default 1
-        -1 mirrors spread and twist, so that left and right limbs read the same angles.
+        -1 mirrors spread and twist, so that the same angles describe left and right limbs.
     """
 
     name: str
@@ -92,15 +95,16 @@ class Bone:
 
 @dataclass(frozen=True, slots=True)
 class Subject:
-    """One individual: a skeleton with its flesh. Hashable, so that its skin is made only once.
+    """One individual: a skeleton with its flesh. Hashable, so that the skin of a subject is made only once.
 
     Attributes
     ----------
     family : str
+        ``person``, ``animal`` or ``hand``.
     bones : tuple of Bone
         Parents before children; the first is the root.
     cell : float
-        Edge of the grid cells that the skin is made on, about the length of its edges; m.
+        Edge of the grid cells on which the skin is computed, about the length of the edges of the skin; m.
 
     Raises
     ------
@@ -130,7 +134,7 @@ class Subject:
 
     @property
     def joints(self) -> frozenset[str]:
-        """The joints that a pose can turn."""
+        """Names of the joints that a pose can rotate."""
         return frozenset(bone.joint for bone in self.bones)
 
     @property
@@ -140,7 +144,22 @@ class Subject:
         return float(np.linalg.norm(np.ptp(ends, axis=0)))
 
     def number(self, name: str) -> int:
-        """Position of a bone in `bones`."""
+        """Position of a bone in `bones`.
+
+        Parameters
+        ----------
+        name : str
+            Name of the bone.
+
+        Returns
+        -------
+        int
+
+        Raises
+        ------
+        ValueError
+            If there is no such bone.
+        """
         return [bone.name for bone in self.bones].index(name)
 
 
@@ -151,9 +170,9 @@ class Contact:
     Attributes
     ----------
     bones, onto : tuple of str
-        The bones that come and those that they come to rest on.
+        Names of the bones of one part, which moves, and of the other part, which it touches.
     by : tuple of str
-        The joints that give way until the gap between them is closed.
+        Names of the joints that are adjusted until the gap between the parts is closed.
     """
 
     bones: tuple[str, ...]
@@ -169,9 +188,9 @@ class Pose:
     ----------
     angles : mapping of joint to (bend, spread, twist)
         Degrees. A bone along d with front f first twists about d, then bends towards f, then spreads
-        towards f × d, which for a hanging left limb is away from the body. Joints not named stay at rest.
+        towards f × d, which for a hanging left limb is away from the body. Other joints stay at rest.
     contacts : tuple of Contact
-        What must touch, whatever the proportions of the subject.
+        Parts that must touch, for any proportions of the subject.
     """
 
     angles: Mapping[str, Vector] = field(default_factory=dict)
@@ -179,16 +198,30 @@ class Pose:
 
     @property
     def joints(self) -> frozenset[str]:
-        """The joints that it turns."""
+        """Names of the joints that the pose rotates."""
         return frozenset(self.angles).union(*(contact.by for contact in self.contacts))
 
     @property
     def touching(self) -> bool:
-        """Whether parts of the body rest on each other."""
+        """Whether parts of the body touch each other."""
         return bool(self.contacts)
 
     def jittered(self, joints: frozenset[str], spread: float, rng: np.random.Generator) -> Pose:
-        """The pose with normal deviations of `spread` degrees added to every angle of `joints`."""
+        """The pose with random deviations of its angles.
+
+        Parameters
+        ----------
+        joints : frozenset of str
+            Names of the joints whose angles deviate.
+        spread : float
+            Standard deviation of the normal distribution of each angle; degrees.
+        rng : numpy.random.Generator
+            Source of the random numbers.
+
+        Returns
+        -------
+        Pose
+        """
         angles = {
             joint: np.add(self.angles.get(joint, (0.0, 0.0, 0.0)), rng.normal(0, spread, 3))
             for joint in sorted(joints)
@@ -197,15 +230,37 @@ class Pose:
 
 
 def vector(array: FloatArray) -> Vector:
-    """An array of three as a hashable value."""
+    """An array of three numbers as a hashable value.
+
+    Parameters
+    ----------
+    array : (3,) float64
+        The numbers.
+
+    Returns
+    -------
+    tuple of 3 floats
+    """
     x, y, z = array.tolist()
     return (x, y, z)
 
 
 def bone_distance(bone: Bone, points: FloatArray) -> FloatArray:
-    """(…,) distance of (…, 3) points from the flesh of a bone at rest, negative inside; m.
+    """Signed distance of points from the flesh of a bone at rest.
 
-    Right up to the taper of the cones, and a lower bound where they are flattened. Infinite without flesh.
+    Approximate for cones whose radii differ; a lower bound for flattened cones.
+
+    Parameters
+    ----------
+    bone : Bone
+        With or without flesh.
+    points : (…, 3) float64
+        In metres.
+
+    Returns
+    -------
+    (…,) float64
+        Negative inside, infinite without flesh; m.
     """
     if not bone.flesh:
         return np.full(points.shape[:-1], np.inf)
@@ -215,10 +270,25 @@ def bone_distance(bone: Bone, points: FloatArray) -> FloatArray:
 
 
 def cone_distance(cone: RoundCone, front: Vector, points: FloatArray) -> FloatArray:
-    """As `bone_distance`, for one round cone."""
+    """Signed distance of points from one round cone at rest, as `bone_distance`.
+
+    Parameters
+    ----------
+    cone : RoundCone
+        Part of the flesh of a bone.
+    front : 3 floats
+        Front of the bone.
+    points : (…, 3) float64
+        In metres.
+
+    Returns
+    -------
+    (…,) float64
+        Negative inside; m.
+    """
     offset, axis = points - np.array(cone.start), np.subtract(cone.end, cone.start)
     if cone.depth != 1:
-        # Stretched along the front by 1/depth, lenses are balls again.
+        # A stretch along the front by 1/depth turns the ellipsoids into balls.
         normal = np.array(front) / np.linalg.norm(front)
         stretch = np.eye(3) + (1 / cone.depth - 1) * np.outer(normal, normal)
         offset, axis = offset @ stretch, axis @ stretch

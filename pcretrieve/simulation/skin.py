@@ -1,11 +1,9 @@
-"""The skin of a subject: a smooth surface round its flesh, and how it follows the bones."""
+"""The skin of a subject: a smooth surface round the flesh, and linear blend skinning."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
-from importlib import import_module
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,26 +17,29 @@ from pcretrieve.types import FloatArray, TriangleMesh
 
 __all__ = ["Skin", "blend", "follow", "skin"]
 
-# Marching cubes leaves slivers, and after this many rounds there are none; points relative to the cell.
-EVENING_STEPS = 5
+# Rounds of tangential smoothing after marching cubes, whose thin triangles are gone after this many.
+SMOOTHING_STEPS = 5
+
+# Step of the finite differences of the implicit function; cells.
 GRADIENT_STEP = 0.01
 
-# How firmly skin sits on its bone, the c of Baran and Popović. Their 1 loses twice the volume in bent limbs.
+# The constant c of Baran and Popović, which makes vertices follow the nearest bone more closely. With their
+# value 1 bent limbs lose twice as much volume.
 ATTACHMENT = 2.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Skin:
-    """A surface at rest, bound to bones.
+    """A surface in the rest pose, and how it follows the bones.
 
     Attributes
     ----------
     subject : Subject
-        Whose skin it is.
+        Whose skin.
     rest : TriangleMesh
-        Closed, manifold, oriented outwards, Euler characteristic 2; m.
+        Closed, manifold, pointing outwards, of Euler characteristic 2; m.
     weights : (n, b) float64
-        How much each vertex follows each bone; rows sum to 1.
+        Skinning weight of each bone for each vertex; rows sum to 1.
     owner : (n,) intp
         Number of the bone whose flesh is nearest to each vertex at rest.
     """
@@ -51,14 +52,21 @@ class Skin:
 
 @lru_cache(maxsize=16)
 def skin(subject: Subject) -> Skin:
-    """The skin of a subject at rest: about `N_FACES` faces.
+    """The skin of a subject.
+
+    Parameters
+    ----------
+    subject : Subject
+        Bones, flesh and grid cell.
+
+    Returns
+    -------
+    Skin
 
     Raises
     ------
-    ImportError
-        Without scikit-image, which makes the surface: it comes with ``pip install "pcretrieve[simulation]"``.
     InputError
-        If the flesh at rest is not one ball topologically.
+        If the flesh at rest is not a topological ball.
     """
     rest = _rest_surface(subject)
     owner = np.argmin([bone_distance(bone, rest.vertices) for bone in subject.bones], axis=0)  # (n,)
@@ -71,38 +79,55 @@ def follow(skin: Skin, moved: FloatArray) -> TriangleMesh:
     Parameters
     ----------
     skin : Skin
+        Surface at rest and skinning weights.
     moved : (b, 4, 4) float64
         Rigid motion of each bone.
+
+    Returns
+    -------
+    TriangleMesh
+        With the faces of the surface at rest; m.
     """
     return TriangleMesh(blend(skin.weights, moved, skin.rest.vertices), skin.rest.faces)
 
 
 def blend(weights: FloatArray, moved: FloatArray, points: FloatArray) -> FloatArray:
-    """(n, 3) points where the weighted mean of the bones' motions takes them: linear blend skinning."""
+    """Linear blend skinning: points after the weighted mean of the motions of the bones.
+
+    Parameters
+    ----------
+    weights : (n, b) float64
+        Skinning weights; rows sum to 1.
+    moved : (b, 4, 4) float64
+        Rigid motion of each bone.
+    points : (n, 3) float64
+        At rest; m.
+
+    Returns
+    -------
+    (n, 3) float64
+        Moved points; m.
+    """
     mean = np.tensordot(weights, moved, axes=1)  # (n, 4, 4)
     there: FloatArray = np.einsum("nij,nj->ni", mean[:, :3, :3], points) + mean[:, :3, 3]
     return there
 
 
 def _rest_surface(subject: Subject) -> TriangleMesh:
-    """Zero level of the union of all flesh: marching cubes, then triangles made even."""
-    try:
-        measure: Any = import_module("skimage.measure")
-    except ImportError as error:
-        raise ImportError(
-            'bodies are made with scikit-image, which is not installed: pip install "pcretrieve[simulation]"'
-        ) from error
+    """Zero level set of the union of all flesh, by marching cubes and tangential smoothing."""
+    from skimage.measure import marching_cubes
+
     cones = [cone for bone in subject.bones for cone in bone.flesh]
     ends = np.array([end for cone in cones for end in (cone.start, cone.end)])
-    # Fillets stand out by a quarter of their width at most, which this leaves room for.
+    # The grid has room for fillets, which stand out by a quarter of their width at most.
     reach = 1.5 * max(radius * max(cone.depth, 1) for cone in cones for radius in cone.radii)
     axes = [
         np.arange(low - reach, high + reach + subject.cell, subject.cell)
         for low, high in zip(ends.min(axis=0), ends.max(axis=0), strict=True)
     ]
     grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)  # (x, y, z, 3)
-    vertices, faces, _, _ = measure.marching_cubes(_flesh(subject, grid), 0.0, spacing=(subject.cell,) * 3)
-    mesh = _evened(subject, TriangleMesh(vertices + grid[0, 0, 0], faces))
+    vertices, faces, _, _ = marching_cubes(_flesh(subject, grid), 0.0, spacing=(subject.cell,) * 3)
+    mesh = _smoothed(subject, TriangleMesh(vertices + grid[0, 0, 0], faces))
     if mesh.euler_characteristic != 2:
         raise InputError(
             f"the flesh at rest must form one ball, of Euler characteristic 2, got "
@@ -111,8 +136,8 @@ def _rest_surface(subject: Subject) -> TriangleMesh:
     return mesh
 
 
-def _evened(subject: Subject, mesh: TriangleMesh) -> TriangleMesh:
-    """The mesh with each vertex drawn to the middle of its neighbours, and back to the surface each time."""
+def _smoothed(subject: Subject, mesh: TriangleMesh) -> TriangleMesh:
+    """Tangential smoothing: vertices move half way to the mean of their neighbours, then to the surface."""
     n = len(mesh.vertices)
     links = csc_array(
         (np.ones(mesh.faces.size), (mesh.faces.ravel(), np.roll(mesh.faces, 1, axis=1).ravel())), (n, n)
@@ -120,13 +145,13 @@ def _evened(subject: Subject, mesh: TriangleMesh) -> TriangleMesh:
     links = links + links.T
     mean = diags_array(1 / links.sum(axis=1)) @ links
     points = mesh.vertices
-    for _ in range(EVENING_STEPS):
+    for _ in range(SMOOTHING_STEPS):
         points = _on_surface(subject, (points + mean @ points) / 2)
     return TriangleMesh(points, mesh.faces)
 
 
 def _on_surface(subject: Subject, points: FloatArray) -> FloatArray:
-    """(n, 3) points after one Newton step, p − f ∇f / |∇f|², towards the zero level."""
+    """(n, 3) points after one Newton step, p − f ∇f / |∇f|², towards the zero level set."""
     step = GRADIENT_STEP * subject.cell
     shifted = points + step * np.concatenate([np.zeros((1, 3)), np.eye(3)])[:, None]  # (4, n, 3)
     here, *ahead = _flesh(subject, shifted)
@@ -136,7 +161,7 @@ def _on_surface(subject: Subject, points: FloatArray) -> FloatArray:
 
 
 def _flesh(subject: Subject, points: FloatArray) -> FloatArray:
-    """(…,) the smooth union of all flesh at (…, 3) points: zero on the skin, negative inside; m."""
+    """(…,) implicit function of all flesh at (…, 3) points: zero on the skin, negative inside; m."""
     field = np.full(points.shape[:-1], np.inf)
     for bone in subject.bones:
         for cone in bone.flesh:
@@ -146,7 +171,19 @@ def _flesh(subject: Subject, points: FloatArray) -> FloatArray:
 
 
 def _smooth_union(a: FloatArray, b: FloatArray, *, width: float) -> FloatArray:
-    """min(a, b) with a quadratic fillet where |a − b| < width [1]_.
+    """Smooth minimum: min(a, b) with a quadratic fillet where |a − b| < width [1]_.
+
+    Parameters
+    ----------
+    a, b : (…,) float64
+        Implicit functions of two bodies.
+    width : float
+        Of the fillet.
+
+    Returns
+    -------
+    (…,) float64
+        Implicit function of the union.
 
     References
     ----------
@@ -158,10 +195,25 @@ def _smooth_union(a: FloatArray, b: FloatArray, *, width: float) -> FloatArray:
 
 
 def _weights(subject: Subject, rest: TriangleMesh, owner: NDArray[np.intp]) -> FloatArray:
-    """(n, b) weights at which heat that the bones give off along their nearest skin balances [1]_.
+    """Skinning weights by heat equilibrium [1]_: (S + M H) W = M H P.
 
-    (S + M H) W = M H P, where P marks the bone nearest to each vertex and H = c/d² falls with its distance
-    d, so that weights change over about half a limb's thickness. S·1 = 0 makes the rows sum to 1.
+    S and M are stiffness and lumped mass of the surface, P is 1 for the bone nearest to each vertex and 0
+    for others, and H = c / d² for its distance d, so that the weights change over about half of the
+    thickness of a limb. Because S·1 = 0, the rows sum to 1.
+
+    Parameters
+    ----------
+    subject : Subject
+        With b bones.
+    rest : TriangleMesh
+        The surface at rest, n vertices.
+    owner : (n,) intp
+        Number of the bone whose flesh is nearest to each vertex.
+
+    Returns
+    -------
+    (n, b) float64
+        Between 0 and 1.
 
     References
     ----------
@@ -170,14 +222,14 @@ def _weights(subject: Subject, rest: TriangleMesh, owner: NDArray[np.intp]) -> F
     """
     operator = laplace_beltrami(rest, mass="lumped")
     bones, points = subject.bones, rest.vertices
-    # Links have no flesh of their own: they share that of the bones that they join.
+    # Links have no flesh of their own: they share the flesh of the bones that they join.
     shares = np.array([[a is b or _links(a, b) or _links(b, a) for b in bones] for a in bones])  # (b, b)
     to_bone = np.array([_segment_distance(bone, points) for bone in bones])  # (b, n)
     to_bone = np.where(shares[owner].T, to_bone, np.inf)
     marks = np.eye(len(bones))[to_bone.argmin(axis=0)]  # (n, b)
     heat = operator.mass @ diags_array(ATTACHMENT / to_bone.min(axis=0) ** 2)
     weights: FloatArray = splu(csc_array(operator.stiffness + heat)).solve(heat @ marks)
-    # Beside obtuse triangles the discrete balance overshoots by a few hundredths.
+    # At obtuse triangles the discrete maximum principle fails: weights leave [0, 1] by a few hundredths.
     weights = np.maximum(weights, 0)
     weights /= weights.sum(axis=1, keepdims=True)
     return weights

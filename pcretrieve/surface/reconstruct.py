@@ -87,9 +87,8 @@ def sampled(mesh: TriangleMesh, options: SurfaceOptions) -> PointCloud:
     if orient_faces(mesh) is None:
         raise DegenerateMeshError(ONE_SIDED, stage="surface")
     found = defects(mesh)
-    rng = np.random.default_rng(SAMPLE_SEED)
     n = options.sample_points
-    points = uniform_points(mesh, n, rng)
+    points, _ = uniform_points(mesh, n, np.random.default_rng(SAMPLE_SEED))
     step = Step(
         "sample",
         time.perf_counter() - started,

@@ -1,19 +1,19 @@
-"""Random points on a surface."""
+"""Random points of a surface."""
 
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pcretrieve.types import FloatArray, TriangleMesh
 
 __all__ = ["uniform_points"]
 
 
-def uniform_points(mesh: TriangleMesh, n: int, rng: np.random.Generator) -> FloatArray:
-    """Random points on a mesh, with uniform density by area.
-
-    A triangle is drawn with a probability proportional to its area, and a point of the triangle by equation
-    (1) of [1]_, whose square root makes the density uniform.
+def uniform_points(
+    mesh: TriangleMesh, n: int, rng: np.random.Generator
+) -> tuple[FloatArray, NDArray[np.intp]]:
+    """Random points of a surface, uniform by area [1]_.
 
     Parameters
     ----------
@@ -22,20 +22,23 @@ def uniform_points(mesh: TriangleMesh, n: int, rng: np.random.Generator) -> Floa
     n : int
         Number of points.
     rng : numpy.random.Generator
-        Source of randomness.
+        Source of the random numbers.
 
     Returns
     -------
-    (n, 3) float64
+    points : (n, 3) float64
         In the unit of the mesh.
+    faces : (n,) intp
+        Number of the face that each point lies on.
 
     References
     ----------
-    .. [1] Osada, Funkhouser, Chazelle and Dobkin, "Shape distributions", ACM Transactions on Graphics 2002.
+    .. [1] Osada, Funkhouser, Chazelle and Dobkin, "Shape distributions", ACM TOG 2002, equation (1).
     """
     areas = mesh.face_areas  # (m,)
-    face = rng.choice(len(mesh.faces), size=n, p=areas / areas.sum())  # (n,)
+    faces = rng.choice(len(areas), size=n, p=areas / areas.sum())
+    # The square root makes the barycentric coordinates uniform over the triangle.
     u, v = np.sqrt(rng.random(n)), rng.random(n)
-    weights = np.column_stack([1 - u, u * (1 - v), u * v])  # (n, 3), barycentric coordinates
-    points: FloatArray = np.einsum("nk,nkd->nd", weights, mesh.vertices[mesh.faces[face]])
-    return points
+    weights = np.column_stack([1 - u, u * (1 - v), u * v])  # (n, 3)
+    points: FloatArray = np.einsum("nk,nkd->nd", weights, mesh.vertices[mesh.faces[faces]])
+    return points, faces

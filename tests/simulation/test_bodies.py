@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from dataclasses import replace
 from functools import cache
 from itertools import pairwise
@@ -228,9 +227,3 @@ def test_flesh_in_two_pieces_is_refused() -> None:
     )
     with pytest.raises(InputError, match="must form one ball, of Euler characteristic 2, got 4"):
         skin(Subject("rods", (rod(), far), cell=0.05))
-
-
-def test_a_missing_scikit_image_is_named_with_its_extra(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "skimage.measure", None)
-    with pytest.raises(ImportError, match=r"scikit-image.*pcretrieve\[simulation\]"):
-        skin(Subject("rod", (rod(),), cell=0.07))

@@ -32,7 +32,7 @@ PERFECT: dict[str, Any] = {
     "noise": 0.0,
     "flying_share": 0.0,
     "n_holes": 0,
-    "stray_share": 0.0,
+    "outlier_share": 0.0,
     "n_points": None,
     "pixels": 80,
 }
@@ -121,8 +121,8 @@ def test_flying_pixels_lie_behind_edges_within_reach() -> None:
     assert behind.max() < (reach + 0.01) * ball().diagonal
 
 
-def test_strays_are_as_many_as_asked_for_and_stay_in_their_box() -> None:
-    options = RigOptions(**PERFECT | {"n_points": 5_000, "stray_share": 0.1})
+def test_outliers_are_as_many_as_asked_for_and_stay_in_their_box() -> None:
+    options = RigOptions(**PERFECT | {"n_points": 5_000, "outlier_share": 0.1})
     points = scan(ball(), options, rng()).points
     off = np.abs(np.linalg.norm(points, axis=1) - 1) > SAG
     assert len(points) == pytest.approx(5_500, abs=options.n_views)
@@ -133,7 +133,7 @@ def test_strays_are_as_many_as_asked_for_and_stay_in_their_box() -> None:
 
 def test_holes_stay_empty() -> None:
     n, radius = 40_000, 0.1
-    options = UniformOptions(n_points=n, noise=0, n_holes=1, hole_radius=radius, stray_share=0)
+    options = UniformOptions(n_points=n, noise=0, n_holes=1, hole_radius=radius, outlier_share=0)
     # A ball whose centre lies on the unit sphere cuts a cap of area π r² out of it, wherever it lies.
     share = (radius * ball().diagonal) ** 2 / 4
     for seed in range(3):
@@ -154,14 +154,14 @@ def test_cameras_share_the_holes() -> None:
 
 
 def test_uniform_points_are_uniform() -> None:
-    options = UniformOptions(n_points=40_000, noise=0, n_holes=0, stray_share=0)
+    options = UniformOptions(n_points=40_000, noise=0, n_holes=0, outlier_share=0)
     points = scan_uniformly(ball(), options, rng()).points
     assert points.mean(axis=0) == pytest.approx([0, 0, 0], abs=0.015)
     assert points.T @ points / len(points) == pytest.approx(np.eye(3) / 3, abs=0.01)
 
 
 def test_uniform_noise_has_its_size() -> None:
-    options = UniformOptions(noise=0.005, n_holes=0, stray_share=0)
+    options = UniformOptions(noise=0.005, n_holes=0, outlier_share=0)
     radii = np.linalg.norm(scan_uniformly(ball(), options, rng()).points, axis=1)
     assert radii.std() == pytest.approx(0.005 * ball().diagonal, rel=0.05)
 
@@ -171,7 +171,7 @@ def test_uniform_scans_have_no_sensors() -> None:
 
 
 def test_sensors_of_uniform_scans_see_their_points() -> None:
-    options = UniformOptions(n_points=5_000, noise=0, n_holes=0, stray_share=0.1, sensors=True)
+    options = UniformOptions(n_points=5_000, noise=0, n_holes=0, outlier_share=0.1, sensors=True)
     cloud = scan_uniformly(ball(), options, rng())
     blind = scan_uniformly(ball(), replace(options, sensors=False), rng())
     assert np.array_equal(cloud.points, blind.points), "a ball hides nothing"
@@ -194,7 +194,7 @@ def test_what_no_sensor_sees_is_left_out() -> None:
         np.concatenate([outer.vertices, inner.vertices]),
         np.concatenate([outer.faces, inner.faces + len(outer.vertices)]),
     )
-    options = UniformOptions(n_points=2_000, noise=0, n_holes=0, stray_share=0, sensors=True)
+    options = UniformOptions(n_points=2_000, noise=0, n_holes=0, outlier_share=0, sensors=True)
     points = scan_uniformly(nested, options, rng()).points
     assert np.linalg.norm(points, axis=1).min() > 1.4
     assert len(points) == pytest.approx(2_000 * 1.5**2 / (1 + 1.5**2), abs=100)
@@ -237,13 +237,13 @@ def test_the_unit_does_not_matter(unit: float) -> None:
         ({"flying_share": 1.5}, "flying_share must be a share between 0 and 1, got 1.5"),
         ({"n_holes": -1}, "n_holes must be at least 0"),
         ({"hole_radius": -0.1}, "hole_radius must be at least 0"),
-        ({"stray_share": -0.1}, "stray_share must be a share between 0 and 1, got -0.1"),
+        ({"outlier_share": -0.1}, "outlier_share must be a share between 0 and 1, got -0.1"),
     ],
 )
 def test_options_out_of_range_are_refused(options: dict[str, Any], message: str) -> None:
     with pytest.raises(OptionError, match=message):
         RigOptions(**options)
-    uniform = {"n_points", "noise", "n_holes", "hole_radius", "stray_share"}
+    uniform = {"n_points", "noise", "n_holes", "hole_radius", "outlier_share"}
     if set(options) <= uniform:
         with pytest.raises(OptionError, match=message):
             UniformOptions(**options)

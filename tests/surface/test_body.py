@@ -54,7 +54,7 @@ def limbed() -> PointCloud:
 @cache
 def person(pose: str) -> PointCloud:
     mesh = body(make_subject("person", np.random.default_rng(3)), POSES["person"][pose])
-    options = UniformOptions(n_points=15_000, n_holes=0, stray_share=0)
+    options = UniformOptions(n_points=15_000, n_holes=0, outlier_share=0)
     return oriented_normals(scan_uniformly(mesh, options, np.random.default_rng(0)), ScanOptions())
 
 

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import shapes
 from scipy.ndimage import gaussian_filter
+from skimage.measure import marching_cubes
 
 from pcretrieve.adapters import open3d
 from pcretrieve.errors import DegenerateMeshError
@@ -24,10 +25,9 @@ DATA = Path(__file__).parents[3] / "shared" / "data" / "tosca"
 
 def blob(seed: int, n: int = 24) -> TriangleMesh:
     """Marching cubes on smooth noise: pieces of high genus, and slivers where the noise is near its level."""
-    measure = pytest.importorskip("skimage.measure", reason="noise is marched with scikit-image")
     noise = gaussian_filter(np.random.default_rng(seed).standard_normal((n, n, n)), 2.0, mode="wrap")
     inside = np.pad(noise - 0.3 * noise.std(), 1, constant_values=-noise.std())
-    vertices, faces, _, _ = measure.marching_cubes(inside, 0)
+    vertices, faces, _, _ = marching_cubes(inside, 0)
     return TriangleMesh(vertices, faces[:, ::-1])
 
 

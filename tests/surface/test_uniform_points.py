@@ -14,8 +14,9 @@ TRIANGLES = TriangleMesh(
 
 
 def test_density_is_that_of_the_area() -> None:
-    points = uniform_points(TRIANGLES, 40_000, np.random.default_rng(0))
+    points, faces = uniform_points(TRIANGLES, 40_000, np.random.default_rng(0))
     second = points[:, 0] >= 10
+    np.testing.assert_array_equal(faces, second)
     assert second.mean() == pytest.approx(1 / 4, abs=0.01)
     # The mean of uniform points is the centroid of the triangle.
     np.testing.assert_allclose(points[~second].mean(axis=0), [1, 2 / 3, 2], atol=0.02)
@@ -27,5 +28,5 @@ def test_density_is_that_of_the_area() -> None:
 
 
 def test_one_seed_gives_one_sample() -> None:
-    first, second = (uniform_points(TRIANGLES, 10, np.random.default_rng(3)) for _ in range(2))
+    (first, _), (second, _) = (uniform_points(TRIANGLES, 10, np.random.default_rng(3)) for _ in range(2))
     np.testing.assert_array_equal(first, second)

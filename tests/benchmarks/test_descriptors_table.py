@@ -11,7 +11,7 @@ import shapes
 
 from pcretrieve.formats import write_mesh
 
-SCRIPT = Path(__file__).parents[1] / "scripts" / "benchmark_descriptors"
+SCRIPT = Path(__file__).parents[2] / "scripts" / "benchmark_descriptors"
 
 
 def test_a_set_of_five_classes(tmp_path: Path) -> None:

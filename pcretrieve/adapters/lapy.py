@@ -1,0 +1,54 @@
+"""LaPy, as functions on arrays: what benchmarks compare the spectral core with."""
+
+from __future__ import annotations
+
+from importlib.util import find_spec
+
+import numpy as np
+
+from pcretrieve.types import FloatArray, IntArray
+
+__all__ = ["eigenvalues", "is_installed"]
+
+
+def is_installed() -> bool:
+    """Whether LaPy, which comes with ``pcretrieve[benchmark]``, is there.
+
+    Returns
+    -------
+    bool
+    """
+    return find_spec("lapy") is not None
+
+
+def eigenvalues(vertices: FloatArray, faces: IntArray, n_pairs: int) -> FloatArray:
+    """The lowest eigenvalues of the Laplace–Beltrami operator by linear elements [1]_.
+
+    Parameters
+    ----------
+    vertices : (n, 3) float64
+        Coordinates.
+    faces : (m, 3) int32
+        Vertex numbers.
+    n_pairs : int
+        How many eigenvalues.
+
+    Returns
+    -------
+    (n_pairs,) float64
+        Ascending; unit length⁻².
+
+    Raises
+    ------
+    ImportError
+        If LaPy is not installed.
+
+    References
+    ----------
+    .. [1] Reuter, Wolter and Peinecke, "Laplace–Beltrami spectra as 'Shape-DNA' of surfaces and solids",
+       Computer-Aided Design 2006.
+    """
+    from lapy import Solver, TriaMesh
+
+    values, _ = Solver(TriaMesh(vertices, faces)).eigs(n_pairs)
+    return np.asarray(values, dtype=np.float64)

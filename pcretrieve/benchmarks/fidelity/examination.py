@@ -1,0 +1,229 @@
+"""One scan through the pipeline, held against the clean mesh; runs in a worker process."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from pcretrieve.adapters.open3d import RayScene
+from pcretrieve.benchmarks.memory import forget_peak, peak_memory
+from pcretrieve.descriptors import describe
+from pcretrieve.formats import read_scan
+from pcretrieve.options import PipelineOptions
+from pcretrieve.pipeline.process import Shape, process
+from pcretrieve.scan import clean, oriented_normals
+from pcretrieve.surface import defects
+from pcretrieve.surface.sampling import uniform_points
+from pcretrieve.types import FloatArray, PointCloud, TriangleMesh
+
+__all__ = ["N_VALUES", "Examination", "Signatures", "clean_signatures", "examine", "stacked"]
+
+# Signatures are compared at these lengths, whatever a configuration asks for: the length of the papers, and
+# all values that 61 eigenpairs give, for PCA whitening.
+N_VALUES = 23
+N_LONGER = 60
+
+# Weight of the size where it stands beside the form.
+SIZE_WEIGHT = PipelineOptions.preset("body-scanner").signature.size_weight
+
+# Random points on each of two surfaces from which the distance to the other is taken; on a body, neighbouring
+# points are a tenth of a percent of its diagonal apart.
+N_PROBES = 100_000
+
+
+class Signatures(NamedTuple):
+    """The signatures of one shape, (L,) each, or of many shapes, (n, L) each.
+
+    Attributes
+    ----------
+    values : float64, L = 23
+        As the options say.
+    relative : float64, L = 23
+        Relative to the first value, as in the paper.
+    longer : float64, L = 60
+        Relative to the first value.
+    sized : float64, L = 24
+        As the options say, with the size beside.
+    """
+
+    values: FloatArray
+    relative: FloatArray
+    longer: FloatArray
+    sized: FloatArray
+
+
+class Examination(NamedTuple):
+    """What became of one scan. Lengths are relative to the diagonal of the clean mesh.
+
+    Attributes
+    ----------
+    signatures : Signatures
+    seconds : float
+        Wall-clock time from the file to the signature.
+    stages : dict of str to float
+        Seconds of each stage.
+    peak : float
+        Largest resident memory meanwhile, of the process and its descendants; MiB.
+    normals : float or None
+        Share of the cleaned points whose normal points to the right side; None for meshes.
+    closed : bool
+        Whether the surface is a closed manifold.
+    euler : int
+        Its Euler characteristic.
+    mean, hausdorff : float
+        Mean and largest distance between the surfaces, both ways.
+    """
+
+    signatures: Signatures
+    seconds: float
+    stages: dict[str, float]
+    peak: float
+    normals: float | None
+    closed: bool
+    euler: int
+    mean: float
+    hausdorff: float
+
+
+def examine(path: Path, truth: TriangleMesh, options: PipelineOptions) -> Examination:
+    """Process one scan and hold the surface and the normals against the clean mesh.
+
+    Parameters
+    ----------
+    path : Path
+        The scan.
+    truth : TriangleMesh
+        The clean mesh, in the frame of the scan.
+    options : PipelineOptions
+        Of all stages.
+
+    Returns
+    -------
+    Examination
+
+    Raises
+    ------
+    ShapeError
+        If the scan has no usable surface.
+    """
+    forget_peak()
+    started = time.perf_counter()
+    shape = process(path, options)
+    describe(shape, options.signature)
+    seconds = time.perf_counter() - started
+    peak = peak_memory()
+    stages: dict[str, float] = {}
+    for step in shape.mesh.provenance:
+        stages[step.stage] = stages.get(step.stage, 0.0) + step.seconds
+    rng = np.random.default_rng(0)
+    on_surface, _ = _probes(shape.mesh, rng)
+    on_truth, true_normals = _probes(truth, rng)
+    distances = [
+        RayScene(mesh.vertices, mesh.faces).distance(points) / truth.diagonal
+        for mesh, points in ((truth, on_surface), (shape.mesh, on_truth))
+    ]
+    return Examination(
+        signatures=_signatures(shape, options),
+        seconds=seconds,
+        stages=stages,
+        peak=peak,
+        normals=_right_normals(path, on_truth, true_normals, options),
+        closed=not defects(shape.mesh),
+        euler=shape.mesh.euler_characteristic,
+        mean=float(np.mean([part.mean() for part in distances])),
+        hausdorff=float(max(part.max() for part in distances)),
+    )
+
+
+def clean_signatures(mesh: TriangleMesh, options: PipelineOptions) -> Signatures:
+    """The signatures of a mesh as it is, without a reconstruction.
+
+    Parameters
+    ----------
+    mesh : TriangleMesh
+        The clean mesh.
+    options : PipelineOptions
+        Of the spectrum and the signatures.
+
+    Returns
+    -------
+    Signatures
+        (L,) each.
+
+    Raises
+    ------
+    ShapeError
+        If the mesh has no usable spectrum.
+    """
+    return _signatures(process(mesh, options.changed(surface={"mode": "keep"})), options)
+
+
+def stacked(many: Sequence[Signatures]) -> Signatures:
+    """The signatures of many shapes.
+
+    Parameters
+    ----------
+    many : sequence of Signatures
+        (L,) each.
+
+    Returns
+    -------
+    Signatures
+        (n, L) each.
+    """
+    lengths = (N_VALUES, N_VALUES, N_LONGER, N_VALUES + 1)
+    return Signatures(
+        *(np.array([one[k] for one in many]).reshape(-1, length) for k, length in enumerate(lengths))
+    )
+
+
+def _signatures(shape: Shape, options: PipelineOptions) -> Signatures:
+    form, relative = {"size_weight": 0}, {"size_weight": 0, "scale": "relative"}
+    changes: list[dict[str, Any]] = [
+        form,
+        relative,
+        relative | {"n_values": N_LONGER},
+        {"size_weight": SIZE_WEIGHT},
+    ]
+    chosen = [options.changed(signature=change).signature for change in changes]
+    return Signatures(*(describe(shape, signature).values for signature in chosen))
+
+
+def _right_normals(
+    path: Path, places: FloatArray, normals: FloatArray, options: PipelineOptions
+) -> float | None:
+    """Share of the scan's cleaned points whose normal n agrees with the true normal m: n · m > 0.
+
+    Parameters
+    ----------
+    path : Path
+        The scan.
+    places, normals : (n, 3) float64
+        Points of the clean mesh, and the normals there. The nearest is the true normal of a cleaned point.
+    options : PipelineOptions
+        Of cleaning and orientation.
+
+    Returns
+    -------
+    float or None
+        None for meshes.
+    """
+    cloud = read_scan(path)
+    if not isinstance(cloud, PointCloud):
+        return None
+    oriented = oriented_normals(clean(cloud, options.scan), options.scan)
+    _, nearest = cKDTree(places).query(oriented.points)
+    agreement = np.einsum("ij,ij->i", np.asarray(oriented.normals), normals[nearest])
+    return float((agreement > 0).mean())
+
+
+def _probes(mesh: TriangleMesh, rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
+    """Points of a surface, uniform by area, and the unit normals there: (`N_PROBES`, 3) each."""
+    points, faces = uniform_points(mesh, N_PROBES, rng)
+    normals = mesh.area_vectors[faces]
+    return points, normals / np.linalg.norm(normals, axis=1, keepdims=True)

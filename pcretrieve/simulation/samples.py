@@ -1,0 +1,221 @@
+"""Make the sample scans: simulated bodies before a simulated scanner.
+
+The same seed gives the same points; and the same bytes on the same machine, with the same versions of numpy,
+scipy, scikit-image and Open3D. Other processors round the last digits otherwise.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+from collections.abc import Callable, Collection, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import click
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from pcretrieve.errors import OptionError
+from pcretrieve.simulation.bodies import POSES, body, make_subject
+from pcretrieve.simulation.files import write_conf, write_pcd, write_ply
+from pcretrieve.simulation.rig import RigOptions, camera_pose, scan, scan_views
+from pcretrieve.types import FloatArray, TriangleMesh
+
+__all__ = ["SAMPLES", "SUBJECTS", "SampleSubject", "main", "write_samples"]
+
+EPILOG = """example:
+  scripts/make_scans --out scans
+  scripts/make_scans --out elsewhere --seed 8 --only person-1_walk
+"""
+
+SEED = 2016
+
+# How far a turntable slips from one view to the next (standard deviation), and how far off the origin of the
+# scanner's frame may lie along each axis; m.
+SLIP = 0.005
+ORIGIN = 1.0
+
+
+@dataclass(frozen=True)
+class SampleSubject:
+    """One individual of the sample set.
+
+    Attributes
+    ----------
+    name : str
+        The class of the scans.
+    family : str
+        ``person``, ``animal`` or ``hand``.
+    poses : tuple of str
+        One scan for each.
+    views : bool, default False
+        Keep the views of the cameras apart, as range scans in their own frames that a ``.conf`` file poses.
+    """
+
+    name: str
+    family: str
+    poses: tuple[str, ...]
+    views: bool = False
+
+
+SUBJECTS = (
+    SampleSubject("person-1", "person", ("stand", "walk", "sit", "reach_up", "hands_on_hips")),
+    SampleSubject("person-2", "person", ("stand", "run", "bow", "wave", "arms_crossed")),
+    SampleSubject("person-3", "person", ("walk", "lunge", "point", "kick", "attention")),
+    SampleSubject("person-4", "person", ("stand", "cross", "sit", "run", "crouch"), views=True),
+    SampleSubject("animal-1", "animal", ("stand", "walk", "graze", "play_bow", "wipe")),
+    SampleSubject("animal-2", "animal", ("stand", "gallop", "look_back", "rear", "lie"), views=True),
+    SampleSubject("hand-1", "hand", ("open", "relaxed", "grasp", "flex", "fist")),
+    SampleSubject("hand-2", "hand", ("spread", "table", "fan", "wave", "together"), views=True),
+)
+
+SAMPLES = tuple(f"{subject.name}_{pose}" for subject in SUBJECTS for pose in subject.poses)
+"""Names of all sample scans: subject and pose."""
+
+
+def write_samples(
+    folder: Path,
+    names: Collection[str] = SAMPLES,
+    *,
+    seed: int = SEED,
+    on_scan: Callable[[Path], None] = lambda path: None,
+) -> dict[str, str]:
+    """Make sample scans, and ``labels.csv`` with their classes.
+
+    Parameters
+    ----------
+    folder : Path
+        Made if need be; each subject gets a folder in it.
+    names : collection of str, default `SAMPLES`
+        The scans to make. A scan is the same whichever others are made.
+    seed : int, default 2016
+        Of all that is random.
+    on_scan : callable, optional
+        Called with the path of each scan once it is written.
+
+    Returns
+    -------
+    dict of str to str
+        Class of each scan, by its file relative to `folder`, as in ``labels.csv``.
+
+    Raises
+    ------
+    OptionError
+        If there is no sample scan of some name.
+    """
+    if unknown := sorted(set(names) - set(SAMPLES)):
+        raise OptionError(
+            f"sample scans must have names of the set, got {', '.join(unknown)}: known are "
+            f"{', '.join(SAMPLES)}"
+        )
+    folder.mkdir(parents=True, exist_ok=True)
+    labels = {}
+    for number, subject in enumerate(SUBJECTS, start=1):
+        for take, pose in enumerate(subject.poses, start=1):
+            if f"{subject.name}_{pose}" in names:
+                path = _write_sample(folder, subject, pose, seeds=(seed, number, take))
+                labels[path.relative_to(folder).as_posix()] = subject.name
+                on_scan(path)
+    with (folder / "labels.csv").open("w", newline="", encoding="utf-8") as file:
+        csv.writer(file, lineterminator="\n").writerows([("file", "class"), *labels.items()])
+    return labels
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Make all sample scans, or some.
+
+    Parameters
+    ----------
+    arguments : sequence of str, optional
+        By default those of the command line.
+    """
+    parser = argparse.ArgumentParser(
+        description=__doc__, epilog=EPILOG, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument(
+        "--out", type=Path, default=Path("scans"), help="folder to write to (default: %(default)s)"
+    )
+    parser.add_argument("--seed", type=int, default=SEED, help="of all that is random (default: %(default)s)")
+    parser.add_argument(
+        "--only", action="append", metavar="SCAN", help="make this scan only; may be repeated"
+    )
+    given = parser.parse_args(arguments)
+    try:
+        write_samples(
+            given.out,
+            given.only or SAMPLES,
+            seed=given.seed,
+            on_scan=lambda path: click.echo(path, err=True),
+        )
+    except OptionError as error:
+        parser.error(f"--only: {error.message}")
+
+
+def _write_sample(folder: Path, subject: SampleSubject, pose: str, *, seeds: tuple[int, int, int]) -> Path:
+    """Scan one subject in one pose; the file that holds the scan."""
+    # A generator of its own for each scan, so that one scan can be made again without the others.
+    individual = make_subject(subject.family, np.random.default_rng(seeds[:2]))
+    rng = np.random.default_rng(seeds)
+    surface = body(individual, POSES[subject.family][pose], rng)
+    path = folder / subject.name / f"{subject.name}_{pose}"
+    path.parent.mkdir(exist_ok=True)
+    placed = random_motion(rng)
+    if subject.views:
+        return write_views(path, surface, placed, rng)
+    points = moved(placed, scan(surface, RigOptions(), rng).points)
+    write_ply(path.with_suffix(".ply"), points)
+    return path.with_suffix(".ply")
+
+
+def write_views(path: Path, surface: TriangleMesh, placed: FloatArray, rng: np.random.Generator) -> Path:
+    """Write each view in the frame of a scanner that stands still while the body turns before it.
+
+    Parameters
+    ----------
+    path : Path
+        Of the ``.conf`` file, without its suffix.
+    surface : TriangleMesh
+        The body; m.
+    placed : (4, 4) float64
+        Rigid motion from the frame of the body to the common frame of the views.
+    rng : numpy.random.Generator
+        Of the noise, and of the slips of the turntable.
+
+    Returns
+    -------
+    Path
+        The ``.conf`` file.
+    """
+    rig = RigOptions()
+    names, motions = [], []
+    for view, cloud in enumerate(scan_views(surface, rig, rng)):
+        to_body = np.eye(4)
+        to_body[:3, :3] = Rotation.from_euler("y", 360 * view / rig.n_views, degrees=True).as_matrix()
+        to_body[:3, 3] = surface.vertices.mean(axis=0) + rng.normal(0, SLIP, 3)
+        to_scanner = np.linalg.inv(to_body).astype(np.float64)
+        camera = to_scanner @ camera_pose(surface, rig, view)
+        names.append(f"{path.name}_view{view}.pcd")
+        motions.append(placed @ to_body)
+        write_pcd(
+            path.parent / names[-1],
+            moved(to_scanner, cloud.points),
+            camera[:3, 3],
+            Rotation.from_matrix(camera[:3, :3]),
+        )
+    write_conf(path.with_suffix(".conf"), names, np.array(motions))
+    return path.with_suffix(".conf")
+
+
+def random_motion(rng: np.random.Generator) -> FloatArray:
+    """(4, 4) a random rotation and shift: the frame of a scanner says nothing about which way is up."""
+    motion = np.eye(4)
+    motion[:3, :3] = Rotation.from_quat(rng.standard_normal(4)).as_matrix()
+    motion[:3, 3] = rng.uniform(-ORIGIN, ORIGIN, 3)
+    return motion
+
+
+def moved(motion: FloatArray, points: FloatArray) -> FloatArray:
+    """(n, 3) points after a rigid motion."""
+    there: FloatArray = points @ motion[:3, :3].T + motion[:3, 3]
+    return there

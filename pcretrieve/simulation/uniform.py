@@ -1,0 +1,150 @@
+"""Uniform scans: points all over a surface, as if it had been seen from everywhere."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pcretrieve.adapters.open3d import RayScene
+from pcretrieve.simulation.checks import check_at_least, check_shares, check_surface
+from pcretrieve.simulation.faults import box_centre, outliers, outside_holes
+from pcretrieve.simulation.rig import RigOptions
+from pcretrieve.surface.sampling import uniform_points
+from pcretrieve.types import FloatArray, PointCloud, TriangleMesh
+
+__all__ = ["UniformOptions", "scan_uniformly"]
+
+# Sensor positions that are tried for each point before the point counts as hidden from all: a point that one
+# position in twenty can see is missed with a probability of 1 in 700.
+SENSOR_TRIES = 128
+
+# A ray whose length to the first hit differs from the distance of its point by more than this met another
+# part of the surface; relative to the distance.
+SAME_PLACE = 1e-3
+
+
+@dataclass(frozen=True, slots=True)
+class UniformOptions:
+    """Options of a uniform scan. Lengths are relative to the diagonal of the surface.
+
+    Attributes
+    ----------
+    n_points : int, default 30_000
+        Before holes are cut.
+    noise : float, default 0.001
+        Standard deviation of each coordinate; diagonals.
+    n_holes : int, default 6
+        Balls round random points of the surface that are left without points.
+    hole_radius : float, default 0.02
+        Radius of these balls; diagonals.
+    outlier_share : float, default 0.003
+        Random points in the bounding box enlarged by a fifth; relative to `n_points`.
+    sensors : bool, default False
+        Give each point the position of a sensor that can see it, on a sphere round the surface with the
+        radius of `RigOptions`, and leave out the points that no sensor sees.
+
+    Raises
+    ------
+    OptionError
+        If a value is out of range.
+    """
+
+    n_points: int = 30_000
+    noise: float = 0.001
+    n_holes: int = 6
+    hole_radius: float = 0.02
+    outlier_share: float = 0.003
+    sensors: bool = False
+
+    def __post_init__(self) -> None:
+        check_at_least(1, n_points=self.n_points)
+        check_at_least(0, noise=self.noise, n_holes=self.n_holes, hole_radius=self.hole_radius)
+        check_shares(outlier_share=self.outlier_share)
+
+
+def scan_uniformly(mesh: TriangleMesh, options: UniformOptions, rng: np.random.Generator) -> PointCloud:
+    """Random points of a surface, uniform by area, with isotropic Gaussian noise, holes and outliers.
+
+    Parameters
+    ----------
+    mesh : TriangleMesh
+        Pointing outwards.
+    options : UniformOptions
+        Of the scan.
+    rng : numpy.random.Generator
+        Source of the random numbers.
+
+    Returns
+    -------
+    PointCloud
+        In the unit of the mesh; with viewpoints if ``options.sensors``.
+
+    Raises
+    ------
+    InputError
+        If the mesh has no area.
+    """
+    check_surface(mesh)
+    points, _ = uniform_points(mesh, options.n_points, rng)
+    centres, _ = uniform_points(mesh, options.n_holes, rng)
+    points = points[outside_holes(points, centres, options.hole_radius * mesh.diagonal)]
+    noisy = points + rng.normal(0, options.noise * mesh.diagonal, points.shape)
+    strange = outliers(mesh, round(options.outlier_share * options.n_points), rng)
+    cloud = PointCloud(np.concatenate([noisy, strange]))
+    if not options.sensors:
+        return cloud
+    sensors, seen = _sensors(mesh, points, rng)
+    # An outlier is on no surface: any sensor may have measured it.
+    viewpoints = np.concatenate([sensors, _around(mesh, len(strange), rng)])
+    kept = np.concatenate([seen, np.ones(len(strange), dtype=bool)])
+    return replace(cloud, viewpoints=viewpoints).select(kept)
+
+
+def _sensors(
+    mesh: TriangleMesh, points: FloatArray, rng: np.random.Generator
+) -> tuple[FloatArray, NDArray[np.bool_]]:
+    """Random sensor positions round a surface, each with a free view of the front of one point.
+
+    A sensor sees its point with the probability of the cosine of the angle of incidence, because pixels lie
+    that much more thinly on a slanted surface.
+
+    Parameters
+    ----------
+    mesh : TriangleMesh
+        The surface.
+    points : (n, 3) float64
+        Points of the surface.
+    rng : numpy.random.Generator
+        Source of the random numbers.
+
+    Returns
+    -------
+    sensors : (n, 3) float64
+        Positions.
+    seen : (n,) bool
+        Whether the sensor sees its point; False if none of `SENSOR_TRIES` positions did.
+    """
+    scene = RayScene(mesh.vertices, mesh.faces)
+    steepest = np.cos(np.radians(RigOptions().max_incidence))
+    sensors = np.empty_like(points)
+    hidden = np.arange(len(points))
+    for _ in range(SENSOR_TRIES):
+        sensors[hidden] = _around(mesh, len(hidden), rng)
+        rays = points[hidden] - sensors[hidden]  # (h, 3)
+        reached, normals, _ = scene.cast(sensors[hidden], rays)  # in lengths of the rays
+        cosine = -np.einsum("ij,ij->i", rays, normals) / np.linalg.norm(rays, axis=1)
+        taken = (np.abs(reached - 1) < SAME_PLACE) & (cosine > np.maximum(steepest, rng.random(len(hidden))))
+        hidden = hidden[~taken]
+    seen = np.ones(len(points), dtype=bool)
+    seen[hidden] = False
+    return sensors, seen
+
+
+def _around(mesh: TriangleMesh, n: int, rng: np.random.Generator) -> FloatArray:
+    """(n, 3) random positions of sensors, uniform on a sphere round the surface."""
+    directions = rng.standard_normal((n, 3))
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    positions: FloatArray = box_centre(mesh) + RigOptions().distance * mesh.diagonal * directions
+    return positions

@@ -1,0 +1,29 @@
+"""The arrays that the package keeps of simulated bodies are those that its programs make."""
+
+from __future__ import annotations
+
+from importlib import resources
+
+import numpy as np
+
+from pcretrieve.simulation.heat_sample import features
+from pcretrieve.simulation.resolution_sample import log_eigenvalues
+from pcretrieve.types import FloatArray
+
+
+def kept(package: str, name: str) -> FloatArray:
+    array: FloatArray = np.load(str(resources.files(package).joinpath(name)))
+    return array
+
+
+def test_the_words_come_from_the_first_subject_too() -> None:
+    made = next(features())
+    sample = kept("pcretrieve.descriptors", "hks_sample.npy")
+    np.testing.assert_allclose(made, sample[:, : made.shape[1]], atol=1e-3)
+
+
+def test_a_hand_moves_with_the_resolution_as_was_measured() -> None:
+    sample = kept("pcretrieve.retrieval", "resolution.npy")  # 56 people, animals and hands each
+    made = log_eigenvalues("hand", 0)
+    np.testing.assert_allclose(made, sample[:, 2 * 56], atol=1e-3)
+    assert np.linalg.norm(made[0] - made[1]) > 0.01, "cells of two sizes, two surfaces"
