@@ -11,13 +11,13 @@ from __future__ import annotations
 import hashlib
 import json
 import sys
-from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 
 from pcretrieve.errors import OptionError
+from pcretrieve.plugins import added_names
 
 if sys.version_info >= (3, 11):
     import tomllib
@@ -194,25 +194,24 @@ class SpectralOptions(_Options):
     """Number of eigenpairs that are computed and stored, including the constant eigenfunction."""
 
 
-# The descriptors of pcretrieve, and those of them that are invariant to scaling by construction, for which
-# the scale "absolute" is not defined.
-METHODS = (
-    "r-bihdm",
-    "bihdm",
-    "shape-dna",
-    "shape-dna-norm1",
-    "sd-gdm",
-    "hks-bow",
-    "hks-bow-spatial",
-    "si-hks-bow",
-    "si-hks-bow-spatial",
-    "wks",
-    "combined",
-)
-SIZELESS = {name for name in METHODS if "hks" in name} | {"wks", "shape-dna-norm1"}
+# The descriptors of pcretrieve by name, and whether their values have a size, without which the scale
+# "absolute" is not defined. The records in `pcretrieve.descriptors` say more, but take long to import.
+METHODS: dict[str, bool] = {
+    "r-bihdm": True,
+    "bihdm": True,
+    "shape-dna": True,
+    "shape-dna-norm1": False,
+    "sd-gdm": True,
+    "hks-bow": False,
+    "hks-bow-spatial": False,
+    "si-hks-bow": False,
+    "si-hks-bow-spatial": False,
+    "wks": False,
+    "combined": True,
+}
 
 # The group of entry points by which other packages add descriptors.
-PLUGIN_GROUP = "pcretrieve.signatures"
+DESCRIPTOR_GROUP = "pcretrieve.signatures"
 
 
 def signature_methods() -> tuple[str, ...]:
@@ -223,8 +222,7 @@ def signature_methods() -> tuple[str, ...]:
     tuple of str
         The descriptors of pcretrieve, then the descriptors of other packages in alphabetical order.
     """
-    added = {point.name for point in entry_points(group=PLUGIN_GROUP)}
-    return (*METHODS, *sorted(added.difference(METHODS)))
+    return (*METHODS, *(name for name in added_names(DESCRIPTOR_GROUP) if name not in METHODS))
 
 
 Scale = Literal["relative", "area", "absolute"]
@@ -264,10 +262,10 @@ class SignatureOptions(_Options):
 
     @model_validator(mode="after")
     def _has_a_size(self) -> SignatureOptions:
-        if self.scale == "absolute" and self.method in SIZELESS:
+        if self.scale == "absolute" and not METHODS.get(self.method, True):
             raise ValueError(
                 f"scale: must be area or relative for {self.method}, which has no size to keep; absolute is "
-                "for " + ", ".join(name for name in METHODS if name not in SIZELESS)
+                "for " + ", ".join(name for name, has_size in METHODS.items() if has_size)
             )
         return self
 

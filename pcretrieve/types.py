@@ -11,33 +11,45 @@ check it again. Two values are equal if their arrays are, whatever their provena
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any, Literal, TypeVar, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pcretrieve.arrays import FloatArray, IntArray
-from pcretrieve.errors import InputError
+from pcretrieve.errors import InputError, ShapeError
 from pcretrieve.values import Value, locked, numbers
 
 if TYPE_CHECKING:
     from scipy.sparse import csc_array
 
 __all__ = [
-    "Describable",
     "Eigenpairs",
     "Failure",
     "FloatArray",
     "IntArray",
     "LaplaceBeltrami",
+    "Metric",
     "ModalSpectrum",
+    "Need",
     "Neighbors",
     "PointCloud",
+    "Shape",
     "Signature",
     "SignatureTable",
     "Step",
+    "Surface",
     "TriangleMesh",
 ]
+
+# The parts of a shape that a descriptor may need.
+Need = Literal["spectrum", "eigenvectors", "mesh", "points"]
+
+# How the values of two signatures are compared: by their logarithms, for positive values; as they are, for
+# any; or as histograms, whose bins are not negative.
+Metric = Literal["logarithms", "values", "histograms"]
+
+_Part = TypeVar("_Part")
 
 # Smallest ratio of the area of a face to the square of its longest edge. Below it cotangents of the angles
 # exceed 1e8, and rounding errors of the stiffness matrix reach the size of its small eigenvalues.
@@ -366,13 +378,14 @@ class ModalSpectrum(Value):
 
         Raises
         ------
-        InputError
+        ShapeError
             If the spectrum was stored without overlaps.
         """
         if self.overlaps is None:
-            raise InputError(
-                "this spectrum was stored without ⟨φ_i², φ_j²⟩, by an earlier pcretrieve: ingest the scans "
-                "anew, or take another descriptor"
+            raise ShapeError(
+                "gone: this spectrum was stored without ⟨φ_i², φ_j²⟩, by an earlier pcretrieve: ingest the "
+                "scans anew, or choose another descriptor",
+                stage="signature",
             )
         return self.overlaps
 
@@ -387,27 +400,97 @@ class ModalSpectrum(Value):
         )
 
 
-class Describable(Protocol):
-    """The interface of a shape that descriptors are computed from.
+@dataclass(frozen=True, slots=True, eq=False)
+class Surface(Value):
+    """One of the surfaces that were reconstructed from a scan, with those of its parts that were kept.
 
-    A shape of the catalogue reads each attribute from the file on first access.
+    Attributes
+    ----------
+    area : float
+        Positive; unit length² of the file. For the element ``points``, the integral of 1 by the mass matrix.
+    spectrum : ModalSpectrum or None
+        The modal spectrum of the surface scaled to unit area.
+    mesh : TriangleMesh or None
+        The triangles, in the unit of the file.
+    eigenpairs : Eigenpairs or None
+        The smallest eigenpairs of the surface scaled to unit area.
     """
 
-    @property
-    def spectrum(self) -> ModalSpectrum:
-        """The modal spectrum of the first surface, scaled to unit area."""
+    area: float
+    spectrum: ModalSpectrum | None = None
+    mesh: TriangleMesh | None = None
+    eigenpairs: Eigenpairs | None = None
+
+    def __post_init__(self) -> None:
+        if not 0 < self.area < np.inf:
+            raise InputError(f"the area of a surface must be positive and finite, got {self.area}")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Shape(Value):
+    """A processed scan: the surfaces that were reconstructed from it, and its points.
+
+    The properties are those of the first surface. Descriptors are given one shape for each surface, as
+    `apart` makes them.
+
+    Attributes
+    ----------
+    surfaces : tuple of Surface
+        At least one surface; the first is exported and shown.
+    cloud : PointCloud or None
+        The filtered points with their normals, in the unit of the file. None for a mesh that was used without
+        reconstruction, and if the points were not kept.
+    provenance : tuple of Step
+        All stages from the file to the spectra, in order.
+    """
+
+    surfaces: tuple[Surface, ...]
+    cloud: PointCloud | None = None
+    provenance: tuple[Step, ...] = field(default=(), compare=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "surfaces", tuple(self.surfaces))
+        if not self.surfaces:
+            raise InputError("a shape must have at least 1 surface, got none")
 
     @property
     def area(self) -> float:
         """The area of the first surface; unit length² of the file."""
+        return self.surfaces[0].area
+
+    @property
+    def spectrum(self) -> ModalSpectrum:
+        """The modal spectrum of the first surface, scaled to unit area. ShapeError if it was not kept."""
+        return _kept("spectrum", self.surfaces[0].spectrum)
+
+    @property
+    def eigenpairs(self) -> Eigenpairs:
+        """The eigenpairs of the first surface, scaled to unit area. ShapeError if they were not kept."""
+        return _kept("eigenvectors", self.surfaces[0].eigenpairs)
 
     @property
     def mesh(self) -> TriangleMesh:
-        """The first surface, in the unit of the file."""
+        """The first surface, in the unit of the file. ShapeError if it was not kept."""
+        return _kept("mesh", self.surfaces[0].mesh)
 
     @property
-    def others(self) -> tuple[ModalSpectrum, ...]:
-        """The modal spectra of further surfaces of the same scan, scaled by the same factor as the first."""
+    def points(self) -> PointCloud:
+        """The filtered points, in the unit of the file. ShapeError if they were not kept."""
+        return _kept("points", self.cloud)
+
+    def apart(self) -> tuple[Shape, ...]:
+        """One shape for each surface, each with the points of the scan."""
+        return tuple(replace(self, surfaces=(surface,)) for surface in self.surfaces)
+
+
+def _kept(part: Need, value: _Part | None) -> _Part:
+    if value is None:
+        raise ShapeError(
+            f"gone: the shape must hold its {part}, but does not: not kept when it was stored, or not among "
+            "the needs that the descriptor declares; process the scan anew, or choose another descriptor",
+            stage="signature",
+        )
+    return value
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -417,25 +500,29 @@ class Signature(Value):
     Attributes
     ----------
     values : (L,) float64
-        Positive; dimensionless, except for the scale ``absolute``. In the order stated by the method; the
-        size, if it has a weight, is the last value.
+        Dimensionless, except for the scale ``absolute``. In the order stated by the method; the size, if it
+        has a weight, is the last value.
     kind : str
         The method, such as ``r-bihdm``.
     digest : str
         Hash of the options; two signatures are comparable only if both their kinds and their digests are
         equal.
     deviation : (L,) float64 or None
-        Error bar: standard deviation (ddof = 1) of the logarithm of each value over the surfaces
-        reconstructed from one scan. None if there is one surface only.
+        Error bar: standard deviation (ddof = 1) of each value over the surfaces reconstructed from one scan;
+        for the metric ``logarithms``, of its logarithm. None if there is one surface only.
+    metric : {"logarithms", "values", "histograms"}, default "logarithms"
+        How two signatures of this kind are compared: by the logarithms of their values, which are positive;
+        by the values as they are; or as histograms, whose bins are not negative.
     """
 
     values: FloatArray
     kind: str
     digest: str = ""
     deviation: FloatArray | None = None
+    metric: Metric = "logarithms"
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "values", locked("values", self.values, (None,)))
+        object.__setattr__(self, "values", _suited(locked("values", self.values, (None,)), self.metric))
         if self.deviation is not None:
             deviation = locked("deviation", self.deviation, (len(self.values),))
             object.__setattr__(self, "deviation", deviation)
@@ -450,9 +537,9 @@ class SignatureTable(Value):
     ids : tuple of str, length N
         Identifiers of the shapes, distinct.
     values : (N, L) float64
-        One signature in each row; positive, in the units of `Signature`.
-    kind, digest : str
-        Method and hash of the options, as in `Signature`.
+        One signature in each row, in the units of `Signature`.
+    kind, digest, metric : str
+        Method, hash of the options, and metric, as in `Signature`.
     labels : tuple of (str or None), length N
         Class of each shape; None if unknown.
     """
@@ -462,21 +549,32 @@ class SignatureTable(Value):
     kind: str
     digest: str = ""
     labels: tuple[str | None, ...] = ()
+    metric: Metric = "logarithms"
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "ids", tuple(self.ids))
         n = len(self.ids)
         if len(set(self.ids)) != n:
             raise InputError("ids must be distinct")
-        object.__setattr__(self, "values", locked("values", self.values, (n, None)))
-        if self.values.size and self.values.min() <= 0:
-            raise InputError(f"signature values must be positive, got {self.values.min()}")
+        object.__setattr__(self, "values", _suited(locked("values", self.values, (n, None)), self.metric))
         object.__setattr__(self, "labels", tuple(self.labels) or (None,) * n)
         if len(self.labels) != n:
             raise InputError(f"labels must be as many as ids ({n}), got {len(self.labels)}")
 
     def __len__(self) -> int:
         return len(self.ids)
+
+
+def _suited(values: FloatArray, metric: Metric) -> FloatArray:
+    """The values of signatures, if the metric can compare them."""
+    if metric not in get_args(Metric):
+        raise InputError(f"metric must be one of {', '.join(get_args(Metric))}, got {metric!r}")
+    smallest = values.min(initial=np.inf)
+    if metric == "logarithms" and smallest <= 0:
+        raise InputError(f"signature values must be positive, got {smallest}")
+    if metric == "histograms" and smallest < 0:
+        raise InputError(f"the bins of a histogram must not be negative, got {smallest}")
+    return values
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -14,7 +14,17 @@ import pcretrieve
 ROOT = Path(pcretrieve.__file__).parent
 
 # What every stage stands on.
-FOUNDATION = {"arrays", "conversion", "values", "types", "errors", "options", "adapters", "rendering"}
+FOUNDATION = {
+    "arrays",
+    "conversion",
+    "values",
+    "types",
+    "errors",
+    "options",
+    "plugins",
+    "adapters",
+    "rendering",
+}
 
 # The way of the data: a package may know those before it, never those after it.
 STAGES = [

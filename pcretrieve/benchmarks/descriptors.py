@@ -30,7 +30,7 @@ from pcretrieve.descriptors import describe
 from pcretrieve.errors import OptionError, ShapeError
 from pcretrieve.evaluation.folds import evaluate
 from pcretrieve.options import (
-    SIZELESS,
+    METHODS,
     PipelineOptions,
     RetrievalOptions,
     SignatureOptions,
@@ -45,7 +45,7 @@ __all__ = ["main"]
 DATA_SETS = ("shrec11", "tosca")
 
 # Descriptors whose values are the same by area and relative.
-SAME_BY_AREA = SIZELESS | {"shape-dna"}
+SAME_BY_AREA = {name for name, has_size in METHODS.items() if not has_size} | {"shape-dna"}
 
 COLUMNS = (
     Column("set", 8, align="<"),

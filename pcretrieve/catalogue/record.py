@@ -4,16 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING
 
-from pcretrieve.types import FloatArray, ModalSpectrum, Step, TriangleMesh
+from pcretrieve.types import FloatArray, Shape, Step
 
-if TYPE_CHECKING:
-    from pcretrieve.catalogue.store import Catalogue
-
-__all__ = ["Content", "Record", "StoredShape", "free_id", "numbered_id"]
+__all__ = ["Content", "Record", "free_id", "numbered_id"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -22,60 +17,13 @@ class Content:
 
     Attributes
     ----------
-    mesh : TriangleMesh
-        Unit length of the file.
-    spectrum : ModalSpectrum
-        Of the mesh scaled to unit area.
+    shape : Shape
+        Each of its surfaces with its mesh and its spectrum.
     signature : (L,) float64
-    others : tuple of ModalSpectrum
-        Of further surfaces made of the same scan.
     """
 
-    mesh: TriangleMesh
-    spectrum: ModalSpectrum
+    shape: Shape
     signature: FloatArray
-    others: tuple[ModalSpectrum, ...] = ()
-
-
-@dataclass(frozen=True)
-class StoredShape:
-    """A shape as descriptors see it, read from its catalogue piece by piece as it is asked for.
-
-    Attributes
-    ----------
-    spectrum : ModalSpectrum
-        Of the mesh scaled to unit area.
-    area : float
-        Unit length² of the file.
-    mesh : TriangleMesh
-        Unit length of the file.
-    others : tuple of ModalSpectrum
-        Of further surfaces made of the same scan.
-    """
-
-    catalogue: Catalogue
-    id: str
-
-    @cached_property
-    def _spectra(self) -> tuple[ModalSpectrum, ...]:
-        return self.catalogue.spectra(self.id)
-
-    @property
-    def spectrum(self) -> ModalSpectrum:
-        return self._spectra[0]
-
-    @property
-    def others(self) -> tuple[ModalSpectrum, ...]:
-        return self._spectra[1:]
-
-    @property
-    def area(self) -> float:
-        # A shape that failed has none, but its spectrum is refused before.
-        return self.catalogue.record(self.id).area or 0.0
-
-    @property
-    def mesh(self) -> TriangleMesh:
-        return self.catalogue.mesh(self.id)
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcretrieve.catalogue.record import Content, Record
+from pcretrieve.catalogue.surfaces import row_arrays
 from pcretrieve.types import Step
 
 __all__ = ["RECORD_COLUMNS", "packed", "record_of", "row_of", "unpacked"]
@@ -29,23 +30,14 @@ def row_of(record: Record, content: Content | None, options_digest: str) -> dict
     }
     if content is None:
         return row
-    mesh = content.mesh
-    spectra = (content.spectrum, *content.others)
+    shape = content.shape
     return row | {
-        "area": mesh.area,
-        "n_vertices": len(mesh.vertices),
-        "n_faces": len(mesh.faces),
-        "euler": mesh.euler_characteristic,
-        "eigenvalues": packed(
-            values=np.stack([s.eigenvalues for s in spectra]),
-            areas=np.array([s.area for s in spectra]),
-        ),
-        "moments": packed(
-            values=np.stack([s.moments for s in spectra]),
-            overlaps=np.stack([s.known_overlaps() for s in spectra]),
-        ),
+        "area": shape.area,
+        "n_vertices": len(shape.mesh.vertices),
+        "n_faces": len(shape.mesh.faces),
+        "euler": shape.mesh.euler_characteristic,
         "signature": packed(values=content.signature),
-        "mesh": packed(vertices=mesh.vertices, faces=mesh.faces),
+        **{column: packed(**arrays) for column, arrays in row_arrays(shape).items()},
     }
 
 

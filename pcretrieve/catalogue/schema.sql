@@ -17,10 +17,10 @@ CREATE TABLE IF NOT EXISTS shapes (
     n_vertices     INTEGER,
     n_faces        INTEGER,
     euler          INTEGER,
-    eigenvalues    BLOB,            -- (s, k) of each of its surfaces, and areas (s,), where the first has 1
+    eigenvalues    BLOB,            -- (s, k) of each of its surfaces at unit area, and surface_areas (s,)
     moments        BLOB,            -- (s, k, k) ⟨φ_i², φ_j⟩ of the same, and overlaps ⟨φ_i², φ_j²⟩
     signature      BLOB,            -- (L,) by the options of this catalogue
-    mesh           BLOB,            -- vertices and faces, unit length of the file
+    mesh           BLOB,            -- vertices and faces, vertices1 and faces1, … of its surfaces, unit of the file
     options_digest TEXT NOT NULL,
     versions       TEXT NOT NULL,   -- JSON
     added          TEXT NOT NULL    -- UTC, ISO 8601

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import sqlite3
 import zlib
-from collections.abc import Collection, Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from types import TracebackType
@@ -16,9 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcretrieve.catalogue.opening import connect, damaged, is_writable, open_options, translated
-from pcretrieve.catalogue.record import Content, Record, StoredShape, free_id
+from pcretrieve.catalogue.record import Content, Record, free_id
 from pcretrieve.catalogue.row import RECORD_COLUMNS, packed, record_of, row_of, unpacked
-from pcretrieve.descriptors import describe
+from pcretrieve.catalogue.surfaces import areas_of, meshes_of, spectra_of
+from pcretrieve.descriptors import DESCRIPTORS, describe, signature_length
 from pcretrieve.errors import CatalogueError, InputError, ShapeError
 from pcretrieve.options import PipelineOptions, options_difference
 from pcretrieve.retrieval import (
@@ -28,7 +29,7 @@ from pcretrieve.retrieval import (
     table_whitening,
     whitening_digest,
 )
-from pcretrieve.types import ModalSpectrum, SignatureTable, TriangleMesh
+from pcretrieve.types import ModalSpectrum, Need, Shape, SignatureTable, Surface, TriangleMesh
 
 __all__ = ["Catalogue"]
 
@@ -192,26 +193,38 @@ class Catalogue:
 
     def mesh(self, shape_id: str) -> TriangleMesh:
         """The clean mesh of a shape, in the unit of its file."""
-        arrays = self._arrays("mesh", shape_id)
-        return TriangleMesh(arrays["vertices"], arrays["faces"], self.record(shape_id).steps)
+        return self.shape(shape_id, needs=("mesh",)).mesh
 
-    def spectra(self, shape_id: str) -> tuple[ModalSpectrum, ...]:
-        """The spectra of a shape's surfaces, that of its mesh first, in the unit in which that has area 1."""
-        spectra, arrays = self._arrays("eigenvalues", shape_id), self._arrays("moments", shape_id)
-        eigenvalues = np.atleast_2d(spectra["values"])  # (s, k)
-        n, k = eigenvalues.shape
-        # Earlier versions stored one surface; or no overlaps; or no areas, each surface scaled to one.
-        areas = spectra.get("areas", np.ones(n)).tolist()
-        moments = arrays["values"].reshape(n, k, k)
-        overlaps = arrays["overlaps"].reshape(n, k, k) if "overlaps" in arrays else [None] * n
-        return tuple(
-            ModalSpectrum(values, moment, area=area, overlaps=overlap)
-            for values, moment, area, overlap in zip(eigenvalues, moments, areas, overlaps, strict=True)
-        )
+    def shape(self, shape_id: str, needs: tuple[Need, ...] = ("spectrum", "mesh")) -> Shape:
+        """A shape, with the parts that are asked for and no others.
 
-    def shape(self, shape_id: str) -> StoredShape:
-        """A shape, for `describe`."""
-        return StoredShape(self, shape_id)
+        Parameters
+        ----------
+        shape_id : str
+        needs : tuple of {"spectrum", "eigenvectors", "mesh", "points"}
+            What a descriptor needs. Eigenvectors are computed from the mesh, which is read in their place;
+            the points are not stored.
+
+        Raises
+        ------
+        InputError
+            If there is no shape of that id, or it failed.
+        """
+        record = self.record(shape_id)
+        if record.status != "done":
+            raise InputError(
+                f"shape {shape_id!r} has no surface: it failed in {record.stage}: {record.message}"
+            )
+        eigenvalues = self._arrays("eigenvalues", shape_id)
+        areas = areas_of(eigenvalues, record.area or 0.0)
+        spectra: Sequence[ModalSpectrum | None] = [None] * len(areas)
+        meshes: Sequence[TriangleMesh | None] = [None] * len(areas)
+        if "spectrum" in needs:
+            spectra = spectra_of(eigenvalues, self._arrays("moments", shape_id))
+        if "mesh" in needs or "eigenvectors" in needs:
+            meshes = meshes_of(self._arrays("mesh", shape_id), len(areas), record.steps)
+        surfaces = (Surface(*parts) for parts in zip(areas, spectra, meshes, strict=True))
+        return Shape(tuple(surfaces), provenance=record.steps)
 
     def signatures(self, options: PipelineOptions | None = None) -> SignatureTable:
         """The signatures by which all shapes that did not fail are compared, by id.
@@ -228,6 +241,7 @@ class Catalogue:
             If `options` are for other spectra than those of the catalogue.
         """
         options = self._fitting(options)
+        descriptor = DESCRIPTORS[options.signature.method]
         stored = options.compared_digest == self.options.signature_digest
         ids, labels, values = [], [], []
         query = "SELECT id, label, signature FROM shapes WHERE status = 'done' ORDER BY id"
@@ -238,14 +252,15 @@ class Catalogue:
                 values.append(
                     self._unpacked(signature)["values"]
                     if stored
-                    else describe(self.shape(shape_id), options.compared).values
+                    else describe(self.shape(shape_id, descriptor.needs), options.compared).values
                 )
             except ShapeError as error:
                 error.shape_id = shape_id
                 raise
-        signature = options.signature
-        rows = np.array(values) if values else np.empty((0, signature.n_values))
-        return SignatureTable(tuple(ids), rows, signature.method, options.compared_digest, tuple(labels))
+        rows = np.array(values) if values else np.empty((0, signature_length(options.signature)))
+        return SignatureTable(
+            tuple(ids), rows, descriptor.name, options.compared_digest, tuple(labels), descriptor.metric
+        )
 
     def whitening(self, options: PipelineOptions | None = None) -> Whitening:
         """The whitening of this catalogue's signatures that options ask for.
@@ -314,11 +329,6 @@ class Catalogue:
         return options
 
     def _arrays(self, column: str, shape_id: str) -> dict[str, NDArray[Any]]:
-        record = self.record(shape_id)
-        if record.status != "done":
-            raise InputError(
-                f"shape {shape_id!r} has no {column}: it failed in {record.stage}: {record.message}"
-            )
         return self._unpacked(self._one(f"SELECT {column} FROM shapes WHERE id = ?", (shape_id,))[0])
 
     def _record(self, row: tuple[Any, ...]) -> Record:

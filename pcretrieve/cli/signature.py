@@ -128,7 +128,7 @@ def _of_scans(paths: tuple[str, ...], options: PipelineOptions) -> Iterator[Row]
         except ShapeError as error:
             yield name, failed(Record(Path(name).stem, name, ""), error), {"path": name}
             continue
-        seconds = sum(step.seconds for step in shape.mesh.provenance)
+        seconds = sum(step.seconds for step in shape.provenance)
         yield name, signature, {"path": name, "seconds": round(seconds, 3)}
 
 

@@ -7,11 +7,12 @@ from __future__ import annotations
 
 import numpy as np
 
+from pcretrieve.descriptors.descriptor import Descriptor, spectrum_of
 from pcretrieve.descriptors.r_bihdm import leading, reduced_matrix
 from pcretrieve.options import Scale
 from pcretrieve.types import Eigenpairs, FloatArray, ModalSpectrum, Signature
 
-__all__ = ["bihdm", "full_matrix"]
+__all__ = ["BIHDM", "bihdm", "full_matrix"]
 
 
 def bihdm(
@@ -84,7 +85,7 @@ def full_matrix(pairs: Eigenpairs | ModalSpectrum, n_modes: int = 60) -> FloatAr
     ------
     OptionError
         If `n_modes` is not between 1 and the number of eigenpairs − 1.
-    InputError
+    ShapeError
         If the spectrum was stored without overlaps.
     """
     spectrum = pairs if isinstance(pairs, ModalSpectrum) else ModalSpectrum.of(pairs)
@@ -96,3 +97,10 @@ def full_matrix(pairs: Eigenpairs | ModalSpectrum, n_modes: int = 60) -> FloatAr
     left = np.sqrt(np.maximum(squared - in_modes @ in_modes, 0))  # clipped: rounding can make it negative
     matrix[0, -1] = matrix[-1, 0] = np.sqrt(spectrum.area) * left
     return matrix
+
+
+BIHDM = Descriptor(
+    name="bihdm",
+    make=lambda shape, o: bihdm(spectrum_of(shape, o), o.n_values, o.n_modes, scale=o.measured_by),
+    needs=("spectrum",),
+)

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
+from pcretrieve.descriptors.descriptor import Descriptor, spectrum_of
 from pcretrieve.descriptors.r_bihdm import r_bihdm
 from pcretrieve.descriptors.shape_dna import BY, shape_dna
 from pcretrieve.options import Scale
 from pcretrieve.types import Eigenpairs, ModalSpectrum, Signature
 
-__all__ = ["combined"]
+__all__ = ["COMBINED", "combined"]
 
 
 def combined(
@@ -57,3 +58,11 @@ def combined(
     )
     values = np.concatenate([half.values for half in halves])
     return Signature(values, kind="combined", digest=f"L={n_values} m={n_modes} {scale}")
+
+
+COMBINED = Descriptor(
+    name="combined",
+    make=lambda shape, o: combined(spectrum_of(shape, o), o.n_values, o.n_modes, scale=o.measured_by),
+    needs=("spectrum",),
+    length=lambda o: 2 * o.n_values,
+)

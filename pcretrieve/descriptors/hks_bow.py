@@ -16,11 +16,11 @@ import numpy as np
 from scipy.cluster.vq import kmeans2
 from scipy.spatial.distance import cdist
 
+from pcretrieve.descriptors.descriptor import Descriptor
 from pcretrieve.errors import OptionError
-from pcretrieve.spectral import eigenpairs, laplace_beltrami
-from pcretrieve.types import Eigenpairs, FloatArray, Signature, TriangleMesh
+from pcretrieve.types import Eigenpairs, FloatArray, Signature
 
-__all__ = ["heat_features", "hks_bow", "unit_eigenpairs"]
+__all__ = ["HEAT_KERNEL_BAGS", "heat_features", "hks_bow"]
 
 # Diffusion times on a surface of unit area, six as in ShapeGoogle. In time t heat spreads over a distance of
 # about √(4 t): 0.09 for the first time, 0.9 for the last.
@@ -45,9 +45,8 @@ SAMPLE = "hks_sample.npy"
 
 
 def hks_bow(
-    mesh: TriangleMesh,
+    pairs: Eigenpairs,
     n_words: int = 23,
-    n_modes: int = 60,
     *,
     spatial: bool = False,
     scale_invariant: bool = False,
@@ -59,12 +58,10 @@ def hks_bow(
 
     Parameters
     ----------
-    mesh : TriangleMesh
-        Connected surface, of any area.
+    pairs : Eigenpairs
+        Of a connected surface on unit area, all of which are in the sum of the heat kernel.
     n_words : int, default 23
         L, the number of words of the vocabulary.
-    n_modes : int, default 60
-        m, the number of modes in the sum of the heat kernel.
     spatial : bool, default False
         Spatially sensitive bag of features: frequencies of pairs of words, weighted by the heat kernel
         between their points, instead of frequencies of words.
@@ -83,8 +80,6 @@ def hks_bow(
     ------
     OptionError
         If `n_words` is not between 2 and an eighth of the number of sample points.
-    SpectrumError, DegenerateMeshError
-        If the first `n_modes` + 1 eigenpairs of the surface cannot be computed.
 
     References
     ----------
@@ -94,7 +89,6 @@ def hks_bow(
        recognition", CVPR 2010.
     """
     words, width = _vocabulary(n_words, scale_invariant)
-    pairs = unit_eigenpairs(mesh, n_modes)
     squared = cdist(heat_features(pairs, scale_invariant=scale_invariant), words, "sqeuclidean")  # (n, L)
     # Subtracting the smallest distance keeps the sum from underflowing to zero far from all words.
     nearness = np.exp(-(squared - squared.min(axis=1, keepdims=True)) / (2 * width**2))
@@ -110,27 +104,8 @@ def hks_bow(
     return Signature(
         np.maximum(shares, 0) + SMALLEST_SHARE,
         kind=f"{kind}-spatial" if spatial else kind,
-        digest=f"L={n_words} m={n_modes}",
+        digest=f"L={n_words} m={len(pairs.eigenvalues) - 1}",
     )
-
-
-def unit_eigenpairs(mesh: TriangleMesh, n_modes: int) -> Eigenpairs:
-    """The m + 1 smallest eigenpairs of a surface after scaling to unit area, by linear finite elements.
-
-    Parameters
-    ----------
-    mesh : TriangleMesh
-        Connected surface, of any area.
-    n_modes : int
-        m, the number of modes without the constant eigenfunction.
-
-    Returns
-    -------
-    Eigenpairs
-        m + 1 eigenpairs on unit area.
-    """
-    unit = TriangleMesh((mesh.vertices - mesh.vertices.mean(axis=0)) / np.sqrt(mesh.area), mesh.faces)
-    return eigenpairs(laplace_beltrami(unit), n_modes + 1)
 
 
 def heat_features(pairs: Eigenpairs, *, scale_invariant: bool = False) -> FloatArray:
@@ -172,3 +147,23 @@ def _vocabulary(n_words: int, scale_invariant: bool) -> tuple[FloatArray, float]
     gaps = cdist(words, words)
     np.fill_diagonal(gaps, np.inf)
     return words, 2 * float(np.median(gaps.min(axis=1)))
+
+
+def _bag(name: str, *, spatial: bool = False, scale_invariant: bool = False) -> Descriptor:
+    return Descriptor(
+        name=name,
+        make=lambda shape, o: hks_bow(
+            shape.eigenpairs, o.n_values, spatial=spatial, scale_invariant=scale_invariant
+        ),
+        needs=("eigenvectors",),
+        has_size=False,
+        length=lambda o: o.n_values * (o.n_values + 1) // 2 if spatial else o.n_values,
+    )
+
+
+HEAT_KERNEL_BAGS = (
+    _bag("hks-bow"),
+    _bag("hks-bow-spatial", spatial=True),
+    _bag("si-hks-bow", scale_invariant=True),
+    _bag("si-hks-bow-spatial", spatial=True, scale_invariant=True),
+)

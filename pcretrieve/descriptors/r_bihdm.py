@@ -31,11 +31,12 @@ from __future__ import annotations
 
 import numpy as np
 
+from pcretrieve.descriptors.descriptor import Descriptor, spectrum_of
 from pcretrieve.errors import OptionError, SpectrumError
 from pcretrieve.options import Scale
 from pcretrieve.types import Eigenpairs, FloatArray, ModalSpectrum, Signature
 
-__all__ = ["leading", "r_bihdm", "reduced_matrix"]
+__all__ = ["R_BIHDM", "leading", "r_bihdm", "reduced_matrix"]
 
 
 def r_bihdm(
@@ -151,3 +152,10 @@ def leading(matrix: FloatArray, n_values: int, n_modes: int, scale: Scale, area:
     unit = {"relative": mu[-1], "area": area**2, "absolute": 1.0}[scale]
     magnitudes: FloatArray = np.abs(mu[:n_values]) / unit  # (L,)
     return magnitudes
+
+
+R_BIHDM = Descriptor(
+    name="r-bihdm",
+    make=lambda shape, o: r_bihdm(spectrum_of(shape, o), o.n_values, o.n_modes, scale=o.measured_by),
+    needs=("spectrum",),
+)

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
+from pcretrieve.descriptors.descriptor import Descriptor
 from pcretrieve.errors import DegenerateMeshError, OptionError
 from pcretrieve.options import Scale
 from pcretrieve.types import FloatArray, Signature, TriangleMesh
 
-__all__ = ["geodesic_matrix", "sd_gdm"]
+__all__ = ["SD_GDM", "geodesic_matrix", "sd_gdm"]
 
 # Number of faces to which a surface is simplified first, as Smeets et al. do: a closed surface of genus 0
 # then has 502 vertices, and the dense matrix 502 rows.
@@ -109,3 +110,10 @@ def geodesic_matrix(mesh: TriangleMesh) -> FloatArray:
     weights = np.sqrt(np.bincount(coarse.faces.ravel(), corners, len(coarse.vertices)))  # (n,)
     matrix: FloatArray = np.outer(weights, weights) * (distances + distances.T) / 2
     return matrix
+
+
+SD_GDM = Descriptor(
+    name="sd-gdm",
+    make=lambda shape, o: sd_gdm(shape.mesh, o.n_values, scale=o.measured_by),
+    needs=("mesh",),
+)

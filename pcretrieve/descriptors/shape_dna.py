@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from typing import Literal
 
+from pcretrieve.descriptors.descriptor import Descriptor, spectrum_of
 from pcretrieve.errors import OptionError
 from pcretrieve.types import Eigenpairs, ModalSpectrum, Signature
 
-__all__ = ["BY", "shape_dna"]
+__all__ = ["BY", "SHAPE_DNA", "SHAPE_DNA_NORM1", "shape_dna"]
 
 # The normalisation of the spectrum for each value of the option `scale`.
 BY: dict[str, Literal["area", "nothing"]] = {
@@ -64,3 +65,17 @@ def shape_dna(
     values = unit / pairs.eigenvalues[first : n_values + first]
     kind = "shape-dna-norm1" if normalized_by == "first" else "shape-dna"
     return Signature(values, kind=kind, digest=f"L={n_values} {normalized_by}")
+
+
+SHAPE_DNA = Descriptor(
+    name="shape-dna",
+    make=lambda shape, o: shape_dna(spectrum_of(shape, o), o.n_values, normalized_by=BY[o.measured_by]),
+    needs=("spectrum",),
+)
+
+SHAPE_DNA_NORM1 = Descriptor(
+    name="shape-dna-norm1",
+    make=lambda shape, o: shape_dna(shape.spectrum, o.n_values, normalized_by="first"),
+    needs=("spectrum",),
+    has_size=False,
+)

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
+from pcretrieve.descriptors.descriptor import Descriptor
 from pcretrieve.errors import OptionError
 from pcretrieve.types import Eigenpairs, ModalSpectrum, Signature
 
-__all__ = ["wks"]
+__all__ = ["WKS", "wks"]
 
 # σ of the distribution of energies, relative to their range. Aubry et al. take 7 of 100 energy steps.
 WIDTH = 0.07
@@ -42,7 +43,7 @@ def wks(pairs: Eigenpairs | ModalSpectrum, n_values: int = 23, n_modes: int = 60
     ------
     OptionError
         If `n_modes` is not between 2 and the number of eigenpairs − 1.
-    InputError
+    ShapeError
         If the spectrum was stored without overlaps.
 
     References
@@ -64,3 +65,11 @@ def wks(pairs: Eigenpairs | ModalSpectrum, n_values: int = 23, n_modes: int = 60
     weights /= weights.sum(axis=1, keepdims=True)
     values = spectrum.area * np.einsum("ei,ij,ej->e", weights, overlaps, weights)  # (L,)
     return Signature(values, kind="wks", digest=f"L={n_values} m={n_modes}")
+
+
+WKS = Descriptor(
+    name="wks",
+    make=lambda shape, o: wks(shape.spectrum, o.n_values, o.n_modes),
+    needs=("spectrum",),
+    has_size=False,
+)

@@ -109,7 +109,7 @@ def ingest(
         if isinstance(outcome, ShapeError):
             store(failed(record, outcome), None)
         else:
-            store(replace(record, steps=outcome.mesh.provenance), outcome)
+            store(replace(record, steps=outcome.shape.provenance), outcome)
     return summary
 
 

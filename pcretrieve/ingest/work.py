@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import signal
+from dataclasses import replace
 from functools import cache
 from importlib.metadata import version
 from pathlib import Path
@@ -34,7 +35,9 @@ def prepare(memory: float | None) -> None:
 def content(path: Path, options: PipelineOptions) -> Content:
     """Everything that a catalogue stores of one scan."""
     shape = process(path, options)
-    return Content(shape.mesh, shape.spectrum, describe(shape, options.signature).values, shape.others)
+    signature = describe(shape, options.signature).values
+    # The points are not stored, and need not be sent to the process that stores the rest.
+    return Content(replace(shape, cloud=None), signature)
 
 
 @cache

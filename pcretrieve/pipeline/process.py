@@ -28,7 +28,7 @@ from pcretrieve.errors import (
 from pcretrieve.formats import read_scan
 from pcretrieve.options import PipelineOptions
 from pcretrieve.scan import clean, oriented_normals
-from pcretrieve.spectral import eigenpairs, laplace_beltrami, star_mesh
+from pcretrieve.spectral import eigenpairs, laplace_beltrami, star_mesh, unit_eigenpairs
 from pcretrieve.surface import (
     SurfaceMarks,
     body_surfaces,
@@ -39,18 +39,20 @@ from pcretrieve.surface import (
     sound_mesh,
 )
 from pcretrieve.types import (
+    Eigenpairs,
     FloatArray,
     LaplaceBeltrami,
     ModalSpectrum,
     PointCloud,
+    Shape,
     Signature,
     Step,
+    Surface,
     TriangleMesh,
 )
 
 __all__ = [
     "Seen",
-    "Shape",
     "as_scan",
     "described_shape",
     "placed",
@@ -59,29 +61,6 @@ __all__ = [
     "signature",
     "surface_stages",
 ]
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Shape:
-    """One scan, all the way.
-
-    Attributes
-    ----------
-    mesh : TriangleMesh
-        The surface, in the unit of the file; its provenance covers every stage. With the element points, the
-        triangles that neighbouring points form, with small holes.
-    spectrum : ModalSpectrum
-        Of that surface, scaled to unit area.
-    area : float
-        Of that surface; unit length² of the file.
-    others : tuple of ModalSpectrum
-        Of the other surfaces that were made of the scan, each scaled as the first one was.
-    """
-
-    mesh: TriangleMesh
-    spectrum: ModalSpectrum
-    area: float
-    others: tuple[ModalSpectrum, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -193,7 +172,8 @@ def surface_stages(scan: object, options: PipelineOptions) -> Iterator[Seen]:
     yield (seen := replace(seen, mesh=final))
     try:
         for other, _ in surfaces:
-            yield (seen := replace(seen, others=(*seen.others, _final(other, options))))
+            moved = _mesh_moved(_final(other, options), origin)
+            yield (seen := replace(seen, others=(*seen.others, moved)))
     except ReconstructionError as error:
         # The first one stands: one surface is enough for a signature, if not for its error bar.
         note = Step("surface", 0.0, notes=(f"no further surface could be made: {error.message}",))
@@ -220,7 +200,7 @@ def process(scan: object, options: PipelineOptions) -> Shape:
 
 
 def described_shape(seen: Seen, options: PipelineOptions) -> Shape:
-    """What descriptors need of the surfaces of one scan.
+    """The shape whose surfaces are those of one scan, with their spectra.
 
     Raises
     ------
@@ -231,32 +211,31 @@ def described_shape(seen: Seen, options: PipelineOptions) -> Shape:
     if mesh is None:
         raise TypeError("there is a surface after the last stage")
     started = time.perf_counter()
-    spectrum, facts = _spectrum(mesh, options)
-    others = tuple(_spectrum(other, options)[0].scaled(other.area / mesh.area) for other in seen.others)
+    surface, sizes = _with_spectrum(mesh, options)
+    others = tuple(_with_spectrum(other, options)[0] for other in seen.others)
     before = 0 if seen.cloud is None else len(seen.cloud.provenance)
     steps = [step for other in seen.others for step in other.provenance[before:]]
-    step = Step("spectrum", time.perf_counter() - started, facts)
-    return Shape(replace(mesh, provenance=(*mesh.provenance, *steps, step)), spectrum, mesh.area, others)
+    step = Step("spectrum", time.perf_counter() - started, sizes)
+    return Shape((surface, *others), seen.cloud, (*mesh.provenance, *steps, step))
 
 
-def _spectrum(mesh: TriangleMesh, options: PipelineOptions) -> tuple[ModalSpectrum, dict[str, float]]:
-    # Unit area: the reduced matrix scales as length⁴, and tolerances should mean one thing.
-    vertices = (mesh.vertices - mesh.vertices.mean(axis=0)) / np.sqrt(mesh.area)
-    operator = laplace_beltrami(TriangleMesh(vertices, mesh.faces), options.spectral.element)
-    return _solved(operator, options, len(mesh.vertices))
+def _with_spectrum(mesh: TriangleMesh, options: PipelineOptions) -> tuple[Surface, dict[str, float]]:
+    pairs = unit_eigenpairs(mesh, options.spectral.n_pairs, options.spectral.element)
+    return Surface(mesh.area, _unit_spectrum(pairs), mesh), _sizes(pairs, mesh)
 
 
-def _solved(
-    operator: LaplaceBeltrami, options: PipelineOptions, n_vertices: int
-) -> tuple[ModalSpectrum, dict[str, float]]:
-    """The spectrum of an operator of unit area, and the sizes that its step states."""
-    pairs = eigenpairs(operator, options.spectral.n_pairs)
-    sizes = {
-        "vertices": n_vertices,
+def _unit_spectrum(pairs: Eigenpairs) -> ModalSpectrum:
+    """The spectrum of a surface of unit area, which it has but for rounding."""
+    return replace(ModalSpectrum.of(pairs), area=1.0)
+
+
+def _sizes(pairs: Eigenpairs, mesh: TriangleMesh) -> dict[str, float]:
+    """What the step of the stage states."""
+    return {
+        "vertices": len(mesh.vertices),
         "pairs": len(pairs.eigenvalues),
         "residual": pairs.largest_residual,
     }
-    return replace(ModalSpectrum.of(pairs), area=1.0), sizes
 
 
 def _of_points(scan: object, options: PipelineOptions) -> Shape:
@@ -266,9 +245,9 @@ def _of_points(scan: object, options: PipelineOptions) -> Shape:
     cloud, operator, notes = _largest_piece(cloud, options)
     mesh = star_mesh(cloud)
     unit = replace(operator, mass=csc_array(operator.mass / operator.area))
-    spectrum, sizes = _solved(unit, options, len(mesh.vertices))
-    step = Step("spectrum", time.perf_counter() - started, sizes, notes)
-    return Shape(mesh.after(step), spectrum, operator.area)
+    pairs = eigenpairs(unit, options.spectral.n_pairs)
+    step = Step("spectrum", time.perf_counter() - started, _sizes(pairs, mesh), notes)
+    return Shape((Surface(operator.area, _unit_spectrum(pairs), mesh),), cloud, (*mesh.provenance, step))
 
 
 def _oriented(scan: object, options: PipelineOptions) -> PointCloud:

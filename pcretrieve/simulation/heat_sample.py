@@ -16,8 +16,9 @@ from pathlib import Path
 import click
 import numpy as np
 
-from pcretrieve.descriptors.hks_bow import SAMPLE, heat_features, unit_eigenpairs
+from pcretrieve.descriptors.hks_bow import SAMPLE, heat_features
 from pcretrieve.simulation.bodies import POSES, body, make_subject
+from pcretrieve.spectral import unit_eigenpairs
 from pcretrieve.types import FloatArray
 
 __all__ = ["features", "main"]
@@ -58,7 +59,7 @@ def features() -> Iterator[FloatArray]:
     for family, poses in POSES.items():
         for number in range(N_SUBJECTS):
             pose = list(poses.values())[number % len(poses)]
-            pairs = unit_eigenpairs(body(make_subject(family, rng), pose, rng), N_MODES)
+            pairs = unit_eigenpairs(body(make_subject(family, rng), pose, rng), N_MODES + 1)
             share = np.asarray(pairs.mass.sum(axis=1))  # (n,)
             picked = rng.choice(len(share), POINTS_PER_SUBJECT, replace=False, p=share / share.sum())
             yield np.array([heat_features(pairs, scale_invariant=kind)[picked] for kind in (False, True)])

@@ -21,11 +21,11 @@ from tqdm import tqdm
 
 from pcretrieve.descriptors import reduced_matrix
 from pcretrieve.options import PipelineOptions
-from pcretrieve.pipeline.process import Shape, process
+from pcretrieve.pipeline.process import process
 from pcretrieve.retrieval.resolution import N_MODES, SAMPLE
 from pcretrieve.simulation.bodies import POSES, body, make_subject
 from pcretrieve.simulation.uniform import UniformOptions, scan_uniformly
-from pcretrieve.types import FloatArray
+from pcretrieve.types import FloatArray, Shape
 
 __all__ = ["log_eigenvalues", "main"]
 

@@ -31,7 +31,7 @@ LUMPED = {"intrinsic-delaunay", "points"}
 
 def laplace_beltrami(
     surface: TriangleMesh | PointCloud | FloatArray,
-    element: Literal["linear", "cubic", "intrinsic-delaunay", "points"] = "linear",
+    element: str = "linear",
     *,
     mass: Literal["consistent", "lumped"] | None = None,
     boundary: Literal["neumann", "dirichlet"] = "neumann",

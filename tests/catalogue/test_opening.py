@@ -27,7 +27,7 @@ def path(tmp_path: Path) -> Path:
     with Catalogue(tmp_path / "c.sqlite", OPTIONS, create=True) as store:
         shape = process(shapes.icosphere(3), OPTIONS)
         values = describe(shape, OPTIONS.signature).values
-        store.put(Record("ball", "/ball.off", "hash"), Content(shape.mesh, shape.spectrum, values))
+        store.put(Record("ball", "/ball.off", "hash"), Content(shape, values))
     return store.path
 
 

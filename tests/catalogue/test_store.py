@@ -7,9 +7,9 @@ import os
 import sqlite3
 from collections.abc import Iterator
 from contextlib import closing
-from dataclasses import replace
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -18,10 +18,11 @@ import shapes
 from pcretrieve import Catalogue, PipelineOptions
 from pcretrieve.catalogue import Content, Record, opening
 from pcretrieve.descriptors import describe
-from pcretrieve.errors import CatalogueError, InputError, SpectrumError
+from pcretrieve.errors import CatalogueError, InputError, ShapeError, SpectrumError
 from pcretrieve.options import SignatureOptions
-from pcretrieve.pipeline.process import Shape, process
+from pcretrieve.pipeline.process import process
 from pcretrieve.retrieval import SignatureIndex, fit_whitening, log_signatures
+from pcretrieve.types import Shape
 
 OPTIONS = PipelineOptions()
 N_SHAPES = 6
@@ -40,12 +41,12 @@ def whitened(kind: str) -> PipelineOptions:
 @cache
 def content(number: int) -> Content:
     shape = egg(number)
-    return Content(shape.mesh, shape.spectrum, describe(shape, OPTIONS.signature).values)
+    return Content(shape, describe(shape, OPTIONS.signature).values)
 
 
 def record(number: int) -> Record:
     label = "round" if number < N_SHAPES // 2 else "long"
-    steps = content(number).mesh.provenance
+    steps = content(number).shape.provenance
     return Record(f"egg{number}", f"/eggs/egg{number}.off", f"hash{number}", label, steps=steps)
 
 
@@ -69,15 +70,10 @@ def test_what_is_put_in_comes_back(catalogue: Catalogue) -> None:
     stored, given = catalogue.record("egg2"), content(2)
     assert (stored.path, stored.content_hash, stored.label) == ("/eggs/egg2.off", "hash2", "round")
     assert (stored.status, stored.options_digest) == ("done", OPTIONS.digest)
-    assert stored.steps == given.mesh.provenance
+    assert stored.steps == given.shape.provenance
     assert (stored.n_vertices, stored.n_faces, stored.euler) == (642, 1280, 2)
-    assert stored.area == given.mesh.area
-    mesh, spectrum = catalogue.mesh("egg2"), catalogue.spectra("egg2")[0]
-    np.testing.assert_array_equal(mesh.vertices, given.mesh.vertices)
-    np.testing.assert_array_equal(mesh.faces, given.mesh.faces)
-    np.testing.assert_array_equal(spectrum.eigenvalues, given.spectrum.eigenvalues)
-    np.testing.assert_array_equal(spectrum.moments, given.spectrum.moments)
-    np.testing.assert_array_equal(spectrum.known_overlaps(), given.spectrum.known_overlaps())
+    assert stored.area == given.shape.area
+    assert catalogue.shape("egg2") == given.shape
     np.testing.assert_array_equal(catalogue.signatures().values[2], given.signature)
 
 
@@ -95,7 +91,7 @@ def test_a_shape_takes_the_place_of_the_one_with_its_path(catalogue: Catalogue) 
     assert len(catalogue) == N_SHAPES
     assert (stored.id, stored.content_hash) == ("egg0", "newhash")
     assert catalogue.record("egg0") == stored
-    np.testing.assert_array_equal(catalogue.mesh("egg0").vertices, content(5).mesh.vertices)
+    np.testing.assert_array_equal(catalogue.mesh("egg0").vertices, content(5).shape.mesh.vertices)
 
 
 def test_an_id_that_another_path_has_gets_the_next_number(catalogue: Catalogue) -> None:
@@ -110,7 +106,7 @@ def test_a_failure_takes_no_finished_shapes_place(catalogue: Catalogue) -> None:
     before = catalogue.record("egg0")
     stored = catalogue.put(Record("egg0", "/eggs/egg0.off", "", status="failed", message="away"))
     assert stored == before == catalogue.record("egg0")
-    np.testing.assert_array_equal(catalogue.mesh("egg0").vertices, content(0).mesh.vertices)
+    np.testing.assert_array_equal(catalogue.mesh("egg0").vertices, content(0).shape.mesh.vertices)
 
 
 def test_a_failed_shape_is_known_but_has_nothing_to_give(catalogue: Catalogue) -> None:
@@ -119,7 +115,7 @@ def test_a_failed_shape_is_known_but_has_nothing_to_give(catalogue: Catalogue) -
     assert catalogue.record("bad").message == "all equal"
     assert len(catalogue) == N_SHAPES
     assert "bad" not in catalogue.signatures().ids
-    with pytest.raises(InputError, match="'bad' has no mesh: it failed in clean: all equal"):
+    with pytest.raises(InputError, match="'bad' has no surface: it failed in clean: all equal"):
         catalogue.mesh("bad")
 
 
@@ -166,17 +162,17 @@ def test_spectra_that_an_earlier_version_stored_lack_overlaps_and_nothing_else(c
     with closing(sqlite3.connect(catalogue.path)) as other, other:
         for number in range(N_SHAPES):
             blob = io.BytesIO()
-            np.savez_compressed(blob, values=content(number).spectrum.moments)
+            np.savez_compressed(blob, values=content(number).shape.spectrum.moments)
             other.execute("UPDATE shapes SET moments = ? WHERE id = ?", (blob.getvalue(), f"egg{number}"))
     assert len(catalogue.signatures(OPTIONS.changed(signature={"method": "combined"}))) == N_SHAPES
-    with pytest.raises(InputError, match="by an earlier pcretrieve: ingest the scans anew"):
+    with pytest.raises(ShapeError, match=r"\[egg0 / signature\] gone: .* by an earlier pcretrieve: ingest"):
         catalogue.signatures(OPTIONS.changed(signature={"method": "bihdm"}))
 
 
 def test_a_shape_that_has_no_such_signature_is_named(catalogue: Catalogue) -> None:
     few = process(shapes.ellipsoid(subdivisions=1), OPTIONS.changed(spectral={"n_pairs": 21}))
     values = describe(egg(1), OPTIONS.signature).values
-    catalogue.put(record(1), Content(few.mesh, few.spectrum, values))
+    catalogue.put(record(1), Content(few, values))
     with pytest.raises(SpectrumError, match=r"\[egg1 / spectrum\] 61 eigenpairs need a surface of at least"):
         catalogue.signatures(OPTIONS.changed(signature={"method": "hks-bow"}))
 
@@ -296,13 +292,58 @@ def test_two_writers_take_turns_or_say_so(catalogue: Catalogue, monkeypatch: pyt
     assert len(catalogue) == N_SHAPES - 1
 
 
-def test_every_surface_of_a_scan_is_kept(catalogue: Catalogue) -> None:
-    shape = replace(egg(2), others=(egg(3).spectrum, egg(4).spectrum))
-    signature = describe(shape, OPTIONS.signature).values
-    catalogue.put(record(2), Content(shape.mesh, shape.spectrum, signature, shape.others))
-    spectra = catalogue.spectra("egg2")
-    assert len(spectra) == 3
-    for stored, given in zip(spectra, (shape.spectrum, *shape.others), strict=True):
-        np.testing.assert_array_equal(stored.eigenvalues, given.eigenvalues)
-        np.testing.assert_array_equal(stored.moments, given.moments)
-    np.testing.assert_array_equal(describe(catalogue.shape("egg2"), OPTIONS.signature).values, signature)
+@cache
+def nest() -> Shape:
+    """A scan that was made into three surfaces."""
+    return Shape(tuple(egg(number).surfaces[0] for number in (2, 3, 4)), provenance=egg(2).provenance)
+
+
+@pytest.mark.parametrize("method", ["r-bihdm", "sd-gdm", "hks-bow"])
+def test_every_surface_of_a_scan_is_kept(method: str, catalogue: Catalogue) -> None:
+    if method == "sd-gdm":
+        pytest.importorskip("potpourri3d", reason="geodesic distances come from potpourri3d")
+    options = SignatureOptions(method=method)
+    signature = describe(nest(), options)
+    catalogue.put(record(2), Content(nest(), signature.values))
+    stored = catalogue.shape("egg2")
+    assert stored == nest()
+    again = describe(stored, options)
+    np.testing.assert_array_equal(again.values, signature.values)
+    np.testing.assert_array_equal(again.deviation, signature.deviation)
+
+
+def test_of_a_shape_only_what_is_needed_is_read(catalogue: Catalogue) -> None:
+    with closing(sqlite3.connect(catalogue.path)) as other, other:
+        other.execute("UPDATE shapes SET moments = NULL WHERE id = 'egg1'")
+        other.execute("UPDATE shapes SET mesh = NULL WHERE id = 'egg2'")
+    assert catalogue.shape("egg1", needs=("mesh",)).mesh.area == egg(1).area
+    assert catalogue.shape("egg2", needs=("spectrum",)).spectrum.area == 1
+    for part in ("spectrum", "mesh", "points"):
+        with pytest.raises(
+            ShapeError, match=rf"\[signature\] gone: the shape must hold its {part}, but does not"
+        ):
+            getattr(catalogue.shape("egg0", needs=()), part)
+
+
+def test_a_catalogue_of_an_earlier_version_has_spectra_in_one_unit_and_one_mesh(catalogue: Catalogue) -> None:
+    catalogue.put(record(2), Content(nest(), describe(nest(), OPTIONS.signature).values))
+    ratios = [surface.area / nest().area for surface in nest().surfaces]
+    spectra = [part.spectrum.scaled(ratio) for part, ratio in zip(nest().apart(), ratios, strict=True)]
+    columns: dict[str, dict[str, Any]] = {
+        "eigenvalues": {"values": np.stack([s.eigenvalues for s in spectra]), "areas": np.array(ratios)},
+        "moments": {
+            "values": np.stack([s.moments for s in spectra]),
+            "overlaps": np.stack([s.known_overlaps() for s in spectra]),
+        },
+        "mesh": {"vertices": nest().mesh.vertices, "faces": nest().mesh.faces},
+    }
+    with closing(sqlite3.connect(catalogue.path)) as other, other:
+        for column, arrays in columns.items():
+            blob = io.BytesIO()
+            np.savez_compressed(blob, **arrays)
+            other.execute(f"UPDATE shapes SET {column} = ? WHERE id = 'egg2'", (blob.getvalue(),))
+    for options in (OPTIONS.signature, SignatureOptions(size_weight=1.0, scale="absolute")):
+        stored, given = (describe(shape, options).values for shape in (catalogue.shape("egg2"), nest()))
+        np.testing.assert_allclose(stored, given, rtol=1e-12)
+    with pytest.raises(ShapeError, match="gone: the shape must hold its mesh"):
+        describe(catalogue.shape("egg2"), SignatureOptions(method="hks-bow"))

@@ -176,7 +176,7 @@ def test_a_package_that_cannot_be_loaded_is_named(run: Run, scan: Path) -> None:
     ("method", "message"),
     [
         ("clumsy", "failed, IndexError: list index out of range"),
-        ("hollow", "must give a Signature of positive values, got Signature("),
+        ("hollow", "failed, InputError: signature values must be positive, got 0.0"),
     ],
 )
 def test_a_descriptor_that_fails_fails_its_shape_only(

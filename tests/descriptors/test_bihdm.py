@@ -10,7 +10,7 @@ import shapes
 
 from pcretrieve import eigenpairs, laplace_beltrami, r_bihdm
 from pcretrieve.descriptors import bihdm, full_matrix, reduced_matrix
-from pcretrieve.errors import InputError, OptionError
+from pcretrieve.errors import OptionError, ShapeError
 from pcretrieve.types import ModalSpectrum, TriangleMesh
 
 N_MODES = 12
@@ -47,7 +47,7 @@ def test_it_needs_the_overlaps() -> None:
     spectrum = ModalSpectrum.of(eigenpairs(laplace_beltrami(shapes.body(3)), 13))
     assert len(bihdm(spectrum, 5, 12).values) == 5
     with pytest.raises(
-        InputError, match=r"stored without .* by an earlier pcretrieve: ingest the scans anew"
+        ShapeError, match=r"stored without .* by an earlier pcretrieve: ingest the scans anew"
     ):
         bihdm(replace(spectrum, overlaps=None), 5, 12)
 

@@ -12,30 +12,30 @@ import pytest
 import shapes
 
 from pcretrieve.descriptors import (
-    METHODS,
-    OF_MESH,
+    DESCRIPTORS,
     bihdm,
     combined,
     describe,
     r_bihdm,
     sd_gdm,
     shape_dna,
+    signature_length,
     wks,
 )
 from pcretrieve.descriptors.sd_gdm import geodesic_matrix
 from pcretrieve.errors import DegenerateMeshError, OptionError, SpectrumError
-from pcretrieve.options import METHODS as NAMES
-from pcretrieve.options import SIZELESS, PipelineOptions, SignatureOptions, signature_methods
-from pcretrieve.pipeline.process import Shape, process
-from pcretrieve.types import FloatArray, Signature, TriangleMesh
+from pcretrieve.options import METHODS, PipelineOptions, SignatureOptions, signature_methods
+from pcretrieve.pipeline.process import process
+from pcretrieve.types import FloatArray, Shape, Signature, Surface, TriangleMesh
 
 N_VALUES = 9
+SIZELESS = [name for name, has_size in METHODS.items() if not has_size]
 
 # Geodesic distances come from another mesh once vertices have other numbers: ties are broken by number.
-TOLERANCE = dict.fromkeys(NAMES, 1e-6) | {"sd-gdm": 0.05}
+TOLERANCE = dict.fromkeys(METHODS, 1e-6) | {"sd-gdm": 0.05}
 
 
-@pytest.fixture(params=NAMES)
+@pytest.fixture(params=METHODS)
 def method(request: pytest.FixtureRequest) -> str:
     name: str = request.param
     if name == "sd-gdm":
@@ -53,8 +53,9 @@ def values(shape: Shape, method: str, scale: str = "relative") -> FloatArray:
     return describe(shape, options).values
 
 
-def test_the_table_has_every_name_that_the_options_know() -> None:
-    assert tuple(METHODS) == NAMES == signature_methods()[: len(NAMES)]
+def test_the_options_know_the_records_by_name_and_size() -> None:
+    assert {name: record.has_size for name, record in DESCRIPTORS.own.items()} == METHODS
+    assert tuple(DESCRIPTORS.own) == tuple(METHODS) == signature_methods()[: len(METHODS)]
 
 
 def test_a_descriptor_says_what_it_is_and_is_positive(method: str) -> None:
@@ -63,6 +64,9 @@ def test_a_descriptor_says_what_it_is_and_is_positive(method: str) -> None:
     length = {"combined": 2 * N_VALUES}.get(method, N_VALUES)
     assert len(signature.values) == (N_VALUES * (N_VALUES + 1) // 2 if "spatial" in method else length)
     assert (signature.values > 0).all()
+    for size_weight in (0.0, 1.0):
+        options = SignatureOptions(method=method, n_values=N_VALUES, size_weight=size_weight)
+        assert signature_length(options) == len(describe(body(), options).values)
 
 
 @pytest.mark.parametrize("change", [shapes.moved, shapes.renumbered])
@@ -97,7 +101,7 @@ def test_size_is_kept_where_it_is_asked_for_and_nowhere_else(method: str) -> Non
     np.testing.assert_allclose(growth, 2.0 ** np.array(POWERS[method]), rtol=1e-5)
 
 
-@pytest.mark.parametrize("name", sorted(SIZELESS))
+@pytest.mark.parametrize("name", SIZELESS)
 def test_without_size_by_area_and_relative_are_the_same(name: str) -> None:
     np.testing.assert_array_equal(values(body(), name, "area"), values(body(), name, "relative"))
     with pytest.raises(OptionError, match=f"scale: must be area or relative for {name}, which has no size"):
@@ -199,39 +203,43 @@ def test_geodesic_distances_of_surfaces_that_do_not_suit(monkeypatch: pytest.Mon
 
 
 def test_too_few_vertices_for_a_heat_kernel() -> None:
+    coarse = Shape((Surface(1.0, mesh=shapes.icosphere(1)),))
     with pytest.raises(SpectrumError, match="61 eigenpairs need a surface of at least 62 vertices"):
-        METHODS["hks-bow"](Shape(shapes.icosphere(1), body().spectrum, 1.0), SignatureOptions())
+        describe(coarse, SignatureOptions(method="hks-bow"))
 
 
-def test_a_shape_of_several_surfaces_is_described_by_their_mean() -> None:
-    longer = process(shapes.ellipsoid((1, 1, 1.4), subdivisions=3), PipelineOptions())
-    options = SignatureOptions(n_values=N_VALUES)
-    both = describe(replace(body(), others=(longer.spectrum,)), options)
-    logs = np.log([describe(shape, options).values for shape in (body(), longer)])
-    np.testing.assert_allclose(np.log(both.values), logs.mean(axis=0), rtol=0, atol=1e-12)
-    assert both.deviation is not None
-    np.testing.assert_allclose(both.deviation, np.abs(logs[0] - logs[1]) / np.sqrt(2), atol=1e-12)
+# --- several surfaces -----------------------------------------------------------------------------------
+
+
+@cache
+def longer() -> Shape:
+    return process(shapes.ellipsoid((1, 1, 1.4), subdivisions=3), PipelineOptions())
+
+
+def both() -> Shape:
+    """A scan that was made into two surfaces."""
+    return Shape((*body().surfaces, *longer().surfaces))
+
+
+def test_a_shape_of_several_surfaces_is_described_by_their_mean(method: str) -> None:
+    """Each descriptor is given the surface that it describes, be it as a spectrum or as a mesh."""
+    options = SignatureOptions(method=method, n_values=N_VALUES)
+    mean = describe(both(), options)
+    logs = np.log([describe(shape, options).values for shape in (body(), longer())])
+    np.testing.assert_allclose(np.log(mean.values), logs.mean(axis=0), rtol=0, atol=1e-12)
+    assert mean.deviation is not None
+    np.testing.assert_allclose(mean.deviation, np.abs(logs[0] - logs[1]) / np.sqrt(2), atol=1e-12)
+    assert mean.deviation.min() > 0
     assert describe(body(), options).deviation is None
 
 
 def test_size_is_one_value_more_beside_the_form(method: str) -> None:
-    longer = process(shapes.ellipsoid((1, 1, 1.4), subdivisions=3), PipelineOptions())
-    shape = Shape(body().mesh, body().spectrum, 3.0, (longer.spectrum.scaled(1.1),))
+    surfaces = (replace(body().surfaces[0], area=3.0), replace(longer().surfaces[0], area=3.3))
+    shape = Shape(surfaces)
     options = SignatureOptions(method=method, n_values=N_VALUES)
     form, sized = describe(shape, options), describe(shape, options.model_copy(update={"size_weight": 6.0}))
     np.testing.assert_array_equal(sized.values[:-1], form.values)
-    areas = 6 * np.log([3.0, 3.0 if method in OF_MESH else 3.3])
+    areas = 6 * np.log([3.0, 3.3])
     assert np.log(sized.values[-1]) == pytest.approx(areas.mean())
-    if method in OF_MESH:
-        assert sized.deviation is None
-    else:
-        assert sized.deviation is not None
-        assert sized.deviation[-1] == pytest.approx(areas.std(ddof=1))
-
-
-def test_an_error_bar_of_another_package_does_not_cover_the_size(monkeypatch: pytest.MonkeyPatch) -> None:
-    theirs = Signature(np.ones(3), kind="theirs", deviation=np.full(3, 0.1))
-    monkeypatch.setitem(METHODS, "r-bihdm", lambda shape, options: theirs)
-    assert describe(body(), SignatureOptions()).deviation is theirs.deviation
-    sized = describe(body(), SignatureOptions(size_weight=1))
-    assert (len(sized.values), sized.deviation) == (4, None)
+    assert sized.deviation is not None
+    assert sized.deviation[-1] == pytest.approx(areas.std(ddof=1))

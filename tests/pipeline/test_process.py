@@ -39,7 +39,7 @@ def test_every_element_of_a_surface_can_be_asked_for(element: str) -> None:
 def test_points_need_no_surface(scan: object) -> None:
     options = PipelineOptions().changed(spectral={"element": "points"}, surface={"sample_points": 8000})
     shape = process(scan, options)
-    stages = [step.stage for step in shape.mesh.provenance]
+    stages = [step.stage for step in shape.provenance]
     assert stages[-1] == "spectrum"
     assert "surface" not in stages
     body = shapes.body(4)
@@ -56,7 +56,7 @@ def test_of_points_in_two_pieces_the_larger_is_kept() -> None:
     both = process(np.concatenate([POINTS, flock]), options)
     assert both.area == pytest.approx(process(POINTS, options).area, rel=0.03)
     assert both.mesh.vertices[:, 2].max() < 4
-    (note,) = both.mesh.provenance[-1].notes
+    (note,) = both.provenance[-1].notes
     assert re.match(r"dropped \d+ loose pieces with \d\.\d% of the points", note)
     with pytest.raises(
         ReconstructionError, match="the scan holds two bodies or more: a second piece has 50%"

@@ -132,7 +132,7 @@ def test_stiffness_by_squared_side_lengths_is_the_same(element: Element, nodes: 
     squared = [np.sum((triangle.vertices[k - 2] - triangle.vertices[k - 1]) ** 2) for k in range(3)]
     wanted = sum(squared[k] * (c.sum(axis=0) - 2 * c[k]) / 8 for k in range(3)) / triangle.area
     name = "linear" if len(nodes) == 3 else "cubic"
-    stiffness = laplace_beltrami(triangle, name).stiffness.toarray()  # type: ignore[arg-type]
+    stiffness = laplace_beltrami(triangle, name).stiffness.toarray()
     rows = triangle.faces[0] if len(nodes) == 3 else cubic_nodes(triangle, sides_of(triangle))[0]
     np.testing.assert_allclose(stiffness[np.ix_(rows, rows)], wanted, atol=1e-14)
 

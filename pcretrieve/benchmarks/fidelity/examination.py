@@ -15,11 +15,11 @@ from pcretrieve.benchmarks.memory import forget_peak, peak_memory
 from pcretrieve.descriptors import describe
 from pcretrieve.formats import read_scan
 from pcretrieve.options import PipelineOptions
-from pcretrieve.pipeline.process import Shape, process
+from pcretrieve.pipeline.process import process
 from pcretrieve.scan import clean, oriented_normals
 from pcretrieve.surface import defects
 from pcretrieve.surface.sampling import uniform_points
-from pcretrieve.types import FloatArray, PointCloud, TriangleMesh
+from pcretrieve.types import FloatArray, PointCloud, Shape, TriangleMesh
 
 __all__ = ["N_VALUES", "Examination", "Signatures", "clean_signatures", "examine", "stacked"]
 
@@ -118,7 +118,7 @@ def examine(path: Path, truth: TriangleMesh, options: PipelineOptions) -> Examin
     seconds = time.perf_counter() - started
     peak = peak_memory()
     stages: dict[str, float] = {}
-    for step in shape.mesh.provenance:
+    for step in shape.provenance:
         stages[step.stage] = stages.get(step.stage, 0.0) + step.seconds
     rng = np.random.default_rng(0)
     on_surface, _ = _probes(shape.mesh, rng)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from typing import NamedTuple
 
 import numpy as np
 
@@ -16,7 +15,7 @@ from pcretrieve.surface.remesh import remesh
 from pcretrieve.surface.repair import largest_component
 from pcretrieve.surface.simplify import simplified
 from pcretrieve.surface.topology import compact
-from pcretrieve.types import FloatArray, ModalSpectrum, TriangleMesh
+from pcretrieve.types import FloatArray, Shape, Surface, TriangleMesh
 
 __all__ = ["drifts", "noisy", "perturbed", "section_4_4"]
 
@@ -33,26 +32,6 @@ REMESHING = RemeshOptions(method="tetwild", optimize=True, timeout=600)
 METHODS = ("r-bihdm", "bihdm", "shape-dna", "wks", "hks-bow", "combined")
 
 Poses = Mapping[str, tuple[TriangleMesh, TriangleMesh]]
-
-
-class Shape(NamedTuple):
-    """A surface as descriptors see it.
-
-    Attributes
-    ----------
-    spectrum : ModalSpectrum
-        Of the surface scaled to unit area.
-    area : float
-        Of the surface as it is; unit length².
-    mesh : TriangleMesh
-    others : tuple of ModalSpectrum
-        Of further surfaces of the same scan: none.
-    """
-
-    spectrum: ModalSpectrum
-    area: float
-    mesh: TriangleMesh
-    others: tuple[ModalSpectrum, ...] = ()
 
 
 def section_4_4(poses: Poses) -> Iterator[str]:
@@ -167,7 +146,7 @@ def noisy(mesh: TriangleMesh, size: float, rng: np.random.Generator) -> Triangle
 
 def _signatures(mesh: TriangleMesh, methods: tuple[str, ...]) -> list[FloatArray]:
     """Log-signatures of a mesh, one by each method."""
-    shape = Shape(unit_area_spectrum(mesh, N_MODES), mesh.area, mesh)
+    shape = Shape((Surface(mesh.area, unit_area_spectrum(mesh, N_MODES), mesh),))
     lengths = {"n_values": N_VALUES, "n_modes": N_MODES}
     options = (SignatureOptions(method=method, scale="relative", **lengths) for method in methods)
     return [log_signatures(describe(shape, each).values) for each in options]

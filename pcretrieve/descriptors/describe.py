@@ -1,0 +1,184 @@
+"""The table of descriptors, and their application to shapes.
+
+Another package adds a descriptor by an entry point of the group ``pcretrieve.signatures`` that names a record
+`Descriptor`::
+
+    [project.entry-points."pcretrieve.signatures"]
+    diameter = "other_package:DIAMETER"
+
+    DIAMETER = Descriptor("diameter", make=diameter, needs=("mesh",), length=lambda options: 1)
+
+The name of the entry point is then a value of the option `--method`. The names of pcretrieve's own
+descriptors are reserved. Instead of a record, the entry point may name a function of a shape and
+`SignatureOptions`, which is taken as a descriptor that needs the spectrum and the mesh and returns
+`SignatureOptions.n_values` positive values.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from pcretrieve.descriptors.bihdm import BIHDM
+from pcretrieve.descriptors.combined import COMBINED
+from pcretrieve.descriptors.descriptor import Descriptor
+from pcretrieve.descriptors.hks_bow import HEAT_KERNEL_BAGS
+from pcretrieve.descriptors.r_bihdm import R_BIHDM
+from pcretrieve.descriptors.sd_gdm import SD_GDM
+from pcretrieve.descriptors.shape_dna import SHAPE_DNA, SHAPE_DNA_NORM1
+from pcretrieve.descriptors.wks import WKS
+from pcretrieve.errors import OptionError, ShapeError
+from pcretrieve.options import DESCRIPTOR_GROUP, SignatureOptions
+from pcretrieve.plugins import Registry
+from pcretrieve.spectral import unit_eigenpairs
+from pcretrieve.types import Eigenpairs, Shape, Signature, Surface
+
+__all__ = ["DESCRIPTORS", "describe", "signature_length"]
+
+
+def _checked(name: str, added: object) -> Descriptor:
+    """The record of another package."""
+    if isinstance(added, Descriptor):
+        if added.name != name:
+            raise TypeError(f"must have the name of its entry point, got a Descriptor named {added.name!r}")
+        return added
+    if not callable(added):
+        raise TypeError(f"must be a Descriptor or a function, got {added!r}")
+    return Descriptor(name, added, needs=("spectrum", "mesh"))
+
+
+DESCRIPTORS: Registry[Descriptor] = Registry(
+    "descriptor",
+    DESCRIPTOR_GROUP,
+    {
+        record.name: record
+        for record in (
+            R_BIHDM,
+            BIHDM,
+            SHAPE_DNA,
+            SHAPE_DNA_NORM1,
+            SD_GDM,
+            *HEAT_KERNEL_BAGS,
+            WKS,
+            COMBINED,
+        )
+    },
+    _checked,
+)
+
+
+def describe(shape: Shape, options: SignatureOptions) -> Signature:
+    """The signature of a shape by the method and the parameters in `options`.
+
+    If several surfaces were reconstructed from one scan, the method describes each surface, and each value is
+    the mean over the surfaces: the geometric mean for the metric ``logarithms``, else the arithmetic mean. A
+    method that needs the points alone describes the scan once.
+
+    Parameters
+    ----------
+    shape : Shape
+        With the parts that the method needs; eigenvectors that are missing are computed from the mesh.
+    options : SignatureOptions
+        The method, the number of values and of modes, the scale, and the weight w of the size.
+
+    Returns
+    -------
+    Signature
+        In the order and the units of the method. If w > 0, the last value is the size: area^w, unit
+        length^(2 w) of the file, for the metric ``logarithms``, and w log area for ``values``.
+        `Signature.deviation` is None if there is one surface only.
+
+    Raises
+    ------
+    OptionError
+        If the method does not exist, its package cannot be loaded, or the number of values or of modes does
+        not fit the spectrum.
+    ShapeError
+        If the shape lacks a part that the method needs, or its signature cannot be computed.
+    """
+    descriptor = DESCRIPTORS[options.method]
+    _check_size(descriptor, options)
+    parts = (shape,) if set(descriptor.needs) == {"points"} else shape.apart()
+    made = [_described(descriptor, part, options) for part in parts]
+    if len(made) == 1:
+        return made[0]
+    rows = np.array([signature.values for signature in made])  # (s, L)
+    if descriptor.metric == "logarithms":
+        logs = np.log(rows)
+        return replace(made[0], values=np.exp(logs.mean(axis=0)), deviation=logs.std(axis=0, ddof=1))
+    return replace(made[0], values=rows.mean(axis=0), deviation=rows.std(axis=0, ddof=1))
+
+
+def signature_length(options: SignatureOptions) -> int:
+    """The number of values of the signatures that `describe` returns.
+
+    Parameters
+    ----------
+    options : SignatureOptions
+        The method, the number of values, and the weight of the size.
+
+    Returns
+    -------
+    int
+        L, including the size if it has a weight.
+
+    Raises
+    ------
+    OptionError
+        If the method does not exist, or its package cannot be loaded.
+    """
+    return DESCRIPTORS[options.method].length(options) + bool(options.size_weight)
+
+
+def _check_size(descriptor: Descriptor, options: SignatureOptions) -> None:
+    if options.scale == "absolute" and not descriptor.has_size:
+        raise OptionError(f"scale must be area or relative for {options.method}, which has no size to keep")
+    if options.size_weight and descriptor.metric == "histograms":
+        raise OptionError(
+            f"size_weight must be 0 for {options.method}, whose values are a histogram, got "
+            f"{options.size_weight:g}: a size is no share of it"
+        )
+
+
+def _described(descriptor: Descriptor, part: Shape, options: SignatureOptions) -> Signature:
+    """The signature of one surface."""
+    needed = _needed(descriptor, part, options)
+    with DESCRIPTORS.blamed(options.method, "signature"):
+        made = descriptor.make(needed, options)
+    called, length = DESCRIPTORS.called(options.method), descriptor.length(options)
+    if not isinstance(made, Signature) or made.metric != descriptor.metric:
+        raise ShapeError(
+            f"{called} must give a Signature with the metric {descriptor.metric!r}, got {made!r}",
+            stage="signature",
+        )
+    if len(made.values) != length:
+        raise ShapeError(
+            f"{called} must give {length} values, as its record declares, got {len(made.values)}",
+            stage="signature",
+        )
+    if not options.size_weight:
+        return made
+    logarithm = options.size_weight * np.log(part.area)
+    size = part.area**options.size_weight if descriptor.metric == "logarithms" else logarithm
+    # The error bar that a method of another package may return has no entry for the size.
+    return replace(made, values=np.append(made.values, size), deviation=None)
+
+
+def _needed(descriptor: Descriptor, part: Shape, options: SignatureOptions) -> Shape:
+    """A shape of one surface with the parts that the descriptor needs, and no others."""
+    # With others, a need that is missing in the record would show only for shapes of a catalogue.
+    needs = set(descriptor.needs)
+    spectrum = part.spectrum if "spectrum" in needs else None
+    mesh = part.mesh if "mesh" in needs else None
+    pairs = _lowest_pairs(part, options.n_modes + 1) if "eigenvectors" in needs else None
+    cloud = part.points if "points" in needs else None
+    return Shape((Surface(part.area, spectrum, mesh, pairs),), cloud, part.provenance)
+
+
+def _lowest_pairs(part: Shape, n_pairs: int) -> Eigenpairs:
+    """The smallest eigenpairs: those that the shape holds, if they are enough, else those of its mesh."""
+    kept = part.surfaces[0].eigenpairs
+    if kept is None or len(kept.eigenvalues) < n_pairs:
+        return unit_eigenpairs(part.mesh, n_pairs)
+    return replace(kept, eigenvalues=kept.eigenvalues[:n_pairs], eigenvectors=kept.eigenvectors[:, :n_pairs])

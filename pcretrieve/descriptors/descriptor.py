@@ -1,0 +1,80 @@
+"""The record that declares a descriptor."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import get_args
+
+from pcretrieve.errors import OptionError
+from pcretrieve.options import SignatureOptions
+from pcretrieve.types import Metric, ModalSpectrum, Need, Shape, Signature
+
+__all__ = ["Descriptor", "spectrum_of"]
+
+
+def _n_values(options: SignatureOptions) -> int:
+    return options.n_values
+
+
+@dataclass(frozen=True, slots=True)
+class Descriptor:
+    """The declaration of a descriptor, beside its function in pcretrieve or in another package.
+
+    Attributes
+    ----------
+    name : str
+        Value of the option `--method`.
+    make : function of (Shape, SignatureOptions) that returns a Signature
+        Called once for each surface of a shape, with a shape of that surface alone, which holds the parts in
+        `needs` and no others; called once for a shape if the points are all that it needs.
+    needs : tuple of {"spectrum", "eigenvectors", "mesh", "points"}
+        The parts of a shape that `make` uses: `Shape.spectrum`; `Shape.eigenpairs`, which are the
+        `SignatureOptions.n_modes` + 1 smallest by linear elements, with one row for each vertex of the mesh;
+        `Shape.mesh`; or `Shape.points`, which the catalogue does not store.
+    has_size : bool, default True
+        Whether the values for the scale ``absolute`` depend on the size of the body. If not, that scale is
+        refused.
+    length : function of SignatureOptions that returns int
+        L, the number of values; by default `SignatureOptions.n_values`.
+    metric : {"logarithms", "values", "histograms"}, default "logarithms"
+        How the values are compared, as in `Signature`.
+
+    Raises
+    ------
+    OptionError
+        If there is no such need or metric.
+    """
+
+    name: str
+    make: Callable[[Shape, SignatureOptions], Signature]
+    needs: tuple[Need, ...]
+    has_size: bool = True
+    length: Callable[[SignatureOptions], int] = _n_values
+    metric: Metric = "logarithms"
+
+    def __post_init__(self) -> None:
+        for what, given, known in (
+            ("needs", set(self.needs), get_args(Need)),
+            ("metric", {self.metric}, get_args(Metric)),
+        ):
+            if wrong := sorted(given.difference(known)):
+                raise OptionError(f"{what} of a descriptor must be of {', '.join(known)}, got {wrong[0]!r}")
+
+
+def spectrum_of(shape: Shape, options: SignatureOptions) -> ModalSpectrum:
+    """The spectrum of the surface on unit area; for the scale ``absolute``, in the unit of the file.
+
+    Parameters
+    ----------
+    shape : Shape
+        With its spectrum.
+    options : SignatureOptions
+        The scale.
+
+    Returns
+    -------
+    ModalSpectrum
+        The spectrum of the first surface.
+    """
+    return shape.spectrum.scaled(shape.area) if options.measured_by == "absolute" else shape.spectrum

@@ -1,0 +1,163 @@
+"""Extension by other packages: a group of entry points → records by name.
+
+A package that is installed beside pcretrieve names its additions in its metadata::
+
+    [project.entry-points."pcretrieve.signatures"]
+    diameter = "other_package:DIAMETER"
+
+Names are read from the metadata alone; a package is imported when one of its names is asked for. A package
+that cannot be imported disables its own names only. The names of pcretrieve's own records are reserved.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import cache
+from importlib.metadata import EntryPoint, entry_points
+from typing import Generic, TypeVar
+
+from pcretrieve.errors import InputError, OptionError, ShapeError
+
+__all__ = ["Registry", "added_names"]
+
+Record = TypeVar("Record")
+
+ADVICE = "upgrade or uninstall that package"
+
+
+def added_names(group: str) -> tuple[str, ...]:
+    """The names that installed packages add to a group of entry points.
+
+    Parameters
+    ----------
+    group : str
+        Name of the group.
+
+    Returns
+    -------
+    tuple of str
+        In alphabetical order.
+    """
+    return tuple(sorted(_points(group, tuple(sys.path))))
+
+
+@dataclass(frozen=True)
+class Registry(Generic[Record]):
+    """The records of one kind by name: those of pcretrieve, and those that other packages add.
+
+    Attributes
+    ----------
+    kind : str
+        The noun for such a record in messages, such as ``descriptor``.
+    group : str
+        The group of entry points by which other packages add records.
+    own : mapping of str to Record
+        The records of pcretrieve.
+    checked : function of (str, object) that returns a Record
+        Makes a record of the name of an entry point and the object that it leads to, or raises TypeError with
+        a message that begins with what the object must be.
+    """
+
+    kind: str
+    group: str
+    own: Mapping[str, Record]
+    checked: Callable[[str, object], Record]
+
+    def names(self) -> tuple[str, ...]:
+        """The names of pcretrieve's records in their order, then the added names in alphabetical order."""
+        return (*self.own, *(name for name in added_names(self.group) if name not in self.own))
+
+    def __getitem__(self, name: str) -> Record:
+        """The record of a name.
+
+        Parameters
+        ----------
+        name : str
+            One of `names`.
+
+        Returns
+        -------
+        Record
+            The record; of another package, imported now.
+
+        Raises
+        ------
+        OptionError
+            If there is no such name, its package cannot be imported, or it does not lead to a record.
+        """
+        if name in self.own:
+            return self.own[name]
+        point, called = self._point(name), self.called(name)
+        try:
+            added = point.load()
+        # A package may even end the interpreter when it is imported.
+        except (Exception, SystemExit) as error:
+            raise OptionError(
+                f"{called} cannot be loaded, {type(error).__name__}: {error}; {ADVICE}"
+            ) from error
+        try:
+            return self.checked(name, added)
+        except TypeError as error:
+            raise OptionError(f"{called} {error}; {ADVICE}") from error
+
+    def called(self, name: str) -> str:
+        """The record in a message: ``the descriptor 'diameter' of the package other-package``."""
+        if name in self.own:
+            return f"the {self.kind} {name!r}"
+        point = self._point(name)
+        return f"the {self.kind} {name!r} of the package {point.dist.name if point.dist else point.module}"
+
+    @contextmanager
+    def blamed(self, name: str, stage: str) -> Iterator[None]:
+        """Turn the exceptions of a record's function into a ShapeError that names its package.
+
+        ShapeError, OptionError and MemoryError are not changed. Of the other exceptions of pcretrieve's own
+        records, only InputError is changed: there the shape has led to values that are not valid.
+
+        Parameters
+        ----------
+        name : str
+            Name of the record.
+        stage : str
+            Stage of the ShapeError.
+
+        Yields
+        ------
+        None
+            Once, for the call of the function.
+
+        Raises
+        ------
+        ShapeError
+            If the function raises another exception.
+        """
+        try:
+            yield
+        except Exception as error:
+            if isinstance(error, _UNCHANGED) or (name in self.own and not isinstance(error, InputError)):
+                raise
+            raise self._failed(name, stage, error) from error
+        except SystemExit as error:
+            raise self._failed(name, stage, error) from error
+
+    def _failed(self, name: str, stage: str, error: BaseException) -> ShapeError:
+        return ShapeError(f"{self.called(name)} failed, {type(error).__name__}: {error}", stage=stage)
+
+    def _point(self, name: str) -> EntryPoint:
+        point = _points(self.group, tuple(sys.path)).get(name)
+        if point is None:
+            raise OptionError(f"there is no {self.kind} {name!r}; there are {', '.join(self.names())}")
+        return point
+
+
+_UNCHANGED = (ShapeError, OptionError, MemoryError)
+
+
+@cache
+def _points(group: str, path: tuple[str, ...]) -> Mapping[str, EntryPoint]:
+    """The entry points of a group by name, read once for each `path`: reading them takes milliseconds."""
+    # Of two packages that add the same name, the first on the path is taken, as by the import system.
+    return {point.name: point for point in reversed(tuple(entry_points(group=group)))}

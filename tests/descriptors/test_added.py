@@ -1,0 +1,182 @@
+"""Descriptors of other packages: what their records declare is what they are given, and must give."""
+
+from __future__ import annotations
+
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import shapes
+from packages import install
+
+from pcretrieve.descriptors import describe, signature_length
+from pcretrieve.errors import OptionError, ShapeError
+from pcretrieve.options import PipelineOptions, SignatureOptions
+from pcretrieve.pipeline.process import process
+from pcretrieve.spectral import unit_eigenpairs
+from pcretrieve.types import PointCloud, Shape, Surface
+
+MODULE = '''
+import numpy as np
+
+from pcretrieve.descriptors import Descriptor
+from pcretrieve.types import Signature
+
+
+def three(options):
+    return 3
+
+
+def lowest(shape, options):
+    """Any numbers, of the mesh."""
+    return Signature(shape.mesh.vertices.min(axis=0), kind="lowest", metric="values")
+
+
+def extent(shape, options):
+    """Positive numbers, of the mesh."""
+    return Signature(np.ptp(shape.mesh.vertices, axis=0)[: options.n_values], kind="extent")
+
+
+def center(shape, options):
+    return Signature(shape.points.points.mean(axis=0), kind="center", metric="values")
+
+
+def bins(shape, options):
+    shares = shape.spectrum.eigenvalues[:3]  # the first is zero
+    return Signature(np.abs(shares) / shares.sum(), kind="bins", metric="histograms")
+
+
+def waves(shape, options):
+    pairs = shape.eigenpairs
+    return Signature([*pairs.eigenvectors.shape, pairs.area], kind="waves")
+
+
+def hollow(shape, options):
+    return Signature(np.zeros(3), kind="hollow")
+
+
+LOWEST = Descriptor("lowest", lowest, needs=("mesh",), length=three, metric="values")
+CENTER = Descriptor("center", center, needs=("points",), length=three, metric="values")
+BINS = Descriptor("bins", bins, needs=("spectrum",), has_size=False, length=three, metric="histograms")
+WAVES = Descriptor("waves", waves, needs=("eigenvectors",), length=three)
+HOLLOW = Descriptor("hollow", hollow, needs=("spectrum",), length=three)
+SLY = Descriptor("sly", lowest, needs=("spectrum",), length=three, metric="values")
+SHORT = Descriptor("short", extent, needs=("mesh",), length=lambda options: options.n_values + 1)
+MOODY = Descriptor("moody", lowest, needs=("mesh",), length=three)
+'''
+ENTRY_POINTS = """
+[pcretrieve.signatures]
+extent = theirs:extent
+lowest = theirs:LOWEST
+center = theirs:CENTER
+bins = theirs:BINS
+waves = theirs:WAVES
+hollow = theirs:HOLLOW
+sly = theirs:SLY
+short = theirs:SHORT
+moody = theirs:MOODY
+misnamed = theirs:LOWEST
+number = theirs:np.pi
+"""
+
+
+@pytest.fixture(autouse=True)
+def _installed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    install(tmp_path / "site", "theirs", {"theirs": MODULE}, ENTRY_POINTS, monkeypatch)
+
+
+@cache
+def both() -> Shape:
+    """A scan that was made into two surfaces, with its points."""
+    meshes = shapes.body(3), shapes.ellipsoid((1, 1, 1.4), subdivisions=3)
+    surfaces = (process(mesh, PipelineOptions()).surfaces[0] for mesh in meshes)
+    return Shape(tuple(surfaces), PointCloud(meshes[0].vertices - 3))
+
+
+def options(method: str, **changed: Any) -> SignatureOptions:
+    return SignatureOptions(method=method, n_values=3, **changed)
+
+
+@pytest.mark.parametrize("method", ["extent", "lowest", "waves"])
+def test_each_surface_is_described_by_itself(method: str) -> None:
+    """A mesh as much as a spectrum: asked twice about one mesh, a descriptor would have no error bar."""
+    apart = np.array([describe(part, options(method)).values for part in both().apart()])
+    together = describe(both(), options(method))
+    assert together.deviation is not None
+    if method == "waves":  # one row a vertex, both surfaces having 642
+        np.testing.assert_allclose(apart, [[642, 61, 1]] * 2)
+        return
+    logs = np.log if method == "extent" else np.asarray
+    np.testing.assert_allclose(logs(together.values), logs(apart).mean(axis=0))
+    np.testing.assert_allclose(together.deviation, logs(apart).std(axis=0, ddof=1))
+    assert together.deviation.max() > 0.01
+
+
+def test_values_as_they_are_may_be_negative() -> None:
+    signature = describe(both(), options("lowest"))
+    assert (signature.values < 0).all()
+    assert signature.metric == "values"
+    sized = describe(both(), options("lowest", size_weight=2.0))
+    assert sized.values[-1] == pytest.approx(2 * np.log([part.area for part in both().apart()]).mean())
+
+
+def test_the_points_of_a_scan_are_described_once() -> None:
+    signature = describe(both(), options("center"))
+    assert signature.deviation is None
+    np.testing.assert_allclose(signature.values, both().points.points.mean(axis=0))
+    with pytest.raises(ShapeError, match=r"\[signature\] gone: the shape must hold its points, but does not"):
+        describe(Shape(both().surfaces), options("center"))
+
+
+def test_histograms_have_no_size() -> None:
+    assert describe(both(), options("bins")).values.min() == pytest.approx(0, abs=1e-9)
+    with pytest.raises(
+        OptionError, match="size_weight must be 0 for bins, whose values are a histogram, got"
+    ):
+        describe(both(), options("bins", size_weight=3.0))
+    with pytest.raises(OptionError, match="scale must be area or relative for bins, which has no size"):
+        describe(both(), options("bins", scale="absolute"))
+
+
+def test_eigenvectors_come_from_the_shape_or_from_its_mesh() -> None:
+    with_mesh = describe(both().apart()[0], options("waves", n_modes=20))
+    assert with_mesh.values.tolist() == [642, 21, pytest.approx(1)]
+    with pytest.raises(ShapeError, match="gone: the shape must hold its mesh"):
+        describe(Shape((Surface(1.0, both().spectrum),)), options("waves"))
+    first = both().apart()[0]
+    kept = Shape((Surface(1.0, eigenpairs=unit_eigenpairs(first.mesh, 31)),))
+    assert describe(kept, options("waves", n_modes=20)).values.tolist() == [642, 21, pytest.approx(1)]
+
+
+@pytest.mark.parametrize(
+    ("method", "message"),
+    [
+        ("sly", "gone: the shape must hold its mesh, but does not: not kept .* or not among the needs"),
+        ("short", "the descriptor 'short' of the package theirs must give 4 values, as its record .* got 3"),
+        ("moody", "must give a Signature with the metric 'logarithms', got Signature"),
+        ("hollow", "failed, InputError: signature values must be positive, got 0.0"),
+    ],
+)
+def test_what_a_descriptor_may_not_do_fails_its_shape(method: str, message: str) -> None:
+    with pytest.raises(ShapeError, match=message) as raised:
+        describe(both(), options(method))
+    assert raised.value.stage == "signature"
+
+
+@pytest.mark.parametrize(
+    ("method", "message"),
+    [
+        ("misnamed", "must have the name of its entry point, got a Descriptor named 'lowest'"),
+        ("number", "must be a Descriptor or a function, got 3.14"),
+    ],
+)
+def test_what_is_no_descriptor_is_a_mistake_of_its_package(method: str, message: str) -> None:
+    with pytest.raises(OptionError, match=f"the descriptor '{method}' of the package theirs {message}"):
+        describe(both(), options(method))
+
+
+def test_the_length_is_known_without_a_shape() -> None:
+    assert signature_length(options("lowest")) == 3
+    assert signature_length(SignatureOptions(method="short", n_values=7, size_weight=1.0)) == 9

@@ -1,0 +1,121 @@
+"""Registries: what other packages add, and what they break."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from packages import install
+
+from pcretrieve.errors import InputError, OptionError, ShapeError
+from pcretrieve.plugins import Registry, added_names
+
+GROUP = "pcretrieve.tests"
+POINTS = f"""
+[{GROUP}]
+seven = numbers_package:SEVEN
+word = numbers_package:WORD
+one = numbers_package:SEVEN
+nowhere = numbers_package:NOWHERE
+lost = package_that_is_nowhere:SEVEN
+ending = ending_package:SEVEN
+"""
+MODULES = {
+    "numbers_package": "SEVEN = 7\nWORD = 'seven'\n",
+    "ending_package": "raise SystemExit(0)\n",
+}
+
+
+def whole_number(name: str, added: object) -> int:
+    if not isinstance(added, int):
+        raise TypeError(f"must be a whole number, got {added!r}")
+    return added
+
+
+NUMBERS = Registry("number", GROUP, {"one": 1, "two": 2}, whole_number)
+
+
+@pytest.fixture
+def installed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The folder of a package that adds numbers."""
+    install(tmp_path / "site", "numbers-package", MODULES, POINTS, monkeypatch)
+    return tmp_path / "site"
+
+
+def test_without_packages_there_are_those_of_pcretrieve() -> None:
+    assert NUMBERS.names() == ("one", "two")
+    assert NUMBERS["two"] == 2
+    with pytest.raises(OptionError, match="there is no number 'seven'; there are one, two"):
+        NUMBERS["seven"]
+
+
+@pytest.mark.usefixtures("installed")
+def test_a_package_adds_names_and_takes_none() -> None:
+    assert NUMBERS.names() == ("one", "two", "ending", "lost", "nowhere", "seven", "word")
+    assert (NUMBERS["seven"], NUMBERS["one"]) == (7, 1)
+    assert NUMBERS.called("seven") == "the number 'seven' of the package numbers-package"
+    assert NUMBERS.called("one") == "the number 'one'"
+    assert added_names("pcretrieve.nothing") == ()
+
+
+@pytest.mark.usefixtures("installed")
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [
+        ("lost", "cannot be loaded, ModuleNotFoundError: No module named 'package_that_is_nowhere'; upgrade"),
+        ("nowhere", "cannot be loaded, AttributeError: .* has no attribute 'NOWHERE'; upgrade or uninstall"),
+        ("ending", "cannot be loaded, SystemExit: 0; upgrade or uninstall that package"),
+        ("word", "must be a whole number, got 'seven'; upgrade or uninstall that package"),
+    ],
+)
+def test_what_cannot_be_loaded_is_named_and_disables_nothing_else(name: str, message: str) -> None:
+    with pytest.raises(OptionError, match=f"the number '{name}' of the package numbers-package {message}"):
+        NUMBERS[name]
+    assert NUMBERS["seven"] == 7
+
+
+def test_of_two_packages_the_first_on_the_path_is_taken(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for number in (8, 9):
+        text = {f"package{number}": f"N = {number}\n"}
+        install(
+            tmp_path / f"{number}", f"p{number}", text, f"[{GROUP}]\nn = package{number}:N\n", monkeypatch
+        )
+    assert NUMBERS["n"] == 9
+
+
+@pytest.mark.usefixtures("installed")
+@pytest.mark.parametrize("error", [KeyError("x"), InputError("x"), SystemExit(0)])
+def test_errors_of_a_package_fail_a_shape(error: BaseException) -> None:
+    with pytest.raises(
+        ShapeError, match=r"\[spectrum\] the number 'seven' of the package .* failed, "
+    ) as raised:
+        fail("seven", error)
+    assert raised.value.__cause__ is error
+
+
+@pytest.mark.usefixtures("installed")
+@pytest.mark.parametrize(
+    ("name", "error"),
+    [
+        ("seven", OptionError("n must be odd")),
+        ("seven", ShapeError("too flat")),
+        ("seven", MemoryError()),
+        ("one", KeyError("x")),
+    ],
+)
+def test_errors_that_are_nobodys_fault_are_left_as_they_are(name: str, error: BaseException) -> None:
+    with pytest.raises(type(error)) as raised:
+        fail(name, error)
+    assert raised.value is error
+
+
+def test_values_that_do_not_suit_fail_a_shape_even_of_pcretrieve() -> None:
+    with pytest.raises(ShapeError, match="the number 'one' failed, InputError: must be positive"):
+        fail("one", InputError("must be positive"))
+
+
+def fail(name: str, error: BaseException) -> None:
+    with NUMBERS.blamed(name, "spectrum"):
+        raise error
