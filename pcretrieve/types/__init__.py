@@ -1,0 +1,35 @@
+"""The immutable values that are passed from stage to stage.
+
+Arrays are copied, checked and made read-only when a value is made; functions that take such a value do not
+check it again. Two values are equal if their arrays are, whatever their provenance. Conventions:
+
+- lengths are in the unit of the file, coordinates are float64;
+- the vertices of a face are in counter-clockwise order, seen from outside;
+- the Laplace–Beltrami operator is positive semi-definite (−Δ u = λ u), eigenvalues ascend from λ_0 = 0.
+"""
+
+from pcretrieve.arrays import FloatArray, IntArray
+from pcretrieve.types.geometry import PointCloud, Step, TriangleMesh, bounding_diagonal
+from pcretrieve.types.shapes import Failure, Need, Shape, Surface
+from pcretrieve.types.signatures import Metric, Neighbors, Signature, SignatureTable
+from pcretrieve.types.spectra import Eigenpairs, LaplaceBeltrami, ModalSpectrum
+
+__all__ = [
+    "Eigenpairs",
+    "Failure",
+    "FloatArray",
+    "IntArray",
+    "LaplaceBeltrami",
+    "Metric",
+    "ModalSpectrum",
+    "Need",
+    "Neighbors",
+    "PointCloud",
+    "Shape",
+    "Signature",
+    "SignatureTable",
+    "Step",
+    "Surface",
+    "TriangleMesh",
+    "bounding_diagonal",
+]

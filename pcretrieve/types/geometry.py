@@ -1,0 +1,203 @@
+"""Points and surfaces, and the record of what was done to them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pcretrieve.arrays import FloatArray, IntArray
+from pcretrieve.errors import InputError
+from pcretrieve.values import Value, locked, numbers
+
+__all__ = ["PointCloud", "Step", "TriangleMesh", "bounding_diagonal"]
+
+# Smallest ratio of the area of a face to the square of its longest edge. Below it cotangents of the angles
+# exceed 1e8, and rounding errors of the stiffness matrix reach the size of its small eigenvalues.
+SMALLEST_ASPECT = 1e-9
+
+# Tolerance of the length of unit normals: files store them in single precision, and averages are not exact.
+UNIT_TOLERANCE = 1e-3
+
+
+@dataclass(frozen=True, slots=True)
+class Step:
+    """The record of one stage of the processing of one shape.
+
+    Attributes
+    ----------
+    stage : str
+        Name of the stage.
+    seconds : float
+        Wall-clock time.
+    sizes : dict of str to float
+        Counts, and lengths in the unit of the file.
+    notes : tuple of str
+        A sentence for each repair and each fallback, with its size. Empty if there was none.
+    """
+
+    stage: str
+    seconds: float
+    sizes: dict[str, float] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PointCloud(Value):
+    """A point cloud, in the unit of the file.
+
+    Parameters
+    ----------
+    points : (n, 3) float64
+        Coordinates.
+    normals : (n, 3) float64 or None
+        Unit normals that point out of the body.
+    viewpoints : (n, 3) float64 or None
+        Position of the sensor that measured each point, in the frame of the points. A (3,) array is the
+        position of one sensor for all points.
+    provenance : tuple of Step
+        The stages that made the cloud, in order.
+    """
+
+    points: FloatArray
+    normals: FloatArray | None = None
+    viewpoints: FloatArray | None = None
+    provenance: tuple[Step, ...] = field(default=(), compare=False)
+
+    def __post_init__(self) -> None:
+        points = locked("points", self.points, (None, 3))
+        object.__setattr__(self, "points", points)
+        n = len(points)
+        if self.normals is not None:
+            normals = locked("normals", self.normals, (n, 3))
+            off = np.abs(np.linalg.norm(normals, axis=1) - 1) > UNIT_TOLERANCE  # (n,)
+            if off.any():
+                raise InputError(
+                    f"normals must have unit length, got {off.sum()} of {n} that have not: "
+                    "divide them by their length, or leave them out"
+                )
+            object.__setattr__(self, "normals", normals)
+        if self.viewpoints is not None:
+            viewpoints = numbers("viewpoints", self.viewpoints)
+            if viewpoints.shape == (3,):
+                viewpoints = np.broadcast_to(viewpoints, (n, 3))
+            object.__setattr__(self, "viewpoints", locked("viewpoints", viewpoints, (n, 3)))
+
+    @property
+    def diagonal(self) -> float:
+        """Diagonal of the axis-aligned bounding box, to which relative lengths in options refer."""
+        return bounding_diagonal(self.points)
+
+    def select(self, index: NDArray[Any]) -> PointCloud:
+        """The points at `index` (a mask or positions), with their normals and viewpoints."""
+        return replace(
+            self,
+            points=self.points[index],
+            normals=None if self.normals is None else self.normals[index],
+            viewpoints=None if self.viewpoints is None else self.viewpoints[index],
+        )
+
+    def after(self, step: Step) -> PointCloud:
+        """The same cloud with one more step in its provenance."""
+        return replace(self, provenance=(*self.provenance, step))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TriangleMesh(Value):
+    """A triangulated surface, in the unit of the file.
+
+    Parameters
+    ----------
+    vertices : (n, 3) float64
+        Coordinates.
+    faces : (m, 3) int32
+        Vertex numbers of each triangle, counter-clockwise seen from outside.
+    provenance : tuple of Step
+        The stages that made the surface, in order.
+    """
+
+    vertices: FloatArray
+    faces: IntArray
+    provenance: tuple[Step, ...] = field(default=(), compare=False)
+
+    def __post_init__(self) -> None:
+        vertices = locked("vertices", self.vertices, (None, 3))
+        faces = locked("faces", self.faces, (None, 3), np.int32)
+        if faces.size and not (faces.min() >= 0 and faces.max() < len(vertices)):
+            raise InputError(
+                f"faces must name vertices 0 to {len(vertices) - 1}, got {faces.min()} to {faces.max()}"
+            )
+        object.__setattr__(self, "vertices", vertices)
+        object.__setattr__(self, "faces", faces)
+
+    @property
+    def diagonal(self) -> float:
+        """Diagonal of the axis-aligned bounding box."""
+        return bounding_diagonal(self.vertices)
+
+    @property
+    def area_vectors(self) -> FloatArray:
+        """(m, 3) area vectors: outward normals of the faces, with the area as their length; unit length².
+
+        The area vectors of a closed surface sum up to zero.
+        """
+        a, b, c = (self.vertices[self.faces[:, k]] for k in range(3))
+        return np.cross(b - a, c - a) / 2
+
+    @property
+    def face_areas(self) -> FloatArray:
+        """(m,) areas of the faces, unit length²."""
+        areas: FloatArray = np.linalg.norm(self.area_vectors, axis=1)
+        return areas
+
+    @property
+    def flat_faces(self) -> NDArray[np.bool_]:
+        """(m,) mask of degenerate faces, whose area is too small for the gradients of linear elements."""
+        corners = self.vertices[self.faces]  # (m, 3, 3)
+        longest = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1, initial=0)  # (m,)
+        return np.asarray(self.face_areas <= SMALLEST_ASPECT * longest**2)
+
+    @property
+    def area(self) -> float:
+        """Total area, unit length²."""
+        return float(self.face_areas.sum())
+
+    @property
+    def volume(self) -> float:
+        """Signed enclosed volume, unit length³; positive if the faces are oriented outwards.
+
+        Meaningful for closed surfaces only.
+        """
+        corner = self.vertices[self.faces[:, 0]] - self.vertices.mean(axis=0)
+        return float(np.einsum("ij,ij->", corner, self.area_vectors) / 3)
+
+    @property
+    def euler_characteristic(self) -> int:
+        """V − E + F, without unreferenced vertices: 2 for a sphere, 0 for a torus."""
+        ends = self.faces.astype(np.int64), self.faces[:, [1, 2, 0]]  # (m, 3) each
+        edges = np.minimum(*ends) * len(self.vertices) + np.maximum(
+            *ends
+        )  # (m, 3): one number for each unordered pair of vertices
+        return len(np.unique(self.faces)) - len(np.unique(edges)) + len(self.faces)
+
+    def after(self, step: Step) -> TriangleMesh:
+        """The same surface with one more step in its provenance."""
+        return replace(self, provenance=(*self.provenance, step))
+
+
+def bounding_diagonal(points: FloatArray) -> float:
+    """Diagonal of the axis-aligned bounding box of points.
+
+    Parameters
+    ----------
+    points : (n, 3) float64
+        In any unit.
+
+    Returns
+    -------
+    float
+        In the unit of the points; 0 where there are none.
+    """
+    return float(np.linalg.norm(np.ptp(points, axis=0))) if len(points) else 0.0

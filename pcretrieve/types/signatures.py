@@ -1,0 +1,133 @@
+"""Signatures, tables of them, and the neighbours that a search finds."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal, get_args
+
+import numpy as np
+
+from pcretrieve.arrays import FloatArray
+from pcretrieve.errors import InputError
+from pcretrieve.values import Value, locked
+
+__all__ = ["Metric", "Neighbors", "Signature", "SignatureTable"]
+
+# How the values of two signatures are compared: by their logarithms, for positive values; as they are, for
+# any; or as histograms, whose bins are not negative.
+Metric = Literal["logarithms", "values", "histograms"]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Signature(Value):
+    """A global shape descriptor: a short vector, invariant to isometric deformation of the surface.
+
+    Attributes
+    ----------
+    values : (L,) float64
+        Dimensionless, except for the scale ``absolute``. In the order stated by the method; the size, if it
+        has a weight, is the last value.
+    kind : str
+        The method, such as ``r-bihdm``.
+    digest : str
+        Hash of the options; two signatures are comparable only if both their kinds and their digests are
+        equal.
+    deviation : (L,) float64 or None
+        Error bar: standard deviation (ddof = 1) of each value over the surfaces reconstructed from one scan;
+        for the metric ``logarithms``, of its logarithm. None if there is one surface only.
+    metric : {"logarithms", "values", "histograms"}, default "logarithms"
+        How two signatures of this kind are compared: by the logarithms of their values, which are positive;
+        by the values as they are; or as histograms, whose bins are not negative.
+    """
+
+    values: FloatArray
+    kind: str
+    digest: str = ""
+    deviation: FloatArray | None = None
+    metric: Metric = "logarithms"
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "values", _suited(locked("values", self.values, (None,)), self.metric))
+        if self.deviation is not None:
+            deviation = locked("deviation", self.deviation, (len(self.values),))
+            object.__setattr__(self, "deviation", deviation)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SignatureTable(Value):
+    """Signatures of many shapes, of one kind.
+
+    Attributes
+    ----------
+    ids : tuple of str, length N
+        Identifiers of the shapes, distinct.
+    values : (N, L) float64
+        One signature in each row, in the units of `Signature`.
+    kind, digest, metric : str
+        Method, hash of the options, and metric, as in `Signature`.
+    labels : tuple of (str or None), length N
+        Class of each shape; None if unknown.
+    """
+
+    ids: tuple[str, ...]
+    values: FloatArray
+    kind: str
+    digest: str = ""
+    labels: tuple[str | None, ...] = ()
+    metric: Metric = "logarithms"
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "ids", tuple(self.ids))
+        n = len(self.ids)
+        if len(set(self.ids)) != n:
+            raise InputError("ids must be distinct")
+        object.__setattr__(self, "values", _suited(locked("values", self.values, (n, None)), self.metric))
+        object.__setattr__(self, "labels", tuple(self.labels) or (None,) * n)
+        if len(self.labels) != n:
+            raise InputError(f"labels must be as many as ids ({n}), got {len(self.labels)}")
+
+    def __len__(self) -> int:
+        return len(self.ids)
+
+
+def _suited(values: FloatArray, metric: Metric) -> FloatArray:
+    """The values of signatures, if the metric can compare them."""
+    if metric not in get_args(Metric):
+        raise InputError(f"metric must be one of {', '.join(get_args(Metric))}, got {metric!r}")
+    smallest = values.min(initial=np.inf)
+    if metric == "logarithms" and smallest <= 0:
+        raise InputError(f"signature values must be positive, got {smallest}")
+    if metric == "histograms" and smallest < 0:
+        raise InputError(f"the bins of a histogram must not be negative, got {smallest}")
+    return values
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Neighbors(Value):
+    """The nearest neighbours of one query.
+
+    Attributes
+    ----------
+    ids : tuple of str, length k
+        Identifiers of the shapes, distinct, nearest first; equally near shapes in alphabetical order.
+    distances : (k,) float64
+        Distances to the query, not negative, ascending; dimensionless. May be infinite.
+    """
+
+    ids: tuple[str, ...]
+    distances: FloatArray
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "ids", tuple(self.ids))
+        distances = locked("distances", self.distances, (len(self.ids),), finite=False)
+        if len(set(self.ids)) != len(self.ids):
+            raise InputError("ids must be distinct")
+        if not ((distances >= 0).all() and (distances[:-1] <= distances[1:]).all()):
+            raise InputError("distances must ascend from 0 or more, got others; sort the shapes by distance")
+        tied = distances[:-1] == distances[1:]
+        if any(tie and self.ids[i] > self.ids[i + 1] for i, tie in enumerate(tied)):
+            raise InputError("ids of equally distant shapes must be in alphabetical order, got another one")
+        object.__setattr__(self, "distances", distances)
+
+    def __len__(self) -> int:
+        return len(self.ids)
