@@ -2,8 +2,8 @@
 
 Options are read from TOML, validated when an object is made, and identified by a digest. Lengths are relative
 to the diagonal of the axis-aligned bounding box of the points ("the diagonal"), unless the description of the
-option names another unit, so that the signature of a scan does not depend on the unit of its file. How the
-default values were chosen is in docs/decisions.md, by the name of the option.
+option names another unit, so that the signature of a scan does not depend on the unit of its file. The
+measurements behind the default values are in docs/decisions.md.
 """
 
 from __future__ import annotations
