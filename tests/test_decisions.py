@@ -1,4 +1,4 @@
-"""docs/decisions.md has a row for each decision that a comment names, and no row without its name in the code."""
+"""docs/decisions.md has a row for each decision that a comment names, and each row has a name in the code."""
 
 import re
 from pathlib import Path

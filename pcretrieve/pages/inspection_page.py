@@ -1,4 +1,4 @@
-"""A page to look at: one scan, what is wrong with it, and a view of it that can be turned.
+"""The page of one inspected scan: the checks, the pictures, and an interactive 3D viewer.
 
 One HTML file that needs nothing else: pictures, points and the few lines that draw them are inlined, and no
 request leaves the page.
@@ -25,7 +25,7 @@ from pcretrieve.pages.inspection_pictures import (
     FILLED,
     KEPT,
     SKIN_WIDTH,
-    inspection_views,
+    inspection_cameras,
     rows_of,
     thinned,
 )
@@ -35,11 +35,11 @@ from pcretrieve.types import FloatArray
 
 __all__ = ["write_inspection_page"]
 
-# Half the side of the cube that the view that turns can show, with room for strays near the body; farther
-# ones are left out. Relative to the radius of the ball round the body.
+# Half of the side of the cube that the 3D viewer can show, with room for outliers near the body; farther
+# outliers are left out. Relative to the radius of the bounding ball of the body.
 STRAY_ROOM = 1.25
 
-# Largest 16-bit number: what the view that turns stores coordinates in.
+# Largest 16-bit integer, in which the 3D viewer stores coordinates.
 FULL_SCALE = 2**16 - 1
 
 
@@ -67,13 +67,13 @@ def write_inspection_page(inspection: Inspection, path: str | Path) -> Path:
     return target
 
 
-# --- the view that turns ------------------------------------------------------------------------------
+# --- the 3D viewer --------------------------------------------------------------------------------------
 
 
 def _scene(it: Inspection) -> dict[str, Any] | None:
     """What the page's own viewer draws: layers of points or faces, as base64 of little-endian arrays."""
-    views = inspection_views(it)
-    if not views:
+    cameras = inspection_cameras(it)
+    if not cameras:
         return None
     low, high = it.body.min(axis=0), it.body.max(axis=0)
     centre = (low + high) / 2
@@ -109,7 +109,7 @@ def _scene(it: Inspection) -> dict[str, Any] | None:
         for name, places, colour in (("cuts", it.cuts, CUT), ("bridges", it.bridges, BRIDGE)):
             layers.append(layer_of(name, name, places, colour, width=half / 30, over=True))
     on = {"surface", "filled", "cuts", "bridges"} if it.mesh is not None else {"points", "dropped"}
-    return {"layers": layers, "on": sorted(on), "axes": views[0].axes.tolist(), "zoom": STRAY_ROOM}
+    return {"layers": layers, "on": sorted(on), "axes": cameras[0].axes.tolist(), "zoom": STRAY_ROOM}
 
 
 def _base64(values: NDArray[Any]) -> str:

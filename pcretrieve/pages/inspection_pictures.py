@@ -11,7 +11,16 @@ from PIL import Image, ImageDraw, ImageFont
 
 from pcretrieve.inspection.inspection import Inspection
 from pcretrieve.pages.report import write_file
-from pcretrieve.rendering import CLAY, Colour, View, css, point_picture, rgb, surface_picture, views_around
+from pcretrieve.rendering import (
+    CLAY,
+    Camera,
+    Colour,
+    cameras_around,
+    css,
+    point_picture,
+    rgb,
+    surface_picture,
+)
 from pcretrieve.types import FloatArray, PointCloud, TriangleMesh
 
 __all__ = [
@@ -24,7 +33,7 @@ __all__ = [
     "KEPT",
     "SKIN_WIDTH",
     "Row",
-    "inspection_views",
+    "inspection_cameras",
     "rows_of",
     "thinned",
     "write_inspection_png",
@@ -83,23 +92,23 @@ class Row:
         return {"title": self.title, "key": key, "pictures": files}
 
 
-def inspection_views(it: Inspection) -> list[View]:
-    """Views from four sides; none where there is nothing to see."""
-    return views_around(it.body) if len(it.body) else []
+def inspection_cameras(it: Inspection) -> list[Camera]:
+    """The cameras on four sides of the body; none if there is no body."""
+    return cameras_around(it.body) if len(it.body) else []
 
 
 def rows_of(it: Inspection) -> list[Row]:
     """Points, normals, surface, and what was done to it: those that there are."""
     rows = []
-    if it.scan is not None and inspection_views(it):
+    if it.scan is not None and inspection_cameras(it):
         rows.append(_raw_row(it.scan, it))
     if it.cloud is not None and it.cloud.normals is not None:
         rows.append(_normals_row(it.cloud, it.cloud.normals, it))
     if it.mesh is not None:
         clay = np.tile(CLAY, (len(it.mesh.faces), 1))
         plain = [
-            surface_picture(it.mesh.vertices, it.mesh.faces, clay, view, size=PICTURE_PIXELS)
-            for view in inspection_views(it)
+            surface_picture(it.mesh.vertices, it.mesh.faces, clay, camera, size=PICTURE_PIXELS)
+            for camera in inspection_cameras(it)
         ]
         rows.append(Row("Surface", [(CLAY, f"{len(it.mesh.faces)} faces")], plain))
     if it.mesh is not None and it.cloud is not None:
@@ -111,15 +120,15 @@ def _raw_row(scan: PointCloud, it: Inspection) -> Row:
     kept, dropped = thinned(scan.points[~it.dropped]), thinned(scan.points[it.dropped])
     width = SKIN_WIDTH / 2 * it.spacing
     pictures = []
-    for view in inspection_views(it):
-        depth = view.seen(kept)[:, 2:]
+    for camera in inspection_cameras(it):
+        depth = camera.seen(kept)[:, 2:]
         bright = DARKEST + (1 - DARKEST) * (np.clip(depth, -1, 1) + 1) / 2  # (n, 1)
-        picture = point_picture(kept, bright * KEPT, view, width=width, size=PICTURE_PIXELS)
+        picture = point_picture(kept, bright * KEPT, camera, width=width, size=PICTURE_PIXELS)
         over = point_picture(
             dropped,
             np.tile(DROPPED, (len(dropped), 1)),
-            view,
-            width=max(DROPPED_WIDTH * width, view.half / 60),
+            camera,
+            width=max(DROPPED_WIDTH * width, camera.half / 60),
             size=PICTURE_PIXELS,
         )
         pictures.append(Image.alpha_composite(picture, over))
@@ -130,13 +139,13 @@ def _raw_row(scan: PointCloud, it: Inspection) -> Row:
 
 def _normals_row(cloud: PointCloud, normals: FloatArray, it: Inspection) -> Row:
     pictures = []
-    for view in inspection_views(it):
-        facing = normals @ view.axes[2]  # (n,)
+    for camera in inspection_cameras(it):
+        facing = normals @ camera.axes[2]  # (n,)
         colours = (
             np.where(facing[:, None] > 0, FACING, AWAY) * (DARKEST + (1 - DARKEST) * abs(facing))[:, None]
         )
         picture = point_picture(
-            cloud.points, colours, view, width=SKIN_WIDTH * it.spacing, size=PICTURE_PIXELS
+            cloud.points, colours, camera, width=SKIN_WIDTH * it.spacing, size=PICTURE_PIXELS
         )
         pictures.append(picture)
     key = [(FACING, "outside faces you"), (AWAY, "inside faces you: a hole, or a patch turned over")]
@@ -147,8 +156,8 @@ def _marks_row(mesh: TriangleMesh, it: Inspection) -> Row:
     colours = np.where(it.filled[:, None], FILLED, CLAY)
     rings = [(it.cuts, CUT), (it.bridges, BRIDGE)]
     pictures = [
-        surface_picture(mesh.vertices, mesh.faces, colours, view, size=PICTURE_PIXELS, rings=rings)
-        for view in inspection_views(it)
+        surface_picture(mesh.vertices, mesh.faces, colours, camera, size=PICTURE_PIXELS, rings=rings)
+        for camera in inspection_cameras(it)
     ]
     key = [
         (FILLED, "filled in, no point nearby"),
@@ -168,7 +177,7 @@ def write_inspection_png(inspection: Inspection, path: str | Path) -> Path:
     target = Path(path).absolute()
     rows = rows_of(inspection)
     margin, line, title = 16, 22, 34
-    width = 2 * margin + len(inspection_views(inspection) or [0] * 4) * PICTURE_PIXELS
+    width = 2 * margin + len(inspection_cameras(inspection) or [0] * 4) * PICTURE_PIXELS
     lines = [check for check in inspection.checks if check.verdict != "passed"]
     height = 3 * margin + title + line * (1 + len(lines))
     height += sum(row.pictures[0].height + 2 * line + margin for row in rows)

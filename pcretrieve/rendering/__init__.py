@@ -1,10 +1,10 @@
 """Pictures of surfaces and point clouds.
 
-In come arrays of vertices and faces, or of points; out come shaded pictures, cast ray by ray so that no
-display is needed. The virtual camera, the lamps and the ray casting of all pictures are here.
+In come arrays of vertices and faces, or of points; out come shaded pictures, made by ray casting without a
+display. The virtual camera, the lamps and the ray casting of all pictures are here.
 """
 
-from pcretrieve.rendering.camera import MARGIN, View, body_axes, views_around
+from pcretrieve.rendering.camera import MARGIN, Camera, body_axes, cameras_around
 from pcretrieve.rendering.pictures import Colour, css, point_picture, rgb, surface_picture
 from pcretrieve.rendering.shading import CLAY
 from pcretrieve.rendering.thumbnail import cloud_thumbnail, thumbnail
@@ -12,14 +12,14 @@ from pcretrieve.rendering.thumbnail import cloud_thumbnail, thumbnail
 __all__ = [
     "CLAY",
     "MARGIN",
+    "Camera",
     "Colour",
-    "View",
     "body_axes",
+    "cameras_around",
     "cloud_thumbnail",
     "css",
     "point_picture",
     "rgb",
     "surface_picture",
     "thumbnail",
-    "views_around",
 ]

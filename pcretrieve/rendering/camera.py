@@ -1,7 +1,4 @@
-"""The virtual camera: where the viewer stands, and which face each ray meets first.
-
-The projection is orthographic: all rays are parallel.
-"""
+"""The virtual camera, with an orthographic projection: its poses around a body, and the visible faces."""
 
 from __future__ import annotations
 
@@ -15,45 +12,46 @@ from pcretrieve.arrays import FloatArray, IntArray
 __all__ = [
     "MARGIN",
     "SUPERSAMPLING",
-    "View",
+    "Camera",
     "body_axes",
+    "cameras_around",
     "pooled",
     "principal_axes",
     "rotation",
-    "views_around",
     "visible_faces",
 ]
 
-#: Left free on each side of a picture; a share of its width.
+#: Margin on each side of a picture, relative to its width.
 MARGIN = 0.04
 
-#: Rays per pixel along each side: five levels of coverage make an edge smooth.
+#: Number of rays along each side of a pixel, for antialiasing: four rays give five levels of coverage.
 SUPERSAMPLING = 2
 
-# Decides by the axes of the file where the shape has no preference, as a sphere has none. Share of the total
-# variance, and also a skewness: far above rounding, far below what can be seen.
+# Tie-breaker for shapes whose principal axes are not unique, such as a sphere: a
+# bias towards the axes of the file. As a fraction of the total variance, and as a
+# skewness, it is far above rounding errors and not visible.
 TIE = 1e-6
 
-# How far to the right of the front the viewer stands for each picture of a body, and how far above; degrees.
+# Azimuths of the cameras around a body, to the right of its front, and their elevation; degrees.
 AZIMUTHS = (20, 110, 200, 290)
 ELEVATION = 15
 
-# A body smaller than this share of its picture cannot be seen.
+# Smallest size of the field of view, relative to the size of the body.
 SMALL = 1e-3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class View:
-    """From where a picture is taken, and what fits into the picture.
+class Camera:
+    """An orthographic camera.
 
     Attributes
     ----------
     axes : (3, 3) float64
-        Rows right, up and towards the viewer: orthonormal.
+        Orthonormal rows: the directions to the right, upwards, and towards the camera.
     centre : (3,) float64
-        The point in the middle of the picture; unit of the scan.
+        The point in the centre of the picture; unit of the scan.
     half : float
-        Half the side of what the picture shows; unit of the scan.
+        Half of the side of the field of view; unit of the scan.
     """
 
     axes: FloatArray
@@ -61,38 +59,41 @@ class View:
     half: float
 
     def seen(self, points: FloatArray) -> FloatArray:
-        """(n, 3) coordinates to the right of, above and before the middle; the picture shows [-1, 1]²."""
+        """(n, 3) image coordinates, right, up and towards the camera; the field of view is [-1, 1]²."""
         seen: FloatArray = (points - self.centre) @ self.axes.T / self.half
         return seen
 
 
-def views_around(points: FloatArray) -> list[View]:
-    """Views of a body from four sides, all of one scale.
+def cameras_around(points: FloatArray) -> list[Camera]:
+    """Cameras on four sides of a body, with one scale.
 
     Parameters
     ----------
     points : (n, 3) float64
-        All over the body: what the pictures must show.
+        Points of the body, all of which are in the field of view.
 
     Returns
     -------
-    list of View
+    list of Camera
+        One camera for each of `AZIMUTHS`; unit of the points.
     """
     low, high = points.min(axis=0), points.max(axis=0)
     size = float(np.linalg.norm(high - low)) or 1.0  # the size of equal points
     axes = principal_axes(points, np.full(len(points), 1 / len(points)))
-    views = []
+    cameras = []
     for azimuth in AZIMUTHS:
-        view = View(rotation(azimuth, ELEVATION) @ axes, np.zeros(3), 1.0)
-        seen = view.seen(points)  # (n, 3)
+        camera = Camera(rotation(azimuth, ELEVATION) @ axes, np.zeros(3), 1.0)
+        seen = camera.seen(points)  # (n, 3)
         middle = (seen.min(axis=0) + seen.max(axis=0)) / 2
-        views.append(replace(view, centre=middle @ view.axes, half=np.ptp(seen[:, :2], axis=0).max() / 2))
-    widest = max(SMALL * size, *(view.half for view in views)) / (1 - 2 * MARGIN)
-    return [replace(view, half=widest) for view in views]
+        cameras.append(
+            replace(camera, centre=middle @ camera.axes, half=np.ptp(seen[:, :2], axis=0).max() / 2)
+        )
+    widest = max(SMALL * size, *(camera.half for camera in cameras)) / (1 - 2 * MARGIN)
+    return [replace(camera, half=widest) for camera in cameras]
 
 
 def body_axes(vertices: FloatArray, faces: IntArray) -> FloatArray:
-    """Right, up and towards the viewer, by the principal axes of a surface: they turn with the body.
+    """The axes of a camera in front of a body, by the principal axes of its surface.
 
     Parameters
     ----------
@@ -104,7 +105,7 @@ def body_axes(vertices: FloatArray, faces: IntArray) -> FloatArray:
     Returns
     -------
     (3, 3) float64
-        As `principal_axes`.
+        Orthonormal rows, as from `principal_axes`.
     """
     a, b, c = (vertices[faces[:, k]] for k in range(3))
     areas = np.linalg.norm(np.cross(b - a, c - a), axis=1) / 2  # (m,)
@@ -114,23 +115,23 @@ def body_axes(vertices: FloatArray, faces: IntArray) -> FloatArray:
 
 
 def principal_axes(points: FloatArray, weights: FloatArray) -> FloatArray:
-    """Right, up and towards the viewer, by the principal axes of weighted points.
+    """The axes of a camera in front of a body, by the principal axes of weighted points.
 
-    The viewer looks along the axis of least variance. Up is the more skewed of the other two axes, against
-    the skew: a body with a head and legs stands on its legs.
+    The direction of view is the axis of least variance. Up is the more skewed of the other two axes, against
+    its skewness, so that a body with a head and legs stands on its legs.
 
     Parameters
     ----------
     points : (n, 3) float64
-        In the unit of the view.
+        Coordinates, in any unit.
     weights : (n,) float64
-        Their sum is 1.
+        Weights of the points, with the sum 1.
 
     Returns
     -------
     (3, 3) float64
-        Rows right, up and towards: orthonormal, right-handed. Where the shape leaves a choice, the axes are
-        as near as can be to x, y and z.
+        Orthonormal, right-handed rows: the directions to the right, upwards, and towards the camera. If the
+        principal axes are not unique, the rows are as near as possible to the axes x, y and z.
     """
     points = points - weights @ points
     variance = weights @ (points**2).sum(axis=1)
@@ -154,12 +155,12 @@ def principal_axes(points: FloatArray, weights: FloatArray) -> FloatArray:
 
 
 def rotation(azimuth: float, elevation: float) -> FloatArray:
-    """The turn from the axes of a body to those of a viewer who stands to the right and above.
+    """The rotation from the axes of a body to those of a camera.
 
     Parameters
     ----------
     azimuth, elevation : float
-        How far to the right of the front and above the viewer stands; degrees.
+        Angles of the camera to the right of the front of the body, and above it; degrees.
 
     Returns
     -------
@@ -173,12 +174,12 @@ def rotation(azimuth: float, elevation: float) -> FloatArray:
 
 
 def visible_faces(vertices: FloatArray, faces: IntArray, size: int) -> IntArray:
-    """The face that each ray meets first.
+    """The first face on each ray of a camera.
 
     Parameters
     ----------
     vertices : (n, 3) float64
-        In the frame of the picture, which shows [-1, 1]² from above (along −z).
+        Image coordinates; the rays are parallel to −z, in the field of view [-1, 1]².
     faces : (m, 3) int32
         Vertex numbers of the triangles.
     size : int
@@ -187,7 +188,7 @@ def visible_faces(vertices: FloatArray, faces: IntArray, size: int) -> IntArray:
     Returns
     -------
     (s, s) int32
-        Numbers of faces, −1 where nothing is; s is `size` times `SUPERSAMPLING`, the top row first.
+        Numbers of the faces, −1 for none; s is `size` times `SUPERSAMPLING`, with the top row first.
     """
     n = SUPERSAMPLING * size
     ticks = (2 * np.arange(n) + 1) / n - 1
@@ -199,17 +200,17 @@ def visible_faces(vertices: FloatArray, faces: IntArray, size: int) -> IntArray:
 
 
 def pooled(rays: FloatArray) -> FloatArray:
-    """Means over the rays of each pixel.
+    """The mean over the rays of each pixel.
 
     Parameters
     ----------
     rays : (s, s, ...) float64
-        One value a ray, as from `visible_faces`.
+        One value for each ray, in the order of `visible_faces`.
 
     Returns
     -------
     (s / `SUPERSAMPLING`, s / `SUPERSAMPLING`, ...) float64
-        One value a pixel.
+        One value for each pixel.
     """
     size = len(rays) // SUPERSAMPLING
     blocks = rays.reshape(size, SUPERSAMPLING, size, SUPERSAMPLING, *rays.shape[2:])

@@ -1,4 +1,4 @@
-"""Lamps and the colour of clay."""
+"""Lamps and the colour of surfaces."""
 
 from __future__ import annotations
 
@@ -8,22 +8,22 @@ from pcretrieve.arrays import FloatArray, IntArray
 
 __all__ = ["CLAY", "face_brightness"]
 
-#: A light clay, which stands out from white pages and from black ones; sRGB in [0, 1].
+#: The colour of surfaces: a light clay, visible on white and on black; sRGB in [0, 1].
 CLAY = (0.86, 0.80, 0.74)
 
-# Directions to the two lamps as seen by the viewer (right, up, towards), and how strong the lamps are: a key
-# light from the upper left, as in drawings, and a weak fill light from the right so that no side is black.
+# Directions to the two lamps in the frame of the camera (right, up, towards), and their strengths: a key
+# light from the upper left, and a weak fill light from the right.
 LIGHTS = (((-0.5, 0.7, 0.8), 0.72), ((0.9, 0.1, 0.5), 0.22))
 AMBIENT = 0.26
 
 
 def face_brightness(vertices: FloatArray, faces: IntArray) -> FloatArray:
-    """Brightness of each face of a matt surface by Lambert's law; both sides of a face look the same.
+    """The brightness of the faces of a matt surface by Lambert's law; both sides of a face look alike.
 
     Parameters
     ----------
     vertices : (n, 3) float64
-        In the frame of the viewer: right, up, towards.
+        Coordinates in the frame of the camera: right, up, towards.
     faces : (m, 3) int32
         Vertex numbers of the triangles.
 

@@ -1,4 +1,4 @@
-"""Thumbnails: small pictures of a body, from the side where most of the body is seen."""
+"""Thumbnails: small pictures of a body from its front."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from pcretrieve.rendering.camera import (
     MARGIN,
     SUPERSAMPLING,
     body_axes,
+    cameras_around,
     pooled,
     rotation,
-    views_around,
     visible_faces,
 )
 from pcretrieve.rendering.pictures import point_picture
@@ -23,15 +23,15 @@ from pcretrieve.rendering.shading import CLAY, face_brightness
 
 __all__ = ["cloud_thumbnail", "thumbnail"]
 
-# A palette makes a picture a third as large: with nothing, and each brightness at each coverage, the palette
-# holds what 8 bits can number. No eye tells 63 levels of one colour from more.
+# The palette has one entry for the background, and one for each brightness at each coverage, at most 256 in
+# all. It reduces the size of a file to a third.
 N_COVERAGES = SUPERSAMPLING**2
 N_LEVELS = 255 // N_COVERAGES
 
-# Points of a cloud that its thumbnail shows; more cannot be told apart.
+# Largest number of points that are drawn.
 MOST_POINTS = 20_000
 
-# Brightness of the points farthest from the viewer; the nearest have 1.
+# Brightness of the points farthest from the camera; the nearest have 1.
 DARKEST = 0.35
 
 
@@ -43,10 +43,11 @@ def thumbnail(
     azimuth: float = 20.0,
     elevation: float = 10.0,
 ) -> bytes:
-    """A picture of a surface, from a side where much of the surface is seen.
+    """A picture of a surface from its front.
 
-    Orthographic, two-sided, lit by two lamps; the body touches the frame less `MARGIN`. The view is that of
-    `body_axes`, so where the body lies, how large it is and how it is turned do not change its picture.
+    The projection is orthographic, with two lamps, and both sides of a face look alike. The camera is
+    relative to `body_axes`, and the body fills the picture up to `MARGIN`, so that the picture is invariant
+    to rigid motion and scaling of the body.
 
     Parameters
     ----------
@@ -57,20 +58,19 @@ def thumbnail(
     size : int, default 160
         Side of the square picture; pixels.
     azimuth, elevation : float, default 20 and 10
-        How far to the right of and above the front of `body_axes` the viewer stands, so that the body has
-        depth; degrees.
+        Angles of the camera to the right of the front of `body_axes`, and above it; degrees.
 
     Returns
     -------
     bytes
-        PNG with a palette, transparent where nothing is; 4 to 7 kB at 160 pixels.
+        A PNG file with a palette and a transparent background; 4 to 7 kB at 160 pixels.
 
     Raises
     ------
     DegenerateMeshError
-        For a surface without area.
+        If the surface has no area.
     OptionError
-        For a size below 1, or angles that are not finite.
+        If the size is less than 1, or an angle is not finite.
     """
     if size < 1:
         raise OptionError(f"size must be at least 1 pixel, got {size}")
@@ -79,7 +79,7 @@ def thumbnail(
     a, b, c = (vertices[faces[:, k]] for k in range(3))
     area = float(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum() / 2)
     diagonal = float(np.linalg.norm(np.ptp(vertices, axis=0))) if len(vertices) else 0.0
-    # Rays are cast in single precision, and meet nothing thinner.
+    # Rays are cast in single precision, and do not hit thinner surfaces.
     if not area > np.finfo(np.float32).eps * diagonal**2:
         raise DegenerateMeshError(
             f"a surface must have area to be drawn, got {len(faces)} faces with an area of {area:.3g}; leave "
@@ -93,7 +93,7 @@ def thumbnail(
 
 
 def cloud_thumbnail(points: FloatArray, *, size: int = 160) -> bytes:
-    """A picture of a point cloud, nearer points brighter, from a side where much of the cloud is seen.
+    """A picture of a point cloud from its front; nearer points are brighter.
 
     Parameters
     ----------
@@ -105,20 +105,20 @@ def cloud_thumbnail(points: FloatArray, *, size: int = 160) -> bytes:
     Returns
     -------
     bytes
-        PNG, transparent where nothing is.
+        A PNG file with a transparent background.
     """
     shown = points[:: -(-len(points) // MOST_POINTS)]
-    view = views_around(shown)[0]
-    depth = view.seen(shown)[:, 2:]  # (n, 1)
+    camera = cameras_around(shown)[0]
+    depth = camera.seen(shown)[:, 2:]  # (n, 1)
     bright = DARKEST + (1 - DARKEST) * (np.clip(depth, -1, 1) + 1) / 2
-    spacing = 2 * view.half / np.sqrt(len(shown))
+    spacing = 2 * camera.half / np.sqrt(len(shown))
     file = BytesIO()
-    point_picture(shown, bright * CLAY, view, width=spacing, size=size).save(file, "PNG", optimize=True)
+    point_picture(shown, bright * CLAY, camera, width=spacing, size=size).save(file, "PNG", optimize=True)
     return file.getvalue()
 
 
 def _framed(vertices: FloatArray, faces: IntArray) -> FloatArray:
-    """(n, 3) vertices moved and scaled so that the surface fills [-1, 1]² less the margin, below z = 0."""
+    """(n, 3) image coordinates in which the surface fills [-1, 1]² up to the margin, and is below z = 0."""
     used = vertices[faces.ravel()]
     low, high = used.min(axis=0), used.max(axis=0)
     centre = [(low[0] + high[0]) / 2, (low[1] + high[1]) / 2, high[2]]
@@ -127,9 +127,9 @@ def _framed(vertices: FloatArray, faces: IntArray) -> FloatArray:
 
 
 def _png(shade: FloatArray, covered: FloatArray) -> bytes:
-    """Rays pooled to pixels and encoded; `shade` is 0 where `covered` is."""
+    """A PNG file of the means over rays; `shade` is 0 where `covered` is 0."""
     coverage = pooled(covered)
-    # The mean over the rays that hit, so that edges do not darken.
+    # The mean over the rays that hit a face, so that edges are not darker.
     brightness = pooled(shade) / np.where(coverage > 0, coverage, 1)
     step = np.round(coverage * N_COVERAGES)
     level = np.round(brightness * (N_LEVELS - 1))
