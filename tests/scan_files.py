@@ -1,4 +1,4 @@
-"""Scan files, written by hand: as they are meant to be, and as they should not."""
+"""Valid and invalid scan files, for tests."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Surfaces with a formula: what the laws are tested on."""
+"""Surfaces with known geometry, for tests."""
 
 from __future__ import annotations
 

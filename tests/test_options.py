@@ -1,4 +1,4 @@
-"""Options: TOML in, digest out, nothing that does not exist."""
+"""Options: reading from TOML, digests, and invalid options."""
 
 from pathlib import Path
 from typing import Any

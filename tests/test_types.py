@@ -1,4 +1,4 @@
-"""The values that flow: what they refuse, that they stay as they are, and what they measure."""
+"""The value types: invalid arguments, immutability, and derived quantities."""
 
 import pickle
 import re
@@ -123,7 +123,7 @@ def test_refuses(kind: type[Any], arguments: list[Any], message: str) -> None:
         kind(*arguments)
 
 
-# --- that they stay as they are -----------------------------------------------------------------------
+# --- immutability -------------------------------------------------------------------------------------
 
 
 def everything() -> list[Any]:

@@ -1,4 +1,4 @@
-"""Open3D behind arrays: right numbers, the same ones each time, and no trace of its own types."""
+"""Open3D as functions of arrays: correct and reproducible results, without types of Open3D."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def o3d() -> Any:
 
 
 def geometries(o3d: Any) -> dict[str, tuple[Any, FloatArray, Any, Any]]:
-    """Name → geometry, and the points, faces and normals that were put in."""
+    """Geometries by name, and the points, faces and normals of which they were made."""
     utility, legacy, tensor = o3d.utility, o3d.geometry, o3d.t.geometry
     bare = legacy.PointCloud(utility.Vector3dVector(POINTS))
     cloud = legacy.PointCloud(bare)

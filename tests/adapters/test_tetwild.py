@@ -1,4 +1,4 @@
-"""The fTetWild server: there when it is needed, gone when it is not, whatever is killed."""
+"""The fTetWild server: it runs while its client does, and ends with it, whichever process is killed."""
 
 from __future__ import annotations
 
@@ -188,7 +188,7 @@ def test_it_may_be_killed_between_two_surfaces() -> None:
     os.kill(first, signal.SIGKILL)
     assert wait_until(lambda: not runs(first))
     assert len(ball()[1])
-    gc.collect()  # nothing of the dead one is left unclosed, which would be a warning here
+    gc.collect()  # a pipe of the killed server that was not closed would be a warning here
 
 
 def test_ctrl_c_in_the_terminal_is_not_its_business() -> None:

@@ -1,4 +1,4 @@
-"""R-BiHDM against the kernel that it is the reduction of, and the symmetries that make it a signature."""
+"""R-BiHDM: comparison with the dense kernel, and invariances."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def test_the_matrix_scales_as_length_to_the_fourth_and_the_signature_not_at_all(
     scaled = TriangleMesh(scale * mesh.vertices, mesh.faces)
     pairs, scaled_pairs = (eigenpairs(laplace_beltrami(m)) for m in (mesh, scaled))
     matrix = reduced_matrix(pairs)
-    # Eigenvectors are unique up to sign where eigenvalues are simple; the spectrum does not mind.
+    # Eigenvectors of simple eigenvalues are unique up to sign, and the spectrum does not depend on the sign.
     spectrum, scaled_spectrum = (np.linalg.eigvalsh(reduced_matrix(p)) for p in (pairs, scaled_pairs))
     np.testing.assert_allclose(scaled_spectrum, scale**4 * spectrum, rtol=1e-6)
     assert abs(np.trace(matrix)) < 1e-12 * np.abs(matrix).max()

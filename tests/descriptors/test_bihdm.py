@@ -1,4 +1,4 @@
-"""BiHDM against the kernel itself, between all vertices: all of its eigenvalues, and no others."""
+"""BiHDM: its eigenvalues are exactly those of the dense kernel between all vertices."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def test_its_spectrum_is_that_of_the_dense_kernel(mesh: TriangleMesh) -> None:
     operator = laplace_beltrami(mesh, mass="lumped")
     pairs = eigenpairs(operator, n_pairs=N_MODES + 1)
     embedded = pairs.eigenvectors[:, 1:] / pairs.eigenvalues[1:]
-    squared = ((embedded[:, None] - embedded[None]) ** 2).sum(axis=2)  # (n, n): equation (4), cut at m
+    squared = ((embedded[:, None] - embedded[None]) ** 2).sum(axis=2)  # (n, n): equation (4), truncated at m
     root = np.sqrt(operator.mass.diagonal())
     dense = np.linalg.eigvalsh(root[:, None] * squared * root)
     dense = dense[np.argsort(-np.abs(dense))]

@@ -1,4 +1,4 @@
-"""What holds of every descriptor in the table."""
+"""Properties of all descriptors."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ from pcretrieve.types import FloatArray, Shape, Signature, Surface, TriangleMesh
 N_VALUES = 9
 SIZELESS = [name for name, has_size in METHODS.items() if not has_size]
 
-# Geodesic distances come from another mesh once vertices have other numbers: ties are broken by number.
+# With other vertex numbers the simplified mesh of the geodesic distances differs: ties are broken by number.
 TOLERANCE = dict.fromkeys(METHODS, 1e-6) | {"sd-gdm": 0.05}
 
 
@@ -83,7 +83,7 @@ def test_it_tells_a_body_from_a_cigar(method: str) -> None:
     assert gap > 0.08  # more than motion and numbering change, of whatever descriptor
 
 
-# Powers of length that the values of absolute size grow by; R-BiHDM's and Shape-DNA's halves of combined.
+# Powers of length of the values for the scale absolute; of combined, those of R-BiHDM and of Shape-DNA.
 POWERS = {"r-bihdm": 4, "bihdm": 4, "shape-dna": 2, "sd-gdm": 3, "combined": [4] * N_VALUES + [2] * N_VALUES}
 
 
@@ -165,7 +165,7 @@ def test_words_share_out_the_surface(name: str) -> None:
 
 
 def test_pairs_of_words_see_where_words_are() -> None:
-    """Two halves of heat: what stays in a word and what goes to the others sum up to its share."""
+    """The heat kernel has unit row sums: the pairs of a word sum up to the frequency of the word."""
     pairs = values(body(), "hks-bow-spatial") - 1e-3
     table = np.zeros((N_VALUES, N_VALUES))
     table[np.triu_indices(N_VALUES)] = pairs

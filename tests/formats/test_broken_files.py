@@ -1,4 +1,4 @@
-"""What cannot be read is one clear error: what is wrong, with which file, and what to do."""
+"""Invalid files raise one error, which says what is wrong, with which file, and what to do."""
 
 from __future__ import annotations
 

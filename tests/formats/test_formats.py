@@ -1,4 +1,4 @@
-"""Every format gives back what was written into it."""
+"""Every format: a scan that was written is read again unchanged."""
 
 from __future__ import annotations
 

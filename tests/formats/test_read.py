@@ -1,4 +1,4 @@
-"""Readers: what a file says is what a scan holds."""
+"""Readers: a scan has the content of its file."""
 
 from __future__ import annotations
 

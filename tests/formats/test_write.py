@@ -1,4 +1,4 @@
-"""Points written are points read, sensors and all."""
+"""Points that were written, with normals and sensor positions, are read again unchanged."""
 
 from __future__ import annotations
 

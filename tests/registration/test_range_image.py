@@ -1,4 +1,4 @@
-"""What a sensor saw, hand-worked: a unit square of z = 0, seen from (0, 0, 5)."""
+"""Range images, worked out by hand: a unit square in the plane z = 0, measured from (0, 0, 5)."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def image() -> RangeImage:
         ((0.1, 0.2, 0.3), UP, False, True),
         ((0.1, 0.2, 0.3), DOWN, False, True),
         ((0.1, 0.2, -0.3), UP, False, False),  # hidden
-        ((0.9, 0.0, 0.3), UP, False, False),  # beside the square: nothing was seen there
+        ((0.9, 0.0, 0.3), UP, False, False),  # beside the square: not observed
         ((0.1, 0.2, 9.0), UP, False, False),  # behind the sensor
     ],
 )

@@ -1,4 +1,4 @@
-"""Views from unknown places: what was moved apart comes together again, and what is foreign stays out."""
+"""Registration of views with unknown poses: views of one body are registered, others are left out."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ TOLERANCE = 0.005
 
 
 def motion(rng: np.random.Generator, *, angle: float | None = None, shift: float = 3.0) -> FloatArray:
-    """(4, 4) rigid motion: any turn, or one by `angle` about any axis, and any shift."""
+    """(4, 4) random rigid motion, with any rotation, or one by `angle` about a random axis."""
     turn = Rotation.random(rng=rng)
     result = np.eye(4)
     result[:3, :3] = (
@@ -45,7 +45,7 @@ def motion(rng: np.random.Generator, *, angle: float | None = None, shift: float
 
 @cache
 def views() -> tuple[tuple[PointCloud, ...], FloatArray]:
-    """What six noisy cameras see of a body, each in a frame of its own; and the motions to those frames."""
+    """Six noisy views of a body, each in a frame of its own, and the motions into these frames."""
     rng = np.random.default_rng(0)
     return apart(scan_views(shapes.body(), RIG, rng), rng)
 
@@ -169,7 +169,7 @@ def test_a_view_far_from_the_others_stays_where_it_was_put_and_is_named() -> Non
 
 
 def test_background_is_dropped_before_views_are_matched() -> None:
-    """A wall behind the body goes by its distance, a lamp beside it as a smaller piece."""
+    """A wall behind the body is removed by its distance, a lamp beside it as a smaller component."""
     clouds, motions = views()
     rng = np.random.default_rng(3)
     poses = np.linalg.inv(motions).astype(np.float64)
@@ -186,7 +186,7 @@ def test_background_is_dropped_before_views_are_matched() -> None:
     options = MergeOptions(max_range=1.7 * distance, keep_largest=True, refine=False)
     found = merge_views(dirty, options, poses=poses)
     n_clean = sum(len(cloud.points) for cloud in clouds)
-    # Strays of the rig are pieces of their own too.
+    # Outliers of the simulated cameras are components too.
     assert 0.98 * n_clean < len(found.cloud.points) <= n_clean
     assert np.linalg.norm(found.cloud.points - shapes.body().vertices.mean(axis=0), axis=1).max() < diagonal
     left = merge_views(dirty, MergeOptions(refine=False), poses=poses)

@@ -1,4 +1,4 @@
-"""Thumbnails: what is in the picture, and what does not change it."""
+"""Thumbnails: their content, and their invariances."""
 
 from dataclasses import replace
 from io import BytesIO

@@ -1,4 +1,4 @@
-"""Whitening by what resolution changes: where its map comes from, what it does, and what it is not for."""
+"""Whitening by resolution: its sample, its effect, and the signatures for which it is not defined."""
 
 import runpy
 from pathlib import Path
@@ -29,7 +29,7 @@ def test_the_sample_is_what_the_script_measures() -> None:
     measured = script()
     made: FloatArray = measured["logs"]("animal", 3)
     stored = SAMPLE[:, measured["N_BODIES"] + 3]
-    # Another machine's rounding may move a cell from one side of a surface to the other.
+    # Rounding on another machine may move a voxel from one side of the surface to the other.
     np.testing.assert_allclose(made, stored, rtol=0, atol=0.02)
     assert np.abs(made[0] - made[1]).max() > 0.02
 

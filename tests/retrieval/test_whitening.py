@@ -1,4 +1,4 @@
-"""Whitening: what it makes equal, what it leaves alone, and what it refuses."""
+"""Whitening: variances after it, invariants of it, and invalid arguments."""
 
 import io
 from typing import Any
@@ -14,7 +14,7 @@ FITTED = ("pca", "within-class")
 
 
 def labelled_logs(*, seed: int = 0, n_classes: int = 12, per_class: int = 10) -> tuple[FloatArray, list[str]]:
-    """(n, 8) log-signatures whose spread within classes is far from that between them, and their classes."""
+    """(n, 8) log-signatures with different covariances within and between classes, and their classes."""
     rng = np.random.default_rng(seed)
     centres = rng.normal(size=(n_classes, 8)) * np.geomspace(2, 0.1, 8)
     within = rng.normal(size=(n_classes * per_class, 8)) * np.geomspace(0.02, 0.5, 8)

@@ -1,4 +1,4 @@
-"""Thinning keeps the shape, strays go, and what is no body is refused."""
+"""Filters: averaging keeps the shape, outliers are removed, and invalid scans are refused."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ def test_strays_go_and_the_body_stays() -> None:
 
 @pytest.mark.parametrize("distance", [1e3, 1e10, 3e38], ids=["far", "very far", "largest float32"])
 def test_one_point_far_away_does_not_coarsen_the_rest(distance: float) -> None:
-    """A depth camera writes such points where it saw nothing; the diagonal must not follow them."""
+    """Depth cameras write far points for missing measurements; the diagonal must not depend on them."""
     cleaned = clean(PointCloud(np.concatenate([BODY.points, [[distance, 0, 0]]])), OPTIONS)
     np.testing.assert_array_equal(cleaned.points, clean(BODY, OPTIONS).points)
     assert notes(cleaned)[0] == "dropped 1 of 6001 points more than 20 median distances from the middle"

@@ -1,4 +1,4 @@
-"""Normals point out of the body, whatever tells which side that is."""
+"""Normals point out of the body, with every method of orientation."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def test_a_sensor_sees_outsides_only() -> None:
 
 @pytest.mark.parametrize("thickness", [0.03, 0.04, 0.06])
 def test_the_two_sides_of_a_thin_plate_look_away_from_each_other(thickness: float) -> None:
-    """Thinner than a neighbourhood is wide: no plane may be fitted to the points of both."""
+    """A sheet thinner than a neighbourhood: no plane may be fitted to points of both sides."""
     side = shapes.points_on(shapes.square(1), 4000)
     other = shapes.points_on(shapes.square(1), 4000, seed=1)
     points = np.concatenate([side + np.array([0, 0, thickness]), other])
@@ -79,7 +79,7 @@ def test_auto_believes_sensors_before_normals_before_a_flood() -> None:
 
 def test_a_hole_in_the_scan_is_closed_by_thicker_walls() -> None:
     cloud, true = scanned(SURFACES["ball"])
-    seen = cloud.points[:, 2] < 0.994  # a hole of radius 0.11, seven cells wide
+    seen = cloud.points[:, 2] < 0.994  # a hole of radius 0.11, seven voxels wide
     holed = oriented_normals(PointCloud(cloud.points[seen]), ScanOptions())
     assert share_right(holed, true[seen]) > 0.99
     assert "the flood leaked; gaps up to 0.0" in holed.provenance[-1].notes[0]

@@ -1,4 +1,4 @@
-"""The flood reaches what is outside, and only that."""
+"""The flood fill reaches the outside of a body, and nothing else."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ GAP = 0.2
 
 
 def shell(hole: float, n: int = 20_000) -> FloatArray:
-    """Points on a ball, but for a cap whose rim is a circle of radius `hole`."""
+    """Points on a ball without a cap, whose rim is a circle of radius `hole`."""
     points = shapes.points_on(shapes.icosphere(4, RADIUS), n)
     seen: FloatArray = points[points[:, 2] < np.sqrt(RADIUS**2 - hole**2)]
     return seen
@@ -36,7 +36,7 @@ def test_a_hole_wider_than_the_gap_leaks() -> None:
 
 
 def test_the_outside_comes_as_near_to_the_points_as_the_skin() -> None:
-    """Walls are thicker than that, and are crept into afterwards."""
+    """The space is narrower than the walls, and is reached in the second pass."""
     outside = flood(shell(0.0), cell=CELL, gap=GAP)
     distance = np.linalg.norm(
         np.moveaxis(np.indices(outside.grid.shape), 0, -1) * CELL + outside.grid.origin, axis=-1
@@ -46,7 +46,7 @@ def test_the_outside_comes_as_near_to_the_points_as_the_skin() -> None:
 
 
 def test_the_outside_comes_between_fingers() -> None:
-    """Two plates nearer to each other than two walls are thick."""
+    """Two plates at a distance less than the thickness of two walls."""
     gap = 5 * CELL
     x, y = np.meshgrid(np.arange(0, 1, CELL / 2), np.arange(0, 1, CELL / 2))
     plates = [np.column_stack([x.ravel(), y.ravel(), np.full(x.size, z)]) for z in (0, gap)]
@@ -61,7 +61,7 @@ def test_depth_grows_and_direction_points_to_the_outside() -> None:
     depths = [outside.depth_at(reach * rays) for reach in (1.3, 1.0, 0.9, 0.7)]
     assert (depths[0] == 0).all()
     assert all((deeper > shallower).all() for shallower, deeper in pairwise(depths))
-    # Depth is counted in cells, from the wet ones.
+    # The depth is the distance to the outside, in voxels.
     assert depths[3] - depths[1] == pytest.approx(0.3 / CELL, abs=1)
     for reach in (1.0, 0.8):
         towards = outside.direction_at(reach * rays)

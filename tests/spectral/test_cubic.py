@@ -1,4 +1,4 @@
-"""Cubic finite elements: their matrices derived anew as rationals, and what they are exact for."""
+"""Cubic finite elements: their matrices derived as rationals, and the functions for which they are exact."""
 
 from __future__ import annotations
 
@@ -123,7 +123,7 @@ def test_the_same_derivation_gives_table_6() -> None:
 
 @elements
 def test_stiffness_by_squared_side_lengths_is_the_same(element: Element, nodes: Nodes) -> None:
-    """The paper's own sum, with Table 7 as derived here, on a triangle of no particular shape."""
+    """The sum of the paper, with Table 7 as derived here, on a scalene triangle."""
     triangle = TriangleMesh(
         np.array([[0, 0, 0], [2, 0.3, 0], [0.4, 1.1, 0.7]]), np.array([[0, 1, 2]], np.int32)
     )
@@ -141,7 +141,7 @@ def test_stiffness_by_squared_side_lengths_is_the_same(element: Element, nodes: 
 
 
 def positions(mesh: TriangleMesh) -> FloatArray:
-    """(N, 3) where the nodes lie; that of a shared node as its last face sees it."""
+    """(N, 3) positions of the nodes; of a shared node, by the last of its faces."""
     nodes = cubic_nodes(mesh, sides_of(mesh))
     places = np.empty((nodes.max() + 1, 3))
     places[nodes] = np.einsum("qk,mkx->mqx", np.array(CUBIC_NODES) / 3, mesh.vertices[mesh.faces])

@@ -1,4 +1,4 @@
-"""Eigenpairs: orthonormal, ordered, the same to the bit, by every route; and what has none."""
+"""Eigenpairs: orthonormal, ordered and reproducible with every solver; and operators without a spectrum."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ Solver = Literal["krylov", "arpack"]
 
 BODY = laplace_beltrami(shapes.body(3))
 
-# Stiffness of a thread between two surfaces, whose edges have about 1.
+# Stiffness of a weak link between two surfaces; that of their edges is about 1.
 THREAD = 0.1
 
 
@@ -201,7 +201,7 @@ def test_a_long_tube_hangs_together(solver: Solver) -> None:
 
 # --- clusters -----------------------------------------------------------------------------------------
 
-# Clusters of equal eigenvalues tempt Krylov spaces to find one of each.
+# A Krylov space of one vector has one eigenvector of each multiple eigenvalue only.
 
 
 @pytest.mark.parametrize("n_pairs", [36, 64, 100])
@@ -232,7 +232,7 @@ def test_the_square_is_complete(solver: Solver) -> None:
 
 
 def test_copies_beyond_the_block_are_found() -> None:
-    # Ten equal bodies, each hung by a thread on the next: clusters of ten, wider than a block.
+    # Ten equal bodies with weak links: clusters of ten eigenvalues, more than a block has vectors.
     ten = laplace_beltrami(shapes.joined(*[shapes.body(2)] * 10))
     n = ten.mass.shape[0] // 10
     knots = np.arange(10) * n
@@ -242,7 +242,7 @@ def test_copies_beyond_the_block_are_found() -> None:
         threads[one, one] += THREAD
         threads[next_one, next_one] += THREAD
     hung = LaplaceBeltrami(csc_array(ten.stiffness + csc_array(threads)), ten.mass)
-    # The last cluster is cut: at the looser tolerance its values, equal to five digits, come out mixed.
+    # The last cluster is not complete: with the larger tolerance its values, equal to five digits, are mixed.
     for tolerance, error in ((1e-4, 1e-6), (1e-6, 1e-9)):
         pairs = eigenpairs(hung, 61, tolerance=tolerance)
         assert pairs.solver == "krylov"
@@ -272,7 +272,7 @@ def test_an_operator_that_only_says_it_has_a_zero_mode(solver: Solver) -> None:
 
 
 def loose_end(operator: LaplaceBeltrami) -> LaplaceBeltrami:
-    """With one more unknown that has neither stiffness nor mass."""
+    """The matrices with one more row, without stiffness and mass."""
     nothing = csc_array((1, 1))
     return LaplaceBeltrami(
         csc_array(block_diag([operator.stiffness, nothing])), csc_array(block_diag([operator.mass, nothing]))

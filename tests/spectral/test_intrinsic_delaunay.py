@@ -1,4 +1,4 @@
-"""The intrinsic Delaunay Laplacian: linear elements on the better triangulation, whatever it is given."""
+"""The intrinsic Delaunay Laplacian, on Delaunay, sheared, degenerate and non-manifold triangulations."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def test_on_a_delaunay_surface_it_is_the_linear_one(mesh: TriangleMesh) -> None:
 
 
 def test_it_flips_the_edges_that_should_be() -> None:
-    # Sheared by its own height, every cell's diagonal is the long one. Across the other, it is Delaunay.
+    # After the shear the diagonal of every cell is its longer one; with the shorter one it is Delaunay.
     square = shapes.square(5)
     sheared = square.vertices + square.vertices[:, 1:2] * [1, 0, 0]
     lower, upper = square.faces[: len(square.faces) // 2], square.faces[len(square.faces) // 2 :]
@@ -78,7 +78,7 @@ def test_every_face_twice_is_the_same_surface_twice() -> None:
     mesh = shapes.body(2)
     twice = delaunay(TriangleMesh(mesh.vertices, np.concatenate([mesh.faces, mesh.faces[:, ::-1]])))
     assert twice.area == pytest.approx(2 * mesh.area)
-    # Faces in one place have no order round their edges, so the cover may join the two copies crosswise.
+    # Coincident faces have no unique order around their edges, so that the cover may connect either pair.
     np.testing.assert_allclose(eigenvalues(twice), eigenvalues(delaunay(mesh)), rtol=0.01)
 
 
@@ -92,7 +92,7 @@ def test_non_manifold_places(shared: str) -> None:
 
 
 def test_a_face_without_area_is_stood() -> None:
-    # A vertex in the middle of a side, which the face on the other side does not know: a flat face closes it.
+    # A vertex in the middle of a side of one face only: a degenerate face closes the slit.
     mesh = shapes.square(8)
     a, b = mesh.faces[30][[0, 1]]
     middle = len(mesh.vertices)

@@ -1,4 +1,4 @@
-"""What holds of every element: the laws of the matrices, the boundary, and what is refused."""
+"""Properties of all elements: the matrices, the boundary conditions, and invalid arguments."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ bounded = pytest.mark.parametrize("mesh", BOUNDED.values(), ids=BOUNDED)
 
 
 def book(n: int, pages: int = 3) -> TriangleMesh:
-    """Unit squares that share one side: an edge with as many faces as there are pages."""
+    """Unit squares that share one side, a non-manifold edge with one face for each square."""
     page = shapes.square(n)
     spine = page.vertices[:, 0] == 0  # (v,)
     numbers = np.arange(len(spine))
@@ -65,7 +65,7 @@ def test_stiffness_is_symmetric_semi_definite_and_kills_constants(mesh: Triangle
     assert np.abs(stiffness.sum(axis=1)).max() < 1e-12
     eigenvalues = np.linalg.eigvalsh(stiffness.toarray())
     assert eigenvalues[0] > -1e-12
-    assert eigenvalues[1] > 1e-6  # connected: constants are all that it kills
+    assert eigenvalues[1] > 1e-6  # connected: the null space is spanned by the constants
 
 
 @pytest.mark.parametrize(
@@ -132,7 +132,7 @@ def test_components_are_counted_even_where_an_edge_has_no_stiffness(element: Any
 
 @elements
 def test_eigenvalues_of_the_sphere_converge_at_order_two(element: Any) -> None:
-    """Faces are flat, so this is as good as a curved surface gets, with cubic elements too."""
+    """The flat faces limit the order to 2 on a curved surface, for cubic elements too."""
     exact = np.array([degree * (degree + 1) for degree in range(5) for _ in range(2 * degree + 1)])[1:]
     errors = [
         np.abs(eigenpairs(laplace_beltrami(shapes.icosphere(level), element), 25).eigenvalues[1:] / exact - 1)
@@ -164,7 +164,7 @@ def test_eigenvalues_of_the_square_converge_at_their_order(
 
 @elements
 def test_three_pages_of_a_book_vibrate_as_one(element: Any) -> None:
-    """Across the pages, waves of a star with three rays: cos(π/2) at the ends, twice, or sin(π) = 0, once."""
+    """Across the pages, the eigenfunctions of a star graph of three edges: k = 1/2 twice, and k = 1 once."""
     across = np.array([0, 0.5, 0.5, 1, 1.5, 1.5])
     exact = np.sort([(np.pi * k) ** 2 + (np.pi * n) ** 2 for k in across for n in range(3)])[:10]
     size, tolerance = (4, 1e-4) if element == "cubic" else (12, 0.02)

@@ -1,4 +1,4 @@
-"""Linear elements on a cloud: the laws of the others, without a surface."""
+"""Linear elements on a point cloud: the properties of the other elements, without a surface."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def on_points(points: FloatArray, **options: Any) -> LaplaceBeltrami:
 
 
 def grid(n: int) -> FloatArray:
-    """(n², 3) in the unit square: every four points on one circle."""
+    """(n², 3) points of a grid in the unit square, in which four adjacent points are cocircular."""
     return shapes.square(n - 1).vertices
 
 
@@ -56,7 +56,7 @@ def test_moving_leaves_stiffness_and_scaling_squares_mass(scale: float, shift: f
     turn, _ = np.linalg.qr(np.random.default_rng(1).standard_normal((3, 3)))
     here, there = eigenpairs(on_points(BODY), 30), eigenpairs(on_points(scale * (BODY @ turn.T + shift)), 30)
     assert there.area == pytest.approx(scale**2 * here.area, rel=1e-3)
-    # Where four points are nearly on a circle, either diagonal will do.
+    # If four points are nearly cocircular, both diagonals are allowed.
     np.testing.assert_allclose(scale**2 * there.eigenvalues[1:], here.eigenvalues[1:], rtol=2e-4)
 
 
@@ -132,7 +132,7 @@ def test_a_signature_straight_from_a_cloud() -> None:
 
 
 def test_normals_keep_the_sides_of_a_thin_limb_apart() -> None:
-    # Two sheets closer to each other than their points are: neighbours without normals, none with them.
+    # The distance of two sheets is less than the spacing of their points: only normals separate them.
     rng = np.random.default_rng(0)
     sheet = np.column_stack([rng.random((1000, 2)), np.zeros(1000)])
     other = np.column_stack([rng.random((1000, 2)), np.full(1000, 0.01)])

@@ -1,4 +1,4 @@
-"""Points become the one body that they enclose, whatever its size, its holes and its contacts."""
+"""Reconstruction by growth: bodies of several sizes, scans with holes, and contacts."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from pcretrieve.simulation import POSES, UniformOptions, body, make_subject, sca
 from pcretrieve.surface import SurfaceMarks, body_surfaces, defects
 from pcretrieve.types import PointCloud, TriangleMesh
 
-# Edge of the cells of the torus; diagonals.
+# Edge of the voxels for the torus; relative to the diagonal.
 CELL = 0.0045
 
 # Of the limb of `limbed`.
@@ -88,7 +88,7 @@ def test_a_torus_keeps_the_handles_asked_for(genus: str | int, euler: int) -> No
     if euler == 2:
         cloud = cloud_of("torus")
         cell = max(CELL * cloud.diagonal, spacing(cloud.points))
-        # One slice through the tube, a cell or two thick.
+        # One cross-section of the tube, one or two voxels thick.
         assert np.hypot(np.hypot(*marks.cuts.T[:2]) - 1, marks.cuts[:, 2]).max() < 0.4 + cell
         assert 0.7 < len(marks.cuts) * cell**2 / (np.pi * 0.4**2) < 2
     else:
@@ -119,7 +119,7 @@ def test_the_answer_is_the_same_each_time() -> None:
 
 @pytest.mark.parametrize("height", [0.495, 0.48])
 def test_a_hole_is_closed(height: float) -> None:
-    """Narrower than the gap of the flood, and five times as wide."""
+    """A hole smaller than the option gap, and one five times as large."""
     cloud = cloud_of("ellipsoid")
     mesh, _ = surface(cloud.select(cloud.points[:, 2] < height))
     true = shapes.ellipsoid()
@@ -184,7 +184,7 @@ def test_points_without_normals_are_refused() -> None:
 
 
 def test_a_thin_rod_keeps_its_thickness() -> None:
-    """Five cells across: the mean distance to tangent planes gives it a quarter more area."""
+    """A limb five voxels thick; the mean distance to tangent planes would increase its area by a quarter."""
     rod = shapes.ellipsoid((1.0, 0.025, 0.025), subdivisions=5)
     rebuilt, _ = surface(shapes.oriented_points_on(rod, 4000), cell=0.005)
     assert 0.9 < rebuilt.area / rod.area < 1.15

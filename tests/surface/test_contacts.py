@@ -1,4 +1,4 @@
-"""Skins that touch inside a body come apart, and nothing else does."""
+"""Contact layers: parts of a body that touch are separated, and nothing else is."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ N = 30
 
 
 def block() -> Mask:
-    """One slab of cells, in which nothing shows that it is folded."""
+    """A slab of voxels, whose shape does not show that it is folded."""
     inside = np.zeros((N, N, 12), dtype=bool)
     inside[3:-3, 3:-3, 3:-3] = True
     return inside
 
 
 def fold(reach: int) -> Mask:
-    """Points half way up the block, from its side to `reach` cells in, as a wall."""
+    """Links that cross the surfels of points half way up the block, `reach` voxels deep from its side."""
     x, z = np.meshgrid(np.arange(3, 3 + reach), np.arange(12), indexing="ij")
     points = np.column_stack([x.ravel(), np.full(x.size, N / 2), z.ravel()]).astype(float)
     return walls(points, np.tile([0.0, 1.0, 0.0], (len(points), 1)), block().shape)
@@ -42,7 +42,7 @@ def test_a_fold_is_parted_in_one_layer_as_deep_as_it_goes(reach: int) -> None:
     layers = np.flatnonzero(found.any(axis=(0, 2)))
     assert len(layers) == 1
     assert abs(layers[0] - N / 2) <= 1
-    # Near its end, where the way round is short, it stays shut.
+    # Near the end of the fold the detour is short, and the parts are not separated.
     depth = np.flatnonzero(found.any(axis=(1, 2))).max() - 2
     assert reach - DETOUR / 2 <= depth <= reach + 2
     legs, n = ndimage.label((block() & ~found)[3 : 3 + reach - DETOUR // 2])

@@ -8,7 +8,7 @@ from pcretrieve.surface.filled import BESIDE, filled
 from pcretrieve.types import FloatArray, TriangleMesh
 
 GRID = Grid(np.array([1.0, -2.0, 3.0]), 0.5, (24, 24, 24))
-RADIUS = 8.234  # cells
+RADIUS = 8.234  # voxels
 
 
 def octahedron(centre: FloatArray) -> TriangleMesh:
@@ -38,7 +38,7 @@ def test_crossings_lie_on_the_surface() -> None:
     for axis in range(3):
         here = np.argwhere(np.isfinite(crossings[axis]))
         turns = np.argwhere(np.diff(inside.astype(int), axis=axis))
-        # A line that grazes an edge may come and go between two cells.
+        # A line near an edge may cross the mesh twice between two voxels.
         assert set(map(tuple, turns)) <= set(map(tuple, here))
         places = here.astype(float)
         places[:, axis] += crossings[axis][tuple(here.T)]

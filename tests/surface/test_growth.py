@@ -1,4 +1,4 @@
-"""What is grown has the topology of a ball, is nearly all there was, and is cut where limbs touch."""
+"""Region growing: the region has the topology of a ball, few voxels are lost, and contacts are cut."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ Mask = NDArray[np.bool_]
 
 
 def blob(seed: int, n: int = 40) -> Mask:
-    """Smooth noise above its mean: handles, cavities and loose pieces."""
+    """Voxels in which smooth noise is above its mean: handles, cavities and several components."""
     noise = gaussian_filter(np.random.default_rng(seed).standard_normal((n, n, n)), 2.0)
     return np.pad(noise > 0, 1)
 
@@ -84,7 +84,7 @@ def test_what_is_a_ball_already_comes_back_whole() -> None:
 
 @pytest.mark.parametrize("thickness", [4, 5, 6, 7])
 def test_an_even_bar_comes_back_whole(thickness: int) -> None:
-    """All its cells of one depth are equally good: the order among them must not leave tunnels."""
+    """Many voxels have equal depths: their order must not leave tunnels."""
     inside = np.pad(np.ones((40, thickness, thickness), dtype=bool), 2)
     np.testing.assert_array_equal(grown(inside, depth(inside), no_walls(inside)), inside)
 
@@ -99,7 +99,7 @@ def test_the_deepest_piece_is_the_one_that_is_grown() -> None:
 
 
 def test_bars_that_touch_are_cut_at_the_contact() -> None:
-    """Two bars, joined by a thick block at one end, meet in a bridge of one cell's thickness at the other."""
+    """Two bars, connected by a thick block at one end and by a bridge one voxel thick at the other."""
     contact = (slice(40, 43), slice(10, 14), slice(6, 7))
     inside = cells(
         (48, 24, 13),
@@ -119,7 +119,7 @@ def test_bars_that_touch_are_cut_at_the_contact() -> None:
 
 @pytest.mark.parametrize("place", [14, 24, 34])
 def test_walls_keep_apart_what_is_thickest_where_it_touches(place: int) -> None:
-    """Two bars whose contact is twice as deep as they are: only the points between them tell where it is."""
+    """Two bars whose contact is twice as deep as they are: only the surfels between them show it."""
     block, low, high = (
         (slice(2, 6), slice(2, 17), slice(2, 9)),
         (slice(6, 42), slice(2, 9), slice(2, 9)),

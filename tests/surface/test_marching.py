@@ -1,4 +1,4 @@
-"""Whatever the cells are, their surface is a closed manifold with the topology of the cells."""
+"""Marching cubes: a closed manifold with the topology of the voxels, for every set of voxels."""
 
 from __future__ import annotations
 
@@ -28,12 +28,12 @@ def surface(body: Mask, crossings: FloatArray | None = None) -> TriangleMesh:
 
 
 def on_lines(body: Mask, crossings: FloatArray) -> list[Crossings]:
-    """Those of (3, a, b, c) crossings that matter."""
+    """The crossings on the links at which the surface is, from (3, a, b, c) crossings."""
     return [Crossings(at, crossings[axis][tuple(at.T)]) for axis, at in enumerate(crossed(body))]
 
 
 def digital_euler(body: Mask) -> int:
-    """Of cells connected through their faces: cells − pairs + squares of four − cubes of eight."""
+    """Euler number of a 6-connected set: voxels − pairs + squares of four − cubes of eight."""
     total = 0
     for along in np.ndindex(2, 2, 2):
         cells = body
@@ -44,7 +44,7 @@ def digital_euler(body: Mask) -> int:
 
 
 def ball(radius: float, n: int) -> tuple[Mask, FloatArray]:
-    """Cells of a ball about n / 2 − 0.3 on each axis, and where its sphere crosses the lines between them."""
+    """The voxels of a ball centred at n / 2 − 0.3 on each axis, and the crossings of its sphere."""
     at = np.moveaxis(np.indices((n, n, n)), 0, -1) - (n / 2 - 0.3)
     level = (at**2).sum(axis=-1) - radius**2
     crossings = np.full((3, n, n, n), 0.5)
@@ -77,7 +77,7 @@ def test_each_of_the_256_cubes() -> None:
 
 
 def test_six_cells_round_a_diagonal_are_a_ring() -> None:
-    """The two cells that are missing see each other through the corner that they share."""
+    """The two voxels outside share a corner, and are connected through it."""
     cells = np.ones((2, 2, 2), dtype=bool)
     cells[0, 0, 0] = cells[1, 1, 1] = False
     mesh = surface(np.pad(cells, 1))
@@ -109,7 +109,7 @@ def test_the_surface_looks_out_of_the_body_everywhere(share: float) -> None:
 def test_a_box_has_its_volume_but_for_bevelled_edges() -> None:
     a, b, c = np.array([4, 6, 9])
     mesh = surface(np.pad(np.ones((a, b, c), dtype=bool), 1))
-    # Of each edge a prism is cut off, of each corner all but a tetrahedron; both half a cell wide.
+    # The surface cuts off a prism at each edge and a corner at each vertex, half a voxel wide.
     edges = 4 * (a - 1 + b - 1 + c - 1) / 8
     corners = 8 * (1 / 8 - 1 / 48)
     assert mesh.volume == pytest.approx(a * b * c - edges - corners, rel=1e-12)

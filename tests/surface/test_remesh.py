@@ -1,4 +1,4 @@
-"""fTetWild is believed where its answer is the same body, and nowhere else."""
+"""Remeshing: the result of fTetWild is used only if it is the same body."""
 
 from __future__ import annotations
 
@@ -50,11 +50,11 @@ def kept_as_it_was(result: TriangleMesh, mesh: TriangleMesh) -> bool:
 @pytest.mark.parametrize(
     ("mesh", "options", "why"),
     [
-        # An envelope of a tenth of the body lets its limbs go.
+        # With an envelope of a tenth of the body the limbs are lost.
         (BODY, {"envelope": 0.09}, r"it changed the (area|volume) from [\d.]+ to [\d.]+, by more"),
         (BODY, {"envelope": 0.01, "max_change": 0.0}, r"it .*, by more than remesh\.max_change = 0%"),
         (BODY, {"timeout": 1e-3}, r"fTetWild did not finish within 0\.001 s and was stopped"),
-        # An inside-out body comes back as next to nothing, or the right way round.
+        # For a body that is oriented inwards the result is almost empty, or oriented outwards.
         (
             TriangleMesh(BODY.vertices, BODY.faces[:, ::-1]),
             {},

@@ -1,4 +1,4 @@
-"""Each repair does one thing, says so, and leaves the rest of the body where it was."""
+"""Each repair makes one change, leaves a note, and does not move the rest of the surface."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def with_more(mesh: TriangleMesh, faces: object, vertices: object = ()) -> Trian
 
 
 def with_needles(mesh: TriangleMesh, n: int) -> TriangleMesh:
-    """One end of n sides moved to the other: two faces without an area each."""
+    """A ball with n collapsed edges, each with two degenerate faces."""
     vertices = mesh.vertices.copy()
     for a, b in mesh.faces[:: len(mesh.faces) // n, :2]:
         vertices[a] = vertices[b]
@@ -29,7 +29,7 @@ def with_needles(mesh: TriangleMesh, n: int) -> TriangleMesh:
 
 
 def with_caps(mesh: TriangleMesh, n: int) -> TriangleMesh:
-    """n faces cut in two at the middle of a side, where a face without an area stops the gap."""
+    """A ball with n bisected faces, each with a degenerate face that closes the gap at the new vertex."""
     cut = np.arange(n) * (len(mesh.faces) // n)
     a, b, c = mesh.faces[cut].T
     middle = len(mesh.vertices) + np.arange(n)

@@ -1,4 +1,4 @@
-"""Fewer faces, the same body: topology to the letter, shape and spectrum to a share."""
+"""Simplification: the topology is preserved exactly, shape and spectrum approximately."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ DATA = Path(__file__).parents[3] / "shared" / "data" / "tosca"
 
 
 def blob(seed: int, n: int = 24) -> TriangleMesh:
-    """Marching cubes on smooth noise: pieces of high genus, and slivers where the noise is near its level."""
+    """Marching cubes on smooth noise: components of high genus, with slivers."""
     noise = gaussian_filter(np.random.default_rng(seed).standard_normal((n, n, n)), 2.0, mode="wrap")
     inside = np.pad(noise - 0.3 * noise.std(), 1, constant_values=-noise.std())
     vertices, faces, _, _ = marching_cubes(inside, 0)

@@ -1,4 +1,4 @@
-"""Smoothing takes noise off the part that may move, and nothing else."""
+"""Smoothing removes noise from the vertices that may move, and does not change others."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def test_only_what_may_move_moves() -> None:
 
 
 def test_what_may_not_move_holds_the_rest() -> None:
-    """A vertex alone among fixed ones comes to lie near the middle of its neighbours."""
+    """A single vertex among fixed ones moves near the mean of its neighbours."""
     vertices = BALL.vertices.copy()
     vertices[0] *= 2
     moved = smoothed(vertices, BALL.faces, np.array([0]), 8)

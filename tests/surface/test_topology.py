@@ -1,4 +1,4 @@
-"""Defects counted by hand; cuts, turns and collapses that leave the body alone."""
+"""Defects counted by hand; splits, orientations and collapses that do not change the shape."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def boundary(solid: NDArray[np.bool_], bend: float = 0.0) -> TriangleMesh:
 
 
 def random_solid(seed: int, share: float) -> TriangleMesh:
-    """Cubes at random, bent a little so that not every angle is a right one: full of shared edges."""
+    """Random cubes with perturbed corners: many non-manifold edges, at various angles."""
     return boundary(np.random.default_rng(seed).random((4, 4, 4)) < share, bend=0.1)
 
 
@@ -90,7 +90,7 @@ def cavity_and_notch() -> TriangleMesh:
         (with_faces(shapes.square(1), [0, 1, 2], [0, 2, 1]), Defects(2, 2, 0, 0, 1, 1)),
         # No area: a repeated vertex.
         (with_faces(shapes.tetrahedron(), [0, 0, 1]), Defects(1, 1, 0, 0, 1, 1)),
-        # Once around, its four cells across meet the first four upside down.
+        # A strip of four cells across with a half twist.
         (shapes.mobius_strip(30, 4), Defects(60, 0, 0, 4, 0, 1)),
         (TriangleMesh(np.zeros((3, 3)), np.zeros((0, 3), dtype=np.int32)), Defects(0, 0, 0, 0, 0, 0)),
     ],
@@ -264,8 +264,8 @@ def test_an_edge_whose_ends_both_stay_in_one_fan() -> None:
 
 
 def test_faces_on_top_of_one_another_close_up_all_the_same() -> None:
-    # A long tetrahedron minus a short one, on one base: around its edges, no order of the faces is the right
-    # one, and any will do.
+    # A long tetrahedron minus a short one on the same base: the faces around its edges do not bound an
+    # interior, and every pairing is allowed.
     vertices = np.array([[0, 0, 0], [0, 0, 1], [1, 0, 0.5], [2, 0, 0.5], [1, 1, 0.5]])
     long = np.array([[0, 1, 3], [1, 0, 4], [3, 4, 0], [4, 3, 1]], dtype=np.int32)
     short = np.where(long == 3, 2, long)[:, ::-1]
