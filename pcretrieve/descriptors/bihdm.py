@@ -46,7 +46,7 @@ def bihdm(
     OptionError
         If `n_modes` is not between 1 and the number of eigenpairs − 1, or `n_values` not between 1 and
         `n_modes`.
-    InputError
+    ShapeError
         If the spectrum was stored without overlaps.
     SpectrumError
         If the matrix does not have a positive and m negative eigenvalues.
