@@ -11,11 +11,17 @@
     │  └─ StageTimeout  WorkerDied  MemoryExceeded  UnexpectedError
     └─ CatalogueError               other options, newer schema, locked, corrupt
 
-The function that fails raises an exception with the cause; the pipeline adds the stage and the identifier of
-the shape. `str(error)` is then, for example, ``[T17 / remesh] no closed surface``.
+The function that fails raises an exception with the cause; `in_stage` adds the stage, and the pipeline the
+identifier of the shape. `str(error)` is then, for example, ``[T17 / remesh] no closed surface``.
 """
 
 from __future__ import annotations
+
+import traceback
+from collections.abc import Iterator
+from contextlib import contextmanager
+from enum import Enum
+from pathlib import Path
 
 __all__ = [
     "BenchmarkError",
@@ -34,10 +40,35 @@ __all__ = [
     "ShapeError",
     "SpectrumError",
     "SpectrumNotConverged",
+    "Stage",
     "StageTimeout",
     "UnexpectedError",
     "WorkerDied",
+    "in_stage",
+    "shape_error",
 ]
+
+# Where the sources of pcretrieve are: a traceback's last line in here is the one to report.
+PACKAGE = str(Path(__file__).parent)
+
+
+class Stage(str, Enum):
+    """The stages from a file to a stored shape."""
+
+    READ = "read"
+    MERGE = "merge"
+    CLEAN = "clean"
+    ORIENT = "orient"
+    SURFACE = "surface"
+    REMESH = "remesh"
+    TOPOLOGY = "topology"
+    SPECTRUM = "spectrum"
+    SIGNATURE = "signature"
+    THUMBNAIL = "thumbnail"
+    WORKER = "worker"  # the worker process ended, in an unknown stage
+
+    def __str__(self) -> str:
+        return self.value
 
 
 class PcretrieveError(Exception):
@@ -47,16 +78,15 @@ class PcretrieveError(Exception):
     ----------
     message : str
         What must hold, what was given, what to do.
-    stage : str or None
-        The stage that failed: ``read``, ``merge``, ``clean``, ``orient``, ``surface``, ``remesh``,
-        ``topology``, ``spectrum`` or ``signature``; ``worker`` if the worker process ended.
+    stage : Stage or None
+        The stage that failed.
     shape_id : str or None
         Identifier of the shape that was being processed.
     """
 
-    default_stage: str | None = None
+    default_stage: Stage | None = None
 
-    def __init__(self, message: str, *, stage: str | None = None, shape_id: str | None = None) -> None:
+    def __init__(self, message: str, *, stage: Stage | None = None, shape_id: str | None = None) -> None:
         super().__init__(message)
         self.message = message
         self.stage = stage or self.default_stage
@@ -86,31 +116,31 @@ class ShapeError(PcretrieveError):
 class ScanReadError(ShapeError):
     """A file cannot be read as a scan."""
 
-    default_stage = "read"
+    default_stage = Stage.READ
 
 
 class ReconstructionError(ShapeError):
     """No surface can be reconstructed from the points."""
 
-    default_stage = "surface"
+    default_stage = Stage.SURFACE
 
 
 class RemeshError(ShapeError):
     """The remesher returned no usable surface."""
 
-    default_stage = "remesh"
+    default_stage = Stage.REMESH
 
 
 class DegenerateMeshError(ShapeError):
     """The surface is such that its spectrum cannot be computed."""
 
-    default_stage = "topology"
+    default_stage = Stage.TOPOLOGY
 
 
 class SpectrumError(ShapeError):
     """The eigenvalue problem has no usable solution."""
 
-    default_stage = "spectrum"
+    default_stage = Stage.SPECTRUM
 
 
 class ExtraZeroModes(SpectrumError):
@@ -132,13 +162,13 @@ class SpectrumNotConverged(SpectrumError):
 class StageTimeout(ShapeError):
     """The processing of a shape exceeded its time limit."""
 
-    default_stage = "worker"
+    default_stage = Stage.WORKER
 
 
 class WorkerDied(ShapeError):
     """The worker process of a shape ended without a result."""
 
-    default_stage = "worker"
+    default_stage = Stage.WORKER
 
 
 class MemoryExceeded(ShapeError):
@@ -151,3 +181,73 @@ class UnexpectedError(ShapeError):
 
 class CatalogueError(PcretrieveError):
     """The catalogue cannot be opened, read or written as requested."""
+
+
+@contextmanager
+def in_stage(stage: Stage) -> Iterator[None]:
+    """Add the stage to the exceptions that are raised inside, and replace those of other libraries.
+
+    Parameters
+    ----------
+    stage : Stage
+        Stage of the exceptions that have none yet.
+
+    Yields
+    ------
+    None
+
+    Raises
+    ------
+    PcretrieveError
+        The exception that was raised inside, if it is one of this module.
+    MemoryExceeded
+        Instead of a `MemoryError`.
+    UnexpectedError
+        Instead of any other `Exception`.
+    """
+    try:
+        yield
+    except PcretrieveError as error:
+        error.stage = error.stage or stage
+        raise
+    except Exception as error:
+        converted = shape_error(error, stage)
+        raise converted from error
+    except BaseException as error:
+        # SystemExit and KeyboardInterrupt end a program, but not a worker process, which records the stage.
+        vars(error).setdefault("stage", stage)
+        raise
+
+
+def shape_error(error: BaseException, stage: Stage | None = None) -> PcretrieveError:
+    """Convert any exception to one of this module, which can be pickled and unpickled in another process.
+
+    Parameters
+    ----------
+    error : BaseException
+        An exception of a class derived from one of this module, such as one of a plug-in, becomes one of the
+        class that it is derived from.
+    stage : Stage, optional
+        The stage that failed, if the exception does not tell.
+
+    Returns
+    -------
+    PcretrieveError
+    """
+    own = getattr(error, "stage", None)
+    stage = own if isinstance(own, Stage) else stage
+    if isinstance(error, PcretrieveError):
+        kind = next(base for base in type(error).__mro__ if base.__module__ == __name__)
+        return error if kind is type(error) else kind(error.message, stage=stage)
+    if isinstance(error, MemoryError):
+        return MemoryExceeded(
+            "the scan needs more memory than there is, or than --memory allows: raise that, or thin the scan",
+            stage=stage,
+        )
+    frames = [frame for frame in traceback.extract_tb(error.__traceback__) if PACKAGE in frame.filename]
+    place = f" (at {Path(frames[-1].filename).name}, line {frames[-1].lineno})" if frames else ""
+    return UnexpectedError(
+        f"{type(error).__name__}: {error}{place}; this is a fault of pcretrieve, or of a package that "
+        "it uses: please report it with the scan",
+        stage=stage,
+    )

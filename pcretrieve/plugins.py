@@ -19,7 +19,7 @@ from functools import cache
 from importlib.metadata import EntryPoint, entry_points
 from typing import Generic, TypeVar
 
-from pcretrieve.errors import InputError, OptionError, ShapeError
+from pcretrieve.errors import InputError, OptionError, ShapeError, Stage
 
 __all__ = ["Registry", "added_names"]
 
@@ -111,7 +111,7 @@ class Registry(Generic[Record]):
         return f"the {self.kind} {name!r} of the package {point.dist.name if point.dist else point.module}"
 
     @contextmanager
-    def blamed(self, name: str, stage: str) -> Iterator[None]:
+    def blamed(self, name: str, stage: Stage) -> Iterator[None]:
         """Turn the exceptions of a record's function into a ShapeError that names its package.
 
         ShapeError, OptionError and MemoryError are not changed. Of the other exceptions of pcretrieve's own
@@ -121,7 +121,7 @@ class Registry(Generic[Record]):
         ----------
         name : str
             Name of the record.
-        stage : str
+        stage : Stage
             Stage of the ShapeError.
 
         Yields
@@ -143,7 +143,7 @@ class Registry(Generic[Record]):
         except SystemExit as error:
             raise self._failed(name, stage, error) from error
 
-    def _failed(self, name: str, stage: str, error: BaseException) -> ShapeError:
+    def _failed(self, name: str, stage: Stage, error: BaseException) -> ShapeError:
         return ShapeError(f"{self.called(name)} failed, {type(error).__name__}: {error}", stage=stage)
 
     def _point(self, name: str) -> EntryPoint:

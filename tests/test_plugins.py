@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from packages import install
 
-from pcretrieve.errors import InputError, OptionError, ShapeError
+from pcretrieve.errors import InputError, OptionError, ShapeError, Stage
 from pcretrieve.plugins import Registry, added_names
 
 GROUP = "pcretrieve.tests"
@@ -117,5 +117,5 @@ def test_values_that_do_not_suit_fail_a_shape_even_of_pcretrieve() -> None:
 
 
 def fail(name: str, error: BaseException) -> None:
-    with NUMBERS.blamed(name, "spectrum"):
+    with NUMBERS.blamed(name, Stage.SPECTRUM):
         raise error

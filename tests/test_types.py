@@ -11,7 +11,7 @@ import shapes
 from scipy.sparse import csc_array, eye_array
 
 from pcretrieve import errors
-from pcretrieve.errors import InputError, PcretrieveError
+from pcretrieve.errors import InputError, PcretrieveError, Stage
 from pcretrieve.retrieval import fit_whitening
 from pcretrieve.spectral import eigenpairs, laplace_beltrami
 from pcretrieve.types import (
@@ -240,12 +240,14 @@ def test_steps_add_up() -> None:
 
 
 @pytest.mark.parametrize(
-    "error", [getattr(errors, name) for name in errors.__all__], ids=lambda error: str(error.__name__)
+    "error",
+    [kind for kind in vars(errors).values() if isinstance(kind, type) and issubclass(kind, PcretrieveError)],
+    ids=lambda error: str(error.__name__),
 )
 def test_errors_keep_their_place_through_pickling(error: type[PcretrieveError]) -> None:
-    copy = pickle.loads(pickle.dumps(error("no closed surface", stage="remesh", shape_id="T17")))
+    copy = pickle.loads(pickle.dumps(error("no closed surface", stage=Stage.REMESH, shape_id="T17")))
     assert type(copy) is error
-    assert (copy.message, copy.stage, copy.shape_id) == ("no closed surface", "remesh", "T17")
+    assert (copy.message, copy.stage, copy.shape_id) == ("no closed surface", Stage.REMESH, "T17")
     assert str(copy) == "[T17 / remesh] no closed surface"
 
 

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from pcretrieve.adapters.frame import DOUBLE_OFFSET, Frame, diagonal, power_of_two
 from pcretrieve.arrays import FloatArray, IntArray
-from pcretrieve.errors import ReconstructionError
+from pcretrieve.errors import ReconstructionError, Stage
 
 __all__ = [
     "RayScene",
@@ -186,7 +186,7 @@ def orient_by_tangent_planes(points: FloatArray, normals: FloatArray, *, n_neigh
         raise ReconstructionError(
             f"tangent planes need a Delaunay triangulation, and {len(points)} points have none: look for "
             "points that coincide or lie far from the body, and drop them",
-            stage="orient",
+            stage=Stage.ORIENT,
         ) from error
     return np.array(cloud.normals)
 

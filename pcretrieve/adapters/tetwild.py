@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import atexit
 import contextlib
-import ctypes
 import io
 import os
 import signal
@@ -25,6 +24,7 @@ from typing import IO, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pcretrieve.adapters.parent import end_with_parent
 from pcretrieve.arrays import FloatArray, IntArray
 from pcretrieve.errors import RemeshError
 
@@ -34,9 +34,6 @@ Arrays = dict[str, NDArray[Any]]
 
 # A message is its length, followed by an .npz archive of arrays. Nothing is pickled.
 LENGTH = struct.Struct("<q")
-
-# From <sys/prctl.h>.
-PR_SET_PDEATHSIG = 1
 
 # The server has the sys.path of its client, instead of one that depends on the working directory.
 SERVER = "import sys; sys.path[:] = sys.argv[1:]; from pcretrieve.adapters.tetwild import serve; serve()"
@@ -206,7 +203,8 @@ def serve() -> None:
     # The terminal sends Ctrl-C to the server too, but the client handles it. The signal is blocked instead of
     # ignored, because fTetWild resets the handlers of signals.
     signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])
-    _end_with_client()
+    # A client that exceeded its own time limit is killed, and cannot stop its server.
+    end_with_parent()
     # fTetWild prints from C++ to the descriptors 1 and 2, which are redirected.
     # Python's errors are still shown.
     answers = os.fdopen(os.dup(sys.stdout.fileno()), "wb")
@@ -223,10 +221,3 @@ def serve() -> None:
     with contextlib.suppress(EOFError, BrokenPipeError):
         while True:
             _send(answers, _answer(_receive(sys.stdin.buffer)))
-
-
-def _end_with_client() -> None:
-    """Let the kernel kill this process when its client ends, also if the client is killed (Linux only)."""
-    # On other systems the server ends after its current surface.
-    if sys.platform == "linux":
-        ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)

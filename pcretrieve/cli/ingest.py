@@ -78,7 +78,7 @@ def ingest_command(
     from tqdm import tqdm
 
     from pcretrieve.catalogue import Catalogue
-    from pcretrieve.ingest.discover import discover
+    from pcretrieve.ingest.discover import discover, printable
     from pcretrieve.ingest.labels import read_labels
     from pcretrieve.ingest.run import ingest
 
@@ -120,7 +120,8 @@ def ingest_command(
             say(f"stopped; {len(store)} shapes are in {catalogue}, and the same command goes on from there")
             sys.exit(stop.code if isinstance(stop, SystemExit) else EXIT_INTERRUPTED)
     held_failed = [record for record in summary.held if record.status == "failed"]
-    for path, twin in summary.duplicates:
+    duplicates = [(printable(path), twin) for path, twin in summary.duplicates]
+    for path, twin in duplicates:
         say(f"skipped {path}: the same content as {twin.id} ({twin.path})")
     if summary.unknown_labels:
         quoted = ", ".join(summary.unknown_labels[:QUOTED])
@@ -132,7 +133,7 @@ def ingest_command(
     failures = summary.failed + held_failed
     say(
         f"{len(summary.done)} done, {len(failures)} failed, {len(summary.held) - len(held_failed)} held "
-        f"already, {len(summary.duplicates)} duplicates: {catalogue}"
+        f"already, {len(duplicates)} duplicates: {catalogue}"
     )
     if as_json:
         write_json(
@@ -140,7 +141,7 @@ def ingest_command(
                 "catalogue": str(catalogue),
                 "done": [record.id for record in summary.done],
                 "held": [record.id for record in summary.held if record.status == "done"],
-                "duplicates": [{"path": str(path), "id": twin.id} for path, twin in summary.duplicates],
+                "duplicates": [{"path": path, "id": twin.id} for path, twin in duplicates],
                 "failed": [
                     {
                         "id": record.id,

@@ -28,7 +28,7 @@ from pcretrieve.descriptors.r_bihdm import R_BIHDM
 from pcretrieve.descriptors.sd_gdm import SD_GDM
 from pcretrieve.descriptors.shape_dna import SHAPE_DNA, SHAPE_DNA_NORM1
 from pcretrieve.descriptors.wks import WKS
-from pcretrieve.errors import OptionError, ShapeError
+from pcretrieve.errors import OptionError, ShapeError, Stage
 from pcretrieve.options import DESCRIPTOR_GROUP, SignatureOptions
 from pcretrieve.plugins import Registry
 from pcretrieve.spectral import unit_eigenpairs
@@ -144,18 +144,18 @@ def _check_size(descriptor: Descriptor, options: SignatureOptions) -> None:
 def _described(descriptor: Descriptor, part: Shape, options: SignatureOptions) -> Signature:
     """The signature of one surface."""
     needed = _needed(descriptor, part, options)
-    with DESCRIPTORS.blamed(options.method, "signature"):
+    with DESCRIPTORS.blamed(options.method, Stage.SIGNATURE):
         made = descriptor.make(needed, options)
     called, length = DESCRIPTORS.called(options.method), descriptor.length(options)
     if not isinstance(made, Signature) or made.metric != descriptor.metric:
         raise ShapeError(
             f"{called} must give a Signature with the metric {descriptor.metric!r}, got {made!r}",
-            stage="signature",
+            stage=Stage.SIGNATURE,
         )
     if len(made.values) != length:
         raise ShapeError(
             f"{called} must give {length} values, as its record declares, got {len(made.values)}",
-            stage="signature",
+            stage=Stage.SIGNATURE,
         )
     if not options.size_weight:
         return made

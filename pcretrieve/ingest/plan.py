@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from pcretrieve.catalogue import Record
-from pcretrieve.errors import ShapeError
+from pcretrieve.errors import PcretrieveError, ShapeError, Stage
 from pcretrieve.ingest import work
 from pcretrieve.ingest.discover import content_hash, printable, shape_ids
 from pcretrieve.ingest.labels import match_labels
@@ -112,12 +112,12 @@ def plan(
     )
 
 
-def failed(record: Record, error: ShapeError) -> Record:
+def failed(record: Record, error: PcretrieveError) -> Record:
     """The record of a shape that cannot be processed."""
     return replace(
         record,
         status="failed",
-        stage=error.stage or "unknown",
+        stage=str(error.stage or Stage.WORKER),
         error=type(error).__name__,
         message=printable(error.message),
     )

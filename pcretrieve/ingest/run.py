@@ -2,25 +2,19 @@
 
 from __future__ import annotations
 
-import multiprocessing
-import signal
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, TimeoutError, wait
-from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import closing
 from dataclasses import dataclass, field, replace
-from multiprocessing import resource_tracker
+from functools import partial
 from pathlib import Path
 
 from pcretrieve.catalogue import Catalogue, Content, Record
-from pcretrieve.errors import PcretrieveError, ShapeError, StageTimeout, WorkerDied
 from pcretrieve.ingest import work
 from pcretrieve.ingest.plan import failed, plan
+from pcretrieve.ingest.workers import outcomes
+from pcretrieve.options import PipelineOptions
 
 __all__ = ["Summary", "ingest"]
-
-# Shapes handed to the pool ahead of each worker: enough that none waits, few enough that Ctrl-C is prompt.
-AHEAD = 2
 
 
 @dataclass(slots=True)
@@ -103,13 +97,19 @@ def ingest(
         store(record, None)
     if not todo.process:
         return summary
-    for record, outcome in _outcomes(
-        todo.process, catalogue, min(workers, len(todo.process)), timeout, memory
-    ):
-        if isinstance(outcome, ShapeError):
-            store(failed(record, outcome), None)
-        else:
-            store(replace(record, steps=outcome.shape.provenance), outcome)
+    running = outcomes(
+        partial(_content, catalogue.options),
+        todo.process,
+        prepare=partial(work.prepare, memory),
+        workers=min(workers, len(todo.process)),
+        timeout=timeout,
+    )
+    with closing(running):
+        for (_, record), outcome in running:
+            if isinstance(outcome, Content):
+                store(replace(record, steps=outcome.shape.provenance), outcome)
+            else:
+                store(failed(record, outcome), None)
     return summary
 
 
@@ -121,78 +121,5 @@ def _reported(failure: Record, stored: Record) -> Record:
     return replace(failure, id=stored.id, message=kept)
 
 
-def _outcomes(
-    queue: Sequence[tuple[Path, Record]],
-    catalogue: Catalogue,
-    workers: int,
-    timeout: float,
-    memory: float | None,
-) -> Iterator[tuple[Record, Content | ShapeError]]:
-    """Each record with what came of it, in the order that they finish."""
-    from pebble import ProcessPool
-
-    # Open3D has threads, so workers must be spawned, not forked.
-    context = multiprocessing.get_context("spawn")
-    pool = ProcessPool(max_workers=workers, context=context, initializer=work.prepare, initargs=(memory,))
-    waiting = iter(queue)
-    running: dict[Future[Content], Record] = {}
-    try:
-        while True:
-            while len(running) < workers * (1 + AHEAD) and (scan := next(waiting, None)) is not None:
-                path, record = scan
-                with _interrupts_blocked():
-                    future = pool.schedule(work.content, args=(path, catalogue.options), timeout=timeout)
-                running[future] = record
-            if not running:
-                break
-            finished, _ = wait(running, return_when=FIRST_COMPLETED)
-            for ended in finished:
-                error = ended.exception()
-                yield running.pop(ended), ended.result() if error is None else _cause(error, timeout)
-        pool.close()
-    except BaseException:
-        pool.stop()
-        raise
-    finally:
-        pool.join()
-
-
-@contextmanager
-def _interrupts_blocked() -> Iterator[None]:
-    """Threads and processes started in here never see Ctrl-C, not even while they still import.
-
-    The terminal sends it to all of them; the process that holds the catalogue decides what it means.
-    """
-    # It is started with the first worker, and would lift the block.
-    resource_tracker.ensure_running()
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
-
-
-def _cause(error: BaseException, timeout: float) -> ShapeError:
-    """What became of a shape that brought no answer; raises what is not that shape's fault."""
-    from pebble import ProcessExpired
-
-    if isinstance(error, ShapeError):
-        return error
-    if isinstance(error, TimeoutError):
-        return StageTimeout(f"not finished within {timeout:g} s: raise --timeout and give --retry-failed")
-    if isinstance(error, ProcessExpired):
-        return WorkerDied(
-            f"the process that worked on it ended with {_exit_text(error.exitcode)}, perhaps for want of "
-            "memory: raise --memory if you gave it, or lower --workers, and give --retry-failed"
-        )
-    if isinstance(error, BrokenProcessPool):
-        raise PcretrieveError(
-            "the worker processes ended before they could take a shape, perhaps for want of memory: raise "
-            "--memory if you gave it, or lower --workers"
-        ) from error
-    raise error
-
-
-def _exit_text(code: int) -> str:
-    """How a process ended, in words: ``exit code 1``, ``SIGKILL``."""
-    return f"exit code {code}" if code >= 0 else signal.Signals(-code).name
+def _content(options: PipelineOptions, scan: tuple[Path, Record]) -> Content:
+    return work.content(scan[0], options)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-import traceback
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -19,11 +18,12 @@ from pcretrieve.descriptors import describe
 from pcretrieve.errors import (
     DegenerateMeshError,
     InputError,
-    MemoryExceeded,
     PcretrieveError,
     ReconstructionError,
     ShapeError,
-    UnexpectedError,
+    Stage,
+    in_stage,
+    shape_error,
 )
 from pcretrieve.formats import read_scan
 from pcretrieve.options import PipelineOptions
@@ -106,7 +106,9 @@ def signature(scan: object, options: PipelineOptions | None = None) -> Signature
         If the scan cannot be read or has no usable surface.
     """
     options = options or PipelineOptions()
-    described = describe(process(scan, options), options.signature)
+    shape = process(scan, options)
+    with placed(scan), in_stage(Stage.SIGNATURE):
+        described = describe(shape, options.signature)
     return replace(described, digest=options.signature_digest)
 
 
@@ -143,37 +145,44 @@ def surface_stages(scan: object, options: PipelineOptions) -> Iterator[Seen]:
     ShapeError
         In the stage that fails; what the stages before it made has been seen by then.
     """
-    value = as_scan(scan)
+    with in_stage(Stage.READ):
+        value = as_scan(scan)
     if isinstance(value, TriangleMesh):
         yield Seen(scan=PointCloud(value.vertices, provenance=value.provenance))
-        kept = sound_mesh(value, options.surface)
+        with in_stage(Stage.SURFACE):
+            kept = sound_mesh(value, options.surface)
         if kept is not None:
             yield Seen(mesh=kept)
             return
-        value = sampled(value, options.surface)
+        with in_stage(Stage.SURFACE):
+            value = sampled(value, options.surface)
     if options.remesh.method == "tetwild":
         tetwild.start()
     yield (seen := Seen(scan=value))
-    cleaned = clean(value, options.scan)
+    with in_stage(Stage.CLEAN):
+        cleaned = clean(value, options.scan)
     yield (seen := replace(seen, cloud=replace(cleaned, normals=None)))
     # Open3D reconstructs in single precision: far from the origin it loses the shape, or crashes.
     origin = cleaned.points.mean(axis=0)
-    cloud = oriented_normals(_moved(cleaned, -origin), options.scan)
+    with in_stage(Stage.ORIENT):
+        cloud = oriented_normals(_moved(cleaned, -origin), options.scan)
     yield (seen := replace(seen, cloud=_moved(cloud, origin)))
     surfaces: Iterator[tuple[TriangleMesh, SurfaceMarks | None]]
-    if options.surface.method == "poisson":
-        surfaces = iter([(poisson_surface(cloud, options.surface), None)])
-    else:
-        surfaces = body_surfaces(cloud, options.surface)
-    mesh, found = next(surfaces)
+    with in_stage(Stage.SURFACE):
+        if options.surface.method == "poisson":
+            surfaces = iter([(poisson_surface(cloud, options.surface), None)])
+        else:
+            surfaces = body_surfaces(cloud, options.surface)
+        mesh, found = next(surfaces)
     marks = None if found is None else SurfaceMarks(found.cuts + origin, found.bridges + origin)
     yield (seen := replace(seen, mesh=_mesh_moved(mesh, origin), marks=marks))
     final = _mesh_moved(_final(mesh, options), origin)
     yield (seen := replace(seen, mesh=final))
     try:
-        for other, _ in surfaces:
-            moved = _mesh_moved(_final(other, options), origin)
-            yield (seen := replace(seen, others=(*seen.others, moved)))
+        with in_stage(Stage.SURFACE):
+            for other, _ in surfaces:
+                moved = _mesh_moved(_final(other, options), origin)
+                yield (seen := replace(seen, others=(*seen.others, moved)))
     except ReconstructionError as error:
         # The first one stands: one surface is enough for a signature, if not for its error bar.
         note = Step("surface", 0.0, notes=(f"no further surface could be made: {error.message}",))
@@ -181,7 +190,8 @@ def surface_stages(scan: object, options: PipelineOptions) -> Iterator[Seen]:
 
 
 def _final(mesh: TriangleMesh, options: PipelineOptions) -> TriangleMesh:
-    final = remesh(mesh, options.remesh)
+    with in_stage(Stage.REMESH):
+        final = remesh(mesh, options.remesh)
     if wrong := defects(final):
         raise DegenerateMeshError(f"the surface must be a closed manifold, it has defects: {wrong}")
     return final
@@ -196,7 +206,8 @@ def process(scan: object, options: PipelineOptions) -> Shape:
         if options.spectral.element == "points":
             return _of_points(scan, options)
         *_, last = surface_stages(scan, options)
-        return described_shape(last, options)
+        with in_stage(Stage.SPECTRUM):
+            return described_shape(last, options)
 
 
 def described_shape(seen: Seen, options: PipelineOptions) -> Shape:
@@ -242,10 +253,11 @@ def _of_points(scan: object, options: PipelineOptions) -> Shape:
     """The spectrum of a cloud that no surface is made of."""
     cloud = _oriented(scan, options)
     started = time.perf_counter()
-    cloud, operator, notes = _largest_piece(cloud, options)
-    mesh = star_mesh(cloud)
-    unit = replace(operator, mass=csc_array(operator.mass / operator.area))
-    pairs = eigenpairs(unit, options.spectral.n_pairs)
+    with in_stage(Stage.SPECTRUM):
+        cloud, operator, notes = _largest_piece(cloud, options)
+        mesh = star_mesh(cloud)
+        unit = replace(operator, mass=csc_array(operator.mass / operator.area))
+        pairs = eigenpairs(unit, options.spectral.n_pairs)
     step = Step("spectrum", time.perf_counter() - started, _sizes(pairs, mesh), notes)
     return Shape((Surface(operator.area, _unit_spectrum(pairs), mesh),), cloud, (*mesh.provenance, step))
 
@@ -319,26 +331,15 @@ def _moved(cloud: PointCloud, by: FloatArray) -> PointCloud:
 
 @contextmanager
 def placed(scan: object) -> Iterator[None]:
-    """Errors of a stage, with the scan that they happened to; whatever it is, the next scan can go on."""
+    """Errors with the file name of the scan that they happened to, those outside of any stage too."""
     name = Path(scan).name if isinstance(scan, (str, Path)) else None
     try:
         yield
-    except ShapeError as error:
-        error.shape_id = error.shape_id or name
+    except PcretrieveError as error:
+        if isinstance(error, ShapeError):
+            error.shape_id = error.shape_id or name
         raise
-    except PcretrieveError:
-        raise
-    except MemoryError as error:
-        raise MemoryExceeded(
-            "the scan needs more memory than there is, or than --memory allows: raise that, or thin the scan",
-            shape_id=name,
-        ) from error
     except Exception as error:
-        *_, last = (
-            frame for frame in traceback.extract_tb(error.__traceback__) if "pcretrieve" in frame.filename
-        )
-        raise UnexpectedError(
-            f"{type(error).__name__}: {error} (at {Path(last.filename).name}, line {last.lineno}); this is a "
-            "fault of pcretrieve, please report it with the scan",
-            shape_id=name,
-        ) from error
+        unexpected = shape_error(error)
+        unexpected.shape_id = name
+        raise unexpected from error

@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pcretrieve.errors import InputError, ReconstructionError
+from pcretrieve.errors import InputError, ReconstructionError, Stage
 from pcretrieve.formats.views import SENSOR_DISTANCE
 from pcretrieve.options import MergeOptions
 from pcretrieve.registration.alignment import (
@@ -249,7 +249,7 @@ def _check_poses(poses: FloatArray, n_views: int) -> None:
 def _sensor(view: PointCloud, number: int, options: MergeOptions) -> FloatArray:
     """(3,) position of the sensor; a conventional one, if the view has none."""
     if not len(view.points):
-        raise ReconstructionError(f"view {number} has no points: leave it out", stage="merge")
+        raise ReconstructionError(f"view {number} has no points: leave it out", stage=Stage.MERGE)
     if view.viewpoints is not None:
         if bounding_diagonal(view.viewpoints) > options.reach * view.diagonal:
             raise InputError(
@@ -278,7 +278,7 @@ def _foreground(points: FloatArray, sensor: FloatArray, number: int, options: Me
         raise ReconstructionError(
             f"view {number} must have more than {NORMAL_NEIGHBORS} different points in reach, got "
             f"{len(points)}: leave it out, or raise max_range",
-            stage="merge",
+            stage=Stage.MERGE,
         )
     return points
 
@@ -338,7 +338,7 @@ def _largest_group(
     if len(largest) == 1:
         raise ReconstructionError(
             f"no two of the {len(views)} views share a surface: scan with more overlap, or lower min_overlap",
-            stage="merge",
+            stage=Stage.MERGE,
         )
     settled = _settled(views, largest, FINE, reach)
     root = np.linalg.inv(settled[min(settled)])

@@ -8,7 +8,7 @@ import numpy as np
 from PIL import Image
 
 from pcretrieve.arrays import FloatArray, IntArray
-from pcretrieve.errors import DegenerateMeshError, OptionError
+from pcretrieve.errors import DegenerateMeshError, OptionError, Stage
 from pcretrieve.rendering.camera import (
     MARGIN,
     SUPERSAMPLING,
@@ -84,7 +84,7 @@ def thumbnail(
         raise DegenerateMeshError(
             f"a surface must have area to be drawn, got {len(faces)} faces with an area of {area:.3g}; leave "
             "its picture out",
-            stage="thumbnail",
+            stage=Stage.THUMBNAIL,
         )
     framed = _framed(vertices @ (rotation(azimuth, elevation) @ body_axes(vertices, faces)).T, faces)
     face = visible_faces(framed, faces, size)

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcretrieve.adapters import open3d
-from pcretrieve.errors import ReconstructionError
+from pcretrieve.errors import ReconstructionError, Stage
 from pcretrieve.options import ScanOptions
 from pcretrieve.types import FloatArray, PointCloud, Step
 
@@ -136,7 +136,7 @@ def _check_extent(points: FloatArray) -> None:
         raise ReconstructionError(
             f"a scan needs at least {FEWEST_POINTS} points, got {len(points)}: scan more densely, or lower "
             "scan.voxel",
-            stage="clean",
+            stage=Stage.CLEAN,
         )
     spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False, full_matrices=False)  # (3,)
     flat = spread < SMALLEST_THICKNESS * spread[0]
@@ -144,5 +144,5 @@ def _check_extent(points: FloatArray) -> None:
         what = "are equal" if spread[0] == 0 else "lie on a line" if flat[1] else "lie in a plane"
         raise ReconstructionError(
             f"the points must span a body, all {len(points)} {what}: scan it from several sides",
-            stage="clean",
+            stage=Stage.CLEAN,
         )

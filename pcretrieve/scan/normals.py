@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcretrieve.adapters import open3d
-from pcretrieve.errors import ReconstructionError
+from pcretrieve.errors import ReconstructionError, Stage
 from pcretrieve.options import ScanOptions
 from pcretrieve.scan.outside import Outside, flood
 from pcretrieve.scan.sampling import spacing
@@ -72,7 +72,7 @@ def oriented_normals(cloud: PointCloud, options: ScanOptions) -> PointCloud:
         if cloud.normals is None:
             raise ReconstructionError(
                 "scan.orientation 'given' needs a scan with normals, this one has none: take 'auto'",
-                stage="orient",
+                stage=Stage.ORIENT,
             )
         return cloud.after(
             Step("orient", time.perf_counter() - started, {}, ("used the file's own normals",))
@@ -87,7 +87,7 @@ def _by_viewpoint(cloud: PointCloud, options: ScanOptions) -> tuple[FloatArray, 
     if cloud.viewpoints is None:
         raise ReconstructionError(
             "scan.orientation 'viewpoint' needs sensor positions, this scan has none: take 'auto'",
-            stage="orient",
+            stage=Stage.ORIENT,
         )
     towards = _unit(cloud.viewpoints - cloud.points)
     neighbors = _neighbors(cloud.points, options)

@@ -7,7 +7,7 @@ import time
 import numpy as np
 
 from pcretrieve.adapters import open3d
-from pcretrieve.errors import DegenerateMeshError, ReconstructionError
+from pcretrieve.errors import DegenerateMeshError, ReconstructionError, Stage
 from pcretrieve.options import SurfaceOptions
 from pcretrieve.surface.repair import ONE_SIDED, largest_component, outward, repaired, used_vertices
 from pcretrieve.surface.sampling import uniform_points
@@ -83,9 +83,9 @@ def sampled(mesh: TriangleMesh, options: SurfaceOptions) -> PointCloud:
     """
     started = time.perf_counter()
     if not mesh.area > 0:
-        raise DegenerateMeshError(f"no face of {len(mesh.faces)} has an area", stage="surface")
+        raise DegenerateMeshError(f"no face of {len(mesh.faces)} has an area", stage=Stage.SURFACE)
     if orient_faces(mesh) is None:
-        raise DegenerateMeshError(ONE_SIDED, stage="surface")
+        raise DegenerateMeshError(ONE_SIDED, stage=Stage.SURFACE)
     found = defects(mesh)
     n = options.sample_points
     points, _ = uniform_points(mesh, n, np.random.default_rng(SAMPLE_SEED))

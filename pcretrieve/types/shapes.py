@@ -7,7 +7,7 @@ from typing import Literal, TypeVar
 
 import numpy as np
 
-from pcretrieve.errors import InputError, ShapeError
+from pcretrieve.errors import InputError, ShapeError, Stage
 from pcretrieve.types.geometry import PointCloud, Step, TriangleMesh
 from pcretrieve.types.spectra import Eigenpairs, ModalSpectrum
 from pcretrieve.values import Value
@@ -108,7 +108,7 @@ def _kept(part: Need, value: _Part | None) -> _Part:
         raise ShapeError(
             f"gone: the shape must hold its {part}, but does not: not kept when it was stored, or not among "
             "the needs that the descriptor declares; process the scan anew, or choose another descriptor",
-            stage="signature",
+            stage=Stage.SIGNATURE,
         )
     return value
 

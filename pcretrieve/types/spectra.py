@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from pcretrieve.arrays import FloatArray, IntArray
-from pcretrieve.errors import InputError, ShapeError
+from pcretrieve.errors import InputError, ShapeError, Stage
 from pcretrieve.values import Value, locked
 
 if TYPE_CHECKING:
@@ -177,7 +177,7 @@ class ModalSpectrum(Value):
             raise ShapeError(
                 "gone: this spectrum was stored without ⟨φ_i², φ_j²⟩, by an earlier pcretrieve: ingest the "
                 "scans anew, or choose another descriptor",
-                stage="signature",
+                stage=Stage.SIGNATURE,
             )
         return self.overlaps
 

@@ -230,8 +230,9 @@ def test_two_processes_that_ingest_at_once_store_every_shape_once(same: bool, tm
 # --- shapes that hang, die, fill the memory -----------------------------------------------------------
 
 VICIOUS = """
-import os, signal, time
+import os, signal, sys, time
 import numpy as np
+from pcretrieve.errors import InputError, ScanReadError
 
 def read(path):
     return DEEDS[path.stem]()
@@ -251,6 +252,27 @@ def fill_the_memory():
 def divide():
     return 1 / 0
 
+def leave_in_peace():
+    sys.exit(0)
+
+def interrupt():
+    raise KeyboardInterrupt
+
+def refuse():
+    raise InputError("no such thing")
+
+class Odd(ScanReadError):  # fit for pickling, but not for unpickling
+    def __init__(self):
+        super().__init__("odd")
+
+def be_odd():
+    raise Odd
+
+def shout():
+    print("from Python")
+    os.write(1, b"from elsewhere")
+    raise ScanReadError("hoarse")
+
 DEEDS = {name: deed for name, deed in globals().items() if callable(deed)}
 """
 
@@ -258,7 +280,12 @@ CAUSES = {
     "hang": ("StageTimeout", "worker", "not finished within 5 s: raise --timeout"),
     "die": ("WorkerDied", "worker", "ended with SIGKILL"),
     "leave": ("WorkerDied", "worker", "ended with exit code 7"),
-    "fill_the_memory": ("MemoryExceeded", "unknown", "raise that, or thin the scan"),
+    "fill_the_memory": ("MemoryExceeded", "read", "raise that, or thin the scan"),
+    "leave_in_peace": ("ScanReadError", "read", "SystemExit: 0"),
+    "interrupt": ("UnexpectedError", "read", "KeyboardInterrupt: "),
+    "refuse": ("ScanReadError", "read", "no such thing"),
+    "be_odd": ("ScanReadError", "read", "odd"),
+    "shout": ("ScanReadError", "read", "hoarse"),
     "divide": (
         "ScanReadError",
         "read",
@@ -297,6 +324,25 @@ def test_one_shape_takes_no_other_with_it(folder: Path, catalogue: Catalogue) ->
         assert (failed[deed].error, failed[deed].stage) == (error, stage)
         assert words in str(failed[deed].message)
     assert not multiprocessing.active_children()
+
+
+@pytest.mark.usefixtures("vicious")
+def test_json_is_all_that_standard_output_gets(folder: Path, tmp_path: Path) -> None:
+    """Whatever a reader prints, and whatever bytes the name of a copy has."""
+    (folder / "shout.vicious").write_text("shout")
+    odd = Path(os.fsdecode(os.fsencode(folder) + b"/latin-\xe9.off"))
+    odd.write_bytes((folder / "b.off").read_bytes())
+    command = [sys.executable, "-m", "pcretrieve", "ingest", folder, "-c", tmp_path / "c.sqlite", "--json"]
+    path = os.pathsep.join([str(tmp_path / "site"), *filter(None, [os.environ.get("PYTHONPATH")])])
+    ended = subprocess.run(
+        [*map(str, command)], capture_output=True, check=False, env=os.environ | {"PYTHONPATH": path}
+    )
+    assert ended.returncode == 3
+    answer = json.loads(ended.stdout)
+    assert [failure["message"].split(": ")[-1] for failure in answer["failed"]] == ["hoarse"]
+    assert {Path(copy["path"]).name for copy in answer["duplicates"]} == {"copy.off", "latin-\\xe9.off"}
+    assert b"from Python" in ended.stderr
+    assert b"from elsewhere" in ended.stderr
 
 
 def test_an_interrupt_keeps_what_is_stored_and_ends_the_workers(folder: Path, catalogue: Catalogue) -> None:
