@@ -29,6 +29,7 @@ EXIT_SIGNAL = 128
 # Each is the function `NAME_command` of the module of its name, imported when the command is run or asked for
 # its own help.
 COMMANDS = (
+    "demo",
     "merge",
     "reconstruct",
     "signature",

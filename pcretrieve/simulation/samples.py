@@ -22,7 +22,7 @@ from pcretrieve.simulation.files import write_conf, write_pcd, write_ply
 from pcretrieve.simulation.rig import RigOptions, camera_pose, scan, scan_views
 from pcretrieve.types import FloatArray, TriangleMesh
 
-__all__ = ["SAMPLES", "SUBJECTS", "SampleSubject", "main", "write_samples"]
+__all__ = ["DEMO_QUERY", "DEMO_SAMPLES", "SAMPLES", "SUBJECTS", "SampleSubject", "main", "write_samples"]
 
 EPILOG = """example:
   scripts/make_scans --out scans
@@ -73,13 +73,25 @@ SUBJECTS = (
 SAMPLES = tuple(f"{subject.name}_{pose}" for subject in SUBJECTS for pose in subject.poses)
 """Names of all sample scans: subject and pose."""
 
+DEMO_SAMPLES = (
+    *("person-1_stand", "person-1_walk", "person-1_sit"),
+    *("person-2_stand", "person-2_run", "person-2_wave"),
+    *("person-3_walk", "person-3_lunge", "person-3_point"),
+    *("animal-1_stand", "animal-1_walk", "animal-1_graze"),
+    *("hand-1_open", "hand-1_relaxed", "hand-1_flex"),
+)
+"""Sample scans of a catalogue that is made in about a minute."""
+
+DEMO_QUERY = "person-1_hands_on_hips"
+"""A sample scan of one of the same subjects, in a pose with contacts."""
+
 
 def write_samples(
     folder: Path,
     names: Collection[str] = SAMPLES,
     *,
     seed: int = SEED,
-    on_scan: Callable[[Path], None] = lambda path: None,
+    on_scan: Callable[[Path], object] = lambda path: None,
 ) -> dict[str, str]:
     """Make sample scans, and ``labels.csv`` with their classes.
 
