@@ -110,6 +110,13 @@ class Registry(Generic[Record]):
         point = self._point(name)
         return f"the {self.kind} {name!r} of the package {point.dist.name if point.dist else point.module}"
 
+    def version(self, name: str) -> str:
+        """The package and the version of a record that another package adds; empty for pcretrieve's own."""
+        if name in self.own:
+            return ""
+        point = self._point(name)
+        return f" {point.dist.name} {point.dist.version}" if point.dist else f" {point.module}"
+
     @contextmanager
     def blamed(self, name: str, stage: Stage) -> Iterator[None]:
         """Turn the exceptions of a record's function into a ShapeError that names its package.

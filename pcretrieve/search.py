@@ -49,7 +49,7 @@ def search(
     if not len(table):
         raise InputError(f"{catalogue.path} holds no shapes: ingest some first")
     digest = content_hash(Path(scan))
-    held = next((r for r in catalogue.records() if r.content_hash == digest and r.status == "done"), None)
+    held = next((record for record in catalogue.with_content(digest) if record.status == "done"), None)
     shape = catalogue.shape(held.id) if held else process(scan, catalogue.options)
     index = SignatureIndex(table, options.retrieval, whitening=catalogue.whitening(options))
     return index.query(describe(shape, options.compared).values, k)

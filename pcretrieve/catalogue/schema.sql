@@ -1,34 +1,58 @@
--- One row a shape. Arrays are .npz archives; nothing in here is executable.
-CREATE TABLE IF NOT EXISTS meta (
-    key   TEXT PRIMARY KEY,
+-- Version 2. A shape's columns that are searched and listed are small and stand in one table; what is read of
+-- single shapes stands in tables of its own, by the number of the shape.
+CREATE TABLE meta (
+    key   TEXT PRIMARY KEY,         -- options (JSON), numbers_version, revision, label_revision
     value TEXT NOT NULL
 );
-CREATE TABLE IF NOT EXISTS shapes (
-    id             TEXT PRIMARY KEY,
-    path           TEXT NOT NULL UNIQUE,
-    content_hash   TEXT NOT NULL,
-    label          TEXT,
-    status         TEXT NOT NULL CHECK (status IN ('done', 'failed')),
-    stage          TEXT,            -- where it failed
-    error          TEXT,            -- how, by the name of the exception
-    message        TEXT,            -- why, in words
-    steps          TEXT NOT NULL,   -- provenance, JSON: stage, seconds, sizes, notes
-    area           REAL,            -- unit length² of the file
-    n_vertices     INTEGER,
-    n_faces        INTEGER,
-    euler          INTEGER,
-    eigenvalues    BLOB,            -- (s, k) of each of its surfaces at unit area, and surface_areas (s,)
-    moments        BLOB,            -- (s, k, k) ⟨φ_i², φ_j⟩ of the same, and overlaps ⟨φ_i², φ_j²⟩
-    signature      BLOB,            -- (L,) by the options of this catalogue
-    mesh           BLOB,            -- vertices and faces, vertices1 and faces1, … of its surfaces, unit of the file
+CREATE TABLE shapes (
+    number       INTEGER PRIMARY KEY,
+    id           TEXT NOT NULL UNIQUE,
+    path         TEXT NOT NULL UNIQUE,
+    content_hash TEXT NOT NULL,
+    label        TEXT,
+    status       TEXT NOT NULL CHECK (status IN ('done', 'failed')),
+    stage        TEXT,              -- where it failed
+    error        TEXT,              -- how, by the name of the exception
+    message      TEXT,              -- why, in words
+    area         REAL,              -- of the first surface, unit length² of the file
+    n_vertices   INTEGER,           -- of the first surface, as the next two
+    n_faces      INTEGER,
+    euler        INTEGER
+);
+CREATE INDEX shapes_by_content ON shapes (content_hash);
+CREATE INDEX shapes_by_status ON shapes (status, id);
+CREATE TABLE provenance (
+    shape          INTEGER PRIMARY KEY,
+    steps          TEXT NOT NULL,   -- JSON: stage, seconds, sizes, notes
     options_digest TEXT NOT NULL,
     versions       TEXT NOT NULL,   -- JSON
     added          TEXT NOT NULL    -- UTC, ISO 8601
 );
-CREATE INDEX IF NOT EXISTS shapes_by_content ON shapes (content_hash);
-CREATE TABLE IF NOT EXISTS whitenings (
-    digest      TEXT PRIMARY KEY,
-    kind        TEXT NOT NULL,
-    fingerprint TEXT NOT NULL,      -- of the signatures and labels that it was fitted on
-    arrays      BLOB NOT NULL
+-- Signatures by the options of this catalogue (descriptor 0), and by others that were asked for since.
+CREATE TABLE descriptors (
+    number INTEGER PRIMARY KEY,
+    digest TEXT NOT NULL UNIQUE
+);
+CREATE TABLE signatures (
+    descriptor INTEGER NOT NULL,
+    shape      INTEGER NOT NULL,
+    value      BLOB NOT NULL,       -- (L,) float64, little-endian, and a checksum
+    PRIMARY KEY (descriptor, shape)
+) WITHOUT ROWID;
+-- Arrays of the s surfaces of a shape, as pcretrieve.catalogue.arrays packs them.
+CREATE TABLE spectra (
+    shape  INTEGER PRIMARY KEY,
+    arrays BLOB NOT NULL            -- areas (s,), unit length² of the file; eigenvalues (s, k) of unit area
+);
+CREATE TABLE moments (
+    shape  INTEGER PRIMARY KEY,
+    arrays BLOB NOT NULL            -- (s, k, k) ⟨φ_i², φ_j⟩ of unit area
+);
+CREATE TABLE overlaps (
+    shape  INTEGER PRIMARY KEY,
+    arrays BLOB NOT NULL            -- (s, k, k) ⟨φ_i², φ_j²⟩ of unit area
+);
+CREATE TABLE meshes (
+    shape  INTEGER PRIMARY KEY,
+    arrays BLOB NOT NULL            -- vertices and faces of each surface in turn, unit length of the file
 );

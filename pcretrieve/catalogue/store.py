@@ -1,37 +1,40 @@
-"""The durable store: one SQLite file, one row a shape, readable while it is being written."""
+"""The durable store: one file, one row a shape, readable while it is being written."""
 
 from __future__ import annotations
 
-import hashlib
-import sqlite3
+import logging
 import zlib
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
+from datetime import datetime, timezone
 from pathlib import Path
 from types import TracebackType
-from typing import Any
-from zipfile import BadZipFile
 
 import numpy as np
-from numpy.typing import NDArray
 
-from pcretrieve.catalogue.opening import connect, damaged, is_writable, open_options, translated
-from pcretrieve.catalogue.record import Content, Record, free_id
-from pcretrieve.catalogue.row import RECORD_COLUMNS, packed, record_of, row_of, unpacked
-from pcretrieve.catalogue.surfaces import areas_of, meshes_of, spectra_of
+from pcretrieve.catalogue.arrays import packed_values, unpacked_values
+from pcretrieve.catalogue.opening import damaged
+from pcretrieve.catalogue.record import Content, Record
+from pcretrieve.catalogue.rows import OWN, Payload, Rows, Status
+from pcretrieve.catalogue.settings import settings_of, stored_options
+from pcretrieve.catalogue.sqlite import SqliteRows
+from pcretrieve.catalogue.surfaces import payloads_of, shape_of
 from pcretrieve.descriptors import DESCRIPTORS, describe, signature_length
 from pcretrieve.errors import CatalogueError, InputError, ShapeError
 from pcretrieve.options import PipelineOptions, options_difference
-from pcretrieve.retrieval import (
-    Whitening,
-    checked_damping,
-    resolution_whitening,
-    table_whitening,
-    whitening_digest,
-)
-from pcretrieve.types import ModalSpectrum, Need, Shape, SignatureTable, Surface, TriangleMesh
+from pcretrieve.retrieval import Whitening, resolution_whitening, table_whitening
+from pcretrieve.types import Need, Shape, SignatureTable, TriangleMesh
 
 __all__ = ["Catalogue"]
+
+logger = logging.getLogger(__name__)
+
+# Records that are read at a time where all are wanted.
+PAGE = 1000
+
+# Signatures that are computed before they are kept: what was done is not lost when the rest is stopped.
+KEPT_AT_ONCE = 100
 
 
 class Catalogue:
@@ -66,12 +69,11 @@ class Catalogue:
         self, path: str | Path, options: PipelineOptions | None = None, *, create: bool = False
     ) -> None:
         self.path = Path(path)
-        self._connection = connect(self.path, create=create)
+        self._rows: Rows = SqliteRows(self.path, settings_of(options or PipelineOptions()), create=create)
         try:
-            with translated(self.path):
-                self.options = open_options(self._connection, self.path, options)
+            self.options = stored_options(self.path, self._rows.settings(), options)
         except BaseException:
-            self._connection.close()
+            self._rows.close()
             raise
 
     def __enter__(self) -> Catalogue:
@@ -84,10 +86,10 @@ class Catalogue:
 
     def close(self) -> None:
         """Close the file."""
-        self._connection.close()
+        self._rows.close()
 
     def __len__(self) -> int:
-        return int(self._one("SELECT count(*) FROM shapes WHERE status = 'done'")[0])
+        return self._rows.count("done")
 
     # --- writing --------------------------------------------------------------------------------------
 
@@ -109,33 +111,34 @@ class Catalogue:
         Record
             What the catalogue holds of that path now.
         """
-        row = row_of(record, content, self.options.digest)
-        with self._writing() as connection:
-            earlier = self._one("SELECT id FROM shapes WHERE path = ?", (record.path,))
-            row["id"] = earlier[0] if earlier else free_id(record, self._is_taken)
-            names = ", ".join(row)
-            marks = ", ".join(f":{name}" for name in row)
-            anew = ", ".join(f"{name} = excluded.{name}" for name in row)
-            connection.execute(
-                f"INSERT INTO shapes ({names}) VALUES ({marks}) ON CONFLICT (path) DO UPDATE SET {anew} "
-                "WHERE excluded.status = 'done' OR shapes.status = 'failed'",
-                row,
-            )
-            connection.execute("DELETE FROM whitenings")
-            return self.record(row["id"])
+        record = replace(
+            record,
+            options_digest=self.options.digest,
+            added=datetime.now(timezone.utc).isoformat(timespec="seconds"),
+        )
+        if content is None:
+            return self._rows.put(record, None, {})
+        mesh = content.shape.mesh
+        record = replace(
+            record,
+            area=content.shape.area,
+            n_vertices=len(mesh.vertices),
+            n_faces=len(mesh.faces),
+            euler=mesh.euler_characteristic,
+        )
+        return self._rows.put(record, packed_values(content.signature), payloads_of(content.shape))
 
-    def remove(self, shape_id: str) -> None:
-        """Forget a shape.
+    def remove(self, *shape_ids: str) -> None:
+        """Forget shapes, all of them or none.
 
         Raises
         ------
         InputError
-            If there is none of that id.
+            If there is none of one of the ids.
         """
-        with self._writing() as connection:
+        for shape_id in shape_ids:
             self.record(shape_id)
-            connection.execute("DELETE FROM shapes WHERE id = ?", (shape_id,))
-            connection.execute("DELETE FROM whitenings")
+        self._rows.remove(shape_ids)
 
     def revise(
         self,
@@ -158,25 +161,38 @@ class Catalogue:
         labels : mapping of path to class, optional
             By the new path where a file was renamed.
         """
-        with self._writing() as connection:
-            connection.executemany(
-                "UPDATE OR IGNORE shapes SET path = ? WHERE path = ?",
-                [(new, old) for old, new in (moved or {}).items()],
-            )
-            connection.executemany("DELETE FROM shapes WHERE path = ?", [(path,) for path in removed])
-            connection.executemany(
-                "UPDATE shapes SET label = ? WHERE path = ?",
-                [(label, path) for path, label in (labels or {}).items()],
-            )
-            if removed:
-                connection.execute("DELETE FROM whitenings")
+        self._rows.revise(moved=moved or {}, removed=removed, labels=labels or {})
 
     # --- reading --------------------------------------------------------------------------------------
 
-    def records(self) -> list[Record]:
-        """Every shape, failed ones included, by id."""
-        rows = self._all(f"SELECT {', '.join(RECORD_COLUMNS)} FROM shapes ORDER BY id")
-        return [self._record(row) for row in rows]
+    def pages(
+        self, *, status: Status | None = None, offset: int = 0, limit: int | None = None
+    ) -> Iterator[list[Record]]:
+        """The records, failed ones included, in ascending order of id; a page is read when it is asked for.
+
+        Parameters
+        ----------
+        status : {"done", "failed"}, optional
+            Only records of this status.
+        offset : int, default 0
+            Records that are left out at the beginning.
+        limit : int, optional
+            Records in all pages together.
+        """
+        after, left = "", limit
+        while left is None or left > 0:
+            size = PAGE if left is None else min(PAGE, left)
+            page = self._rows.page(after=after, offset=offset, limit=size, status=status)
+            if page:
+                yield page
+            if len(page) < size:
+                return
+            after, offset = page[-1].id, 0
+            left = None if left is None else left - size
+
+    def records(self, *, status: Status | None = None) -> list[Record]:
+        """Every shape, failed ones included, in ascending order of id."""
+        return [record for page in self.pages(status=status) for record in page]
 
     def record(self, shape_id: str) -> Record:
         """One shape.
@@ -186,10 +202,29 @@ class Catalogue:
         InputError
             If there is none of that id.
         """
-        row = self._one(f"SELECT {', '.join(RECORD_COLUMNS)} FROM shapes WHERE id = ?", (shape_id,))
-        if row is None:
-            raise InputError(f"{self.path} holds no shape {shape_id!r}; `pcretrieve list` names them")
-        return self._record(row)
+        found = self._rows.by_id([shape_id])
+        if not found:
+            raise self._unknown(shape_id)
+        return found[0]
+
+    def with_content(self, content_hash: str) -> list[Record]:
+        """The shapes of files with a content, failed ones included, in ascending order of id."""
+        return self._rows.by_content([content_hash])
+
+    def areas(self) -> tuple[float, float] | None:
+        """The smallest and the largest area of a shape, unit length² of the files; None if it is empty."""
+        return self._rows.areas()
+
+    def stored_bytes(self, shape_id: str) -> dict[str, int]:
+        """What is stored of a shape: bytes of its record, of its signatures, and of its arrays by name.
+
+        Raises
+        ------
+        InputError
+            If there is none of that id.
+        """
+        self.record(shape_id)
+        return self._rows.sizes(shape_id)
 
     def mesh(self, shape_id: str) -> TriangleMesh:
         """The clean mesh of a shape, in the unit of its file."""
@@ -210,21 +245,7 @@ class Catalogue:
         InputError
             If there is no shape of that id, or it failed.
         """
-        record = self.record(shape_id)
-        if record.status != "done":
-            raise InputError(
-                f"shape {shape_id!r} has no surface: it failed in {record.stage}: {record.message}"
-            )
-        eigenvalues = self._arrays("eigenvalues", shape_id)
-        areas = areas_of(eigenvalues, record.area or 0.0)
-        spectra: Sequence[ModalSpectrum | None] = [None] * len(areas)
-        meshes: Sequence[TriangleMesh | None] = [None] * len(areas)
-        if "spectrum" in needs:
-            spectra = spectra_of(eigenvalues, self._arrays("moments", shape_id))
-        if "mesh" in needs or "eigenvectors" in needs:
-            meshes = meshes_of(self._arrays("mesh", shape_id), len(areas), record.steps)
-        surfaces = (Surface(*parts) for parts in zip(areas, spectra, meshes, strict=True))
-        return Shape(tuple(surfaces), provenance=record.steps)
+        return self._read(shape_id, needs)[1]
 
     def signatures(self, options: PipelineOptions | None = None) -> SignatureTable:
         """The signatures by which all shapes that did not fail are compared, by id.
@@ -232,8 +253,8 @@ class Catalogue:
         Parameters
         ----------
         options : PipelineOptions, optional
-            With a descriptor other than the catalogue's own, as ``catalogue.options.changed(signature=...)``;
-            it is computed anew from what is stored.
+            With a descriptor other than the catalogue's own, as ``catalogue.options.changed(signature=...)``.
+            Such signatures are computed from what is stored when they are asked for the first time, and kept.
 
         Raises
         ------
@@ -241,32 +262,35 @@ class Catalogue:
             If `options` are for other spectra than those of the catalogue.
         """
         options = self._fitting(options)
+        own = options.compared_digest == self.options.signature_digest
+        # A package that is upgraded may give other values by the same options.
+        digest = OWN if own else options.compared_digest + DESCRIPTORS.version(options.signature.method)
+        listed = self._rows.signatures(digest)
+        missing = [
+            shape_id for shape_id, value in zip(listed.ids, listed.values, strict=True) if value is None
+        ]
+        if own and missing:
+            raise damaged(self.path, f"shape {missing[0]!r} has no signature")
+        made = self._described(missing, options, digest)
+        packed = [
+            made[i] if value is None else value for i, value in zip(listed.ids, listed.values, strict=True)
+        ]
+        with self._intact("a signature"):
+            values = unpacked_values(packed) if packed else np.empty((0, signature_length(options.signature)))
         descriptor = DESCRIPTORS[options.signature.method]
-        stored = options.compared_digest == self.options.signature_digest
-        ids, labels, values = [], [], []
-        query = "SELECT id, label, signature FROM shapes WHERE status = 'done' ORDER BY id"
-        for shape_id, label, signature in self._all(query):
-            ids.append(shape_id)
-            labels.append(label)
-            try:
-                values.append(
-                    self._unpacked(signature)["values"]
-                    if stored
-                    else describe(self.shape(shape_id, descriptor.needs), options.compared).values
-                )
-            except ShapeError as error:
-                error.shape_id = shape_id
-                raise
-        rows = np.array(values) if values else np.empty((0, signature_length(options.signature)))
         return SignatureTable(
-            tuple(ids), rows, descriptor.name, options.compared_digest, tuple(labels), descriptor.metric
+            tuple(listed.ids),
+            values,
+            descriptor.name,
+            options.compared_digest,
+            tuple(listed.labels),
+            descriptor.metric,
         )
 
     def whitening(self, options: PipelineOptions | None = None) -> Whitening:
         """The whitening of this catalogue's signatures that options ask for.
 
-        ``pca`` and ``within-class`` are fitted on the shapes that it holds now, and stored; fitted anew once
-        they change.
+        ``pca`` and ``within-class`` are fitted on the shapes that it holds now.
 
         Parameters
         ----------
@@ -279,42 +303,58 @@ class Catalogue:
             If `options` are for other spectra than those of the catalogue.
         """
         options = self._fitting(options)
-        kind, damping = options.retrieval.whitening, options.retrieval.damping
-        if kind == "resolution":
+        if options.retrieval.whitening == "resolution":
             return resolution_whitening(
-                options.compared, damping=damping, options_digest=options.compared_digest
+                options.compared, damping=options.retrieval.damping, options_digest=options.compared_digest
             )
-        table = self.signatures(options)
-        if kind == "none":
-            return table_whitening(table, options.retrieval)
-        digest = whitening_digest(kind, checked_damping(kind, damping), table.digest)
-        fingerprint = _fingerprint(table)
-        row = self._one(
-            "SELECT arrays FROM whitenings WHERE digest = ? AND fingerprint = ?", (digest, fingerprint)
-        )
-        if row is not None:
-            return Whitening.from_arrays(self._unpacked(row[0]))
-        whitening = table_whitening(table, options.retrieval)
-        if is_writable(self.path):
-            arrays = packed(**whitening.to_arrays())
-            with translated(self.path), self._connection:
-                self._connection.execute(
-                    "INSERT OR REPLACE INTO whitenings VALUES (?, ?, ?, ?)",
-                    (whitening.digest, kind, fingerprint, arrays),
-                )
-        return whitening
+        return table_whitening(self.signatures(options), options.retrieval)
 
     # --- inside ---------------------------------------------------------------------------------------
 
-    @contextmanager
-    def _writing(self) -> Iterator[sqlite3.Connection]:
-        """One transaction, which takes the write lock at its start: what it reads stays true to its end."""
-        with translated(self.path), self._connection:
-            self._connection.execute("BEGIN IMMEDIATE")
-            yield self._connection
+    def _read(self, shape_id: str, needs: tuple[Need, ...]) -> tuple[Record, Shape]:
+        """A shape as `shape` gives it, and its record at the same moment."""
+        names: list[Payload] = ["spectra"]
+        names += ["moments", "overlaps"] if "spectrum" in needs else []
+        names += ["meshes"] if {"mesh", "eigenvectors"} & set(needs) else []
+        found = self._rows.read(shape_id, names)
+        if found is None:
+            raise self._unknown(shape_id)
+        record, stored = found
+        if record.status != "done":
+            raise InputError(
+                f"shape {shape_id!r} has no surface: it failed in {record.stage}: {record.message}"
+            )
+        with self._intact(f"shape {shape_id!r}"):
+            return record, shape_of(stored, record.steps)
 
-    def _is_taken(self, shape_id: str) -> bool:
-        return self._one("SELECT 1 FROM shapes WHERE id = ?", (shape_id,)) is not None
+    def _unknown(self, shape_id: str) -> InputError:
+        return InputError(f"{self.path} holds no shape {shape_id!r}; `pcretrieve list` names them")
+
+    def _described(self, shape_ids: Sequence[str], options: PipelineOptions, digest: str) -> dict[str, bytes]:
+        """Packed signatures of shapes that have none by these options; they are kept where that can be."""
+        needs = DESCRIPTORS[options.signature.method].needs
+        made: dict[str, bytes] = {}
+        unkept: list[tuple[Record, bytes]] = []
+        try:
+            for shape_id in shape_ids:
+                record, shape = self._read(shape_id, needs)
+                try:
+                    made[shape_id] = packed_values(describe(shape, options.compared).values)
+                except ShapeError as error:
+                    error.shape_id = shape_id
+                    raise
+                unkept.append((record, made[shape_id]))
+                if len(made) % KEPT_AT_ONCE == 0:
+                    logger.info("described %d of %d shapes by %s", len(made), len(shape_ids), needs)
+                    self._keep(digest, unkept)
+        finally:
+            self._keep(digest, unkept)
+        return made
+
+    def _keep(self, digest: str, unkept: list[tuple[Record, bytes]]) -> None:
+        if unkept and self._rows.is_writable:
+            self._rows.keep(digest, unkept)
+        unkept.clear()
 
     def _fitting(self, options: PipelineOptions | None) -> PipelineOptions:
         """The options of a request, once they have been seen to be for the spectra that are stored."""
@@ -328,31 +368,10 @@ class Catalogue:
             )
         return options
 
-    def _arrays(self, column: str, shape_id: str) -> dict[str, NDArray[Any]]:
-        return self._unpacked(self._one(f"SELECT {column} FROM shapes WHERE id = ?", (shape_id,))[0])
-
-    def _record(self, row: tuple[Any, ...]) -> Record:
+    @contextmanager
+    def _intact(self, what: str) -> Iterator[None]:
+        """Bytes that do not make sense as a `CatalogueError`."""
         try:
-            return record_of(row)
-        except (ValueError, TypeError, KeyError) as error:
-            raise damaged(self.path, f"shape {row[0]!r} has no readable provenance") from error
-
-    def _unpacked(self, blob: bytes) -> dict[str, NDArray[Any]]:
-        try:
-            return unpacked(blob)
-        except (ValueError, TypeError, EOFError, OSError, BadZipFile, zlib.error) as error:
-            raise damaged(self.path, f"an array cannot be read: {error}") from error
-
-    def _all(self, query: str, values: Iterable[object] = ()) -> list[Any]:
-        with translated(self.path):
-            return self._connection.execute(query, tuple(values)).fetchall()
-
-    def _one(self, query: str, values: Iterable[object] = ()) -> Any:
-        with translated(self.path):
-            return self._connection.execute(query, tuple(values)).fetchone()
-
-
-def _fingerprint(table: SignatureTable) -> str:
-    digest = hashlib.sha256(repr((table.ids, table.labels, table.kind, table.digest)).encode())
-    digest.update(table.values.tobytes())
-    return digest.hexdigest()[:16]
+            yield
+        except (ValueError, zlib.error) as error:
+            raise damaged(self.path, f"{what} cannot be read: {error}") from error

@@ -1,72 +1,53 @@
-"""The surfaces of a shape ↔ the arrays of its row."""
+"""The surfaces of a shape ↔ the bytes that a catalogue stores of them."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Mapping
 
 import numpy as np
-from numpy.typing import NDArray
 
-from pcretrieve.types import ModalSpectrum, Shape, Step, TriangleMesh
+from pcretrieve.catalogue.arrays import packed, packed_symmetric, unpacked, unpacked_symmetric
+from pcretrieve.catalogue.rows import Payload
+from pcretrieve.types import ModalSpectrum, Shape, Step, Surface, TriangleMesh
 
-__all__ = ["areas_of", "meshes_of", "row_arrays", "spectra_of"]
-
-Arrays = Mapping[str, NDArray[Any]]
+__all__ = ["payloads_of", "shape_of"]
 
 
-def row_arrays(shape: Shape) -> dict[str, Arrays]:
-    """The arrays of all surfaces, by column of the row."""
+def payloads_of(shape: Shape) -> dict[Payload, bytes]:
+    """The arrays of all surfaces, by the names that they are stored under."""
     parts = shape.apart()
+    spectra = [part.spectrum for part in parts]
+    meshes = [array for part in parts for array in (part.mesh.vertices, part.mesh.faces)]
     return {
-        "eigenvalues": {
-            "values": np.stack([part.spectrum.eigenvalues for part in parts]),  # (s, k)
-            "surface_areas": np.array([part.area for part in parts]),  # (s,)
-        },
-        "moments": {
-            "values": np.stack([part.spectrum.moments for part in parts]),  # (s, k, k)
-            "overlaps": np.stack([part.spectrum.known_overlaps() for part in parts]),
-        },
-        "mesh": {
-            # The first surface without a number, as versions that kept no others stored it.
-            f"{name}{number or ''}": getattr(part.mesh, name)
-            for number, part in enumerate(parts)
-            for name in ("vertices", "faces")
-        },
+        "spectra": packed(
+            [np.array([part.area for part in parts]), np.stack([s.eigenvalues for s in spectra])]
+        ),
+        "moments": packed([np.stack([s.moments for s in spectra])]),
+        "overlaps": packed_symmetric(np.stack([s.known_overlaps() for s in spectra])),
+        "meshes": packed(meshes),
     }
 
 
-def areas_of(eigenvalues: Arrays, first: float) -> list[float]:
-    """The areas of all surfaces, unit length² of the file; `first` is that of the first."""
-    if "surface_areas" in eigenvalues:
-        return list(eigenvalues["surface_areas"].tolist())
-    return [first * area for area in _relative_areas(eigenvalues)]
+def shape_of(payloads: Mapping[Payload, bytes], provenance: tuple[Step, ...]) -> Shape:
+    """The shape that was stored, with as much of its surfaces as `payloads` hold.
 
-
-def spectra_of(eigenvalues: Arrays, moments: Arrays) -> list[ModalSpectrum]:
-    """The spectra of all surfaces, each of unit area."""
-    values = np.atleast_2d(eigenvalues["values"])  # (s, k)
-    n, k = values.shape
-    areas = [1.0] * n if "surface_areas" in eigenvalues else _relative_areas(eigenvalues)
-    # Earlier versions stored no overlaps.
-    overlaps = moments["overlaps"].reshape(n, k, k) if "overlaps" in moments else [None] * n
-    return [
-        ModalSpectrum(*parts).scaled(1.0)
-        for parts in zip(values, moments["values"].reshape(n, k, k), areas, overlaps, strict=True)
-    ]
-
-
-def meshes_of(mesh: Arrays, n_surfaces: int, provenance: tuple[Step, ...]) -> Sequence[TriangleMesh | None]:
-    """The meshes of all surfaces; None where earlier versions stored that of the first alone."""
-    return [
-        TriangleMesh(mesh[f"vertices{number}"], mesh[f"faces{number}"], provenance)
-        if f"vertices{number}" in mesh
-        else None
-        for number in ("", *range(1, n_surfaces))
-    ]
-
-
-def _relative_areas(eigenvalues: Arrays) -> list[float]:
-    """The areas that earlier versions stored, that of the first surface being 1; before that, none at all."""
-    n = len(np.atleast_2d(eigenvalues["values"]))
-    return list(eigenvalues.get("areas", np.ones(n)).tolist())
+    A mesh that was not stored is None: version 1 had that of the first surface alone. ValueError, KeyError or
+    zlib.error if the bytes are damaged.
+    """
+    areas, eigenvalues = unpacked(payloads["spectra"])  # (s,), (s, k)
+    n = len(areas)
+    spectra: list[ModalSpectrum | None] = [None] * n
+    meshes: list[TriangleMesh | None] = [None] * n
+    if "moments" in payloads:
+        (moments,) = unpacked(payloads["moments"])  # (s, k, k)
+        overlaps = unpacked_symmetric(payloads["overlaps"]) if "overlaps" in payloads else [None] * n
+        spectra = [
+            ModalSpectrum(values, m, 1.0, o)
+            for values, m, o in zip(eigenvalues, moments, overlaps, strict=True)
+        ]
+    if "meshes" in payloads:
+        arrays = unpacked(payloads["meshes"])
+        kept = [TriangleMesh(*parts, provenance) for parts in zip(arrays[::2], arrays[1::2], strict=True)]
+        meshes = [*kept, *meshes[len(kept) :]]
+    surfaces = (Surface(*parts) for parts in zip(areas.tolist(), spectra, meshes, strict=True))
+    return Shape(tuple(surfaces), provenance=provenance)

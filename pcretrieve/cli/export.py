@@ -37,18 +37,17 @@ def export_command(shape_ids: tuple[str, ...], catalogue: Path, output: Path) ->
     from pcretrieve.formats import write_mesh
 
     with Catalogue(catalogue) as store:
-        done = [record.id for record in store.records() if record.status == "done"]
         if len(shape_ids) == 1 and output.suffix and not output.is_dir():
             write_mesh(store.mesh(shape_ids[0]), output)
             click.echo(str(output))
             return
-        for shape_id in set(shape_ids) - set(done):
-            store.mesh(shape_id)  # all or none: says what is wrong with that one before any is written
+        for shape_id in shape_ids:
+            store.mesh(shape_id)  # all or none: says what is wrong with one before any is written
         try:
             output.mkdir(parents=True, exist_ok=True)
         except OSError as error:
             raise InputError(f"cannot make the folder {output}: {error.strerror}") from error
-        chosen = shape_ids or done
+        chosen = shape_ids or [record.id for record in store.records(status="done")]
         for shape_id in chosen:
             path = output / f"{shape_id}.ply"
             write_mesh(store.mesh(shape_id), path)

@@ -10,7 +10,7 @@ import click
 from pcretrieve.cli.parts import (
     catalogue_option,
     json_option,
-    write_json,
+    write_json_list,
 )
 
 __all__ = ["list_command"]
@@ -19,8 +19,12 @@ __all__ = ["list_command"]
 @click.command("list")
 @catalogue_option
 @click.option("--failed", is_flag=True, help="Only shapes that failed, with the reason.")
+@click.option("--limit", type=click.IntRange(min=1), metavar="N", help="No more than so many shapes.")
+@click.option(
+    "--offset", type=click.IntRange(min=0), default=0, metavar="N", help="Leave out the first so many shapes."
+)
 @json_option
-def list_command(catalogue: Path, failed: bool, as_json: bool) -> None:
+def list_command(catalogue: Path, failed: bool, limit: int | None, offset: int, as_json: bool) -> None:
     """The shapes of a catalogue: id, status, class, Euler characteristic, seconds, path.
 
     \b
@@ -29,14 +33,15 @@ def list_command(catalogue: Path, failed: bool, as_json: bool) -> None:
     from pcretrieve.catalogue import Catalogue
 
     with Catalogue(catalogue) as store:
-        records = [record for record in store.records() if not failed or record.status == "failed"]
-    if as_json:
-        write_json([asdict(record) | {"seconds": round(record.seconds, 3)} for record in records])
-        return
-    for record in records:
-        euler = "-" if record.euler is None else str(record.euler)
-        reason = f"  [{record.stage}] {record.message}" if record.status == "failed" else ""
-        click.echo(
-            f"{record.id:<24}  {record.status:<6}  {record.label or '-':<16}  {euler:>4}  "
-            f"{record.seconds:6.2f}  {record.path}{reason}"
-        )
+        pages = store.pages(status="failed" if failed else None, offset=offset, limit=limit)
+        records = (record for page in pages for record in page)
+        if as_json:
+            write_json_list(asdict(record) | {"seconds": round(record.seconds, 3)} for record in records)
+            return
+        for record in records:
+            euler = "-" if record.euler is None else str(record.euler)
+            reason = f"  [{record.stage}] {record.message}" if record.status == "failed" else ""
+            click.echo(
+                f"{record.id:<24}  {record.status:<6}  {record.label or '-':<16}  {euler:>4}  "
+                f"{record.seconds:6.2f}  {record.path}{reason}"
+            )

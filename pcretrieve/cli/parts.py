@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
+from textwrap import indent
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -30,6 +31,7 @@ __all__ = [
     "step_lines",
     "surface_option",
     "write_json",
+    "write_json_list",
 ]
 
 EXIT_SOME_FAILED = 3
@@ -145,11 +147,11 @@ def compared(store: Catalogue, config: Path | None, **flags: Any) -> PipelineOpt
 
 
 def _warn_of_mixed_units(store: Catalogue) -> None:
-    areas = [record.area for record in store.records() if record.area]
-    if areas and max(areas) > MIXED_UNITS * min(areas):
+    areas = store.areas()
+    if areas is not None and areas[1] > MIXED_UNITS * areas[0]:
         say(
-            f"the largest body in {store.path} has {max(areas) / min(areas):.0f} times the area of the "
-            "smallest: size tells them apart only if all files have one unit"
+            f"the largest body in {store.path} has {areas[1] / areas[0]:.0f} times the area of the smallest: "
+            "size tells them apart only if all files have one unit"
         )
 
 
@@ -161,6 +163,16 @@ def say(message: str) -> None:
 def write_json(document: object) -> None:
     """For programs, on standard output."""
     click.echo(json.dumps(document, indent=2, ensure_ascii=False))
+
+
+def write_json_list(documents: Iterable[object]) -> None:
+    """A list for programs, on standard output; each of its members as soon as it is there."""
+    before = "["
+    for document in documents:
+        click.echo(before)
+        click.echo(indent(json.dumps(document, indent=2, ensure_ascii=False), "  "), nl=False)
+        before = ","
+    click.echo("[]" if before == "[" else "\n]")
 
 
 def failure_line(record: Record) -> str:

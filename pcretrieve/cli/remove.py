@@ -27,8 +27,5 @@ def remove_command(shape_ids: tuple[str, ...], catalogue: Path) -> None:
 
     chosen = dict.fromkeys(shape_ids)
     with Catalogue(catalogue) as store:
-        for shape_id in chosen:
-            store.record(shape_id)  # all or nothing: name the unknown one before any is gone
-        for shape_id in chosen:
-            store.remove(shape_id)
+        store.remove(*chosen)
     say(f"removed {len(chosen)} from {catalogue}")

@@ -22,7 +22,7 @@ __all__ = ["show_command"]
 @catalogue_option
 @json_option
 def show_command(shape_id: str, catalogue: Path, as_json: bool) -> None:
-    """A shape's provenance: where it came from, and what each stage did to it.
+    """A shape's provenance: where it came from, what each stage did to it, and what is stored of it.
 
     \b
     pcretrieve show cat0 --catalogue bodies.sqlite
@@ -30,13 +30,15 @@ def show_command(shape_id: str, catalogue: Path, as_json: bool) -> None:
     from pcretrieve.catalogue import Catalogue
 
     with Catalogue(catalogue) as store:
-        record = store.record(shape_id)
+        record, stored = store.record(shape_id), store.stored_bytes(shape_id)
     if as_json:
-        write_json(asdict(record) | {"seconds": round(record.seconds, 3)})
+        write_json(asdict(record) | {"seconds": round(record.seconds, 3), "stored_bytes": stored})
         return
     for name, value in asdict(record).items():
         if name == "versions":
             value = ", ".join(f"{package} {version}" for package, version in record.versions.items())
         if name != "steps" and value is not None:
             click.echo(f"{name:<15} {value}")
+    parts = ", ".join(f"{name} {size / 1000:.1f}" for name, size in stored.items() if size)
+    click.echo(f"{'stored':<15} {sum(stored.values()) / 1000:.1f} kB" + (f": {parts}" if parts else ""))
     click.echo("\n".join(step_lines(record.steps)))

@@ -119,21 +119,17 @@ def test_a_database_of_another_program_is_left_as_it_is(create: bool, version: i
 
 
 def test_a_newer_catalogue(path: Path) -> None:
-    execute(path, "PRAGMA user_version = 2")
-    with pytest.raises(CatalogueError, match=r"newer pcretrieve \(schema 2, this one knows 1\): upgrade"):
+    execute(path, "PRAGMA user_version = 3")
+    with pytest.raises(CatalogueError, match=r"newer pcretrieve \(schema 3, this one knows 2\): upgrade"):
         Catalogue(path)
 
 
-def test_options_of_a_version_that_had_none_of_retrieval(path: Path) -> None:
-    """It called "area" what is "auto" today, and goes on with files that name either."""
-    stored = OPTIONS.model_dump(exclude={"retrieval"})
-    stored["signature"]["scale"] = "area"
+def test_options_of_a_version_that_had_fewer_of_them(path: Path) -> None:
+    """What is new has its default, which gives the numbers of before."""
+    stored = OPTIONS.model_dump(exclude={"retrieval": True, "surface": {"bridge"}})
     execute(path, f"UPDATE meta SET value = '{json.dumps(stored)}' WHERE key = 'options'")
-    for options in (None, OPTIONS, OPTIONS.changed(signature={"scale": "area"})):
-        with Catalogue(path, options) as store:
-            assert store.options == OPTIONS
-    with pytest.raises(CatalogueError, match=r"signature\.scale: 'auto' there, 'relative' here"):
-        Catalogue(path, OPTIONS.changed(signature={"scale": "relative"}))
+    with Catalogue(path, OPTIONS) as store:
+        assert store.options == OPTIONS
 
 
 def test_options_of_a_version_that_had_more_of_them(path: Path) -> None:
@@ -144,8 +140,8 @@ def test_options_of_a_version_that_had_more_of_them(path: Path) -> None:
 
 
 def test_numbers_of_another_version(path: Path) -> None:
-    execute(path, "UPDATE meta SET value = '0123' WHERE key = 'digest'")
-    with pytest.raises(CatalogueError, match="whose numbers differ"):
+    execute(path, "UPDATE meta SET value = '6' WHERE key = 'numbers_version'")
+    with pytest.raises(CatalogueError, match=r"whose numbers differ \(version 6 there, 7 here\)"):
         Catalogue(path)
 
 
@@ -162,6 +158,14 @@ def overwritten(path: Path) -> None:
     path.write_bytes(data)
 
 
+def half(column: str) -> str:
+    return f"substr({column}, 1, length({column}) / 2)"
+
+
+def flipped(column: str, position: int) -> str:
+    return f"CAST(substr({column}, 1, {position}) || x'ff' || substr({column}, {position + 2}) AS BLOB)"
+
+
 DAMAGES: dict[str, Callable[[Path], None]] = {
     "truncated": truncated,
     "overwritten": overwritten,
@@ -172,14 +176,22 @@ DAMAGES: dict[str, Callable[[Path], None]] = {
     "options that are a list": lambda path: execute(
         path, "UPDATE meta SET value = '[]' WHERE key = 'options'"
     ),
-    "steps that are no JSON": lambda path: execute(path, "UPDATE shapes SET steps = '['"),
-    "steps of another kind": lambda path: execute(path, "UPDATE shapes SET steps = '[{\"cat\": 1}]'"),
-    "no signature": lambda path: execute(path, "UPDATE shapes SET signature = NULL"),
-    "bytes for a mesh": lambda path: execute(path, "UPDATE shapes SET mesh = x'00112233'"),
-    "half a mesh": lambda path: execute(path, "UPDATE shapes SET mesh = substr(mesh, 1, length(mesh) / 2)"),
-    "an archive with a flipped byte": lambda path: execute(
-        path,
-        "UPDATE shapes SET mesh = CAST(substr(mesh, 1, 2000) || x'ff00ff' || substr(mesh, 2004) AS BLOB)",
+    "steps that are no JSON": lambda path: execute(path, "UPDATE provenance SET steps = '['"),
+    "steps of another kind": lambda path: execute(path, "UPDATE provenance SET steps = '[{\"cat\": 1}]'"),
+    "no provenance": lambda path: execute(path, "DELETE FROM provenance"),
+    "no signature": lambda path: execute(path, "DELETE FROM signatures"),
+    "half a signature": lambda path: execute(path, f"UPDATE signatures SET value = {half('value')}"),
+    "a signature with a flipped byte": lambda path: execute(
+        path, f"UPDATE signatures SET value = {flipped('value', 20)}"
+    ),
+    "no name of its state": lambda path: execute(path, "DELETE FROM meta WHERE key = 'revision'"),
+    "bytes for a mesh": lambda path: execute(path, "UPDATE meshes SET arrays = x'00112233'"),
+    "half a mesh": lambda path: execute(path, f"UPDATE meshes SET arrays = {half('arrays')}"),
+    "a mesh with a flipped byte": lambda path: execute(
+        path, f"UPDATE meshes SET arrays = {flipped('arrays', 2000)}"
+    ),
+    "eigenvalues for a mesh": lambda path: execute(
+        path, "UPDATE meshes SET arrays = (SELECT arrays FROM spectra)"
     ),
 }
 

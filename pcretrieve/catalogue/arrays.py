@@ -1,0 +1,132 @@
+"""Arrays ↔ the bytes that a catalogue stores of them; every bit comes back.
+
+Numbers are stored little-endian, behind a header that states their type and shape. Large arrays are
+compressed after their bytes have been regrouped: the first bytes of all numbers, then the second bytes, and
+so on, because signs and exponents repeat where digits do not. A checksum tells when bytes have changed.
+"""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pcretrieve.types import FloatArray
+
+__all__ = ["packed", "packed_symmetric", "packed_values", "unpacked", "unpacked_symmetric", "unpacked_values"]
+
+DTYPES = tuple(np.dtype(name) for name in ("<f8", "<i4", "<i8", "|i1"))
+
+# Shorter arrays are stored as they are: compressed they would hardly be smaller.
+SHORTEST_COMPRESSED = 4096
+
+# Of zlib. Higher levels take up to ten times as long, and save 2 % of a matrix and 4 % of a list of faces.
+LEVEL = 1
+
+# Of one array: its type, its number of dimensions, whether it is compressed, its length in bytes.
+HEADER = struct.Struct("<BBBI")
+CHECKSUM = struct.Struct("<I")
+
+
+def packed(arrays: Sequence[NDArray[Any]]) -> bytes:
+    """Arrays of float64, int32, int64 or int8 as one piece."""
+    parts = []
+    for array in arrays:
+        stored = np.asarray(array, array.dtype.newbyteorder("<"), order="C")
+        compressed = stored.nbytes >= SHORTEST_COMPRESSED
+        body = zlib.compress(_planes(stored), LEVEL) if compressed else stored.tobytes()
+        parts += [
+            HEADER.pack(DTYPES.index(stored.dtype), stored.ndim, compressed, len(body)),
+            struct.pack(f"<{stored.ndim}I", *stored.shape),
+            body,
+        ]
+    joined = b"".join(parts)
+    return joined + CHECKSUM.pack(zlib.crc32(joined))
+
+
+def unpacked(blob: bytes) -> list[NDArray[Any]]:
+    """The arrays that `packed` joined.
+
+    Raises
+    ------
+    ValueError
+        If they are not what was packed.
+    """
+    end = len(blob) - CHECKSUM.size
+    view = memoryview(blob)
+    if end < 0 or CHECKSUM.unpack_from(blob, end)[0] != zlib.crc32(view[:end]):
+        raise ValueError("its checksum does not fit")
+    arrays, position = [], 0
+    while position < end:
+        kind, n_axes, compressed, n_bytes = HEADER.unpack_from(blob, position)
+        shape = struct.unpack_from(f"<{n_axes}I", blob, position + HEADER.size)
+        position += HEADER.size + 4 * n_axes
+        body = view[position : position + n_bytes]
+        dtype = DTYPES[kind]
+        if compressed:
+            planes = np.frombuffer(zlib.decompress(body), np.uint8).reshape(dtype.itemsize, -1)
+            numbers = np.ascontiguousarray(planes.T).view(dtype)
+        else:
+            numbers = np.frombuffer(body, dtype)
+        arrays.append(numbers.reshape(shape))
+        position += n_bytes
+    return arrays
+
+
+def packed_symmetric(matrices: FloatArray) -> bytes:
+    """(s, k, k) matrices that are symmetric but for rounding, which comes back too."""
+    bits = np.ascontiguousarray(matrices).view(np.int64)
+    upper, lower = np.triu_indices(bits.shape[1]), np.tril_indices(bits.shape[1], -1)
+    # Neighbouring numbers have neighbouring bits: what rounding has moved is a small integer.
+    moved = bits[_each(lower)] - bits.transpose(0, 2, 1)[_each(lower)]
+    small = moved.astype(np.int8)
+    return packed([matrices[_each(upper)], small if (small == moved).all() else moved])
+
+
+def unpacked_symmetric(blob: bytes) -> FloatArray:
+    """The matrices that `packed_symmetric` was given. ValueError as `unpacked`."""
+    above, moved = unpacked(blob)
+    n, n_above = above.shape
+    k = int(np.sqrt(2 * n_above))
+    upper, lower = np.triu_indices(k), np.tril_indices(k, -1)
+    bits = np.empty((n, k, k), np.int64)
+    bits[_each(upper)] = above.view(np.int64)
+    bits[_each(lower)] = bits.transpose(0, 2, 1)[_each(lower)] + moved
+    return bits.view(np.float64)
+
+
+def packed_values(values: FloatArray) -> bytes:
+    """(L,) values, and the exclusive or of their bits: so short that a million rows are read in a second."""
+    words = np.ascontiguousarray(values, "<f8").view("<u8")
+    return words.tobytes() + np.bitwise_xor.reduce(words, keepdims=True).tobytes()
+
+
+def unpacked_values(blobs: Sequence[bytes]) -> FloatArray:
+    """(N, L) values of N rows, as `packed_values` packed each.
+
+    Raises
+    ------
+    ValueError
+        If they are not what was packed, or not of one length.
+    """
+    if len(set(map(len, blobs))) > 1:
+        raise ValueError("signatures must have one length")
+    words = np.frombuffer(b"".join(blobs), "<u8").reshape(len(blobs), -1)  # (N, L + 1)
+    if words.shape[1] < 2 or (np.bitwise_xor.reduce(words[:, :-1], axis=1) != words[:, -1]).any():
+        raise ValueError("its checksum does not fit")
+    return words[:, :-1].view(np.float64)
+
+
+def _each(entries: tuple[NDArray[np.intp], NDArray[np.intp]]) -> tuple[Any, ...]:
+    """The index of the same entries of each matrix."""
+    return (slice(None), *entries)
+
+
+def _planes(array: NDArray[Any]) -> bytes:
+    """The first bytes of all numbers, then the second bytes, and so on."""
+    rows = array.reshape(-1).view(np.uint8).reshape(-1, array.itemsize)
+    return np.ascontiguousarray(rows.T).tobytes()

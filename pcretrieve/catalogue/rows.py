@@ -1,0 +1,124 @@
+"""What a store of shapes does, whatever holds its rows.
+
+A store knows records, and bytes by name; `pcretrieve.catalogue.Catalogue` knows what they mean. Each
+operation is one transaction: it happens as a whole or not at all, whatever other processes do at the time.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Literal, Protocol
+
+from pcretrieve.catalogue.record import Record
+
+__all__ = ["OWN", "PAYLOADS", "Listed", "Payload", "Revision", "Rows", "Status"]
+
+#: What is stored of a shape beside its record and its signatures, each of them read by itself.
+Payload = Literal["spectra", "moments", "overlaps", "meshes"]
+PAYLOADS: tuple[Payload, ...] = ("spectra", "moments", "overlaps", "meshes")
+
+Status = Literal["done", "failed"]
+
+#: The digest that the signatures by a catalogue's own options are kept under.
+OWN = "own"
+
+
+@dataclass(frozen=True, slots=True)
+class Revision:
+    """Names of a state of a store; a state that comes after another one never has the same names.
+
+    Attributes
+    ----------
+    shapes : str
+        Changes with every write that adds, replaces or removes a shape that did not fail.
+    labels : str
+        Changes with every write that labels shapes.
+    """
+
+    shapes: str
+    labels: str
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Listed:
+    """Signatures of all shapes that did not fail, as they stand in one state of the store.
+
+    Attributes
+    ----------
+    revision : Revision
+        Of that state.
+    ids : list of str
+        Ascending.
+    labels : list of (str or None)
+    values : list of (bytes or None)
+        The packed signature of each; None where there is none by these options yet.
+    """
+
+    revision: Revision
+    ids: list[str]
+    labels: list[str | None]
+    values: list[bytes | None]
+
+
+class Rows(Protocol):
+    """The operations that a catalogue needs of a store."""
+
+    @property
+    def is_writable(self) -> bool:
+        """Whether the store can be written to."""
+
+    def close(self) -> None:
+        """Give the store back."""
+
+    def settings(self) -> Mapping[str, str]:
+        """What the store was made with: ``options``, as JSON, and ``numbers_version``."""
+
+    def revision(self) -> Revision:
+        """The state of the store now."""
+
+    def count(self, status: Status) -> int:
+        """How many shapes have a status."""
+
+    def page(
+        self, *, after: str = "", offset: int = 0, limit: int, status: Status | None = None
+    ) -> list[Record]:
+        """Up to `limit` records in ascending order of id, behind the id `after` and `offset` records more."""
+
+    def by_id(self, shape_ids: Sequence[str]) -> list[Record]:
+        """The records of some ids, in ascending order of id, without ids that the store does not hold."""
+
+    def by_path(self, paths: Collection[str]) -> list[Record]:
+        """The records of files, likewise."""
+
+    def by_content(self, hashes: Collection[str]) -> list[Record]:
+        """The records of contents, likewise; several files may have one content."""
+
+    def put(self, record: Record, signature: bytes | None, payloads: Mapping[Payload, bytes]) -> Record:
+        """Store a shape under its path, and return the record that the store holds of that path then."""
+        # A path that the store holds keeps its id; an id that belongs to another path gets the next free
+        # number. A failure never takes the place of a finished shape.
+        ...
+
+    def remove(self, shape_ids: Collection[str]) -> None:
+        """Forget shapes; ids that the store does not hold are ignored."""
+
+    def revise(
+        self, *, moved: Mapping[str, str], removed: Collection[str], labels: Mapping[str, str]
+    ) -> None:
+        """Rename, forget and label shapes by path, in this order; paths that it does not hold are ignored."""
+
+    def read(self, shape_id: str, names: Collection[Payload]) -> tuple[Record, dict[Payload, bytes]] | None:
+        """A record, and of these payloads those that are stored; None where there is no such shape."""
+
+    def sizes(self, shape_id: str) -> dict[str, int]:
+        """Bytes of a shape's payloads by name, of its ``signatures``, and of its ``record``."""
+
+    def signatures(self, digest: str) -> Listed:
+        """The signatures that were kept under a digest; `OWN` for those that shapes were put with."""
+
+    def keep(self, digest: str, signatures: Collection[tuple[Record, bytes]]) -> None:
+        """Keep signatures under a digest, but of shapes that were replaced or forgotten since."""
+
+    def areas(self) -> tuple[float, float] | None:
+        """The smallest and the largest area of a shape that did not fail; None where there is none."""

@@ -1,0 +1,61 @@
+"""Options ↔ what a catalogue writes down of them."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+
+from pcretrieve.catalogue.opening import damaged
+from pcretrieve.errors import CatalogueError, OptionError
+from pcretrieve.options import NUMBERS_VERSION, PipelineOptions, options_difference
+
+__all__ = ["settings_of", "stored_options"]
+
+
+def settings_of(options: PipelineOptions) -> dict[str, str]:
+    """What a catalogue that is built with these options writes down."""
+    return {"options": options.model_dump_json(), "numbers_version": str(NUMBERS_VERSION)}
+
+
+def stored_options(
+    path: Path, settings: Mapping[str, str], given: PipelineOptions | None = None
+) -> PipelineOptions:
+    """The options that a catalogue was built with.
+
+    Parameters
+    ----------
+    path : Path
+        Of the catalogue, for messages.
+    settings : mapping of str to str
+        As `settings_of` made them, perhaps before some options existed, which get their defaults.
+    given : PipelineOptions, optional
+        Options that it must have been built with.
+
+    Raises
+    ------
+    CatalogueError
+        If the settings cannot be read, are of a pcretrieve whose numbers differ, or are other than `given`.
+    """
+    try:
+        values, numbers = json.loads(settings["options"]), int(settings["numbers_version"])
+        own = PipelineOptions(**values)
+    except OptionError as error:
+        raise CatalogueError(
+            f"{path} was built by a pcretrieve with other options ({error.message}): ingest into a new "
+            "catalogue, or use that version"
+        ) from error
+    except (KeyError, TypeError, ValueError) as error:
+        raise damaged(path, "it has no readable options") from error
+    if numbers != NUMBERS_VERSION:
+        raise CatalogueError(
+            f"{path} was built by a pcretrieve whose numbers differ (version {numbers} there, "
+            f"{NUMBERS_VERSION} here): ingest into a new catalogue"
+        )
+    if given is not None and given.signature_digest != own.signature_digest:
+        difference = "; ".join(options_difference(own, given))
+        raise CatalogueError(
+            f"{path} was built with other options: {difference}. Ingest into a new catalogue, or leave the "
+            "options out to use its own"
+        )
+    return own

@@ -1,0 +1,290 @@
+"""Rows in one SQLite file, readable while somebody writes."""
+
+from __future__ import annotations
+
+import json
+import sqlite3
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import asdict, replace
+from operator import itemgetter
+from pathlib import Path
+from typing import Any
+
+from pcretrieve.catalogue.migrations import prepare
+from pcretrieve.catalogue.opening import connect, damaged, is_writable, translated
+from pcretrieve.catalogue.record import Record, free_id
+from pcretrieve.catalogue.rows import OWN, PAYLOADS, Listed, Payload, Revision, Status
+from pcretrieve.catalogue.schema import NEW_NAME, transaction
+from pcretrieve.types import Step
+
+__all__ = ["SqliteRows"]
+
+SHAPE_COLUMNS = (
+    "id",
+    "path",
+    "content_hash",
+    "label",
+    "status",
+    "stage",
+    "error",
+    "message",
+    "area",
+    "n_vertices",
+    "n_faces",
+    "euler",
+)
+PROVENANCE_COLUMNS = ("steps", "options_digest", "versions", "added")
+COLUMNS = (*SHAPE_COLUMNS, *PROVENANCE_COLUMNS)
+LENGTHS = " + ".join(f"ifnull(length(CAST({name} AS BLOB)), 0)" for name in COLUMNS)
+RECORDS = f"SELECT {', '.join(COLUMNS)} FROM shapes LEFT JOIN provenance ON shape = number"
+
+
+class SqliteRows:
+    """Rows in a file; an implementation of `pcretrieve.catalogue.rows.Rows`.
+
+    Parameters
+    ----------
+    path : Path
+    settings : mapping of str to str
+        As `settings` returns them; for a file that is made now.
+    create : bool
+        Make the file where there is none.
+
+    Raises
+    ------
+    CatalogueError
+        If there is no such file and `create` is false; if it is a folder, no catalogue, or written by a newer
+        pcretrieve; if it was written by an older one and may not be written; if another process keeps it
+        locked. Every method raises it too where the file is locked or damaged.
+    """
+
+    def __init__(self, path: Path, settings: Mapping[str, str], *, create: bool) -> None:
+        self.path = path
+        self._connection = connect(path, create=create)
+        try:
+            with translated(path):
+                prepare(self._connection, path, settings)
+        except BaseException:
+            self._connection.close()
+            raise
+
+    def close(self) -> None:
+        """Close the file."""
+        self._connection.close()
+
+    # --- the store --------------------------------------------------------------------------------------
+
+    @property
+    def is_writable(self) -> bool:
+        return is_writable(self.path)
+
+    def settings(self) -> Mapping[str, str]:
+        return dict(self._all("SELECT key, value FROM meta"))
+
+    def revision(self) -> Revision:
+        settings = self.settings()
+        try:
+            return Revision(settings["revision"], settings["label_revision"])
+        except KeyError as error:
+            raise damaged(self.path, f"it has no {error.args[0]}") from error
+
+    def count(self, status: Status) -> int:
+        return int(self._all("SELECT count(*) FROM shapes WHERE status = ?", (status,))[0][0])
+
+    def areas(self) -> tuple[float, float] | None:
+        ((smallest, largest),) = self._all("SELECT min(area), max(area) FROM shapes WHERE status = 'done'")
+        return None if smallest is None else (smallest, largest)
+
+    # --- records ----------------------------------------------------------------------------------------
+
+    def page(
+        self, *, after: str = "", offset: int = 0, limit: int, status: Status | None = None
+    ) -> list[Record]:
+        chosen = "" if status is None else "AND status = :status"
+        query = f"{RECORDS} WHERE id > :after {chosen} ORDER BY id LIMIT :limit OFFSET :offset"
+        values = {"after": after, "status": status, "limit": limit, "offset": offset}
+        return [self._record(row) for row in self._all(query, values)]
+
+    def by_id(self, shape_ids: Collection[str]) -> list[Record]:
+        return self._where("id", shape_ids)
+
+    def by_path(self, paths: Collection[str]) -> list[Record]:
+        return self._where("path", paths)
+
+    def by_content(self, hashes: Collection[str]) -> list[Record]:
+        return self._where("content_hash", hashes)
+
+    def put(self, record: Record, signature: bytes | None, payloads: Mapping[Payload, bytes]) -> Record:
+        with self._writing():
+            earlier = self._all("SELECT number, id, status FROM shapes WHERE path = ?", (record.path,))
+            number, shape_id, status = (
+                earlier[0] if earlier else (None, free_id(record, self._is_taken), None)
+            )
+            if status == "done" and record.status == "failed":
+                return self._one(shape_id)
+            if number is not None:
+                self._forget([number])
+            row = _row(replace(record, id=shape_id))
+            number = self._insert("shapes", {"number": number} | {name: row[name] for name in SHAPE_COLUMNS})
+            self._insert("provenance", {"shape": number} | {name: row[name] for name in PROVENANCE_COLUMNS})
+            if signature is not None:
+                self._keep(OWN, [(number, signature)])
+            for name, arrays in payloads.items():
+                self._insert(name, {"shape": number, "arrays": arrays})
+            if "done" in (status, record.status):
+                self._changed("revision")
+            return self._one(shape_id)
+
+    def remove(self, shape_ids: Collection[str]) -> None:
+        with self._writing():
+            self._forget(self._numbers("id", shape_ids))
+            self._changed("revision")
+
+    def revise(
+        self, *, moved: Mapping[str, str], removed: Collection[str], labels: Mapping[str, str]
+    ) -> None:
+        with self._writing() as connection:
+            connection.executemany(
+                "UPDATE OR IGNORE shapes SET path = ? WHERE path = ?",
+                [(new, old) for old, new in moved.items()],
+            )
+            if removed:
+                self._forget(self._numbers("path", removed))
+                self._changed("revision")
+            if labels:
+                connection.executemany(
+                    "UPDATE shapes SET label = ? WHERE path = ?",
+                    [(label, path) for path, label in labels.items()],
+                )
+                self._changed("label_revision")
+
+    # --- arrays -----------------------------------------------------------------------------------------
+
+    def read(self, shape_id: str, names: Collection[Payload]) -> tuple[Record, dict[Payload, bytes]] | None:
+        stored: dict[Payload, bytes] = {}
+        with self._reading():
+            found = self.by_id([shape_id])
+            for number in self._numbers("id", [shape_id]):
+                for name in names:
+                    for (arrays,) in self._all(f"SELECT arrays FROM {name} WHERE shape = ?", (number,)):
+                        stored[name] = arrays
+        return (found[0], stored) if found else None
+
+    def sizes(self, shape_id: str) -> dict[str, int]:
+        ((record,),) = self._all(f"SELECT sum({LENGTHS}) FROM ({RECORDS}) WHERE id = ?", (shape_id,))
+        sizes = {"record": record or 0}
+        for name, column in (("signatures", "value"), *((payload, "arrays") for payload in PAYLOADS)):
+            query = f"SELECT sum(length({column})) FROM {name} JOIN shapes ON shape = number WHERE id = ?"
+            ((size,),) = self._all(query, (shape_id,))
+            sizes[name] = size or 0
+        return sizes
+
+    def signatures(self, digest: str) -> Listed:
+        with self._reading():
+            revision = self.revision()
+            shapes = self._all("SELECT number, id, label FROM shapes WHERE status = 'done'")
+            kept = dict(
+                self._all(
+                    "SELECT shape, value FROM signatures JOIN descriptors ON number = descriptor "
+                    "WHERE digest = ?",
+                    (digest,),
+                )
+            )
+        shapes.sort(key=itemgetter(1))
+        return Listed(
+            revision,
+            [shape_id for _, shape_id, _ in shapes],
+            [label for _, _, label in shapes],
+            [kept.get(number) for number, _, _ in shapes],
+        )
+
+    def keep(self, digest: str, signatures: Collection[tuple[Record, bytes]]) -> None:
+        with self._writing():
+            rows = [
+                (number, value)
+                for record, value in signatures
+                for (number,) in self._all(
+                    "SELECT number FROM shapes WHERE id = ? AND content_hash = ? AND status = 'done'",
+                    (record.id, record.content_hash),
+                )
+            ]
+            self._keep(digest, rows)
+
+    # --- inside -----------------------------------------------------------------------------------------
+
+    @contextmanager
+    def _reading(self) -> Iterator[None]:
+        """One transaction, in which all that is read belongs to one state."""
+        with translated(self.path), transaction(self._connection, "DEFERRED"):
+            yield
+
+    @contextmanager
+    def _writing(self) -> Iterator[sqlite3.Connection]:
+        """One transaction, which takes the write lock at its start: what it reads stays true to its end."""
+        with translated(self.path), transaction(self._connection, "IMMEDIATE"):
+            yield self._connection
+
+    def _changed(self, revision: str) -> None:
+        """Give a state a name that none before had, not even one that a restored copy has forgotten."""
+        self._connection.execute(f"UPDATE meta SET value = {NEW_NAME} WHERE key = ?", (revision,))
+
+    def _insert(self, table: str, row: Mapping[str, Any]) -> int:
+        """Insert a row, and return the number that it is found by."""
+        names, marks = ", ".join(row), ", ".join(f":{name}" for name in row)
+        inserted = self._connection.execute(f"INSERT INTO {table} ({names}) VALUES ({marks})", row)
+        return int(inserted.lastrowid or 0)
+
+    def _keep(self, digest: str, rows: Collection[tuple[int, bytes]]) -> None:
+        self._connection.execute("INSERT OR IGNORE INTO descriptors (digest) VALUES (?)", (digest,))
+        self._connection.executemany(
+            "INSERT OR REPLACE INTO signatures SELECT number, ?, ? FROM descriptors WHERE digest = ?",
+            [(shape, value, digest) for shape, value in rows],
+        )
+
+    def _forget(self, numbers: Collection[int]) -> None:
+        chosen = [(number,) for number in numbers]
+        for name in ("provenance", *PAYLOADS):
+            self._connection.executemany(f"DELETE FROM {name} WHERE shape = ?", chosen)
+        # By both columns of the key, which has the descriptor first.
+        self._connection.executemany(
+            "DELETE FROM signatures WHERE descriptor IN (SELECT number FROM descriptors) AND shape = ?",
+            chosen,
+        )
+        self._connection.executemany("DELETE FROM shapes WHERE number = ?", chosen)
+
+    def _numbers(self, column: str, values: Collection[str]) -> list[int]:
+        query = f"SELECT number FROM shapes WHERE {column} = ?"
+        return [number for value in values for (number,) in self._all(query, (value,))]
+
+    def _is_taken(self, shape_id: str) -> bool:
+        return bool(self._numbers("id", [shape_id]))
+
+    def _one(self, shape_id: str) -> Record:
+        (record,) = self._where("id", [shape_id])
+        return record
+
+    def _where(self, column: str, values: Collection[str]) -> list[Record]:
+        query = f"{RECORDS} WHERE {column} = ?"
+        rows = [row for value in dict.fromkeys(values) for row in self._all(query, (value,))]
+        return sorted((self._record(row) for row in rows), key=lambda record: record.id)
+
+    def _record(self, row: tuple[Any, ...]) -> Record:
+        values = dict(zip(COLUMNS, row, strict=True))
+        try:
+            steps = [Step(**step | {"notes": tuple(step["notes"])}) for step in json.loads(values["steps"])]
+            return Record(**values | {"steps": tuple(steps), "versions": json.loads(values["versions"])})
+        except (ValueError, TypeError, KeyError) as error:
+            raise damaged(self.path, f"shape {values['id']!r} has no readable provenance") from error
+
+    def _all(self, query: str, values: Sequence[object] | Mapping[str, object] = ()) -> list[Any]:
+        with translated(self.path):
+            return self._connection.execute(query, values).fetchall()
+
+
+def _row(record: Record) -> dict[str, Any]:
+    """The values of a record by column."""
+    return asdict(record) | {
+        "steps": json.dumps([asdict(step) for step in record.steps]),
+        "versions": json.dumps(record.versions),
+    }
