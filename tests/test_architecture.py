@@ -17,6 +17,7 @@ ROOT = Path(pcretrieve.__file__).parent
 FOUNDATION = {
     "arrays",
     "conversion",
+    "atomic",
     "values",
     "types",
     "errors",
@@ -35,6 +36,7 @@ STAGES = [
     "spectral",
     "descriptors",
     "retrieval",
+    "matching",
     "catalogue",
     "pipeline",
     "ingest",

@@ -6,6 +6,7 @@ Results go to standard output, words for people to standard error. Exit codes: 0
 
 from __future__ import annotations
 
+import logging
 import signal
 import sys
 from importlib import import_module
@@ -37,6 +38,7 @@ COMMANDS = (
     "ingest",
     "query",
     "evaluate",
+    "matrix",
     "report",
     "list",
     "show",
@@ -69,6 +71,16 @@ def cli() -> None:
     pcretrieve ingest scans/ --labels scans/labels.csv --catalogue bodies.sqlite
     pcretrieve query --catalogue bodies.sqlite scan.ply
     """
+    logger = logging.getLogger("pcretrieve")
+    if not any(isinstance(handler, _Said) for handler in logger.handlers):
+        logger.addHandler(_Said(logging.WARNING))
+
+
+class _Said(logging.Handler):
+    """Warnings of the library, for people."""
+
+    def emit(self, record: logging.LogRecord) -> None:
+        _say(record.getMessage())
 
 
 def main() -> NoReturn:

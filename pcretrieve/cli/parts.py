@@ -12,6 +12,7 @@ import click
 
 if TYPE_CHECKING:
     from pcretrieve.catalogue import Catalogue, Record
+    from pcretrieve.matching import DistanceMatrix
     from pcretrieve.options import PipelineOptions
     from pcretrieve.types import Step
 
@@ -23,8 +24,10 @@ __all__ = [
     "failure_line",
     "json_option",
     "load_options",
+    "matrix_option",
     "method_option",
     "n_values_option",
+    "read_distances",
     "say",
     "scale_option",
     "size_weight_option",
@@ -57,6 +60,13 @@ surface_option = click.option(
     type=click.Choice(["auto", "reconstruct", "keep"]),
     help="What to do with meshes: keep closed manifold ones and reconstruct others (auto, the default), "
     "reconstruct all, or keep all.",
+)
+matrix_option = click.option(
+    "--matrix",
+    type=click.Path(path_type=Path),
+    metavar="FILE",
+    help="Rank by the distances in a file, such as `pcretrieve matrix` writes, in place of those of "
+    "signatures: a square of numbers, plain text or .npy, with the ids of its rows in FILE.ids beside it.",
 )
 _distance_option = click.option(
     "--distance",
@@ -144,6 +154,17 @@ def compared(store: Catalogue, config: Path | None, **flags: Any) -> PipelineOpt
     if options.signature.size_weight or options.signature.scale == "absolute":
         _warn_of_mixed_units(store)
     return options
+
+
+def read_distances(matrix: Path | None, comparison: dict[str, Any]) -> DistanceMatrix | None:
+    """The distances that ``--matrix`` names; the options of signatures mean nothing beside it."""
+    from pcretrieve.matching import read_matrix
+
+    if matrix is None:
+        return None
+    if given := [f"--{name.replace('_', '-')}" for name, value in comparison.items() if value is not None]:
+        raise click.UsageError(f"a matrix holds distances already: leave out {', '.join(given)}")
+    return read_matrix(matrix)
 
 
 def _warn_of_mixed_units(store: Catalogue) -> None:

@@ -7,7 +7,15 @@ from typing import Any
 
 import click
 
-from pcretrieve.cli.parts import catalogue_option, compared, comparison_options, json_option, write_json
+from pcretrieve.cli.parts import (
+    catalogue_option,
+    compared,
+    comparison_options,
+    json_option,
+    matrix_option,
+    read_distances,
+    write_json,
+)
 
 __all__ = ["query_command"]
 
@@ -16,12 +24,14 @@ __all__ = ["query_command"]
 @click.argument("scan", type=click.Path(path_type=Path))
 @catalogue_option
 @click.option("-k", "k", type=click.IntRange(min=1), default=10, show_default=True, help="How many.")
+@matrix_option
 @comparison_options
 @json_option
 def query_command(
     scan: Path,
     catalogue: Path,
     k: int,
+    matrix: Path | None,
     as_json: bool,
     **comparison: Any,
 ) -> None:
@@ -35,8 +45,10 @@ def query_command(
     from pcretrieve.catalogue import Catalogue
     from pcretrieve.search import search
 
+    distances = read_distances(matrix, comparison)
     with Catalogue(catalogue) as store:
-        neighbors = search(store, scan, k=k, options=compared(store, **comparison))
+        options = compared(store, **comparison)
+        neighbors = search(store, scan, k=k, options=options, matrix=distances)
         records = [store.record(shape_id) for shape_id in neighbors.ids]
     found = [
         {"rank": rank, "id": record.id, "path": record.path, "label": record.label, "distance": float(gap)}

@@ -7,7 +7,13 @@ from typing import Any
 
 import click
 
-from pcretrieve.cli.parts import catalogue_option, compared, comparison_options
+from pcretrieve.cli.parts import (
+    catalogue_option,
+    compared,
+    comparison_options,
+    matrix_option,
+    read_distances,
+)
 
 __all__ = ["report_command"]
 
@@ -26,12 +32,14 @@ __all__ = ["report_command"]
     "--queries", type=click.IntRange(min=1), default=8, show_default=True, help="Rows of results, most."
 )
 @click.option("-k", "k", type=click.IntRange(min=1), default=5, show_default=True, help="Results in a row.")
+@matrix_option
 @comparison_options
 def report_command(
     catalogue: Path,
     output: Path,
     queries: int,
     k: int,
+    matrix: Path | None,
     **comparison: Any,
 ) -> None:
     """An HTML page: retrieval measures, and pictures of queries and their ranked results.
@@ -44,7 +52,8 @@ def report_command(
     from pcretrieve.catalogue import Catalogue
     from pcretrieve.pages.retrieval_page import retrieval_page
 
+    distances = read_distances(matrix, comparison)
     with Catalogue(catalogue) as store:
         options = compared(store, **comparison)
-        page = retrieval_page(store, output, n_queries=queries, k=k, options=options)
+        page = retrieval_page(store, output, n_queries=queries, k=k, options=options, matrix=distances)
     click.echo(str(page))

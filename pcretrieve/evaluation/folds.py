@@ -14,25 +14,29 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pcretrieve.errors import BenchmarkError, OptionError
+from pcretrieve.errors import BenchmarkError
 from pcretrieve.evaluation.measures import RetrievalMeasures, evaluate_rankings
-from pcretrieve.evaluation.rankings import DistanceBlock, Positions, Rankings, rank_gallery
+from pcretrieve.evaluation.rankings import Rankings, rank, rank_gallery
 from pcretrieve.options import RetrievalOptions
-from pcretrieve.retrieval import Whitening, fit_whitening, log_signatures, pairwise, table_whitening
-from pcretrieve.types import FloatArray, SignatureTable
+from pcretrieve.retrieval import (
+    DistanceBlock,
+    Positions,
+    SignatureIndex,
+    Whitening,
+    fit_whitening,
+    log_signatures,
+    pairwise_blocks,
+)
+from pcretrieve.types import SignatureTable
 
 __all__ = [
     "Fold",
     "evaluate",
     "grouped_folds",
     "rank_table",
-    "table_distances",
     "within_class_distances",
     "within_class_folds",
 ]
-
-# Distances held at once: 32 MB.
-BLOCK_DISTANCES = 2**22
 
 
 class Fold(NamedTuple):
@@ -113,30 +117,7 @@ def within_class_distances(
     options = options or RetrievalOptions()
     logs = log_signatures(table.values)
     for fold in within_class_folds(table, options):
-        yield from _blocks(options.distance, fold.whitening.apply(logs), fold.queries)
-
-
-def table_distances(
-    table: SignatureTable, options: RetrievalOptions | None = None, *, whitening: Whitening | None = None
-) -> Iterator[DistanceBlock]:
-    """Distances of each labelled shape to the whole gallery, in a whitening that knows no labels.
-
-    Raises
-    ------
-    OptionError
-        For a within-class whitening.
-    InputError
-        For a whitening that was fitted on signatures made by other options.
-    """
-    options = options or RetrievalOptions()
-    if _kind(options, whitening) == "within-class":
-        raise OptionError(
-            "whitening must know no labels here, got 'within-class', which would be scored on the classes "
-            "it was fitted on; use within_class_distances"
-        )
-    whitened = table_whitening(table, options, whitening).apply(log_signatures(table.values))
-    labelled = np.flatnonzero([label is not None for label in table.labels])
-    yield from _blocks(options.distance, whitened, labelled)
+        yield from pairwise_blocks(options.distance, fold.whitening.apply(logs), fold.queries)
 
 
 def rank_table(
@@ -148,13 +129,16 @@ def rank_table(
 ) -> Rankings:
     """Rank the whole table for each labelled shape in it; parameters as in `evaluate`."""
     options = options or RetrievalOptions()
-    if whitening is not None:
-        whitening.check_made_for(table.digest)
-    if _kind(options, whitening) == "within-class":
+    if (options.whitening if whitening is None else whitening.kind) == "within-class":
+        if whitening is not None:
+            whitening.check_made_for(table.digest)
         blocks = within_class_distances(table, options)
-    else:
-        blocks = table_distances(table, options, whitening=whitening)
-    return rank_gallery(blocks, table.ids, table.labels, failed_labels=failed_labels)
+        return rank_gallery(blocks, table.ids, table.labels, failed_labels=failed_labels)
+    if not len(table):
+        return rank_gallery((), (), (), failed_labels=failed_labels)
+    index = SignatureIndex(table, options, whitening=whitening)
+    label_of = dict(zip(table.ids, table.labels, strict=True))
+    return rank(index, [label_of[shape_id] for shape_id in index.ids], failed_labels=failed_labels)
 
 
 def evaluate(
@@ -189,15 +173,3 @@ def evaluate(
         For the whitening ``resolution`` where it was not made before.
     """
     return evaluate_rankings(rank_table(table, options, whitening=whitening, failed_labels=failed_labels))
-
-
-def _kind(options: RetrievalOptions, whitening: Whitening | None) -> str:
-    return options.whitening if whitening is None else whitening.kind
-
-
-def _blocks(distance: str, whitened: FloatArray, queries: Positions) -> Iterator[DistanceBlock]:
-    """Distances from some rows of `whitened` to all of them, a few rows at a time."""
-    rows = max(1, BLOCK_DISTANCES // max(1, len(whitened)))
-    for start in range(0, len(queries), rows):
-        chunk = queries[start : start + rows]
-        yield DistanceBlock(chunk, pairwise(distance, whitened[chunk], whitened))

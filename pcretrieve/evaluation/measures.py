@@ -33,7 +33,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcretrieve.errors import OptionError
-from pcretrieve.evaluation.rankings import Positions, Rankings
+from pcretrieve.evaluation.rankings import Rankings
+from pcretrieve.retrieval import Positions
 from pcretrieve.types import FloatArray
 from pcretrieve.values import Value
 

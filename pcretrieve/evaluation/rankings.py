@@ -9,33 +9,15 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pcretrieve.errors import BenchmarkError, InputError
+from pcretrieve.retrieval import DistanceBlock, Positions, Ranking
 from pcretrieve.types import FloatArray
 from pcretrieve.values import Value
 
-__all__ = ["DistanceBlock", "Positions", "Rankings", "rank_gallery"]
-
-Positions = NDArray[np.intp]
-
-
-class DistanceBlock(NamedTuple):
-    """Some rows of a distance matrix, so that it need not be held at once.
-
-    Attributes
-    ----------
-    queries : (q,) intp
-        Positions of the queries in the gallery.
-    distances : (q, N) float64
-        To every shape of the gallery, in its order, itself included; what stands there does not matter.
-    """
-
-    queries: Positions
-    distances: FloatArray
+__all__ = ["Rankings", "rank", "rank_gallery"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -52,8 +34,8 @@ class Rankings(Value):
     hit_query, hit_rank : (H,) intp
         One entry per relevant shape ranked: the query's number, ascending, and the rank, 1 for the nearest,
         ascending within each query.
-    n_ranked : int
-        Length of every list: the gallery less the query.
+    n_gallery : int
+        Number of shapes in the gallery.
     n_failed : int
         Queries that failed.
     n_single : int
@@ -65,9 +47,44 @@ class Rankings(Value):
     n_relevant: Positions
     hit_query: Positions
     hit_rank: Positions
-    n_ranked: int
+    n_gallery: int
     n_failed: int
     n_single: int
+
+    @property
+    def n_ranked(self) -> int:
+        """Length of each ranked list, which is the gallery without the query."""
+        return max(0, self.n_gallery - 1)
+
+
+def rank(
+    ranking: Ranking, labels: Sequence[str | None], *, failed_labels: Iterable[str | None] = ()
+) -> Rankings:
+    """Rank a gallery for each labelled shape in it.
+
+    Parameters
+    ----------
+    ranking : Ranking
+        An index, a pairwise matcher or a distance matrix.
+    labels : sequence of (str or None), length N
+        Classes of the shapes `ranking.ids`.
+    failed_labels : iterable of (str or None)
+        Classes of the shapes that are not in the gallery because they failed; they count as misses.
+
+    Returns
+    -------
+    Rankings
+        The ranks of the relevant shapes.
+
+    Raises
+    ------
+    BenchmarkError
+        If no class has two shapes.
+    InputError
+        If the labels are not as many as the shapes.
+    """
+    labelled = np.flatnonzero([label is not None for label in labels])
+    return rank_gallery(ranking.blocks(labelled), ranking.ids, labels, failed_labels=failed_labels)
 
 
 def rank_gallery(
@@ -137,7 +154,7 @@ def rank_gallery(
         n_relevant=np.array([sizes[label] - 1 for label in query_labels], dtype=np.intp),
         hit_query=hit_query[order],
         hit_rank=hit_rank[order],
-        n_ranked=max(0, len(ids) - 1),
+        n_gallery=len(ids),
         n_failed=len(missed),
         n_single=sum(size for size in sizes.values() if size == 1),
     )

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import io
-import os
-import tempfile
 from pathlib import Path
 
 import numpy as np
 
+from pcretrieve.atomic import replace_file
 from pcretrieve.errors import InputError
 from pcretrieve.types import FloatArray, PointCloud
 
@@ -63,7 +62,7 @@ def write_cloud(cloud: PointCloud, path: str | Path) -> None:
         table: FloatArray = np.concatenate([part for _, part in held], axis=1)  # (n, fields)
         data = header(fields, len(table)).encode() + table.astype(NUMBERS[suffix]).tobytes()
     try:
-        _replace(path, data)
+        replace_file(path, data)
     except OSError as error:
         raise InputError(f"cannot write {path}: {error.strerror or error}") from error
 
@@ -82,18 +81,3 @@ def _pcd_header(fields: list[str], n: int) -> str:
         f"VERSION 0.7\nFIELDS {' '.join(fields)}\nSIZE {repeated('4')}\nTYPE {repeated('F')}\n"
         f"COUNT {repeated('1')}\nWIDTH {n}\nHEIGHT 1\nVIEWPOINT 0 0 0 1 0 0 0\nPOINTS {n}\nDATA binary\n"
     )
-
-
-def _replace(path: Path, data: bytes) -> None:
-    """Write a temporary file in the same directory, and rename it: the file is complete at any time."""
-    descriptor, name = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
-    beside = Path(name)
-    try:
-        with os.fdopen(descriptor, "wb") as file:
-            file.write(data)
-        mask = os.umask(0)
-        os.umask(mask)
-        beside.chmod(0o666 & ~mask)  # the usual permissions; mkstemp makes private files
-        beside.replace(path)
-    finally:
-        beside.unlink(missing_ok=True)

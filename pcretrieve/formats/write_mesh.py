@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+from pcretrieve.atomic import replace_file
 from pcretrieve.errors import InputError
 from pcretrieve.types import TriangleMesh
 
@@ -14,7 +15,7 @@ SUFFIXES = (".ply", ".obj", ".off", ".stl", ".glb")
 
 
 def write_mesh(mesh: TriangleMesh, path: str | Path) -> None:
-    """Write a mesh to a file, in the format of the suffix.
+    """Write a mesh to a file, in the format of the suffix, in one atomic step.
 
     Parameters
     ----------
@@ -37,6 +38,6 @@ def write_mesh(mesh: TriangleMesh, path: str | Path) -> None:
         file_type=path.suffix[1:].lower()
     )
     try:
-        path.write_bytes(data.encode() if isinstance(data, str) else data)
+        replace_file(path, data.encode() if isinstance(data, str) else data)
     except OSError as error:
         raise InputError(f"cannot write {path}: {error.strerror or error}") from error

@@ -5,9 +5,7 @@ One HTML file that needs nothing else: pictures are inlined, and no request leav
 
 from __future__ import annotations
 
-import os
 from collections.abc import Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass
 from itertools import pairwise
 from math import isfinite
@@ -15,6 +13,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import NamedTuple
 
+from pcretrieve.atomic import replace_file
 from pcretrieve.errors import InputError
 from pcretrieve.evaluation.measures import PrecisionRecall, RetrievalMeasures
 from pcretrieve.pages.html import page_template
@@ -219,16 +218,11 @@ def _curve(curve: PrecisionRecall) -> _Curve:
 
 
 def write_file(target: Path, page: bytes) -> None:
-    """Beside the target first, then moved over it: nobody ever reads half a page."""
-    draft = target.with_name(f".{target.name}.{os.getpid()}")
+    """Write a page or a picture in one atomic step."""
     try:
-        draft.write_bytes(page)
-        draft.replace(target)
+        replace_file(target, page)
     except OSError as error:
         raise InputError(
             f"the report must go to a file in a folder that exists and can be written, got {target}: "
             f"{error.strerror or error}; make the folder, or give another path"
         ) from error
-    finally:
-        with suppress(OSError):  # gone already where all went well
-            draft.unlink()

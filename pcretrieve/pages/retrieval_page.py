@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 
 from pcretrieve.catalogue import Catalogue, Record
 from pcretrieve.errors import InputError
-from pcretrieve.evaluation.folds import rank_table
+from pcretrieve.evaluation.catalogue import check_known, rank_catalogue
 from pcretrieve.evaluation.measures import evaluate_rankings, precision_recall
+from pcretrieve.matching import DistanceMatrix
 from pcretrieve.options import PipelineOptions
 from pcretrieve.pages.report import Card, Panel, write_report
 from pcretrieve.rendering import thumbnail
-from pcretrieve.retrieval import SignatureIndex
+from pcretrieve.retrieval import Ranking, SignatureIndex
 from pcretrieve.types import Failure, SignatureTable
 
 __all__ = ["retrieval_page"]
@@ -27,6 +29,7 @@ def retrieval_page(
     n_queries: int = 8,
     k: int = 5,
     options: PipelineOptions | None = None,
+    matrix: DistanceMatrix | None = None,
 ) -> Path:
     """Write a page with retrieval measures, and pictures of queries and their ranked results.
 
@@ -42,6 +45,8 @@ def retrieval_page(
     options : PipelineOptions, optional
         With a descriptor, a distance or a whitening other than the catalogue's own. Measures with the
         whitening ``within-class`` come from grouped folds, the rows from the whitening of a query.
+    matrix : DistanceMatrix, optional
+        Distances in place of those of signatures; shapes that it does not have are misses.
 
     Returns
     -------
@@ -53,16 +58,24 @@ def retrieval_page(
     CatalogueError
         If `options` are for other spectra than those of the catalogue.
     InputError
-        If the catalogue holds no shapes, or the page cannot be written.
+        If the catalogue holds no shapes, the matrix has a shape that the catalogue does not have, or the page
+        cannot be written.
     """
     options = options or catalogue.options
-    table = catalogue.signatures(options)
-    if not len(table):
-        raise InputError(f"{catalogue.path} holds no shapes: ingest some first")
     records = {record.id: record for record in catalogue.records()}
     failed = [record for record in records.values() if record.status == "failed"]
-    whitening = catalogue.whitening(options)
-    index = SignatureIndex(table, options.retrieval, whitening=whitening)
+    ranking: Ranking
+    if matrix is None:
+        table = catalogue.signatures(options)
+        if not len(table):
+            raise InputError(f"{catalogue.path} holds no shapes: ingest some first")
+        ranking = SignatureIndex(table, options.retrieval, whitening=catalogue.whitening(options))
+        facts = _signature_facts(table, options)
+    else:
+        check_known(matrix, catalogue)
+        ranking = matrix
+        facts = {"distances": f"a matrix of {len(matrix)} shapes"}
+    classes = {shape_id: records[shape_id].label for shape_id in ranking.ids}
 
     def card(record: Record, pixels: int, gap: float | None = None, relevant: bool | None = None) -> Card:
         mesh = catalogue.mesh(record.id)
@@ -70,31 +83,26 @@ def retrieval_page(
         return Card(record.id, record.label, record.path, gap, picture, relevant)
 
     panels = []
-    for row in _queries(table, n_queries):
-        query = records[table.ids[row]]
-        found = index.query(table.values[row], k + 1)
+    for shape_id in _queries(classes, n_queries):
+        query = records[shape_id]
+        found = ranking.nearest(shape_id, k + 1)
         results = [
             card(
-                records[shape_id],
+                records[found_id],
                 RESULT_PIXELS,
                 float(gap),
-                None if query.label is None else records[shape_id].label == query.label,
+                None if query.label is None else records[found_id].label == query.label,
             )
-            for shape_id, gap in zip(found.ids, found.distances, strict=True)
-            if shape_id != query.id
+            for found_id, gap in zip(found.ids, found.distances, strict=True)
+            if found_id != query.id
         ]
         panels.append(Panel(card(query, QUERY_PIXELS), tuple(results[:k])))
 
     measures = curve = None
-    if _has_pairs(table):
-        rankings = rank_table(
-            table,
-            options.retrieval,
-            whitening=whitening,
-            failed_labels=[record.label for record in failed],
-        )
+    known = [label for label in classes.values() if label is not None]
+    if len(set(known)) < len(known):
+        rankings = rank_catalogue(catalogue, options, matrix=matrix).rankings
         measures, curve = evaluate_rankings(rankings), precision_recall(rankings)
-    n_classes = len({label for label in table.labels if label is not None})
     return write_report(
         path,
         title=f"Retrieval in {catalogue.path.name}",
@@ -104,28 +112,25 @@ def retrieval_page(
             Failure(record.id, record.stage or "", record.error or "", record.message or "")
             for record in failed
         ],
-        facts={
-            "shapes": str(len(table)),
-            "classes": str(n_classes),
-            "signature": f"{table.kind}, {table.values.shape[1]} values",
-            "scale": options.compared.scale,
-            "weight of size": f"{options.signature.size_weight:g}",
-            "distance": options.retrieval.distance,
-            "whitening": options.retrieval.whitening,
-        },
+        facts={"shapes": str(len(classes)), "classes": str(len(set(known)))} | facts,
         precision_recall=curve,
     )
 
 
-def _queries(table: SignatureTable, most: int) -> list[int]:
-    """Rows of the first shape of each class; of the first shapes where there are no classes."""
-    first: dict[str | None, int] = {}
-    for row, label in enumerate(table.labels):
+def _signature_facts(table: SignatureTable, options: PipelineOptions) -> dict[str, str]:
+    return {
+        "signature": f"{table.kind}, {table.values.shape[1]} values",
+        "scale": options.compared.scale,
+        "weight of size": f"{options.signature.size_weight:g}",
+        "distance": options.retrieval.distance,
+        "whitening": options.retrieval.whitening,
+    }
+
+
+def _queries(classes: Mapping[str, str | None], most: int) -> list[str]:
+    """The first shape of each class; the first shapes where there are no classes."""
+    first: dict[str, str] = {}
+    for shape_id, label in classes.items():
         if label is not None:
-            first.setdefault(label, row)
-    return (list(first.values()) or list(range(len(table))))[:most]
-
-
-def _has_pairs(table: SignatureTable) -> bool:
-    labels = [label for label in table.labels if label is not None]
-    return len(set(labels)) < len(labels)
+            first.setdefault(label, shape_id)
+    return (list(first.values()) or list(classes))[:most]

@@ -3,6 +3,14 @@
 from pcretrieve.retrieval.distances import DISTANCES, log_signatures, pairwise
 from pcretrieve.retrieval.fitting import DEFAULT_DAMPING, checked_damping, fit_whitening, table_whitening
 from pcretrieve.retrieval.index import SignatureIndex
+from pcretrieve.retrieval.ranking import (
+    DistanceBlock,
+    Positions,
+    Ranking,
+    nearest_of,
+    pairwise_blocks,
+    position_of,
+)
 from pcretrieve.retrieval.resolution import resolution_whitening
 from pcretrieve.retrieval.whitening import WHITENINGS, Whitening, whitening_digest
 
@@ -10,12 +18,18 @@ __all__ = [
     "DEFAULT_DAMPING",
     "DISTANCES",
     "WHITENINGS",
+    "DistanceBlock",
+    "Positions",
+    "Ranking",
     "SignatureIndex",
     "Whitening",
     "checked_damping",
     "fit_whitening",
     "log_signatures",
+    "nearest_of",
     "pairwise",
+    "pairwise_blocks",
+    "position_of",
     "resolution_whitening",
     "table_whitening",
     "whitening_digest",

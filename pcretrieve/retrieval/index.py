@@ -19,7 +19,7 @@ References
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -29,6 +29,14 @@ from pcretrieve.options import RetrievalOptions
 from pcretrieve.retrieval.distances import log_signatures, pairwise
 from pcretrieve.retrieval.fitting import table_whitening
 from pcretrieve.retrieval.lower_bounds import LowerBounds
+from pcretrieve.retrieval.ranking import (
+    DistanceBlock,
+    Positions,
+    checked_k,
+    nearest_of,
+    pairwise_blocks,
+    position_of,
+)
 from pcretrieve.retrieval.whitening import Whitening
 from pcretrieve.types import FloatArray, Neighbors, Signature, SignatureTable
 
@@ -61,6 +69,8 @@ class SignatureIndex:
 
     Attributes
     ----------
+    ids : tuple of str, length N
+        The shapes of the table, in alphabetical order.
     distance : str
         A key of `pcretrieve.retrieval.DISTANCES`.
     whitening : Whitening
@@ -91,7 +101,7 @@ class SignatureIndex:
         self.whitening = table_whitening(table, options, whitening)
         self._kind, self._digest = table.kind, table.digest
         by_id = sorted(range(len(table)), key=table.ids.__getitem__)
-        self._ids = tuple(table.ids[row] for row in by_id)
+        self.ids = tuple(table.ids[row] for row in by_id)
         self._gallery = self.whitening.apply(
             log_signatures(table.values[by_id])
         )  # (N, L), sorted by id: so are ties
@@ -99,7 +109,7 @@ class SignatureIndex:
         self._bounds = LowerBounds.of(self.distance, self._gallery, n_leading)
 
     def __len__(self) -> int:
-        return len(self._ids)
+        return len(self.ids)
 
     def query(self, signature: Signature | ArrayLike, k: int = 10) -> Neighbors:
         """The `k` nearest neighbours of one signature, including the signature itself if it is in the table.
@@ -124,13 +134,8 @@ class SignatureIndex:
             If the kind, the digest or the length of the signature is not that of the table, or a value is not
             positive and finite.
         """
-        if isinstance(k, bool) or not isinstance(k, (int, np.integer)) or k < 1:
-            raise OptionError(f"k must be a whole number of at least 1, got {k!r}")
-        point = self.whitening.apply(self._checked_logs(signature)[np.newaxis])  # (1, L)
-        candidates = self._candidates(point, min(int(k), len(self)))
-        distances = pairwise(self.distance, point, self._gallery[candidates])[0]
-        order = np.argsort(distances, kind="stable")[:k]
-        return Neighbors(tuple(self._ids[row] for row in candidates[order]), distances[order])
+        k = checked_k(k)
+        return self._nearest(self.whitening.apply(self._checked_logs(signature)[np.newaxis]), k)
 
     def query_many(self, signatures: Iterable[Signature | ArrayLike], k: int = 10) -> list[Neighbors]:
         """The nearest neighbours of each of Q signatures, in order.
@@ -148,6 +153,46 @@ class SignatureIndex:
             The result of `query` for each signature.
         """
         return [self.query(signature, k) for signature in signatures]
+
+    def nearest(self, shape_id: str, k: int = 10) -> Neighbors:
+        """The nearest neighbours of a shape of the table, itself included.
+
+        Parameters
+        ----------
+        shape_id : str
+            One of `ids`.
+        k : int, default 10
+            Number of neighbours, at least 1. If the table has fewer shapes, all of them are returned.
+
+        Returns
+        -------
+        Neighbors
+            Nearest first; equal distances by identifier.
+        """
+        row = position_of(self.ids, shape_id)
+        return self._nearest(self._gallery[row : row + 1], checked_k(k))
+
+    def blocks(self, queries: Positions | None = None) -> Iterator[DistanceBlock]:
+        """Distances from shapes of the table to the whole table.
+
+        Parameters
+        ----------
+        queries : (Q,) intp, optional
+            Positions in `ids`. By default all.
+
+        Yields
+        ------
+        DistanceBlock
+            Some of the queries.
+        """
+        rows = np.arange(len(self)) if queries is None else queries
+        yield from pairwise_blocks(self.distance, self._gallery, rows)
+
+    def _nearest(self, point: FloatArray, k: int) -> Neighbors:
+        """The `k` nearest neighbours of a (1, L) whitened log-signature."""
+        candidates = self._candidates(point, min(k, len(self)))
+        distances = pairwise(self.distance, point, self._gallery[candidates])[0]
+        return nearest_of([self.ids[row] for row in candidates], distances, k)
 
     def _candidates(self, point: FloatArray, k: int) -> NDArray[np.intp]:
         """Rows of the gallery, ascending, that include the `k` nearest and all rows at equal distance."""

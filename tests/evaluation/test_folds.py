@@ -5,17 +5,18 @@ from dataclasses import asdict, replace
 import numpy as np
 import pytest
 
-from pcretrieve.errors import BenchmarkError, InputError, OptionError
+from pcretrieve.errors import BenchmarkError, InputError
 from pcretrieve.evaluation.folds import (
     evaluate,
     grouped_folds,
     rank_table,
-    table_distances,
     within_class_distances,
     within_class_folds,
 )
+from pcretrieve.evaluation.measures import evaluate_rankings
+from pcretrieve.evaluation.rankings import rank_gallery
 from pcretrieve.options import RetrievalOptions
-from pcretrieve.retrieval import DISTANCES, fit_whitening, log_signatures, pairwise
+from pcretrieve.retrieval import DISTANCES, DistanceBlock, fit_whitening, log_signatures, pairwise
 from pcretrieve.types import FloatArray, SignatureTable
 
 WITHIN_CLASS = RetrievalOptions(whitening="within-class")
@@ -139,37 +140,11 @@ def test_unlabelled_shapes_are_ranked_but_not_fitted_on() -> None:
     assert np.isnan(among[60]).all()
 
 
-@pytest.mark.parametrize("whitening", ["none", "pca"])
-@pytest.mark.parametrize("distance", DISTANCES)
-def test_whitening_without_labels_is_fitted_on_the_whole_gallery(distance: str, whitening: str) -> None:
-    table = a_table()
-    logs = log_signatures(table.values)
-    whitened = fit_whitening(whitening, logs).apply(logs)
-    (block,) = table_distances(table, RetrievalOptions(distance=distance, whitening=whitening))
-    assert (block.distances == pairwise(distance, whitened, whitened)).all()
-
-
-def test_a_large_table_comes_in_several_blocks() -> None:
-    rng = np.random.default_rng(0)
-    ids = tuple(f"T{number}" for number in range(3000))
-    table = SignatureTable(ids, rng.lognormal(size=(3000, 2)), "r-bihdm", labels=("A", "B") * 1500)
-    blocks = list(table_distances(table))
-    assert len(blocks) > 1
-    assert (np.concatenate([block.queries for block in blocks]) == np.arange(3000)).all()
-
-
-def test_within_class_whitening_is_not_scored_on_its_own_classes() -> None:
-    with pytest.raises(OptionError, match="use within_class_distances"):
-        list(table_distances(a_table(), WITHIN_CLASS))
-
-
-def test_within_class_whitening_that_was_fitted_before_is_not_scored_either() -> None:
+def test_within_class_whitening_that_was_fitted_before_is_fitted_anew_by_folds() -> None:
     table = a_table()
     fitted = fit_whitening(
         "within-class", log_signatures(table.values), table.labels, options_digest=table.digest
     )
-    with pytest.raises(OptionError, match="would be scored on the classes"):
-        list(table_distances(table, whitening=fitted))
     assert evaluate(table, whitening=fitted) == evaluate(table, WITHIN_CLASS)
 
 
@@ -231,13 +206,22 @@ def test_a_query_whose_class_mates_all_failed_is_in_some_fold() -> None:
     assert len(result.labels) == 61
 
 
+@pytest.mark.parametrize("whitening", ["none", "pca"])
 @pytest.mark.parametrize("distance", DISTANCES)
-def test_evaluate_passes_the_distance_on(distance: str) -> None:
+def test_whitening_without_labels_is_fitted_on_the_whole_gallery(distance: str, whitening: str) -> None:
     table = a_table()
-    (block,) = table_distances(table, RetrievalOptions(distance=distance))
-    nearest = np.where(np.eye(60, dtype=bool), np.inf, block.distances).argmin(axis=1)
-    hits = [table.labels[i] == table.labels[j] for i, j in enumerate(nearest)]
-    assert evaluate(table, RetrievalOptions(distance=distance)).nn == pytest.approx(np.mean(hits))
+    logs = log_signatures(table.values)
+    whitened = fit_whitening(whitening, logs).apply(logs)
+    block = DistanceBlock(np.arange(60), pairwise(distance, whitened, whitened))
+    expected = rank_gallery([block], table.ids, table.labels)
+    options = RetrievalOptions(distance=distance, whitening=whitening)
+    assert rank_table(table, options) == expected
+    assert evaluate(table, options) == evaluate_rankings(expected)
+
+
+def test_a_table_without_shapes_has_misses_only() -> None:
+    table = SignatureTable((), np.zeros((0, 8)), "r-bihdm", "3f2a")
+    assert evaluate(table, failed_labels=["A", "A"]).map == 0
 
 
 @pytest.mark.parametrize("kind", ["pca", "within-class"])

@@ -14,7 +14,8 @@ from pcretrieve.evaluation.measures import (
     precision_recall,
     query_scores,
 )
-from pcretrieve.evaluation.rankings import DistanceBlock, Rankings, rank_gallery
+from pcretrieve.evaluation.rankings import Rankings, rank_gallery
+from pcretrieve.retrieval import DistanceBlock
 from pcretrieve.types import FloatArray
 
 MEASURES = ("nn", "ft", "st", "e", "dcg", "map")

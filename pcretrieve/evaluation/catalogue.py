@@ -1,0 +1,166 @@
+"""Catalogue → rankings of its shapes, with the shapes that failed as misses."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import NamedTuple
+
+from pcretrieve.catalogue import Catalogue
+from pcretrieve.errors import BenchmarkError, InputError
+from pcretrieve.evaluation.folds import rank_table
+from pcretrieve.evaluation.rankings import Rankings, rank
+from pcretrieve.ingest.labels import match_labels, read_labels
+from pcretrieve.matching import DistanceMatrix
+from pcretrieve.options import PipelineOptions
+from pcretrieve.types import SignatureTable
+
+__all__ = ["RankedCatalogue", "check_known", "rank_catalogue", "rank_matrix"]
+
+logger = logging.getLogger(__name__)
+
+
+class RankedCatalogue(NamedTuple):
+    """The rankings of the shapes of a catalogue.
+
+    Attributes
+    ----------
+    rankings : Rankings
+        The ranks of the relevant shapes.
+    n_failed : int
+        Number of shapes that cannot be ranked, labelled or not.
+    table : SignatureTable or None
+        The signatures that were compared, with the classes; None for a distance matrix.
+    """
+
+    rankings: Rankings
+    n_failed: int
+    table: SignatureTable | None
+
+
+def rank_catalogue(
+    catalogue: Catalogue,
+    options: PipelineOptions | None = None,
+    *,
+    labels: str | Path | None = None,
+    matrix: DistanceMatrix | None = None,
+) -> RankedCatalogue:
+    """Rank the shapes of a catalogue for each labelled shape.
+
+    Parameters
+    ----------
+    catalogue : Catalogue
+        The shapes. Shapes that failed are misses.
+    options : PipelineOptions, optional
+        The options of the signatures and of retrieval; by default those of the catalogue.
+    labels : str or Path, optional
+        A file of classes, which are used instead of the stored ones.
+    matrix : DistanceMatrix, optional
+        Distances that are used instead of those of the signatures. Shapes of the catalogue that the matrix
+        does not have are misses.
+
+    Returns
+    -------
+    RankedCatalogue
+        The rankings.
+
+    Raises
+    ------
+    BenchmarkError
+        If no class has two shapes, or the file of classes does not fit.
+    CatalogueError
+        If `options` are for other spectra than those of the catalogue.
+    InputError
+        If the matrix has a shape that the catalogue does not have.
+    """
+    options = options or catalogue.options
+    records = {record.id: record for record in catalogue.records()}
+    if labels is None:
+        classes = {shape_id: record.label for shape_id, record in records.items()}
+    else:
+        paths = {shape_id: record.path for shape_id, record in records.items()}
+        classes = _classes(labels, read_labels(labels), paths)
+    if not any(classes.values()):
+        advice = "give a file of labels" if labels is None else f"no name in {labels} fits one"
+        raise BenchmarkError(f"no shape in {catalogue.path} has a class: {advice}")
+    if matrix is not None:
+        check_known(matrix, catalogue)
+        missing = [classes[shape_id] for shape_id in records if shape_id not in set(matrix.ids)]
+        return RankedCatalogue(_ranked(matrix, classes, missing), len(missing), None)
+    table = catalogue.signatures(options)
+    table = replace(table, labels=tuple(classes[shape_id] for shape_id in table.ids))
+    failed = [classes[record.id] for record in records.values() if record.status == "failed"]
+    # Others are fitted to the table, with the same result as those that a catalogue stores.
+    measured = options.retrieval.whitening == "resolution"
+    whitening = catalogue.whitening(options) if measured else None
+    rankings = rank_table(table, options.retrieval, whitening=whitening, failed_labels=failed)
+    return RankedCatalogue(rankings, len(failed), table)
+
+
+def check_known(matrix: DistanceMatrix, catalogue: Catalogue) -> None:
+    """Check that a catalogue holds all shapes of a distance matrix.
+
+    Parameters
+    ----------
+    matrix : DistanceMatrix
+        The distances.
+    catalogue : Catalogue
+        The shapes.
+
+    Raises
+    ------
+    InputError
+        If the matrix has a shape that the catalogue does not have.
+    """
+    if unknown := sorted(set(matrix.ids).difference(record.id for record in catalogue.records())):
+        raise InputError(
+            f"a distance matrix must be of shapes in {catalogue.path}, got {len(unknown)} others, such as "
+            f"{unknown[0]!r}: make it anew with `pcretrieve matrix`, or correct its ids"
+        )
+
+
+def rank_matrix(matrix: DistanceMatrix, labels: str | Path) -> Rankings:
+    """Rank the shapes of a distance matrix for each labelled shape.
+
+    Parameters
+    ----------
+    matrix : DistanceMatrix
+        The distances.
+    labels : str or Path
+        A file of classes, whose names are the ids of the matrix, or files named like them.
+
+    Returns
+    -------
+    Rankings
+        The ranks of the relevant shapes.
+
+    Raises
+    ------
+    BenchmarkError
+        If no class has two shapes, or the file of classes does not fit.
+    """
+    ids = set(matrix.ids)
+    named: dict[str, str] = {}
+    for name, label in read_labels(labels).items():
+        shape_id = name if name in ids else Path(name).stem
+        if named.setdefault(shape_id if shape_id in ids else name, label) != label:
+            raise BenchmarkError(
+                f"a shape must have one class, {shape_id!r} has {named[shape_id]!r} and {label!r} in {labels}"
+            )
+    return _ranked(matrix, _classes(labels, named, {shape_id: f"/{shape_id}" for shape_id in ids}), [])
+
+
+def _ranked(matrix: DistanceMatrix, classes: Mapping[str, str | None], missing: list[str | None]) -> Rankings:
+    return rank(matrix, [classes[shape_id] for shape_id in matrix.ids], failed_labels=missing)
+
+
+def _classes(file: str | Path, labels: Mapping[str, str], paths: Mapping[str, str]) -> dict[str, str | None]:
+    """The classes of shapes by the labels in a file; names in it that fit no shape are logged."""
+    matched, unknown = match_labels(labels, paths)
+    if unknown:
+        logger.warning(
+            "%s names %d shapes that are not among those ranked, such as %s", file, len(unknown), unknown[0]
+        )
+    return {shape_id: matched.get(shape_id) for shape_id in paths}

@@ -1,0 +1,9 @@
+"""Pairs of shapes → distances, for methods that have no vector for a single shape.
+
+A distance matrix ranks a gallery as an index of signatures does; its files are those of SHREC tracks.
+"""
+
+from pcretrieve.matching.files import ids_path, read_matrix, write_matrix
+from pcretrieve.matching.matrix import DistanceMatrix, distance_matrix
+
+__all__ = ["DistanceMatrix", "distance_matrix", "ids_path", "read_matrix", "write_matrix"]

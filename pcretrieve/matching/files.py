@@ -1,0 +1,134 @@
+"""Files of distance matrices, as SHREC tracks exchange them: a square of numbers, and the ids beside it."""
+
+from __future__ import annotations
+
+import io
+import warnings
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pcretrieve.atomic import replace_file
+from pcretrieve.errors import InputError
+from pcretrieve.matching.matrix import DistanceMatrix
+
+__all__ = ["ids_path", "read_matrix", "write_matrix"]
+
+# Significant digits that every float64 is restored from exactly.
+DIGITS = 17
+
+
+def ids_path(path: str | Path) -> Path:
+    """The file with the ids of a distance matrix.
+
+    Parameters
+    ----------
+    path : str or Path
+        The file of the matrix.
+
+    Returns
+    -------
+    Path
+        ``bodies.ids`` for ``bodies.txt`` and ``bodies.npy``.
+    """
+    return Path(path).with_suffix(".ids")
+
+
+def write_matrix(matrix: DistanceMatrix, path: str | Path) -> None:
+    """Write a distance matrix, and its ids to a second file.
+
+    Parameters
+    ----------
+    matrix : DistanceMatrix
+        The matrix; its labels are not written.
+    path : str or Path
+        A ``.npy`` file for NumPy; any other suffix, except ``.ids``, for plain text with one row a line,
+        which restores every distance exactly. The ids are written to `ids_path`, one a line. Existing files
+        are replaced.
+
+    Raises
+    ------
+    InputError
+        If a file cannot be written, or an id has a line break.
+    """
+    path = Path(path)
+    if path.suffix == ".ids":
+        raise InputError(f"a matrix file must not end in .ids, which is for its ids, got {path.name}")
+    broken = [shape_id for shape_id in matrix.ids if len(shape_id.splitlines()) != 1]
+    if broken:
+        raise InputError(
+            f"ids must have one line each, got {broken[0]!r}: rename that file and ingest it again"
+        )
+    data = io.BytesIO()
+    if path.suffix == ".npy":
+        np.save(data, matrix.values, allow_pickle=False)
+    else:
+        np.savetxt(data, matrix.values, fmt=f"%.{DIGITS}g")
+    lines = "".join(f"{shape_id}\n" for shape_id in matrix.ids)
+    for file, content in (
+        (path, data.getvalue()),
+        (ids_path(path), lines.encode("utf-8", errors="surrogateescape")),
+    ):
+        try:
+            replace_file(file, content)
+        except OSError as error:
+            raise InputError(f"cannot write {file}: {error.strerror or error}") from error
+
+
+def read_matrix(path: str | Path) -> DistanceMatrix:
+    """Read a distance matrix and its ids.
+
+    Parameters
+    ----------
+    path : str or Path
+        A ``.npy`` file, or plain text with the distances from one shape to all in each line, separated by
+        white space. The ids are read from `ids_path`, one a line, in the order of the rows.
+
+    Returns
+    -------
+    DistanceMatrix
+        Without labels.
+
+    Raises
+    ------
+    InputError
+        If a file cannot be read, the matrix is not square, a distance is negative or not a number, or the
+        ids are not distinct or not as many as the rows.
+    """
+    path = Path(path)
+    beside = ids_path(path)
+    try:
+        values = _npy(path) if path.suffix == ".npy" else _text(path)
+    except OSError as error:
+        raise InputError(f"cannot read the distance matrix {path}: {error.strerror or error}") from error
+    except (ValueError, EOFError) as error:
+        raise InputError(f"{path} is not a distance matrix: {error}") from error
+    if values.ndim != 2 or values.shape[0] != values.shape[1]:
+        size = " by ".join(str(length) for length in values.shape) or "a single number"
+        raise InputError(f"{path} must hold a square matrix, rows by columns, got {size}")
+    try:
+        ids = beside.read_bytes().decode("utf-8", errors="surrogateescape").splitlines()
+    except OSError as error:
+        raise InputError(
+            f"cannot read {beside}, which must name the rows of {path.name}, one id a line: {error.strerror}"
+        ) from error
+    if len(ids) != len(values):
+        raise InputError(f"{beside} must name the {len(values)} rows of {path.name}, got {len(ids)} ids")
+    try:
+        return DistanceMatrix(tuple(ids), values)
+    except InputError as error:
+        raise InputError(f"{path}: {error.message}") from error
+
+
+def _npy(path: Path) -> NDArray[Any]:
+    """The array of a file; mapped into memory, so that a header cannot promise more than the file holds."""
+    array: NDArray[Any] = np.load(path, mmap_mode="r", allow_pickle=False)
+    return array
+
+
+def _text(path: Path) -> NDArray[Any]:
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", message=".*input contained no data")
+        return np.loadtxt(path, ndmin=2, encoding="utf-8")

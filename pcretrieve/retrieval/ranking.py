@@ -1,0 +1,192 @@
+"""The interface of what ranks a gallery: an index of vectors, a pairwise matcher, or a distance matrix."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import NamedTuple, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pcretrieve.errors import InputError, OptionError
+from pcretrieve.retrieval.distances import pairwise
+from pcretrieve.types import FloatArray, Neighbors
+
+__all__ = [
+    "DistanceBlock",
+    "Positions",
+    "Ranking",
+    "checked_k",
+    "nearest_of",
+    "pairwise_blocks",
+    "position_of",
+]
+
+Positions = NDArray[np.intp]
+
+# Number of distances that are in memory at once: 32 MB.
+BLOCK_DISTANCES = 2**22
+
+
+class DistanceBlock(NamedTuple):
+    """Some rows of a distance matrix, so that the matrix need not be in memory as a whole.
+
+    Attributes
+    ----------
+    queries : (q,) intp
+        Positions of the queries in the gallery.
+    distances : (q, N) float64
+        Distances from each query to every shape of the gallery, in the order of the gallery, the query
+        itself included.
+    """
+
+    queries: Positions
+    distances: FloatArray
+
+
+class Ranking(Protocol):
+    """A gallery of shapes and a distance, which need not be symmetric, from each of them to all.
+
+    Attributes
+    ----------
+    ids : tuple of str, length N
+        The gallery; identifiers are distinct.
+    """
+
+    @property
+    def ids(self) -> tuple[str, ...]:
+        """The gallery; identifiers are distinct."""
+
+    def blocks(self, queries: Positions | None = None) -> Iterator[DistanceBlock]:
+        """Distances from shapes of the gallery to all of the gallery.
+
+        Parameters
+        ----------
+        queries : (Q,) intp, optional
+            Positions in `ids`. By default all.
+
+        Yields
+        ------
+        DistanceBlock
+            Some of the queries; each query is in exactly one block.
+        """
+
+    def nearest(self, shape_id: str, k: int = 10) -> Neighbors:
+        """The shapes nearest to a shape of the gallery, itself included.
+
+        Parameters
+        ----------
+        shape_id : str
+            One of `ids`.
+        k : int, default 10
+            Number of shapes, at least 1; all if there are fewer.
+
+        Returns
+        -------
+        Neighbors
+            Nearest first, equally near shapes in alphabetical order.
+        """
+
+
+def pairwise_blocks(distance: str, gallery: FloatArray, queries: Positions) -> Iterator[DistanceBlock]:
+    """Distances from some signatures of a gallery to all of them, a few queries at a time.
+
+    Parameters
+    ----------
+    distance : str
+        A key of `pcretrieve.retrieval.DISTANCES`.
+    gallery : (N, L) float64
+        Log-signatures, whitened or not.
+    queries : (Q,) intp
+        Positions in the gallery.
+
+    Yields
+    ------
+    DistanceBlock
+        Some of the queries, in order.
+    """
+    rows = max(1, BLOCK_DISTANCES // max(1, len(gallery)))
+    for start in range(0, len(queries), rows):
+        chunk = queries[start : start + rows]
+        yield DistanceBlock(chunk, pairwise(distance, gallery[chunk], gallery))
+
+
+def nearest_of(ids: Sequence[str], distances: FloatArray, k: int) -> Neighbors:
+    """The nearest shapes by their distances.
+
+    Parameters
+    ----------
+    ids : sequence of str, length N
+        The shapes.
+    distances : (N,) float64
+        Distance of each shape; not NaN.
+    k : int
+        Number of shapes, at least 1; all if there are fewer.
+
+    Returns
+    -------
+    Neighbors
+        Nearest first, equally near shapes in alphabetical order.
+
+    Raises
+    ------
+    OptionError
+        If `k` is less than 1.
+    """
+    k = checked_k(k)
+    # Shapes as near as the k-th are candidates too: which of them come first is decided by their ids.
+    limit = np.partition(distances, k - 1)[k - 1] if k < len(distances) else np.inf
+    near: list[int] = np.flatnonzero(distances <= limit).tolist()
+    rows = sorted(near, key=lambda row: (distances[row], ids[row]))[:k]
+    return Neighbors(tuple(ids[row] for row in rows), distances[rows])
+
+
+def checked_k(k: int) -> int:
+    """A number of neighbours, after a check.
+
+    Parameters
+    ----------
+    k : int
+        The number.
+
+    Returns
+    -------
+    int
+        At least 1.
+
+    Raises
+    ------
+    OptionError
+        If it is not a whole number of at least 1.
+    """
+    if isinstance(k, bool) or not isinstance(k, (int, np.integer)) or k < 1:
+        raise OptionError(f"k must be a whole number of at least 1, got {k!r}")
+    return int(k)
+
+
+def position_of(ids: Sequence[str], shape_id: str) -> int:
+    """The position of a shape in a gallery.
+
+    Parameters
+    ----------
+    ids : sequence of str
+        The gallery.
+    shape_id : str
+        The shape.
+
+    Returns
+    -------
+    int
+        ``ids[position]`` is `shape_id`.
+
+    Raises
+    ------
+    InputError
+        If the gallery has no such shape.
+    """
+    try:
+        return ids.index(shape_id)
+    except ValueError as error:
+        raise InputError(
+            f"the query must be one of the {len(ids)} ranked shapes, got {shape_id!r}"
+        ) from error

@@ -1,0 +1,128 @@
+"""`pcretrieve matrix`, and the commands that take a matrix: the same answers as by signatures."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import shapes
+from click.testing import CliRunner, Result
+
+from pcretrieve import Catalogue
+from pcretrieve.cli.main import cli
+from pcretrieve.formats import write_mesh
+from pcretrieve.ingest.run import ingest
+from pcretrieve.matching import read_matrix
+
+N_CLASSES = 3
+D1 = ("--distance", "d1", "--whitening", "pca")
+MEASURES = ("nn", "ft", "st", "e", "dcg", "map", "n_queries", "n_failed", "n_shapes")
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Eggs of three kinds, three of each, in a catalogue, with a file that is no scan."""
+    place = tmp_path_factory.mktemp("eggs")
+    labels = ["file,class", "broken.off,kind0"]
+    (place / "broken.off").write_text("OFF\n")
+    for kind in range(N_CLASSES):
+        for number in range(3):
+            axes = (1 + 0.1 * number, 1, 1.2 + 0.15 * kind)
+            write_mesh(shapes.ellipsoid(axes, subdivisions=3), place / f"{kind}{number}.off")
+            labels.append(f"{kind}{number}.off,kind{kind}")
+    (place / "labels.csv").write_text("\n".join(labels))
+    with Catalogue(place / "c.sqlite", create=True) as store:
+        ingest(
+            sorted(place.glob("*.off")),
+            store,
+            labels={line.split(",")[0]: line.split(",")[1] for line in labels[1:]},
+        )
+    return place
+
+
+def run(*arguments: object, code: int = 0) -> Result:
+    result = CliRunner().invoke(cli, [str(word) for word in arguments])
+    assert result.exit_code == code, result.output
+    return result
+
+
+def document(*arguments: object) -> dict[str, object]:
+    found: dict[str, object] = json.loads(run(*arguments, "--json").stdout)
+    return found
+
+
+@pytest.fixture(scope="module", params=["run.txt", "run.npy"])
+def matrix(request: pytest.FixtureRequest, folder: Path) -> Path:
+    path: Path = folder / request.param
+    said = run("matrix", "-c", folder / "c.sqlite", "-o", path, *D1).stderr
+    assert said == f"9 shapes: distances in {path}, ids in {folder / 'run.ids'}\n"
+    return path
+
+
+def test_a_matrix_is_evaluated_as_its_signatures_are(folder: Path, matrix: Path) -> None:
+    own = document("evaluate", "-c", folder / "c.sqlite", *D1)
+    found = document("evaluate", "-c", folder / "c.sqlite", "--matrix", matrix)
+    assert {name: found[name] for name in MEASURES} == {name: own[name] for name in MEASURES}
+    assert found["n_failed"] == 1
+    assert found["matrix"] == str(matrix)
+    assert found["map"] != document("evaluate", "-c", folder / "c.sqlite")["map"]
+    said = run("evaluate", "-c", folder / "c.sqlite", "--matrix", matrix).stderr
+    assert said == f"10 queries in 9 shapes, 1 failed ones count as misses; distances of {matrix}\n"
+
+
+def test_a_matrix_and_labels_are_enough(folder: Path, matrix: Path) -> None:
+    result = run("evaluate", "--matrix", matrix, "--labels", folder / "labels.csv", "--json")
+    assert "names 1 shapes that are not among those ranked, such as broken.off" in result.stderr
+    found = json.loads(result.stdout)
+    assert (found["n_queries"], found["n_failed"], found["n_shapes"]) == (9, 0, 9)
+    assert run("evaluate", "--matrix", matrix, code=2).stderr.endswith(
+        "give --catalogue, or both --matrix and --labels\n"
+    )
+
+
+def test_queries_and_pages_rank_by_a_matrix(folder: Path, matrix: Path) -> None:
+    query = ("query", "-c", folder / "c.sqlite", folder / "10.off", "-k", 4)
+    assert run(*query, "--matrix", matrix).stdout == run(*query, *D1).stdout != run(*query).stdout
+    page, own = folder / "page.html", folder / "own.html"
+    run("report", "-c", folder / "c.sqlite", "-o", page, "--matrix", matrix, "--queries", 2)
+    run("report", "-c", folder / "c.sqlite", "-o", own, *D1, "--queries", 2)
+    text, expected = (path.read_text(encoding="utf-8") for path in (page, own))
+    assert "a matrix of 9 shapes" in text
+    for mark in ("<article", "<polyline"):
+        parts = (one[one.index(mark) : one.index("</section>", one.index(mark))] for one in (text, expected))
+        assert len(set(parts)) == 1, mark
+
+
+def test_a_scan_that_the_catalogue_does_not_hold_has_no_row(
+    folder: Path, matrix: Path, tmp_path: Path
+) -> None:
+    write_mesh(shapes.ellipsoid((1, 2, 3), subdivisions=3), tmp_path / "new.off")
+    refused = run(
+        "query", "-c", folder / "c.sqlite", tmp_path / "new.off", "--matrix", matrix, code=1
+    ).exception
+    assert "a distance matrix ranks shapes of" in str(refused)
+    assert "which does not hold" in str(refused)
+
+
+def test_shapes_that_nobody_knows(folder: Path, tmp_path: Path) -> None:
+    np.savetxt(tmp_path / "run.txt", np.zeros((2, 2)))
+    (tmp_path / "run.ids").write_text("00\nstranger\n")
+    for command in (("evaluate",), ("report", "-o", tmp_path / "page.html")):
+        refused = run(*command, "-c", folder / "c.sqlite", "--matrix", tmp_path / "run.txt", code=1).exception
+        assert "must be of shapes in" in str(refused)
+        assert "got 1 others, such as 'stranger'" in str(refused)
+
+
+def test_shapes_that_the_matrix_leaves_out_are_misses(folder: Path, matrix: Path, tmp_path: Path) -> None:
+    whole = read_matrix(matrix)
+    np.savetxt(tmp_path / "run.txt", whole.values[:-1, :-1])
+    (tmp_path / "run.ids").write_text("\n".join(whole.ids[:-1]))
+    found = document("evaluate", "-c", folder / "c.sqlite", "--matrix", tmp_path / "run.txt")
+    assert (found["n_queries"], found["n_failed"], found["n_shapes"]) == (10, 2, 8)
+
+
+def test_a_matrix_leaves_nothing_to_be_chosen(folder: Path, matrix: Path) -> None:
+    refused = run("evaluate", "-c", folder / "c.sqlite", "--matrix", matrix, *D1, code=2)
+    assert "a matrix holds distances already: leave out --distance, --whitening" in refused.stderr
