@@ -85,12 +85,12 @@ def as_geometry(geometry: GeometryLike) -> PointCloud | TriangleMesh:
     return PointCloud(points, normals) if faces is None else TriangleMesh(points, faces)
 
 
-def as_mesh(mesh: MeshLike) -> TriangleMesh:
+def as_mesh(mesh: GeometryLike) -> TriangleMesh:
     """The surface that a value stands for.
 
     Parameters
     ----------
-    mesh : MeshLike
+    mesh : GeometryLike
         As in `as_geometry`.
 
     Returns
@@ -112,12 +112,12 @@ def as_mesh(mesh: MeshLike) -> TriangleMesh:
     return geometry
 
 
-def as_cloud(cloud: CloudLike) -> PointCloud:
+def as_cloud(cloud: GeometryLike) -> PointCloud:
     """The point cloud that a value stands for; of a surface, its vertices.
 
     Parameters
     ----------
-    cloud : CloudLike
+    cloud : GeometryLike
         As in `as_geometry`.
 
     Returns

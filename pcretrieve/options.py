@@ -11,8 +11,9 @@ from __future__ import annotations
 import hashlib
 import json
 import sys
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, TypeAlias
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 
@@ -26,6 +27,7 @@ else:
 
 __all__ = [
     "MergeOptions",
+    "OptionsLike",
     "PipelineOptions",
     "RemeshOptions",
     "RetrievalOptions",
@@ -293,6 +295,10 @@ class RetrievalOptions(_Options):
     """Seed of the random assignment of classes to folds."""
 
 
+#: What public functions take for options: see `PipelineOptions.of`.
+OptionsLike: TypeAlias = "PipelineOptions | Mapping[str, Any] | str | Path | None"
+
+
 class PipelineOptions(_Options):
     """The options of all stages. `PipelineOptions()` are the defaults; docs/decisions.md has the reasons."""
 
@@ -352,6 +358,9 @@ class PipelineOptions(_Options):
         PipelineOptions
             The options of `base` with the changes of the preset.
 
+        #: What public functions take for options: see `PipelineOptions.of`.
+        OptionsLike: TypeAlias = "PipelineOptions | Mapping[str, Any] | str | Path | None"
+
         Raises
         ------
         OptionError
@@ -385,6 +394,41 @@ class PipelineOptions(_Options):
         if str(name) in PRESETS and not Path(name).exists():
             return cls.preset(str(name), base)
         return cls.from_toml(name, base)
+
+    @classmethod
+    def of(cls, options: OptionsLike, base: PipelineOptions | None = None) -> PipelineOptions:
+        """The options that a value stands for, as public functions take them.
+
+        Parameters
+        ----------
+        options : PipelineOptions, mapping, str, Path or None
+            Options; a mapping of stages to options with their values, such as ``{"signature": {"n_values":
+            45}}``; the name of a preset or of a TOML file; None for `base`.
+        base : PipelineOptions, optional
+            The values of options that a mapping, a preset or a file does not name. By default the defaults.
+
+        Returns
+        -------
+        PipelineOptions
+            The options themselves, or those named with the rest of `base`.
+
+        Raises
+        ------
+        OptionError
+            If the value stands for no options, or has an unknown option or an invalid value.
+        """
+        if options is None:
+            return base or cls()
+        if isinstance(options, cls):
+            return options
+        if isinstance(options, (str, Path)):
+            return cls.named(options, base)
+        if isinstance(options, Mapping):
+            return (base or cls()).changed(**options)
+        raise OptionError(
+            "options must be PipelineOptions, a mapping such as {'signature': {'n_values': 45}}, or the name "
+            f"of a preset ({', '.join(PRESETS)}) or of a TOML file, got {type(options).__name__}"
+        )
 
     def changed(self, **stages: dict[str, Any]) -> PipelineOptions:
         """A copy with some options replaced, such as ``options.changed(surface={"mode": "keep"})``.

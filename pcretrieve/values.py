@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from pcretrieve.errors import InputError
 
-__all__ = ["Value", "locked", "numbers"]
+__all__ = ["Value", "as_array", "locked", "numbers"]
 
 
 class Value:
@@ -125,3 +125,31 @@ def locked(
         raise InputError(f"{name} must be whole numbers below 2³¹, got {n_bad} that are not")
     array.flags.writeable = False
     return array
+
+
+def as_array(values: NDArray[Any], dtype: Any = None, copy: bool | None = None) -> NDArray[Any]:
+    """What ``__array__`` gives of a value that one array stands for, by the protocol of numpy 1 and 2.
+
+    Parameters
+    ----------
+    values : ndarray
+        The array of the value.
+    dtype : dtype, optional
+        The type asked for; by default the array's own.
+    copy : bool, optional
+        Whether a copy must be made (True) or must not (False); by default only where the type asks for it.
+
+    Returns
+    -------
+    ndarray
+        The array itself, read-only, or a copy that can be written to.
+
+    Raises
+    ------
+    ValueError
+        If no copy may be made and the type asks for one.
+    """
+    converts = dtype is not None and np.dtype(dtype) != values.dtype
+    if copy is False and converts:
+        raise ValueError(f"values of type {values.dtype} must be copied to become {np.dtype(dtype)}")
+    return values.astype(dtype if converts else values.dtype) if copy or converts else values

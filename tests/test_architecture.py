@@ -62,7 +62,7 @@ DOORS = {
 SLOW = {*DOORS, "trimesh"}
 
 # Stages from a scan to a signature, which one module alone puts together.
-COMPOSED = {"formats", "scan", "surface", "spectral", "descriptors"}
+COMPOSED = {"scan", "surface", "spectral", "descriptors"}
 
 
 class Import(NamedTuple):
@@ -143,7 +143,7 @@ def test_nothing_but_the_pipeline_composes_the_stages() -> None:
         # Benchmarks hold what single stages make against the truth.
         if len(rooms_used(path) & COMPOSED) > 2 and room(path) != "benchmarks"
     }
-    assert composing == {"__init__.py", "pipeline/process.py"}
+    assert composing == {"pipeline/process.py"}
 
 
 def test_third_parties_have_one_door_each(source: Path) -> None:

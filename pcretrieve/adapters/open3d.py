@@ -24,7 +24,8 @@ __all__ = [
     "RayScene",
     "estimate_normals",
     "feature_histograms",
-    "geometry_arrays",
+    "open3d_cloud",
+    "open3d_mesh",
     "orient_by_tangent_planes",
     "poisson",
     "simplify",
@@ -56,46 +57,6 @@ def _open3d() -> Any:
 # --- exchange ----------------------------------------------------------------------------------------
 
 
-def geometry_arrays(geometry: object) -> tuple[FloatArray, IntArray | None, FloatArray | None]:
-    """The arrays of an Open3D point cloud or triangle mesh, of the legacy or the tensor interface.
-
-    Parameters
-    ----------
-    geometry : open3d geometry
-        A point cloud or a triangle mesh.
-
-    Returns
-    -------
-    points : (n, 3) float64
-        Coordinates of the points, or of the vertices.
-    faces : (m, 3) int32 or None
-        Vertex numbers of each face; None for a point cloud.
-    normals : (n, 3) float64 or None
-        Unit normals of a point cloud that has normals.
-
-    Raises
-    ------
-    TypeError
-        If the argument is of another type.
-    """
-    o3d = _open3d()
-    if isinstance(geometry, (o3d.t.geometry.PointCloud, o3d.t.geometry.TriangleMesh)):
-        geometry = geometry.to_legacy()
-    if isinstance(geometry, o3d.geometry.TriangleMesh):
-        return np.array(geometry.vertices), np.array(geometry.triangles), None
-    if isinstance(geometry, o3d.geometry.PointCloud):
-        return np.array(geometry.points), None, _unit_normals(geometry)
-    raise TypeError(f"neither a point cloud nor a triangle mesh: {type(geometry).__name__}")
-
-
-def _unit_normals(cloud: Any) -> FloatArray | None:
-    if not cloud.has_normals():
-        return None
-    normals = np.array(cloud.normals)
-    length = np.linalg.norm(normals, axis=1, keepdims=True)
-    return normals / np.where(length > 0, length, 1)
-
-
 def _vectors(values: FloatArray) -> Any:
     """A copy, because Open3D does not accept read-only arrays."""
     return _open3d().utility.Vector3dVector(np.array(values, dtype=np.float64))
@@ -104,7 +65,21 @@ def _vectors(values: FloatArray) -> Any:
 # --- points -------------------------------------------------------------------------------------------
 
 
-def _cloud(points: FloatArray, normals: FloatArray | None = None) -> Any:
+def open3d_cloud(points: FloatArray, normals: FloatArray | None = None) -> Any:
+    """A point cloud of Open3D.
+
+    Parameters
+    ----------
+    points : (n, 3) float64
+        In any unit.
+    normals : (n, 3) float64, optional
+        Normals of the points.
+
+    Returns
+    -------
+    open3d.geometry.PointCloud
+        With copies of the arrays.
+    """
     o3d = _open3d()
     cloud = o3d.geometry.PointCloud(_vectors(points))
     if normals is not None:
@@ -129,7 +104,7 @@ def statistical_inliers(points: FloatArray, *, n_neighbors: int, std_ratio: floa
     (k,) int
         Positions of the points that are kept, ascending.
     """
-    cloud = _cloud(Frame.around(points, offset=DOUBLE_OFFSET).inward(points))
+    cloud = open3d_cloud(Frame.around(points, offset=DOUBLE_OFFSET).inward(points))
     _, kept = cloud.remove_statistical_outlier(nb_neighbors=n_neighbors, std_ratio=std_ratio)
     return np.sort(np.asarray(kept, dtype=np.intp))
 
@@ -150,7 +125,7 @@ def estimate_normals(points: FloatArray, *, n_neighbors: int) -> FloatArray:
         Unit normals of arbitrary sign.
     """
     o3d = _open3d()
-    cloud = _cloud(Frame.around(points, offset=DOUBLE_OFFSET).inward(points))
+    cloud = open3d_cloud(Frame.around(points, offset=DOUBLE_OFFSET).inward(points))
     cloud.estimate_normals(o3d.geometry.KDTreeSearchParamKNN(n_neighbors))
     return np.array(cloud.normals)
 
@@ -179,7 +154,7 @@ def orient_by_tangent_planes(points: FloatArray, normals: FloatArray, *, n_neigh
     ----------
     .. [1] Hoppe et al., "Surface reconstruction from unorganized points", SIGGRAPH 1992.
     """
-    cloud = _cloud(Frame.around(points, offset=DOUBLE_OFFSET).inward(points), normals)
+    cloud = open3d_cloud(Frame.around(points, offset=DOUBLE_OFFSET).inward(points), normals)
     try:
         cloud.orient_normals_consistent_tangent_plane(n_neighbors)
     except RuntimeError as error:  # from Qhull: the points coincide in its precision
@@ -194,7 +169,21 @@ def orient_by_tangent_planes(points: FloatArray, normals: FloatArray, *, n_neigh
 # --- surfaces -----------------------------------------------------------------------------------------
 
 
-def _mesh(vertices: FloatArray, faces: IntArray) -> Any:
+def open3d_mesh(vertices: FloatArray, faces: IntArray) -> Any:
+    """A triangle mesh of Open3D.
+
+    Parameters
+    ----------
+    vertices : (n, 3) float64
+        In any unit.
+    faces : (m, 3) int32
+        Vertex numbers.
+
+    Returns
+    -------
+    open3d.geometry.TriangleMesh
+        With copies of the arrays.
+    """
     o3d = _open3d()
     return o3d.geometry.TriangleMesh(_vectors(vertices), o3d.utility.Vector3iVector(faces.copy()))
 
@@ -235,7 +224,7 @@ def poisson(
     framed = frame.inward(points)
     _check_resolved(framed)
     mesh, density = _open3d().geometry.TriangleMesh.create_from_point_cloud_poisson(
-        _cloud(framed, normals), depth=depth, scale=scale, n_threads=1
+        open3d_cloud(framed, normals), depth=depth, scale=scale, n_threads=1
     )
     vertices = np.array(mesh.vertices)
     if not np.isfinite(vertices).all():
@@ -286,7 +275,7 @@ def simplify(vertices: FloatArray, faces: IntArray, *, n_faces: int) -> tuple[Fl
     # vertices. It computes in double precision here: ordinary lengths need no frame.
     if ORDINARY[0] <= diagonal(vertices) <= ORDINARY[1]:
         frame = Frame(np.zeros(3), 1.0)
-    mesh = _mesh(frame.inward(vertices), faces).simplify_quadric_decimation(n_faces)
+    mesh = open3d_mesh(frame.inward(vertices), faces).simplify_quadric_decimation(n_faces)
     return frame.outward(np.array(mesh.vertices)), np.array(mesh.triangles, dtype=np.int32)
 
 
@@ -368,5 +357,7 @@ def feature_histograms(points: FloatArray, normals: FloatArray, *, radius: float
     o3d = _open3d()
     frame = Frame.around(points, offset=DOUBLE_OFFSET)
     search = o3d.geometry.KDTreeSearchParamRadius(radius / frame.size)
-    features = o3d.pipelines.registration.compute_fpfh_feature(_cloud(frame.inward(points), normals), search)
+    features = o3d.pipelines.registration.compute_fpfh_feature(
+        open3d_cloud(frame.inward(points), normals), search
+    )
     return np.array(features.data.T)  # (n, 33)

@@ -8,8 +8,9 @@ from pathlib import Path
 import numpy as np
 
 from pcretrieve.atomic import replace_file
+from pcretrieve.conversion import CloudLike, as_cloud
 from pcretrieve.errors import InputError
-from pcretrieve.types import FloatArray, PointCloud
+from pcretrieve.types import FloatArray
 
 __all__ = ["SUFFIXES", "write_cloud"]
 
@@ -26,12 +27,12 @@ NAMES = {
 }
 
 
-def write_cloud(cloud: PointCloud, path: str | Path) -> None:
+def write_cloud(cloud: CloudLike, path: str | Path) -> None:
     """Write points with their normals and the positions of their sensors, in one atomic step.
 
     Parameters
     ----------
-    cloud : PointCloud
+    cloud : CloudLike
         The points; their unit is that of the file.
     path : str or Path
         The file. ``.ply`` (double precision) and ``.pcd`` (single precision) store the position of the sensor
@@ -44,7 +45,7 @@ def write_cloud(cloud: PointCloud, path: str | Path) -> None:
         If the suffix is not one of ``.ply .pcd .xyzn``, it is ``.xyzn`` and the points have no normals, or
         the file cannot be written.
     """
-    path = Path(path)
+    cloud, path = as_cloud(cloud), Path(path)
     suffix = path.suffix.lower()
     if suffix not in SUFFIXES:
         raise InputError(f"a point file must end in one of {' '.join(SUFFIXES)}, got {path.name}")

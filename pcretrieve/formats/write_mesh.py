@@ -6,21 +6,21 @@ from pathlib import Path
 from typing import Any
 
 from pcretrieve.atomic import replace_file
+from pcretrieve.conversion import MeshLike, as_mesh
 from pcretrieve.errors import InputError
-from pcretrieve.types import TriangleMesh
 
 __all__ = ["write_mesh"]
 
 SUFFIXES = (".ply", ".obj", ".off", ".stl", ".glb")
 
 
-def write_mesh(mesh: TriangleMesh, path: str | Path) -> None:
+def write_mesh(mesh: MeshLike, path: str | Path) -> None:
     """Write a mesh to a file, in the format of the suffix, in one atomic step.
 
     Parameters
     ----------
-    mesh : TriangleMesh
-        The mesh; its unit is that of the file.
+    mesh : MeshLike
+        The mesh, of this package or another (see `as_mesh`); its unit is that of the file.
     path : str or Path
         The file, with one of the suffixes ``.ply .obj .off .stl .glb``. An existing file is replaced.
 
@@ -31,7 +31,7 @@ def write_mesh(mesh: TriangleMesh, path: str | Path) -> None:
     """
     import trimesh
 
-    path = Path(path)
+    mesh, path = as_mesh(mesh), Path(path)
     if path.suffix.lower() not in SUFFIXES:
         raise InputError(f"a mesh file must end in one of {' '.join(SUFFIXES)}, got {path.name}")
     data: Any = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False).export(

@@ -15,6 +15,7 @@ from scipy.spatial import cKDTree
 from pcretrieve.adapters.open3d import RayScene
 from pcretrieve.descriptors import describe
 from pcretrieve.errors import OptionError, ShapeError
+from pcretrieve.formats.scans import ScanLike, as_scan
 from pcretrieve.ingest.discover import printable
 from pcretrieve.inspection.checks import (
     VERDICTS,
@@ -29,8 +30,8 @@ from pcretrieve.inspection.checks import (
     surface_checks,
 )
 from pcretrieve.inspection.inspection import Inspection
-from pcretrieve.options import PipelineOptions
-from pcretrieve.pipeline.process import Seen, as_scan, described_shape, placed, signature, surface_stages
+from pcretrieve.options import OptionsLike, PipelineOptions
+from pcretrieve.pipeline.process import Seen, described_shape, placed, signature, surface_stages
 from pcretrieve.surface import (
     sampled,
     sound_mesh,
@@ -57,15 +58,17 @@ DROPPED = 1.1
 RESCAN_SHARE = 0.9
 
 
-def inspect_scan(scan: object, options: PipelineOptions | None = None, *, n_rescans: int = 4) -> Inspection:
+def inspect_scan(scan: ScanLike, options: OptionsLike = None, *, n_rescans: int = 4) -> Inspection:
     """Everything that can be seen of a scan and of what the stages made of it.
 
     A scan that fails is inspected as far as the stages came.
 
     Parameters
     ----------
-    scan : path, PointCloud, TriangleMesh, (n, 3) array, or Open3D geometry (legacy or tensor)
-    options : PipelineOptions, optional
+    scan : ScanLike
+        A path, an array, or geometry of this package, Open3D, trimesh or PyVista; see `as_geometry`.
+    options : OptionsLike, optional
+        Options, a preset's name, a TOML file, or a mapping; see `PipelineOptions.of`.
     n_rescans : int, default 4
         As `signature_spread`; 0 leaves the error bar out.
 
@@ -80,7 +83,7 @@ def inspect_scan(scan: object, options: PipelineOptions | None = None, *, n_resc
         If `scan` is nothing that a scan can be made of, or `n_rescans` is 1 or negative.
     """
     # The form alone: in its picture, a size in the unit of the file would dwarf all other values.
-    options = (options or PipelineOptions()).changed(signature={"size_weight": 0})
+    options = PipelineOptions.of(options).changed(signature={"size_weight": 0})
     if n_rescans:
         _check_rescans(n_rescans, RESCAN_SHARE)
     path = printable(scan) if isinstance(scan, (str, Path)) else ""
@@ -95,8 +98,8 @@ def inspect_scan(scan: object, options: PipelineOptions | None = None, *, n_resc
 
 
 def signature_spread(
-    scan: object,
-    options: PipelineOptions | None = None,
+    scan: ScanLike,
+    options: OptionsLike = None,
     *,
     n: int = 4,
     share: float = RESCAN_SHARE,
@@ -110,8 +113,10 @@ def signature_spread(
 
     Parameters
     ----------
-    scan : path, PointCloud, TriangleMesh, (n, 3) array, or Open3D geometry (legacy or tensor)
-    options : PipelineOptions, optional
+    scan : ScanLike
+        A path, an array, or geometry of this package, Open3D, trimesh or PyVista; see `as_geometry`.
+    options : OptionsLike, optional
+        Options, a preset's name, a TOML file, or a mapping; see `PipelineOptions.of`.
     n : int, default 4
         How many parts are taken.
     share : float, default 0.9
@@ -136,7 +141,7 @@ def signature_spread(
     ShapeError
         If the scan, or a part of it, has no usable surface.
     """
-    options = options or PipelineOptions()
+    options = PipelineOptions.of(options)
     _check_rescans(n, share)
     value = as_scan(scan)
     described = signature(value, options)

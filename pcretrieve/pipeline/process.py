@@ -17,7 +17,6 @@ from pcretrieve.adapters import tetwild
 from pcretrieve.descriptors import describe
 from pcretrieve.errors import (
     DegenerateMeshError,
-    InputError,
     PcretrieveError,
     ReconstructionError,
     ShapeError,
@@ -25,8 +24,8 @@ from pcretrieve.errors import (
     in_stage,
     shape_error,
 )
-from pcretrieve.formats import read_scan
-from pcretrieve.options import PipelineOptions
+from pcretrieve.formats.scans import ScanLike, as_scan
+from pcretrieve.options import OptionsLike, PipelineOptions
 from pcretrieve.scan import clean, oriented_normals
 from pcretrieve.spectral import eigenpairs, laplace_beltrami, star_mesh, unit_eigenpairs
 from pcretrieve.surface import (
@@ -53,7 +52,6 @@ from pcretrieve.types import (
 
 __all__ = [
     "Seen",
-    "as_scan",
     "described_shape",
     "placed",
     "process",
@@ -87,13 +85,15 @@ class Seen:
     others: tuple[TriangleMesh, ...] = ()
 
 
-def signature(scan: object, options: PipelineOptions | None = None) -> Signature:
+def signature(scan: ScanLike, options: OptionsLike = None) -> Signature:
     """The signature of one scan.
 
     Parameters
     ----------
-    scan : path, PointCloud, TriangleMesh, (n, 3) array, or Open3D geometry (legacy or tensor)
-    options : PipelineOptions, optional
+    scan : ScanLike
+        A path, an array, or geometry of this package, Open3D, trimesh or PyVista; see `as_geometry`.
+    options : OptionsLike, optional
+        Options, a preset's name, a TOML file, or a mapping; see `PipelineOptions.of`.
 
     Returns
     -------
@@ -105,14 +105,14 @@ def signature(scan: object, options: PipelineOptions | None = None) -> Signature
     ShapeError
         If the scan cannot be read or has no usable surface.
     """
-    options = options or PipelineOptions()
+    options = PipelineOptions.of(options)
     shape = process(scan, options)
     with placed(scan), in_stage(Stage.SIGNATURE):
         described = describe(shape, options.signature)
     return replace(described, digest=options.signature_digest)
 
 
-def reconstruct(scan: object, options: PipelineOptions | None = None) -> TriangleMesh:
+def reconstruct(scan: ScanLike, options: OptionsLike = None) -> TriangleMesh:
     """The surface of one scan: closed, connected, manifold, pointing outwards.
 
     A mesh that is all of that already is used as it is, unless ``options.surface.mode`` says otherwise; with
@@ -121,8 +121,10 @@ def reconstruct(scan: object, options: PipelineOptions | None = None) -> Triangl
 
     Parameters
     ----------
-    scan : path, PointCloud, TriangleMesh, (n, 3) array, or Open3D geometry (legacy or tensor)
-    options : PipelineOptions, optional
+    scan : ScanLike
+        A path, an array, or geometry of this package, Open3D, trimesh or PyVista; see `as_geometry`.
+    options : OptionsLike, optional
+        Options, a preset's name, a TOML file, or a mapping; see `PipelineOptions.of`.
 
     Raises
     ------
@@ -130,7 +132,7 @@ def reconstruct(scan: object, options: PipelineOptions | None = None) -> Triangl
         If the scan cannot be read or has no usable surface.
     """
     with placed(scan):
-        options = options or PipelineOptions()
+        options = PipelineOptions.of(options)
         *_, last = surface_stages(scan, options.changed(surface={"reconstructions": 1}))
     if last.mesh is None:
         raise TypeError("the last stage always has a surface")
@@ -289,32 +291,6 @@ def _largest_piece(
     stiffness, mass = (csc_array(full[:, kept][kept]) for full in (operator.stiffness, operator.mass))
     note = f"dropped {len(share) - 1} loose pieces with {1 - share.max():.1%} of the points"
     return cloud.select(kept), LaplaceBeltrami(stiffness, mass), (note,)
-
-
-def as_scan(scan: object) -> PointCloud | TriangleMesh:
-    """The scan as one of pcretrieve's own types.
-
-    Raises
-    ------
-    InputError
-        If it is nothing that a scan can be made of.
-    """
-    if isinstance(scan, (PointCloud, TriangleMesh)):
-        return scan
-    if isinstance(scan, (str, Path)):
-        return read_scan(scan)
-    if isinstance(scan, np.ndarray):
-        return PointCloud(scan)
-    from pcretrieve.adapters.open3d import geometry_arrays
-
-    try:
-        points, faces, normals = geometry_arrays(scan)
-    except TypeError as error:
-        raise InputError(
-            "a scan must be a path, an (n, 3) array, a PointCloud, a TriangleMesh, or an Open3D point cloud "
-            f"or triangle mesh, got {type(scan).__name__}"
-        ) from error
-    return PointCloud(points, normals) if faces is None else TriangleMesh(points, faces)
 
 
 def _mesh_moved(mesh: TriangleMesh, by: FloatArray) -> TriangleMesh:

@@ -7,7 +7,7 @@ display. The virtual camera, the lamps and the ray casting of all pictures are h
 from pcretrieve.rendering.camera import MARGIN, Camera, body_axes, cameras_around
 from pcretrieve.rendering.pictures import Colour, css, point_picture, rgb, surface_picture
 from pcretrieve.rendering.shading import CLAY
-from pcretrieve.rendering.thumbnail import cloud_thumbnail, thumbnail
+from pcretrieve.rendering.thumbnail import cloud_thumbnail, picture_html, thumbnail
 
 __all__ = [
     "CLAY",
@@ -18,6 +18,7 @@ __all__ = [
     "cameras_around",
     "cloud_thumbnail",
     "css",
+    "picture_html",
     "point_picture",
     "rgb",
     "surface_picture",

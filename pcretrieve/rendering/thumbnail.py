@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from base64 import b64encode
+from html import escape
 from io import BytesIO
 
 import numpy as np
@@ -21,7 +23,7 @@ from pcretrieve.rendering.camera import (
 from pcretrieve.rendering.pictures import point_picture
 from pcretrieve.rendering.shading import CLAY, face_brightness
 
-__all__ = ["cloud_thumbnail", "thumbnail"]
+__all__ = ["cloud_thumbnail", "picture_html", "thumbnail"]
 
 # The palette has one entry for the background, and one for each brightness at each coverage, at most 256 in
 # all. It reduces the size of a file to a third.
@@ -115,6 +117,27 @@ def cloud_thumbnail(points: FloatArray, *, size: int = 160) -> bytes:
     file = BytesIO()
     point_picture(shown, bright * CLAY, camera, width=spacing, size=size).save(file, "PNG", optimize=True)
     return file.getvalue()
+
+
+def picture_html(picture: bytes | None, words: str) -> str:
+    """A picture with words below it, for notebooks.
+
+    Parameters
+    ----------
+    picture : bytes or None
+        PNG; None for words alone.
+    words : str
+        Plain text.
+
+    Returns
+    -------
+    str
+        HTML without links.
+    """
+    image = ""
+    if picture is not None:
+        image = f'<img alt="" src="data:image/png;base64,{b64encode(picture).decode("ascii")}"><br>'
+    return f"<div>{image}<code>{escape(words)}</code></div>"
 
 
 def _framed(vertices: FloatArray, faces: IntArray) -> FloatArray:

@@ -9,13 +9,14 @@ import numpy as np
 from scipy.sparse import csc_array, diags_array
 from scipy.sparse.csgraph import connected_components
 
+from pcretrieve.conversion import GeometryLike, as_geometry
 from pcretrieve.errors import DegenerateMeshError, InputError, OptionError
 from pcretrieve.spectral.cubic import cubic
 from pcretrieve.spectral.elements import Assembled
 from pcretrieve.spectral.intrinsic_delaunay import intrinsic_delaunay
 from pcretrieve.spectral.linear import linear
 from pcretrieve.spectral.points import points
-from pcretrieve.types import FloatArray, LaplaceBeltrami, PointCloud, TriangleMesh
+from pcretrieve.types import LaplaceBeltrami, TriangleMesh
 
 __all__ = ["ELEMENTS", "laplace_beltrami"]
 
@@ -30,7 +31,7 @@ LUMPED = {"intrinsic-delaunay", "points"}
 
 
 def laplace_beltrami(
-    surface: TriangleMesh | PointCloud | FloatArray,
+    surface: GeometryLike,
     element: str = "linear",
     *,
     mass: Literal["consistent", "lumped"] | None = None,
@@ -40,8 +41,9 @@ def laplace_beltrami(
 
     Parameters
     ----------
-    surface : TriangleMesh, or for points a PointCloud or (n, 3) float64
-        A surface, with or without boundary, in which every vertex is in a face; or the points of one.
+    surface : GeometryLike
+        What stands for a TriangleMesh, or for the element ``points`` a PointCloud (see `as_geometry`): a
+        surface, with or without boundary, in which every vertex is in a face; or the points of one.
     element : {"linear", "cubic", "intrinsic-delaunay", "points"}, default "linear"
         Discretisation. ``linear``: linear Lagrange elements, order 2. ``cubic``: cubic ones, order 6 on flat
         surfaces. ``intrinsic-delaunay``: linear elements on the intrinsic Delaunay triangulation, for badly
@@ -73,6 +75,7 @@ def laplace_beltrami(
         If the element is not defined on this surface; or, with the Dirichlet boundary condition, if a
         component has no boundary, or there is no interior node.
     """
+    geometry = as_geometry(surface)
     _one_of("element", element, (*ELEMENTS, "points"))
     _one_of("mass", mass, (None, "consistent", "lumped"))
     _one_of("boundary", boundary, ("neumann", "dirichlet"))
@@ -83,13 +86,13 @@ def laplace_beltrami(
             raise OptionError(
                 "element 'points' has boundary='neumann' only: a cloud does not say where it ends"
             )
-        if isinstance(surface, TriangleMesh):
+        if isinstance(geometry, TriangleMesh):
             raise InputError("element 'points' needs a PointCloud or an (n, 3) array, got a TriangleMesh")
-        assembled = points(surface if isinstance(surface, PointCloud) else PointCloud(surface))
+        assembled = points(geometry)
     else:
-        if not isinstance(surface, TriangleMesh):
+        if not isinstance(geometry, TriangleMesh):
             raise InputError(f"element {element!r} needs a TriangleMesh, got {type(surface).__name__}")
-        assembled = ELEMENTS[element](surface)
+        assembled = ELEMENTS[element](geometry)
 
     # The stiffness of a single edge can be zero (between two right angles). But the indicator function of a
     # proper subset of the nodes of a component has a non-zero gradient, so that not all entries between the

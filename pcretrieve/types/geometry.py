@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcretrieve.arrays import FloatArray, IntArray
-from pcretrieve.errors import InputError
+from pcretrieve.errors import DegenerateMeshError, InputError
 from pcretrieve.values import Value, locked, numbers
 
 __all__ = ["PointCloud", "Step", "TriangleMesh", "bounding_diagonal"]
@@ -99,6 +99,35 @@ class PointCloud(Value):
             viewpoints=None if self.viewpoints is None else self.viewpoints[index],
         )
 
+    def to_open3d(self) -> Any:
+        """An ``open3d.geometry.PointCloud`` with the points and the normals, without sensor positions."""
+        from pcretrieve.adapters.open3d import open3d_cloud
+
+        return open3d_cloud(self.points, self.normals)
+
+    def to_trimesh(self) -> Any:
+        """A ``trimesh.PointCloud`` with the points; normals and sensor positions are left out."""
+        from pcretrieve.adapters.trimesh import trimesh_cloud
+
+        return trimesh_cloud(self.points)
+
+    def plot(self, axes: Any = None) -> Any:
+        """Draw the points by matplotlib (the extra ``plot``), into `axes` of a 3-D plot or a new figure."""
+        from pcretrieve.adapters.matplotlib import plot_points
+
+        return plot_points(self.points, axes)
+
+    def __repr__(self) -> str:
+        parts = [f"{len(self.points):,} points"]
+        parts += ["normals"] if self.normals is not None else []
+        parts += ["sensor positions"] if self.viewpoints is not None else []
+        return f"PointCloud({', '.join(parts)}; diagonal {self.diagonal:.4g} file units)"
+
+    def _repr_html_(self) -> str:
+        from pcretrieve.rendering import cloud_thumbnail, picture_html
+
+        return picture_html(cloud_thumbnail(self.points) if len(self.points) else None, repr(self))
+
     def after(self, step: Step) -> PointCloud:
         """The same cloud with one more step in its provenance."""
         return replace(self, provenance=(*self.provenance, step))
@@ -181,6 +210,37 @@ class TriangleMesh(Value):
             *ends
         )  # (m, 3): one number for each unordered pair of vertices
         return len(np.unique(self.faces)) - len(np.unique(edges)) + len(self.faces)
+
+    def to_open3d(self) -> Any:
+        """An ``open3d.geometry.TriangleMesh`` with the same vertices and faces."""
+        from pcretrieve.adapters.open3d import open3d_mesh
+
+        return open3d_mesh(self.vertices, self.faces)
+
+    def to_trimesh(self) -> Any:
+        """A ``trimesh.Trimesh`` with the same vertices and faces, in the same order."""
+        from pcretrieve.adapters.trimesh import trimesh_mesh
+
+        return trimesh_mesh(self.vertices, self.faces)
+
+    def plot(self, axes: Any = None) -> Any:
+        """Draw the surface by matplotlib (the extra ``plot``), into `axes` of a 3-D plot or a new figure."""
+        from pcretrieve.adapters.matplotlib import plot_surface
+
+        return plot_surface(self.vertices, self.faces, axes)
+
+    def __repr__(self) -> str:
+        size = f"{len(self.vertices):,} vertices, {len(self.faces):,} faces"
+        return f"TriangleMesh({size}; area {self.area:.4g} file units²)"
+
+    def _repr_html_(self) -> str:
+        from pcretrieve.rendering import picture_html, thumbnail
+
+        try:
+            picture = thumbnail(self.vertices, self.faces)
+        except DegenerateMeshError:  # no area to draw
+            picture = None
+        return picture_html(picture, repr(self))
 
     def after(self, step: Step) -> TriangleMesh:
         """The same surface with one more step in its provenance."""

@@ -73,6 +73,27 @@ class Shape(Value):
         if not self.surfaces:
             raise InputError("a shape must have at least 1 surface, got none")
 
+    def __repr__(self) -> str:
+        n = len(self.surfaces)
+        held = [
+            word
+            for word, part in (
+                ("mesh", self.surfaces[0].mesh),
+                ("spectrum", self.surfaces[0].spectrum),
+                ("eigenpairs", self.surfaces[0].eigenpairs),
+                ("points", self.cloud),
+            )
+            if part is not None
+        ]
+        surfaces = "1 surface" if n == 1 else f"{n} surfaces"
+        return f"Shape({surfaces} with {', '.join(held) or 'nothing kept'}; area {self.area:.4g} file units²)"
+
+    def _repr_html_(self) -> str:
+        from pcretrieve.rendering import picture_html
+
+        mesh = self.surfaces[0].mesh
+        return picture_html(None, repr(self)) if mesh is None else mesh._repr_html_()
+
     @property
     def area(self) -> float:
         """The area of the first surface; unit length² of the file."""

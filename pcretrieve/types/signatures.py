@@ -3,19 +3,23 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal, get_args
+from typing import Any, Literal, get_args
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pcretrieve.arrays import FloatArray
 from pcretrieve.errors import InputError
-from pcretrieve.values import Value, locked
+from pcretrieve.values import Value, as_array, locked
 
 __all__ = ["Metric", "Neighbors", "Signature", "SignatureTable"]
 
 # How the values of two signatures are compared: by their logarithms, for positive values; as they are, for
 # any; or as histograms, whose bins are not negative.
 Metric = Literal["logarithms", "values", "histograms"]
+
+# Values of a signature that its representation shows.
+N_SHOWN = 3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -51,6 +55,25 @@ class Signature(Value):
         if self.deviation is not None:
             deviation = locked("deviation", self.deviation, (len(self.values),))
             object.__setattr__(self, "deviation", deviation)
+
+    def __len__(self) -> int:
+        return len(self.values)
+
+    def __array__(self, dtype: Any = None, copy: bool | None = None) -> NDArray[Any]:
+        return as_array(self.values, dtype, copy)
+
+    def __repr__(self) -> str:
+        error = "" if self.deviation is None else f", deviation up to {self.deviation.max(initial=0):.2g}"
+        shown = ", ".join(f"{value:.4g}" for value in self.values[:N_SHOWN])
+        more = ", ..." if len(self.values) > N_SHOWN else ""
+        return f"Signature({self.kind}, {len(self.values)} values [{shown}{more}]{error})"
+
+    def plot(self, axes: Any = None) -> Any:
+        """Draw values and error bars by matplotlib (the extra ``plot``), into `axes` or new ones."""
+        from pcretrieve.adapters.matplotlib import plot_signature
+
+        deviation = self.deviation if self.metric == "logarithms" else None
+        return plot_signature(self.values, self.kind, deviation, axes)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -88,6 +111,27 @@ class SignatureTable(Value):
 
     def __len__(self) -> int:
         return len(self.ids)
+
+    def __array__(self, dtype: Any = None, copy: bool | None = None) -> NDArray[Any]:
+        return as_array(self.values, dtype, copy)
+
+    def __repr__(self) -> str:
+        n_classes = len({label for label in self.labels if label is not None})
+        return (
+            f"SignatureTable({self.kind}, {len(self):,} shapes of {n_classes:,} classes, "
+            f"{self.values.shape[1]} values each)"
+        )
+
+    def columns(self) -> dict[str, list[Any]]:
+        """The table by columns: ``id``, ``label``, and one column ``v1``, ``v2``, ... for each value."""
+        values = {f"v{number}": column.tolist() for number, column in enumerate(self.values.T, start=1)}
+        return {"id": list(self.ids), "label": list(self.labels), **values}
+
+    def to_pandas(self) -> Any:
+        """A ``pandas.DataFrame`` (the extra ``tables``) with the columns of `columns`, indexed by id."""
+        from pcretrieve.adapters.pandas import data_frame
+
+        return data_frame(self.columns(), index="id")
 
 
 def _suited(values: FloatArray, metric: Metric) -> FloatArray:
@@ -131,3 +175,21 @@ class Neighbors(Value):
 
     def __len__(self) -> int:
         return len(self.ids)
+
+    def __repr__(self) -> str:
+        found = ", ".join(f"{name} {gap:.4g}" for name, gap in zip(self.ids, self.distances, strict=True))
+        return f"Neighbors({found})"
+
+    def to_pandas(self) -> Any:
+        """A ``pandas.DataFrame`` (the extra ``tables``) with the columns id and distance, indexed by rank."""
+        from pcretrieve.adapters.pandas import data_frame
+
+        ranks = list(range(1, len(self) + 1))
+        columns = {"rank": ranks, "id": list(self.ids), "distance": self.distances.tolist()}
+        return data_frame(columns, index="rank")
+
+    def plot(self, axes: Any = None) -> Any:
+        """Draw the distances as bars by matplotlib (the extra ``plot``), into `axes` or new ones."""
+        from pcretrieve.adapters.matplotlib import plot_ranking
+
+        return plot_ranking(self.ids, self.distances, axes)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -60,6 +60,9 @@ class LaplaceBeltrami(Value):
         """1ᵀM·1, unit length²; with the Dirichlet boundary condition less than the area of the surface."""
         return float(self.mass.sum())
 
+    def __repr__(self) -> str:
+        return f"LaplaceBeltrami({self.mass.shape[0]:,} nodes; area {self.area:.4g} units²)"
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Eigenpairs(Value):
@@ -100,6 +103,18 @@ class Eigenpairs(Value):
     def area(self) -> float:
         """1ᵀM·1, unit length²."""
         return float(self.mass.sum())
+
+    def __repr__(self) -> str:
+        return (
+            f"Eigenpairs({len(self.eigenvalues)} pairs on {len(self.eigenvectors):,} nodes, "
+            f"eigenvalues {self.eigenvalues[0]:.4g} to {self.eigenvalues[-1]:.4g} units⁻²)"
+        )
+
+    def plot(self, axes: Any = None) -> Any:
+        """Draw the eigenvalues by matplotlib (the extra ``plot``), into `axes` or new ones."""
+        from pcretrieve.adapters.matplotlib import plot_spectrum
+
+        return plot_spectrum(self.eigenvalues, axes)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -180,6 +195,18 @@ class ModalSpectrum(Value):
                 stage=Stage.SIGNATURE,
             )
         return self.overlaps
+
+    def __repr__(self) -> str:
+        return (
+            f"ModalSpectrum({len(self.eigenvalues)} eigenvalues {self.eigenvalues[0]:.4g} to "
+            f"{self.eigenvalues[-1]:.4g} units⁻²; area {self.area:.4g} units²)"
+        )
+
+    def plot(self, axes: Any = None) -> Any:
+        """Draw the eigenvalues by matplotlib (the extra ``plot``), into `axes` or new ones."""
+        from pcretrieve.adapters.matplotlib import plot_spectrum
+
+        return plot_spectrum(self.eigenvalues, axes)
 
     def scaled(self, area: float) -> ModalSpectrum:
         """The modal spectrum of the same surface after uniform scaling to another area."""
