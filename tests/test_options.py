@@ -285,3 +285,16 @@ def test_a_file_and_a_preset_change_the_options_that_they_are_laid_over(tmp_path
     path.write_text("[retrieval]\nwhitening = 'pca'\n")
     assert PipelineOptions.from_toml(path, base) == base.changed(retrieval={"whitening": "pca"})
     assert PipelineOptions.preset("clean-mesh", base) == base.changed(surface={"mode": "keep"})
+
+
+def test_a_name_is_a_preset_unless_there_is_such_a_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    base = PipelineOptions().changed(signature={"n_values": 45})
+    assert PipelineOptions.named("clean-mesh") == PipelineOptions.preset("clean-mesh")
+    assert PipelineOptions.named("clean-mesh", base) == PipelineOptions.preset("clean-mesh", base)
+    Path("clean-mesh").write_text("[signature]\nn_modes = 50\n")
+    assert PipelineOptions.named("clean-mesh", base) == base.changed(signature={"n_modes": 50})
+    with pytest.raises(OptionError, match="cannot read the options file nowhere"):
+        PipelineOptions.named("nowhere")

@@ -2,7 +2,7 @@
 
     .venv/bin/python scripts/benchmark_descriptors --data FOLDER
 
-needs the sets `shrec11` and `tosca` in the folder; a set that is missing is left out, and the line says so.
+needs the sets `shrec11` and `tosca` in the folder; a set that is missing is left out, with a line of output.
 Seconds are the median of the descriptor for one shape, from what the catalogue stores, on one core. Shapes
 that have no such signature count as misses. Longer than the 15 minutes that two lengths and one scale take
 on a 2.5 GHz Xeon: `--n-values 23 45 --scale relative`.

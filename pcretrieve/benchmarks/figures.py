@@ -3,7 +3,7 @@
     .venv/bin/python scripts/benchmark_figures --data FOLDER
 
 needs the sets `shrec11`, `tosca` and `stanford_dragon` in the folder; parts whose set is missing are left
-out, and a line says so. One core, one worker. About 12 minutes on a 2.5 GHz Xeon.
+out, with a line of output. One core, one worker. About 12 minutes on a 2.5 GHz Xeon.
 """
 
 from __future__ import annotations

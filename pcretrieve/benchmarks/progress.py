@@ -1,4 +1,4 @@
-"""A count of what is done, on standard error."""
+"""Progress bars on standard error."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ Thing = TypeVar("Thing")
 
 
 def progress(things: Sequence[Thing], title: str) -> Iterable[Thing]:
-    """The things one after another, counted on standard error where that is a terminal.
+    """Iterate with a progress bar on standard error, if that is a terminal.
 
     Parameters
     ----------
     things : sequence
         Any values.
     title : str
-        What is counted.
+        Text of the progress bar.
 
     Returns
     -------

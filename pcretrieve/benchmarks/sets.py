@@ -121,7 +121,7 @@ def ingested(
 
 
 def spread(things: Sequence[Thing], n: int | None) -> list[tuple[int, Thing]]:
-    """Choose some things, evenly from the first to the last.
+    """Choose elements of a sequence at equal steps, from the first to the last.
 
     Parameters
     ----------
@@ -133,7 +133,7 @@ def spread(things: Sequence[Thing], n: int | None) -> list[tuple[int, Thing]]:
     Returns
     -------
     list of (int, object)
-        Position and value of each chosen thing.
+        Position and value of each chosen element.
     """
     n = len(things) if n is None else min(n, len(things))
     return [(k, things[k]) for k in np.linspace(0, len(things) - 1, n).round().astype(int).tolist()]

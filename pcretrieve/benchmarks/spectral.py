@@ -4,7 +4,7 @@
     .venv/bin/python scripts/benchmark_spectral --data FOLDER
 
 needs the set `tosca` in the folder; without it, the meshes are bumpy spheres alone. Runs of ours and of LaPy
-take turns, so that a busy machine slows both. About 5 minutes.
+alternate, so that other load on the machine slows both. About 5 minutes.
 """
 
 from __future__ import annotations
@@ -74,7 +74,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 
 def _against_lapy(folder: Path) -> Iterator[str]:
-    """61 pairs from the mesh, matrices included; eigenvalues held against ARPACK's at full precision."""
+    """61 pairs from the mesh, matrices included; errors against ARPACK at full precision."""
     yield f"{N_PAIRS} pairs"
     yield TABLE.head
     for name, mesh in _meshes(folder):

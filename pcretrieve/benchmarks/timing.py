@@ -1,4 +1,4 @@
-"""Seconds on one core: functions that are timed by turns."""
+"""Wall-clock times on one core, of functions that are called alternately."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""One scan through the pipeline, held against the clean mesh; runs in a worker process."""
+"""One scan through the pipeline, compared with the clean mesh; runs in a worker process."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ __all__ = ["N_VALUES", "Examination", "Signatures", "clean_signatures", "examine
 N_VALUES = 23
 N_LONGER = 60
 
-# Weight of the size where it stands beside the form.
+# Weight of the size in the signatures that include the size.
 SIZE_WEIGHT = PipelineOptions.preset("body-scanner").signature.size_weight
 
 # Random points on each of two surfaces from which the distance to the other is taken; on a body, neighbouring
@@ -42,13 +42,13 @@ class Signatures(NamedTuple):
     Attributes
     ----------
     values : float64, L = 23
-        As the options say.
+        As the options say, without the size.
     relative : float64, L = 23
         Relative to the first value, as in the paper.
     longer : float64, L = 60
         Relative to the first value.
     sized : float64, L = 24
-        As the options say, with the size beside.
+        As the options say, with the size as a further value.
     """
 
     values: FloatArray
@@ -58,7 +58,7 @@ class Signatures(NamedTuple):
 
 
 class Examination(NamedTuple):
-    """What became of one scan. Lengths are relative to the diagonal of the clean mesh.
+    """The result of one scan. Lengths are relative to the diagonal of the clean mesh.
 
     Attributes
     ----------
@@ -68,15 +68,15 @@ class Examination(NamedTuple):
     stages : dict of str to float
         Seconds of each stage.
     peak : float
-        Largest resident memory meanwhile, of the process and its descendants; MiB.
+        Largest resident memory during these seconds, of the process and its descendants; MiB.
     normals : float or None
-        Share of the cleaned points whose normal points to the right side; None for meshes.
+        Share of the cleaned points whose normal points to the correct side; None for meshes.
     closed : bool
         Whether the surface is a closed manifold.
     euler : int
         Its Euler characteristic.
     mean, hausdorff : float
-        Mean and largest distance between the surfaces, both ways.
+        Mean and largest distance between the surfaces, in both directions.
     """
 
     signatures: Signatures
@@ -91,7 +91,7 @@ class Examination(NamedTuple):
 
 
 def examine(path: Path, truth: TriangleMesh, options: PipelineOptions) -> Examination:
-    """Process one scan and hold the surface and the normals against the clean mesh.
+    """Process one scan, and compare the surface and the normals with the clean mesh.
 
     Parameters
     ----------

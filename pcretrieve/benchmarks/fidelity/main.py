@@ -1,8 +1,9 @@
-"""Scan clean meshes with the virtual rig, rebuild them, and print how true the result is.
+"""Scan clean meshes virtually, reconstruct them, and print the errors against the clean meshes.
 
-The clean mesh is the truth: normals, surface and signature of each scan are held against it. Every run prints
-the same numbers, times aside, for every scan has a random generator of its own. A scan takes about 4 seconds,
-a third of them to measure: 13 minutes for the 176 meshes of both sets under one condition, on one core.
+The clean mesh is the ground truth for the normals, the surface and the signature of its scan. Every run
+prints the same numbers, except for times, because every scan has a random generator of its own. A scan takes
+about 4 seconds, a third of them for the measurements: 13 minutes for the 176 meshes of both sets under one
+condition, on one core.
 """
 
 from __future__ import annotations

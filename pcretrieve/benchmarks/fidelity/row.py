@@ -41,7 +41,7 @@ class Retrieval(NamedTuple):
     nn_within, map_within : float
         With within-class whitening by grouped folds, the only way here that needs labels.
     nn_sized, map_sized : float
-        With the size beside the form.
+        With the size as a further value, without whitening.
     nn_resolution, map_resolution : float
         Whitened by what the resolution of a surface changes.
     """

@@ -55,7 +55,7 @@ def ask(
     Returns
     -------
     list
-        The results in the order of `arguments`; None where a call failed, which is said on standard error.
+        The results in the order of `arguments`; None for a failed call, with a message on standard error.
     """
     futures: list[Future[Any]] = [pool.schedule(function, args=given, timeout=TIMEOUT) for given in arguments]
     answers = []

@@ -61,7 +61,7 @@ def drum_spectra(element: Element, n_cuts: int = DRUM_CUTS) -> FloatArray:
 
 
 def figure_6() -> Iterator[str]:
-    """Both spectra of both drums, beside the paper's.
+    """Both spectra of both drums, ours and those of the paper.
 
     Cubic elements show how far linear elements are from the exact spectrum at this size, the paper's as well
     as ours.

@@ -1,4 +1,4 @@
-"""Repeat the checks that the paper makes of its own descriptor, and print them beside what it printed.
+"""Repeat the experiments of the paper on its own descriptor, and print our figures and those of the paper.
 
     .venv/bin/python scripts/reproduce_paper --data FOLDER --plot figure7.png
 

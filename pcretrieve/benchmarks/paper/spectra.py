@@ -19,7 +19,7 @@ def unit_area_spectrum(mesh: TriangleMesh, n_modes: int) -> ModalSpectrum:
     mesh : TriangleMesh
         Connected, of any area.
     n_modes : int
-        Modes beside the constant one.
+        Number of modes, without the constant one.
 
     Returns
     -------
@@ -37,7 +37,7 @@ def reduced_eigenvalues(spectrum: ModalSpectrum, n_modes: int) -> FloatArray:
     spectrum : ModalSpectrum
         Of at least `n_modes` + 1 eigenvalues.
     n_modes : int
-        Modes of the matrix beside the constant one.
+        Number of modes of the matrix, without the constant one.
 
     Returns
     -------
