@@ -24,8 +24,8 @@ from pcretrieve.benchmarks.timing import use_one_core
 from pcretrieve.errors import PcretrieveError
 from pcretrieve.evaluation.folds import evaluate
 from pcretrieve.evaluation.measures import RetrievalMeasures
-from pcretrieve.ingest.discover import discover
-from pcretrieve.ingest.labels import read_labels
+from pcretrieve.ingestion.discover import discover
+from pcretrieve.ingestion.labels import read_labels
 from pcretrieve.options import PipelineOptions, RetrievalOptions
 from pcretrieve.simulation import UniformOptions, scan_uniformly, write_ply
 from pcretrieve.types import SignatureTable

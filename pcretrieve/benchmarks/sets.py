@@ -13,9 +13,9 @@ from pcretrieve.benchmarks.progress import progress
 from pcretrieve.catalogue import Catalogue
 from pcretrieve.errors import BenchmarkError
 from pcretrieve.formats import read_scan
-from pcretrieve.ingest.discover import discover
-from pcretrieve.ingest.labels import read_labels
-from pcretrieve.ingest.run import Summary, ingest
+from pcretrieve.ingestion.discover import discover
+from pcretrieve.ingestion.labels import read_labels
+from pcretrieve.ingestion.run import Summary, ingest
 from pcretrieve.options import PipelineOptions
 from pcretrieve.simulation import POSES, body, make_subject
 from pcretrieve.types import TriangleMesh

@@ -78,9 +78,9 @@ def ingest_command(
     from tqdm import tqdm
 
     from pcretrieve.catalogue import Catalogue
-    from pcretrieve.ingest.discover import discover, printable
-    from pcretrieve.ingest.labels import read_labels
-    from pcretrieve.ingest.run import ingest
+    from pcretrieve.ingestion.discover import discover, printable
+    from pcretrieve.ingestion.labels import read_labels
+    from pcretrieve.ingestion.run import ingest
 
     if not paths:
         raise click.UsageError("name at least one scan")

@@ -66,7 +66,7 @@ def inspect_command(
     pcretrieve inspect scan.ply -o page.html --png sheet.png --rescans 0
     """
     from pcretrieve.errors import InputError
-    from pcretrieve.ingest.discover import printable
+    from pcretrieve.ingestion.discover import printable
     from pcretrieve.inspection.inspect import inspect_scan
     from pcretrieve.pages.inspection_page import write_inspection_page
     from pcretrieve.pages.inspection_pictures import write_inspection_png

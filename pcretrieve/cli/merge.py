@@ -81,7 +81,7 @@ def merge_command(
     from tqdm import tqdm
 
     from pcretrieve.formats import write_cloud
-    from pcretrieve.ingest.discover import printable
+    from pcretrieve.ingestion.discover import printable
     from pcretrieve.options import MergeOptions
     from pcretrieve.registration import merge_views
 
@@ -115,7 +115,7 @@ def _views(paths: Sequence[str]) -> tuple[list[Path], FloatArray | None]:
 
     from pcretrieve.errors import InputError, ScanReadError
     from pcretrieve.formats.views import read_poses
-    from pcretrieve.ingest.discover import discover
+    from pcretrieve.ingestion.discover import discover
 
     files = discover(paths)
     confs = [file for file in files if file.suffix.lower() == ".conf"]

@@ -43,7 +43,7 @@ def query_command(
     pcretrieve query --catalogue bodies.sqlite scan.ply -k 5 --whitening pca
     """
     from pcretrieve.catalogue import Catalogue
-    from pcretrieve.search import search
+    from pcretrieve.searching import search
 
     distances = read_distances(matrix, comparison)
     with Catalogue(catalogue) as store:

@@ -116,8 +116,8 @@ def _of_scans(paths: tuple[str, ...], options: PipelineOptions) -> Iterator[Row]
     from pcretrieve.catalogue import Record
     from pcretrieve.descriptors import describe
     from pcretrieve.errors import ShapeError
-    from pcretrieve.ingest.discover import discover, printable
-    from pcretrieve.ingest.plan import failed
+    from pcretrieve.ingestion.discover import discover, printable
+    from pcretrieve.ingestion.plan import failed
     from pcretrieve.pipeline.process import process
 
     for path in discover(paths):
@@ -137,7 +137,7 @@ def _of_catalogue(path: Path, ids: tuple[str, ...], chosen: dict[str, Any]) -> I
     from pcretrieve.catalogue import Catalogue
     from pcretrieve.descriptors import describe
     from pcretrieve.errors import ShapeError
-    from pcretrieve.ingest.plan import failed
+    from pcretrieve.ingestion.plan import failed
 
     with Catalogue(path) as store:
         options = store.options.changed(signature=chosen).signature

@@ -16,7 +16,7 @@ from pcretrieve.adapters.open3d import RayScene
 from pcretrieve.descriptors import describe
 from pcretrieve.errors import OptionError, ShapeError
 from pcretrieve.formats.scans import ScanLike, as_scan
-from pcretrieve.ingest.discover import printable
+from pcretrieve.ingestion.discover import printable
 from pcretrieve.inspection.checks import (
     VERDICTS,
     Check,

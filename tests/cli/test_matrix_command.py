@@ -13,7 +13,7 @@ from click.testing import CliRunner, Result
 from pcretrieve import Catalogue
 from pcretrieve.cli.main import cli
 from pcretrieve.formats import write_mesh
-from pcretrieve.ingest.run import ingest
+from pcretrieve.ingestion.run import ingest
 from pcretrieve.matching import read_matrix
 
 N_CLASSES = 3

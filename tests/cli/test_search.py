@@ -16,9 +16,9 @@ from pcretrieve import Catalogue, PipelineOptions
 from pcretrieve.cli.main import cli
 from pcretrieve.evaluation.folds import evaluate
 from pcretrieve.formats import write_mesh
-from pcretrieve.ingest.run import ingest
+from pcretrieve.ingestion.run import ingest
 from pcretrieve.options import RetrievalOptions, describe_options
-from pcretrieve.search import search
+from pcretrieve.searching import search
 
 PCA = ("--whitening", "pca")
 N_CLASSES = 4

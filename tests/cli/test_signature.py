@@ -16,7 +16,7 @@ import shapes
 from pcretrieve import Catalogue, PipelineOptions
 from pcretrieve.cli.main import main
 from pcretrieve.formats import write_mesh
-from pcretrieve.ingest.run import ingest
+from pcretrieve.ingestion.run import ingest
 from pcretrieve.options import METHODS
 
 PLUGIN = {

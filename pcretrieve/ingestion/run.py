@@ -9,9 +9,9 @@ from functools import partial
 from pathlib import Path
 
 from pcretrieve.catalogue import Catalogue, Content, Record
-from pcretrieve.ingest import work
-from pcretrieve.ingest.plan import failed, plan
-from pcretrieve.ingest.workers import outcomes
+from pcretrieve.ingestion import work
+from pcretrieve.ingestion.plan import failed, plan
+from pcretrieve.ingestion.workers import outcomes
 from pcretrieve.options import PipelineOptions
 
 __all__ = ["Summary", "ingest"]

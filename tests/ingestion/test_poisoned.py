@@ -12,8 +12,8 @@ import pytest
 
 from pcretrieve import Catalogue, PipelineOptions, PointCloud, reconstruct, signature
 from pcretrieve.errors import ReconstructionError
-from pcretrieve.ingest.discover import discover
-from pcretrieve.ingest.run import ingest
+from pcretrieve.ingestion.discover import discover
+from pcretrieve.ingestion.run import ingest
 
 POINTS = poisoned_files.POINTS
 

@@ -7,7 +7,7 @@ from pathlib import Path
 from pcretrieve.catalogue import Catalogue
 from pcretrieve.descriptors import describe
 from pcretrieve.errors import InputError
-from pcretrieve.ingest.discover import content_hash
+from pcretrieve.ingestion.discover import content_hash
 from pcretrieve.matching import DistanceMatrix
 from pcretrieve.options import PipelineOptions
 from pcretrieve.pipeline.process import process

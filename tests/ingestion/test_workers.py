@@ -24,8 +24,8 @@ from pcretrieve.errors import (
     WorkerDied,
     in_stage,
 )
-from pcretrieve.ingest import workers
-from pcretrieve.ingest.workers import outcomes
+from pcretrieve.ingestion import workers
+from pcretrieve.ingestion.workers import outcomes
 
 N_ITEMS = 6
 HALF_THE_MEMORY = 1 << 29  # bytes, of 1 GiB
@@ -208,7 +208,7 @@ def test_whatever_is_raised_is_that_items_outcome(
 
 
 def test_what_lacks_memory_in_a_used_worker_is_tried_in_a_fresh_one() -> None:
-    from pcretrieve.ingest import work  # slow to import for workers that do not need it
+    from pcretrieve.ingestion import work  # slow to import for workers that do not need it
 
     limited = partial(work.prepare, 1.0)
     found = dict(outcomes(keep_half_the_memory, range(3), prepare=limited, workers=1, timeout=60))

@@ -10,8 +10,8 @@ import pytest
 
 from pcretrieve.catalogue import numbered_id
 from pcretrieve.errors import InputError, ScanReadError
-from pcretrieve.ingest import discover as discover_module
-from pcretrieve.ingest.discover import content_hash, discover, printable, shape_ids
+from pcretrieve.ingestion import discover as discover_module
+from pcretrieve.ingestion.discover import content_hash, discover, printable, shape_ids
 
 # The user without rights, on Linux.
 NOBODY = 65534

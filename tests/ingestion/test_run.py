@@ -18,8 +18,8 @@ import shapes
 
 from pcretrieve import Catalogue
 from pcretrieve.formats import readers, write_mesh
-from pcretrieve.ingest.discover import discover
-from pcretrieve.ingest.run import Summary, ingest
+from pcretrieve.ingestion.discover import discover
+from pcretrieve.ingestion.run import Summary, ingest
 from pcretrieve.simulation import write_ply
 
 PATIENCE = 60  # seconds

@@ -8,9 +8,9 @@ from pathlib import Path
 
 from pcretrieve.catalogue import Record
 from pcretrieve.errors import PcretrieveError, ShapeError, Stage
-from pcretrieve.ingest import work
-from pcretrieve.ingest.discover import content_hash, printable, shape_ids
-from pcretrieve.ingest.labels import match_labels
+from pcretrieve.ingestion import work
+from pcretrieve.ingestion.discover import content_hash, printable, shape_ids
+from pcretrieve.ingestion.labels import match_labels
 
 __all__ = ["Plan", "failed", "plan"]
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from pcretrieve.errors import BenchmarkError
-from pcretrieve.ingest.labels import match_labels, read_labels
+from pcretrieve.ingestion.labels import match_labels, read_labels
 
 DATA = Path(__file__).parents[2].parent / "shared" / "data"
 
