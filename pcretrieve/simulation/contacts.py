@@ -7,8 +7,9 @@ from dataclasses import replace
 import numpy as np
 from scipy.optimize import least_squares
 
+from pcretrieve.simulation.flesh import bone_distance
 from pcretrieve.simulation.kinematics import motions
-from pcretrieve.simulation.skeleton import Contact, Pose, bone_distance
+from pcretrieve.simulation.skeleton import Contact, Pose
 from pcretrieve.simulation.skin import Skin, blend
 from pcretrieve.types import FloatArray
 

@@ -1,4 +1,4 @@
-"""Skeletons: bones, the flesh round them, and poses.
+"""Skeletons: bones with the flesh round them, contacts and poses.
 
 Lengths are in metres. In the rest pose the x axis points to the left of the body, y up and z to its front.
 """
@@ -21,8 +21,6 @@ __all__ = [
     "RoundCone",
     "Subject",
     "Vector",
-    "bone_distance",
-    "cone_distance",
     "vector",
 ]
 
@@ -243,58 +241,3 @@ def vector(array: FloatArray) -> Vector:
     """
     x, y, z = array.tolist()
     return (x, y, z)
-
-
-def bone_distance(bone: Bone, points: FloatArray) -> FloatArray:
-    """Signed distance of points from the flesh of a bone at rest.
-
-    Approximate for cones whose radii differ; a lower bound for flattened cones.
-
-    Parameters
-    ----------
-    bone : Bone
-        With or without flesh.
-    points : (…, 3) float64
-        In metres.
-
-    Returns
-    -------
-    (…,) float64
-        Negative inside, infinite without flesh; m.
-    """
-    if not bone.flesh:
-        return np.full(points.shape[:-1], np.inf)
-    distances = np.array([cone_distance(cone, bone.front, points) for cone in bone.flesh])  # (c, …)
-    nearest: FloatArray = distances.min(axis=0)
-    return nearest
-
-
-def cone_distance(cone: RoundCone, front: Vector, points: FloatArray) -> FloatArray:
-    """Signed distance of points from one round cone at rest, as `bone_distance`.
-
-    Parameters
-    ----------
-    cone : RoundCone
-        Part of the flesh of a bone.
-    front : 3 floats
-        Front of the bone.
-    points : (…, 3) float64
-        In metres.
-
-    Returns
-    -------
-    (…,) float64
-        Negative inside; m.
-    """
-    offset, axis = points - np.array(cone.start), np.subtract(cone.end, cone.start)
-    if cone.depth != 1:
-        # A stretch along the front by 1/depth turns the ellipsoids into balls.
-        normal = np.array(front) / np.linalg.norm(front)
-        stretch = np.eye(3) + (1 / cone.depth - 1) * np.outer(normal, normal)
-        offset, axis = offset @ stretch, axis @ stretch
-    length2 = axis @ axis
-    along = np.clip(offset @ axis / length2, 0, 1) if length2 > 0 else np.zeros(points.shape[:-1])
-    radius = cone.radii[0] + along * (cone.radii[1] - cone.radii[0])
-    distance: FloatArray = np.linalg.norm(offset - along[..., None] * axis, axis=-1) - radius
-    distance *= min(cone.depth, 1.0)
-    return distance

@@ -11,7 +11,8 @@ from scipy.sparse import csc_array, diags_array
 from scipy.sparse.linalg import splu
 
 from pcretrieve.errors import InputError
-from pcretrieve.simulation.skeleton import Bone, Subject, bone_distance, cone_distance
+from pcretrieve.simulation.flesh import bone_distance, cone_distance
+from pcretrieve.simulation.skeleton import Bone, Subject
 from pcretrieve.spectral import laplace_beltrami
 from pcretrieve.types import FloatArray, TriangleMesh
 
