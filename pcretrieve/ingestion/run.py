@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -10,11 +10,16 @@ from pathlib import Path
 
 from pcretrieve.catalogue import Catalogue, Content, Record
 from pcretrieve.ingestion import work
-from pcretrieve.ingestion.plan import failed, plan
+from pcretrieve.ingestion.contents import Contents
+from pcretrieve.ingestion.discover import printable
+from pcretrieve.ingestion.plan import Plan, Planner, apply, failed
 from pcretrieve.ingestion.workers import outcomes
 from pcretrieve.options import PipelineOptions
 
 __all__ = ["Summary", "ingest"]
+
+# Files that are planned together: enough for few transactions, few enough that work begins at once.
+FILES_AT_ONCE = 32
 
 
 @dataclass(slots=True)
@@ -78,13 +83,10 @@ def ingest(
     on_shape : callable, optional
         Called with each record once it is stored, and with those skipped.
     """
-    todo = plan(paths, catalogue.records(), labels or {}, retry_failed=retry_failed)
-    catalogue.revise(moved=todo.moved, removed=todo.removed, labels=todo.labels)
-    summary = Summary(
-        held=list(todo.held), duplicates=list(todo.duplicates), unknown_labels=list(todo.unknown_labels)
-    )
-    for record in (*todo.held, *(twin for _, twin in todo.duplicates)):
-        on_shape(record)
+    summary = Summary()
+    files = {printable(path): path for path in paths}
+    contents = Contents(files, workers)
+    planner = Planner(files, catalogue.records(), labels or {}, contents.of, retry_failed=retry_failed)
 
     def store(record: Record, content: Content | None) -> None:
         stored = catalogue.put(record, content)
@@ -93,24 +95,42 @@ def ingest(
         (summary.failed if content is None else summary.done).append(stored)
         on_shape(stored)
 
-    for record in todo.unreadable:
-        store(record, None)
-    if not todo.process:
-        return summary
+    def queue() -> Iterator[tuple[Path, Record]]:
+        """The scans to process; the others are dealt with on the way."""
+        for made in _plans(planner, contents):
+            apply(made, catalogue)
+            summary.held += made.held
+            summary.duplicates += made.duplicates
+            for record in (*made.held, *(twin for _, twin in made.duplicates)):
+                on_shape(record)
+            for record in made.unreadable:
+                store(record, None)
+            yield from made.process
+
     running = outcomes(
         partial(_content, catalogue.options),
-        todo.process,
+        queue(),
         prepare=partial(work.prepare, memory),
-        workers=min(workers, len(todo.process)),
+        workers=workers,
         timeout=timeout,
     )
-    with closing(running):
+    with closing(contents), closing(running):
         for (_, record), outcome in running:
             if isinstance(outcome, Content):
                 store(replace(record, steps=outcome.shape.provenance), outcome)
             else:
                 store(failed(record, outcome), None)
+    summary.unknown_labels = planner.unknown_labels
     return summary
+
+
+def _plans(planner: Planner, contents: Contents) -> Iterator[Plan]:
+    """What to do, some files at a time: while they are processed, the contents of the next are hashed."""
+    names = list(planner.files)
+    chunks = [names[start : start + FILES_AT_ONCE] for start in range(0, len(names), FILES_AT_ONCE)]
+    for chunk, upcoming in zip(chunks, [*chunks[1:], []], strict=True):
+        contents.expect([*chunk, *upcoming])
+        yield planner.plan(chunk)
 
 
 def _reported(failure: Record, stored: Record) -> Record:

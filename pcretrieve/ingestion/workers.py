@@ -93,7 +93,7 @@ def outcomes(
     failed_starts = 0
     try:
         while True:
-            while len(crew) < workers and not queue.is_empty():
+            while len(crew) < workers and queue.holds(1 + sum(worker.task is None for worker in crew)):
                 with _interrupts_blocked():
                     crew.append(_Worker(function, prepare))
             if not crew:
@@ -146,21 +146,25 @@ class _Queue(Generic[Item]):
     def __init__(self, items: Iterable[Item]) -> None:
         self.again: deque[_Task[Item]] = deque()
         self._items = iter(items)
-        self._ahead: deque[_Task[Item]] = deque()  # of one item: to know whether there is another
+        self._ahead: deque[_Task[Item]] = deque()
 
-    def is_empty(self) -> bool:
-        """Whether there is nothing left for a fresh worker."""
-        if not self._ahead:
-            self._ahead.extend(_Task(item) for item in islice(self._items, 1))
-        return not self._ahead and not self.again
+    def holds(self, n: int) -> bool:
+        """Whether there are as many tasks for fresh workers."""
+        self._read(n - len(self.again))
+        return len(self._ahead) + len(self.again) >= n
 
     def next(self, worker: _Worker[Item, Any]) -> _Task[Item] | None:
         """A task for a worker, or None where it is to make room for a fresh one, or is needed no more."""
-        if worker.n_tasks >= MAX_ITEMS or self.is_empty():
+        if worker.n_tasks >= MAX_ITEMS:
             return None
         if self.again and worker.n_tasks == 0:
             return self.again.popleft()
+        self._read(1)
         return self._ahead.popleft() if self._ahead else None
+
+    def _read(self, n: int) -> None:
+        missing = max(0, n - len(self._ahead))
+        self._ahead.extend(_Task(item) for item in islice(self._items, missing))
 
 
 class _Worker(Generic[Item, Answer]):

@@ -17,8 +17,10 @@ import pytest
 import shapes
 
 from pcretrieve import Catalogue
+from pcretrieve.catalogue import Record
 from pcretrieve.formats import readers, write_mesh
-from pcretrieve.ingestion.discover import discover
+from pcretrieve.ingestion import run
+from pcretrieve.ingestion.discover import content_hash, discover
 from pcretrieve.ingestion.run import Summary, ingest
 from pcretrieve.simulation import write_ply
 
@@ -127,6 +129,11 @@ def test_labels_reach_shapes_that_are_held_already(folder: Path, filled: Catalog
     summary = again(folder, filled, labels={"a.off": "small", "nobody": "small"})
     assert [record.label for record in filled.records()] == ["small", "long"]
     assert summary.unknown_labels == ["nobody"]
+    # An id stands for its shape still where the file has another name by now.
+    (folder / "b.off").rename(folder / "c.off")
+    summary = again(folder, filled, labels={"b": "large", "nobody": "small"})
+    assert filled.record("b").label == "large"
+    assert summary.unknown_labels == ["nobody"]
 
 
 def test_a_failure_is_remembered_until_it_is_to_be_tried_again(folder: Path, filled: Catalogue) -> None:
@@ -168,6 +175,40 @@ def test_files_cut_off_to_the_same_content_keep_what_was_made_of_them(
     summary = again(folder, filled)
     assert (ids([*summary.failed]), [path.name for path, _ in summary.duplicates]) == (["a"], ["b.off"])
     assert [record for record in filled.records() if record.id != "copy"] == before
+
+
+def test_files_are_read_as_their_turn_comes(
+    tmp_path: Path, catalogue: Catalogue, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Work begins before the last file is hashed: a file that changes until then is taken as it is then."""
+    monkeypatch.setattr(run, "FILES_AT_ONCE", 2)
+    paths = [tmp_path / f"{number}.off" for number in range(8)]
+    for number, path in enumerate(paths):
+        egg(path, 1.5 + number / 8)
+    seen: list[str] = []
+
+    def change_the_last(record: Record) -> None:
+        if not seen:
+            egg(paths[-1], 3)
+        seen.append(record.id)
+
+    summary = ingest(paths, catalogue, on_shape=change_the_last)
+    assert len(summary.done) == len(seen) == len(paths)
+    assert catalogue.record("7").content_hash == content_hash(paths[-1])
+
+
+def test_a_copy_of_a_file_that_comes_later_is_known_by_what_that_file_holds_now(
+    folder: Path, filled: Catalogue, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The copy is planned before the turn of the file whose content it was."""
+    monkeypatch.setattr(run, "FILES_AT_ONCE", 1)
+    (folder / "0.off").write_bytes((folder / "a.off").read_bytes())
+    (folder / "1.off").write_bytes((folder / "b.off").read_bytes())
+    (folder / "copy.off").unlink()
+    egg(folder / "a.off", 3)
+    summary = again(folder, filled)
+    assert ids([*summary.done]) == ["0", "a"]
+    assert [(path.name, twin.id) for path, twin in summary.duplicates] == [("1.off", "b")]
 
 
 # --- several ingests at once ----------------------------------------------------------------------------

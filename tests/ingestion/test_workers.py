@@ -114,6 +114,19 @@ def test_every_item_has_its_outcome_and_no_process_is_left() -> None:
     assert not multiprocessing.active_children()
 
 
+def test_no_more_workers_are_started_than_there_are_items(monkeypatch: pytest.MonkeyPatch) -> None:
+    started: list[object] = []
+
+    class Counted(workers._Worker[int, object]):
+        def __init__(self, function: Callable[[int], object], prepare: Callable[[], object]) -> None:
+            super().__init__(function, prepare)
+            started.append(self)
+
+    monkeypatch.setattr(workers, "_Worker", Counted)
+    assert len(dict(outcomes(own_process, range(2), prepare=nothing, workers=8, timeout=60))) == 2
+    assert len(started) == 2
+
+
 def test_items_are_read_as_they_are_asked_for() -> None:
     n_read = 0
 
