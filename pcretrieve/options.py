@@ -15,10 +15,10 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeAlias
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from pcretrieve.errors import OptionError
-from pcretrieve.plugins import added_names
+from pcretrieve.plugins import Names
 
 if sys.version_info >= (3, 11):
     import tomllib
@@ -37,7 +37,6 @@ __all__ = [
     "SurfaceOptions",
     "describe_options",
     "options_difference",
-    "signature_methods",
 ]
 
 # Version of the numerical results, part of the digest. It is incremented when a change of the code, not of an
@@ -48,6 +47,27 @@ NUMBERS_VERSION = 7
 Share = Annotated[float, Field(ge=0, le=1)]
 Length = Annotated[float, Field(ge=0, lt=1)]
 Count = Annotated[int, Field(ge=1)]
+
+
+# The descriptors of pcretrieve by name, and whether their values have a size, without which the scale
+# "absolute" is not defined. The records in `pcretrieve.descriptors` say more, but take long to import.
+METHODS: dict[str, bool] = {
+    "r-bihdm": True,
+    "bihdm": True,
+    "shape-dna": True,
+    "shape-dna-norm1": False,
+    "sd-gdm": True,
+    "hks-bow": False,
+    "hks-bow-spatial": False,
+    "si-hks-bow": False,
+    "si-hks-bow-spatial": False,
+    "wks": False,
+    "combined": True,
+}
+
+# The names of what other packages can add. Tests hold these names and the records against each other.
+DESCRIPTOR_NAMES = Names("descriptor", "pcretrieve.signatures", tuple(METHODS))
+ELEMENT_NAMES = Names("element", "pcretrieve.elements", ("linear", "cubic", "intrinsic-delaunay", "points"))
 
 
 class _Options(BaseModel):
@@ -187,7 +207,7 @@ class RemeshOptions(_Options):
 class SpectralOptions(_Options):
     """Surface of unit area → smallest eigenpairs of its Laplace–Beltrami operator."""
 
-    element: Literal["linear", "cubic", "intrinsic-delaunay", "points"] = "linear"
+    element: Annotated[str, AfterValidator(ELEMENT_NAMES.known)] = "linear"
     """Discretisation of the operator. linear, cubic: finite elements on the triangles of the surface;
     intrinsic-delaunay: linear elements on the intrinsic Delaunay triangulation of the tufted cover, robust to
     badly shaped and non-manifold triangles; points: linear elements on local triangulations of the filtered
@@ -196,44 +216,13 @@ class SpectralOptions(_Options):
     """Number of eigenpairs that are computed and stored, including the constant eigenfunction."""
 
 
-# The descriptors of pcretrieve by name, and whether their values have a size, without which the scale
-# "absolute" is not defined. The records in `pcretrieve.descriptors` say more, but take long to import.
-METHODS: dict[str, bool] = {
-    "r-bihdm": True,
-    "bihdm": True,
-    "shape-dna": True,
-    "shape-dna-norm1": False,
-    "sd-gdm": True,
-    "hks-bow": False,
-    "hks-bow-spatial": False,
-    "si-hks-bow": False,
-    "si-hks-bow-spatial": False,
-    "wks": False,
-    "combined": True,
-}
-
-# The group of entry points by which other packages add descriptors.
-DESCRIPTOR_GROUP = "pcretrieve.signatures"
-
-
-def signature_methods() -> tuple[str, ...]:
-    """The names of all descriptors.
-
-    Returns
-    -------
-    tuple of str
-        The descriptors of pcretrieve, then the descriptors of other packages in alphabetical order.
-    """
-    return (*METHODS, *(name for name in added_names(DESCRIPTOR_GROUP) if name not in METHODS))
-
-
 Scale = Literal["relative", "area", "absolute"]
 
 
 class SignatureOptions(_Options):
     """Spectrum and surface → descriptor."""
 
-    method: str = "r-bihdm"
+    method: Annotated[str, AfterValidator(DESCRIPTOR_NAMES.known)] = "r-bihdm"
     """The descriptor; `pcretrieve signature --help` lists all of them."""
     n_values: Count = 23
     """Number L of values of the descriptor. For combined, of each of its two parts; for bags of features, the
@@ -254,13 +243,6 @@ class SignatureOptions(_Options):
     def measured_by(self) -> Scale:
         """The normalisation of a signature by itself: `scale`, with area for auto."""
         return "area" if self.scale == "auto" else self.scale
-
-    @field_validator("method")
-    @classmethod
-    def _exists(cls, method: str) -> str:
-        if method not in METHODS and method not in (names := signature_methods()):
-            raise ValueError(f"input should be one of {', '.join(names)}, got {method!r}")
-        return method
 
     @model_validator(mode="after")
     def _has_a_size(self) -> SignatureOptions:

@@ -17,31 +17,96 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cache
 from importlib.metadata import EntryPoint, entry_points
-from typing import Generic, TypeVar
+from typing import Generic, Protocol, TypeVar
 
 from pcretrieve.errors import InputError, OptionError, ShapeError, Stage
 
-__all__ = ["Registry", "added_names"]
+__all__ = ["Named", "Names", "Registry", "named"]
 
 Record = TypeVar("Record")
 
 ADVICE = "upgrade or uninstall that package"
 
 
-def added_names(group: str) -> tuple[str, ...]:
-    """The names that installed packages add to a group of entry points.
+@dataclass(frozen=True)
+class Names:
+    """The names of the records of one kind, which options and help need without an import of the records.
+
+    Attributes
+    ----------
+    kind : str
+        The noun for such a record in messages, such as ``descriptor``.
+    group : str
+        The group of entry points by which other packages add records.
+    own : tuple of str
+        The names of the records of pcretrieve.
+    """
+
+    kind: str
+    group: str
+    own: tuple[str, ...]
+
+    def all(self) -> tuple[str, ...]:
+        """The names of pcretrieve's records in their order, then the added names in alphabetical order."""
+        added = _points(self.group, tuple(sys.path))
+        return (*self.own, *sorted(added.keys() - set(self.own)))
+
+    def known(self, name: str) -> str:
+        """The name itself.
+
+        Parameters
+        ----------
+        name : str
+            A name.
+
+        Returns
+        -------
+        str
+            The same name.
+
+        Raises
+        ------
+        ValueError
+            If there is no record of that name.
+        """
+        if name not in self.own and name not in self.all():
+            raise ValueError(f"input should be one of {', '.join(self.all())}, got {name!r}")
+        return name
+
+
+class Named(Protocol):
+    """A record that states its own name."""
+
+    @property
+    def name(self) -> str:
+        """The name by which options refer to the record."""
+
+
+NamedRecord = TypeVar("NamedRecord", bound=Named)
+
+
+def named(kind: type[NamedRecord]) -> Callable[[str, object], NamedRecord]:
+    """The check of a `Registry` of records that state their own names.
 
     Parameters
     ----------
-    group : str
-        Name of the group.
+    kind : type
+        The class of the records.
 
     Returns
     -------
-    tuple of str
-        In alphabetical order.
+    function of (str, object) that returns a record
+        Raises TypeError if the object is not of that class, or has another name than its entry point.
     """
-    return tuple(sorted(_points(group, tuple(sys.path))))
+
+    def checked(name: str, added: object) -> NamedRecord:
+        if not isinstance(added, kind):
+            raise TypeError(f"must be of the class {kind.__name__}, got {added!r}")
+        if added.name != name:
+            raise TypeError(f"must have the name of its entry point, got a record named {added.name!r}")
+        return added
+
+    return checked
 
 
 @dataclass(frozen=True)
@@ -50,25 +115,18 @@ class Registry(Generic[Record]):
 
     Attributes
     ----------
-    kind : str
-        The noun for such a record in messages, such as ``descriptor``.
-    group : str
-        The group of entry points by which other packages add records.
+    names : Names
+        The kind, and the group of entry points by which other packages add records.
     own : mapping of str to Record
         The records of pcretrieve.
     checked : function of (str, object) that returns a Record
         Makes a record of the name of an entry point and the object that it leads to, or raises TypeError with
-        a message that begins with what the object must be.
+        a message that begins with what the object must be. See `named`.
     """
 
-    kind: str
-    group: str
+    names: Names
     own: Mapping[str, Record]
     checked: Callable[[str, object], Record]
-
-    def names(self) -> tuple[str, ...]:
-        """The names of pcretrieve's records in their order, then the added names in alphabetical order."""
-        return (*self.own, *(name for name in added_names(self.group) if name not in self.own))
 
     def __getitem__(self, name: str) -> Record:
         """The record of a name.
@@ -76,7 +134,7 @@ class Registry(Generic[Record]):
         Parameters
         ----------
         name : str
-            One of `names`.
+            One of `Names.all`.
 
         Returns
         -------
@@ -106,9 +164,11 @@ class Registry(Generic[Record]):
     def called(self, name: str) -> str:
         """The record in a message: ``the descriptor 'diameter' of the package other-package``."""
         if name in self.own:
-            return f"the {self.kind} {name!r}"
+            return f"the {self.names.kind} {name!r}"
         point = self._point(name)
-        return f"the {self.kind} {name!r} of the package {point.dist.name if point.dist else point.module}"
+        return (
+            f"the {self.names.kind} {name!r} of the package {point.dist.name if point.dist else point.module}"
+        )
 
     def version(self, name: str) -> str:
         """The package and the version of a record that another package adds; empty for pcretrieve's own."""
@@ -154,9 +214,11 @@ class Registry(Generic[Record]):
         return ShapeError(f"{self.called(name)} failed, {type(error).__name__}: {error}", stage=stage)
 
     def _point(self, name: str) -> EntryPoint:
-        point = _points(self.group, tuple(sys.path)).get(name)
+        point = _points(self.names.group, tuple(sys.path)).get(name)
         if point is None:
-            raise OptionError(f"there is no {self.kind} {name!r}; there are {', '.join(self.names())}")
+            raise OptionError(
+                f"there is no {self.names.kind} {name!r}; there are {', '.join(self.names.all())}"
+            )
         return point
 
 

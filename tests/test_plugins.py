@@ -7,8 +7,10 @@ from pathlib import Path
 import pytest
 from packages import install
 
+from pcretrieve.descriptors import DESCRIPTORS
 from pcretrieve.errors import InputError, OptionError, ShapeError, Stage
-from pcretrieve.plugins import Registry, added_names
+from pcretrieve.plugins import Named, Names, Registry
+from pcretrieve.spectral import ELEMENTS
 
 GROUP = "pcretrieve.tests"
 POINTS = f"""
@@ -32,7 +34,7 @@ def whole_number(name: str, added: object) -> int:
     return added
 
 
-NUMBERS = Registry("number", GROUP, {"one": 1, "two": 2}, whole_number)
+NUMBERS = Registry(Names("number", GROUP, ("one", "two")), {"one": 1, "two": 2}, whole_number)
 
 
 @pytest.fixture
@@ -42,8 +44,15 @@ def installed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path / "site"
 
 
+@pytest.mark.parametrize("registry", [DESCRIPTORS, ELEMENTS], ids=lambda registry: registry.names.kind)
+def test_names_are_those_of_the_records(registry: Registry[Named]) -> None:
+    """Options know the names by a table of their own, since records take long to import."""
+    assert tuple(registry.own) == registry.names.own
+    assert tuple(record.name for record in registry.own.values()) == registry.names.own
+
+
 def test_without_packages_there_are_those_of_pcretrieve() -> None:
-    assert NUMBERS.names() == ("one", "two")
+    assert NUMBERS.names.all() == ("one", "two")
     assert NUMBERS["two"] == 2
     with pytest.raises(OptionError, match="there is no number 'seven'; there are one, two"):
         NUMBERS["seven"]
@@ -51,11 +60,13 @@ def test_without_packages_there_are_those_of_pcretrieve() -> None:
 
 @pytest.mark.usefixtures("installed")
 def test_a_package_adds_names_and_takes_none() -> None:
-    assert NUMBERS.names() == ("one", "two", "ending", "lost", "nowhere", "seven", "word")
+    assert NUMBERS.names.all() == ("one", "two", "ending", "lost", "nowhere", "seven", "word")
     assert (NUMBERS["seven"], NUMBERS["one"]) == (7, 1)
     assert NUMBERS.called("seven") == "the number 'seven' of the package numbers-package"
     assert NUMBERS.called("one") == "the number 'one'"
-    assert added_names("pcretrieve.nothing") == ()
+    assert NUMBERS.names.known("seven") == "seven"
+    with pytest.raises(ValueError, match=r"input should be one of one, two, ending, .*, word, got 'three'"):
+        NUMBERS.names.known("three")
 
 
 @pytest.mark.usefixtures("installed")

@@ -30,11 +30,11 @@ from pcretrieve.descriptors import describe
 from pcretrieve.errors import OptionError, ShapeError
 from pcretrieve.evaluation.folds import evaluate
 from pcretrieve.options import (
+    DESCRIPTOR_NAMES,
     METHODS,
     PipelineOptions,
     RetrievalOptions,
     SignatureOptions,
-    signature_methods,
 )
 from pcretrieve.retrieval import DISTANCES, WHITENINGS, resolution_whitening
 from pcretrieve.retrieval.resolution import is_measured
@@ -91,7 +91,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser = argument_parser(__doc__)
     add_data(parser)
     parser.add_argument("--only", choices=DATA_SETS, help="one set only")
-    parser.add_argument("--methods", nargs="+", default=signature_methods(), help="some descriptors only")
+    parser.add_argument("--methods", nargs="+", default=DESCRIPTOR_NAMES.all(), help="some descriptors only")
     parser.add_argument("--n-values", type=int, nargs="+", default=[23, 45, 60], help="lengths")
     parser.add_argument(
         "--scale",

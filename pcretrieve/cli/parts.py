@@ -95,9 +95,9 @@ class _Method(click.ParamType):  # type: ignore[type-arg]  # generic since click
     name = "method"
 
     def get_metavar(self, param: click.Parameter, ctx: click.Context | None = None) -> str:
-        from pcretrieve.options import signature_methods
+        from pcretrieve.options import DESCRIPTOR_NAMES
 
-        return f"[{'|'.join(signature_methods())}]"
+        return f"[{'|'.join(DESCRIPTOR_NAMES.all())}]"
 
 
 method_option = click.option(

@@ -29,8 +29,8 @@ from pcretrieve.descriptors.sd_gdm import SD_GDM
 from pcretrieve.descriptors.shape_dna import SHAPE_DNA, SHAPE_DNA_NORM1
 from pcretrieve.descriptors.wks import WKS
 from pcretrieve.errors import OptionError, ShapeError, Stage
-from pcretrieve.options import DESCRIPTOR_GROUP, SignatureOptions
-from pcretrieve.plugins import Registry
+from pcretrieve.options import DESCRIPTOR_NAMES, SignatureOptions
+from pcretrieve.plugins import Registry, named
 from pcretrieve.spectral import unit_eigenpairs
 from pcretrieve.types import Eigenpairs, Shape, Signature, Surface
 
@@ -38,19 +38,14 @@ __all__ = ["DESCRIPTORS", "describe", "signature_length"]
 
 
 def _checked(name: str, added: object) -> Descriptor:
-    """The record of another package."""
-    if isinstance(added, Descriptor):
-        if added.name != name:
-            raise TypeError(f"must have the name of its entry point, got a Descriptor named {added.name!r}")
-        return added
-    if not callable(added):
-        raise TypeError(f"must be a Descriptor or a function, got {added!r}")
-    return Descriptor(name, added, needs=("spectrum", "mesh"))
+    """The record of another package, or a record for its function."""
+    if callable(added):
+        return Descriptor(name, added, needs=("spectrum", "mesh"))
+    return named(Descriptor)(name, added)
 
 
 DESCRIPTORS: Registry[Descriptor] = Registry(
-    "descriptor",
-    DESCRIPTOR_GROUP,
+    DESCRIPTOR_NAMES,
     {
         record.name: record
         for record in (

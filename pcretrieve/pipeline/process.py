@@ -27,7 +27,7 @@ from pcretrieve.errors import (
 from pcretrieve.formats.scans import ScanLike, as_scan
 from pcretrieve.options import OptionsLike, PipelineOptions
 from pcretrieve.scan import clean, oriented_normals
-from pcretrieve.spectral import eigenpairs, laplace_beltrami, star_mesh, unit_eigenpairs
+from pcretrieve.spectral import ELEMENTS, eigenpairs, laplace_beltrami, star_mesh, unit_eigenpairs
 from pcretrieve.surface import (
     SurfaceMarks,
     body_surfaces,
@@ -205,7 +205,7 @@ def process(scan: object, options: PipelineOptions) -> Shape:
     More would not help, blocks being narrow, and wait for each other where other work keeps a core busy.
     """
     with threadpool_limits(limits=1), placed(scan):
-        if options.spectral.element == "points":
+        if ELEMENTS[options.spectral.element].needs == "points":
             return _of_points(scan, options)
         *_, last = surface_stages(scan, options)
         with in_stage(Stage.SPECTRUM):
@@ -276,7 +276,7 @@ def _largest_piece(
     cloud: PointCloud, options: PipelineOptions
 ) -> tuple[PointCloud, LaplaceBeltrami, tuple[str, ...]]:
     """The points that hang together, without clumps of strays; their operator; and what was dropped."""
-    operator = laplace_beltrami(_moved(cloud, -cloud.points.mean(axis=0)), "points")
+    operator = laplace_beltrami(_moved(cloud, -cloud.points.mean(axis=0)), options.spectral.element)
     if operator.n_components == 1:
         return cloud, operator, ()
     _, piece = connected_components(operator.stiffness, directed=False)  # (n,)

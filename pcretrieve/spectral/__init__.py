@@ -1,8 +1,17 @@
 """Surface, or points → stiffness and mass matrices → smallest eigenpairs."""
 
 from pcretrieve.spectral.eigen import eigenpairs
+from pcretrieve.spectral.element import Assembled, Element
 from pcretrieve.spectral.modes import unit_eigenpairs
-from pcretrieve.spectral.operators import laplace_beltrami
+from pcretrieve.spectral.operators import ELEMENTS, laplace_beltrami
 from pcretrieve.spectral.points import star_mesh
 
-__all__ = ["eigenpairs", "laplace_beltrami", "star_mesh", "unit_eigenpairs"]
+__all__ = [
+    "ELEMENTS",
+    "Assembled",
+    "Element",
+    "eigenpairs",
+    "laplace_beltrami",
+    "star_mesh",
+    "unit_eigenpairs",
+]

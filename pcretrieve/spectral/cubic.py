@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import numpy as np
 
-from pcretrieve.spectral.elements import Assembled, Element, Index, Sides, assembled, check_faces, sides_of
+from pcretrieve.spectral.element import Assembled, Element
+from pcretrieve.spectral.lagrange import Index, ReferenceElement, Sides, assembled, check_faces, sides_of
 from pcretrieve.types import TriangleMesh
 
-__all__ = ["CUBIC", "cubic", "cubic_nodes"]
+__all__ = ["CUBIC", "CUBIC_REFERENCE", "cubic", "cubic_nodes"]
 
 # The nodes are the corners 0, 1, 2; two nodes on each side, at one third and two
 # thirds of it; and the centre. The entries are exact rationals, which
 # tests/spectral/test_cubic.py derives from the basis functions.
-CUBIC = Element(
+CUBIC_REFERENCE = ReferenceElement(
     along=np.array(
         [
             [34, -7, 0, -54, 27, -3, -3, 3, 3, 0],
@@ -78,7 +79,10 @@ def cubic(mesh: TriangleMesh) -> Assembled:
     """
     check_faces(mesh)
     sides = sides_of(mesh)
-    return assembled(mesh, cubic_nodes(mesh, sides), CUBIC, sides)
+    return assembled(mesh, cubic_nodes(mesh, sides), CUBIC_REFERENCE, sides)
+
+
+CUBIC = Element("cubic", cubic)
 
 
 def cubic_nodes(mesh: TriangleMesh, sides: Sides) -> Index:
@@ -97,7 +101,7 @@ def cubic_nodes(mesh: TriangleMesh, sides: Sides) -> Index:
     Returns
     -------
     (m, 10) int32
-        Node numbers, in the order of the nodes of `CUBIC`.
+        Node numbers, in the order of the nodes of `CUBIC_REFERENCE`.
     """
     n, m = len(mesh.vertices), len(mesh.faces)
     first = n + 2 * sides.edge  # (m, 3)

@@ -6,10 +6,11 @@ import numpy as np
 
 from pcretrieve.adapters.robust_laplacian import tufted_matrices
 from pcretrieve.errors import DegenerateMeshError
-from pcretrieve.spectral.elements import Assembled, check_vertices, sides_of
+from pcretrieve.spectral.element import Assembled, Element
+from pcretrieve.spectral.lagrange import check_vertices, sides_of
 from pcretrieve.types import TriangleMesh
 
-__all__ = ["intrinsic_delaunay"]
+__all__ = ["INTRINSIC_DELAUNAY", "intrinsic_delaunay"]
 
 
 def intrinsic_delaunay(mesh: TriangleMesh) -> Assembled:
@@ -59,3 +60,6 @@ def intrinsic_delaunay(mesh: TriangleMesh) -> Assembled:
     on_boundary = sides.use[sides.edge] == 1  # (m, 3)
     boundary[mesh.faces[on_boundary]] = boundary[np.roll(mesh.faces, -1, axis=1)[on_boundary]] = True
     return Assembled(stiffness, mass, boundary)
+
+
+INTRINSIC_DELAUNAY = Element("intrinsic-delaunay", intrinsic_delaunay, masses=("lumped",))

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from pcretrieve.spectral.elements import Assembled, Element, assembled, check_faces, sides_of
+from pcretrieve.spectral.element import Assembled, Element
+from pcretrieve.spectral.lagrange import ReferenceElement, assembled, check_faces, sides_of
 from pcretrieve.types import TriangleMesh
 
-__all__ = ["LINEAR", "linear"]
+__all__ = ["LINEAR", "LINEAR_REFERENCE", "linear"]
 
-LINEAR = Element(
+LINEAR_REFERENCE = ReferenceElement(
     along=np.array([[1.0, -1, 0], [-1, 1, 0], [0, 0, 0]]),
     mass=np.array([[2, 1, 1], [1, 2, 1], [1, 1, 2]]) / 12,  # J4 of Table 6
     turn=np.array([1, 2, 0]),
@@ -46,4 +47,7 @@ def linear(mesh: TriangleMesh) -> Assembled:
        Computer 32 (2016).
     """
     check_faces(mesh)
-    return assembled(mesh, mesh.faces, LINEAR, sides_of(mesh))
+    return assembled(mesh, mesh.faces, LINEAR_REFERENCE, sides_of(mesh))
+
+
+LINEAR = Element("linear", linear)

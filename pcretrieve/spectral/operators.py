@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Literal
 
 import numpy as np
@@ -10,31 +9,30 @@ from scipy.sparse import csc_array, diags_array
 from scipy.sparse.csgraph import connected_components
 
 from pcretrieve.conversion import GeometryLike, as_geometry
-from pcretrieve.errors import DegenerateMeshError, InputError, OptionError
-from pcretrieve.spectral.cubic import cubic
-from pcretrieve.spectral.elements import Assembled
-from pcretrieve.spectral.intrinsic_delaunay import intrinsic_delaunay
-from pcretrieve.spectral.linear import linear
-from pcretrieve.spectral.points import points
-from pcretrieve.types import LaplaceBeltrami, TriangleMesh
+from pcretrieve.errors import DegenerateMeshError, InputError, OptionError, Stage
+from pcretrieve.options import ELEMENT_NAMES
+from pcretrieve.plugins import Registry, named
+from pcretrieve.spectral.cubic import CUBIC
+from pcretrieve.spectral.element import Assembled, Element, Mass
+from pcretrieve.spectral.intrinsic_delaunay import INTRINSIC_DELAUNAY
+from pcretrieve.spectral.linear import LINEAR
+from pcretrieve.spectral.points import POINTS
+from pcretrieve.types import LaplaceBeltrami, PointCloud, TriangleMesh
 
 __all__ = ["ELEMENTS", "laplace_beltrami"]
 
-ELEMENTS: dict[str, Callable[[TriangleMesh], Assembled]] = {
-    "linear": linear,
-    "cubic": cubic,
-    "intrinsic-delaunay": intrinsic_delaunay,
-}
-
-# Elements with lumped mass by default: the first has no other, and for the second it is more accurate.
-LUMPED = {"intrinsic-delaunay", "points"}
+ELEMENTS: Registry[Element] = Registry(
+    ELEMENT_NAMES,
+    {element.name: element for element in (LINEAR, CUBIC, INTRINSIC_DELAUNAY, POINTS)},
+    named(Element),
+)
 
 
 def laplace_beltrami(
     surface: GeometryLike,
     element: str = "linear",
     *,
-    mass: Literal["consistent", "lumped"] | None = None,
+    mass: Mass | None = None,
     boundary: Literal["neumann", "dirichlet"] = "neumann",
 ) -> LaplaceBeltrami:
     """The stiffness and the mass matrix of the Laplace–Beltrami operator of a surface.
@@ -44,11 +42,12 @@ def laplace_beltrami(
     surface : GeometryLike
         What stands for a TriangleMesh, or for the element ``points`` a PointCloud (see `as_geometry`): a
         surface, with or without boundary, in which every vertex is in a face; or the points of one.
-    element : {"linear", "cubic", "intrinsic-delaunay", "points"}, default "linear"
-        Discretisation. ``linear``: linear Lagrange elements, order 2. ``cubic``: cubic ones, order 6 on flat
-        surfaces. ``intrinsic-delaunay``: linear elements on the intrinsic Delaunay triangulation, for badly
-        shaped and non-manifold triangles. ``points``: linear elements on local triangulations of points. The
-        sources are in `pcretrieve.spectral.linear`, `.cubic`, `.intrinsic_delaunay` and `.points`.
+    element : str, default "linear"
+        Discretisation, by the name of an `Element`. ``linear``: linear Lagrange elements, order 2.
+        ``cubic``: cubic ones, order 6 on flat surfaces. ``intrinsic-delaunay``: linear elements on the
+        intrinsic Delaunay triangulation, for badly shaped and non-manifold triangles. ``points``: linear
+        elements on local triangulations of points. Other packages add more. The sources are in
+        `pcretrieve.spectral.linear`, `.cubic`, `.intrinsic_delaunay` and `.points`.
     mass : {"consistent", "lumped"}, optional
         ``consistent``: ∫ φ_i φ_j. ``lumped``: its row sums on the diagonal. With lumped mass the reduced
         matrix of R-BiHDM is exactly the projection of the dense kernel; consistent mass gives more accurate
@@ -68,7 +67,7 @@ def laplace_beltrami(
     Raises
     ------
     InputError
-        If the surface is a cloud and the element is not ``points``, or the reverse.
+        If the surface is a cloud and the element needs a mesh, or the reverse.
     OptionError
         If `element`, `mass` or `boundary` does not exist, or their combination is not available.
     DegenerateMeshError
@@ -76,30 +75,23 @@ def laplace_beltrami(
         component has no boundary, or there is no interior node.
     """
     geometry = as_geometry(surface)
-    _one_of("element", element, (*ELEMENTS, "points"))
+    record = ELEMENTS[element]
     _one_of("mass", mass, (None, "consistent", "lumped"))
     _one_of("boundary", boundary, ("neumann", "dirichlet"))
-    if (element, mass) == ("intrinsic-delaunay", "consistent"):
-        raise OptionError("element 'intrinsic-delaunay' has lumped mass only, got mass='consistent'")
-    if element == "points":
-        if boundary == "dirichlet":
-            raise OptionError(
-                "element 'points' has boundary='neumann' only: a cloud does not say where it ends"
-            )
-        if isinstance(geometry, TriangleMesh):
-            raise InputError("element 'points' needs a PointCloud or an (n, 3) array, got a TriangleMesh")
-        assembled = points(geometry)
-    else:
-        if not isinstance(geometry, TriangleMesh):
-            raise InputError(f"element {element!r} needs a TriangleMesh, got {type(surface).__name__}")
-        assembled = ELEMENTS[element](geometry)
+    if mass not in (None, *record.masses):
+        raise OptionError(f"element {element!r} has {record.masses[0]} mass only, got mass={mass!r}")
+    if record.needs == "points" and boundary == "dirichlet":
+        raise OptionError(
+            f"element {element!r} has boundary='neumann' only: a cloud does not say where it ends"
+        )
+    assembled = _assembled(record, geometry)
 
     # The stiffness of a single edge can be zero (between two right angles). But the indicator function of a
     # proper subset of the nodes of a component has a non-zero gradient, so that not all entries between the
     # subset and its complement are zero: the graph of S has the components of the surface.
     n_components, component = connected_components(assembled.stiffness, directed=False)
     matrix = assembled.mass
-    if mass == "lumped" or (mass is None and element in LUMPED):
+    if (mass or record.masses[0]) == "lumped":
         matrix = csc_array(diags_array(matrix.sum(axis=1)))
     if boundary == "neumann":
         return LaplaceBeltrami(assembled.stiffness, matrix, n_components=int(n_components))
@@ -117,6 +109,20 @@ def laplace_beltrami(
         )
     stiffness, matrix = (csc_array(full[:, nodes][nodes]) for full in (assembled.stiffness, matrix))
     return LaplaceBeltrami(stiffness, matrix, n_components=0, nodes=nodes)
+
+
+def _assembled(record: Element, surface: TriangleMesh | PointCloud) -> Assembled:
+    """The matrices of an element on a surface, or on a cloud."""
+    if record.needs == "mesh" and not isinstance(surface, TriangleMesh):
+        raise InputError(f"element {record.name!r} needs a TriangleMesh, got {type(surface).__name__}")
+    if record.needs == "points" and isinstance(surface, TriangleMesh):
+        raise InputError(f"element {record.name!r} needs a PointCloud or an (n, 3) array, got a TriangleMesh")
+    with ELEMENTS.blamed(record.name, Stage.SPECTRUM):
+        assembled = record.assemble(surface)
+        if not isinstance(assembled, Assembled):
+            raise TypeError(f"an element must give an Assembled, got {assembled!r}")
+        LaplaceBeltrami(assembled.stiffness, assembled.mass)  # refuses what is no such operator
+        return assembled
 
 
 def _one_of(name: str, given: object, allowed: tuple[object, ...]) -> None:

@@ -8,11 +8,12 @@ from scipy.sparse import csc_array
 from scipy.spatial import KDTree
 
 from pcretrieve.errors import DegenerateMeshError
-from pcretrieve.spectral.elements import Assembled, assembled, sides_of
-from pcretrieve.spectral.linear import LINEAR
+from pcretrieve.spectral.element import Assembled, Element
+from pcretrieve.spectral.lagrange import assembled, sides_of
+from pcretrieve.spectral.linear import LINEAR_REFERENCE
 from pcretrieve.types import FloatArray, IntArray, PointCloud, TriangleMesh
 
-__all__ = ["points", "star_mesh", "stars"]
+__all__ = ["POINTS", "points", "star_mesh", "stars"]
 
 # Number of neighbours among which the triangles of a point are searched, and to which its tangent plane is
 # fitted if the cloud has no normals. With fewer neighbours triangles are missed, with more the neighbourhood
@@ -81,8 +82,12 @@ def points(cloud: PointCloud) -> Assembled:
             f"every point must form a triangle with its neighbours, got {lone} that do not: points on a line "
             "are no surface"
         )
-    stiffness, mass, _ = assembled(mesh, mesh.faces, LINEAR, sides_of(mesh))
+    stiffness, mass, _ = assembled(mesh, mesh.faces, LINEAR_REFERENCE, sides_of(mesh))
     return Assembled(csc_array(stiffness / 3), csc_array(mass / 3), np.zeros(n, dtype=bool))
+
+
+# Lumped mass is more accurate.
+POINTS = Element("points", points, needs="points", masses=("lumped", "consistent"))
 
 
 def star_mesh(cloud: PointCloud) -> TriangleMesh:

@@ -1,10 +1,12 @@
 """A package that adds one of every kind to pcretrieve."""
 
 import numpy as np
+from scipy.sparse import csc_array
 
 from pcretrieve.descriptors import Descriptor
 from pcretrieve.options import SignatureOptions
-from pcretrieve.types import Shape, Signature
+from pcretrieve.spectral import ELEMENTS, Assembled, Element
+from pcretrieve.types import Shape, Signature, TriangleMesh
 
 
 def girth(shape: Shape, options: SignatureOptions) -> Signature:
@@ -13,4 +15,11 @@ def girth(shape: Shape, options: SignatureOptions) -> Signature:
     return Signature(np.quantile(reach, np.linspace(0.1, 0.9, options.n_values)), kind="girth")
 
 
+def soft(mesh: TriangleMesh) -> Assembled:
+    """Linear elements of a material of half the stiffness."""
+    linear = ELEMENTS["linear"].assemble(mesh)
+    return linear._replace(stiffness=csc_array(linear.stiffness / 2))
+
+
 GIRTH = Descriptor("girth", girth, needs=("mesh",))
+SOFT = Element("soft", soft)

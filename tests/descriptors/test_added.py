@@ -11,12 +11,12 @@ import pytest
 import shapes
 from packages import install
 
-from pcretrieve.descriptors import describe, signature_length
+from pcretrieve.descriptors import Descriptor, describe, signature_length
 from pcretrieve.errors import OptionError, ShapeError
 from pcretrieve.options import PipelineOptions, SignatureOptions
 from pcretrieve.pipeline.process import process
 from pcretrieve.spectral import unit_eigenpairs
-from pcretrieve.types import PointCloud, Shape, Surface
+from pcretrieve.types import PointCloud, Shape, Signature, Surface
 
 MODULE = '''
 import numpy as np
@@ -168,8 +168,8 @@ def test_what_a_descriptor_may_not_do_fails_its_shape(method: str, message: str)
 @pytest.mark.parametrize(
     ("method", "message"),
     [
-        ("misnamed", "must have the name of its entry point, got a Descriptor named 'lowest'"),
-        ("number", "must be a Descriptor or a function, got 3.14"),
+        ("misnamed", "must have the name of its entry point, got a record named 'lowest'"),
+        ("number", "must be of the class Descriptor, got 3.14"),
     ],
 )
 def test_what_is_no_descriptor_is_a_mistake_of_its_package(method: str, message: str) -> None:
@@ -180,3 +180,15 @@ def test_what_is_no_descriptor_is_a_mistake_of_its_package(method: str, message:
 def test_the_length_is_known_without_a_shape() -> None:
     assert signature_length(options("lowest")) == 3
     assert signature_length(SignatureOptions(method="short", n_values=7, size_weight=1.0)) == 9
+
+
+@pytest.mark.parametrize(
+    ("declared", "message"),
+    [
+        ({"needs": ("voxels",)}, "needs of a descriptor must be of spectrum, .* points, got 'voxels'"),
+        ({"needs": (), "metric": "angles"}, "metric of a descriptor must be of logarithms, .* got 'angles'"),
+    ],
+)
+def test_records_that_declare_what_does_not_exist(declared: dict[str, Any], message: str) -> None:
+    with pytest.raises(OptionError, match=message):
+        Descriptor("x", lambda shape, options: Signature(np.ones(1), kind="x"), **declared)

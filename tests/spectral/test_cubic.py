@@ -12,9 +12,9 @@ import pytest
 import shapes
 
 from pcretrieve.spectral import eigenpairs, laplace_beltrami
-from pcretrieve.spectral.cubic import CUBIC, cubic_nodes
-from pcretrieve.spectral.elements import Element, sides_of
-from pcretrieve.spectral.linear import LINEAR
+from pcretrieve.spectral.cubic import CUBIC_REFERENCE, cubic_nodes
+from pcretrieve.spectral.lagrange import ReferenceElement, sides_of
+from pcretrieve.spectral.linear import LINEAR_REFERENCE
 from pcretrieve.types import FloatArray, TriangleMesh
 
 # --- the same matrices, from the basis functions ------------------------------------------------------
@@ -30,7 +30,7 @@ CUBIC_NODES = [
     *((2, 1, 0), (1, 2, 0), (0, 2, 1), (0, 1, 2), (1, 0, 2), (2, 0, 1)),
     (1, 1, 1),
 ]
-ELEMENTS = [(LINEAR, LINEAR_NODES), (CUBIC, CUBIC_NODES)]
+ELEMENTS = [(LINEAR_REFERENCE, LINEAR_NODES), (CUBIC_REFERENCE, CUBIC_NODES)]
 
 elements = pytest.mark.parametrize(("element", "nodes"), ELEMENTS, ids=["linear", "cubic"])
 
@@ -92,7 +92,7 @@ def rational(matrix: FloatArray) -> list[list[Fraction]]:
 
 
 @elements
-def test_matrices_are_those_of_the_basis_functions(element: Element, nodes: Nodes) -> None:
+def test_matrices_are_those_of_the_basis_functions(element: ReferenceElement, nodes: Nodes) -> None:
     stiffness, mass = derived(nodes)
     assert rational(element.along) == stiffness[0]
     assert rational(element.mass) == mass
@@ -104,7 +104,7 @@ def test_matrices_are_those_of_the_basis_functions(element: Element, nodes: Node
 
 
 @elements
-def test_nodes_turn_and_lie_on_their_side(element: Element, nodes: Nodes) -> None:
+def test_nodes_turn_and_lie_on_their_side(element: ReferenceElement, nodes: Nodes) -> None:
     for node, turned in zip(nodes, element.turn, strict=True):
         assert nodes[turned] == (node[2], node[0], node[1])
     assert {i for i, node in enumerate(nodes) if node[2] == 0} == set(element.side.tolist())
@@ -122,7 +122,7 @@ def test_the_same_derivation_gives_table_6() -> None:
 
 
 @elements
-def test_stiffness_by_squared_side_lengths_is_the_same(element: Element, nodes: Nodes) -> None:
+def test_stiffness_by_squared_side_lengths_is_the_same(element: ReferenceElement, nodes: Nodes) -> None:
     """The sum of the paper, with Table 7 as derived here, on a scalene triangle."""
     triangle = TriangleMesh(
         np.array([[0, 0, 0], [2, 0.3, 0], [0.4, 1.1, 0.7]]), np.array([[0, 1, 2]], np.int32)

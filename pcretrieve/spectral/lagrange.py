@@ -26,15 +26,16 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array, csc_array
 
 from pcretrieve.errors import DegenerateMeshError
+from pcretrieve.spectral.element import Assembled
 from pcretrieve.types import FloatArray, TriangleMesh
 
-__all__ = ["Assembled", "Element", "Index", "Sides", "assembled", "check_faces", "check_vertices", "sides_of"]
+__all__ = ["Index", "ReferenceElement", "Sides", "assembled", "check_faces", "check_vertices", "sides_of"]
 
 Index = NDArray[np.integer]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Element:
+class ReferenceElement:
     """The reference matrices of a finite element with q nodes on each triangle.
 
     Side k is from corner k to corner k + 1 (modulo 3).
@@ -64,14 +65,6 @@ class Sides(NamedTuple):
     use: Index
 
 
-class Assembled(NamedTuple):
-    """The stiffness matrix, the mass matrix, and a mask of the rows whose nodes are on the boundary."""
-
-    stiffness: csc_array
-    mass: csc_array
-    boundary: NDArray[np.bool_]
-
-
 def sides_of(mesh: TriangleMesh) -> Sides:
     """The edges of a surface, in ascending order of the lower and then of the higher vertex number.
 
@@ -91,7 +84,7 @@ def sides_of(mesh: TriangleMesh) -> Sides:
     return Sides(edge.reshape(-1, 3), use)
 
 
-def assembled(mesh: TriangleMesh, nodes: Index, element: Element, sides: Sides) -> Assembled:
+def assembled(mesh: TriangleMesh, nodes: Index, element: ReferenceElement, sides: Sides) -> Assembled:
     """Assemble the stiffness matrix and the consistent mass matrix of an element.
 
     Parameters
@@ -100,7 +93,7 @@ def assembled(mesh: TriangleMesh, nodes: Index, element: Element, sides: Sides) 
         A surface of m faces that satisfies `check_faces`.
     nodes : (m, q) int
         Node numbers of each face. Every number from 0 to the largest occurs.
-    element : Element
+    element : ReferenceElement
         The reference matrices.
     sides : Sides
         The edges of `mesh`.

@@ -1,0 +1,48 @@
+"""A package that adds one of every kind: each is used by its name, as those of pcretrieve are."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import shapes
+from packages import install_addition
+
+from pcretrieve import PipelineOptions, laplace_beltrami, signature
+from pcretrieve.errors import OptionError
+
+MESH = shapes.body(3)
+
+
+@pytest.fixture(autouse=True)
+def _installed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    install_addition(tmp_path / "site", monkeypatch)
+
+
+def test_a_descriptor() -> None:
+    options = PipelineOptions().changed(signature={"method": "girth", "n_values": 5})
+    values = signature(MESH, options).values
+    assert len(values) == 5
+    assert (np.diff(values) > 0).all()
+
+
+def test_an_element() -> None:
+    soft, linear = (laplace_beltrami(MESH, element) for element in ("soft", "linear"))
+    assert abs(2 * soft.stiffness - linear.stiffness).max() < 1e-12
+    options = PipelineOptions().changed(
+        spectral={"element": "soft"}, signature={"method": "shape-dna", "scale": "absolute"}
+    )
+    linear_options = options.changed(spectral={"element": "linear"})
+    np.testing.assert_allclose(
+        signature(MESH, options).values, 2 * signature(MESH, linear_options).values, rtol=1e-6
+    )
+
+
+def test_without_the_package_its_names_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.undo()
+    for stage, name in {"signature": "method", "spectral": "element"}.items():
+        with pytest.raises(
+            OptionError, match=rf"in \[{stage}\], {name}: input should be one of .*, got 'soft'"
+        ):
+            PipelineOptions().changed(**{stage: {name: "soft"}})
