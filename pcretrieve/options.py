@@ -65,9 +65,15 @@ METHODS: dict[str, bool] = {
     "combined": True,
 }
 
-# The names of what other packages can add. Tests hold these names and the records against each other.
-DESCRIPTOR_NAMES = Names("descriptor", "pcretrieve.signatures", tuple(METHODS))
-ELEMENT_NAMES = Names("element", "pcretrieve.elements", ("linear", "cubic", "intrinsic-delaunay", "points"))
+# The names of what other packages can add, by kind. Tests hold them and the records against each other.
+NAMES = {
+    names.kind: names
+    for names in (
+        Names("element", "pcretrieve.elements", ("linear", "cubic", "intrinsic-delaunay", "points")),
+        Names("descriptor", "pcretrieve.signatures", tuple(METHODS)),
+        Names("distance", "pcretrieve.distances", ("log", "d1", "d2")),
+    )
+}
 
 
 class _Options(BaseModel):
@@ -207,7 +213,7 @@ class RemeshOptions(_Options):
 class SpectralOptions(_Options):
     """Surface of unit area → smallest eigenpairs of its Laplace–Beltrami operator."""
 
-    element: Annotated[str, AfterValidator(ELEMENT_NAMES.known)] = "linear"
+    element: Annotated[str, AfterValidator(NAMES["element"].known)] = "linear"
     """Discretisation of the operator. linear, cubic: finite elements on the triangles of the surface;
     intrinsic-delaunay: linear elements on the intrinsic Delaunay triangulation of the tufted cover, robust to
     badly shaped and non-manifold triangles; points: linear elements on local triangulations of the filtered
@@ -222,7 +228,7 @@ Scale = Literal["relative", "area", "absolute"]
 class SignatureOptions(_Options):
     """Spectrum and surface → descriptor."""
 
-    method: Annotated[str, AfterValidator(DESCRIPTOR_NAMES.known)] = "r-bihdm"
+    method: Annotated[str, AfterValidator(NAMES["descriptor"].known)] = "r-bihdm"
     """The descriptor; `pcretrieve signature --help` lists all of them."""
     n_values: Count = 23
     """Number L of values of the descriptor. For combined, of each of its two parts; for bags of features, the
@@ -261,7 +267,7 @@ Damping = Literal["auto"] | Annotated[float, Field(gt=0, le=1)]
 class RetrievalOptions(_Options):
     """Signatures → ranked shapes. No stored spectrum or signature depends on these options."""
 
-    distance: Literal["log", "d1", "d2"] = "log"
+    distance: Annotated[str, AfterValidator(NAMES["distance"].known)] = "log"
     """Distance of two signatures: the Euclidean distance of their logarithms (log), or the dissimilarities D1
     and D2 of Ye and Yu."""
     whitening: WhiteningKind = "none"

@@ -178,9 +178,10 @@ class Registry(Generic[Record]):
         return f" {point.dist.name} {point.dist.version}" if point.dist else f" {point.module}"
 
     @contextmanager
-    def blamed(self, name: str, stage: Stage) -> Iterator[None]:
-        """Turn the exceptions of a record's function into a ShapeError that names its package.
+    def blamed(self, name: str, stage: Stage | None = None) -> Iterator[None]:
+        """Turn the exceptions of a record's function into one of pcretrieve that names its package.
 
+        It is a ShapeError in a stage of one shape, else an OptionError, since an option has named the record.
         ShapeError, OptionError and MemoryError are not changed. Of the other exceptions of pcretrieve's own
         records, only InputError is changed: there the shape has led to values that are not valid.
 
@@ -188,7 +189,7 @@ class Registry(Generic[Record]):
         ----------
         name : str
             Name of the record.
-        stage : Stage
+        stage : Stage, optional
             Stage of the ShapeError.
 
         Yields
@@ -198,7 +199,7 @@ class Registry(Generic[Record]):
 
         Raises
         ------
-        ShapeError
+        ShapeError, OptionError
             If the function raises another exception.
         """
         try:
@@ -210,8 +211,9 @@ class Registry(Generic[Record]):
         except SystemExit as error:
             raise self._failed(name, stage, error) from error
 
-    def _failed(self, name: str, stage: Stage, error: BaseException) -> ShapeError:
-        return ShapeError(f"{self.called(name)} failed, {type(error).__name__}: {error}", stage=stage)
+    def _failed(self, name: str, stage: Stage | None, error: BaseException) -> ShapeError | OptionError:
+        message = f"{self.called(name)} failed, {type(error).__name__}: {error}"
+        return ShapeError(message, stage=stage) if stage else OptionError(f"{message}; {ADVICE}")
 
     def _point(self, name: str) -> EntryPoint:
         point = _points(self.names.group, tuple(sys.path)).get(name)

@@ -10,6 +10,7 @@ from packages import install
 from pcretrieve.descriptors import DESCRIPTORS
 from pcretrieve.errors import InputError, OptionError, ShapeError, Stage
 from pcretrieve.plugins import Named, Names, Registry
+from pcretrieve.retrieval import DISTANCES
 from pcretrieve.spectral import ELEMENTS
 
 GROUP = "pcretrieve.tests"
@@ -44,7 +45,9 @@ def installed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path / "site"
 
 
-@pytest.mark.parametrize("registry", [DESCRIPTORS, ELEMENTS], ids=lambda registry: registry.names.kind)
+@pytest.mark.parametrize(
+    "registry", [DESCRIPTORS, ELEMENTS, DISTANCES], ids=lambda registry: registry.names.kind
+)
 def test_names_are_those_of_the_records(registry: Registry[Named]) -> None:
     """Options know the names by a table of their own, since records take long to import."""
     assert tuple(registry.own) == registry.names.own
@@ -122,11 +125,17 @@ def test_errors_that_are_nobodys_fault_are_left_as_they_are(name: str, error: Ba
     assert raised.value is error
 
 
+@pytest.mark.usefixtures("installed")
+def test_without_a_stage_an_option_is_at_fault() -> None:
+    with pytest.raises(OptionError, match=r"the number 'seven' of .* failed, KeyError: 'x'; upgrade"):
+        fail("seven", KeyError("x"), None)
+
+
 def test_values_that_do_not_suit_fail_a_shape_even_of_pcretrieve() -> None:
     with pytest.raises(ShapeError, match="the number 'one' failed, InputError: must be positive"):
         fail("one", InputError("must be positive"))
 
 
-def fail(name: str, error: BaseException) -> None:
-    with NUMBERS.blamed(name, Stage.SPECTRUM):
+def fail(name: str, error: BaseException, stage: Stage | None = Stage.SPECTRUM) -> None:
+    with NUMBERS.blamed(name, stage):
         raise error

@@ -30,8 +30,8 @@ from pcretrieve.descriptors import describe
 from pcretrieve.errors import OptionError, ShapeError
 from pcretrieve.evaluation.folds import evaluate
 from pcretrieve.options import (
-    DESCRIPTOR_NAMES,
     METHODS,
+    NAMES,
     PipelineOptions,
     RetrievalOptions,
     SignatureOptions,
@@ -91,7 +91,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser = argument_parser(__doc__)
     add_data(parser)
     parser.add_argument("--only", choices=DATA_SETS, help="one set only")
-    parser.add_argument("--methods", nargs="+", default=DESCRIPTOR_NAMES.all(), help="some descriptors only")
+    parser.add_argument(
+        "--methods", nargs="+", default=NAMES["descriptor"].all(), help="some descriptors only"
+    )
     parser.add_argument("--n-values", type=int, nargs="+", default=[23, 45, 60], help="lengths")
     parser.add_argument(
         "--scale",
@@ -135,7 +137,7 @@ def _rows(name: str, catalogue: Catalogue, options: SignatureOptions) -> Iterato
         if whitening == "resolution" and not is_measured(options):
             continue
         made = resolution_whitening(options) if whitening == "resolution" else None
-        for distance in DISTANCES:
+        for distance in DISTANCES.own:
             retrieval = RetrievalOptions(distance=distance, whitening=whitening)
             measures = evaluate(described.table, retrieval, whitening=made, failed_labels=described.failed)
             yield TABLE.row(

@@ -68,9 +68,23 @@ matrix_option = click.option(
     help="Rank by the distances in a file, such as `pcretrieve matrix` writes, in place of those of "
     "signatures: a square of numbers, plain text or .npy, with the ids of its rows in FILE.ids beside it.",
 )
+
+
+class _Name(click.ParamType):  # type: ignore[type-arg]  # generic since click 8.3 only
+    """A descriptor or a distance, listed by name where help is asked for; the options themselves check it."""
+
+    def __init__(self, kind: str) -> None:
+        self.name = kind
+
+    def get_metavar(self, param: click.Parameter, ctx: click.Context | None = None) -> str:
+        from pcretrieve.options import NAMES
+
+        return f"[{'|'.join(NAMES[self.name].all())}]"
+
+
 _distance_option = click.option(
     "--distance",
-    type=click.Choice(["log", "d1", "d2"]),
+    type=_Name("distance"),
     help="Euclidean distance of log-signatures, or the paper's D1 or D2.  [default: log, or the catalogue's]",
 )
 _whitening_option = click.option(
@@ -89,19 +103,8 @@ _overlay_option = click.option(
 )
 
 
-class _Method(click.ParamType):  # type: ignore[type-arg]  # generic since click 8.3 only
-    """A descriptor, listed by name where help is asked for; the options themselves check it."""
-
-    name = "method"
-
-    def get_metavar(self, param: click.Parameter, ctx: click.Context | None = None) -> str:
-        from pcretrieve.options import DESCRIPTOR_NAMES
-
-        return f"[{'|'.join(DESCRIPTOR_NAMES.all())}]"
-
-
 method_option = click.option(
-    "--method", type=_Method(), help="The descriptor.  [default: r-bihdm, or the catalogue's]"
+    "--method", type=_Name("descriptor"), help="The descriptor.  [default: r-bihdm, or the catalogue's]"
 )
 n_values_option = click.option(
     "--n-values",

@@ -24,8 +24,8 @@ from pcretrieve.retrieval import (
     SignatureIndex,
     Whitening,
     fit_whitening,
-    log_signatures,
     pairwise_blocks,
+    table_coordinates,
 )
 from pcretrieve.types import SignatureTable
 
@@ -96,7 +96,7 @@ def within_class_folds(table: SignatureTable, options: RetrievalOptions | None =
     `options` say how the whitening is damped, and how classes are dealt, as in `grouped_folds`.
     """
     options = options or RetrievalOptions()
-    logs = log_signatures(table.values)
+    logs = table_coordinates(table, options.distance)
     for classes in grouped_folds(table.labels, options):
         scored = np.array([label in classes for label in table.labels])
         fitted = np.flatnonzero([label is not None for label in table.labels] & ~scored)
@@ -115,7 +115,7 @@ def within_class_distances(
 ) -> Iterator[DistanceBlock]:
     """Distances of each labelled shape to the whole gallery, whitened by its fold of `within_class_folds`."""
     options = options or RetrievalOptions()
-    logs = log_signatures(table.values)
+    logs = table_coordinates(table, options.distance)
     for fold in within_class_folds(table, options):
         yield from pairwise_blocks(options.distance, fold.whitening.apply(logs), fold.queries)
 

@@ -1,6 +1,13 @@
 """Signatures → ranked shapes: distances, whitening, and an exact nearest-neighbour index."""
 
-from pcretrieve.retrieval.distances import DISTANCES, log_signatures, pairwise
+from pcretrieve.retrieval.distances import (
+    DISTANCES,
+    Distance,
+    coordinates,
+    log_signatures,
+    pairwise,
+    table_coordinates,
+)
 from pcretrieve.retrieval.fitting import DEFAULT_DAMPING, checked_damping, fit_whitening, table_whitening
 from pcretrieve.retrieval.index import SignatureIndex
 from pcretrieve.retrieval.ranking import (
@@ -18,12 +25,14 @@ __all__ = [
     "DEFAULT_DAMPING",
     "DISTANCES",
     "WHITENINGS",
+    "Distance",
     "DistanceBlock",
     "Positions",
     "Ranking",
     "SignatureIndex",
     "Whitening",
     "checked_damping",
+    "coordinates",
     "fit_whitening",
     "log_signatures",
     "nearest_of",
@@ -31,6 +40,7 @@ __all__ = [
     "pairwise_blocks",
     "position_of",
     "resolution_whitening",
+    "table_coordinates",
     "table_whitening",
     "whitening_digest",
 ]

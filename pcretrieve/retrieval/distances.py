@@ -1,6 +1,7 @@
-"""Distances between signatures, as functions of the difference of their logarithms.
+"""Distances between signatures, as functions of the difference of their coordinates.
 
-Let a and b be two signatures and x = log a − log b, element by element. Then
+The coordinates of a signature are the logarithms of its values, if that is its metric. Let a and b be two
+signatures and x = log a − log b, element by element. Then
 
     d1    Σ |a − b| / (a + b)      = Σ tanh(|x| / 2)         a metric, at most L
     d2    √ Σ (a − b)² / (a b)     = √ Σ 4 sinh²(x / 2)      not a metric
@@ -8,6 +9,13 @@ Let a and b be two signatures and x = log a − log b, element by element. Then
 
 `d1` and `d2` are the dissimilarities D₁ and D₂ of Ye and Yu [1]_ (D₂ is equation (11)). If a whitening maps
 log-signatures to y, the distances are those of the positive vectors exp(y).
+
+Signatures that are compared as they are have their values as coordinates, and histograms the square roots of
+their bins. Of the distances above, only `log` is meaningful for them, which is then the Euclidean distance of
+the values, and √2 times the Hellinger distance of histograms with the sum 1.
+
+Another package adds a distance by an entry point of the group ``pcretrieve.distances`` that names a record
+`Distance`.
 
 References
 ----------
@@ -17,16 +25,22 @@ References
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from types import MappingProxyType
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Literal, get_args
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from pcretrieve.errors import InputError, OptionError
-from pcretrieve.types import FloatArray
+from pcretrieve.options import NAMES
+from pcretrieve.plugins import Registry, named
+from pcretrieve.types import FloatArray, Metric, SignatureTable
 
-__all__ = ["DISTANCES", "log_signatures", "pairwise"]
+__all__ = ["DISTANCES", "Distance", "coordinates", "log_signatures", "pairwise", "table_coordinates"]
+
+# The distances that the index has lower bounds of.
+Bound = Literal["log", "d1"]
 
 # Number of differences in memory at once: 1 MiB, which fits the processor's second-level cache.
 CHUNK_VALUES = 2**17
@@ -49,10 +63,107 @@ def _log(x: FloatArray) -> FloatArray:
     return root
 
 
-#: The distances by name: functions from (…, L) differences of log-signatures to (…) distances.
-DISTANCES: Mapping[str, Callable[[FloatArray], FloatArray]] = MappingProxyType(
-    {"log": _log, "d1": _d1, "d2": _d2}
+@dataclass(frozen=True, slots=True)
+class Distance:
+    """The declaration of a distance, beside its function in pcretrieve or in another package.
+
+    Attributes
+    ----------
+    name : str
+        Value of the option `--distance`.
+    between : function of (…, L) float64 that returns (…) float64
+        Distances from the differences of coordinates, the last axis of which is summed over.
+    metrics : tuple of {"logarithms", "values", "histograms"}, default ("logarithms",)
+        The metrics of the signatures that the distance is meaningful for.
+    at_least : {"log", "d1"}, optional
+        A distance that is never larger, whose lower bounds the index then uses. By default none, and each
+        query is compared with all shapes.
+
+    Raises
+    ------
+    OptionError
+        If there is no such metric or bound.
+    """
+
+    name: str
+    between: Callable[[FloatArray], FloatArray]
+    metrics: tuple[Metric, ...] = ("logarithms",)
+    at_least: Bound | None = None
+
+    def __post_init__(self) -> None:
+        if wrong := sorted(set(self.metrics).difference(get_args(Metric))):
+            known = ", ".join(get_args(Metric))
+            raise OptionError(f"metrics of a distance must be of {known}, got {wrong[0]!r}")
+        if self.at_least not in (None, *get_args(Bound)):
+            known = " or ".join(map(repr, get_args(Bound)))
+            raise OptionError(f"at_least must be {known}, got {self.at_least!r}")
+
+
+LOG = Distance("log", _log, metrics=("logarithms", "values", "histograms"), at_least="log")
+D1 = Distance("d1", _d1, at_least="d1")
+D2 = Distance("d2", _d2, at_least="log")
+
+DISTANCES: Registry[Distance] = Registry(
+    NAMES["distance"], {distance.name: distance for distance in (LOG, D1, D2)}, named(Distance)
 )
+
+
+def coordinates(values: ArrayLike, metric: Metric = "logarithms") -> FloatArray:
+    """The coordinates of signatures, of whose differences the distances are functions.
+
+    Parameters
+    ----------
+    values : (…, L) array_like
+        Signature values.
+    metric : {"logarithms", "values", "histograms"}, default "logarithms"
+        The metric of the signatures.
+
+    Returns
+    -------
+    (…, L) float64
+        The logarithms, the values themselves, or the square roots.
+
+    Raises
+    ------
+    InputError
+        If a value is not finite, or the metric does not allow it.
+    """
+    if metric == "logarithms":
+        return log_signatures(values)
+    array = _checked(values, "finite", np.isfinite)
+    if metric == "values":
+        return array
+    roots: FloatArray = np.sqrt(_checked(array, "bins of a histogram, not negative", lambda x: x >= 0))
+    return roots
+
+
+def table_coordinates(table: SignatureTable, distance: str) -> FloatArray:
+    """The coordinates of the signatures in a table, for a distance.
+
+    Parameters
+    ----------
+    table : SignatureTable
+        The signatures.
+    distance : str
+        A name in `DISTANCES`.
+
+    Returns
+    -------
+    (N, L) float64
+        As in `coordinates`.
+
+    Raises
+    ------
+    OptionError
+        If the distance does not exist, or is not meaningful for the metric of the signatures.
+    """
+    if table.metric not in DISTANCES[distance].metrics:
+        meaningful = ", ".join(name for name, each in DISTANCES.own.items() if table.metric in each.metrics)
+        raise OptionError(
+            f"distance must be {meaningful} for {table.kind}, which is compared as {table.metric}, got "
+            f"{distance!r}"
+        )
+    return coordinates(table.values, table.metric)
 
 
 def log_signatures(values: ArrayLike) -> FloatArray:
@@ -73,18 +184,23 @@ def log_signatures(values: ArrayLike) -> FloatArray:
     InputError
         If a value is not a positive finite number.
     """
+    logs: FloatArray = np.log(_checked(values, "positive and finite", lambda x: np.isfinite(x) & (x > 0)))
+    return logs
+
+
+def _checked(values: ArrayLike, kind: str, holds: Callable[[FloatArray], NDArray[np.bool_]]) -> FloatArray:
+    """The values as an array, all of which are of a kind."""
     try:
         array = np.asarray(values, dtype=np.float64)
     except (TypeError, ValueError) as error:
         raise InputError(f"signature values must be an array of numbers, got {values!r}") from error
-    bad = array[~(np.isfinite(array) & (array > 0))]
+    bad = array[~holds(array)]
     if bad.size:
         raise InputError(
-            f"signature values must be positive and finite, got {bad[0]} ({bad.size} such values of "
+            f"signature values must be {kind}, got {bad[0]} ({bad.size} such values of "
             f"{array.size}); compute the signature again"
         )
-    logs: FloatArray = np.log(array)
-    return logs
+    return array
 
 
 def pairwise(distance: str, queries: FloatArray, gallery: FloatArray) -> FloatArray:
@@ -96,11 +212,11 @@ def pairwise(distance: str, queries: FloatArray, gallery: FloatArray) -> FloatAr
     Parameters
     ----------
     distance : str
-        A key of `DISTANCES`.
+        A name in `DISTANCES`.
     queries : (Q, L) float64
-        Log-signatures, with or without whitening.
+        Coordinates, with or without whitening.
     gallery : (N, L) float64
-        Log-signatures with the same whitening.
+        Coordinates with the same whitening.
 
     Returns
     -------
@@ -110,17 +226,15 @@ def pairwise(distance: str, queries: FloatArray, gallery: FloatArray) -> FloatAr
     Raises
     ------
     OptionError
-        If the distance does not exist.
+        If the distance does not exist, or its package is at fault.
     InputError
         If the two arrays do not have the same number of columns.
     """
-    if distance not in DISTANCES:
-        raise OptionError(f"distance must be one of {', '.join(DISTANCES)}, got {distance!r}")
+    between = DISTANCES[distance].between
     if queries.ndim != 2 or gallery.ndim != 2 or queries.shape[1] != gallery.shape[1]:
         raise InputError(
             f"queries and gallery must have shapes (Q, L) and (N, L), got {queries.shape} and {gallery.shape}"
         )
-    between = DISTANCES[distance]
     n_values = max(1, gallery.shape[1])
     columns = max(1, min(len(gallery), CHUNK_VALUES // n_values))
     rows = max(1, CHUNK_VALUES // (n_values * columns))
@@ -128,5 +242,6 @@ def pairwise(distance: str, queries: FloatArray, gallery: FloatArray) -> FloatAr
     for i in range(0, len(queries), rows):
         for j in range(0, len(gallery), columns):
             x = queries[i : i + rows, np.newaxis] - gallery[np.newaxis, j : j + columns]  # (rows, columns, L)
-            distances[i : i + rows, j : j + columns] = between(x)
+            with DISTANCES.blamed(distance):
+                distances[i : i + rows, j : j + columns] = between(x).reshape(x.shape[:2])
     return distances

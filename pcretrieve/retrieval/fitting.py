@@ -24,7 +24,7 @@ import numpy as np
 
 from pcretrieve.errors import InputError, OptionError
 from pcretrieve.options import Damping, RetrievalOptions
-from pcretrieve.retrieval.distances import log_signatures
+from pcretrieve.retrieval.distances import table_coordinates
 from pcretrieve.retrieval.whitening import WHITENINGS, Whitening
 from pcretrieve.types import FloatArray, SignatureTable
 
@@ -133,7 +133,7 @@ def table_whitening(
         If the kind is ``resolution``, which is not fitted.
     """
     if whitening is None:
-        logs = log_signatures(table.values)
+        logs = table_coordinates(table, options.distance)
         return fit_whitening(
             options.whitening, logs, table.labels, damping=options.damping, options_digest=table.digest
         )

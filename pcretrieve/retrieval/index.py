@@ -26,7 +26,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from pcretrieve.errors import InputError, OptionError
 from pcretrieve.options import RetrievalOptions
-from pcretrieve.retrieval.distances import log_signatures, pairwise
+from pcretrieve.retrieval.distances import DISTANCES, coordinates, pairwise, table_coordinates
 from pcretrieve.retrieval.fitting import table_whitening
 from pcretrieve.retrieval.lower_bounds import LowerBounds
 from pcretrieve.retrieval.ranking import (
@@ -72,7 +72,7 @@ class SignatureIndex:
     ids : tuple of str, length N
         The shapes of the table, in alphabetical order.
     distance : str
-        A key of `pcretrieve.retrieval.DISTANCES`.
+        A name in `pcretrieve.retrieval.DISTANCES`.
     whitening : Whitening
         The whitening of the gallery and of all queries.
 
@@ -99,14 +99,15 @@ class SignatureIndex:
             raise InputError("an index needs at least 1 shape, got an empty table; ingest shapes first")
         self.distance = options.distance
         self.whitening = table_whitening(table, options, whitening)
-        self._kind, self._digest = table.kind, table.digest
+        self._kind, self._digest, self._metric = table.kind, table.digest, table.metric
         by_id = sorted(range(len(table)), key=table.ids.__getitem__)
         self.ids = tuple(table.ids[row] for row in by_id)
         self._gallery = self.whitening.apply(
-            log_signatures(table.values[by_id])
+            table_coordinates(table, self.distance)[by_id]
         )  # (N, L), sorted by id: so are ties
         self._size = max(1.0, float(np.abs(self._gallery).max(initial=0)))
-        self._bounds = LowerBounds.of(self.distance, self._gallery, n_leading)
+        bound = DISTANCES[self.distance].at_least
+        self._bounds = LowerBounds.of(bound, self._gallery, n_leading) if bound else None
 
     def __len__(self) -> int:
         return len(self.ids)
@@ -196,6 +197,8 @@ class SignatureIndex:
 
     def _candidates(self, point: FloatArray, k: int) -> NDArray[np.intp]:
         """Rows of the gallery, ascending, that include the `k` nearest and all rows at equal distance."""
+        if self._bounds is None:
+            return np.arange(len(self))
         bounds = self._bounds.to(point[0])  # (N,)
         # The smallest bound of each of many blocks is found faster than the smallest bounds of the table.
         length = max(1, len(self) // (N_BLOCKS * k))
@@ -228,7 +231,7 @@ class SignatureIndex:
                     f"{self._kind!r} {self._digest!r}, got {signature.kind!r} {signature.digest!r}"
                 )
             signature = signature.values
-        logs = log_signatures(signature)
+        logs = coordinates(signature, self._metric)
         if logs.shape != (self._gallery.shape[1],):
             raise InputError(
                 f"the query must have shape ({self._gallery.shape[1]},), as the table's rows have, "

@@ -67,8 +67,8 @@ class LowerBounds:
 
         Parameters
         ----------
-        distance : str
-            A name in `pcretrieve.retrieval.DISTANCES`.
+        distance : {"log", "d1"}
+            The distance, or one that is never larger: the bounds of ``log`` are bounds of ``d2`` too.
         gallery : (N, L) float64
             Whitened log-signatures, at least one.
         n_leading : int, optional

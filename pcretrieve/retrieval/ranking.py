@@ -94,7 +94,7 @@ def pairwise_blocks(distance: str, gallery: FloatArray, queries: Positions) -> I
     Parameters
     ----------
     distance : str
-        A key of `pcretrieve.retrieval.DISTANCES`.
+        A name in `pcretrieve.retrieval.DISTANCES`.
     gallery : (N, L) float64
         Log-signatures, whitened or not.
     queries : (Q,) intp

@@ -10,7 +10,7 @@ from scipy.sparse.csgraph import connected_components
 
 from pcretrieve.conversion import GeometryLike, as_geometry
 from pcretrieve.errors import DegenerateMeshError, InputError, OptionError, Stage
-from pcretrieve.options import ELEMENT_NAMES
+from pcretrieve.options import NAMES
 from pcretrieve.plugins import Registry, named
 from pcretrieve.spectral.cubic import CUBIC
 from pcretrieve.spectral.element import Assembled, Element, Mass
@@ -22,7 +22,7 @@ from pcretrieve.types import LaplaceBeltrami, PointCloud, TriangleMesh
 __all__ = ["ELEMENTS", "laplace_beltrami"]
 
 ELEMENTS: Registry[Element] = Registry(
-    ELEMENT_NAMES,
+    NAMES["element"],
     {element.name: element for element in (LINEAR, CUBIC, INTRINSIC_DELAUNAY, POINTS)},
     named(Element),
 )

@@ -5,8 +5,9 @@ from scipy.sparse import csc_array
 
 from pcretrieve.descriptors import Descriptor
 from pcretrieve.options import SignatureOptions
+from pcretrieve.retrieval import Distance
 from pcretrieve.spectral import ELEMENTS, Assembled, Element
-from pcretrieve.types import Shape, Signature, TriangleMesh
+from pcretrieve.types import FloatArray, Shape, Signature, TriangleMesh
 
 
 def girth(shape: Shape, options: SignatureOptions) -> Signature:
@@ -21,5 +22,11 @@ def soft(mesh: TriangleMesh) -> Assembled:
     return linear._replace(stiffness=csc_array(linear.stiffness / 2))
 
 
+def largest(x: FloatArray) -> FloatArray:
+    """The largest difference of two coordinates, L∞."""
+    return np.asarray(np.abs(x).max(axis=-1))
+
+
 GIRTH = Descriptor("girth", girth, needs=("mesh",))
 SOFT = Element("soft", soft)
+LARGEST = Distance("largest", largest, metrics=("logarithms", "values"))

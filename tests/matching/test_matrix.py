@@ -66,7 +66,7 @@ def test_neighbours_of_nobody_and_none_of_them() -> None:
         MATRIX.nearest("a", 0)
 
 
-@pytest.mark.parametrize("distance", DISTANCES)
+@pytest.mark.parametrize("distance", DISTANCES.own)
 def test_the_matrix_of_an_index_ranks_as_the_index_does(distance: str) -> None:
     table = a_table()
     index: Ranking = SignatureIndex(table, RetrievalOptions(distance=distance, whitening="pca"))
