@@ -1,8 +1,6 @@
 """Whitening by resolution: its sample, its effect, and the signatures for which it is not defined."""
 
-import runpy
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -10,25 +8,21 @@ from shapes import body, points_on
 
 import pcretrieve.retrieval
 from pcretrieve import PipelineOptions
-from pcretrieve.descriptors import describe
+from pcretrieve.descriptors import describe, reduced_matrix
 from pcretrieve.errors import OptionError
 from pcretrieve.options import SignatureOptions
 from pcretrieve.pipeline.process import process
 from pcretrieve.retrieval import resolution_whitening
+from pcretrieve.retrieval.resolution import N_MODES
+from pcretrieve.simulation.resolution_sample import N_BODIES, log_eigenvalues
 from pcretrieve.types import FloatArray
 
-SCRIPT = Path(__file__).parents[2] / "scripts" / "sample_resolution"
 SAMPLE = np.load(Path(pcretrieve.retrieval.__file__).with_name("resolution.npy"))
 
 
-def script() -> dict[str, Any]:
-    return runpy.run_path(str(SCRIPT))
-
-
-def test_the_sample_is_what_the_script_measures() -> None:
-    measured = script()
-    made: FloatArray = measured["logs"]("animal", 3)
-    stored = SAMPLE[:, measured["N_BODIES"] + 3]
+def test_the_sample_is_what_its_module_measures() -> None:
+    made = log_eigenvalues("animal", 3)
+    stored = SAMPLE[:, N_BODIES + 3]
     # Rounding on another machine may move a voxel from one side of the surface to the other.
     np.testing.assert_allclose(made, stored, rtol=0, atol=0.02)
     assert np.abs(made[0] - made[1]).max() > 0.02
@@ -58,7 +52,7 @@ def test_what_resolution_changes_counts_less(scale: str, n_values: int) -> None:
 def test_values_by_area_are_what_the_sample_holds() -> None:
     """Order and unit of a signature are those of the sample's columns."""
     shape = process(points_on(body(), 6000), PipelineOptions().changed(surface={"reconstructions": 1}))
-    logs = script()["log_values"](shape)
+    logs = np.log(np.abs(np.linalg.eigvalsh(reduced_matrix(shape.spectrum, N_MODES))))
     values = describe(shape, SignatureOptions(n_values=60)).values
     np.testing.assert_allclose(np.log(values), logs[:60], rtol=1e-12)
     relative = describe(shape, SignatureOptions(n_values=60, scale="relative")).values
