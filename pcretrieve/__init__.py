@@ -10,55 +10,197 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from pcretrieve.catalogue import Catalogue
-    from pcretrieve.descriptors import r_bihdm, shape_dna
-    from pcretrieve.formats import read_scan
-    from pcretrieve.inspection.inspect import signature_spread
-    from pcretrieve.options import PipelineOptions
-    from pcretrieve.pipeline.process import reconstruct, signature
-    from pcretrieve.retrieval import SignatureIndex
+    from pcretrieve.descriptors import Descriptor, describe, r_bihdm, shape_dna
+    from pcretrieve.errors import (
+        BenchmarkError,
+        CatalogueError,
+        DegenerateMeshError,
+        InputError,
+        MemoryExceeded,
+        OptionError,
+        PcretrieveError,
+        ReconstructionError,
+        RemeshError,
+        ScanReadError,
+        ShapeError,
+        SpectrumError,
+        StageTimeout,
+        UnexpectedError,
+        WorkerDied,
+    )
+    from pcretrieve.evaluation.measures import RetrievalMeasures
+    from pcretrieve.formats import read_scan, write_cloud, write_mesh, write_signatures
+    from pcretrieve.inspection import Inspection, signature_spread
+    from pcretrieve.interface import evaluate, ingest, inspect, merge_views, report, search
+    from pcretrieve.matching import DistanceMatrix, read_matrix, write_matrix
+    from pcretrieve.options import MergeOptions, PipelineOptions
+    from pcretrieve.pipeline.process import process, reconstruct, signature
+    from pcretrieve.retrieval import SignatureIndex, Whitening
     from pcretrieve.spectral import eigenpairs, laplace_beltrami
-    from pcretrieve.types import PointCloud, TriangleMesh
+    from pcretrieve.types import (
+        Eigenpairs,
+        LaplaceBeltrami,
+        ModalSpectrum,
+        Neighbors,
+        PointCloud,
+        Shape,
+        Signature,
+        SignatureTable,
+        Step,
+        Surface,
+        TriangleMesh,
+    )
 
 __version__ = "0.1.0"
 
 __all__ = [
+    "BenchmarkError",
     "Catalogue",
+    "CatalogueError",
+    "DegenerateMeshError",
+    "Descriptor",
+    "DistanceMatrix",
+    "Eigenpairs",
+    "InputError",
+    "Inspection",
+    "LaplaceBeltrami",
+    "MemoryExceeded",
+    "MergeOptions",
+    "ModalSpectrum",
+    "Neighbors",
+    "OptionError",
+    "PcretrieveError",
     "PipelineOptions",
     "PointCloud",
+    "ReconstructionError",
+    "RemeshError",
+    "RetrievalMeasures",
+    "ScanReadError",
+    "Shape",
+    "ShapeError",
+    "Signature",
     "SignatureIndex",
+    "SignatureTable",
+    "SpectrumError",
+    "StageTimeout",
+    "Step",
+    "Surface",
     "TriangleMesh",
+    "UnexpectedError",
+    "Whitening",
+    "WorkerDied",
     "__version__",
+    "describe",
     "eigenpairs",
+    "evaluate",
+    "ingest",
+    "inspect",
     "laplace_beltrami",
+    "merge_views",
+    "process",
     "r_bihdm",
+    "read_matrix",
     "read_scan",
     "reconstruct",
+    "report",
+    "search",
     "shape_dna",
     "signature",
     "signature_spread",
+    "write_cloud",
+    "write_matrix",
+    "write_mesh",
+    "write_signatures",
 ]
 
+# The module that defines each name.
 _HOMES = {
-    "Catalogue": "pcretrieve.catalogue",
-    "PipelineOptions": "pcretrieve.options",
-    "PointCloud": "pcretrieve.types",
-    "SignatureIndex": "pcretrieve.retrieval",
-    "TriangleMesh": "pcretrieve.types",
-    "eigenpairs": "pcretrieve.spectral",
-    "laplace_beltrami": "pcretrieve.spectral",
-    "r_bihdm": "pcretrieve.descriptors",
-    "read_scan": "pcretrieve.formats",
-    "reconstruct": "pcretrieve.pipeline.process",
-    "shape_dna": "pcretrieve.descriptors",
-    "signature": "pcretrieve.pipeline.process",
-    "signature_spread": "pcretrieve.inspection.inspect",
+    "pcretrieve.catalogue": ("Catalogue",),
+    "pcretrieve.descriptors": (
+        "Descriptor",
+        "describe",
+        "r_bihdm",
+        "shape_dna",
+    ),
+    "pcretrieve.errors": (
+        "BenchmarkError",
+        "CatalogueError",
+        "DegenerateMeshError",
+        "InputError",
+        "MemoryExceeded",
+        "OptionError",
+        "PcretrieveError",
+        "ReconstructionError",
+        "RemeshError",
+        "ScanReadError",
+        "ShapeError",
+        "SpectrumError",
+        "StageTimeout",
+        "UnexpectedError",
+        "WorkerDied",
+    ),
+    "pcretrieve.evaluation.measures": ("RetrievalMeasures",),
+    "pcretrieve.formats": (
+        "read_scan",
+        "write_cloud",
+        "write_mesh",
+        "write_signatures",
+    ),
+    "pcretrieve.inspection": (
+        "Inspection",
+        "signature_spread",
+    ),
+    "pcretrieve.interface": (
+        "evaluate",
+        "ingest",
+        "inspect",
+        "merge_views",
+        "report",
+        "search",
+    ),
+    "pcretrieve.matching": (
+        "DistanceMatrix",
+        "read_matrix",
+        "write_matrix",
+    ),
+    "pcretrieve.options": (
+        "MergeOptions",
+        "PipelineOptions",
+    ),
+    "pcretrieve.pipeline.process": (
+        "process",
+        "reconstruct",
+        "signature",
+    ),
+    "pcretrieve.retrieval": (
+        "SignatureIndex",
+        "Whitening",
+    ),
+    "pcretrieve.spectral": (
+        "eigenpairs",
+        "laplace_beltrami",
+    ),
+    "pcretrieve.types": (
+        "Eigenpairs",
+        "LaplaceBeltrami",
+        "ModalSpectrum",
+        "Neighbors",
+        "PointCloud",
+        "Shape",
+        "Signature",
+        "SignatureTable",
+        "Step",
+        "Surface",
+        "TriangleMesh",
+    ),
 }
+_HOME_OF = {name: home for home, names in _HOMES.items() for name in names}
 
 
 def __getattr__(name: str) -> Any:
-    if name not in _HOMES:
+    if name not in _HOME_OF:
         raise AttributeError(f"module 'pcretrieve' has no attribute {name!r}")
-    return getattr(import_module(_HOMES[name]), name)
+    return getattr(import_module(_HOME_OF[name]), name)
 
 
 def __dir__() -> list[str]:

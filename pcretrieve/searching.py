@@ -12,14 +12,14 @@ from pcretrieve.matching import DistanceMatrix
 from pcretrieve.options import PipelineOptions
 from pcretrieve.pipeline.process import process
 from pcretrieve.retrieval import SignatureIndex
-from pcretrieve.types import Neighbors
+from pcretrieve.types import Neighbors, Signature
 
 __all__ = ["search"]
 
 
 def search(
     catalogue: Catalogue,
-    scan: str | Path,
+    scan: str | Path | Signature,
     *,
     k: int = 10,
     options: PipelineOptions | None = None,
@@ -49,6 +49,9 @@ def search(
         If the scan cannot be read or has no usable surface.
     """
     options = options or catalogue.options
+    if isinstance(scan, Signature):
+        table = catalogue.signatures(options)
+        return SignatureIndex(table, options.retrieval, whitening=catalogue.whitening(options)).query(scan, k)
     digest = content_hash(Path(scan))
     held = next((record for record in catalogue.with_content(digest) if record.status == "done"), None)
     if matrix is not None:

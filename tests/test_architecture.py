@@ -44,6 +44,7 @@ STAGES = [
     "evaluation",
     "inspection",
     "pages",
+    "interface",
     "simulation",
     "benchmarks",
     "cli",

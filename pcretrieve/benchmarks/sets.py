@@ -15,7 +15,7 @@ from pcretrieve.errors import BenchmarkError
 from pcretrieve.formats import read_scan
 from pcretrieve.ingestion.discover import discover
 from pcretrieve.ingestion.labels import read_labels
-from pcretrieve.ingestion.run import Summary, ingest
+from pcretrieve.ingestion.run import Summary, ingest_files
 from pcretrieve.options import PipelineOptions
 from pcretrieve.simulation import POSES, body, make_subject
 from pcretrieve.types import TriangleMesh
@@ -117,7 +117,7 @@ def ingested(
     """
     labels = read_labels(folder / "labels.csv") if labels is None else labels
     with Catalogue(path, options, create=True) as catalogue:
-        yield catalogue, ingest(discover([folder]), catalogue, labels=labels)
+        yield catalogue, ingest_files(discover([folder]), catalogue, labels=labels)
 
 
 def spread(things: Sequence[Thing], n: int | None) -> list[tuple[int, Thing]]:

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import click
 
-from pcretrieve.cli.parts import (
-    catalogue_option,
-    say,
-)
+from pcretrieve.cli.parts import catalogue_option, compared, comparison_options, say
 
 __all__ = ["export_command"]
 
@@ -23,20 +21,36 @@ __all__ = ["export_command"]
     type=click.Path(path_type=Path),
     required=True,
     metavar="PATH",
-    help="A mesh file for one shape (.ply .obj .off .stl .glb), or a folder for .ply files.",
+    help="A mesh file for one shape (.ply .obj .off .stl .glb), or a folder for .ply files; with "
+    "--signatures one file (.npz .parquet .csv).",
 )
-def export_command(shape_ids: tuple[str, ...], catalogue: Path, output: Path) -> None:
-    """Clean meshes out of a catalogue: those named, or all.
+@click.option(
+    "--signatures", is_flag=True, help="Write signatures with their ids and classes, in place of meshes."
+)
+@comparison_options
+def export_command(
+    shape_ids: tuple[str, ...], catalogue: Path, output: Path, signatures: bool, **comparison: Any
+) -> None:
+    """Clean meshes, or signatures, out of a catalogue: those of the shapes named, or all.
 
     \b
     pcretrieve export cat0 --catalogue bodies.sqlite -o cat0.obj
     pcretrieve export --catalogue bodies.sqlite -o meshes/
+    pcretrieve export --signatures --catalogue bodies.sqlite -o bodies.parquet
     """
     from pcretrieve.catalogue import Catalogue
     from pcretrieve.errors import InputError
-    from pcretrieve.formats import write_mesh
+    from pcretrieve.formats import write_mesh, write_signatures
 
+    given = [f"--{name.replace('_', '-')}" for name, value in comparison.items() if value is not None]
+    if given and not signatures:
+        raise click.UsageError(f"{', '.join(given)} is for --signatures: meshes have no such options")
     with Catalogue(catalogue) as store:
+        if signatures:
+            table = store.signatures(compared(store, **comparison))
+            write_signatures(table.select(shape_ids) if shape_ids else table, output)
+            click.echo(str(output))
+            return
         if len(shape_ids) == 1 and output.suffix and not output.is_dir():
             write_mesh(store.mesh(shape_ids[0]), output)
             click.echo(str(output))

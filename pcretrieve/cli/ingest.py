@@ -80,7 +80,7 @@ def ingest_command(
     from pcretrieve.catalogue import Catalogue
     from pcretrieve.ingestion.discover import discover, printable
     from pcretrieve.ingestion.labels import read_labels
-    from pcretrieve.ingestion.run import ingest
+    from pcretrieve.ingestion.run import ingest_files
 
     if not paths:
         raise click.UsageError("name at least one scan")
@@ -105,7 +105,7 @@ def ingest_command(
             bar.update()
 
         try:
-            summary = ingest(
+            summary = ingest_files(
                 scans,
                 store,
                 labels=names,

@@ -15,7 +15,6 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from pcretrieve.registration import Merged
-    from pcretrieve.types import FloatArray, PointCloud
 
 __all__ = ["merge_command"]
 
@@ -82,6 +81,7 @@ def merge_command(
 
     from pcretrieve.formats import write_cloud
     from pcretrieve.ingestion.discover import printable
+    from pcretrieve.ingestion.views import read_views, view_files
     from pcretrieve.options import MergeOptions
     from pcretrieve.registration import merge_views
 
@@ -90,9 +90,9 @@ def merge_command(
     chosen = {"voxel": voxel, "reach": reach, "min_overlap": min_overlap, "max_range": max_range}
     given = {name: value for name, value in chosen.items() if value is not None}
     options = MergeOptions(refine=refine, sensor=sensor, keep_largest=keep_largest, **given)
-    files, poses = _views(paths)
+    files, poses = view_files(paths)
     _check_output(output, files)
-    views = [_read(file) for file in files]
+    views = read_views(paths).clouds
     with tqdm(total=math.comb(len(views), 2), unit="pair", desc="merge", disable=None) as bar:
 
         def on_pair(done: int, total: int) -> None:
@@ -107,40 +107,6 @@ def merge_command(
         write_json(_document(merged, names, output))
     if merged.left_out:
         click.get_current_context().exit(EXIT_SOME_FAILED)
-
-
-def _views(paths: Sequence[str]) -> tuple[list[Path], FloatArray | None]:
-    """The files that hold one view each; and (v, 4, 4) poses, where a .conf gives them."""
-    import numpy as np
-
-    from pcretrieve.errors import InputError, ScanReadError
-    from pcretrieve.formats.views import read_poses
-    from pcretrieve.ingestion.discover import discover
-
-    files = discover(paths)
-    confs = [file for file in files if file.suffix.lower() == ".conf"]
-    if not confs:
-        return files, None
-    if len(files) > 1:
-        raise InputError(f"a .conf names all views of its cloud, got {len(files)} files with {confs[0]}")
-    try:
-        views = read_poses(confs[0])
-    except (ScanReadError, OSError) as error:
-        cause = error.message if isinstance(error, ScanReadError) else error.strerror
-        raise ScanReadError(f"{confs[0]}: {cause}") from error
-    poses = np.tile(np.eye(4), (len(views), 1, 1))
-    for pose, (_, rotation, translation) in zip(poses, views, strict=True):
-        pose[:3, :3], pose[:3, 3] = rotation.as_matrix(), translation
-    return [file for file, _, _ in views], poses
-
-
-def _read(file: Path) -> PointCloud:
-    """One view; of a mesh, its vertices."""
-    from pcretrieve.formats import read_scan
-    from pcretrieve.types import PointCloud
-
-    scan = read_scan(file)
-    return scan if isinstance(scan, PointCloud) else PointCloud(scan.vertices)
 
 
 def _check_output(output: Path, files: Sequence[Path]) -> None:

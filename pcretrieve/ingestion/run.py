@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass, field, replace
@@ -16,7 +17,7 @@ from pcretrieve.ingestion.plan import Plan, Planner, apply, failed
 from pcretrieve.ingestion.workers import outcomes
 from pcretrieve.options import PipelineOptions
 
-__all__ = ["Summary", "ingest"]
+__all__ = ["Summary", "ingest_files"]
 
 # Files that are planned together: enough for few transactions, few enough that work begins at once.
 FILES_AT_ONCE = 32
@@ -48,12 +49,12 @@ class Summary:
     unknown_labels: list[str] = field(default_factory=list)
 
 
-def ingest(
+def ingest_files(
     paths: Sequence[Path],
     catalogue: Catalogue,
     *,
     labels: Mapping[str, str] | None = None,
-    workers: int = 1,
+    workers: int | None = None,
     timeout: float = 600.0,
     memory: float | None = None,
     retry_failed: bool = False,
@@ -72,8 +73,8 @@ def ingest(
     catalogue : Catalogue
     labels : mapping of name to class, optional
         As from `read_labels`. Also applied to scans that the catalogue holds already.
-    workers : int, default 1
-        Processes.
+    workers : int, optional
+        Processes; by default one for each core.
     timeout : float, default 600
         Longest time for one shape; seconds.
     memory : float, optional
@@ -85,6 +86,7 @@ def ingest(
     """
     summary = Summary()
     files = {printable(path): path for path in paths}
+    workers = workers or len(os.sched_getaffinity(0))
     contents = Contents(files, workers)
     planner = Planner(files, catalogue.records(), labels or {}, contents.of, retry_failed=retry_failed)
 

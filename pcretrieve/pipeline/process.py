@@ -199,11 +199,30 @@ def _final(mesh: TriangleMesh, options: PipelineOptions) -> TriangleMesh:
     return final
 
 
-def process(scan: object, options: PipelineOptions) -> Shape:
-    """Surface and spectrum of one scan, on one thread.
+def process(scan: ScanLike, options: OptionsLike = None) -> Shape:
+    """Make the surfaces of one scan and their spectra, on one thread.
 
-    More would not help, blocks being narrow, and wait for each other where other work keeps a core busy.
+    More threads would not help: the blocks of the eigensolver are narrow, and threads wait for each other
+    where other work keeps a core busy.
+
+    Parameters
+    ----------
+    scan : ScanLike
+        A path, an array, or geometry of this package, Open3D, trimesh or PyVista; see `as_geometry`.
+    options : OptionsLike, optional
+        Options, a preset's name, a TOML file, or a mapping; see `PipelineOptions.of`.
+
+    Returns
+    -------
+    Shape
+        What descriptors are made of; lengths in the unit of the scan.
+
+    Raises
+    ------
+    ShapeError
+        If the scan cannot be read or has no usable surface.
     """
+    options = PipelineOptions.of(options)
     with threadpool_limits(limits=1), placed(scan):
         if ELEMENTS[options.spectral.element].needs == "points":
             return _of_points(scan, options)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from typing import Any, Literal, get_args
 
 import numpy as np
@@ -121,6 +122,31 @@ class SignatureTable(Value):
             f"SignatureTable({self.kind}, {len(self):,} shapes of {n_classes:,} classes, "
             f"{self.values.shape[1]} values each)"
         )
+
+    def select(self, ids: Sequence[str]) -> SignatureTable:
+        """The signatures of some shapes, in the order of `ids`.
+
+        Parameters
+        ----------
+        ids : sequence of str
+            Identifiers of shapes of the table, distinct.
+
+        Returns
+        -------
+        SignatureTable
+            One row for each of `ids`.
+
+        Raises
+        ------
+        InputError
+            If the table has no shape of such an id.
+        """
+        rows = {shape_id: row for row, shape_id in enumerate(self.ids)}
+        if unknown := [shape_id for shape_id in ids if shape_id not in rows]:
+            raise InputError(f"there is no signature of the shape {unknown[0]!r}")
+        chosen = [rows[shape_id] for shape_id in ids]
+        labels = tuple(self.labels[row] for row in chosen)
+        return replace(self, ids=tuple(ids), values=self.values[chosen], labels=labels)
 
     def columns(self) -> dict[str, list[Any]]:
         """The table by columns: ``id``, ``label``, and one column ``v1``, ``v2``, ... for each value."""

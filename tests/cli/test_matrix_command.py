@@ -13,7 +13,7 @@ from click.testing import CliRunner, Result
 from pcretrieve import Catalogue
 from pcretrieve.cli.main import cli
 from pcretrieve.formats import write_mesh
-from pcretrieve.ingestion.run import ingest
+from pcretrieve.ingestion.run import ingest_files
 from pcretrieve.matching import read_matrix
 
 N_CLASSES = 3
@@ -34,7 +34,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
             labels.append(f"{kind}{number}.off,kind{kind}")
     (place / "labels.csv").write_text("\n".join(labels))
     with Catalogue(place / "c.sqlite", create=True) as store:
-        ingest(
+        ingest_files(
             sorted(place.glob("*.off")),
             store,
             labels={line.split(",")[0]: line.split(",")[1] for line in labels[1:]},

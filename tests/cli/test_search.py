@@ -16,7 +16,7 @@ from pcretrieve import Catalogue, PipelineOptions
 from pcretrieve.cli.main import cli
 from pcretrieve.evaluation.folds import evaluate
 from pcretrieve.formats import write_mesh
-from pcretrieve.ingestion.run import ingest
+from pcretrieve.ingestion.run import ingest_files
 from pcretrieve.options import RetrievalOptions, describe_options
 from pcretrieve.searching import search
 
@@ -47,7 +47,7 @@ def catalogue(
         "relative": PipelineOptions().changed(signature={"scale": "relative"}),
     }
     with Catalogue(path, built[request.param], create=True) as store:
-        ingest(files, store, labels={file.name: f"kind{file.name[0]}" for file in files})
+        ingest_files(files, store, labels={file.name: f"kind{file.name[0]}" for file in files})
     return path
 
 
@@ -188,7 +188,7 @@ def test_size_tells_bodies_of_one_form_apart(tmp_path: Path) -> None:
         write_mesh(replace(mesh, vertices=mesh.vertices * size), scans[-1])
     path = tmp_path / "c.sqlite"
     with Catalogue(path, PipelineOptions(), create=True) as store:
-        ingest(scans, store)
+        ingest_files(scans, store)
 
     def nearest(*chosen: object) -> str:
         return str(json.loads(run("query", "-c", path, scans[0], *chosen, "--json").stdout)[1]["id"])
@@ -212,7 +212,7 @@ def test_mixed_units_are_noticed_where_size_counts(tmp_path: Path) -> None:
         write_mesh(replace(mesh, vertices=mesh.vertices * unit), scans[-1])
     path = tmp_path / "c.sqlite"
     with Catalogue(path, PipelineOptions(), create=True) as store:
-        ingest(scans, store)
+        ingest_files(scans, store)
     assert run("query", "-c", path, scans[0]).stderr == ""
     for chosen in (("--size-weight", 1), ("--scale", "absolute")):
         said = run("query", "-c", path, scans[0], *chosen).stderr

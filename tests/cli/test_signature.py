@@ -16,7 +16,7 @@ import shapes
 from pcretrieve import Catalogue, PipelineOptions
 from pcretrieve.cli.main import main
 from pcretrieve.formats import write_mesh
-from pcretrieve.ingestion.run import ingest
+from pcretrieve.ingestion.run import ingest_files
 from pcretrieve.options import METHODS
 
 PLUGIN = {
@@ -121,7 +121,7 @@ def catalogue(scan: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     (folder / "nothing.off").write_text("OFF\n")
     path = folder / "c.sqlite"
     with Catalogue(path, PipelineOptions(), create=True) as store:
-        ingest(sorted(folder.glob("*.off")), store)
+        ingest_files(sorted(folder.glob("*.off")), store)
     for file in folder.glob("*.off"):
         file.unlink()
     return path

@@ -21,7 +21,7 @@ from pcretrieve.catalogue import Record
 from pcretrieve.formats import readers, write_mesh
 from pcretrieve.ingestion import run
 from pcretrieve.ingestion.discover import content_hash, discover
-from pcretrieve.ingestion.run import Summary, ingest
+from pcretrieve.ingestion.run import Summary, ingest_files
 from pcretrieve.simulation import write_ply
 
 PATIENCE = 60  # seconds
@@ -56,12 +56,12 @@ def catalogue(tmp_path: Path) -> Iterator[Catalogue]:
 
 @pytest.fixture
 def filled(folder: Path, catalogue: Catalogue) -> Catalogue:
-    ingest(discover([folder]), catalogue, labels={"a": "short", "b": "long"})
+    ingest_files(discover([folder]), catalogue, labels={"a": "short", "b": "long"})
     return catalogue
 
 
 def again(folder: Path, catalogue: Catalogue, **options: object) -> Summary:
-    return ingest(discover([folder]), catalogue, **options)  # type: ignore[arg-type]
+    return ingest_files(discover([folder]), catalogue, **options)  # type: ignore[arg-type]
 
 
 # --- files that stay, change, move ----------------------------------------------------------------------
@@ -69,7 +69,7 @@ def again(folder: Path, catalogue: Catalogue, **options: object) -> Summary:
 
 def test_one_content_is_processed_once(folder: Path, catalogue: Catalogue) -> None:
     seen: list[str] = []
-    first = ingest(discover([folder]), catalogue, on_shape=lambda record: seen.append(record.id))
+    first = ingest_files(discover([folder]), catalogue, on_shape=lambda record: seen.append(record.id))
     assert ids([*first.done]) == ["a", "b"]
     assert [(path.name, twin.id) for path, twin in first.duplicates] == [("copy.off", "a")]
     second = again(folder, catalogue)
@@ -81,7 +81,7 @@ def test_under_another_suffix_the_same_bytes_are_another_scan(tmp_path: Path, ca
     """Or a broken file could keep a good one out."""
     content = egg(tmp_path / "z.off", 2)
     (tmp_path / "a.ply").write_bytes(content)
-    summary = ingest(discover([tmp_path / "a.ply", tmp_path / "z.off"]), catalogue)
+    summary = ingest_files(discover([tmp_path / "a.ply", tmp_path / "z.off"]), catalogue)
     assert (ids([*summary.failed]), ids([*summary.done])) == (["a"], ["z"])
 
 
@@ -192,7 +192,7 @@ def test_files_are_read_as_their_turn_comes(
             egg(paths[-1], 3)
         seen.append(record.id)
 
-    summary = ingest(paths, catalogue, on_shape=change_the_last)
+    summary = ingest_files(paths, catalogue, on_shape=change_the_last)
     assert len(summary.done) == len(seen) == len(paths)
     assert catalogue.record("7").content_hash == content_hash(paths[-1])
 

@@ -1,0 +1,68 @@
+"""Tables of signatures as files for other programs."""
+
+from __future__ import annotations
+
+import csv
+import io
+from pathlib import Path
+
+import numpy as np
+
+from pcretrieve.adapters.pandas import parquet_bytes
+from pcretrieve.atomic import replace_file
+from pcretrieve.errors import InputError
+from pcretrieve.types import SignatureTable
+
+__all__ = ["SIGNATURE_SUFFIXES", "write_signatures"]
+
+SIGNATURE_SUFFIXES = (".npz", ".parquet", ".csv")
+
+
+def write_signatures(table: SignatureTable, path: str | Path) -> None:
+    """Write the signatures of many shapes with their ids and classes, in one atomic step.
+
+    Parameters
+    ----------
+    table : SignatureTable
+        The signatures.
+    path : str or Path
+        The file. ``.npz`` holds the arrays ``ids``, ``labels`` (empty where unknown), ``values`` (N, L),
+        ``kind`` and ``digest``, none of them pickled. ``.parquet`` (the extra ``tables``) and ``.csv`` have
+        the columns ``id``, ``label``, ``v1`` ... ``vL``; Parquet keeps ``kind`` and ``digest`` as metadata.
+
+    Raises
+    ------
+    InputError
+        If the suffix is not one of ``.npz .parquet .csv``, a package is missing, or the file cannot be
+        written.
+    """
+    path = Path(path)
+    suffix = path.suffix.lower()
+    if suffix not in SIGNATURE_SUFFIXES:
+        raise InputError(
+            f"a file of signatures must end in one of {' '.join(SIGNATURE_SUFFIXES)}, got {path.name}"
+        )
+    if suffix == ".parquet":
+        data = parquet_bytes(table.columns(), {"kind": table.kind, "digest": table.digest})
+    elif suffix == ".npz":
+        file = io.BytesIO()
+        np.savez(
+            file,
+            ids=np.array(table.ids, dtype=np.str_),
+            labels=np.array([label or "" for label in table.labels], dtype=np.str_),
+            values=table.values,
+            kind=np.array(table.kind),
+            digest=np.array(table.digest),
+        )
+        data = file.getvalue()
+    else:
+        columns = table.columns()
+        text = io.StringIO(newline="")
+        writer = csv.writer(text, lineterminator="\n")
+        writer.writerow(columns)
+        writer.writerows(zip(*columns.values(), strict=True))
+        data = text.getvalue().encode("utf-8")
+    try:
+        replace_file(path, data)
+    except OSError as error:
+        raise InputError(f"cannot write {path}: {error.strerror or error}") from error
