@@ -7,7 +7,6 @@ import pkgutil
 import re
 import subprocess
 import sys
-from importlib.metadata import version
 from pathlib import Path
 from types import FunctionType, ModuleType
 
@@ -76,10 +75,6 @@ def test_every_public_name_is_there_and_documented(name: str) -> None:
 def test_there_are_no_other_names() -> None:
     with pytest.raises(AttributeError, match="module 'pcretrieve' has no attribute 'retrieve'"):
         _ = pcretrieve.retrieve
-
-
-def test_the_version_is_that_of_the_distribution() -> None:
-    assert pcretrieve.__version__ == version("pcretrieve")
 
 
 @pytest.mark.parametrize("module", modules(), ids=lambda module: str(module.__name__))

@@ -1,0 +1,106 @@
+"""The source distribution has all files of the project, and the wheel all files of the package."""
+
+from __future__ import annotations
+
+import re
+import shutil
+import subprocess
+import sys
+import tarfile
+import zipfile
+from pathlib import Path
+
+import pytest
+
+import pcretrieve
+
+ROOT = Path(__file__).parents[1]
+
+# What a checkout alone has a use for: the gates of the repository, and the settings of version control.
+ONLY_IN_A_CHECKOUT = (".ci/", ".gitignore", ".pre-commit-config.yaml")
+
+
+def tracked_files() -> list[str]:
+    """The files under version control that are there, relative to the root."""
+    if shutil.which("git") is None or not (ROOT / ".git").exists():
+        pytest.skip("not a git checkout: this compares a distribution with the files under version control")
+    listed = subprocess.run(["git", "ls-files", "-z"], cwd=ROOT, capture_output=True, check=True, text=True)
+    return [name for name in listed.stdout.split("\0") if name and (ROOT / name).is_file()]
+
+
+def built(kind: str, source: Path, target: Path) -> Path:
+    """The file that the build backend makes of the sources in a folder."""
+    target.mkdir()
+    code = f"from setuptools.build_meta import build_{kind} as build; build({str(target)!r})"
+    done = subprocess.run([sys.executable, "-c", code], cwd=source, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    (made,) = target.iterdir()
+    return made
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The source distribution, unpacked; made of the tracked files alone, as in a fresh clone."""
+    base = tmp_path_factory.mktemp("distribution")
+    for name in tracked_files():
+        copy = base / "clone" / name
+        copy.parent.mkdir(parents=True, exist_ok=True)
+        shutil.copy(ROOT / name, copy)
+    with tarfile.open(built("sdist", base / "clone", base / "sdist")) as archive:
+        # Newer versions of Python warn without an extraction filter; early releases of 3.10 have none.
+        filtered = {"filter": "data"} if hasattr(tarfile, "data_filter") else {}
+        archive.extractall(base, **filtered)  # type: ignore[arg-type]
+    return base / f"pcretrieve-{pcretrieve.__version__}"
+
+
+@pytest.fixture(scope="module")
+def wheel(folder: Path) -> Path:
+    """A wheel, built from the source distribution."""
+    return built("wheel", folder, folder.parent / "wheel")
+
+
+def test_the_source_distribution_has_every_tracked_file(folder: Path) -> None:
+    wanted = {name for name in tracked_files() if not name.startswith(ONLY_IN_A_CHECKOUT)}
+    assert {name for name in wanted if not (folder / name).is_file()} == set()
+    scripts = [name for name in wanted if name.startswith("scripts/")]
+    assert [name for name in scripts if (ROOT / name).stat().st_mode != (folder / name).stat().st_mode] == []
+
+
+def test_tests_run_in_the_source_distribution(folder: Path) -> None:
+    tests = ["tests/test_types.py", "tests/test_architecture.py", "tests/formats/test_read.py"]
+    done = subprocess.run(
+        [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", *tests],
+        cwd=folder,
+        capture_output=True,
+        text=True,
+        env={"PYTHONPATH": str(folder), "PATH": "/usr/bin:/bin"},
+    )
+    assert done.returncode == 0, done.stdout
+    assert re.search(r"^\d+ passed", done.stdout, re.MULTILINE), done.stdout
+
+
+def test_the_wheel_has_every_file_of_the_package_and_nothing_else(wheel: Path) -> None:
+    with zipfile.ZipFile(wheel) as archive:
+        held = {name for name in archive.namelist() if ".dist-info/" not in name}
+    wanted = {name for name in tracked_files() if name.startswith("pcretrieve/")}
+    assert held == wanted
+    for suffix in (".typed", ".npy", ".sql", ".css", ".js", ".html"):
+        assert any(name.endswith(suffix) for name in held), suffix
+
+
+def test_the_wheel_is_of_the_version_that_the_package_states(wheel: Path) -> None:
+    assert wheel.name == f"pcretrieve-{pcretrieve.__version__}-py3-none-any.whl"
+    with zipfile.ZipFile(wheel) as archive:
+        metadata = archive.read(f"pcretrieve-{pcretrieve.__version__}.dist-info/METADATA").decode()
+    assert f"\nVersion: {pcretrieve.__version__}\n" in metadata
+
+
+@pytest.mark.parametrize(
+    ("name", "pattern"),
+    [("CITATION.cff", r"^version: (\S+)$"), ("CHANGELOG.md", r"^## \[([\d.]+)\] - ")],
+)
+def test_the_version_is_that_of_the_other_files(name: str, pattern: str) -> None:
+    """The changelog begins with the version that the package has, or will have when it is released."""
+    found = re.search(pattern, (ROOT / name).read_text(encoding="utf-8"), re.MULTILINE)
+    assert found
+    assert found[1] == pcretrieve.__version__
