@@ -72,6 +72,7 @@ NAMES = {
         Names("element", "pcretrieve.elements", ("linear", "cubic", "intrinsic-delaunay", "points")),
         Names("descriptor", "pcretrieve.signatures", tuple(METHODS)),
         Names("distance", "pcretrieve.distances", ("log", "d1", "d2")),
+        Names("matcher", "pcretrieve.matchers", ("heat-hausdorff",)),
     )
 }
 

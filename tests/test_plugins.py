@@ -9,6 +9,7 @@ from packages import install
 
 from pcretrieve.descriptors import DESCRIPTORS
 from pcretrieve.errors import InputError, OptionError, ShapeError, Stage
+from pcretrieve.matching import MATCHERS
 from pcretrieve.plugins import Named, Names, Registry
 from pcretrieve.retrieval import DISTANCES
 from pcretrieve.spectral import ELEMENTS
@@ -46,7 +47,7 @@ def installed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 @pytest.mark.parametrize(
-    "registry", [DESCRIPTORS, ELEMENTS, DISTANCES], ids=lambda registry: registry.names.kind
+    "registry", [DESCRIPTORS, ELEMENTS, DISTANCES, MATCHERS], ids=lambda registry: registry.names.kind
 )
 def test_names_are_those_of_the_records(registry: Registry[Named]) -> None:
     """Options know the names by a table of their own, since records take long to import."""

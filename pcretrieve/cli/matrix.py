@@ -3,11 +3,22 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
-from pcretrieve.cli.parts import catalogue_option, compared, comparison_options, say
+from pcretrieve.cli.parts import (
+    EXIT_SOME_FAILED,
+    RecordName,
+    catalogue_option,
+    compared,
+    comparison_options,
+    given_flags,
+    say,
+)
+
+if TYPE_CHECKING:
+    from pcretrieve.types import Failure
 
 __all__ = ["matrix_command"]
 
@@ -22,25 +33,44 @@ __all__ = ["matrix_command"]
     metavar="FILE",
     help="The matrix: .npy, or any other suffix for plain text. Its ids go to a file beside it, one a line.",
 )
+@click.option(
+    "--matcher",
+    type=RecordName("matcher"),
+    help="Compare surface with surface by this method, in place of their signatures.",
+)
 @comparison_options
-def matrix_command(catalogue: Path, output: Path, **comparison: Any) -> None:
+def matrix_command(catalogue: Path, output: Path, matcher: str | None, **comparison: Any) -> None:
     """All distances between the shapes of a catalogue, as SHREC tracks ask for them.
 
-    Row i, column j: the distance from shape i, as a query, to shape j.
+    Row i, column j: the distance from shape i, as a query, to shape j. Shapes that a matcher cannot be
+    applied to are named and left out.
 
     \b
     pcretrieve matrix --catalogue bodies.sqlite -o bodies.txt
     pcretrieve evaluate --catalogue bodies.sqlite --matrix bodies.txt
     """
     from pcretrieve.catalogue import Catalogue
-    from pcretrieve.matching import distance_matrix, ids_path, write_matrix
-    from pcretrieve.retrieval import SignatureIndex
+    from pcretrieve.matching import MATCHERS, PairwiseIndex, distance_matrix, ids_path, write_matrix
+    from pcretrieve.retrieval import Ranking, SignatureIndex
 
+    if matcher is not None and (given := given_flags(comparison)):
+        raise click.UsageError(f"a matcher has no signatures: leave out {given}")
+    failures: tuple[Failure, ...] = ()
     with Catalogue(catalogue) as store:
-        options = compared(store, **comparison)
-        index = SignatureIndex(
-            store.signatures(options), options.retrieval, whitening=store.whitening(options)
-        )
-    matrix = distance_matrix(index)
+        ranking: Ranking
+        if matcher is None:
+            options = compared(store, **comparison)
+            table = store.signatures(options)
+            ranking = SignatureIndex(table, options.retrieval, whitening=store.whitening(options))
+        else:
+            method = MATCHERS[matcher]
+            ids = [record.id for record in store.records(status="done")]
+            ranking = PairwiseIndex(method, ids, lambda shape_id: store.shape(shape_id, method.needs))
+            failures = ranking.failures
+    matrix = distance_matrix(ranking)
     write_matrix(matrix, output)
+    for failure in failures:
+        say(f"failed: [{failure.shape_id} / {failure.stage}] {failure.message}")
     say(f"{len(matrix)} shapes: distances in {output}, ids in {ids_path(output)}")
+    if failures:
+        click.get_current_context().exit(EXIT_SOME_FAILED)

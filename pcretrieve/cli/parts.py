@@ -17,11 +17,13 @@ if TYPE_CHECKING:
     from pcretrieve.types import Step
 
 __all__ = [
+    "RecordName",
     "catalogue_option",
     "compared",
     "comparison_options",
     "config_option",
     "failure_line",
+    "given_flags",
     "json_option",
     "load_options",
     "matrix_option",
@@ -70,8 +72,8 @@ matrix_option = click.option(
 )
 
 
-class _Name(click.ParamType):  # type: ignore[type-arg]  # generic since click 8.3 only
-    """A descriptor or a distance, listed by name where help is asked for; the options themselves check it."""
+class RecordName(click.ParamType):  # type: ignore[type-arg]  # generic since click 8.3 only
+    """A descriptor, a distance or a matcher: listed in the help, and checked where it is looked up."""
 
     def __init__(self, kind: str) -> None:
         self.name = kind
@@ -84,7 +86,7 @@ class _Name(click.ParamType):  # type: ignore[type-arg]  # generic since click 8
 
 _distance_option = click.option(
     "--distance",
-    type=_Name("distance"),
+    type=RecordName("distance"),
     help="Euclidean distance of log-signatures, or the paper's D1 or D2.  [default: log, or the catalogue's]",
 )
 _whitening_option = click.option(
@@ -104,7 +106,7 @@ _overlay_option = click.option(
 
 
 method_option = click.option(
-    "--method", type=_Name("descriptor"), help="The descriptor.  [default: r-bihdm, or the catalogue's]"
+    "--method", type=RecordName("descriptor"), help="The descriptor.  [default: r-bihdm, or the catalogue's]"
 )
 n_values_option = click.option(
     "--n-values",
@@ -165,9 +167,15 @@ def read_distances(matrix: Path | None, comparison: dict[str, Any]) -> DistanceM
 
     if matrix is None:
         return None
-    if given := [f"--{name.replace('_', '-')}" for name, value in comparison.items() if value is not None]:
-        raise click.UsageError(f"a matrix holds distances already: leave out {', '.join(given)}")
+    if given := given_flags(comparison):
+        raise click.UsageError(f"a matrix holds distances already: leave out {given}")
     return read_matrix(matrix)
+
+
+def given_flags(comparison: dict[str, Any]) -> str:
+    """Those of `comparison_options` that a command was given, as they were typed."""
+    given = [name for name, value in comparison.items() if value is not None]
+    return ", ".join(f"--{name.replace('_', '-')}" for name in given)
 
 
 def _warn_of_mixed_units(store: Catalogue) -> None:

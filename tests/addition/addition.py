@@ -4,6 +4,7 @@ import numpy as np
 from scipy.sparse import csc_array
 
 from pcretrieve.descriptors import Descriptor
+from pcretrieve.matching import Matcher
 from pcretrieve.options import SignatureOptions
 from pcretrieve.retrieval import Distance
 from pcretrieve.spectral import ELEMENTS, Assembled, Element
@@ -27,6 +28,17 @@ def largest(x: FloatArray) -> FloatArray:
     return np.asarray(np.abs(x).max(axis=-1))
 
 
+def height(shape: Shape) -> float:
+    """Extent along the z axis; unit length of the file."""
+    return float(np.ptp(shape.mesh.vertices[:, 2]))
+
+
+def taller(query: float, other: float) -> float:
+    """How much a query is taller than a shape of the gallery; unit length of the file."""
+    return max(0.0, query - other)
+
+
 GIRTH = Descriptor("girth", girth, needs=("mesh",))
 SOFT = Element("soft", soft)
 LARGEST = Distance("largest", largest, metrics=("logarithms", "values"))
+TALLER = Matcher("taller", height, taller, needs=("mesh",), symmetric=False)

@@ -9,12 +9,13 @@ import numpy as np
 import pytest
 import shapes
 from click.testing import CliRunner, Result
+from packages import install
 
 from pcretrieve import Catalogue
 from pcretrieve.cli.main import cli
 from pcretrieve.formats import write_mesh
 from pcretrieve.ingestion.run import ingest_files
-from pcretrieve.matching import read_matrix
+from pcretrieve.matching import MATCHERS, PairwiseIndex, distance_matrix, read_matrix
 
 N_CLASSES = 3
 D1 = ("--distance", "d1", "--whitening", "pca")
@@ -126,3 +127,49 @@ def test_shapes_that_the_matrix_leaves_out_are_misses(folder: Path, matrix: Path
 def test_a_matrix_leaves_nothing_to_be_chosen(folder: Path, matrix: Path) -> None:
     refused = run("evaluate", "-c", folder / "c.sqlite", "--matrix", matrix, *D1, code=2)
     assert "a matrix holds distances already: leave out --distance, --whitening" in refused.stderr
+
+
+# --- matchers ------------------------------------------------------------------------------------------
+
+
+def test_a_matcher_makes_a_matrix_that_ranks(folder: Path, tmp_path: Path) -> None:
+    path = tmp_path / "heat.npy"
+    run("matrix", "-c", folder / "c.sqlite", "-o", path, "--matcher", "heat-hausdorff")
+    with Catalogue(folder / "c.sqlite") as store:
+        method = MATCHERS["heat-hausdorff"]
+        ids = [record.id for record in store.records(status="done")]
+        index = PairwiseIndex(method, ids, lambda shape_id: store.shape(shape_id, method.needs))
+    assert read_matrix(path) == distance_matrix(index)
+    found = document("evaluate", "-c", folder / "c.sqlite", "--matrix", path)
+    assert (found["n_queries"], found["n_failed"]) == (10, 1)
+    query = ("query", "-c", folder / "c.sqlite", folder / "10.off", "--matrix", path, "--json")
+    assert json.loads(run(*query).stdout)[0]["id"] == "10"
+
+
+def test_shapes_that_a_matcher_fails_on_are_named_and_left_out(
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    clumsy = """
+from pcretrieve.matching import Matcher
+
+def height(shape):
+    return [0.0, 1.0][int(shape.mesh.vertices[:, 2].max() > 1.4) * 2]
+
+CLUMSY = Matcher("clumsy", height, lambda query, other: abs(query - other), needs=("mesh",))
+"""
+    entry_points = "[pcretrieve.matchers]\nclumsy = clumsy:CLUMSY\n"
+    install(tmp_path / "site", "clumsy", {"clumsy": clumsy}, entry_points, monkeypatch)
+    path = tmp_path / "run.txt"
+    result = run("matrix", "-c", folder / "c.sqlite", "-o", path, "--matcher", "clumsy", code=3)
+    assert "failed: [20 / signature] the matcher 'clumsy' failed, IndexError: list index" in result.stderr
+    assert read_matrix(path).ids == ("00", "01", "02", "10", "11", "12")
+
+
+def test_a_matcher_leaves_nothing_else_to_be_chosen(folder: Path, tmp_path: Path) -> None:
+    asked = ("matrix", "-c", folder / "c.sqlite", "-o", tmp_path / "run.txt", "--matcher")
+    refused = run(*asked, "heat-hausdorff", "--n-values", 9, code=2)
+    assert "a matcher has no signatures: leave out --n-values" in refused.stderr
+    unknown = run(*asked, "sift", code=1).exception
+    assert "there is no matcher 'sift'; there are heat-hausdorff" in str(unknown)
+    assert "[heat-hausdorff]" in run("matrix", "--help").output
+    assert not list(tmp_path.iterdir())

@@ -1,0 +1,147 @@
+"""A gallery that is ranked pair by pair."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator
+from typing import Any, TypeVar
+
+import numpy as np
+
+from pcretrieve.errors import InputError, PcretrieveError, ShapeError, Stage
+from pcretrieve.matching.matcher import Matcher
+from pcretrieve.retrieval import DistanceBlock, Positions, nearest_of, position_of
+from pcretrieve.types import Failure, FloatArray, Neighbors, Shape
+
+__all__ = ["PairwiseIndex"]
+
+_Result = TypeVar("_Result")
+
+
+class PairwiseIndex:
+    """The features of a gallery of shapes, which a matcher compares one by one: a `Ranking`.
+
+    Parameters
+    ----------
+    matcher : Matcher
+        The method.
+    ids : iterable of str
+        Identifiers of the shapes, distinct.
+    shape_of : function of str that returns a Shape
+        Gives the shape of an identifier, with the parts that the matcher needs.
+
+    Attributes
+    ----------
+    matcher : Matcher
+        The method.
+    ids : tuple of str, length N
+        The shapes that have features, in the given order.
+    features : tuple, length N
+        What `Matcher.prepare` made of each shape.
+    failures : tuple of Failure
+        The other shapes, which are left out.
+
+    Raises
+    ------
+    InputError
+        If an identifier comes twice.
+    """
+
+    def __init__(self, matcher: Matcher, ids: Iterable[str], shape_of: Callable[[str], Shape]) -> None:
+        self.matcher = matcher
+        features: dict[str, Any] = {}
+        failures = []
+        for shape_id in ids:
+            if shape_id in features:
+                raise InputError(f"ids must be distinct, {shape_id!r} comes twice")
+            try:
+                features[shape_id] = self._called(matcher.prepare, shape_of(shape_id))
+            except ShapeError as error:
+                failures.append(
+                    Failure(shape_id, str(error.stage or ""), type(error).__name__, error.message)
+                )
+        self.ids = tuple(features)
+        self.features = tuple(features.values())
+        self.failures = tuple(failures)
+
+    def __len__(self) -> int:
+        return len(self.ids)
+
+    def query(self, shape: Shape, k: int = 10) -> Neighbors:
+        """The shapes of the gallery nearest to any shape.
+
+        Parameters
+        ----------
+        shape : Shape
+            With the parts that the matcher needs.
+        k : int, default 10
+            Number of shapes, at least 1; all if there are fewer.
+
+        Returns
+        -------
+        Neighbors
+            Nearest first, equally near shapes in alphabetical order.
+        """
+        return nearest_of(self.ids, self._row(self._called(self.matcher.prepare, shape)), k)
+
+    def nearest(self, shape_id: str, k: int = 10) -> Neighbors:
+        """The shapes nearest to a shape of the gallery, itself included.
+
+        Parameters
+        ----------
+        shape_id : str
+            One of `ids`.
+        k : int, default 10
+            Number of shapes, at least 1; all if there are fewer.
+
+        Returns
+        -------
+        Neighbors
+            Nearest first, equally near shapes in alphabetical order.
+        """
+        return nearest_of(self.ids, self._row(self.features[position_of(self.ids, shape_id)]), k)
+
+    def blocks(self, queries: Positions | None = None) -> Iterator[DistanceBlock]:
+        """Distances from shapes of the gallery to all of the gallery.
+
+        Parameters
+        ----------
+        queries : (Q,) intp, optional
+            Positions in `ids`. By default all; of a symmetric distance, half are then computed.
+
+        Yields
+        ------
+        DistanceBlock
+            One query; or all queries, by default.
+        """
+        if queries is not None:
+            for position in queries:
+                row = self._row(self.features[position])
+                yield DistanceBlock(np.array([position]), row[np.newaxis])
+            return
+        n = len(self)
+        distances = np.empty((n, n))
+        for position, features in enumerate(self.features):
+            start = position if self.matcher.symmetric else 0
+            distances[position, start:] = self._row(features, start)
+            if self.matcher.symmetric:
+                distances[start:, position] = distances[position, start:]
+        yield DistanceBlock(np.arange(n), distances)
+
+    def _row(self, query: Any, start: int = 0) -> FloatArray:
+        """(N − start,) distances from the features of a query to those of the gallery."""
+        return np.array(
+            [self._called(self.matcher.distance, query, other) for other in self.features[start:]],
+            dtype=np.float64,
+        )
+
+    def _called(self, function: Callable[..., _Result], *arguments: Any) -> _Result:
+        """The result of a function of the matcher, which may be that of another package."""
+        try:
+            return function(*arguments)
+        except (PcretrieveError, MemoryError):
+            raise
+        except Exception as error:
+            raise ShapeError(
+                f"the matcher {self.matcher.name!r} failed, {type(error).__name__}: {error}",
+                stage=Stage.SIGNATURE,
+            ) from error

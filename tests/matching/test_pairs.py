@@ -1,0 +1,159 @@
+"""Pairwise matchers: what their records declare, and that they rank as any other source of distances."""
+
+from __future__ import annotations
+
+import pickle
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import shapes
+from packages import install_addition
+
+from pcretrieve.errors import InputError, OptionError, ShapeError
+from pcretrieve.matching import MATCHERS, Matcher, PairwiseIndex, distance_matrix
+from pcretrieve.matching.heat import N_SAMPLES, HeatSet, heat_distance, heat_set
+from pcretrieve.retrieval import Ranking
+from pcretrieve.types import FloatArray, Shape, Surface, TriangleMesh
+
+HEAT = MATCHERS["heat-hausdorff"]
+
+
+def shape(mesh: TriangleMesh) -> Shape:
+    return Shape((Surface(mesh.area, mesh=mesh),))
+
+
+def egg(length: float, *, subdivisions: int = 3) -> Shape:
+    return shape(shapes.ellipsoid((1, 1, length), subdivisions=subdivisions))
+
+
+def width_of(shape: Shape) -> float:
+    return float(np.ptp(shape.mesh.vertices[:, 2]))
+
+
+def lacking(query: float, other: float) -> float:
+    """What a query is longer by: no distance from long shapes to short ones alone."""
+    return max(0.0, query - other)
+
+
+LACKING = Matcher("lacking", width_of, lacking, needs=("mesh",), symmetric=False)
+LENGTHS = {"c": 1.0, "a": 2.0, "b": 1.5, "d": 1.5}
+
+
+def lengths(matcher: Matcher = LACKING) -> PairwiseIndex:
+    return PairwiseIndex(matcher, LENGTHS, lambda shape_id: egg(LENGTHS[shape_id], subdivisions=1))
+
+
+# --- the gallery ----------------------------------------------------------------------------------------
+
+
+def test_each_distance_is_that_of_the_matcher_from_the_query() -> None:
+    index: Ranking = lengths()
+    assert index.ids == ("c", "a", "b", "d")
+    size = [width_of(egg(length, subdivisions=1)) for length in LENGTHS.values()]
+    expected = [[max(0.0, query - other) for other in size] for query in size]
+    matrix = distance_matrix(index)
+    np.testing.assert_array_equal(matrix.values, expected)
+    rows = {int(block.queries[0]): block.distances[0] for block in index.blocks(np.array([3, 1]))}
+    np.testing.assert_array_equal([rows[1], rows[3]], [expected[1], expected[3]])
+    for shape_id in index.ids:
+        assert index.nearest(shape_id, 3) == matrix.nearest(shape_id, 3)
+    assert index.nearest("a", 4).ids == ("a", "b", "d", "c")
+
+
+def test_of_a_symmetric_distance_half_are_computed() -> None:
+    calls = []
+
+    def apart(query: float, other: float) -> float:
+        calls.append((query, other))
+        return abs(query - other)
+
+    matrix = distance_matrix(lengths(replace(LACKING, distance=apart, symmetric=True)))
+    assert len(calls) == 4 + 3 + 2 + 1
+    np.testing.assert_array_equal(matrix.values, matrix.values.T)
+    np.testing.assert_array_equal(
+        matrix.values, distance_matrix(lengths(replace(LACKING, distance=apart))).values
+    )
+
+
+def test_a_new_shape_is_compared_with_the_gallery() -> None:
+    found = lengths().query(egg(1.5, subdivisions=1), 3)
+    assert found.ids == ("a", "b", "d")
+    assert found.distances.tolist() == [0, 0, 0]
+    assert pickle.loads(pickle.dumps(lengths())).query(egg(1.5, subdivisions=1), 3) == found
+
+
+def test_a_shape_that_a_matcher_fails_on_is_left_out() -> None:
+    def clumsy(shape: Shape) -> float:
+        if width_of(shape) > 3:
+            raise IndexError("list index out of range")
+        return width_of(shape)
+
+    index = lengths(replace(LACKING, prepare=clumsy))
+    assert index.ids == ("c", "b", "d")
+    (failure,) = index.failures
+    assert (failure.shape_id, failure.stage, failure.error) == ("a", "signature", "ShapeError")
+    assert failure.message == "the matcher 'lacking' failed, IndexError: list index out of range"
+    with pytest.raises(ShapeError, match="the matcher 'lacking' failed, IndexError"):
+        index.query(egg(2, subdivisions=1))
+
+
+def test_what_a_record_may_declare() -> None:
+    with pytest.raises(OptionError, match="needs of a matcher must be of spectrum, mesh, points, got 'eigen"):
+        replace(LACKING, needs=("eigenvectors",))
+    with pytest.raises(InputError, match="ids must be distinct, 'a' comes twice"):
+        PairwiseIndex(LACKING, "aa", lambda shape_id: egg(1, subdivisions=1))
+
+
+def test_a_package_adds_a_matcher(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert MATCHERS.names.all() == ("heat-hausdorff",)
+    install_addition(tmp_path, monkeypatch)
+    assert MATCHERS.names.all() == ("heat-hausdorff", "taller")
+    assert MATCHERS["taller"].distance(MATCHERS["taller"].prepare(egg(2)), 1.0) > 0
+    with pytest.raises(OptionError, match="there is no matcher 'shorter'; there are heat-hausdorff, taller"):
+        MATCHERS["shorter"]
+
+
+# --- heat kernel signatures -----------------------------------------------------------------------------
+
+
+def by_hand(query: FloatArray, other: FloatArray) -> float:
+    """The directed distance, without weights."""
+    return float(np.mean([min(np.linalg.norm(one - there) for there in other) for one in query]))
+
+
+def test_the_distance_is_the_larger_mean_of_smallest_distances() -> None:
+    rng = np.random.default_rng(0)
+    one, two = rng.normal(size=(7, 6)), rng.normal(size=(5, 6)) + 1
+    sets = [HeatSet(features, np.full(len(features), 1 / len(features))) for features in (one, two)]
+    expected = max(by_hand(one, two), by_hand(two, one))
+    assert heat_distance(*sets) == pytest.approx(expected)
+    assert heat_distance(*sets) == heat_distance(*sets[::-1])
+    assert heat_distance(sets[0], sets[0]) == 0
+
+
+def test_samples_represent_all_of_the_surface() -> None:
+    made = heat_set(egg(2))
+    assert made.features.shape == (N_SAMPLES, 6)
+    assert made.weights.sum() == pytest.approx(1)
+    assert (made.weights > 0).all()
+    assert len(heat_set(egg(2, subdivisions=2)).weights) == 162
+
+
+def test_size_place_and_order_of_vertices_do_not_count() -> None:
+    mesh = shapes.ellipsoid((1, 1.2, 2), subdivisions=3)
+    order = np.random.default_rng(0).permutation(len(mesh.vertices))
+    back = np.argsort(order)
+    vertices = shapes.moved(mesh, 3).vertices[order] * 10
+    other = TriangleMesh(vertices, back[mesh.faces].astype(np.int32))
+    apart = heat_distance(heat_set(shape(mesh)), heat_set(shape(other)))
+    assert apart < 0.02 * heat_distance(heat_set(shape(mesh)), heat_set(egg(2.5)))
+
+
+def test_forms_are_told_apart() -> None:
+    """By the amount in which they differ; the finer two meshes of one form, the nearer they are."""
+    sets = {length: heat_set(egg(length)) for length in (1.5, 2.0, 3.0)}
+    assert heat_distance(sets[1.5], sets[2.0]) < heat_distance(sets[1.5], sets[3.0])
+    coarse, fine = (heat_set(egg(2.0, subdivisions=subdivisions)) for subdivisions in (2, 4))
+    assert heat_distance(fine, sets[2.0]) < 0.7 * heat_distance(coarse, sets[2.0])
