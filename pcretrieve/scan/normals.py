@@ -13,7 +13,7 @@ from pcretrieve.adapters import open3d
 from pcretrieve.errors import ReconstructionError, Stage
 from pcretrieve.options import ScanOptions
 from pcretrieve.scan.outside import Outside, flood
-from pcretrieve.scan.sampling import spacing
+from pcretrieve.scan.sampling import COMPANY, Neighborhoods, neighborhoods, spacing
 from pcretrieve.types import FloatArray, PointCloud, Step
 
 __all__ = ["oriented_normals"]
@@ -39,8 +39,6 @@ LEAST_AGREEMENT = 0.95
 
 # Number of neighbours of each point in these pairs.
 VOTERS = 8
-
-Neighborhoods = tuple[FloatArray, NDArray[np.intp]]
 
 
 def oriented_normals(cloud: PointCloud, options: ScanOptions) -> PointCloud:
@@ -131,7 +129,7 @@ def _tight_flood(
     notes : tuple of str
         Notes for the provenance.
     """
-    cell = max(options.flood_cell * cloud.diagonal, FLOOD_CELL * spacing(cloud.points))
+    cell = max(options.flood_cell * cloud.diagonal, FLOOD_CELL * spacing(neighbors.some()))
     gap = options.flood_gap
     for attempt in range(options.flood_retries + 1):
         gap = options.flood_gap * WIDER**attempt
@@ -166,8 +164,8 @@ def _guided_normals(
         Coordinates.
     guide : (n, 3) float64
         Approximate unit direction to the outside at each point; zero if unknown.
-    neighbors : tuple of (n, k) float64 and (n, k) int
-        Distances and numbers of the neighbours.
+    neighbors : Neighborhoods
+        Of all points.
     options : ScanOptions
         Of which `normal_neighbors` is used.
 
@@ -176,7 +174,8 @@ def _guided_normals(
     (n, 3) float64
         Unit normals, with the orientation of the guide.
     """
-    distance, near = (of[:, : options.normal_neighbors] for of in neighbors)  # (n, k)
+    k = options.normal_neighbors
+    distance, near = neighbors.distance[:, :k], neighbors.near[:, :k]
     agreement = np.einsum("ij,ikj->ik", guide, guide[near])
     weight = np.clip((agreement - SAME_SIDE) / (1 - SAME_SIDE), 0, 1)
     weight[~guide.any(axis=1)] = 1
@@ -191,19 +190,15 @@ def _guided_normals(
 
 def _agreement(oriented: FloatArray, neighbors: Neighborhoods, shown: NDArray[np.bool_]) -> float:
     """The fraction of pairs of neighbours, both in the mask `shown`, with consistent normals."""
-    near = neighbors[1][shown, 1 : VOTERS + 1]  # (m, VOTERS), without the point itself
+    near = neighbors.near[shown, 1 : VOTERS + 1]  # (m, VOTERS), without the point itself
     agree = np.einsum("ij,ikj->ik", oriented[shown], oriented[near]) > 0
     pairs = shown[near]
     return float((agree & pairs).sum() / max(1, pairs.sum()))
 
 
 def _neighbors(points: FloatArray, options: ScanOptions) -> Neighborhoods:
-    """(n, k) distances and numbers of the nearest neighbours of each point, the point itself first."""
-    from scipy.spatial import cKDTree
-
-    k = max(options.normal_neighbors, VOTERS + 1)
-    distance, near = cKDTree(points).query(points, k=min(k, len(points)))
-    return np.asarray(distance), np.asarray(near)
+    """The neighbours that serve the normals, their agreement and the spacing."""
+    return neighborhoods(points, max(options.normal_neighbors, VOTERS + 1, COMPANY + 1))
 
 
 Orientation = Callable[[PointCloud, ScanOptions], tuple[FloatArray, tuple[str, ...]]]

@@ -1,15 +1,22 @@
-"""The density and the noise of the points of a scan."""
+"""The neighbours of points, and the density and the noise of a scan, which are measured by neighbours.
+
+The search for neighbours takes most of the time. A stage therefore searches once, and gives the result to all
+that measure by neighbours.
+"""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
+from numpy.typing import NDArray
 
 from pcretrieve.types import FloatArray
 
-__all__ = ["noise", "spacing"]
+__all__ = ["COMPANY", "IN_PLANE", "Neighborhoods", "neighborhoods", "noise", "spacing"]
 
-# Number of neighbours for the spacing, number of neighbours for a plane, and number
-# of points at which both are measured.
+# Number of neighbours for the spacing, number of neighbours for a plane, and number of points at which both
+# are measured.
 COMPANY = 6
 IN_PLANE = 8
 MEASURED = 5000
@@ -19,7 +26,52 @@ MEASURED = 5000
 FLATTEST = 0.25
 
 
-def spacing(points: FloatArray) -> float:
+@dataclass(frozen=True, slots=True, eq=False)
+class Neighborhoods:
+    """The nearest neighbours of m points of a cloud.
+
+    Attributes
+    ----------
+    distance : (m, k) float64
+        Distances from the point, ascending; the first is that of the point itself, zero. Unit of the file.
+    near : (m, k) int
+        Numbers of the neighbours in the cloud.
+    """
+
+    distance: FloatArray
+    near: NDArray[np.intp]
+
+    def some(self) -> Neighborhoods:
+        """The neighbourhoods of about `MEASURED` of the points, at regular steps."""
+        step = _step(len(self.near))
+        return Neighborhoods(self.distance[::step], self.near[::step])
+
+
+def neighborhoods(points: FloatArray, k: int, *, of_some: bool = False) -> Neighborhoods:
+    """Search for the nearest neighbours of points among themselves, by a k-d tree.
+
+    Parameters
+    ----------
+    points : (n, 3) float64
+        At least two points.
+    k : int
+        Number of neighbours, the point itself included; at most n are found.
+    of_some : bool, default False
+        Search only for the neighbours of the points of `Neighborhoods.some`.
+
+    Returns
+    -------
+    Neighborhoods
+        Of all points, or of some; unit of the file.
+    """
+    from scipy.spatial import cKDTree
+
+    asked = points[:: _step(len(points))] if of_some else points
+    distance, near = cKDTree(points).query(asked, k=min(k, len(points)))
+    return Neighborhoods(np.asarray(distance), np.asarray(near))
+
+
+def spacing(neighbors: Neighborhoods) -> float:
     """The spacing of points: the square root of the area of surface for each point, in the median.
 
     It is estimated from the circle that contains the `COMPANY` nearest neighbours, so that it is the same for
@@ -27,22 +79,19 @@ def spacing(points: FloatArray) -> float:
 
     Parameters
     ----------
-    points : (n, 3) float64
-        At least two points.
+    neighbors : Neighborhoods
+        Of some points, with at least `COMPANY` + 1 neighbours, or all points of a smaller cloud.
 
     Returns
     -------
     float
         Unit of the file.
     """
-    from scipy.spatial import cKDTree
-
-    k = min(COMPANY, len(points) - 1)
-    distance, _ = cKDTree(points).query(_some(points), k=[k + 1])
-    return float(np.sqrt(np.pi / k) * np.median(distance))
+    k = min(COMPANY, neighbors.distance.shape[1] - 1)
+    return float(np.sqrt(np.pi / k) * np.median(neighbors.distance[:, k]))
 
 
-def noise(points: FloatArray) -> float:
+def noise(points: FloatArray, neighbors: Neighborhoods) -> float:
     """The noise of points: their root mean square distance from the plane of their neighbours.
 
     It is about 0.8 of the standard deviation of each coordinate, if the noise is isotropic.
@@ -50,22 +99,22 @@ def noise(points: FloatArray) -> float:
     Parameters
     ----------
     points : (n, 3) float64
-        At least two points.
+        Coordinates.
+    neighbors : Neighborhoods
+        Of some of the points, with at least `IN_PLANE` + 1 neighbours, or all points of a smaller cloud.
 
     Returns
     -------
     float
         Unit of the file.
     """
-    from scipy.spatial import cKDTree
-
-    k = min(IN_PLANE + 1, len(points))
-    _, near = cKDTree(points).query(_some(points), k=k)
+    near = neighbors.near[:, : IN_PLANE + 1]  # (m, k)
+    k = near.shape[1]
     offsets = points[near] - points[near].mean(axis=1, keepdims=True)  # (m, k, 3)
     # A plane has three degrees of freedom, so that k points leave k − 3.
     from_plane = np.linalg.svd(offsets, compute_uv=False)[:, 2] / np.sqrt(max(1, k - 3))  # (m,)
     return float(np.quantile(from_plane, FLATTEST))
 
 
-def _some(points: FloatArray) -> FloatArray:
-    return points[:: max(1, len(points) // MEASURED)]
+def _step(n: int) -> int:
+    return max(1, n // MEASURED)

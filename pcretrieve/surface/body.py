@@ -24,7 +24,7 @@ from pcretrieve.adapters import open3d
 from pcretrieve.errors import ReconstructionError
 from pcretrieve.options import SurfaceOptions
 from pcretrieve.scan.outside import Grid, flood
-from pcretrieve.scan.sampling import noise, spacing
+from pcretrieve.scan.sampling import IN_PLANE, Neighborhoods, neighborhoods, noise, spacing
 from pcretrieve.surface.contacts import contact_layer, walls
 from pcretrieve.surface.field import LEAST_WEIGHT, distance_field, folded, hidden_below, normals_of
 from pcretrieve.surface.filled import filled
@@ -130,8 +130,9 @@ def body_surfaces(cloud: PointCloud, options: SurfaceOptions) -> Iterator[tuple[
         If the points do not surround a body, or surround two.
     """
     started = time.perf_counter()
-    least = spacing(cloud.points)
-    size = _cell(cloud, options)
+    neighbors = neighborhoods(cloud.points, IN_PLANE + 1, of_some=True)
+    least = spacing(neighbors)
+    size = _cell(cloud, neighbors, options)
     coarse = _coarse_surface(cloud, options)
     for number in range(options.reconstructions):
         cell = max(CELLS[number % len(CELLS)] * size, least)
@@ -203,11 +204,12 @@ def _body_surface(
     return final, marks, step
 
 
-def _cell(cloud: PointCloud, options: SurfaceOptions) -> float:
+def _cell(cloud: PointCloud, neighbors: Neighborhoods, options: SurfaceOptions) -> float:
     """Edge of the voxels of the first surface; unit of the file."""
     if options.cell != "auto":
         return options.cell * cloud.diagonal
-    return float(np.clip(NOISES * noise(cloud.points), FINEST * cloud.diagonal, COARSEST * cloud.diagonal))
+    size = NOISES * noise(cloud.points, neighbors)
+    return float(np.clip(size, FINEST * cloud.diagonal, COARSEST * cloud.diagonal))
 
 
 def _walls(cloud: PointCloud, grid: Grid) -> Mask:
