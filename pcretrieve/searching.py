@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 from pcretrieve.catalogue import Catalogue
@@ -10,11 +11,17 @@ from pcretrieve.errors import InputError
 from pcretrieve.ingestion.discover import content_hash
 from pcretrieve.matching import DistanceMatrix
 from pcretrieve.options import PipelineOptions
-from pcretrieve.pipeline.process import process
 from pcretrieve.retrieval import SignatureIndex
 from pcretrieve.types import Neighbors, Signature
 
 __all__ = ["search"]
+
+
+def _signature(scan: Path, options: PipelineOptions) -> Signature:
+    """As `pcretrieve.signature`, imported when it is called: a caller may do so in another process."""
+    from pcretrieve.pipeline.process import signature
+
+    return signature(scan, options)
 
 
 def search(
@@ -24,6 +31,7 @@ def search(
     k: int = 10,
     options: PipelineOptions | None = None,
     matrix: DistanceMatrix | None = None,
+    describe_scan: Callable[[Path, PipelineOptions], Signature] = _signature,
 ) -> Neighbors:
     """The shapes of a catalogue nearest to a scan.
 
@@ -38,6 +46,9 @@ def search(
         ``catalogue.options.changed(retrieval={"whitening": "pca"})``.
     matrix : DistanceMatrix, optional
         Distances in place of those of signatures, to the scan that the catalogue holds.
+    describe_scan : callable, optional
+        What makes the signature of a scan that the catalogue does not hold, with the options that it is
+        given; `pcretrieve.signature` by default, in this process.
 
     Raises
     ------
@@ -64,6 +75,10 @@ def search(
     table = catalogue.signatures(options)
     if not len(table):
         raise InputError(f"{catalogue.path} holds no shapes: ingest some first")
-    shape = catalogue.shape(held.id) if held else process(scan, catalogue.options)
+    if held:
+        described = describe(catalogue.shape(held.id), options.compared)
+    else:
+        own = catalogue.options.model_copy(update={"signature": options.compared})
+        described = describe_scan(Path(scan), own)
     index = SignatureIndex(table, options.retrieval, whitening=catalogue.whitening(options))
-    return index.query(describe(shape, options.compared).values, k)
+    return index.query(described.values, k)

@@ -16,6 +16,7 @@ from pcretrieve.cli.parts import (
     config_option,
     failure_line,
     json_option,
+    limit_options,
     load_options,
     say,
     surface_option,
@@ -49,10 +50,7 @@ QUOTED = 5
     show_default="one per core",
     metavar="N",
 )
-@click.option(
-    "--timeout", type=click.FloatRange(min=1), default=600, show_default=True, help="Per shape, seconds."
-)
-@click.option("--memory", type=click.FloatRange(min=0.5), metavar="GIB", help="Largest heap of one worker.")
+@limit_options("scan")
 @click.option("--retry-failed", is_flag=True, help="Process again what failed before.")
 @json_option
 def ingest_command(
@@ -134,6 +132,7 @@ def ingest_command(
     say(
         f"{len(summary.done)} done, {len(failures)} failed, {len(summary.held) - len(held_failed)} held "
         f"already, {len(duplicates)} duplicates: {catalogue}"
+        + ("; --retry-failed processes failed ones again" if failures else "")
     )
     if as_json:
         write_json(

@@ -12,6 +12,7 @@ from pcretrieve.cli.parts import (
     EXIT_SOME_FAILED,
     config_option,
     json_option,
+    limit_options,
     load_options,
     say,
     surface_option,
@@ -20,6 +21,7 @@ from pcretrieve.cli.parts import (
 
 if TYPE_CHECKING:
     from pcretrieve.inspection.inspection import Inspection
+    from pcretrieve.options import PipelineOptions
 
 __all__ = ["inspect_command"]
 
@@ -45,6 +47,7 @@ __all__ = ["inspect_command"]
 )
 @config_option
 @surface_option
+@limit_options("scan, and for each rescan")
 @json_option
 def inspect_command(
     scan: Path,
@@ -53,6 +56,8 @@ def inspect_command(
     rescans: int,
     config: Path | None,
     surface: str | None,
+    timeout: float,
+    memory: float | None,
     as_json: bool,
 ) -> None:
     """An HTML page that shows what is wrong with a scan, and what to do about it.
@@ -67,9 +72,7 @@ def inspect_command(
     """
     from pcretrieve.errors import InputError
     from pcretrieve.ingestion.discover import printable
-    from pcretrieve.inspection.inspect import inspect_scan
-    from pcretrieve.pages.inspection_page import write_inspection_page
-    from pcretrieve.pages.inspection_pictures import write_inspection_png
+    from pcretrieve.ingestion.isolation import Isolation
 
     if not scan.is_file():
         raise InputError(f"there is no scan {printable(scan)}: name a file")
@@ -78,10 +81,8 @@ def inspect_command(
         if target is not None:
             _check_output(target, scan)
     options = load_options(config, surface)
-    inspection = inspect_scan(scan, options, n_rescans=rescans)
-    page = write_inspection_page(inspection, page)
-    if png is not None:
-        write_inspection_png(inspection, png)
+    isolation = Isolation(timeout * (1 + rescans), memory)
+    inspection, page = isolation.call(_inspected, scan, options, rescans, page, png)
     for check in inspection.checks:
         advice = "" if check.verdict == "passed" else f": {check.words}"
         say(f"{check.verdict:<6}  {check.name:<16}  {check.shown}{advice}")
@@ -92,6 +93,21 @@ def inspect_command(
         click.echo(printable(page))
     if inspection.failure is not None:
         click.get_current_context().exit(EXIT_SOME_FAILED)
+
+
+def _inspected(
+    scan: Path, options: PipelineOptions, n_rescans: int, page: Path, png: Path | None
+) -> tuple[Inspection, Path]:
+    """In a process of its own, the only one that imports the stages: an inspection and its page."""
+    from pcretrieve.inspection.inspect import inspect_scan
+    from pcretrieve.pages.inspection_page import write_inspection_page
+    from pcretrieve.pages.inspection_pictures import write_inspection_png
+
+    inspection = inspect_scan(scan, options, n_rescans=n_rescans)
+    written = write_inspection_page(inspection, page)
+    if png is not None:
+        write_inspection_png(inspection, png)
+    return inspection, written
 
 
 def _check_output(target: Path, scan: Path) -> None:

@@ -97,7 +97,8 @@ def main() -> NoReturn:
         error.show()
         sys.exit(error.exit_code)
     except OptionError as error:
-        _say(f"Error: {error}")
+        # The option is wrong in every stage: the one that noticed tells nothing.
+        _say(f"Error: {error.message}")
         sys.exit(EXIT_USAGE)
     except PcretrieveError as error:
         _say(f"Error: {error}")

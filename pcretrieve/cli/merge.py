@@ -9,11 +9,12 @@ from typing import TYPE_CHECKING
 
 import click
 
-from pcretrieve.cli.parts import EXIT_SOME_FAILED, json_option, say, write_json
+from pcretrieve.cli.parts import EXIT_SOME_FAILED, json_option, limit_options, say, write_json
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from pcretrieve.options import MergeOptions
     from pcretrieve.registration import Merged
 
 __all__ = ["merge_command"]
@@ -54,6 +55,7 @@ __all__ = ["merge_command"]
     metavar="SHARE",
     help="Points of a view that another must have seen too.  [default: 0.1]",
 )
+@limit_options("view, all of them together")
 @json_option
 def merge_command(
     paths: tuple[str, ...],
@@ -65,6 +67,8 @@ def merge_command(
     voxel: float | None,
     reach: float | None,
     min_overlap: float | None,
+    timeout: float,
+    memory: float | None,
     as_json: bool,
 ) -> None:
     """Range scans of one body into one cloud: files, folders, globs, or one .conf.
@@ -77,29 +81,20 @@ def merge_command(
     pcretrieve merge bunny/*.ply -o bunny.ply
     pcretrieve merge frames/ --sensor origin --max-range 1.5 --keep-largest -o body.ply
     """
-    from tqdm import tqdm
-
     from pcretrieve.formats import write_cloud
     from pcretrieve.ingestion.discover import printable
-    from pcretrieve.ingestion.views import read_views, view_files
+    from pcretrieve.ingestion.isolation import Isolation
+    from pcretrieve.ingestion.views import view_files
     from pcretrieve.options import MergeOptions
-    from pcretrieve.registration import merge_views
 
     if not paths:
         raise click.UsageError("name at least two views, or one .conf")
     chosen = {"voxel": voxel, "reach": reach, "min_overlap": min_overlap, "max_range": max_range}
     given = {name: value for name, value in chosen.items() if value is not None}
     options = MergeOptions(refine=refine, sensor=sensor, keep_largest=keep_largest, **given)
-    files, poses = view_files(paths)
+    files, _ = view_files(paths)
     _check_output(output, files)
-    views = read_views(paths).clouds
-    with tqdm(total=math.comb(len(views), 2), unit="pair", desc="merge", disable=None) as bar:
-
-        def on_pair(done: int, total: int) -> None:
-            bar.total = total
-            bar.update(done - bar.n)
-
-        merged = merge_views(views, options, poses=poses, on_pair=on_pair)
+    merged = Isolation(timeout * len(files), memory).call(_merged, paths, options)
     write_cloud(merged.cloud, output)
     names = [printable(file) for file in files]
     _tell(merged, names, output)
@@ -107,6 +102,23 @@ def merge_command(
         write_json(_document(merged, names, output))
     if merged.left_out:
         click.get_current_context().exit(EXIT_SOME_FAILED)
+
+
+def _merged(paths: Sequence[str], options: MergeOptions) -> Merged:
+    """In a process of its own, the only one that imports Open3D; it shows how far it is on standard error."""
+    from tqdm import tqdm
+
+    from pcretrieve.ingestion.views import read_views
+    from pcretrieve.registration import merge_views
+
+    views = read_views(paths)
+    with tqdm(total=math.comb(len(views.clouds), 2), unit="pair", desc="merge", disable=None) as bar:
+
+        def on_pair(done: int, total: int) -> None:
+            bar.total = total
+            bar.update(done - bar.n)
+
+        return merge_views(views.clouds, options, poses=views.poses, on_pair=on_pair)
 
 
 def _check_output(output: Path, files: Sequence[Path]) -> None:

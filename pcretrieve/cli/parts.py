@@ -25,6 +25,7 @@ __all__ = [
     "failure_line",
     "given_flags",
     "json_option",
+    "limit_options",
     "load_options",
     "matrix_option",
     "method_option",
@@ -132,6 +133,21 @@ size_weight_option = click.option(
     help="Weigh the size of bodies beside their form, where all files have one unit: one value more, their "
     "area to this power. 6 is best for people.  [default: 0, none, or the catalogue's]",
 )
+
+
+def limit_options(unit: str) -> Callable[[Callable[..., None]], Callable[..., None]]:
+    """Give a command the limits of the processes that work for it; the time is for one `unit`."""
+    timeout = click.option(
+        "--timeout",
+        type=click.FloatRange(min=1),
+        default=600,
+        show_default=True,
+        help=f"Longest time for a {unit}, seconds.",
+    )
+    memory = click.option(
+        "--memory", type=click.FloatRange(min=0.5), metavar="GIB", help="Largest heap of a worker process."
+    )
+    return lambda command: timeout(memory(command))
 
 
 def comparison_options(command: Callable[..., None]) -> Callable[..., None]:

@@ -11,6 +11,7 @@ import click
 from pcretrieve.cli.parts import (
     config_option,
     json_option,
+    limit_options,
     load_options,
     say,
     step_lines,
@@ -19,11 +20,8 @@ from pcretrieve.cli.parts import (
 )
 
 if TYPE_CHECKING:
-    from pcretrieve.catalogue import Record
-    from pcretrieve.types import Signature
-
-    # Name, what came of it, and what else a JSON document tells.
-    Row = tuple[str, Signature | Record, dict[str, object]]
+    from pcretrieve.options import PipelineOptions
+    from pcretrieve.types import TriangleMesh
 
 __all__ = ["reconstruct_command"]
 
@@ -41,9 +39,17 @@ __all__ = ["reconstruct_command"]
 @click.option("--report", is_flag=True, help="Print what was done, repaired and fallen back to.")
 @config_option
 @surface_option
+@limit_options("scan")
 @json_option
 def reconstruct_command(
-    scan: Path, output: Path, report: bool, config: Path | None, surface: str | None, as_json: bool
+    scan: Path,
+    output: Path,
+    report: bool,
+    config: Path | None,
+    surface: str | None,
+    timeout: float,
+    memory: float | None,
+    as_json: bool,
 ) -> None:
     """Points to a closed, oriented, manifold surface.
 
@@ -51,11 +57,10 @@ def reconstruct_command(
     pcretrieve reconstruct scan.ply -o body.obj --report
     """
     from pcretrieve.formats import write_mesh
-    from pcretrieve.pipeline.process import reconstruct
+    from pcretrieve.ingestion.isolation import Isolation
 
     _check_output(output, scan)
-    options = load_options(config, surface)
-    mesh = reconstruct(scan, options)
+    mesh = Isolation(timeout, memory).call(_surface, scan, load_options(config, surface))
     write_mesh(mesh, output)
     facts = {
         "mesh": str(output),
@@ -76,6 +81,13 @@ def reconstruct_command(
             for name, value in facts.items()
         )
     )
+
+
+def _surface(scan: Path, options: PipelineOptions) -> TriangleMesh:
+    """In a process of its own, the only one that imports the stages."""
+    from pcretrieve.pipeline.process import reconstruct
+
+    return reconstruct(scan, options)
 
 
 def _check_output(output: Path, scan: Path) -> None:

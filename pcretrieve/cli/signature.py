@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -13,6 +14,7 @@ from pcretrieve.cli.parts import (
     config_option,
     failure_line,
     json_option,
+    limit_options,
     load_options,
     method_option,
     n_values_option,
@@ -25,6 +27,8 @@ from pcretrieve.cli.parts import (
 
 if TYPE_CHECKING:
     from pcretrieve.catalogue import Record
+    from pcretrieve.errors import PcretrieveError
+    from pcretrieve.ingestion.isolation import Isolation
     from pcretrieve.options import PipelineOptions
     from pcretrieve.types import Signature
 
@@ -51,6 +55,7 @@ __all__ = ["signature_command"]
 @size_weight_option
 @config_option
 @surface_option
+@limit_options("scan")
 @json_option
 def signature_command(
     paths: tuple[str, ...],
@@ -62,6 +67,8 @@ def signature_command(
     size_weight: float | None,
     config: Path | None,
     surface: str | None,
+    timeout: float,
+    memory: float | None,
     as_json: bool,
 ) -> None:
     """Signatures of scans, one line each: path, then values.
@@ -73,7 +80,8 @@ def signature_command(
     pcretrieve signature scans/ --method shape-dna --json
     pcretrieve signature --from-catalogue bodies.sqlite T12 T17 --method wks --n-values 40
     """
-    from pcretrieve.catalogue import Record
+    from pcretrieve.ingestion.isolation import Isolation
+    from pcretrieve.types import Signature
 
     if from_catalogue is not None and (config or surface):
         raise click.UsageError("a catalogue has options of its own: leave out --config and --surface")
@@ -90,20 +98,21 @@ def signature_command(
     if from_catalogue is not None:
         rows = _of_catalogue(from_catalogue, paths, chosen)
     else:
-        rows = _of_scans(paths, load_options(config, surface).changed(signature=chosen))
+        options = load_options(config, surface).changed(signature=chosen)
+        rows = _of_scans(paths, options, Isolation(timeout, memory))
     found: list[dict[str, object]] = []
     n_failed = 0
     for name, outcome, facts in rows:
-        if isinstance(outcome, Record):
-            n_failed += 1
-            say(failure_line(outcome))
-            facts |= {"error": outcome.error, "stage": outcome.stage, "message": outcome.message}
-        else:
+        if isinstance(outcome, Signature):
             facts |= {"kind": outcome.kind, "values": outcome.values.tolist()}
             if outcome.deviation is not None:
                 facts |= {"deviation": outcome.deviation.tolist()}
             if not as_json:
                 click.echo("\t".join([name, *(f"{value:.9g}" for value in outcome.values)]))
+        else:
+            n_failed += 1
+            say(failure_line(outcome))
+            facts |= {"error": outcome.error, "stage": outcome.stage, "message": outcome.message}
         found.append(facts)
     if as_json:
         write_json(found)
@@ -111,25 +120,41 @@ def signature_command(
         click.get_current_context().exit(EXIT_SOME_FAILED)
 
 
-def _of_scans(paths: tuple[str, ...], options: PipelineOptions) -> Iterator[Row]:
+def _of_scans(paths: tuple[str, ...], options: PipelineOptions, isolation: Isolation) -> Iterator[Row]:
     """Signatures of scans, or the records of their failures."""
-    from pcretrieve.catalogue import Record
-    from pcretrieve.descriptors import describe
-    from pcretrieve.errors import ShapeError
+    from pcretrieve.errors import PcretrieveError
     from pcretrieve.ingestion.discover import discover, printable
-    from pcretrieve.ingestion.plan import failed
+
+    for path, outcome in isolation.each(partial(_described, options), discover(paths)):
+        name = printable(path)
+        if isinstance(outcome, PcretrieveError):
+            yield name, _failure(name, outcome), {"path": name}
+        else:
+            signature, seconds = outcome
+            yield name, signature, {"path": name, "seconds": round(seconds, 3)}
+
+
+def _described(options: PipelineOptions, path: Path) -> tuple[Signature, float]:
+    """In a process of its own, the only one that imports the stages: a signature, and its seconds."""
+    from pcretrieve.descriptors import describe
+    from pcretrieve.errors import Stage, in_stage
     from pcretrieve.pipeline.process import process
 
-    for path in discover(paths):
-        name = printable(path)
-        try:
-            shape = process(path, options)
-            signature = describe(shape, options.signature)
-        except ShapeError as error:
-            yield name, failed(Record(Path(name).stem, name, ""), error), {"path": name}
-            continue
-        seconds = sum(step.seconds for step in shape.provenance)
-        yield name, signature, {"path": name, "seconds": round(seconds, 3)}
+    shape = process(path, options)
+    with in_stage(Stage.SIGNATURE):
+        signature = describe(shape, options.signature)
+    return signature, sum(step.seconds for step in shape.provenance)
+
+
+def _failure(name: str, error: PcretrieveError) -> Record:
+    """The record of a scan that has no signature; raises what is not the fault of a scan."""
+    from pcretrieve.catalogue import Record
+    from pcretrieve.errors import ShapeError
+    from pcretrieve.ingestion.plan import failed
+
+    if not isinstance(error, ShapeError):
+        raise error
+    return failed(Record(Path(name).stem, name, ""), error)
 
 
 def _of_catalogue(path: Path, ids: tuple[str, ...], chosen: dict[str, Any]) -> Iterator[Row]:

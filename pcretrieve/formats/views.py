@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from pcretrieve.errors import ScanReadError
 from pcretrieve.formats.files import check_file
 from pcretrieve.formats.raw import RawScan
 from pcretrieve.formats.text import text_lines
+
+if TYPE_CHECKING:
+    from scipy.spatial.transform import Rotation
 
 __all__ = ["read_poses", "view_paths"]
 
@@ -51,6 +54,8 @@ def read_poses(path: Path) -> list[tuple[Path, Rotation, np.ndarray]]:
     ScanReadError
         If the file is not a regular file, is invalid, has no views or too many, or has a view twice.
     """
+    from scipy.spatial.transform import Rotation
+
     check_file(path)
     if path.stat().st_size > MOST_CONF_BYTES:
         raise ScanReadError(

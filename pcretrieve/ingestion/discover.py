@@ -11,7 +11,6 @@ import os
 from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 
-from pcretrieve.catalogue import numbered_id
 from pcretrieve.errors import InputError, ScanReadError
 from pcretrieve.formats import check_file, readers, view_paths
 
@@ -84,6 +83,9 @@ def shape_ids(paths: Collection[str], taken: Mapping[str, str]) -> dict[str, str
     taken : mapping of id to path
         Ids that are in use already.
     """
+    # Here, so that commands that only look for scans need not wait for the catalogue and its descriptors.
+    from pcretrieve.catalogue import numbered_id
+
     used = set(taken)
     ids = {path: shape_id for shape_id, path in taken.items()}
     last: dict[str, int] = {}  # number given to each name: the search goes on from there

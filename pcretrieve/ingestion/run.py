@@ -13,8 +13,8 @@ from pcretrieve.catalogue import Catalogue, Content, Record
 from pcretrieve.ingestion import work
 from pcretrieve.ingestion.contents import Contents
 from pcretrieve.ingestion.discover import printable
+from pcretrieve.ingestion.isolation import Isolation
 from pcretrieve.ingestion.plan import Plan, Planner, apply, failed
-from pcretrieve.ingestion.workers import outcomes
 from pcretrieve.options import PipelineOptions
 
 __all__ = ["Summary", "ingest_files"]
@@ -109,13 +109,7 @@ def ingest_files(
                 store(record, None)
             yield from made.process
 
-    running = outcomes(
-        partial(_content, catalogue.options),
-        queue(),
-        prepare=partial(work.prepare, memory),
-        workers=workers,
-        timeout=timeout,
-    )
+    running = Isolation(timeout, memory).each(partial(_content, catalogue.options), queue(), workers=workers)
     with closing(contents), closing(running):
         for (_, record), outcome in running:
             if isinstance(outcome, Content):

@@ -110,7 +110,7 @@ def outcomes(
                         raise PcretrieveError(
                             f"{failed_starts} worker processes in a row ended, or hung, before they could "
                             "take a shape, perhaps for want of memory: raise --memory if you gave it, or "
-                            "lower --workers"
+                            "have fewer processes work at a time"
                         )
                 elif worker.has_memory_to_blame(outcome) and task.attempts < MAX_ATTEMPTS:
                     worker.stop()
@@ -229,13 +229,11 @@ class _Worker(Generic[Item, Answer]):
             code = self.stop()
             return WorkerDied(
                 f"the process that worked on it ended with {_exit_text(code)}, perhaps for want of memory: "
-                "raise --memory if you gave it, or lower --workers, and give --retry-failed"
+                "raise --memory if you gave it, or have fewer processes work at a time"
             )
         if time.monotonic() >= self.deadline:
             self.stop()
-            return StageTimeout(
-                f"not finished within {self._limit:g} s: raise --timeout and give --retry-failed"
-            )
+            return StageTimeout(f"not finished within {self._limit:g} s: raise --timeout")
         return None
 
     def has_memory_to_blame(self, outcome: object) -> bool:

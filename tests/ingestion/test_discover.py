@@ -10,7 +10,6 @@ import pytest
 
 from pcretrieve.catalogue import numbered_id
 from pcretrieve.errors import InputError, ScanReadError
-from pcretrieve.ingestion import discover as discover_module
 from pcretrieve.ingestion.discover import content_hash, discover, printable, shape_ids
 
 # The user without rights, on Linux.
@@ -236,7 +235,7 @@ def test_ids_of_one_name_in_many_folders_are_tried_once_each(monkeypatch: pytest
         tried.append(numbered_id(stem, number))
         return tried[-1]
 
-    monkeypatch.setattr(discover_module, "numbered_id", counted)
+    monkeypatch.setattr("pcretrieve.catalogue.numbered_id", counted)
     taken = shape_ids([f"/old/{folder}/scan.ply" for folder in range(1000)], {})
     ids = shape_ids([f"/new/{folder}/scan.ply" for folder in range(1000)], {v: k for k, v in taken.items()})
     assert list(ids.values()) == [f"scan-{number}" for number in range(1001, 2001)]

@@ -25,6 +25,7 @@ from pcretrieve.errors import (
     in_stage,
 )
 from pcretrieve.ingestion import workers
+from pcretrieve.ingestion.isolation import Isolation
 from pcretrieve.ingestion.workers import outcomes
 
 N_ITEMS = 6
@@ -221,12 +222,9 @@ def test_whatever_is_raised_is_that_items_outcome(
 
 
 def test_what_lacks_memory_in_a_used_worker_is_tried_in_a_fresh_one() -> None:
-    from pcretrieve.ingestion import work  # slow to import for workers that do not need it
-
-    limited = partial(work.prepare, 1.0)
-    found = dict(outcomes(keep_half_the_memory, range(3), prepare=limited, workers=1, timeout=60))
-    assert found == {0: 0, 1: 1, 2: 2}
-    ((_, outcome),) = outcomes(take_all_the_memory, [0], prepare=limited, workers=1, timeout=60)
+    limited = Isolation(memory=1)
+    assert dict(limited.each(keep_half_the_memory, range(3))) == {0: 0, 1: 1, 2: 2}
+    ((_, outcome),) = limited.each(take_all_the_memory, [0])
     assert isinstance(outcome, MemoryExceeded)
 
 
