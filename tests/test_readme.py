@@ -13,6 +13,9 @@ from pcretrieve.cli.main import COMMANDS, cli
 
 ROOT = Path(__file__).parents[1]
 README = (ROOT / "README.md").read_text(encoding="utf-8")
+DOCUMENTS = README + "".join(
+    (ROOT / "docs" / name).read_text(encoding="utf-8") for name in ("guide.md", "benchmarks.md")
+)
 PYTHON_BLOCKS = re.findall(r"```python\n(.*?)```", README, re.DOTALL)
 
 
@@ -37,7 +40,7 @@ def test_python_blocks_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> N
         exec(compile(block, "README.md", "exec"), names)
 
 
-@pytest.mark.parametrize("words", commands(README), ids=" ".join)
+@pytest.mark.parametrize("words", commands(DOCUMENTS), ids=" ".join)
 def test_commands_of_the_readme_exist(words: list[str]) -> None:
     """Every option that the README shows is one that the command has."""
     result = CliRunner().invoke(cli, [words[1], "--help"])
@@ -54,6 +57,10 @@ def test_every_command_shows_an_example(name: str) -> None:
     assert f"  pcretrieve {name} " in output
 
 
+def test_the_readme_is_short() -> None:
+    assert README.count("\n") <= 150
+
+
 def test_every_command_is_in_the_readme() -> None:
     assert [
         name for name in COMMANDS if f"`{name}`" not in README and f"pcretrieve {name} " not in README
@@ -62,4 +69,4 @@ def test_every_command_is_in_the_readme() -> None:
 
 def test_every_script_is_in_the_readme() -> None:
     scripts = {path.name for path in (ROOT / "scripts").iterdir()} - {"setup"}
-    assert [name for name in sorted(scripts) if f"scripts/{name}" not in README] == []
+    assert [name for name in sorted(scripts) if f"scripts/{name}" not in DOCUMENTS] == []
