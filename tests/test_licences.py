@@ -20,7 +20,7 @@ PROJECT = Path(__file__).parents[1] / "pyproject.toml"
 
 # Copyleft that reaches whoever distributes a program together with the library.
 STRONG = re.compile(r"\bA?GPL|GNU (Affero )?General Public", re.IGNORECASE)
-# The lesser licence leaves a program free that imports the library, as pebble is imported.
+# The lesser licence leaves a program free that imports the library.
 LESSER = re.compile(r"\bLGPL[\w.+-]*|GNU (Library or )?Lesser General Public[\w ]*", re.IGNORECASE)
 
 

@@ -33,8 +33,8 @@ Answer = TypeVar("Answer")
 LENGTH = struct.Struct("<q")
 CHUNK = 1 << 20  # bytes read at once
 
-# Items after which a worker is replaced: cholespy keeps 64 bytes for each vertex of every surface, about
-# .8 MB a scan, and a new worker takes about two seconds to start.
+# Items after which a worker is replaced, because cholespy does not free the workspace of its first solve with
+# a factor. See docs/decisions.md, MAX_ITEMS.
 MAX_ITEMS = 200
 
 # How long a worker may take to get ready (seconds), and how many in a row may fail to.
