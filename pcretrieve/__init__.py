@@ -5,6 +5,7 @@ Names are imported when first used, so that ``import pcretrieve`` takes no time.
 
 from __future__ import annotations
 
+import logging
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
@@ -52,6 +53,9 @@ if TYPE_CHECKING:
     )
 
 __version__ = "0.2.0"
+
+# Without it, warnings of a library go to standard error where the program has not set up logging.
+logging.getLogger("pcretrieve").addHandler(logging.NullHandler())
 
 __all__ = [
     "BenchmarkError",

@@ -151,6 +151,14 @@ class MergeOptions(_Options):
     """Seed of the random samples."""
 
 
+# The options that one method of surface reconstruction alone uses. `reconstructions` is not here: that the
+# method poisson makes one surface is noted for the default too.
+ONLY_OF_METHOD = {
+    "growth": ("genus", "cell", "gap", "bridge", "fill_depth"),
+    "poisson": ("poisson_depth", "poisson_scale", "density_trim"),
+}
+
+
 class SurfaceOptions(_Options):
     """Filtered points with normals → closed surface."""
 
@@ -192,6 +200,20 @@ class SurfaceOptions(_Options):
     max_discarded: Share = 0.1
     """Largest size of a second connected component that is removed; fraction of the points (growth) or of the
     area (poisson). A larger component is a second body, and an error."""
+
+    @property
+    def unused(self) -> tuple[str, ...]:
+        """The options with other values than the defaults that the method does not use, such as surface.gap.
+
+        They are noted in the provenance and are no error, because a preset for a source of scans may name
+        options of both methods.
+        """
+        return tuple(
+            f"surface.{name}"
+            for method, names in ONLY_OF_METHOD.items()
+            for name in names
+            if method != self.method and getattr(self, name) != type(self).model_fields[name].default
+        )
 
 
 class RemeshOptions(_Options):

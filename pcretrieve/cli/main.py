@@ -77,10 +77,11 @@ def cli() -> None:
 
 
 class _Said(logging.Handler):
-    """Warnings of the library, for people."""
+    """Warnings of the library, for people, but for repairs: results and pages name these."""
 
     def emit(self, record: logging.LogRecord) -> None:
-        _say(record.getMessage())
+        if record.name != "pcretrieve.pipeline":
+            _say(record.getMessage())
 
 
 def main() -> NoReturn:

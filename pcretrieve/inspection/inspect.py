@@ -31,7 +31,8 @@ from pcretrieve.inspection.checks import (
 )
 from pcretrieve.inspection.inspection import Inspection
 from pcretrieve.options import OptionsLike, PipelineOptions
-from pcretrieve.pipeline.process import Seen, described_shape, placed, signature, surface_stages
+from pcretrieve.pipeline.process import described_shape, placed, signature, surface_stages
+from pcretrieve.pipeline.seen import Seen
 from pcretrieve.surface import (
     sampled,
     sound_mesh,

@@ -5,8 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
-from pathlib import Path
+from dataclasses import replace
 
 import numpy as np
 from scipy.sparse import csc_array
@@ -26,6 +25,8 @@ from pcretrieve.errors import (
 )
 from pcretrieve.formats.scans import ScanLike, as_scan
 from pcretrieve.options import OptionsLike, PipelineOptions
+from pcretrieve.pipeline.progress import log_steps, scan_name
+from pcretrieve.pipeline.seen import Seen
 from pcretrieve.scan import clean, oriented_normals
 from pcretrieve.spectral import ELEMENTS, eigenpairs, laplace_beltrami, star_mesh, unit_eigenpairs
 from pcretrieve.surface import (
@@ -51,7 +52,6 @@ from pcretrieve.types import (
 )
 
 __all__ = [
-    "Seen",
     "described_shape",
     "placed",
     "process",
@@ -59,30 +59,6 @@ __all__ = [
     "signature",
     "surface_stages",
 ]
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Seen:
-    """What there is of a scan after some stage, in its own unit.
-
-    Attributes
-    ----------
-    scan : PointCloud or None
-        The raw points; None where a mesh is used as it is.
-    cloud : PointCloud or None
-        Cleaned, and once they are known with normals.
-    mesh : TriangleMesh or None
-    marks : SurfaceMarks or None
-        Where the surface was cut and bridged.
-    others : tuple of TriangleMesh
-        Further surfaces of the same scan.
-    """
-
-    scan: PointCloud | None = None
-    cloud: PointCloud | None = None
-    mesh: TriangleMesh | None = None
-    marks: SurfaceMarks | None = None
-    others: tuple[TriangleMesh, ...] = ()
 
 
 def signature(scan: ScanLike, options: OptionsLike = None) -> Signature:
@@ -115,9 +91,8 @@ def signature(scan: ScanLike, options: OptionsLike = None) -> Signature:
 def reconstruct(scan: ScanLike, options: OptionsLike = None) -> TriangleMesh:
     """The surface of one scan: closed, connected, manifold, pointing outwards.
 
-    A mesh that is all of that already is used as it is, unless ``options.surface.mode`` says otherwise; with
-    ``keep``, a mesh may have holes. Lengths are in the unit of the scan; ``mesh.provenance`` tells what was
-    done, repaired and fallen back to.
+    A mesh with these properties is used as it is, unless ``options.surface.mode`` is ``reconstruct``; with
+    the mode ``keep``, a mesh may have holes.
 
     Parameters
     ----------
@@ -125,6 +100,12 @@ def reconstruct(scan: ScanLike, options: OptionsLike = None) -> TriangleMesh:
         A path, an array, or geometry of this package, Open3D, trimesh or PyVista; see `as_geometry`.
     options : OptionsLike, optional
         Options, a preset's name, a TOML file, or a mapping; see `PipelineOptions.of`.
+
+    Returns
+    -------
+    TriangleMesh
+        In the unit of the scan. Its `provenance` has a step for each stage, with a note for each repair and
+        each fallback.
 
     Raises
     ------
@@ -134,19 +115,44 @@ def reconstruct(scan: ScanLike, options: OptionsLike = None) -> TriangleMesh:
     with placed(scan):
         options = PipelineOptions.of(options)
         *_, last = surface_stages(scan, options.changed(surface={"reconstructions": 1}))
-    if last.mesh is None:
-        raise TypeError("the last stage always has a surface")
-    return last.mesh
+    return _surface_of(last)
+
+
+def _surface_of(seen: Seen) -> TriangleMesh:
+    if seen.mesh is None:
+        raise TypeError("there must be a surface after the last stage, there is none")
+    return seen.mesh
 
 
 def surface_stages(scan: object, options: PipelineOptions) -> Iterator[Seen]:
-    """The way from a scan to its surface, one stage at a time; the last has the final surface.
+    """The stages from a scan to its surface, one at a time. Each is logged when it has ended.
+
+    Parameters
+    ----------
+    scan : object
+        As `reconstruct` takes it.
+    options : PipelineOptions
+        Of which the stages up to `remesh` are used.
+
+    Yields
+    ------
+    Seen
+        What there is after each stage; the last has the final surfaces.
 
     Raises
     ------
     ShapeError
-        In the stage that fails; what the stages before it made has been seen by then.
+        In the stage that fails, after the stages before it have been yielded.
     """
+    name, logged = scan_name(scan), 0
+    for seen in _surface_stages(scan, options):
+        steps = seen.steps
+        log_steps(name, steps[logged:])
+        logged = len(steps)
+        yield seen
+
+
+def _surface_stages(scan: object, options: PipelineOptions) -> Iterator[Seen]:
     with in_stage(Stage.READ):
         value = as_scan(scan)
     if isinstance(value, TriangleMesh):
@@ -176,6 +182,9 @@ def surface_stages(scan: object, options: PipelineOptions) -> Iterator[Seen]:
         else:
             surfaces = body_surfaces(cloud, options.surface)
         mesh, found = next(surfaces)
+    if unused := options.surface.unused:
+        ignored = f"surface.method = {options.surface.method!r} does not use {', '.join(unused)}"
+        mesh = mesh.after(Step("surface", 0.0, notes=(ignored,)))
     marks = None if found is None else SurfaceMarks(found.cuts + origin, found.bridges + origin)
     yield (seen := replace(seen, mesh=_mesh_moved(mesh, origin), marks=marks))
     final = _mesh_moved(_final(mesh, options), origin)
@@ -186,7 +195,7 @@ def surface_stages(scan: object, options: PipelineOptions) -> Iterator[Seen]:
                 moved = _mesh_moved(_final(other, options), origin)
                 yield (seen := replace(seen, others=(*seen.others, moved)))
     except ReconstructionError as error:
-        # The first one stands: one surface is enough for a signature, if not for its error bar.
+        # One surface is enough for a signature; two are needed only for its error bar.
         note = Step("surface", 0.0, notes=(f"no further surface could be made: {error.message}",))
         yield replace(seen, mesh=final.after(note))
 
@@ -215,7 +224,8 @@ def process(scan: ScanLike, options: OptionsLike = None) -> Shape:
     Returns
     -------
     Shape
-        What descriptors are made of; lengths in the unit of the scan.
+        The surfaces with their spectra, the filtered points and the provenance; lengths in the unit of the
+        scan, spectra of surfaces of unit area.
 
     Raises
     ------
@@ -228,20 +238,32 @@ def process(scan: ScanLike, options: OptionsLike = None) -> Shape:
             return _of_points(scan, options)
         *_, last = surface_stages(scan, options)
         with in_stage(Stage.SPECTRUM):
-            return described_shape(last, options)
+            shape = described_shape(last, options)
+        log_steps(scan_name(scan), shape.provenance[-1:])
+        return shape
 
 
 def described_shape(seen: Seen, options: PipelineOptions) -> Shape:
     """The shape whose surfaces are those of one scan, with their spectra.
+
+    Parameters
+    ----------
+    seen : Seen
+        The result of the last stage of `surface_stages`.
+    options : PipelineOptions
+        Of which `spectral` is used.
+
+    Returns
+    -------
+    Shape
+        As of `process`.
 
     Raises
     ------
     SpectrumError
         If a surface has no spectrum.
     """
-    mesh = seen.mesh
-    if mesh is None:
-        raise TypeError("there is a surface after the last stage")
+    mesh = _surface_of(seen)
     started = time.perf_counter()
     surface, sizes = _with_spectrum(mesh, options)
     others = tuple(_with_spectrum(other, options)[0] for other in seen.others)
@@ -326,8 +348,24 @@ def _moved(cloud: PointCloud, by: FloatArray) -> PointCloud:
 
 @contextmanager
 def placed(scan: object) -> Iterator[None]:
-    """Errors with the file name of the scan that they happened to, those outside of any stage too."""
-    name = Path(scan).name if isinstance(scan, (str, Path)) else None
+    """Add the file name of the scan to the exceptions that are raised inside, and convert unexpected ones.
+
+    Parameters
+    ----------
+    scan : object
+        A path; for other values there is no name to add.
+
+    Yields
+    ------
+    None
+        Once.
+
+    Raises
+    ------
+    PcretrieveError
+        The exception that was raised inside; an `UnexpectedError` instead of one of another library.
+    """
+    name = scan_name(scan)
     try:
         yield
     except PcretrieveError as error:

@@ -107,7 +107,7 @@ def poisson_surface(cloud: PointCloud, options: SurfaceOptions) -> TriangleMesh:
         Points with normals.
     options : SurfaceOptions
         Of which `poisson_depth`, `poisson_scale`, `density_trim`, `max_discarded` and `target_faces` are
-        used.
+        used. If `reconstructions` is 2 or more, a note says that there is only one surface.
 
     Returns
     -------
@@ -137,6 +137,8 @@ def poisson_surface(cloud: PointCloud, options: SurfaceOptions) -> TriangleMesh:
             *open3d.simplify(surface.vertices, surface.faces, n_faces=options.target_faces)
         )
     final, notes = repaired(surface)
+    if options.reconstructions > 1:
+        notes = (*notes, "the method poisson makes one surface, so that the signature has no error bar")
     if options.density_trim == 0 and (found := defects(final)):
         raise ReconstructionError(
             f"the points must surround a body, their surface has {found}: "

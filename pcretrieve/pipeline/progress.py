@@ -1,0 +1,47 @@
+"""The log of stages that have ended, by the logger ``pcretrieve.pipeline``."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Iterable
+from pathlib import Path
+
+from pcretrieve.types import Step
+
+__all__ = ["log_steps", "scan_name"]
+
+_LOGGER = logging.getLogger("pcretrieve.pipeline")
+
+
+def scan_name(scan: object) -> str | None:
+    """The name of a scan in messages.
+
+    Parameters
+    ----------
+    scan : object
+        A path, arrays or geometry.
+
+    Returns
+    -------
+    str or None
+        The file name; None for anything but a path.
+    """
+    return Path(scan).name if isinstance(scan, (str, Path)) else None
+
+
+def log_steps(name: str | None, steps: Iterable[Step]) -> None:
+    """Log steps: each at the level INFO, and its notes on repairs and fallbacks at the level WARNING.
+
+    Parameters
+    ----------
+    name : str or None
+        Name of the scan, from `scan_name`.
+    steps : iterable of Step
+        The steps that have ended since the last call.
+    """
+    scan = name or "scan"
+    for step in steps:
+        sizes = ", ".join(f"{what} {size:.6g}" for what, size in step.sizes.items())
+        _LOGGER.info("%s: %s in %.2f s%s", scan, step.stage, step.seconds, f": {sizes}" if sizes else "")
+        for note in step.notes:
+            _LOGGER.warning("%s: %s: %s", scan, step.stage, note)
