@@ -18,7 +18,7 @@ from typing import Annotated, Any, Literal, TypeAlias
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from pcretrieve.errors import OptionError
-from pcretrieve.plugins import Names
+from pcretrieve.names import METHODS, NAMES
 
 if sys.version_info >= (3, 11):
     import tomllib
@@ -47,34 +47,6 @@ NUMBERS_VERSION = 7
 Share = Annotated[float, Field(ge=0, le=1)]
 Length = Annotated[float, Field(ge=0, lt=1)]
 Count = Annotated[int, Field(ge=1)]
-
-
-# The descriptors of pcretrieve by name, and whether their values have a size, without which the scale
-# "absolute" is not defined. The records in `pcretrieve.descriptors` say more, but take long to import.
-METHODS: dict[str, bool] = {
-    "r-bihdm": True,
-    "bihdm": True,
-    "shape-dna": True,
-    "shape-dna-norm1": False,
-    "sd-gdm": True,
-    "hks-bow": False,
-    "hks-bow-spatial": False,
-    "si-hks-bow": False,
-    "si-hks-bow-spatial": False,
-    "wks": False,
-    "combined": True,
-}
-
-# The names of what other packages can add, by kind. Tests hold them and the records against each other.
-NAMES = {
-    names.kind: names
-    for names in (
-        Names("element", "pcretrieve.elements", ("linear", "cubic", "intrinsic-delaunay", "points")),
-        Names("descriptor", "pcretrieve.signatures", tuple(METHODS)),
-        Names("distance", "pcretrieve.distances", ("log", "d1", "d2")),
-        Names("matcher", "pcretrieve.matchers", ("heat-hausdorff",)),
-    )
-}
 
 
 class _Options(BaseModel):

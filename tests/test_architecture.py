@@ -21,6 +21,7 @@ FOUNDATION = {
     "values",
     "types",
     "errors",
+    "names",
     "options",
     "plugins",
     "adapters",

@@ -142,6 +142,7 @@ def imported_by(*arguments: str) -> set[str]:
         ("-c", "import pcretrieve"),
         ("-c", "import pcretrieve; dir(pcretrieve); pcretrieve.__version__"),
         ("-m", "pcretrieve", "--help"),
+        ("-m", "pcretrieve", "query", "--help"),  # lists descriptors and distances
         ("-m", "pcretrieve", "--version"),
     ],
     ids=" ".join,

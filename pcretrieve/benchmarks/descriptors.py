@@ -29,9 +29,8 @@ from pcretrieve.catalogue import Catalogue
 from pcretrieve.descriptors import describe
 from pcretrieve.errors import OptionError, ShapeError
 from pcretrieve.evaluation.folds import evaluate
+from pcretrieve.names import METHODS, NAMES
 from pcretrieve.options import (
-    METHODS,
-    NAMES,
     PipelineOptions,
     RetrievalOptions,
     SignatureOptions,

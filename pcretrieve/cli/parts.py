@@ -80,7 +80,7 @@ class RecordName(click.ParamType):  # type: ignore[type-arg]  # generic since cl
         self.name = kind
 
     def get_metavar(self, param: click.Parameter, ctx: click.Context | None = None) -> str:
-        from pcretrieve.options import NAMES
+        from pcretrieve.names import NAMES
 
         return f"[{'|'.join(NAMES[self.name].all())}]"
 

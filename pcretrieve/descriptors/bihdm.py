@@ -56,6 +56,13 @@ def bihdm(
     return Signature(values, kind="bihdm", digest=f"L={n_values} m={n_modes} {scale}")
 
 
+BIHDM = Descriptor(
+    name="bihdm",
+    make=lambda shape, o: bihdm(spectrum_of(shape, o), o.n_values, o.n_modes, scale=o.measured_by),
+    needs=("spectrum",),
+)
+
+
 def full_matrix(pairs: Eigenpairs | ModalSpectrum, n_modes: int = 60) -> FloatArray:
     """The matrix of the squared biharmonic distance, summed over m modes, on all of L²(M).
 
@@ -97,10 +104,3 @@ def full_matrix(pairs: Eigenpairs | ModalSpectrum, n_modes: int = 60) -> FloatAr
     left = np.sqrt(np.maximum(squared - in_modes @ in_modes, 0))  # clipped: rounding can make it negative
     matrix[0, -1] = matrix[-1, 0] = np.sqrt(spectrum.area) * left
     return matrix
-
-
-BIHDM = Descriptor(
-    name="bihdm",
-    make=lambda shape, o: bihdm(spectrum_of(shape, o), o.n_values, o.n_modes, scale=o.measured_by),
-    needs=("spectrum",),
-)

@@ -29,7 +29,8 @@ from pcretrieve.descriptors.sd_gdm import SD_GDM
 from pcretrieve.descriptors.shape_dna import SHAPE_DNA, SHAPE_DNA_NORM1
 from pcretrieve.descriptors.wks import WKS
 from pcretrieve.errors import OptionError, ShapeError, Stage
-from pcretrieve.options import NAMES, SignatureOptions
+from pcretrieve.names import NAMES
+from pcretrieve.options import SignatureOptions
 from pcretrieve.plugins import Registry, named
 from pcretrieve.spectral import unit_eigenpairs
 from pcretrieve.types import Eigenpairs, Shape, Signature, Surface

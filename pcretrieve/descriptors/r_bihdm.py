@@ -81,6 +81,13 @@ def r_bihdm(
     return Signature(values, kind="r-bihdm", digest=f"L={n_values} m={n_modes} {scale}")
 
 
+R_BIHDM = Descriptor(
+    name="r-bihdm",
+    make=lambda shape, o: r_bihdm(spectrum_of(shape, o), o.n_values, o.n_modes, scale=o.measured_by),
+    needs=("spectrum",),
+)
+
+
 def reduced_matrix(pairs: Eigenpairs | ModalSpectrum, n_modes: int = 60) -> FloatArray:
     """The reduced biharmonic distance matrix K of a surface, equations (5) to (7).
 
@@ -152,10 +159,3 @@ def leading(matrix: FloatArray, n_values: int, n_modes: int, scale: Scale, area:
     unit = {"relative": mu[-1], "area": area**2, "absolute": 1.0}[scale]
     magnitudes: FloatArray = np.abs(mu[:n_values]) / unit  # (L,)
     return magnitudes
-
-
-R_BIHDM = Descriptor(
-    name="r-bihdm",
-    make=lambda shape, o: r_bihdm(spectrum_of(shape, o), o.n_values, o.n_modes, scale=o.measured_by),
-    needs=("spectrum",),
-)

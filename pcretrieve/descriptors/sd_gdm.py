@@ -59,6 +59,13 @@ def sd_gdm(mesh: TriangleMesh, n_values: int = 23, *, scale: Scale = "area") -> 
     return Signature(values / unit, kind="sd-gdm", digest=f"L={n_values} {scale}")
 
 
+SD_GDM = Descriptor(
+    name="sd-gdm",
+    make=lambda shape, o: sd_gdm(shape.mesh, o.n_values, scale=o.measured_by),
+    needs=("mesh",),
+)
+
+
 def geodesic_matrix(mesh: TriangleMesh) -> FloatArray:
     """The matrix √M D √M of the integral operator whose kernel is the geodesic distance.
 
@@ -110,10 +117,3 @@ def geodesic_matrix(mesh: TriangleMesh) -> FloatArray:
     weights = np.sqrt(np.bincount(coarse.faces.ravel(), corners, len(coarse.vertices)))  # (n,)
     matrix: FloatArray = np.outer(weights, weights) * (distances + distances.T) / 2
     return matrix
-
-
-SD_GDM = Descriptor(
-    name="sd-gdm",
-    make=lambda shape, o: sd_gdm(shape.mesh, o.n_values, scale=o.measured_by),
-    needs=("mesh",),
-)

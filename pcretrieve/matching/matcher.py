@@ -13,7 +13,7 @@ from typing import Any, get_args
 
 from pcretrieve.errors import OptionError
 from pcretrieve.matching.heat import heat_distance, heat_set
-from pcretrieve.options import NAMES
+from pcretrieve.names import NAMES
 from pcretrieve.plugins import Registry, named
 from pcretrieve.types import Need, Shape
 

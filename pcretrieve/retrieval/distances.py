@@ -33,7 +33,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pcretrieve.errors import InputError, OptionError
-from pcretrieve.options import NAMES
+from pcretrieve.names import NAMES
 from pcretrieve.plugins import Registry, named
 from pcretrieve.types import FloatArray, Metric, SignatureTable
 

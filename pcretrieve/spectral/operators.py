@@ -10,7 +10,7 @@ from scipy.sparse.csgraph import connected_components
 
 from pcretrieve.conversion import GeometryLike, as_geometry
 from pcretrieve.errors import DegenerateMeshError, InputError, OptionError, Stage
-from pcretrieve.options import NAMES
+from pcretrieve.names import NAMES
 from pcretrieve.plugins import Registry, named
 from pcretrieve.spectral.cubic import CUBIC
 from pcretrieve.spectral.element import Assembled, Element, Mass

@@ -17,7 +17,7 @@ from pcretrieve import Catalogue, PipelineOptions
 from pcretrieve.cli.main import main
 from pcretrieve.formats import write_mesh
 from pcretrieve.ingestion.run import ingest_files
-from pcretrieve.options import METHODS
+from pcretrieve.names import METHODS
 
 PLUGIN = {
     "pyproject.toml": """

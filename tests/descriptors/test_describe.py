@@ -24,7 +24,8 @@ from pcretrieve.descriptors import (
 )
 from pcretrieve.descriptors.sd_gdm import geodesic_matrix
 from pcretrieve.errors import DegenerateMeshError, OptionError, SpectrumError
-from pcretrieve.options import METHODS, PipelineOptions, SignatureOptions
+from pcretrieve.names import METHODS
+from pcretrieve.options import PipelineOptions, SignatureOptions
 from pcretrieve.pipeline.process import process
 from pcretrieve.types import FloatArray, Shape, Signature, Surface, TriangleMesh
 
