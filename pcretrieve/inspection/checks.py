@@ -246,14 +246,12 @@ def spread_check(spread: float) -> Check:
 
 def failure_check(failure: Failure) -> Check:
     """The stage that stopped."""
-    return Check(f"The {failure.stage} stage", "failed", None, failure.error, _sentence(failure.message))
+    return Check(f"The {failure.stage} stage", "failed", None, failure.error, failure.message)
 
 
 def rescan_check(failure: Failure) -> Check:
     """A signature without an error bar, for part of the points has none."""
-    return Check(
-        "Signature", "failed", None, "none for nine tenths of the points", _sentence(failure.message)
-    )
+    return Check("Signature", "failed", None, "none for nine tenths of the points", failure.message)
 
 
 def _sensor_check(cloud: PointCloud) -> Check:
@@ -276,10 +274,6 @@ def _graded(name: str, value: float, limits: Limits, shown: str, *, passed: str,
     good, bad = limits
     verdict: Verdict = "passed" if value <= good else "look" if value <= bad else "failed"
     return Check(name, verdict, value, shown, passed if verdict == "passed" else poor)
-
-
-def _sentence(message: str) -> str:
-    return message[:1].upper() + message[1:]
 
 
 def _counted(n: int, name: str) -> str:

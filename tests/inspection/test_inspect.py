@@ -171,6 +171,17 @@ def test_what_fails_is_shown_as_far_as_it_came(tmp_path: Path) -> None:
         assert seen.checks[0].verdict == "failed"
 
 
+def test_messages_keep_the_names_of_files_as_they_are(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A relative path may start a message, and a file name with another first letter is another file."""
+    (tmp_path / "garbage.ply").write_bytes(b"\x00\xff" * 500)
+    monkeypatch.chdir(tmp_path)
+    unread = inspect_scan("garbage.ply")
+    assert unread.failure is not None and unread.failure.message.startswith("garbage.ply")
+    assert unread.checks[0].words == unread.failure.message
+
+
 @pytest.mark.parametrize(
     "points",
     [np.zeros((0, 3)), np.zeros((1, 3)), np.ones((500, 3)), np.linspace([0, 0, 0], [1, 2, 3], 500)],
