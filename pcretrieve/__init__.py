@@ -29,6 +29,13 @@ if TYPE_CHECKING:
         UnexpectedError,
         WorkerDied,
     )
+    from pcretrieve.estimators import (
+        PCAWhitening,
+        ResolutionWhitening,
+        SignatureNeighbors,
+        SignatureTransformer,
+        WithinClassWhitening,
+    )
     from pcretrieve.evaluation.measures import RetrievalMeasures
     from pcretrieve.formats import read_scan, write_cloud, write_mesh, write_signatures
     from pcretrieve.inspection import Inspection, signature_spread
@@ -73,18 +80,22 @@ __all__ = [
     "ModalSpectrum",
     "Neighbors",
     "OptionError",
+    "PCAWhitening",
     "PcretrieveError",
     "PipelineOptions",
     "PointCloud",
     "ReconstructionError",
     "RemeshError",
+    "ResolutionWhitening",
     "RetrievalMeasures",
     "ScanReadError",
     "Shape",
     "ShapeError",
     "Signature",
     "SignatureIndex",
+    "SignatureNeighbors",
     "SignatureTable",
+    "SignatureTransformer",
     "SpectrumError",
     "StageTimeout",
     "Step",
@@ -92,6 +103,7 @@ __all__ = [
     "TriangleMesh",
     "UnexpectedError",
     "Whitening",
+    "WithinClassWhitening",
     "WorkerDied",
     "__version__",
     "describe",
@@ -142,6 +154,13 @@ _HOMES = {
         "StageTimeout",
         "UnexpectedError",
         "WorkerDied",
+    ),
+    "pcretrieve.estimators": (
+        "PCAWhitening",
+        "ResolutionWhitening",
+        "SignatureNeighbors",
+        "SignatureTransformer",
+        "WithinClassWhitening",
     ),
     "pcretrieve.evaluation.measures": ("RetrievalMeasures",),
     "pcretrieve.formats": (

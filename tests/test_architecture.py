@@ -43,6 +43,7 @@ STAGES = [
     "ingestion",
     "searching",
     "evaluation",
+    "estimators",
     "inspection",
     "pages",
     "interface",
@@ -155,6 +156,11 @@ def test_third_parties_have_one_door_each(source: Path) -> None:
             assert source.relative_to(ROOT).as_posix() == DOORS[package]
         if package in SLOW:
             assert not found.at_once, f"{package} must be imported where it is used"
+
+
+def test_scikit_learn_is_for_its_estimators_alone(source: Path) -> None:
+    packages = {found.name.split(".")[0] for found in imports(source)}
+    assert ("sklearn" in packages) <= (room(source) == "estimators")
 
 
 def test_doors_lead_somewhere() -> None:

@@ -11,6 +11,7 @@ from pcretrieve.retrieval.distances import (
 from pcretrieve.retrieval.fitting import DEFAULT_DAMPING, checked_damping, fit_whitening, table_whitening
 from pcretrieve.retrieval.index import SignatureIndex
 from pcretrieve.retrieval.ranking import (
+    BLOCK_DISTANCES,
     DistanceBlock,
     Positions,
     Ranking,
@@ -22,6 +23,7 @@ from pcretrieve.retrieval.resolution import resolution_whitening
 from pcretrieve.retrieval.whitening import WHITENINGS, Whitening, whitening_digest
 
 __all__ = [
+    "BLOCK_DISTANCES",
     "DEFAULT_DAMPING",
     "DISTANCES",
     "WHITENINGS",

@@ -13,6 +13,7 @@ from pcretrieve.retrieval.distances import pairwise
 from pcretrieve.types import FloatArray, Neighbors
 
 __all__ = [
+    "BLOCK_DISTANCES",
     "DistanceBlock",
     "Positions",
     "Ranking",

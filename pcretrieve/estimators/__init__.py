@@ -1,0 +1,17 @@
+"""scikit-learn estimators: scans → signatures → whitened signatures → neighbours.
+
+They use the functions of the other rooms, so that their numbers are the same. This room alone imports
+scikit-learn, and is itself imported on request only.
+"""
+
+from pcretrieve.estimators.neighbors import SignatureNeighbors
+from pcretrieve.estimators.transformer import SignatureTransformer
+from pcretrieve.estimators.whitenings import PCAWhitening, ResolutionWhitening, WithinClassWhitening
+
+__all__ = [
+    "PCAWhitening",
+    "ResolutionWhitening",
+    "SignatureNeighbors",
+    "SignatureTransformer",
+    "WithinClassWhitening",
+]
