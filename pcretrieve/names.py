@@ -1,4 +1,4 @@
-"""The names of elements, descriptors, distances and matchers, without an import of their records."""
+"""The names of what other packages can add, without an import of the records."""
 
 from __future__ import annotations
 
@@ -27,6 +27,7 @@ NAMES = {
     names.kind: names
     for names in (
         Names("element", "pcretrieve.elements", ("linear", "cubic", "intrinsic-delaunay", "points")),
+        Names("surface method", "pcretrieve.surface_methods", ("growth", "poisson")),
         Names("descriptor", "pcretrieve.signatures", tuple(METHODS)),
         Names("distance", "pcretrieve.distances", ("log", "d1", "d2")),
         Names("matcher", "pcretrieve.matchers", ("heat-hausdorff",)),

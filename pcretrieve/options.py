@@ -137,9 +137,10 @@ class SurfaceOptions(_Options):
     mode: Literal["auto", "reconstruct", "keep"] = "auto"
     """What is done if the input is a mesh. auto: reconstruct it unless it is closed and manifold;
     reconstruct: always; keep: never."""
-    method: Literal["growth", "poisson"] = "growth"
+    method: Annotated[str, AfterValidator(NAMES["surface method"].known)] = "growth"
     """The method of surface reconstruction. growth: topology-preserving region growing on a voxel grid, which
-    gives a closed manifold surface of the genus below; poisson: screened Poisson reconstruction by Open3D."""
+    gives a closed manifold surface of the genus below; poisson: screened Poisson reconstruction by Open3D.
+    Other packages can add methods."""
     genus: Literal["auto", "sphere", "free"] | Annotated[int, Field(ge=0)] = "auto"
     """Genus, the number of handles, of the surface by growth. sphere: 0; a number: that number; free:
     whatever the points suggest; auto: only handles about as thick as the body."""

@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 import shapes
 from packages import install_addition
+from scipy.spatial import ConvexHull
 
-from pcretrieve import PipelineOptions, SignatureIndex, laplace_beltrami, signature
+from pcretrieve import PipelineOptions, SignatureIndex, laplace_beltrami, reconstruct, signature
 from pcretrieve.errors import OptionError
 from pcretrieve.options import RetrievalOptions
 from pcretrieve.types import SignatureTable
@@ -41,6 +42,15 @@ def test_an_element() -> None:
     )
 
 
+def test_a_surface_method() -> None:
+    scan = shapes.points_on(MESH, 4000)
+    options = PipelineOptions().changed(surface={"method": "hull"})
+    surface = reconstruct(scan, options)
+    assert [step.stage for step in surface.provenance] == ["clean", "orient", "surface"]
+    assert surface.volume == pytest.approx(ConvexHull(scan).volume, rel=0.02)
+    assert signature(scan, options).deviation is None
+
+
 def test_a_distance() -> None:
     values = np.exp(np.random.default_rng(0).normal(size=(50, 4)))
     ids = tuple(f"shape{number:02}" for number in range(50))
@@ -53,7 +63,12 @@ def test_a_distance() -> None:
 
 def test_without_the_package_its_names_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.undo()
-    for stage, name in {"signature": "method", "spectral": "element", "retrieval": "distance"}.items():
+    for stage, name in {
+        "surface": "method",
+        "signature": "method",
+        "spectral": "element",
+        "retrieval": "distance",
+    }.items():
         with pytest.raises(
             OptionError, match=rf"in \[{stage}\], {name}: input should be one of .*, got 'soft'"
         ):

@@ -13,6 +13,7 @@ from pcretrieve.matching import MATCHERS
 from pcretrieve.plugins import Named, Names, Registry
 from pcretrieve.retrieval import DISTANCES
 from pcretrieve.spectral import ELEMENTS
+from pcretrieve.surface import SURFACE_METHODS
 
 GROUP = "pcretrieve.tests"
 POINTS = f"""
@@ -47,7 +48,9 @@ def installed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 @pytest.mark.parametrize(
-    "registry", [DESCRIPTORS, ELEMENTS, DISTANCES, MATCHERS], ids=lambda registry: registry.names.kind
+    "registry",
+    [SURFACE_METHODS, DESCRIPTORS, ELEMENTS, DISTANCES, MATCHERS],
+    ids=lambda registry: registry.names.kind,
 )
 def test_names_are_those_of_the_records(registry: Registry[Named]) -> None:
     """Options know the names by a table of their own, since records take long to import."""

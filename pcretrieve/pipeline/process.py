@@ -31,12 +31,11 @@ from pcretrieve.scan import clean, oriented_normals
 from pcretrieve.spectral import ELEMENTS, eigenpairs, laplace_beltrami, star_mesh, unit_eigenpairs
 from pcretrieve.surface import (
     SurfaceMarks,
-    body_surfaces,
     defects,
-    poisson_surface,
     remesh,
     sampled,
     sound_mesh,
+    surfaces,
 )
 from pcretrieve.types import (
     Eigenpairs,
@@ -175,13 +174,9 @@ def _surface_stages(scan: object, options: PipelineOptions) -> Iterator[Seen]:
     with in_stage(Stage.ORIENT):
         cloud = oriented_normals(_moved(cleaned, -origin), options.scan)
     yield (seen := replace(seen, cloud=_moved(cloud, origin)))
-    surfaces: Iterator[tuple[TriangleMesh, SurfaceMarks | None]]
     with in_stage(Stage.SURFACE):
-        if options.surface.method == "poisson":
-            surfaces = iter([(poisson_surface(cloud, options.surface), None)])
-        else:
-            surfaces = body_surfaces(cloud, options.surface)
-        mesh, found = next(surfaces)
+        made = surfaces(cloud, options.surface)
+        mesh, found = next(made)
     if unused := options.surface.unused:
         ignored = f"surface.method = {options.surface.method!r} does not use {', '.join(unused)}"
         mesh = mesh.after(Step("surface", 0.0, notes=(ignored,)))
@@ -191,7 +186,7 @@ def _surface_stages(scan: object, options: PipelineOptions) -> Iterator[Seen]:
     yield (seen := replace(seen, mesh=final))
     try:
         with in_stage(Stage.SURFACE):
-            for other, _ in surfaces:
+            for other, _ in made:
                 moved = _mesh_moved(_final(other, options), origin)
                 yield (seen := replace(seen, others=(*seen.others, moved)))
     except ReconstructionError as error:

@@ -1,14 +1,17 @@
 """Oriented points, or a mesh with defects → closed surface: reconstruction, repair, remeshing."""
 
 from pcretrieve.surface.body import SurfaceMarks, body_surfaces
+from pcretrieve.surface.methods import SURFACE_METHODS, SurfaceMethod, surfaces
 from pcretrieve.surface.reconstruct import poisson_surface, sampled, sound_mesh
 from pcretrieve.surface.remesh import remesh
 from pcretrieve.surface.repair import repaired
 from pcretrieve.surface.topology import Defects, defects
 
 __all__ = [
+    "SURFACE_METHODS",
     "Defects",
     "SurfaceMarks",
+    "SurfaceMethod",
     "body_surfaces",
     "defects",
     "poisson_surface",
@@ -16,4 +19,5 @@ __all__ = [
     "repaired",
     "sampled",
     "sound_mesh",
+    "surfaces",
 ]

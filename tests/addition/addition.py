@@ -1,14 +1,18 @@
 """A package that adds one of every kind to pcretrieve."""
 
+from collections.abc import Iterator
+
 import numpy as np
 from scipy.sparse import csc_array
+from scipy.spatial import ConvexHull
 
 from pcretrieve.descriptors import Descriptor
 from pcretrieve.matching import Matcher
-from pcretrieve.options import SignatureOptions
+from pcretrieve.options import SignatureOptions, SurfaceOptions
 from pcretrieve.retrieval import Distance
 from pcretrieve.spectral import ELEMENTS, Assembled, Element
-from pcretrieve.types import FloatArray, Shape, Signature, TriangleMesh
+from pcretrieve.surface import SurfaceMethod
+from pcretrieve.types import FloatArray, PointCloud, Shape, Signature, TriangleMesh
 
 
 def girth(shape: Shape, options: SignatureOptions) -> Signature:
@@ -21,6 +25,20 @@ def soft(mesh: TriangleMesh) -> Assembled:
     """Linear elements of a material of half the stiffness."""
     linear = ELEMENTS["linear"].assemble(mesh)
     return linear._replace(stiffness=csc_array(linear.stiffness / 2))
+
+
+def hull(cloud: PointCloud, options: SurfaceOptions) -> Iterator[tuple[TriangleMesh, None]]:
+    """The convex hull of the points."""
+    found = ConvexHull(cloud.points)
+    rank = np.empty(len(cloud.points), dtype=np.int32)
+    rank[found.vertices] = np.arange(len(found.vertices))
+    apart = np.einsum("ij,ij->i", found.equations[:, :3], np.cross(*_sides(cloud.points[found.simplices])))
+    faces = np.where(apart[:, None] < 0, found.simplices[:, ::-1], found.simplices)
+    yield TriangleMesh(cloud.points[found.vertices], rank[faces]), None
+
+
+def _sides(corners: FloatArray) -> tuple[FloatArray, FloatArray]:
+    return corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
 
 
 def largest(x: FloatArray) -> FloatArray:
@@ -40,5 +58,6 @@ def taller(query: float, other: float) -> float:
 
 GIRTH = Descriptor("girth", girth, needs=("mesh",))
 SOFT = Element("soft", soft)
+HULL = SurfaceMethod("hull", hull)
 LARGEST = Distance("largest", largest, metrics=("logarithms", "values"))
 TALLER = Matcher("taller", height, taller, needs=("mesh",), symmetric=False)
