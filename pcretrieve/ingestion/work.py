@@ -7,6 +7,7 @@ from functools import cache
 from importlib.metadata import version
 from pathlib import Path
 
+from pcretrieve import __version__
 from pcretrieve.catalogue import Content
 from pcretrieve.descriptors import describe
 from pcretrieve.errors import Stage, in_stage
@@ -28,4 +29,6 @@ def content(path: Path, options: PipelineOptions) -> Content:
 @cache
 def versions() -> dict[str, str]:
     """Versions of everything that moves numbers."""
-    return {name: version(name) for name in ("pcretrieve", "open3d", "pytetwild", "numpy", "scipy")}
+    # In a source folder on the path, pcretrieve has no metadata, or those of another version.
+    others = ("open3d", "pytetwild", "numpy", "scipy")
+    return {"pcretrieve": __version__} | {name: version(name) for name in others}

@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 import shapes
 
-from pcretrieve import Catalogue
+from pcretrieve import Catalogue, __version__
 from pcretrieve.catalogue import Record
 from pcretrieve.formats import readers, write_mesh
 from pcretrieve.ingestion import run
@@ -58,6 +58,11 @@ def catalogue(tmp_path: Path) -> Iterator[Catalogue]:
 def filled(folder: Path, catalogue: Catalogue) -> Catalogue:
     ingest_files(discover([folder]), catalogue, labels={"a": "short", "b": "long"})
     return catalogue
+
+
+def test_rows_state_the_version_of_the_package_that_made_them(filled: Catalogue) -> None:
+    """Not that of its metadata, which a source folder on the path lacks, or has of another version."""
+    assert {record.versions["pcretrieve"] for record in filled.records()} == {__version__}
 
 
 def again(folder: Path, catalogue: Catalogue, **options: object) -> Summary:
