@@ -96,7 +96,10 @@ def _document(data: bytes) -> Document:
         raise ScanReadError("it is not glTF 2.0")
     if not 20 + length_of_tree <= length <= len(data):
         raise ScanReadError(f"its header promises {length} bytes, it has {len(data)}")
-    tree = json.loads(data[20 : 20 + length_of_tree])
+    try:
+        tree = json.loads(data[20 : 20 + length_of_tree])
+    except UnicodeDecodeError as error:
+        raise ScanReadError("its JSON part holds bytes that are no text") from error
     start, binary = 20 + length_of_tree, b""
     while start + 8 <= length and not binary:
         size, kind = struct.unpack_from("<I4s", data, start)

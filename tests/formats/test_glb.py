@@ -133,7 +133,7 @@ GOOD = broken()
         (GOOD[:-4], f"its header promises {len(GOOD)} bytes, it has {len(GOOD) - 4}"),
         (GOOD[:12] + b"\xff\xff\xff\xff" + GOOD[16:], "its header promises"),
         (GOOD.replace(b'{"asset"', b'["asset"'), "its JSON part is broken"),
-        (GOOD.replace(b'"asset"', b"\xff" * 7), "its JSON part is broken"),
+        (GOOD.replace(b'"asset"', b"\xff" * 7), "its JSON part holds bytes that are no text"),
         (glb([]), "its JSON part is broken: AttributeError"),
         (broken(scenes=[]), "its JSON part is broken: IndexError"),
         (broken(nodes__0={}), "its scene has no vertices"),

@@ -1,0 +1,110 @@
+"""Whatever happens to a file, reading it gives a scan, or an error that says what is wrong with the file."""
+
+from __future__ import annotations
+
+import resource
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import shapes
+import trimesh
+from mutations import mutated
+from pypcd4.pypcd4 import Encoding
+from pypcd4.pypcd4 import PointCloud as Pcd
+
+from pcretrieve import PointCloud, TriangleMesh
+from pcretrieve.errors import ScanReadError
+from pcretrieve.formats import read_scan, write_cloud, write_mesh
+from pcretrieve.formats.read import BUILT_IN
+
+N_SEEDS = 300
+MEMORY = 1 << 30  # what a file of a few kilobytes may take; bytes
+
+BALL = shapes.icosphere(1)
+NORMALS = BALL.vertices / np.linalg.norm(BALL.vertices, axis=1, keepdims=True)
+CLOUD = PointCloud(BALL.vertices, NORMALS, 3 * NORMALS)
+PLY = (
+    "ply\nformat {} 1.0\nelement vertex 42\nproperty float x\nproperty float y\nproperty float z\n"
+    "element face 3\nproperty list uchar int vertex_indices\nend_header\n"
+)
+POLYGONS = [[0, 1, 2], [2, 3, 4, 5], [6, 7, 8]]
+CONF = "camera 0 0 0\nbmesh cloud.ply 0 0 0 0 0 0 1\nbmesh cloud.pcd 0 0 1 0 0.6 0 0.8\n"
+
+
+def lines(rows: Any) -> str:
+    return "".join(" ".join(f"{value:.6g}" for value in row) + "\n" for row in rows)
+
+
+@pytest.fixture(scope="module")
+def originals(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    """A whole file of each format in each of its encodings, by name."""
+    folder = tmp_path_factory.mktemp("originals")
+    for suffix in ("ply", "obj", "off", "stl", "glb"):
+        write_mesh(BALL, folder / f"mesh.{suffix}")
+    for suffix in ("ply", "pcd", "xyzn"):
+        write_cloud(CLOUD, folder / f"cloud.{suffix}")
+    sizes = [[len(polygon), *polygon] for polygon in POLYGONS]
+    (folder / "text.ply").write_text(PLY.format("ascii") + lines(BALL.vertices) + lines(sizes))
+    rows = [np.array(BALL.vertices, dtype=">f4").tobytes()]
+    rows += [bytes([len(polygon)]) + np.array(polygon, dtype=">i4").tobytes() for polygon in POLYGONS]
+    (folder / "big_endian.ply").write_bytes(PLY.format("binary_big_endian").encode() + b"".join(rows))
+    pcd = Pcd.from_xyz_points(BALL.vertices.astype(np.float32))
+    for encoding in (Encoding.ASCII, Encoding.BINARY_COMPRESSED):
+        pcd.save(folder / f"{encoding.value}.pcd", encoding=encoding)
+    (folder / "lines.xyz").write_text(lines(BALL.vertices))
+    (folder / "lines.pts").write_text("42\n" + lines(BALL.vertices))
+    ball: Any = trimesh.Trimesh(BALL.vertices, BALL.faces)
+    (folder / "text.stl").write_text(ball.export(file_type="stl_ascii"))
+    (folder / "views.conf").write_text(CONF)
+    return {path.name: path for path in folder.iterdir()}
+
+
+NAMES = (
+    *("mesh.ply", "cloud.ply", "text.ply", "big_endian.ply", "mesh.obj", "mesh.off", "mesh.stl", "text.stl"),
+    *("mesh.glb", "cloud.pcd", "ascii.pcd", "binary_compressed.pcd", "cloud.xyzn", "lines.xyz", "lines.pts"),
+    "views.conf",
+)
+
+
+@pytest.fixture
+def _bounded_memory() -> Iterator[None]:
+    """Whoever takes more gets a MemoryError."""
+    status = Path("/proc/self/status").read_text(encoding="ascii")
+    (used,) = (int(line.split()[1]) << 10 for line in status.splitlines() if line.startswith("VmData"))
+    before = resource.getrlimit(resource.RLIMIT_DATA)
+    resource.setrlimit(resource.RLIMIT_DATA, (used + MEMORY, before[1]))
+    yield
+    resource.setrlimit(resource.RLIMIT_DATA, before)
+
+
+def test_every_format_is_damaged(originals: dict[str, Path]) -> None:
+    assert originals.keys() == {*NAMES}
+    assert {path.suffix for path in originals.values()} == BUILT_IN.keys()
+    for path in originals.values():
+        read_scan(path)
+
+
+@pytest.mark.usefixtures("_bounded_memory")
+@pytest.mark.parametrize("name", NAMES)
+def test_a_damaged_file_is_a_scan_or_an_error_of_that_file(name: str, originals: dict[str, Path]) -> None:
+    whole = originals[name].read_bytes()
+    damaged = originals[name].with_name(f"damaged{originals[name].suffix}")  # beside the views of a .conf
+    n_errors = 0
+    for seed in range(N_SEEDS):
+        damaged.write_bytes(mutated(whole, seed))
+        try:
+            scan = read_scan(damaged)
+        except ScanReadError as error:
+            n_errors += 1
+            assert str(damaged) in error.message
+            assert "codec" not in error.message
+        # What else may go wrong is told with the seed, for whoever has to find out why.
+        except BaseException as error:
+            raise AssertionError(f"seed {seed}: {type(error).__name__}: {error}") from error
+        else:
+            assert isinstance(scan, (PointCloud, TriangleMesh))
+    damaged.unlink()
+    assert 0 < n_errors < N_SEEDS

@@ -1,0 +1,103 @@
+"""Damage to files, as transfers, editors and exporters do it, from a seed."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+
+import numpy as np
+
+__all__ = ["mutated"]
+
+MOST_MUTATIONS = 4
+MOST_BYTES = 64  # inserted, removed, or repeated at once
+
+NUMBER = re.compile(rb"-?\d+(?:\.\d+)?(?:[eE][-+]?\d+)?")
+# Numbers at which types, sizes and lists end.
+NUMBERS = (
+    *(b"0", b"-1", b"1", b"2", b"3", b"255", b"256", b"65536", b"2147483647", b"2147483648", b"4294967295"),
+    *(b"99999999999", b"1" + b"0" * 30, b"9" * 5000, b"0.5", b"1e30", b"-1e30", b"1e-320", b"1e400"),
+    *(b"nan", b"inf", b"-inf", b"0x10", b"1_000", b"", b"x", b"\xff", b"\xc2\xb2"),
+)
+WORDS = tuple(
+    bytes.fromhex(word) for word in ("00000000", "ffffffff", "ffffff7f", "00000080", "0000a07f", "01000000")
+)
+
+Mutation = Callable[[bytes, np.random.Generator], bytes]
+
+
+def flipped(data: bytes, rng: np.random.Generator) -> bytes:
+    """One bit another."""
+    if not data:
+        return data
+    at = int(rng.integers(len(data)))
+    return data[:at] + bytes([data[at] ^ 1 << int(rng.integers(8))]) + data[at + 1 :]
+
+
+def cut(data: bytes, rng: np.random.Generator) -> bytes:
+    """The end missing."""
+    return data[: int(rng.integers(len(data) + 1))]
+
+
+def inserted(data: bytes, rng: np.random.Generator) -> bytes:
+    """Random bytes somewhere."""
+    at = int(rng.integers(len(data) + 1))
+    return data[:at] + rng.bytes(int(rng.integers(1, MOST_BYTES))) + data[at:]
+
+
+def removed(data: bytes, rng: np.random.Generator) -> bytes:
+    """Some bytes missing."""
+    at = int(rng.integers(len(data) + 1))
+    return data[:at] + data[at + int(rng.integers(1, MOST_BYTES)) :]
+
+
+def repeated(data: bytes, rng: np.random.Generator) -> bytes:
+    """Some bytes twice."""
+    at = int(rng.integers(len(data) + 1))
+    return data[:at] + data[at : at + int(rng.integers(1, MOST_BYTES))] + data[at:]
+
+
+def renumbered(data: bytes, rng: np.random.Generator) -> bytes:
+    """One written number another."""
+    places = [place.span() for place in NUMBER.finditer(data)]
+    if not places:
+        return data
+    start, stop = places[int(rng.integers(len(places)))]
+    return data[:start] + NUMBERS[int(rng.integers(len(NUMBERS)))] + data[stop:]
+
+
+def renumbered_header(data: bytes, rng: np.random.Generator) -> bytes:
+    """One number of the first lines another: counts and sizes."""
+    size = min(len(data), 10 * MOST_BYTES)
+    return renumbered(data[:size], rng) + data[size:]
+
+
+def overwritten(data: bytes, rng: np.random.Generator) -> bytes:
+    """Four bytes the limit of a type."""
+    at = int(rng.integers(len(data) + 1))
+    return data[:at] + WORDS[int(rng.integers(len(WORDS)))] + data[at + 4 :]
+
+
+MUTATIONS: tuple[Mutation, ...] = (
+    *(flipped, cut, inserted, removed, repeated),
+    *(renumbered, renumbered_header, overwritten),
+)
+
+
+def mutated(data: bytes, seed: int) -> bytes:
+    """A file with one to four damages.
+
+    Parameters
+    ----------
+    data : bytes
+    seed : int
+
+    Returns
+    -------
+    bytes
+        The same for the same file and seed.
+    """
+    rng = np.random.default_rng(seed)
+    for _ in range(int(rng.integers(1, MOST_MUTATIONS + 1))):
+        data = MUTATIONS[int(rng.integers(len(MUTATIONS)))](data, rng)
+    return data
