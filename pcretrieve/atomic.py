@@ -3,30 +3,56 @@
 from __future__ import annotations
 
 import os
-import tempfile
+import secrets
+import stat
 from pathlib import Path
 
-__all__ = ["replace_file"]
+from pcretrieve.errors import InputError
+
+__all__ = ["write_file"]
 
 
-def replace_file(path: Path, data: bytes) -> None:
-    """Write a temporary file in the same directory, and rename it.
+def write_file(path: Path, data: bytes) -> None:
+    """Write a file in one step: at any time, its path has the old content or all of the new content.
+
+    The data are written to a temporary file in the same directory, which is renamed when the data have
+    reached the disk. The file gets the permissions of a new file. A symbolic link is followed. A path that is
+    not a regular file, such as ``/dev/stdout``, cannot be replaced, and is written directly.
 
     Parameters
     ----------
     path : Path
-        The file. An existing file is replaced, and keeps its content if the writing fails.
+        The file, which may exist.
     data : bytes
-        The new content.
+        Its new content.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be written; no temporary file is left.
     """
-    descriptor, name = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
-    beside = Path(name)
+    try:
+        if path.exists() and not stat.S_ISREG(path.stat().st_mode):
+            path.write_bytes(data)
+        else:
+            _replace(Path(os.path.realpath(path)), data)
+    except OSError as error:
+        raise InputError(
+            f"cannot write {path}: {error.strerror or error}; name a file in a folder that exists and can be "
+            "written"
+        ) from error
+
+
+def _replace(target: Path, data: bytes) -> None:
+    # A short name, because a name longer than that of the file might be too long.
+    temporary = target.with_name(f".{secrets.token_hex(8)}.part")
+    descriptor = os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666)  # without the umask
     try:
         with os.fdopen(descriptor, "wb") as file:
             file.write(data)
-        mask = os.umask(0)
-        os.umask(mask)
-        beside.chmod(0o666 & ~mask)  # the usual permissions; mkstemp makes private files
-        beside.replace(path)
-    finally:
-        beside.unlink(missing_ok=True)
+            file.flush()
+            os.fsync(file.fileno())
+        temporary.replace(target)
+    except BaseException:
+        temporary.unlink(missing_ok=True)
+        raise

@@ -61,8 +61,8 @@ DOORS = {
     "pytetwild": "adapters/tetwild.py",
     "robust_laplacian": "adapters/robust_laplacian.py",
     "skimage": "simulation/skin.py",
+    "trimesh": "adapters/trimesh.py",
 }
-SLOW = {*DOORS, "trimesh"}
 
 # Stages from a scan to a signature, which one module alone puts together.
 COMPOSED = {"scan", "surface", "spectral", "descriptors"}
@@ -154,7 +154,6 @@ def test_third_parties_have_one_door_each(source: Path) -> None:
         package = found.name.split(".")[0]
         if package in DOORS:
             assert source.relative_to(ROOT).as_posix() == DOORS[package]
-        if package in SLOW:
             assert not found.at_once, f"{package} must be imported where it is used"
 
 

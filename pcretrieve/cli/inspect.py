@@ -71,6 +71,7 @@ def inspect_command(
     pcretrieve inspect scan.ply -o page.html --png sheet.png --rescans 0
     """
     from pcretrieve.errors import InputError
+    from pcretrieve.formats import check_output
     from pcretrieve.ingestion.discover import printable
     from pcretrieve.ingestion.isolation import Isolation
 
@@ -79,7 +80,7 @@ def inspect_command(
     page = output or Path(scan.stem + ".html")
     for target in (page, png):
         if target is not None:
-            _check_output(target, scan)
+            check_output(target, [scan])
     options = load_options(config, surface)
     isolation = Isolation(timeout * (1 + rescans), memory)
     inspection, page = isolation.call(_inspected, scan, options, rescans, page, png)
@@ -108,18 +109,6 @@ def _inspected(
     if png is not None:
         write_inspection_png(inspection, png)
     return inspection, written
-
-
-def _check_output(target: Path, scan: Path) -> None:
-    """Before minutes of work: whether its result could be written."""
-    from pcretrieve.errors import InputError
-
-    if not target.parent.is_dir():
-        raise InputError(f"there is no folder {target.parent} to put {target.name} into: make it first")
-    if target.is_dir():
-        raise InputError(f"{target} is a folder: name a file")
-    if target.exists() and target.samefile(scan):
-        raise InputError(f"{target} is the scan itself: name another file")
 
 
 def _document(inspection: Inspection, page: Path, png: Path | None) -> dict[str, object]:

@@ -81,7 +81,7 @@ def merge_command(
     pcretrieve merge bunny/*.ply -o bunny.ply
     pcretrieve merge frames/ --sensor origin --max-range 1.5 --keep-largest -o body.ply
     """
-    from pcretrieve.formats import write_cloud
+    from pcretrieve.formats import check_output, write_cloud
     from pcretrieve.ingestion.discover import printable
     from pcretrieve.ingestion.isolation import Isolation
     from pcretrieve.ingestion.views import view_files
@@ -93,7 +93,7 @@ def merge_command(
     given = {name: value for name, value in chosen.items() if value is not None}
     options = MergeOptions(refine=refine, sensor=sensor, keep_largest=keep_largest, **given)
     files, _ = view_files(paths)
-    _check_output(output, files)
+    check_output(output, files, "point")
     merged = Isolation(timeout * len(files), memory).call(_merged, paths, options)
     write_cloud(merged.cloud, output)
     names = [printable(file) for file in files]
@@ -119,21 +119,6 @@ def _merged(paths: Sequence[str], options: MergeOptions) -> Merged:
             bar.update(done - bar.n)
 
         return merge_views(views.clouds, options, poses=views.poses, on_pair=on_pair)
-
-
-def _check_output(output: Path, files: Sequence[Path]) -> None:
-    """Before minutes of work: whether its result could be written."""
-    from pcretrieve.errors import InputError
-    from pcretrieve.formats.write import SUFFIXES
-
-    if output.suffix.lower() not in SUFFIXES:
-        raise InputError(f"a point file must end in one of {' '.join(SUFFIXES)}, got {output}")
-    if not output.parent.is_dir():
-        raise InputError(f"there is no folder {output.parent} to put {output.name} into: make it first")
-    if output.is_dir():
-        raise InputError(f"{output} is a folder: name a file for the cloud")
-    if output.exists() and any(file.exists() and output.samefile(file) for file in files):
-        raise InputError(f"{output} is one of the views: name another file for the cloud")
 
 
 def _tell(merged: Merged, names: Sequence[str], output: Path) -> None:

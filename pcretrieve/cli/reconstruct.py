@@ -56,10 +56,10 @@ def reconstruct_command(
     \b
     pcretrieve reconstruct scan.ply -o body.obj --report
     """
-    from pcretrieve.formats import write_mesh
+    from pcretrieve.formats import check_output, write_mesh
     from pcretrieve.ingestion.isolation import Isolation
 
-    _check_output(output, scan)
+    check_output(output, [scan], "mesh")
     mesh = Isolation(timeout, memory).call(_surface, scan, load_options(config, surface))
     write_mesh(mesh, output)
     facts = {
@@ -88,18 +88,3 @@ def _surface(scan: Path, options: PipelineOptions) -> TriangleMesh:
     from pcretrieve.pipeline.process import reconstruct
 
     return reconstruct(scan, options)
-
-
-def _check_output(output: Path, scan: Path) -> None:
-    """Before minutes of work: whether its result could be written."""
-    from pcretrieve.errors import InputError
-    from pcretrieve.formats.write_mesh import SUFFIXES
-
-    if output.suffix.lower() not in SUFFIXES:
-        raise InputError(f"a mesh file must end in one of {' '.join(SUFFIXES)}, got {output}")
-    if not output.parent.is_dir():
-        raise InputError(f"there is no folder {output.parent} to put {output.name} into: make it first")
-    if output.is_dir():
-        raise InputError(f"{output} is a folder: name a file for the mesh")
-    if output.exists() and scan.exists() and output.samefile(scan):
-        raise InputError(f"{output} is the scan itself: name another file for the mesh")

@@ -13,17 +13,20 @@ from __future__ import annotations
 import json
 import struct
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from pcretrieve.adapters.trimesh import mesh_bytes
 from pcretrieve.errors import ScanReadError
+from pcretrieve.formats.format import Format
 from pcretrieve.formats.raw import RawScan, incomplete, merged_vertices
 from pcretrieve.types import FloatArray
 
-__all__ = ["read_glb"]
+__all__ = ["GLB", "read_glb"]
 
 MAGIC, VERSION = b"glTF", 2
 JSON_CHUNK, BINARY_CHUNK = b"JSON", b"BIN\0"
@@ -76,9 +79,7 @@ def read_glb(path: Path) -> RawScan:
     """
     data = path.read_bytes()
     try:
-        # Overflow of coordinates in casts is not reported here: coordinates are checked later.
-        with np.errstate(all="ignore"):
-            vertices, faces = _scene(_document(data))
+        vertices, faces = _scene(_document(data))
     except ScanReadError as error:
         raise incomplete(path, error.message) from error
     # Missing members of the tree, members of a wrong type, and invalid references.
@@ -238,3 +239,6 @@ def _values(document: Document, accessor: int, kind: str) -> NDArray[Any]:
     if declared.get("normalized", False) and dtype.kind != "f":
         return np.maximum(values / np.iinfo(dtype).max, -1)
     return values
+
+
+GLB = Format((".glb",), read_glb, write_mesh=partial(mesh_bytes, file_type="glb"))

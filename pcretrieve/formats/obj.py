@@ -6,14 +6,17 @@ surface. This reader keeps the vertices of the file.
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 
+from pcretrieve.adapters.trimesh import mesh_bytes
+from pcretrieve.formats.format import Format
 from pcretrieve.formats.raw import RawScan, fans, incomplete
 from pcretrieve.formats.text import text_lines
 
-__all__ = ["read_obj"]
+__all__ = ["OBJ", "read_obj"]
 
 # Largest vertex number; more than any file has.
 LARGEST_NUMBER = 2**40
@@ -64,3 +67,6 @@ def _vertex(word: str, n_before: int) -> int:
     if not 0 < abs(number) <= LARGEST_NUMBER:
         raise ValueError(f"vertices are numbered from 1 to {LARGEST_NUMBER}")
     return number - 1 if number > 0 else n_before + number
+
+
+OBJ = Format((".obj",), read_obj, write_mesh=partial(mesh_bytes, file_type="obj"))

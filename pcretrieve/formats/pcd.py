@@ -12,12 +12,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcretrieve.errors import ScanReadError
+from pcretrieve.formats.columns import columns_of
+from pcretrieve.formats.format import Format
 from pcretrieve.formats.raw import RawScan, incomplete
+from pcretrieve.types import PointCloud
 
 if TYPE_CHECKING:
     from pypcd4.pypcd4 import MetaData
 
-__all__ = ["read_pcd"]
+__all__ = ["PCD", "read_pcd"]
 
 HEADER = re.compile(rb"\A.*?^DATA[ \t]+(\w+)[ \t]*\r?\n", re.MULTILINE | re.DOTALL)
 # Number of lines after which pypcd4 ends a header without a line DATA.
@@ -54,7 +57,8 @@ def read_pcd(path: Path) -> RawScan:
     ScanReadError
         If the file is not a PCD file, is truncated, or has no fields ``x y z``.
     """
-    from pypcd4.pypcd4 import MetaData, PointCloud
+    from pypcd4.pypcd4 import MetaData
+    from pypcd4.pypcd4 import PointCloud as Pcd
 
     data = path.read_bytes()
     header = HEADER.match(data)
@@ -66,7 +70,7 @@ def read_pcd(path: Path) -> RawScan:
     try:
         lines, start = _header_lines(data)
         _check_promises(path, MetaData.parse_header(lines), memoryview(data)[start:])
-        content = PointCloud.from_fileobj(io.BytesIO(data))  # type: ignore[arg-type]
+        content = Pcd.from_fileobj(io.BytesIO(data))  # type: ignore[arg-type]
     except (ScanReadError, MemoryError):
         raise
     # pypcd4 has no exception class of its own: a damaged file raises whatever numpy, pydantic (the header) or
@@ -79,20 +83,17 @@ def read_pcd(path: Path) -> RawScan:
             return None
         return np.asarray(content.numpy(names), dtype=np.float64).reshape(-1, 3)
 
-    # Overflow of coordinates in casts is not reported here: coordinates are checked later.
-    with np.errstate(all="ignore"):
-        points = columns("x", "y", "z")
-        normals = columns("normal_x", "normal_y", "normal_z")
-        viewpoints = columns("vp_x", "vp_y", "vp_z")
+    points = columns("x", "y", "z")
     if points is None:
         raise ScanReadError(f"a PCD scan must have the fields x y z, this one has {' '.join(content.fields)}")
     if len(points) != content.metadata.points:
         raise incomplete(path, f"it promises {content.metadata.points} points and holds {len(points)}")
+    viewpoints = columns("vp_x", "vp_y", "vp_z")
     if viewpoints is None:
         pose = np.asarray(content.metadata.viewpoint, dtype=np.float64)  # (7,): tx ty tz qw qx qy qz
         if not np.array_equal(pose, [0, 0, 0, 1, 0, 0, 0]):
             viewpoints = pose[:3]
-    return RawScan(points, None, normals, viewpoints)
+    return RawScan(points, None, columns("normal_x", "normal_y", "normal_z"), viewpoints)
 
 
 def _header_lines(data: bytes) -> tuple[list[str], int]:
@@ -125,3 +126,22 @@ def _check_promises(path: Path, header: MetaData, body: memoryview) -> None:
         most = uncompressed
     if header.data.value != "ascii" and n_bytes > most:
         raise incomplete(path, f"its header promises {header.points} points, {most} bytes follow")
+
+
+def _pcd_bytes(cloud: PointCloud) -> bytes:
+    # The point types of PCL are of single precision, and its programs expect such files.
+    fields, table = columns_of(cloud, "x y z", "normal_x normal_y normal_z", "vp_x vp_y vp_z")
+    n = len(table)
+
+    def repeated(word: str) -> str:
+        return " ".join([word] * len(fields))
+
+    header = (
+        "# .PCD v0.7 - Point Cloud Data file format\n"
+        f"VERSION 0.7\nFIELDS {' '.join(fields)}\nSIZE {repeated('4')}\nTYPE {repeated('F')}\n"
+        f"COUNT {repeated('1')}\nWIDTH {n}\nHEIGHT 1\nVIEWPOINT 0 0 0 1 0 0 0\nPOINTS {n}\nDATA binary\n"
+    )
+    return header.encode() + table.astype("<f4").tobytes()
+
+
+PCD = Format((".pcd",), read_pcd, write_cloud=_pcd_bytes)

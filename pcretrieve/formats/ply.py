@@ -3,18 +3,23 @@
 from __future__ import annotations
 
 import warnings
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from pcretrieve.adapters.trimesh import mesh_bytes
 from pcretrieve.errors import ScanReadError
+from pcretrieve.formats.columns import columns_of
+from pcretrieve.formats.format import Format
 from pcretrieve.formats.ply_header import Element, read_header
 from pcretrieve.formats.ply_rows import Table, in_order, tables
 from pcretrieve.formats.raw import RawScan, fans, incomplete
+from pcretrieve.types import PointCloud
 
-__all__ = ["read_ply"]
+__all__ = ["PLY", "read_ply"]
 
 FACE_PROPERTIES = ("vertex_indices", "vertex_index")
 
@@ -76,16 +81,14 @@ def _vertices(element: Element, found: list[Table]) -> RawScan:
             return None
         if not found:
             return np.empty((0, len(names)))
-        # Numbers of a text file are rounded to the precision of their type. numpy warns of casts of
-        # signalling NaN, which a file may have; such points are removed later.
-        with np.errstate(all="ignore"):
-            parts = [
-                [table.values[name].astype("f4" if scalars[name] == "f4" else "f8") for name in names]
-                for table in found
-            ]
-            return in_order(
-                [(table.numbers, np.hstack(part)) for table, part in zip(found, parts, strict=True)]
-            ).astype(np.float64)
+        # Numbers of a text file are rounded to the precision of their type.
+        parts = [
+            [table.values[name].astype("f4" if scalars[name] == "f4" else "f8") for name in names]
+            for table in found
+        ]
+        return in_order(
+            [(table.numbers, np.hstack(part)) for table, part in zip(found, parts, strict=True)]
+        ).astype(np.float64)
 
     points = columns("x", "y", "z")
     if points is None:
@@ -128,3 +131,13 @@ def _of_text(path: Path, data: bytes, at: int, element: Element) -> tuple[list[T
     if used != numbers.nbytes:
         raise incomplete(path, f"its lines of {element.name} hold more than its header declares")
     return found, stop
+
+
+def _ply_bytes(cloud: PointCloud) -> bytes:
+    fields, table = columns_of(cloud, "x y z", "nx ny nz", "vp_x vp_y vp_z")
+    properties = "".join(f"property double {field}\n" for field in fields)
+    header = f"ply\nformat binary_little_endian 1.0\nelement vertex {len(table)}\n{properties}end_header\n"
+    return header.encode() + table.astype("<f8").tobytes()
+
+
+PLY = Format((".ply",), read_ply, write_cloud=_ply_bytes, write_mesh=partial(mesh_bytes, file_type="ply"))

@@ -1,80 +1,22 @@
-"""A file → a point cloud or a mesh: the table of readers, and the checks of their results."""
+"""A file → a point cloud or a mesh with checked arrays."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping
-from functools import cache
-from importlib.metadata import entry_points
 from pathlib import Path
 
 import numpy as np
 
 from pcretrieve.errors import ScanReadError
-from pcretrieve.formats import views
-from pcretrieve.formats.files import check_file
-from pcretrieve.formats.glb import read_glb
-from pcretrieve.formats.mesh_files import read_off, read_stl
-from pcretrieve.formats.obj import read_obj
-from pcretrieve.formats.pcd import read_pcd
-from pcretrieve.formats.plugins import PluginReader
-from pcretrieve.formats.ply import read_ply
 from pcretrieve.formats.raw import RawScan
-from pcretrieve.formats.text import read_pts, read_xyz, read_xyzn
+from pcretrieve.formats.registry import read_raw
 from pcretrieve.types import PointCloud, Step, TriangleMesh
 
-__all__ = ["read_scan", "readers"]
+__all__ = ["read_scan"]
 
 # Limits of the largest coordinate: products of six lengths, such as squares of
 # volumes, stay in the range of float64.
 LARGEST_COORDINATE, SMALLEST_COORDINATE = 1e50, 1e-50
-
-Reader = Callable[[Path], RawScan]
-
-
-def _read_conf(path: Path) -> RawScan:
-    scans = []
-    for view, rotation, translation in views.read_poses(path):
-        try:
-            if view.suffix.lower() == path.suffix.lower():
-                raise ScanReadError("a view must be a single range scan, not a .conf file of its own")
-            scan = _read(view)
-            if not np.isfinite(scan.points).all(axis=1).any():
-                raise ScanReadError("it has no points with finite coordinates")
-        except ScanReadError as error:
-            raise ScanReadError(f"its view {view.name}: {error.message}") from error
-        scans.append((views.seen_from_front(scan), rotation, translation))
-    return views.merge(scans)
-
-
-BUILT_IN: dict[str, Reader] = {
-    ".ply": read_ply,
-    ".pcd": read_pcd,
-    ".xyz": read_xyz,
-    ".xyzn": read_xyzn,
-    ".pts": read_pts,
-    ".obj": read_obj,
-    ".off": read_off,
-    ".stl": read_stl,
-    ".glb": read_glb,
-    ".conf": _read_conf,
-}
-
-
-@cache
-def readers() -> Mapping[str, Reader]:
-    """The readers by suffix: those of pcretrieve, and those of other packages.
-
-    Other packages add readers by entry points of the group ``pcretrieve.readers``. The name of an entry point
-    is the suffix, including the dot, and its value is a function from a path to a `RawScan`.
-
-    Returns
-    -------
-    mapping of str to function
-        The reader of each suffix, in lower case.
-    """
-    added = {entry.name.lower(): PluginReader(entry) for entry in entry_points(group="pcretrieve.readers")}
-    return {**BUILT_IN, **added}
 
 
 def read_scan(path: str | Path) -> PointCloud | TriangleMesh:
@@ -102,24 +44,12 @@ def read_scan(path: str | Path) -> PointCloud | TriangleMesh:
     started = time.perf_counter()
     try:
         # Garbage may be signaling NaN, or have no square: whatever is not finite is dropped in `_scan`.
-        with np.errstate(invalid="ignore", over="ignore"):
-            return _scan(_read(path), started=started)
+        with np.errstate(all="ignore"):
+            return _scan(read_raw(path), started=started)
     except ScanReadError as error:
         if str(path) in error.message:
             raise
         raise ScanReadError(f"{path}: {error.message}") from error
-
-
-def _read(path: Path) -> RawScan:
-    reader = readers().get(path.suffix.lower())
-    if reader is None:
-        name = f"in {path.suffix}" if path.suffix else "without a suffix"
-        raise ScanReadError(f"there is no reader for names {name}, only for {' '.join(sorted(readers()))}")
-    try:
-        check_file(path)
-        return reader(path)
-    except OSError as error:
-        raise ScanReadError(f"cannot read {path}: {error.strerror or error}") from error
 
 
 def _scan(raw: RawScan, *, started: float) -> PointCloud | TriangleMesh:

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from pcretrieve.adapters.pandas import parquet_bytes
-from pcretrieve.atomic import replace_file
+from pcretrieve.atomic import write_file
 from pcretrieve.errors import InputError
 from pcretrieve.types import SignatureTable
 
@@ -62,7 +62,4 @@ def write_signatures(table: SignatureTable, path: str | Path) -> None:
         writer.writerow(columns)
         writer.writerows(zip(*columns.values(), strict=True))
         data = text.getvalue().encode("utf-8")
-    try:
-        replace_file(path, data)
-    except OSError as error:
-        raise InputError(f"cannot write {path}: {error.strerror or error}") from error
+    write_file(path, data)

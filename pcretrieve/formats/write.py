@@ -1,30 +1,20 @@
-"""Writing of point clouds, in formats that `read_scan` reads."""
+"""A point cloud or a mesh → a file."""
 
 from __future__ import annotations
 
-import io
+from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Any, Literal
 
-import numpy as np
-
-from pcretrieve.atomic import replace_file
-from pcretrieve.conversion import CloudLike, as_cloud
+from pcretrieve.atomic import write_file
+from pcretrieve.conversion import CloudLike, MeshLike, as_cloud, as_mesh
 from pcretrieve.errors import InputError
-from pcretrieve.types import FloatArray
+from pcretrieve.formats.registry import FORMATS
+from pcretrieve.types import PointCloud, TriangleMesh
 
-__all__ = ["SUFFIXES", "write_cloud"]
+__all__ = ["check_output", "write_cloud", "write_mesh"]
 
-SUFFIXES = (".ply", ".pcd", ".xyzn")
-
-# Significant digits in text files, sufficient for single precision.
-DIGITS = 9
-
-# The point types of PCL are of single precision, and its programs expect such files.
-NUMBERS = {".ply": "<f8", ".pcd": "<f4"}
-NAMES = {
-    ".ply": ("x y z", "nx ny nz", "vp_x vp_y vp_z"),
-    ".pcd": ("x y z", "normal_x normal_y normal_z", "vp_x vp_y vp_z"),
-}
+Kind = Literal["point", "mesh"]
 
 
 def write_cloud(cloud: CloudLike, path: str | Path) -> None:
@@ -42,43 +32,77 @@ def write_cloud(cloud: CloudLike, path: str | Path) -> None:
     Raises
     ------
     InputError
-        If the suffix is not one of ``.ply .pcd .xyzn``, it is ``.xyzn`` and the points have no normals, or
-        the file cannot be written.
+        If no format of the suffix stores point clouds, it is ``.xyzn`` and the points have no normals, or the
+        file cannot be written.
     """
-    cloud, path = as_cloud(cloud), Path(path)
-    suffix = path.suffix.lower()
-    if suffix not in SUFFIXES:
-        raise InputError(f"a point file must end in one of {' '.join(SUFFIXES)}, got {path.name}")
-    if suffix == ".xyzn":
-        if cloud.normals is None:
-            raise InputError(f"an .xyzn file must hold normals, these points have none, got {path.name}")
-        text = io.BytesIO()
-        np.savetxt(text, np.concatenate([cloud.points, cloud.normals], axis=1), fmt=f"%.{DIGITS}g")
-        data = text.getvalue()
-    else:
-        parts = (cloud.points, cloud.normals, cloud.viewpoints)
-        held = [(names, part) for names, part in zip(NAMES[suffix], parts, strict=True) if part is not None]
-        fields = " ".join(names for names, _ in held).split()
-        header = _ply_header if suffix == ".ply" else _pcd_header
-        table: FloatArray = np.concatenate([part for _, part in held], axis=1)  # (n, fields)
-        data = header(fields, len(table)).encode() + table.astype(NUMBERS[suffix]).tobytes()
+    _write(as_cloud(cloud), Path(path), "point")
+
+
+def write_mesh(mesh: MeshLike, path: str | Path) -> None:
+    """Write a mesh, in one atomic step.
+
+    Parameters
+    ----------
+    mesh : MeshLike
+        The mesh, of this package or another (see `as_mesh`); its unit is that of the file.
+    path : str or Path
+        The file, with one of the suffixes ``.ply .obj .off .stl .glb``. An existing file is replaced.
+
+    Raises
+    ------
+    InputError
+        If no format of the suffix stores meshes, or the file cannot be written.
+    """
+    _write(as_mesh(mesh), Path(path), "mesh")
+
+
+def check_output(path: Path, sources: Sequence[Path] = (), kind: Kind | None = None) -> None:
+    """Check, before a long computation, that its result can be written.
+
+    Parameters
+    ----------
+    path : Path
+        The file that is to be written.
+    sources : sequence of Path
+        Files that the computation reads, which may not be replaced.
+    kind : {"point", "mesh"}, optional
+        What the file is to store, if it is a scan file.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be written, or is one of the sources.
+    """
+    if kind is not None:
+        _writer(path, kind)
+    if not path.parent.is_dir():
+        raise InputError(f"there is no folder {path.parent} to put {path.name} into: make it first")
+    if path.is_dir():
+        raise InputError(f"{path} is a folder: name a file")
+    if path.exists() and any(source.exists() and path.samefile(source) for source in sources):
+        raise InputError(f"{path} is one of the files to be read: name another file")
+
+
+def _write(value: PointCloud | TriangleMesh, path: Path, kind: Kind) -> None:
+    suffix, write = path.suffix.lower(), _writer(path, kind)
     try:
-        replace_file(path, data)
-    except OSError as error:
-        raise InputError(f"cannot write {path}: {error.strerror or error}") from error
+        data = write(value)
+    except (InputError, MemoryError):
+        raise
+    except Exception as error:
+        if suffix in FORMATS.own:
+            raise
+        raise InputError(f"{FORMATS.called(suffix)} failed, {type(error).__name__}: {error}") from error
+    write_file(path, data)
 
 
-def _ply_header(fields: list[str], n: int) -> str:
-    properties = "".join(f"property double {field}\n" for field in fields)
-    return f"ply\nformat binary_little_endian 1.0\nelement vertex {n}\n{properties}end_header\n"
-
-
-def _pcd_header(fields: list[str], n: int) -> str:
-    def repeated(word: str) -> str:
-        return " ".join([word] * len(fields))
-
-    return (
-        "# .PCD v0.7 - Point Cloud Data file format\n"
-        f"VERSION 0.7\nFIELDS {' '.join(fields)}\nSIZE {repeated('4')}\nTYPE {repeated('F')}\n"
-        f"COUNT {repeated('1')}\nWIDTH {n}\nHEIGHT 1\nVIEWPOINT 0 0 0 1 0 0 0\nPOINTS {n}\nDATA binary\n"
-    )
+def _writer(path: Path, kind: Kind) -> Callable[[Any], bytes]:
+    """The function that makes the content of a file; InputError if there is none."""
+    suffix, name = path.suffix.lower(), "write_cloud" if kind == "point" else "write_mesh"
+    write: Callable[[Any], bytes] | None = None
+    if suffix in FORMATS.names.all():
+        write = getattr(FORMATS[suffix], name)
+    if write is None:
+        known = " ".join(suffix for suffix, found in FORMATS.own.items() if getattr(found, name))
+        raise InputError(f"a {kind} file must end in one of {known}, got {path.name}")
+    return write

@@ -12,7 +12,7 @@ from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 
 from pcretrieve.errors import InputError, ScanReadError
-from pcretrieve.formats import check_file, readers, view_paths
+from pcretrieve.formats import check_file, parts_of, suffixes
 
 __all__ = ["content_hash", "discover", "printable", "shape_ids"]
 
@@ -27,8 +27,8 @@ def discover(arguments: Sequence[str | Path]) -> list[Path]:
     """Scans named by files, folders, globs or manifests, each once, in the order given.
 
     A folder stands for every scan below it, by name. A ``.txt`` manifest holds one path a line, a ``.csv``
-    one a row under ``path`` or ``file``; both are relative to the manifest. Files that a ``.conf`` among
-    the scans merges are part of it, and no scans of their own.
+    one a row under ``path`` or ``file``; both are relative to the manifest. Files that are parts of another
+    scan among them, such as the views of a ``.conf``, are no scans of their own.
 
     Raises
     ------
@@ -39,11 +39,21 @@ def discover(arguments: Sequence[str | Path]) -> list[Path]:
     for argument in arguments:
         for path in _expand(argument):
             found.setdefault(_absolute(path))
-    return _without_views(list(found))
+    return _without_parts(list(found))
 
 
 def content_hash(path: Path) -> str:
-    """SHA-256 of a scan's bytes; of a ``.conf``, of its own and its views'.
+    """SHA-256 of the bytes of a scan: of its file, and then of the parts of that.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+
+    Returns
+    -------
+    str
+        In hexadecimal digits.
 
     Raises
     ------
@@ -54,7 +64,7 @@ def content_hash(path: Path) -> str:
     part = path
     try:
         check_file(path)
-        for part in [path, *view_paths(path)] if path.suffix.lower() == ".conf" else [path]:
+        for part in [path, *(part.path for part in parts_of(path))]:
             check_file(part)
             with part.open("rb") as file:
                 while chunk := file.read(CHUNK):
@@ -121,7 +131,7 @@ def _expand(argument: str | Path) -> list[Path]:
     except OSError as error:
         raise InputError(f"cannot look into {path}: {error.strerror}") from error
     if not scans:
-        raise InputError(f"{path} names no scans; known are {' '.join(sorted(readers()))}")
+        raise InputError(f"{path} names no scans; known are {' '.join(sorted(suffixes()))}")
     return scans
 
 
@@ -143,7 +153,7 @@ def _scans_below(path: Path) -> list[Path]:
         found = sorted(Path(folder, name) for folder, _, names in below for name in names)
     else:
         found = [path]
-    known = readers()
+    known = suffixes()
     return [scan for scan in found if scan.suffix.lower() in known and not scan.name.startswith(".")]
 
 
@@ -174,15 +184,14 @@ def _manifest(path: Path) -> list[Path]:
     return scans
 
 
-def _without_views(paths: list[Path]) -> list[Path]:
-    views: set[Path] = set()
+def _without_parts(paths: list[Path]) -> list[Path]:
+    parts: set[Path] = set()
     for path in paths:
-        if path.suffix.lower() == ".conf":
-            try:
-                views.update(_absolute(view) for view in view_paths(path))
-            except (ScanReadError, OSError):
-                continue  # reading it as a scan will report why
-    return [path for path in paths if path not in views]
+        try:
+            parts.update(_absolute(part.path) for part in parts_of(path))
+        except (ScanReadError, OSError):
+            continue  # reading it as a scan will report why
+    return [path for path in paths if path not in parts]
 
 
 def _absolute(path: Path) -> Path:

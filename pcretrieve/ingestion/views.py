@@ -1,4 +1,4 @@
-"""Range scans that are to be merged: files → views, with the poses that a ``.conf`` file gives."""
+"""Range scans that are to be merged: files → views, with the poses that a file such as a ``.conf`` gives."""
 
 from __future__ import annotations
 
@@ -10,8 +10,7 @@ import numpy as np
 
 from pcretrieve.conversion import as_cloud
 from pcretrieve.errors import InputError, ScanReadError
-from pcretrieve.formats import read_scan
-from pcretrieve.formats.views import read_poses
+from pcretrieve.formats import parts_of, read_scan
 from pcretrieve.ingestion.discover import discover
 from pcretrieve.types import FloatArray, PointCloud
 
@@ -42,37 +41,37 @@ def view_files(paths: Sequence[str | Path]) -> tuple[list[Path], FloatArray | No
     Parameters
     ----------
     paths : sequence of str or Path
-        Files, folders or globs, or one Stanford ``.conf`` file, which names the views and their poses.
+        Files, folders or globs; or one file whose parts have poses, such as a Stanford ``.conf`` file.
 
     Returns
     -------
     files : list of Path
         In the order given.
     poses : (v, 4, 4) float64 or None
-        Rigid motions into the common frame of the ``.conf`` file.
+        Rigid motions into the common frame of that file.
 
     Raises
     ------
     InputError
-        If a path does not exist, or there are other files beside a ``.conf`` file.
+        If a path does not exist, or there are other files beside such a file.
     ScanReadError
-        If the ``.conf`` file cannot be read.
+        If such a file cannot be read.
     """
     files = discover(paths)
-    confs = [file for file in files if file.suffix.lower() == ".conf"]
-    if not confs:
-        return files, None
-    if len(files) > 1:
-        raise InputError(f"a .conf names all views of its cloud, got {len(files)} files with {confs[0]}")
-    try:
-        views = read_poses(confs[0])
-    except (ScanReadError, OSError) as error:
-        cause = error.message if isinstance(error, ScanReadError) else error.strerror
-        raise ScanReadError(f"{confs[0]}: {cause}") from error
-    poses = np.tile(np.eye(4), (len(views), 1, 1))
-    for pose, (_, rotation, translation) in zip(poses, views, strict=True):
-        pose[:3, :3], pose[:3, 3] = rotation.as_matrix(), translation
-    return [file for file, _, _ in views], poses
+    for file in files:
+        try:
+            views = parts_of(file)
+        except (ScanReadError, OSError) as error:
+            cause = error.message if isinstance(error, ScanReadError) else error.strerror
+            raise ScanReadError(f"{file}: {cause}") from error
+        poses = [view.pose for view in views if view.pose is not None]
+        if poses and len(files) > 1:
+            raise InputError(
+                f"a {file.suffix} names all views of its cloud, got {len(files)} files with {file}"
+            )
+        if poses:
+            return [view.path for view in views if view.pose is not None], np.array(poses)
+    return files, None
 
 
 def read_views(paths: Sequence[str | Path]) -> Views:

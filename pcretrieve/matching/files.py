@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pcretrieve.atomic import replace_file
+from pcretrieve.atomic import write_file
 from pcretrieve.errors import InputError
 from pcretrieve.matching.matrix import DistanceMatrix
 
@@ -67,14 +67,8 @@ def write_matrix(matrix: DistanceMatrix, path: str | Path) -> None:
     else:
         np.savetxt(data, matrix.values, fmt=f"%.{DIGITS}g")
     lines = "".join(f"{shape_id}\n" for shape_id in matrix.ids)
-    for file, content in (
-        (path, data.getvalue()),
-        (ids_path(path), lines.encode("utf-8", errors="surrogateescape")),
-    ):
-        try:
-            replace_file(file, content)
-        except OSError as error:
-            raise InputError(f"cannot write {file}: {error.strerror or error}") from error
+    write_file(path, data.getvalue())
+    write_file(ids_path(path), lines.encode("utf-8", errors="surrogateescape"))
 
 
 def read_matrix(path: str | Path) -> DistanceMatrix:

@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from pcretrieve.atomic import write_file
 from pcretrieve.inspection.inspection import Inspection
 from pcretrieve.pages.html import page_template
 from pcretrieve.pages.inspection_pictures import (
@@ -29,7 +30,6 @@ from pcretrieve.pages.inspection_pictures import (
     rows_of,
     thinned,
 )
-from pcretrieve.pages.report import write_file
 from pcretrieve.rendering import CLAY, Colour, css
 from pcretrieve.types import FloatArray
 

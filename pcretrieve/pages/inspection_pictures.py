@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
+from pcretrieve.atomic import write_file
 from pcretrieve.inspection.inspection import Inspection
-from pcretrieve.pages.report import write_file
 from pcretrieve.rendering import (
     CLAY,
     Camera,

@@ -13,13 +13,13 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import NamedTuple
 
-from pcretrieve.atomic import replace_file
+from pcretrieve.atomic import write_file
 from pcretrieve.errors import InputError
 from pcretrieve.evaluation.measures import PrecisionRecall, RetrievalMeasures
 from pcretrieve.pages.html import page_template
 from pcretrieve.types import Failure
 
-__all__ = ["Card", "Panel", "write_file", "write_report"]
+__all__ = ["Card", "Panel", "write_report"]
 
 PNG_MAGIC = b"\x89PNG\r\n\x1a\n"
 
@@ -215,14 +215,3 @@ def _curve(curve: PrecisionRecall) -> _Curve:
     return _Curve(
         " ".join(f"{x:.4f},{y:.4f}" for x, y in points), float(curve.precision[0]), float(curve.precision[-1])
     )
-
-
-def write_file(target: Path, page: bytes) -> None:
-    """Write a page or a picture in one atomic step."""
-    try:
-        replace_file(target, page)
-    except OSError as error:
-        raise InputError(
-            f"the report must go to a file in a folder that exists and can be written, got {target}: "
-            f"{error.strerror or error}; make the folder, or give another path"
-        ) from error

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcretrieve.errors import InputError, ReconstructionError, Stage
-from pcretrieve.formats.views import SENSOR_DISTANCE
+from pcretrieve.formats.conf import SENSOR_DISTANCE
 from pcretrieve.options import MergeOptions
 from pcretrieve.registration.alignment import (
     NORMAL_NEIGHBORS,

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from scipy.spatial.transform import Rotation
 
+from pcretrieve.atomic import write_file
 from pcretrieve.types import FloatArray
 
 __all__ = ["write_conf", "write_pcd", "write_ply"]
@@ -27,7 +28,7 @@ def write_ply(path: Path, points: FloatArray) -> None:
         f"element vertex {len(points)}\n"
         "property float x\nproperty float y\nproperty float z\nend_header\n"
     )
-    path.write_bytes(header.encode() + points.astype("<f4").tobytes())
+    write_file(path, header.encode() + points.astype("<f4").tobytes())
 
 
 def write_pcd(path: Path, points: FloatArray, viewpoint: FloatArray, orientation: Rotation) -> None:
@@ -52,7 +53,7 @@ def write_pcd(path: Path, points: FloatArray, viewpoint: FloatArray, orientation
         f"VIEWPOINT {' '.join(f'{value:.9g}' for value in pose)}\n"
         f"POINTS {len(points)}\nDATA binary\n"
     )
-    path.write_bytes(header.encode() + points.astype("<f4").tobytes())
+    write_file(path, header.encode() + points.astype("<f4").tobytes())
 
 
 def write_conf(path: Path, names: Sequence[str], motions: FloatArray) -> None:
@@ -72,4 +73,4 @@ def write_conf(path: Path, names: Sequence[str], motions: FloatArray) -> None:
     for name, motion in zip(names, motions, strict=True):
         inverse = Rotation.from_matrix(motion[:3, :3]).inv().as_quat(canonical=True)
         lines.append(" ".join(["bmesh", name, *(f"{value:.9g}" for value in (*motion[:3, 3], *inverse))]))
-    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    write_file(path, ("\n".join(lines) + "\n").encode())

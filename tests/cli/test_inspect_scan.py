@@ -94,7 +94,7 @@ def test_a_scan_that_fails_gets_its_page(scan: str, stage: str, folder: Path) ->
         ("folder.html", 1, "there is no scan folder.html"),
         ("few.ply -o nowhere/page.html", 1, "there is no folder nowhere"),
         ("few.ply -o folder.html", 1, "is a folder"),
-        ("few.ply --png few.ply", 1, "is the scan itself"),
+        ("few.ply --png few.ply", 1, "is one of the files to be read"),
         ("few.ply --rescans -1", 2, "--rescans"),
         ("few.ply --rescans 1", 2, "at least 2 rescans, got 1"),
         ("few.ply --config nowhere.toml", 2, "nowhere.toml"),

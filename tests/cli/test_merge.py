@@ -146,7 +146,7 @@ def test_options_reach_the_merge(folder: Path) -> None:
         ("ball.ply torus.pcd -o out.obj", 1, "must end in one of .ply .pcd .xyzn"),
         ("ball.ply torus.pcd -o nowhere/out.ply", 1, "there is no folder nowhere"),
         ("ball.ply torus.pcd -o empty.ply/", 1, "is a folder"),
-        ("ball.ply torus.pcd -o ball.ply", 1, "is one of the views"),
+        ("ball.ply torus.pcd -o ball.ply", 1, "is one of the files to be read"),
         ("ball.ply body.conf -o out.ply", 1, "names all views of its cloud, got 2 files"),
         ("nowhere.conf -o out.ply", 1, "missing.ply"),
         ("no.conf -o out.ply", 1, "no.conf: a .conf file must name its views"),

@@ -6,12 +6,13 @@ import os
 import struct
 from pathlib import Path
 
+import numpy as np
 import pytest
 from scan_files import XYZ, pcd_header
 
 from pcretrieve import read_scan
 from pcretrieve.errors import ScanReadError
-from pcretrieve.formats import view_paths
+from pcretrieve.formats import parts_of
 
 PLY = f"ply\nformat ascii 1.0\nelement vertex 3\n{XYZ}"
 ROWS = "0 0 0\n1 0 0\n0 1 0\n"
@@ -146,7 +147,11 @@ def test_a_view_without_points(tmp_path: Path) -> None:
 
 def test_a_conf_names_its_views(tmp_path: Path) -> None:
     (tmp_path / "a.conf").write_text("camera 0 0 0\nbmesh a.ply 0 0 0 0 0 0 1\n\nbmesh b.ply 1 0 0 0 0 0 1\n")
-    assert view_paths(tmp_path / "a.conf") == [tmp_path / "a.ply", tmp_path / "b.ply"]
+    first, second = parts_of(tmp_path / "a.conf")
+    assert (first.path, second.path) == (tmp_path / "a.ply", tmp_path / "b.ply")
+    np.testing.assert_array_equal(first.pose, np.eye(4))
+    np.testing.assert_array_equal(second.pose, [[1, 0, 0, 1], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]])
+    assert parts_of(tmp_path / "a.ply") == parts_of(tmp_path / "a.doc") == ()
 
 
 def test_only_a_regular_file_is_read(tmp_path: Path) -> None:

@@ -279,7 +279,7 @@ def test_a_place_that_cannot_be_written(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     (tmp_path / "folder").mkdir()
     for place in ("missing/report.html", "file/report.html", "folder"):
-        with pytest.raises(InputError, match=f"must go to a file in a folder that exists .* got .*{place}"):
+        with pytest.raises(InputError, match=f"cannot write .*{place}: .*; name a file in a folder"):
             write_report(tmp_path / place, title="Query", panels=[])
     assert sorted(path.name for path in tmp_path.rglob("*")) == ["file", "folder"]
 

@@ -12,7 +12,7 @@ import pytest
 import shapes
 
 from pcretrieve import PipelineOptions, TriangleMesh
-from pcretrieve.formats.write_mesh import write_mesh
+from pcretrieve.formats import write_mesh
 from pcretrieve.pipeline.process import process
 
 LOGGER = "pcretrieve.pipeline"

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from pcretrieve import PointCloud, TriangleMesh, read_scan
 from pcretrieve.errors import InputError, OptionError, ReconstructionError
-from pcretrieve.formats.views import read_poses
+from pcretrieve.formats.conf import read_poses
 from pcretrieve.options import MergeOptions
 from pcretrieve.registration import Merged, merge_views
 from pcretrieve.registration.alignment import moved

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -10,13 +11,14 @@ import numpy as np
 
 from pcretrieve.errors import ScanReadError
 from pcretrieve.formats.files import check_file
+from pcretrieve.formats.format import Format, Part
 from pcretrieve.formats.raw import RawScan
 from pcretrieve.formats.text import text_lines
 
 if TYPE_CHECKING:
     from scipy.spatial.transform import Rotation
 
-__all__ = ["read_poses", "view_paths"]
+__all__ = ["SENSOR_DISTANCE", "conf_format", "read_poses"]
 
 # Numbers after the file name on a line `bmesh FILE tx ty tz qx qy qz qw`.
 N_POSE_NUMBERS = 7
@@ -94,25 +96,44 @@ def read_poses(path: Path) -> list[tuple[Path, Rotation, np.ndarray]]:
     return poses
 
 
-def view_paths(path: Path) -> list[Path]:
-    """The files of the views of a ``.conf`` file.
+def conf_format(read_view: Callable[[Path], RawScan]) -> Format:
+    """The format of Stanford ``.conf`` files.
 
     Parameters
     ----------
-    path : Path
-        The file.
+    read_view : function of Path that returns a RawScan
+        Reads a view, of any format.
 
     Returns
     -------
-    list of Path
-        The files, in the order of the ``.conf`` file.
-
-    Raises
-    ------
-    OSError, ScanReadError
-        If `read_poses` raises it.
+    Format
+        The format; the parts of a file are its views.
     """
-    return [view for view, _, _ in read_poses(path)]
+    return Format((".conf",), lambda path: _read_conf(path, read_view), _views)
+
+
+def _views(path: Path) -> tuple[Part, ...]:
+    parts = []
+    for view, rotation, translation in read_poses(path):
+        pose = np.eye(4)
+        pose[:3, :3], pose[:3, 3] = rotation.as_matrix(), translation
+        parts.append(Part(view, pose))
+    return tuple(parts)
+
+
+def _read_conf(path: Path, read_view: Callable[[Path], RawScan]) -> RawScan:
+    scans = []
+    for view, rotation, translation in read_poses(path):
+        try:
+            if view.suffix.lower() == path.suffix.lower():
+                raise ScanReadError("a view must be a single range scan, not a .conf file of its own")
+            scan = read_view(view)
+            if not np.isfinite(scan.points).all(axis=1).any():
+                raise ScanReadError("it has no points with finite coordinates")
+        except ScanReadError as error:
+            raise ScanReadError(f"its view {view.name}: {error.message}") from error
+        scans.append((seen_from_front(scan), rotation, translation))
+    return merge(scans)
 
 
 def seen_from_front(scan: RawScan) -> RawScan:

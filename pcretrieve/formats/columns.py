@@ -1,0 +1,33 @@
+"""The columns of a file that stores a point cloud as a table."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from pcretrieve.arrays import FloatArray
+from pcretrieve.types import PointCloud
+
+__all__ = ["columns_of"]
+
+
+def columns_of(cloud: PointCloud, points: str, normals: str, viewpoints: str) -> tuple[list[str], FloatArray]:
+    """The arrays of a cloud as one table.
+
+    Parameters
+    ----------
+    cloud : PointCloud
+        The cloud.
+    points, normals, viewpoints : str
+        Three names each, separated by blanks: the columns of the coordinates, normals and positions of
+        sensors.
+
+    Returns
+    -------
+    names : list of str
+        The names of the columns, without those of arrays that the cloud lacks.
+    table : (n, c) float64
+        The columns; unit of the cloud.
+    """
+    arrays = ((points, cloud.points), (normals, cloud.normals), (viewpoints, cloud.viewpoints))
+    held = [(names, array) for names, array in arrays if array is not None]
+    return " ".join(names for names, _ in held).split(), np.concatenate([array for _, array in held], axis=1)

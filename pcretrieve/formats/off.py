@@ -1,0 +1,46 @@
+"""The format OFF, read and written by trimesh."""
+
+from __future__ import annotations
+
+from functools import partial
+from pathlib import Path
+
+from pcretrieve.adapters.trimesh import mesh_arrays, mesh_bytes
+from pcretrieve.formats.format import Format
+from pcretrieve.formats.raw import RawScan, incomplete
+
+__all__ = ["OFF", "read_off"]
+
+
+def read_off(path: Path) -> RawScan:
+    """Read an OFF file.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+
+    Returns
+    -------
+    RawScan
+        Vertices and triangles; polygons are triangulated. Unit of the file.
+
+    Raises
+    ------
+    OSError
+        If the file cannot be read.
+    MemoryError
+        If the file is too large for the memory.
+    ScanReadError
+        If the file is not an OFF file, is truncated, or has no vertices.
+    """
+    try:
+        vertices, faces = mesh_arrays(path, "off")
+    except ValueError as error:
+        raise incomplete(path, error) from error
+    if not len(vertices):
+        raise incomplete(path, "it holds no vertices")
+    return RawScan(vertices, faces if len(faces) else None)
+
+
+OFF = Format((".off",), read_off, write_mesh=partial(mesh_bytes, file_type="off"))

@@ -1,0 +1,47 @@
+"""The format STL, binary and text, read and written by trimesh."""
+
+from __future__ import annotations
+
+from functools import partial
+from pathlib import Path
+
+from pcretrieve.adapters.trimesh import mesh_arrays, mesh_bytes
+from pcretrieve.formats.format import Format
+from pcretrieve.formats.raw import RawScan, incomplete, merged_vertices
+
+__all__ = ["STL", "read_stl"]
+
+
+def read_stl(path: Path) -> RawScan:
+    """Read an STL file, binary or text.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+
+    Returns
+    -------
+    RawScan
+        Triangles and vertices; corners of triangles at the same place are merged into one vertex. Unit of the
+        file.
+
+    Raises
+    ------
+    OSError
+        If the file cannot be read.
+    MemoryError
+        If the file is too large for the memory.
+    ScanReadError
+        If the file is not an STL file, is truncated, or has no triangles.
+    """
+    try:
+        vertices, faces = mesh_arrays(path, "stl")
+    except ValueError as error:
+        raise incomplete(path, error) from error
+    if not len(faces):
+        raise incomplete(path, "it holds no triangles")
+    return RawScan(*merged_vertices(vertices, faces))
+
+
+STL = Format((".stl",), read_stl, write_mesh=partial(mesh_bytes, file_type="stl"))

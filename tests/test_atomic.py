@@ -1,0 +1,99 @@
+"""A file that is written is whole, or as it was before."""
+
+from __future__ import annotations
+
+import os
+import stat
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from pcretrieve.atomic import write_file
+from pcretrieve.errors import InputError
+
+
+def names(folder: Path) -> list[str]:
+    return sorted(path.name for path in folder.iterdir())
+
+
+def test_a_file_is_replaced_and_has_the_permissions_of_a_new_one(tmp_path: Path) -> None:
+    (tmp_path / "other").touch()
+    (tmp_path / "a").write_text("old")
+    write_file(tmp_path / "a", b"new")
+    assert (tmp_path / "a").read_bytes() == b"new"
+    assert (tmp_path / "a").stat().st_mode == (tmp_path / "other").stat().st_mode
+    assert names(tmp_path) == ["a", "other"]
+
+
+def test_a_link_stays_and_what_it_leads_to_is_replaced(tmp_path: Path) -> None:
+    (tmp_path / "folder").mkdir()
+    (tmp_path / "link").symlink_to("folder/a")
+    for content in (b"first", b"second"):
+        write_file(tmp_path / "link", content)
+        assert (tmp_path / "folder" / "a").read_bytes() == content
+    assert (tmp_path / "link").is_symlink()
+    assert names(tmp_path / "folder") == ["a"]
+
+
+def test_a_device_is_written_to_and_not_replaced(tmp_path: Path) -> None:
+    write_file(Path(os.devnull), b"into nowhere")
+    assert stat.S_ISCHR(Path(os.devnull).stat().st_mode)
+    done = subprocess.run(
+        [
+            sys.executable,
+            "-c",
+            "from pathlib import Path; from pcretrieve.atomic import write_file\n"
+            "write_file(Path('/dev/stdout'), b'a page')",
+        ],
+        capture_output=True,
+        check=True,
+        timeout=60,
+    )
+    assert done.stdout == b"a page"
+
+
+def test_a_name_may_be_as_long_as_the_system_allows(tmp_path: Path) -> None:
+    write_file(tmp_path / ("x" * 255), b"content")
+    assert names(tmp_path) == ["x" * 255]
+
+
+@pytest.mark.parametrize("name", ["nowhere/a", "file/a", "folder", "x" * 256])
+def test_what_cannot_be_written_leaves_nothing(name: str, tmp_path: Path) -> None:
+    (tmp_path / "folder").mkdir()
+    (tmp_path / "file").write_text("old")
+    with pytest.raises(InputError, match=f"cannot write .*{name}: .*; name a file in a folder"):
+        write_file(tmp_path / name, b"content")
+    assert names(tmp_path) == ["file", "folder"]
+
+
+FULL = """
+import resource, signal
+from pathlib import Path
+from pcretrieve.errors import InputError
+from pcretrieve.atomic import write_file
+
+signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+resource.setrlimit(resource.RLIMIT_FSIZE, (1000, 1000))
+try:
+    write_file(Path("a"), b"x" * 5000)
+except InputError as error:
+    print(error.message)
+"""
+
+
+def test_a_disk_without_room_keeps_the_old_content(tmp_path: Path) -> None:
+    (tmp_path / "a").write_text("old")
+    done = subprocess.run(
+        [sys.executable, "-c", FULL],
+        cwd=tmp_path,
+        env=os.environ | {"PYTHONPATH": os.pathsep.join(path for path in sys.path if path)},
+        capture_output=True,
+        text=True,
+        check=True,
+        timeout=60,
+    )
+    assert done.stdout.startswith("cannot write a: File too large;")
+    assert (tmp_path / "a").read_text() == "old"
+    assert names(tmp_path) == ["a"]
