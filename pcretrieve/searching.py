@@ -1,18 +1,22 @@
-"""Catalogue and query scan → ranked shapes."""
+"""Catalogue and query → ranked shapes.
+
+In come a catalogue and a scan, a stored shape or a signature; out come the identifiers of the nearest shapes
+and their distances.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from pcretrieve.catalogue import Catalogue
-from pcretrieve.descriptors import describe
 from pcretrieve.errors import InputError
-from pcretrieve.ingestion.discover import content_hash
-from pcretrieve.matching import DistanceMatrix
 from pcretrieve.options import PipelineOptions
-from pcretrieve.retrieval import SignatureIndex
 from pcretrieve.types import Neighbors, Signature
+
+if TYPE_CHECKING:
+    from pcretrieve.matching import DistanceMatrix
 
 __all__ = ["search"]
 
@@ -26,59 +30,89 @@ def _signature(scan: Path, options: PipelineOptions) -> Signature:
 
 def search(
     catalogue: Catalogue,
-    scan: str | Path | Signature,
+    query: str | Path | Signature,
     *,
     k: int = 10,
     options: PipelineOptions | None = None,
     matrix: DistanceMatrix | None = None,
     describe_scan: Callable[[Path, PipelineOptions], Signature] = _signature,
 ) -> Neighbors:
-    """The shapes of a catalogue nearest to a scan.
+    """The shapes of a catalogue nearest to a scan, to one of its shapes, or to a signature.
 
     Parameters
     ----------
     catalogue : Catalogue
-    scan : str or Path
-        Processed with the catalogue's own options; looked up by content where the catalogue holds it.
+        The shapes that are searched.
+    query : str, Path or Signature
+        The file of a scan, which is processed with the catalogue's own options, or looked up by its content
+        where the catalogue holds it; the id of a shape of the catalogue, as a str that names no file; or a
+        signature that was made with the same options as those that are compared.
     k : int, default 10
+        Number of shapes. If the catalogue has fewer, all of them are returned.
     options : PipelineOptions, optional
         With a descriptor, a distance or a whitening other than the catalogue's own, such as
         ``catalogue.options.changed(retrieval={"whitening": "pca"})``.
     matrix : DistanceMatrix, optional
-        Distances in place of those of signatures, to the scan that the catalogue holds.
+        Distances in place of those of signatures, from the shape that the query stands for.
     describe_scan : callable, optional
         What makes the signature of a scan that the catalogue does not hold, with the options that it is
         given; `pcretrieve.signature` by default, in this process.
+
+    Returns
+    -------
+    Neighbors
+        Nearest first; equal distances by identifier. A shape of the catalogue is its own neighbour.
 
     Raises
     ------
     CatalogueError
         If `options` are for other spectra than those of the catalogue.
     InputError
-        If the catalogue holds no shapes; or, with `matrix`, not this scan.
+        If the catalogue holds no shapes, the query is neither a file nor one of them, or it is not one of
+        them and there is a `matrix`.
     ShapeError
         If the scan cannot be read or has no usable surface.
     """
     options = options or catalogue.options
-    if isinstance(scan, Signature):
-        table = catalogue.signatures(options)
-        return SignatureIndex(table, options.retrieval, whitening=catalogue.whitening(options)).query(scan, k)
-    digest = content_hash(Path(scan))
-    held = next((record for record in catalogue.with_content(digest) if record.status == "done"), None)
+    held = None if isinstance(query, Signature) else _held(catalogue, query)
     if matrix is not None:
         if held is None:
             raise InputError(
-                f"a distance matrix ranks shapes of {catalogue.path} only, which does not hold {scan}: leave "
-                "out the matrix, or ingest the scan and make the matrix anew"
+                f"a distance matrix ranks shapes of {catalogue.path} only, which does not hold {query}: "
+                "leave out the matrix, or ingest the scan and make the matrix anew"
             )
-        return matrix.nearest(held.id, k)
-    table = catalogue.signatures(options)
-    if not len(table):
-        raise InputError(f"{catalogue.path} holds no shapes: ingest some first")
-    if held:
-        described = describe(catalogue.shape(held.id), options.compared)
-    else:
-        own = catalogue.options.model_copy(update={"signature": options.compared})
-        described = describe_scan(Path(scan), own)
-    index = SignatureIndex(table, options.retrieval, whitening=catalogue.whitening(options))
-    return index.query(described.values, k)
+        return matrix.nearest(held, k)
+    index = catalogue.index(options)
+    if held is not None:
+        return index.nearest(held, k)
+    if isinstance(query, Signature):
+        return index.query(query, k)
+    own = catalogue.options.model_copy(update={"signature": options.compared})
+    return index.query(describe_scan(Path(query), own).values, k)
+
+
+def _held(catalogue: Catalogue, query: str | Path) -> str | None:
+    """The id of the shape that a query stands for; None for a scan that the catalogue does not hold."""
+    path = Path(query)
+    if isinstance(query, str) and (path.is_dir() or not path.exists()):
+        return _stored(catalogue, query)
+    # Only for files: readers and scans are not needed to look up a shape.
+    from pcretrieve.ingestion.discover import content_hash
+
+    done = (record.id for record in catalogue.with_content(content_hash(path)) if record.status == "done")
+    return next(done, None)
+
+
+def _stored(catalogue: Catalogue, shape_id: str) -> str:
+    """An id, once it has been seen that its shape can be compared."""
+    record = catalogue.get(shape_id)
+    if record is None:
+        raise InputError(
+            f"a query must be the file of a scan or the id of a shape, {shape_id!r} is no file and no shape "
+            f"of {catalogue.path}; `pcretrieve list` names the shapes"
+        )
+    if record.status != "done":
+        raise InputError(
+            f"shape {shape_id!r} has no signature: it failed in {record.stage}: {record.message}"
+        )
+    return shape_id

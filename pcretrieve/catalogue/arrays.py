@@ -105,18 +105,18 @@ def packed_values(values: FloatArray) -> bytes:
     return words.tobytes() + np.bitwise_xor.reduce(words, keepdims=True).tobytes()
 
 
-def unpacked_values(blobs: Sequence[bytes]) -> FloatArray:
-    """(N, L) values of N rows, as `packed_values` packed each.
+def unpacked_values(rows: NDArray[np.uint8], n_values: int) -> FloatArray:
+    """(N, L) values from the bytes of N rows, (N, b), each of them as `packed_values` packed it.
 
     Raises
     ------
     ValueError
-        If they are not what was packed, or not of one length.
+        If they are not what was packed.
     """
-    if len(set(map(len, blobs))) > 1:
-        raise ValueError("signatures must have one length")
-    words = np.frombuffer(b"".join(blobs), "<u8").reshape(len(blobs), -1)  # (N, L + 1)
-    if words.shape[1] < 2 or (np.bitwise_xor.reduce(words[:, :-1], axis=1) != words[:, -1]).any():
+    if rows.size != 8 * len(rows) * (n_values + 1):
+        raise ValueError(f"there must be {n_values} values")
+    words = np.ascontiguousarray(rows).reshape(len(rows), 8 * (n_values + 1)).view("<u8")  # (N, L + 1)
+    if (np.bitwise_xor.reduce(words[:, :-1], axis=1) != words[:, -1]).any():
         raise ValueError("its checksum does not fit")
     return words[:, :-1].view(np.float64)
 

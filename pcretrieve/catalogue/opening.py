@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import os
 import sqlite3
+import struct
+import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
 from pcretrieve.errors import CatalogueError
 
-__all__ = ["connect", "damaged", "is_writable", "translated"]
+__all__ = ["connect", "damaged", "intact", "is_writable", "translated"]
 
 # How long to wait for another process that is writing; seconds.
 LOCK_TIMEOUT = 30.0
@@ -54,6 +56,15 @@ def is_writable(path: Path) -> bool:
 def damaged(path: Path, how: str) -> CatalogueError:
     """The error for a catalogue whose content makes no sense."""
     return CatalogueError(f"{path} is damaged ({how}): restore a copy, or ingest into a new catalogue")
+
+
+@contextmanager
+def intact(path: Path, what: str) -> Iterator[None]:
+    """Bytes that make no sense as the error for a damaged catalogue."""
+    try:
+        yield
+    except (KeyError, ValueError, struct.error, zlib.error) as error:
+        raise damaged(path, f"{what} cannot be read: {error}") from error
 
 
 def _connected(path: Path, mode: str) -> sqlite3.Connection:

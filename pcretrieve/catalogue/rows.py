@@ -10,6 +10,9 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal, Protocol
 
+import numpy as np
+from numpy.typing import NDArray
+
 from pcretrieve.catalogue.record import Record
 
 __all__ = ["OWN", "PAYLOADS", "Listed", "Payload", "Revision", "Rows", "Status"]
@@ -39,6 +42,10 @@ class Revision:
     shapes: str
     labels: str
 
+    def state(self, by_label: bool) -> str:
+        """One name for the state of the shapes, or for that of the shapes and their labels."""
+        return f"{self.shapes} {self.labels}" if by_label else self.shapes
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Listed:
@@ -51,14 +58,17 @@ class Listed:
     ids : list of str
         Ascending.
     labels : list of (str or None)
-    values : list of (bytes or None)
-        The packed signature of each; None where there is none by these options yet.
+    packed : (N, b) uint8
+        The bytes of each signature, in the order of the ids.
+    has : (N,) bool
+        Whether there is a signature by these options; where there is none yet, its bytes are zero.
     """
 
     revision: Revision
     ids: list[str]
     labels: list[str | None]
-    values: list[bytes | None]
+    packed: NDArray[np.uint8]
+    has: NDArray[np.bool_]
 
 
 class Rows(Protocol):

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import json
 import sqlite3
+from array import array
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, replace
-from operator import itemgetter
 from pathlib import Path
 from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 from pcretrieve.catalogue.migrations import prepare
 from pcretrieve.catalogue.opening import connect, damaged, is_writable, translated
@@ -38,6 +41,9 @@ PROVENANCE_COLUMNS = ("steps", "options_digest", "versions", "added")
 COLUMNS = (*SHAPE_COLUMNS, *PROVENANCE_COLUMNS)
 LENGTHS = " + ".join(f"ifnull(length(CAST({name} AS BLOB)), 0)" for name in COLUMNS)
 RECORDS = f"SELECT {', '.join(COLUMNS)} FROM shapes LEFT JOIN provenance ON shape = number"
+
+# Signatures that are read at a time.
+READ_AT_ONCE = 10_000
 
 
 class SqliteRows:
@@ -181,23 +187,41 @@ class SqliteRows:
         return sizes
 
     def signatures(self, digest: str) -> Listed:
+        numbers, ids, labels = array("q"), [], []
+        known: dict[str | None, str | None] = {}
         with self._reading():
             revision = self.revision()
-            shapes = self._all("SELECT number, id, label FROM shapes WHERE status = 'done'")
-            kept = dict(
-                self._all(
-                    "SELECT shape, value FROM signatures JOIN descriptors ON number = descriptor "
-                    "WHERE digest = ?",
-                    (digest,),
-                )
-            )
-        shapes.sort(key=itemgetter(1))
-        return Listed(
-            revision,
-            [shape_id for _, shape_id, _ in shapes],
-            [label for _, _, label in shapes],
-            [kept.get(number) for number, _, _ in shapes],
+            # By the table, not by the index of the status, which would look each shape up by itself.
+            query = "SELECT number, id, label FROM shapes NOT INDEXED WHERE status = 'done' ORDER BY number"
+            for number, shape_id, label in self._connection.execute(query):
+                numbers.append(number)
+                ids.append(shape_id)
+                labels.append(known.setdefault(label, label))
+            by_id = sorted(range(len(ids)), key=ids.__getitem__)
+            packed, has = self._packed(digest, np.array(numbers), np.argsort(by_id))
+        return Listed(revision, [ids[row] for row in by_id], [labels[row] for row in by_id], packed, has)
+
+    def _packed(
+        self, digest: str, numbers: NDArray[np.int64], rows: NDArray[np.intp]
+    ) -> tuple[NDArray[np.uint8], NDArray[np.bool_]]:
+        """Signatures in the rows of their shapes, whose numbers ascend; and whether there is one."""
+        query = (
+            "SELECT shape, value FROM signatures JOIN descriptors ON number = descriptor WHERE digest = ? "
+            "ORDER BY shape"
         )
+        has = np.zeros(len(numbers), np.bool_)
+        packed = np.zeros((len(numbers), 0), np.uint8)
+        cursor = self._connection.execute(query, (digest,))
+        while found := cursor.fetchmany(READ_AT_ONCE):
+            shapes, values = zip(*found, strict=True)
+            if len({*map(len, values)}) > 1 or packed.shape[1] not in (0, len(values[0])):
+                raise damaged(self.path, "signatures by the same options have several lengths")
+            if not packed.shape[1]:
+                packed = np.zeros((len(numbers), len(values[0])), np.uint8)
+            theirs = rows[np.searchsorted(numbers, shapes)]
+            packed[theirs] = np.frombuffer(b"".join(values), np.uint8).reshape(len(values), -1)
+            has[theirs] = True
+        return packed, has
 
     def keep(self, digest: str, signatures: Collection[tuple[Record, bytes]]) -> None:
         with self._writing():

@@ -2,39 +2,35 @@
 
 from __future__ import annotations
 
-import logging
-import zlib
-from collections.abc import Collection, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import replace
 from datetime import datetime, timezone
 from pathlib import Path
 from types import TracebackType
 
-import numpy as np
-
-from pcretrieve.catalogue.arrays import packed_values, unpacked_values
-from pcretrieve.catalogue.opening import damaged
+from pcretrieve.catalogue.arrays import packed_values
+from pcretrieve.catalogue.gallery import Gallery
 from pcretrieve.catalogue.record import Content, Record
-from pcretrieve.catalogue.rows import OWN, Payload, Rows, Status
+from pcretrieve.catalogue.rows import OWN, Revision, Rows, Status
 from pcretrieve.catalogue.settings import settings_of, stored_options
 from pcretrieve.catalogue.sqlite import SqliteRows
-from pcretrieve.catalogue.surfaces import payloads_of, shape_of
-from pcretrieve.descriptors import DESCRIPTORS, describe, signature_length
-from pcretrieve.errors import CatalogueError, InputError, ShapeError
+from pcretrieve.catalogue.surfaces import payloads_of, read_shape, unknown
+from pcretrieve.catalogue.tables import digest_of, made_index, signature_table
+from pcretrieve.errors import CatalogueError
 from pcretrieve.options import PipelineOptions, options_difference
-from pcretrieve.retrieval import Whitening, resolution_whitening, table_whitening
+from pcretrieve.retrieval import (
+    DISTANCES,
+    SignatureIndex,
+    Whitening,
+    resolution_whitening,
+    table_whitening,
+)
 from pcretrieve.types import Need, Shape, SignatureTable, TriangleMesh
 
 __all__ = ["Catalogue"]
 
-logger = logging.getLogger(__name__)
-
 # Records that are read at a time where all are wanted.
 PAGE = 1000
-
-# Signatures that are computed before they are kept: what was done is not lost when the rest is stopped.
-KEPT_AT_ONCE = 100
 
 
 class Catalogue:
@@ -69,6 +65,7 @@ class Catalogue:
         self, path: str | Path, options: PipelineOptions | None = None, *, create: bool = False
     ) -> None:
         self.path = Path(path)
+        self._gallery = Gallery(self.path)
         self._rows: Rows = SqliteRows(self.path, settings_of(options or PipelineOptions()), create=create)
         try:
             self.options = stored_options(self.path, self._rows.settings(), options)
@@ -202,10 +199,14 @@ class Catalogue:
         InputError
             If there is none of that id.
         """
-        found = self._rows.by_id([shape_id])
-        if not found:
-            raise self._unknown(shape_id)
-        return found[0]
+        record = self.get(shape_id)
+        if record is None:
+            raise unknown(self.path, shape_id)
+        return record
+
+    def get(self, shape_id: str) -> Record | None:
+        """One shape, or None if there is none of that id."""
+        return next(iter(self._rows.by_id([shape_id])), None)
 
     def with_content(self, content_hash: str) -> list[Record]:
         """The shapes of files with a content, failed ones included, in ascending order of id."""
@@ -245,7 +246,7 @@ class Catalogue:
         InputError
             If there is no shape of that id, or it failed.
         """
-        return self._read(shape_id, needs)[1]
+        return read_shape(self._rows, self.path, shape_id, needs)[1]
 
     def signatures(self, options: PipelineOptions | None = None) -> SignatureTable:
         """The signatures by which all shapes that did not fail are compared, by id.
@@ -262,30 +263,37 @@ class Catalogue:
             If `options` are for other spectra than those of the catalogue.
         """
         options = self._fitting(options)
-        own = options.compared_digest == self.options.signature_digest
-        # A package that is upgraded may give other values by the same options.
-        digest = OWN if own else options.compared_digest + DESCRIPTORS.version(options.signature.method)
-        listed = self._rows.signatures(digest)
-        missing = [
-            shape_id for shape_id, value in zip(listed.ids, listed.values, strict=True) if value is None
-        ]
-        if own and missing:
-            raise damaged(self.path, f"shape {missing[0]!r} has no signature")
-        made = self._described(missing, options, digest)
-        packed = [
-            made[i] if value is None else value for i, value in zip(listed.ids, listed.values, strict=True)
-        ]
-        with self._intact("a signature"):
-            values = unpacked_values(packed) if packed else np.empty((0, signature_length(options.signature)))
-        descriptor = DESCRIPTORS[options.signature.method]
-        return SignatureTable(
-            tuple(listed.ids),
-            values,
-            descriptor.name,
-            options.compared_digest,
-            tuple(listed.labels),
-            descriptor.metric,
-        )
+        return signature_table(self._rows, self.path, self._kept_under(options), options)
+
+    def index(self, options: PipelineOptions | None = None) -> SignatureIndex:
+        """The index of this catalogue's signatures that options ask for.
+
+        Of a large catalogue it is kept in a folder beside the file, or in the user's cache folder, and opened
+        from there until shapes or labels change.
+
+        Parameters
+        ----------
+        options : PipelineOptions, optional
+            As in `signatures`: ``catalogue.options.changed(retrieval={"whitening": "pca"})``.
+
+        Raises
+        ------
+        CatalogueError
+            If `options` are for other spectra than those of the catalogue.
+        InputError
+            If the catalogue holds no shapes, or too few for the whitening.
+        """
+        options = self._fitting(options)
+        retrieval = options.retrieval
+        distance = retrieval.distance + DISTANCES.version(retrieval.distance)
+        request = f"{digest_of(options)} {distance} {retrieval.whitening} {retrieval.damping}"
+
+        def make() -> tuple[SignatureIndex, Revision]:
+            kept_under = self._kept_under(options)
+            return made_index(self._rows, self.path, kept_under, options, self._resolution(options))
+
+        by_label = retrieval.whitening == "within-class"
+        return self._gallery.index(request, self._rows.revision(), make, by_label=by_label)
 
     def whitening(self, options: PipelineOptions | None = None) -> Whitening:
         """The whitening of this catalogue's signatures that options ask for.
@@ -303,58 +311,23 @@ class Catalogue:
             If `options` are for other spectra than those of the catalogue.
         """
         options = self._fitting(options)
-        if options.retrieval.whitening == "resolution":
-            return resolution_whitening(
-                options.compared, damping=options.retrieval.damping, options_digest=options.compared_digest
-            )
-        return table_whitening(self.signatures(options), options.retrieval)
+        if options.retrieval.whitening in ("none", "resolution"):
+            return table_whitening(self.signatures(options), options.retrieval, self._resolution(options))
+        return self.index(options).whitening
 
     # --- inside ---------------------------------------------------------------------------------------
 
-    def _read(self, shape_id: str, needs: tuple[Need, ...]) -> tuple[Record, Shape]:
-        """A shape as `shape` gives it, and its record at the same moment."""
-        names: list[Payload] = ["spectra"]
-        names += ["moments", "overlaps"] if "spectrum" in needs else []
-        names += ["meshes"] if {"mesh", "eigenvectors"} & set(needs) else []
-        found = self._rows.read(shape_id, names)
-        if found is None:
-            raise self._unknown(shape_id)
-        record, stored = found
-        if record.status != "done":
-            raise InputError(
-                f"shape {shape_id!r} has no surface: it failed in {record.stage}: {record.message}"
-            )
-        with self._intact(f"shape {shape_id!r}"):
-            return record, shape_of(stored, record.steps)
+    def _kept_under(self, options: PipelineOptions) -> str:
+        """The digest that the signatures which options ask for are kept under."""
+        return OWN if options.compared_digest == self.options.signature_digest else digest_of(options)
 
-    def _unknown(self, shape_id: str) -> InputError:
-        return InputError(f"{self.path} holds no shape {shape_id!r}; `pcretrieve list` names them")
-
-    def _described(self, shape_ids: Sequence[str], options: PipelineOptions, digest: str) -> dict[str, bytes]:
-        """Packed signatures of shapes that have none by these options; they are kept where that can be."""
-        needs = DESCRIPTORS[options.signature.method].needs
-        made: dict[str, bytes] = {}
-        unkept: list[tuple[Record, bytes]] = []
-        try:
-            for shape_id in shape_ids:
-                record, shape = self._read(shape_id, needs)
-                try:
-                    made[shape_id] = packed_values(describe(shape, options.compared).values)
-                except ShapeError as error:
-                    error.shape_id = shape_id
-                    raise
-                unkept.append((record, made[shape_id]))
-                if len(made) % KEPT_AT_ONCE == 0:
-                    logger.info("described %d of %d shapes by %s", len(made), len(shape_ids), needs)
-                    self._keep(digest, unkept)
-        finally:
-            self._keep(digest, unkept)
-        return made
-
-    def _keep(self, digest: str, unkept: list[tuple[Record, bytes]]) -> None:
-        if unkept and self._rows.is_writable:
-            self._rows.keep(digest, unkept)
-        unkept.clear()
+    def _resolution(self, options: PipelineOptions) -> Whitening | None:
+        """The whitening that is not fitted to shapes, where it is asked for."""
+        if options.retrieval.whitening != "resolution":
+            return None
+        return resolution_whitening(
+            options.compared, damping=options.retrieval.damping, options_digest=options.compared_digest
+        )
 
     def _fitting(self, options: PipelineOptions | None) -> PipelineOptions:
         """The options of a request, once they have been seen to be for the spectra that are stored."""
@@ -367,11 +340,3 @@ class Catalogue:
                 "[signature] and [retrieval] can be changed: start from its own, Catalogue.options"
             )
         return options
-
-    @contextmanager
-    def _intact(self, what: str) -> Iterator[None]:
-        """Bytes that do not make sense as a `CatalogueError`."""
-        try:
-            yield
-        except (ValueError, zlib.error) as error:
-            raise damaged(self.path, f"{what} cannot be read: {error}") from error

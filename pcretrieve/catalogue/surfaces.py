@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
+from pathlib import Path
 
 import numpy as np
 
 from pcretrieve.catalogue.arrays import packed, packed_symmetric, unpacked, unpacked_symmetric
-from pcretrieve.catalogue.rows import Payload
-from pcretrieve.types import ModalSpectrum, Shape, Step, Surface, TriangleMesh
+from pcretrieve.catalogue.opening import intact
+from pcretrieve.catalogue.record import Record
+from pcretrieve.catalogue.rows import Payload, Rows
+from pcretrieve.errors import InputError
+from pcretrieve.types import ModalSpectrum, Need, Shape, Step, Surface, TriangleMesh
 
-__all__ = ["payloads_of", "shape_of"]
+__all__ = ["payloads_of", "read_shape", "unknown"]
 
 
 def payloads_of(shape: Shape) -> dict[Payload, bytes]:
@@ -28,12 +32,32 @@ def payloads_of(shape: Shape) -> dict[Payload, bytes]:
     }
 
 
-def shape_of(payloads: Mapping[Payload, bytes], provenance: tuple[Step, ...]) -> Shape:
-    """The shape that was stored, with as much of its surfaces as `payloads` hold.
+def read_shape(rows: Rows, path: Path, shape_id: str, needs: Collection[Need]) -> tuple[Record, Shape]:
+    """A shape with the parts that are needed and no others, and its record at the same moment.
 
-    A mesh that was not stored is None: version 1 had that of the first surface alone. ValueError, KeyError or
-    zlib.error if the bytes are damaged.
+    `path` is that of the catalogue, for messages. InputError if there is no shape of that id, or it failed;
+    CatalogueError if its bytes are damaged.
     """
+    names: list[Payload] = ["spectra"]
+    names += ["moments", "overlaps"] if "spectrum" in needs else []
+    names += ["meshes"] if {"mesh", "eigenvectors"} & set(needs) else []
+    found = rows.read(shape_id, names)
+    if found is None:
+        raise unknown(path, shape_id)
+    record, stored = found
+    if record.status != "done":
+        raise InputError(f"shape {shape_id!r} has no surface: it failed in {record.stage}: {record.message}")
+    with intact(path, f"shape {shape_id!r}"):
+        return record, _shape(stored, record.steps)
+
+
+def unknown(path: Path, shape_id: str) -> InputError:
+    """The error for an id that a catalogue does not hold."""
+    return InputError(f"{path} holds no shape {shape_id!r}; `pcretrieve list` names them")
+
+
+def _shape(payloads: Mapping[Payload, bytes], provenance: tuple[Step, ...]) -> Shape:
+    """The shape that was stored. A mesh is None where version 1 had that of the first surface alone."""
     areas, eigenvalues = unpacked(payloads["spectra"])  # (s,), (s, k)
     n = len(areas)
     spectra: list[ModalSpectrum | None] = [None] * n

@@ -179,12 +179,12 @@ def compared(store: Catalogue, config: Path | None, **flags: Any) -> PipelineOpt
 
 def read_distances(matrix: Path | None, comparison: dict[str, Any]) -> DistanceMatrix | None:
     """The distances that ``--matrix`` names; the options of signatures mean nothing beside it."""
-    from pcretrieve.matching import read_matrix
-
     if matrix is None:
         return None
     if given := given_flags(comparison):
         raise click.UsageError(f"a matrix holds distances already: leave out {given}")
+    from pcretrieve.matching import read_matrix
+
     return read_matrix(matrix)
 
 

@@ -20,7 +20,6 @@ from pcretrieve.cli.parts import (
 )
 
 if TYPE_CHECKING:
-    from pcretrieve.ingestion.isolation import Isolation
     from pcretrieve.options import PipelineOptions
     from pcretrieve.types import Signature
 
@@ -28,7 +27,7 @@ __all__ = ["query_command"]
 
 
 @click.command("query")
-@click.argument("scan", type=click.Path(path_type=Path))
+@click.argument("scan", metavar="SCAN|ID")
 @catalogue_option
 @click.option("-k", "k", type=click.IntRange(min=1), default=10, show_default=True, help="How many.")
 @matrix_option
@@ -36,7 +35,7 @@ __all__ = ["query_command"]
 @limit_options("scan")
 @json_option
 def query_command(
-    scan: Path,
+    scan: str,
     catalogue: Path,
     k: int,
     matrix: Path | None,
@@ -45,28 +44,28 @@ def query_command(
     as_json: bool,
     **comparison: Any,
 ) -> None:
-    """The shapes most like a scan, nearest first.
+    """The shapes most like a scan, or like a shape of the catalogue, nearest first.
 
-    The scan is processed with the catalogue's own options; one that the catalogue holds is looked up.
+    The scan is processed with the catalogue's own options; one that the catalogue holds is looked up. What is
+    no file is taken as the id of a shape.
 
     \b
     pcretrieve query --catalogue bodies.sqlite scan.ply -k 5 --whitening pca
+    pcretrieve query --catalogue bodies.sqlite cat0
     """
     from pcretrieve.catalogue import Catalogue
-    from pcretrieve.ingestion.isolation import Isolation
     from pcretrieve.searching import search
 
     distances = read_distances(matrix, comparison)
     with Catalogue(catalogue) as store:
         options = compared(store, **comparison)
-        isolation = Isolation(timeout, memory)
         neighbors = search(
             store,
             scan,
             k=k,
             options=options,
             matrix=distances,
-            describe_scan=partial(_signature, isolation),
+            describe_scan=partial(_signature, timeout, memory),
         )
         records = [store.record(shape_id) for shape_id in neighbors.ids]
     found = [
@@ -83,8 +82,11 @@ def query_command(
         )
 
 
-def _signature(isolation: Isolation, scan: Path, options: PipelineOptions) -> Signature:
-    return isolation.call(_isolated_signature, scan, options)
+def _signature(timeout: float, memory: float | None, scan: Path, options: PipelineOptions) -> Signature:
+    # Only for scans that must be processed: a stored shape is found without.
+    from pcretrieve.ingestion.isolation import Isolation
+
+    return Isolation(timeout, memory).call(_isolated_signature, scan, options)
 
 
 def _isolated_signature(scan: Path, options: PipelineOptions) -> Signature:

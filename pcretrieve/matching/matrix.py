@@ -106,4 +106,4 @@ def distance_matrix(ranking: Ranking, labels: tuple[str | None, ...] = ()) -> Di
     values = np.empty((len(ranking.ids), len(ranking.ids)))
     for block in ranking.blocks():
         values[block.queries] = block.distances
-    return DistanceMatrix(ranking.ids, values, labels)
+    return DistanceMatrix(tuple(ranking.ids), values, labels)

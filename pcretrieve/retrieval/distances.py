@@ -37,7 +37,15 @@ from pcretrieve.names import NAMES
 from pcretrieve.plugins import Registry, named
 from pcretrieve.types import FloatArray, Metric, SignatureTable
 
-__all__ = ["DISTANCES", "Distance", "coordinates", "log_signatures", "pairwise", "table_coordinates"]
+__all__ = [
+    "DISTANCES",
+    "Distance",
+    "check_comparable",
+    "coordinates",
+    "log_signatures",
+    "pairwise",
+    "table_coordinates",
+]
 
 # The distances that the index has lower bounds of.
 Bound = Literal["log", "d1"]
@@ -157,13 +165,32 @@ def table_coordinates(table: SignatureTable, distance: str) -> FloatArray:
     OptionError
         If the distance does not exist, or is not meaningful for the metric of the signatures.
     """
-    if table.metric not in DISTANCES[distance].metrics:
-        meaningful = ", ".join(name for name, each in DISTANCES.own.items() if table.metric in each.metrics)
-        raise OptionError(
-            f"distance must be {meaningful} for {table.kind}, which is compared as {table.metric}, got "
-            f"{distance!r}"
-        )
+    check_comparable(table.kind, table.metric, distance)
     return coordinates(table.values, table.metric)
+
+
+def check_comparable(kind: str, metric: Metric, distance: str) -> None:
+    """Check that a distance is meaningful for signatures.
+
+    Parameters
+    ----------
+    kind : str
+        The method that made the signatures.
+    metric : {"logarithms", "values", "histograms"}
+        The metric of the signatures.
+    distance : str
+        A name in `DISTANCES`.
+
+    Raises
+    ------
+    OptionError
+        If the distance does not exist, or is not meaningful for the metric.
+    """
+    if metric not in DISTANCES[distance].metrics:
+        meaningful = ", ".join(name for name, each in DISTANCES.own.items() if metric in each.metrics)
+        raise OptionError(
+            f"distance must be {meaningful} for {kind}, which is compared as {metric}, got {distance!r}"
+        )
 
 
 def log_signatures(values: ArrayLike) -> FloatArray:

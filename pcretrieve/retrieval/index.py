@@ -19,7 +19,8 @@ References
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -27,8 +28,9 @@ from numpy.typing import ArrayLike, NDArray
 from pcretrieve.errors import InputError, OptionError
 from pcretrieve.options import RetrievalOptions
 from pcretrieve.retrieval.distances import DISTANCES, coordinates, pairwise, table_coordinates
-from pcretrieve.retrieval.fitting import table_whitening
-from pcretrieve.retrieval.lower_bounds import LowerBounds
+from pcretrieve.retrieval.fitting import fit_whitening
+from pcretrieve.retrieval.lower_bounds import BLOCK, LowerBounds
+from pcretrieve.retrieval.names import Names
 from pcretrieve.retrieval.ranking import (
     DistanceBlock,
     Positions,
@@ -38,7 +40,7 @@ from pcretrieve.retrieval.ranking import (
     position_of,
 )
 from pcretrieve.retrieval.whitening import Whitening
-from pcretrieve.types import FloatArray, Neighbors, Signature, SignatureTable
+from pcretrieve.types import FloatArray, Metric, Neighbors, Signature, SignatureTable
 
 __all__ = ["SignatureIndex"]
 
@@ -50,6 +52,8 @@ ROUNDING = 64 * float(np.finfo(np.float64).eps)
 # each of which the shape with the smallest lower bound is taken. See docs/decisions.md, N_FIRST.
 N_FIRST = 4
 N_BLOCKS = 64
+
+NO_SHAPES = "an index needs at least 1 shape, got an empty table; ingest shapes first"
 
 
 class SignatureIndex:
@@ -69,7 +73,7 @@ class SignatureIndex:
 
     Attributes
     ----------
-    ids : tuple of str, length N
+    ids : sequence of str, length N
         The shapes of the table, in alphabetical order.
     distance : str
         A name in `pcretrieve.retrieval.DISTANCES`.
@@ -96,16 +100,86 @@ class SignatureIndex:
         if n_leading is not None and n_leading < 1:
             raise OptionError(f"n_leading must be at least 1, got {n_leading}")
         if not len(table):
-            raise InputError("an index needs at least 1 shape, got an empty table; ingest shapes first")
-        self.distance = options.distance
-        self.whitening = table_whitening(table, options, whitening)
-        self._kind, self._digest, self._metric = table.kind, table.digest, table.metric
+            raise InputError(NO_SHAPES)
         by_id = sorted(range(len(table)), key=table.ids.__getitem__)
-        self.ids = tuple(table.ids[row] for row in by_id)
-        self._gallery = self.whitening.apply(
-            table_coordinates(table, self.distance)[by_id]
-        )  # (N, L), sorted by id: so are ties
-        self._size = max(1.0, float(np.abs(self._gallery).max(initial=0)))
+        points = table_coordinates(table, options.distance)
+        if whitening is None:
+            whitening = _fitted(points, table.labels, table.digest, options)
+        made_by = table.kind, table.digest, table.metric
+        self._fill(
+            made_by, Names.of(table.ids[row] for row in by_id), points, options, whitening, by_id, n_leading
+        )
+
+    @classmethod
+    def of_coordinates(
+        cls,
+        ids: Sequence[str],
+        points: FloatArray,
+        labels: Sequence[str | None],
+        *,
+        kind: str,
+        digest: str,
+        metric: Metric,
+        options: RetrievalOptions,
+        whitening: Whitening | None = None,
+    ) -> SignatureIndex:
+        """The index of a large table, without the copies that a table makes of its values.
+
+        Parameters
+        ----------
+        ids : sequence of str, length N
+            At least one, distinct, in alphabetical order.
+        points : (N, L) float64
+            Coordinates of the signatures, as in `pcretrieve.retrieval.coordinates`.
+        labels : sequence of (str or None), length N
+            Classes, for a whitening that is fitted to them.
+        kind, digest, metric : str
+            As in `SignatureTable`.
+        options : RetrievalOptions
+            As in `SignatureIndex`.
+        whitening : Whitening, optional
+            As in `SignatureIndex`.
+
+        Returns
+        -------
+        SignatureIndex
+            It gives the answers of the index of the table.
+
+        Raises
+        ------
+        InputError
+            If there are no shapes, or the whitening was fitted on signatures with other options or cannot be
+            fitted.
+        """
+        if not len(ids):
+            raise InputError(NO_SHAPES)
+        index = cls.__new__(cls)
+        names = Names.of(ids)
+        if whitening is None:
+            whitening = _fitted(points, labels, digest, options)
+        index._fill((kind, digest, metric), names, points, options, whitening)
+        return index
+
+    def _fill(
+        self,
+        made_by: tuple[str, str, Metric],
+        ids: Names,
+        points: FloatArray,
+        options: RetrievalOptions,
+        whitening: Whitening,
+        rows: Sequence[int] | None = None,
+        n_leading: int | None = None,
+    ) -> None:
+        """Whiten the coordinates, of the shapes of `ids` in the given rows, and bound their distances."""
+        self._kind, self._digest, self._metric = made_by
+        whitening.check_made_for(self._digest)
+        self.distance, self.whitening, self.ids = options.distance, whitening, ids
+        order = np.arange(len(ids)) if rows is None else np.array(rows)
+        self._gallery: FloatArray = np.empty(points.shape)  # (N, L), sorted by id: so are ties
+        for start in range(0, len(ids), BLOCK):
+            block = slice(start, start + BLOCK)
+            self._gallery[block] = whitening.apply(points[order[block]])
+        self._size = max(1.0, float(self._gallery.max()), -float(self._gallery.min()))
         bound = DISTANCES[self.distance].at_least
         self._bounds = LowerBounds.of(bound, self._gallery, n_leading) if bound else None
 
@@ -195,6 +269,70 @@ class SignatureIndex:
         distances = pairwise(self.distance, point, self._gallery[candidates])[0]
         return nearest_of([self.ids[row] for row in candidates], distances, k)
 
+    def to_arrays(self) -> dict[str, NDArray[Any]]:
+        """The contents of the index as arrays, for `numpy.save`; none has the dtype object.
+
+        Returns
+        -------
+        dict of str to array
+            The input of `from_arrays`. The large arrays are ``gallery``, (N, L), and ``coordinates``.
+        """
+        whitening = {f"whitening_{name}": array for name, array in self.whitening.to_arrays().items()}
+        return whitening | {
+            "kind": np.array(self._kind),
+            "metric": np.array(self._metric),
+            "digest": np.array(self._digest),
+            "distance": np.array(self.distance),
+            "id_text": self.ids.text,
+            "id_ends": self.ids.ends,
+            "gallery": self._gallery,
+            "size": np.array(self._size),
+            **({} if self._bounds is None else self._bounds.to_arrays()),
+        }
+
+    @classmethod
+    def from_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> SignatureIndex:
+        """The index that `to_arrays` has written as arrays.
+
+        Parameters
+        ----------
+        arrays : mapping of str to array
+            The arrays, which are not copied and may be mapped into memory.
+
+        Returns
+        -------
+        SignatureIndex
+            It gives the answers of the index before.
+
+        Raises
+        ------
+        InputError
+            If an array is missing or has the wrong shape.
+        """
+        index = cls.__new__(cls)
+        try:
+            index._kind, index._digest = str(arrays["kind"]), str(arrays["digest"])
+            index.distance = RetrievalOptions(distance=str(arrays["distance"])).distance
+            index.whitening = Whitening.from_arrays(
+                {
+                    name.removeprefix("whitening_"): a
+                    for name, a in arrays.items()
+                    if name.startswith("whitening_")
+                }
+            )
+            index.ids = Names(arrays["id_text"], arrays["id_ends"])
+            index._gallery, index._size = arrays["gallery"], float(arrays["size"])
+            index._metric = cast("Metric", str(arrays["metric"]))
+            bound = DISTANCES[index.distance].at_least
+            index._bounds = LowerBounds.from_arrays(bound, arrays) if bound else None
+        except KeyError as error:
+            raise InputError(f"the arrays of an index must include {error.args[0]!r}") from error
+        n, n_values = index._gallery.shape
+        bounded = (n, n_values) if index._bounds is None else index._bounds.table_shape
+        if (len(index.ids), n, n_values) != (n, *bounded):
+            raise InputError("the arrays of an index must be of one table, got several; build it again")
+        return index
+
     def _candidates(self, point: FloatArray, k: int) -> NDArray[np.intp]:
         """Rows of the gallery, ascending, that include the `k` nearest and all rows at equal distance."""
         if self._bounds is None:
@@ -238,3 +376,10 @@ class SignatureIndex:
                 f"got {logs.shape}"
             )
         return logs
+
+
+def _fitted(
+    points: FloatArray, labels: Sequence[str | None], digest: str, options: RetrievalOptions
+) -> Whitening:
+    """The whitening that the options ask for, fitted to coordinates."""
+    return fit_whitening(options.whitening, points, labels, damping=options.damping, options_digest=digest)

@@ -15,14 +15,16 @@ distance a bound that is fast to compute for every shape.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pcretrieve.types import FloatArray
 
-__all__ = ["N_LEADING", "LowerBounds"]
+__all__ = ["BLOCK", "LowerBounds"]
 
 # Number of principal directions, and for d1 number of values, that the bounds are computed from. With fewer
 # the bounds are looser and more shapes need an exact distance; with more the bounds take longer. See
@@ -81,12 +83,44 @@ class LowerBounds:
         """
         mean = gallery.mean(axis=0)
         if distance == "d1":
-            order = np.argsort(-gallery.std(axis=0), kind="stable")[: n_leading or N_LEADING_D1]
+            order = np.argsort(-np.diag(_scatter(gallery, mean)), kind="stable")[: n_leading or N_LEADING_D1]
             axes = np.eye(gallery.shape[1])[:, order]  # (L, D)
             return cls(False, mean, axes, _coordinates(gallery, mean, axes))
         _, directions = np.linalg.eigh(_scatter(gallery, mean))  # variances ascend
         axes = np.ascontiguousarray(directions[:, ::-1][:, : n_leading or N_LEADING])
         return cls(True, mean, axes, _coordinates(gallery, mean, axes, lengths=True))
+
+    @property
+    def table_shape(self) -> tuple[int, int]:
+        """(N, L): the number of signatures, and of values of each."""
+        return self.coordinates.shape[1], len(self.mean)
+
+    def to_arrays(self) -> dict[str, NDArray[Any]]:
+        """The arrays of the bounds, by name: the input of `from_arrays`."""
+        return {"mean": self.mean, "axes": self.axes, "coordinates": self.coordinates}
+
+    @classmethod
+    def from_arrays(cls, distance: str, arrays: Mapping[str, NDArray[Any]]) -> LowerBounds:
+        """The bounds of a distance as in `of`, from the arrays of `to_arrays`.
+
+        Parameters
+        ----------
+        distance : {"log", "d1"}
+            As in `of`.
+        arrays : mapping of str to array
+            The arrays, which are not copied.
+
+        Returns
+        -------
+        LowerBounds
+            The bounds before.
+
+        Raises
+        ------
+        KeyError
+            If an array is missing.
+        """
+        return cls(distance != "d1", arrays["mean"], arrays["axes"], arrays["coordinates"])
 
     def to(self, point: FloatArray) -> NDArray[np.float32]:
         """Values that increase with the lower bounds of the distances from a query.

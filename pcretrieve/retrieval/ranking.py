@@ -50,12 +50,12 @@ class Ranking(Protocol):
 
     Attributes
     ----------
-    ids : tuple of str, length N
+    ids : sequence of str, length N
         The gallery; identifiers are distinct.
     """
 
     @property
-    def ids(self) -> tuple[str, ...]:
+    def ids(self) -> Sequence[str]:
         """The gallery; identifiers are distinct."""
 
     def blocks(self, queries: Positions | None = None) -> Iterator[DistanceBlock]:

@@ -179,7 +179,6 @@ DAMAGES: dict[str, Callable[[Path], None]] = {
     "steps that are no JSON": lambda path: execute(path, "UPDATE provenance SET steps = '['"),
     "steps of another kind": lambda path: execute(path, "UPDATE provenance SET steps = '[{\"cat\": 1}]'"),
     "no provenance": lambda path: execute(path, "DELETE FROM provenance"),
-    "no signature": lambda path: execute(path, "DELETE FROM signatures"),
     "half a signature": lambda path: execute(path, f"UPDATE signatures SET value = {half('value')}"),
     "a signature with a flipped byte": lambda path: execute(
         path, f"UPDATE signatures SET value = {flipped('value', 20)}"

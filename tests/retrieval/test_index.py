@@ -1,6 +1,7 @@
 """The index against brute force, for every distance and whitening."""
 
 import pickle
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,6 +15,8 @@ from pcretrieve.retrieval import (
     log_signatures,
     pairwise,
 )
+from pcretrieve.retrieval import index as index_module
+from pcretrieve.retrieval.names import Names
 from pcretrieve.types import FloatArray, Signature, SignatureTable
 
 
@@ -227,3 +230,74 @@ def test_values_that_are_no_signature(bad: float) -> None:
 def test_values_of_another_shape(shape: tuple[int, ...]) -> None:
     with pytest.raises(InputError, match=r"the query must have shape \(15,\)"):
         SignatureIndex(a_table(5)).query(np.ones(shape))
+
+
+# --- as arrays ------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("whitening", ["none", "pca", "within-class"])
+@pytest.mark.parametrize("distance", DISTANCES.own)
+def test_arrays_give_the_answers_of_the_index(distance: str, whitening: str, tmp_path: Path) -> None:
+    """Mapped into memory too; a few of them are files that are read as a whole."""
+    table = a_table(300, copies=20)
+    index = SignatureIndex(table, RetrievalOptions(distance=distance, whitening=whitening))
+    for name, array in index.to_arrays().items():
+        np.save(tmp_path / f"{name}.npy", array, allow_pickle=False)
+    mapped = {path.stem: np.load(path, mmap_mode="r") for path in tmp_path.iterdir()}
+    assert isinstance(mapped["gallery"], np.memmap)
+    again = SignatureIndex.from_arrays(mapped)
+    assert len(again) == len(index)
+    for values in (*table.values[:10], *table.values[:10] * 1.1):
+        assert again.query(values, 7) == index.query(values, 7)
+    with pytest.raises(InputError, match="must be made by the same method and options as the table"):
+        again.query(Signature(table.values[0], "wks", "3f2a"))
+
+
+@pytest.mark.parametrize("missing", ["id_text", "gallery", "whitening_matrix", "distance"])
+def test_arrays_that_are_missing_are_named(missing: str) -> None:
+    arrays = SignatureIndex(a_table(20)).to_arrays()
+    del arrays[missing]
+    with pytest.raises(InputError, match=missing.removeprefix("whitening_")):
+        SignatureIndex.from_arrays(arrays)
+
+
+@pytest.mark.parametrize("name", ["gallery", "id_ends", "coordinates", "mean"])
+def test_arrays_of_two_tables_are_no_index(name: str) -> None:
+    arrays = SignatureIndex(a_table(20)).to_arrays()
+    arrays[name] = SignatureIndex(a_table(21, n_values=14)).to_arrays()[name]
+    with pytest.raises(InputError, match="must be of one table"):
+        SignatureIndex.from_arrays(arrays)
+
+
+def test_a_shape_of_the_table_is_asked_for_by_its_id() -> None:
+    table = a_table(50)
+    index = SignatureIndex(table, RetrievalOptions(whitening="pca"))
+    for shape_id, values in zip(table.ids, table.values, strict=True):
+        assert index.nearest(shape_id, 5) == index.query(values, 5)
+    with pytest.raises(InputError, match="must be one of the 50 ranked shapes, got 'nobody'"):
+        index.nearest("nobody")
+    with pytest.raises(OptionError, match="k must be a whole number"):
+        index.nearest("T3", 0)
+
+
+def test_long_tables_are_whitened_in_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
+    table = a_table(100)
+    whole = SignatureIndex(table, RetrievalOptions(whitening="pca")).to_arrays()["gallery"]
+    monkeypatch.setattr(index_module, "BLOCK", 7)
+    blocks = SignatureIndex(table, RetrievalOptions(whitening="pca")).to_arrays()["gallery"]
+    np.testing.assert_array_equal(blocks, whole)
+
+
+@pytest.mark.parametrize("names", [[], ["a"], ["", "a", "ab", "b", "\u96ea", "\U0001f600"]])
+def test_names_come_back(names: list[str]) -> None:
+    stored = Names.of(names)
+    assert list(stored) == stored[:] == names
+    assert [stored.index(name) for name in names] == list(range(len(names)))
+    assert all(name in stored for name in names)
+    for other in ("aa", "zzz", "\U0001f601"):
+        assert other not in stored
+        with pytest.raises(ValueError, match="is not among the names"):
+            stored.index(other)
+    for beyond in (len(names), -len(names) - 1):
+        with pytest.raises(IndexError):
+            stored[beyond]

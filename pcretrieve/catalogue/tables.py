@@ -1,0 +1,153 @@
+"""Rows → a table of signatures, of which those that are missing are computed and kept."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from pcretrieve.catalogue.arrays import packed_values, unpacked_values
+from pcretrieve.catalogue.opening import intact
+from pcretrieve.catalogue.record import Record
+from pcretrieve.catalogue.rows import Revision, Rows
+from pcretrieve.catalogue.surfaces import read_shape
+from pcretrieve.errors import ShapeError
+from pcretrieve.names import METHODS
+from pcretrieve.options import PipelineOptions
+from pcretrieve.retrieval import SignatureIndex, Whitening
+from pcretrieve.retrieval.distances import check_comparable, coordinates
+from pcretrieve.types import FloatArray, SignatureTable
+
+__all__ = ["digest_of", "made_index", "signature_table"]
+
+logger = logging.getLogger(__name__)
+
+# Signatures that are computed before they are kept: what was done is not lost when the rest is stopped.
+KEPT_AT_ONCE = 100
+
+
+def digest_of(options: PipelineOptions) -> str:
+    """What the signatures that are compared by some options depend on.
+
+    A package that is upgraded may give other values by the same options.
+    """
+    method = options.signature.method
+    if method in METHODS:
+        return options.compared_digest
+    from pcretrieve.descriptors import DESCRIPTORS
+
+    return options.compared_digest + DESCRIPTORS.version(method)
+
+
+class Signatures(NamedTuple):
+    """The signatures of all shapes that did not fail.
+
+    Attributes
+    ----------
+    revision : Revision
+        The state of the catalogue that they are of.
+    ids : list of str
+        Ascending.
+    labels : list of (str or None)
+    values : (N, L) float64
+    """
+
+    revision: Revision
+    ids: list[str]
+    labels: list[str | None]
+    values: FloatArray
+
+
+def read_signatures(rows: Rows, path: Path, digest: str, options: PipelineOptions) -> Signatures:
+    """The signatures that options ask for; those that are not kept under `digest` are computed.
+
+    ShapeError if a shape has none.
+    """
+    # Only for those who read all signatures: the descriptors bring scipy.
+    from pcretrieve.descriptors import signature_length
+
+    listed = rows.signatures(digest)
+    missing = np.flatnonzero(~listed.has)
+    made = _described(rows, path, digest, options, [listed.ids[row] for row in missing])
+    n_values = signature_length(options.signature)
+    with intact(path, "a signature"):
+        if listed.has.any() and not made:
+            values = unpacked_values(listed.packed, n_values)
+        else:
+            values = np.empty((len(listed.ids), n_values))
+            for row, made_now in zip(missing, made, strict=True):
+                values[row] = made_now
+            values[listed.has] = unpacked_values(listed.packed[listed.has], n_values)
+    return Signatures(listed.revision, listed.ids, listed.labels, values)
+
+
+def signature_table(rows: Rows, path: Path, digest: str, options: PipelineOptions) -> SignatureTable:
+    """The table of the signatures that options ask for; ShapeError if a shape has none."""
+    from pcretrieve.descriptors import DESCRIPTORS
+
+    descriptor = DESCRIPTORS[options.signature.method]
+    _, ids, labels, values = read_signatures(rows, path, digest, options)
+    made_by = descriptor.name, options.compared_digest
+    return SignatureTable(tuple(ids), values, *made_by, tuple(labels), descriptor.metric)
+
+
+def made_index(
+    rows: Rows, path: Path, digest: str, options: PipelineOptions, whitening: Whitening | None
+) -> tuple[SignatureIndex, Revision]:
+    """The index of the signatures that options ask for, and the state of the catalogue that it is of.
+
+    No more than two arrays of the size of the table are in memory at a time.
+    """
+    from pcretrieve.descriptors import DESCRIPTORS
+
+    descriptor = DESCRIPTORS[options.signature.method]
+    check_comparable(descriptor.name, descriptor.metric, options.retrieval.distance)
+    revision, ids, labels, values = read_signatures(rows, path, digest, options)
+    points = coordinates(values, descriptor.metric)
+    del values
+    index = SignatureIndex.of_coordinates(
+        ids,
+        points,
+        labels,
+        kind=descriptor.name,
+        digest=options.compared_digest,
+        metric=descriptor.metric,
+        options=options.retrieval,
+        whitening=whitening,
+    )
+    return index, revision
+
+
+def _described(
+    rows: Rows, path: Path, digest: str, options: PipelineOptions, shape_ids: Sequence[str]
+) -> list[FloatArray]:
+    """Signatures (L,) of shapes that have none by these options, which are kept where that can be."""
+    from pcretrieve.descriptors import DESCRIPTORS, describe
+
+    needs = DESCRIPTORS[options.signature.method].needs
+    made: list[FloatArray] = []
+    unkept: list[tuple[Record, bytes]] = []
+
+    def keep() -> None:
+        if unkept and rows.is_writable:
+            rows.keep(digest, unkept)
+        unkept.clear()
+
+    try:
+        for shape_id in shape_ids:
+            record, shape = read_shape(rows, path, shape_id, needs)
+            try:
+                made.append(describe(shape, options.compared).values)
+            except ShapeError as error:
+                error.shape_id = shape_id
+                raise
+            unkept.append((record, packed_values(made[-1])))
+            if len(made) % KEPT_AT_ONCE == 0:
+                logger.info("%s: %d of %d shapes", options.signature.method, len(made), len(shape_ids))
+                keep()
+    finally:
+        keep()
+    return made

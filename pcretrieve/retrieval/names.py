@@ -1,0 +1,90 @@
+"""Many strings as two arrays, which can be stored and mapped into memory."""
+
+from __future__ import annotations
+
+from bisect import bisect_left
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import overload
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["Names"]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Names(Sequence[str]):
+    """Strings in ascending order, each of which is decoded when it is asked for.
+
+    Attributes
+    ----------
+    text : (b,) uint8
+        All strings in UTF-8, one after the other.
+    ends : (n,) int64
+        The position behind the last byte of each string.
+    """
+
+    text: NDArray[np.uint8]
+    ends: NDArray[np.int64]
+
+    @classmethod
+    def of(cls, names: Iterable[str]) -> Names:
+        """The arrays of some strings.
+
+        Parameters
+        ----------
+        names : iterable of str
+            The strings, ascending.
+
+        Returns
+        -------
+        Names
+            The strings in the same order.
+        """
+        encoded = [name.encode() for name in names]
+        text = np.frombuffer(b"".join(encoded), np.uint8)
+        return cls(text, np.cumsum(np.fromiter(map(len, encoded), np.int64, len(encoded))))
+
+    def __len__(self) -> int:
+        return len(self.ends)
+
+    @overload
+    def __getitem__(self, position: int) -> str: ...
+    @overload
+    def __getitem__(self, position: slice) -> list[str]: ...
+    def __getitem__(self, position: int | slice) -> str | list[str]:
+        if isinstance(position, slice):
+            return [self[number] for number in range(*position.indices(len(self)))]
+        number = range(len(self))[position]
+        start = self.ends[number - 1] if number else 0
+        return self.text[start : self.ends[number]].tobytes().decode()
+
+    def __contains__(self, name: object) -> bool:
+        return isinstance(name, str) and self[(row := bisect_left(self, name)) : row + 1] == [name]
+
+    def index(self, name: str, start: int = 0, stop: int | None = None) -> int:
+        """The position of a string.
+
+        Parameters
+        ----------
+        name : str
+            The string.
+        start, stop : int, optional
+            The part of the strings that is searched, by default all.
+
+        Returns
+        -------
+        int
+            Between `start` and `stop`.
+
+        Raises
+        ------
+        ValueError
+            If the string is not there.
+        """
+        first, last, _ = slice(start, stop).indices(len(self))
+        row = bisect_left(self, name, first, last)
+        if row >= last or self[row] != name:
+            raise ValueError(f"{name!r} is not among the names")
+        return row
