@@ -65,8 +65,8 @@ class Catalogue:
         self, path: str | Path, options: PipelineOptions | None = None, *, create: bool = False
     ) -> None:
         self.path = Path(path)
-        self._gallery = Gallery(self.path)
         self._rows: Rows = SqliteRows(self.path, settings_of(options or PipelineOptions()), create=create)
+        self._gallery = Gallery(self.path)
         try:
             self.options = stored_options(self.path, self._rows.settings(), options)
         except BaseException:

@@ -83,7 +83,7 @@ def rank_catalogue(
         paths = {shape_id: record.path for shape_id, record in records.items()}
         classes = _classes(labels, read_labels(labels), paths)
     if not any(classes.values()):
-        advice = "give a file of labels" if labels is None else f"no name in {labels} fits one"
+        advice = "give --labels, a file of classes" if labels is None else f"no name in {labels} fits one"
         raise BenchmarkError(f"no shape in {catalogue.path} has a class: {advice}")
     if matrix is not None:
         check_known(matrix, catalogue)
