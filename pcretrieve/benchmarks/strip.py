@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -28,14 +29,20 @@ MOST_POINTS = 9000
 BLUE = (0.30, 0.45, 0.68)
 
 
-def main() -> None:
-    """Draw the strip for one scan of a catalogue."""
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Draw the strip for one scan of a catalogue.
+
+    Parameters
+    ----------
+    arguments : sequence of str, optional
+        The command line; by default that of the process.
+    """
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("catalogue", type=Path, help="a catalogue that holds the scan and its neighbours")
     parser.add_argument("scan", type=Path, help="the scan that is searched for")
     parser.add_argument("--output", type=Path, default=Path("docs/strip.png"))
     parser.add_argument("-k", type=int, default=4, help="neighbours that are shown")
-    given = parser.parse_args()
+    given = parser.parse_args(arguments)
     with Catalogue(given.catalogue) as catalogue:
         found = search(catalogue, given.scan, k=given.k + 1)
         points = as_cloud(read_scan(given.scan)).points
