@@ -36,10 +36,10 @@ if TYPE_CHECKING:
         SignatureTransformer,
         WithinClassWhitening,
     )
-    from pcretrieve.evaluation.measures import RetrievalMeasures
+    from pcretrieve.evaluation import RetrievalMeasures
     from pcretrieve.formats import read_scan, write_cloud, write_mesh, write_signatures
     from pcretrieve.inspection import Inspection, signature_spread
-    from pcretrieve.interface import evaluate, ingest, inspect, merge_views, report, search
+    from pcretrieve.interface import evaluate, ingest, inspect, matrix, merge_views, report, search
     from pcretrieve.matching import DistanceMatrix, read_matrix, write_matrix
     from pcretrieve.options import MergeOptions, PipelineOptions
     from pcretrieve.pipeline.process import process, reconstruct, signature
@@ -112,6 +112,7 @@ __all__ = [
     "ingest",
     "inspect",
     "laplace_beltrami",
+    "matrix",
     "merge_views",
     "process",
     "r_bihdm",
@@ -162,7 +163,7 @@ _HOMES = {
         "SignatureTransformer",
         "WithinClassWhitening",
     ),
-    "pcretrieve.evaluation.measures": ("RetrievalMeasures",),
+    "pcretrieve.evaluation": ("RetrievalMeasures",),
     "pcretrieve.formats": (
         "read_scan",
         "write_cloud",
@@ -177,6 +178,7 @@ _HOMES = {
         "evaluate",
         "ingest",
         "inspect",
+        "matrix",
         "merge_views",
         "report",
         "search",

@@ -15,9 +15,13 @@ from typing import TypeAlias
 from pcretrieve.catalogue import Catalogue, Record
 from pcretrieve.conversion import as_cloud
 from pcretrieve.descriptors import describe
-from pcretrieve.evaluation.catalogue import rank_catalogue
-from pcretrieve.evaluation.folds import rank_table
-from pcretrieve.evaluation.measures import RetrievalMeasures, evaluate_rankings
+from pcretrieve.evaluation import (
+    RetrievalMeasures,
+    catalogue_distances,
+    evaluate_rankings,
+    rank_catalogue,
+    rank_table,
+)
 from pcretrieve.formats.scans import ScanLike, as_scan
 from pcretrieve.ingestion.discover import discover
 from pcretrieve.ingestion.labels import read_labels
@@ -34,7 +38,7 @@ from pcretrieve.registration import merge_views as merge_clouds
 from pcretrieve.searching import search as search_catalogue
 from pcretrieve.types import Neighbors, Signature, SignatureTable
 
-__all__ = ["CatalogueLike", "evaluate", "ingest", "inspect", "merge_views", "report", "search"]
+__all__ = ["CatalogueLike", "evaluate", "ingest", "inspect", "matrix", "merge_views", "report", "search"]
 
 #: A catalogue, or the path of its file.
 CatalogueLike: TypeAlias = "Catalogue | str | Path"
@@ -224,6 +228,38 @@ def evaluate(
     with _opened(shapes) as store:
         chosen = PipelineOptions.of(options, store.options)
         return evaluate_rankings(rank_catalogue(store, chosen, labels=labels, matrix=matrix).rankings)
+
+
+def matrix(
+    catalogue: CatalogueLike, *, options: OptionsLike = None, matcher: str | None = None
+) -> DistanceMatrix:
+    """All distances between the shapes of a catalogue that did not fail.
+
+    Parameters
+    ----------
+    catalogue : Catalogue, str or Path
+        The shapes. Shapes to which the matcher cannot be applied are left out.
+    options : OptionsLike, optional
+        Signature, distance and whitening. By default those of the catalogue.
+    matcher : str, optional
+        Compare the shapes by this method, such as ``heat-hausdorff``, without signatures.
+
+    Returns
+    -------
+    DistanceMatrix
+        Row i has the distances from shape i, as a query, to all shapes.
+
+    Raises
+    ------
+    CatalogueError
+        If the options are for other spectra than those of the catalogue.
+    InputError
+        If the catalogue holds no shapes.
+    OptionError
+        If there is no such matcher.
+    """
+    with _opened(catalogue) as store:
+        return catalogue_distances(store, PipelineOptions.of(options, store.options), matcher=matcher).matrix
 
 
 def report(

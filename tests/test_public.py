@@ -51,7 +51,6 @@ def test_every_command_has_a_function() -> None:
         "show": "Catalogue",
         "remove": "Catalogue",
         "export": "write_mesh",
-        "matrix": "write_matrix",
         "options": "PipelineOptions",
         "demo": "ingest",
     }

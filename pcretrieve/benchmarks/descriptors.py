@@ -28,7 +28,7 @@ from pcretrieve.benchmarks.timing import timed, use_one_core
 from pcretrieve.catalogue import Catalogue
 from pcretrieve.descriptors import describe
 from pcretrieve.errors import OptionError, ShapeError
-from pcretrieve.evaluation.folds import evaluate
+from pcretrieve.evaluation import evaluate_table
 from pcretrieve.names import METHODS, NAMES
 from pcretrieve.options import (
     PipelineOptions,
@@ -138,7 +138,9 @@ def _rows(name: str, catalogue: Catalogue, options: SignatureOptions) -> Iterato
         made = resolution_whitening(options) if whitening == "resolution" else None
         for distance in DISTANCES.own:
             retrieval = RetrievalOptions(distance=distance, whitening=whitening)
-            measures = evaluate(described.table, retrieval, whitening=made, failed_labels=described.failed)
+            measures = evaluate_table(
+                described.table, retrieval, whitening=made, failed_labels=described.failed
+            )
             yield TABLE.row(
                 name,
                 options.method,

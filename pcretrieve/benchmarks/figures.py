@@ -22,8 +22,7 @@ from pcretrieve.benchmarks.sets import ingested, left_out, read_mesh
 from pcretrieve.benchmarks.tables import MEASURES, Column, Table, measure_values, print_lines
 from pcretrieve.benchmarks.timing import use_one_core
 from pcretrieve.errors import PcretrieveError
-from pcretrieve.evaluation.folds import evaluate
-from pcretrieve.evaluation.measures import RetrievalMeasures
+from pcretrieve.evaluation import RetrievalMeasures, evaluate_table
 from pcretrieve.ingestion.discover import discover
 from pcretrieve.ingestion.labels import read_labels
 from pcretrieve.options import PipelineOptions, RetrievalOptions
@@ -90,9 +89,9 @@ def _shrec11(data: Path, folder: Path) -> Iterator[str]:
     pca = longer.changed(retrieval={"whitening": "pca"})
     with ingested(data, folder / "shrec11.sqlite", KEEP) as (catalogue, _):
         relative = catalogue.signatures(KEEP.changed(signature=RELATIVE))
-        plain = evaluate(relative, RetrievalOptions(distance="d2"))
-        whitened = evaluate(catalogue.signatures(pca), pca.retrieval)
-        within = evaluate(catalogue.signatures(longer), RetrievalOptions(whitening="within-class"))
+        plain = evaluate_table(relative, RetrievalOptions(distance="d2"))
+        whitened = evaluate_table(catalogue.signatures(pca), pca.retrieval)
+        within = evaluate_table(catalogue.signatures(longer), RetrievalOptions(whitening="within-class"))
     yield TABLE.row("SHREC'11 L=23 relative D2 no whitening", _words(plain))
     yield TABLE.row("SHREC'11 L=45 relative log PCA-whitened", _words(whitened))
     yield TABLE.row("SHREC'11 L=45 area log within-class, grouped folds", _words(within))
@@ -102,14 +101,14 @@ def _tosca(data: Path, folder: Path) -> Iterator[str]:
     """TOSCA, 76 meshes, kept as they are and as noisy scans that are rebuilt."""
     with ingested(data, folder / "clean.sqlite", KEEP) as (catalogue, _):
         truth = catalogue.signatures(KEEP.changed(signature=RELATIVE))
-        clean = evaluate(catalogue.signatures())
+        clean = evaluate_table(catalogue.signatures())
     scans = folder / "tosca"
     n = _write_scans(data, scans)
     labels = {Path(name).stem: label for name, label in read_labels(data / "labels.csv").items()}
     with ingested(scans, folder / "scans.sqlite", PipelineOptions(), labels) as (catalogue, summary):
         failed = [record.label for record in summary.failed]
         found = catalogue.signatures(catalogue.options.changed(signature=RELATIVE))
-        rebuilt = evaluate(catalogue.signatures(), failed_labels=failed)
+        rebuilt = evaluate_table(catalogue.signatures(), failed_labels=failed)
     done = summary.done
     yield TABLE.row("TOSCA scans with a closed manifold surface", f"{len(done) / n:.1%} of {n}")
     yield TABLE.row("TOSCA clean meshes", _words(clean))

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import click
 
-from pcretrieve.evaluation.measures import RetrievalMeasures
+from pcretrieve.evaluation import RetrievalMeasures
 
 __all__ = ["MEASURES", "Column", "Table", "is_missing", "measure_values", "print_lines"]
 

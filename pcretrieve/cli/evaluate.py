@@ -54,8 +54,7 @@ def evaluate_command(
     pcretrieve evaluate --matrix run1.txt --labels shrec11.cla
     """
     from pcretrieve.catalogue import Catalogue
-    from pcretrieve.evaluation.catalogue import RankedCatalogue, rank_catalogue, rank_matrix
-    from pcretrieve.evaluation.measures import evaluate_rankings
+    from pcretrieve.evaluation import RankedCatalogue, evaluate_rankings, rank_catalogue, rank_matrix
 
     distances = read_distances(matrix, comparison)
     how: dict[str, object] = {"matrix": str(matrix)}

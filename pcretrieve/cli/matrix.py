@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
@@ -16,9 +16,6 @@ from pcretrieve.cli.parts import (
     given_flags,
     say,
 )
-
-if TYPE_CHECKING:
-    from pcretrieve.types import Failure
 
 __all__ = ["matrix_command"]
 
@@ -50,24 +47,13 @@ def matrix_command(catalogue: Path, output: Path, matcher: str | None, **compari
     pcretrieve evaluate --catalogue bodies.sqlite --matrix bodies.txt
     """
     from pcretrieve.catalogue import Catalogue
-    from pcretrieve.matching import MATCHERS, PairwiseIndex, distance_matrix, ids_path, write_matrix
-    from pcretrieve.retrieval import Ranking, SignatureIndex
+    from pcretrieve.evaluation import catalogue_distances
+    from pcretrieve.matching import ids_path, write_matrix
 
     if matcher is not None and (given := given_flags(comparison)):
         raise click.UsageError(f"a matcher has no signatures: leave out {given}")
-    failures: tuple[Failure, ...] = ()
     with Catalogue(catalogue) as store:
-        ranking: Ranking
-        if matcher is None:
-            options = compared(store, **comparison)
-            table = store.signatures(options)
-            ranking = SignatureIndex(table, options.retrieval, whitening=store.whitening(options))
-        else:
-            method = MATCHERS[matcher]
-            ids = [record.id for record in store.records(status="done")]
-            ranking = PairwiseIndex(method, ids, lambda shape_id: store.shape(shape_id, method.needs))
-            failures = ranking.failures
-    matrix = distance_matrix(ranking)
+        matrix, failures = catalogue_distances(store, compared(store, **comparison), matcher=matcher)
     write_matrix(matrix, output)
     for failure in failures:
         say(f"failed: [{failure.shape_id} / {failure.stage}] {failure.message}")

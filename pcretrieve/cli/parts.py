@@ -69,7 +69,8 @@ matrix_option = click.option(
     type=click.Path(path_type=Path),
     metavar="FILE",
     help="Rank by the distances in a file, such as `pcretrieve matrix` writes, in place of those of "
-    "signatures: a square of numbers, plain text or .npy, with the ids of its rows in FILE.ids beside it.",
+    "signatures: a square of numbers, plain text or .npy, and beside it the ids of its rows, one a line, in "
+    "a file of the same name that ends in .ids.",
 )
 
 

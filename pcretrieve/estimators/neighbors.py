@@ -11,8 +11,7 @@ from sklearn.base import BaseEstimator
 from sklearn.utils.validation import check_is_fitted, column_or_1d, validate_data
 
 from pcretrieve.errors import InputError, OptionError
-from pcretrieve.evaluation.measures import evaluate_rankings
-from pcretrieve.evaluation.rankings import Rankings
+from pcretrieve.evaluation import Rankings, evaluate_rankings
 from pcretrieve.retrieval import BLOCK_DISTANCES, DISTANCES, Positions, pairwise
 from pcretrieve.types import FloatArray
 

@@ -10,8 +10,8 @@ from typing import NamedTuple
 
 from pcretrieve.catalogue import Catalogue
 from pcretrieve.errors import BenchmarkError, InputError
-from pcretrieve.evaluation.folds import rank_table
 from pcretrieve.evaluation.rankings import Rankings, rank
+from pcretrieve.evaluation.tables import rank_table
 from pcretrieve.ingestion.labels import match_labels, read_labels
 from pcretrieve.matching import DistanceMatrix
 from pcretrieve.options import PipelineOptions

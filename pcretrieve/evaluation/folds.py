@@ -1,9 +1,10 @@
-"""Evaluation of a table of signatures, and the grouped folds that keep it honest.
+"""Grouped folds of classes, with which a within-class whitening is evaluated.
 
-Whitening by ``pca`` looks at no label: it is fitted on the whole gallery. Within-class whitening does, so the
-classes are dealt into folds, and the queries of each fold are ranked against the whole gallery in the space
-whitened by the shapes of the other folds. It is never fitted on the classes it is scored on. If anything the
-score is too low: the shapes fitted on lie closer together than new ones do, and all of them are distractors.
+A within-class whitening is fitted to labels. To keep training and test classes apart, the classes are
+assigned to folds; the queries of a fold are ranked against the whole gallery after the whitening that is
+fitted to the shapes of the other folds (grouped cross-validation). The measures tend to be lower than for a
+gallery of new shapes: the shapes of the fit, all of which are irrelevant to the query, have smaller distances
+after a whitening that was fitted to them.
 """
 
 from __future__ import annotations
@@ -15,13 +16,10 @@ from typing import NamedTuple
 import numpy as np
 
 from pcretrieve.errors import BenchmarkError
-from pcretrieve.evaluation.measures import RetrievalMeasures, evaluate_rankings
-from pcretrieve.evaluation.rankings import Rankings, rank, rank_gallery
 from pcretrieve.options import RetrievalOptions
 from pcretrieve.retrieval import (
     DistanceBlock,
     Positions,
-    SignatureIndex,
     Whitening,
     fit_whitening,
     pairwise_blocks,
@@ -31,22 +29,21 @@ from pcretrieve.types import SignatureTable
 
 __all__ = [
     "Fold",
-    "evaluate",
     "grouped_folds",
-    "rank_table",
     "within_class_distances",
     "within_class_folds",
 ]
 
 
 class Fold(NamedTuple):
-    """Queries, and a whitening that has seen no shape of their classes.
+    """Queries, and a whitening that was fitted without the shapes of their classes.
 
     Attributes
     ----------
     queries : (q,) intp
         Positions in the table.
     whitening : Whitening
+        The within-class whitening of the other folds.
     """
 
     queries: Positions
@@ -56,24 +53,25 @@ class Fold(NamedTuple):
 def grouped_folds(
     labels: Iterable[str | None], options: RetrievalOptions | None = None
 ) -> tuple[tuple[str, ...], ...]:
-    """Deal classes, not shapes, into folds.
+    """Assign classes, with all their shapes, to folds.
 
     Parameters
     ----------
     labels : iterable of (str or None)
-        Their order does not matter; None is ignored.
+        Class of each shape. None is ignored, and the order has no effect.
     options : RetrievalOptions, optional
-        How many folds, and the seed of the order in which classes are dealt.
+        The number of folds, and the seed of the random assignment.
 
     Returns
     -------
     tuple of tuples of str
-        The classes of each fold. Those with two shapes or more are spread evenly, and so are the others.
+        The classes of each fold. The numbers of classes with two or more shapes differ by at most 1 between
+        folds, and so do those of classes with one.
 
     Raises
     ------
     BenchmarkError
-        Where fewer classes than folds have two shapes.
+        If fewer classes than folds have two shapes.
     """
     options = options or RetrievalOptions()
     n_folds = options.n_folds
@@ -91,9 +89,19 @@ def grouped_folds(
 
 
 def within_class_folds(table: SignatureTable, options: RetrievalOptions | None = None) -> Iterator[Fold]:
-    """The labelled shapes of each fold, with the within-class whitening fitted on the other folds.
+    """The labelled shapes of each fold, with the within-class whitening of the other folds.
 
-    `options` say how the whitening is damped, and how classes are dealt, as in `grouped_folds`.
+    Parameters
+    ----------
+    table : SignatureTable
+        Signatures with labels.
+    options : RetrievalOptions, optional
+        The damping, the number of folds and the seed.
+
+    Yields
+    ------
+    Fold
+        In the order of `grouped_folds`.
     """
     options = options or RetrievalOptions()
     logs = table_coordinates(table, options.distance)
@@ -113,63 +121,21 @@ def within_class_folds(table: SignatureTable, options: RetrievalOptions | None =
 def within_class_distances(
     table: SignatureTable, options: RetrievalOptions | None = None
 ) -> Iterator[DistanceBlock]:
-    """Distances of each labelled shape to the whole gallery, whitened by its fold of `within_class_folds`."""
-    options = options or RetrievalOptions()
-    logs = table_coordinates(table, options.distance)
-    for fold in within_class_folds(table, options):
-        yield from pairwise_blocks(options.distance, fold.whitening.apply(logs), fold.queries)
-
-
-def rank_table(
-    table: SignatureTable,
-    options: RetrievalOptions | None = None,
-    *,
-    whitening: Whitening | None = None,
-    failed_labels: Iterable[str | None] = (),
-) -> Rankings:
-    """Rank the whole table for each labelled shape in it; parameters as in `evaluate`."""
-    options = options or RetrievalOptions()
-    if (options.whitening if whitening is None else whitening.kind) == "within-class":
-        if whitening is not None:
-            whitening.check_made_for(table.digest)
-        blocks = within_class_distances(table, options)
-        return rank_gallery(blocks, table.ids, table.labels, failed_labels=failed_labels)
-    if not len(table):
-        return rank_gallery((), (), (), failed_labels=failed_labels)
-    index = SignatureIndex(table, options, whitening=whitening)
-    label_of = dict(zip(table.ids, table.labels, strict=True))
-    return rank(index, [label_of[shape_id] for shape_id in index.ids], failed_labels=failed_labels)
-
-
-def evaluate(
-    table: SignatureTable,
-    options: RetrievalOptions | None = None,
-    *,
-    whitening: Whitening | None = None,
-    failed_labels: Iterable[str | None] = (),
-) -> RetrievalMeasures:
-    """Retrieval measures of a table of signatures.
+    """Distances from each labelled shape to the whole table, after the whitening of its fold.
 
     Parameters
     ----------
     table : SignatureTable
-        With labels; shapes without one are in the gallery, but no queries.
+        Signatures with labels.
     options : RetrievalOptions, optional
-        The distance, and the whitening: ``pca`` is fitted to the whole table, ``within-class`` by grouped
-        folds.
-    whitening : Whitening, optional
-        One made before, such as `resolution_whitening`, in place of the one that `options` ask for. In place
-        of one of ``within-class``, others are fitted by grouped folds.
-    failed_labels : iterable of (str or None)
-        Classes of the shapes that failed, which count as misses.
+        The distance, the damping, the number of folds and the seed.
 
-    Raises
+    Yields
     ------
-    BenchmarkError
-        Where too few classes have two shapes.
-    InputError
-        For a whitening that was fitted on signatures made by other options.
-    OptionError
-        For the whitening ``resolution`` where it was not made before.
+    DistanceBlock
+        Queries of one fold.
     """
-    return evaluate_rankings(rank_table(table, options, whitening=whitening, failed_labels=failed_labels))
+    options = options or RetrievalOptions()
+    logs = table_coordinates(table, options.distance)
+    for fold in within_class_folds(table, options):
+        yield from pairwise_blocks(options.distance, fold.whitening.apply(logs), fold.queries)

@@ -1,22 +1,23 @@
 """Retrieval measures of the Princeton Shape Benchmark, and mean average precision.
 
-Each labelled shape is a query; all the others are ranked by distance, ties by id. Let C be the size of the
-query's class, itself and failed shapes included, so that R = C − 1 shapes are relevant. Per query [1]_:
+Each labelled shape is a query, for which all other shapes are ranked by distance, equal distances by
+identifier. Let C be the size of its class, including the query and shapes that failed: R = C − 1 shapes are
+relevant. For each query [1]_:
 
     NN    1 where the nearest shape is relevant, else 0
     FT    relevant shapes among the R nearest / R                                         first tier
     ST    relevant shapes among the 2R nearest / R                                        second tier
     E     2 / (1/P + 1/R′), precision P and recall R′ of the 32 nearest
     DCG   Σ g(rank of each relevant shape) / Σ g(1 … R), g(1) = 1 and g(i) = 1 / log₂ i
-    AP    mean over the R relevant shapes of the precision at the rank of each; 0 for those not ranked
+    AP    mean over the R relevant shapes of the precision at the rank of each; 0 for shapes not ranked
 
-and the mean over the queries (the benchmark's micro-average). Where a list is shorter than 32 or than 2R, it
-is taken whole. Conventions that the benchmark leaves open:
+The result is the mean over the queries (micro-average). A list that is shorter than 32, or than 2R, is used
+as a whole. Conventions that the benchmark does not define:
 
-- A failed shape counts: as a query it scores 0 on every measure, and for the others of its class it is a
-  relevant shape that is never ranked.
-- A shape alone in its class is no query, as nothing is relevant to it; it stays in the gallery.
-- So does a shape without a label.
+- A shape that failed is a miss: as a query its measures are 0, and for the other shapes of its class it is a
+  relevant shape that is not ranked.
+- A shape that is alone in its class is not a query, since no shape is relevant to it. It is in the gallery.
+- A shape without a label is not a query. It is in the gallery.
 
 References
 ----------
@@ -47,13 +48,23 @@ __all__ = [
     "query_scores",
 ]
 
-# Shilane et al.: about what a user sees on one screen.
+# Length of the list of which E is computed, as in the benchmark: about the results that fit on a screen.
 E_CUTOFF = 32
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class QueryScores(Value):
-    """The measures of each query, as (Q,) arrays in [0, 1]; `ids` and `labels` as in `Rankings`."""
+    """The measures of each query.
+
+    Attributes
+    ----------
+    ids : tuple of (str or None), length Q
+        The queries, as in `Rankings`.
+    labels : tuple of str, length Q
+        Class of each query.
+    nn, ft, st, e, dcg, ap : (Q,) float64
+        The measures, between 0 and 1.
+    """
 
     ids: tuple[str | None, ...]
     labels: tuple[str, ...]
@@ -67,17 +78,18 @@ class QueryScores(Value):
 
 @dataclass(frozen=True, slots=True)
 class RetrievalMeasures:
-    """Means over all queries, in [0, 1], larger is better; 1 is perfect for all but E.
+    """The means of the measures over all queries.
 
     Attributes
     ----------
     nn, ft, st, e, dcg, map : float
+        Between 0 and 1, larger is better. The largest possible value is 1, except for E.
     n_queries : int
-        Shapes averaged over, failed ones included.
+        Number of queries, including shapes that failed.
     n_failed : int
-        Those of them that failed.
+        Number of queries that failed.
     n_single : int
-        Shapes left out because they are alone in their class.
+        Number of shapes that are alone in their class and therefore no queries.
     """
 
     nn: float
@@ -92,20 +104,39 @@ class RetrievalMeasures:
 
 
 class PrecisionRecall(NamedTuple):
-    """A mean precision–recall curve: (n,) recall, ascending from 0 to 1, and (n,) precision."""
+    """A mean precision–recall curve.
+
+    Attributes
+    ----------
+    recall : (n,) float64
+        Equidistant levels from 0 to 1.
+    precision : (n,) float64
+        Mean interpolated precision at each level.
+    """
 
     recall: FloatArray
     precision: FloatArray
 
 
 def query_scores(ranked: Rankings) -> QueryScores:
-    """The measures of each query, by the definitions at the top of this file."""
+    """The measures of each query, as defined at the top of this module.
+
+    Parameters
+    ----------
+    ranked : Rankings
+        The ranks of the relevant shapes.
+
+    Returns
+    -------
+    QueryScores
+        One value of each measure for each query.
+    """
     query, rank, n_relevant = ranked.hit_query, ranked.hit_rank, ranked.n_relevant
     n_shown = min(E_CUTOFF, ranked.n_ranked)
     ideal = np.cumsum(_gain(np.arange(1, n_relevant.max(initial=1) + 1)))
 
     def per_query(value: NDArray[np.generic]) -> FloatArray:
-        """(Q,) sums over the hits of each query."""
+        """(Q,) sums over the relevant shapes in the ranked list of each query."""
         return np.asarray(np.bincount(query, weights=value, minlength=len(n_relevant)), dtype=np.float64)
 
     return QueryScores(
@@ -114,7 +145,7 @@ def query_scores(ranked: Rankings) -> QueryScores:
         nn=per_query(rank == 1),
         ft=per_query(rank <= n_relevant[query]) / n_relevant,
         st=per_query(rank <= 2 * n_relevant[query]) / n_relevant,
-        # With h hits P = h / n_shown and R′ = h / R, and the harmonic mean simplifies.
+        # With h relevant shapes shown, P = h / n_shown and R′ = h / R; their harmonic mean simplifies.
         e=2 * per_query(rank <= n_shown) / (n_shown + n_relevant),
         dcg=per_query(_gain(rank)) / ideal[n_relevant - 1],
         ap=per_query(_precision_at_hits(ranked)) / n_relevant,
@@ -122,7 +153,18 @@ def query_scores(ranked: Rankings) -> QueryScores:
 
 
 def evaluate_rankings(ranked: Rankings) -> RetrievalMeasures:
-    """The mean of each measure over all queries."""
+    """The mean of each measure over all queries.
+
+    Parameters
+    ----------
+    ranked : Rankings
+        The ranks of the relevant shapes.
+
+    Returns
+    -------
+    RetrievalMeasures
+        The means.
+    """
     scores = query_scores(ranked)
     return RetrievalMeasures(
         nn=float(scores.nn.mean()),
@@ -140,14 +182,25 @@ def evaluate_rankings(ranked: Rankings) -> RetrievalMeasures:
 def precision_recall(ranked: Rankings, *, n_points: int = 11) -> PrecisionRecall:
     """Mean interpolated precision at equidistant levels of recall.
 
-    A query's precision at recall r is the largest that it has at any recall of r or more, and 0 where it
-    never gets that far.
+    The interpolated precision of a query at recall r is its largest precision at any recall of at least r; 0
+    if it does not reach r.
 
     Parameters
     ----------
     ranked : Rankings
-    n_points : int
-        Levels from 0 to 1; 11 by custom.
+        The ranks of the relevant shapes.
+    n_points : int, default 11
+        Number of levels, from 0 to 1.
+
+    Returns
+    -------
+    PrecisionRecall
+        The mean over all queries.
+
+    Raises
+    ------
+    OptionError
+        If `n_points` is less than 2.
     """
     if n_points < 2:
         raise OptionError(f"n_points must be at least 2, got {n_points}")
@@ -158,20 +211,20 @@ def precision_recall(ranked: Rankings, *, n_points: int = 11) -> PrecisionRecall
     for query, n_relevant in enumerate(ranked.n_relevant):
         own = precision[first[query] : first[query + 1]]
         best_from = np.append(np.maximum.accumulate(own[::-1])[::-1], np.zeros(n_relevant - len(own)))
-        # Hits that reach recall i / (n_points − 1), at least one: the ceiling in whole numbers.
+        # Number of relevant shapes, at least 1, at recall i / (n_points − 1): the ceiling, in integers.
         needed = np.maximum(1, -(-levels * n_relevant // (n_points - 1)))
         total += best_from[needed - 1]
     return PrecisionRecall(levels / (n_points - 1), total / len(ranked.n_relevant))
 
 
 def _gain(rank: Positions) -> FloatArray:
-    """Discounted gain: 1 at ranks 1 and 2, and 1 / log₂ rank from there."""
+    """Discounted gain: 1 at ranks 1 and 2, 1 / log₂ rank at larger ranks."""
     gain: FloatArray = 1 / np.log2(np.maximum(rank, 2))
     return gain
 
 
 def _precision_at_hits(ranked: Rankings) -> FloatArray:
-    """(H,) of the list down to each hit: its number among the hits of its query over its rank."""
+    """(H,) precision of the ranked list down to each relevant shape."""
     first = np.searchsorted(ranked.hit_query, ranked.hit_query)
     precision: FloatArray = (np.arange(len(first)) - first + 1) / ranked.hit_rank
     return precision

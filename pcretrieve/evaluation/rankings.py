@@ -1,7 +1,7 @@
-"""Rankings of a gallery: where the shapes of a query's class came.
+"""Distances → the ranks of the relevant shapes of each query.
 
-Shapes are ranked by distance, ties by id, the query itself left out. Who is a query, and what is relevant to
-it, is said in `pcretrieve.evaluation.measures`.
+For each query the gallery without the query is ranked by distance, equal distances by identifier. Which
+shapes are queries, and which are relevant to a query, is defined in `pcretrieve.evaluation.measures`.
 """
 
 from __future__ import annotations
@@ -22,24 +22,25 @@ __all__ = ["Rankings", "rank", "rank_gallery"]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Rankings(Value):
-    """Where each query's relevant shapes came: all that the measures depend on.
+    """The ranks of the relevant shapes of each query, which is all that retrieval measures depend on.
 
     Attributes
     ----------
     ids : tuple of (str or None), length Q
-        The queries in order of the gallery, then one None for each failed shape.
+        The queries in the order of the gallery, then None for each failed shape.
     labels : tuple of str, length Q
+        Class of each query.
     n_relevant : (Q,) intp
-        R, at least 1.
+        R, the number of relevant shapes of each query, at least 1. Failed shapes are included.
     hit_query, hit_rank : (H,) intp
-        One entry per relevant shape ranked: the query's number, ascending, and the rank, 1 for the nearest,
-        ascending within each query.
+        One entry for each relevant shape in a ranked list: the number of the query, ascending, and the rank
+        of the shape, 1 for the nearest, ascending for each query.
     n_gallery : int
         Number of shapes in the gallery.
     n_failed : int
-        Queries that failed.
+        Number of queries that failed.
     n_single : int
-        Shapes alone in their class, which are no queries.
+        Number of shapes that are alone in their class and therefore no queries.
     """
 
     ids: tuple[str | None, ...]
@@ -94,24 +95,32 @@ def rank_gallery(
     *,
     failed_labels: Iterable[str | None] = (),
 ) -> Rankings:
-    """Rank the gallery for each labelled shape, and keep the ranks of the relevant ones.
+    """Rank a gallery for each labelled shape by blocks of distances.
 
     Parameters
     ----------
     blocks : iterable of DistanceBlock
-        In any order. Each query must come in exactly one of them; shapes that are no queries may come too.
+        Distances, in any order. Each query must be in exactly one block; shapes that are no queries are
+        ignored.
     ids : sequence of str, length N
         The gallery.
     labels : sequence of (str or None), length N
+        Class of each shape of the gallery; None if unknown.
     failed_labels : iterable of (str or None)
-        Classes of the shapes that have no signature, one entry each; None is ignored.
+        Classes of the shapes that are not in the gallery because they failed, one entry for each shape; None
+        is ignored.
+
+    Returns
+    -------
+    Rankings
+        The ranks of the relevant shapes.
 
     Raises
     ------
     BenchmarkError
-        Where no class has two shapes.
+        If no class has two shapes.
     InputError
-        For distances that are negative, NaN or of the wrong shape, and queries that are missing or repeated.
+        If distances are negative, NaN or of the wrong shape, or queries are missing or repeated.
     """
     if len(ids) != len(labels):
         raise InputError(f"labels must be as many as ids ({len(ids)}), got {len(labels)}")
@@ -163,9 +172,9 @@ def rank_gallery(
 def _relevant_ranks(
     distances: FloatArray, queries: Positions, by_id: Positions, codes: Positions
 ) -> tuple[Positions, Positions]:
-    """Row and rank of every shape that has the class of the row's query."""
-    columns = distances[:, by_id]  # (q, N), so that a stable sort breaks ties by id
-    # The query itself comes before all others, at rank 0.
+    """Row and rank of each relevant shape."""
+    columns = distances[:, by_id]  # (q, N): a stable sort then orders equal distances by identifier
+    # The query itself is at rank 0.
     columns[queries[:, np.newaxis] == by_id] = -np.inf
     order = np.argsort(columns, axis=1, kind="stable")
     relevant = codes[by_id][order] == codes[queries][:, np.newaxis]

@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 from pcretrieve.atomic import write_file
 from pcretrieve.errors import InputError
-from pcretrieve.evaluation.measures import PrecisionRecall, RetrievalMeasures
+from pcretrieve.evaluation import PrecisionRecall, RetrievalMeasures
 from pcretrieve.pages.html import page_template
 from pcretrieve.types import Failure
 

@@ -7,8 +7,7 @@ from pathlib import Path
 
 from pcretrieve.catalogue import Catalogue, Record
 from pcretrieve.errors import InputError
-from pcretrieve.evaluation.catalogue import check_known, rank_catalogue
-from pcretrieve.evaluation.measures import evaluate_rankings, precision_recall
+from pcretrieve.evaluation import check_known, evaluate_rankings, precision_recall, rank_catalogue
 from pcretrieve.matching import DistanceMatrix
 from pcretrieve.options import PipelineOptions
 from pcretrieve.pages.report import Card, Panel, write_report

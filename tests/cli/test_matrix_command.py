@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +12,7 @@ import shapes
 from click.testing import CliRunner, Result
 from packages import install
 
+import pcretrieve as pr
 from pcretrieve import Catalogue
 from pcretrieve.cli.main import cli
 from pcretrieve.formats import write_mesh
@@ -58,6 +60,9 @@ def document(*arguments: object) -> dict[str, object]:
 def matrix(request: pytest.FixtureRequest, folder: Path) -> Path:
     path: Path = folder / request.param
     said = run("matrix", "-c", folder / "c.sqlite", "-o", path, *D1).stderr
+    retrieval = {"distance": "d1", "whitening": "pca"}
+    made = pr.matrix(folder / "c.sqlite", options={"retrieval": retrieval})
+    assert read_matrix(path) == replace(made, labels=())
     assert said == f"9 shapes: distances in {path}, ids in {folder / 'run.ids'}\n"
     return path
 
@@ -135,11 +140,11 @@ def test_a_matrix_leaves_nothing_to_be_chosen(folder: Path, matrix: Path) -> Non
 def test_a_matcher_makes_a_matrix_that_ranks(folder: Path, tmp_path: Path) -> None:
     path = tmp_path / "heat.npy"
     run("matrix", "-c", folder / "c.sqlite", "-o", path, "--matcher", "heat-hausdorff")
+    made = pr.matrix(folder / "c.sqlite", matcher="heat-hausdorff")
     with Catalogue(folder / "c.sqlite") as store:
-        method = MATCHERS["heat-hausdorff"]
-        ids = [record.id for record in store.records(status="done")]
-        index = PairwiseIndex(method, ids, lambda shape_id: store.shape(shape_id, method.needs))
-    assert read_matrix(path) == distance_matrix(index)
+        index = PairwiseIndex(MATCHERS["heat-hausdorff"], made.ids, store.shape)
+    assert read_matrix(path) == replace(made, labels=()) == distance_matrix(index)
+    assert made.labels == tuple(f"kind{shape_id[0]}" for shape_id in made.ids)
     found = document("evaluate", "-c", folder / "c.sqlite", "--matrix", path)
     assert (found["n_queries"], found["n_failed"]) == (10, 1)
     query = ("query", "-c", folder / "c.sqlite", folder / "10.off", "--matrix", path, "--json")

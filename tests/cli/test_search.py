@@ -14,7 +14,7 @@ from click.testing import CliRunner, Result
 
 from pcretrieve import Catalogue, PipelineOptions
 from pcretrieve.cli.main import cli
-from pcretrieve.evaluation.folds import evaluate
+from pcretrieve.evaluation import evaluate_table
 from pcretrieve.formats import write_mesh
 from pcretrieve.ingestion.run import ingest_files
 from pcretrieve.options import RetrievalOptions, describe_options
@@ -78,7 +78,7 @@ def test_pca_whitening_takes_values_relative_unless_a_scale_is_named(
     with Catalogue(catalogue) as store:
         tables = {s: store.signatures(by(store, s)) for s in ("area", "relative")}
     retrieval = RetrievalOptions(whitening=given)
-    measures = {s: asdict(evaluate(table, retrieval)) for s, table in tables.items()}
+    measures = {s: asdict(evaluate_table(table, retrieval)) for s, table in tables.items()}
     assert measures["area"] != measures["relative"], "there is something to be told apart"
     assert {name: found[name] for name in measures[expected]} == measures[expected]
     assert f"; scale {expected}\n" in run("evaluate", "-c", catalogue, "--whitening", given, *chosen).output

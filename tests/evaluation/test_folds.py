@@ -7,14 +7,13 @@ import pytest
 
 from pcretrieve.errors import BenchmarkError, InputError
 from pcretrieve.evaluation.folds import (
-    evaluate,
     grouped_folds,
-    rank_table,
     within_class_distances,
     within_class_folds,
 )
 from pcretrieve.evaluation.measures import evaluate_rankings
 from pcretrieve.evaluation.rankings import rank_gallery
+from pcretrieve.evaluation.tables import evaluate_table, rank_table
 from pcretrieve.options import RetrievalOptions
 from pcretrieve.retrieval import DISTANCES, DistanceBlock, fit_whitening, log_signatures, pairwise
 from pcretrieve.types import FloatArray, SignatureTable
@@ -145,12 +144,12 @@ def test_within_class_whitening_that_was_fitted_before_is_fitted_anew_by_folds()
     fitted = fit_whitening(
         "within-class", log_signatures(table.values), table.labels, options_digest=table.digest
     )
-    assert evaluate(table, whitening=fitted) == evaluate(table, WITHIN_CLASS)
+    assert evaluate_table(table, whitening=fitted) == evaluate_table(table, WITHIN_CLASS)
 
 
 def test_within_class_whitening_removes_what_poses_have_in_common() -> None:
     table = a_table()
-    assert evaluate(table, WITHIN_CLASS).map > evaluate(table).map + 0.2
+    assert evaluate_table(table, WITHIN_CLASS).map > evaluate_table(table).map + 0.2
 
 
 def test_within_class_whitening_finds_nothing_in_noise() -> None:
@@ -163,9 +162,9 @@ def test_within_class_whitening_finds_nothing_in_noise() -> None:
         noise = replace(table, values=values)
         logs = log_signatures(values)
         seen = fit_whitening("within-class", logs, table.labels).apply(logs)
-        baseline = evaluate(noise).map
-        honest.append(evaluate(noise, WITHIN_CLASS).map - baseline)
-        leaking.append(evaluate(replace(noise, values=np.exp(seen))).map - baseline)
+        baseline = evaluate_table(noise).map
+        honest.append(evaluate_table(noise, WITHIN_CLASS).map - baseline)
+        leaking.append(evaluate_table(replace(noise, values=np.exp(seen))).map - baseline)
     assert np.mean(honest) < 0
     assert np.mean(leaking) > 0.1
 
@@ -181,16 +180,16 @@ def test_evaluation_does_not_depend_on_the_order_of_shapes(whitening: str) -> No
         "3f2a",
         tuple(table.labels[i] for i in order),
     )
-    assert asdict(evaluate(shuffled, RetrievalOptions(whitening=whitening))) == pytest.approx(
-        asdict(evaluate(table, RetrievalOptions(whitening=whitening)))
+    assert asdict(evaluate_table(shuffled, RetrievalOptions(whitening=whitening))) == pytest.approx(
+        asdict(evaluate_table(table, RetrievalOptions(whitening=whitening)))
     )
 
 
 @pytest.mark.parametrize("whitening", ["none", "pca", "within-class"])
 def test_failures_lower_every_measure(whitening: str) -> None:
     table = a_table()
-    whole = evaluate(table, RetrievalOptions(whitening=whitening))
-    failed = evaluate(
+    whole = evaluate_table(table, RetrievalOptions(whitening=whitening))
+    failed = evaluate_table(
         table, RetrievalOptions(whitening=whitening), failed_labels=["class 3", "class 3", None]
     )
     assert (failed.n_queries, failed.n_failed) == (62, 2)
@@ -216,19 +215,19 @@ def test_whitening_without_labels_is_fitted_on_the_whole_gallery(distance: str, 
     expected = rank_gallery([block], table.ids, table.labels)
     options = RetrievalOptions(distance=distance, whitening=whitening)
     assert rank_table(table, options) == expected
-    assert evaluate(table, options) == evaluate_rankings(expected)
+    assert evaluate_table(table, options) == evaluate_rankings(expected)
 
 
 def test_a_table_without_shapes_has_misses_only() -> None:
     table = SignatureTable((), np.zeros((0, 8)), "r-bihdm", "3f2a")
-    assert evaluate(table, failed_labels=["A", "A"]).map == 0
+    assert evaluate_table(table, failed_labels=["A", "A"]).map == 0
 
 
 @pytest.mark.parametrize("kind", ["pca", "within-class"])
 def test_a_whitening_of_other_signatures_is_refused(kind: str) -> None:
     table = a_table()
     other = fit_whitening(kind, log_signatures(table.values), table.labels, options_digest="77b1")
-    for score in (evaluate, rank_table):
+    for score in (evaluate_table, rank_table):
         with pytest.raises(
             InputError, match=r"same options as the table \('3f2a'\), got '77b1'; fit it again"
         ):
@@ -238,10 +237,10 @@ def test_a_whitening_of_other_signatures_is_refused(kind: str) -> None:
 def test_damping_and_folds_are_those_of_the_options() -> None:
     table = a_table()
     damped = replace(table, values=np.exp(_damped(table, "pca", 0.5)))
-    assert evaluate(table, RetrievalOptions(whitening="pca", damping=0.5)) == evaluate(damped)
+    assert evaluate_table(table, RetrievalOptions(whitening="pca", damping=0.5)) == evaluate_table(damped)
     few = RetrievalOptions(whitening="within-class", n_folds=2)
     assert len(list(within_class_folds(table, few))) == 2
-    assert evaluate(table, few) != evaluate(table, WITHIN_CLASS)
+    assert evaluate_table(table, few) != evaluate_table(table, WITHIN_CLASS)
 
 
 def _damped(table: SignatureTable, kind: str, damping: float) -> FloatArray:

@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 
 from pcretrieve.errors import BenchmarkError, InputError, OptionError
-from pcretrieve.evaluation.catalogue import rank_matrix
-from pcretrieve.evaluation.rankings import rank
+from pcretrieve.evaluation import rank, rank_matrix
 from pcretrieve.matching import DistanceMatrix, distance_matrix, ids_path, read_matrix, write_matrix
 from pcretrieve.options import RetrievalOptions
 from pcretrieve.retrieval import DISTANCES, Ranking, SignatureIndex

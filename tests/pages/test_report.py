@@ -11,7 +11,7 @@ import pytest
 from PIL import Image
 
 from pcretrieve.errors import InputError
-from pcretrieve.evaluation.measures import PrecisionRecall, RetrievalMeasures
+from pcretrieve.evaluation import PrecisionRecall, RetrievalMeasures
 from pcretrieve.pages.report import Card, Panel, write_report
 from pcretrieve.types import Failure
 

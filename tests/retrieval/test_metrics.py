@@ -9,7 +9,7 @@ import pytest
 from packages import install
 
 from pcretrieve.errors import InputError, OptionError
-from pcretrieve.evaluation.folds import evaluate
+from pcretrieve.evaluation import evaluate_table
 from pcretrieve.options import RetrievalOptions
 from pcretrieve.retrieval import Distance, SignatureIndex, coordinates, pairwise, table_coordinates
 from pcretrieve.types import FloatArray, Metric, Signature, SignatureTable
@@ -56,7 +56,7 @@ def test_histograms_are_compared_by_the_hellinger_distance() -> None:
 @pytest.mark.parametrize("whitening", ["none", "pca", "within-class"])
 @pytest.mark.parametrize("metric", ["values", "histograms"])
 def test_they_are_evaluated_like_any_other(metric: Metric, whitening: str) -> None:
-    measures = evaluate(a_table(metric), RetrievalOptions(whitening=whitening))
+    measures = evaluate_table(a_table(metric), RetrievalOptions(whitening=whitening))
     assert measures.map > 0.95
 
 
@@ -78,7 +78,7 @@ def test_ratios_mean_nothing_for_values_that_may_be_negative(distance: str) -> N
     with pytest.raises(OptionError, match="distance must be log for x, which is compared as values"):
         SignatureIndex(a_table("values"), RetrievalOptions(distance=distance))
     with pytest.raises(OptionError, match="distance must be log for x, which is compared as histograms"):
-        evaluate(a_table("histograms"), RetrievalOptions(distance=distance, whitening="within-class"))
+        evaluate_table(a_table("histograms"), RetrievalOptions(distance=distance, whitening="within-class"))
 
 
 # --- distances of other packages ------------------------------------------------------------------------

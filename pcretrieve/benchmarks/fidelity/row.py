@@ -16,7 +16,7 @@ from pcretrieve.benchmarks.fidelity.examination import Signatures
 from pcretrieve.benchmarks.sets import Item
 from pcretrieve.benchmarks.tables import Column, Table, is_missing
 from pcretrieve.errors import InputError
-from pcretrieve.evaluation.folds import evaluate
+from pcretrieve.evaluation import evaluate_table
 from pcretrieve.options import PipelineOptions, RetrievalOptions, WhiteningKind
 from pcretrieve.retrieval import log_signatures, resolution_whitening
 from pcretrieve.retrieval.resolution import is_measured
@@ -218,7 +218,7 @@ def retrieval(
         try:
             made = resolution_whitening(form) if whitening == "resolution" else None
             chosen = RetrievalOptions(whitening=whitening)
-            measures = evaluate(table, chosen, whitening=made, failed_labels=failed)
+            measures = evaluate_table(table, chosen, whitening=made, failed_labels=failed)
             found += [measures.nn, measures.map]
         except InputError:
             found += [NAN, NAN]

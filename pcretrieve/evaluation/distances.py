@@ -1,0 +1,74 @@
+"""Catalogue → all distances between its shapes."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from pcretrieve.catalogue import Catalogue
+from pcretrieve.errors import InputError
+from pcretrieve.matching import MATCHERS, DistanceMatrix, PairwiseIndex, distance_matrix
+from pcretrieve.options import PipelineOptions
+from pcretrieve.retrieval import Ranking, SignatureIndex
+from pcretrieve.types import Failure
+
+__all__ = ["CatalogueDistances", "catalogue_distances"]
+
+
+class CatalogueDistances(NamedTuple):
+    """The distances between the shapes of a catalogue.
+
+    Attributes
+    ----------
+    matrix : DistanceMatrix
+        The distances, with the classes of the shapes.
+    failures : tuple of Failure
+        Shapes to which the matcher could not be applied, and which are left out.
+    """
+
+    matrix: DistanceMatrix
+    failures: tuple[Failure, ...]
+
+
+def catalogue_distances(
+    catalogue: Catalogue, options: PipelineOptions | None = None, *, matcher: str | None = None
+) -> CatalogueDistances:
+    """All distances between the shapes of a catalogue that did not fail.
+
+    Parameters
+    ----------
+    catalogue : Catalogue
+        The shapes.
+    options : PipelineOptions, optional
+        The options of the signatures and of retrieval; by default those of the catalogue.
+    matcher : str, optional
+        A name in `pcretrieve.matching.MATCHERS`: compare the shapes by this method, without signatures.
+
+    Returns
+    -------
+    CatalogueDistances
+        Row i has the distances from shape i, as a query, to all shapes.
+
+    Raises
+    ------
+    CatalogueError
+        If `options` are for other spectra than those of the catalogue.
+    InputError
+        If the catalogue holds no shapes.
+    OptionError
+        If there is no such matcher, or its package is at fault.
+    """
+    labels = {record.id: record.label for record in catalogue.records(status="done")}
+    if not labels:
+        raise InputError(f"{catalogue.path} holds no shapes: ingest some first")
+    failures: tuple[Failure, ...] = ()
+    ranking: Ranking
+    if matcher is None:
+        options = options or catalogue.options
+        whitening = catalogue.whitening(options)
+        ranking = SignatureIndex(catalogue.signatures(options), options.retrieval, whitening=whitening)
+    else:
+        needs = MATCHERS[matcher].needs
+        ranking = PairwiseIndex(MATCHERS[matcher], labels, lambda shape_id: catalogue.shape(shape_id, needs))
+        failures = ranking.failures
+    matrix = distance_matrix(ranking, tuple(labels[shape_id] for shape_id in ranking.ids))
+    return CatalogueDistances(matrix, failures)

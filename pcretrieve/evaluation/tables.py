@@ -1,0 +1,91 @@
+"""Table of signatures → rankings and retrieval measures."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+from pcretrieve.evaluation.folds import within_class_distances
+from pcretrieve.evaluation.measures import RetrievalMeasures, evaluate_rankings
+from pcretrieve.evaluation.rankings import Rankings, rank, rank_gallery
+from pcretrieve.options import RetrievalOptions
+from pcretrieve.retrieval import SignatureIndex, Whitening
+from pcretrieve.types import SignatureTable
+
+__all__ = ["evaluate_table", "rank_table"]
+
+
+def rank_table(
+    table: SignatureTable,
+    options: RetrievalOptions | None = None,
+    *,
+    whitening: Whitening | None = None,
+    failed_labels: Iterable[str | None] = (),
+) -> Rankings:
+    """Rank a table of signatures for each labelled shape in it.
+
+    Parameters
+    ----------
+    table : SignatureTable
+        Signatures with labels. Shapes without a label are in the gallery, but no queries.
+    options : RetrievalOptions, optional
+        The distance, and the whitening: ``pca`` is fitted to the whole table, ``within-class`` by grouped
+        folds.
+    whitening : Whitening, optional
+        A whitening made before, such as `resolution_whitening`, instead of the one that `options` name. A
+        within-class whitening is not used, but fitted anew by grouped folds.
+    failed_labels : iterable of (str or None)
+        Classes of the shapes that failed, which count as misses.
+
+    Returns
+    -------
+    Rankings
+        The ranks of the relevant shapes.
+
+    Raises
+    ------
+    BenchmarkError
+        If too few classes have two shapes.
+    InputError
+        If the whitening was fitted on signatures with other options.
+    OptionError
+        If the whitening ``resolution`` is asked for and was not made before.
+    """
+    options = options or RetrievalOptions()
+    if (options.whitening if whitening is None else whitening.kind) == "within-class":
+        if whitening is not None:
+            whitening.check_made_for(table.digest)
+        blocks = within_class_distances(table, options)
+        return rank_gallery(blocks, table.ids, table.labels, failed_labels=failed_labels)
+    if not len(table):
+        return rank_gallery((), (), (), failed_labels=failed_labels)
+    index = SignatureIndex(table, options, whitening=whitening)
+    label_of = dict(zip(table.ids, table.labels, strict=True))
+    return rank(index, [label_of[shape_id] for shape_id in index.ids], failed_labels=failed_labels)
+
+
+def evaluate_table(
+    table: SignatureTable,
+    options: RetrievalOptions | None = None,
+    *,
+    whitening: Whitening | None = None,
+    failed_labels: Iterable[str | None] = (),
+) -> RetrievalMeasures:
+    """Retrieval measures of a table of signatures.
+
+    Parameters
+    ----------
+    table : SignatureTable
+        Signatures with labels.
+    options : RetrievalOptions, optional
+        The distance and the whitening.
+    whitening : Whitening, optional
+        A whitening made before.
+    failed_labels : iterable of (str or None)
+        Classes of the shapes that failed.
+
+    Returns
+    -------
+    RetrievalMeasures
+        Of the rankings by `rank_table`, which explains the parameters and the errors.
+    """
+    return evaluate_rankings(rank_table(table, options, whitening=whitening, failed_labels=failed_labels))
