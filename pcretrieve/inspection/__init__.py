@@ -1,7 +1,7 @@
 """What is wrong with a scan.
 
-In comes one scan, run through the stages of the pipeline; out comes an `Inspection`: what every stage made of
-it, checks in plain words, and the error bar of its signature.
+In comes one scan, which is processed by the stages of the pipeline; out comes an `Inspection`: the result of
+each stage, checks with verdicts and advice, and the rescan deviation of the signature.
 """
 
 from pcretrieve.inspection.inspect import inspect_scan, signature_spread

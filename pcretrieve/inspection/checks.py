@@ -1,4 +1,4 @@
-"""Questions that a scan is asked, each answered with a number and in plain words."""
+"""Checks of a scan: measurements of its points, normals and surface, with a verdict and advice for each."""
 
 from __future__ import annotations
 
@@ -29,38 +29,44 @@ __all__ = [
 
 Verdict = Literal["passed", "look", "failed"]
 
-#: Worst first.
+#: In descending order of severity.
 VERDICTS: tuple[Verdict, ...] = ("failed", "look", "passed")
 
-# What each check passes up to, and what it fails beyond. Measured on six bodies of TOSCA, each scanned
-# densely, with noise of 0.5 % of the diagonal, by a rig of cameras, and with 3000 points; on the Stanford
-# dragon, parts of which nobody saw; and on single views of the Stanford bunny.
+# Of each check, the largest value with which it is passed, and the largest with which it is not failed. What
+# scans of known quality have: see docs/decisions.md, SPACING, and the rows below it.
 Limits = tuple[float, float]
-SPACING: Limits = (0.005, 0.015)  # 0.003 to 0.004 for the dense scans, 0.006 for 3000 points
-STRAYS: Limits = (0.02, 0.15)  # 0.002 to 0.004 for the simulated scans, 0.04 for views of the bunny
-DISAGREEING: Limits = (0.05, 0.25)  # 0.005 to 0.045; 0.12 to 0.16 with noise
-UNBALANCED: Limits = (0.15, 0.25)  # up to 0.1; from 0.31 for single views
-FILLED: Limits = (0.01, 0.15)  # up to 0.008; 0.1 for the dragon
-LOST: Limits = (0.005, 0.05)  # up to 0.003; 0.02 to 0.06 where limbs were lost
-NOISE: Limits = (0.0025, 0.01)  # 0.001 to 0.002; 0.005 with noise
-SPREAD: Limits = (0.15, 0.5)  # 0.04 to 0.07 for the dense scans; 1.3 with noise
+SPACING: Limits = (0.005, 0.015)
+OUTLIERS: Limits = (0.02, 0.15)
+DISAGREEING: Limits = (0.05, 0.25)
+UNBALANCED: Limits = (0.15, 0.25)
+UNSUPPORTED: Limits = (0.01, 0.15)
+LOST: Limits = (0.005, 0.05)
+NOISE: Limits = (0.0025, 0.01)
+SPREAD: Limits = (0.15, 0.5)
 
 
 @dataclass(frozen=True, slots=True)
 class Check:
-    """One question that a scan was asked.
+    """One check of a scan.
 
     Attributes
     ----------
     name : str
+        What was checked, such as "Noise".
     verdict : "passed", "look" or "failed"
-        In order; worth a look, as a signature may suffer; not to be trusted.
+        "passed": nothing is wrong. "look": the signature may have a larger error. "failed": the signature is
+        not reliable.
     value : float or None
-        The number that the verdict goes by; None where there is none.
+        The measurement that decides the verdict, mostly a fraction; None if the check has no measurement.
     shown : str
-        That number with its unit, in words.
+        The measurement with its unit, as text.
     words : str
-        What it means or, where the check is not passed, what to do.
+        What a passed check means; what to do about one that is not passed.
+
+    Raises
+    ------
+    InputError
+        If the verdict is unknown or the value is not finite.
     """
 
     name: str
@@ -77,17 +83,24 @@ class Check:
 
 
 def point_checks(cloud: PointCloud, *, spacing: float) -> list[Check]:
-    """Of a cleaned cloud: whether it is dense enough, how much of it was strays, and who saw it.
+    """Check the density of a filtered cloud, the fraction of outliers, and how its outside was found.
 
     Parameters
     ----------
     cloud : PointCloud
+        With a step ``clean`` in its provenance.
     spacing : float
         Median distance from a point to its nearest neighbour; unit of the file.
+
+    Returns
+    -------
+    list of Check
+        "Points": spacing relative to the diagonal. "Outliers": fraction of the points of the voxel grid that
+        were removed as statistical outliers. "Outside": no value.
     """
     share = spacing / cloud.diagonal
     cleaned = next(step.sizes for step in cloud.provenance if step.stage == "clean")
-    strays = 1 - cleaned["points"] / cleaned["points_thinned"]
+    outliers = 1 - cleaned["points"] / cleaned["points_thinned"]
     return [
         _graded(
             "Points",
@@ -98,30 +111,37 @@ def point_checks(cloud: PointCloud, *, spacing: float) -> list[Check]:
             poor="Thin parts may be lost: scan more densely, or from nearer.",
         ),
         _graded(
-            "Strays",
-            strays,
-            STRAYS,
-            f"{_percent(strays)} dropped",
-            passed="Single points that belong to nothing are gone.",
-            poor="Look at the points in red: where they belong to the body, raise scan.outlier_std; "
-            "else scan anew.",
+            "Outliers",
+            outliers,
+            OUTLIERS,
+            f"{_percent(outliers)} dropped",
+            passed="Single points off the surface were removed.",
+            poor="Look at the points in red: if they belong to the body, raise scan.outlier_std; "
+            "else scan again.",
         ),
         _sensor_check(cloud),
     ]
 
 
 def normal_checks(normals: FloatArray, neighbors: NDArray[np.intp]) -> list[Check]:
-    """Of the normals of a cloud: whether near ones agree, and whether they look to all sides.
+    """Check the consistency of the normals of a cloud, and whether they point to all sides.
 
     Parameters
     ----------
     normals : (n, 3) float64
+        Unit normals.
     neighbors : (n, k) int
-        Numbers of the points next to each.
+        Indices of the nearest neighbours of each point.
+
+    Returns
+    -------
+    list of Check
+        "Normals": fraction of pairs of neighbours whose normals are more than 90 degrees apart. "Sides seen":
+        length of the mean normal.
     """
     cosines = np.einsum("ij,ikj->ik", normals, normals[neighbors])  # (n, k)
     disagreeing = float((cosines <= 0).mean())
-    # The normals of a closed surface cancel out; those of half a sphere have a mean of 1/2.
+    # The mean normal of a closed surface is 0; the mean normal of half a sphere has the length 1/2.
     unbalanced = float(np.linalg.norm(normals.mean(axis=0)))
     return [
         _graded(
@@ -130,32 +150,44 @@ def normal_checks(normals: FloatArray, neighbors: NDArray[np.intp]) -> list[Chec
             DISAGREEING,
             f"{_percent(1 - disagreeing)} of neighbours agree",
             passed="Neighbouring points agree on which side is outside.",
-            poor="Patches are turned over, or the points are noisy: look at the orange patches, and keep the "
-            "sensor positions when scanning.",
+            poor="Normals of some patches point inwards, or the points are noisy: look at the orange "
+            "patches, and keep the sensor positions when scanning.",
         ),
         _graded(
             "Sides seen",
             unbalanced,
             UNBALANCED,
             f"their normals are {_percent(unbalanced)} one-sided",
-            passed="The points look to all sides alike.",
-            poor="Most points look the same way, as those of a single view do: scan the other sides too, and "
-            "merge the views.",
+            passed="The normals point to all sides.",
+            poor="Most normals point the same way, as in a single view: scan the other sides too, and merge "
+            "the views.",
         ),
     ]
 
 
 def surface_checks(mesh: TriangleMesh) -> list[Check]:
-    """Of a surface: whether it is one closed manifold, and how many handles it has."""
+    """Check whether a surface is one closed manifold, and count its handles.
+
+    Parameters
+    ----------
+    mesh : TriangleMesh
+        The surface.
+
+    Returns
+    -------
+    list of Check
+        "Closed surface": number of boundary edges, non-manifold edges and inconsistently oriented edges. If
+        there are none, "Handles": the genus.
+    """
     found = defects(mesh)
     closed = Check(
         "Closed surface",
         "look" if found else "passed",
         float(sum((found.boundary_edges, found.non_manifold_edges, found.inconsistent_edges))),
         str(found) if found else "no defects",
-        "It has holes or edges that no body has: let it be reconstructed with surface.mode = 'reconstruct'."
+        "It has holes, or edges that no closed surface has: reconstruct it with surface.mode = 'reconstruct'."
         if found
-        else "One piece, without holes, the inside on one side.",
+        else "One closed, consistently oriented surface.",
     )
     if found:
         return [closed]
@@ -167,34 +199,39 @@ def surface_checks(mesh: TriangleMesh) -> list[Check]:
             "look" if handles else "passed",
             float(handles),
             f"{_counted(handles, 'handle')}, Euler characteristic {mesh.euler_characteristic}",
-            "Right for a ring or a mug. If the body has none, parts of it that touch have fused: pose it "
-            "with limbs apart, or set surface.genus = 'sphere'."
+            "Right for a ring or a mug. If the body has no handle, parts that touch have fused: pose it with "
+            "limbs apart, or set surface.genus = 'sphere'."
             if handles
-            else "Nothing that touches has fused into a ring.",
+            else "No parts that touch have fused into a ring.",
         ),
     ]
 
 
 def fit_checks(*, filled: float, lost: float, noise: float) -> list[Check]:
-    """How points and surface fit each other.
+    """Check how well points and surface fit each other.
 
     Parameters
     ----------
     filled : float
-        Surface without a point nearby; share of the area.
+        Area of the surface without a point nearby; relative to the whole area.
     lost : float
-        Points without a surface nearby; share of them.
+        Number of points without a surface nearby; relative to all points.
     noise : float
-        Root mean square distance of all others to the surface; relative to the diagonal.
+        Root mean square distance of the other points to the surface; relative to the diagonal.
+
+    Returns
+    -------
+    list of Check
+        "Filled in", "Left out" and "Noise", with these values.
     """
     return [
         _graded(
             "Filled in",
             filled,
-            FILLED,
+            UNSUPPORTED,
             f"{_percent(filled)} of the surface",
             passed="Nearly all of the surface lies on points.",
-            poor="The orange surface is a guess, for no point was seen there: scan those places too.",
+            poor="The orange surface is interpolated, because there are no points: scan these places too.",
         ),
         _graded(
             "Left out",
@@ -217,40 +254,86 @@ def fit_checks(*, filled: float, lost: float, noise: float) -> list[Check]:
 
 
 def marks_check(n_cuts: int, n_bridges: int) -> Check:
-    """How often the surface is not what the points say."""
+    """Check how often the topology of the surface was changed.
+
+    Parameters
+    ----------
+    n_cuts : int
+        Number of places where parts that touch were separated.
+    n_bridges : int
+        Number of places where a loose part was connected.
+
+    Returns
+    -------
+    Check
+        "Cuts and bridges": the number of both.
+    """
     n = n_cuts + n_bridges
     return Check(
         "Cuts and bridges",
         "look" if n else "passed",
         float(n),
         f"{_counted(n_cuts, 'cut')}, {_counted(n_bridges, 'bridge')}",
-        "Look at the rings: fused parts were cut apart there, or a loose part was joined; pose limbs apart, "
-        "and scan what is between."
+        "Look at the rings: parts that touch were separated there, or a loose part was connected; pose limbs "
+        "apart, and scan between them."
         if n
-        else "Nothing had to be cut apart or joined.",
+        else "No parts had to be separated or connected.",
     )
 
 
 def spread_check(spread: float) -> Check:
-    """Whether the signature has a small error bar."""
+    """Check the spread of the signature over simulated rescans.
+
+    Parameters
+    ----------
+    spread : float
+        As of `pcretrieve.inspection.signature_spread`; dimensionless.
+
+    Returns
+    -------
+    Check
+        "Signature": the spread.
+    """
     return _graded(
         "Signature",
         spread,
         SPREAD,
         f"± {spread:.2g} over rescans",
-        passed="It hardly moves when a tenth of the points is left out.",
-        poor="It changes when a tenth of the points is left out, and so does what is found by it: mend what "
-        "the other checks say, and scan more than once.",
+        passed="It hardly changes when a tenth of the points is left out.",
+        poor="It changes when a tenth of the points is left out, and so do its nearest neighbours: correct "
+        "what the other checks name, and scan more than once.",
     )
 
 
 def failure_check(failure: Failure) -> Check:
-    """The stage that stopped."""
+    """Report the stage that failed.
+
+    Parameters
+    ----------
+    failure : Failure
+        The failure of the whole scan.
+
+    Returns
+    -------
+    Check
+        Failed, named after the stage; no value.
+    """
     return Check(f"The {failure.stage} stage", "failed", None, failure.error, failure.message)
 
 
 def rescan_check(failure: Failure) -> Check:
-    """A signature without an error bar, for part of the points has none."""
+    """Report a signature without an error bar, because a part of the points has no signature.
+
+    Parameters
+    ----------
+    failure : Failure
+        The failure of a rescan.
+
+    Returns
+    -------
+    Check
+        "Signature", failed; no value.
+    """
     return Check("Signature", "failed", None, "none for nine tenths of the points", failure.message)
 
 
@@ -263,10 +346,10 @@ def _sensor_check(cloud: PointCloud) -> Check:
         None,
         "sensor positions in the file"
         if cloud.viewpoints is not None
-        else (notes or ["found by a flood from outside"])[0],
-        "The scan has holes, and does not say where its sensors stood: save their positions with it."
+        else (notes or ["found by flood fill from outside"])[0],
+        "The scan has holes and no sensor positions: save the positions with it."
         if guessed
-        else "Which side is outside is no guess.",
+        else "It is known which side is outside.",
     )
 
 
@@ -281,7 +364,7 @@ def _counted(n: int, name: str) -> str:
 
 
 def _percent(share: float) -> str:
-    """Two significant digits, and never 100 % for less."""
+    """A fraction in percent with two significant digits; fractions below 1 are not rounded to 100 %."""
     if 0.995 < share < 1:
         return f"{math.floor(1000 * share) / 10:.1f} %"
     return f"{100 * share:.2g} %" if share < 0.995 else "100 %"

@@ -1,4 +1,4 @@
-"""One scan → what is wrong with it: each stage's work measured, and the error bar of its signature."""
+"""One scan → its `Inspection`: checks of the result of each stage, and rescans of its signature."""
 
 from __future__ import annotations
 
@@ -41,28 +41,30 @@ from pcretrieve.types import Failure, FloatArray, PointCloud, Signature, Triangl
 
 __all__ = ["inspect_scan", "signature_spread"]
 
-# Neighbours whose normals a point's own is compared with.
+# Number of neighbours with whose normals the normal of a point is compared.
 N_NEIGHBORS = 8
 
-# A face farther than this from every point was filled in; median distances between nearest neighbours. With
-# points spread at random over a surface, one place in a million is as far from all of them.
+# Distance to the nearest point beyond which a face was filled in, in median distances between nearest
+# neighbours. If points are distributed uniformly over a surface, the fraction of the surface beyond this
+# distance is 1e-6.
 FILLED = 4
 
-# Cells that were cut or added nearer to each other than this are one cut or bridge; relative to the diagonal.
+# Largest distance of voxels that belong to one cut or bridge, relative to the diagonal.
 PLACE = 0.02
 
-# A point this far from every cleaned one was dropped; median distances between nearest neighbours. Those of a
-# voxel are nearer to their mean.
+# Distance to the nearest filtered point beyond which a raw point was removed, in median distances between
+# nearest neighbours. Points that were averaged in a voxel are nearer to their mean.
 DROPPED = 1.1
 
-# Points in each rescan; relative to all.
+# Number of points in each rescan, relative to all points.
 RESCAN_SHARE = 0.9
 
 
 def inspect_scan(scan: ScanLike, options: OptionsLike = None, *, n_rescans: int = 4) -> Inspection:
-    """Everything that can be seen of a scan and of what the stages made of it.
+    """Process a scan, and check the result of each stage.
 
-    A scan that fails is inspected as far as the stages came.
+    If a stage fails, the results of the earlier stages are checked. Rescans are simulated by reconstructing
+    the surface from random parts of the points, as in `signature_spread`.
 
     Parameters
     ----------
@@ -71,19 +73,19 @@ def inspect_scan(scan: ScanLike, options: OptionsLike = None, *, n_rescans: int 
     options : OptionsLike, optional
         Options, a preset's name, a TOML file, or a mapping; see `PipelineOptions.of`.
     n_rescans : int, default 4
-        As `signature_spread`; 0 leaves the error bar out.
+        Number of rescans. With 0, there is no rescan deviation and no spread.
 
     Returns
     -------
     Inspection
-        In the unit of the scan.
+        Lengths are in the unit of the scan.
 
     Raises
     ------
     InputError
-        If `scan` is nothing that a scan can be made of, or `n_rescans` is 1 or negative.
+        If `scan` cannot be converted to a cloud or a mesh, or `n_rescans` is 1 or negative.
     """
-    # The form alone: in its picture, a size in the unit of the file would dwarf all other values.
+    # Without the size: in the plot, it would be orders of magnitude larger than the other values.
     options = PipelineOptions.of(options).changed(signature={"size_weight": 0})
     if n_rescans:
         _check_rescans(n_rescans, RESCAN_SHARE)
@@ -106,11 +108,12 @@ def signature_spread(
     share: float = RESCAN_SHARE,
     seed: int = 0,
 ) -> tuple[Signature, FloatArray, float]:
-    """The signature of a scan, and how far it moves when the surface is made anew from part of the points.
+    """The signature of a scan, and its standard deviation over simulated rescans.
 
-    What moves it is chance: which points were caught, and what is cut, bridged or filled in because of that.
-    An error that all parts share, as of a side that nobody saw, does not show. A mesh that is used as it is
-    has no points to leave out, and does not move.
+    Each rescan is a random part of the points, of which the surface is reconstructed. The deviation includes
+    the random errors of sampling, and of the cuts, bridges and filled holes that depend on it. It does not
+    include systematic errors, as of a side that was not scanned. It is 0 for a mesh that is used without
+    reconstruction.
 
     Parameters
     ----------
@@ -119,28 +122,28 @@ def signature_spread(
     options : OptionsLike, optional
         Options, a preset's name, a TOML file, or a mapping; see `PipelineOptions.of`.
     n : int, default 4
-        How many parts are taken.
+        Number of rescans.
     share : float, default 0.9
-        Points in each part, drawn at random; relative to all.
+        Number of points in each rescan, relative to all points.
     seed : int, default 0
-        Of the draws.
+        Seed of the random choice of points.
 
     Returns
     -------
     signature : Signature
-        Of all points.
+        The signature of all points.
     deviation : (L,) float64
-        Standard deviation of the logarithm of each value over the parts; dimensionless.
+        Standard deviation (ddof 0) of the logarithm of each value over the rescans; dimensionless.
     spread : float
-        Root mean square distance of the parts' log-signatures to their mean: the unit of the ``log``
-        distance of `SignatureIndex`.
+        Root mean square distance of the log-signatures of the rescans to their mean, comparable to the
+        distance ``log`` of `SignatureIndex`; dimensionless.
 
     Raises
     ------
     OptionError
         If `n` is below 2, or `share` not between 0 and 1.
     ShapeError
-        If the scan, or a part of it, has no usable surface.
+        If no surface can be reconstructed from the scan, or from a part of it.
     """
     options = PipelineOptions.of(options)
     _check_rescans(n, share)
@@ -162,7 +165,7 @@ def _check_rescans(n: int, share: float) -> None:
 
 
 def _rescans(cloud: PointCloud, options: PipelineOptions, *, n: int, share: float, seed: int) -> FloatArray:
-    """(n, L) log-signatures of random parts of a cloud."""
+    """Log-signatures of random parts of a cloud, (n, L)."""
     rng = np.random.default_rng(seed)
     size = round(share * len(cloud.points))
     parts = [np.sort(rng.choice(len(cloud.points), size, replace=False)) for _ in range(n)]
@@ -170,6 +173,7 @@ def _rescans(cloud: PointCloud, options: PipelineOptions, *, n: int, share: floa
 
 
 def _scatter(logs: FloatArray) -> tuple[FloatArray, float]:
+    """The deviation and the spread of log-signatures, as in `signature_spread`."""
     deviation: FloatArray = logs.std(axis=0)  # (L,)
     return deviation, float(np.sqrt((deviation**2).sum()))
 
@@ -179,7 +183,7 @@ def _scatter(logs: FloatArray) -> tuple[FloatArray, float]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Described:
-    """What there is after some stage, as in `Inspection`."""
+    """The results up to some stage; attributes as in `Inspection`."""
 
     seen: Seen = field(default_factory=Seen)
     signature: Signature | None = None
@@ -188,7 +192,7 @@ class _Described:
 
 
 def _stages(scan: object, options: PipelineOptions, n_rescans: int) -> Iterator[_Described]:
-    """As `pcretrieve.pipeline.process.signature`, one stage at a time; then the rescans."""
+    """The results of `pcretrieve.pipeline.process.signature` after each stage; then those of the rescans."""
     with placed(scan):
         seen = Seen()
         for seen in surface_stages(scan, options):
@@ -222,7 +226,7 @@ def _inspection(name: str, path: str, reached: _Described, failure: Failure | No
         checks += surface_checks(mesh)
     if mesh is not None and cloud is not None:
         filled = _nearest(cloud.points, mesh.vertices[mesh.faces].mean(axis=1))[0][:, 0] > FILLED * spacing
-        # Rays are cast in single precision: near the origin.
+        # Open3D computes these distances in single precision, so the points are moved near the origin.
         origin = cloud.points.mean(axis=0)
         gap = RayScene(mesh.vertices - origin, mesh.faces).distance(cloud.points - origin)
         lost = gap > FILLED * spacing
@@ -264,13 +268,13 @@ def _inspection(name: str, path: str, reached: _Described, failure: Failure | No
 
 
 def _nearest(points: FloatArray, places: FloatArray, k: int = 1) -> tuple[FloatArray, NDArray[np.intp]]:
-    """(p, k) distances from each place to the points nearest to it, and their numbers."""
+    """Distances from each place to its k nearest points, (p, k), and the indices of these points."""
     distance, number = cKDTree(points).query(places, k=np.arange(1, k + 1))
     return np.asarray(distance), np.asarray(number)
 
 
 def _places(cells: FloatArray, reach: float) -> FloatArray:
-    """(p, 3) middles of the groups of cells that are nearer to each other than `reach`."""
+    """Centroids of groups of cells, (p, 3); cells nearer to each other than `reach` are in one group."""
     near = cKDTree(cells).query_pairs(reach, output_type="ndarray") if len(cells) else np.zeros((0, 2), int)
     links = coo_array((np.ones(len(near)), (near[:, 0], near[:, 1])), shape=(len(cells), len(cells)))
     n, group = connected_components(links, directed=False)

@@ -1,4 +1,4 @@
-"""What is known of one inspected scan."""
+"""The result of inspecting one scan: a value."""
 
 from __future__ import annotations
 
@@ -16,38 +16,41 @@ __all__ = ["Inspection"]
 
 @dataclass(frozen=True, eq=False)
 class Inspection:
-    """One scan as far as the stages came, and what they made of it. Lengths are in the unit of the scan.
+    """A scan, the results of the stages that did not fail, and checks. Lengths are in the unit of the scan.
 
     Attributes
     ----------
     name : str
-        What the scan is called on the page.
+        Title of the page.
     path : str
-        Where it came from; may be empty.
+        The file of the scan; may be empty.
     checks : tuple of Check
-        Worst first.
+        In descending order of severity.
     scan : PointCloud or None
-        As it was read; None where it was not, and for a mesh that was used as it is.
+        The raw points. None if the scan could not be read, or is a mesh that is used without reconstruction.
     dropped : (n,) bool
-        Points of `scan` that no point of `cloud` stands for.
+        Points of `scan` that were removed: far points and outliers.
     cloud : PointCloud or None
-        Cleaned, with normals where they were found.
+        The filtered points; with normals, if the stage `orient` did not fail.
     spacing : float
         Median distance from a point of `cloud` to its nearest neighbour.
     mesh : TriangleMesh or None
+        The first surface.
     filled : (m,) bool
         Faces of `mesh` without a point nearby.
     cuts, bridges : (k, 3) float64
-        Where the surface was cut apart, and where a gap in it was bridged.
+        Places where parts of the surface that touch were separated, and where a loose part was connected.
     signature : Signature or None
+        Without the size of the body.
     rescan_deviation : (L,) float64 or None
         Standard deviation (ddof 0) of the logarithm of each value of the signature over simulated rescans. It
         is not `Signature.deviation`, which is over surfaces reconstructed from one scan.
     spread : float or None
-        Root mean square distance of the log-signatures of rescans to their mean.
+        Root mean square distance of the log-signatures of rescans to their mean; dimensionless.
     failure : Failure or None
-        Which stage stopped, and why.
+        The stage that failed, and its error; None if there is a signature.
     steps : tuple of Step
+        The provenance of the last result.
     """
 
     name: str
@@ -69,7 +72,7 @@ class Inspection:
 
     @property
     def verdict(self) -> Verdict:
-        """The worst of the checks."""
+        """The most severe verdict of the checks."""
         given = {check.verdict for check in self.checks}
         return next((verdict for verdict in VERDICTS if verdict in given), "passed")
 
@@ -92,7 +95,7 @@ class Inspection:
 
     @cached_property
     def body(self) -> FloatArray:
-        """(n, 3) points that pictures must show: all but what was dropped."""
+        """The points that all pictures show, (n, 3): filtered points, or else raw points, and vertices."""
         parts = [np.zeros((0, 3))]
         if self.cloud is not None:
             parts.append(self.cloud.points)

@@ -1,4 +1,4 @@
-"""Pages to look at.
+"""HTML pages about catalogues and scans.
 
-In come a catalogue or an `Inspection`; out come self-contained HTML files and pictures.
+In comes a catalogue or an `Inspection`; out come self-contained HTML files and pictures.
 """

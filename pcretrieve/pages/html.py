@@ -12,17 +12,17 @@ __all__ = ["page_template"]
 
 @cache
 def page_template(name: str) -> Template:
-    """A template of the folder ``templates``, which may include files of the folder ``assets``.
+    """Load a template from the folder ``templates``, which may include files of the folder ``assets``.
 
     Parameters
     ----------
     name : str
-        Such as ``report.html``.
+        File name, such as ``report.html``.
 
     Returns
     -------
     jinja2.Template
-        With the filters ``three_digits`` and ``data_uri``; everything that is filled in is escaped.
+        The template, with the filters ``three_digits`` and ``data_uri``; all values are escaped.
     """
     environment = Environment(
         loader=PackageLoader("pcretrieve.pages", ""),
@@ -37,7 +37,7 @@ def page_template(name: str) -> Template:
 
 
 def _three_digits(value: float) -> str:
-    """Three significant digits; whole numbers from 1000 on."""
+    """A number with three significant digits; as an integer, if it is at least 1000."""
     text = f"{value:#.3g}".rstrip(".")
     return f"{float(text):.0f}" if "e+" in text else text
 

@@ -1,7 +1,7 @@
 """The page of one inspected scan: the checks, the pictures, and an interactive 3D viewer.
 
-One HTML file that needs nothing else: pictures, points and the few lines that draw them are inlined, and no
-request leaves the page.
+It is one self-contained HTML file: pictures, points and the script of the viewer are inlined, and the page
+makes no requests.
 """
 
 from __future__ import annotations
@@ -37,24 +37,31 @@ __all__ = ["write_inspection_page"]
 
 # Half of the side of the cube that the 3D viewer can show, with room for outliers near the body; farther
 # outliers are left out. Relative to the radius of the bounding ball of the body.
-STRAY_ROOM = 1.25
+VIEWER_SIZE = 1.25
 
 # Largest 16-bit integer, in which the 3D viewer stores coordinates.
 FULL_SCALE = 2**16 - 1
 
 
 def write_inspection_page(inspection: Inspection, path: str | Path) -> Path:
-    """Write the page; a file that is there already is replaced in one step, or left as it is.
+    """Write the page of an inspection. An existing file is replaced in one step, or left unchanged.
+
+    Parameters
+    ----------
+    inspection : Inspection
+        The result of `inspect_scan`.
+    path : str or Path
+        The HTML file, in a folder that exists.
 
     Returns
     -------
     Path
-        Of the file, absolute.
+        Absolute path of the file.
 
     Raises
     ------
     InputError
-        Where the file cannot be written.
+        If the file cannot be written.
     """
     target = Path(path).absolute()
     page = page_template("inspection.html").render(
@@ -71,14 +78,14 @@ def write_inspection_page(inspection: Inspection, path: str | Path) -> Path:
 
 
 def _scene(it: Inspection) -> dict[str, Any] | None:
-    """What the page's own viewer draws: layers of points or faces, as base64 of little-endian arrays."""
+    """The layers of points or faces that the 3D viewer draws, as base64 of little-endian arrays."""
     cameras = inspection_cameras(it)
     if not cameras:
         return None
     low, high = it.body.min(axis=0), it.body.max(axis=0)
     centre = (low + high) / 2
-    reach = float(np.linalg.norm(it.body - centre, axis=1).max()) or 1.0  # of one place
-    half = STRAY_ROOM * reach
+    reach = float(np.linalg.norm(it.body - centre, axis=1).max()) or 1.0  # if all points are equal
+    half = VIEWER_SIZE * reach
 
     def layer_of(
         name: str, label: str, points: FloatArray, colour: Colour, *, width: float, **more: Any
@@ -109,7 +116,7 @@ def _scene(it: Inspection) -> dict[str, Any] | None:
         for name, places, colour in (("cuts", it.cuts, CUT), ("bridges", it.bridges, BRIDGE)):
             layers.append(layer_of(name, name, places, colour, width=half / 30, over=True))
     on = {"surface", "filled", "cuts", "bridges"} if it.mesh is not None else {"points", "dropped"}
-    return {"layers": layers, "on": sorted(on), "axes": cameras[0].axes.tolist(), "zoom": STRAY_ROOM}
+    return {"layers": layers, "on": sorted(on), "axes": cameras[0].axes.tolist(), "zoom": VIEWER_SIZE}
 
 
 def _base64(values: NDArray[Any]) -> str:

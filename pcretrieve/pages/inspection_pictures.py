@@ -1,4 +1,4 @@
-"""Pictures of one inspected scan, in rows: one thing from all sides, in colours that say what is wrong."""
+"""Pictures of one inspected scan, in rows of one layer from all sides, with defects marked by colours."""
 
 from __future__ import annotations
 
@@ -41,13 +41,16 @@ __all__ = [
 
 PICTURE_PIXELS = 280
 
-# A picture of this many colours is a third as large, and looks the same.
+# Number of colours in a picture: a third of the size of the file with all colours, without a visible
+# difference.
 N_COLOURS = 128
 
-# More points than this say no more in a picture, and make the page larger than 5 MB.
+# Largest number of points in a picture and in the 3D viewer. With more points, the page would be larger than
+# 5 MB, without a visible difference.
 MOST_POINTS = 45_000
 
-# sRGB in [0, 1]: blue is right, orange is wrong, also for the colour-blind; each on white and on black.
+# sRGB colours in [0, 1], with contrast to white and to black: blue is right and orange is wrong, which
+# colour-blind readers can distinguish.
 KEPT = (0.42, 0.55, 0.70)
 DROPPED = (0.86, 0.10, 0.42)
 FACING = (0.24, 0.50, 0.82)
@@ -56,20 +59,32 @@ FILLED = (0.95, 0.52, 0.10)
 CUT = (0.80, 0.05, 0.15)
 BRIDGE = (0.45, 0.15, 0.75)
 
-# Dropped points are few: drawn wider than others, they are seen.
+# Width of the squares of dropped points, relative to the squares of other points. There are few of them, and
+# they should be visible.
 DROPPED_WIDTH = 2.5
 
-# Squares this wide close up to a skin, through which the far side does not show; median distances between
-# neighbours.
+# Width of the squares of points, in median distances between nearest neighbours. Squares of this width
+# overlap, and hide the points behind them.
 SKIN_WIDTH = 3.5
 
-# Points without normals are shaded by depth, from this brightness at the far end to 1 at the near one.
+# Smallest brightness. Points without normals are shaded by depth, from this brightness at the far end to 1 at
+# the near end.
 DARKEST = 0.35
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Row:
-    """One thing from all sides, without the empty space above and below, and what its colours mean."""
+    """Pictures of one layer from all sides, cropped above and below, and the meaning of their colours.
+
+    Attributes
+    ----------
+    title : str
+        What the pictures show.
+    key : list of (Colour, str)
+        The meaning of each colour.
+    pictures : list of PIL.Image.Image
+        One picture for each camera, with a transparent background.
+    """
 
     title: str
     key: list[tuple[Colour, str]]
@@ -82,7 +97,7 @@ class Row:
         object.__setattr__(self, "pictures", cut)
 
     def encoded(self) -> dict[str, object]:
-        """For the page: colours as CSS, pictures as PNG with a palette."""
+        """The row for the template of the page: colours as CSS, pictures as PNG with a palette."""
         files = []
         for picture in self.pictures:
             file = BytesIO()
@@ -93,12 +108,34 @@ class Row:
 
 
 def inspection_cameras(it: Inspection) -> list[Camera]:
-    """The cameras on four sides of the body; none if there is no body."""
+    """The cameras of all pictures of an inspection.
+
+    Parameters
+    ----------
+    it : Inspection
+        The inspection.
+
+    Returns
+    -------
+    list of Camera
+        Cameras on four sides of the body; empty if there are no points.
+    """
     return cameras_around(it.body) if len(it.body) else []
 
 
 def rows_of(it: Inspection) -> list[Row]:
-    """Points, normals, surface, and what was done to it: those that there are."""
+    """The rows of pictures of an inspection.
+
+    Parameters
+    ----------
+    it : Inspection
+        The inspection.
+
+    Returns
+    -------
+    list of Row
+        Raw points, normals, surface, and changes of the surface, as far as the stages did not fail.
+    """
     rows = []
     if it.scan is not None and inspection_cameras(it):
         rows.append(_raw_row(it.scan, it))
@@ -133,7 +170,7 @@ def _raw_row(scan: PointCloud, it: Inspection) -> Row:
         )
         pictures.append(Image.alpha_composite(picture, over))
     n = int(it.dropped.sum())
-    key = [(KEPT, f"{len(scan.points) - n} points"), (DROPPED, f"{n} dropped as strays")]
+    key = [(KEPT, f"{len(scan.points) - n} points"), (DROPPED, f"{n} dropped as outliers")]
     return Row("Points as they were read", key, pictures)
 
 
@@ -148,7 +185,7 @@ def _normals_row(cloud: PointCloud, normals: FloatArray, it: Inspection) -> Row:
             cloud.points, colours, camera, width=SKIN_WIDTH * it.spacing, size=PICTURE_PIXELS
         )
         pictures.append(picture)
-    key = [(FACING, "outside faces you"), (AWAY, "inside faces you: a hole, or a patch turned over")]
+    key = [(FACING, "outside faces you"), (AWAY, "inside faces you: a hole, or normals that point inwards")]
     return Row("Which side is outside", key, pictures)
 
 
@@ -168,12 +205,41 @@ def _marks_row(mesh: TriangleMesh, it: Inspection) -> Row:
 
 
 def thinned(points: FloatArray) -> FloatArray:
-    """At most `MOST_POINTS` rows, evenly through the file."""
+    """Select `MOST_POINTS` points at equal intervals in the order of the file.
+
+    Parameters
+    ----------
+    points : (n, 3) float64
+        Points, or another value of each point.
+
+    Returns
+    -------
+    (k, 3) float64
+        All rows, if there are no more than `MOST_POINTS`.
+    """
     return points[np.linspace(0, len(points) - 1, min(len(points), MOST_POINTS)).astype(np.intp)]
 
 
 def write_inspection_png(inspection: Inspection, path: str | Path) -> Path:
-    """Write all pictures on one sheet, under the verdict; as `write_inspection_page` otherwise."""
+    """Write the verdict and all pictures into one picture. An existing file is replaced in one step.
+
+    Parameters
+    ----------
+    inspection : Inspection
+        The result of `inspect_scan`.
+    path : str or Path
+        The PNG file, in a folder that exists.
+
+    Returns
+    -------
+    Path
+        Absolute path of the file.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be written.
+    """
     target = Path(path).absolute()
     rows = rows_of(inspection)
     margin, line, title = 16, 22, 34

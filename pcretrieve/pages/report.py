@@ -1,6 +1,6 @@
-"""A page to look at: queries, what was found for each, and how well that went.
+"""The retrieval page: queries with their ranked results, and retrieval measures.
 
-One HTML file that needs nothing else: pictures are inlined, and no request leaves the page.
+It is one self-contained HTML file: pictures are inlined, and the page makes no requests.
 """
 
 from __future__ import annotations
@@ -23,60 +23,61 @@ __all__ = ["Card", "Panel", "write_report"]
 
 PNG_MAGIC = b"\x89PNG\r\n\x1a\n"
 
-# What a reader who has never seen a retrieval benchmark needs to know of each measure.
+# The measures, explained for readers who do not know retrieval benchmarks.
 MEASURES = (
     ("nn", "NN", "nearest neighbour", "How often the first shape found is of the query's class."),
     (
         "ft",
         "FT",
         "first tier",
-        "Share of the other shapes of the class that come among the first R, where R is how many there are.",
+        "Fraction of the other shapes of the class that are among the first R, where R is their number.",
     ),
     ("st", "ST", "second tier", "The same among the first 2R."),
     (
         "e",
         "E",
         "E-measure",
-        "Precision and recall of the first 32 taken together; below 1 even for a perfect ranking.",
+        "Harmonic mean of precision and recall of the first 32; below 1 even for a perfect ranking.",
     ),
     (
         "dcg",
         "DCG",
         "discounted cumulative gain",
-        "How early the shapes of the class come; the first places weigh most.",
+        "How early the shapes of the class are ranked; the first ranks have the largest weights.",
     ),
     (
         "map",
         "mAP",
         "mean average precision",
-        "Precision at the place of each shape of the class, averaged: the whole ranking in one number.",
+        "Mean precision at the ranks of the other shapes of the class: the whole ranking in one number.",
     ),
 )
 
 
 @dataclass(frozen=True, slots=True)
 class Card:
-    """A shape as the page shows it.
+    """One shape on the page.
 
     Attributes
     ----------
     id : str
+        Identifier of the shape.
     label : str or None
-        Its class, where known.
+        Class of the shape, if known.
     path : str
-        Where it came from; may be empty.
+        File of the scan; may be empty.
     distance : float or None
-        To the query; None for the query itself.
+        Distance to the query; None for the query itself.
     picture : bytes or None
-        PNG with a transparent background. The page shows a result at 8 rem and a query at 13, about 130 and
-        210 pixels; twice that looks sharp on a fine screen.
+        PNG with a transparent background. The page shows a query with a width of 13 rem (about 210 pixels)
+        and a result with 8 rem (about 130 pixels); screens of high resolution show up to twice as many.
     relevant : bool or None
-        Whether it is of the query's class; None where one of them has no label, and for the query itself.
+        Whether the shape has the class of the query; None if one of both has no label, and for the query.
 
     Raises
     ------
     InputError
-        For a picture that is not a PNG, or a distance that is negative or not finite.
+        If the picture is not a PNG, or the distance is negative or not finite.
     """
 
     id: str
@@ -90,7 +91,7 @@ class Card:
         if self.picture is not None and not self.picture.startswith(PNG_MAGIC):
             raise InputError(
                 f"the picture of {self.id} must be a PNG, got {len(self.picture)} bytes that start with "
-                f"{self.picture[: len(PNG_MAGIC)]!r}; use pcretrieve.pages.thumbnail.thumbnail, or None"
+                f"{self.picture[: len(PNG_MAGIC)]!r}; use pcretrieve.rendering.thumbnail, or None"
             )
         if self.distance is not None and not (isfinite(self.distance) and self.distance >= 0):
             raise InputError(f"the distance of {self.id} must be at least 0 and finite, got {self.distance}")
@@ -98,18 +99,19 @@ class Card:
 
 @dataclass(frozen=True, slots=True)
 class Panel:
-    """A query and the shapes found for it.
+    """A query and its results.
 
     Attributes
     ----------
     query : Card
+        The query.
     results : tuple of Card
-        Nearest first: the rank of a shape is its place.
+        The results, in ascending order of distance.
 
     Raises
     ------
     InputError
-        For distances that descend.
+        If the distances are not in ascending order.
     """
 
     query: Card
@@ -127,12 +129,12 @@ class Panel:
 
     @property
     def n_judged(self) -> int:
-        """Results that are known to be right or wrong."""
+        """Number of results that are known to be relevant or not."""
         return sum(card.relevant is not None for card in self.results)
 
     @property
     def n_right(self) -> int:
-        """Results of the query's class."""
+        """Number of results with the class of the query."""
         return sum(card.relevant is True for card in self.results)
 
 
@@ -146,31 +148,34 @@ def write_report(
     facts: Mapping[str, str] = MappingProxyType({}),
     precision_recall: PrecisionRecall | None = None,
 ) -> Path:
-    """Write the page; a file that is there already is replaced in one step, or left as it is.
+    """Write the retrieval page. An existing file is replaced in one step, or left unchanged.
 
     Parameters
     ----------
     path : str or Path
         The HTML file, in a folder that exists.
     title : str
+        Title of the page.
     panels : sequence of Panel
-        Shown in this order.
-    measures, precision_recall : optional
-        Over all queries, also those that are not shown.
+        Queries and results, in this order.
+    measures : RetrievalMeasures, optional
+        Measures over all queries, including queries that are not on the page.
     failures : sequence of Failure
-        Shapes that are missing from the rankings, and why.
+        Shapes that are not in the rankings, with the reasons.
     facts : mapping of str to str
-        What else to say at the top, such as how many shapes there are and which distance was used.
+        What is stated at the top, such as the number of shapes and the distance.
+    precision_recall : PrecisionRecall, optional
+        Precision–recall curve over all queries.
 
     Returns
     -------
     Path
-        Of the file, absolute.
+        Absolute path of the file.
 
     Raises
     ------
     InputError
-        Where the file cannot be written.
+        If the file cannot be written.
     """
     target = Path(path).absolute()
     page = page_template("report.html").render(
@@ -183,7 +188,7 @@ def write_report(
         curve=None if precision_recall is None else _curve(precision_recall),
         failures=failures,
     )
-    # A file name may hold bytes that are no text; the page then shows a question mark.
+    # Bytes of file names that are not UTF-8 are replaced by question marks.
     write_file(target, page.encode("utf-8", errors="replace"))
     return target
 
@@ -196,7 +201,7 @@ class _MeasureRow(NamedTuple):
 
 
 class _Curve(NamedTuple):
-    """A curve in the unit square of an SVG, whose y axis points down, and its precision at both ends."""
+    """A curve in the unit square of an SVG, whose y axis points down, with the precision at both ends."""
 
     points: str
     first: float

@@ -1,4 +1,4 @@
-"""Catalogue → the page that shows how well it retrieves."""
+"""Catalogue → retrieval page, with measures and with pictures of queries and results."""
 
 from __future__ import annotations
 
@@ -30,32 +30,35 @@ def retrieval_page(
     options: PipelineOptions | None = None,
     matrix: DistanceMatrix | None = None,
 ) -> Path:
-    """Write a page with retrieval measures, and pictures of queries and their ranked results.
+    """Write a page with retrieval measures, and with pictures of queries and their ranked results.
 
     Parameters
     ----------
     catalogue : Catalogue
+        The shapes, with their classes if known.
     path : str or Path
         The HTML file.
     n_queries : int, default 8
-        Rows of results: the first shape of each class, or of all where there are no classes.
+        Largest number of queries on the page: the first shape of each class, or the first shapes if there are
+        no classes.
     k : int, default 5
-        Results in a row, the query itself left out.
+        Number of results of each query, without the query itself.
     options : PipelineOptions, optional
-        With a descriptor, a distance or a whitening other than the catalogue's own. Measures with the
-        whitening ``within-class`` come from grouped folds, the rows from the whitening of a query.
+        Options with a descriptor, a distance or a whitening other than the catalogue's own. With the
+        whitening ``within-class``, the measures are computed by grouped folds, and the results on the page
+        with the whitening that is fitted to all labelled shapes.
     matrix : DistanceMatrix, optional
-        Distances in place of those of signatures; shapes that it does not have are misses.
+        Distances that replace the distances of signatures. Shapes that the matrix does not have are misses.
 
     Returns
     -------
     Path
-        Of the page, absolute.
+        Absolute path of the page.
 
     Raises
     ------
     CatalogueError
-        If `options` are for other spectra than those of the catalogue.
+        If `options` are for other spectra than the spectra of the catalogue.
     InputError
         If the catalogue holds no shapes, the matrix has a shape that the catalogue does not have, or the page
         cannot be written.
@@ -127,7 +130,7 @@ def _signature_facts(table: SignatureTable, options: PipelineOptions) -> dict[st
 
 
 def _queries(classes: Mapping[str, str | None], most: int) -> list[str]:
-    """The first shape of each class; the first shapes where there are no classes."""
+    """The first shape of each class; the first shapes, if there are no classes."""
     first: dict[str, str] = {}
     for shape_id, label in classes.items():
         if label is not None:

@@ -67,9 +67,9 @@ def clean(cloud: PointCloud, options: ScanOptions) -> PointCloud:
     )
     kept = thinned.select(inliers)
     _check_extent(kept.points)
-    n_strays = len(thinned.points) - len(inliers)
-    if n_strays:
-        notes = (*notes, f"dropped {n_strays} of {len(thinned.points)} points as strays")
+    n_outliers = len(thinned.points) - len(inliers)
+    if n_outliers:
+        notes = (*notes, f"dropped {n_outliers} of {len(thinned.points)} points as outliers")
     step = Step(
         "clean",
         time.perf_counter() - started,

@@ -175,8 +175,8 @@ def check_vertices(mesh: TriangleMesh) -> None:
     """
     if not len(mesh.faces):
         raise DegenerateMeshError("a surface must have faces, got none")
-    loose = np.ones(len(mesh.vertices), dtype=bool)
-    loose[mesh.faces] = False
-    n_loose = int(loose.sum())
-    if n_loose:
-        raise DegenerateMeshError(f"every vertex must be in a face, got {n_loose} that are in none")
+    unused = np.ones(len(mesh.vertices), dtype=bool)
+    unused[mesh.faces] = False
+    n_unused = int(unused.sum())
+    if n_unused:
+        raise DegenerateMeshError(f"every vertex must be in a face, got {n_unused} that are in none")

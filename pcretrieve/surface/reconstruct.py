@@ -47,9 +47,9 @@ def sound_mesh(mesh: TriangleMesh, options: SurfaceOptions) -> TriangleMesh | No
     if options.mode == "auto":
         if defects(mesh):
             return None
-        used, loose = used_vertices(mesh)
+        used, unused = used_vertices(mesh)
         kept, turned = outward(used)
-        notes = (*loose, *turned)
+        notes = (*unused, *turned)
     else:
         kept, notes = repaired(mesh)
     step = Step(

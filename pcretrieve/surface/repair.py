@@ -48,7 +48,7 @@ def repaired(mesh: TriangleMesh) -> tuple[TriangleMesh, Notes]:
     DegenerateMeshError
         If no faces remain, or the surface is one-sided.
     """
-    used, loose = used_vertices(mesh)
+    used, unused = used_vertices(mesh)
     thick, flat = collapse_flat_faces(used)
     single, repeated = drop_repeated_faces(thick)
     if not len(single.faces):
@@ -65,7 +65,7 @@ def repaired(mesh: TriangleMesh) -> tuple[TriangleMesh, Notes]:
     split = (f"split {n_split} vertices where the surface was not manifold",)
     largest, dropped = largest_component(manifold)
     final, flipped = outward(largest)
-    notes = (*loose, *flat, *repeated, *turned * (n_turned > 0), *split * (n_split > 0), *dropped, *flipped)
+    notes = (*unused, *flat, *repeated, *turned * (n_turned > 0), *split * (n_split > 0), *dropped, *flipped)
     return final, notes
 
 
@@ -85,8 +85,8 @@ def used_vertices(mesh: TriangleMesh) -> tuple[TriangleMesh, Notes]:
         Number of the vertices, if there were any.
     """
     used = compact(mesh.vertices, mesh.faces)
-    n_loose = len(mesh.vertices) - len(used.vertices)
-    return (used, (f"dropped {n_loose} vertices that are in no face",)) if n_loose else (mesh, ())
+    n_unused = len(mesh.vertices) - len(used.vertices)
+    return (used, (f"dropped {n_unused} vertices that are in no face",)) if n_unused else (mesh, ())
 
 
 def collapse_flat_faces(mesh: TriangleMesh) -> tuple[TriangleMesh, Notes]:

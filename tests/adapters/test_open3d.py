@@ -85,14 +85,14 @@ def test_locked_arrays_go_in_and_stay_as_they_are() -> None:
 # --- points -------------------------------------------------------------------------------------------
 
 
-def test_strays_are_found_and_the_rest_keeps_its_order() -> None:
+def test_outliers_are_found_and_the_rest_keeps_its_order() -> None:
     rng = np.random.default_rng(0)
-    strays = np.sort(rng.choice(3000, size=12, replace=False))
+    outliers = np.sort(rng.choice(3000, size=12, replace=False))
     points = POINTS.copy()
-    points[strays] *= rng.uniform(1.5, 3, (12, 1))
+    points[outliers] *= rng.uniform(1.5, 3, (12, 1))
     kept = adapter.statistical_inliers(points, n_neighbors=20, std_ratio=2.0)
     assert (np.diff(kept) > 0).all()
-    assert not set(strays.tolist()) & set(kept.tolist())
+    assert not set(outliers.tolist()) & set(kept.tolist())
     assert len(kept) > 2900
 
 

@@ -131,7 +131,7 @@ def test_options_reach_the_merge(folder: Path) -> None:
         counts[name] = json.loads(result.stdout)["points"]
     assert counts["near"] == pytest.approx(0.75 * counts["all"], rel=0.01)
     assert counts["thin"] < 0.5 * counts["all"]
-    assert 0.98 * counts["all"] < counts["piece"] < counts["all"]  # the rig's strays are gone
+    assert 0.98 * counts["all"] < counts["piece"] < counts["all"]  # the rig's outliers are gone
 
 
 @pytest.mark.parametrize(

@@ -35,9 +35,9 @@ def check(inspection: Inspection, name: str) -> Check:
 
 @pytest.fixture(scope="module")
 def good() -> Inspection:
-    """A body seen from all sides, with a dozen strays at the end."""
-    strays = 0.6 * BODY.diagonal * shapes.points_on(shapes.icosphere(2), 12, seed=7)
-    points = np.concatenate([shapes.points_on(BODY, 20_000), strays])
+    """A body seen from all sides, with a dozen outliers at the end."""
+    outliers = 0.6 * BODY.diagonal * shapes.points_on(shapes.icosphere(2), 12, seed=7)
+    points = np.concatenate([shapes.points_on(BODY, 20_000), outliers])
     return inspect_scan(seen_from_far(points), OPTIONS, n_rescans=2)
 
 
@@ -49,7 +49,7 @@ def test_a_good_scan_passes(good: Inspection) -> None:
     assert check(good, "Signature").value == good.spread
 
 
-def test_strays_are_what_was_dropped(good: Inspection) -> None:
+def test_outliers_are_what_was_dropped(good: Inspection) -> None:
     assert good.dropped[-12:].all()
     assert good.dropped.mean() < 0.02
 

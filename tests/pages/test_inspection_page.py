@@ -36,11 +36,11 @@ from pcretrieve.types import Failure, PointCloud, Signature, TriangleMesh
 CHROMIUM = shutil.which("chromium") or shutil.which("google-chrome")
 
 SPHERE = shapes.icosphere(5)
-STRAYS = np.array([[1.15, 0.1, 0.1], [0.2, -1.2, 0.3]])
+OUTLIERS = np.array([[1.15, 0.1, 0.1], [0.2, -1.2, 0.3]])
 
 
 def inspection(n_turned: int = 0) -> Inspection:
-    """A sphere with its upper half filled in, a cut at its top, two strays, and the last normals turned."""
+    """A sphere with its upper half filled in, a cut at its top, two outliers, and the last normals turned."""
     points = SPHERE.vertices[np.argsort(SPHERE.vertices[:, 0])]
     normals = points.copy()
     normals[len(points) - n_turned :] *= -1
@@ -49,10 +49,10 @@ def inspection(n_turned: int = 0) -> Inspection:
         name="ball.ply",
         path="scans/ball.ply",
         checks=(
-            Check("Strays", "look", 0.05, "5 % dropped", "Look."),
+            Check("Outliers", "look", 0.05, "5 % dropped", "Look."),
             Check("Points", "passed", 1.0, "many", "Fine."),
         ),
-        scan=PointCloud(np.concatenate([points, STRAYS])),
+        scan=PointCloud(np.concatenate([points, OUTLIERS])),
         dropped=np.arange(len(points) + 2) >= len(points),
         cloud=PointCloud(points, normals),
         spacing=0.035,
@@ -104,7 +104,7 @@ def test_a_patch_turned_over_is_orange_on_its_side_only() -> None:
     assert min(shares) < 0.01
 
 
-def test_strays_are_seen_beside_the_body() -> None:
+def test_outliers_are_seen_beside_the_body() -> None:
     for picture in pictures(inspection(), "Points as they were read"):
         assert share_of(DROPPED, picture) > 0
 
@@ -143,7 +143,7 @@ def test_the_viewer_gets_points_normals_and_faces(tmp_path: Path) -> None:
 
     assert seen.cloud is not None and seen.cloud.normals is not None and seen.mesh is not None
     np.testing.assert_allclose(places("normals"), seen.cloud.points, atol=1e-4)
-    np.testing.assert_allclose(places("dropped"), STRAYS, atol=1e-4)
+    np.testing.assert_allclose(places("dropped"), OUTLIERS, atol=1e-4)
     np.testing.assert_allclose(places("cuts"), seen.cuts, atol=1e-4)
     np.testing.assert_allclose(places("surface"), seen.mesh.vertices, atol=1e-4)
     assert len(places("bridges")) == 0
@@ -196,7 +196,7 @@ def test_pages_that_cannot_be_written(tmp_path: Path) -> None:
 
 def test_the_summary_names_the_worst() -> None:
     seen = inspection()
-    assert (seen.verdict, seen.summary) == ("look", "Usable, but look at: strays.")
+    assert (seen.verdict, seen.summary) == ("look", "Usable, but look at: outliers.")
     passed = replace(seen, checks=seen.checks[1:])
     assert (passed.verdict, passed.summary) == ("passed", "A good scan: all checks passed.")
     failed = replace(seen, checks=(Check("Noise", "failed", 1.0, "much", "Hold still."), *seen.checks))

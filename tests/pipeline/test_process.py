@@ -52,8 +52,8 @@ def test_points_need_no_surface(scan: object) -> None:
 
 def test_of_points_in_two_pieces_the_larger_is_kept() -> None:
     options = PipelineOptions().changed(spectral={"element": "points"})
-    flock = 0.3 * shapes.points_on(shapes.icosphere(2), 300) + [0, 0, 5]  # a clump of strays
-    both = process(np.concatenate([POINTS, flock]), options)
+    piece = 0.3 * shapes.points_on(shapes.icosphere(2), 300) + [0, 0, 5]
+    both = process(np.concatenate([POINTS, piece]), options)
     assert both.area == pytest.approx(process(POINTS, options).area, rel=0.03)
     assert both.mesh.vertices[:, 2].max() < 4
     (note,) = both.provenance[-1].notes

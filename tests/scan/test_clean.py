@@ -56,14 +56,14 @@ def test_the_unit_does_not_matter(unit: float) -> None:
     np.testing.assert_allclose(other.points, unit * metres.points, rtol=1e-9)
 
 
-def test_strays_go_and_the_body_stays() -> None:
+def test_outliers_go_and_the_body_stays() -> None:
     rng = np.random.default_rng(0)
-    strays = 3 * BODY.diagonal * (rng.random((20, 3)) - 0.5)
-    far_from_body = gaps(BODY.points, strays) > 0.1 * BODY.diagonal
-    cleaned = clean(PointCloud(np.concatenate([BODY.points, strays[far_from_body]])), OPTIONS)
+    outliers = 3 * BODY.diagonal * (rng.random((20, 3)) - 0.5)
+    far_from_body = gaps(BODY.points, outliers) > 0.1 * BODY.diagonal
+    cleaned = clean(PointCloud(np.concatenate([BODY.points, outliers[far_from_body]])), OPTIONS)
     assert gaps(BODY.points, cleaned.points).max() < 0.02 * BODY.diagonal
     assert gaps(cleaned.points, BODY.points).max() < 0.02 * BODY.diagonal
-    assert any("as strays" in note for note in notes(cleaned))
+    assert any("as outliers" in note for note in notes(cleaned))
 
 
 @pytest.mark.parametrize("distance", [1e3, 1e10, 3e38], ids=["far", "very far", "largest float32"])
@@ -74,7 +74,7 @@ def test_one_point_far_away_does_not_coarsen_the_rest(distance: float) -> None:
     assert notes(cleaned)[0] == "dropped 1 of 6001 points more than 20 median distances from the middle"
 
 
-def test_a_second_body_is_not_taken_for_strays() -> None:
+def test_a_second_body_is_not_taken_for_outliers() -> None:
     both = PointCloud(np.concatenate([BODY.points, BODY.points[::10] + 100 * BODY.diagonal]))
     assert not any("median distances" in note for note in notes(clean(both, ScanOptions(voxel=0))))
 
