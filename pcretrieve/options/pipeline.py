@@ -1,0 +1,227 @@
+"""The options of all stages as one object: read from TOML, identified by digests."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, TypeAlias
+
+from pcretrieve.errors import OptionError
+from pcretrieve.options.model import Options
+from pcretrieve.options.presets import PRESETS
+from pcretrieve.options.retrieval import RetrievalOptions
+from pcretrieve.options.scan import ScanOptions
+from pcretrieve.options.signature import Scale, SignatureOptions, SpectralOptions
+from pcretrieve.options.surface import RemeshOptions, SurfaceOptions
+
+if sys.version_info >= (3, 11):
+    import tomllib
+else:
+    import tomli as tomllib
+
+__all__ = ["NUMBERS_VERSION", "OptionsLike", "PipelineOptions"]
+
+# Version of the numerical results, part of the digest. It is incremented when a change of the code, not of an
+# option, changes a signature, because signatures of different versions must not be compared. The changes are
+# listed in CHANGELOG.md under "Changed numbers".
+NUMBERS_VERSION = 7
+
+#: What public functions take for options: see `PipelineOptions.of`.
+OptionsLike: TypeAlias = "PipelineOptions | Mapping[str, Any] | str | Path | None"
+
+
+class PipelineOptions(Options):
+    """The options of all stages. `PipelineOptions()` are the defaults; docs/decisions.md has the reasons."""
+
+    scan: ScanOptions = ScanOptions()
+    surface: SurfaceOptions = SurfaceOptions()
+    remesh: RemeshOptions = RemeshOptions()
+    spectral: SpectralOptions = SpectralOptions()
+    signature: SignatureOptions = SignatureOptions()
+    retrieval: RetrievalOptions = RetrievalOptions()
+
+    @classmethod
+    def from_toml(cls, path: str | Path, base: PipelineOptions | None = None) -> PipelineOptions:
+        """Read options from a TOML file with one table for each stage.
+
+        Parameters
+        ----------
+        path : str or Path
+            The file.
+        base : PipelineOptions, optional
+            The values of options that the file does not name, such as those of a catalogue. By default the
+            defaults.
+
+        Returns
+        -------
+        PipelineOptions
+            The options in the file, and those of `base`.
+
+        Raises
+        ------
+        OptionError
+            If the file cannot be read, is not TOML, or has an unknown option or an invalid value.
+        """
+        try:
+            values = tomllib.loads(Path(path).read_text(encoding="utf-8"))
+        except OSError as error:
+            raise OptionError(f"cannot read the options file {path}: {error.strerror}") from error
+        except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+            raise OptionError(f"{path} is not valid TOML: {error}") from error
+        try:
+            return (base or cls()).changed(**values)
+        except OptionError as error:
+            raise OptionError(f"{path}: {error.message}") from error
+
+    @classmethod
+    def preset(cls, name: str, base: PipelineOptions | None = None) -> PipelineOptions:
+        """The options for a common source of scans.
+
+        Parameters
+        ----------
+        name : str
+            A key of `PRESETS`.
+        base : PipelineOptions, optional
+            The values of options that the preset does not name. By default the defaults.
+
+        Returns
+        -------
+        PipelineOptions
+            The options of `base` with the changes of the preset.
+
+        Raises
+        ------
+        OptionError
+            If there is no preset of this name.
+        """
+        if name not in PRESETS:
+            raise OptionError(f"there is no preset {name!r}; there are {', '.join(PRESETS)}")
+        return (base or cls()).changed(**PRESETS[name])
+
+    @classmethod
+    def named(cls, name: str | Path, base: PipelineOptions | None = None) -> PipelineOptions:
+        """The options of a TOML file, or of a preset if there is no file of that name.
+
+        Parameters
+        ----------
+        name : str or Path
+            The file, or a key of `PRESETS`.
+        base : PipelineOptions, optional
+            The values of options that the file or the preset does not name. By default the defaults.
+
+        Returns
+        -------
+        PipelineOptions
+            As of `from_toml` or `preset`.
+
+        Raises
+        ------
+        OptionError
+            If there is neither such a file nor such a preset, or the file cannot be read or is invalid.
+        """
+        if str(name) in PRESETS and not Path(name).exists():
+            return cls.preset(str(name), base)
+        return cls.from_toml(name, base)
+
+    @classmethod
+    def of(cls, options: OptionsLike, base: PipelineOptions | None = None) -> PipelineOptions:
+        """The options that a value stands for, as public functions take them.
+
+        Parameters
+        ----------
+        options : PipelineOptions, mapping, str, Path or None
+            Options; a mapping of stages to options with their values, such as ``{"signature": {"n_values":
+            45}}``; the name of a preset or of a TOML file; None for `base`.
+        base : PipelineOptions, optional
+            The values of options that a mapping, a preset or a file does not name. By default the defaults.
+
+        Returns
+        -------
+        PipelineOptions
+            The options themselves, or those named with the rest of `base`.
+
+        Raises
+        ------
+        OptionError
+            If the value stands for no options, or has an unknown option or an invalid value.
+        """
+        if options is None:
+            return base or cls()
+        if isinstance(options, cls):
+            return options
+        if isinstance(options, (str, Path)):
+            return cls.named(options, base)
+        if isinstance(options, Mapping):
+            return (base or cls()).changed(**options)
+        raise OptionError(
+            "options must be PipelineOptions, a mapping such as {'signature': {'n_values': 45}}, or the name "
+            f"of a preset ({', '.join(PRESETS)}) or of a TOML file, got {type(options).__name__}"
+        )
+
+    def changed(self, **stages: dict[str, Any]) -> PipelineOptions:
+        """A copy with some options replaced, such as ``options.changed(surface={"mode": "keep"})``.
+
+        Parameters
+        ----------
+        **stages : dict
+            For each stage, the options that change and their new values.
+
+        Returns
+        -------
+        PipelineOptions
+            The copy.
+
+        Raises
+        ------
+        OptionError
+            If there is no such option, or its value is not allowed.
+        """
+        values = self.model_dump()
+        for stage, changes in stages.items():
+            known = isinstance(changes, dict) and stage in values
+            values[stage] = values[stage] | changes if known else changes
+        return type(self)(**values)
+
+    @property
+    def digest(self) -> str:
+        """Hash of everything that a stored spectrum depends on: 16 hexadecimal digits.
+
+        The options of the stages `signature` and `retrieval` are not included, because signatures are
+        computed from the stored spectrum on demand: one catalogue serves all methods, numbers of values and
+        distances.
+        """
+        values = self.model_dump(exclude={"signature", "retrieval"})
+        values["numbers_version"] = NUMBERS_VERSION
+        return hashlib.sha256(json.dumps(values, sort_keys=True).encode()).hexdigest()[:16]
+
+    @property
+    def signature_digest(self) -> str:
+        """Hash of everything that a signature depends on: signatures are comparable only if it is equal."""
+        return self._digest_of(self.signature.measured_by)
+
+    @property
+    def compared(self) -> SignatureOptions:
+        """The options of the signatures that are compared, with the normalisation that auto stands for."""
+        return self.signature.model_copy(update={"scale": self._compared_by})
+
+    @property
+    def compared_digest(self) -> str:
+        """Hash of everything that the signatures that are compared depend on.
+
+        It differs from `signature_digest` only where the scale auto means another normalisation. A table of
+        signatures, the whitening applied to it and a query must have the same one.
+        """
+        return self._digest_of(self._compared_by)
+
+    @property
+    def _compared_by(self) -> Scale:
+        if self.signature.scale == "auto" and self.retrieval.whitening == "pca":
+            return "relative"
+        return self.signature.measured_by
+
+    def _digest_of(self, scale: Scale) -> str:
+        signature = self.signature.model_copy(update={"scale": scale}).model_dump_json()
+        return hashlib.sha256((self.digest + signature).encode()).hexdigest()[:16]

@@ -1,0 +1,34 @@
+"""The options of the comparison of signatures."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import AfterValidator, Field
+
+from pcretrieve.names import NAMES
+from pcretrieve.options.model import Options
+
+__all__ = ["Damping", "RetrievalOptions", "WhiteningKind"]
+
+WhiteningKind = Literal["none", "resolution", "pca", "within-class"]
+Damping = Literal["auto"] | Annotated[float, Field(gt=0, le=1)]
+
+
+class RetrievalOptions(Options):
+    """Signatures → ranked shapes. No stored spectrum or signature depends on these options."""
+
+    distance: Annotated[str, AfterValidator(NAMES["distance"].known)] = "log"
+    """Distance of two signatures: the Euclidean distance of their logarithms (log), or the dissimilarities D1
+    and D2 of Ye and Yu."""
+    whitening: WhiteningKind = "none"
+    """Linear map of log-signatures before they are compared: none; the whitening of the changes that the
+    resolution of a surface causes, measured on simulated bodies (resolution, for r-bihdm only); or that of
+    the covariance of the gallery (pca), or of its pooled within-class covariance (within-class)."""
+    damping: Damping = "auto"
+    """Regularisation of the covariance of a whitening: for pca and resolution relative to its largest
+    eigenvalue, for within-class the shrinkage intensity. auto: .01, .03 and .1."""
+    n_folds: Annotated[int, Field(ge=2)] = 5
+    """Number of folds of classes with which a within-class whitening is evaluated."""
+    fold_seed: Annotated[int, Field(ge=0)] = 0
+    """Seed of the random assignment of classes to folds."""

@@ -1,0 +1,62 @@
+"""The options of spectra and of signatures."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import AfterValidator, Field, model_validator
+
+from pcretrieve.names import METHODS, NAMES
+from pcretrieve.options.model import Count, Options
+
+__all__ = ["Scale", "SignatureOptions", "SpectralOptions"]
+
+
+class SpectralOptions(Options):
+    """Surface of unit area → smallest eigenpairs of its Laplace–Beltrami operator."""
+
+    element: Annotated[str, AfterValidator(NAMES["element"].known)] = "linear"
+    """Discretisation of the operator. linear, cubic: finite elements on the triangles of the surface;
+    intrinsic-delaunay: linear elements on the intrinsic Delaunay triangulation of the tufted cover, robust to
+    badly shaped and non-manifold triangles; points: linear elements on local triangulations of the filtered
+    points, without a surface."""
+    n_pairs: Annotated[int, Field(ge=3)] = 61
+    """Number of eigenpairs that are computed and stored, including the constant eigenfunction."""
+
+
+Scale = Literal["relative", "area", "absolute"]
+
+
+class SignatureOptions(Options):
+    """Spectrum and surface → descriptor."""
+
+    method: Annotated[str, AfterValidator(NAMES["descriptor"].known)] = "r-bihdm"
+    """The descriptor; `pcretrieve signature --help` lists all of them."""
+    n_values: Count = 23
+    """Number L of values of the descriptor. For combined, of each of its two parts; for bags of features, the
+    number of words."""
+    n_modes: Annotated[int, Field(ge=2)] = 60
+    """Number m of modes at which R-BiHDM, BiHDM, and the heat and wave kernels are truncated."""
+    scale: Literal["auto", "relative", "area", "absolute"] = "auto"
+    """Normalisation of the values: by the area of the surface (area), by the first value of the descriptor
+    (relative, as in the papers), or none (absolute). area and relative are invariant to scaling; absolute
+    compares sizes too, and is meaningful only if all files are in one unit. auto: relative if signatures are
+    compared after PCA whitening, area otherwise, which for R-BiHDM gives the better rankings."""
+    size_weight: Annotated[float, Field(ge=0, le=20)] = 0.0
+    """Weight w of the size of a body relative to its form: area^w is appended to the values, if w > 0. In log
+    distances, bodies whose areas differ by a factor of exp(1/w) are then 1 apart. Meaningful only if all
+    files are in one unit. Gives better rankings than the scale absolute."""
+
+    @property
+    def measured_by(self) -> Scale:
+        """The normalisation of a signature by itself: `scale`, with area for auto."""
+        return "area" if self.scale == "auto" else self.scale
+
+    @model_validator(mode="after")
+    def _has_a_size(self) -> SignatureOptions:
+        if self.scale == "absolute" and not METHODS.get(self.method, True):
+            raise ValueError(
+                f"scale: must be area or relative for {self.method}, which has no size to keep; absolute is "
+                "for " + ", ".join(name for name, has_size in METHODS.items() if has_size)
+            )
+        return self
