@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from datetime import datetime, timezone
 from pathlib import Path
 
 from pcretrieve.types import FloatArray, Shape, Step
 
-__all__ = ["Content", "Record", "free_id", "numbered_id"]
+__all__ = ["Content", "Record", "completed", "free_id", "numbered_id"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -78,6 +79,22 @@ class Record:
     def seconds(self) -> float:
         """Time that all stages took together."""
         return sum(step.seconds for step in self.steps)
+
+
+def completed(record: Record, content: Content | None, options_digest: str) -> Record:
+    """A record that is stored now, with the sizes of its content; None for a shape that failed."""
+    added = datetime.now(timezone.utc).isoformat(timespec="seconds")
+    record = replace(record, options_digest=options_digest, added=added)
+    if content is None:
+        return record
+    mesh = content.shape.mesh
+    return replace(
+        record,
+        area=content.shape.area,
+        n_vertices=len(mesh.vertices),
+        n_faces=len(mesh.faces),
+        euler=mesh.euler_characteristic,
+    )
 
 
 def numbered_id(stem: str, number: int) -> str:

@@ -98,11 +98,8 @@ class Rows(Protocol):
     def by_id(self, shape_ids: Sequence[str]) -> list[Record]:
         """The records of some ids, in ascending order of id, without ids that the store does not hold."""
 
-    def by_path(self, paths: Collection[str]) -> list[Record]:
-        """The records of files, likewise."""
-
     def by_content(self, hashes: Collection[str]) -> list[Record]:
-        """The records of contents, likewise; several files may have one content."""
+        """The records of contents, likewise by id; several files may have one content."""
 
     def put(self, record: Record, signature: bytes | None, payloads: Mapping[Payload, bytes]) -> Record:
         """Store a shape under its path, and return the record that the store holds of that path then."""

@@ -10,7 +10,7 @@ from pcretrieve.catalogue.opening import damaged
 from pcretrieve.errors import CatalogueError, OptionError
 from pcretrieve.options import NUMBERS_VERSION, PipelineOptions, options_difference
 
-__all__ = ["settings_of", "stored_options"]
+__all__ = ["fitting_options", "settings_of", "stored_options"]
 
 
 def settings_of(options: PipelineOptions) -> dict[str, str]:
@@ -59,3 +59,34 @@ def stored_options(
             "options out to use its own"
         )
     return own
+
+
+def fitting_options(path: Path, own: PipelineOptions, given: PipelineOptions) -> PipelineOptions:
+    """The options of a request to a catalogue, whose stored spectra must be those that they ask for.
+
+    Parameters
+    ----------
+    path : Path
+        Of the catalogue, for messages.
+    own : PipelineOptions
+        Those that it was built with.
+    given : PipelineOptions
+        Those of the request, with any options of signatures and retrieval.
+
+    Returns
+    -------
+    PipelineOptions
+        `given`.
+
+    Raises
+    ------
+    CatalogueError
+        If other spectra are asked for.
+    """
+    if given.digest != own.digest:
+        difference = "; ".join(options_difference(own, given))
+        raise CatalogueError(
+            f"{path} was built with other options: {difference}. Of those only the ones of [signature] and "
+            "[retrieval] can be changed: start from its own, Catalogue.options"
+        )
+    return given

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import json
 import sqlite3
-from array import array
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import asdict, replace
+from dataclasses import replace
+from itertools import islice
+from operator import lt
 from pathlib import Path
 from typing import Any
 
@@ -17,33 +17,21 @@ from numpy.typing import NDArray
 from pcretrieve.catalogue.migrations import prepare
 from pcretrieve.catalogue.opening import connect, damaged, is_writable, translated
 from pcretrieve.catalogue.record import Record, free_id
+from pcretrieve.catalogue.record_rows import (
+    LENGTHS,
+    PROVENANCE_COLUMNS,
+    RECORDS,
+    SHAPE_COLUMNS,
+    record_of,
+    row_of,
+)
 from pcretrieve.catalogue.rows import OWN, PAYLOADS, Listed, Payload, Revision, Status
 from pcretrieve.catalogue.schema import NEW_NAME, transaction
-from pcretrieve.types import Step
 
 __all__ = ["SqliteRows"]
 
-SHAPE_COLUMNS = (
-    "id",
-    "path",
-    "content_hash",
-    "label",
-    "status",
-    "stage",
-    "error",
-    "message",
-    "area",
-    "n_vertices",
-    "n_faces",
-    "euler",
-)
-PROVENANCE_COLUMNS = ("steps", "options_digest", "versions", "added")
-COLUMNS = (*SHAPE_COLUMNS, *PROVENANCE_COLUMNS)
-LENGTHS = " + ".join(f"ifnull(length(CAST({name} AS BLOB)), 0)" for name in COLUMNS)
-RECORDS = f"SELECT {', '.join(COLUMNS)} FROM shapes LEFT JOIN provenance ON shape = number"
-
-# Signatures that are read at a time.
-READ_AT_ONCE = 10_000
+# Rows that are read at a time where all are wanted.
+READ_AT_ONCE = 1000
 
 
 class SqliteRows:
@@ -115,9 +103,6 @@ class SqliteRows:
     def by_id(self, shape_ids: Collection[str]) -> list[Record]:
         return self._where("id", shape_ids)
 
-    def by_path(self, paths: Collection[str]) -> list[Record]:
-        return self._where("path", paths)
-
     def by_content(self, hashes: Collection[str]) -> list[Record]:
         return self._where("content_hash", hashes)
 
@@ -131,7 +116,7 @@ class SqliteRows:
                 return self._one(shape_id)
             if number is not None:
                 self._forget([number])
-            row = _row(replace(record, id=shape_id))
+            row = row_of(replace(record, id=shape_id))
             number = self._insert("shapes", {"number": number} | {name: row[name] for name in SHAPE_COLUMNS})
             self._insert("provenance", {"shape": number} | {name: row[name] for name in PROVENANCE_COLUMNS})
             if signature is not None:
@@ -187,19 +172,24 @@ class SqliteRows:
         return sizes
 
     def signatures(self, digest: str) -> Listed:
-        numbers, ids, labels = array("q"), [], []
+        numbers: list[int] = []
+        ids: list[str] = []
+        labels: list[str | None] = []
         known: dict[str | None, str | None] = {}
+        # By the table, not by the index of the status, which would look each shape up by itself.
+        query = "SELECT number, id, label FROM shapes NOT INDEXED WHERE status = 'done' ORDER BY number"
         with self._reading():
             revision = self.revision()
-            # By the table, not by the index of the status, which would look each shape up by itself.
-            query = "SELECT number, id, label FROM shapes NOT INDEXED WHERE status = 'done' ORDER BY number"
-            for number, shape_id, label in self._connection.execute(query):
-                numbers.append(number)
-                ids.append(shape_id)
-                labels.append(known.setdefault(label, label))
-            by_id = sorted(range(len(ids)), key=ids.__getitem__)
-            packed, has = self._packed(digest, np.array(numbers), np.argsort(by_id))
-        return Listed(revision, [ids[row] for row in by_id], [labels[row] for row in by_id], packed, has)
+            for number, shape_id, label in self._columns(query):
+                numbers += number
+                ids += shape_id
+                labels += map(known.setdefault, label, label)
+            by_id = np.arange(len(ids))
+            if not all(map(lt, ids, islice(ids, 1, None))):
+                by_id = np.array(sorted(by_id.tolist(), key=ids.__getitem__), np.intp)
+                ids, labels = [ids[row] for row in by_id], [labels[row] for row in by_id]
+            packed, has = self._packed(digest, np.array(numbers, np.int64), np.argsort(by_id))
+        return Listed(revision, ids, labels, packed, has)
 
     def _packed(
         self, digest: str, numbers: NDArray[np.int64], rows: NDArray[np.intp]
@@ -211,9 +201,7 @@ class SqliteRows:
         )
         has = np.zeros(len(numbers), np.bool_)
         packed = np.zeros((len(numbers), 0), np.uint8)
-        cursor = self._connection.execute(query, (digest,))
-        while found := cursor.fetchmany(READ_AT_ONCE):
-            shapes, values = zip(*found, strict=True)
+        for shapes, values in self._columns(query, (digest,)):
             if len({*map(len, values)}) > 1 or packed.shape[1] not in (0, len(values[0])):
                 raise damaged(self.path, "signatures by the same options have several lengths")
             if not packed.shape[1]:
@@ -222,6 +210,13 @@ class SqliteRows:
             packed[theirs] = np.frombuffer(b"".join(values), np.uint8).reshape(len(values), -1)
             has[theirs] = True
         return packed, has
+
+    def _columns(self, query: str, values: Sequence[object] = ()) -> Iterator[list[list[Any]]]:
+        """What a query finds by columns, some rows at a time."""
+        cursor = self._connection.execute(query, values)
+        while rows := cursor.fetchmany(READ_AT_ONCE):
+            # Not zip(*rows), which makes an iterator of each row: three times as slow.
+            yield [[row[column] for row in rows] for column in range(len(rows[0]))]
 
     def keep(self, digest: str, signatures: Collection[tuple[Record, bytes]]) -> None:
         with self._writing():
@@ -294,21 +289,11 @@ class SqliteRows:
         return sorted((self._record(row) for row in rows), key=lambda record: record.id)
 
     def _record(self, row: tuple[Any, ...]) -> Record:
-        values = dict(zip(COLUMNS, row, strict=True))
         try:
-            steps = [Step(**step | {"notes": tuple(step["notes"])}) for step in json.loads(values["steps"])]
-            return Record(**values | {"steps": tuple(steps), "versions": json.loads(values["versions"])})
+            return record_of(row)
         except (ValueError, TypeError, KeyError) as error:
-            raise damaged(self.path, f"shape {values['id']!r} has no readable provenance") from error
+            raise damaged(self.path, f"shape {row[0]!r} has no readable provenance") from error
 
     def _all(self, query: str, values: Sequence[object] | Mapping[str, object] = ()) -> list[Any]:
         with translated(self.path):
             return self._connection.execute(query, values).fetchall()
-
-
-def _row(record: Record) -> dict[str, Any]:
-    """The values of a record by column."""
-    return asdict(record) | {
-        "steps": json.dumps([asdict(step) for step in record.steps]),
-        "versions": json.dumps(record.versions),
-    }

@@ -3,28 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Mapping
-from dataclasses import replace
-from datetime import datetime, timezone
 from pathlib import Path
 from types import TracebackType
 
 from pcretrieve.catalogue.arrays import packed_values
 from pcretrieve.catalogue.gallery import Gallery
-from pcretrieve.catalogue.record import Content, Record
-from pcretrieve.catalogue.rows import OWN, Revision, Rows, Status
-from pcretrieve.catalogue.settings import settings_of, stored_options
+from pcretrieve.catalogue.record import Content, Record, completed
+from pcretrieve.catalogue.rows import Revision, Rows, Status
+from pcretrieve.catalogue.settings import fitting_options, settings_of, stored_options
 from pcretrieve.catalogue.sqlite import SqliteRows
 from pcretrieve.catalogue.surfaces import payloads_of, read_shape, unknown
-from pcretrieve.catalogue.tables import digest_of, made_index, signature_table
-from pcretrieve.errors import CatalogueError
-from pcretrieve.options import PipelineOptions, options_difference
-from pcretrieve.retrieval import (
-    DISTANCES,
-    SignatureIndex,
-    Whitening,
-    resolution_whitening,
-    table_whitening,
-)
+from pcretrieve.catalogue.tables import digest_of, made_index, resolution_of, signature_table
+from pcretrieve.options import PipelineOptions
+from pcretrieve.retrieval import DISTANCES, SignatureIndex, Whitening, table_whitening
 from pcretrieve.types import Need, Shape, SignatureTable, TriangleMesh
 
 __all__ = ["Catalogue"]
@@ -56,9 +47,7 @@ class Catalogue:
     --------
     >>> with Catalogue("people.sqlite") as catalogue:          # doctest: +SKIP
     ...     options = catalogue.options.changed(retrieval={"whitening": "within-class"})
-    ...     index = SignatureIndex(
-    ...         catalogue.signatures(options), options.retrieval, whitening=catalogue.whitening(options)
-    ...     )
+    ...     neighbors = catalogue.index(options).nearest("anna-sits", k=5)
     """
 
     def __init__(
@@ -108,21 +97,9 @@ class Catalogue:
         Record
             What the catalogue holds of that path now.
         """
-        record = replace(
-            record,
-            options_digest=self.options.digest,
-            added=datetime.now(timezone.utc).isoformat(timespec="seconds"),
-        )
+        record = completed(record, content, self.options.digest)
         if content is None:
             return self._rows.put(record, None, {})
-        mesh = content.shape.mesh
-        record = replace(
-            record,
-            area=content.shape.area,
-            n_vertices=len(mesh.vertices),
-            n_faces=len(mesh.faces),
-            euler=mesh.euler_characteristic,
-        )
         return self._rows.put(record, packed_values(content.signature), payloads_of(content.shape))
 
     def remove(self, *shape_ids: str) -> None:
@@ -263,7 +240,7 @@ class Catalogue:
             If `options` are for other spectra than those of the catalogue.
         """
         options = self._fitting(options)
-        return signature_table(self._rows, self.path, self._kept_under(options), options)
+        return signature_table(self._rows, self.path, self.options, options)
 
     def index(self, options: PipelineOptions | None = None) -> SignatureIndex:
         """The index of this catalogue's signatures that options ask for.
@@ -289,8 +266,7 @@ class Catalogue:
         request = f"{digest_of(options)} {distance} {retrieval.whitening} {retrieval.damping}"
 
         def make() -> tuple[SignatureIndex, Revision]:
-            kept_under = self._kept_under(options)
-            return made_index(self._rows, self.path, kept_under, options, self._resolution(options))
+            return made_index(self._rows, self.path, self.options, options)
 
         by_label = retrieval.whitening == "within-class"
         return self._gallery.index(request, self._rows.revision(), make, by_label=by_label)
@@ -312,31 +288,9 @@ class Catalogue:
         """
         options = self._fitting(options)
         if options.retrieval.whitening in ("none", "resolution"):
-            return table_whitening(self.signatures(options), options.retrieval, self._resolution(options))
+            return table_whitening(self.signatures(options), options.retrieval, resolution_of(options))
         return self.index(options).whitening
-
-    # --- inside ---------------------------------------------------------------------------------------
-
-    def _kept_under(self, options: PipelineOptions) -> str:
-        """The digest that the signatures which options ask for are kept under."""
-        return OWN if options.compared_digest == self.options.signature_digest else digest_of(options)
-
-    def _resolution(self, options: PipelineOptions) -> Whitening | None:
-        """The whitening that is not fitted to shapes, where it is asked for."""
-        if options.retrieval.whitening != "resolution":
-            return None
-        return resolution_whitening(
-            options.compared, damping=options.retrieval.damping, options_digest=options.compared_digest
-        )
 
     def _fitting(self, options: PipelineOptions | None) -> PipelineOptions:
         """The options of a request, once they have been seen to be for the spectra that are stored."""
-        if options is None:
-            return self.options
-        if options.digest != self.options.digest:
-            difference = "; ".join(options_difference(self.options, options))
-            raise CatalogueError(
-                f"{self.path} was built with other options: {difference}. Of those only the ones of "
-                "[signature] and [retrieval] can be changed: start from its own, Catalogue.options"
-            )
-        return options
+        return self.options if options is None else fitting_options(self.path, self.options, options)

@@ -12,21 +12,31 @@ import numpy as np
 from pcretrieve.catalogue.arrays import packed_values, unpacked_values
 from pcretrieve.catalogue.opening import intact
 from pcretrieve.catalogue.record import Record
-from pcretrieve.catalogue.rows import Revision, Rows
+from pcretrieve.catalogue.rows import OWN, Revision, Rows
 from pcretrieve.catalogue.surfaces import read_shape
 from pcretrieve.errors import ShapeError
 from pcretrieve.names import METHODS
 from pcretrieve.options import PipelineOptions
-from pcretrieve.retrieval import SignatureIndex, Whitening
+from pcretrieve.retrieval import SignatureIndex, Whitening, resolution_whitening
 from pcretrieve.retrieval.distances import check_comparable, coordinates
+from pcretrieve.retrieval.lower_bounds import BLOCK
+from pcretrieve.retrieval.names import Names
 from pcretrieve.types import FloatArray, SignatureTable
 
-__all__ = ["digest_of", "made_index", "signature_table"]
+__all__ = ["digest_of", "made_index", "resolution_of", "signature_table"]
 
 logger = logging.getLogger(__name__)
 
 # Signatures that are computed before they are kept: what was done is not lost when the rest is stopped.
 KEPT_AT_ONCE = 100
+
+
+def resolution_of(options: PipelineOptions) -> Whitening | None:
+    """The whitening that is not fitted to shapes, where it is asked for."""
+    if options.retrieval.whitening != "resolution":
+        return None
+    damping = options.retrieval.damping
+    return resolution_whitening(options.compared, damping=damping, options_digest=options.compared_digest)
 
 
 def digest_of(options: PipelineOptions) -> str:
@@ -61,14 +71,15 @@ class Signatures(NamedTuple):
     values: FloatArray
 
 
-def read_signatures(rows: Rows, path: Path, digest: str, options: PipelineOptions) -> Signatures:
-    """The signatures that options ask for; those that are not kept under `digest` are computed.
+def read_signatures(rows: Rows, path: Path, own: PipelineOptions, options: PipelineOptions) -> Signatures:
+    """The signatures that options ask for of a catalogue that was built with options of its `own`.
 
-    ShapeError if a shape has none.
+    Those that are not kept are computed; ShapeError if a shape has none.
     """
     # Only for those who read all signatures: the descriptors bring scipy.
     from pcretrieve.descriptors import signature_length
 
+    digest = OWN if options.compared_digest == own.signature_digest else digest_of(options)
     listed = rows.signatures(digest)
     missing = np.flatnonzero(~listed.has)
     made = _described(rows, path, digest, options, [listed.ids[row] for row in missing])
@@ -84,39 +95,43 @@ def read_signatures(rows: Rows, path: Path, digest: str, options: PipelineOption
     return Signatures(listed.revision, listed.ids, listed.labels, values)
 
 
-def signature_table(rows: Rows, path: Path, digest: str, options: PipelineOptions) -> SignatureTable:
-    """The table of the signatures that options ask for; ShapeError if a shape has none."""
+def signature_table(rows: Rows, path: Path, own: PipelineOptions, options: PipelineOptions) -> SignatureTable:
+    """The table of the signatures that `read_signatures` gives."""
     from pcretrieve.descriptors import DESCRIPTORS
 
     descriptor = DESCRIPTORS[options.signature.method]
-    _, ids, labels, values = read_signatures(rows, path, digest, options)
+    _, ids, labels, values = read_signatures(rows, path, own, options)
     made_by = descriptor.name, options.compared_digest
     return SignatureTable(tuple(ids), values, *made_by, tuple(labels), descriptor.metric)
 
 
 def made_index(
-    rows: Rows, path: Path, digest: str, options: PipelineOptions, whitening: Whitening | None
+    rows: Rows, path: Path, own: PipelineOptions, options: PipelineOptions
 ) -> tuple[SignatureIndex, Revision]:
     """The index of the signatures that options ask for, and the state of the catalogue that it is of.
 
-    No more than two arrays of the size of the table are in memory at a time.
+    Unless it is whitened by class, no more than two arrays of the size of the table are in memory at a time.
     """
     from pcretrieve.descriptors import DESCRIPTORS
 
     descriptor = DESCRIPTORS[options.signature.method]
     check_comparable(descriptor.name, descriptor.metric, options.retrieval.distance)
-    revision, ids, labels, values = read_signatures(rows, path, digest, options)
-    points = coordinates(values, descriptor.metric)
-    del values
+    revision, ids, labels, values = read_signatures(rows, path, own, options)
+    # In place: the table has been read for the index alone.
+    for start in range(0, len(values), BLOCK):
+        block = slice(start, start + BLOCK)
+        values[block] = coordinates(values[block], descriptor.metric)
+    names = Names.of(ids)
+    if options.retrieval.whitening != "within-class":
+        labels = []  # only that whitening asks for them
+    del ids
     index = SignatureIndex.of_coordinates(
-        ids,
-        points,
+        names,
+        values,
         labels,
-        kind=descriptor.name,
-        digest=options.compared_digest,
-        metric=descriptor.metric,
-        options=options.retrieval,
-        whitening=whitening,
+        (descriptor.name, options.compared_digest, descriptor.metric),
+        options.retrieval,
+        resolution_of(options),
     )
     return index, revision
 

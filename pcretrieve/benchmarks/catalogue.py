@@ -1,0 +1,182 @@
+"""Print times, memory and disk space of large catalogues, and the rate at which small meshes are ingested.
+
+    .venv/bin/python scripts/benchmark_catalogue
+
+Catalogues of 100,000 and of a million shapes are made in a temporary folder from the seed 0: records and
+signatures of 45 values, by `r-bihdm`, relative, but neither spectra nor meshes. Queries are PCA whitened and
+ask for ten shapes. The temporary folder needs 3.5 GB (`TMPDIR` says where it is). About 12 minutes on two
+cores of a 2.5 GHz Xeon, of which 5 are the ingestion; `--shapes 100000 --meshes 200` takes one.
+"""
+
+from __future__ import annotations
+
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator, Sequence
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+from pcretrieve.benchmarks.arguments import argument_parser, positive
+from pcretrieve.benchmarks.commands import run_command
+from pcretrieve.benchmarks.memory import MIB
+from pcretrieve.benchmarks.surfaces import bumpy_sphere
+from pcretrieve.benchmarks.synthetic import CLASS_SIZE, synthetic_catalogue, synthetic_id, write_small_meshes
+from pcretrieve.benchmarks.tables import Column, Table, print_lines
+from pcretrieve.benchmarks.timing import timed, timed_by_turns
+from pcretrieve.catalogue import Catalogue
+from pcretrieve.errors import PcretrieveError
+from pcretrieve.options import PipelineOptions
+from pcretrieve.retrieval import DISTANCES, SignatureIndex
+from pcretrieve.simulation import UniformOptions, scan_uniformly, write_ply
+
+__all__ = ["main"]
+
+TABLE = Table(Column("figure", 58, align="<"), Column("measured", 8, align="<"))
+
+OPTIONS = PipelineOptions().changed(signature={"n_values": 45, "scale": "relative"})
+WHITENED = ("--whitening", "pca")
+SEED = 0
+K = 10
+N_REPEATS = 5
+N_QUERIES = 100
+
+# Answers that are compared with those of brute force.
+N_COMPARED = 5
+
+N_VERTICES = 252
+N_WORKERS = 2
+
+# Vertices of the body that is scanned, to see what its surfaces cost.
+N_SCANNED = 2000
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Print the table.
+
+    Parameters
+    ----------
+    arguments : sequence of str, optional
+        By default those of the command line.
+    """
+    parser = argument_parser(__doc__)
+    parser.add_argument(
+        "--shapes", type=positive, nargs="*", default=[100_000, 1_000_000], help="sizes of the catalogues"
+    )
+    parser.add_argument("--meshes", type=int, default=5000, help="meshes that are ingested; 0 for none")
+    given = parser.parse_args(arguments)
+    if wrong := [n for n in given.shapes if n % CLASS_SIZE]:
+        parser.error(f"--shapes must be multiples of {CLASS_SIZE}, got {wrong[0]}")
+    try:
+        print_lines(_lines(given.shapes, given.meshes))
+    except PcretrieveError as error:
+        sys.exit(str(error))
+
+
+def _lines(sizes: Sequence[int], n_meshes: int) -> Iterator[str]:
+    yield TABLE.head
+    for n_shapes in sizes:
+        yield f"{n_shapes:,} shapes"
+        with tempfile.TemporaryDirectory() as folder:
+            yield from _catalogue(Path(folder) / "large.sqlite", n_shapes)
+    if n_meshes:
+        yield f"{n_meshes:,} meshes of {N_VERTICES} vertices"
+        with tempfile.TemporaryDirectory() as folder:
+            yield from _ingestion(Path(folder), n_meshes)
+
+
+def _catalogue(path: Path, n_shapes: int) -> Iterator[str]:
+    """Figures of a synthetic catalogue."""
+    seconds, _ = timed(partial(synthetic_catalogue, path, OPTIONS, n_shapes, SEED))
+    yield TABLE.row("  written", f"{seconds:.0f} s, {path.stat().st_size / MIB:.0f} MiB")
+    ((opening, _),) = timed_by_turns([lambda: Catalogue(path).close()], N_REPEATS)
+    yield TABLE.row("  Catalogue(...)", f"{opening.median * 1e3:.1f} ms")
+    with Catalogue(path) as catalogue:
+        seconds, _ = timed(catalogue.signatures)
+    yield TABLE.row("  Catalogue.signatures", f"{seconds:.2f} s, {seconds / n_shapes * 1e6:.1f} µs a shape")
+    query = ("query", synthetic_id(n_shapes // 3), "-c", str(path), "-k", str(K), *WHITENED)
+    seconds, peak = run_command(*query)
+    arrays = sum(file.stat().st_size for file in path.parent.rglob("*.npy")) / MIB
+    yield TABLE.row(
+        "  pcretrieve query ID, which makes the index",
+        f"{seconds:.1f} s, peak {peak:.0f} MiB, {peak / arrays:.1f} times its arrays of {arrays:.0f} MiB",
+    )
+    runs = [run_command(*query) for _ in range(N_REPEATS)]
+    seconds, peak = statistics.median(s for s, _ in runs), max(p for _, p in runs)
+    yield TABLE.row(
+        "  pcretrieve query ID, whose index is kept", f"median {seconds:.2f} s, peak {peak:.0f} MiB"
+    )
+    yield TABLE.row("  pcretrieve list, first line", f"{_first_line('list', '-c', str(path)):.2f} s")
+    for distance in DISTANCES.own:
+        yield _queries(path, distance)
+
+
+def _queries(path: Path, distance: str) -> str:
+    """Times of queries by an index that was kept, and whether brute force agrees."""
+    options = OPTIONS.changed(retrieval={"whitening": "pca", "distance": distance})
+    with Catalogue(path) as catalogue:
+        catalogue.index(options)
+    with Catalogue(path) as catalogue:
+        opening, index = timed(partial(catalogue.index, options))
+        rows = np.random.default_rng(SEED).integers(len(index), size=N_QUERIES)
+        ids = [synthetic_id(row) for row in rows.tolist()]
+        index.nearest(ids[0], K)  # which maps the arrays
+        times = [timed(partial(index.nearest, shape_id, K))[0] for shape_id in ids]
+        equal = sum(_agrees(index, row) for row in rows[:N_COMPARED].tolist())
+    return TABLE.row(
+        f"  index.nearest, {distance}",
+        f"opens in {opening * 1e3:.0f} ms, query median {statistics.median(times) * 1e3:.1f} ms, "
+        f"{equal} of {N_COMPARED} as by brute force",
+    )
+
+
+def _agrees(index: SignatureIndex, row: int) -> bool:
+    """Whether the answer for a shape is that of comparing it with every shape."""
+    ((_, distances),) = index.blocks(np.array([row]))
+    order = np.argsort(distances[0], kind="stable")[:K]  # ids ascend with the rows
+    found = index.nearest(index.ids[row], K)
+    return (
+        found.ids == tuple(index.ids[at] for at in order) and (found.distances == distances[0][order]).all()
+    )
+
+
+def _first_line(*arguments: str) -> float:
+    """Seconds until a command prints its first line."""
+    started = time.perf_counter()
+    command = [sys.executable, "-m", "pcretrieve", *arguments]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL) as process:
+        if process.stdout is not None:
+            process.stdout.readline()
+        seconds = time.perf_counter() - started
+        process.kill()
+    return seconds
+
+
+def _ingestion(folder: Path, n_meshes: int) -> Iterator[str]:
+    """Figures of the ingestion of small meshes, and what shapes cost."""
+    scans, path = folder / "scans", folder / "small.sqlite"
+    scans.mkdir()
+    write_small_meshes(scans, n_meshes, N_VERTICES, SEED)
+    seconds, peak = run_command("ingest", str(scans), "-c", str(path), "--workers", str(N_WORKERS))
+    yield TABLE.row(
+        f"  pcretrieve ingest, {N_WORKERS} workers",
+        f"{seconds:.0f} s, {n_meshes / seconds:.1f} shapes/s, peak {peak:.0f} MiB",
+    )
+    yield _cost(path, "body-00000", "one surface")
+    cloud = scan_uniformly(bumpy_sphere(N_SCANNED), UniformOptions(), np.random.default_rng(SEED))
+    write_ply(folder / "scan.ply", cloud.points)
+    run_command("ingest", str(folder / "scan.ply"), "-c", str(path))
+    yield _cost(path, "scan", "two surfaces")
+
+
+def _cost(path: Path, shape_id: str, surfaces: str) -> str:
+    """What is stored of a shape."""
+    with Catalogue(path) as catalogue:
+        stored = catalogue.stored_bytes(shape_id)
+    meshes = stored.pop("meshes")
+    kilobytes = f"{sum(stored.values()) / 1000:.1f} kB, and {meshes / 1000:.1f} kB of meshes"
+    return TABLE.row(f"  stored of a shape of {surfaces}, beside its meshes", kilobytes)

@@ -1,0 +1,49 @@
+"""Records ↔ the values of their rows in SQL."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict
+from typing import Any
+
+from pcretrieve.catalogue.record import Record
+from pcretrieve.types import Step
+
+__all__ = ["LENGTHS", "PROVENANCE_COLUMNS", "RECORDS", "SHAPE_COLUMNS", "record_of", "row_of"]
+
+#: Columns of the tables `shapes` and `provenance` that hold the fields of a record.
+SHAPE_COLUMNS = (
+    "id",
+    "path",
+    "content_hash",
+    "label",
+    "status",
+    "stage",
+    "error",
+    "message",
+    "area",
+    "n_vertices",
+    "n_faces",
+    "euler",
+)
+PROVENANCE_COLUMNS = ("steps", "options_digest", "versions", "added")
+COLUMNS = (*SHAPE_COLUMNS, *PROVENANCE_COLUMNS)
+#: The bytes of a record.
+LENGTHS = " + ".join(f"ifnull(length(CAST({name} AS BLOB)), 0)" for name in COLUMNS)
+#: All records; conditions follow.
+RECORDS = f"SELECT {', '.join(COLUMNS)} FROM shapes LEFT JOIN provenance ON shape = number"
+
+
+def row_of(record: Record) -> dict[str, Any]:
+    """The values of a record, by column."""
+    return asdict(record) | {
+        "steps": json.dumps([asdict(step) for step in record.steps]),
+        "versions": json.dumps(record.versions),
+    }
+
+
+def record_of(row: tuple[Any, ...]) -> Record:
+    """The record of a row of `RECORDS`; ValueError, TypeError or KeyError if it is damaged."""
+    values = dict(zip(COLUMNS, row, strict=True))
+    steps = [Step(**step | {"notes": tuple(step["notes"])}) for step in json.loads(values["steps"])]
+    return Record(**values | {"steps": tuple(steps), "versions": json.loads(values["versions"])})
