@@ -23,6 +23,7 @@ from pcretrieve.evaluation import (
     rank_table,
 )
 from pcretrieve.formats.scans import ScanLike, as_scan
+from pcretrieve.ingestion import Executor
 from pcretrieve.ingestion.discover import discover
 from pcretrieve.ingestion.labels import read_labels
 from pcretrieve.ingestion.run import Summary, ingest_files
@@ -53,13 +54,14 @@ def ingest(
     workers: int | None = None,
     timeout: float = 600.0,
     memory: float | None = None,
+    executor: Executor | str = "processes",
     retry_failed: bool = False,
     on_shape: Callable[[Record], None] = lambda record: None,
 ) -> Summary:
-    """Process scans in isolated worker processes, and store them in a catalogue, failures included.
+    """Process scans, and store them in a catalogue, failures included.
 
     What the catalogue holds already is skipped. A script that calls this function needs the usual guard ``if
-    __name__ == "__main__":``, because the workers are spawned.
+    __name__ == "__main__":``, because worker processes are spawned.
 
     Parameters
     ----------
@@ -72,11 +74,14 @@ def ingest(
     options : OptionsLike, optional
         The options of a new catalogue. By default those of the existing one, or the defaults.
     workers : int, optional
-        Number of processes. By default one for each core.
+        Largest number of scans that are processed at a time. By default one for each core.
     timeout : float, default 600
         Longest time for one shape; seconds.
     memory : float, optional
         Largest heap of one worker; GiB. By default there is no limit.
+    executor : Executor or str, default "processes"
+        What processes the scans: an executor, or the name of one. The default has worker processes of its
+        own on this computer, so that a scan that hangs, crashes or fills the memory disturbs no other.
     retry_failed : bool, default False
         Whether scans that failed before are processed again.
     on_shape : function, optional
@@ -93,6 +98,8 @@ def ingest(
         If a path does not exist, or names no scans.
     BenchmarkError
         If the labels cannot be read, or contradict each other.
+    OptionError
+        If there is no such option, or no such executor.
     CatalogueError
         If the catalogue was built with other options, or cannot be opened.
     """
@@ -107,6 +114,7 @@ def ingest(
             workers=workers,
             timeout=timeout,
             memory=memory,
+            executor=executor,
             retry_failed=retry_failed,
             on_shape=on_shape,
         )

@@ -31,5 +31,6 @@ NAMES = {
         Names("descriptor", "pcretrieve.signatures", tuple(METHODS)),
         Names("distance", "pcretrieve.distances", ("log", "d1", "d2")),
         Names("matcher", "pcretrieve.matchers", ("heat-hausdorff",)),
+        Names("executor", "pcretrieve.executors", ("processes",)),
     )
 }

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -12,6 +11,7 @@ import click
 from pcretrieve.cli.parts import (
     EXIT_INTERRUPTED,
     EXIT_SOME_FAILED,
+    RecordName,
     catalogue_option,
     config_option,
     failure_line,
@@ -46,11 +46,17 @@ QUOTED = 5
 @click.option(
     "--workers",
     type=click.IntRange(min=1),
-    default=len(os.sched_getaffinity(0)),
     show_default="one per core",
     metavar="N",
 )
 @limit_options("scan")
+@click.option(
+    "--executor",
+    type=RecordName("executor"),
+    default="processes",
+    show_default=True,
+    help="What processes the scans.",
+)
 @click.option("--retry-failed", is_flag=True, help="Process again what failed before.")
 @json_option
 def ingest_command(
@@ -59,9 +65,10 @@ def ingest_command(
     labels: Path | None,
     config: Path | None,
     surface: str | None,
-    workers: int,
+    workers: int | None,
     timeout: float,
     memory: float | None,
+    executor: str,
     retry_failed: bool,
     as_json: bool,
 ) -> None:
@@ -110,6 +117,7 @@ def ingest_command(
                 workers=workers,
                 timeout=timeout,
                 memory=memory,
+                executor=executor,
                 retry_failed=retry_failed,
                 on_shape=advance,
             )

@@ -75,7 +75,7 @@ matrix_option = click.option(
 
 
 class RecordName(click.ParamType):  # type: ignore[type-arg]  # generic since click 8.3 only
-    """A descriptor, a distance or a matcher: listed in the help, and checked where it is looked up."""
+    """The name of a record such as a descriptor: listed in the help, and checked where it is looked up."""
 
     def __init__(self, kind: str) -> None:
         self.name = kind

@@ -1,5 +1,10 @@
 """Many scans into a catalogue.
 
-In come files, folders, globs and manifests; out comes one row of a catalogue for every scan, computed by
-isolated worker processes.
+In come files, folders, globs and manifests; out comes one row of a catalogue for every scan, computed by an
+executor, by default in isolated worker processes.
 """
+
+from pcretrieve.ingestion.executors import EXECUTORS, Executor
+from pcretrieve.ingestion.isolation import Isolation
+
+__all__ = ["EXECUTORS", "Executor", "Isolation"]

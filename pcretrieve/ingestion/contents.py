@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Iterable, Mapping
-from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
+from threading import Condition, Thread
 
-from pcretrieve.errors import ShapeError
+from pcretrieve.errors import ShapeError, Stage, StageTimeout
 from pcretrieve.ingestion.discover import content_hash
 
 __all__ = ["Contents"]
@@ -21,34 +22,69 @@ class Contents:
         Each by the name that it is asked for.
     n_threads : int
         Files that are read at a time. Hashing and reading release the interpreter lock.
+    timeout : float
+        Longest time to read one file; seconds. A file on a network that is gone may never be read: then its
+        thread waits on, without a part in the count of threads, and does not keep the program from ending.
     """
 
-    def __init__(self, files: Mapping[str, Path], n_threads: int) -> None:
+    def __init__(self, files: Mapping[str, Path], n_threads: int, timeout: float) -> None:
         self._files = files
-        self._pool = ThreadPoolExecutor(n_threads)
-        self._expected: dict[str, Future[str | ShapeError]] = {}
-        self._known: dict[str, str | ShapeError] = {}
+        self._n_threads = n_threads
+        self._timeout = timeout
+        self._changed = Condition()  # guards the attributes below
+        self._known: dict[str, str | Exception] = {}
+        self._expected: dict[str, None] = {}  # in the order in which they are to be read
+        self._deadlines: dict[str, float] = {}  # of the files that are being read
 
     def expect(self, names: Iterable[str]) -> None:
         """Begin to hash files in the background."""
-        for name in names:
-            if name not in self._known and name not in self._expected:
-                self._expected[name] = self._pool.submit(_content, self._files[name])
+        with self._changed:
+            for name in names:
+                if name not in self._known and name not in self._deadlines:
+                    self._expected[name] = None
+            self._start()
 
     def of(self, name: str) -> str | ShapeError:
         """SHA-256 of a file, or why it cannot be read."""
-        if name not in self._known:
-            self.expect([name])
-            self._known[name] = self._expected.pop(name).result()
-        return self._known[name]
+        self.expect([name])
+        with self._changed:
+            while name not in self._known:
+                self._changed.wait(min(self._deadlines.values()) - time.monotonic())
+                self._give_up()
+            content = self._known[name]
+        if isinstance(content, Exception) and not isinstance(content, ShapeError):
+            raise content
+        return content
 
     def close(self) -> None:
         """Hash no more files."""
-        self._pool.shutdown(wait=False, cancel_futures=True)
+        with self._changed:
+            self._expected.clear()
 
+    def _start(self) -> None:
+        while self._expected and len(self._deadlines) < self._n_threads:
+            name = next(iter(self._expected))
+            del self._expected[name]
+            self._deadlines[name] = time.monotonic() + self._timeout
+            # A program that ends waits for the threads of an executor, but not for daemons.
+            Thread(target=self._read, args=(name,), daemon=True).start()
 
-def _content(path: Path) -> str | ShapeError:
-    try:
-        return content_hash(path)
-    except ShapeError as error:
-        return error
+    def _read(self, name: str) -> None:
+        try:
+            content: str | Exception = content_hash(self._files[name])
+        except Exception as error:  # noqa: BLE001  `of` raises it where it is asked for
+            content = error
+        with self._changed:
+            self._finish(name, content)
+
+    def _give_up(self) -> None:
+        now = time.monotonic()
+        for name in [name for name, deadline in self._deadlines.items() if deadline <= now]:
+            message = f"{self._files[name]} was not read within {self._timeout:g} s: raise --timeout"
+            self._finish(name, StageTimeout(message, stage=Stage.READ))
+
+    def _finish(self, name: str, content: str | Exception) -> None:
+        if self._deadlines.pop(name, None) is not None:  # else it was given up
+            self._known[name] = content
+            self._start()
+            self._changed.notify_all()

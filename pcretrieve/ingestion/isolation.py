@@ -16,7 +16,7 @@ from typing import ParamSpec, TypeVar
 from pcretrieve.errors import PcretrieveError
 from pcretrieve.ingestion.workers import outcomes
 
-__all__ = ["Isolation"]
+__all__ = ["Isolation", "in_processes"]
 
 GIB = 1 << 30
 
@@ -97,6 +97,38 @@ class Isolation:
         return outcomes(
             function, items, prepare=partial(_prepare, self.memory), workers=workers, timeout=self.timeout
         )
+
+
+def in_processes(
+    function: Callable[[Item], Answer],
+    items: Iterable[Item],
+    /,
+    *,
+    workers: int | None,
+    timeout: float,
+    memory: float | None,
+) -> Generator[tuple[Item, Answer | PcretrieveError], None, None]:
+    """The `Executor` of this computer: each item in one of several processes, so that none disturbs another.
+
+    Parameters
+    ----------
+    function : callable
+        Of one item.
+    items : iterable
+        Read as processes ask for more.
+    workers : int, optional
+        Largest number of processes at a time. By default one for each core.
+    timeout : float
+        Longest time for one item; seconds.
+    memory : float, optional
+        Largest heap of a process; GiB. By default there is no limit.
+
+    Returns
+    -------
+    generator of (item, outcome)
+        As `Isolation.each` yields them.
+    """
+    return Isolation(timeout, memory).each(function, items, workers=workers or len(os.sched_getaffinity(0)))
 
 
 def _prepare(memory: float | None) -> None:

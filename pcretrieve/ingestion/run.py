@@ -1,4 +1,4 @@
-"""Many scans → catalogue, over isolated workers."""
+"""Many scans → catalogue, over an executor."""
 
 from __future__ import annotations
 
@@ -10,10 +10,11 @@ from functools import partial
 from pathlib import Path
 
 from pcretrieve.catalogue import Catalogue, Content, Record
+from pcretrieve.errors import PcretrieveError
 from pcretrieve.ingestion import work
 from pcretrieve.ingestion.contents import Contents
 from pcretrieve.ingestion.discover import printable
-from pcretrieve.ingestion.isolation import Isolation
+from pcretrieve.ingestion.executors import EXECUTORS, Executor
 from pcretrieve.ingestion.plan import Plan, Planner, apply, failed
 from pcretrieve.options import PipelineOptions
 
@@ -57,14 +58,14 @@ def ingest_files(
     workers: int | None = None,
     timeout: float = 600.0,
     memory: float | None = None,
+    executor: Executor | str = "processes",
     retry_failed: bool = False,
     on_shape: Callable[[Record], None] = lambda record: None,
 ) -> Summary:
     """Process scans and store them, failures included.
 
-    Shapes are processed in worker processes, so that one that hangs, crashes or fills the memory takes no
-    other with it; what is finished is stored at once, so that an interrupted run can be started again and
-    goes on.
+    Each shape is stored as soon as it is finished, so that an interrupted run can be started again and goes
+    on.
 
     Parameters
     ----------
@@ -74,20 +75,40 @@ def ingest_files(
     labels : mapping of name to class, optional
         As from `read_labels`. Also applied to scans that the catalogue holds already.
     workers : int, optional
-        Processes; by default one for each core.
+        Largest number of scans that are processed at a time. By default one for each core.
     timeout : float, default 600
         Longest time for one shape; seconds.
     memory : float, optional
         Largest heap of one worker; GiB.
+    executor : Executor or str, default "processes"
+        What processes the scans: an executor, or the name of one in `EXECUTORS`. That of pcretrieve has
+        processes of its own, so that a shape that hangs, crashes or fills the memory disturbs no other.
     retry_failed : bool, default False
         Process scans again that failed before, with the same content and options.
     on_shape : callable, optional
         Called with each record once it is stored, and with those skipped.
+
+    Returns
+    -------
+    Summary
+        What was done, what failed, and what was skipped.
+
+    Raises
+    ------
+    OptionError
+        If there is no such executor.
+    BenchmarkError
+        If a label stands for several scans, or a scan is given two classes.
+    CatalogueError
+        If the catalogue cannot be written.
+    PcretrieveError
+        If the executor cannot work, or ends without an outcome for each scan.
     """
+    if isinstance(executor, str):
+        executor = EXECUTORS[executor]
     summary = Summary()
     files = {printable(path): path for path in paths}
-    workers = workers or len(os.sched_getaffinity(0))
-    contents = Contents(files, workers)
+    contents = Contents(files, workers or len(os.sched_getaffinity(0)), timeout)
     planner = Planner(files, catalogue.records(), labels or {}, contents.of, retry_failed=retry_failed)
 
     def store(record: Record, content: Content | None) -> None:
@@ -107,15 +128,26 @@ def ingest_files(
                 on_shape(record)
             for record in made.unreadable:
                 store(record, None)
-            yield from made.process
+            for scan in made.process:
+                in_work.add(scan[0])
+                yield scan
 
-    running = Isolation(timeout, memory).each(partial(_content, catalogue.options), queue(), workers=workers)
+    in_work: set[Path] = set()
+    running = executor(
+        partial(_content, catalogue.options), queue(), workers=workers, timeout=timeout, memory=memory
+    )
     with closing(contents), closing(running):
-        for (_, record), outcome in running:
+        for (path, record), outcome in running:
+            in_work.discard(path)
             if isinstance(outcome, Content):
                 store(replace(record, steps=outcome.shape.provenance), outcome)
             else:
                 store(failed(record, outcome), None)
+    if in_work:
+        raise PcretrieveError(
+            f"an executor must give an outcome for each scan, but {len(in_work)} have none, {min(in_work)} "
+            "among them: start the ingest again, with another executor if need be"
+        )
     summary.unknown_labels = planner.unknown_labels
     return summary
 
