@@ -31,6 +31,7 @@ FOUNDATION = {
 # The way of the data: a package may know those before it, never those after it.
 STAGES = [
     "formats",
+    "voxels",
     "registration",
     "scan",
     "surface",

@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from pcretrieve.adapters import open3d
 from pcretrieve.errors import ReconstructionError, Stage
 from pcretrieve.options import ScanOptions
-from pcretrieve.scan.outside import Outside, flood
 from pcretrieve.scan.sampling import COMPANY, Neighborhoods, neighborhoods, spacing
 from pcretrieve.types import FloatArray, PointCloud, Step
+from pcretrieve.voxels import Outside, flood
 
 __all__ = ["oriented_normals"]
 

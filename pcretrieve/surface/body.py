@@ -23,7 +23,6 @@ from numpy.typing import NDArray
 from pcretrieve.adapters import open3d
 from pcretrieve.errors import ReconstructionError
 from pcretrieve.options import SurfaceOptions
-from pcretrieve.scan.outside import Grid, flood
 from pcretrieve.scan.sampling import IN_PLANE, Neighborhoods, neighborhoods, noise, spacing
 from pcretrieve.surface.contacts import contact_layer, walls
 from pcretrieve.surface.field import LEAST_WEIGHT, distance_field, folded, hidden_below, normals_of
@@ -36,11 +35,10 @@ from pcretrieve.surface.simplify import simplified
 from pcretrieve.surface.smooth import smoothed
 from pcretrieve.surface.topology import compact, defects
 from pcretrieve.types import FloatArray, PointCloud, Step, TriangleMesh
+from pcretrieve.voxels import Grid, Mask, Voxels, flood
 
 __all__ = ["SurfaceMarks", "body_surfaces"]
 
-Mask = NDArray[np.bool_]
-Voxels = NDArray[np.float32]
 
 # Largest fraction of the interior of the coarse surface that the flood fill may
 # reach. If it reaches more, it has leaked through a hole, and is repeated with the

@@ -12,11 +12,10 @@ from numba import njit
 from numpy.typing import NDArray
 
 from pcretrieve.types import FloatArray
+from pcretrieve.voxels import Mask, Voxels
 
 __all__ = ["contact_layer", "walls"]
 
-Mask = NDArray[np.bool_]
-Voxels = NDArray[np.float32]
 
 # Radius of the surfel, an oriented disk, that represents a point; in voxels.
 DISK = 2.0

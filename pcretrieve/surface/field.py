@@ -7,13 +7,11 @@ from numba import njit
 from numpy.typing import NDArray
 
 from pcretrieve.errors import ReconstructionError
-from pcretrieve.scan.outside import Outside
 from pcretrieve.types import FloatArray, PointCloud
+from pcretrieve.voxels import Mask, Outside, Voxels
 
 __all__ = ["LEAST_WEIGHT", "distance_field", "folded", "hidden_below", "normals_of"]
 
-Mask = NDArray[np.bool_]
-Voxels = NDArray[np.float32]
 
 # Radius of the neighbourhood of a voxel, and standard deviation of the Gaussian
 # weight of its points; in voxels.

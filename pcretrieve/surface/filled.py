@@ -6,13 +6,11 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from pcretrieve.scan.outside import Grid
 from pcretrieve.types import FloatArray, TriangleMesh
+from pcretrieve.voxels import Grid, Mask, Voxels
 
 __all__ = ["filled"]
 
-Mask = NDArray[np.bool_]
-Voxels = NDArray[np.float32]
 
 # Offset of the lines from the centres of the voxels, at which vertices may lie; in voxels.
 BESIDE = (1e-4, 1.7e-4)

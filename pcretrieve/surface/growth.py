@@ -16,9 +16,10 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from pcretrieve.voxels import Mask, Voxels
+
 __all__ = ["grown"]
 
-Mask = NDArray[np.bool_]
 
 # Number of integer priorities for each voxel edge of depth.
 STEPS = 8
@@ -37,7 +38,7 @@ FACES = int(sum(_BITS[k] for k in (4, 10, 12, 14, 16, 22)))
 EVERYTHING = int(_BITS.sum() - _BITS[13])
 
 
-def grown(inside: Mask, priority: NDArray[np.float32], walls: NDArray[np.bool_]) -> Mask:
+def grown(inside: Mask, priority: Voxels, walls: Mask) -> Mask:
     """Grow a region without handles and cavities from the voxel of highest priority.
 
     The region is 6-connected and its complement 26-connected.

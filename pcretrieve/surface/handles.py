@@ -6,16 +6,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcretrieve.options import SurfaceOptions
-from pcretrieve.scan.outside import FARTHEST, Outside, distances
 from pcretrieve.surface.edges import joined_by
 from pcretrieve.surface.growth import grown
 from pcretrieve.surface.marching import marched
 from pcretrieve.types import TriangleMesh
+from pcretrieve.voxels import FARTHEST, Mask, Outside, Voxels, distances
 
 __all__ = ["with_topology"]
 
-Mask = NDArray[np.bool_]
-Voxels = NDArray[np.float32]
 
 # Largest amount by which the depth of a voxel, as the priority of region growing, may exceed its distance to
 # the nearest point; in voxels. It is small, so that a contact, with points of both surfaces in it, has a

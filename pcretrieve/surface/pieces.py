@@ -7,12 +7,11 @@ from numpy.typing import NDArray
 
 from pcretrieve.errors import ReconstructionError
 from pcretrieve.options import SurfaceOptions
-from pcretrieve.scan.outside import Grid
 from pcretrieve.types import FloatArray
+from pcretrieve.voxels import Grid, Mask
 
 __all__ = ["joined"]
 
-Mask = NDArray[np.bool_]
 
 # Smallest fraction of the points in a component for it to be connected to the body.
 LEAST_PIECE = 0.002

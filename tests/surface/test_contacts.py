@@ -7,8 +7,8 @@ import pytest
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from pcretrieve.scan.outside import distances
 from pcretrieve.surface.contacts import DETOUR, contact_layer, walls
+from pcretrieve.voxels import distances
 
 Mask = NDArray[np.bool_]
 N = 30

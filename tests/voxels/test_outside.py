@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 import shapes
 
-from pcretrieve.scan.outside import Grid, flood
 from pcretrieve.types import FloatArray
+from pcretrieve.voxels import Grid, flood
 
 RADIUS = 1.0
 CELL = 0.06

@@ -1,4 +1,4 @@
-"""The space outside a body, found by flood fill on a voxel grid, and distance maps on the grid."""
+"""The space outside a body, found by flood fill on a voxel grid."""
 
 from __future__ import annotations
 
@@ -6,14 +6,12 @@ from dataclasses import dataclass
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from pcretrieve.types import FloatArray
+from pcretrieve.voxels.distance import distances
+from pcretrieve.voxels.grid import Grid, Mask, Voxels
 
-__all__ = ["Grid", "Outside", "distances", "flood"]
-
-Mask = NDArray[np.bool_]
-Voxels = NDArray[np.float32]
+__all__ = ["FARTHEST", "Outside", "flood"]
 
 # Number of empty voxels around the points, in which finite differences are computed.
 MARGIN = 3
@@ -25,57 +23,6 @@ FARTHEST = 12.0
 # surface with about one point in each voxel leave gaps, which this distance closes.
 # It is small enough for the outside to reach between fingers.
 SKIN = 1.8
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Grid:
-    """A grid of cubic voxels. The coordinates of a voxel are those of its centre.
-
-    Attributes
-    ----------
-    origin : (3,) float64
-        Centre of voxel (0, 0, 0); unit of the file.
-    cell : float
-        Edge of a voxel; unit of the file.
-    shape : tuple of int, length 3
-        Number of voxels along each axis.
-    """
-
-    origin: FloatArray
-    cell: float
-    shape: tuple[int, int, int]
-
-    @classmethod
-    def around(cls, points: FloatArray, cell: float, margin: int, shift: FloatArray | float = 0.0) -> Grid:
-        """The smallest grid that contains points and a margin.
-
-        Parameters
-        ----------
-        points : (n, 3) float64
-            Coordinates; unit of the file.
-        cell : float
-            Edge of a voxel; unit of the file.
-        margin : int
-            Number of additional voxels on every side.
-        shift : (3,) float64 or float, default 0.0
-            Displacement of the grid in the negative directions; in voxels.
-
-        Returns
-        -------
-        Grid
-            Every point is in a voxel of it.
-        """
-        low, high = points.min(axis=0) - np.asarray(shift) * cell, points.max(axis=0)
-        n_x, n_y, n_z = (np.ceil((high - low) / cell).astype(int) + 2 * margin + 1).tolist()
-        return cls(low - margin * cell, cell, (n_x, n_y, n_z))
-
-    def coordinates(self, points: FloatArray) -> FloatArray:
-        """(n, 3) coordinates of points in voxels, integer at the centres."""
-        return (points - self.origin) / self.cell
-
-    def index(self, points: FloatArray) -> tuple[NDArray[np.intp], ...]:
-        """Indices, for an array of `shape`, of the voxels that contain the points."""
-        return tuple(np.rint(self.coordinates(points)).astype(np.intp).T)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -153,83 +100,6 @@ def flood(
     distance = distances(occupied, max(FARTHEST, wall + 1))
     wet = _flooded(distance, wall, SKIN)
     return Outside(grid, wet, distances(wet, deepest), distance)
-
-
-@njit(cache=True)
-def distances(sources: Mask, limit: float) -> Voxels:
-    """The distance of each voxel to the nearest source voxel, by propagation of the nearest source [1]_.
-
-    The propagation visits only voxels within the limit, unlike a distance transform of the whole grid. With a
-    26-neighbourhood its error is less than a tenth of a voxel.
-
-    Parameters
-    ----------
-    sources : (a, b, c) bool
-        The source voxels.
-    limit : float
-        Largest distance; in voxels.
-
-    Returns
-    -------
-    (a, b, c) float32
-        Distances, at most `limit`; in voxels.
-
-    References
-    ----------
-    .. [1] P.-E. Danielsson, "Euclidean distance mapping", Computer Graphics and Image Processing 14 (1980).
-    """
-    n_x, n_y, n_z = sources.shape
-    n = sources.size
-    result = np.full(n, limit, dtype=np.float32)
-    nearest = np.empty(n, dtype=np.int32)
-    is_source = sources.ravel()
-    front = np.empty(n, dtype=np.int32)
-    queued = np.zeros(n, dtype=np.bool_)
-    count = 0
-    for x in range(n_x):
-        for y in range(n_y):
-            for z in range(n_z):
-                cell = (x * n_y + y) * n_z + z
-                if not is_source[cell]:
-                    continue
-                result[cell] = 0
-                nearest[cell] = cell
-                # The propagation starts at the boundary of the sources.
-                if (
-                    (x > 0 and not is_source[cell - n_y * n_z])
-                    or (x < n_x - 1 and not is_source[cell + n_y * n_z])
-                    or (y > 0 and not is_source[cell - n_z])
-                    or (y < n_y - 1 and not is_source[cell + n_z])
-                    or (z > 0 and not is_source[cell - 1])
-                    or (z < n_z - 1 and not is_source[cell + 1])
-                ):
-                    front[count] = cell
-                    queued[cell] = True
-                    count += 1
-    head, waiting = 0, count
-    tail = count % n
-    while waiting:
-        cell = front[head]
-        head = (head + 1) % n
-        waiting -= 1
-        queued[cell] = False
-        source = nearest[cell]
-        a, b, c = source // (n_y * n_z), source // n_z % n_y, source % n_z
-        x, y, z = cell // (n_y * n_z), cell // n_z % n_y, cell % n_z
-        for u in range(max(0, x - 1), min(n_x, x + 2)):
-            for v in range(max(0, y - 1), min(n_y, y + 2)):
-                for w in range(max(0, z - 1), min(n_z, z + 2)):
-                    other = (u * n_y + v) * n_z + w
-                    apart = np.float32(np.sqrt((u - a) ** 2 + (v - b) ** 2 + (w - c) ** 2))
-                    if apart < result[other]:
-                        result[other] = apart
-                        nearest[other] = source
-                        if not queued[other]:
-                            queued[other] = True
-                            front[tail] = other
-                            tail = (tail + 1) % n
-                            waiting += 1
-    return result.reshape(sources.shape)
 
 
 @njit(cache=True)
