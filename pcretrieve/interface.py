@@ -103,7 +103,8 @@ def ingest(
     CatalogueError
         If the catalogue was built with other options, or cannot be opened.
     """
-    scans = discover([paths] if isinstance(paths, (str, Path)) else paths)
+    beside = [path for path in (labels, catalogue) if isinstance(path, (str, Path))]
+    scans = discover([paths] if isinstance(paths, (str, Path)) else paths, beside)
     names = read_labels(labels) if isinstance(labels, (str, Path)) else labels
     chosen = None if options is None else PipelineOptions.of(options)
     with _opened(catalogue, chosen, create=True) as store:

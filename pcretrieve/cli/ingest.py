@@ -89,7 +89,7 @@ def ingest_command(
 
     if not paths:
         raise click.UsageError("name at least one scan")
-    scans = discover(paths)
+    scans = discover(paths, beside=[catalogue, *([labels] if labels else [])])
     names = read_labels(labels) if labels else None
     # Without options of its own, a run goes on with those that the catalogue was built with.
     options = None

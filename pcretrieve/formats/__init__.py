@@ -5,19 +5,22 @@ together, such as posed range scans, are read as one scan.
 """
 
 from pcretrieve.formats.files import check_file
-from pcretrieve.formats.format import Format, Part
+from pcretrieve.formats.format import Extra, Format, Part
 from pcretrieve.formats.raw import RawScan
 from pcretrieve.formats.read import read_scan
-from pcretrieve.formats.registry import parts_of, suffixes
+from pcretrieve.formats.registry import is_scan, missing_extra, parts_of, suffixes
 from pcretrieve.formats.signatures import write_signatures
 from pcretrieve.formats.write import check_output, write_cloud, write_mesh
 
 __all__ = [
+    "Extra",
     "Format",
     "Part",
     "RawScan",
     "check_file",
     "check_output",
+    "is_scan",
+    "missing_extra",
     "parts_of",
     "read_scan",
     "suffixes",

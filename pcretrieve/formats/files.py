@@ -1,13 +1,17 @@
-"""A check that is made before a file is opened."""
+"""Checks that are made before a file, or a member of an archive, is read."""
 
 from __future__ import annotations
 
 import stat
+import zipfile
 from pathlib import Path
 
 from pcretrieve.errors import ScanReadError
 
-__all__ = ["check_file"]
+__all__ = ["check_file", "member_bytes"]
+
+# Largest compression ratio of deflate, the usual method of archives.
+DEFLATE_RATIO = 1032
 
 
 def check_file(path: Path) -> None:
@@ -34,3 +38,33 @@ def check_file(path: Path) -> None:
         raise ScanReadError(f"{path} must be a regular file, not a pipe or a device: save the scan to a file")
     if not status.st_size:
         raise ScanReadError("the file is empty: scan or export it again")
+
+
+def member_bytes(archive: zipfile.ZipFile, name: str | zipfile.ZipInfo) -> bytes:
+    """The content of a member of an archive, whose size is checked before the member is read.
+
+    Parameters
+    ----------
+    archive : ZipFile
+        The archive.
+    name : str or ZipInfo
+        The member.
+
+    Returns
+    -------
+    bytes
+        The content.
+
+    Raises
+    ------
+    KeyError
+        If there is no such member.
+    ScanReadError
+        If the member promises more bytes than such an archive can hold.
+    """
+    info = archive.getinfo(name) if isinstance(name, str) else name
+    if info.file_size > DEFLATE_RATIO * (info.compress_size + 1):
+        raise ScanReadError(
+            f"its member {info.filename} promises {info.file_size} bytes in {info.compress_size}"
+        )
+    return archive.read(info)

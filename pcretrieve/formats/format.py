@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from importlib.util import find_spec
 from pathlib import Path
 from typing import NamedTuple
 
@@ -11,7 +12,32 @@ from pcretrieve.arrays import FloatArray
 from pcretrieve.formats.raw import RawScan
 from pcretrieve.types import PointCloud, TriangleMesh
 
-__all__ = ["Format", "Part"]
+__all__ = ["Extra", "Format", "Part"]
+
+
+class Extra(NamedTuple):
+    """What must be installed for a format.
+
+    Attributes
+    ----------
+    name : str
+        The extra of pcretrieve that installs the modules.
+    modules : tuple of str
+        The modules that the format imports.
+    """
+
+    name: str
+    modules: tuple[str, ...]
+
+    @property
+    def command(self) -> str:
+        """The command that installs the extra."""
+        return f"pip install 'pcretrieve[{self.name}]'"
+
+    @property
+    def missing(self) -> tuple[str, ...]:
+        """The modules that are not installed."""
+        return tuple(module for module in self.modules if find_spec(module) is None)
 
 
 class Part(NamedTuple):
@@ -53,6 +79,12 @@ class Format:
         lacks what the format requires.
     write_mesh : function of TriangleMesh that returns bytes, or None
         The same for meshes.
+    recognise : function of Path that returns a bool, or None
+        Whether a file is a scan, by a look at its first bytes; for suffixes that other files have too. A
+        folder stands for those files in it that are recognised. None if every file of the suffixes is a scan.
+        Raises OSError.
+    extra : Extra or None
+        What must be installed to read the format; None if nothing more than pcretrieve.
     """
 
     suffixes: tuple[str, ...]
@@ -60,3 +92,5 @@ class Format:
     parts: Callable[[Path], tuple[Part, ...]] = _no_parts
     write_cloud: Callable[[PointCloud], bytes] | None = None
     write_mesh: Callable[[TriangleMesh], bytes] | None = None
+    recognise: Callable[[Path], bool] | None = None
+    extra: Extra | None = None

@@ -11,7 +11,10 @@ from numpy.typing import NDArray
 
 from pcretrieve.errors import ScanReadError
 
-__all__ = ["RawScan", "fans", "incomplete", "merged_vertices"]
+__all__ = ["RawScan", "are_normals", "fans", "incomplete", "joined", "merged_vertices", "without_zeros"]
+
+# Tolerance of the length of normals that a file does not name: they may have three digits.
+UNIT_TOLERANCE = 1e-2
 
 
 class RawScan(NamedTuple):
@@ -82,6 +85,88 @@ def merged_vertices(
     """
     vertices, inverse = np.unique(vertices, axis=0, return_inverse=True)
     return vertices, inverse.reshape(-1)[faces]
+
+
+def are_normals(vectors: NDArray[Any]) -> bool:
+    """Whether vectors are unit normals, and not colours.
+
+    Parameters
+    ----------
+    vectors : (n, 3) float
+        Columns of a table that does not name them.
+
+    Returns
+    -------
+    bool
+        Whether all finite ones have unit length, and some have negative components, unlike colours.
+    """
+    vectors = vectors[np.isfinite(vectors).all(axis=1)]
+    return bool(
+        len(vectors)
+        and (vectors < 0).any()
+        and (np.abs(np.linalg.norm(vectors, axis=1) - 1) < UNIT_TOLERANCE).all()
+    )
+
+
+def without_zeros(scan: RawScan) -> RawScan:
+    """Drop the readings that a sensor without an answer has written as zeros.
+
+    Parameters
+    ----------
+    scan : RawScan
+        A cloud.
+
+    Returns
+    -------
+    RawScan
+        The cloud without the points at the origin, if there are two or more, and with a note of their number.
+        A sensor does not measure the same point twice, and a single one may be real.
+    """
+    missing = (scan.points == 0).all(axis=1)  # (n,)
+    n_missing = int(missing.sum())
+    if n_missing < 2 or n_missing == len(missing):
+        return scan
+    viewpoints = scan.viewpoints
+    return RawScan(
+        scan.points[~missing],
+        None,
+        None if scan.normals is None else scan.normals[~missing],
+        viewpoints if viewpoints is None or viewpoints.ndim == 1 else viewpoints[~missing],
+        (
+            *scan.notes,
+            f"dropped {n_missing} of {len(missing)} points at zero: readings without an answer",
+        ),
+    )
+
+
+def joined(scans: Sequence[RawScan]) -> RawScan:
+    """Join scans that have one frame.
+
+    Parameters
+    ----------
+    scans : sequence of RawScan
+        At least one; all are clouds, or all are meshes.
+
+    Returns
+    -------
+    RawScan
+        All points and faces, with the normals and the positions of sensors if every scan has them.
+    """
+    if len(scans) == 1:
+        return scans[0]
+    starts = np.cumsum([0, *(len(scan.points) for scan in scans)])
+    faces = [scan.faces + start for scan, start in zip(scans, starts, strict=False) if scan.faces is not None]
+    normals = [scan.normals for scan in scans if scan.normals is not None]
+    sensors = [
+        np.broadcast_to(scan.viewpoints, scan.points.shape) for scan in scans if scan.viewpoints is not None
+    ]
+    return RawScan(
+        np.concatenate([scan.points for scan in scans]),
+        np.concatenate(faces) if faces else None,
+        np.concatenate(normals) if len(normals) == len(scans) else None,
+        np.concatenate(sensors) if len(sensors) == len(scans) else None,
+        tuple(note for scan in scans for note in scan.notes),
+    )
 
 
 def incomplete(path: Path, reason: object) -> ScanReadError:

@@ -25,7 +25,8 @@ def read_scan(path: str | Path) -> PointCloud | TriangleMesh:
     Parameters
     ----------
     path : str or Path
-        Points: ``.ply .pcd .xyz .xyzn .pts``, or the posed range scans that a Stanford ``.conf`` merges.
+        Points: ``.ply .pcd``, tables ``.txt .csv .asc .xyz .xyzn .xyzrgb .pts``, grids ``.ptx``, arrays
+        ``.npy .npz``, or the posed range scans that a Stanford ``.conf`` merges.
         Meshes: ``.ply .obj .off .stl .glb``.
 
     Returns

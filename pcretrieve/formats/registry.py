@@ -8,21 +8,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcretrieve.errors import OptionError, ScanReadError, ShapeError, Stage
+from pcretrieve.formats.arrays import NPY, NPZ
 from pcretrieve.formats.conf import conf_format
 from pcretrieve.formats.files import check_file
-from pcretrieve.formats.format import Format, Part
+from pcretrieve.formats.format import Extra, Format, Part
 from pcretrieve.formats.glb import GLB
 from pcretrieve.formats.obj import OBJ
 from pcretrieve.formats.off import OFF
 from pcretrieve.formats.pcd import PCD
 from pcretrieve.formats.ply import PLY
-from pcretrieve.formats.pts import PTS
+from pcretrieve.formats.ptx import PTX
 from pcretrieve.formats.raw import RawScan
 from pcretrieve.formats.stl import STL
-from pcretrieve.formats.xyz import XYZ, XYZN
+from pcretrieve.formats.text_points import TEXT_FORMATS
 from pcretrieve.plugins import Names, Registry
 
-__all__ = ["FORMATS", "parts_of", "read_raw", "suffixes"]
+__all__ = ["FORMATS", "is_scan", "missing_extra", "parts_of", "read_raw", "suffixes"]
 
 
 def suffixes() -> tuple[str, ...]:
@@ -34,6 +35,53 @@ def suffixes() -> tuple[str, ...]:
         Including the dot, in lower case.
     """
     return FORMATS.names.all()
+
+
+def missing_extra(suffix: str) -> Extra | None:
+    """What must be installed, and is not, to read files of a suffix.
+
+    Parameters
+    ----------
+    suffix : str
+        Including the dot, in lower case.
+
+    Returns
+    -------
+    Extra or None
+        None if everything is installed, or the suffix is not one of pcretrieve's own formats.
+    """
+    extra = FORMATS.own[suffix].extra if suffix in FORMATS.own else None
+    return extra if extra is not None and extra.missing else None
+
+
+def is_scan(path: Path) -> bool:
+    """Whether a file of a folder is a scan that can be read.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+
+    Returns
+    -------
+    bool
+        Whether its suffix is that of a format, whose extra is installed, and which recognises the file where
+        other files have the suffix too. A file that cannot be opened is a scan, so that reading it says why.
+    """
+    suffix = path.suffix.lower()
+    if suffix not in FORMATS.names.all() or missing_extra(suffix):
+        return False
+    try:
+        recognise = FORMATS[suffix].recognise
+        if recognise is None:
+            return True
+        check_file(path)
+        with FORMATS.blamed(suffix, Stage.READ):
+            return recognise(path)
+    except ScanReadError:
+        return False  # a folder, a pipe or a device, or an empty file
+    except (OSError, OptionError, ShapeError):
+        return True
 
 
 def parts_of(path: Path) -> tuple[Part, ...]:
@@ -92,6 +140,10 @@ def read_raw(path: Path) -> RawScan:
     if suffix not in FORMATS.names.all():
         name = f"in {path.suffix}" if suffix else "without a suffix"
         raise ScanReadError(f"there is no reader for names {name}, only for {' '.join(sorted(suffixes()))}")
+    if extra := missing_extra(suffix):
+        raise ScanReadError(
+            f"reading {suffix} needs the package {' and '.join(extra.missing)}: {extra.command}"
+        )
     try:
         check_file(path)
         found = _format(suffix)
@@ -150,7 +202,7 @@ def _rows(array: object, name: str, n: int | None = None) -> NDArray[np.float64]
 
 _OWN = {
     suffix: found
-    for found in (PLY, PCD, XYZ, XYZN, PTS, OBJ, OFF, STL, GLB, conf_format(read_raw))
+    for found in (PLY, PCD, *TEXT_FORMATS, PTX, NPY, NPZ, OBJ, OFF, STL, GLB, conf_format(read_raw))
     for suffix in found.suffixes
 }
 

@@ -2,42 +2,43 @@
 
 from __future__ import annotations
 
-import csv
 import glob
 import hashlib
-import io
 import logging
 import os
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from pathlib import Path
 
 from pcretrieve.errors import InputError, ScanReadError
-from pcretrieve.formats import check_file, parts_of, suffixes
+from pcretrieve.formats import check_file, is_scan, parts_of, suffixes
+from pcretrieve.ingestion.manifests import MANIFESTS, read_manifest
+from pcretrieve.ingestion.unread import unread_files
 
 __all__ = ["content_hash", "discover", "printable", "shape_ids"]
 
 logger = logging.getLogger(__name__)
 
-MANIFESTS = frozenset({".txt", ".csv"})
-PATH_COLUMNS = ("path", "file", "filename", "name")
 CHUNK = 1 << 20
 
 
-def discover(arguments: Sequence[str | Path]) -> list[Path]:
+def discover(arguments: Sequence[str | Path], beside: Iterable[str | Path] = ()) -> list[Path]:
     """Scans named by files, folders, globs or manifests, each once, in the order given.
 
-    A folder stands for every scan below it, by name. A ``.txt`` manifest holds one path a line, a ``.csv``
-    one a row under ``path`` or ``file``; both are relative to the manifest. Files that are parts of another
-    scan among them, such as the views of a ``.conf``, are no scans of their own.
+    A folder stands for every scan below it, by name; a warning says which of its files are none. A ``.txt``
+    or a ``.csv`` file that is not a table of points is a manifest: it holds one path on each line, or on each
+    row under ``path`` or ``file``, relative to the manifest. Files that are parts of another scan, such as
+    the views of a ``.conf``, are no scans of their own. Files `beside` the scans, such as their labels, are
+    not warned of.
 
     Raises
     ------
     InputError
         If a path does not exist, a glob or a folder holds no scans, or a manifest cannot be read.
     """
+    known = {_absolute(Path(path)) for path in beside}
     found: dict[Path, None] = {}
     for argument in arguments:
-        for path in _expand(argument):
+        for path in _expand(argument, known):
             found.setdefault(_absolute(path))
     return _without_parts(list(found))
 
@@ -112,31 +113,45 @@ def shape_ids(paths: Collection[str], taken: Mapping[str, str]) -> dict[str, str
     return {path: ids[path] for path in paths}
 
 
-def _expand(argument: str | Path) -> list[Path]:
+def _expand(argument: str | Path, beside: Collection[Path]) -> list[Path]:
     if not str(argument):
         raise InputError("a path must not be empty: name a file or a folder")
     path = Path(argument)
     try:
         if path.is_dir():
-            scans = _scans_below(path)
+            files = _files_below(path)
         elif path.exists():
-            return _manifest(path) if path.suffix.lower() in MANIFESTS else [path]
+            return read_manifest(path) if _is_manifest(path) else [path]
         elif glob.has_magic(str(argument)):
             matches = [Path(name) for name in sorted(glob.glob(str(argument), recursive=True))]
             if path.suffix.lower() in MANIFESTS:
-                return [scan for match in matches for scan in _manifest(match)]
-            scans = [scan for match in matches for scan in _scans_below(match)]
+                return [
+                    scan
+                    for match in matches
+                    for scan in (read_manifest(match) if _is_manifest(match) else [match])
+                ]
+            files = [file for match in matches for file in _files_below(match)]
         else:
             raise InputError(f"there is no file or folder {path}")
     except OSError as error:
         raise InputError(f"cannot look into {path}: {error.strerror}") from error
+    scans = {file: None for file in files if is_scan(file)}
+    expected = _parts(scans).union(beside)
+    unread = unread_files(file for file in files if file not in scans and _absolute(file) not in expected)
     if not scans:
-        raise InputError(f"{path} names no scans; known are {' '.join(sorted(suffixes()))}")
-    return scans
+        left = f", but {unread}" if unread else ""
+        raise InputError(f"{path} names no scans{left}; known are {' '.join(sorted(suffixes()))}")
+    if unread:
+        logger.warning("left unread in %s: %s", path, unread)
+    return list(scans)
 
 
-def _scans_below(path: Path) -> list[Path]:
-    """The files that are named like scans and are not hidden, of a folder those of all folders below it too.
+def _is_manifest(path: Path) -> bool:
+    return path.suffix.lower() in MANIFESTS and not is_scan(path)
+
+
+def _files_below(path: Path) -> list[Path]:
+    """A file, or the files of a folder and of all folders below it, without hidden ones.
 
     A link that leads nowhere is among them: reading it gives a failed shape. A subfolder that may not be read
     is passed over with a warning, because one (``lost+found``) is on every disk.
@@ -153,45 +168,23 @@ def _scans_below(path: Path) -> list[Path]:
         found = sorted(Path(folder, name) for folder, _, names in below for name in names)
     else:
         found = [path]
-    known = suffixes()
-    return [scan for scan in found if scan.suffix.lower() in known and not scan.name.startswith(".")]
-
-
-def _manifest(path: Path) -> list[Path]:
-    try:
-        # Reading a pipe or a device may never end.
-        if path.exists() and not path.is_file():
-            raise InputError(f"the manifest {path} must be a regular file, not a pipe or a device")
-        text = path.read_text(encoding="utf-8-sig")
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"cannot read the manifest {path}: {error}") from error
-    if path.suffix.lower() == ".csv":
-        try:
-            rows = csv.DictReader(io.StringIO(text, newline=""))
-            header = {name.strip().lower(): name for name in rows.fieldnames or ()}
-            column = next((header[name] for name in PATH_COLUMNS if name in header), None)
-            if column is None:
-                raise InputError(f"the manifest {path} must have a column {' or '.join(PATH_COLUMNS)}")
-            names = [(row[column] or "").strip() for row in rows]
-        except csv.Error as error:
-            raise InputError(f"the manifest {path} is not a CSV file: {error}") from error
-    else:
-        names = [line.strip() for line in text.splitlines() if not line.lstrip().startswith("#")]
-    # A file that is missing is that shape's failure, not the batch's: reading it will say so.
-    scans = [path.parent / name for name in names if name]
-    if not scans:
-        raise InputError(f"the manifest {path} names no scans")
-    return scans
+    return [file for file in found if not file.name.startswith(".")]
 
 
 def _without_parts(paths: list[Path]) -> list[Path]:
+    parts = _parts(paths)
+    return [path for path in paths if path not in parts]
+
+
+def _parts(paths: Iterable[Path]) -> set[Path]:
+    """The files that belong to scans, by their absolute names."""
     parts: set[Path] = set()
     for path in paths:
         try:
             parts.update(_absolute(part.path) for part in parts_of(path))
         except (ScanReadError, OSError):
             continue  # reading it as a scan will report why
-    return [path for path in paths if path not in parts]
+    return parts
 
 
 def _absolute(path: Path) -> Path:

@@ -58,7 +58,7 @@ BROKEN = {
     "bytes.xyz": (bytes(range(256)), "not a text file, though its name ends in .xyz"),
     "zeros.pts": (bytes(100), "not a text file, though its name ends in .pts"),
     "blank.xyz": (b"\n\n", "has none at all"),
-    "superscript.pts": ("²\n1 2 3\n".encode(), "each line must hold 3 numbers"),
+    "superscript.pts": ("²\n1 2\n".encode(), "each line must hold 3 numbers"),
     "no_data.pcd": (b"VERSION 0.7\nFIELDS x y z\n", "its header has no line DATA"),
     "no_z.pcd": ((pcd_header("x", "y", n=1) + "1 2\n").encode(), "must have the fields x y z"),
     "short.pcd": ((pcd_header("x", "y", "z", n=3) + ROWS[:6]).encode(), "promises 3 points and holds 1"),

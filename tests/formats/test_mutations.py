@@ -31,6 +31,8 @@ PLY = (
     "element face 3\nproperty list uchar int vertex_indices\nend_header\n"
 )
 POLYGONS = [[0, 1, 2], [2, 3, 4, 5], [6, 7, 8]]
+PTX = "6\n7\n1 2 3\n1 0 0\n0 1 0\n0 0 1\n0 1 0 0\n-1 0 0 0\n0 0 1 0\n1 2 3 1\n"
+GRID = np.array([[x, y, 9 - (x * x + y * y) / 20] for x in range(6) for y in range(7)])
 CONF = "camera 0 0 0\nbmesh cloud.ply 0 0 0 0 0 0 1\nbmesh cloud.pcd 0 0 1 0 0.6 0 0.8\n"
 
 
@@ -56,6 +58,13 @@ def originals(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
         pcd.save(folder / f"{encoding.value}.pcd", encoding=encoding)
     (folder / "lines.xyz").write_text(lines(BALL.vertices))
     (folder / "lines.pts").write_text("42\n" + lines(BALL.vertices))
+    (folder / "lines.xyzrgb").write_text(lines(np.tile(BALL.vertices, 2)))
+    (folder / "lines.asc").write_text("// X Y Z\n" + lines(BALL.vertices))
+    (folder / "lines.csv").write_text("x,y,z\n" + lines(BALL.vertices).replace(" ", ","))
+    (folder / "lines.txt").write_text(lines(np.column_stack([BALL.vertices, NORMALS])))
+    (folder / "grids.ptx").write_text(2 * (PTX + lines(np.column_stack([GRID, GRID[:, 0]]))))
+    np.save(folder / "array.npy", BALL.vertices)
+    np.savez_compressed(folder / "arrays.npz", points=BALL.vertices, normals=NORMALS)
     ball: Any = trimesh.Trimesh(BALL.vertices, BALL.faces)
     (folder / "text.stl").write_text(ball.export(file_type="stl_ascii"))
     (folder / "views.conf").write_text(CONF)
@@ -65,6 +74,7 @@ def originals(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
 NAMES = (
     *("mesh.ply", "cloud.ply", "text.ply", "big_endian.ply", "mesh.obj", "mesh.off", "mesh.stl", "text.stl"),
     *("mesh.glb", "cloud.pcd", "ascii.pcd", "binary_compressed.pcd", "cloud.xyzn", "lines.xyz", "lines.pts"),
+    *("lines.xyzrgb", "lines.asc", "lines.csv", "lines.txt", "grids.ptx", "array.npy", "arrays.npz"),
     "views.conf",
 )
 

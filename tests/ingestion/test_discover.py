@@ -83,6 +83,62 @@ def test_manifests_by_a_glob_of_their_own(folder: Path) -> None:
     assert names("*.txt") == ["a.ply", "b.OBJ"]
 
 
+TABLE = "1.0, 2.0, 3.0\n" * 5
+
+
+@pytest.mark.parametrize("name", ["points.txt", "points.csv"])
+@pytest.mark.parametrize("argument", ["deep/{}", "deep", "deep/*.{}"])
+def test_a_table_of_points_is_a_scan_and_no_manifest(name: str, argument: str, folder: Path) -> None:
+    (folder / "deep" / name).write_text(TABLE)
+    (folder / "deep" / "c.xyz").unlink()
+    (folder / "deep" / "er" / "d.off").unlink()
+    assert names(argument.format(name if argument == "deep/{}" else name[-3:])) == [f"deep/{name}"]
+
+
+def test_a_folder_says_what_it_leaves_unread(folder: Path, caplog: pytest.LogCaptureFixture) -> None:
+    for name in ("1.fbx", "deep/2.FBX", "deep/er/3.step", "a.jpg", "b.jpg", "c.jpg", "LICENSE"):
+        (folder / name).write_text("1 2 3\n")
+    assert names(".") == ["a.ply", "b.OBJ", "deep/c.xyz", "deep/er/d.off"]
+    assert caplog.messages == [
+        "left unread in .: 2 .fbx (export them as .glb), 1 .step (export them as .stl), 3 .jpg, 1 .csv, "
+        "1 .md, 1 without a suffix"
+    ]
+
+
+def test_files_that_are_read_as_something_else_are_not_left_unread(
+    folder: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    discover([folder], beside=["labels.csv", folder / "deep" / ".." / "notes.md"])
+    assert caplog.messages == []
+
+
+def test_a_folder_of_many_kinds_of_files_says_so_in_one_line(
+    folder: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    for k in range(20):
+        (folder / f"a.x{k:02d}").touch()
+    discover(["."])
+    assert [message.count(",") for message in caplog.messages] == [8]
+    assert caplog.messages[0].endswith(", 14 others")
+
+
+def test_a_folder_with_nothing_but_unread_files_says_that_too(folder: Path) -> None:
+    (folder / "hollow").mkdir()
+    (folder / "hollow" / "a.fbx").touch()
+    with pytest.raises(InputError, match=r"no scans, but 1 \.fbx \(export them as \.glb\); known"):
+        discover(["hollow"])
+
+
+def test_files_that_belong_to_a_scan_are_not_left_unread(
+    folder: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    (folder / "hidden").mkdir()
+    (folder / "hidden" / "a.part").write_text("1 2 3\n")
+    (folder / "hidden" / "all.conf").write_text("bmesh a.part 0 0 0 0 0 0 1\n")
+    assert names("hidden") == ["hidden/all.conf"]
+    assert caplog.messages == []
+
+
 def test_links_that_lead_nowhere_are_not_passed_over(folder: Path) -> None:
     (folder / "deep" / "link.ply").symlink_to("nowhere")
     assert "deep/link.ply" in names("deep")
@@ -99,7 +155,7 @@ def test_views_belong_to_their_conf(folder: Path) -> None:
     [
         ("", "a path must not be empty"),
         ("nowhere", "there is no file or folder nowhere"),
-        ("none*.ply", r"none\*\.ply names no scans; known are \.conf"),
+        ("none*.ply", r"none\*\.ply names no scans; known are \.asc"),
         ("hollow", r"hollow names no scans"),
         ("x" * 300, "File name too long"),
         ("column.csv", r"column\.csv must have a column path or file"),
@@ -152,7 +208,10 @@ def test_a_folder_that_may_not_be_read_is_named(locked: Path, caplog: pytest.Log
     assert names(".") == ["a.ply", "b.OBJ", "deep/c.xyz"]
     with pytest.raises(InputError, match=r"cannot look into deep/er: Permission denied"):
         discover(["deep/er"])
-    assert caplog.messages == ["passed over the folder deep/er and all scans in it: Permission denied"]
+    assert caplog.messages == [
+        "passed over the folder deep/er and all scans in it: Permission denied",
+        "left unread in .: 1 .csv, 1 .md",
+    ]
 
 
 # --- identity -------------------------------------------------------------------------------------------

@@ -1,0 +1,223 @@
+"""Points in NumPy's files: an array in ``.npy``, arrays by name in ``.npz``.
+
+Arrays of Python objects are not read, because unpickling runs code.
+"""
+
+from __future__ import annotations
+
+import io
+import zipfile
+from collections.abc import Mapping
+from pathlib import Path
+from typing import IO, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pcretrieve.errors import ScanReadError
+from pcretrieve.formats.files import member_bytes
+from pcretrieve.formats.format import Format
+from pcretrieve.formats.raw import RawScan, are_normals, incomplete, without_zeros
+from pcretrieve.formats.text_layout import FEWEST_POINTS, MOST_COLUMNS
+
+__all__ = ["NPY", "NPZ", "read_npy", "read_npz"]
+
+# Names of arrays in .npz files, the first of which is taken.
+POINTS = ("points", "xyz", "vertices", "pos", "positions", "coords", "coordinates", "pc", "v")
+FACES = ("faces", "triangles", "f")
+NORMALS = ("normals", "normal", "n")
+VIEWPOINTS = ("viewpoints", "viewpoint", "sensors", "sensor")
+# Fields of an array of records: those of coordinates, and those of normals in PLY and in PCD files.
+COORDINATES = ("x", "y", "z")
+NORMAL_FIELDS = (("nx", "ny", "nz"), ("normal_x", "normal_y", "normal_z"))
+
+
+def read_npy(path: Path) -> RawScan:
+    """Read a NumPy array of points.
+
+    Parameters
+    ----------
+    path : Path
+        The file: an array (n, c) of c ≥ 3 columns, of which the first three are coordinates, and the next
+        three the normals if all have unit length; an organised array (h, w, c); or an array of records with
+        the fields ``x y z``, and ``nx ny nz`` or ``normal_x normal_y normal_z``.
+
+    Returns
+    -------
+    RawScan
+        The points; unit of the file. Rows of zeros are dropped with a note.
+
+    Raises
+    ------
+    OSError
+        If the file cannot be read.
+    MemoryError
+        If the file is too large for the memory.
+    ScanReadError
+        If the file is damaged, or its array has another shape.
+    """
+    with path.open("rb") as file:
+        array = _array(path, file, path.stat().st_size)
+    return without_zeros(_scan_of(array))
+
+
+def read_npz(path: Path) -> RawScan:
+    """Read the arrays of a NumPy archive.
+
+    Parameters
+    ----------
+    path : Path
+        The file. Its arrays are named ``points`` (or ``xyz``, ``vertices``, ``pos``, ``coords``), and where
+        they exist ``faces`` (``triangles``), ``normals`` and ``viewpoints``; or it has one array, of which
+        `read_npy` says the shape.
+
+    Returns
+    -------
+    RawScan
+        The points or the mesh; unit of the file. Rows of zeros of a cloud are dropped with a note.
+
+    Raises
+    ------
+    OSError
+        If the file cannot be read.
+    MemoryError
+        If the file is too large for the memory.
+    ScanReadError
+        If the file is damaged, or has no such arrays.
+    """
+    try:
+        with zipfile.ZipFile(path) as archive:
+            members = _members(archive)
+            points = _first(members, POINTS) or (next(iter(members)) if len(members) == 1 else None)
+            if points is None:
+                raise ScanReadError(
+                    f"it must hold an array 'points', got {', '.join(members) or 'no arrays'}"
+                )
+            found = _member(path, archive, members[points])
+            faces, normals, viewpoints = (
+                None if (name := _first(members, known)) is None else _member(path, archive, members[name])
+                for known in (FACES, NORMALS, VIEWPOINTS)
+            )
+    except (OSError, MemoryError, ScanReadError):
+        raise
+    # A damaged archive raises whatever zipfile and the decompressor do.
+    except Exception as error:
+        raise incomplete(path, error) from error
+    scan = _scan_of(found)
+    n = len(scan.points)
+    if faces is not None:
+        if faces.ndim != 2 or faces.shape[1] != 3 or faces.dtype.kind not in "iu":
+            raise ScanReadError(f"faces must be whole numbers (m, 3), got {faces.dtype} {faces.shape}")
+        return RawScan(scan.points, faces.astype(np.int64))
+    if normals is not None:
+        scan = scan._replace(normals=_vectors(normals, "normals", ((n, 3),)))
+    if viewpoints is not None:
+        scan = scan._replace(viewpoints=_vectors(viewpoints, "viewpoints", ((n, 3), (3,))))
+    return without_zeros(scan)
+
+
+def _vectors(array: NDArray[Any], name: str, shapes: tuple[tuple[int, ...], ...]) -> NDArray[np.float64]:
+    if array.shape not in shapes or array.dtype.kind not in "fiu":
+        expected = " or ".join(str(shape) for shape in shapes)
+        raise ScanReadError(f"{name} must be numbers {expected}, got {array.dtype} {array.shape}")
+    return array.astype(np.float64)
+
+
+def _recognise_npy(path: Path) -> bool:
+    """Whether the array has the shape of a table of points."""
+    try:
+        with path.open("rb") as file:
+            shape, dtype, _ = _header(file)
+    except OSError:
+        raise
+    except Exception:  # noqa: BLE001 - whatever is wrong with it, it is not recognised
+        return False
+    if dtype.names:
+        return set(COORDINATES) <= set(dtype.names)
+    return (
+        dtype.kind in "fiu"
+        and len(shape) in (2, 3)
+        and 3 <= shape[-1] <= MOST_COLUMNS
+        and int(np.prod(shape[:-1], dtype=float)) >= FEWEST_POINTS
+    )
+
+
+def _recognise_npz(path: Path) -> bool:
+    try:
+        with zipfile.ZipFile(path) as archive:
+            return _first(_members(archive), POINTS) is not None
+    except (OSError, zipfile.BadZipFile, ValueError, NotImplementedError):
+        return False
+
+
+def _scan_of(array: NDArray[Any]) -> RawScan:
+    """The points, and the normals, of an array of numbers or of records."""
+    if array.dtype.names:
+        columns = {name.lower(): array[name].reshape(-1) for name in array.dtype.names}
+        fields = [names for names in (COORDINATES, *NORMAL_FIELDS) if set(names) <= columns.keys()]
+        if COORDINATES not in fields:
+            raise ScanReadError(f"records must have the fields x y z, got {' '.join(columns)}")
+        points, *normals = (_numbers(np.column_stack([columns[name] for name in names])) for names in fields)
+        return RawScan(points, normals=normals[0] if normals else None)
+    if array.ndim not in (2, 3) or not 3 <= array.shape[-1] <= MOST_COLUMNS:
+        raise ScanReadError(
+            f"an array of points must have the shape (n, c) or (h, w, c), c from 3 to {MOST_COLUMNS}, "
+            f"got {array.shape}"
+        )
+    table = _numbers(array.reshape(-1, array.shape[-1]))
+    keep = table.shape[1] >= 6 and are_normals(table[:, 3:6])
+    return RawScan(table[:, :3], normals=table[:, 3:6] if keep else None)
+
+
+def _numbers(table: NDArray[Any]) -> NDArray[np.float64]:
+    if table.dtype.kind not in "fiu":
+        raise ScanReadError(f"coordinates must be real numbers, got {table.dtype}")
+    return table.astype(np.float64)
+
+
+def _members(archive: zipfile.ZipFile) -> dict[str, zipfile.ZipInfo]:
+    """The arrays of an archive by name, in lower case."""
+    return {
+        info.filename.removesuffix(".npy").lower(): info
+        for info in archive.infolist()
+        if info.filename.endswith(".npy")
+    }
+
+
+def _first(names: Mapping[str, object], known: tuple[str, ...]) -> str | None:
+    return next((name for name in known if name in names), None)
+
+
+def _member(path: Path, archive: zipfile.ZipFile, info: zipfile.ZipInfo) -> NDArray[Any]:
+    data = member_bytes(archive, info)
+    return _array(path, io.BytesIO(data), len(data))
+
+
+def _array(path: Path, file: IO[bytes], n_bytes: int) -> NDArray[Any]:
+    """An array, whose size is checked before it is read."""
+    try:
+        shape, dtype, in_columns = _header(file)
+    except OSError:
+        raise
+    # The header is a Python expression: one that is damaged raises whatever its parser does.
+    except Exception as error:
+        raise incomplete(path, f"its header is damaged: {error}") from error
+    if dtype.hasobject:
+        raise ScanReadError("it holds Python objects, which are not read: save an array of numbers")
+    promised = int(np.prod([*shape, dtype.itemsize], dtype=object))
+    if any(size < 0 for size in shape) or promised > n_bytes - file.tell():
+        raise incomplete(path, f"its header promises {promised} bytes, {n_bytes - file.tell()} follow")
+    values = np.frombuffer(file.read(promised), dtype)
+    return values.reshape(shape, order="F" if in_columns else "C")
+
+
+def _header(file: IO[bytes]) -> tuple[tuple[int, ...], np.dtype[Any], bool]:
+    """Shape and type of an array, and whether it is stored by columns."""
+    version = np.lib.format.read_magic(file)
+    read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
+    shape, in_columns, dtype = read(file)
+    return shape, dtype, in_columns
+
+
+NPY = Format((".npy",), read_npy, recognise=_recognise_npy)
+NPZ = Format((".npz",), read_npz, recognise=_recognise_npz)

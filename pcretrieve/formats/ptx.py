@@ -1,0 +1,104 @@
+"""The text format PTX of terrestrial scanners: grids of readings, each with the pose of the sensor."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from itertools import islice
+from pathlib import Path
+from typing import IO, NamedTuple
+
+import numpy as np
+
+from pcretrieve.arrays import FloatArray
+from pcretrieve.errors import ScanReadError
+from pcretrieve.formats.format import Format
+from pcretrieve.formats.organised import organised_scan
+from pcretrieve.formats.raw import RawScan, incomplete, joined
+from pcretrieve.formats.text_points import number_rows
+
+__all__ = ["PTX", "read_ptx"]
+
+# Lines of a header: columns, rows, the sensor and its three axes, and a matrix of four lines.
+N_HEADER_LINES = 10
+# Size of the shortest row, "0 0 0" and the end of the line; bytes.
+SHORTEST_ROW = 6
+# Largest deviation of the rotation of a pose from an orthogonal matrix: files have six digits.
+POSE_TOLERANCE = 1e-3
+
+
+class Header(NamedTuple):
+    """The size of a grid, and the motion from the frame of its sensor to that of the file."""
+
+    n_columns: int
+    n_rows: int
+    rotation: FloatArray  # (3, 3), for points in rows: p' = p R + t
+    translation: FloatArray  # (3,)
+
+
+def read_ptx(path: Path) -> RawScan:
+    """Read all scans of a PTX file.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+
+    Returns
+    -------
+    RawScan
+        The points of all scans in the common frame of the file, in its unit, with normals and the position of
+        the sensor of each point. Readings without an answer, which are zeros, are dropped with a note.
+
+    Raises
+    ------
+    OSError
+        If the file cannot be read.
+    ScanReadError
+        If the file is not a PTX file, or is truncated.
+    """
+    scans = []
+    # Bytes that are no text are no numbers either, and are reported as such.
+    with path.open(encoding="utf-8-sig", errors="replace") as file:
+        for header in _headers(path, file):
+            scans.append(_scan(path, file, header))
+    return joined(scans)
+
+
+def _headers(path: Path, file: IO[str]) -> Iterator[Header]:
+    """Yield the header of each scan; whoever asks for the next must have read the rows."""
+    size, first = path.stat().st_size, True
+    while lines := [line for line in islice(file, N_HEADER_LINES) if first or line.strip()]:
+        first = False
+        try:
+            numbers = [[float(word) for word in line.split()] for line in lines]
+            (n_columns,), (n_rows,) = numbers[:2]
+            pose = np.array(numbers[6:])
+            if len(lines) < N_HEADER_LINES or pose.shape != (4, 4) or not np.isfinite(pose).all():
+                raise ValueError("it must be ten lines, of which the last four are a matrix")
+            if not (n_columns.is_integer() and n_rows.is_integer() and min(n_columns, n_rows) > 0):
+                raise ValueError(f"the size of the grid must be whole numbers, got {n_columns:g} {n_rows:g}")
+            if n_columns * n_rows * SHORTEST_ROW > size:
+                raise ValueError(f"it promises {n_columns * n_rows:.0f} rows in {size} bytes")
+            rotation = pose[:3, :3]
+            if np.abs(rotation @ rotation.T - np.eye(3)).max() > POSE_TOLERANCE:
+                raise ValueError("the matrix is not a rigid motion")
+        except ValueError as error:
+            raise incomplete(path, f"its header is damaged: {error}") from error
+        yield Header(int(n_columns), int(n_rows), rotation, pose[3, :3])
+
+
+def _scan(path: Path, file: IO[str], header: Header) -> RawScan:
+    n = header.n_columns * header.n_rows
+    table = number_rows(islice(file, n), (0, 1, 2))
+    if len(table) != n:
+        raise incomplete(path, f"its header promises {n} points, it holds {len(table)}")
+    measured = np.isfinite(table).all(axis=1) & table.any(axis=1)  # (n,)
+    points = table @ header.rotation + header.translation
+    size = header.n_columns, header.n_rows
+    try:
+        return organised_scan(points.reshape(*size, 3), measured.reshape(size), header.translation)
+    except ScanReadError as error:
+        raise ScanReadError(f"a scan of {size[0]} × {size[1]} readings: {error.message}") from error
+
+
+PTX = Format((".ptx",), read_ptx)

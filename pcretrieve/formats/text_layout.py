@@ -1,0 +1,233 @@
+"""How a table of points is written as text: separator, decimal point, header, columns.
+
+The layout is found from the first lines. A row holds three or more numbers, separated by blanks, tabs, commas
+or semicolons; where commas are decimal points, by blanks or semicolons. The lines above the first row are the
+header, which may name the columns, or hold the number of rows.
+"""
+
+from __future__ import annotations
+
+import codecs
+import io
+import re
+from collections.abc import Iterable
+from pathlib import Path
+from typing import NamedTuple
+
+from pcretrieve.errors import ScanReadError
+
+__all__ = ["FEWEST_POINTS", "MOST_COLUMNS", "Layout", "find_layout", "looks_like_points", "no_text"]
+
+# Bytes at the start of a file from which its layout is found.
+HEAD_BYTES = 1 << 16
+# Longest part of a line in a message.
+MOST_QUOTED = 40
+# Longest header; those of scanners and of numerical programs have about ten lines.
+MOST_HEADER_LINES = 50
+# Fewest points of a body, the corners of a tetrahedron. A file with fewer rows is not taken for a scan.
+FEWEST_POINTS = 4
+# Largest number of columns of a table of points: coordinates, normals, colours, and readings of the sensor.
+# Tables with more columns are other data, such as matrices of distances.
+MOST_COLUMNS = 32
+
+# Separator (None for blanks and tabs) and decimal point, in the order in which they are tried.
+WRITINGS = ((None, "."), (",", "."), (";", "."), (";", ","), (None, ","))
+
+# Names of columns of other tables: of trajectories, and of files.
+OTHER_TABLES = frozenset({"timestamp", "qw", "path", "file", "filename"})
+# Names of coordinates and normals: "X[mm]", "x_coord", "Points_0" and "Points:0" (ParaView), "normal_x".
+COORDINATE = re.compile(r"(?:points?[_:.])?([xyz]|(?<=[_:.])[012])(?:_?coord\w*)?")
+NORMAL = re.compile(r"(?:n|normals?[_:.]?)([xyz]|(?<=[_:.])[012])")
+# The first line of a raster of heights by ESRI, which has the suffix .asc too.
+RASTER = re.compile(r"\s*ncols\s+\d+\s*$", re.IGNORECASE)
+
+
+class Layout(NamedTuple):
+    """How a table of points is written.
+
+    Attributes
+    ----------
+    encoding : str
+        The encoding of the text.
+    separator : str or None
+        What stands between two cells; None for any number of blanks and tabs.
+    decimal : str
+        The decimal point of the numbers.
+    n_header_lines : int
+        Number of lines before the first row.
+    promised : float or None
+        Number of rows, if a line of the header is that number.
+    n_columns : int
+        Number of cells of the first row.
+    points : tuple of int
+        Columns of the coordinates, from 0: those that the header names, or the first three.
+    normals : tuple of int or None
+        Columns of the normals, if the header names them.
+    named : bool
+        Whether the header names the columns.
+    """
+
+    encoding: str
+    separator: str | None
+    decimal: str
+    n_header_lines: int
+    promised: float | None
+    n_columns: int
+    points: tuple[int, ...]
+    normals: tuple[int, ...] | None
+    named: bool
+
+
+def find_layout(path: Path, *, n_numbers: int = 3) -> Layout:
+    """Find how a table of points is written.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    n_numbers : int, default 3
+        Fewest numbers of a row.
+
+    Returns
+    -------
+    Layout
+        The layout.
+
+    Raises
+    ------
+    OSError
+        If the file cannot be read.
+    ScanReadError
+        If the file is not a text file, or none of its first lines is a row of numbers.
+    """
+    encoding, lines = _head(path)
+    return _layout(lines, encoding, n_numbers)
+
+
+def looks_like_points(path: Path) -> bool:
+    """Whether a text file is a table of points, by its first rows.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+
+    Returns
+    -------
+    bool
+        Whether its header does not name the columns of another table, and all of its first rows, at least
+        four, have at least three numbers and as many cells as the first one.
+
+    Raises
+    ------
+    OSError
+        If the file cannot be read.
+    """
+    try:
+        encoding, lines = _head(path)
+        layout = _layout(lines, encoding, n_numbers=3)
+    except ScanReadError:
+        return False
+    names = {name for line in lines[: layout.n_header_lines] for name in _names(line)}
+    rows = [cells for line in lines[layout.n_header_lines :] if (cells := _cells(line, layout.separator))]
+    return (
+        len(rows) >= FEWEST_POINTS
+        and layout.n_columns <= MOST_COLUMNS
+        and not names & OTHER_TABLES
+        and all(len(row) == layout.n_columns and _is_row(row, layout.points, layout.decimal) for row in rows)
+    )
+
+
+def no_text(path: Path) -> ScanReadError:
+    """The error for a file that is not a text file, against its suffix.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+
+    Returns
+    -------
+    ScanReadError
+        The error to be raised.
+    """
+    return ScanReadError(f"not a text file, though its name ends in {path.suffix}")
+
+
+def _head(path: Path) -> tuple[str, list[str]]:
+    """The encoding of a text file, and its first lines, which are complete."""
+    with path.open("rb") as file:
+        head = file.read(HEAD_BYTES)
+    encoding = "utf-16" if head.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)) else "utf-8-sig"
+    # A header may hold signs of units in any encoding: the numbers are the same in all of them.
+    text = head.decode(encoding, errors="replace")
+    if "\0" in text:
+        raise no_text(path)
+    lines = list(io.StringIO(text, newline=None))
+    return encoding, lines[:-1] if len(head) == HEAD_BYTES and len(lines) > 1 else lines
+
+
+def _layout(lines: list[str], encoding: str, n_numbers: int) -> Layout:
+    if lines and RASTER.match(lines[0]):
+        raise ScanReadError("it is a raster of heights by ESRI, not a table of points: export the points")
+    names: tuple[str, ...] = ()
+    promised = None
+    for n_lines, line in enumerate(lines[: MOST_HEADER_LINES + 1]):
+        for separator, decimal in WRITINGS:
+            cells = _cells(line, separator)
+            points, normals = _named(names) if len(names) == len(cells) else (None, None)
+            columns = points or tuple(range(n_numbers))
+            if _is_row(cells, columns, decimal):
+                return Layout(
+                    *(encoding, separator, decimal, n_lines, promised, len(cells)),
+                    *(points or (0, 1, 2), normals, points is not None),
+                )
+        words = _cells(line, None)
+        if len(words) == 1 and words[0].isdecimal() and words[0].isascii():
+            promised = float(words[0])  # int raises an exception for a number of thousands of digits
+        elif words and _is_row(words, range(len(words)), "."):
+            break  # a row with too few numbers, and not a header
+        else:
+            names = _names(line) or names
+    first = next((line.strip()[:MOST_QUOTED] for line in lines if line.strip()), None)
+    if first is None:
+        raise ScanReadError("a table of points must have rows of numbers, this one has none at all")
+    raise ScanReadError(f"each line must hold {n_numbers} numbers, got {first!r}")
+
+
+def _cells(line: str, separator: str | None) -> list[str]:
+    """The cells of a row, without an empty one behind the last separator."""
+    cells = [cell.strip() for cell in line.split("#")[0].strip().split(separator)]
+    return cells[:-1] if cells and not cells[-1] else cells
+
+
+def _is_row(cells: list[str], columns: Iterable[int], decimal: str) -> bool:
+    """Whether the cells of these columns are numbers."""
+    return all(k < len(cells) and _is_number(cells[k], decimal) for k in columns)
+
+
+def _is_number(cell: str, decimal: str) -> bool:
+    try:
+        float(cell if decimal == "." else cell.replace(decimal, "."))
+    except ValueError:
+        return False
+    return "_" not in cell  # which Python allows between digits
+
+
+def _names(line: str) -> tuple[str, ...]:
+    """The words of a line of a header in lower case, without units in brackets, quotes and comment signs."""
+    words = re.split(r"[\s,;]+", re.sub(r"[\[(].*?[\])]", "", line.lower()).strip("#/%\ufeff \t\r\n"))
+    return tuple(name for word in words if (name := word.strip("\"'")))
+
+
+def _named(names: tuple[str, ...]) -> tuple[tuple[int, ...] | None, tuple[int, ...] | None]:
+    """The columns of the coordinates and of the normals, where all three are named."""
+    return _columns(names, COORDINATE), _columns(names, NORMAL)
+
+
+def _columns(names: tuple[str, ...], pattern: re.Pattern[str]) -> tuple[int, ...] | None:
+    axes = {found[1]: k for k, name in reversed([*enumerate(names)]) if (found := pattern.fullmatch(name))}
+    for three in ("xyz", "012"):
+        if set(three) <= axes.keys():
+            return tuple(axes[axis] for axis in three)
+    return None

@@ -1,0 +1,60 @@
+"""A text file or a table that names scans → their paths."""
+
+from __future__ import annotations
+
+import csv
+import io
+from pathlib import Path
+
+from pcretrieve.errors import InputError
+
+__all__ = ["MANIFESTS", "read_manifest"]
+
+# Suffixes of manifests. Files of the same suffixes may be tables of points.
+MANIFESTS = frozenset({".txt", ".csv"})
+PATH_COLUMNS = ("path", "file", "filename", "name")
+
+
+def read_manifest(path: Path) -> list[Path]:
+    """The scans that a manifest names.
+
+    Parameters
+    ----------
+    path : Path
+        A ``.txt`` file with one path on each line, or a ``.csv`` file with one on each row, under ``path`` or
+        ``file``.
+
+    Returns
+    -------
+    list of Path
+        Relative to the folder of the manifest, in its order; files that do not exist are among them.
+
+    Raises
+    ------
+    InputError
+        If the manifest cannot be read, or names no scans.
+    """
+    try:
+        # Reading a pipe or a device may never end.
+        if path.exists() and not path.is_file():
+            raise InputError(f"the manifest {path} must be a regular file, not a pipe or a device")
+        text = path.read_text(encoding="utf-8-sig")
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"cannot read the manifest {path}: {error}") from error
+    if path.suffix.lower() == ".csv":
+        try:
+            rows = csv.DictReader(io.StringIO(text, newline=""))
+            header = {name.strip().lower(): name for name in rows.fieldnames or ()}
+            column = next((header[name] for name in PATH_COLUMNS if name in header), None)
+            if column is None:
+                raise InputError(f"the manifest {path} must have a column {' or '.join(PATH_COLUMNS)}")
+            names = [(row[column] or "").strip() for row in rows]
+        except csv.Error as error:
+            raise InputError(f"the manifest {path} is not a CSV file: {error}") from error
+    else:
+        names = [line.strip() for line in text.splitlines() if not line.lstrip().startswith("#")]
+    # A file that is missing is that shape's failure, not the batch's: reading it will say so.
+    scans = [path.parent / name for name in names if name]
+    if not scans:
+        raise InputError(f"the manifest {path} names no scans")
+    return scans
