@@ -66,6 +66,7 @@ OTHER: dict[str, dict[str, Any]] = {
         "n_folds": 3,
         "fold_seed": 7,
     },
+    "catalogue": {"keep": ("overlaps",)},
 }
 
 
@@ -233,8 +234,8 @@ def test_digest_changes_with_every_option_that_moves_a_spectrum(stage: str, name
     difference = f"{stage}.{name}: {options.model_dump()[stage][name]!r} there, {OTHER[stage][name]!r} here"
     assert options_difference(options, changed) == ([] if stage == "retrieval" else [difference])
     # One catalogue serves every signature, and every way to compare them.
-    assert (changed.digest == options.digest) == (stage in ("signature", "retrieval"))
-    assert (changed.signature_digest == options.signature_digest) == (stage == "retrieval")
+    assert (changed.digest == options.digest) == (stage in ("signature", "retrieval", "catalogue"))
+    assert (changed.signature_digest == options.signature_digest) == (stage in ("retrieval", "catalogue"))
 
 
 def test_digests_tell_options_apart() -> None:
@@ -242,7 +243,9 @@ def test_digests_tell_options_apart() -> None:
         PipelineOptions().changed(**{stage: {name: OTHER[stage][name]}}).digest
         for stage, name in every_option()
     }
-    moving = [values for stage, values in OTHER.items() if stage not in ("signature", "retrieval")]
+    moving = [
+        values for stage, values in OTHER.items() if stage not in ("signature", "retrieval", "catalogue")
+    ]
     assert len(digests) == 1 + sum(len(values) for values in moving)
 
 

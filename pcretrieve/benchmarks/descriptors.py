@@ -26,7 +26,7 @@ from pcretrieve.benchmarks.sets import ingested, left_out
 from pcretrieve.benchmarks.tables import MEASURES, Column, Table, measure_values, print_lines
 from pcretrieve.benchmarks.timing import timed, use_one_core
 from pcretrieve.catalogue import Catalogue
-from pcretrieve.descriptors import describe
+from pcretrieve.descriptors import DESCRIPTORS, describe
 from pcretrieve.errors import OptionError, ShapeError
 from pcretrieve.evaluation import evaluate_table
 from pcretrieve.names import METHODS, NAMES
@@ -160,7 +160,7 @@ def _described(catalogue: Catalogue, options: SignatureOptions) -> Described:
     labels = {record.id: record.label for record in catalogue.records()}
 
     def described(shape_id: str) -> Signature:
-        return describe(catalogue.shape(shape_id), options)
+        return describe(catalogue.shape(shape_id, DESCRIPTORS[options.method].needs), options)
 
     for shape_id in catalogue.signatures().ids:
         try:

@@ -52,7 +52,8 @@ def stored_options(
             f"{path} was built by a pcretrieve whose numbers differ (version {numbers} there, "
             f"{NUMBERS_VERSION} here): ingest into a new catalogue"
         )
-    if given is not None and given.signature_digest != own.signature_digest:
+    same = given is None or (given.signature_digest, given.catalogue) == (own.signature_digest, own.catalogue)
+    if given is not None and not same:
         difference = "; ".join(options_difference(own, given))
         raise CatalogueError(
             f"{path} was built with other options: {difference}. Ingest into a new catalogue, or leave the "

@@ -14,6 +14,7 @@ from pcretrieve.catalogue.settings import fitting_options, settings_of, stored_o
 from pcretrieve.catalogue.sqlite import SqliteRows
 from pcretrieve.catalogue.surfaces import payloads_of, read_shape, unknown
 from pcretrieve.catalogue.tables import digest_of, made_index, resolution_of, signature_table
+from pcretrieve.errors import ShapeError
 from pcretrieve.options import PipelineOptions
 from pcretrieve.retrieval import DISTANCES, SignatureIndex, Whitening, table_whitening
 from pcretrieve.types import Need, Shape, SignatureTable, TriangleMesh
@@ -100,7 +101,9 @@ class Catalogue:
         record = completed(record, content, self.options.digest)
         if content is None:
             return self._rows.put(record, None, {})
-        return self._rows.put(record, packed_values(content.signature), payloads_of(content.shape))
+        return self._rows.put(
+            record, packed_values(content.signature), payloads_of(content.shape, self.options)
+        )
 
     def remove(self, *shape_ids: str) -> None:
         """Forget shapes, all of them or none.
@@ -205,8 +208,31 @@ class Catalogue:
         return self._rows.sizes(shape_id)
 
     def mesh(self, shape_id: str) -> TriangleMesh:
-        """The clean mesh of a shape, in the unit of its file."""
-        return self.shape(shape_id, needs=("mesh",)).mesh
+        """The clean mesh of a shape, in the unit of its file.
+
+        Parameters
+        ----------
+        shape_id : str
+            The id of the shape.
+
+        Returns
+        -------
+        TriangleMesh
+            That of the first surface.
+
+        Raises
+        ------
+        InputError
+            If there is no shape of that id, or it failed.
+        ShapeError
+            If the meshes were left out when the shape was stored.
+        """
+        shape = self.shape(shape_id, needs=("mesh",))
+        try:
+            return shape.mesh
+        except ShapeError as error:
+            error.shape_id = shape_id
+            raise
 
     def shape(self, shape_id: str, needs: tuple[Need, ...] = ("spectrum", "mesh")) -> Shape:
         """A shape, with the parts that are asked for and no others.
@@ -214,16 +240,16 @@ class Catalogue:
         Parameters
         ----------
         shape_id : str
-        needs : tuple of {"spectrum", "eigenvectors", "mesh", "points"}
-            What a descriptor needs. Eigenvectors are computed from the mesh, which is read in their place;
-            the points are not stored.
+        needs : tuple of {"spectrum", "overlaps", "eigenvectors", "mesh", "points"}
+            What a descriptor needs. Overlaps that were not stored are computed from the mesh. For
+            eigenvectors the mesh is read, from which `describe` computes them. The points are not stored.
 
         Raises
         ------
         InputError
             If there is no shape of that id, or it failed.
         """
-        return read_shape(self._rows, self.path, shape_id, needs)[1]
+        return read_shape(self._rows, self.path, self.options, shape_id, needs)[1]
 
     def signatures(self, options: PipelineOptions | None = None) -> SignatureTable:
         """The signatures by which all shapes that did not fail are compared, by id.

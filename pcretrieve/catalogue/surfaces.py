@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,35 +13,86 @@ from pcretrieve.catalogue.opening import intact
 from pcretrieve.catalogue.record import Record
 from pcretrieve.catalogue.rows import Payload, Rows
 from pcretrieve.errors import InputError
+from pcretrieve.options import PipelineOptions
 from pcretrieve.types import ModalSpectrum, Need, Shape, Step, Surface, TriangleMesh
 
 __all__ = ["payloads_of", "read_shape", "unknown"]
 
 
-def payloads_of(shape: Shape) -> dict[Payload, bytes]:
-    """The arrays of all surfaces, by the names that they are stored under."""
-    parts = shape.apart()
-    spectra = [part.spectrum for part in parts]
-    meshes = [array for part in parts for array in (part.mesh.vertices, part.mesh.faces)]
-    return {
-        "spectra": packed(
-            [np.array([part.area for part in parts]), np.stack([s.eigenvalues for s in spectra])]
-        ),
-        "moments": packed([np.stack([s.moments for s in spectra])]),
-        "overlaps": packed_symmetric(np.stack([s.known_overlaps() for s in spectra])),
-        "meshes": packed(meshes),
-    }
+def payloads_of(shape: Shape, options: PipelineOptions) -> dict[Payload, bytes]:
+    """The arrays of all surfaces that are stored by some options, by their names.
 
+    Parameters
+    ----------
+    shape : Shape
+        With the mesh and the spectrum of each surface.
+    options : PipelineOptions
+        Those of the catalogue: `CatalogueOptions.keep` says what is left out.
 
-def read_shape(rows: Rows, path: Path, shape_id: str, needs: Collection[Need]) -> tuple[Record, Shape]:
-    """A shape with the parts that are needed and no others, and its record at the same moment.
-
-    `path` is that of the catalogue, for messages. InputError if there is no shape of that id, or it failed;
-    CatalogueError if its bytes are damaged.
+    Returns
+    -------
+    dict of str to bytes
+        The packed arrays.
     """
+    # Imported where it is needed: queries store nothing, and the solvers take half a second to import.
+    from pcretrieve.spectral import ELEMENTS
+
+    keep, parts = options.catalogue.keep, shape.apart()
+    spectra = [part.spectrum for part in parts]
+    areas = np.array([part.area for part in parts])
+    stored: dict[Payload, bytes] = {
+        "spectra": packed([areas, np.stack([s.eigenvalues for s in spectra])]),
+        "moments": packed([np.stack([s.moments for s in spectra])]),
+    }
+    # The operator of a point cloud is that of points which are not stored: no mesh gives its overlaps again.
+    if "overlaps" in keep or ELEMENTS[options.spectral.element].needs == "points":
+        stored["overlaps"] = packed_symmetric(np.stack([s.known_overlaps() for s in spectra]))
+    if "meshes" in keep:
+        meshes = [array for part in parts for array in (part.mesh.vertices, part.mesh.faces)]
+        stored["meshes"] = packed(meshes)
+    return stored
+
+
+def read_shape(
+    rows: Rows, path: Path, own: PipelineOptions, shape_id: str, needs: Collection[Need]
+) -> tuple[Record, Shape]:
+    """A shape with the parts that are needed and no others, and its record in the same state of the store.
+
+    Overlaps that were not stored are computed from the mesh. A part that was not stored, and cannot be
+    computed, is missing in the shape.
+
+    Parameters
+    ----------
+    rows : Rows
+        The store.
+    path : Path
+        The path of the catalogue, for messages.
+    own : PipelineOptions
+        The options that the catalogue was built with.
+    shape_id : str
+        The id of the shape.
+    needs : collection of {"spectrum", "overlaps", "eigenvectors", "mesh", "points"}
+        As in `pcretrieve.descriptors.Descriptor`.
+
+    Returns
+    -------
+    record : Record
+        What the catalogue knows of the shape.
+    shape : Shape
+        For the need ``eigenvectors``, with the mesh in their place. The points are never stored.
+
+    Raises
+    ------
+    InputError
+        If there is no shape of that id, or it failed.
+    CatalogueError
+        If its bytes are damaged.
+    """
+    overlaps, with_mesh = "overlaps" in needs, bool({"mesh", "eigenvectors"} & set(needs))
     names: list[Payload] = ["spectra"]
-    names += ["moments", "overlaps"] if "spectrum" in needs else []
-    names += ["meshes"] if {"mesh", "eigenvectors"} & set(needs) else []
+    names += ["moments"] if overlaps or "spectrum" in needs else []
+    names += ["overlaps"] if overlaps else []
+    names += ["meshes"] if overlaps or with_mesh else []
     found = rows.read(shape_id, names)
     if found is None:
         raise unknown(path, shape_id)
@@ -48,7 +100,27 @@ def read_shape(rows: Rows, path: Path, shape_id: str, needs: Collection[Need]) -
     if record.status != "done":
         raise InputError(f"shape {shape_id!r} has no surface: it failed in {record.stage}: {record.message}")
     with intact(path, f"shape {shape_id!r}"):
-        return record, _shape(stored, record.steps)
+        shape = _shape(stored, record.steps)
+    surfaces = shape.surfaces
+    if overlaps and "overlaps" not in stored:
+        surfaces = tuple(_with_overlaps(surface, own.spectral.element) for surface in surfaces)
+    if not with_mesh:
+        surfaces = tuple(replace(surface, mesh=None) for surface in surfaces)
+    return record, replace(shape, surfaces=surfaces)
+
+
+def _with_overlaps(surface: Surface, element: str) -> Surface:
+    """A surface with the overlaps of the eigenfunctions of its mesh, or as it is where no mesh is stored."""
+    if surface.mesh is None or surface.spectrum is None:
+        return surface
+    from threadpoolctl import threadpool_limits
+
+    from pcretrieve.spectral import unit_eigenpairs
+
+    with threadpool_limits(limits=1):  # as in the pipeline, so that rounding errors are the same
+        pairs = unit_eigenpairs(surface.mesh, len(surface.spectrum.eigenvalues), element)
+        overlaps = ModalSpectrum.of(pairs).overlaps
+    return replace(surface, spectrum=replace(surface.spectrum, overlaps=overlaps))
 
 
 def unknown(path: Path, shape_id: str) -> InputError:

@@ -82,7 +82,7 @@ def read_signatures(rows: Rows, path: Path, own: PipelineOptions, options: Pipel
     digest = OWN if options.compared_digest == own.signature_digest else digest_of(options)
     listed = rows.signatures(digest)
     missing = np.flatnonzero(~listed.has)
-    made = _described(rows, path, digest, options, [listed.ids[row] for row in missing])
+    made = _described(rows, path, own, digest, options, [listed.ids[row] for row in missing])
     n_values = signature_length(options.signature)
     with intact(path, "a signature"):
         if listed.has.any() and not made:
@@ -137,7 +137,12 @@ def made_index(
 
 
 def _described(
-    rows: Rows, path: Path, digest: str, options: PipelineOptions, shape_ids: Sequence[str]
+    rows: Rows,
+    path: Path,
+    own: PipelineOptions,
+    digest: str,
+    options: PipelineOptions,
+    shape_ids: Sequence[str],
 ) -> list[FloatArray]:
     """Signatures (L,) of shapes that have none by these options, which are kept where that can be."""
     from pcretrieve.descriptors import DESCRIPTORS, describe
@@ -153,7 +158,7 @@ def _described(
 
     try:
         for shape_id in shape_ids:
-            record, shape = read_shape(rows, path, shape_id, needs)
+            record, shape = read_shape(rows, path, own, shape_id, needs)
             try:
                 made.append(describe(shape, options.compared).values)
             except ShapeError as error:

@@ -160,12 +160,13 @@ def _failure(name: str, error: PcretrieveError) -> Record:
 def _of_catalogue(path: Path, ids: tuple[str, ...], chosen: dict[str, Any]) -> Iterator[Row]:
     """Signatures of shapes that a catalogue holds, or the records of their failures."""
     from pcretrieve.catalogue import Catalogue
-    from pcretrieve.descriptors import describe
+    from pcretrieve.descriptors import DESCRIPTORS, describe
     from pcretrieve.errors import ShapeError
     from pcretrieve.ingestion.plan import failed
 
     with Catalogue(path) as store:
         options = store.options.changed(signature=chosen).signature
+        needs = DESCRIPTORS[options.method].needs
         records = [store.record(shape_id) for shape_id in ids] or store.records()
         for record in records:
             facts: dict[str, object] = {"id": record.id, "path": record.path}
@@ -174,6 +175,6 @@ def _of_catalogue(path: Path, ids: tuple[str, ...], chosen: dict[str, Any]) -> I
                     yield record.id, record, facts
                 continue
             try:
-                yield record.id, describe(store.shape(record.id), options), facts
+                yield record.id, describe(store.shape(record.id, needs), options), facts
             except ShapeError as error:
                 yield record.id, failed(record, error), facts

@@ -59,7 +59,7 @@ def bihdm(
 BIHDM = Descriptor(
     name="bihdm",
     make=lambda shape, o: bihdm(spectrum_of(shape, o), o.n_values, o.n_modes, scale=o.measured_by),
-    needs=("spectrum",),
+    needs=("spectrum", "overlaps"),
 )
 
 

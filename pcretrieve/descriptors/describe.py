@@ -10,8 +10,8 @@ Another package adds a descriptor by an entry point of the group ``pcretrieve.si
 
 The name of the entry point is then a value of the option `--method`. The names of pcretrieve's own
 descriptors are reserved. Instead of a record, the entry point may name a function of a shape and
-`SignatureOptions`, which is taken as a descriptor that needs the spectrum and the mesh and returns
-`SignatureOptions.n_values` positive values.
+`SignatureOptions`, which is taken as a descriptor that needs the spectrum, its overlaps and the mesh, and
+returns `SignatureOptions.n_values` positive values.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ __all__ = ["DESCRIPTORS", "describe", "signature_length"]
 def _checked(name: str, added: object) -> Descriptor:
     """The record of another package, or a record for its function."""
     if callable(added):
-        return Descriptor(name, added, needs=("spectrum", "mesh"))
+        return Descriptor(name, added, needs=("spectrum", "overlaps", "mesh"))
     return named(Descriptor)(name, added)
 
 
@@ -165,7 +165,9 @@ def _needed(descriptor: Descriptor, part: Shape, options: SignatureOptions) -> S
     """A shape of one surface with the parts that the descriptor needs, and no others."""
     # With others, a need that is missing in the record would show only for shapes of a catalogue.
     needs = set(descriptor.needs)
-    spectrum = part.spectrum if "spectrum" in needs else None
+    spectrum = part.spectrum if {"spectrum", "overlaps"} & needs else None
+    if spectrum is not None and "overlaps" not in needs:
+        spectrum = replace(spectrum, overlaps=None)
     mesh = part.mesh if "mesh" in needs else None
     pairs = _lowest_pairs(part, options.n_modes + 1) if "eigenvectors" in needs else None
     cloud = part.points if "points" in needs else None

@@ -28,8 +28,9 @@ class Descriptor:
     make : function of (Shape, SignatureOptions) that returns a Signature
         Called once for each surface of a shape, with a shape of that surface alone, which holds the parts in
         `needs` and no others; called once for a shape if the points are all that it needs.
-    needs : tuple of {"spectrum", "eigenvectors", "mesh", "points"}
-        The parts of a shape that `make` uses: `Shape.spectrum`; `Shape.eigenpairs`, which are the
+    needs : tuple of {"spectrum", "overlaps", "eigenvectors", "mesh", "points"}
+        The parts of a shape that `make` uses: `Shape.spectrum`; its `ModalSpectrum.overlaps`, which the
+        catalogue computes from the mesh where it does not keep them; `Shape.eigenpairs`, which are the
         `SignatureOptions.n_modes` + 1 smallest by linear elements, with one row for each vertex of the mesh;
         `Shape.mesh`; or `Shape.points`, which the catalogue does not store.
     has_size : bool, default True

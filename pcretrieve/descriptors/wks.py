@@ -70,6 +70,6 @@ def wks(pairs: Eigenpairs | ModalSpectrum, n_values: int = 23, n_modes: int = 60
 WKS = Descriptor(
     name="wks",
     make=lambda shape, o: wks(shape.spectrum, o.n_values, o.n_modes),
-    needs=("spectrum",),
+    needs=("spectrum", "overlaps"),
     has_size=False,
 )

@@ -33,9 +33,9 @@ class Matcher:
         shape, of any type that can be pickled.
     distance : function of (features, features) that returns float
         The distance from a query to a shape of the gallery: not NaN, not negative, may be infinite.
-    needs : tuple of {"spectrum", "mesh", "points"}
-        The parts of a shape that `prepare` uses: `Shape.spectrum`, `Shape.mesh`, or `Shape.points`, which the
-        catalogue does not store.
+    needs : tuple of {"spectrum", "overlaps", "mesh", "points"}
+        The parts of a shape that `prepare` uses, as in `pcretrieve.descriptors.Descriptor`: `Shape.spectrum`,
+        its overlaps, `Shape.mesh`, or `Shape.points`, which the catalogue does not store.
     symmetric : bool, default True
         Whether the distance from a to b is that from b to a, so that half of the distances need computing.
 

@@ -6,6 +6,7 @@ option names another unit, so that the signature of a scan does not depend on th
 measurements behind the default values are in docs/decisions.md.
 """
 
+from pcretrieve.options.catalogue import CatalogueOptions
 from pcretrieve.options.description import describe_options, options_difference
 from pcretrieve.options.merge import MergeOptions
 from pcretrieve.options.pipeline import NUMBERS_VERSION, OptionsLike, PipelineOptions
@@ -18,6 +19,7 @@ from pcretrieve.options.surface import RemeshOptions, SurfaceOptions
 __all__ = [
     "NUMBERS_VERSION",
     "PRESETS",
+    "CatalogueOptions",
     "Damping",
     "MergeOptions",
     "OptionsLike",

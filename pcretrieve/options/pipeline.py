@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any, TypeAlias
 
 from pcretrieve.errors import OptionError
+from pcretrieve.options.catalogue import CatalogueOptions
 from pcretrieve.options.model import Options
 from pcretrieve.options.presets import PRESETS
 from pcretrieve.options.retrieval import RetrievalOptions
@@ -42,6 +43,7 @@ class PipelineOptions(Options):
     spectral: SpectralOptions = SpectralOptions()
     signature: SignatureOptions = SignatureOptions()
     retrieval: RetrievalOptions = RetrievalOptions()
+    catalogue: CatalogueOptions = CatalogueOptions()
 
     @classmethod
     def from_toml(cls, path: str | Path, base: PipelineOptions | None = None) -> PipelineOptions:
@@ -191,9 +193,9 @@ class PipelineOptions(Options):
 
         The options of the stages `signature` and `retrieval` are not included, because signatures are
         computed from the stored spectrum on demand: one catalogue serves all methods, numbers of values and
-        distances.
+        distances. Nor are those of `catalogue`, which change no number.
         """
-        values = self.model_dump(exclude={"signature", "retrieval"})
+        values = self.model_dump(exclude={"signature", "retrieval", "catalogue"})
         values["numbers_version"] = NUMBERS_VERSION
         return hashlib.sha256(json.dumps(values, sort_keys=True).encode()).hexdigest()[:16]
 

@@ -80,8 +80,8 @@ def retrieval_page(
     classes = {shape_id: records[shape_id].label for shape_id in ranking.ids}
 
     def card(record: Record, pixels: int, gap: float | None = None, relevant: bool | None = None) -> Card:
-        mesh = catalogue.mesh(record.id)
-        picture = thumbnail(mesh.vertices, mesh.faces, size=pixels)
+        mesh = catalogue.shape(record.id, ("mesh",)).surfaces[0].mesh
+        picture = None if mesh is None else thumbnail(mesh.vertices, mesh.faces, size=pixels)
         return Card(record.id, record.label, record.path, gap, picture, relevant)
 
     panels = []

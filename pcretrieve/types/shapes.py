@@ -15,7 +15,8 @@ from pcretrieve.values import Value
 __all__ = ["Failure", "Need", "Shape", "Surface"]
 
 # The parts of a shape that a descriptor may need.
-Need = Literal["spectrum", "eigenvectors", "mesh", "points"]
+# A spectrum may lack its overlaps, which few descriptors need; with the need "overlaps" it has them.
+Need = Literal["spectrum", "overlaps", "eigenvectors", "mesh", "points"]
 
 _Part = TypeVar("_Part")
 

@@ -190,8 +190,9 @@ class ModalSpectrum(Value):
         """
         if self.overlaps is None:
             raise ShapeError(
-                "gone: this spectrum was stored without ⟨φ_i², φ_j²⟩, by an earlier pcretrieve: ingest the "
-                "scans anew, or choose another descriptor",
+                "gone: this spectrum has no overlaps ⟨φ_i², φ_j²⟩: neither they nor the mesh were kept when "
+                "the shape was stored, or overlaps are not among the needs that the descriptor declares; "
+                'ingest anew with catalogue.keep = ["overlaps"], or choose another descriptor',
                 stage=Stage.SIGNATURE,
             )
         return self.overlaps

@@ -100,7 +100,9 @@ def test_a_shape_that_a_matcher_fails_on_is_left_out() -> None:
 
 
 def test_what_a_record_may_declare() -> None:
-    with pytest.raises(OptionError, match="needs of a matcher must be of spectrum, mesh, points, got 'eigen"):
+    with pytest.raises(
+        OptionError, match="needs of a matcher must be of spectrum, overlaps, mesh, points, got 'eigen"
+    ):
         replace(LACKING, needs=("eigenvectors",))
     with pytest.raises(InputError, match="ids must be distinct, 'a' comes twice"):
         PairwiseIndex(LACKING, "aa", lambda shape_id: egg(1, subdivisions=1))
