@@ -1,4 +1,4 @@
-"""The command that shows the main job on scans of its own: demo."""
+"""The command that ingests, queries and evaluates simulated scans: demo."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ __all__ = ["demo_command"]
     "folder", type=click.Path(path_type=Path), default=Path("pcretrieve-demo"), metavar="[FOLDER]"
 )
 def demo_command(folder: Path) -> None:
-    """The main job on sample scans: ingest, query, evaluate, and a page to look at.
+    """Simulate scans, ingest them, query, evaluate, and write an HTML page of the results.
 
-    Everything goes into FOLDER (pcretrieve-demo by default): simulated scans of people, an animal and a hand,
-    the same at every run, a catalogue of them, and an HTML page. Each step is a command that is shown before
-    it runs, to be repeated by hand. A minute or two.
+    All files are written to FOLDER (pcretrieve-demo by default): simulated scans of people, an animal and a
+    hand, which are the same in each run, their catalogue, and an HTML page. Each step is a command, which is
+    printed before it runs. The demo takes one or two minutes.
 
     \b
     pcretrieve demo
@@ -34,7 +34,7 @@ def demo_command(folder: Path) -> None:
 
     scans, catalogue, page = folder / "scans", folder / "bodies.sqlite", folder / "index.html"
     n = len(DEMO_SAMPLES)
-    say(f"Making {n} scans of five simulated bodies in {scans}, and a new scan of one of the bodies.")
+    say(f"Simulating {n} scans of five bodies in {scans}, and a new scan of one of the bodies.")
     with tqdm(total=n + 1, unit="scan", desc="simulate", disable=None, leave=False) as bar:
         try:
             write_samples(scans, DEMO_SAMPLES, on_scan=lambda path: bar.update())
@@ -43,23 +43,25 @@ def demo_command(folder: Path) -> None:
             raise InputError(f"cannot write scans into {folder}: {error.strerror}; name another") from error
 
     run_step(
-        "Every scan becomes a surface, a spectrum and a signature, which a catalogue keeps with the labels.",
+        "Of each scan, a surface, a spectrum and a signature are computed and stored in a catalogue.",
         *("ingest", scans, "--labels", scans / "labels.csv", "--catalogue", catalogue),
     )
     run_step(
-        "Whose is the new scan? The most similar ones, nearest first: rank, distance, class, id, file.",
+        "The scans most similar to the new scan, nearest first: rank, distance, class, id, file.",
         *("query", "--catalogue", catalogue, folder / "new" / new, "-k", "5"),
     )
     run_step(
-        "How well do scans of one body find each other? Each scan is a query; 1 is the best score.",
+        "How well scans of one body find each other: each scan is a query, and the best score is 1.",
         *("evaluate", "--catalogue", catalogue),
     )
-    run_step("The same as pictures, on a page.", *("report", "--catalogue", catalogue, "--output", page))
+    run_step(
+        "The results with pictures, on an HTML page.", *("report", "--catalogue", catalogue, "--output", page)
+    )
     say(f"\nOpen this page in a browser: {page.resolve().as_uri()}")
 
 
 def run_step(purpose: str, *words: str | Path) -> None:
-    """Say what a command is for, show it and run it; end with its exit code if that is not 0."""
+    """Print the purpose of a command and the command, and run it; end with its exit code unless it is 0."""
     context = click.get_current_context()
     arguments = [str(word) for word in words]
     say(f"\n{purpose}\n$ {shlex.join(['pcretrieve', *arguments])}")

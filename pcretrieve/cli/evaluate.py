@@ -1,4 +1,4 @@
-"""The command that scores a labelled catalogue, or a distance matrix: evaluate."""
+"""The command that computes retrieval measures of a labelled catalogue or a distance matrix: evaluate."""
 
 from __future__ import annotations
 
@@ -29,10 +29,10 @@ MEASURES = {"nn": "NN", "ft": "FT", "st": "ST", "e": "E", "dcg": "DCG", "map": "
     "-c",
     type=click.Path(path_type=Path),
     metavar="FILE",
-    help="The catalogue. Not needed where a matrix and labels are given.",
+    help="The catalogue. Not needed with both --matrix and --labels.",
 )
 @click.option(
-    "--labels", type=click.Path(path_type=Path), metavar="CSV", help="Classes, in place of the stored ones."
+    "--labels", type=click.Path(path_type=Path), metavar="CSV", help="Classes that replace the stored ones."
 )
 @matrix_option
 @comparison_options
@@ -44,10 +44,12 @@ def evaluate_command(
     as_json: bool,
     **comparison: Any,
 ) -> None:
-    """Retrieval measures of a labelled catalogue: NN, FT, ST, E, DCG, mAP.
+    """Retrieval measures of a labelled catalogue.
 
-    Each shape is a query against all others; shapes that failed count as misses. Within-class whitening is
-    evaluated by folds of classes, never on those that it was fitted on.
+    Printed are nearest neighbour (NN), first and second tier (FT, ST), E-measure (E), discounted cumulative
+    gain (DCG) and mean average precision (mAP). Each shape is a query in all other shapes; shapes that failed
+    count as misses. Within-class whitening is cross-validated by folds of classes: it is evaluated on
+    classes to which it was not fitted.
 
     \b
     pcretrieve evaluate --catalogue shrec11.sqlite --n-values 45 --whitening pca
@@ -87,6 +89,6 @@ def evaluate_command(
     if how.get("size_weight"):
         by += f", size weight {how['size_weight']:g}"
     say(
-        f"{measures.n_queries} queries in {counts['n_shapes']} shapes, {ranked.n_failed} failed ones count "
+        f"{measures.n_queries} queries in {counts['n_shapes']} shapes, {ranked.n_failed} failed shapes count "
         f"as misses; {by}"
     )

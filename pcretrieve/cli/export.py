@@ -1,4 +1,4 @@
-"""The command that writes the meshes of a catalogue to files: export."""
+"""The command that writes meshes or signatures of a catalogue to files: export."""
 
 from __future__ import annotations
 
@@ -21,17 +21,17 @@ __all__ = ["export_command"]
     type=click.Path(path_type=Path),
     required=True,
     metavar="PATH",
-    help="A mesh file for one shape (.ply .obj .off .stl .glb), or a folder for .ply files; with "
-    "--signatures one file (.npz .parquet .csv).",
+    help="A mesh file for one shape (.ply .obj .off .stl .glb), or a folder for .ply files; a file of "
+    "signatures (.npz .parquet .csv) with --signatures.",
 )
 @click.option(
-    "--signatures", is_flag=True, help="Write signatures with their ids and classes, in place of meshes."
+    "--signatures", is_flag=True, help="Write signatures with their ids and classes, instead of meshes."
 )
 @comparison_options
 def export_command(
     shape_ids: tuple[str, ...], catalogue: Path, output: Path, signatures: bool, **comparison: Any
 ) -> None:
-    """Clean meshes, or signatures, out of a catalogue: those of the shapes named, or all.
+    """Write the meshes, or the signatures, of some or all shapes of a catalogue to files.
 
     \b
     pcretrieve export cat0 --catalogue bodies.sqlite -o cat0.obj
@@ -56,7 +56,7 @@ def export_command(
             click.echo(str(output))
             return
         for shape_id in shape_ids:
-            store.mesh(shape_id)  # all or none: says what is wrong with one before any is written
+            store.mesh(shape_id)  # raises, if one of the meshes is missing, before any file is written
         try:
             output.mkdir(parents=True, exist_ok=True)
         except OSError as error:

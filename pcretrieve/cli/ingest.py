@@ -1,4 +1,4 @@
-"""The command that fills a catalogue: ingest."""
+"""The command that processes scans and stores them in a catalogue: ingest."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 __all__ = ["ingest_command"]
 
-# Names of a label file that are quoted where they fit no scan.
+# Largest number of names in the message about names in a label file that match no scan.
 QUOTED = 5
 
 
@@ -39,7 +39,8 @@ QUOTED = 5
     "--labels",
     type=click.Path(path_type=Path),
     metavar="CSV",
-    help="Classes: a CSV file,class or a PSB .cla.",
+    help="Classes: a CSV file with the columns file and class, or a .cla file of the Princeton Shape "
+    "Benchmark.",
 )
 @config_option
 @surface_option
@@ -64,7 +65,7 @@ QUOTED = 5
     show_default=True,
     help="What processes the scans.",
 )
-@click.option("--retry-failed", is_flag=True, help="Process again what failed before.")
+@click.option("--retry-failed", is_flag=True, help="Process scans again that failed before.")
 @json_option
 def ingest_command(
     paths: tuple[str, ...],
@@ -80,9 +81,10 @@ def ingest_command(
     retry_failed: bool,
     as_json: bool,
 ) -> None:
-    """Scans into a catalogue: files, folders, globs, or manifests (.txt, .csv).
+    """Process scans, and store them in a catalogue.
 
-    What the catalogue holds already is skipped, so a run that was stopped can be started again.
+    PATH is a file, a folder, a glob pattern, or a manifest (.txt, .csv) with the paths of files. Scans that
+    the catalogue has already are skipped: after an interruption, the same command continues.
 
     \b
     pcretrieve ingest scans/ --labels scans/labels.csv --catalogue bodies.sqlite
@@ -99,7 +101,7 @@ def ingest_command(
         raise click.UsageError("name at least one scan")
     scans = discover(paths, beside=[catalogue, *([labels] if labels else [])])
     names = read_labels(labels) if labels else None
-    # Without options of its own, a run goes on with those that the catalogue was built with.
+    # Without --config and --surface, the options of an existing catalogue are used.
     options = None
     if config or surface or no_meshes:
         options = load_options(config, surface)
@@ -136,9 +138,9 @@ def ingest_command(
             say(f"stopped; {len(store)} shapes are in {catalogue}, and the same command goes on from there")
             sys.exit(stop.code if isinstance(stop, SystemExit) else EXIT_INTERRUPTED)
     held_failed = [record for record in summary.held if record.status == "failed"]
-    duplicates = [(printable(path), twin) for path, twin in summary.duplicates]
-    for path, twin in duplicates:
-        say(f"skipped {path}: the same content as {twin.id} ({twin.path})")
+    duplicates = [(printable(path), original) for path, original in summary.duplicates]
+    for path, original in duplicates:
+        say(f"skipped {path}: the same content as {original.id} ({original.path})")
     if summary.unknown_labels:
         quoted = ", ".join(summary.unknown_labels[:QUOTED])
         more = len(summary.unknown_labels) - QUOTED
@@ -150,7 +152,7 @@ def ingest_command(
     say(
         f"{len(summary.done)} done, {len(failures)} failed, {len(summary.held) - len(held_failed)} held "
         f"already, {len(duplicates)} duplicates: {catalogue}"
-        + ("; --retry-failed processes failed ones again" if failures else "")
+        + ("; --retry-failed processes the failed shapes again" if failures else "")
     )
     if as_json:
         write_json(
@@ -158,7 +160,7 @@ def ingest_command(
                 "catalogue": str(catalogue),
                 "done": [record.id for record in summary.done],
                 "held": [record.id for record in summary.held if record.status == "done"],
-                "duplicates": [{"path": path, "id": twin.id} for path, twin in duplicates],
+                "duplicates": [{"path": path, "id": original.id} for path, original in duplicates],
                 "failed": [
                     {
                         "id": record.id,

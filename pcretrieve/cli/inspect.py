@@ -1,4 +1,4 @@
-"""The command that shows why a scan is bad: inspect. Those on what a catalogue holds are in `inspect.py`."""
+"""The command that checks a scan and shows what is wrong with it: inspect."""
 
 from __future__ import annotations
 
@@ -33,17 +33,21 @@ __all__ = ["inspect_command"]
     "-o",
     type=click.Path(path_type=Path),
     metavar="PAGE",
-    help="The HTML page to write.  [default: the scan's name with .html, here]",
+    help="The HTML page to write.  [default: the name of the scan with .html, in the current folder]",
 )
 @click.option(
-    "--png", type=click.Path(path_type=Path), metavar="FILE", help="All pictures on one sheet, too."
+    "--png",
+    type=click.Path(path_type=Path),
+    metavar="FILE",
+    help="Also write all pictures into one PNG file.",
 )
 @click.option(
     "--rescans",
     type=click.IntRange(min=0),
     default=4,
     show_default=True,
-    help="Surfaces made anew from nine tenths of the points, for the signature's error bar; 0 for none.",
+    help="Number of surfaces that are reconstructed from nine tenths of the points, for the standard "
+    "deviation of the signature; 0 for none.",
 )
 @config_option
 @surface_option
@@ -60,11 +64,11 @@ def inspect_command(
     memory: float | None,
     as_json: bool,
 ) -> None:
-    """An HTML page that shows what is wrong with a scan, and what to do about it.
+    """Write an HTML page that shows what is wrong with a scan, and what to do about it.
 
-    Points, normals and surface from all sides and in a view that turns; what was dropped, filled in, cut and
-    bridged; the signature with its error bar. A scan that fails is shown as far as it came, and the exit code
-    is 3.
+    The page shows points, normals and surface from all sides and in a 3D viewer; which points were removed;
+    where the surface was filled in, separated and connected; and the signature with its standard deviation.
+    If a stage fails, the page shows the results of the earlier stages, and the exit code is 3.
 
     \b
     pcretrieve inspect scan.ply
@@ -99,7 +103,7 @@ def inspect_command(
 def _inspected(
     scan: Path, options: PipelineOptions, n_rescans: int, page: Path, png: Path | None
 ) -> tuple[Inspection, Path]:
-    """In a process of its own, the only one that imports the stages: an inspection and its page."""
+    """An inspection and its page, in a worker process, which imports the stages."""
     from pcretrieve.inspection.inspect import inspect_scan
     from pcretrieve.pages.inspection_page import write_inspection_page
     from pcretrieve.pages.inspection_pictures import write_inspection_png
@@ -112,6 +116,7 @@ def _inspected(
 
 
 def _document(inspection: Inspection, page: Path, png: Path | None) -> dict[str, object]:
+    """The JSON document of an inspection."""
     described, deviation = inspection.signature, inspection.rescan_deviation
     return {
         "scan": inspection.path,

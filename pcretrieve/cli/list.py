@@ -1,4 +1,4 @@
-"""The command that lists a catalogue: list."""
+"""The command that lists the shapes of a catalogue: list."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ __all__ = ["list_command"]
 @click.command("list")
 @catalogue_option
 @click.option("--failed", is_flag=True, help="Only shapes that failed, with the reason.")
-@click.option("--limit", type=click.IntRange(min=1), metavar="N", help="No more than so many shapes.")
+@click.option("--limit", type=click.IntRange(min=1), metavar="N", help="Largest number of shapes.")
 @click.option(
-    "--offset", type=click.IntRange(min=0), default=0, metavar="N", help="Leave out the first so many shapes."
+    "--offset", type=click.IntRange(min=0), default=0, metavar="N", help="Number of shapes to skip."
 )
 @json_option
 def list_command(catalogue: Path, failed: bool, limit: int | None, offset: int, as_json: bool) -> None:
-    """The shapes of a catalogue: id, status, class, Euler characteristic, seconds, path.
+    """List the shapes of a catalogue: id, status, class, Euler characteristic, seconds, path.
 
     \b
     pcretrieve list --catalogue bodies.sqlite --failed

@@ -1,7 +1,7 @@
-"""The command line: parse, call, print.
+"""The entry point of the command line: commands, exit codes, messages of errors.
 
-Results go to standard output, words for people to standard error. Exit codes: 0 all good, 1 error, 2 usage,
-3 finished, but some shapes failed; 130 stopped by Ctrl-C, 143 by SIGTERM.
+Results go to standard output, messages for users to standard error. Exit codes: 0 success; 1 error; 2 wrong
+usage; 3 finished, but some shapes failed; 130 interrupted by Ctrl-C; 143 by SIGTERM.
 """
 
 from __future__ import annotations
@@ -24,11 +24,11 @@ __all__ = ["cli", "main"]
 EXIT_ERROR = 1
 EXIT_USAGE = 2
 
-# What a shell reports of a program that a signal ended is this plus the signal's number.
+# Shells report a program that was ended by a signal with this number plus the number of the signal.
 EXIT_SIGNAL = 128
 
-# Each is the function `NAME_command` of the module of its name, imported when the command is run or asked for
-# its own help.
+# The names of the commands. A command is the function `NAME_command` of the module `NAME`, which is imported
+# when the command or its help is called.
 COMMANDS = (
     "demo",
     "merge",
@@ -49,7 +49,7 @@ COMMANDS = (
 
 
 class _LazyGroup(click.Group):
-    """Commands that are imported when they are needed: ``--help`` must not wait for numpy."""
+    """Commands that are imported when they are called, so that ``--help`` does not wait for imports."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         return list(COMMANDS)
@@ -72,12 +72,12 @@ def cli() -> None:
     pcretrieve query --catalogue bodies.sqlite scan.ply
     """
     logger = logging.getLogger("pcretrieve")
-    if not any(isinstance(handler, _Said) for handler in logger.handlers):
-        logger.addHandler(_Said(logging.WARNING))
+    if not any(isinstance(handler, _Printed) for handler in logger.handlers):
+        logger.addHandler(_Printed(logging.WARNING))
 
 
-class _Said(logging.Handler):
-    """Warnings of the library, for people, but for repairs: results and pages name these."""
+class _Printed(logging.Handler):
+    """Prints warnings of the library on standard error, except for repairs, which are in the provenance."""
 
     def emit(self, record: logging.LogRecord) -> None:
         if record.name != "pcretrieve.pipeline":
@@ -85,9 +85,15 @@ class _Said(logging.Handler):
 
 
 def main() -> NoReturn:
-    """Run the command line; the one place where errors become messages and exit codes."""
+    """Run the command line, and end with an exit code. Errors are printed as messages.
+
+    Returns
+    -------
+    NoReturn
+        Never.
+    """
     for number in (signal.SIGTERM, signal.SIGHUP):
-        if signal.getsignal(number) is signal.SIG_DFL:  # and not ignored, as under nohup
+        if signal.getsignal(number) is signal.SIG_DFL:  # not if the signal is ignored, as under nohup
             signal.signal(number, _stop)
     try:
         code = cli.main(prog_name="pcretrieve", standalone_mode=False)
@@ -98,21 +104,21 @@ def main() -> NoReturn:
         error.show()
         sys.exit(error.exit_code)
     except OptionError as error:
-        # The option is wrong in every stage: the one that noticed tells nothing.
+        # Without the stage, because options are not the fault of the stage that checks them.
         _say(f"Error: {error.message}")
         sys.exit(EXIT_USAGE)
     except PcretrieveError as error:
         _say(f"Error: {error}")
         sys.exit(EXIT_ERROR)
     except BrokenPipeError:
-        # The reader of our output has gone (`pcretrieve list | head`): nothing is left to say.
+        # The program that reads the output has ended, as in `pcretrieve list | head`.
         sys.stderr.close()
         sys.exit(EXIT_ERROR)
     sys.exit(code if isinstance(code, int) else 0)
 
 
 def _stop(number: int, frame: FrameType | None) -> NoReturn:
-    """Leave in order, so that no worker outlives its parent."""
+    """End by SystemExit, so that worker processes are stopped too."""
     sys.exit(EXIT_SIGNAL + number)
 
 

@@ -28,19 +28,20 @@ __all__ = ["matrix_command"]
     type=click.Path(path_type=Path),
     required=True,
     metavar="FILE",
-    help="The matrix: .npy, or any other suffix for plain text. Its ids go to a file beside it, one a line.",
+    help="The matrix: .npy, or any other suffix for plain text. The ids of its rows are written to a file "
+    "beside it, one in each line.",
 )
 @click.option(
     "--matcher",
     type=RecordName("matcher"),
-    help="Compare surface with surface by this method, in place of their signatures.",
+    help="Compare pairs of surfaces by this method, instead of signatures.",
 )
 @comparison_options
 def matrix_command(catalogue: Path, output: Path, matcher: str | None, **comparison: Any) -> None:
-    """All distances between the shapes of a catalogue, as SHREC tracks ask for them.
+    """Write the distance matrix of a catalogue, in the format of the SHREC (Shape Retrieval Contest) tracks.
 
-    Row i, column j: the distance from shape i, as a query, to shape j. Shapes that a matcher cannot be
-    applied to are named and left out.
+    The value in row i and column j is the distance from the query i to the shape j. Shapes that the matcher
+    cannot be applied to are reported and left out.
 
     \b
     pcretrieve matrix --catalogue bodies.sqlite -o bodies.txt

@@ -1,4 +1,4 @@
-"""The command that makes one cloud of several range scans: merge."""
+"""The command that registers several range scans and merges them into one point cloud: merge."""
 
 from __future__ import annotations
 
@@ -28,32 +28,37 @@ __all__ = ["merge_command"]
     type=click.Path(path_type=Path),
     required=True,
     metavar="CLOUD",
-    help=".ply or .pcd, which keep the sensor of each point, or .xyzn, which keeps normals only.",
+    help="The point cloud: .ply or .pcd, which have the sensor position of each point, or .xyzn, which has "
+    "normals only.",
 )
 @click.option(
-    "--refine/--no-refine", default=True, help="Adjust the poses of a .conf, or take them as given."
+    "--refine/--no-refine", default=True, help="Refine the poses of a .conf file, or use them as they are."
 )
 @click.option(
     "--sensor",
     type=click.Choice(["front", "origin"]),
     default="front",
     show_default=True,
-    help="Where the sensor of a file is that names none: far out on +z, as range scanners have it, or at the "
-    "origin, as in frames of a depth camera.",
+    help="Position of the sensor of files that have none: far away in the direction +z (front), as of range "
+    "scanners, or at the origin, as of frames of a depth camera.",
 )
-@click.option("--max-range", type=float, metavar="LENGTH", help="Drop what is farther from the sensor.")
-@click.option("--keep-largest", is_flag=True, help="Keep the largest connected piece of each view only.")
+@click.option("--max-range", type=float, metavar="LENGTH", help="Remove points farther from the sensor.")
+@click.option("--keep-largest", is_flag=True, help="Keep only the largest connected piece of each view.")
 @click.option(
-    "--voxel", type=float, metavar="SHARE", help="Thin the cloud to one point a cell.  [default: 0]"
+    "--voxel",
+    type=float,
+    metavar="SHARE",
+    help="Average the points in each voxel of this size.  [default: 0, no]",
 )
 @click.option(
-    "--reach", type=float, metavar="SHARE", help="Distance at which surfaces are one.  [default: 0.01]"
+    "--reach", type=float, metavar="SHARE", help="Largest distance of corresponding points.  [default: 0.01]"
 )
 @click.option(
     "--min-overlap",
     type=float,
     metavar="SHARE",
-    help="Points of a view that another must have seen too.  [default: 0.1]",
+    help="Smallest fraction of the points of a view that another view must have measured too.  "
+    "[default: 0.1]",
 )
 @limit_options("view, all of them together")
 @json_option
@@ -71,11 +76,12 @@ def merge_command(
     memory: float | None,
     as_json: bool,
 ) -> None:
-    """Range scans of one body into one cloud: files, folders, globs, or one .conf.
+    """Register range scans (views) of one body, and merge them into one point cloud.
 
-    Views may lie anywhere, in any order; those of a Stanford .conf start from its poses. A view that finds no
-    place where it shares a surface with the others is left out, and the exit code is 3. Voxel and reach are
-    relative to the median diagonal of the views, the range is in the unit of the files.
+    VIEWS are files, folders, glob patterns, or one Stanford .conf file, whose poses are the initial ones.
+    Views without poses may be in any order and in any pose. Views that cannot be registered are left out, and
+    the exit code is 3. Voxel and reach are relative to the median diagonal of the views; the range is in the
+    unit of the files.
 
     \b
     pcretrieve merge bunny/*.ply -o bunny.ply
@@ -97,7 +103,7 @@ def merge_command(
     merged = Isolation(timeout * len(files), memory).call(_merged, paths, options)
     write_cloud(merged.cloud, output)
     names = [printable(file) for file in files]
-    _tell(merged, names, output)
+    _say_residuals(merged, names, output)
     if as_json:
         write_json(_document(merged, names, output))
     if merged.left_out:
@@ -105,7 +111,7 @@ def merge_command(
 
 
 def _merged(paths: Sequence[str], options: MergeOptions) -> Merged:
-    """In a process of its own, the only one that imports Open3D; it shows how far it is on standard error."""
+    """Merged views, in a worker process, which imports Open3D, and shows its progress on standard error."""
     from tqdm import tqdm
 
     from pcretrieve.ingestion.views import read_views
@@ -121,8 +127,8 @@ def _merged(paths: Sequence[str], options: MergeOptions) -> Merged:
         return merge_views(views.clouds, options, poses=views.poses, on_pair=on_pair)
 
 
-def _tell(merged: Merged, names: Sequence[str], output: Path) -> None:
-    """What became of each view, for people."""
+def _say_residuals(merged: Merged, names: Sequence[str], output: Path) -> None:
+    """Print a table of the views, with their overlaps and residuals."""
     say(f"{'view':<8}  {'overlap':>7}  {'rms':>10}  file")
     for number, name in enumerate(names):
         if number in merged.left_out:
@@ -140,7 +146,7 @@ def _tell(merged: Merged, names: Sequence[str], output: Path) -> None:
 
 
 def _document(merged: Merged, names: Sequence[str], output: Path) -> dict[str, object]:
-    """The same for programs: JSON knows no NaN."""
+    """The JSON document of merged views, with null for NaN, which JSON does not have."""
 
     def number_or_none(value: float) -> float | None:
         return value if math.isfinite(value) else None

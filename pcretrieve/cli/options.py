@@ -17,7 +17,7 @@ __all__ = ["options_command"]
 @click.command("options")
 @config_option
 def options_command(config: Path | None) -> None:
-    """Every number of the pipeline with its unit, as TOML for --config.
+    """Print all options of the pipeline with their units, as TOML for --config.
 
     \b
     pcretrieve options > mine.toml

@@ -1,4 +1,4 @@
-"""What several commands share: options, and ways to say things."""
+"""Options that several commands have, and functions that print messages and results."""
 
 from __future__ import annotations
 
@@ -43,8 +43,8 @@ __all__ = [
 EXIT_SOME_FAILED = 3
 EXIT_INTERRUPTED = 130
 
-# Bodies whose areas differ by more than this may be in different units: from a mouse to a horse it is less,
-# from centimetres to metres more.
+# Ratio of the largest to the smallest area, from which files probably have different units: the areas of a
+# horse and a mouse have a smaller ratio, those of one body in centimetres and in metres a larger one (1e4).
 MIXED_UNITS = 3000
 
 catalogue_option = click.option(
@@ -61,26 +61,46 @@ config_option = click.option(
 surface_option = click.option(
     "--surface",
     type=click.Choice(["auto", "reconstruct", "keep"]),
-    help="What to do with meshes: keep closed manifold ones and reconstruct others (auto, the default), "
-    "reconstruct all, or keep all.",
+    help="Which meshes to reconstruct: all that are not closed manifolds (auto, the default), all, or none "
+    "(keep).",
 )
 matrix_option = click.option(
     "--matrix",
     type=click.Path(path_type=Path),
     metavar="FILE",
-    help="Rank by the distances in a file, such as `pcretrieve matrix` writes, in place of those of "
-    "signatures: a square of numbers, plain text or .npy, and beside it the ids of its rows, one a line, in "
-    "a file of the same name that ends in .ids.",
+    help="Rank by the distances in a file, such as `pcretrieve matrix` writes, instead of the distances of "
+    "signatures: a square matrix, plain text or .npy. A file with the same name that ends in .ids has the "
+    "ids of its rows, one in each line.",
 )
 
 
 class RecordName(click.ParamType):  # type: ignore[type-arg]  # generic since click 8.3 only
-    """The name of a record such as a descriptor: listed in the help, and checked where it is looked up."""
+    """The name of a record such as a descriptor: the help lists the names, the library checks them.
+
+    Parameters
+    ----------
+    kind : str
+        A key of `pcretrieve.names.NAMES`, such as "descriptor".
+    """
 
     def __init__(self, kind: str) -> None:
         self.name = kind
 
     def get_metavar(self, param: click.Parameter, ctx: click.Context | None = None) -> str:
+        """The names, as the help shows them.
+
+        Parameters
+        ----------
+        param : click.Parameter
+            Not used.
+        ctx : click.Context, optional
+            Not used.
+
+        Returns
+        -------
+        str
+            The names in brackets.
+        """
         from pcretrieve.names import NAMES
 
         return f"[{'|'.join(NAMES[self.name].all())}]"
@@ -89,21 +109,22 @@ class RecordName(click.ParamType):  # type: ignore[type-arg]  # generic since cl
 _distance_option = click.option(
     "--distance",
     type=RecordName("distance"),
-    help="Euclidean distance of log-signatures, or the paper's D1 or D2.  [default: log, or the catalogue's]",
+    help="Euclidean distance of log-signatures (log), or the distances D1 and D2 of the paper.  [default: "
+    "log, or the catalogue's]",
 )
 _whitening_option = click.option(
     "--whitening",
     type=click.Choice(["none", "resolution", "pca", "within-class"]),
-    help="Let log-signatures count less in directions in which the resolution of a surface moves them, as it "
-    "did those of simulated bodies (resolution, for r-bihdm); or decorrelate them over the catalogue (pca), "
-    "or by the variation within its classes.  [default: none, or the catalogue's]",
+    help="Whiten log-signatures by a covariance matrix: of the errors that the resolution of a surface "
+    "causes, estimated from simulated bodies (resolution, for r-bihdm); of all shapes of the catalogue "
+    "(pca); or of the variation within its classes (within-class).  [default: none, or the catalogue's]",
 )
 _overlay_option = click.option(
     "--config",
     type=click.Path(path_type=Path),
     metavar="TOML|PRESET",
-    help="Options in place of the catalogue's own: a file with the tables [signature] and [retrieval], or a "
-    "preset.",
+    help="Options that replace those of the catalogue: a file with the tables [signature] and [retrieval], "
+    "or a preset.",
 )
 
 
@@ -114,16 +135,16 @@ n_values_option = click.option(
     "--n-values",
     type=click.IntRange(min=1),
     metavar="L",
-    help="Its length.  [default: 23, or the catalogue's]",
+    help="Number of values of the descriptor.  [default: 23, or the catalogue's]",
 )
 
 
 scale_option = click.option(
     "--scale",
     type=click.Choice(["auto", "area", "relative", "absolute"]),
-    help="What its values are measured by: the area of the surface, its own first one, or the unit of the "
-    "files, which keeps the size of bodies. auto is relative where signatures are compared PCA whitened, and "
-    "else by area.  [default: auto, or the catalogue's]",
+    help="How values are normalised: by the area of the surface (area), by the first value (relative), or "
+    "not (absolute), so that they depend on the size of bodies in the unit of the files. auto is relative "
+    "with --whitening pca, else area.  [default: auto, or the catalogue's]",
 )
 
 
@@ -131,13 +152,24 @@ size_weight_option = click.option(
     "--size-weight",
     type=click.FloatRange(min=0, max=20),
     metavar="W",
-    help="Weigh the size of bodies beside their form, where all files have one unit: one value more, their "
-    "area to this power. 6 is best for people.  [default: 0, none, or the catalogue's]",
+    help="Weight of the size of bodies beside their form, if all files have one unit: adds a value, the area "
+    "to the power of W. 6 is best for people.  [default: 0, or the catalogue's]",
 )
 
 
 def limit_options(unit: str) -> Callable[[Callable[..., None]], Callable[..., None]]:
-    """Give a command the limits of the processes that work for it; the time is for one `unit`."""
+    """Options that limit time and memory of the processes in which a command works.
+
+    Parameters
+    ----------
+    unit : str
+        What the time limit is for, such as "scan".
+
+    Returns
+    -------
+    callable
+        A decorator of commands, which adds ``--timeout`` and ``--memory``.
+    """
     timeout = click.option(
         "--timeout",
         type=click.FloatRange(min=1),
@@ -152,7 +184,18 @@ def limit_options(unit: str) -> Callable[[Callable[..., None]], Callable[..., No
 
 
 def comparison_options(command: Callable[..., None]) -> Callable[..., None]:
-    """Give a command the options that say how shapes are compared, for `compared`."""
+    """Add the options that determine how shapes are compared; `compared` takes their values.
+
+    Parameters
+    ----------
+    command : callable
+        The command.
+
+    Returns
+    -------
+    callable
+        The command with the options.
+    """
     for option in (
         _overlay_option,
         size_weight_option,
@@ -167,7 +210,27 @@ def comparison_options(command: Callable[..., None]) -> Callable[..., None]:
 
 
 def compared(store: Catalogue, config: Path | None, **flags: Any) -> PipelineOptions:
-    """How a command compares the shapes of a catalogue: the catalogue's options, a file's, then its flags."""
+    """The options with which a command compares the shapes of a catalogue.
+
+    Parameters
+    ----------
+    store : Catalogue
+        The catalogue, whose options are the defaults.
+    config : Path or None
+        A file or a preset, whose options replace those of the catalogue.
+    **flags : object
+        Values of `comparison_options`, which replace both; None: not given.
+
+    Returns
+    -------
+    PipelineOptions
+        The options.
+
+    Raises
+    ------
+    OptionError
+        If the file cannot be read, or options are not valid.
+    """
     given = {name: value for name, value in flags.items() if value is not None}
     tables: dict[str, dict[str, Any]] = {"signature": {}, "retrieval": {}}
     for name, value in given.items():
@@ -179,7 +242,25 @@ def compared(store: Catalogue, config: Path | None, **flags: Any) -> PipelineOpt
 
 
 def read_distances(matrix: Path | None, comparison: dict[str, Any]) -> DistanceMatrix | None:
-    """The distances that ``--matrix`` names; the options of signatures mean nothing beside it."""
+    """Read the distance matrix that ``--matrix`` names.
+
+    Parameters
+    ----------
+    matrix : Path or None
+        The file; None: not given.
+    comparison : dict of str to object
+        Values of `comparison_options`.
+
+    Returns
+    -------
+    DistanceMatrix or None
+        The distances; None without a file.
+
+    Raises
+    ------
+    click.UsageError
+        If options of signatures are given too, which have no effect on a matrix.
+    """
     if matrix is None:
         return None
     if given := given_flags(comparison):
@@ -190,7 +271,18 @@ def read_distances(matrix: Path | None, comparison: dict[str, Any]) -> DistanceM
 
 
 def given_flags(comparison: dict[str, Any]) -> str:
-    """Those of `comparison_options` that a command was given, as they were typed."""
+    """The options among `comparison_options` that a command was given.
+
+    Parameters
+    ----------
+    comparison : dict of str to object
+        Values of `comparison_options`; None: not given.
+
+    Returns
+    -------
+    str
+        The flags, as they are typed, separated by commas.
+    """
     given = [name for name, value in comparison.items() if value is not None]
     return ", ".join(f"--{name.replace('_', '-')}" for name in given)
 
@@ -205,17 +297,35 @@ def _warn_of_mixed_units(store: Catalogue) -> None:
 
 
 def say(message: str) -> None:
-    """For people, on standard error."""
+    """Print a message for users, on standard error.
+
+    Parameters
+    ----------
+    message : str
+        The message.
+    """
     click.echo(message, err=True)
 
 
 def write_json(document: object) -> None:
-    """For programs, on standard output."""
+    """Print a JSON document for programs, on standard output.
+
+    Parameters
+    ----------
+    document : object
+        What JSON can represent.
+    """
     click.echo(json.dumps(document, indent=2, ensure_ascii=False))
 
 
 def write_json_list(documents: Iterable[object]) -> None:
-    """A list for programs, on standard output; each of its members as soon as it is there."""
+    """Print a list as a JSON document on standard output, each element as soon as it is computed.
+
+    Parameters
+    ----------
+    documents : iterable of object
+        What JSON can represent.
+    """
     before = "["
     for document in documents:
         click.echo(before)
@@ -225,7 +335,18 @@ def write_json_list(documents: Iterable[object]) -> None:
 
 
 def failure_line(record: Record) -> str:
-    """Which shape failed, in which stage, why, and which file it was."""
+    """The message about a shape that failed.
+
+    Parameters
+    ----------
+    record : Record
+        The record of the failure.
+
+    Returns
+    -------
+    str
+        Id, stage and message; and the file, if the message does not name it.
+    """
     file = "" if record.path in (record.message or "") else f" ({record.path})"
     return f"failed: [{record.id} / {record.stage}] {record.message}{file}"
 
@@ -233,7 +354,27 @@ def failure_line(record: Record) -> str:
 def load_options(
     config: Path | None, surface: str | None = None, *, base: PipelineOptions | None = None
 ) -> PipelineOptions:
-    """The options that ``--config`` and ``--surface`` ask for; the others are those of `base`."""
+    """The options of a command with ``--config`` and ``--surface``.
+
+    Parameters
+    ----------
+    config : Path or None
+        A file or a preset; None: not given.
+    surface : str or None
+        The mode of the surface stage; None: not given.
+    base : PipelineOptions, optional
+        The options that the others replace; the defaults of the pipeline if not given.
+
+    Returns
+    -------
+    PipelineOptions
+        The options.
+
+    Raises
+    ------
+    OptionError
+        If the file cannot be read, or options are not valid.
+    """
     from pcretrieve.options import PipelineOptions
 
     options = base or PipelineOptions()
@@ -243,7 +384,18 @@ def load_options(
 
 
 def step_lines(steps: tuple[Step, ...]) -> list[str]:
-    """Provenance, one line a stage and one a note."""
+    """Provenance as text.
+
+    Parameters
+    ----------
+    steps : tuple of Step
+        The steps.
+
+    Returns
+    -------
+    list of str
+        One line for each step (stage, seconds, sizes), and one for each note.
+    """
     lines = []
     for step in steps:
         sizes = ", ".join(

@@ -1,4 +1,4 @@
-"""The command that searches: query."""
+"""The command that searches a catalogue: query."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ __all__ = ["query_command"]
 @click.command("query")
 @click.argument("scan", metavar="SCAN|ID")
 @catalogue_option
-@click.option("-k", "k", type=click.IntRange(min=1), default=10, show_default=True, help="How many.")
+@click.option("-k", "k", type=click.IntRange(min=1), default=10, show_default=True, help="Number of results.")
 @matrix_option
 @comparison_options
 @limit_options("scan")
@@ -44,10 +44,10 @@ def query_command(
     as_json: bool,
     **comparison: Any,
 ) -> None:
-    """The shapes most like a scan, or like a shape of the catalogue, nearest first.
+    """Find the shapes most similar to a scan, or to a shape of the catalogue, nearest first.
 
-    The scan is processed with the catalogue's own options; one that the catalogue holds is looked up. What is
-    no file is taken as the id of a shape.
+    The scan is processed with the options of the catalogue, unless the catalogue has it already. An argument
+    that is not a file is the id of a shape.
 
     \b
     pcretrieve query --catalogue bodies.sqlite scan.ply -k 5 --whitening pca
@@ -83,14 +83,14 @@ def query_command(
 
 
 def _signature(timeout: float, memory: float | None, scan: Path, options: PipelineOptions) -> Signature:
-    # Only for scans that must be processed: a stored shape is found without.
+    # Imported here, because it is not needed for shapes that the catalogue has.
     from pcretrieve.ingestion.isolation import Isolation
 
     return Isolation(timeout, memory).call(_isolated_signature, scan, options)
 
 
 def _isolated_signature(scan: Path, options: PipelineOptions) -> Signature:
-    """In a process of its own, the only one that imports the stages."""
+    """The signature of a scan, in a worker process, which imports the stages."""
     from pcretrieve.pipeline.process import signature
 
     return signature(scan, options)

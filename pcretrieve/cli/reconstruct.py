@@ -1,4 +1,4 @@
-"""The command that makes a surface of a scan: reconstruct."""
+"""The command that reconstructs the surface of a scan: reconstruct."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ __all__ = ["reconstruct_command"]
     metavar="MESH",
     help=".ply .obj .off .stl .glb",
 )
-@click.option("--report", is_flag=True, help="Print what was done, repaired and fallen back to.")
+@click.option("--report", is_flag=True, help="Print the steps, with repairs and fallbacks.")
 @config_option
 @surface_option
 @limit_options("scan")
@@ -51,7 +51,7 @@ def reconstruct_command(
     memory: float | None,
     as_json: bool,
 ) -> None:
-    """Points to a closed, oriented, manifold surface.
+    """Reconstruct a closed, oriented, manifold surface from a scan, and write it to a mesh file.
 
     \b
     pcretrieve reconstruct scan.ply -o body.obj --report
@@ -84,7 +84,7 @@ def reconstruct_command(
 
 
 def _surface(scan: Path, options: PipelineOptions) -> TriangleMesh:
-    """In a process of its own, the only one that imports the stages."""
+    """The surface of a scan, in a worker process, which imports the stages."""
     from pcretrieve.pipeline.process import reconstruct
 
     return reconstruct(scan, options)

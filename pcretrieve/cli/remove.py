@@ -1,4 +1,4 @@
-"""The command that forgets shapes: remove."""
+"""The command that removes shapes from a catalogue: remove."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ __all__ = ["remove_command"]
 @click.argument("shape_ids", nargs=-1, required=True, metavar="ID...")
 @catalogue_option
 def remove_command(shape_ids: tuple[str, ...], catalogue: Path) -> None:
-    """Forget shapes; their files are left alone.
+    """Remove shapes from a catalogue; the files of the scans are not changed.
 
     \b
     pcretrieve remove cat0 cat1 --catalogue bodies.sqlite

@@ -29,9 +29,16 @@ __all__ = ["report_command"]
     help="The HTML page to write.",
 )
 @click.option(
-    "--queries", type=click.IntRange(min=1), default=8, show_default=True, help="Rows of results, most."
+    "--queries", type=click.IntRange(min=1), default=8, show_default=True, help="Largest number of queries."
 )
-@click.option("-k", "k", type=click.IntRange(min=1), default=5, show_default=True, help="Results in a row.")
+@click.option(
+    "-k",
+    "k",
+    type=click.IntRange(min=1),
+    default=5,
+    show_default=True,
+    help="Number of results of each query.",
+)
 @matrix_option
 @comparison_options
 def report_command(
@@ -42,9 +49,9 @@ def report_command(
     matrix: Path | None,
     **comparison: Any,
 ) -> None:
-    """An HTML page: retrieval measures, and pictures of queries and their ranked results.
+    """Write an HTML page with retrieval measures, and with pictures of queries and their ranked results.
 
-    Queries are the first shape of each class, or of all where there are no classes.
+    Queries are the first shape of each class, or the first shapes if there are no classes.
 
     \b
     pcretrieve report --catalogue bodies.sqlite -o bodies.html

@@ -22,7 +22,7 @@ __all__ = ["show_command"]
 @catalogue_option
 @json_option
 def show_command(shape_id: str, catalogue: Path, as_json: bool) -> None:
-    """A shape's provenance: where it came from, what each stage did to it, and what is stored of it.
+    """Show the provenance of a shape: its file, the steps of each stage, and the size of what is stored.
 
     \b
     pcretrieve show cat0 --catalogue bodies.sqlite

@@ -1,4 +1,4 @@
-"""The command that prints signatures: signature."""
+"""The command that computes and prints signatures: signature."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from pcretrieve.options import PipelineOptions
     from pcretrieve.types import Signature
 
-    # Name, what came of it, and what else a JSON document tells.
+    # A name; the signature, or the record of a failure; further values of the JSON document.
     Row = tuple[str, Signature | Record, dict[str, object]]
 
 __all__ = ["signature_command"]
@@ -44,12 +44,15 @@ __all__ = ["signature_command"]
     "--from-catalogue",
     type=click.Path(path_type=Path),
     metavar="FILE",
-    help="Take shapes of a catalogue, by id or all of them, and no scans.",
+    help="Use shapes of a catalogue, by id, or all shapes, instead of scans.",
 )
 @method_option
 @n_values_option
 @click.option(
-    "--n-modes", type=click.IntRange(min=2), metavar="M", help="Modes of the surface.  [default: 60]"
+    "--n-modes",
+    type=click.IntRange(min=2),
+    metavar="M",
+    help="Number of modes of the surface.  [default: 60]",
 )
 @scale_option
 @size_weight_option
@@ -71,9 +74,9 @@ def signature_command(
     memory: float | None,
     as_json: bool,
 ) -> None:
-    """Signatures of scans, one line each: path, then values.
+    """Print the signatures of scans, in one line each: path, then values.
 
-    With --from-catalogue, of shapes that it holds, computed from what it stores: id, then values.
+    With --from-catalogue, signatures are computed from stored spectra and surfaces: id, then values.
 
     \b
     pcretrieve signature body.obj
@@ -135,7 +138,7 @@ def _of_scans(paths: tuple[str, ...], options: PipelineOptions, isolation: Isola
 
 
 def _described(options: PipelineOptions, path: Path) -> tuple[Signature, float]:
-    """In a process of its own, the only one that imports the stages: a signature, and its seconds."""
+    """A signature and its seconds, in a worker process, which imports the stages."""
     from pcretrieve.descriptors import describe
     from pcretrieve.errors import Stage, in_stage
     from pcretrieve.pipeline.process import process
@@ -147,7 +150,7 @@ def _described(options: PipelineOptions, path: Path) -> tuple[Signature, float]:
 
 
 def _failure(name: str, error: PcretrieveError) -> Record:
-    """The record of a scan that has no signature; raises what is not the fault of a scan."""
+    """The record of a scan that failed; errors that are not failures of a scan are raised."""
     from pcretrieve.catalogue import Record
     from pcretrieve.errors import ShapeError
     from pcretrieve.ingestion.plan import failed
@@ -158,7 +161,7 @@ def _failure(name: str, error: PcretrieveError) -> Record:
 
 
 def _of_catalogue(path: Path, ids: tuple[str, ...], chosen: dict[str, Any]) -> Iterator[Row]:
-    """Signatures of shapes that a catalogue holds, or the records of their failures."""
+    """Signatures of shapes of a catalogue, or the records of their failures."""
     from pcretrieve.catalogue import Catalogue
     from pcretrieve.descriptors import DESCRIPTORS, describe
     from pcretrieve.errors import ShapeError

@@ -1,4 +1,4 @@
-"""What the command line names → the scans it means."""
+"""Paths, folders, globs and manifests → the files of scans; content hashes and ids of files."""
 
 from __future__ import annotations
 
@@ -22,13 +22,24 @@ CHUNK = 1 << 20
 
 
 def discover(arguments: Sequence[str | Path], beside: Iterable[str | Path] = ()) -> list[Path]:
-    """Scans named by files, folders, globs or manifests, each once, in the order given.
+    """Find the files of scans.
 
-    A folder stands for every scan below it, by name; a warning says which of its files are none. A ``.txt``
-    or a ``.csv`` file that is not a table of points is a manifest: it holds one path on each line, or on each
-    row under ``path`` or ``file``, relative to the manifest. Files that are parts of another scan, such as
-    the views of a ``.conf``, are no scans of their own. Files `beside` the scans, such as their labels, are
-    not warned of.
+    A warning names the files in a folder that are not scans.
+
+    Parameters
+    ----------
+    arguments : sequence of str or Path
+        Files; folders, which are searched recursively; glob patterns; or manifests. A manifest is a ``.txt``
+        or ``.csv`` file that is not a table of points. It has one path in each line, or a column ``path`` or
+        ``file``; its paths are relative to its folder.
+    beside : iterable of str or Path
+        Files that may be in the same folders, such as label files. There is no warning of them.
+
+    Returns
+    -------
+    list of Path
+        Absolute paths in the order of the arguments, within a folder by name, without repetitions. A file
+        that is part of another of these scans, such as a view of a ``.conf`` file, is left out.
 
     Raises
     ------
@@ -44,7 +55,7 @@ def discover(arguments: Sequence[str | Path], beside: Iterable[str | Path] = ())
 
 
 def content_hash(path: Path) -> str:
-    """SHA-256 of the bytes of a scan: of its file, and then of the parts of that.
+    """The SHA-256 hash of the content of a scan: of its file, followed by the parts that the file names.
 
     Parameters
     ----------
@@ -54,7 +65,7 @@ def content_hash(path: Path) -> str:
     Returns
     -------
     str
-        In hexadecimal digits.
+        64 hexadecimal digits.
 
     Raises
     ------
@@ -74,32 +85,49 @@ def content_hash(path: Path) -> str:
         if str(part) in error.message:
             raise
         raise ScanReadError(f"{part}: {error.message}") from error
-    # A ValueError is a path with a zero byte, from a manifest that is none.
+    # A path with a zero byte, from a binary file in place of a manifest, raises a ValueError.
     except (OSError, ValueError) as error:
         raise ScanReadError(f"cannot read {part}: {getattr(error, 'strerror', None) or error}") from error
     return digest.hexdigest()
 
 
 def printable(text: str | Path) -> str:
-    """Text that can be printed and stored: bytes of a file name that are not UTF-8 are escaped."""
+    """Escape the bytes of a file name that are not UTF-8, so that it can be printed and stored.
+
+    Parameters
+    ----------
+    text : str or Path
+        A file name, or text that contains one.
+
+    Returns
+    -------
+    str
+        Valid Unicode text.
+    """
     return os.fsencode(text).decode("utf-8", "backslashreplace")
 
 
 def shape_ids(paths: Collection[str], taken: Mapping[str, str]) -> dict[str, str]:
-    """An id for each path: its name without suffix, numbered where another path has that one.
+    """Choose an id for each path: its name without suffix, with a number if another path has this id.
 
     Parameters
     ----------
-    paths : collection of absolute paths
-    taken : mapping of id to path
-        Ids that are in use already.
+    paths : collection of str
+        Absolute paths.
+    taken : mapping of str to str
+        Path by id, of ids that are in use already. These paths keep their ids.
+
+    Returns
+    -------
+    dict of str to str
+        Id by path.
     """
-    # Here, so that commands that only look for scans need not wait for the catalogue and its descriptors.
+    # Imported here, because commands that only look for scans should not wait for the import of descriptors.
     from pcretrieve.catalogue import numbered_id
 
     used = set(taken)
     ids = {path: shape_id for shape_id, path in taken.items()}
-    last: dict[str, int] = {}  # number given to each name: the search goes on from there
+    last: dict[str, int] = {}  # the last number of each name, where the search for the next one starts
     for path in paths:
         if path in ids:
             continue
@@ -151,20 +179,18 @@ def _is_manifest(path: Path) -> bool:
 
 
 def _files_below(path: Path) -> list[Path]:
-    """A file, or the files of a folder and of all folders below it, without hidden ones.
+    """The path itself, or all files in a folder; without hidden files."""
+    # Broken symbolic links are included: reading them fails later, as a failure of one shape. Subfolders that
+    # must not be read are skipped with a warning, because there is one (lost+found) on every disk.
 
-    A link that leads nowhere is among them: reading it gives a failed shape. A subfolder that may not be read
-    is passed over with a warning, because one (``lost+found``) is on every disk.
-    """
-
-    def pass_over(error: OSError) -> None:
+    def skip(error: OSError) -> None:
         folder = Path(error.filename)
         if folder == path:
             raise error
-        logger.warning("passed over the folder %s and all scans in it: %s", folder, error.strerror)
+        logger.warning("skipped the folder %s and all scans in it: %s", folder, error.strerror)
 
     if path.is_dir():
-        below = os.walk(path, onerror=pass_over)
+        below = os.walk(path, onerror=skip)
         found = sorted(Path(folder, name) for folder, _, names in below for name in names)
     else:
         found = [path]
@@ -183,10 +209,10 @@ def _parts(paths: Iterable[Path]) -> set[Path]:
         try:
             parts.update(_absolute(part.path) for part in parts_of(path))
         except (ScanReadError, OSError):
-            continue  # reading it as a scan will report why
+            continue  # reading the file as a scan will report the error
     return parts
 
 
 def _absolute(path: Path) -> Path:
-    """One name for one file, however it was written; links keep their own name."""
+    """An absolute path without ``..``. Symbolic links to files are not resolved."""
     return path.parent.resolve() / path.name if ".." in path.parts else path.absolute()

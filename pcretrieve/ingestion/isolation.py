@@ -55,8 +55,9 @@ class Isolation:
         Parameters
         ----------
         function : callable
-        *arguments, **named
-            Of the function.
+            The function.
+        *arguments, **named : object
+            Arguments of the function.
 
         Returns
         -------
@@ -88,11 +89,10 @@ class Isolation:
         workers : int, default 1
             Largest number of processes at a time. The outcomes of one come in the order of the items.
 
-        Yields
-        ------
-        item
-        outcome
-            What the function returned, or the error that `call` would raise.
+        Returns
+        -------
+        generator of (item, outcome)
+            The outcome is what the function returned, or the error that `call` would raise.
         """
         return outcomes(
             function, items, prepare=partial(_prepare, self.memory), workers=workers, timeout=self.timeout

@@ -1,4 +1,4 @@
-"""Label files: which class each shape belongs to."""
+"""Label files → the class of each shape."""
 
 from __future__ import annotations
 
@@ -14,25 +14,31 @@ __all__ = ["match_labels", "read_labels"]
 
 NAME_COLUMNS = ("file", "path", "filename", "name", "id", "shape")
 LABEL_COLUMNS = ("class", "label", "category", "subject")
-# Paths that are quoted where a name stands for several.
+# Largest number of paths in the message about a name that matches several shapes.
 QUOTED = 3
 
 TRAILING_NUMBER = re.compile(r"(\d+)$")
 
 
 def read_labels(path: str | Path) -> dict[str, str]:
-    """Classes by name.
+    """Read a label file.
 
     Parameters
     ----------
     path : str or Path
-        A CSV file with a header, of which one column (``file``, ``path``, ``name``, ``id``) names the shape
-        and one (``class``, ``label``) its class; or a ``.cla`` file of the Princeton Shape Benchmark.
+        A CSV file with a header, of which one column (such as ``file``, ``path``, ``name`` or ``id``) has the
+        name of the shape and one (such as ``class`` or ``label``) its class; or a ``.cla`` file of the
+        Princeton Shape Benchmark.
+
+    Returns
+    -------
+    dict of str to str
+        Class by name, as the names are written in the file; see `match_labels`.
 
     Raises
     ------
     BenchmarkError
-        If it cannot be read, or is neither.
+        If the file cannot be read, or has neither format.
     """
     path = Path(path)
     try:
@@ -44,27 +50,30 @@ def read_labels(path: str | Path) -> dict[str, str]:
 
 
 def match_labels(labels: Mapping[str, str], paths: Mapping[str, str]) -> tuple[dict[str, str], list[str]]:
-    """Labels by shape id.
+    """Match the names of a label file with shapes.
 
-    A name in a label file stands for the shape with that id; else for the one whose path ends in that name,
-    with or without its suffix; else, a bare number as in a ``.cla`` file, for the one whose name ends in it
-    (``5`` for ``T5``).
+    A name matches the shape with this id. If there is none, it matches the shape whose path ends with the
+    name, with or without the suffix of the path. If there is none, a number, as in a ``.cla`` file, matches
+    the shape whose name ends with the number (``5`` matches ``T5``).
 
     Parameters
     ----------
-    labels : mapping of name to class
-    paths : mapping of id to path
+    labels : mapping of str to str
+        Class by name, from `read_labels`.
+    paths : mapping of str to str
+        Path by id.
 
     Returns
     -------
-    labels : dict of id to class
+    labels : dict of str to str
+        Class by id.
     unknown : list of str
-        Names that stand for no shape.
+        Names that match no shape.
 
     Raises
     ------
     BenchmarkError
-        If a name stands for several shapes, or a shape is given two classes.
+        If a name matches several shapes, or a shape has two classes.
     """
     by_path: dict[str, set[str]] = {}
     by_number: dict[str, set[str]] = {}
@@ -125,7 +134,9 @@ def _table(path: Path, text: str) -> dict[str, str]:
 
 
 def _princeton(path: Path, text: str) -> dict[str, str]:
-    """``PSB 1``, a line of counts, then per class ``name parent n`` (parent 0: none) and n model numbers."""
+    """Classes of the models in a ``.cla`` file."""
+    # After "PSB 1" and a line of counts, each class has a line "name parent n", in which the parent 0 means
+    # none, and n model numbers.
     head, words = text.split()[:4], text.split()[4:]
     labels: dict[str, str] = {}
     position = 0

@@ -1,4 +1,4 @@
-"""Scans and what a catalogue holds → what is left to do."""
+"""Scans and the records of a catalogue → a plan: which scans must be processed, and which records changed."""
 
 from __future__ import annotations
 
@@ -19,25 +19,25 @@ Identity = tuple[str, str]  # suffix and SHA-256 of a file
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Plan:
-    """What an ingest is to do with some files; paths are printable, as catalogues store them.
+    """What an ingest does with some files. Paths are printable, as catalogues store them.
 
     Attributes
     ----------
-    moved : dict of path to path
-        New path of each file that was renamed, by its old one.
+    moved : dict of str to str
+        New path of each file that was renamed, by its old path.
     removed : tuple of str
-        Paths of shapes whose files have become copies of other scans.
-    labels : dict of path to class
-        Of shapes that the catalogue holds, by their new path.
+        Paths of shapes in the catalogue whose files have become duplicates of other scans.
+    labels : dict of str to str
+        Class of each shape in the catalogue that has a label, by its new path.
     held : tuple of Record
-        The catalogue has the same content already, done or failed, under that path, or under one that is
-        gone since.
+        Records with the same content that the catalogue has already, done or failed, with the same path or
+        with the path of a file that does not exist any more.
     duplicates : tuple of (Path, Record)
-        The same content under another path.
+        Files with the same content as another file, and the record of the other file.
     process : tuple of (Path, Record)
-        Scans that must be processed, with the records that they will get; the id may still change.
+        Scans that must be processed, and their new records; the id may still change.
     unreadable : tuple of Record
-        Failed records of files that cannot even be opened.
+        Failed records of files that cannot be read.
     """
 
     moved: dict[str, str]
@@ -50,28 +50,29 @@ class Plan:
 
 
 class Planner:
-    """Decides what is to be done with each scan, as the contents of the files become known.
+    """Decides what must be done with each scan, file by file, while the contents of the files are hashed.
 
-    Files are told apart by content. A file that was renamed keeps its record; one whose content changed is
-    processed again. Nothing is written.
+    Files are identified by their content. A file that was renamed keeps its record. A file with new content
+    is processed again. The planner writes nothing.
 
     Parameters
     ----------
     files : mapping of str to Path
         All scans by their printable paths.
     records : sequence of Record
-        Everything that the catalogue holds.
-    labels : mapping of name to class
+        All records of the catalogue.
+    labels : mapping of str to str
+        Class by name, from `read_labels`.
     content : callable
-        SHA-256 of a file of `files`, by its name there, or the error that reading it raised; the same answer
-        each time.
+        Returns the content hash of a file by its key in `files`, or the error of reading it; the same result
+        in each call.
     retry_failed : bool, default False
-        Process scans again that failed before, with the same content.
+        Process scans with the same content again that failed before.
 
     Raises
     ------
     BenchmarkError
-        If a label stands for several scans, or a scan is given two classes.
+        If a label matches several scans, or a scan has two classes.
     """
 
     def __init__(
@@ -103,20 +104,21 @@ class Planner:
 
     @property
     def unknown_labels(self) -> list[str]:
-        """Names in the label file that stand for none of the scans, of those planned so far."""
+        """Names in the label file that match no scan, so far as files were planned."""
         return list(self._labels_left)
 
     def plan(self, names: Iterable[str]) -> Plan:
-        """Decide about some of the files, in the light of those of earlier calls.
+        """Decide what must be done with some of the files.
 
         Parameters
         ----------
         names : iterable of str
-            Keys of `files`, each in one call only.
+            Keys of `files`; each key in one call only. Files of earlier calls can be duplicated by these.
 
         Returns
         -------
         Plan
+            The plan for these files.
         """
         moved, labels = {}, {}
         removed, held, duplicates, process, unreadable = [], [], [], [], []
@@ -136,11 +138,11 @@ class Planner:
                 if earlier.status == "done" or not self._retry_failed:
                     held.append(replace(earlier, label=self._labels.get(name, earlier.label)))
                     continue
-            elif twin := self._queued.get(identity) or self._twin(identity):
-                # What was made of the file before stays until its successor is finished.
-                if earlier is not None and twin.status == "done" and identity not in self._queued:
+            elif original := self._queued.get(identity) or self._original(identity):
+                # The earlier result of a file stays in the catalogue until the original has been processed.
+                if earlier is not None and original.status == "done" and identity not in self._queued:
                     removed.append(name)
-                duplicates.append((self.files[name], twin))
+                duplicates.append((self.files[name], original))
                 continue
             self._queued[identity] = record = replace(self._record(name), content_hash=content)
             process.append((self.files[name], record))
@@ -149,13 +151,13 @@ class Planner:
         )
 
     def _record(self, name: str) -> Record:
-        """The record that a file will get, its content aside."""
+        """The new record of a file, without its content hash."""
         earlier = self._held.get(name)
         label = self._labels.get(name) or (earlier.label if earlier else None)
         return Record(self._ids[name], name, "", label, versions=work.versions())
 
     def _rename(self, old: Record, name: str) -> None:
-        """Let a file have the record of the one that it was, its id, and a label that names that id."""
+        """Give a renamed file its old record, with the old id and the label of this id."""
         record = replace(old, path=name)
         self._held[name] = record
         self._ids[name] = record.id
@@ -164,8 +166,8 @@ class Planner:
         if record.id in self._labels_left:
             self._labels.setdefault(name, self._labels_left.pop(record.id))
 
-    def _twin(self, identity: Identity) -> Record | None:
-        """A record whose file has, as far as can be seen, still the content that the record stands for."""
+    def _original(self, identity: Identity) -> Record | None:
+        """A record with this content; if its file is one of `files`, the file still has the content."""
         for record in self._same.get(identity, ()):
             content = self._content(record.path) if record.path in self.files else record.content_hash
             if isinstance(content, ShapeError) or content == record.content_hash:
@@ -174,13 +176,34 @@ class Planner:
 
 
 def apply(made: Plan, catalogue: Catalogue) -> None:
-    """Write into a catalogue what a plan changes in the shapes that it holds."""
+    """Write the changes of a plan to the records of a catalogue.
+
+    Parameters
+    ----------
+    made : Plan
+        Of which `moved`, `removed` and `labels` are used.
+    catalogue : Catalogue
+        The catalogue whose records were given to the planner.
+    """
     if made.moved or made.removed or made.labels:
         catalogue.revise(moved=made.moved, removed=made.removed, labels=made.labels)
 
 
 def failed(record: Record, error: PcretrieveError) -> Record:
-    """The record of a shape that cannot be processed."""
+    """Make a record of a failure.
+
+    Parameters
+    ----------
+    record : Record
+        The record of the shape.
+    error : PcretrieveError
+        The error; without a stage, it is an error of the worker process.
+
+    Returns
+    -------
+    Record
+        The record with the status "failed", and the stage, class and message of the error.
+    """
     return replace(
         record,
         status="failed",
@@ -191,7 +214,7 @@ def failed(record: Record, error: PcretrieveError) -> Record:
 
 
 def _identity(path: str, content: str) -> Identity:
-    """What two files share that are one scan: under another suffix the same bytes may mean another thing."""
+    """The identity of a scan: the suffix belongs to it, because it determines how the bytes are read."""
     return Path(path).suffix.lower(), content
 
 
@@ -201,5 +224,5 @@ def _is_gone(path: str) -> bool:
     except (FileNotFoundError, NotADirectoryError):
         return True
     except OSError:
-        return False  # out of reach, a folder without permission for one
+        return False  # not accessible, for example in a folder without permission
     return False

@@ -72,6 +72,7 @@ def ingest_files(
     paths : sequence of Path
         As from `discover`.
     catalogue : Catalogue
+        The catalogue, whose options are used.
     labels : mapping of name to class, optional
         As from `read_labels`. Also applied to scans that the catalogue holds already.
     workers : int, optional
@@ -86,19 +87,19 @@ def ingest_files(
     retry_failed : bool, default False
         Process scans again that failed before, with the same content and options.
     on_shape : callable, optional
-        Called with each record once it is stored, and with those skipped.
+        Called with each record, after it has been stored or skipped.
 
     Returns
     -------
     Summary
-        What was done, what failed, and what was skipped.
+        The records of all scans, by what was done with them.
 
     Raises
     ------
     OptionError
         If there is no such executor.
     BenchmarkError
-        If a label stands for several scans, or a scan is given two classes.
+        If a label matches several scans, or a scan has two classes.
     CatalogueError
         If the catalogue cannot be written.
     PcretrieveError
@@ -124,7 +125,7 @@ def ingest_files(
             apply(made, catalogue)
             summary.held += made.held
             summary.duplicates += made.duplicates
-            for record in (*made.held, *(twin for _, twin in made.duplicates)):
+            for record in (*made.held, *(original for _, original in made.duplicates)):
                 on_shape(record)
             for record in made.unreadable:
                 store(record, None)

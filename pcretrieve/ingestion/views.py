@@ -1,4 +1,4 @@
-"""Range scans that are to be merged: files → views, with the poses that a file such as a ``.conf`` gives."""
+"""Files of range scans → views for registration, with their poses if a file such as ``.conf`` has them."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class Views(NamedTuple):
 
 
 def view_files(paths: Sequence[str | Path]) -> tuple[list[Path], FloatArray | None]:
-    """The files that hold one view each, and their poses.
+    """Find the files of views, and their poses.
 
     Parameters
     ----------
@@ -46,16 +46,16 @@ def view_files(paths: Sequence[str | Path]) -> tuple[list[Path], FloatArray | No
     Returns
     -------
     files : list of Path
-        In the order given.
+        One file for each view, in the order of the paths.
     poses : (v, 4, 4) float64 or None
-        Rigid motions into the common frame of that file.
+        Rigid motions of the views into a common frame; None if the files have no poses.
 
     Raises
     ------
     InputError
-        If a path does not exist, or there are other files beside such a file.
+        If a path does not exist, or there are other files beside a file with poses.
     ScanReadError
-        If such a file cannot be read.
+        If a file with poses cannot be read.
     """
     files = discover(paths)
     for file in files:
@@ -75,7 +75,7 @@ def view_files(paths: Sequence[str | Path]) -> tuple[list[Path], FloatArray | No
 
 
 def read_views(paths: Sequence[str | Path]) -> Views:
-    """Read the range scans that paths name.
+    """Read range scans.
 
     Parameters
     ----------
@@ -85,7 +85,7 @@ def read_views(paths: Sequence[str | Path]) -> Views:
     Returns
     -------
     Views
-        In the unit of the files.
+        The views; unit of the files.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""What one worker process does for one shape."""
+"""The work of a worker process: one scan → what the catalogue stores of it."""
 
 from __future__ import annotations
 
@@ -18,17 +18,35 @@ __all__ = ["content", "versions"]
 
 
 def content(path: Path, options: PipelineOptions) -> Content:
-    """Everything that a catalogue stores of one scan."""
+    """Process one scan.
+
+    Parameters
+    ----------
+    path : Path
+        The file of the scan.
+    options : PipelineOptions
+        Options of the catalogue.
+
+    Returns
+    -------
+    Content
+        The shape, without its points, and the values of its signature.
+
+    Raises
+    ------
+    ShapeError
+        If a stage fails.
+    """
     shape = process(path, options)
     with in_stage(Stage.SIGNATURE):
         signature = describe(shape, options.signature).values
-    # The points are not stored, and need not be sent to the process that stores the rest.
+    # The points are not stored, and are not sent to the process that stores the content.
     return Content(replace(shape, cloud=None), signature)
 
 
 @cache
 def versions() -> dict[str, str]:
-    """Versions of everything that moves numbers."""
-    # In a source folder on the path, pcretrieve has no metadata, or those of another version.
+    """Versions of pcretrieve and of the libraries on which results depend, by package name."""
+    # Not from metadata: a source folder on the path has no metadata, or the metadata of another version.
     others = ("open3d", "pytetwild", "numpy", "scipy")
     return {"pcretrieve": __version__} | {name: version(name) for name in others}

@@ -168,7 +168,7 @@ class _Queue(Generic[Item]):
 
 
 class _Worker(Generic[Item, Answer]):
-    """This process's end of one worker.
+    """The parent's end of one worker.
 
     Attributes
     ----------

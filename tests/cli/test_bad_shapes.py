@@ -112,7 +112,7 @@ def test_the_good_ones_are_kept(batch: tuple[subprocess.CompletedProcess[str], d
     result, answer = batch
     # Of two files with one content, the first in the order given is the shape.
     assert set(answer["done"]) == set(GOOD)
-    assert [Path(twin["path"]).name for twin in answer["duplicates"]] == ["good.off"]
+    assert [Path(duplicate["path"]).name for duplicate in answer["duplicates"]] == ["good.off"]
     assert answer["unknown_labels"] == ["unknown_shape"]
     assert result.returncode == 3
     assert "Traceback" not in result.stderr

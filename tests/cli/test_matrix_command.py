@@ -75,7 +75,7 @@ def test_a_matrix_is_evaluated_as_its_signatures_are(folder: Path, matrix: Path)
     assert found["matrix"] == str(matrix)
     assert found["map"] != document("evaluate", "-c", folder / "c.sqlite")["map"]
     said = run("evaluate", "-c", folder / "c.sqlite", "--matrix", matrix).stderr
-    assert said == f"10 queries in 9 shapes, 1 failed ones count as misses; distances of {matrix}\n"
+    assert said == f"10 queries in 9 shapes, 1 failed shapes count as misses; distances of {matrix}\n"
 
 
 def test_a_matrix_and_labels_are_enough(folder: Path, matrix: Path) -> None:

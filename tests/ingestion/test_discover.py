@@ -209,7 +209,7 @@ def test_a_folder_that_may_not_be_read_is_named(locked: Path, caplog: pytest.Log
     with pytest.raises(InputError, match=r"cannot look into deep/er: Permission denied"):
         discover(["deep/er"])
     assert caplog.messages == [
-        "passed over the folder deep/er and all scans in it: Permission denied",
+        "skipped the folder deep/er and all scans in it: Permission denied",
         "left unread in .: 1 .csv, 1 .md",
     ]
 

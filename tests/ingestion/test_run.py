@@ -76,7 +76,7 @@ def test_one_content_is_processed_once(folder: Path, catalogue: Catalogue) -> No
     seen: list[str] = []
     first = ingest_files(discover([folder]), catalogue, on_shape=lambda record: seen.append(record.id))
     assert ids([*first.done]) == ["a", "b"]
-    assert [(path.name, twin.id) for path, twin in first.duplicates] == [("copy.off", "a")]
+    assert [(path.name, original.id) for path, original in first.duplicates] == [("copy.off", "a")]
     second = again(folder, catalogue)
     assert (ids([*second.held]), second.done, len(second.duplicates)) == (["a", "b"], [], 1)
     assert sorted(seen) == ["a", "a", "b"]  # once for each file
@@ -213,7 +213,7 @@ def test_a_copy_of_a_file_that_comes_later_is_known_by_what_that_file_holds_now(
     egg(folder / "a.off", 3)
     summary = again(folder, filled)
     assert ids([*summary.done]) == ["0", "a"]
-    assert [(path.name, twin.id) for path, twin in summary.duplicates] == [("1.off", "b")]
+    assert [(path.name, original.id) for path, original in summary.duplicates] == [("1.off", "b")]
 
 
 # --- several ingests at once ----------------------------------------------------------------------------
