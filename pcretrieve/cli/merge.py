@@ -48,7 +48,7 @@ __all__ = ["merge_command"]
     "--voxel",
     type=float,
     metavar="SHARE",
-    help="Average the points in each voxel of this size.  [default: 0, no]",
+    help="Keep one point in each voxel of this size, 0 to keep all points.  [default: 0]",
 )
 @click.option(
     "--reach", type=float, metavar="SHARE", help="Largest distance of corresponding points.  [default: 0.01]"

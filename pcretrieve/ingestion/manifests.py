@@ -53,7 +53,7 @@ def read_manifest(path: Path) -> list[Path]:
             raise InputError(f"the manifest {path} is not a CSV file: {error}") from error
     else:
         names = [line.strip() for line in text.splitlines() if not line.lstrip().startswith("#")]
-    # A file that is missing is that shape's failure, not the batch's: reading it will say so.
+    # Missing files are not an error here: reading them fails later, as a failure of one shape.
     scans = [path.parent / name for name in names if name]
     if not scans:
         raise InputError(f"the manifest {path} names no scans")

@@ -30,7 +30,7 @@ class MergeOptions(Options):
     """Distance between points above which they are in different components; relative to the diagonal of the
     view."""
     voxel: Length = 0.0
-    """Edge of the voxels in which points of the merged cloud are averaged, 0 for no averaging; relative."""
+    """Edge of the voxels of which each keeps one point of the merged cloud, 0 to keep all; relative."""
     cell: Annotated[float, Field(gt=0, lt=0.1)] = 0.012
     """Edge of the voxels of which each gives one point to the matching of features; relative."""
     n_tries: Annotated[int, Field(ge=1000)] = 200_000
