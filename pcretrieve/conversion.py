@@ -1,4 +1,4 @@
-"""Values of other packages → pcretrieve's own: whatever stands for a point cloud or a surface is taken."""
+"""Point clouds and surfaces of other packages, and arrays → `PointCloud` and `TriangleMesh`."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ __all__ = [
 
 @runtime_checkable
 class HasFaces(Protocol):
-    """A surface of another package: trimesh, PyVista, libigl's and others'."""
+    """A surface of another package, such as trimesh, PyVista or libigl."""
 
     @property
     def vertices(self) -> ArrayLike:
@@ -37,23 +37,23 @@ class HasFaces(Protocol):
 
 @runtime_checkable
 class HasPoints(Protocol):
-    """A point cloud, or a surface with points for vertices, of another package such as Open3D or PyVista."""
+    """A point cloud, or a surface with its vertices as points, of a package such as Open3D or PyVista."""
 
     @property
     def points(self) -> ArrayLike:
         """(n, 3) coordinates."""
 
 
-#: What stands for a surface.
+#: What can be converted to a surface.
 MeshLike: TypeAlias = "TriangleMesh | HasFaces | tuple[ArrayLike, ArrayLike]"
-#: What stands for a point cloud.
+#: What can be converted to a point cloud.
 CloudLike: TypeAlias = "PointCloud | HasPoints | ArrayLike"
-#: What stands for either. Open3D's geometry is among them, though it has no types to name.
+#: What can be converted to either, including geometry of Open3D, which has no static types.
 GeometryLike: TypeAlias = "MeshLike | CloudLike | object"
 
 
 def as_geometry(geometry: GeometryLike) -> PointCloud | TriangleMesh:
-    """The point cloud or the surface that a value stands for.
+    """Convert a value to a point cloud or a surface.
 
     Parameters
     ----------
@@ -65,12 +65,12 @@ def as_geometry(geometry: GeometryLike) -> PointCloud | TriangleMesh:
     Returns
     -------
     PointCloud or TriangleMesh
-        The value itself where it is one of them; else a checked copy of its arrays, in its own unit.
+        The value itself if it has one of these types, else a checked copy of its arrays; unit of the value.
 
     Raises
     ------
     InputError
-        If it stands for neither, or its arrays have the wrong shape or are not finite.
+        If the value cannot be converted, or its arrays have the wrong shape or are not finite.
     """
     if isinstance(geometry, (PointCloud, TriangleMesh)):
         return geometry
@@ -86,7 +86,7 @@ def as_geometry(geometry: GeometryLike) -> PointCloud | TriangleMesh:
 
 
 def as_mesh(mesh: GeometryLike) -> TriangleMesh:
-    """The surface that a value stands for.
+    """Convert a value to a surface.
 
     Parameters
     ----------
@@ -96,12 +96,12 @@ def as_mesh(mesh: GeometryLike) -> TriangleMesh:
     Returns
     -------
     TriangleMesh
-        In the unit of the value.
+        The surface; unit of the value.
 
     Raises
     ------
     InputError
-        If the value is no surface.
+        If the value cannot be converted to a surface.
     """
     geometry = as_geometry(mesh)
     if not isinstance(geometry, TriangleMesh):
@@ -113,7 +113,7 @@ def as_mesh(mesh: GeometryLike) -> TriangleMesh:
 
 
 def as_cloud(cloud: GeometryLike) -> PointCloud:
-    """The point cloud that a value stands for; of a surface, its vertices.
+    """Convert a value to a point cloud: a surface to its vertices.
 
     Parameters
     ----------
@@ -123,7 +123,7 @@ def as_cloud(cloud: GeometryLike) -> PointCloud:
     Returns
     -------
     PointCloud
-        In the unit of the value.
+        The point cloud; unit of the value.
     """
     geometry = as_geometry(cloud)
     if isinstance(geometry, TriangleMesh):

@@ -48,7 +48,7 @@ __all__ = [
     "shape_error",
 ]
 
-# Where the sources of pcretrieve are: a traceback's last line in here is the one to report.
+# The folder of the sources of pcretrieve. Messages name the last line of a traceback that is in this folder.
 PACKAGE = str(Path(__file__).parent)
 
 
@@ -214,7 +214,7 @@ def in_stage(stage: Stage) -> Iterator[None]:
         converted = shape_error(error, stage)
         raise converted from error
     except BaseException as error:
-        # SystemExit and KeyboardInterrupt end a program, but not a worker process, which records the stage.
+        # SystemExit and KeyboardInterrupt of a plug-in do not end a worker process, which records the stage.
         vars(error).setdefault("stage", stage)
         raise
 
@@ -225,14 +225,15 @@ def shape_error(error: BaseException, stage: Stage | None = None) -> PcretrieveE
     Parameters
     ----------
     error : BaseException
-        An exception of a class derived from one of this module, such as one of a plug-in, becomes one of the
-        class that it is derived from.
+        An exception of a subclass of a class of this module, which may be defined in another package, is
+        converted to the class of this module.
     stage : Stage, optional
-        The stage that failed, if the exception does not tell.
+        The stage that failed, if the exception does not have one.
 
     Returns
     -------
     PcretrieveError
+        An exception of a class of this module, with the message of `error`.
     """
     own = getattr(error, "stage", None)
     stage = own if isinstance(own, Stage) else stage

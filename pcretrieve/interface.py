@@ -1,4 +1,4 @@
-"""What the command line does, as functions: same names, same defaults, same numbers.
+"""The commands of the command line as functions, with the same names, defaults and numbers.
 
 A catalogue may be given as a `Catalogue` or as the path of its file, options as in `PipelineOptions.of`, and
 a scan as a path, an array, or geometry of this package or another.
@@ -60,7 +60,7 @@ def ingest(
 ) -> Summary:
     """Process scans, and store them in a catalogue, failures included.
 
-    What the catalogue holds already is skipped. A script that calls this function needs the usual guard ``if
+    Scans that the catalogue has already are skipped. A script that calls this function needs the guard ``if
     __name__ == "__main__":``, because worker processes are spawned.
 
     Parameters
@@ -68,11 +68,12 @@ def ingest(
     paths : str, Path, or a sequence of them
         Files, folders, globs, or manifests (``.txt``, ``.csv``).
     catalogue : Catalogue, str or Path
-        Where to store the shapes. A file that does not exist is made.
+        The catalogue in which the shapes are stored. A file that does not exist is created.
     labels : str, Path or mapping, optional
-        The classes: a CSV file ``file,class``, a ``.cla`` file, or a mapping of names to classes.
+        The classes: a CSV file with the columns ``file`` and ``class``, a ``.cla`` file of the Princeton
+        Shape Benchmark, or a mapping of names to classes.
     options : OptionsLike, optional
-        The options of a new catalogue. By default those of the existing one, or the defaults.
+        The options of a new catalogue. By default the options of an existing catalogue, or the defaults.
     workers : int, optional
         Largest number of scans that are processed at a time. By default one for each core.
     timeout : float, default 600
@@ -80,8 +81,8 @@ def ingest(
     memory : float, optional
         Largest heap of one worker; GiB. By default there is no limit.
     executor : Executor or str, default "processes"
-        What processes the scans: an executor, or the name of one. The default has worker processes of its
-        own on this computer, so that a scan that hangs, crashes or fills the memory disturbs no other.
+        The executor that processes the scans, or its name. The default runs worker processes on this
+        computer, so that a scan that hangs, crashes or exhausts the memory does not affect other scans.
     retry_failed : bool, default False
         Whether scans that failed before are processed again.
     on_shape : function, optional
@@ -90,7 +91,7 @@ def ingest(
     Returns
     -------
     Summary
-        What was done, what failed, and what was skipped.
+        The records of all scans: done, failed and skipped.
 
     Raises
     ------
@@ -134,17 +135,17 @@ def search(
     Parameters
     ----------
     catalogue : Catalogue, str or Path
-        The shapes that are searched.
+        The catalogue that is searched.
     query : ScanLike or Signature
-        The file of a scan, which is processed with the options of the catalogue, or looked up by its content
-        where the catalogue holds it; the id of a shape of the catalogue, as a str that names no file; an
-        array or geometry, which is processed; or a signature made with the same options.
+        The file of a scan, which is processed with the options of the catalogue unless the catalogue has a
+        shape of the same content; the id of a shape of the catalogue, as a str that is not the path of a
+        file; an array or geometry, which is processed; or a signature that was made with the same options.
     k : int, default 10
         Number of shapes. If the catalogue has fewer, all of them are returned.
     options : OptionsLike, optional
-        Signature, distance and whitening. By default those of the catalogue.
+        Signature, distance and whitening. By default the options of the catalogue.
     matrix : DistanceMatrix, optional
-        Distances in place of those of signatures, for a scan that the catalogue holds.
+        Distances that replace the distances of signatures, for a query that the catalogue has.
 
     Returns
     -------
@@ -154,9 +155,9 @@ def search(
     Raises
     ------
     CatalogueError
-        If the options are for other spectra than those of the catalogue.
+        If the options require other spectra than the catalogue has.
     InputError
-        If the catalogue holds no shapes; or, with `matrix`, not this scan.
+        If the catalogue has no shapes; or, with `matrix`, does not have this query.
     ShapeError
         If the scan cannot be read or has no usable surface.
     """
@@ -171,7 +172,7 @@ def search(
 def inspect(
     scan: ScanLike, options: OptionsLike = None, *, n_rescans: int = 4, page: str | Path | None = None
 ) -> Inspection:
-    """Find out what is wrong with a scan.
+    """Process a scan, and check the result of each stage.
 
     Parameters
     ----------
@@ -180,19 +181,20 @@ def inspect(
     options : OptionsLike, optional
         Options, a preset's name, a TOML file, or a mapping.
     n_rescans : int, default 4
-        Surfaces made anew from nine tenths of the points, for the error bar of the signature; 0 for none.
+        Number of surfaces that are reconstructed from nine tenths of the points, for the rescan deviation of
+        the signature; 0 for none.
     page : str or Path, optional
-        An HTML file to write what was found to.
+        An HTML file to which a page with the results is written.
 
     Returns
     -------
     Inspection
-        Points, normals, surface, checks and signature, as far as the stages came.
+        Points, normals, surface, checks and signature; those of the earlier stages if a stage fails.
 
     Raises
     ------
     InputError
-        If `scan` is nothing that a scan can be made of, or the page cannot be written.
+        If `scan` cannot be converted to a cloud or a mesh, or the page cannot be written.
     """
     found = inspect_scan(scan, options, n_rescans=n_rescans)
     if page is not None:
@@ -207,30 +209,31 @@ def evaluate(
     labels: str | Path | None = None,
     matrix: DistanceMatrix | None = None,
 ) -> RetrievalMeasures:
-    """Retrieval measures of labelled shapes, each of which is a query against all others.
+    """Retrieval measures of labelled shapes, each of which is a query in all other shapes.
 
     Parameters
     ----------
     shapes : Catalogue, str, Path or SignatureTable
         A catalogue, whose failed shapes count as misses, or a table of signatures with labels.
     options : OptionsLike, optional
-        Signature, distance and whitening. By default those of the catalogue.
+        Signature, distance and whitening. By default the options of the catalogue.
     labels : str or Path, optional
-        A file of classes in place of those of the catalogue.
+        A label file, whose classes replace the classes of the catalogue.
     matrix : DistanceMatrix, optional
-        Distances in place of those of signatures.
+        Distances that replace the distances of signatures.
 
     Returns
     -------
     RetrievalMeasures
-        NN, FT, ST, E, DCG and mAP, each between 0 and 1.
+        Nearest neighbour (NN), first and second tier (FT, ST), E-measure (E), discounted cumulative gain
+        (DCG) and mean average precision (mAP), each between 0 and 1.
 
     Raises
     ------
     BenchmarkError
         If no shape has a class, or no class two shapes.
     CatalogueError
-        If the options are for other spectra than those of the catalogue.
+        If the options require other spectra than the catalogue has.
     """
     if isinstance(shapes, SignatureTable):
         return evaluate_rankings(rank_table(shapes, PipelineOptions.of(options).retrieval))
@@ -249,9 +252,9 @@ def matrix(
     catalogue : Catalogue, str or Path
         The shapes. Shapes to which the matcher cannot be applied are left out.
     options : OptionsLike, optional
-        Signature, distance and whitening. By default those of the catalogue.
+        Signature, distance and whitening. By default the options of the catalogue.
     matcher : str, optional
-        Compare the shapes by this method, such as ``heat-hausdorff``, without signatures.
+        A method such as ``heat-hausdorff``, which compares pairs of shapes without signatures.
 
     Returns
     -------
@@ -261,9 +264,9 @@ def matrix(
     Raises
     ------
     CatalogueError
-        If the options are for other spectra than those of the catalogue.
+        If the options require other spectra than the catalogue has.
     InputError
-        If the catalogue holds no shapes.
+        If the catalogue has no shapes.
     OptionError
         If there is no such matcher.
     """
@@ -280,7 +283,7 @@ def report(
     options: OptionsLike = None,
     matrix: DistanceMatrix | None = None,
 ) -> Path:
-    """Write a page with retrieval measures, and pictures of queries and their ranked results.
+    """Write a page with retrieval measures, and with pictures of queries and their ranked results.
 
     Parameters
     ----------
@@ -289,25 +292,25 @@ def report(
     path : str or Path
         The HTML file.
     n_queries : int, default 8
-        Rows of results: the first shape of each class, or of all where there are no classes.
+        Largest number of queries: the first shape of each class, or the first shapes if there are no classes.
     k : int, default 5
-        Results in a row, the query itself left out.
+        Number of results of each query, without the query itself.
     options : OptionsLike, optional
-        Signature, distance and whitening. By default those of the catalogue.
+        Signature, distance and whitening. By default the options of the catalogue.
     matrix : DistanceMatrix, optional
-        Distances in place of those of signatures.
+        Distances that replace the distances of signatures.
 
     Returns
     -------
     Path
-        Of the page, absolute.
+        Absolute path of the page.
 
     Raises
     ------
     InputError
-        If the catalogue holds no shapes, or the page cannot be written.
+        If the catalogue has no shapes, or the page cannot be written.
     CatalogueError
-        If the options are for other spectra than those of the catalogue.
+        If the options require other spectra than the catalogue has.
     """
     with _opened(catalogue) as store:
         chosen = PipelineOptions.of(options, store.options)
@@ -334,7 +337,7 @@ def merge_views(
     Returns
     -------
     Merged
-        The merged cloud, the poses, and how well the views fit each other.
+        The merged cloud, the poses, and the overlaps and residuals of the views.
 
     Raises
     ------
@@ -358,7 +361,7 @@ def merge_views(
 def _opened(
     catalogue: CatalogueLike, options: PipelineOptions | None = None, *, create: bool = False
 ) -> Iterator[Catalogue]:
-    """The catalogue; one that was opened for the call is closed after it."""
+    """The catalogue. If a path is given, it is opened and closed again."""
     if isinstance(catalogue, Catalogue):
         yield catalogue
     else:

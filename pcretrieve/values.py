@@ -1,4 +1,4 @@
-"""What all immutable values have in common: read-only arrays, equality by value, and pickling."""
+"""The base class of all immutable values: read-only arrays, equality by value, and pickling."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ __all__ = ["Value", "as_array", "locked", "numbers"]
 
 
 class Value:
-    """Base of the immutable values, which are dataclasses without an equality of their own.
+    """Base class of the immutable values, which are dataclasses with ``eq=False``.
 
-    Equal are values of one class whose compared fields are equal, arrays element by element. A value is
-    pickled by its constructor arguments, so that the arrays of copies are checked and read-only too.
+    Two values of one class are equal if their compared fields are equal, arrays element by element. A value
+    is pickled by its constructor arguments, so that the arrays of copies are checked and read-only too.
     """
 
     __slots__ = ()
@@ -63,7 +63,7 @@ def numbers(name: str, values: ArrayLike) -> NDArray[Any]:
     Raises
     ------
     InputError
-        If the values are no array of real numbers.
+        If the values are not an array of real numbers.
     """
     try:
         array = np.asarray(values)
@@ -91,11 +91,11 @@ def locked(
     values : array_like
         Real numbers.
     shape : tuple of (int or None)
-        The shape that the array must have; None stands for any length.
+        The shape that the array must have; None: any length.
     dtype : type, default float64
         The type of the copy.
     finite : bool, default True
-        Whether infinite values are refused, as NaN always is.
+        Whether infinite values are refused. NaN is always refused.
 
     Returns
     -------
@@ -128,26 +128,26 @@ def locked(
 
 
 def as_array(values: NDArray[Any], dtype: Any = None, copy: bool | None = None) -> NDArray[Any]:
-    """What ``__array__`` gives of a value that one array stands for, by the protocol of numpy 1 and 2.
+    """The result of the method ``__array__`` of a value, by the protocol of NumPy 1 and 2.
 
     Parameters
     ----------
     values : ndarray
-        The array of the value.
+        The array that represents the value.
     dtype : dtype, optional
-        The type asked for; by default the array's own.
+        The type of the result; by default the type of the array.
     copy : bool, optional
-        Whether a copy must be made (True) or must not (False); by default only where the type asks for it.
+        Whether a copy must (True) or must not (False) be made; by default only if the type requires it.
 
     Returns
     -------
     ndarray
-        The array itself, read-only, or a copy that can be written to.
+        The array itself, read-only, or a writeable copy.
 
     Raises
     ------
     ValueError
-        If no copy may be made and the type asks for one.
+        If `copy` is False and the type requires a copy.
     """
     converts = dtype is not None and np.dtype(dtype) != values.dtype
     if copy is False and converts:

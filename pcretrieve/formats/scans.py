@@ -11,7 +11,7 @@ from pcretrieve.types import PointCloud, TriangleMesh
 
 __all__ = ["ScanLike", "as_scan"]
 
-#: A file, or whatever stands for a point cloud or a surface.
+#: A file, or what can be converted to a point cloud or a surface.
 ScanLike: TypeAlias = "str | Path | GeometryLike"
 
 

@@ -58,7 +58,7 @@ def retrieval_page(
     Raises
     ------
     CatalogueError
-        If `options` are for other spectra than the spectra of the catalogue.
+        If `options` require other spectra than the catalogue has.
     InputError
         If the catalogue holds no shapes, the matrix has a shape that the catalogue does not have, or the page
         cannot be written.

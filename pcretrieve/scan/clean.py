@@ -15,17 +15,17 @@ from pcretrieve.types import FloatArray, PointCloud, Step
 
 __all__ = ["clean"]
 
-# Smallest number of points of a scan, of the order of what resolves a body with limbs.
+# Smallest number of points of a scan. With fewer points, limbs cannot be resolved.
 FEWEST_POINTS = 100
 
-# Smallest ratio of singular values of the centred points, below which they are collinear or coplanar. The
-# flattest body in the data sets, an open hand, has 0.1.
+# Smallest ratio of singular values of the centred points, below which the points are collinear or coplanar.
+# See docs/decisions.md, SMALLEST_THICKNESS.
 SMALLEST_THICKNESS = 1e-3
 
-# Distance from the median point, in median distances, beyond which a point is an error; in the data sets no
-# point of a body is beyond 6. Depth cameras write such points for missing measurements. They are removed
-# first, because every length in the options is relative to the diagonal; but not if there are more of them
-# than this fraction, because they may be a second body.
+# Distance from the median point, in median distances, beyond which a point is an error. See docs/decisions.md,
+# FAR_AWAY. Depth cameras write such points for missing measurements. Far points are removed first, because
+# every length in the options is relative to the diagonal; but not if there are more than this fraction of
+# them, because they may be a second body.
 FAR_AWAY = 20
 MOST_FAR_POINTS = 0.05
 
@@ -99,7 +99,7 @@ def _thinned(cloud: PointCloud, voxel: float | str) -> PointCloud:
 
 
 def _voxels(points: FloatArray, edge: float) -> NDArray[np.int64]:
-    """(n,) number of the voxel that contains each point."""
+    """The number of the voxel that contains each point, (n,)."""
     index = np.floor((points - points.min(axis=0)) / edge).astype(np.int64)  # (n, 3)
     sides = index.max(axis=0) + 1
     number: NDArray[np.int64] = (index[:, 0] * sides[1] + index[:, 1]) * sides[2] + index[:, 2]
@@ -119,14 +119,14 @@ def _averaged(cloud: PointCloud, edge: float) -> PointCloud:
     if normals is not None:
         normals = average(normals)
         length = np.linalg.norm(normals, axis=1, keepdims=True)
-        # Opposite normals in one voxel cancel (both sides of a thin sheet): that of the first point is kept.
+        # Opposite normals in one voxel cancel (both sides of a thin sheet): the first normal is kept.
         cancelled = length[:, 0] < SMALLEST_THICKNESS
         normals = np.where(cancelled[:, None], cloud.normals[first], normals / np.maximum(length, 1e-300))  # type: ignore[index]
     return replace(
         cloud,
         points=average(cloud.points),
         normals=normals,
-        # A mean of sensor positions is not a sensor position: that of the first point in the voxel is kept.
+        # A mean of sensor positions is not a sensor position: the first position in the voxel is kept.
         viewpoints=None if cloud.viewpoints is None else cloud.viewpoints[first],
     )
 

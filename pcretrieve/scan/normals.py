@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from pcretrieve.adapters import open3d
 from pcretrieve.errors import ReconstructionError, Stage
 from pcretrieve.options import ScanOptions
-from pcretrieve.scan.sampling import COMPANY, Neighborhoods, neighborhoods, spacing
+from pcretrieve.scan.sampling import SPACING_NEIGHBORS, Neighborhoods, neighborhoods, spacing
 from pcretrieve.types import FloatArray, PointCloud, Step
 from pcretrieve.voxels import Outside, flood
 
@@ -24,8 +24,8 @@ SAME_SIDE = 0.2
 # Width of the Gaussian weight of neighbours, relative to the distance of the farthest one.
 NEIGHBOR_SPREAD = 0.7
 
-# Largest depth below the outside of points that are used to detect a leak; in voxels.
-SHOWN = 4.0
+# Largest depth below the outside of the points by which a leak is detected; in voxels.
+SHALLOW = 4.0
 
 # Smallest edge of the voxels of the flood fill, in spacings of the points. Smaller ones would leave gaps.
 FLOOD_CELL = 1.3
@@ -37,8 +37,8 @@ WIDER = 1.4
 # the body. See docs/decisions.md, LEAST_AGREEMENT.
 LEAST_AGREEMENT = 0.95
 
-# Number of neighbours of each point in these pairs.
-VOTERS = 8
+# Number of neighbours with which each point is compared.
+N_COMPARED = 8
 
 
 def oriented_normals(cloud: PointCloud, options: ScanOptions) -> PointCloud:
@@ -136,11 +136,11 @@ def _tight_flood(
         outside = flood(cloud.points, cell=cell, gap=gap * cloud.diagonal)
         towards = outside.direction_at(cloud.points)
         oriented = _guided_normals(cloud.points, towards, neighbors, options)
-        shown = outside.depth_at(cloud.points) < SHOWN
-        if shown.sum() > VOTERS and _agreement(oriented, neighbors, shown) >= LEAST_AGREEMENT:
-            note = f"the flood leaked; gaps up to {gap:.3f} of the diagonal were shut"
+        shallow = outside.depth_at(cloud.points) < SHALLOW
+        if shallow.sum() > N_COMPARED and _agreement(oriented, neighbors, shallow) >= LEAST_AGREEMENT:
+            note = f"the flood fill leaked; holes with radii up to {gap:.3f} of the diagonal were closed"
             return outside, oriented, (note,) if attempt else ()
-    return None, None, (f"the flood leaked with gaps up to {gap:.3f} of the diagonal shut",)
+    return None, None, (f"the flood fill leaked with holes up to {gap:.3f} of the diagonal closed",)
 
 
 def _unit(vectors: FloatArray) -> FloatArray:
@@ -188,17 +188,17 @@ def _guided_normals(
     return np.asarray(np.where(np.einsum("ij,ij->i", normals, guide)[:, None] < 0, -normals, normals))
 
 
-def _agreement(oriented: FloatArray, neighbors: Neighborhoods, shown: NDArray[np.bool_]) -> float:
-    """The fraction of pairs of neighbours, both in the mask `shown`, with consistent normals."""
-    near = neighbors.near[shown, 1 : VOTERS + 1]  # (m, VOTERS), without the point itself
-    agree = np.einsum("ij,ikj->ik", oriented[shown], oriented[near]) > 0
-    pairs = shown[near]
+def _agreement(oriented: FloatArray, neighbors: Neighborhoods, shallow: NDArray[np.bool_]) -> float:
+    """The fraction of pairs of neighbours, both in the mask `shallow`, with consistent normals."""
+    near = neighbors.near[shallow, 1 : N_COMPARED + 1]  # (m, k), without the point itself
+    agree = np.einsum("ij,ikj->ik", oriented[shallow], oriented[near]) > 0
+    pairs = shallow[near]
     return float((agree & pairs).sum() / max(1, pairs.sum()))
 
 
 def _neighbors(points: FloatArray, options: ScanOptions) -> Neighborhoods:
     """The neighbours that serve the normals, their agreement and the spacing."""
-    return neighborhoods(points, max(options.normal_neighbors, VOTERS + 1, COMPANY + 1))
+    return neighborhoods(points, max(options.normal_neighbors, N_COMPARED + 1, SPACING_NEIGHBORS + 1))
 
 
 Orientation = Callable[[PointCloud, ScanOptions], tuple[FloatArray, tuple[str, ...]]]

@@ -1,7 +1,7 @@
 """The neighbours of points, and the density and the noise of a scan, which are measured by neighbours.
 
-The search for neighbours takes most of the time. A stage therefore searches once, and gives the result to all
-that measure by neighbours.
+The search for neighbours takes most of the time. A stage therefore searches once, and passes the result to
+all functions that need neighbours.
 """
 
 from __future__ import annotations
@@ -13,12 +13,12 @@ from numpy.typing import NDArray
 
 from pcretrieve.types import FloatArray
 
-__all__ = ["COMPANY", "IN_PLANE", "Neighborhoods", "neighborhoods", "noise", "spacing"]
+__all__ = ["PLANE_NEIGHBORS", "SPACING_NEIGHBORS", "Neighborhoods", "neighborhoods", "noise", "spacing"]
 
 # Number of neighbours for the spacing, number of neighbours for a plane, and number of points at which both
 # are measured.
-COMPANY = 6
-IN_PLANE = 8
+SPACING_NEIGHBORS = 6
+PLANE_NEIGHBORS = 8
 MEASURED = 5000
 
 # Quantile of the distances from the planes. Curvature increases these distances, so that a low quantile is a
@@ -74,20 +74,20 @@ def neighborhoods(points: FloatArray, k: int, *, of_some: bool = False) -> Neigh
 def spacing(neighbors: Neighborhoods) -> float:
     """The spacing of points: the square root of the area of surface for each point, in the median.
 
-    It is estimated from the circle that contains the `COMPANY` nearest neighbours, so that it is the same for
-    a regular and a random sampling of one density.
+    It is estimated from the circle that contains the `SPACING_NEIGHBORS` nearest neighbours, so that it is
+    the same for a regular and a random sampling of one density.
 
     Parameters
     ----------
     neighbors : Neighborhoods
-        Of some points, with at least `COMPANY` + 1 neighbours, or all points of a smaller cloud.
+        Of some points, with at least `SPACING_NEIGHBORS` + 1 neighbours, or all points of a smaller cloud.
 
     Returns
     -------
     float
         Unit of the file.
     """
-    k = min(COMPANY, neighbors.distance.shape[1] - 1)
+    k = min(SPACING_NEIGHBORS, neighbors.distance.shape[1] - 1)
     return float(np.sqrt(np.pi / k) * np.median(neighbors.distance[:, k]))
 
 
@@ -101,14 +101,15 @@ def noise(points: FloatArray, neighbors: Neighborhoods) -> float:
     points : (n, 3) float64
         Coordinates.
     neighbors : Neighborhoods
-        Of some of the points, with at least `IN_PLANE` + 1 neighbours, or all points of a smaller cloud.
+        Of some of the points, with at least `PLANE_NEIGHBORS` + 1 neighbours, or all points of a smaller
+        cloud.
 
     Returns
     -------
     float
         Unit of the file.
     """
-    near = neighbors.near[:, : IN_PLANE + 1]  # (m, k)
+    near = neighbors.near[:, : PLANE_NEIGHBORS + 1]  # (m, k)
     k = near.shape[1]
     offsets = points[near] - points[near].mean(axis=1, keepdims=True)  # (m, k, 3)
     # A plane has three degrees of freedom, so that k points leave k − 3.

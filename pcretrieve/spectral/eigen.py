@@ -219,7 +219,7 @@ def _check_answer(operator: LaplaceBeltrami, eigenvalues: FloatArray, vectors: F
     if scaled[n_zero] < SMALLEST_GAP:
         raise ExtraZeroModes(
             f"λ·area must be at least {SMALLEST_GAP:g} after {n_zero} zero modes, got {scaled[n_zero]:.1e}: "
-            "the surface is not connected, or hangs by a thread"
+            "the surface is not connected, or only by a very thin bridge"
         )
     if n_zero and scaled[0] > SMALLEST_GAP:
         raise SpectrumError(

@@ -36,9 +36,9 @@ SPARE_VECTORS = 12 * BLOCK
 VECTORS_PER_PAIR_AT_FIRST_LOOK = 2.3
 SPARE_VECTORS_AT_FIRST_LOOK = 5 * BLOCK
 
-# Factor by which one block reduces the residuals, usually 3 to 5. A convergence test
-# takes at least a third of the time of a block; the next test is therefore made when
-# the residuals are expected to be below the tolerance.
+# Factor by which one block reduces the residuals. A convergence test takes a considerable part of the time of
+# a block; the next test is therefore made when the residuals are expected to be below the tolerance. See
+# docs/decisions.md, FALL_PER_BLOCK.
 FALL_PER_BLOCK = 4
 
 # Largest number of vectors to which T is applied, in units of the size of the basis.
@@ -52,9 +52,8 @@ LARGEST_LOSS = 5.0
 MOST_ROUNDS = 6
 
 # Largest estimated entry of QᵀMQ − I, beyond which a block is orthogonalised against the whole basis (partial
-# reorthogonalisation). The loss grows by factors of hundreds in each block, so that a reorthogonalisation is
-# necessary at every other block, and would be with √ε instead, which suffices for the eigenvalues. The
-# estimate is about ten times the actual loss.
+# reorthogonalisation). √ε would suffice for the eigenvalues, but would not save reorthogonalisations: see
+# docs/decisions.md, LARGEST_LOST.
 LARGEST_LOST = 3e-11
 
 # Number of columns of the basis that a product overwrites at once, because a copy of
@@ -242,7 +241,7 @@ def _orthonormal(
     left = np.eye(BLOCK)
     for n_rounds in range(MOST_ROUNDS):
         if n_rounds:
-            # A block in rows: this product takes two thirds of the time of the one with a block in columns.
+            # The block is stored by rows, with which this product is faster than with a block in columns.
             error = np.ascontiguousarray(mapped.T) @ basis.T  # (BLOCK, width)
             block -= (error @ basis).T
             mapped = mass @ block

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from pcretrieve.adapters import open3d
 from pcretrieve.errors import ReconstructionError
 from pcretrieve.options import SurfaceOptions
-from pcretrieve.scan.sampling import IN_PLANE, Neighborhoods, neighborhoods, noise, spacing
+from pcretrieve.scan.sampling import PLANE_NEIGHBORS, Neighborhoods, neighborhoods, noise, spacing
 from pcretrieve.surface.contacts import contact_layer, walls
 from pcretrieve.surface.field import LEAST_WEIGHT, distance_field, folded, hidden_below, normals_of
 from pcretrieve.surface.filled import filled
@@ -128,7 +128,7 @@ def body_surfaces(cloud: PointCloud, options: SurfaceOptions) -> Iterator[tuple[
         If the points do not surround a body, or surround two.
     """
     started = time.perf_counter()
-    neighbors = neighborhoods(cloud.points, IN_PLANE + 1, of_some=True)
+    neighbors = neighborhoods(cloud.points, PLANE_NEIGHBORS + 1, of_some=True)
     least = spacing(neighbors)
     size = _cell(cloud, neighbors, options)
     coarse = _coarse_surface(cloud, options)
@@ -158,7 +158,7 @@ def _body_surface(
         outside = replace(outside, wet=np.zeros_like(outside.wet), depth=np.zeros_like(outside.depth))
         distance, weight = distance_field(cloud, outside)
         known = weight > LEAST_WEIGHT
-        notes.append("the flood of the outside leaked into the body and was not used")
+        notes.append("the flood fill of the outside leaked into the body and was not used")
     grid = outside.grid
     inside = np.where(known, distance < 0, coarse_inside) & ~outside.wet
     parted, skins = np.zeros_like(inside), np.zeros((3, *grid.shape), dtype=bool)

@@ -82,7 +82,7 @@ def test_a_hole_in_the_scan_is_closed_by_thicker_walls() -> None:
     seen = cloud.points[:, 2] < 0.994  # a hole of radius 0.11, seven voxels wide
     holed = oriented_normals(PointCloud(cloud.points[seen]), ScanOptions())
     assert share_right(holed, true[seen]) > 0.99
-    assert "the flood leaked; gaps up to 0.0" in holed.provenance[-1].notes[0]
+    assert "the flood fill leaked; holes with radii up to 0.0" in holed.provenance[-1].notes[0]
 
 
 def test_where_no_wall_holds_tangent_planes_decide() -> None:
@@ -91,7 +91,7 @@ def test_where_no_wall_holds_tangent_planes_decide() -> None:
     bowl = oriented_normals(PointCloud(cloud.points[seen]), ScanOptions(flood_retries=1))
     assert share_right(bowl, true[seen]) > 0.99
     assert bowl.provenance[-1].notes == (
-        "the flood leaked with gaps up to 0.028 of the diagonal shut",
+        "the flood fill leaked with holes up to 0.028 of the diagonal closed",
         "tangent planes decided which side is outside",
     )
 
