@@ -1,4 +1,4 @@
-"""Coordinates that single precision can bear, and the way back from them."""
+"""Coordinates of unit size near the origin, for computations in single precision, and their inverse."""
 
 from __future__ import annotations
 
@@ -11,17 +11,18 @@ from pcretrieve.arrays import FloatArray
 
 __all__ = ["DOUBLE_OFFSET", "SINGLE_OFFSET", "Frame", "diagonal", "power_of_two"]
 
-# How far the middle of the points may lie from the origin of their frame; sizes of the frame. In single
-# precision a coordinate has 24 binary digits, all of which are needed to tell points apart. In double
-# precision covariances are differences of mean squares: at 512 sizes those lose 18 of their 53 binary digits.
+# Largest distance of the middle of the points from the origin of their frame, in sizes of the frame: for
+# computations in single and in double precision. In single precision a coordinate has 24 binary digits, all
+# of which are needed to distinguish points. In double precision covariances are differences of mean squares,
+# which lose 18 of their 53 binary digits at a distance of 512 sizes.
 SINGLE_OFFSET, DOUBLE_OFFSET = 0.5, 512.0
 
 
 class Frame(NamedTuple):
     """The coordinates (x − origin) / size, in which the points have a diagonal between 1/2 and 1.
 
-    The size is a power of two, and the origin is a multiple of it, zero for points around the origin of the
-    caller: the coordinates of such points keep all their digits both ways.
+    The size is a power of two, and the origin is a multiple of it. For points around the origin of the
+    caller, the origin is zero, and both transformations are exact.
 
     Attributes
     ----------
@@ -49,7 +50,7 @@ class Frame(NamedTuple):
         Returns
         -------
         Frame
-            Of unit size where there are no points, or where they coincide.
+            The frame; of unit size if there are no points, or all points are equal.
         """
         if not len(points):
             return cls(np.zeros(3), 1.0)
@@ -116,6 +117,6 @@ def power_of_two(length: float) -> float:
     Returns
     -------
     float
-        1 where the length is zero.
+        A power of two; 1 if the length is zero.
     """
     return math.ldexp(1.0, math.frexp(length)[1])

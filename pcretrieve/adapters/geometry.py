@@ -1,7 +1,6 @@
 """Geometry of other packages and plain arrays → vertices, faces and normals.
 
-A package is told by the attributes of its values, never imported: whoever holds an Open3D, trimesh or PyVista
-value has imported that package already.
+Values of other packages are recognised by their attributes, so that this module imports none of the packages.
 """
 
 from __future__ import annotations
@@ -28,7 +27,7 @@ class GeometryArrays(NamedTuple):
     faces : (m, 3) array or None
         Vertex numbers; None for a point cloud.
     normals : (n, 3) array or None
-        Unit normals of a point cloud, where it has them.
+        Unit normals of a point cloud, if it has normals.
     """
 
     points: NDArray[Any]
@@ -37,7 +36,7 @@ class GeometryArrays(NamedTuple):
 
 
 def geometry_arrays(geometry: object) -> GeometryArrays:
-    """The arrays of a point cloud or a triangle mesh, whichever package made it.
+    """The arrays of a point cloud or a triangle mesh of any package.
 
     Parameters
     ----------
@@ -49,6 +48,7 @@ def geometry_arrays(geometry: object) -> GeometryArrays:
     Returns
     -------
     GeometryArrays
+        The arrays, which are not copied or checked.
 
     Raises
     ------
@@ -101,7 +101,7 @@ def _of_pyvista(geometry: Any) -> GeometryArrays:
 
 
 def _unit(normals: Any) -> NDArray[np.float64]:
-    """Normals divided by their length; those of length zero as they are."""
+    """Normals divided by their length; normals of length zero are not changed."""
     vectors = np.array(normals, dtype=np.float64)
     length = np.linalg.norm(vectors, axis=-1, keepdims=True)
     return np.asarray(vectors / np.where(length > 0, length, 1))

@@ -1,4 +1,4 @@
-"""LaPy, as functions on arrays: what benchmarks compare the spectral core with."""
+"""LaPy, as functions of arrays: the library with which benchmarks compare the spectral core."""
 
 from __future__ import annotations
 
@@ -12,11 +12,12 @@ __all__ = ["eigenvalues", "is_installed"]
 
 
 def is_installed() -> bool:
-    """Whether LaPy, which comes with ``pcretrieve[benchmark]``, is there.
+    """Whether LaPy is installed, which the extra ``benchmark`` installs.
 
     Returns
     -------
     bool
+        True if it can be imported.
     """
     return find_spec("lapy") is not None
 
@@ -31,7 +32,7 @@ def eigenvalues(vertices: FloatArray, faces: IntArray, n_pairs: int) -> FloatArr
     faces : (m, 3) int32
         Vertex numbers.
     n_pairs : int
-        How many eigenvalues.
+        Number of eigenvalues.
 
     Returns
     -------

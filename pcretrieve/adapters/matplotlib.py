@@ -1,7 +1,7 @@
 """Figures by matplotlib: arrays in, axes out.
 
-matplotlib is an extra (``pip install pcretrieve[plot]``); an axes of another figure may be handed in, so that
-several plots share one figure.
+matplotlib is installed by the extra ``plot`` (``pip install pcretrieve[plot]``). Functions draw into given
+axes, so that several plots can be in one figure.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from pcretrieve.errors import InputError
 
 __all__ = ["draw_curves", "plot_points", "plot_ranking", "plot_signature", "plot_spectrum", "plot_surface"]
 
-# More points than this take long to draw, and show no more.
+# Largest number of points that are drawn. More points take longer, without a visible difference.
 MOST_POINTS = 20_000
 
 # A light clay, as in the pictures of the pages.
@@ -37,7 +37,7 @@ def _axes(axes: Any, **more: Any) -> Any:
 
 
 def _equal_box(axes: Any, points: FloatArray) -> None:
-    """One scale on all three axes of a picture of a body."""
+    """Give all three axes the same scale."""
     axes.set_box_aspect(np.maximum(np.ptp(points, axis=0), 1e-12 + np.ptp(points) * 1e-3))
     axes.set_xlabel("x")
     axes.set_ylabel("y")
@@ -45,18 +45,19 @@ def _equal_box(axes: Any, points: FloatArray) -> None:
 
 
 def plot_points(points: FloatArray, axes: Any = None) -> Any:
-    """A point cloud in three dimensions.
+    """Draw a point cloud in three dimensions.
 
     Parameters
     ----------
     points : (n, 3) float64
-        Of more than 20 000, every second, third, ... is drawn.
+        Coordinates. Of more than 20,000 points, points at regular steps are drawn.
     axes : matplotlib axes with projection ``3d``, optional
-        What to draw into; by default new axes in a new figure.
+        The axes of the plot; by default new axes in a new figure.
 
     Returns
     -------
     matplotlib axes
+        The axes with the plot.
 
     Raises
     ------
@@ -71,7 +72,7 @@ def plot_points(points: FloatArray, axes: Any = None) -> Any:
 
 
 def plot_surface(vertices: FloatArray, faces: IntArray, axes: Any = None) -> Any:
-    """A shaded surface in three dimensions.
+    """Draw a shaded surface in three dimensions.
 
     Parameters
     ----------
@@ -80,11 +81,12 @@ def plot_surface(vertices: FloatArray, faces: IntArray, axes: Any = None) -> Any
     faces : (m, 3) int32
         Vertex numbers of the triangles.
     axes : matplotlib axes with projection ``3d``, optional
-        What to draw into; by default new axes in a new figure.
+        The axes of the plot; by default new axes in a new figure.
 
     Returns
     -------
     matplotlib axes
+        The axes with the plot.
 
     Raises
     ------
@@ -100,7 +102,7 @@ def plot_surface(vertices: FloatArray, faces: IntArray, axes: Any = None) -> Any
 def plot_signature(
     values: FloatArray, kind: str, deviation: FloatArray | None = None, axes: Any = None
 ) -> Any:
-    """The values of a signature by their number, on a logarithmic scale where all are positive.
+    """Draw the values of a signature by their number, on a logarithmic scale if all are positive.
 
     Parameters
     ----------
@@ -111,11 +113,12 @@ def plot_signature(
     deviation : (L,) float64, optional
         Standard deviation of the logarithm of each value, drawn as an error bar.
     axes : matplotlib axes, optional
-        What to draw into; by default new axes in a new figure.
+        The axes of the plot; by default new axes in a new figure.
 
     Returns
     -------
     matplotlib axes
+        The axes with the plot.
 
     Raises
     ------
@@ -136,18 +139,19 @@ def plot_signature(
 
 
 def plot_spectrum(eigenvalues: FloatArray, axes: Any = None) -> Any:
-    """Eigenvalues by their number, starting from 0.
+    """Draw eigenvalues by their number, starting from 0.
 
     Parameters
     ----------
     eigenvalues : (k,) float64
         Ascending; unit length⁻².
     axes : matplotlib axes, optional
-        What to draw into; by default new axes in a new figure.
+        The axes of the plot; by default new axes in a new figure.
 
     Returns
     -------
     matplotlib axes
+        The axes with the plot.
 
     Raises
     ------
@@ -162,20 +166,21 @@ def plot_spectrum(eigenvalues: FloatArray, axes: Any = None) -> Any:
 
 
 def plot_ranking(names: Sequence[str], distances: FloatArray, axes: Any = None) -> Any:
-    """Neighbours as horizontal bars, the nearest at the top.
+    """Draw the distances of neighbours as horizontal bars, the nearest at the top.
 
     Parameters
     ----------
     names : sequence of str, length k
-        What each neighbour is called.
+        Names of the neighbours.
     distances : (k,) float64
         Dimensionless.
     axes : matplotlib axes, optional
-        What to draw into; by default new axes in a new figure.
+        The axes of the plot; by default new axes in a new figure.
 
     Returns
     -------
     matplotlib axes
+        The axes with the plot.
 
     Raises
     ------
@@ -211,7 +216,7 @@ def draw_curves(
     InputError
         If matplotlib is not installed.
     """
-    _pyplot()  # or an error that says what to install
+    _pyplot()  # raises an error if matplotlib is not installed
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(6, 4), layout="constrained")

@@ -20,12 +20,12 @@ def data_frame(columns: Mapping[str, Sequence[object]], index: str | None = None
     columns : mapping of str to sequence
         Columns of one length, in order.
     index : str, optional
-        The column that names the rows.
+        The column whose values are the index of the rows.
 
     Returns
     -------
     pandas.DataFrame
-        One row an entry.
+        One row for each entry of the columns.
 
     Raises
     ------
@@ -48,7 +48,7 @@ def parquet_bytes(columns: Mapping[str, Sequence[object]], metadata: Mapping[str
     columns : mapping of str to sequence
         Columns of one length, in order.
     metadata : mapping of str to str
-        What else the file says of itself, as key-value metadata of its schema.
+        Key-value metadata of the schema of the file.
 
     Returns
     -------

@@ -1,4 +1,4 @@
-"""What the kernel does for a child process when its parent dies."""
+"""The end of a worker process when its parent process ends."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ PR_SET_PDEATHSIG = 1
 
 
 def end_with_parent() -> None:
-    """Have the kernel kill this process when its parent dies, whatever it computes then.
+    """Ask the kernel to kill this process when its parent ends, also during a computation.
 
-    The parent is, strictly, the thread that started this process. Linux only: elsewhere a process goes on
-    until it next reads from its parent's pipe, or writes to it.
+    Linux only: on other systems the process continues until it next reads from or writes to the pipe of its
+    parent. For the kernel, the parent is the thread that started this process.
     """
     if sys.platform == "linux":
         ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)

@@ -86,7 +86,7 @@ def mesh_arrays(path: Path, file_type: str) -> tuple[NDArray[np.float64], NDArra
         return vertices, np.asarray(mesh.faces, dtype=np.int64).reshape(-1, 3)
     except (OSError, MemoryError):
         raise
-    # trimesh has no exception class of its own: a damaged file raises whatever its parser does.
+    # trimesh has no exception class of its own: damaged files raise exceptions of any class.
     except Exception as error:
         raise ValueError(str(error) or type(error).__name__) from error
 

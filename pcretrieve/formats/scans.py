@@ -1,4 +1,4 @@
-"""Whatever stands for a scan → points or a mesh."""
+"""A path, an array or geometry of another package → points or a mesh."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ ScanLike: TypeAlias = "str | Path | GeometryLike"
 
 
 def as_scan(scan: ScanLike) -> PointCloud | TriangleMesh:
-    """The point cloud or the mesh that a path or a value of another package stands for.
+    """Read a scan from a path, or convert a value to a scan.
 
     Parameters
     ----------
@@ -26,12 +26,12 @@ def as_scan(scan: ScanLike) -> PointCloud | TriangleMesh:
     Returns
     -------
     PointCloud or TriangleMesh
-        In the unit of the file or of the value.
+        The scan; unit of the file or of the value.
 
     Raises
     ------
     InputError
-        If it is nothing that a scan can be made of.
+        If the value cannot be converted to a point cloud or a mesh.
     ScanReadError
         If the file cannot be read.
     """

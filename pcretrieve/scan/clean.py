@@ -22,7 +22,7 @@ FEWEST_POINTS = 100
 # See docs/decisions.md, SMALLEST_THICKNESS.
 SMALLEST_THICKNESS = 1e-3
 
-# Distance from the median point, in median distances, beyond which a point is an error. See docs/decisions.md,
+# Distance from the median point, in median distances, beyond which a point is an error: docs/decisions.md,
 # FAR_AWAY. Depth cameras write such points for missing measurements. Far points are removed first, because
 # every length in the options is relative to the diagonal; but not if there are more than this fraction of
 # them, because they may be a second body.
