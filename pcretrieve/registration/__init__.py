@@ -4,6 +4,7 @@ In come views as point clouds, each in a frame of its own; out go their rigid mo
 and the cloud that they make together.
 """
 
-from pcretrieve.registration.register import Merged, Overlap, merge_views
+from pcretrieve.registration.agreement import Overlap
+from pcretrieve.registration.register import Merged, merge_views
 
 __all__ = ["Merged", "Overlap", "merge_views"]

@@ -2,166 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple
+from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
-from pcretrieve.adapters import open3d
-from pcretrieve.options import MergeOptions
-from pcretrieve.registration.range_image import LEAST_COSINE, RangeImage
-from pcretrieve.types import FloatArray, PointCloud
+from pcretrieve.registration.motions import Poses, moved, turned
+from pcretrieve.registration.range_image import LEAST_COSINE
+from pcretrieve.registration.views import View
+from pcretrieve.types import FloatArray
 
-__all__ = ["Poses", "View", "adjusted", "moved", "one_of_each_cell", "paired", "turned", "view_of"]
-
-# Number of neighbours for a normal.
-NORMAL_NEIGHBORS = 16
-
-# Radius of the neighbourhood of a feature, in voxels. It is of the size of distinctive parts of a body.
-FEATURE_RADIUS = 6
-
-# Number of points of each view for registration and verification.
-SOME_POINTS = 1000
+__all__ = ["adjusted", "paired"]
 
 # Largest distance, in spacings, of the nearest point from the foot of the perpendicular to its tangent plane.
 BESIDE = 2
 
 # Degrees of freedom of a rigid motion, and smallest number of correspondences between two views.
 FREEDOMS = 6
-
-Poses = Mapping[int, FloatArray]
-"""Rigid motions, (4, 4) float64, of views into a common frame, by the number of the view."""
-
-
-class View(NamedTuple):
-    """A range scan: the points that one sensor measured from one position, prepared for registration.
-
-    Attributes
-    ----------
-    cloud : PointCloud
-        The points in the frame of the view, with normals towards the sensor, and its position.
-    points, normals : (k, 3) float64
-        One point in each voxel.
-    features : (k, 33) float64
-        Fast point feature histograms of these points.
-    sample : (s,) int
-        Positions of a random sample of these points.
-    image : RangeImage
-        The range image of the cloud.
-    tree : cKDTree
-        The k-d tree of all points of the cloud.
-    spacing : float
-        Median distance from a point to its nearest neighbour; unit of the file.
-    """
-
-    cloud: PointCloud
-    points: FloatArray
-    normals: FloatArray
-    features: FloatArray
-    sample: NDArray[np.intp]
-    image: RangeImage
-    tree: Any
-    spacing: float
-
-
-def view_of(
-    points: FloatArray, sensor: FloatArray, scale: float, options: MergeOptions, rng: np.random.Generator
-) -> View:
-    """Prepare a view for registration.
-
-    Parameters
-    ----------
-    points : (n, 3) float64
-        Coordinates, without background.
-    sensor : (3,) float64
-        Position of the sensor; unit of the points.
-    scale : float
-        The length to which relative options refer; unit of the points.
-    options : MergeOptions
-        Of which `cell` is used.
-    rng : numpy.random.Generator
-        For the sample.
-
-    Returns
-    -------
-    View
-        The view in its own frame.
-    """
-    from scipy.spatial import cKDTree
-
-    normals = open3d.estimate_normals(points, n_neighbors=NORMAL_NEIGHBORS)
-    normals[np.einsum("ij,ij->i", normals, sensor - points) < 0] *= -1
-    cell = options.cell * scale
-    few = one_of_each_cell(points, cell)
-    tree = cKDTree(points)
-    return View(
-        PointCloud(points, normals, sensor),
-        points[few],
-        normals[few],
-        open3d.feature_histograms(points[few], normals[few], radius=FEATURE_RADIUS * cell),
-        rng.permutation(len(few))[:SOME_POINTS],
-        RangeImage(points, normals, sensor),
-        tree,
-        float(np.median(np.asarray(tree.query(points[few], k=2)[0])[:, 1])),
-    )
-
-
-def one_of_each_cell(points: FloatArray, cell: float) -> NDArray[np.intp]:
-    """Voxel-grid subsampling: the first point in each voxel.
-
-    Parameters
-    ----------
-    points : (n, 3) float64
-        Coordinates.
-    cell : float
-        Edge of a voxel, unit of the points; 0 selects every point.
-
-    Returns
-    -------
-    (k,) int
-        Positions of the points, ascending.
-    """
-    if not cell:
-        return np.arange(len(points))
-    _, first = np.unique(np.floor(points / cell), axis=0, return_index=True)
-    return np.sort(first)
-
-
-def moved(motion: FloatArray, points: FloatArray) -> FloatArray:
-    """Apply rigid motions to points.
-
-    Parameters
-    ----------
-    motion : (4, 4) or (m, 4, 4) float64
-        One motion, or m motions.
-    points : (n, 3) float64
-        Coordinates.
-
-    Returns
-    -------
-    (n, 3) or (m, n, 3) float64
-        Coordinates after the motion, or after each motion.
-    """
-    return np.asarray(turned(motion, points) + motion[..., None, :3, 3])
-
-
-def turned(motion: FloatArray, directions: FloatArray) -> FloatArray:
-    """Apply the rotations of rigid motions to directions.
-
-    Parameters
-    ----------
-    motion : (4, 4) or (m, 4, 4) float64
-        One motion, or m motions.
-    directions : (n, 3) float64
-        Vectors.
-
-    Returns
-    -------
-    (n, 3) or (m, n, 3) float64
-        Vectors after the rotation, or after each rotation.
-    """
-    return np.asarray(directions @ np.swapaxes(motion[..., :3, :3], -1, -2))
 
 
 def paired(

@@ -6,7 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcretrieve.options import MergeOptions
-from pcretrieve.registration.alignment import View, moved, turned
+from pcretrieve.registration.motions import moved, turned
+from pcretrieve.registration.views import View
 from pcretrieve.types import FloatArray
 
 __all__ = ["candidate_motions", "distinct"]

@@ -16,7 +16,7 @@ from pcretrieve.errors import InputError, OptionError, ReconstructionError
 from pcretrieve.formats.conf import read_poses
 from pcretrieve.options import MergeOptions
 from pcretrieve.registration import Merged, merge_views
-from pcretrieve.registration.alignment import moved
+from pcretrieve.registration.motions import moved
 from pcretrieve.simulation import RigOptions, scan_views
 from pcretrieve.types import FloatArray
 

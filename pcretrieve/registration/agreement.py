@@ -1,0 +1,178 @@
+"""Registered views → how far they agree: overlaps of two views, and what range images say of two groups."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import combinations
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pcretrieve.options import MergeOptions
+from pcretrieve.registration.alignment import paired
+from pcretrieve.registration.motions import Poses, moved, turned
+from pcretrieve.registration.views import View
+
+__all__ = ["Overlap", "Verdict", "overlap", "overlaps", "shared", "verdict"]
+
+# Smallest overlap of two views that is reported; fraction of the points of one of them.
+LEAST_SHARE = 0.02
+
+
+@dataclass(frozen=True, slots=True)
+class Overlap:
+    """The overlap of two registered views.
+
+    Attributes
+    ----------
+    first, second : int
+        Numbers of the views, ``first < second``.
+    share : float
+        Fraction of the points of one view with a correspondence in the other, for
+        the view with the larger one.
+    rms : float
+        Root mean square distance of the correspondences, point to plane; unit of the file.
+    """
+
+    first: int
+    second: int
+    share: float
+    rms: float
+
+
+class Verdict(NamedTuple):
+    """The verification of two groups of views by their range images.
+
+    Attributes
+    ----------
+    share : float
+        Fraction of the points of a view that agree with the other group, for the view with the largest one.
+    contradiction : float
+        Number of points that contradict the other group, relative to the number of those that agree.
+    """
+
+    share: float
+    contradiction: float
+
+    def holds(self, options: MergeOptions) -> bool:
+        """Whether the groups fit each other, by `min_overlap` and `max_contradiction`."""
+        return self.share >= options.min_overlap and self.contradiction <= options.max_contradiction
+
+
+def verdict(views: Sequence[View], group: Poses, other: Poses, reach: float) -> Verdict:
+    """Verify the poses of two groups of views by the range images of all of them.
+
+    Parameters
+    ----------
+    views : sequence of View
+        All views.
+    group, other : mapping of int to (4, 4) float64
+        The poses of the views of both groups in one frame, by number.
+    reach : float
+        Largest distance of points that agree; unit of the points.
+
+    Returns
+    -------
+    Verdict
+        How many points agree, and how many contradict.
+    """
+    said = _seen_by(views, group, other, reach) + _seen_by(views, other, group, reach)
+    n_agreeing = sum(int(agrees.sum()) for agrees, _ in said)
+    n_contradicting = sum(int(contradicts.sum()) for _, contradicts in said)
+    share = max(float(agrees.mean()) for agrees, _ in said)
+    return Verdict(share, n_contradicting / n_agreeing if n_agreeing else np.inf)
+
+
+def _seen_by(
+    views: Sequence[View], group: Poses, other: Poses, reach: float
+) -> list[tuple[NDArray[np.bool_], NDArray[np.bool_]]]:
+    """For each view of a group, masks of points that agree with the other group and that contradict it."""
+    answers = []
+    for number, pose in group.items():
+        view = views[number]
+        agrees, contradicts = np.zeros((2, len(view.sample)), dtype=bool)
+        for known, place in other.items():
+            motion = np.linalg.inv(place) @ pose
+            said = views[known].image.compare(
+                moved(motion, view.points[view.sample]),
+                turned(motion, view.normals[view.sample]),
+                tolerance=reach,
+            )
+            agrees |= said.agrees
+            contradicts |= said.contradicts
+        answers.append((agrees, contradicts & ~agrees))
+    return answers
+
+
+def shared(views: Sequence[View], poses: Poses, number: int, reach: float) -> float:
+    """The fraction of the points of a view that agree with the other views.
+
+    Parameters
+    ----------
+    views : sequence of View
+        All views.
+    poses : mapping of int to (4, 4) float64
+        The poses of the registered views, by number.
+    number : int
+        The view.
+    reach : float
+        Largest distance of points that agree; unit of the points.
+
+    Returns
+    -------
+    float
+        Between 0 and 1.
+    """
+    others = {other: pose for other, pose in poses.items() if other != number}
+    return float(_seen_by(views, {number: poses[number]}, others, reach)[0][0].mean())
+
+
+def overlap(views: Sequence[View], poses: Poses, first: int, second: int, reach: float) -> Overlap:
+    """The overlap of two views.
+
+    Parameters
+    ----------
+    views : sequence of View
+        All views.
+    poses : mapping of int to (4, 4) float64
+        The poses of the registered views, by number.
+    first, second : int
+        Numbers of the two views.
+    reach : float
+        Largest distance of correspondences; unit of the points.
+
+    Returns
+    -------
+    Overlap
+        Its rms is NaN if there are no correspondences.
+    """
+    shares, distances = [], []
+    for here, there in ((first, second), (second, first)):
+        distance = paired(views[here], views[there], poses[here], poses[there], reach)[2]
+        shares.append(len(distance) / len(views[there].sample))
+        distances.append(distance)
+    squares = np.concatenate(distances) ** 2
+    return Overlap(first, second, max(shares), float(np.sqrt(squares.mean())) if len(squares) else np.nan)
+
+
+def overlaps(views: Sequence[View], poses: Poses, reach: float) -> tuple[Overlap, ...]:
+    """The overlaps of all pairs of registered views that share at least `LEAST_SHARE`.
+
+    Parameters
+    ----------
+    views : sequence of View
+        All views.
+    poses : mapping of int to (4, 4) float64
+        The poses of the registered views, by number.
+    reach : float
+        Largest distance of correspondences; unit of the points.
+
+    Returns
+    -------
+    tuple of Overlap
+        In the order of the numbers of the views.
+    """
+    pairs = [overlap(views, poses, *pair, reach) for pair in combinations(sorted(poses), 2)]
+    return tuple(pair for pair in pairs if pair.share >= LEAST_SHARE)

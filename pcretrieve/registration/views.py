@@ -1,0 +1,196 @@
+"""Range scans → views that are prepared for registration: sensor, foreground, normals, features, samples."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pcretrieve.adapters import open3d
+from pcretrieve.errors import InputError, ReconstructionError, Stage
+from pcretrieve.formats.conf import SENSOR_DISTANCE
+from pcretrieve.options import MergeOptions
+from pcretrieve.registration.range_image import RangeImage
+from pcretrieve.types import FloatArray, PointCloud, bounding_diagonal
+
+__all__ = ["View", "one_of_each_cell", "prepared"]
+
+# Number of neighbours for a normal.
+NORMAL_NEIGHBORS = 16
+
+# Radius of the neighbourhood of a feature, in voxels. It is of the size of distinctive parts of a body.
+FEATURE_RADIUS = 6
+
+# Number of points of each view for registration and verification.
+SOME_POINTS = 1000
+
+# Voxels are 26-adjacent if their indices are less than this apart: √3 < 1.8 < 2.
+TOUCHING = 1.8
+
+
+class View(NamedTuple):
+    """A range scan: the points that one sensor measured from one position, prepared for registration.
+
+    Attributes
+    ----------
+    cloud : PointCloud
+        The points in the frame of the view, with normals towards the sensor, and its position.
+    points, normals : (k, 3) float64
+        One point in each voxel.
+    features : (k, 33) float64
+        Fast point feature histograms of these points.
+    sample : (s,) int
+        Positions of a random sample of these points.
+    image : RangeImage
+        The range image of the cloud.
+    tree : cKDTree
+        The k-d tree of all points of the cloud.
+    spacing : float
+        Median distance from a point to its nearest neighbour; unit of the file.
+    """
+
+    cloud: PointCloud
+    points: FloatArray
+    normals: FloatArray
+    features: FloatArray
+    sample: NDArray[np.intp]
+    image: RangeImage
+    tree: Any
+    spacing: float
+
+
+def prepared(
+    clouds: Sequence[PointCloud], options: MergeOptions, rng: np.random.Generator
+) -> tuple[list[View], float]:
+    """Prepare range scans for registration.
+
+    Parameters
+    ----------
+    clouds : sequence of PointCloud
+        The points that one sensor measured from one position, each in a frame of its own; all in one unit.
+    options : MergeOptions
+        Of which `cell`, `keep_largest`, `max_range`, `piece_gap`, `reach` and `sensor` are used.
+    rng : numpy.random.Generator
+        For the samples.
+
+    Returns
+    -------
+    views : list of View
+        Each in its own frame, without background if the options say so.
+    scale : float
+        Median diagonal of the views, to which relative options refer; unit of the points.
+
+    Raises
+    ------
+    InputError
+        If a view has more than one sensor position, or ``max_range`` is given and the position of the sensor
+        is not known.
+    ReconstructionError
+        If a view has too few points.
+    """
+    sensors = [_sensor(cloud, number, options) for number, cloud in enumerate(clouds)]
+    fronts = [
+        _foreground(cloud.points, sensor, number, options)
+        for number, (cloud, sensor) in enumerate(zip(clouds, sensors, strict=True))
+    ]
+    scale = float(np.median([bounding_diagonal(points) for points in fronts]))
+    views = [
+        _view(points, sensor, options.cell * scale, rng)
+        for points, sensor in zip(fronts, sensors, strict=True)
+    ]
+    return views, scale
+
+
+def one_of_each_cell(points: FloatArray, cell: float) -> NDArray[np.intp]:
+    """Voxel-grid subsampling: the first point in each voxel.
+
+    Parameters
+    ----------
+    points : (n, 3) float64
+        Coordinates.
+    cell : float
+        Edge of a voxel, unit of the points; 0 selects every point.
+
+    Returns
+    -------
+    (k,) int
+        Positions of the points, ascending.
+    """
+    if not cell:
+        return np.arange(len(points))
+    _, first = np.unique(np.floor(points / cell), axis=0, return_index=True)
+    return np.sort(first)
+
+
+def _sensor(view: PointCloud, number: int, options: MergeOptions) -> FloatArray:
+    """(3,) position of the sensor; a conventional one, if the view has none."""
+    if not len(view.points):
+        raise ReconstructionError(f"view {number} has no points: leave it out", stage=Stage.MERGE)
+    if view.viewpoints is not None:
+        if bounding_diagonal(view.viewpoints) > options.reach * view.diagonal:
+            raise InputError(
+                f"a view must be seen by one sensor, view {number} was seen by several: merge the scans that "
+                "it was made of"
+            )
+        return np.asarray(view.viewpoints.mean(axis=0))
+    if options.sensor == "origin":
+        return np.zeros(3)
+    if options.max_range is not None:
+        raise InputError(
+            f"max_range is measured from the sensor, and view {number} does not say where that is: take "
+            "sensor 'origin' if it is the origin of its frame"
+        )
+    middle = (view.points.min(axis=0) + view.points.max(axis=0)) / 2
+    return np.asarray(middle + np.array([0, 0, SENSOR_DISTANCE * view.diagonal]))
+
+
+def _foreground(points: FloatArray, sensor: FloatArray, number: int, options: MergeOptions) -> FloatArray:
+    """(n, 3) points within `max_range`, and of the largest component, if these options are set."""
+    if options.max_range is not None:
+        points = points[np.linalg.norm(points - sensor, axis=1) <= options.max_range]
+    if options.keep_largest and len(points):
+        points = points[_largest_piece(points, options.piece_gap * bounding_diagonal(points))]
+    if len(points) <= NORMAL_NEIGHBORS or not bounding_diagonal(points):
+        raise ReconstructionError(
+            f"view {number} must have more than {NORMAL_NEIGHBORS} different points in reach, got "
+            f"{len(points)}: leave it out, or raise max_range",
+            stage=Stage.MERGE,
+        )
+    return points
+
+
+def _largest_piece(points: FloatArray, gap: float) -> NDArray[np.bool_]:
+    """(n,) mask of the component with the most points, by 26-connected voxels of the edge `gap`."""
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+    from scipy.spatial import cKDTree
+
+    if not gap:
+        return np.ones(len(points), dtype=bool)
+    voxels, voxel = np.unique(np.floor(points / gap), axis=0, return_inverse=True)
+    touching = cKDTree(voxels).query_pairs(TOUCHING, output_type="ndarray")  # (t, 2)
+    graph = coo_array((np.ones(len(touching)), tuple(touching.T)), shape=(len(voxels), len(voxels)))
+    piece = connected_components(graph, directed=False)[1][voxel.ravel()]  # (n,)
+    return np.asarray(piece == np.bincount(piece).argmax())
+
+
+def _view(points: FloatArray, sensor: FloatArray, cell: float, rng: np.random.Generator) -> View:
+    """The view of points without background, with features of voxels of the edge `cell`."""
+    from scipy.spatial import cKDTree
+
+    normals = open3d.estimate_normals(points, n_neighbors=NORMAL_NEIGHBORS)
+    normals[np.einsum("ij,ij->i", normals, sensor - points) < 0] *= -1
+    few = one_of_each_cell(points, cell)
+    tree = cKDTree(points)
+    return View(
+        PointCloud(points, normals, sensor),
+        points[few],
+        normals[few],
+        open3d.feature_histograms(points[few], normals[few], radius=FEATURE_RADIUS * cell),
+        rng.permutation(len(few))[:SOME_POINTS],
+        RangeImage(points, normals, sensor),
+        tree,
+        float(np.median(np.asarray(tree.query(points[few], k=2)[0])[:, 1])),
+    )
