@@ -16,14 +16,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pcretrieve.adapters.frame import DOUBLE_OFFSET, Frame, diagonal, power_of_two
+from pcretrieve.adapters.frame import DOUBLE_OFFSET, Frame, diagonal
 from pcretrieve.arrays import FloatArray, IntArray
 from pcretrieve.errors import ReconstructionError, Stage
 
 __all__ = [
-    "RayScene",
     "estimate_normals",
     "feature_histograms",
+    "library",
     "open3d_cloud",
     "open3d_mesh",
     "orient_by_tangent_planes",
@@ -43,8 +43,14 @@ ORDINARY = 1e-6, 1e6
 
 
 @cache
-def _open3d() -> Any:
-    """The module open3d, with messages disabled and on one thread."""
+def library() -> Any:
+    """Import Open3D.
+
+    Returns
+    -------
+    module
+        The module open3d, with messages disabled and on one thread.
+    """
     import open3d
 
     open3d.utility.set_verbosity_level(open3d.utility.VerbosityLevel.Error)
@@ -59,7 +65,7 @@ def _open3d() -> Any:
 
 def _vectors(values: FloatArray) -> Any:
     """A copy, because Open3D does not accept read-only arrays."""
-    return _open3d().utility.Vector3dVector(np.array(values, dtype=np.float64))
+    return library().utility.Vector3dVector(np.array(values, dtype=np.float64))
 
 
 # --- points -------------------------------------------------------------------------------------------
@@ -80,7 +86,7 @@ def open3d_cloud(points: FloatArray, normals: FloatArray | None = None) -> Any:
     open3d.geometry.PointCloud
         With copies of the arrays.
     """
-    o3d = _open3d()
+    o3d = library()
     cloud = o3d.geometry.PointCloud(_vectors(points))
     if normals is not None:
         cloud.normals = _vectors(normals)
@@ -124,7 +130,7 @@ def estimate_normals(points: FloatArray, *, n_neighbors: int) -> FloatArray:
     (n, 3) float64
         Unit normals of arbitrary sign.
     """
-    o3d = _open3d()
+    o3d = library()
     cloud = open3d_cloud(Frame.around(points, offset=DOUBLE_OFFSET).inward(points))
     cloud.estimate_normals(o3d.geometry.KDTreeSearchParamKNN(n_neighbors))
     return np.array(cloud.normals)
@@ -184,7 +190,7 @@ def open3d_mesh(vertices: FloatArray, faces: IntArray) -> Any:
     open3d.geometry.TriangleMesh
         With copies of the arrays.
     """
-    o3d = _open3d()
+    o3d = library()
     return o3d.geometry.TriangleMesh(_vectors(vertices), o3d.utility.Vector3iVector(faces.copy()))
 
 
@@ -223,7 +229,7 @@ def poisson(
     frame = Frame.around(points)
     framed = frame.inward(points)
     _check_resolved(framed)
-    mesh, density = _open3d().geometry.TriangleMesh.create_from_point_cloud_poisson(
+    mesh, density = library().geometry.TriangleMesh.create_from_point_cloud_poisson(
         open3d_cloud(framed, normals), depth=depth, scale=scale, n_threads=1
     )
     vertices = np.array(mesh.vertices)
@@ -279,59 +285,6 @@ def simplify(vertices: FloatArray, faces: IntArray, *, n_faces: int) -> tuple[Fl
     return frame.outward(np.array(mesh.vertices)), np.array(mesh.triangles, dtype=np.int32)
 
 
-class RayScene:
-    """A surface for ray casting and distance queries, in single precision.
-
-    Parameters
-    ----------
-    vertices : (n, 3) float64
-        Coordinates.
-    faces : (m, 3) int32
-        Vertex numbers of each face.
-    """
-
-    def __init__(self, vertices: FloatArray, faces: IntArray) -> None:
-        o3d = _open3d()
-        self._tensor = o3d.core.Tensor
-        self._frame = Frame.around(vertices)
-        self._scene = o3d.t.geometry.RaycastingScene(nthreads=1)
-        self._scene.add_triangles(
-            o3d.core.Tensor(self._frame.inward(vertices).astype(np.float32)),
-            o3d.core.Tensor(np.asarray(faces, dtype=np.uint32)),
-        )
-
-    def cast(self, origins: FloatArray, directions: FloatArray) -> tuple[FloatArray, FloatArray, IntArray]:
-        """The first intersection of each ray with the surface.
-
-        Parameters
-        ----------
-        origins, directions : (k, 3) float64
-            Origins and directions of the rays; the directions may have any length.
-
-        Returns
-        -------
-        distance : (k,) float64
-            Distance from the origin in units of the length of the direction; infinite if there is none.
-        normals : (k, 3) float64
-            Unit normals of the faces, by their orientation.
-        face : (k,) int32
-            Numbers of the faces; −1 if there is no intersection.
-        """
-        length = power_of_two(float(np.abs(directions).max(initial=0)))
-        rays = np.concatenate([self._frame.inward(origins), directions / length], axis=1)  # (k, 6)
-        answer = self._scene.cast_rays(self._tensor(rays.astype(np.float32)))
-        distance = answer["t_hit"].numpy().astype(np.float64) * (self._frame.size / length)
-        face = np.where(np.isfinite(distance), answer["primitive_ids"].numpy().astype(np.int64), -1)
-        normals = answer["primitive_normals"].numpy().astype(np.float64)
-        return distance, normals, face.astype(np.int32)
-
-    def distance(self, points: FloatArray) -> FloatArray:
-        """(k,) unsigned distances of (k, 3) points to the surface."""
-        query = self._tensor(self._frame.inward(points).astype(np.float32))
-        framed: FloatArray = self._scene.compute_distance(query).numpy().astype(np.float64)
-        return framed * self._frame.size
-
-
 # --- features -----------------------------------------------------------------------------------------
 
 
@@ -354,7 +307,7 @@ def feature_histograms(points: FloatArray, normals: FloatArray, *, radius: float
     ----------
     .. [1] Rusu et al., "Fast point feature histograms (FPFH) for 3D registration", ICRA 2009.
     """
-    o3d = _open3d()
+    o3d = library()
     frame = Frame.around(points, offset=DOUBLE_OFFSET)
     search = o3d.geometry.KDTreeSearchParamRadius(radius / frame.size)
     features = o3d.pipelines.registration.compute_fpfh_feature(

@@ -12,7 +12,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from pcretrieve.adapters.open3d import RayScene
+from pcretrieve.adapters.rays import RayScene
 from pcretrieve.descriptors import describe
 from pcretrieve.errors import OptionError, ShapeError
 from pcretrieve.formats.scans import ScanLike, as_scan

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pcretrieve.adapters.open3d import RayScene
+from pcretrieve.adapters.rays import RayScene
 from pcretrieve.arrays import FloatArray, IntArray
 
 __all__ = [

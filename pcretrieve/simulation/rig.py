@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pcretrieve.adapters.open3d import RayScene
+from pcretrieve.adapters.rays import RayScene
 from pcretrieve.errors import InputError, OptionError
 from pcretrieve.simulation.checks import check_at_least, check_shares, check_surface
 from pcretrieve.simulation.faults import box_centre, outliers, outside_holes

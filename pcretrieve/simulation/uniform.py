@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from pcretrieve.adapters.open3d import RayScene
+from pcretrieve.adapters.rays import RayScene
 from pcretrieve.simulation.checks import check_at_least, check_shares, check_surface
 from pcretrieve.simulation.faults import box_centre, outliers, outside_holes
 from pcretrieve.simulation.rig import RigOptions

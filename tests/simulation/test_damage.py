@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from shapes import icosphere
 
-from pcretrieve.adapters.open3d import RayScene
+from pcretrieve.adapters.rays import RayScene
 from pcretrieve.errors import InputError, OptionError
 from pcretrieve.simulation import DamageOptions, damaged
 from pcretrieve.surface import defects

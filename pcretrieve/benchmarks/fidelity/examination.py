@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.spatial import cKDTree
 
-from pcretrieve.adapters.open3d import RayScene
+from pcretrieve.adapters.rays import RayScene
 from pcretrieve.benchmarks.memory import forget_peak, peak_memory
 from pcretrieve.descriptors import describe
 from pcretrieve.formats import read_scan

@@ -1,0 +1,59 @@
+"""Rays meet a surface where they should, in any unit and at any place."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import shapes
+
+from pcretrieve.adapters.rays import RayScene
+from pcretrieve.types import FloatArray
+
+BALL = shapes.icosphere(3)
+# A unit that is a power of two changes no digit, however far single precision is from bearing it.
+UNITS = [2.0**-150, 2.0**-40, 2.0**10, 2.0**70, 2.0**150]
+
+
+@pytest.mark.parametrize("unit", UNITS)
+def test_rays_meet_the_same_in_any_unit(unit: float) -> None:
+    rng = np.random.default_rng(0)
+    origins, directions = 2 * rng.normal(size=(500, 3)), rng.normal(size=(500, 3))
+    here, there = (RayScene(scale * BALL.vertices, BALL.faces) for scale in (1.0, unit))
+    for found, expected in zip(
+        there.cast(unit * origins, unit * directions), here.cast(origins, directions), strict=True
+    ):
+        np.testing.assert_array_equal(found, expected)
+    unscaled = there.cast(unit * origins, directions)[0]
+    np.testing.assert_array_equal(unscaled / unit, here.cast(origins, directions)[0])
+    np.testing.assert_array_equal(there.distance(unit * origins) / unit, here.distance(origins))
+
+
+@pytest.mark.parametrize("place", [np.array([2.0**20, -(2.0**24), 0]), np.array([0, 3e8, 1e9])], ids=str)
+def test_rays_meet_a_surface_far_from_the_origin(place: FloatArray) -> None:
+    """In single precision, its vertices would be 64 or more apart there, or coincide."""
+    scene = RayScene(BALL.vertices + place, BALL.faces)
+    distance, _, _ = scene.cast(np.array([[3.0, 0.1, 0.2]]) + place, np.array([[-1.0, 0.0, 0.0]]))
+    assert distance[0] == pytest.approx(3 - np.sqrt(1 - 0.05), abs=0.01)
+    assert scene.distance(place[None]) == pytest.approx(1, abs=0.02)
+
+
+def test_rays_meet_the_sphere_where_they_should() -> None:
+    scene = RayScene(BALL.vertices, BALL.faces)
+    origins = np.array([[3.0, 0.1, 0.2], [3.0, 0.0, 0.0], [0.0, 0.0, 5.0]])
+    directions = np.array([[-1.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -2.0]])
+    distance, normals, face = scene.cast(origins, directions)
+    assert distance[0] == pytest.approx(3 - np.sqrt(1 - 0.05), abs=0.01)
+    assert np.isinf(distance[1])
+    assert face[1] == -1
+    assert distance[2] == pytest.approx(2.0, abs=0.01)  # in lengths of the direction
+    for ray in (0, 2):
+        corners = BALL.vertices[BALL.faces[face[ray]]]
+        hit = origins[ray] + distance[ray] * directions[ray]
+        assert np.linalg.det(corners - hit) == pytest.approx(0, abs=1e-6)  # in the plane of that face
+        assert normals[ray] @ hit > 0.9  # outwards, as its faces are
+
+
+def test_distances_to_the_sphere() -> None:
+    query = np.array([[0.0, 0.0, 0.0], [2.0, 0.0, 0.0], [0.0, -0.5, 0.0]])
+    found = RayScene(BALL.vertices, BALL.faces).distance(query)
+    np.testing.assert_allclose(found, [1, 1, 0.5], atol=0.02)
