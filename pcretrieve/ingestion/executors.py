@@ -44,7 +44,7 @@ class Executor(Protocol):
         Parameters
         ----------
         function : callable
-            The function, its argument and what it returns can be pickled. It does not return None.
+            The function, its argument and what it returns can be pickled.
         items : iterable
             Must be read by the thread that iterates over the outcomes, because reading writes to the
             catalogue; and a few items at a time, as workers become free, because the files of later items are

@@ -47,6 +47,10 @@ def halved(values: np.ndarray) -> np.ndarray:
     return values / 2
 
 
+def nothing(number: int) -> None:
+    pass
+
+
 def raise_in_surface(error: Exception, item: int) -> int:
     if item % 2:
         with in_stage(Stage.SURFACE):
@@ -60,7 +64,8 @@ def test_each_item_has_one_outcome(executor: Executor) -> None:
     assert not list(executor(half, [], **LIMITS))
 
 
-def test_items_and_outcomes_can_be_arrays(executor: Executor) -> None:
+def test_items_and_outcomes_can_be_arrays_and_none(executor: Executor) -> None:
+    assert dict(executor(nothing, range(3), **LIMITS)) == dict.fromkeys(range(3))
     ((item, outcome),) = executor(halved, [np.arange(3)], **LIMITS)
     np.testing.assert_array_equal(item, [0, 1, 2])
     np.testing.assert_array_equal(outcome, [0, 0.5, 1])

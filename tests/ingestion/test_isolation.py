@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import ctypes
-import multiprocessing
 import os
 import subprocess
 import sys
@@ -12,6 +11,7 @@ import time
 import numpy as np
 import pytest
 import shapes
+from processes import all_workers_ended
 
 from pcretrieve.errors import (
     InputError,
@@ -57,13 +57,13 @@ def test_what_a_function_returns_comes_from_another_process() -> None:
     process, values = Isolation().call(doubled, np.arange(3), times=5)
     assert process != os.getpid()
     np.testing.assert_array_equal(values, [0, 10, 20])
-    assert not multiprocessing.active_children()
+    assert all_workers_ended()
 
 
 def test_a_crash_of_native_code_is_an_error() -> None:
     with pytest.raises(WorkerDied, match="ended with SIGSEGV"):
         Isolation().call(crash)
-    assert not multiprocessing.active_children()
+    assert all_workers_ended()
 
 
 @pytest.mark.parametrize(
@@ -84,7 +84,7 @@ def test_limits_hold() -> None:
         Isolation(timeout=1).call(time.sleep, 1000)
     with pytest.raises(MemoryExceeded, match="--memory"):
         Isolation(memory=1).call(fill, 2)
-    assert not multiprocessing.active_children()
+    assert all_workers_ended()
 
 
 def test_items_are_answered_in_their_order() -> None:

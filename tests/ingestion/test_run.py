@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import multiprocessing
 import os
 import signal
 import subprocess
@@ -15,6 +14,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import shapes
+from processes import all_workers_ended
 
 from pcretrieve import Catalogue, __version__
 from pcretrieve.catalogue import Record
@@ -366,7 +366,7 @@ def test_one_shape_takes_no_other_with_it(folder: Path, catalogue: Catalogue) ->
     for deed, (error, stage, words) in CAUSES.items():
         assert (failed[deed].error, failed[deed].stage) == (error, stage)
         assert words in str(failed[deed].message)
-    assert not multiprocessing.active_children()
+    assert all_workers_ended()
 
 
 @pytest.mark.usefixtures("vicious")
@@ -394,7 +394,7 @@ def test_an_interrupt_keeps_what_is_stored_and_ends_the_workers(folder: Path, ca
 
     with pytest.raises(KeyboardInterrupt):
         again(folder, catalogue, on_shape=interrupt)
-    assert not multiprocessing.active_children()
+    assert all_workers_ended()
     assert len(again(folder, catalogue).held) <= 1  # the copy was told of first, perhaps
     assert catalogue.signatures().ids == ("a", "b")
 

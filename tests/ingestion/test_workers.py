@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import multiprocessing
 import os
 import signal
 import threading
@@ -13,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from processes import all_workers_ended
 
 from pcretrieve.errors import (
     InputError,
@@ -24,7 +24,7 @@ from pcretrieve.errors import (
     WorkerDied,
     in_stage,
 )
-from pcretrieve.ingestion import workers
+from pcretrieve.ingestion import worker, workers
 from pcretrieve.ingestion.isolation import Isolation
 from pcretrieve.ingestion.workers import outcomes
 
@@ -58,11 +58,11 @@ def send_half(number: int, item: int) -> int:
     """An odd item is killed, or stopped, while it sends."""
 
     def half(answers: object, message: bytes) -> None:
-        os.write(answers.fileno(), workers.LENGTH.pack(len(message)) + message[:1])  # type: ignore[attr-defined]
+        os.write(answers.fileno(), worker.LENGTH.pack(len(message)) + message[:1])  # type: ignore[attr-defined]
         os.kill(os.getpid(), number)
 
     if item % 2:
-        workers._send = half
+        worker._send = half
     return item
 
 
@@ -112,18 +112,18 @@ def test_every_item_has_its_outcome_and_no_process_is_left() -> None:
     found = dict(outcomes(own_process, range(N_ITEMS), prepare=nothing, workers=2, timeout=60))
     assert [found[item][0] for item in range(N_ITEMS)] == list(range(N_ITEMS))  # type: ignore[index]
     assert 1 <= len({process for _, process in found.values()}) <= 2  # type: ignore[misc]
-    assert not multiprocessing.active_children()
+    assert all_workers_ended()
 
 
 def test_no_more_workers_are_started_than_there_are_items(monkeypatch: pytest.MonkeyPatch) -> None:
     started: list[object] = []
 
-    class Counted(workers._Worker[int, object]):
+    class Counted(worker.Worker[int, object]):
         def __init__(self, function: Callable[[int], object], prepare: Callable[[], object]) -> None:
             super().__init__(function, prepare)
             started.append(self)
 
-    monkeypatch.setattr(workers, "_Worker", Counted)
+    monkeypatch.setattr(workers, "Worker", Counted)
     assert len(dict(outcomes(own_process, range(2), prepare=nothing, workers=8, timeout=60))) == 2
     assert len(started) == 2
 
@@ -141,7 +141,7 @@ def test_items_are_read_as_they_are_asked_for() -> None:
     next(running)
     assert n_read <= 4
     running.close()
-    assert not multiprocessing.active_children()
+    assert all_workers_ended()
 
 
 def test_a_worker_is_replaced_after_so_many_items(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -192,7 +192,7 @@ def test_a_worker_that_is_killed_before_its_first_item_is_replaced(
         PcretrieveError, match="5 worker processes in a row ended, or hung, before they could take"
     ):
         list(outcomes(own_process, range(3), prepare=partial(os._exit, 1), workers=2, timeout=60))
-    assert not multiprocessing.active_children()
+    assert all_workers_ended()
 
 
 @pytest.mark.parametrize(
