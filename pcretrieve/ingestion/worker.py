@@ -99,7 +99,15 @@ class Worker(Generic[Item, Answer]):
         return self._answers, self._process.sentinel
 
     def take(self, task: Task[Item], timeout: float) -> None:
-        """Hand a task to the worker, which has none."""
+        """Hand a task to the worker, which has none.
+
+        Parameters
+        ----------
+        task : Task
+            What to work on.
+        timeout : float
+            Longest time for it; seconds.
+        """
         task.attempts += 1
         self.task = task
         self.n_tasks += 1
@@ -166,6 +174,11 @@ def interrupts_blocked() -> Iterator[None]:
     """Let the processes that are started inside never see Ctrl-C, not even while they still import.
 
     The terminal sends it to all processes; the process that started the others decides what it means.
+
+    Yields
+    ------
+    None
+        Once, for the start of the processes.
     """
     # The resource tracker is started with the first worker, and would lift the block.
     resource_tracker.ensure_running()
