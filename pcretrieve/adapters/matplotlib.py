@@ -6,6 +6,7 @@ axes, so that several plots can be in one figure.
 
 from __future__ import annotations
 
+import io
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -13,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from pcretrieve.arrays import FloatArray, IntArray
+from pcretrieve.atomic import write_file
 from pcretrieve.errors import InputError
 
 __all__ = ["draw_curves", "plot_points", "plot_ranking", "plot_signature", "plot_spectrum", "plot_surface"]
@@ -214,7 +216,7 @@ def draw_curves(
     Raises
     ------
     InputError
-        If matplotlib is not installed.
+        If matplotlib is not installed, or the file cannot be written.
     """
     _pyplot()  # raises an error if matplotlib is not installed
     from matplotlib.figure import Figure
@@ -226,4 +228,6 @@ def draw_curves(
     axes.set_xlabel(x_label)
     axes.set_ylabel(y_label)
     axes.legend()
-    figure.savefig(path, dpi=150)
+    data = io.BytesIO()
+    figure.savefig(data, dpi=150, format=path.suffix.removeprefix(".") or None)
+    write_file(path, data.getvalue())

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import io
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -10,6 +11,7 @@ from pathlib import Path
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
+from pcretrieve.atomic import write_file
 from pcretrieve.catalogue import Catalogue
 from pcretrieve.conversion import as_cloud
 from pcretrieve.formats import read_scan
@@ -60,7 +62,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
         pen.text((x + SIDE / 2, MARGIN + SIDE + 4), words, INK, font, anchor="ma")
     x = MARGIN + 2 * (SIDE + MARGIN) - MARGIN // 2
     pen.line((x, MARGIN, x, MARGIN + SIDE), rgb(CLAY), 2)
-    sheet.save(given.output, optimize=True)
+    data = io.BytesIO()
+    sheet.save(data, "PNG", optimize=True)
+    write_file(given.output, data.getvalue())
     sys.stdout.write(f"{given.output}\n")
 
 

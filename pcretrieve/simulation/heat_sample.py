@@ -9,6 +9,7 @@ points spread evenly over simulated people, animals and hands. Half a minute.
 from __future__ import annotations
 
 import argparse
+import io
 from collections.abc import Iterator, Sequence
 from importlib import resources
 from pathlib import Path
@@ -16,6 +17,7 @@ from pathlib import Path
 import click
 import numpy as np
 
+from pcretrieve.atomic import write_file
 from pcretrieve.descriptors.hks_bow import SAMPLE, heat_features
 from pcretrieve.simulation.bodies import POSES, body, make_subject
 from pcretrieve.spectral import unit_eigenpairs
@@ -41,7 +43,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
     ).parse_args(arguments)
     sample = np.concatenate(list(features()), axis=1).astype(np.float32)  # (2, s, 6)
     path = Path(str(resources.files("pcretrieve.descriptors").joinpath(SAMPLE)))
-    np.save(path, sample)
+    data = io.BytesIO()
+    np.save(data, sample)
+    write_file(path, data.getvalue())
     click.echo(f"{path}: {sample.shape}")
 
 

@@ -10,6 +10,7 @@ from cells of three quarters and of four thirds of the default size. Ten minutes
 from __future__ import annotations
 
 import argparse
+import io
 from collections.abc import Sequence
 from importlib import resources
 from pathlib import Path
@@ -19,6 +20,7 @@ import numpy as np
 from pebble import ProcessPool
 from tqdm import tqdm
 
+from pcretrieve.atomic import write_file
 from pcretrieve.descriptors import reduced_matrix
 from pcretrieve.options import PipelineOptions
 from pcretrieve.pipeline.process import process
@@ -55,7 +57,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
         futures = [pool.schedule(log_eigenvalues, args=which) for which in bodies]
         sample = np.stack([future.result() for future in tqdm(futures, unit="body")], axis=1)
     path = Path(str(resources.files("pcretrieve.retrieval").joinpath(SAMPLE)))
-    np.save(path, sample.astype(np.float32))
+    data = io.BytesIO()
+    np.save(data, sample.astype(np.float32))
+    write_file(path, data.getvalue())
     click.echo(f"{path}: {sample.shape}")
 
 

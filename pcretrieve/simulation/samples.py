@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import argparse
 import csv
+import io
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,6 +17,7 @@ import click
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from pcretrieve.atomic import write_file
 from pcretrieve.errors import OptionError
 from pcretrieve.simulation.bodies import POSES, body, make_subject
 from pcretrieve.simulation.files import write_conf, write_pcd, write_ply
@@ -129,8 +131,9 @@ def write_samples(
                 path = _write_sample(folder, subject, pose, seeds=(seed, number, take))
                 labels[path.relative_to(folder).as_posix()] = subject.name
                 on_scan(path)
-    with (folder / "labels.csv").open("w", newline="", encoding="utf-8") as file:
-        csv.writer(file, lineterminator="\n").writerows([("file", "class"), *labels.items()])
+    text = io.StringIO(newline="")
+    csv.writer(text, lineterminator="\n").writerows([("file", "class"), *labels.items()])
+    write_file(folder / "labels.csv", text.getvalue().encode())
     return labels
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import io
 import json
 import statistics
 from collections.abc import Iterable, Iterator, Sequence
@@ -12,6 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from pcretrieve.atomic import write_file
 from pcretrieve.benchmarks.fidelity.examination import Signatures
 from pcretrieve.benchmarks.sets import Item
 from pcretrieve.benchmarks.tables import Column, Table, is_missing
@@ -170,12 +172,13 @@ def append(path: Path, row: Row) -> None:
     row : Row
         What to append.
     """
-    new = not path.exists()
-    with path.open("a", newline="", encoding="utf-8") as file:
-        writer = csv.DictWriter(file, [field.name for field in fields(Row)], lineterminator="\n")
-        if new:
-            writer.writeheader()
-        writer.writerow(asdict(row))
+    before = path.read_bytes() if path.exists() else b""
+    text = io.StringIO(newline="")
+    writer = csv.DictWriter(text, [field.name for field in fields(Row)], lineterminator="\n")
+    if not before:
+        writer.writeheader()
+    writer.writerow(asdict(row))
+    write_file(path, before + text.getvalue().encode())
 
 
 def retrieval(
