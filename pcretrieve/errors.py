@@ -53,7 +53,7 @@ PACKAGE = str(Path(__file__).parent)
 
 
 class Stage(str, Enum):
-    """The stages from a file to a stored shape."""
+    """The stages of pcretrieve from a file to a stored shape. Other packages add stages of other names."""
 
     READ = "read"
     MERGE = "merge"
@@ -78,18 +78,18 @@ class PcretrieveError(Exception):
     ----------
     message : str
         What must hold, what was given, what to do.
-    stage : Stage or None
-        The stage that failed.
+    stage : str or None
+        The stage that failed: a `Stage`, or the name of a stage that another package adds.
     shape_id : str or None
         Identifier of the shape that was being processed.
     """
 
     default_stage: Stage | None = None
 
-    def __init__(self, message: str, *, stage: Stage | None = None, shape_id: str | None = None) -> None:
+    def __init__(self, message: str, *, stage: str | None = None, shape_id: str | None = None) -> None:
         super().__init__(message)
         self.message = message
-        self.stage = stage or self.default_stage
+        self.stage: str | None = stage or self.default_stage
         self.shape_id = shape_id
 
     def __str__(self) -> str:
@@ -184,12 +184,12 @@ class CatalogueError(PcretrieveError):
 
 
 @contextmanager
-def in_stage(stage: Stage) -> Iterator[None]:
+def in_stage(stage: str) -> Iterator[None]:
     """Add the stage to the exceptions that are raised inside, and replace those of other libraries.
 
     Parameters
     ----------
-    stage : Stage
+    stage : str
         Stage of the exceptions that have none yet.
 
     Yields
@@ -219,7 +219,7 @@ def in_stage(stage: Stage) -> Iterator[None]:
         raise
 
 
-def shape_error(error: BaseException, stage: Stage | None = None) -> PcretrieveError:
+def shape_error(error: BaseException, stage: str | None = None) -> PcretrieveError:
     """Convert any exception to one of this module, which can be pickled and unpickled in another process.
 
     Parameters
@@ -227,7 +227,7 @@ def shape_error(error: BaseException, stage: Stage | None = None) -> PcretrieveE
     error : BaseException
         An exception of a subclass of a class of this module, which may be defined in another package, is
         converted to the class of this module.
-    stage : Stage, optional
+    stage : str, optional
         The stage that failed, if the exception does not have one.
 
     Returns
@@ -236,10 +236,12 @@ def shape_error(error: BaseException, stage: Stage | None = None) -> PcretrieveE
         An exception of a class of this module, with the message of `error`.
     """
     own = getattr(error, "stage", None)
-    stage = own if isinstance(own, Stage) else stage
+    # In an exception of another library, the attribute may mean something else, unless `in_stage` has set it.
+    kind = str if isinstance(error, PcretrieveError) else Stage
+    stage = own if isinstance(own, kind) else stage
     if isinstance(error, PcretrieveError):
-        kind = next(base for base in type(error).__mro__ if base.__module__ == __name__)
-        return error if kind is type(error) else kind(error.message, stage=stage)
+        base = next(base for base in type(error).__mro__ if base.__module__ == __name__)
+        return error if base is type(error) else base(error.message, stage=stage)
     if isinstance(error, MemoryError):
         return MemoryExceeded(
             "the scan needs more memory than there is, or than --memory allows: raise that, or thin the scan",

@@ -27,7 +27,9 @@ NAMES = {
     names.kind: names
     for names in (
         Names("element", "pcretrieve.elements", ("linear", "cubic", "intrinsic-delaunay", "points")),
+        Names("point filter", "pcretrieve.point_filters", ("clean", "orient")),
         Names("surface method", "pcretrieve.surface_methods", ("growth", "poisson")),
+        Names("surface filter", "pcretrieve.surface_filters", ("remesh",)),
         Names("descriptor", "pcretrieve.signatures", tuple(METHODS)),
         Names("distance", "pcretrieve.distances", ("log", "d1", "d2")),
         Names("matcher", "pcretrieve.matchers", ("heat-hausdorff",)),

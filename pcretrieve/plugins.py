@@ -19,7 +19,7 @@ from functools import cache
 from importlib.metadata import EntryPoint, entry_points
 from typing import Generic, Protocol, TypeVar
 
-from pcretrieve.errors import InputError, OptionError, ShapeError, Stage
+from pcretrieve.errors import InputError, OptionError, ShapeError
 
 __all__ = ["Named", "Names", "Registry", "named"]
 
@@ -178,18 +178,19 @@ class Registry(Generic[Record]):
         return f" {point.dist.name} {point.dist.version}" if point.dist else f" {point.module}"
 
     @contextmanager
-    def blamed(self, name: str, stage: Stage | None = None) -> Iterator[None]:
+    def blamed(self, name: str, stage: str | None = None) -> Iterator[None]:
         """Turn the exceptions of a record's function into one of pcretrieve that names its package.
 
         It is a ShapeError in a stage of one shape, else an OptionError, since an option has named the record.
-        ShapeError, OptionError and MemoryError are not changed. Of the other exceptions of pcretrieve's own
-        records, only InputError is changed: there the shape has led to values that are not valid.
+        OptionError and MemoryError are not changed; a ShapeError gets the stage. Of the exceptions of
+        pcretrieve's own records, only InputError is changed: there the shape has led to values that are not
+        valid.
 
         Parameters
         ----------
         name : str
             Name of the record.
-        stage : Stage, optional
+        stage : str, optional
             Stage of the ShapeError.
 
         Yields
@@ -205,13 +206,15 @@ class Registry(Generic[Record]):
         try:
             yield
         except Exception as error:
+            if isinstance(error, ShapeError) and stage and name not in self.own:
+                error.stage = stage
             if isinstance(error, _UNCHANGED) or (name in self.own and not isinstance(error, InputError)):
                 raise
             raise self._failed(name, stage, error) from error
         except SystemExit as error:
             raise self._failed(name, stage, error) from error
 
-    def _failed(self, name: str, stage: Stage | None, error: BaseException) -> ShapeError | OptionError:
+    def _failed(self, name: str, stage: str | None, error: BaseException) -> ShapeError | OptionError:
         message = f"{self.called(name)} failed, {type(error).__name__}: {error}"
         return ShapeError(message, stage=stage) if stage else OptionError(f"{message}; {ADVICE}")
 

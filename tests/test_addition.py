@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import json
+import os
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +20,14 @@ from pcretrieve.options import RetrievalOptions
 from pcretrieve.types import SignatureTable
 
 MESH = shapes.body(3)
+
+CHAIN = """
+[pipeline]
+stages = ["cut", "clean", "orient", "hull", "stretch", "spectrum"]
+
+[pipeline.cut]
+height = 0.8
+"""
 
 
 @pytest.fixture(autouse=True)
@@ -49,6 +61,41 @@ def test_a_surface_method() -> None:
     assert [step.stage for step in surface.provenance] == ["clean", "orient", "surface"]
     assert surface.volume == pytest.approx(ConvexHull(scan).volume, rel=0.02)
     assert signature(scan, options).deviation is None
+
+
+def test_filters_in_a_chain(tmp_path: Path) -> None:
+    (tmp_path / "chain.toml").write_text(CHAIN)
+    scan = shapes.points_on(MESH, 4000)
+    surface = reconstruct(scan, tmp_path / "chain.toml")
+    assert [step.stage for step in surface.provenance] == ["cut", "clean", "orient", "surface", "stretch"]
+    low = scan[scan[:, 2] < 0.8]
+    assert surface.provenance[0].sizes == {"points_in": 4000, "points": len(low)}
+    assert surface.volume == pytest.approx(2 * ConvexHull(low).volume, rel=0.03)
+
+
+def test_filters_of_the_command_line(tmp_path: Path) -> None:
+    (tmp_path / "chain.toml").write_text(CHAIN)
+    np.savetxt(tmp_path / "scan.xyz", shapes.points_on(MESH, 4000))
+    path = os.pathsep.join([str(tmp_path / "site"), *filter(None, [os.environ.get("PYTHONPATH")])])
+
+    def run(*arguments: str) -> str:
+        command = [sys.executable, "-m", "pcretrieve", *arguments, "--config", "chain.toml"]
+        environment = os.environ | {"PYTHONPATH": path}
+        done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True)
+        assert done.returncode == 0, done.stderr
+        return done.stdout
+
+    answer = json.loads(run("reconstruct", "scan.xyz", "-o", "body.ply", "--json"))
+    stages = [step["stage"] for step in answer["steps"]]
+    assert stages == ["read", "cut", "clean", "orient", "surface", "stretch"]
+    surface = reconstruct(tmp_path / "scan.xyz", tmp_path / "chain.toml")
+    assert answer["volume"] == pytest.approx(surface.volume, rel=1e-9)
+    printed = run("options")
+    (tmp_path / "printed.toml").write_text(printed)
+    options = PipelineOptions.from_toml(tmp_path / "printed.toml")
+    assert options == PipelineOptions.from_toml(tmp_path / "chain.toml")
+    assert 'stages = ["cut", "clean", "orient", "surface", "stretch", "spectrum"]' in printed
+    assert "# The z coordinate of the plane; unit of the file.\nheight = 0.8\n" in printed
 
 
 def test_a_distance() -> None:

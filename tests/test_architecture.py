@@ -147,7 +147,7 @@ def test_nothing_but_the_pipeline_composes_the_stages() -> None:
         # Benchmarks hold what single stages make against the truth.
         if len(rooms_used(path) & COMPOSED) > 2 and room(path) != "benchmarks"
     }
-    assert composing == {"pipeline/process.py"}
+    assert composing == {"pipeline/stages.py"}
 
 
 def test_third_parties_have_one_door_each(source: Path) -> None:

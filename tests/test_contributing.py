@@ -37,12 +37,18 @@ def names(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> dict[str, object]:
 
 
 def test_the_examples_run(names: dict[str, object]) -> None:
-    """The added format, element, descriptor, distance and executor made a catalogue; then the rest."""
+    """The added format, stages, element, descriptor, distance and executor make a catalogue."""
     with pr.Catalogue("bodies.sqlite") as catalogue:
         table, options = catalogue.signatures(), catalogue.options
         assert table.values.shape == (2, 5)
         index = PairwiseIndex(MATCHERS["girth"], table.ids, catalogue.shape)
         assert index.nearest("thin").ids == ("thin", "body")
+        stages = [step.stage for step in catalogue.record("body").steps]
+        assert stages == ["read", "topology", "near", "smooth", "spectrum"]  # a mesh that is kept
+    points = shapes.points_on(shapes.body(3), 3000)
+    surface = pr.reconstruct(np.concatenate([points, points[:20] + 20]), options)
+    assert [step.stage for step in surface.provenance] == ["near", "clean", "orient", "surface", "smooth"]
+    assert surface.provenance[0].sizes == {"points_in": 3020, "points": 3000}
     copy = names["copy"]
     assert callable(copy)
     packed = {name: packed_values(values) for name, values in zip(table.ids, table.values, strict=True)}

@@ -17,6 +17,7 @@ from pcretrieve.options import (
 
 # Another value for each option: one that its type and limits allow, and that is not the default.
 OTHER: dict[str, dict[str, Any]] = {
+    "pipeline": {"stages": ("clean", "orient", "surface", "spectrum")},
     "scan": {
         "voxel": 0.01,
         "outlier_neighbors": 10,
@@ -121,6 +122,9 @@ def test_what_a_file_does_not_name_keeps_its_default(tmp_path: Path) -> None:
             r"in \[surface\], mode: input should be 'auto', 'reconstruct' or 'keep', got 'guess'",
         ),
         (b"surface = 3\n", r"surface: input should be a valid dictionary .*, got 3"),
+        (b"[pipeline]\nstages = [['clean']]\n", r"in \[pipeline\], stages.0: input should be a valid string"),
+        (b"pipeline = 3\n", r"pipeline: input should be a valid dictionary .*, got 3"),
+        (b"pipeline = 3\nsurface = 3\n", r"pipeline: .* got 3; surface: .*, got 3"),
     ],
 )
 def test_a_bad_file_says_what_is_wrong_with_it(text: bytes, message: str, tmp_path: Path) -> None:

@@ -88,7 +88,7 @@ def point_checks(cloud: PointCloud, *, spacing: float) -> list[Check]:
     Parameters
     ----------
     cloud : PointCloud
-        With a step ``clean`` in its provenance.
+        The check "Outliers" is left out if there is no step ``clean`` in the provenance.
     spacing : float
         Median distance from a point to its nearest neighbour; unit of the file.
 
@@ -99,9 +99,7 @@ def point_checks(cloud: PointCloud, *, spacing: float) -> list[Check]:
         were removed as statistical outliers. "Outside": no value.
     """
     share = spacing / cloud.diagonal
-    cleaned = next(step.sizes for step in cloud.provenance if step.stage == "clean")
-    outliers = 1 - cleaned["points"] / cleaned["points_thinned"]
-    return [
+    checks = [
         _graded(
             "Points",
             share,
@@ -109,18 +107,22 @@ def point_checks(cloud: PointCloud, *, spacing: float) -> list[Check]:
             f"{len(cloud.points):,} points, {_percent(share)} of the diagonal apart",
             passed="Dense enough for limbs and fingers.",
             poor="Thin parts may be lost: scan more densely, or from nearer.",
-        ),
-        _graded(
-            "Outliers",
-            outliers,
-            OUTLIERS,
-            f"{_percent(outliers)} dropped",
-            passed="Single points off the surface were removed.",
-            poor="Look at the points in red: if they belong to the body, raise scan.outlier_std; "
-            "else scan again.",
-        ),
-        _sensor_check(cloud),
+        )
     ]
+    for cleaned in [step.sizes for step in cloud.provenance if step.stage == "clean"]:
+        outliers = 1 - cleaned["points"] / cleaned["points_thinned"]
+        checks.append(
+            _graded(
+                "Outliers",
+                outliers,
+                OUTLIERS,
+                f"{_percent(outliers)} dropped",
+                passed="Single points off the surface were removed.",
+                poor="Look at the points in red: if they belong to the body, raise scan.outlier_std; "
+                "else scan again.",
+            )
+        )
+    return [*checks, _sensor_check(cloud)]
 
 
 def normal_checks(normals: FloatArray, neighbors: NDArray[np.intp]) -> list[Check]:

@@ -31,8 +31,10 @@ from pcretrieve.inspection.checks import (
 )
 from pcretrieve.inspection.inspection import Inspection
 from pcretrieve.options import OptionsLike, PipelineOptions
-from pcretrieve.pipeline.process import described_shape, placed, signature, surface_stages
+from pcretrieve.pipeline.process import placed, signature
 from pcretrieve.pipeline.seen import Seen
+from pcretrieve.pipeline.spectra import shape_of
+from pcretrieve.pipeline.stages import stages
 from pcretrieve.surface import (
     sampled,
     sound_mesh,
@@ -195,9 +197,9 @@ def _stages(scan: object, options: PipelineOptions, n_rescans: int) -> Iterator[
     """The results of `pcretrieve.pipeline.process.signature` after each stage; then those of the rescans."""
     with placed(scan):
         seen = Seen()
-        for seen in surface_stages(scan, options):
+        for seen in stages(scan, options):
             yield _Described(seen)
-        described = describe(described_shape(seen, options), options.signature)
+        described = describe(shape_of(seen, options), options.signature)
         yield (so_far := _Described(seen, replace(described, digest=options.signature_digest)))
         if n_rescans and seen.scan is not None:
             rescans = _rescans(seen.scan, options, n=n_rescans, share=RESCAN_SHARE, seed=0)

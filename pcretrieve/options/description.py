@@ -3,11 +3,18 @@
 from __future__ import annotations
 
 import json
+import re
+from collections.abc import Iterator
+from inspect import cleandoc
+from typing import Any
 
 from pcretrieve.options.model import Options
 from pcretrieve.options.pipeline import PipelineOptions
 
 __all__ = ["describe_options", "options_difference"]
+
+# Keys of TOML that need no quotes.
+BARE_KEY = re.compile(r"[\w-]+", re.ASCII)
 
 
 def options_difference(theirs: PipelineOptions, ours: PipelineOptions) -> list[str]:
@@ -26,12 +33,16 @@ def options_difference(theirs: PipelineOptions, ours: PipelineOptions) -> list[s
         One line for each option, such as ``surface.poisson_depth: 7 there, 8 here``.
     """
     there, here = theirs.model_dump(exclude={"retrieval"}), ours.model_dump()
-    return [
-        f"{stage}.{name}: {there[stage][name]!r} there, {here[stage][name]!r} here"
-        for stage in there
-        for name in there[stage]
-        if there[stage][name] != here[stage][name]
-    ]
+    return [line for table in there for line in _differences(table, there[table], here[table])]
+
+
+def _differences(table: str, there: dict[str, Any], here: dict[str, Any]) -> Iterator[str]:
+    # A table that only one of them has is of a filter, and the stages differ too.
+    for name in [name for name in there if name in here and there[name] != here[name]]:
+        if isinstance(there[name], dict):
+            yield from _differences(f"{table}.{name}", there[name], here[name])
+        else:
+            yield f"{table}.{name}: {there[name]!r} there, {here[name]!r} here"
 
 
 def describe_options(options: PipelineOptions) -> str:
@@ -47,12 +58,24 @@ def describe_options(options: PipelineOptions) -> str:
     str
         A TOML document that `PipelineOptions.from_toml` reads back to equal options.
     """
-    lines = []
-    for stage in type(options).model_fields:
-        group: Options = getattr(options, stage)
-        lines += [f"# {group.__doc__}", f"[{stage}]"]
-        for name, info in type(group).model_fields.items():
-            lines += [f"# {line}" for line in (info.description or "").splitlines()]
-            lines += [f"{name} = {json.dumps(getattr(group, name))}"]
-        lines.append("")
-    return "\n".join(lines)
+    tables = [_table(name, getattr(options, name)) for name in type(options).model_fields]
+    return "\n".join(line for table in tables for line in table)
+
+
+def _table(name: str, options: Options) -> Iterator[str]:
+    """The lines of one table, and of the tables in it."""
+    yield from _comment(options.__doc__)
+    yield f"[{name}]"
+    for option, info in type(options).model_fields.items():
+        yield from _comment(info.description)
+        # TOML has no null.
+        value = getattr(options, option)
+        yield f"# {option} =" if value is None else f"{option} = {json.dumps(value)}"
+    yield ""
+    for inner, table in (options.model_extra or {}).items():
+        key = inner if BARE_KEY.fullmatch(inner) else json.dumps(inner)
+        yield from _table(f"{name}.{key}", table)
+
+
+def _comment(text: str | None) -> list[str]:
+    return [f"# {line}".rstrip() for line in cleandoc(text or "").splitlines()]

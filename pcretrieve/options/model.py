@@ -43,8 +43,10 @@ def _explain(error: ValidationError) -> str:
     for problem in error.errors():
         name = ".".join(str(part) for part in problem["loc"] if part not in TYPES_TRIED)
         cause = problem.get("ctx", {}).get("error")
-        if isinstance(cause, OptionError):
-            clauses.append(f"in [{name}], {cause.message}")
+        if isinstance(cause, OptionError) and name:
+            # The message of a table in a table begins with the name of the inner one.
+            inner = cause.message.removeprefix("in [")
+            clauses.append(f"in [{name}{'], ' if inner == cause.message else '.'}{inner}")
         elif problem["type"] == "value_error":
             clauses.append(f"{name}: {cause}" if name else str(cause))
         elif problem["type"] == "extra_forbidden":

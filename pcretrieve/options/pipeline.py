@@ -9,13 +9,17 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, TypeAlias
 
+from pydantic import model_validator
+
 from pcretrieve.errors import OptionError
+from pcretrieve.names import NAMES
 from pcretrieve.options.catalogue import CatalogueOptions
 from pcretrieve.options.model import Options
 from pcretrieve.options.presets import PRESETS
 from pcretrieve.options.retrieval import RetrievalOptions
 from pcretrieve.options.scan import ScanOptions
 from pcretrieve.options.signature import Scale, SignatureOptions, SpectralOptions
+from pcretrieve.options.stages import StageOptions, check_chain, link_of, with_method
 from pcretrieve.options.surface import RemeshOptions, SurfaceOptions
 
 if sys.version_info >= (3, 11):
@@ -37,6 +41,7 @@ OptionsLike: TypeAlias = "PipelineOptions | Mapping[str, Any] | str | Path | Non
 class PipelineOptions(Options):
     """The options of all stages. `PipelineOptions()` are the defaults; docs/decisions.md has the reasons."""
 
+    pipeline: StageOptions = StageOptions()
     scan: ScanOptions = ScanOptions()
     surface: SurfaceOptions = SurfaceOptions()
     remesh: RemeshOptions = RemeshOptions()
@@ -44,6 +49,19 @@ class PipelineOptions(Options):
     signature: SignatureOptions = SignatureOptions()
     retrieval: RetrievalOptions = RetrievalOptions()
     catalogue: CatalogueOptions = CatalogueOptions()
+
+    @model_validator(mode="before")
+    @classmethod
+    def _with_method(cls, values: Any) -> Any:
+        return with_method(values)
+
+    @model_validator(mode="after")
+    def _leads_to_a_spectrum(self) -> PipelineOptions:
+        stages, element = self.pipeline.stages, self.spectral.element
+        # Whether the element of another package is of points, its record says when a scan is processed.
+        added = element not in NAMES["element"].own
+        check_chain(stages, of_points="surface" not in stages if added else element == "points")
+        return self
 
     @classmethod
     def from_toml(cls, path: str | Path, base: PipelineOptions | None = None) -> PipelineOptions:
@@ -182,10 +200,34 @@ class PipelineOptions(Options):
             If there is no such option, or its value is not allowed.
         """
         values = self.model_dump()
-        for stage, changes in stages.items():
+        for stage, changes in with_method(stages).items():
             known = isinstance(changes, dict) and stage in values
-            values[stage] = values[stage] | changes if known else changes
+            values[stage] = _laid_over(values[stage], changes) if known else changes
+        chain = values["pipeline"]
+        if isinstance(chain, dict) and isinstance(chain["stages"], (list, tuple)):
+            # The options of a filter that is no longer in the chain are left out with it.
+            given = ("stages", *chain["stages"], *stages.get("pipeline", {}))
+            values["pipeline"] = {name: value for name, value in chain.items() if name in given}
         return type(self)(**values)
+
+    def of_stage(self, stage: str) -> Options:
+        """The options of one stage.
+
+        Parameters
+        ----------
+        stage : str
+            A name in `pipeline.stages`.
+
+        Returns
+        -------
+        Options
+            Such as `scan` for the stage ``clean``.
+        """
+        link = link_of(stage)
+        if not link.table:
+            return self.pipeline.tables.get(stage, link.options())
+        found: Options = getattr(self, link.table)
+        return found
 
     @property
     def digest(self) -> str:
@@ -196,6 +238,9 @@ class PipelineOptions(Options):
         distances. Nor are those of `catalogue`, which change no number.
         """
         values = self.model_dump(exclude={"signature", "retrieval", "catalogue"})
+        # The digests of catalogues that were made before chains could be changed are those of the default.
+        if self.pipeline == StageOptions():
+            del values["pipeline"]
         values["numbers_version"] = NUMBERS_VERSION
         return hashlib.sha256(json.dumps(values, sort_keys=True).encode()).hexdigest()[:16]
 
@@ -227,3 +272,14 @@ class PipelineOptions(Options):
     def _digest_of(self, scale: Scale) -> str:
         signature = self.signature.model_copy(update={"scale": scale}).model_dump_json()
         return hashlib.sha256((self.digest + signature).encode()).hexdigest()[:16]
+
+
+def _laid_over(values: dict[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
+    """Values, some of which are replaced; in tables that both have, some of theirs."""
+    replaced = {
+        name: _laid_over(values[name], change)
+        if isinstance(values.get(name), dict) and isinstance(change, Mapping)
+        else change
+        for name, change in changes.items()
+    }
+    return values | replaced

@@ -35,6 +35,13 @@ class Seen:
     others: tuple[TriangleMesh, ...] = ()
 
     @property
+    def surface(self) -> TriangleMesh:
+        """The first surface; TypeError if there is none yet."""
+        if self.mesh is None:
+            raise TypeError("there must be a surface after the last stage, there is none")
+        return self.mesh
+
+    @property
     def steps(self) -> tuple[Step, ...]:
         """The steps of all stages so far, in order."""
         cloud = self.cloud if self.cloud is not None else self.scan

@@ -3,7 +3,9 @@
 In comes a point cloud with outliers; out goes a filtered one, with normals that point outwards.
 """
 
-from pcretrieve.scan.clean import clean
+from pcretrieve.options import PointFilter
+from pcretrieve.scan.clean import check_extent, clean
+from pcretrieve.scan.filters import POINT_FILTERS
 from pcretrieve.scan.normals import oriented_normals
 
-__all__ = ["clean", "oriented_normals"]
+__all__ = ["POINT_FILTERS", "PointFilter", "check_extent", "clean", "oriented_normals"]

@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 
 from pcretrieve.adapters import open3d
 from pcretrieve.errors import ReconstructionError, Stage
-from pcretrieve.options import ScanOptions
+from pcretrieve.options import PointFilter, ScanOptions
 from pcretrieve.types import FloatArray, PointCloud, Step
 
-__all__ = ["clean"]
+__all__ = ["CLEAN", "check_extent", "clean"]
 
 # Smallest number of points of a scan. With fewer points, limbs cannot be resolved.
 FEWEST_POINTS = 100
@@ -59,14 +59,14 @@ def clean(cloud: PointCloud, options: ScanOptions) -> PointCloud:
     """
     started = time.perf_counter()
     near, notes = _without_far_points(cloud)
-    _check_extent(near.points)
+    check_extent(near.points, Stage.CLEAN)
     thinned = _thinned(near, options.voxel)
-    _check_extent(thinned.points)
+    check_extent(thinned.points, Stage.CLEAN)
     inliers = open3d.statistical_inliers(
         thinned.points, n_neighbors=options.outlier_neighbors, std_ratio=options.outlier_std
     )
     kept = thinned.select(inliers)
-    _check_extent(kept.points)
+    check_extent(kept.points, Stage.CLEAN)
     n_outliers = len(thinned.points) - len(inliers)
     if n_outliers:
         notes = (*notes, f"dropped {n_outliers} of {len(thinned.points)} points as outliers")
@@ -77,6 +77,9 @@ def clean(cloud: PointCloud, options: ScanOptions) -> PointCloud:
         notes,
     )
     return kept.after(step)
+
+
+CLEAN = PointFilter("clean", clean, ScanOptions)
 
 
 def _without_far_points(cloud: PointCloud) -> tuple[PointCloud, tuple[str, ...]]:
@@ -131,12 +134,26 @@ def _averaged(cloud: PointCloud, edge: float) -> PointCloud:
     )
 
 
-def _check_extent(points: FloatArray) -> None:
+def check_extent(points: FloatArray, stage: str) -> None:
+    """Check that points can be those of a body.
+
+    Parameters
+    ----------
+    points : (n, 3) float64
+        Of a scan.
+    stage : str
+        The stage that gave the points.
+
+    Raises
+    ------
+    ReconstructionError
+        If there are fewer than 100 points, or all are equal, collinear or coplanar.
+    """
     if len(points) < FEWEST_POINTS:
         raise ReconstructionError(
             f"a scan needs at least {FEWEST_POINTS} points, got {len(points)}: scan more densely, or lower "
             "scan.voxel",
-            stage=Stage.CLEAN,
+            stage=stage,
         )
     spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False, full_matrices=False)  # (3,)
     flat = spread < SMALLEST_THICKNESS * spread[0]
@@ -144,5 +161,5 @@ def _check_extent(points: FloatArray) -> None:
         what = "are equal" if spread[0] == 0 else "lie on a line" if flat[1] else "lie in a plane"
         raise ReconstructionError(
             f"the points must span a body, all {len(points)} {what}: scan it from several sides",
-            stage=Stage.CLEAN,
+            stage=stage,
         )

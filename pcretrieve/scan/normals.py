@@ -11,12 +11,12 @@ from numpy.typing import NDArray
 
 from pcretrieve.adapters import open3d
 from pcretrieve.errors import ReconstructionError, Stage
-from pcretrieve.options import ScanOptions
+from pcretrieve.options import PointFilter, ScanOptions
 from pcretrieve.scan.sampling import SPACING_NEIGHBORS, Neighborhoods, neighborhoods, spacing
 from pcretrieve.types import FloatArray, PointCloud, Step
 from pcretrieve.voxels import Outside, flood
 
-__all__ = ["oriented_normals"]
+__all__ = ["ORIENT", "oriented_normals"]
 
 # Smallest cosine of the angle between the guide directions of two points on the same side of a thin part.
 SAME_SIDE = 0.2
@@ -78,6 +78,10 @@ def oriented_normals(cloud: PointCloud, options: ScanOptions) -> PointCloud:
     oriented, notes = ORIENTATIONS[method](cloud, options)
     step = Step("orient", time.perf_counter() - started, {"points": len(oriented)}, notes)
     return replace(cloud, normals=oriented).after(step)
+
+
+# Open3D works in single precision: far from the origin it loses the shape, or crashes.
+ORIENT = PointFilter("orient", oriented_normals, ScanOptions, gives="normals", near_origin=True)
 
 
 def _by_viewpoint(cloud: PointCloud, options: ScanOptions) -> tuple[FloatArray, tuple[str, ...]]:

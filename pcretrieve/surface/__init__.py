@@ -1,6 +1,8 @@
 """Oriented points, or a mesh with defects → closed surface: reconstruction, repair, remeshing."""
 
+from pcretrieve.options import SurfaceFilter
 from pcretrieve.surface.body import SurfaceMarks, body_surfaces
+from pcretrieve.surface.filters import SURFACE_FILTERS
 from pcretrieve.surface.methods import SURFACE_METHODS, SurfaceMethod, surfaces
 from pcretrieve.surface.reconstruct import poisson_surface, sampled, sound_mesh
 from pcretrieve.surface.remesh import remesh
@@ -8,8 +10,10 @@ from pcretrieve.surface.repair import repaired
 from pcretrieve.surface.topology import Defects, defects
 
 __all__ = [
+    "SURFACE_FILTERS",
     "SURFACE_METHODS",
     "Defects",
+    "SurfaceFilter",
     "SurfaceMarks",
     "SurfaceMethod",
     "body_surfaces",

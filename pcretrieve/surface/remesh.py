@@ -8,13 +8,13 @@ import numpy as np
 
 from pcretrieve.adapters import tetwild
 from pcretrieve.errors import RemeshError, ShapeError
-from pcretrieve.options import RemeshOptions
+from pcretrieve.options import RemeshOptions, SurfaceFilter
 from pcretrieve.surface.edges import edges_of
 from pcretrieve.surface.repair import repaired
 from pcretrieve.surface.topology import compact, defects, face_groups
 from pcretrieve.types import FloatArray, IntArray, Step, TriangleMesh
 
-__all__ = ["remesh"]
+__all__ = ["REMESH", "remesh"]
 
 # The faces of a tetrahedron of positive volume, counter-clockwise seen from outside.
 OUTWARD_FACES = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])
@@ -71,6 +71,10 @@ def remesh(mesh: TriangleMesh, options: RemeshOptions) -> TriangleMesh:
         notes,
     )
     return TriangleMesh(result.vertices, result.faces, (*mesh.provenance, step))
+
+
+# A mesh that is used without reconstruction keeps its triangles, however they are.
+REMESH = SurfaceFilter("remesh", remesh, RemeshOptions, near_origin=True, of_kept=False)
 
 
 def boundary_faces(nodes: FloatArray, tetrahedra: IntArray) -> IntArray:

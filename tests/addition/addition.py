@@ -1,17 +1,21 @@
 """A package that adds one of every kind to pcretrieve."""
 
 from collections.abc import Iterator
+from dataclasses import replace
+from typing import Annotated
 
 import numpy as np
+from pydantic import Field
 from scipy.sparse import csc_array
 from scipy.spatial import ConvexHull
 
 from pcretrieve.descriptors import Descriptor
 from pcretrieve.matching import Matcher
-from pcretrieve.options import SignatureOptions, SurfaceOptions
+from pcretrieve.options import Options, SignatureOptions, SurfaceOptions
 from pcretrieve.retrieval import Distance
+from pcretrieve.scan import PointFilter
 from pcretrieve.spectral import ELEMENTS, Assembled, Element
-from pcretrieve.surface import SurfaceMethod
+from pcretrieve.surface import SurfaceFilter, SurfaceMethod
 from pcretrieve.types import FloatArray, PointCloud, Shape, Signature, TriangleMesh
 
 
@@ -25,6 +29,30 @@ def soft(mesh: TriangleMesh) -> Assembled:
     """Linear elements of a material of half the stiffness."""
     linear = ELEMENTS["linear"].assemble(mesh)
     return linear._replace(stiffness=csc_array(linear.stiffness / 2))
+
+
+class CutOptions(Options):
+    """Points → points below a plane."""
+
+    height: float = 0.0
+    """The z coordinate of the plane; unit of the file."""
+
+
+def cut(cloud: PointCloud, options: CutOptions) -> PointCloud:
+    """The points below a horizontal plane."""
+    return cloud.select(cloud.points[:, 2] < options.height)
+
+
+class StretchOptions(Options):
+    """Surface → higher or lower surface."""
+
+    factor: Annotated[float, Field(gt=0)] = 2.0
+    """Height of the surface after the stage relative to the height before it."""
+
+
+def stretch(mesh: TriangleMesh, options: StretchOptions) -> TriangleMesh:
+    """The surface with other z coordinates."""
+    return replace(mesh, vertices=mesh.vertices * [1, 1, options.factor])
 
 
 def hull(cloud: PointCloud, options: SurfaceOptions) -> Iterator[tuple[TriangleMesh, None]]:
@@ -59,5 +87,7 @@ def taller(query: float, other: float) -> float:
 GIRTH = Descriptor("girth", girth, needs=("mesh",))
 SOFT = Element("soft", soft)
 HULL = SurfaceMethod("hull", hull)
+CUT = PointFilter("cut", cut, CutOptions)
+STRETCH = SurfaceFilter("stretch", stretch, StretchOptions)
 LARGEST = Distance("largest", largest, metrics=("logarithms", "values"))
 TALLER = Matcher("taller", height, taller, needs=("mesh",), symmetric=False)

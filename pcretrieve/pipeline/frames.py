@@ -1,0 +1,61 @@
+"""Values in the frame of the scan, or moved to the origin."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Generic, TypeVar
+
+from pcretrieve.types import FloatArray, PointCloud, TriangleMesh
+
+__all__ = ["Framed", "moved"]
+
+V = TypeVar("V", PointCloud, TriangleMesh)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Framed(Generic[V]):
+    """Points or a surface, and where the origin of their coordinates is.
+
+    Attributes
+    ----------
+    value : PointCloud or TriangleMesh
+        The points or the surface; unit of the scan.
+    origin : (3,) float64 or None
+        The origin of the coordinates in the frame of the scan; None if it is that of the scan.
+    """
+
+    value: V
+    origin: FloatArray | None = None
+
+    def near_origin(self) -> Framed[V]:
+        """The value with the mean of its points at the origin; the same if it has been moved already."""
+        if self.origin is not None:
+            return self
+        points = self.value.points if isinstance(self.value, PointCloud) else self.value.vertices
+        origin = points.mean(axis=0)
+        return Framed(moved(self.value, -origin), origin)
+
+    def in_scan(self) -> V:
+        """The value in the frame of the scan."""
+        return self.value if self.origin is None else moved(self.value, self.origin)
+
+
+def moved(value: V, by: FloatArray) -> V:
+    """Points or a surface, translated.
+
+    Parameters
+    ----------
+    value : PointCloud or TriangleMesh
+        With sensor positions, if it has any.
+    by : (3,) float64
+        The translation.
+
+    Returns
+    -------
+    PointCloud or TriangleMesh
+        Of the same class.
+    """
+    if isinstance(value, TriangleMesh):
+        return replace(value, vertices=value.vertices + by)
+    viewpoints = None if value.viewpoints is None else value.viewpoints + by
+    return replace(value, points=value.points + by, viewpoints=viewpoints)
