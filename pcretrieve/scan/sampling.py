@@ -1,7 +1,7 @@
 """The neighbours of points, and the density and the noise of a scan, which are measured by neighbours.
 
-The search for neighbours takes most of the time. A stage therefore searches once, and passes the result to
-all functions that need neighbours.
+The search for neighbours takes longer than the measurements. A stage therefore searches once, and passes the
+result to all functions that need neighbours. See docs/decisions.md, neighborhoods.
 """
 
 from __future__ import annotations
