@@ -21,6 +21,7 @@ def argument_parser(description: str | None, epilog: str | None = None) -> argpa
     Returns
     -------
     argparse.ArgumentParser
+        The parser, without arguments.
     """
     return argparse.ArgumentParser(
         description=description, epilog=epilog, formatter_class=argparse.RawDescriptionHelpFormatter
@@ -50,11 +51,12 @@ def positive(text: str) -> int:
     Parameters
     ----------
     text : str
-        What was given on the command line.
+        The argument, as it was typed.
 
     Returns
     -------
     int
+        The integer.
 
     Raises
     ------

@@ -12,17 +12,17 @@ from pcretrieve.errors import BenchmarkError
 
 __all__ = ["run_command"]
 
-# How often the memory of a running command is looked at; seconds.
+# Interval at which the memory of a running command is read; seconds.
 POLL_SECONDS = 0.02
 
 
 def run_command(*arguments: str) -> tuple[float, float]:
-    """Run ``pcretrieve`` in a process of its own, and drop what it prints on standard output.
+    """Run ``pcretrieve`` in a process of its own, and discard its standard output.
 
     Parameters
     ----------
     *arguments : str
-        Of the command line.
+        Arguments of the command line.
 
     Returns
     -------

@@ -1,11 +1,11 @@
-"""Print how well every descriptor retrieves clean meshes, with every scale, distance and whitening.
+"""Print the retrieval measures of every descriptor for clean meshes, by scale, distance and whitening.
 
     .venv/bin/python scripts/benchmark_descriptors --data FOLDER
 
 needs the sets `shrec11` and `tosca` in the folder; a set that is missing is left out, with a line of output.
-Seconds are the median of the descriptor for one shape, from what the catalogue stores, on one core. Shapes
-that have no such signature count as misses. Longer than the 15 minutes that two lengths and one scale take
-on a 2.5 GHz Xeon: `--n-values 23 45 --scale relative`.
+Seconds are the median time of the descriptor for one shape, from the stored spectrum and surface, on one
+core. Shapes without a signature count as misses. With `--n-values 23 45 --scale relative` it takes 15 minutes
+on a 2.5 GHz Xeon.
 """
 
 from __future__ import annotations
@@ -68,6 +68,7 @@ class Described(NamedTuple):
     Attributes
     ----------
     table : SignatureTable
+        The signatures.
     failed : list of (str or None)
         Classes of the shapes without such a signature.
     seconds : float
@@ -85,7 +86,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     Parameters
     ----------
     arguments : sequence of str, optional
-        By default those of the command line.
+        By default the arguments of the command line.
     """
     parser = argument_parser(__doc__)
     add_data(parser)
@@ -99,7 +100,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         nargs="+",
         choices=["relative", "area", "absolute"],
         default=["relative", "area"],
-        help="what values are measured by; area is left out where it is the same as relative",
+        help="normalisation of the values; area is left out if it gives the same values as relative",
     )
     parser.add_argument("--element", default="linear", help="finite element of the spectra")
     given = parser.parse_args(arguments)

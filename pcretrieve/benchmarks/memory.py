@@ -47,8 +47,8 @@ def peak_memory() -> float:
     Returns
     -------
     float
-        Sum over the processes of the largest memory of each; MiB. NaN where the operating system does not
-        tell.
+        Sum over the processes of the largest memory of each; MiB. NaN if the operating system does not record
+        it.
     """
     kib = 0
     for pid in _tree(os.getpid()):

@@ -39,9 +39,11 @@ class Item(NamedTuple):
     number : int
         Position in the whole set, which seeds the random numbers of its scan.
     name : str
+        Name of the mesh.
     label : str
-        Class.
+        Class of the mesh.
     mesh : TriangleMesh
+        The mesh.
     """
 
     number: int
@@ -51,19 +53,19 @@ class Item(NamedTuple):
 
 
 def left_out(part: str, folder: Path) -> str | None:
-    """What to print of a part of a benchmark whose set is missing.
+    """The line that is printed for a part of a benchmark if its set is missing.
 
     Parameters
     ----------
     part : str
         Name of the part.
     folder : Path
-        Of the set.
+        The folder of the set.
 
     Returns
     -------
     str or None
-        None if the folder exists.
+        The line; None if the folder exists.
     """
     return None if folder.is_dir() else f"{part}: left out, {folder} is not there"
 
@@ -74,11 +76,12 @@ def read_mesh(path: Path) -> TriangleMesh:
     Parameters
     ----------
     path : Path
-        Of any format that `read_scan` knows.
+        A file of any format that `read_scan` reads.
 
     Returns
     -------
     TriangleMesh
+        The mesh; unit of the file.
 
     Raises
     ------
@@ -102,18 +105,18 @@ def ingested(
     Parameters
     ----------
     folder : Path
-        Of the scans.
+        The folder of the scans.
     path : Path
         The file of the catalogue.
     options : PipelineOptions
-        Of the catalogue.
+        Options of the catalogue.
     labels : dict of name to class, optional
-        By default those of ``labels.csv`` in the folder.
+        By default the classes in ``labels.csv`` in the folder.
 
     Yields
     ------
     Catalogue, Summary
-        The catalogue, and what the ingest did.
+        The catalogue, and the records of the ingest.
     """
     labels = read_labels(folder / "labels.csv") if labels is None else labels
     with Catalogue(path, options, create=True) as catalogue:
@@ -128,7 +131,7 @@ def spread(things: Sequence[Thing], n: int | None) -> list[tuple[int, Thing]]:
     things : sequence
         Any values.
     n : int or None
-        How many; None for all.
+        Number of elements; None for all.
 
     Returns
     -------
@@ -160,4 +163,4 @@ def _humans(_: Path, limit: int | None) -> list[Item]:
 
 
 SETS: dict[str, Callable[[Path, int | None], list[Item]]] = {"tosca": _tosca, "humans": _humans}
-"""Sets of clean meshes by name: functions of the folder of all sets and of how many meshes (None: all)."""
+"""Sets of clean meshes by name: functions of the folder of all sets and the number of meshes (None: all)."""

@@ -3,8 +3,8 @@
     .venv/bin/pip install -e '.[benchmark]'
     .venv/bin/python scripts/benchmark_spectral --data FOLDER
 
-needs the set `tosca` in the folder; without it, the meshes are bumpy spheres alone. Runs of ours and of LaPy
-alternate, so that other load on the machine slows both. About 5 minutes.
+needs the set `tosca` in the folder; without it, all meshes are bumpy spheres. Runs of pcretrieve and of LaPy
+alternate, so that other load on the machine affects both. It takes about 5 minutes.
 """
 
 from __future__ import annotations
@@ -62,7 +62,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     Parameters
     ----------
     arguments : sequence of str, optional
-        By default those of the command line.
+        By default the arguments of the command line.
     """
     parser = argument_parser(__doc__)
     add_data(parser)
@@ -173,14 +173,15 @@ def square_errors(cells: tuple[int, ...], boundary: Boundary) -> tuple[FloatArra
     Returns
     -------
     errors : (len(cells),) float64
-        Relative.
+        Relative errors.
     orders : (len(cells) − 1,) float64
-        Of the error in the edge length, from each number of cells to the next.
+        Order of convergence in the edge length, from each number of cells to the next.
     """
     errors = []
     for n in cells:
         operator = laplace_beltrami(unit_square(n), "cubic", boundary=boundary)
-        # Dense: the smallest square has fewer unknowns than the iteration needs, and rounding must not show.
+        # LAPACK, because the smallest square has fewer unknowns than the iteration needs, and because
+        # rounding errors must be smaller than the errors of the elements.
         values = eigh(operator.stiffness.toarray(), operator.mass.toarray(), eigvals_only=True)
         first, exact = (1, np.pi**2) if boundary == "neumann" else (0, 2 * np.pi**2)
         errors.append(values[first] / exact - 1)

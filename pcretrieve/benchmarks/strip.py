@@ -37,7 +37,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     Parameters
     ----------
     arguments : sequence of str, optional
-        The command line; by default that of the process.
+        By default the arguments of the command line.
     """
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("catalogue", type=Path, help="a catalogue that holds the scan and its neighbours")

@@ -13,12 +13,13 @@ __all__ = ["bumpy_sphere", "quartered", "unit_square"]
 def bumpy_sphere(n: int) -> TriangleMesh:
     """A closed surface of `n` vertices without any symmetry, so that no two eigenvalues are equal.
 
-    A sphere, sampled on a Fibonacci spiral, with hills and valleys, and stretched to an ellipsoid.
+    It is a sphere that is sampled on a Fibonacci spiral, displaced by a smooth function, and stretched to an
+    ellipsoid.
 
     Parameters
     ----------
     n : int
-        At least 4.
+        Number of vertices, at least 4.
 
     Returns
     -------

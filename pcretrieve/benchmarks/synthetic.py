@@ -1,4 +1,4 @@
-"""Large catalogues that no scan was made for, and small meshes to ingest, both from a seed."""
+"""Large catalogues of random signatures without scans, and small meshes for ingestion, from a seed."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ from pcretrieve.types import FloatArray
 
 __all__ = ["CLASS_SIZE", "synthetic_catalogue", "synthetic_id", "write_small_meshes"]
 
-# Shapes of one class, which differ by what the resolution of a surface changes.
+# Number of shapes in a class. Their signatures differ as those of one body at several resolutions.
 CLASS_SIZE = 10
 
-# Signatures that are drawn at a time.
+# Number of signatures that are drawn at a time.
 BLOCK = 10_000
 
 # Provenance as it is stored of a scan that was made into one surface.
@@ -62,7 +62,7 @@ def synthetic_id(number: int) -> str:
     Returns
     -------
     str
-        Ids ascend with the numbers.
+        The id. Ids are in the order of the numbers.
     """
     return f"shape-{number:07}"
 
@@ -71,19 +71,19 @@ def synthetic_catalogue(path: Path, options: PipelineOptions, n_shapes: int, see
     """Write a catalogue of records and signatures, without spectra and meshes.
 
     Logarithms of signatures are normally distributed within their class, and so are the means of the classes.
-    The covariances are those of simulated bodies: within a class of what the resolution of a surface changes,
-    between classes of the bodies.
+    The covariances are those of simulated bodies: within a class, of the changes that the resolution of a
+    surface causes; between classes, of the bodies.
 
     Parameters
     ----------
     path : Path
-        The file, which is made.
+        The file, which is created.
     options : PipelineOptions
-        Those that the catalogue is to have been built with; signatures of ``r-bihdm``, relative.
+        Options of the catalogue, with the descriptor ``r-bihdm`` and the scale relative.
     n_shapes : int
-        A multiple of `CLASS_SIZE`.
+        Number of shapes, a multiple of `CLASS_SIZE`.
     seed : int
-        Of the signatures.
+        Seed of the signatures.
     """
     with Catalogue(path, options, create=True):
         pass
@@ -125,9 +125,9 @@ def write_small_meshes(folder: Path, n_meshes: int, n_vertices: int, seed: int) 
     n_meshes : int
         Number of files.
     n_vertices : int
-        Vertices of each.
+        Number of vertices of each mesh.
     seed : int
-        Of their forms.
+        Seed of the shapes of the meshes.
     """
     rng, sphere = np.random.default_rng(seed), bumpy_sphere(n_vertices)
     for number in range(n_meshes):

@@ -22,11 +22,13 @@ class Column(NamedTuple):
     Attributes
     ----------
     title : str
+        Title of the column.
     width : int
         Number of characters.
     format : str, default ""
         Format specification of a number, such as ``.2f``; a string is printed as it is.
     align : {"<", ">"}, default ">"
+        Alignment, left or right.
     """
 
     title: str
@@ -53,7 +55,7 @@ class Table:
         return self._line(column.title for column in self.columns)
 
     def row(self, *values: object) -> str:
-        """The line of some values.
+        """Format the values of one line.
 
         Parameters
         ----------
@@ -63,6 +65,7 @@ class Table:
         Returns
         -------
         str
+            The line.
 
         Raises
         ------
@@ -92,11 +95,12 @@ def is_missing(value: object) -> bool:
     Parameters
     ----------
     value : object
-        None and NaN stand for what was not measured.
+        Any value.
 
     Returns
     -------
     bool
+        True for None and NaN.
     """
     return value is None or value != value
 
@@ -118,12 +122,12 @@ def measure_values(measures: RetrievalMeasures) -> tuple[float, ...]:
 
 
 def print_lines(lines: Iterable[str]) -> None:
-    """Print each line on standard output as soon as it is known.
+    """Print each line on standard output as soon as it is computed.
 
     Parameters
     ----------
     lines : iterable of str
-        Often a generator that computes for minutes between two lines.
+        The lines; usually a generator, which may compute for minutes between two lines.
     """
     for line in lines:
         click.echo(line)

@@ -19,7 +19,7 @@ class Timing(NamedTuple):
     Attributes
     ----------
     seconds : list of float
-        Of each call.
+        Time of each call.
     """
 
     seconds: list[float]
@@ -68,7 +68,7 @@ def timed_by_turns(functions: Sequence[Callable[[], Result]], n_repeats: int) ->
     Returns
     -------
     list of (Timing, result)
-        Of each function its times, and the result of its first call.
+        The times of each function, and the result of its first call.
     """
     calls = [[timed(function) for function in functions] for _ in range(n_repeats)]
     return [(Timing([seconds for seconds, _ in own]), own[0][1]) for own in zip(*calls, strict=True)]

@@ -1,7 +1,7 @@
 """Simulated scans of articulated bodies, for samples, tests and benchmarks.
 
-In come a seed and options; out come people, animals and hands in many poses as triangle meshes, and what a
-virtual scanner sees of them as point clouds and files.
+In come a seed and options; out come triangle meshes of people, animals and hands in many poses, and their
+virtual scans as point clouds and files.
 """
 
 from pcretrieve.simulation.bodies import POSES, body, make_subject

@@ -23,7 +23,7 @@ LARGEST_DEVIATION = 2.0
 
 @dataclass(frozen=True, slots=True)
 class _Family:
-    """Bodies of one kind: how they vary, how they are built, and the poses that they take."""
+    """A family of bodies: the distributions of their measures, the function that builds them, and poses."""
 
     measures: Mapping[str, tuple[float, float]]
     skeleton: Callable[[Mapping[str, float]], tuple[Bone, ...]]
@@ -54,6 +54,7 @@ def make_subject(family: str, rng: np.random.Generator) -> Subject:
     Returns
     -------
     Subject
+        The individual.
 
     Raises
     ------
@@ -82,9 +83,9 @@ def body(
     Parameters
     ----------
     subject : Subject
-        Whose surface.
+        The individual.
     pose : Pose
-        Of the subject's family; the contacts of the pose are closed for any proportions of the subject.
+        A pose of the family of the subject. Its contacts are closed for any proportions of the subject.
     rng : numpy.random.Generator or None, default None
         If given, a random deviation is added to every angle of every joint.
     jitter : float, default 2
@@ -93,8 +94,8 @@ def body(
     Returns
     -------
     TriangleMesh
-        About 7 thousand vertices; m. The first call for a subject makes the skin, which takes some seconds;
-        further calls only bend the skin.
+        A surface of about 7000 vertices; m. The first call for a subject computes the skin, which takes some
+        seconds; further calls only deform it.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Checks of what the simulation is given."""
+"""Checks of the arguments of the simulation."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ def check_surface(mesh: TriangleMesh) -> None:
     Parameters
     ----------
     mesh : TriangleMesh
-        What is to be scanned.
+        The mesh that is to be scanned.
 
     Raises
     ------

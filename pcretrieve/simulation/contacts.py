@@ -26,22 +26,22 @@ DIFFERENCE = 0.01
 
 
 def close_contacts(skin: Skin, pose: Pose) -> Pose:
-    """The pose nearest to a pose in which the contacts of the pose touch.
+    """Change the angles of a pose until its contacts touch.
 
-    Least squares over the joints of the contacts: gaps in body sizes, and `STIFFNESS` times the change of
-    the angles in radians.
+    The sum of squares of the gaps, in body sizes, and of `STIFFNESS` times the changes of the angles of the
+    joints of the contacts, in radians, is minimised.
 
     Parameters
     ----------
     skin : Skin
-        Of the subject that takes the pose.
+        The skin of the subject.
     pose : Pose
-        With any number of contacts.
+        A pose with any number of contacts.
 
     Returns
     -------
     Pose
-        Without contacts, the pose itself.
+        The changed pose; the pose itself if it has no contacts.
     """
     joints = sorted({joint for contact in pose.contacts for joint in contact.by})
     if not joints:
@@ -63,7 +63,7 @@ def close_contacts(skin: Skin, pose: Pose) -> Pose:
 
 
 def _gap(skin: Skin, moved: FloatArray, contact: Contact) -> float:
-    """Distance from the skin of the part that moves to the flesh that it shall touch, negative inside; m."""
+    """Signed distance from the skin of the moving part to the flesh of the other, negative inside; m."""
     bones = skin.subject.bones
     coming = np.isin(skin.owner, [skin.subject.number(name) for name in contact.bones])
     points = blend(skin.weights[coming], moved, skin.rest.vertices[coming])

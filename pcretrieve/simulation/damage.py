@@ -17,25 +17,25 @@ __all__ = ["DamageOptions", "damaged"]
 
 @dataclass(frozen=True, slots=True)
 class DamageOptions:
-    """Defects of a mesh, in patches: the faces whose centroids lie in a ball round the centroid of one face.
+    """Defects of a mesh. A patch is the set of faces whose centroids lie in a ball round that of one face.
 
     Attributes
     ----------
     n_holes : int, default 4
-        Patches that are cut out.
+        Number of patches that are removed.
     n_flipped : int, default 4
-        Patches whose faces are flipped.
+        Number of patches whose faces are flipped.
     n_flaps : int, default 3
-        Copies of patches, rotated at random about the mean of their vertices, so that they intersect the
-        surface.
+        Number of copies of patches that are rotated at random about the mean of their vertices, so that the
+        copies intersect the surface.
     radius : float, default 0.02
-        Of these patches; diagonals.
+        Radius of these patches; diagonals.
     duplicated_share : float, default 0.01
-        Faces that are there twice, half of the second copies flipped; relative to all faces.
+        Number of duplicate faces, half of which are flipped; relative to all faces.
     shell_radius : float, default 0.15
-        Radius of one patch that has a second shell beneath it; diagonals. 0 for no shell.
+        Radius of a patch below which a second surface is added; diagonals. 0 for no second surface.
     shell_depth : float, default 0.004
-        Distance of the shell from the surface; diagonals.
+        Distance of the second surface from the first; diagonals.
 
     Raises
     ------
@@ -58,21 +58,21 @@ class DamageOptions:
 
 
 def damaged(mesh: TriangleMesh, options: DamageOptions, rng: np.random.Generator) -> TriangleMesh:
-    """A mesh with defects at random places; what is left of the surface stays where it was.
+    """Add defects to a mesh at random places. Other parts of the surface do not change.
 
     Parameters
     ----------
     mesh : TriangleMesh
-        Closed, pointing outwards.
+        Closed, oriented outwards.
     options : DamageOptions
-        How many defects, and how large.
+        Numbers and sizes of the defects.
     rng : numpy.random.Generator
         Source of the random numbers.
 
     Returns
     -------
     TriangleMesh
-        In the unit and the frame of `mesh`.
+        The damaged mesh, in the unit and the frame of `mesh`.
 
     Raises
     ------
@@ -84,12 +84,12 @@ def damaged(mesh: TriangleMesh, options: DamageOptions, rng: np.random.Generator
     middles = mesh.vertices[mesh.faces].mean(axis=1)  # (m, 3)
 
     def patch(radius: float) -> NDArray[np.bool_]:
-        """(m,) whether each face belongs to a patch round a random face."""
+        """A mask of the faces in a patch round a random face, (m,)."""
         centre = middles[rng.integers(len(middles))]
         near: NDArray[np.bool_] = np.linalg.norm(middles - centre, axis=1) <= radius * mesh.diagonal
         return near
 
-    # Flaps and the shell are copied from the whole surface, before holes are cut.
+    # Flaps and the second surface are copied from the mesh before holes are cut.
     sheets = [_turned(mesh.vertices, mesh.faces[patch(options.radius)], rng) for _ in range(options.n_flaps)]
     if options.shell_radius > 0:
         beneath = mesh.vertices - options.shell_depth * mesh.diagonal * _vertex_normals(mesh)

@@ -14,7 +14,7 @@ OUTLIER_BOX = 1.2
 
 
 def outside_holes(points: FloatArray, centres: FloatArray, radius: float) -> NDArray[np.bool_]:
-    """Which points lie outside all holes of a scan.
+    """Find the points outside all holes of a scan.
 
     Parameters
     ----------
@@ -23,11 +23,12 @@ def outside_holes(points: FloatArray, centres: FloatArray, radius: float) -> NDA
     centres : (h, 3) float64
         Centres of the holes, which are balls.
     radius : float
-        Of the holes; in the unit of the points.
+        Radius of the holes; unit of the points.
 
     Returns
     -------
     (n,) bool
+        Whether each point is in no hole.
     """
     outside = np.ones(len(points), dtype=bool)
     for centre in centres:

@@ -1,4 +1,4 @@
-"""Make the points that the words of the bags of features are means of.
+"""Compute the point descriptors from which the vocabulary of the bags of features is clustered.
 
     .venv/bin/python scripts/sample_heat
 
@@ -31,12 +31,12 @@ POINTS_PER_SUBJECT = 60
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Compute the features, and write them into the package.
+    """Compute the point descriptors, and write them into the package.
 
     Parameters
     ----------
     arguments : sequence of str, optional
-        By default those of the command line.
+        By default the arguments of the command line.
     """
     argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter

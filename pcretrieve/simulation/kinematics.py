@@ -20,7 +20,7 @@ def motions(subject: Subject, pose: Pose) -> FloatArray:
     Parameters
     ----------
     subject : Subject
-        Whose bones.
+        The subject with the bones.
     pose : Pose
         Angles of the joints.
 

@@ -1,10 +1,11 @@
-"""Measure what the resolution of a reconstruction changes, for ``--whitening resolution``.
+"""Measure how the resolution of a reconstruction changes log-signatures, for ``--whitening resolution``.
 
     .venv/bin/python scripts/sample_resolution
 
 Writes pcretrieve/retrieval/resolution.npy: (2, n, 61) logarithms of |μ_1| … |μ_60| and μ_0 of R-BiHDM over
-the squared area, of simulated people, animals and hands: scanned with noise, holes and outliers, and rebuilt
-from cells of three quarters and of four thirds of the default size. Ten minutes.
+the squared area, of simulated people, animals and hands. The bodies are scanned with noise, holes and
+outliers, and reconstructed with voxels of three quarters and of four thirds of the default edge. It takes ten
+minutes.
 """
 
 from __future__ import annotations
@@ -31,13 +32,13 @@ from pcretrieve.types import FloatArray, Shape
 
 __all__ = ["log_eigenvalues", "main"]
 
-# Of every family. Each body is another individual; the poses are taken in turn.
+# Number of bodies of each family. Each body is another individual, in the poses of the family in turn.
 N_BODIES = 56
 
-# Edges of small cells and of large cells; relative to the diagonal.
+# Edges of small and of large voxels, relative to the diagonal.
 CELLS = (0.75 * 0.0045, 0.0045 / 0.75)
 
-# Other than the seeds of `pcretrieve.benchmarks.sets`, so that no person of the benchmark is in the sample.
+# Different from the seeds in `pcretrieve.benchmarks.sets`, so that the sample has no person of the benchmark.
 SEED = 2016
 
 
@@ -47,7 +48,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     Parameters
     ----------
     arguments : sequence of str, optional
-        By default those of the command line.
+        By default the arguments of the command line.
     """
     argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
@@ -64,14 +65,14 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 
 def log_eigenvalues(family: str, number: int) -> FloatArray:
-    """Logarithms of the magnitudes of R-BiHDM's eigenvalues, of one body from small and from large cells.
+    """Logarithms of the magnitudes of the eigenvalues of R-BiHDM, of one body with small and large voxels.
 
     Parameters
     ----------
     family : str
         A key of `POSES`.
     number : int
-        Which body of the family.
+        Number of the body in the family.
 
     Returns
     -------

@@ -1,7 +1,7 @@
-"""A virtual rig: depth cameras round a surface, with the faults of real depth cameras.
+"""A virtual rig: depth cameras round a surface, with the errors of real depth cameras.
 
-Lengths in the options are relative to the diagonal of the surface's bounding box, so that one rig suits a
-hand and a horse; lengths in the clouds are in the unit of the surface. The y axis points up.
+Lengths in the options are relative to the diagonal of the bounding box of the surface, so that one rig can
+scan hands and horses. Lengths in the clouds are in the unit of the surface. The y axis points up.
 """
 
 from __future__ import annotations
@@ -35,25 +35,26 @@ class RigOptions:
     pixels : int, default 240
         Side of the square images, which just hold the bounding sphere; pixels.
     n_points : int or None, default 14_000
-        Points of all views together, outliers not counted: a random choice from what the cameras see. None
-        keeps all.
+        Number of points of all views together, without outliers, chosen at random from the visible points.
+        None: all visible points.
     noise : float, default 0.001
         Standard deviation of a depth at normal incidence, along the ray; diagonals. The standard deviation
-        is proportional to 1 / cos θ at the angle of incidence θ: a ray that misses the centre of its pixel by
-        a small angle meets a slanted surface at a depth that is wrong by as much more.
+        is proportional to 1 / cos θ at the angle of incidence θ, because the depth error due to a small error
+        of the direction of the ray is larger on an inclined surface.
     max_incidence : float, default 78
         Angle between ray and normal beyond which there is no measurement; degrees.
     flying_share : float, default 0.04
-        Flying pixels, which mix the depths of an edge and of what is behind it; relative to all pixels on
-        depth edges.
+        Number of flying pixels, which mix the depths before and behind a depth edge; relative to all pixels
+        on depth edges.
     flying_reach : float, default 0.02
-        Smallest jump of depth that makes an edge, and how far behind it flying pixels may lie; diagonals.
+        Smallest difference of depth at a depth edge, and largest distance of flying pixels behind the edge;
+        diagonals.
     n_holes : int, default 4
-        Spots of the surface that no camera sees because they are too dark, too shiny, or covered.
+        Number of holes: parts of the surface that no camera measures, such as dark or reflecting ones.
     hole_radius : float, default 0.015
-        Radius of these spots; diagonals.
+        Radius of the holes; diagonals.
     outlier_share : float, default 0.003
-        Random points in the bounding box enlarged by a fifth; relative to all other points.
+        Number of random points in the bounding box enlarged by a fifth; relative to all other points.
 
     Raises
     ------
@@ -92,14 +93,14 @@ class RigOptions:
 
 
 def scan_views(mesh: TriangleMesh, options: RigOptions, rng: np.random.Generator) -> list[PointCloud]:
-    """What each camera sees.
+    """Scan a surface with each camera.
 
     Parameters
     ----------
     mesh : TriangleMesh
-        Pointing outwards.
+        Oriented outwards.
     options : RigOptions
-        Of the rig.
+        Options of the rig.
     rng : numpy.random.Generator
         Source of the random numbers.
 
@@ -139,14 +140,14 @@ def scan_views(mesh: TriangleMesh, options: RigOptions, rng: np.random.Generator
 
 
 def scan(mesh: TriangleMesh, options: RigOptions, rng: np.random.Generator) -> PointCloud:
-    """What all cameras see together.
+    """Scan a surface with all cameras.
 
     Parameters
     ----------
     mesh : TriangleMesh
-        Pointing outwards.
+        Oriented outwards.
     options : RigOptions
-        Of the rig.
+        Options of the rig.
     rng : numpy.random.Generator
         Source of the random numbers.
 
@@ -175,7 +176,7 @@ def camera_pose(mesh: TriangleMesh, options: RigOptions, view: int) -> FloatArra
     mesh : TriangleMesh
         The surface that the camera looks at.
     options : RigOptions
-        Of the rig.
+        Options of the rig.
     view : int
         Number of the camera: 0 stands in front (+z), the next ones follow towards +x.
 
@@ -205,7 +206,7 @@ def _see(
     holes: FloatArray,
     rng: np.random.Generator,
 ) -> FloatArray:
-    """(n, 3) points that one camera sees, without outliers."""
+    """The points that one camera measures, without outliers, (n, 3)."""
     diagonal, position = mesh.diagonal, pose[:3, 3]
     rays = _rays(options) @ pose[:3, :3].T  # (p², 3)
     depth, normals, _ = scene.cast(np.broadcast_to(position, rays.shape), rays)
@@ -224,7 +225,8 @@ def _see(
 
 
 def _rays(options: RigOptions) -> FloatArray:
-    """(p², 3) unit directions through the pixels, in the camera's axes; the bounding sphere just fits."""
+    """Unit directions through the pixels, (p², 3), in the axes of the camera."""
+    # The field of view is the smallest one that contains the bounding sphere.
     half = 0.5 / np.sqrt(options.distance**2 - 0.25)  # tangent of half the field of view
     ticks = half * (2 * np.arange(options.pixels) + 1 - options.pixels) / options.pixels  # (p,)
     across, down = np.meshgrid(ticks, ticks)
@@ -234,7 +236,7 @@ def _rays(options: RigOptions) -> FloatArray:
 
 
 def _step_behind(depth: FloatArray) -> FloatArray:
-    """(p, p) jump from each pixel's depth to the largest of its four neighbours; infinite if one has none."""
+    """The largest depth of the four neighbours of each pixel minus its own depth, (p, p); may be infinite."""
     framed = np.pad(depth, 1, constant_values=0)
     around = [framed[:-2, 1:-1], framed[2:, 1:-1], framed[1:-1, :-2], framed[1:-1, 2:]]
     step: FloatArray = np.max(around, axis=0) - np.where(np.isfinite(depth), depth, 0)

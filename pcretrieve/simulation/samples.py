@@ -1,7 +1,7 @@
-"""Make the sample scans: simulated bodies before a simulated scanner.
+"""Simulate the sample scans: simulated bodies, scanned by a virtual scanner.
 
-The same seed gives the same points; and the same bytes on the same machine, with the same versions of numpy,
-scipy, scikit-image and Open3D. Other processors round the last digits otherwise.
+Equal seeds give equal points up to rounding errors; and equal files on one machine with equal versions of
+numpy, scipy, scikit-image and Open3D.
 """
 
 from __future__ import annotations
@@ -33,8 +33,8 @@ EPILOG = """example:
 
 SEED = 2016
 
-# How far a turntable slips from one view to the next (standard deviation), and how far off the origin of the
-# scanner's frame may lie along each axis; m.
+# Standard deviation of the error of a turntable between two views, and largest coordinates of the origin of
+# the frame of the scanner; m.
 SLIP = 0.005
 ORIGIN = 1.0
 
@@ -50,9 +50,9 @@ class SampleSubject:
     family : str
         ``person``, ``animal`` or ``hand``.
     poses : tuple of str
-        One scan for each.
+        Names of the poses, one for each scan.
     views : bool, default False
-        Keep the views of the cameras apart, as range scans in their own frames that a ``.conf`` file poses.
+        Write each view to a file of its own, in its own frame, and their poses to a ``.conf`` file.
     """
 
     name: str
@@ -95,18 +95,18 @@ def write_samples(
     seed: int = SEED,
     on_scan: Callable[[Path], object] = lambda path: None,
 ) -> dict[str, str]:
-    """Make sample scans, and ``labels.csv`` with their classes.
+    """Simulate sample scans, and write the scans, and ``labels.csv`` with their classes.
 
     Parameters
     ----------
     folder : Path
-        Made if need be; each subject gets a folder in it.
+        Folder of the files, which is created if it does not exist, with a subfolder for each subject.
     names : collection of str, default `SAMPLES`
-        The scans to make. A scan is the same whichever others are made.
+        Names of the scans. A scan does not depend on which other scans are simulated.
     seed : int, default 2016
-        Of all that is random.
+        Seed of all random numbers.
     on_scan : callable, optional
-        Called with the path of each scan once it is written.
+        Called with the path of each scan after it has been written.
 
     Returns
     -------
@@ -138,12 +138,12 @@ def write_samples(
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Make all sample scans, or some.
+    """Simulate all sample scans, or some of them.
 
     Parameters
     ----------
     arguments : sequence of str, optional
-        By default those of the command line.
+        By default the arguments of the command line.
     """
     parser = argparse.ArgumentParser(
         description=__doc__, epilog=EPILOG, formatter_class=argparse.RawDescriptionHelpFormatter
@@ -151,7 +151,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument(
         "--out", type=Path, default=Path("scans"), help="folder to write to (default: %(default)s)"
     )
-    parser.add_argument("--seed", type=int, default=SEED, help="of all that is random (default: %(default)s)")
+    parser.add_argument(
+        "--seed", type=int, default=SEED, help="seed of all random numbers (default: %(default)s)"
+    )
     parser.add_argument(
         "--only", action="append", metavar="SCAN", help="make this scan only; may be repeated"
     )
@@ -168,8 +170,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 
 def _write_sample(folder: Path, subject: SampleSubject, pose: str, *, seeds: tuple[int, int, int]) -> Path:
-    """Scan one subject in one pose; the file that holds the scan."""
-    # A generator of its own for each scan, so that one scan can be made again without the others.
+    """Scan one subject in one pose, and return the file of the scan."""
+    # Each scan has a random generator of its own, so that it does not depend on other scans.
     individual = make_subject(subject.family, np.random.default_rng(seeds[:2]))
     rng = np.random.default_rng(seeds)
     surface = body(individual, POSES[subject.family][pose], rng)
@@ -184,18 +186,18 @@ def _write_sample(folder: Path, subject: SampleSubject, pose: str, *, seeds: tup
 
 
 def write_views(path: Path, surface: TriangleMesh, placed: FloatArray, rng: np.random.Generator) -> Path:
-    """Write each view in the frame of a scanner that stands still while the body turns before it.
+    """Write the views of a body on a turntable, each in the frame of the scanner, and their poses.
 
     Parameters
     ----------
     path : Path
-        Of the ``.conf`` file, without its suffix.
+        Path of the ``.conf`` file without its suffix.
     surface : TriangleMesh
         The body; m.
     placed : (4, 4) float64
         Rigid motion from the frame of the body to the common frame of the views.
     rng : numpy.random.Generator
-        Of the noise, and of the slips of the turntable.
+        Source of the random numbers, for the noise and the errors of the turntable.
 
     Returns
     -------
@@ -223,7 +225,7 @@ def write_views(path: Path, surface: TriangleMesh, placed: FloatArray, rng: np.r
 
 
 def random_motion(rng: np.random.Generator) -> FloatArray:
-    """(4, 4) a random rotation and shift: the frame of a scanner says nothing about which way is up."""
+    """A random rotation and translation, (4, 4): the frame of a scanner may have any orientation."""
     motion = np.eye(4)
     motion[:3, :3] = Rotation.from_quat(rng.standard_normal(4)).as_matrix()
     motion[:3, 3] = rng.uniform(-ORIGIN, ORIGIN, 3)

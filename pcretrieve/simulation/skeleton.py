@@ -68,9 +68,9 @@ class Bone:
     head, tail : 3 floats
         Start of the bone, which is its centre of rotation, and end of the bone, at rest; m.
     front : 3 floats
-        Direction to which the bone bends; its part at right angles to the bone counts.
+        Direction to which the bone bends; its component perpendicular to the bone is used.
     flesh : tuple of RoundCone
-        The flesh round the bone. Empty for a link, a bone that only makes the bend of a joint rounder.
+        The flesh round the bone. Empty for a link, a bone that only makes a bent joint rounder.
     joint : str
         Name of the joint that rotates the bone. Several bones may share the angles of one joint, as in a
         spine.
@@ -152,6 +152,7 @@ class Subject:
         Returns
         -------
         int
+            The position.
 
         Raises
         ------
@@ -219,6 +220,7 @@ class Pose:
         Returns
         -------
         Pose
+            The pose with changed angles.
         """
         angles = {
             joint: np.add(self.angles.get(joint, (0.0, 0.0, 0.0)), rng.normal(0, spread, 3))
@@ -238,6 +240,7 @@ def vector(array: FloatArray) -> Vector:
     Returns
     -------
     tuple of 3 floats
+        The numbers.
     """
     x, y, z = array.tolist()
     return (x, y, z)

@@ -18,14 +18,14 @@ from pcretrieve.types import FloatArray, TriangleMesh
 
 __all__ = ["Skin", "blend", "follow", "skin"]
 
-# Rounds of tangential smoothing after marching cubes, whose thin triangles are gone after this many.
+# Rounds of tangential smoothing after marching cubes, which suffice to remove thin triangles.
 SMOOTHING_STEPS = 5
 
 # Step of the finite differences of the implicit function; cells.
 GRADIENT_STEP = 0.01
 
-# The constant c of Baran and Popović, which makes vertices follow the nearest bone more closely. With their
-# value 1 bent limbs lose twice as much volume.
+# The constant c of Baran and Popović: with a larger value vertices follow the nearest bone more closely. See
+# docs/decisions.md, ATTACHMENT.
 ATTACHMENT = 2.0
 
 
@@ -36,9 +36,9 @@ class Skin:
     Attributes
     ----------
     subject : Subject
-        Whose skin.
+        The subject.
     rest : TriangleMesh
-        Closed, manifold, pointing outwards, of Euler characteristic 2; m.
+        Closed, manifold, oriented outwards, of Euler characteristic 2; m.
     weights : (n, b) float64
         Skinning weight of each bone for each vertex; rows sum to 1.
     owner : (n,) intp
@@ -63,6 +63,7 @@ def skin(subject: Subject) -> Skin:
     Returns
     -------
     Skin
+        The skin at rest, with its skinning weights.
 
     Raises
     ------
@@ -102,7 +103,7 @@ def blend(weights: FloatArray, moved: FloatArray, points: FloatArray) -> FloatAr
     moved : (b, 4, 4) float64
         Rigid motion of each bone.
     points : (n, 3) float64
-        At rest; m.
+        Points at rest; m.
 
     Returns
     -------
@@ -120,7 +121,7 @@ def _rest_surface(subject: Subject) -> TriangleMesh:
 
     cones = [cone for bone in subject.bones for cone in bone.flesh]
     ends = np.array([end for cone in cones for end in (cone.start, cone.end)])
-    # The grid has room for fillets, which stand out by a quarter of their width at most.
+    # The grid contains the fillets, which extend by at most a quarter of their width.
     reach = 1.5 * max(radius * max(cone.depth, 1) for cone in cones for radius in cone.radii)
     axes = [
         np.arange(low - reach, high + reach + subject.cell, subject.cell)
@@ -132,7 +133,7 @@ def _rest_surface(subject: Subject) -> TriangleMesh:
     if mesh.euler_characteristic != 2:
         raise InputError(
             f"the flesh at rest must form one ball, of Euler characteristic 2, got "
-            f"{mesh.euler_characteristic}: part the limbs further, or join the loose ones"
+            f"{mesh.euler_characteristic}: separate the limbs further, or connect loose ones"
         )
     return mesh
 
@@ -179,7 +180,7 @@ def _smooth_union(a: FloatArray, b: FloatArray, *, width: float) -> FloatArray:
     a, b : (…,) float64
         Implicit functions of two bodies.
     width : float
-        Of the fillet.
+        Width of the fillet.
 
     Returns
     -------
@@ -205,7 +206,7 @@ def _weights(subject: Subject, rest: TriangleMesh, owner: NDArray[np.intp]) -> F
     Parameters
     ----------
     subject : Subject
-        With b bones.
+        The subject, with b bones.
     rest : TriangleMesh
         The surface at rest, n vertices.
     owner : (n,) intp

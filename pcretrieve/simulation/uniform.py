@@ -1,4 +1,4 @@
-"""Uniform scans: points all over a surface, as if it had been seen from everywhere."""
+"""Uniform scans: points with uniform density on a whole surface."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from pcretrieve.types import FloatArray, PointCloud, TriangleMesh
 
 __all__ = ["UniformOptions", "scan_uniformly"]
 
-# Sensor positions that are tried for each point before the point counts as hidden from all: a point that one
-# position in twenty can see is missed with a probability of 1 in 700.
+# Number of sensor positions that are tried for each point before the point is left out as hidden. A point
+# that is visible from a twentieth of all positions is left out with a probability of 1 / 700.
 SENSOR_TRIES = 128
 
-# A ray whose length to the first hit differs from the distance of its point by more than this met another
-# part of the surface; relative to the distance.
+# Largest difference between the distance of a point and the length of the ray to it, if no other part of the
+# surface is between; relative to the distance.
 SAME_PLACE = 1e-3
 
 
@@ -32,15 +32,15 @@ class UniformOptions:
     Attributes
     ----------
     n_points : int, default 30_000
-        Before holes are cut.
+        Number of points before holes are cut.
     noise : float, default 0.001
         Standard deviation of each coordinate; diagonals.
     n_holes : int, default 6
-        Balls round random points of the surface that are left without points.
+        Number of holes: balls round random points of the surface, in which there are no points.
     hole_radius : float, default 0.02
-        Radius of these balls; diagonals.
+        Radius of the holes; diagonals.
     outlier_share : float, default 0.003
-        Random points in the bounding box enlarged by a fifth; relative to `n_points`.
+        Number of random points in the bounding box enlarged by a fifth; relative to `n_points`.
     sensors : bool, default False
         Give each point the position of a sensor that can see it, on a sphere round the surface with the
         radius of `RigOptions`, and leave out the points that no sensor sees.
@@ -70,16 +70,16 @@ def scan_uniformly(mesh: TriangleMesh, options: UniformOptions, rng: np.random.G
     Parameters
     ----------
     mesh : TriangleMesh
-        Pointing outwards.
+        Oriented outwards.
     options : UniformOptions
-        Of the scan.
+        Options of the scan.
     rng : numpy.random.Generator
         Source of the random numbers.
 
     Returns
     -------
     PointCloud
-        In the unit of the mesh; with viewpoints if ``options.sensors``.
+        The points; unit of the mesh. With viewpoints if ``options.sensors``.
 
     Raises
     ------
@@ -105,10 +105,10 @@ def scan_uniformly(mesh: TriangleMesh, options: UniformOptions, rng: np.random.G
 def _sensors(
     mesh: TriangleMesh, points: FloatArray, rng: np.random.Generator
 ) -> tuple[FloatArray, NDArray[np.bool_]]:
-    """Random sensor positions round a surface, each with a free view of the front of one point.
+    """Random sensor positions round a surface, one for each point, from which the point is visible.
 
-    A sensor sees its point with the probability of the cosine of the angle of incidence, because pixels lie
-    that much more thinly on a slanted surface.
+    A sensor measures a point with a probability equal to the cosine of the angle of incidence, because the
+    density of pixels on an inclined surface is proportional to it.
 
     Parameters
     ----------
@@ -124,7 +124,7 @@ def _sensors(
     sensors : (n, 3) float64
         Positions.
     seen : (n,) bool
-        Whether the sensor sees its point; False if none of `SENSOR_TRIES` positions did.
+        Whether the sensor measures the point; False if none of `SENSOR_TRIES` positions does.
     """
     scene = RayScene(mesh.vertices, mesh.faces)
     steepest = np.cos(np.radians(RigOptions().max_incidence))
@@ -143,7 +143,7 @@ def _sensors(
 
 
 def _around(mesh: TriangleMesh, n: int, rng: np.random.Generator) -> FloatArray:
-    """(n, 3) random positions of sensors, uniform on a sphere round the surface."""
+    """Random positions of sensors, (n, 3), uniform on a sphere round the surface."""
     directions = rng.standard_normal((n, 3))
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
     positions: FloatArray = box_centre(mesh) + RigOptions().distance * mesh.diagonal * directions

@@ -81,7 +81,7 @@ def test_a_clean_mesh_examined_against_itself_is_without_fault(tmp_path: Path) -
     assert [len(values) for values in found.signatures] == [23, 23, 60, 24]
 
 
-def test_the_textbook_chain_begins_with_points(tmp_path: Path) -> None:
+def test_the_textbook_pipeline_begins_with_points(tmp_path: Path) -> None:
     path = write_scan(tmp_path / "body", shapes.body(2), "defects", np.random.default_rng(0))
     with pytest.raises(BenchmarkError, match="begins with points, got a mesh"):
         textbook_seconds(path, timeout=60)

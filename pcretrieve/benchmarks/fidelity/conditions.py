@@ -28,7 +28,8 @@ LEVELS: dict[str, dict[str, Any]] = {
     "harsh": {"n_points": 20_000, "noise": 0.003, "n_holes": 10, "hole_radius": 0.02, "outlier_share": 0.01},
 }
 
-# What cameras add to a level: pixels enough for its points, and flying pixels.
+# The options that cameras add to a level: the number of pixels, which suffices for its points, and flying
+# pixels.
 CAMERAS: dict[str, dict[str, Any]] = {
     "easy": {"pixels": 400, "flying_share": 0.01},
     "typical": {},
@@ -49,13 +50,13 @@ def write_scan(stem: Path, mesh: TriangleMesh, condition: str, rng: np.random.Ge
     Parameters
     ----------
     stem : Path
-        The file to write, without its suffix.
+        The path of the file without its suffix.
     mesh : TriangleMesh
-        Closed, pointing outwards.
+        Closed, oriented outwards.
     condition : str
         One of `CONDITIONS`.
     rng : numpy.random.Generator
-        Of the noise, the holes and the outliers.
+        Source of the random numbers.
 
     Returns
     -------

@@ -23,7 +23,7 @@ from pcretrieve.types import FloatArray, PointCloud, Shape, TriangleMesh
 
 __all__ = ["N_VALUES", "Examination", "Signatures", "clean_signatures", "examine", "stacked"]
 
-# Signatures are compared at these lengths, whatever a configuration asks for: the length of the papers, and
+# Lengths of the signatures that are compared, independent of the configuration: the length in the paper, and
 # all values that 61 eigenpairs give, for PCA whitening.
 N_VALUES = 23
 N_LONGER = 60
@@ -31,8 +31,8 @@ N_LONGER = 60
 # Weight of the size in the signatures that include the size.
 SIZE_WEIGHT = PipelineOptions.preset("body-scanner").signature.size_weight
 
-# Random points on each of two surfaces from which the distance to the other is taken; on a body, neighbouring
-# points are a tenth of a percent of its diagonal apart.
+# Number of random points on each of two surfaces from which the distance to the other surface is computed.
+# Their spacing on a body is about .001 of the diagonal.
 N_PROBES = 100_000
 
 
@@ -42,13 +42,13 @@ class Signatures(NamedTuple):
     Attributes
     ----------
     values : float64, L = 23
-        As the options say, without the size.
+        By the options of the configuration, without the size.
     relative : float64, L = 23
         Relative to the first value, as in the paper.
     longer : float64, L = 60
         Relative to the first value.
     sized : float64, L = 24
-        As the options say, with the size as a further value.
+        By the options of the configuration, with the size as a further value.
     """
 
     values: FloatArray
@@ -63,6 +63,7 @@ class Examination(NamedTuple):
     Attributes
     ----------
     signatures : Signatures
+        The signatures of the scan.
     seconds : float
         Wall-clock time from the file to the signature.
     stages : dict of str to float
@@ -70,11 +71,11 @@ class Examination(NamedTuple):
     peak : float
         Largest resident memory during these seconds, of the process and its descendants; MiB.
     normals : float or None
-        Share of the cleaned points whose normal points to the correct side; None for meshes.
+        Fraction of the filtered points whose normal points to the correct side; None for meshes.
     closed : bool
         Whether the surface is a closed manifold.
     euler : int
-        Its Euler characteristic.
+        Euler characteristic of the surface.
     mean, hausdorff : float
         Mean and largest distance between the surfaces, in both directions.
     """
@@ -100,11 +101,12 @@ def examine(path: Path, truth: TriangleMesh, options: PipelineOptions) -> Examin
     truth : TriangleMesh
         The clean mesh, in the frame of the scan.
     options : PipelineOptions
-        Of all stages.
+        Options of all stages.
 
     Returns
     -------
     Examination
+        The errors and times of the scan.
 
     Raises
     ------
@@ -141,19 +143,19 @@ def examine(path: Path, truth: TriangleMesh, options: PipelineOptions) -> Examin
 
 
 def clean_signatures(mesh: TriangleMesh, options: PipelineOptions) -> Signatures:
-    """The signatures of a mesh as it is, without a reconstruction.
+    """The signatures of a mesh without reconstruction.
 
     Parameters
     ----------
     mesh : TriangleMesh
         The clean mesh.
     options : PipelineOptions
-        Of the spectrum and the signatures.
+        Options of the spectrum and the signatures.
 
     Returns
     -------
     Signatures
-        (L,) each.
+        Arrays of the shape (L,).
 
     Raises
     ------
@@ -169,12 +171,12 @@ def stacked(many: Sequence[Signatures]) -> Signatures:
     Parameters
     ----------
     many : sequence of Signatures
-        (L,) each.
+        Arrays of the shape (L,).
 
     Returns
     -------
     Signatures
-        (n, L) each.
+        Arrays of the shape (n, L).
     """
     lengths = (N_VALUES, N_VALUES, N_LONGER, N_VALUES + 1)
     return Signatures(
@@ -197,21 +199,22 @@ def _signatures(shape: Shape, options: PipelineOptions) -> Signatures:
 def _right_normals(
     path: Path, places: FloatArray, normals: FloatArray, options: PipelineOptions
 ) -> float | None:
-    """Share of the scan's cleaned points whose normal n agrees with the true normal m: n · m > 0.
+    """The fraction of the filtered points whose normal n agrees with the true normal m: n · m > 0.
 
     Parameters
     ----------
     path : Path
         The scan.
     places, normals : (n, 3) float64
-        Points of the clean mesh, and the normals there. The nearest is the true normal of a cleaned point.
+        Points of the clean mesh, and their normals. The true normal of a filtered point is that of the
+        nearest of these points.
     options : PipelineOptions
-        Of cleaning and orientation.
+        Options of the stages `clean` and `orient`.
 
     Returns
     -------
     float or None
-        None for meshes.
+        Between 0 and 1; None for meshes.
     """
     cloud = read_scan(path)
     if not isinstance(cloud, PointCloud):

@@ -57,15 +57,16 @@ EPILOG = """example:
   scripts/benchmark_fidelity --conditions typical-uniform harsh-rig --config mine.toml --name mine --csv f.csv
 
 conditions:
-  easy|typical|harsh - uniform|rig          points alone, from everywhere or from nine cameras
-  easy|typical|harsh - uniform|rig-sensors  with the position of the sensor that saw each point
-  defects                                   the clean mesh itself, open, flipped, doubled and crossing itself
+  easy|typical|harsh - uniform|rig          points only, uniform or seen by nine cameras
+  easy|typical|harsh - uniform|rig-sensors  the same, with the sensor position of each point
+  defects                                   the clean mesh with holes, flipped and duplicate faces, and
+                                            self-intersections
 """
 
-# Every mesh of both sets is a sphere once its holes are closed.
+# Euler characteristic of every mesh of both sets, if its holes are closed.
 SPHERE = 2
 
-# Meshes that are scanned repeatedly by --rescans, at most.
+# Largest number of meshes that --rescans scans repeatedly.
 N_RESCANNED = 5
 
 
@@ -75,15 +76,17 @@ class Scans(NamedTuple):
     Attributes
     ----------
     set, condition : str
+        Names of the set and the condition.
     items : list of Item
+        The clean meshes.
     paths : list of Path
         The scan of each item.
     again : list of lists of Path
         Repeated scans of some items, a list for each of these items.
     timed : list of int
-        Positions of the scans that the textbook's chain was timed on.
+        Positions of the scans for which the textbook pipeline was timed.
     textbook : list of float
-        Seconds of the textbook's chain, where it did not fail.
+        Seconds of the textbook pipeline, for the scans for which it did not fail.
     """
 
     set: str
@@ -101,7 +104,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     Parameters
     ----------
     arguments : sequence of str, optional
-        By default those of the command line.
+        By default the arguments of the command line.
     """
     given = _parser().parse_args(arguments)
     for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
@@ -128,7 +131,11 @@ def _parser() -> argparse.ArgumentParser:
         help="see below",
     )
     add("--config", action="append", type=Path, default=[], metavar="TOML|PRESET", help="may be repeated")
-    add("--name", action="append", help="of a configuration, in the order of --config (default: the file's)")
+    add(
+        "--name",
+        action="append",
+        help="name of a configuration, in the order of --config (default: name of the file)",
+    )
     add("--limit", type=positive, metavar="N", help="scan N meshes only, evenly spread over the set")
     add(
         "--rescans",
@@ -137,7 +144,7 @@ def _parser() -> argparse.ArgumentParser:
         metavar="N",
         help="scan a few meshes N times and print the spread",
     )
-    add("--textbook", type=positive, default=0, metavar="K", help="time the textbook's chain on K scans")
+    add("--textbook", type=positive, default=0, metavar="K", help="time the textbook pipeline on K scans")
     add("--csv", type=Path, metavar="FILE", help="append the rows to this file")
     add(
         "--workers",
@@ -198,7 +205,7 @@ def _truth(name: str, items: list[Item], options: PipelineOptions, pool: Process
 
 
 def _scanned(name: str, items: list[Item], condition: str, given: argparse.Namespace, folder: Path) -> Scans:
-    """Scan every mesh of a set, scan some of them repeatedly, and time the textbook's chain on some."""
+    """Scan every mesh of a set, scan some of them repeatedly, and time the textbook pipeline on some."""
     title = f"{name} {condition}"
     paths = [
         write_scan(folder / item.name, item.mesh, condition, np.random.default_rng(item.number))
@@ -212,14 +219,14 @@ def _scanned(name: str, items: list[Item], condition: str, given: argparse.Names
                 condition,
                 np.random.default_rng((item.number, take)),
             )
-            # Not from 0: to the generator (n, 0) is n, the seed of the first scan.
+            # From 1, because the seed (n, 0) is equivalent to n, the seed of the first scan.
             for take in range(1, given.rescans + 1)
         ]
         for _, item in progress(spread(items, N_RESCANNED), f"{title}: scanning again")
     ]
-    # A damaged mesh has no points for the chain to begin with.
+    # The textbook pipeline begins with points, which a damaged mesh does not have.
     timed = [] if condition == DEFECTS else [k for k, _ in spread(paths, given.textbook)]
-    # In a process of its own, so that no other scan has to run in what memory this one leaves behind.
+    # In another process, so that memory that is not freed is not missing for other scans.
     with workers(1) as alone:
         arguments = [(paths[k], TIMEOUT) for k in timed]
         seconds = ask(alone, f"{title}: textbook", textbook_seconds, arguments)

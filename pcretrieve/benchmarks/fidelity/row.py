@@ -35,17 +35,17 @@ class Retrieval(NamedTuple):
     Attributes
     ----------
     nn, map : float
-        Of the signatures as the options say, without whitening.
+        By the options of the configuration, without whitening.
     nn_relative, map_relative : float
         Relative to the first value, without whitening.
     nn_pca, map_pca : float
         60 values, relative to the first, with PCA whitening.
     nn_within, map_within : float
-        With within-class whitening by grouped folds, the only way here that needs labels.
+        With within-class whitening by grouped folds; the only one of these whitenings that needs labels.
     nn_sized, map_sized : float
         With the size as a further value, without whitening.
     nn_resolution, map_resolution : float
-        Whitened by what the resolution of a surface changes.
+        With the whitening ``resolution``.
     """
 
     nn: float
@@ -66,10 +66,10 @@ class Retrieval(NamedTuple):
 class Row:
     """One set under one condition with one choice of options: the columns of the CSV file.
 
-    Shares are of all scans, failed ones included, but for `normals_right`; distances are relative to the
-    diagonal; distances and seconds are medians over the scans that did not fail. Errors are of relative
-    log-signatures, the spread of rescans is of signatures as the options say. NaN: not, or cannot be,
-    measured.
+    Fractions are relative to all scans, including scans that failed, except for `normals_right`. Distances
+    are relative to the diagonal; distances and seconds are medians over the scans that did not fail. Errors
+    are of log-signatures with the scale relative; the spread of rescans is of signatures by the options of
+    the configuration. Values that were not or cannot be measured are NaN.
     """
 
     set: str
@@ -117,7 +117,7 @@ class Row:
     clean_map_sized: float
 
     def lines(self) -> Iterator[str]:
-        """A line of `TABLE`, and below it what is not in the table."""
+        """A line of `TABLE`, and further lines with the values that are not in the table."""
         values = asdict(self)
         yield TABLE.row(*(values[name] for name in SHOWN))
         yield (
@@ -128,7 +128,8 @@ class Row:
         if not is_missing(self.rescan_spread):
             yield f"    spread of rescans / distance to the nearest other class: {self.rescan_spread:.3f}"
         if not is_missing(self.textbook_ratio):
-            yield f"    textbook: median {self.textbook_seconds:.1f} s, {self.textbook_ratio:.1f} times ours"
+            ratio = f"{self.textbook_ratio:.1f} times as long as pcretrieve"
+            yield f"    textbook: median {self.textbook_seconds:.1f} s, {ratio}"
 
 
 # Columns that are printed.
@@ -163,14 +164,14 @@ TABLE = Table(*SHOWN.values())
 
 
 def append(path: Path, row: Row) -> None:
-    """Append a row to a CSV file; the header first, where there is no file yet.
+    """Append a row to a CSV file. If the file does not exist, the header is written first.
 
     Parameters
     ----------
     path : Path
         The file.
     row : Row
-        What to append.
+        The row.
     """
     before = path.read_bytes() if path.exists() else b""
     text = io.StringIO(newline="")
@@ -184,23 +185,23 @@ def append(path: Path, row: Row) -> None:
 def retrieval(
     known: Signatures, items: Sequence[Item], rows: Sequence[int], options: PipelineOptions
 ) -> Retrieval:
-    """How well the items of a set find others of their class.
+    """Retrieval measures of the items of a set.
 
     Parameters
     ----------
     known : Signatures
-        Of the items at `rows`.
+        Signatures of the items at `rows`.
     items : sequence of Item
         The whole set.
     rows : sequence of int
         Positions in `items`; the items at other positions failed, and count as misses.
     options : PipelineOptions
-        Of the signatures.
+        Options of the signatures.
 
     Returns
     -------
     Retrieval
-        NaN where a measure needs more classes of two shapes than there are, or has no whitening.
+        The measures. NaN if a whitening is not defined, or needs more classes of two shapes than there are.
     """
     labels = [item.label for item in items]
     failed = [labels[k] for k in set(range(len(items))).difference(rows)]
@@ -265,7 +266,7 @@ def mean(values: Iterable[float]) -> float:
     Returns
     -------
     float
-        NaN of no values.
+        The mean; NaN if there are no values.
     """
     found = list(values)
     return statistics.fmean(found) if found else NAN
@@ -282,7 +283,7 @@ def median(values: Iterable[float]) -> float:
     Returns
     -------
     float
-        NaN of no values.
+        The median; NaN if there are no values.
     """
     found = list(values)
     return statistics.median(found) if found else NAN

@@ -1,4 +1,4 @@
-"""The textbook's way from points to a spectrum, for comparison: Poisson reconstruction and fTetWild."""
+"""A textbook pipeline from points to a spectrum, for comparison: Poisson reconstruction and fTetWild."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from pcretrieve.types import PointCloud
 
 __all__ = ["textbook_seconds"]
 
-# What the textbook says where the libraries have no default.
+# Parameters for which the libraries have no default.
 OUTLIER_NEIGHBORS, OUTLIER_RATIO, TANGENT_NEIGHBORS, DEPTH, N_PAIRS = 20, 2.0, 30, 8, 61
 
 # Defaults of Open3D: neighbours of a plane, size of the octree's cube relative to the points' bounding cube.
@@ -32,10 +32,11 @@ EDGE_LENGTH, ENVELOPE = 0.05, 1e-3
 
 
 def textbook_seconds(path: Path, timeout: float) -> float:
-    """Wall-clock seconds of the textbook's chain, from a file of points to 61 eigenpairs.
+    """Wall-clock time of a textbook pipeline, from a file of points to 61 eigenpairs.
 
-    Statistical removal of outliers, normals oriented by tangent planes, Poisson reconstruction, fTetWild with
-    its defaults, and LaPy on the boundary of the tetrahedra; where LaPy is not installed, our eigenpairs.
+    Its stages are statistical outlier removal, normals oriented by tangent planes, Poisson reconstruction,
+    fTetWild with its defaults, and LaPy on the boundary of the tetrahedra; if LaPy is not installed,
+    `eigenpairs`.
 
     Parameters
     ----------
@@ -47,19 +48,20 @@ def textbook_seconds(path: Path, timeout: float) -> float:
     Returns
     -------
     float
+        Time in seconds.
 
     Raises
     ------
     BenchmarkError
         If the file holds a mesh.
     RemeshError
-        If fTetWild gives nothing, or not in time.
+        If fTetWild gives no tetrahedra, or exceeds the time limit.
     """
     tetwild.start()
     started = time.perf_counter()
     cloud = read_scan(path)
     if not isinstance(cloud, PointCloud):
-        raise BenchmarkError(f"the textbook's chain begins with points, got a mesh: {path}")
+        raise BenchmarkError(f"the textbook pipeline begins with points, got a mesh: {path}")
     points = cloud.points[
         statistical_inliers(cloud.points, n_neighbors=OUTLIER_NEIGHBORS, std_ratio=OUTLIER_RATIO)
     ]

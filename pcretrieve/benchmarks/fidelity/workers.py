@@ -21,7 +21,7 @@ TIMEOUT = 900.0
 
 
 def workers(n: int) -> ProcessPool:
-    """A pool of processes, so that a scan that crashes takes no other scan with it.
+    """A pool of processes, so that a crash during one scan does not affect other scans.
 
     Parameters
     ----------
@@ -31,6 +31,7 @@ def workers(n: int) -> ProcessPool:
     Returns
     -------
     pebble.ProcessPool
+        The pool.
     """
     # Open3D has threads, so workers must be spawned, not forked.
     return ProcessPool(max_workers=n, context=multiprocessing.get_context("spawn"))
@@ -46,11 +47,11 @@ def ask(
     pool : pebble.ProcessPool
         The workers.
     title : str
-        What is done, for messages and the count of what is done.
+        Title of messages and of the progress bar.
     function : callable
-        Of a module, so that it can be pickled.
+        A function of a module, so that it can be pickled.
     arguments : sequence of tuples
-        Of the calls.
+        Arguments of the calls.
 
     Returns
     -------

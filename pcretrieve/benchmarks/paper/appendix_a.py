@@ -58,7 +58,7 @@ def appendix_a(meshes: Mapping[str, TriangleMesh]) -> Iterator[str]:
 
 
 def deformed(mesh: TriangleMesh, amount: float) -> TriangleMesh:
-    """A mesh moved by a smooth map of space that is not an isometry.
+    """Deform a mesh by a smooth map of space that is not an isometry.
 
     Parameters
     ----------
@@ -70,6 +70,7 @@ def deformed(mesh: TriangleMesh, amount: float) -> TriangleMesh:
     Returns
     -------
     TriangleMesh
+        The deformed mesh.
     """
     phase = 2 * np.pi / mesh.diagonal * mesh.vertices
     return TriangleMesh(

@@ -1,4 +1,4 @@
-"""Two flat surfaces that are not congruent and have one Laplace spectrum."""
+"""Two isospectral drums: flat surfaces that are not congruent, but have the same Laplace spectrum."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ TRANSVECTIONS = np.array([[[0, 0, 1], [0, 1, 0]], [[0, 1, 0], [0, 0, 1]], [[1, 0
 
 
 def drums(n_cuts: int = DRUM_CUTS) -> tuple[TriangleMesh, TriangleMesh]:
-    """Two flat surfaces of one spectrum, made of seven half-squares each; facing up.
+    """Two isospectral flat surfaces of seven half-squares each, oriented upwards.
 
     Triangles are the points of the Fano plane on one drum and its lines on the other, and two triangles are
     neighbours across side k where the k-th of three collineations of order two swaps them. The two actions of

@@ -14,7 +14,7 @@ from pcretrieve.types import FloatArray, ModalSpectrum, TriangleMesh
 
 __all__ = ["convergence_rate", "figure_7", "truncation_errors"]
 
-# "The first 30 eigenvalues", and the number of modes that stands for infinitely many.
+# Number of eigenvalues that are compared, and number of modes of the reference.
 N_CONVERGING = 30
 MODES = (40, 50, 60, 80, 100, 120, 160, 200, 240)
 N_REFERENCE = 480

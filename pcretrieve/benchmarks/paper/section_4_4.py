@@ -26,8 +26,8 @@ N_VALUES = 23
 NOISE = (0.1, 0.3, 0.5)
 REMOVED = (0.01, 0.02, 0.03)
 
-# fTetWild optimises its tetrahedra here: without, its surface is three times as fine as its input and full of
-# handles.
+# With optimisation of the tetrahedra: without it, the surface has three times as many faces as the input, and
+# many handles.
 REMESHING = RemeshOptions(method="tetwild", optimize=True, timeout=600)
 METHODS = ("r-bihdm", "bihdm", "shape-dna", "wks", "hks-bow", "combined")
 
@@ -92,7 +92,7 @@ def perturbed(mesh: TriangleMesh, rng: np.random.Generator) -> Iterator[tuple[st
     Parameters
     ----------
     mesh : TriangleMesh
-        Closed, pointing outwards.
+        Closed, oriented outwards.
     rng : numpy.random.Generator
         Of the noise and of the faces that are removed.
 
@@ -124,7 +124,7 @@ def noisy(mesh: TriangleMesh, size: float, rng: np.random.Generator) -> Triangle
     Parameters
     ----------
     mesh : TriangleMesh
-        Pointing outwards.
+        Oriented outwards.
     size : float
         Standard deviation; mean edge lengths.
     rng : numpy.random.Generator
@@ -133,6 +133,7 @@ def noisy(mesh: TriangleMesh, size: float, rng: np.random.Generator) -> Triangle
     Returns
     -------
     TriangleMesh
+        The mesh after the perturbation.
     """
     corners = mesh.vertices[mesh.faces]  # (m, 3, 3)
     across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])  # (m, 3)
