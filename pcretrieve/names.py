@@ -34,5 +34,6 @@ NAMES = {
         Names("distance", "pcretrieve.distances", ("log", "d1", "d2")),
         Names("matcher", "pcretrieve.matchers", ("heat-hausdorff",)),
         Names("executor", "pcretrieve.executors", ("processes",)),
+        Names("store", "pcretrieve.stores", ("sqlite",)),
     )
 }

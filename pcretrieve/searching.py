@@ -78,7 +78,7 @@ def search(
     if matrix is not None:
         if held is None:
             raise InputError(
-                f"a distance matrix ranks shapes of {catalogue.path} only, which does not hold {query}: "
+                f"a distance matrix ranks shapes of {catalogue.location} only, which does not hold {query}: "
                 "leave out the matrix, or ingest the scan and make the matrix anew"
             )
         return matrix.nearest(held, k)
@@ -109,7 +109,7 @@ def _stored(catalogue: Catalogue, shape_id: str) -> str:
     if record is None:
         raise InputError(
             f"a query must be the file of a scan or the id of a shape, {shape_id!r} is no file and no shape "
-            f"of {catalogue.path}; `pcretrieve list` names the shapes"
+            f"of {catalogue.location}; `pcretrieve list` names the shapes"
         )
     if record.status != "done":
         raise InputError(

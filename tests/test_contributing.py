@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from contextlib import closing
 from pathlib import Path
 
 import numpy as np
@@ -11,9 +10,6 @@ import shapes
 from packages import SCRIPTS, install_contributed
 
 import pcretrieve as pr
-from pcretrieve.catalogue.arrays import packed_values
-from pcretrieve.catalogue.settings import settings_of
-from pcretrieve.catalogue.sqlite import SqliteRows
 from pcretrieve.matching import MATCHERS, PairwiseIndex
 from pcretrieve.types import TriangleMesh
 
@@ -37,9 +33,11 @@ def names(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> dict[str, object]:
 
 
 def test_the_examples_run(names: dict[str, object]) -> None:
-    """The added format, stages, element, descriptor, distance and executor make a catalogue."""
-    with pr.Catalogue("bodies.sqlite") as catalogue:
+    """The added format, stages, element, descriptor, distance, executor and store make catalogues."""
+    with pr.Catalogue("bodies.sqlite") as catalogue, pr.Catalogue("memory://bodies") as in_memory:
         table, options = catalogue.signatures(), catalogue.options
+        assert in_memory.signatures() == table
+        assert in_memory.shape("body") == catalogue.shape("body")
         assert table.values.shape == (2, 5)
         index = PairwiseIndex(MATCHERS["girth"], table.ids, catalogue.shape)
         assert index.nearest("thin").ids == ("thin", "body")
@@ -49,16 +47,3 @@ def test_the_examples_run(names: dict[str, object]) -> None:
     surface = pr.reconstruct(np.concatenate([points, points[:20] + 20]), options)
     assert [step.stage for step in surface.provenance] == ["near", "clean", "orient", "surface", "smooth"]
     assert surface.provenance[0].sizes == {"points_in": 3020, "points": 3000}
-    copy = names["copy"]
-    assert callable(copy)
-    packed = {name: packed_values(values) for name, values in zip(table.ids, table.values, strict=True)}
-    with (
-        closing(SqliteRows(Path("bodies.sqlite"), settings_of(options), create=False)) as source,
-        closing(SqliteRows(Path("copy.sqlite"), settings_of(options), create=True)) as target,
-    ):
-        copy(source, target, packed)
-    with pr.Catalogue("bodies.sqlite") as catalogue, pr.Catalogue("copy.sqlite") as copied:
-        assert copied.records() == catalogue.records()
-        assert copied.signatures() == table
-        for name in table.ids:
-            assert copied.shape(name) == catalogue.shape(name)

@@ -106,7 +106,7 @@ def test_of_a_catalogue_whose_index_is_kept_only_that_shape_is_looked_up(
     monkeypatch.setattr(gallery, "SMALLEST_KEPT", 1)
     options = OPTIONS.changed(retrieval={"whitening": "pca"}, signature={"scale": "area"})
     expected = catalogue.index(options).nearest("egg2")
-    with Catalogue(catalogue.path) as other:
+    with Catalogue(catalogue.location) as other:
         statements: list[str] = []
         other._rows._connection.set_trace_callback(statements.append)  # type: ignore[attr-defined]
         found = search(other, "egg2" if query == "id" else tmp_path / "scan.off", options=options)
@@ -128,7 +128,7 @@ def test_signatures_that_were_computed_are_kept(catalogue: Catalogue) -> None:
     """Asked again, by whomever, nothing of a shape is read; of one that is new, what is needed."""
     options = OPTIONS.changed(signature={"method": "wks"})
     first = catalogue.signatures(options)
-    with Catalogue(catalogue.path) as other:
+    with Catalogue(catalogue.location) as other:
         statements: list[str] = []
         other._rows._connection.set_trace_callback(statements.append)  # type: ignore[attr-defined]
         assert other.signatures(options) == first
@@ -154,7 +154,7 @@ def test_a_stored_shape_is_found_without_the_stages(
     search(catalogue, "egg1")
     code = (
         "import sys; from pcretrieve.cli.main import cli; "
-        f"cli.main(['query', 'egg1', '-c', {str(catalogue.path)!r}], standalone_mode=False); "
+        f"cli.main(['query', 'egg1', '-c', {catalogue.location!r}], standalone_mode=False); "
         "heavy = {'scipy', 'numba', 'open3d', 'pcretrieve.pipeline', 'pcretrieve.formats'}; "
         "sys.exit(str(heavy & set(sys.modules)) if heavy & set(sys.modules) else 0)"
     )

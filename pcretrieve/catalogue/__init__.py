@@ -1,6 +1,12 @@
-"""The durable store: one row a shape, with provenance, spectrum, signature and status."""
+"""Shapes with provenance, spectra, surfaces and signatures, kept in a store.
 
-from pcretrieve.catalogue.record import Content, Record, numbered_id
+In come records and processed shapes; out come records, shapes with the parts that are needed, tables of
+signatures, whitenings and indexes. A store holds records and bytes, by default in an SQLite file.
+"""
+
+from pcretrieve.catalogue.record import Content, Record, free_id, numbered_id
+from pcretrieve.catalogue.rows import Rows
 from pcretrieve.catalogue.store import Catalogue
+from pcretrieve.catalogue.stores import STORES, OpenStore
 
-__all__ = ["Catalogue", "Content", "Record", "numbered_id"]
+__all__ = ["STORES", "Catalogue", "Content", "OpenStore", "Record", "Rows", "free_id", "numbered_id"]

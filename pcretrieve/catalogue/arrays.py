@@ -33,7 +33,18 @@ CHECKSUM = struct.Struct("<I")
 
 
 def packed(arrays: Sequence[NDArray[Any]]) -> bytes:
-    """Arrays of float64, int32, int64 or int8 as one piece."""
+    """Arrays as bytes.
+
+    Parameters
+    ----------
+    arrays : sequence of arrays
+        Of float64, int32, int64 or int8.
+
+    Returns
+    -------
+    bytes
+        The arrays, compressed where they are long, and a checksum.
+    """
     parts = []
     for array in arrays:
         stored = np.asarray(array, array.dtype.newbyteorder("<"), order="C")
@@ -49,12 +60,22 @@ def packed(arrays: Sequence[NDArray[Any]]) -> bytes:
 
 
 def unpacked(blob: bytes) -> list[NDArray[Any]]:
-    """The arrays that `packed` joined.
+    """The arrays that `packed` has made bytes of.
+
+    Parameters
+    ----------
+    blob : bytes
+        What `packed` returned.
+
+    Returns
+    -------
+    list of arrays
+        The same arrays, to the bit.
 
     Raises
     ------
     ValueError
-        If they are not what was packed.
+        If the checksum shows that bytes have changed.
     """
     end = len(blob) - CHECKSUM.size
     view = memoryview(blob)
@@ -78,7 +99,18 @@ def unpacked(blob: bytes) -> list[NDArray[Any]]:
 
 
 def packed_symmetric(matrices: FloatArray) -> bytes:
-    """(s, k, k) matrices that are symmetric but for rounding, which comes back too."""
+    """Symmetric matrices as bytes, half as many as of others.
+
+    Parameters
+    ----------
+    matrices : (s, k, k) float64
+        Symmetric but for rounding errors, which are stored too.
+
+    Returns
+    -------
+    bytes
+        The entries on and above the diagonal, and the rounding errors of those below.
+    """
     bits = np.ascontiguousarray(matrices).view(np.int64)
     upper, lower = np.triu_indices(bits.shape[1]), np.tril_indices(bits.shape[1], -1)
     # Neighbouring numbers have neighbouring bits: what rounding has moved is a small integer.
@@ -88,7 +120,23 @@ def packed_symmetric(matrices: FloatArray) -> bytes:
 
 
 def unpacked_symmetric(blob: bytes) -> FloatArray:
-    """The matrices that `packed_symmetric` was given. ValueError as `unpacked`."""
+    """The matrices that `packed_symmetric` has made bytes of.
+
+    Parameters
+    ----------
+    blob : bytes
+        What `packed_symmetric` returned.
+
+    Returns
+    -------
+    (s, k, k) float64
+        The same matrices, to the bit.
+
+    Raises
+    ------
+    ValueError
+        If the checksum shows that bytes have changed.
+    """
     above, moved = unpacked(blob)
     n, n_above = above.shape
     k = int(np.sqrt(2 * n_above))
@@ -100,18 +148,41 @@ def unpacked_symmetric(blob: bytes) -> FloatArray:
 
 
 def packed_values(values: FloatArray) -> bytes:
-    """(L,) values, and the exclusive or of their bits: so short that a million rows are read in a second."""
+    """Values of a signature as bytes, of which a million rows are read in a second.
+
+    Parameters
+    ----------
+    values : (L,) float64
+        The values.
+
+    Returns
+    -------
+    bytes
+        8 (L + 1): the values, and the exclusive or of their bits as a checksum.
+    """
     words = np.ascontiguousarray(values, "<f8").view("<u8")
     return words.tobytes() + np.bitwise_xor.reduce(words, keepdims=True).tobytes()
 
 
 def unpacked_values(rows: NDArray[np.uint8], n_values: int) -> FloatArray:
-    """(N, L) values from the bytes of N rows, (N, b), each of them as `packed_values` packed it.
+    """The values that `packed_values` has made bytes of.
+
+    Parameters
+    ----------
+    rows : (N, b) uint8
+        In each row what `packed_values` returned.
+    n_values : int
+        L.
+
+    Returns
+    -------
+    (N, L) float64
+        The same values, to the bit.
 
     Raises
     ------
     ValueError
-        If they are not what was packed.
+        If a checksum shows that bytes have changed, or there are other numbers of values.
     """
     if rows.size != 8 * len(rows) * (n_values + 1):
         raise ValueError(f"there must be {n_values} values")

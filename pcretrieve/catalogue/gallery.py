@@ -47,13 +47,15 @@ class Gallery:
 
     Parameters
     ----------
-    catalogue : Path
-        The catalogue's file.
+    location : str
+        The path or the URL of the catalogue.
+    folder : Path, optional
+        Where the indexes are kept. Where it cannot be written, or is None, they are kept in the user's cache
+        folder.
     """
 
-    def __init__(self, catalogue: Path) -> None:
-        beside = catalogue.with_name(catalogue.name + ".gallery")
-        self._folders = (beside, *_cache_folder(catalogue))
+    def __init__(self, location: str, folder: Path | None) -> None:
+        self._folders = (*([folder] if folder else []), *_cache_folder(location, folder))
         self._last: tuple[str, SignatureIndex] | None = None
 
     def index(
@@ -128,13 +130,15 @@ def _digest(text: str) -> str:
     return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 
-def _cache_folder(catalogue: Path) -> Iterator[Path]:
+def _cache_folder(location: str, folder: Path | None) -> Iterator[Path]:
     """The folder of a catalogue in the user's cache, where there is a user."""
     try:
         cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
     except RuntimeError:
         return
-    yield cache / "pcretrieve" / f"{catalogue.name}-{_digest(str(catalogue.absolute()))}"
+    # The folder tells two files of one name in several working directories apart.
+    name = str(folder.absolute()) if folder else location
+    yield cache / "pcretrieve" / f"{Path(location).name}-{_digest(name)}"
 
 
 def _arrays(folder: Path) -> dict[str, NDArray[Any]]:

@@ -43,7 +43,9 @@ def prepare(connection: sqlite3.Connection, path: Path, settings: Mapping[str, s
     Parameters
     ----------
     connection : sqlite3.Connection
+        Of the file.
     path : Path
+        The file.
     settings : mapping of str to str
         For a catalogue that is made now: ``options`` and ``numbers_version``.
 
@@ -159,10 +161,8 @@ def _archive(blob: bytes) -> Arrays:
 def _packages_of_1(
     area: float, signature: Arrays, eigenvalues: Arrays, moments: Arrays, mesh: Arrays
 ) -> dict[str, bytes]:
-    """What version 2 stores of the arrays of version 1, by table.
-
-    There the surfaces of a scan had the size that they had beside the first one, which had area 1.
-    """
+    """What version 2 stores of the arrays of version 1, by table."""
+    # In version 1 all surfaces of a scan were scaled by the factor that gave the first surface unit area.
     stored = zip(
         eigenvalues["values"], moments["values"], eigenvalues["areas"], moments["overlaps"], strict=True
     )

@@ -21,6 +21,18 @@ LOCK_TIMEOUT = 30.0
 def connect(path: Path, *, create: bool) -> sqlite3.Connection:
     """A connection to a file that exists, or may be made.
 
+    Parameters
+    ----------
+    path : Path
+        The file.
+    create : bool
+        Make the file where there is none.
+
+    Returns
+    -------
+    sqlite3.Connection
+        For reading only, where the file cannot be written.
+
     Raises
     ------
     CatalogueError
@@ -49,22 +61,64 @@ def connect(path: Path, *, create: bool) -> sqlite3.Connection:
 
 
 def is_writable(path: Path) -> bool:
-    """Whether SQLite can write: it makes files beside its own."""
+    """Whether SQLite can write to a file: it makes further files beside that one.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+
+    Returns
+    -------
+    bool
+        Whether the file and its folder can be written.
+    """
     return os.access(path, os.W_OK) and os.access(path.parent, os.W_OK)
 
 
-def damaged(path: Path, how: str) -> CatalogueError:
-    """The error for a catalogue whose content makes no sense."""
-    return CatalogueError(f"{path} is damaged ({how}): restore a copy, or ingest into a new catalogue")
+def damaged(location: str | Path, how: str) -> CatalogueError:
+    """The error for a catalogue whose content makes no sense.
+
+    Parameters
+    ----------
+    location : str or Path
+        The catalogue, as the message names it.
+    how : str
+        What is wrong with the content.
+
+    Returns
+    -------
+    CatalogueError
+        To be raised.
+    """
+    return CatalogueError(f"{location} is damaged ({how}): restore a copy, or ingest into a new catalogue")
 
 
 @contextmanager
-def intact(path: Path, what: str) -> Iterator[None]:
-    """Bytes that make no sense as the error for a damaged catalogue."""
+def intact(location: str | Path, what: str) -> Iterator[None]:
+    """Turn errors of bytes that make no sense into the error for a damaged catalogue.
+
+    Parameters
+    ----------
+    location : str or Path
+        The catalogue, as the message names it.
+    what : str
+        What is read.
+
+    Yields
+    ------
+    None
+        Once, for the code that reads.
+
+    Raises
+    ------
+    CatalogueError
+        If the code raises an error of its input.
+    """
     try:
         yield
     except (KeyError, ValueError, struct.error, zlib.error) as error:
-        raise damaged(path, f"{what} cannot be read: {error}") from error
+        raise damaged(location, f"{what} cannot be read: {error}") from error
 
 
 def _connected(path: Path, mode: str) -> sqlite3.Connection:
@@ -80,7 +134,23 @@ def _connected(path: Path, mode: str) -> sqlite3.Connection:
 
 @contextmanager
 def translated(path: Path) -> Iterator[None]:
-    """SQLite's errors as `CatalogueError`, with what to do about them."""
+    """Turn errors of SQLite into errors that say what to do.
+
+    Parameters
+    ----------
+    path : Path
+        The file, as the message names it.
+
+    Yields
+    ------
+    None
+        Once, for the code that uses the file.
+
+    Raises
+    ------
+    CatalogueError
+        If the code raises an error of SQLite.
+    """
     try:
         yield
     except sqlite3.Error as error:

@@ -21,6 +21,7 @@ class Content:
     shape : Shape
         Each of its surfaces with its mesh and its spectrum.
     signature : (L,) float64
+        The values by the options of the catalogue.
     """
 
     shape: Shape
@@ -82,7 +83,22 @@ class Record:
 
 
 def completed(record: Record, content: Content | None, options_digest: str) -> Record:
-    """A record that is stored now, with the sizes of its content; None for a shape that failed."""
+    """A record that is stored now, with the sizes of its content.
+
+    Parameters
+    ----------
+    record : Record
+        The record of the file.
+    content : Content or None
+        None for a shape that failed.
+    options_digest : str
+        Of the options of the catalogue.
+
+    Returns
+    -------
+    Record
+        With the time of now, the digest and the sizes.
+    """
     added = datetime.now(timezone.utc).isoformat(timespec="seconds")
     record = replace(record, options_digest=options_digest, added=added)
     if content is None:
@@ -98,7 +114,20 @@ def completed(record: Record, content: Content | None, options_digest: str) -> R
 
 
 def numbered_id(stem: str, number: int) -> str:
-    """The id of the `number`-th file that is called `stem`: ``cat``, ``cat-2``, ``cat-3``."""
+    """The id of one of several files of the same name: ``cat``, ``cat-2``, ``cat-3``.
+
+    Parameters
+    ----------
+    stem : str
+        The name of the file without its suffix.
+    number : int
+        From 1.
+
+    Returns
+    -------
+    str
+        For the number 1, the stem itself.
+    """
     return stem if number == 1 else f"{stem}-{number}"
 
 
@@ -106,6 +135,18 @@ def free_id(record: Record, is_taken: Callable[[str], bool]) -> str:
     """The record's id, or its file's name with a number where another path has that id.
 
     The number is doubled until it is free and then bisected, because one name may have many numbers.
+
+    Parameters
+    ----------
+    record : Record
+        A record whose path the store does not hold.
+    is_taken : function of str that returns bool
+        Whether another path has an id.
+
+    Returns
+    -------
+    str
+        An id that is not taken.
     """
     if not is_taken(record.id):
         return record.id

@@ -35,7 +35,18 @@ RECORDS = f"SELECT {', '.join(COLUMNS)} FROM shapes LEFT JOIN provenance ON shap
 
 
 def row_of(record: Record) -> dict[str, Any]:
-    """The values of a record, by column."""
+    """The values of a record, by column.
+
+    Parameters
+    ----------
+    record : Record
+        The record.
+
+    Returns
+    -------
+    dict of str to value
+        The columns of `SHAPE_COLUMNS` and `PROVENANCE_COLUMNS`.
+    """
     return asdict(record) | {
         "steps": json.dumps([asdict(step) for step in record.steps]),
         "versions": json.dumps(record.versions),
@@ -43,7 +54,19 @@ def row_of(record: Record) -> dict[str, Any]:
 
 
 def record_of(row: tuple[Any, ...]) -> Record:
-    """The record of a row of `RECORDS`; ValueError, TypeError or KeyError if it is damaged."""
+    """The record of a row that the query `RECORDS` gives.
+
+    Parameters
+    ----------
+    row : tuple
+        The values of `SHAPE_COLUMNS` and `PROVENANCE_COLUMNS`. If they are damaged, the JSON in them raises
+        ValueError, TypeError or KeyError.
+
+    Returns
+    -------
+    Record
+        The record.
+    """
     values = dict(zip(COLUMNS, row, strict=True))
     steps = [Step(**step | {"notes": tuple(step["notes"])}) for step in json.loads(values["steps"])]
     return Record(**values | {"steps": tuple(steps), "versions": json.loads(values["versions"])})

@@ -6,8 +6,9 @@ operation is one transaction: it happens as a whole or not at all, whatever othe
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Literal, Protocol
 
 import numpy as np
@@ -59,7 +60,7 @@ class Listed:
         Ascending.
     labels : list of (str or None)
     packed : (N, b) uint8
-        The bytes of each signature, in the order of the ids.
+        The bytes of each signature, in the order of the ids. The array is the caller's, to be overwritten.
     has : (N,) bool
         Whether there is a signature by these options; where there is none yet, its bytes are zero.
     """
@@ -72,14 +73,25 @@ class Listed:
 
 
 class Rows(Protocol):
-    """The operations that a catalogue needs of a store."""
+    """The operations that a catalogue needs of a store.
+
+    ``tests/catalogue/test_rows.py`` tests stores for what this protocol asks of them.
+    """
+
+    @property
+    def location(self) -> str:
+        """The path of a file, or a URL without a password, as messages name the store."""
+
+    @property
+    def folder(self) -> Path | None:
+        """A folder for indexes, which can be made again; None where the user's cache folder must do."""
 
     @property
     def is_writable(self) -> bool:
         """Whether the store can be written to."""
 
     def close(self) -> None:
-        """Give the store back."""
+        """Release the store."""
 
     def settings(self) -> Mapping[str, str]:
         """What the store was made with: ``options``, as JSON, and ``numbers_version``."""
@@ -88,35 +100,93 @@ class Rows(Protocol):
         """The state of the store now."""
 
     def count(self, status: Status) -> int:
-        """How many shapes have a status."""
+        """The number of shapes of a status."""
+
+    def areas(self) -> tuple[float, float] | None:
+        """The smallest and the largest area of a shape that did not fail; None where there is none."""
 
     def page(
         self, *, after: str = "", offset: int = 0, limit: int, status: Status | None = None
     ) -> list[Record]:
-        """Up to `limit` records in ascending order of id, behind the id `after` and `offset` records more."""
+        """Some records in ascending order of id.
 
-    def by_id(self, shape_ids: Sequence[str]) -> list[Record]:
+        Parameters
+        ----------
+        after : str, default ""
+            An id; records up to it are left out.
+        offset : int, default 0
+            Further records that are left out.
+        limit : int
+            Largest number of records.
+        status : {"done", "failed"}, optional
+            Only records of this status.
+
+        Returns
+        -------
+        list of Record
+            With their provenance.
+        """
+
+    def by_id(self, shape_ids: Collection[str]) -> list[Record]:
         """The records of some ids, in ascending order of id, without ids that the store does not hold."""
 
     def by_content(self, hashes: Collection[str]) -> list[Record]:
-        """The records of contents, likewise by id; several files may have one content."""
+        """The records of some content hashes, by id; several files may have the same content."""
 
     def put(self, record: Record, signature: bytes | None, payloads: Mapping[Payload, bytes]) -> Record:
-        """Store a shape under its path, and return the record that the store holds of that path then."""
-        # A path that the store holds keeps its id; an id that belongs to another path gets the next free
-        # number. A failure never takes the place of a finished shape.
-        ...
+        """Store a shape under its path, in place of what the store holds of that path.
+
+        A path that the store holds keeps its id; an id that belongs to another path is replaced by the next
+        free number, as `pcretrieve.catalogue.free_id` finds it. A failure never replaces a finished shape.
+
+        Parameters
+        ----------
+        record : Record
+            The record.
+        signature : bytes or None
+            Kept under the digest `OWN`; None for a shape that failed.
+        payloads : mapping of str to bytes
+            Some of `PAYLOADS`; none for a shape that failed.
+
+        Returns
+        -------
+        Record
+            The record that the store holds of that path now.
+        """
 
     def remove(self, shape_ids: Collection[str]) -> None:
-        """Forget shapes; ids that the store does not hold are ignored."""
+        """Remove shapes; ids that the store does not hold are ignored."""
 
     def revise(
         self, *, moved: Mapping[str, str], removed: Collection[str], labels: Mapping[str, str]
     ) -> None:
-        """Rename, forget and label shapes by path, in this order; paths that it does not hold are ignored."""
+        """Rename, remove and label shapes by path, in this order; paths that it does not hold are ignored.
+
+        Parameters
+        ----------
+        moved : mapping of path to path
+            New path by the old one. Where the store holds the new path, nothing is renamed.
+        removed : collection of str
+            Paths of shapes to remove.
+        labels : mapping of path to class
+            By the new path where a shape was renamed.
+        """
 
     def read(self, shape_id: str, names: Collection[Payload]) -> tuple[Record, dict[Payload, bytes]] | None:
-        """A record, and of these payloads those that are stored; None where there is no such shape."""
+        """A record and some payloads, in one state of the store.
+
+        Parameters
+        ----------
+        shape_id : str
+            The id of the shape.
+        names : collection of str
+            Some of `PAYLOADS`.
+
+        Returns
+        -------
+        (Record, dict of str to bytes) or None
+            The payloads of these names that are stored; None where there is no such shape.
+        """
 
     def sizes(self, shape_id: str) -> dict[str, int]:
         """Bytes of a shape's payloads by name, of its ``signatures``, and of its ``record``."""
@@ -125,7 +195,13 @@ class Rows(Protocol):
         """The signatures that were kept under a digest; `OWN` for those that shapes were put with."""
 
     def keep(self, digest: str, signatures: Collection[tuple[Record, bytes]]) -> None:
-        """Keep signatures under a digest, but of shapes that were replaced or forgotten since."""
+        """Keep signatures, except those of shapes that were replaced or removed since.
 
-    def areas(self) -> tuple[float, float] | None:
-        """The smallest and the largest area of a shape that did not fail; None where there is none."""
+        Parameters
+        ----------
+        digest : str
+            What the signatures are kept under.
+        signatures : collection of (Record, bytes)
+            The bytes of each signature, and the record that it was computed by: a shape was replaced if its
+            content hash is another one.
+        """

@@ -17,7 +17,15 @@ NEW_NAME = "lower(hex(randomblob(16)))"
 
 
 def create_tables(connection: sqlite3.Connection, settings: Mapping[str, str]) -> None:
-    """Make all tables, within the transaction that is under way, and write down the settings."""
+    """Make all tables, within the transaction that is under way, and store the settings.
+
+    Parameters
+    ----------
+    connection : sqlite3.Connection
+        Of the file.
+    settings : mapping of str to str
+        ``options`` and ``numbers_version``.
+    """
     schema = resources.files(__package__).joinpath("schema.sql").read_text("utf-8")
     # Not by executescript, which ends the transaction first.
     for statement in schema.split(";\n"):
@@ -28,13 +36,37 @@ def create_tables(connection: sqlite3.Connection, settings: Mapping[str, str]) -
 
 
 def table_names(connection: sqlite3.Connection) -> set[str]:
-    """The tables that a file has now."""
+    """The tables that a file has now.
+
+    Parameters
+    ----------
+    connection : sqlite3.Connection
+        Of the file.
+
+    Returns
+    -------
+    set of str
+        Their names.
+    """
     return {name for (name,) in connection.execute("SELECT name FROM sqlite_master WHERE type = 'table'")}
 
 
 @contextmanager
 def transaction(connection: sqlite3.Connection, kind: str) -> Iterator[None]:
-    """One transaction of a kind that SQLite knows, DEFERRED for readers and IMMEDIATE for writers."""
+    """One transaction, which is rolled back if the code in it raises an exception.
+
+    Parameters
+    ----------
+    connection : sqlite3.Connection
+        Of the file.
+    kind : {"DEFERRED", "IMMEDIATE"}
+        The first for readers, the second for writers.
+
+    Yields
+    ------
+    None
+        Once, for the code of the transaction.
+    """
     connection.execute(f"BEGIN {kind}")
     with connection:
         yield

@@ -14,23 +14,39 @@ __all__ = ["fitting_options", "settings_of", "stored_options"]
 
 
 def settings_of(options: PipelineOptions) -> dict[str, str]:
-    """What a catalogue that is built with these options writes down."""
+    """What a catalogue stores of the options that it is built with.
+
+    Parameters
+    ----------
+    options : PipelineOptions
+        The options.
+
+    Returns
+    -------
+    dict of str to str
+        ``options``, as JSON, and ``numbers_version``.
+    """
     return {"options": options.model_dump_json(), "numbers_version": str(NUMBERS_VERSION)}
 
 
 def stored_options(
-    path: Path, settings: Mapping[str, str], given: PipelineOptions | None = None
+    location: str | Path, settings: Mapping[str, str], given: PipelineOptions | None = None
 ) -> PipelineOptions:
     """The options that a catalogue was built with.
 
     Parameters
     ----------
-    path : Path
+    location : str or Path
         Of the catalogue, for messages.
     settings : mapping of str to str
         As `settings_of` made them, perhaps before some options existed, which get their defaults.
     given : PipelineOptions, optional
         Options that it must have been built with.
+
+    Returns
+    -------
+    PipelineOptions
+        The options in the settings.
 
     Raises
     ------
@@ -42,32 +58,32 @@ def stored_options(
         own = PipelineOptions(**values)
     except OptionError as error:
         raise CatalogueError(
-            f"{path} was built by a pcretrieve with other options ({error.message}): ingest into a new "
-            "catalogue, or use that version"
+            f"{location} was built by a pcretrieve with other options ({error.message}): ingest into a "
+            "new catalogue, or use that version"
         ) from error
     except (KeyError, TypeError, ValueError) as error:
-        raise damaged(path, "it has no readable options") from error
+        raise damaged(location, "it has no readable options") from error
     if numbers != NUMBERS_VERSION:
         raise CatalogueError(
-            f"{path} was built by a pcretrieve whose numbers differ (version {numbers} there, "
+            f"{location} was built by a pcretrieve whose numbers differ (version {numbers} there, "
             f"{NUMBERS_VERSION} here): ingest into a new catalogue"
         )
     same = given is None or (given.signature_digest, given.catalogue) == (own.signature_digest, own.catalogue)
     if given is not None and not same:
         difference = "; ".join(options_difference(own, given))
         raise CatalogueError(
-            f"{path} was built with other options: {difference}. Ingest into a new catalogue, or leave the "
-            "options out to use its own"
+            f"{location} was built with other options: {difference}. Ingest into a new catalogue, or leave "
+            "the options out to use its own"
         )
     return own
 
 
-def fitting_options(path: Path, own: PipelineOptions, given: PipelineOptions) -> PipelineOptions:
+def fitting_options(location: str, own: PipelineOptions, given: PipelineOptions) -> PipelineOptions:
     """The options of a request to a catalogue, whose stored spectra must be those that they ask for.
 
     Parameters
     ----------
-    path : Path
+    location : str
         Of the catalogue, for messages.
     own : PipelineOptions
         Those that it was built with.
@@ -87,7 +103,7 @@ def fitting_options(path: Path, own: PipelineOptions, given: PipelineOptions) ->
     if given.digest != own.digest:
         difference = "; ".join(options_difference(own, given))
         raise CatalogueError(
-            f"{path} was built with other options: {difference}. Of those only the ones of [signature] and "
-            "[retrieval] can be changed: start from its own, Catalogue.options"
+            f"{location} was built with other options: {difference}. Of those only the ones of [signature] "
+            "and [retrieval] can be changed: start from its own, Catalogue.options"
         )
     return given

@@ -6,13 +6,8 @@ import sqlite3
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
-from itertools import islice
-from operator import lt
 from pathlib import Path
 from typing import Any
-
-import numpy as np
-from numpy.typing import NDArray
 
 from pcretrieve.catalogue.migrations import prepare
 from pcretrieve.catalogue.opening import connect, damaged, is_writable, translated
@@ -25,21 +20,20 @@ from pcretrieve.catalogue.record_rows import (
     record_of,
     row_of,
 )
-from pcretrieve.catalogue.rows import OWN, PAYLOADS, Listed, Payload, Revision, Status
+from pcretrieve.catalogue.rows import OWN, PAYLOADS, Listed, Payload, Revision, Rows, Status
 from pcretrieve.catalogue.schema import NEW_NAME, transaction
+from pcretrieve.catalogue.signature_rows import listed
 
 __all__ = ["SqliteRows"]
 
-# Rows that are read at a time where all are wanted.
-READ_AT_ONCE = 1000
 
-
-class SqliteRows:
-    """Rows in a file; an implementation of `pcretrieve.catalogue.rows.Rows`.
+class SqliteRows(Rows):
+    """Rows in an SQLite file. What each method does is said in `Rows`.
 
     Parameters
     ----------
     path : Path
+        The file.
     settings : mapping of str to str
         As `settings` returns them; for a file that is made now.
     create : bool
@@ -54,7 +48,7 @@ class SqliteRows:
     """
 
     def __init__(self, path: Path, settings: Mapping[str, str], *, create: bool) -> None:
-        self.path = path
+        self._path = path
         self._connection = connect(path, create=create)
         try:
             with translated(path):
@@ -64,14 +58,21 @@ class SqliteRows:
             raise
 
     def close(self) -> None:
-        """Close the file."""
         self._connection.close()
 
     # --- the store --------------------------------------------------------------------------------------
 
     @property
+    def location(self) -> str:
+        return str(self._path)
+
+    @property
+    def folder(self) -> Path:
+        return self._path.with_name(self._path.name + ".gallery")
+
+    @property
     def is_writable(self) -> bool:
-        return is_writable(self.path)
+        return is_writable(self._path)
 
     def settings(self) -> Mapping[str, str]:
         return dict(self._all("SELECT key, value FROM meta"))
@@ -81,7 +82,7 @@ class SqliteRows:
         try:
             return Revision(settings["revision"], settings["label_revision"])
         except KeyError as error:
-            raise damaged(self.path, f"it has no {error.args[0]}") from error
+            raise damaged(self._path, f"it has no {error.args[0]}") from error
 
     def count(self, status: Status) -> int:
         return int(self._all("SELECT count(*) FROM shapes WHERE status = ?", (status,))[0][0])
@@ -172,51 +173,8 @@ class SqliteRows:
         return sizes
 
     def signatures(self, digest: str) -> Listed:
-        numbers: list[int] = []
-        ids: list[str] = []
-        labels: list[str | None] = []
-        known: dict[str | None, str | None] = {}
-        # By the table, not by the index of the status, which would look each shape up by itself.
-        query = "SELECT number, id, label FROM shapes NOT INDEXED WHERE status = 'done' ORDER BY number"
         with self._reading():
-            revision = self.revision()
-            for number, shape_id, label in self._columns(query):
-                numbers += number
-                ids += shape_id
-                labels += map(known.setdefault, label, label)
-            by_id = np.arange(len(ids))
-            if not all(map(lt, ids, islice(ids, 1, None))):
-                by_id = np.array(sorted(by_id.tolist(), key=ids.__getitem__), np.intp)
-                ids, labels = [ids[row] for row in by_id], [labels[row] for row in by_id]
-            packed, has = self._packed(digest, np.array(numbers, np.int64), np.argsort(by_id))
-        return Listed(revision, ids, labels, packed, has)
-
-    def _packed(
-        self, digest: str, numbers: NDArray[np.int64], rows: NDArray[np.intp]
-    ) -> tuple[NDArray[np.uint8], NDArray[np.bool_]]:
-        """Signatures in the rows of their shapes, whose numbers ascend; and whether there is one."""
-        query = (
-            "SELECT shape, value FROM signatures JOIN descriptors ON number = descriptor WHERE digest = ? "
-            "ORDER BY shape"
-        )
-        has = np.zeros(len(numbers), np.bool_)
-        packed = np.zeros((len(numbers), 0), np.uint8)
-        for shapes, values in self._columns(query, (digest,)):
-            if len({*map(len, values)}) > 1 or packed.shape[1] not in (0, len(values[0])):
-                raise damaged(self.path, "signatures by the same options have several lengths")
-            if not packed.shape[1]:
-                packed = np.zeros((len(numbers), len(values[0])), np.uint8)
-            theirs = rows[np.searchsorted(numbers, shapes)]
-            packed[theirs] = np.frombuffer(b"".join(values), np.uint8).reshape(len(values), -1)
-            has[theirs] = True
-        return packed, has
-
-    def _columns(self, query: str, values: Sequence[object] = ()) -> Iterator[list[list[Any]]]:
-        """What a query finds by columns, some rows at a time."""
-        cursor = self._connection.execute(query, values)
-        while rows := cursor.fetchmany(READ_AT_ONCE):
-            # Not zip(*rows), which makes an iterator of each row: three times as slow.
-            yield [[row[column] for row in rows] for column in range(len(rows[0]))]
+            return listed(self._connection, self.location, self.revision(), digest)
 
     def keep(self, digest: str, signatures: Collection[tuple[Record, bytes]]) -> None:
         with self._writing():
@@ -235,13 +193,13 @@ class SqliteRows:
     @contextmanager
     def _reading(self) -> Iterator[None]:
         """One transaction, in which all that is read belongs to one state."""
-        with translated(self.path), transaction(self._connection, "DEFERRED"):
+        with translated(self._path), transaction(self._connection, "DEFERRED"):
             yield
 
     @contextmanager
     def _writing(self) -> Iterator[sqlite3.Connection]:
         """One transaction, which takes the write lock at its start: what it reads stays true to its end."""
-        with translated(self.path), transaction(self._connection, "IMMEDIATE"):
+        with translated(self._path), transaction(self._connection, "IMMEDIATE"):
             yield self._connection
 
     def _changed(self, revision: str) -> None:
@@ -292,8 +250,8 @@ class SqliteRows:
         try:
             return record_of(row)
         except (ValueError, TypeError, KeyError) as error:
-            raise damaged(self.path, f"shape {row[0]!r} has no readable provenance") from error
+            raise damaged(self._path, f"shape {row[0]!r} has no readable provenance") from error
 
     def _all(self, query: str, values: Sequence[object] | Mapping[str, object] = ()) -> list[Any]:
-        with translated(self.path):
+        with translated(self._path):
             return self._connection.execute(query, values).fetchall()

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 
@@ -54,7 +53,7 @@ def payloads_of(shape: Shape, options: PipelineOptions) -> dict[Payload, bytes]:
 
 
 def read_shape(
-    rows: Rows, path: Path, own: PipelineOptions, shape_id: str, needs: Collection[Need]
+    rows: Rows, own: PipelineOptions, shape_id: str, needs: Collection[Need]
 ) -> tuple[Record, Shape]:
     """A shape with the parts that are needed and no others, and its record in the same state of the store.
 
@@ -65,8 +64,6 @@ def read_shape(
     ----------
     rows : Rows
         The store.
-    path : Path
-        The path of the catalogue, for messages.
     own : PipelineOptions
         The options that the catalogue was built with.
     shape_id : str
@@ -95,11 +92,11 @@ def read_shape(
     names += ["meshes"] if overlaps or with_mesh else []
     found = rows.read(shape_id, names)
     if found is None:
-        raise unknown(path, shape_id)
+        raise unknown(rows, shape_id)
     record, stored = found
     if record.status != "done":
         raise InputError(f"shape {shape_id!r} has no surface: it failed in {record.stage}: {record.message}")
-    with intact(path, f"shape {shape_id!r}"):
+    with intact(rows.location, f"shape {shape_id!r}"):
         shape = _shape(stored, record.steps)
     surfaces = shape.surfaces
     if overlaps and "overlaps" not in stored:
@@ -123,9 +120,22 @@ def _with_overlaps(surface: Surface, element: str) -> Surface:
     return replace(surface, spectrum=replace(surface.spectrum, overlaps=overlaps))
 
 
-def unknown(path: Path, shape_id: str) -> InputError:
-    """The error for an id that a catalogue does not hold."""
-    return InputError(f"{path} holds no shape {shape_id!r}; `pcretrieve list` names them")
+def unknown(rows: Rows, shape_id: str) -> InputError:
+    """The error for an id that a store does not hold.
+
+    Parameters
+    ----------
+    rows : Rows
+        The store.
+    shape_id : str
+        The id.
+
+    Returns
+    -------
+    InputError
+        To be raised.
+    """
+    return InputError(f"{rows.location} holds no shape {shape_id!r}; `pcretrieve list` names them")
 
 
 def _shape(payloads: Mapping[Payload, bytes], provenance: tuple[Step, ...]) -> Shape:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Sequence
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -17,13 +16,13 @@ from pcretrieve.catalogue.surfaces import read_shape
 from pcretrieve.errors import ShapeError
 from pcretrieve.names import METHODS
 from pcretrieve.options import PipelineOptions
-from pcretrieve.retrieval import SignatureIndex, Whitening, resolution_whitening
+from pcretrieve.retrieval import DISTANCES, SignatureIndex, Whitening, resolution_whitening
 from pcretrieve.retrieval.distances import check_comparable, coordinates
 from pcretrieve.retrieval.lower_bounds import BLOCK
 from pcretrieve.retrieval.names import Names
 from pcretrieve.types import FloatArray, SignatureTable
 
-__all__ = ["digest_of", "made_index", "resolution_of", "signature_table"]
+__all__ = ["index_name", "made_index", "resolution_of", "signature_table"]
 
 logger = logging.getLogger(__name__)
 
@@ -32,18 +31,45 @@ KEPT_AT_ONCE = 100
 
 
 def resolution_of(options: PipelineOptions) -> Whitening | None:
-    """The whitening that is not fitted to shapes, where it is asked for."""
+    """The whitening that is not fitted to shapes, where it is asked for.
+
+    Parameters
+    ----------
+    options : PipelineOptions
+        Of which `retrieval` asks for a whitening.
+
+    Returns
+    -------
+    Whitening or None
+        None for the other whitenings.
+    """
     if options.retrieval.whitening != "resolution":
         return None
     damping = options.retrieval.damping
     return resolution_whitening(options.compared, damping=damping, options_digest=options.compared_digest)
 
 
-def digest_of(options: PipelineOptions) -> str:
-    """What the signatures that are compared by some options depend on.
+def index_name(options: PipelineOptions) -> str:
+    """What an index depends on beside the shapes: its signatures, the distance, and the whitening.
 
-    A package that is upgraded may give other values by the same options.
+    Parameters
+    ----------
+    options : PipelineOptions
+        The options that ask for the index.
+
+    Returns
+    -------
+    str
+        Equal for equal indexes.
     """
+    retrieval = options.retrieval
+    distance = retrieval.distance + DISTANCES.version(retrieval.distance)
+    return f"{_digest_of(options)} {distance} {retrieval.whitening} {retrieval.damping}"
+
+
+def _digest_of(options: PipelineOptions) -> str:
+    """What the signatures that are compared by some options depend on."""
+    # A package that is upgraded may give other values by the same options.
     method = options.signature.method
     if method in METHODS:
         return options.compared_digest
@@ -71,20 +97,17 @@ class Signatures(NamedTuple):
     values: FloatArray
 
 
-def read_signatures(rows: Rows, path: Path, own: PipelineOptions, options: PipelineOptions) -> Signatures:
-    """The signatures that options ask for of a catalogue that was built with options of its `own`.
-
-    Those that are not kept are computed; ShapeError if a shape has none.
-    """
+def read_signatures(rows: Rows, own: PipelineOptions, options: PipelineOptions) -> Signatures:
+    """The signatures that options ask for, which are computed where they are not kept."""
     # Only for those who read all signatures: the descriptors bring scipy.
     from pcretrieve.descriptors import signature_length
 
-    digest = OWN if options.compared_digest == own.signature_digest else digest_of(options)
+    digest = OWN if options.compared_digest == own.signature_digest else _digest_of(options)
     listed = rows.signatures(digest)
     missing = np.flatnonzero(~listed.has)
-    made = _described(rows, path, own, digest, options, [listed.ids[row] for row in missing])
+    made = _described(rows, own, digest, options, [listed.ids[row] for row in missing])
     n_values = signature_length(options.signature)
-    with intact(path, "a signature"):
+    with intact(rows.location, "a signature"):
         if listed.has.any() and not made:
             values = unpacked_values(listed.packed, n_values)
         else:
@@ -95,28 +118,62 @@ def read_signatures(rows: Rows, path: Path, own: PipelineOptions, options: Pipel
     return Signatures(listed.revision, listed.ids, listed.labels, values)
 
 
-def signature_table(rows: Rows, path: Path, own: PipelineOptions, options: PipelineOptions) -> SignatureTable:
-    """The table of the signatures that `read_signatures` gives."""
+def signature_table(rows: Rows, own: PipelineOptions, options: PipelineOptions) -> SignatureTable:
+    """The signatures that options ask for, which are computed and kept where they are missing.
+
+    Parameters
+    ----------
+    rows : Rows
+        The store.
+    own : PipelineOptions
+        The options that the catalogue was built with.
+    options : PipelineOptions
+        With any options of signatures and retrieval.
+
+    Returns
+    -------
+    SignatureTable
+        Of all shapes that did not fail, by id.
+
+    Raises
+    ------
+    ShapeError
+        If a shape has no such signature.
+    """
     from pcretrieve.descriptors import DESCRIPTORS
 
     descriptor = DESCRIPTORS[options.signature.method]
-    _, ids, labels, values = read_signatures(rows, path, own, options)
+    _, ids, labels, values = read_signatures(rows, own, options)
     made_by = descriptor.name, options.compared_digest
     return SignatureTable(tuple(ids), values, *made_by, tuple(labels), descriptor.metric)
 
 
-def made_index(
-    rows: Rows, path: Path, own: PipelineOptions, options: PipelineOptions
-) -> tuple[SignatureIndex, Revision]:
+def made_index(rows: Rows, own: PipelineOptions, options: PipelineOptions) -> tuple[SignatureIndex, Revision]:
     """The index of the signatures that options ask for, and the state of the catalogue that it is of.
 
     Unless it is whitened by class, no more than two arrays of the size of the table are in memory at a time.
+
+    Parameters
+    ----------
+    rows : Rows
+        The store.
+    own : PipelineOptions
+        The options that the catalogue was built with.
+    options : PipelineOptions
+        With any options of signatures and retrieval.
+
+    Returns
+    -------
+    index : SignatureIndex
+        With the whitening of the signatures.
+    revision : Revision
+        The state of the store.
     """
     from pcretrieve.descriptors import DESCRIPTORS
 
     descriptor = DESCRIPTORS[options.signature.method]
     check_comparable(descriptor.name, descriptor.metric, options.retrieval.distance)
-    revision, ids, labels, values = read_signatures(rows, path, own, options)
+    revision, ids, labels, values = read_signatures(rows, own, options)
     # In place: the table has been read for the index alone.
     for start in range(0, len(values), BLOCK):
         block = slice(start, start + BLOCK)
@@ -138,7 +195,6 @@ def made_index(
 
 def _described(
     rows: Rows,
-    path: Path,
     own: PipelineOptions,
     digest: str,
     options: PipelineOptions,
@@ -158,7 +214,7 @@ def _described(
 
     try:
         for shape_id in shape_ids:
-            record, shape = read_shape(rows, path, own, shape_id, needs)
+            record, shape = read_shape(rows, own, shape_id, needs)
             try:
                 made.append(describe(shape, options.compared).values)
             except ShapeError as error:

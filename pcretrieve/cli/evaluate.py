@@ -9,6 +9,7 @@ from typing import Any
 import click
 
 from pcretrieve.cli.parts import (
+    CATALOGUE,
     compared,
     comparison_options,
     json_option,
@@ -27,8 +28,8 @@ MEASURES = {"nn": "NN", "ft": "FT", "st": "ST", "e": "E", "dcg": "DCG", "map": "
 @click.option(
     "--catalogue",
     "-c",
-    type=click.Path(path_type=Path),
-    metavar="FILE",
+    type=CATALOGUE,
+    metavar="FILE|URL",
     help="The catalogue. Not needed with both --matrix and --labels.",
 )
 @click.option(
@@ -38,7 +39,7 @@ MEASURES = {"nn": "NN", "ft": "FT", "st": "ST", "e": "E", "dcg": "DCG", "map": "
 @comparison_options
 @json_option
 def evaluate_command(
-    catalogue: Path | None,
+    catalogue: str | None,
     labels: Path | None,
     matrix: Path | None,
     as_json: bool,

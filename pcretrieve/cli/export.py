@@ -29,7 +29,7 @@ __all__ = ["export_command"]
 )
 @comparison_options
 def export_command(
-    shape_ids: tuple[str, ...], catalogue: Path, output: Path, signatures: bool, **comparison: Any
+    shape_ids: tuple[str, ...], catalogue: str, output: Path, signatures: bool, **comparison: Any
 ) -> None:
     """Write the meshes, or the signatures, of some or all shapes of a catalogue to files.
 

@@ -69,7 +69,7 @@ QUOTED = 5
 @json_option
 def ingest_command(
     paths: tuple[str, ...],
-    catalogue: Path,
+    catalogue: str,
     labels: Path | None,
     config: Path | None,
     surface: str | None,

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import asdict
-from pathlib import Path
 
 import click
 
@@ -24,7 +23,7 @@ __all__ = ["list_command"]
     "--offset", type=click.IntRange(min=0), default=0, metavar="N", help="Number of shapes to skip."
 )
 @json_option
-def list_command(catalogue: Path, failed: bool, limit: int | None, offset: int, as_json: bool) -> None:
+def list_command(catalogue: str, failed: bool, limit: int | None, offset: int, as_json: bool) -> None:
     """List the shapes of a catalogue: id, status, class, Euler characteristic, seconds, path.
 
     \b

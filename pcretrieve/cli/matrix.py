@@ -37,7 +37,7 @@ __all__ = ["matrix_command"]
     help="Compare pairs of surfaces by this method, instead of signatures.",
 )
 @comparison_options
-def matrix_command(catalogue: Path, output: Path, matcher: str | None, **comparison: Any) -> None:
+def matrix_command(catalogue: str, output: Path, matcher: str | None, **comparison: Any) -> None:
     """Write the distance matrix of a catalogue, in the format of the SHREC (Shape Retrieval Contest) tracks.
 
     The value in row i and column j is the distance from the query i to the shape j. Shapes that the matcher

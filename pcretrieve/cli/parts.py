@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from pcretrieve.types import Step
 
 __all__ = [
+    "CATALOGUE",
     "RecordName",
     "catalogue_option",
     "compared",
@@ -47,8 +48,10 @@ EXIT_INTERRUPTED = 130
 # horse and a mouse have a smaller ratio, those of one body in centimetres and in metres a larger one (1e4).
 MIXED_UNITS = 3000
 
+#: The type of an option that names a catalogue: a string, because a path would lose a slash of a URL.
+CATALOGUE = click.Path()
 catalogue_option = click.option(
-    "--catalogue", "-c", type=click.Path(path_type=Path), required=True, metavar="FILE", help="The catalogue."
+    "--catalogue", "-c", type=CATALOGUE, required=True, metavar="FILE|URL", help="The catalogue."
 )
 json_option = click.option("--json", "as_json", is_flag=True, help="Print one JSON document.")
 config_option = click.option(
@@ -291,8 +294,8 @@ def _warn_of_mixed_units(store: Catalogue) -> None:
     areas = store.areas()
     if areas is not None and areas[1] > MIXED_UNITS * areas[0]:
         say(
-            f"the largest body in {store.path} has {areas[1] / areas[0]:.0f} times the area of the smallest: "
-            "size tells them apart only if all files have one unit"
+            f"the largest body in {store.location} has {areas[1] / areas[0]:.0f} times the area of the "
+            "smallest: size tells them apart only if all files have one unit"
         )
 
 

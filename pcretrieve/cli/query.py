@@ -36,7 +36,7 @@ __all__ = ["query_command"]
 @json_option
 def query_command(
     scan: str,
-    catalogue: Path,
+    catalogue: str,
     k: int,
     matrix: Path | None,
     timeout: float,

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import click
 
 from pcretrieve.cli.parts import (
@@ -17,7 +15,7 @@ __all__ = ["remove_command"]
 @click.command("remove")
 @click.argument("shape_ids", nargs=-1, required=True, metavar="ID...")
 @catalogue_option
-def remove_command(shape_ids: tuple[str, ...], catalogue: Path) -> None:
+def remove_command(shape_ids: tuple[str, ...], catalogue: str) -> None:
     """Remove shapes from a catalogue; the files of the scans are not changed.
 
     \b

@@ -42,7 +42,7 @@ __all__ = ["report_command"]
 @matrix_option
 @comparison_options
 def report_command(
-    catalogue: Path,
+    catalogue: str,
     output: Path,
     queries: int,
     k: int,

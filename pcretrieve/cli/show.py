@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import asdict
-from pathlib import Path
 
 import click
 
@@ -21,7 +20,7 @@ __all__ = ["show_command"]
 @click.argument("shape_id", metavar="ID")
 @catalogue_option
 @json_option
-def show_command(shape_id: str, catalogue: Path, as_json: bool) -> None:
+def show_command(shape_id: str, catalogue: str, as_json: bool) -> None:
     """Show the provenance of a shape: its file, the steps of each stage, and the size of what is stored.
 
     \b

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from pcretrieve.cli.parts import (
+    CATALOGUE,
     EXIT_SOME_FAILED,
     config_option,
     failure_line,
@@ -42,8 +43,8 @@ __all__ = ["signature_command"]
 @click.argument("paths", nargs=-1, metavar="[PATH|ID]...")
 @click.option(
     "--from-catalogue",
-    type=click.Path(path_type=Path),
-    metavar="FILE",
+    type=CATALOGUE,
+    metavar="FILE|URL",
     help="Use shapes of a catalogue, by id, or all shapes, instead of scans.",
 )
 @method_option
@@ -62,7 +63,7 @@ __all__ = ["signature_command"]
 @json_option
 def signature_command(
     paths: tuple[str, ...],
-    from_catalogue: Path | None,
+    from_catalogue: str | None,
     method: str | None,
     n_values: int | None,
     n_modes: int | None,
@@ -160,14 +161,14 @@ def _failure(name: str, error: PcretrieveError) -> Record:
     return failed(Record(Path(name).stem, name, ""), error)
 
 
-def _of_catalogue(path: Path, ids: tuple[str, ...], chosen: dict[str, Any]) -> Iterator[Row]:
+def _of_catalogue(location: str, ids: tuple[str, ...], chosen: dict[str, Any]) -> Iterator[Row]:
     """Signatures of shapes of a catalogue, or the records of their failures."""
     from pcretrieve.catalogue import Catalogue
     from pcretrieve.descriptors import DESCRIPTORS, describe
     from pcretrieve.errors import ShapeError
     from pcretrieve.ingestion.plan import failed
 
-    with Catalogue(path) as store:
+    with Catalogue(location) as store:
         options = store.options.changed(signature=chosen).signature
         needs = DESCRIPTORS[options.method].needs
         records = [store.record(shape_id) for shape_id in ids] or store.records()

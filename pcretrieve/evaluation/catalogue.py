@@ -84,7 +84,7 @@ def rank_catalogue(
         classes = _classes(labels, read_labels(labels), paths)
     if not any(classes.values()):
         advice = "give --labels, a file of classes" if labels is None else f"no name in {labels} fits one"
-        raise BenchmarkError(f"no shape in {catalogue.path} has a class: {advice}")
+        raise BenchmarkError(f"no shape in {catalogue.location} has a class: {advice}")
     if matrix is not None:
         check_known(matrix, catalogue)
         missing = [classes[shape_id] for shape_id in records if shape_id not in set(matrix.ids)]
@@ -116,8 +116,8 @@ def check_known(matrix: DistanceMatrix, catalogue: Catalogue) -> None:
     """
     if unknown := sorted(set(matrix.ids).difference(record.id for record in catalogue.records())):
         raise InputError(
-            f"a distance matrix must be of shapes in {catalogue.path}, got {len(unknown)} others, such as "
-            f"{unknown[0]!r}: make it anew with `pcretrieve matrix`, or correct its ids"
+            f"a distance matrix must be of shapes in {catalogue.location}, got {len(unknown)} others, such "
+            f"as {unknown[0]!r}: make it anew with `pcretrieve matrix`, or correct its ids"
         )
 
 

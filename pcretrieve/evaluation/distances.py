@@ -59,7 +59,7 @@ def catalogue_distances(
     """
     labels = {record.id: record.label for record in catalogue.records(status="done")}
     if not labels:
-        raise InputError(f"{catalogue.path} holds no shapes: ingest some first")
+        raise InputError(f"{catalogue.location} holds no shapes: ingest some first")
     failures: tuple[Failure, ...] = ()
     ranking: Ranking
     if matcher is None:

@@ -70,7 +70,7 @@ def retrieval_page(
     if matrix is None:
         table = catalogue.signatures(options)
         if not len(table):
-            raise InputError(f"{catalogue.path} holds no shapes: ingest some first")
+            raise InputError(f"{catalogue.location} holds no shapes: ingest some first")
         ranking = SignatureIndex(table, options.retrieval, whitening=catalogue.whitening(options))
         facts = _signature_facts(table, options)
     else:
@@ -107,7 +107,7 @@ def retrieval_page(
         measures, curve = evaluate_rankings(rankings), precision_recall(rankings)
     return write_report(
         path,
-        title=f"Retrieval in {catalogue.path.name}",
+        title=f"Retrieval in {Path(catalogue.location).name}",
         panels=panels,
         measures=measures,
         failures=[

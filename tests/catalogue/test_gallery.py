@@ -66,7 +66,7 @@ def fresh(store: Catalogue, options: PipelineOptions) -> SignatureIndex:
 
 
 def kept(store: Catalogue) -> list[Path]:
-    folder = store.path.with_name("c.sqlite.gallery")
+    folder = Path(store.location).with_name("c.sqlite.gallery")
     return sorted(folder.iterdir()) if folder.exists() else []
 
 
@@ -85,7 +85,7 @@ def test_an_index_that_was_kept_answers_as_one_made_anew(
     options = asked(whitening, distance)
     assert_same(catalogue.index(options), catalogue, options)
     assert len(kept(catalogue)) == 1
-    with Catalogue(catalogue.path) as other:
+    with Catalogue(catalogue.location) as other:
         statements: list[str] = []
         other._rows._connection.set_trace_callback(statements.append)  # type: ignore[attr-defined]
         index = other.index(options)
@@ -154,12 +154,12 @@ def test_a_copy_that_is_restored_has_not_the_index_of_the_state_after_it(
 ) -> None:
     """Both have seen as many writes."""
     catalogue.close()
-    shutil.copy(catalogue.path, tmp_path / "backup")
-    with Catalogue(catalogue.path) as store:
+    shutil.copy(catalogue.location, tmp_path / "backup")
+    with Catalogue(catalogue.location) as store:
         put(store, N_SHAPES)
         store.index(asked())
-    shutil.copy(tmp_path / "backup", catalogue.path)
-    with Catalogue(catalogue.path) as store:
+    shutil.copy(tmp_path / "backup", catalogue.location)
+    with Catalogue(catalogue.location) as store:
         put(store, N_SHAPES + 1)
         assert "s041" in store.index(asked()).nearest("s041", 50).ids
         assert_same(store.index(asked()), store, asked())
@@ -176,9 +176,9 @@ def test_one_that_is_damaged_is_made_anew(damage: str, catalogue: Catalogue) -> 
         data = file.read_bytes()
         file.unlink()  # the index above has the old one mapped
         file.write_bytes(data[: len(data) // 2] if damage == "truncated" else b"no array" * 100)
-    with Catalogue(catalogue.path) as other:
+    with Catalogue(catalogue.location) as other:
         assert_same(other.index(asked()), catalogue, asked())
-    with Catalogue(catalogue.path) as other:
+    with Catalogue(catalogue.location) as other:
         assert isinstance(other.index(asked()).to_arrays()["gallery"], np.ndarray)
     assert kept(catalogue) == [folder]
 
@@ -200,17 +200,17 @@ def test_where_the_folder_cannot_be_written_the_users_cache_is_taken(
     catalogue: Catalogue, tmp_path: Path
 ) -> None:
     # Even root cannot make a folder where a file is.
-    catalogue.path.with_name("c.sqlite.gallery").touch()
+    Path(catalogue.location).with_name("c.sqlite.gallery").touch()
     catalogue.index(asked())
     (cached,) = (tmp_path / "cache" / "pcretrieve").iterdir()
     assert cached.name.startswith("c.sqlite-")
     assert len(list(cached.iterdir())) == 1
-    with Catalogue(catalogue.path) as other:
+    with Catalogue(catalogue.location) as other:
         assert_same(other.index(asked()), catalogue, asked())
 
 
 def test_without_any_folder_it_answers_all_the_same(catalogue: Catalogue, tmp_path: Path) -> None:
-    catalogue.path.with_name("c.sqlite.gallery").touch()
+    Path(catalogue.location).with_name("c.sqlite.gallery").touch()
     (tmp_path / "cache").touch()
     assert_same(catalogue.index(asked()), catalogue, asked())
 
@@ -221,7 +221,7 @@ def test_several_processes_may_make_one_at_once(catalogue: Catalogue) -> None:
         "gallery.SMALLEST_KEPT = 1; print(Catalogue(sys.argv[1]).index().nearest('s005', 3).ids)"
     )
     running = [
-        subprocess.Popen([sys.executable, "-c", code, catalogue.path], stdout=subprocess.PIPE, text=True)
+        subprocess.Popen([sys.executable, "-c", code, catalogue.location], stdout=subprocess.PIPE, text=True)
         for _ in range(3)
     ]
     expected = f"{fresh(catalogue, OPTIONS).query(catalogue.signatures().values[5], 3).ids}\n"

@@ -28,7 +28,7 @@ def path(tmp_path: Path) -> Path:
         shape = process(shapes.icosphere(3), OPTIONS)
         values = describe(shape, OPTIONS.signature).values
         store.put(Record("ball", "/ball.off", "hash"), Content(shape, values))
-    return store.path
+    return Path(store.location)
 
 
 def execute(path: Path, *statements: str) -> None:

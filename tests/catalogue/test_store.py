@@ -73,8 +73,8 @@ def test_what_is_put_in_comes_back(catalogue: Catalogue) -> None:
 def test_everything_outlives_the_process_in_one_file(catalogue: Catalogue) -> None:
     before = catalogue.records()
     catalogue.close()
-    assert list(catalogue.path.parent.iterdir()) == [catalogue.path]
-    with Catalogue(catalogue.path) as again:
+    assert [str(path) for path in Path(catalogue.location).parent.iterdir()] == [catalogue.location]
+    with Catalogue(catalogue.location) as again:
         assert again.records() == before
         assert len(again) == N_SHAPES
 
@@ -231,27 +231,27 @@ def test_a_whitening_by_class_follows_the_labels(catalogue: Catalogue) -> None:
 @pytest.mark.skipif(os.geteuid() == 0, reason="root may write every file")
 def test_a_catalogue_that_may_not_be_written_can_be_read(catalogue: Catalogue) -> None:
     catalogue.close()
-    catalogue.path.parent.chmod(0o500)
+    Path(catalogue.location).parent.chmod(0o500)
     try:
-        with Catalogue(catalogue.path) as reader:
+        with Catalogue(catalogue.location) as reader:
             assert len(reader) == N_SHAPES
             assert reader.whitening(whitened("pca")).kind == "pca"
             with pytest.raises(CatalogueError, match="cannot be written to"):
                 reader.remove("egg0")
         with pytest.raises(CatalogueError, match="cannot be written to"):
-            Catalogue(catalogue.path, create=True)
+            Catalogue(catalogue.location, create=True)
     finally:
-        catalogue.path.parent.chmod(0o700)
+        Path(catalogue.location).parent.chmod(0o700)
 
 
 # --- several at once ------------------------------------------------------------------------------------
 
 
 def test_readers_see_the_last_whole_state_while_somebody_writes(catalogue: Catalogue) -> None:
-    with closing(sqlite3.connect(catalogue.path)) as writer:
+    with closing(sqlite3.connect(catalogue.location)) as writer:
         writer.execute("BEGIN IMMEDIATE")
         writer.execute("DELETE FROM shapes")
-        with Catalogue(catalogue.path) as reader:
+        with Catalogue(catalogue.location) as reader:
             assert len(reader) == N_SHAPES
         writer.commit()
     assert len(catalogue) == 0
@@ -259,7 +259,7 @@ def test_readers_see_the_last_whole_state_while_somebody_writes(catalogue: Catal
 
 def test_two_writers_take_turns_or_say_so(catalogue: Catalogue, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(opening, "LOCK_TIMEOUT", 0.05)
-    with closing(sqlite3.connect(catalogue.path)) as writer, Catalogue(catalogue.path) as other:
+    with closing(sqlite3.connect(catalogue.location)) as writer, Catalogue(catalogue.location) as other:
         writer.execute("BEGIN IMMEDIATE")
         with pytest.raises(
             CatalogueError, match="is locked by another process: wait until that has finished"
@@ -291,7 +291,7 @@ def test_every_surface_of_a_scan_is_kept(method: str, catalogue: Catalogue) -> N
 
 
 def test_of_a_shape_only_what_is_needed_is_read(catalogue: Catalogue) -> None:
-    with closing(sqlite3.connect(catalogue.path)) as other, other:
+    with closing(sqlite3.connect(catalogue.location)) as other, other:
         for table, shape_id in (("moments", "egg1"), ("meshes", "egg2")):
             other.execute(
                 f"UPDATE {table} SET arrays = x'00' WHERE shape = (SELECT number FROM shapes WHERE id = ?)",

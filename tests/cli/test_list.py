@@ -30,7 +30,7 @@ def path(tmp_path_factory: pytest.TempPathFactory) -> Path:
         )
         for number in range(N_FAILED):
             store.put(Record(f"r{number:04}", f"/r{number:04}.ply", "", status="failed", message="no scan"))
-    return store.path
+    return Path(store.location)
 
 
 def run(*arguments: object) -> str:

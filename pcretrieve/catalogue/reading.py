@@ -1,0 +1,135 @@
+"""The shapes of a store, as they are read: records by id and by content, meshes and spectra."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from pcretrieve.catalogue.record import Record
+from pcretrieve.catalogue.rows import Rows, Status
+from pcretrieve.catalogue.surfaces import read_shape, unknown
+from pcretrieve.errors import ShapeError
+from pcretrieve.options import PipelineOptions
+from pcretrieve.types import Need, Shape, TriangleMesh
+
+__all__ = ["StoredShapes"]
+
+# Records that are read at a time where all are wanted.
+PAGE = 1000
+
+
+class StoredShapes:
+    """The shapes of a store: the part of a catalogue that only reads.
+
+    Parameters
+    ----------
+    rows : Rows
+        The store.
+    options : PipelineOptions
+        The options that the catalogue was built with.
+
+    Attributes
+    ----------
+    location : str
+        The path or the URL of the store, as messages name it.
+    options : PipelineOptions
+        The options that the catalogue was built with.
+    """
+
+    def __init__(self, rows: Rows, options: PipelineOptions) -> None:
+        self._rows = rows
+        self.location, self.options = rows.location, options
+
+    def __len__(self) -> int:
+        return self._rows.count("done")
+
+    def pages(
+        self, *, status: Status | None = None, offset: int = 0, limit: int | None = None
+    ) -> Iterator[list[Record]]:
+        """The records, failed ones included, in ascending order of id; a page is read when it is asked for.
+
+        Parameters
+        ----------
+        status : {"done", "failed"}, optional
+            Only records of this status.
+        offset : int, default 0
+            Records that are left out at the beginning.
+        limit : int, optional
+            Largest number of records in all pages together.
+
+        Yields
+        ------
+        list of Record
+            At least one record.
+        """
+        after, left = "", limit
+        while left is None or left > 0:
+            size = PAGE if left is None else min(PAGE, left)
+            page = self._rows.page(after=after, offset=offset, limit=size, status=status)
+            if page:
+                yield page
+            if len(page) < size:
+                return
+            after, offset = page[-1].id, 0
+            left = None if left is None else left - size
+
+    def records(self, *, status: Status | None = None) -> list[Record]:
+        """All records, or those of one status, in ascending order of id."""
+        return [record for page in self.pages(status=status) for record in page]
+
+    def record(self, shape_id: str) -> Record:
+        """The record of a shape; InputError if there is none of that id."""
+        record = self.get(shape_id)
+        if record is None:
+            raise unknown(self._rows, shape_id)
+        return record
+
+    def get(self, shape_id: str) -> Record | None:
+        """The record of a shape, or None if there is none of that id."""
+        return next(iter(self._rows.by_id([shape_id])), None)
+
+    def with_content(self, content_hash: str) -> list[Record]:
+        """The shapes of files with a content, failed ones included, in ascending order of id."""
+        return self._rows.by_content([content_hash])
+
+    def areas(self) -> tuple[float, float] | None:
+        """The smallest and the largest area of a shape, unit length² of the files; None if it is empty."""
+        return self._rows.areas()
+
+    def stored_bytes(self, shape_id: str) -> dict[str, int]:
+        """The sizes in bytes of a shape's record, signatures and arrays; InputError if there is no shape."""
+        self.record(shape_id)
+        return self._rows.sizes(shape_id)
+
+    def mesh(self, shape_id: str) -> TriangleMesh:
+        """The mesh of a shape's first surface, unit length of the file; ShapeError if it was not stored."""
+        shape = self.shape(shape_id, needs=("mesh",))
+        try:
+            return shape.mesh
+        except ShapeError as error:
+            error.shape_id = shape_id
+            raise
+
+    def shape(self, shape_id: str, needs: tuple[Need, ...] = ("spectrum", "mesh")) -> Shape:
+        """A shape, with the parts that are asked for and no others.
+
+        Parameters
+        ----------
+        shape_id : str
+            The id of a shape that did not fail.
+        needs : tuple of {"spectrum", "overlaps", "eigenvectors", "mesh", "points"}
+            What a descriptor needs. Overlaps that were not stored are computed from the mesh. For
+            eigenvectors the mesh is read, from which `describe` computes them. The points are not stored.
+
+        Returns
+        -------
+        Shape
+            Without the parts that were not stored and cannot be computed.
+
+        Raises
+        ------
+        InputError
+            If there is no shape of that id, or it failed.
+        CatalogueError
+            If the stored arrays are damaged.
+        """
+        return read_shape(self._rows, self.options, shape_id, needs)[1]

@@ -1,0 +1,95 @@
+"""The protocol that opens stores, and the table of stores.
+
+Another package adds a store by an entry point of the group ``pcretrieve.stores`` that names a callable of the
+protocol `OpenStore`. The name of the entry point is the scheme of the URLs that are opened by it: the store
+``postgresql`` opens ``postgresql://host/database``. Locations without a scheme are SQLite files.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Protocol
+
+from pcretrieve.catalogue.rows import Rows
+from pcretrieve.catalogue.sqlite import SqliteRows
+from pcretrieve.names import NAMES
+from pcretrieve.plugins import Registry
+
+__all__ = ["STORES", "OpenStore", "open_rows"]
+
+SCHEME = re.compile(r"([a-z][a-z0-9+.-]*)://")
+
+
+class OpenStore(Protocol):
+    """A callable that opens the store at a location."""
+
+    def __call__(self, location: str, settings: Mapping[str, str], *, create: bool) -> Rows:
+        """Open a store.
+
+        Parameters
+        ----------
+        location : str
+            The URL, with its scheme.
+        settings : mapping of str to str
+            As `Rows.settings` returns them, for a store that is made now.
+        create : bool
+            Make the store where there is none.
+
+        Returns
+        -------
+        Rows
+            The store. Its methods raise CatalogueError where they fail.
+
+        Raises
+        ------
+        CatalogueError
+            If there is no such store and `create` is false, or it cannot be opened.
+        """
+        ...
+
+
+def open_rows(location: str | Path, settings: Mapping[str, str], *, create: bool) -> Rows:
+    """Open the store at a location.
+
+    Parameters
+    ----------
+    location : str or Path
+        A URL whose scheme is the name of a store, or the path of an SQLite file.
+    settings : mapping of str to str
+        As `Rows.settings` returns them, for a store that is made now.
+    create : bool
+        Make the store where there is none.
+
+    Returns
+    -------
+    Rows
+        The store.
+
+    Raises
+    ------
+    OptionError
+        If there is no store of that name, or its package cannot be loaded.
+    CatalogueError
+        If there is no such store and `create` is false, or it cannot be opened.
+    """
+    scheme = SCHEME.match(location) if isinstance(location, str) else None
+    if scheme is None:
+        return SqliteRows(Path(location), settings, create=create)
+    return STORES[scheme[1]](str(location), settings, create=create)
+
+
+def _sqlite(location: str, settings: Mapping[str, str], *, create: bool) -> Rows:
+    """The SQLite file of a URL such as ``sqlite:///data/bodies.sqlite``."""
+    return SqliteRows(Path(location.partition("://")[2]), settings, create=create)
+
+
+def _checked(name: str, added: object) -> OpenStore:
+    if not callable(added):
+        raise TypeError(f"must be a callable of the protocol OpenStore, got {added!r}")
+    opened: OpenStore = added
+    return opened
+
+
+STORES: Registry[OpenStore] = Registry(NAMES["store"], {"sqlite": _sqlite}, _checked)
