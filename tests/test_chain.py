@@ -167,6 +167,8 @@ def test_records_state_what_there_is() -> None:
     for record in (PointFilter, SurfaceFilter):
         with pytest.raises(OptionError, match=r"derived from .*\.Options, got <class 'dict'>"):
             record("odd", lambda value, options: value, options=dict)  # type: ignore[arg-type]
+        with pytest.raises(OptionError, match="must not have the name 'stages'"):
+            record("stages", lambda value, options: value)
 
 
 # --- what is meant ------------------------------------------------------------------------------------

@@ -123,6 +123,10 @@ def test_what_a_file_does_not_name_keeps_its_default(tmp_path: Path) -> None:
         ),
         (b"surface = 3\n", r"surface: input should be a valid dictionary .*, got 3"),
         (b"[pipeline]\nstages = [['clean']]\n", r"in \[pipeline\], stages.0: input should be a valid string"),
+        (
+            b"surface = 3\n[pipeline]\nstages = ['clean', 'orient', 'poisson', 'spectrum']\n",
+            r"surface: input should be a valid dictionary .*, got 3",
+        ),
         (b"pipeline = 3\n", r"pipeline: input should be a valid dictionary .*, got 3"),
         (b"pipeline = 3\nsurface = 3\n", r"pipeline: .* got 3; surface: .*, got 3"),
     ],

@@ -41,7 +41,7 @@ class PointFilter:
     Raises
     ------
     OptionError
-        If `takes` or `gives` has another value, or `options` is no class of options.
+        If `takes` or `gives` has another value, `options` is no class of options, or the name is ``stages``.
     """
 
     name: str
@@ -57,7 +57,7 @@ class PointFilter:
                 f"a filter of points must take and give 'points' or 'normals', got {self.takes!r} and "
                 f"{self.gives!r}"
             )
-        _check_class(self.options)
+        _check(self.name, self.options)
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,7 +81,7 @@ class SurfaceFilter:
     Raises
     ------
     OptionError
-        If `options` is no class of options.
+        If `options` is no class of options, or the name is ``stages``.
     """
 
     name: str
@@ -94,10 +94,12 @@ class SurfaceFilter:
     gives: ClassVar[Value] = "surface"
 
     def __post_init__(self) -> None:
-        _check_class(self.options)
+        _check(self.name, self.options)
 
 
-def _check_class(options: object) -> None:
+def _check(name: str, options: object) -> None:
+    if name == "stages":
+        raise OptionError("a filter must not have the name 'stages', which is that of the option: rename it")
     if not (isinstance(options, type) and issubclass(options, Options)):
         raise OptionError(
             f"options of a filter must be a class derived from pcretrieve.options.Options, got {options!r}"

@@ -153,7 +153,7 @@ def with_method(tables: Mapping[str, Any]) -> dict[str, Any]:
     Parameters
     ----------
     tables : mapping of str to a mapping or to options
-        Options by table, perhaps invalid ones; those that are not named are to have other values.
+        Options by table, before they are validated.
 
     Returns
     -------
@@ -193,8 +193,10 @@ def _named(table: Any, option: str) -> Any:
 
 
 def _replaced(table: Any, **values: Any) -> Any:
-    """A table of options with other values of some of them."""
-    return table.model_copy(update=values) if isinstance(table, Options) else {**table, **values}
+    """A table of options with other values of some of them. What is no table is refused later."""
+    if isinstance(table, Options):
+        return table.model_copy(update=values)
+    return {**table, **values} if isinstance(table, Mapping) else table
 
 
 class StageOptions(Options):
