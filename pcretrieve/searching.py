@@ -94,13 +94,22 @@ def search(
 def _held(catalogue: Catalogue, query: str | Path) -> str | None:
     """The id of the shape that a query stands for; None for a scan that the catalogue does not hold."""
     path = Path(query)
-    if isinstance(query, str) and (path.is_dir() or not path.exists()):
+    # Readers are loaded for files only, because they are not needed to look up a shape.
+    if isinstance(query, str) and (path.is_dir() or not (path.exists() or _is_in_a_file(path))):
         return _stored(catalogue, query)
-    # Only for files: readers and scans are not needed to look up a shape.
     from pcretrieve.ingestion.discover import content_hash
 
     done = (record.id for record in catalogue.with_content(content_hash(path)) if record.status == "done")
     return next(done, None)
+
+
+def _is_in_a_file(path: Path) -> bool:
+    """Whether a path ``file#name`` names one of the scans in a file."""
+    if "#" not in path.name:
+        return False
+    from pcretrieve.formats import split_member
+
+    return split_member(path)[0].exists()
 
 
 def _stored(catalogue: Catalogue, shape_id: str) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from pcretrieve.arrays import FloatArray, IntArray
 from pcretrieve.types import TriangleMesh
 
-__all__ = ["mesh_arrays", "mesh_bytes", "trimesh_cloud", "trimesh_mesh"]
+__all__ = ["Body", "mesh_arrays", "mesh_bytes", "scene_bodies", "trimesh_cloud", "trimesh_mesh"]
 
 
 def trimesh_cloud(points: FloatArray) -> Any:
@@ -87,6 +87,74 @@ def mesh_arrays(path: Path, file_type: str) -> tuple[NDArray[np.float64], NDArra
     except (OSError, MemoryError):
         raise
     # trimesh has no exception class of its own: damaged files raise exceptions of any class.
+    except Exception as error:
+        raise ValueError(str(error) or type(error).__name__) from error
+
+
+class Body(NamedTuple):
+    """A mesh of a scene.
+
+    Attributes
+    ----------
+    name : str
+        The name of its node.
+    vertices : (n, 3) float64
+        Coordinates in the frame of the scene; unit of the file.
+    faces : (m, 3) int64
+        Vertex numbers of the triangles.
+    """
+
+    name: str
+    vertices: NDArray[np.float64]
+    faces: NDArray[np.int64]
+
+
+def scene_bodies(path: Path, file_type: str) -> tuple[list[Body], str | None]:
+    """Read a file of several meshes, which the nodes of a scene place.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    file_type : str
+        The format, as trimesh names it: a suffix without its dot.
+
+    Returns
+    -------
+    bodies : list of Body
+        The meshes with triangles, one for each node that places one.
+    unit : str or None
+        The unit of the file, as trimesh names it.
+
+    Raises
+    ------
+    OSError
+        If the file cannot be read.
+    MemoryError
+        If the file is too large for the memory.
+    ValueError
+        If the file is damaged.
+    """
+    import trimesh
+
+    try:
+        scene: Any = trimesh.load_scene(path, file_type=file_type, process=False)
+        bodies, unit = [], None
+        for node in scene.graph.nodes_geometry:
+            motion, name = scene.graph[node]
+            mesh = scene.geometry[name]
+            if not len(getattr(mesh, "faces", ())):
+                continue
+            vertices = trimesh.transform_points(np.asarray(mesh.vertices, dtype=np.float64), motion)
+            faces = np.asarray(mesh.faces, dtype=np.int64).reshape(-1, 3)
+            # A reflection reverses the orientation of triangles.
+            mirrored = np.linalg.det(motion[:3, :3]) < 0
+            bodies.append(Body(str(node), vertices.reshape(-1, 3), faces[:, ::-1] if mirrored else faces))
+            unit = mesh.metadata.get("units")
+        return bodies, unit
+    except (OSError, MemoryError):
+        raise
+    # trimesh has no exception class of its own: a damaged file raises whatever its parser does.
     except Exception as error:
         raise ValueError(str(error) or type(error).__name__) from error
 

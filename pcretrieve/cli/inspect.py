@@ -75,11 +75,11 @@ def inspect_command(
     pcretrieve inspect scan.ply -o page.html --png sheet.png --rescans 0
     """
     from pcretrieve.errors import InputError
-    from pcretrieve.formats import check_output
+    from pcretrieve.formats import check_output, split_member
     from pcretrieve.ingestion.discover import printable
     from pcretrieve.ingestion.isolation import Isolation
 
-    if not scan.is_file():
+    if not split_member(scan)[0].is_file():
         raise InputError(f"there is no scan {printable(scan)}: name a file")
     page = output or Path(scan.stem + ".html")
     for target in (page, png):

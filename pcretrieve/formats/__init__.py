@@ -4,11 +4,12 @@ In comes a path, and a point cloud or a triangle mesh goes out; or the reverse. 
 together, such as posed range scans, are read as one scan.
 """
 
+from pcretrieve.formats.contents import is_scan, members_of, parts_of
 from pcretrieve.formats.files import check_file
 from pcretrieve.formats.format import Extra, Format, Part
 from pcretrieve.formats.raw import RawScan
 from pcretrieve.formats.read import read_scan
-from pcretrieve.formats.registry import is_scan, missing_extra, parts_of, suffixes
+from pcretrieve.formats.registry import missing_extra, split_member, suffixes
 from pcretrieve.formats.signatures import write_signatures
 from pcretrieve.formats.write import check_output, write_cloud, write_mesh
 
@@ -20,9 +21,11 @@ __all__ = [
     "check_file",
     "check_output",
     "is_scan",
+    "members_of",
     "missing_extra",
     "parts_of",
     "read_scan",
+    "split_member",
     "suffixes",
     "write_cloud",
     "write_mesh",

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from pcretrieve.errors import ScanReadError
 
-__all__ = ["check_file", "member_bytes"]
+__all__ = ["check_archive", "check_file", "member_bytes"]
 
 # Largest compression ratio of deflate, the usual method of archives.
 DEFLATE_RATIO = 1032
@@ -63,8 +63,29 @@ def member_bytes(archive: zipfile.ZipFile, name: str | zipfile.ZipInfo) -> bytes
         If the member promises more bytes than such an archive can hold.
     """
     info = archive.getinfo(name) if isinstance(name, str) else name
+    _check_ratio(info)
+    return archive.read(info)
+
+
+def check_archive(archive: zipfile.ZipFile) -> None:
+    """Check, before an archive is read by a library, that its members are not larger than they can be.
+
+    Parameters
+    ----------
+    archive : ZipFile
+        The archive.
+
+    Raises
+    ------
+    ScanReadError
+        If a member promises more bytes than such an archive can hold.
+    """
+    for info in archive.infolist():
+        _check_ratio(info)
+
+
+def _check_ratio(info: zipfile.ZipInfo) -> None:
     if info.file_size > DEFLATE_RATIO * (info.compress_size + 1):
         raise ScanReadError(
             f"its member {info.filename} promises {info.file_size} bytes in {info.compress_size}"
         )
-    return archive.read(info)

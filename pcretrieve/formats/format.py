@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from pcretrieve.arrays import FloatArray
+from pcretrieve.formats.members import Members
 from pcretrieve.formats.raw import RawScan
 from pcretrieve.types import PointCloud, TriangleMesh
 
@@ -83,6 +84,9 @@ class Format:
         Whether a file is a scan, by a look at its first bytes; for suffixes that other files have too. A
         folder stands for those files in it that are recognised. None if every file of the suffixes is a scan.
         Raises OSError.
+    members : Members or None
+        How the scans in a file are read one by one; `read` reads all of them as one. None if a file is one
+        scan.
     extra : Extra or None
         What must be installed to read the format; None if nothing more than pcretrieve.
     """
@@ -93,4 +97,5 @@ class Format:
     write_cloud: Callable[[PointCloud], bytes] | None = None
     write_mesh: Callable[[TriangleMesh], bytes] | None = None
     recognise: Callable[[Path], bool] | None = None
+    members: Members | None = None
     extra: Extra | None = None

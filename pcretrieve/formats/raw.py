@@ -32,6 +32,8 @@ class RawScan(NamedTuple):
         Positions of the sensors of all points, or of one sensor, in the frame of the points.
     notes : tuple of str
         Notes of the reader for the provenance.
+    unit : str or None
+        The unit of length of the file, a key of `METRES`; None if the file does not say.
     """
 
     points: NDArray[Any]
@@ -39,6 +41,7 @@ class RawScan(NamedTuple):
     normals: NDArray[Any] | None = None
     viewpoints: NDArray[Any] | None = None
     notes: tuple[str, ...] = ()
+    unit: str | None = None
 
 
 def fans(polygons: Sequence[NDArray[Any]]) -> NDArray[np.int64]:
@@ -145,7 +148,7 @@ def joined(scans: Sequence[RawScan]) -> RawScan:
     Parameters
     ----------
     scans : sequence of RawScan
-        At least one; all are clouds, or all are meshes.
+        At least one, in one unit; all are clouds, or all are meshes.
 
     Returns
     -------
@@ -166,6 +169,7 @@ def joined(scans: Sequence[RawScan]) -> RawScan:
         np.concatenate(normals) if len(normals) == len(scans) else None,
         np.concatenate(sensors) if len(sensors) == len(scans) else None,
         tuple(note for scan in scans for note in scan.notes),
+        scans[0].unit,
     )
 
 

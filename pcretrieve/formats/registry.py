@@ -11,19 +11,25 @@ from pcretrieve.errors import OptionError, ScanReadError, ShapeError, Stage
 from pcretrieve.formats.arrays import NPY, NPZ
 from pcretrieve.formats.conf import conf_format
 from pcretrieve.formats.files import check_file
-from pcretrieve.formats.format import Extra, Format, Part
-from pcretrieve.formats.glb import GLB
+from pcretrieve.formats.format import Extra, Format
+from pcretrieve.formats.gltf import GLB, GLTF
+from pcretrieve.formats.members import MARK
 from pcretrieve.formats.obj import OBJ
 from pcretrieve.formats.off import OFF
 from pcretrieve.formats.pcd import PCD
 from pcretrieve.formats.ply import PLY
 from pcretrieve.formats.ptx import PTX
 from pcretrieve.formats.raw import RawScan
+from pcretrieve.formats.scenes import COLLADA, THREE_MF
 from pcretrieve.formats.stl import STL
 from pcretrieve.formats.text_points import TEXT_FORMATS
+from pcretrieve.formats.vrml import VRML
 from pcretrieve.plugins import Names, Registry
 
-__all__ = ["FORMATS", "is_scan", "missing_extra", "parts_of", "read_raw", "suffixes"]
+__all__ = ["FORMATS", "as_read_error", "format_of", "missing_extra", "read_raw", "split_member", "suffixes"]
+
+# Largest number of names in a message.
+MOST_QUOTED = 5
 
 
 def suffixes() -> tuple[str, ...]:
@@ -54,65 +60,27 @@ def missing_extra(suffix: str) -> Extra | None:
     return extra if extra is not None and extra.missing else None
 
 
-def is_scan(path: Path) -> bool:
-    """Whether a file of a folder is a scan that can be read.
+def split_member(path: Path) -> tuple[Path, str | None]:
+    """The file of a path, and the name of the scan in it, if the path names one of several.
 
     Parameters
     ----------
     path : Path
+        ``file``, or ``file#name`` where the format of the file may have several scans.
+
+    Returns
+    -------
+    file : Path
         The file.
-
-    Returns
-    -------
-    bool
-        Whether its suffix is that of a format, whose extra is installed, and which recognises the file where
-        other files have the suffix too. A file that cannot be opened is a scan, so that reading it says why.
+    name : str or None
+        The name of the scan; None for the whole file.
     """
-    suffix = path.suffix.lower()
-    if suffix not in FORMATS.names.all() or missing_extra(suffix):
-        return False
-    try:
-        recognise = FORMATS[suffix].recognise
-        if recognise is None:
-            return True
-        check_file(path)
-        with FORMATS.blamed(suffix, Stage.READ):
-            return recognise(path)
-    except ScanReadError:
-        return False  # a folder, a pipe or a device, or an empty file
-    except (OSError, OptionError, ShapeError):
-        return True
-
-
-def parts_of(path: Path) -> tuple[Part, ...]:
-    """The other files that belong to a file.
-
-    Parameters
-    ----------
-    path : Path
-        The file, of any suffix.
-
-    Returns
-    -------
-    tuple of Part
-        Empty, if the file is a scan alone.
-
-    Raises
-    ------
-    OSError
-        If the file cannot be read.
-    ScanReadError
-        If the file does not say which they are, or its reader cannot be loaded.
-    """
-    suffix = path.suffix.lower()
-    if suffix not in FORMATS.names.all():
-        return ()
-    found = _format(suffix)
-    try:
-        with FORMATS.blamed(suffix, Stage.READ):
-            return tuple(found.parts(path))
-    except ShapeError as error:
-        raise _as_read_error(error) from error
+    file, mark, name = path.name.partition(MARK)
+    if mark and name:
+        suffix = Path(file).suffix.lower()
+        if suffix in FORMATS.names.all() and format_of(suffix).members is not None:
+            return path.with_name(file), name
+    return path, None
 
 
 def read_raw(path: Path) -> RawScan:
@@ -136,7 +104,8 @@ def read_raw(path: Path) -> RawScan:
         If there is no format for the suffix, its reader cannot be loaded or fails, or the file cannot be
         read.
     """
-    suffix = path.suffix.lower()
+    file, name = split_member(path)
+    suffix = file.suffix.lower()
     if suffix not in FORMATS.names.all():
         name = f"in {path.suffix}" if suffix else "without a suffix"
         raise ScanReadError(f"there is no reader for names {name}, only for {' '.join(sorted(suffixes()))}")
@@ -145,25 +114,63 @@ def read_raw(path: Path) -> RawScan:
             f"reading {suffix} needs the package {' and '.join(extra.missing)}: {extra.command}"
         )
     try:
-        check_file(path)
-        found = _format(suffix)
+        check_file(file)
+        found = format_of(suffix)
         with FORMATS.blamed(suffix, Stage.READ):
-            scan = found.read(path)
+            scan = found.read(file) if name is None else _member(found, file, name)
             return scan if suffix in FORMATS.own else _checked(scan)
     except OSError as error:
-        raise ScanReadError(f"cannot read {path}: {error.strerror or error}") from error
+        raise ScanReadError(f"cannot read {file}: {error.strerror or error}") from error
     except ShapeError as error:
-        raise _as_read_error(error) from error
+        raise as_read_error(error) from error
 
 
-def _format(suffix: str) -> Format:
+def _member(found: Format, file: Path, name: str) -> RawScan:
+    if found.members is None:
+        raise ScanReadError("the file is one scan, and has no scans with names")
+    names = found.members.names(file)
+    if name not in names:
+        raise ScanReadError(f"the file must hold a scan {name!r}, got {', '.join(names[:MOST_QUOTED])}")
+    return found.members.read(file, name)
+
+
+def format_of(suffix: str) -> Format:
+    """The format of a suffix.
+
+    Parameters
+    ----------
+    suffix : str
+        One of `suffixes`.
+
+    Returns
+    -------
+    Format
+        The format; of another package, imported now.
+
+    Raises
+    ------
+    ScanReadError
+        If there is no such format, or its package cannot be imported.
+    """
     try:
         return FORMATS[suffix]
     except OptionError as error:
         raise ScanReadError(error.message) from error
 
 
-def _as_read_error(error: ShapeError) -> ScanReadError:
+def as_read_error(error: ShapeError) -> ScanReadError:
+    """An error of a reader as one of its file.
+
+    Parameters
+    ----------
+    error : ShapeError
+        What a reader raised.
+
+    Returns
+    -------
+    ScanReadError
+        The error itself, or one with its message.
+    """
     return error if isinstance(error, ScanReadError) else ScanReadError(error.message)
 
 
@@ -202,7 +209,23 @@ def _rows(array: object, name: str, n: int | None = None) -> NDArray[np.float64]
 
 _OWN = {
     suffix: found
-    for found in (PLY, PCD, *TEXT_FORMATS, PTX, NPY, NPZ, OBJ, OFF, STL, GLB, conf_format(read_raw))
+    for found in (
+        PLY,
+        PCD,
+        *TEXT_FORMATS,
+        PTX,
+        NPY,
+        NPZ,
+        OBJ,
+        OFF,
+        STL,
+        GLB,
+        GLTF,
+        VRML,
+        THREE_MF,
+        COLLADA,
+        conf_format(read_raw),
+    )
     for suffix in found.suffixes
 }
 

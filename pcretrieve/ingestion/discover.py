@@ -10,7 +10,7 @@ from collections.abc import Collection, Iterable, Mapping, Sequence
 from pathlib import Path
 
 from pcretrieve.errors import InputError, ScanReadError
-from pcretrieve.formats import check_file, is_scan, parts_of, suffixes
+from pcretrieve.formats import check_file, is_scan, members_of, parts_of, split_member, suffixes
 from pcretrieve.ingestion.manifests import MANIFESTS, read_manifest
 from pcretrieve.ingestion.unread import unread_files
 
@@ -39,7 +39,8 @@ def discover(arguments: Sequence[str | Path], beside: Iterable[str | Path] = ())
     -------
     list of Path
         Absolute paths in the order of the arguments, within a folder by name, without repetitions. A file
-        that is part of another of these scans, such as a view of a ``.conf`` file, is left out.
+        that is part of another of these scans, such as a view of a ``.conf`` file, is left out; the scans in
+        a file that holds several are named ``file#name``.
 
     Raises
     ------
@@ -51,16 +52,16 @@ def discover(arguments: Sequence[str | Path], beside: Iterable[str | Path] = ())
     for argument in arguments:
         for path in _expand(argument, known):
             found.setdefault(_absolute(path))
-    return _without_parts(list(found))
+    return [scan for path in _without_parts(list(found)) for scan in _scans_in(path)]
 
 
 def content_hash(path: Path) -> str:
-    """The SHA-256 hash of the content of a scan: of its file, followed by the parts that the file names.
+    """The SHA-256 hash of a scan: of its file, the parts that the file names, and its name in the file.
 
     Parameters
     ----------
     path : Path
-        The file.
+        The file, or ``file#name`` for one of several scans in a file.
 
     Returns
     -------
@@ -73,10 +74,11 @@ def content_hash(path: Path) -> str:
         If one of the files cannot be read.
     """
     digest = hashlib.sha256()
-    part = path
+    whole, name = split_member(path)
+    part = whole
     try:
-        check_file(path)
-        for part in [path, *(part.path for part in parts_of(path))]:
+        check_file(whole)
+        for part in [whole, *(part.path for part in parts_of(path))]:
             check_file(part)
             with part.open("rb") as file:
                 while chunk := file.read(CHUNK):
@@ -88,6 +90,8 @@ def content_hash(path: Path) -> str:
     # A path with a zero byte, from a binary file in place of a manifest, raises a ValueError.
     except (OSError, ValueError) as error:
         raise ScanReadError(f"cannot read {part}: {getattr(error, 'strerror', None) or error}") from error
+    if name is not None:
+        digest.update(name.encode("utf-8", "surrogateescape"))
     return digest.hexdigest()
 
 
@@ -110,6 +114,8 @@ def printable(text: str | Path) -> str:
 def shape_ids(paths: Collection[str], taken: Mapping[str, str]) -> dict[str, str]:
     """Choose an id for each path: its name without suffix, with a number if another path has this id.
 
+    That of a scan ``file.suffix#name`` is ``file#name``.
+
     Parameters
     ----------
     paths : collection of str
@@ -131,7 +137,8 @@ def shape_ids(paths: Collection[str], taken: Mapping[str, str]) -> dict[str, str
     for path in paths:
         if path in ids:
             continue
-        stem = Path(path).stem
+        file, name = split_member(Path(path))
+        stem = file.stem if name is None else f"{file.stem}#{name}"
         number = last.get(stem, 0) + 1
         while (shape_id := numbered_id(stem, number)) in used:
             number += 1
@@ -150,6 +157,8 @@ def _expand(argument: str | Path, beside: Collection[Path]) -> list[Path]:
             files = _files_below(path)
         elif path.exists():
             return read_manifest(path) if _is_manifest(path) else [path]
+        elif split_member(path)[0].exists():
+            return [path]
         elif glob.has_magic(str(argument)):
             matches = [Path(name) for name in sorted(glob.glob(str(argument), recursive=True))]
             if path.suffix.lower() in MANIFESTS:
@@ -195,6 +204,14 @@ def _files_below(path: Path) -> list[Path]:
     else:
         found = [path]
     return [file for file in found if not file.name.startswith(".")]
+
+
+def _scans_in(path: Path) -> tuple[Path, ...]:
+    """The scans in a file of several, or the file itself."""
+    try:
+        return members_of(path) or (path,)
+    except (ScanReadError, OSError):
+        return (path,)  # reading it as a scan will report why
 
 
 def _without_parts(paths: list[Path]) -> list[Path]:

@@ -8,6 +8,7 @@ from pathlib import Path
 
 from pcretrieve.catalogue import Catalogue, Record
 from pcretrieve.errors import PcretrieveError, ShapeError, Stage
+from pcretrieve.formats import split_member
 from pcretrieve.ingestion import work
 from pcretrieve.ingestion.discover import printable, shape_ids
 from pcretrieve.ingestion.labels import match_labels
@@ -215,12 +216,13 @@ def failed(record: Record, error: PcretrieveError) -> Record:
 
 def _identity(path: str, content: str) -> Identity:
     """The identity of a scan: the suffix belongs to it, because it determines how the bytes are read."""
-    return Path(path).suffix.lower(), content
+    file, _ = split_member(Path(path))
+    return file.suffix.lower(), content
 
 
 def _is_gone(path: str) -> bool:
     try:
-        Path(path).stat()
+        split_member(Path(path))[0].stat()
     except (FileNotFoundError, NotADirectoryError):
         return True
     except OSError:

@@ -10,7 +10,7 @@ import numpy as np
 
 from pcretrieve.conversion import as_cloud
 from pcretrieve.errors import InputError, ScanReadError
-from pcretrieve.formats import parts_of, read_scan
+from pcretrieve.formats import parts_of, read_scan, split_member
 from pcretrieve.ingestion.discover import discover
 from pcretrieve.types import FloatArray, PointCloud
 
@@ -41,7 +41,8 @@ def view_files(paths: Sequence[str | Path]) -> tuple[list[Path], FloatArray | No
     Parameters
     ----------
     paths : sequence of str or Path
-        Files, folders or globs; or one file whose parts have poses, such as a Stanford ``.conf`` file.
+        Files, folders or globs; or one file whose parts have poses, such as a Stanford ``.conf`` file, or
+        that holds several scans.
 
     Returns
     -------
@@ -58,6 +59,8 @@ def view_files(paths: Sequence[str | Path]) -> tuple[list[Path], FloatArray | No
         If a file with poses cannot be read.
     """
     files = discover(paths)
+    if len(files) > 1 and len({split_member(file)[0] for file in files}) == 1:
+        return files, np.tile(np.eye(4), (len(files), 1, 1))  # the scans in a file have one frame
     for file in files:
         try:
             views = parts_of(file)

@@ -13,8 +13,10 @@ from pcretrieve.types.geometry import PointCloud, Step, TriangleMesh, bounding_d
 from pcretrieve.types.shapes import Failure, Need, Shape, Surface
 from pcretrieve.types.signatures import Metric, Neighbors, Signature, SignatureTable
 from pcretrieve.types.spectra import Eigenpairs, LaplaceBeltrami, ModalSpectrum
+from pcretrieve.types.units import METRES, unit_of
 
 __all__ = [
+    "METRES",
     "Eigenpairs",
     "Failure",
     "FloatArray",
@@ -32,4 +34,5 @@ __all__ = [
     "Surface",
     "TriangleMesh",
     "bounding_diagonal",
+    "unit_of",
 ]

@@ -12,7 +12,7 @@ import trimesh
 from scan_files import glb, gltf
 
 from pcretrieve.errors import ScanReadError
-from pcretrieve.formats.glb import read_glb
+from pcretrieve.formats.gltf import GLB
 from pcretrieve.types import FloatArray
 
 SQUARE = [(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0)]
@@ -27,7 +27,7 @@ NODES: list[dict[str, Any]] = [
 
 def triangles(path: Path) -> FloatArray:
     """(m, 3, 3) corners."""
-    found = read_glb(path)
+    found = GLB.read(path)
     assert found.faces is not None
     return np.array(found.points[found.faces])
 
@@ -62,7 +62,7 @@ def test_a_surface_in_two_meshes_is_one(tmp_path: Path) -> None:
     halves = [trimesh.Trimesh(ball.vertices, part) for part in (ball.faces[:99], ball.faces[99:])]
     scene: Any = trimesh.Scene(halves)
     (tmp_path / "a.glb").write_bytes(scene.export(file_type="glb"))
-    found = read_glb(tmp_path / "a.glb")
+    found = GLB.read(tmp_path / "a.glb")
     assert found.faces is not None
     assert (len(found.points), len(found.faces)) == (len(ball.vertices), len(ball.faces))
 
@@ -82,7 +82,7 @@ def test_modes(mode: int, order: list[int], faces: list[tuple[int, ...]] | None,
     tree, binary = gltf(SQUARE, order, [{"mesh": 0}])
     tree["meshes"][0]["primitives"][0]["mode"] = mode
     (tmp_path / "a.glb").write_bytes(glb(tree, binary))
-    found = read_glb(tmp_path / "a.glb")
+    found = GLB.read(tmp_path / "a.glb")
     assert len(found.points) == 4
     if faces is None:
         assert found.faces is None
@@ -100,14 +100,14 @@ def test_quantized_positions(tmp_path: Path) -> None:
     tree["bufferViews"][0] |= {"byteStride": 4, "byteLength": 16}
     tree["bufferViews"][1] |= {"byteOffset": 16}
     (tmp_path / "a.glb").write_bytes(glb(tree, rows.tobytes() + binary[48:]))
-    found = read_glb(tmp_path / "a.glb")
+    found = GLB.read(tmp_path / "a.glb")
     np.testing.assert_array_equal(np.unique(found.points, axis=0), np.unique(2 * np.array(SQUARE), axis=0))
 
 
 def test_five_thousand_nested_nodes(tmp_path: Path) -> None:
     nodes = [{"children": [k + 1], "translation": [0, 0, 1]} for k in range(5000)] + [{"mesh": 0}]
     (tmp_path / "deep.glb").write_bytes(glb(*gltf(SQUARE, HALVES, nodes)))
-    np.testing.assert_array_equal(read_glb(tmp_path / "deep.glb").points[:, 2], np.full(4, 5000.0))
+    np.testing.assert_array_equal(GLB.read(tmp_path / "deep.glb").points[:, 2], np.full(4, 5000.0))
 
 
 def broken(**changes: Any) -> bytes:
@@ -159,6 +159,6 @@ GOOD = broken()
 def test_what_is_wrong_is_said(content: bytes, words: str, tmp_path: Path) -> None:
     (tmp_path / "a.glb").write_bytes(content)
     with pytest.raises(ScanReadError) as raised:
-        read_glb(tmp_path / "a.glb")
+        GLB.read(tmp_path / "a.glb")
     assert raised.value.message.startswith("not a complete GLB file (")
     assert words in raised.value.message

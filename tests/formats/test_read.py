@@ -354,4 +354,4 @@ def test_a_reader_may_say_what_is_wrong_itself(plugin: Path, tmp_path: Path) -> 
 
 
 def test_a_raw_scan_needs_points_only() -> None:
-    assert RawScan(CUBE)[1:] == (None, None, None, ())
+    assert RawScan(CUBE)[1:] == (None, None, None, (), None)

@@ -155,7 +155,7 @@ def test_views_belong_to_their_conf(folder: Path) -> None:
     [
         ("", "a path must not be empty"),
         ("nowhere", "there is no file or folder nowhere"),
-        ("none*.ply", r"none\*\.ply names no scans; known are \.asc"),
+        ("none*.ply", r"none\*\.ply names no scans; known are \.3mf"),
         ("hollow", r"hollow names no scans"),
         ("x" * 300, "File name too long"),
         ("column.csv", r"column\.csv must have a column path or file"),

@@ -1,0 +1,60 @@
+"""Several scans in one file: their names, and the path ``file#name`` of one of them."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterable
+from pathlib import Path
+from typing import NamedTuple
+
+from pcretrieve.formats.raw import RawScan
+
+__all__ = ["MARK", "Members", "distinct_names"]
+
+# What stands between the name of a file and that of a scan in it.
+MARK = "#"
+# What may not stand in a path, or would be taken for the end of a file's name.
+UNSAFE = re.compile(r"[\x00-\x1f\x7f/\\#]+")
+# Longest name; file systems allow 255 bytes for the name of a file.
+LONGEST = 80
+
+
+class Members(NamedTuple):
+    """How the scans in a file are read one by one.
+
+    Attributes
+    ----------
+    names : function of Path that returns a tuple of str
+        The names of the scans in a file, as `distinct_names` makes them. Raises ScanReadError and OSError.
+    read : function of Path and str that returns a RawScan
+        Reads the scan of a name, in the frame that all scans of the file share. Raises ScanReadError and
+        OSError.
+    """
+
+    names: Callable[[Path], tuple[str, ...]]
+    read: Callable[[Path, str], RawScan]
+
+
+def distinct_names(names: Iterable[str]) -> list[str]:
+    """Names that may be parts of a path, each of them once.
+
+    Parameters
+    ----------
+    names : iterable of str
+        The names in a file, which may be empty.
+
+    Returns
+    -------
+    list of str
+        The names without signs that a path may not have, numbered where they are empty or the same.
+    """
+    found: dict[str, None] = {}
+    counts: dict[str, int] = {}
+    for number, name in enumerate(names, start=1):
+        plain = UNSAFE.sub("_", name).strip()[:LONGEST].strip("_ ") or str(number)
+        distinct = plain
+        while distinct in found:
+            counts[plain] = counts.get(plain, 1) + 1
+            distinct = f"{plain}-{counts[plain]}"
+        found[distinct] = None
+    return list(found)

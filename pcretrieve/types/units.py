@@ -1,0 +1,26 @@
+"""Units of length."""
+
+from __future__ import annotations
+
+import math
+
+__all__ = ["METRES", "unit_of"]
+
+#: Metres of each unit of length, by its symbol.
+METRES = {"um": 1e-6, "mm": 1e-3, "cm": 1e-2, "dm": 1e-1, "m": 1.0, "km": 1e3, "in": 0.0254, "ft": 0.3048}
+
+
+def unit_of(metres: float) -> str | None:
+    """The unit of a length.
+
+    Parameters
+    ----------
+    metres : float
+        Length of the unit; metres.
+
+    Returns
+    -------
+    str or None
+        Its symbol, a key of `METRES`; None if no unit has that length, to six digits.
+    """
+    return next((unit for unit, length in METRES.items() if math.isclose(length, metres, rel_tol=1e-6)), None)

@@ -1,0 +1,295 @@
+"""Formats of scenes: the bodies in them, where they stand, and their unit."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import shapes
+from scene_files import collada, numbers, three_mf, vrml, write_gltf
+
+from pcretrieve import TriangleMesh, read_scan
+from pcretrieve.errors import ScanReadError
+from pcretrieve.formats import members_of, missing_extra, parts_of, split_member
+from pcretrieve.formats.registry import read_raw
+from pcretrieve.ingestion.discover import content_hash, discover, shape_ids
+from pcretrieve.ingestion.views import view_files
+from pcretrieve.surface import defects
+
+BALL = shapes.icosphere(1)
+NODES: list[dict[str, Any]] = [{"mesh": 0, "name": "left"}, {"mesh": 0, "translation": [5, 0, 0]}]
+
+
+def mesh(path: Path) -> TriangleMesh:
+    found = read_scan(path)
+    assert isinstance(found, TriangleMesh)
+    return found
+
+
+def needs(suffix: str) -> pytest.MarkDecorator:
+    extra = missing_extra(suffix)
+    return pytest.mark.skipif(extra is not None, reason=f"needs the extra of {suffix}")
+
+
+def write_all(folder: Path) -> None:
+    """The ball beside itself, five units apart, in each format."""
+    write_gltf(folder / "a.gltf", BALL, NODES, "a.bin")
+    write_gltf(folder / "data.gltf", BALL, NODES)
+    items = '<item objectid="1"/><item objectid="1" transform="1 0 0 0 1 0 0 0 1 5 0 0"/>'
+    (folder / "a.3mf").write_bytes(three_mf(BALL, items=items))
+    moved = f"Transform {{ translation 5 0 0 children [ {vrml(BALL, 'right').partition(chr(10))[2]} ] }}"
+    (folder / "a.wrl").write_text(vrml(BALL, "left") + moved)
+
+
+FILES = ("a.gltf", "data.gltf", "a.wrl", pytest.param("a.3mf", marks=needs(".3mf")))
+
+
+@pytest.mark.parametrize("name", FILES)
+def test_a_scene_is_one_mesh_or_several(name: str, tmp_path: Path) -> None:
+    write_all(tmp_path)
+    both = mesh(tmp_path / name)
+    assert len(both.faces) == 2 * len(BALL.faces)
+    assert defects(both).components == 2
+    assert not defects(both).boundary_edges
+    assert both.volume == pytest.approx(2 * BALL.volume, rel=1e-5)
+    first, second = members_of(tmp_path / name)
+    for path, x in ((first, 0), (second, 5)):
+        found = mesh(path)
+        assert found.volume == pytest.approx(BALL.volume, rel=1e-5)
+        np.testing.assert_allclose(found.vertices.mean(axis=0), [x, 0, 0], atol=1e-5)
+        assert not defects(found)
+
+
+@pytest.mark.parametrize("name", FILES)
+def test_each_body_is_a_shape(name: str, tmp_path: Path) -> None:
+    write_all(tmp_path)
+    found = discover([tmp_path / name])
+    assert [split_member(path)[0] for path in found] == 2 * [tmp_path / name]
+    assert discover(found) == found
+    ids = list(shape_ids([str(path) for path in found], {}).values())
+    assert ids == [f"{Path(name).stem}#{split_member(path)[1]}" for path in found]
+    hashes = {content_hash(path) for path in found}
+    assert len(hashes | {content_hash(tmp_path / name)}) == 3
+
+
+def test_bodies_of_one_file_are_views_in_one_frame(tmp_path: Path) -> None:
+    write_all(tmp_path)
+    files, poses = view_files([tmp_path / "a.gltf"])
+    assert [path.name for path in files] == ["a.gltf#left", "a.gltf#2"]
+    np.testing.assert_array_equal(poses, [np.eye(4), np.eye(4)])
+    assert view_files([tmp_path / "a.gltf", tmp_path / "a.wrl"])[1] is None
+
+
+def test_names_in_a_file(tmp_path: Path) -> None:
+    names = ["a/b", "", "same", "same", " c#d ", "\x07"]
+    write_gltf(tmp_path / "a.gltf", BALL, [{"mesh": 0, "name": name} for name in names])
+    found = [path.name for path in members_of(tmp_path / "a.gltf")]
+    assert found == [f"a.gltf#{name}" for name in ("a_b", "2", "same", "same-2", "c_d", "6")]
+    with pytest.raises(ScanReadError, match="the file must hold a scan 'x', got a_b, 2, same, same-2, c_d"):
+        read_scan(tmp_path / "a.gltf#x")
+    with pytest.raises(ScanReadError, match=r"cannot read .*gone\.gltf: No such file"):
+        read_scan(tmp_path / "gone.gltf#x")
+
+
+def test_a_file_of_one_body_has_no_names(tmp_path: Path) -> None:
+    write_gltf(tmp_path / "a.gltf", BALL, NODES[:1])
+    assert members_of(tmp_path / "a.gltf") == members_of(tmp_path / "a.xyz") == ()
+    assert discover([tmp_path]) == [tmp_path / "a.gltf"]
+
+
+def test_a_hash_in_the_name_of_a_file_is_no_mark(tmp_path: Path) -> None:
+    (tmp_path / "scan#1.xyz").write_text("1 2 3\n" * 5)
+    assert discover([tmp_path]) == [tmp_path / "scan#1.xyz"]
+    assert len(read_raw(tmp_path / "scan#1.xyz").points) == 5
+
+
+# --- glTF -------------------------------------------------------------------------------------------------
+
+
+def test_the_file_of_a_buffer_belongs_to_the_scan(tmp_path: Path) -> None:
+    write_gltf(tmp_path / "a.gltf", BALL, NODES[:1], "with%20blank.bin")
+    (tmp_path / "with%20blank.bin").rename(tmp_path / "with blank.bin")
+    assert [part.path for part in parts_of(tmp_path / "a.gltf")] == [tmp_path / "with blank.bin"]
+    assert mesh(tmp_path / "a.gltf").volume == pytest.approx(BALL.volume, rel=1e-5)
+    before = content_hash(tmp_path / "a.gltf")
+    (tmp_path / "with blank.bin").write_bytes((tmp_path / "with blank.bin").read_bytes() + b"\0")
+    assert content_hash(tmp_path / "a.gltf") != before
+
+
+@pytest.mark.parametrize(
+    ("buffer", "words"),
+    [
+        ("/etc/passwd", "its buffers must be files below its own folder, got '/etc/passwd'"),
+        ("../a.bin", "its buffers must be files below its own folder"),
+        ("https://example.org/a.bin", "its buffers must be files below its own folder"),
+        ("gone.bin", r"its buffer gone\.bin: No such file or directory"),
+        ("folder", r"its buffer folder: .* is a folder"),
+        ("short.bin", "its binary part is too short for"),
+    ],
+)
+def test_buffers_elsewhere_are_not_read(buffer: str, words: str, tmp_path: Path) -> None:
+    write_gltf(tmp_path / "a.gltf", BALL, NODES, "a.bin")
+    (tmp_path / "a.gltf").write_text((tmp_path / "a.gltf").read_text().replace("a.bin", buffer))
+    (tmp_path / "short.bin").write_bytes(b"\0")
+    (tmp_path / "folder").mkdir()
+    with pytest.raises(ScanReadError, match=words):
+        read_scan(tmp_path / "a.gltf")
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ('{"asset": {"version": "1.0"}}', "it is not glTF 2.0, but 1.0"),
+        ("[]", "its JSON part is broken: TypeError"),
+        ("{", "its JSON part is broken"),
+        ('{"asset": {"version": "2.0"}, "buffers": [{}]}', "KeyError 'uri'"),
+    ],
+)
+def test_what_is_no_gltf(text: str, words: str, tmp_path: Path) -> None:
+    (tmp_path / "a.gltf").write_text(text)
+    with pytest.raises(ScanReadError, match=words):
+        read_scan(tmp_path / "a.gltf")
+
+
+# --- units ------------------------------------------------------------------------------------------------
+
+
+@needs(".3mf")
+@pytest.mark.parametrize(
+    ("named", "unit"),
+    [("millimeter", "mm"), ("micron", "um"), ("inch", "in"), ("meter", "m"), ("foot", "ft")],
+)
+def test_a_3mf_file_names_its_unit(named: str, unit: str, tmp_path: Path) -> None:
+    (tmp_path / "a.3mf").write_bytes(three_mf(BALL, unit=named))
+    assert read_raw(tmp_path / "a.3mf").unit == unit
+    (tmp_path / "b.3mf").write_bytes(three_mf(BALL, unit="parsec"))
+    with pytest.raises(ScanReadError, match="its unit is 'parsec'"):
+        read_scan(tmp_path / "b.3mf")
+
+
+@needs(".dae")
+@pytest.mark.parametrize(("metres", "unit", "scale"), [(0.01, "cm", 1), (1, "m", 1), (0.5, "m", 0.5)])
+def test_a_collada_file_says_how_long_its_unit_is(
+    metres: float, unit: str, scale: float, tmp_path: Path
+) -> None:
+    (tmp_path / "a.dae").write_text(collada(BALL, metres=metres, shift="1 2 3"))
+    found = read_raw(tmp_path / "a.dae")
+    assert found.unit == unit
+    assert len(found.points) == len(BALL.vertices)
+    np.testing.assert_allclose(found.points.mean(axis=0), scale * np.array([1, 2, 3]), atol=1e-6)
+    assert mesh(tmp_path / "a.dae").volume == pytest.approx(scale**3 * BALL.volume, rel=1e-5)
+
+
+def test_gltf_is_in_metres(tmp_path: Path) -> None:
+    write_gltf(tmp_path / "a.gltf", BALL, NODES[:1])
+    assert read_raw(tmp_path / "a.gltf").unit == "m"
+    assert read_raw(Path(tmp_path / "a.gltf")).faces is not None
+
+
+@needs(".3mf")
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        (b"PK\x03\x04", "not a complete 3MF file"),
+        (three_mf(BALL, items=""), "not a complete 3MF file"),
+        (three_mf(BALL)[:-30], "not a complete 3MF file"),
+        (three_mf(BALL).replace(b"PK\x01\x02", b"PK\x09\x09"), "not a complete 3MF file"),
+    ],
+)
+def test_damaged_archives(content: bytes, words: str, tmp_path: Path) -> None:
+    (tmp_path / "a.3mf").write_bytes(content)
+    with pytest.raises(ScanReadError, match=words):
+        read_scan(tmp_path / "a.3mf")
+
+
+# --- VRML -------------------------------------------------------------------------------------------------
+
+SQUARE = "coord Coordinate { point [ 0 0 0, 1 0 0, 1 1 0, 0 1 0 ] }"
+
+
+def wrl(body: str) -> str:
+    return f"#VRML V2.0 utf8\n{body}"
+
+
+def test_nodes_that_vrml_has(tmp_path: Path) -> None:
+    (tmp_path / "a.wrl").write_text(
+        wrl(
+            'WorldInfo { title "a \\"brace\\" } # in a string" info [ "x", "y {" ] }\n'
+            "DEF VIEW Viewpoint { position 0 0 9 orientation 0 0 1 0 }\n"
+            "Background { skyColor [ 1 1 1 ] }\n"
+            "DEF T Transform { # a comment {\n rotation 0 0 1 1.5707963267948966 scale 2 1 1 center 1 0 0\n"
+            f" children [ DEF S Shape {{ geometry DEF F IndexedFaceSet {{ {SQUARE} coordIndex [ 0 1 2 3 ]"
+            "} } ] }\n"
+            "Switch { choice [ USE S ] }\n"
+            "Switch { whichChoice 0 choice [ Transform { translation 0 0 5 children USE S } ] }\n"
+            "LOD { level [ Group { children Transform { translation 0 0 9 children USE S } }, USE S ] }\n"
+            "ROUTE VIEW.position TO T.translation\n"
+        )
+    )
+    found = mesh(tmp_path / "a.wrl")
+    assert len(found.faces) == 6
+    turned = found.vertices[found.vertices[:, 2] == 0]
+    # Scaled and turned about (1, 0, 0): x' = 1 − y, y' = 2 (x − 1).
+    expected = [[1 - y, 2 * (x - 1), 0] for x, y in ((0, 0), (1, 0), (1, 1), (0, 1))]
+    np.testing.assert_allclose(sorted(turned.tolist()), sorted(expected), atol=1e-12)
+    assert sorted({*found.vertices[:, 2]}) == [0, 5, 9]
+
+
+def test_faces_of_vrml_that_are_clockwise_and_mirrored(tmp_path: Path) -> None:
+    faces = f"{SQUARE} coordIndex [ 0 1 2 -1 0 2 3 -1 ]"
+    normals = {}
+    for name, text in {
+        "plain": f"Shape {{ geometry IndexedFaceSet {{ {faces} }} }}",
+        "clockwise": f"Shape {{ geometry IndexedFaceSet {{ ccw FALSE {faces} }} }}",
+        "mirrored": f"Transform {{ scale -1 1 1 children Shape {{ geometry IndexedFaceSet {{ {faces} }} }} "
+        "}",
+    }.items():
+        (tmp_path / f"{name}.wrl").write_text(wrl(text))
+        normals[name] = mesh(tmp_path / f"{name}.wrl").area_vectors.sum(axis=0)[2]
+    assert normals == {"plain": 1, "clockwise": -1, "mirrored": 1}
+
+
+def test_points_of_vrml(tmp_path: Path) -> None:
+    points = f"PointSet {{ coord Coordinate {{ point [ {numbers(BALL.vertices)} ] }} }}"
+    (tmp_path / "a.wrl").write_text(wrl(f"Shape {{ geometry {points} }}"))
+    assert read_raw(tmp_path / "a.wrl").faces is None
+    assert len(read_raw(tmp_path / "a.wrl").points) == len(BALL.vertices)
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("#VRML V1.0 ascii\n", "it must begin with #VRML V2.0, got '#VRML V1.0 ascii': export it as VRML97"),
+        (wrl(""), "its scene has no coordinates"),
+        (wrl("Group { children ["), "a list has no end"),
+        (wrl("Group { children"), "a field has no value"),
+        (wrl("Group {"), "a node Group has no end"),
+        (wrl('WorldInfo { title "a'), "a string has no end"),
+        (wrl("Group"), "there is no brace behind 'Group'"),
+        (wrl("PROTO A [ ] { }"), "it declares prototypes"),
+        (wrl("USE A"), "the node 'A' is used before it is defined"),
+        (wrl("DEF A Group { children USE A }"), "the node 'A' is used before it is defined"),
+        (wrl("Group { children " * 200), "more than 100 nodes lie within each other"),
+        (
+            wrl(f"IndexedFaceSet {{ {SQUARE} coordIndex [ 0 1 9 ] }}"),
+            "vertices are numbered from 0 to 3, got 9",
+        ),
+        (wrl(f"IndexedFaceSet {{ {SQUARE} coordIndex TRUE }}"), "a field has a value of another type"),
+        (wrl("Transform { rotation 1 2 children Group { } }"), "a field has a value of another type"),
+    ],
+)
+def test_what_is_no_vrml(text: str, words: str, tmp_path: Path) -> None:
+    (tmp_path / "a.wrl").write_text(text)
+    with pytest.raises(ScanReadError, match=words):
+        read_scan(tmp_path / "a.wrl")
+
+
+def test_references_do_not_multiply_a_scene_without_end(tmp_path: Path) -> None:
+    """Each level refers twice to the one before it: 40 lines would be 10¹² squares."""
+    levels = "".join(f"DEF N{k + 1} Group {{ children [ USE N{k} USE N{k} ] }}\n" for k in range(40))
+    body = f"DEF N0 Shape {{ geometry IndexedFaceSet {{ {SQUARE} coordIndex [ 0 1 2 3 ] }} }}\n"
+    (tmp_path / "a.wrl").write_text(wrl(body + levels))
+    with pytest.raises(ScanReadError, match="its scene repeats nodes"):
+        read_scan(tmp_path / "a.wrl")
