@@ -1,0 +1,11 @@
+"""The commands of the command line as functions, with the same names, defaults and numbers.
+
+A catalogue may be given as a `Catalogue` or as the path of its file, options as in `PipelineOptions.of`, and
+a scan as a path, an array, or geometry of this package or another.
+"""
+
+from pcretrieve.interface.catalogues import CatalogueLike
+from pcretrieve.interface.retrieval import evaluate, matrix, report, search
+from pcretrieve.interface.scans import ingest, inspect, merge_views
+
+__all__ = ["CatalogueLike", "evaluate", "ingest", "inspect", "matrix", "merge_views", "report", "search"]

@@ -1,0 +1,173 @@
+"""Scans → catalogue, findings, or one cloud: `ingest`, `inspect` and `merge_views`."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+
+from pcretrieve.catalogue import Record
+from pcretrieve.conversion import as_cloud
+from pcretrieve.formats.scans import ScanLike, as_scan
+from pcretrieve.ingestion import Executor
+from pcretrieve.ingestion.discover import discover
+from pcretrieve.ingestion.labels import read_labels
+from pcretrieve.ingestion.run import Summary, ingest_files
+from pcretrieve.ingestion.views import read_views
+from pcretrieve.inspection import Inspection, inspect_scan
+from pcretrieve.interface.catalogues import CatalogueLike, opened
+from pcretrieve.options import MergeOptions, OptionsLike, PipelineOptions
+from pcretrieve.pages.inspection_page import write_inspection_page
+from pcretrieve.registration import Merged
+from pcretrieve.registration import merge_views as merge_clouds
+
+__all__ = ["ingest", "inspect", "merge_views"]
+
+
+def ingest(
+    paths: str | Path | Sequence[str | Path],
+    catalogue: CatalogueLike,
+    *,
+    labels: str | Path | Mapping[str, str] | None = None,
+    options: OptionsLike = None,
+    workers: int | None = None,
+    timeout: float = 600.0,
+    memory: float | None = None,
+    executor: Executor | str = "processes",
+    retry_failed: bool = False,
+    on_shape: Callable[[Record], None] = lambda record: None,
+) -> Summary:
+    """Process scans, and store them in a catalogue, failures included.
+
+    Scans that the catalogue has already are skipped. A script that calls this function needs the guard ``if
+    __name__ == "__main__":``, because worker processes are spawned.
+
+    Parameters
+    ----------
+    paths : str, Path, or a sequence of them
+        Files, folders, globs, or manifests (``.txt``, ``.csv``).
+    catalogue : Catalogue, str or Path
+        The catalogue in which the shapes are stored. A file that does not exist is created.
+    labels : str, Path or mapping, optional
+        The classes: a CSV file with the columns ``file`` and ``class``, a ``.cla`` file of the Princeton
+        Shape Benchmark, or a mapping of names to classes.
+    options : OptionsLike, optional
+        The options of a new catalogue. By default the options of an existing catalogue, or the defaults.
+    workers : int, optional
+        Largest number of scans that are processed at a time. By default one for each core.
+    timeout : float, default 600
+        Longest time for one shape; seconds.
+    memory : float, optional
+        Largest heap of one worker; GiB. By default there is no limit.
+    executor : Executor or str, default "processes"
+        The executor that processes the scans, or its name. The default runs worker processes on this
+        computer, so that a scan that hangs, crashes or exhausts the memory does not affect other scans.
+    retry_failed : bool, default False
+        Whether scans that failed before are processed again.
+    on_shape : function, optional
+        Called with the record of each shape as soon as it is stored, or skipped.
+
+    Returns
+    -------
+    Summary
+        The records of all scans: done, failed and skipped.
+
+    Raises
+    ------
+    InputError
+        If a path does not exist, or names no scans.
+    BenchmarkError
+        If the labels cannot be read, or contradict each other.
+    OptionError
+        If there is no such option, or no such executor.
+    CatalogueError
+        If the catalogue was built with other options, or cannot be opened.
+    """
+    beside = [path for path in (labels, catalogue) if isinstance(path, (str, Path))]
+    scans = discover([paths] if isinstance(paths, (str, Path)) else paths, beside)
+    names = read_labels(labels) if isinstance(labels, (str, Path)) else labels
+    chosen = None if options is None else PipelineOptions.of(options)
+    with opened(catalogue, chosen, create=True) as store:
+        return ingest_files(
+            scans,
+            store,
+            labels=names,
+            workers=workers,
+            timeout=timeout,
+            memory=memory,
+            executor=executor,
+            retry_failed=retry_failed,
+            on_shape=on_shape,
+        )
+
+
+def inspect(
+    scan: ScanLike, options: OptionsLike = None, *, n_rescans: int = 4, page: str | Path | None = None
+) -> Inspection:
+    """Process a scan, and check the result of each stage.
+
+    Parameters
+    ----------
+    scan : ScanLike
+        A path, an array or geometry.
+    options : OptionsLike, optional
+        Options, a preset's name, a TOML file, or a mapping.
+    n_rescans : int, default 4
+        Number of surfaces that are reconstructed from nine tenths of the points, for the rescan deviation of
+        the signature; 0 for none.
+    page : str or Path, optional
+        An HTML file to which a page with the results is written.
+
+    Returns
+    -------
+    Inspection
+        Points, normals, surface, checks and signature; those of the earlier stages if a stage fails.
+
+    Raises
+    ------
+    InputError
+        If `scan` cannot be converted to a cloud or a mesh, or the page cannot be written.
+    """
+    found = inspect_scan(scan, options, n_rescans=n_rescans)
+    if page is not None:
+        write_inspection_page(found, page)
+    return found
+
+
+def merge_views(
+    views: str | Path | Sequence[ScanLike],
+    options: MergeOptions | Mapping[str, object] | None = None,
+    *,
+    on_pair: Callable[[int, int], None] | None = None,
+) -> Merged:
+    """Register range scans of one body, and merge them into one cloud.
+
+    Parameters
+    ----------
+    views : str, Path, or a sequence of ScanLike
+        A folder, a glob or a Stanford ``.conf`` file; or the views, each a file, an array or geometry.
+    options : MergeOptions or mapping, optional
+        The parameters of the registration. By default the defaults.
+    on_pair : function, optional
+        Called with the number of pairs of views that have been matched, and the number of all pairs.
+
+    Returns
+    -------
+    Merged
+        The merged cloud, the poses, and the overlaps and residuals of the views.
+
+    Raises
+    ------
+    InputError
+        If there are fewer than two views.
+    OptionError
+        If an option does not exist, or its value is not allowed.
+    ReconstructionError
+        If no two views share a surface.
+    """
+    chosen = options if isinstance(options, MergeOptions) else MergeOptions(**(options or {}))
+    named = [views] if isinstance(views, (str, Path)) else views
+    files = [view for view in named if isinstance(view, (str, Path))]
+    if len(files) == len(named):
+        read = read_views(files)
+        return merge_clouds(read.clouds, chosen, poses=read.poses, on_pair=on_pair)
+    return merge_clouds([as_cloud(as_scan(view)) for view in named], chosen, on_pair=on_pair)
