@@ -22,7 +22,6 @@ from pcretrieve.errors import ReconstructionError, Stage
 
 __all__ = [
     "estimate_normals",
-    "feature_histograms",
     "library",
     "open3d_cloud",
     "open3d_mesh",
@@ -283,34 +282,3 @@ def simplify(vertices: FloatArray, faces: IntArray, *, n_faces: int) -> tuple[Fl
         frame = Frame(np.zeros(3), 1.0)
     mesh = open3d_mesh(frame.inward(vertices), faces).simplify_quadric_decimation(n_faces)
     return frame.outward(np.array(mesh.vertices)), np.array(mesh.triangles, dtype=np.int32)
-
-
-# --- features -----------------------------------------------------------------------------------------
-
-
-def feature_histograms(points: FloatArray, normals: FloatArray, *, radius: float) -> FloatArray:
-    """Fast point feature histograms (FPFH) [1]_, invariant to rigid motion.
-
-    Parameters
-    ----------
-    points, normals : (n, 3) float64
-        Coordinates and unit normals.
-    radius : float
-        Radius of the neighbourhood of a point; unit of the points.
-
-    Returns
-    -------
-    (n, 33) float64
-        Histograms of the angles between the normals in the neighbourhood of each point.
-
-    References
-    ----------
-    .. [1] Rusu et al., "Fast point feature histograms (FPFH) for 3D registration", ICRA 2009.
-    """
-    o3d = library()
-    frame = Frame.around(points, offset=DOUBLE_OFFSET)
-    search = o3d.geometry.KDTreeSearchParamRadius(radius / frame.size)
-    features = o3d.pipelines.registration.compute_fpfh_feature(
-        open3d_cloud(frame.inward(points), normals), search
-    )
-    return np.array(features.data.T)  # (n, 33)

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcretrieve.adapters import open3d
+from pcretrieve.adapters.features import feature_histograms
 from pcretrieve.errors import InputError, ReconstructionError, Stage
 from pcretrieve.formats.conf import SENSOR_DISTANCE
 from pcretrieve.options import MergeOptions
@@ -188,7 +189,7 @@ def _view(points: FloatArray, sensor: FloatArray, cell: float, rng: np.random.Ge
         PointCloud(points, normals, sensor),
         points[few],
         normals[few],
-        open3d.feature_histograms(points[few], normals[few], radius=FEATURE_RADIUS * cell),
+        feature_histograms(points[few], normals[few], radius=FEATURE_RADIUS * cell),
         rng.permutation(len(few))[:SOME_POINTS],
         RangeImage(points, normals, sensor),
         tree,

@@ -9,6 +9,7 @@ import pytest
 import shapes
 
 from pcretrieve.adapters import open3d as adapter
+from pcretrieve.adapters.features import feature_histograms
 from pcretrieve.adapters.geometry import geometry_arrays
 from pcretrieve.errors import ReconstructionError
 from pcretrieve.surface.topology import compact, defects
@@ -128,7 +129,7 @@ def test_points_give_the_same_in_any_unit(unit: float) -> None:
         lambda points, _: adapter.statistical_inliers(points, n_neighbors=20, std_ratio=2.0),
         lambda points, _: adapter.estimate_normals(points, n_neighbors=20),
         lambda points, _: adapter.orient_by_tangent_planes(points, POINTS, n_neighbors=12),
-        lambda points, unit: adapter.feature_histograms(points, POINTS, radius=0.3 * unit),
+        lambda points, unit: feature_histograms(points, POINTS, radius=0.3 * unit),
     ):
         np.testing.assert_array_equal(function(unit * POINTS, unit), function(POINTS, 1.0))
 
