@@ -12,17 +12,19 @@ from __future__ import annotations
 
 import argparse
 import io
+import os
 from collections.abc import Sequence
 from importlib import resources
 from pathlib import Path
 
 import click
 import numpy as np
-from pebble import ProcessPool
 from tqdm import tqdm
 
 from pcretrieve.atomic import write_file
 from pcretrieve.descriptors import reduced_matrix
+from pcretrieve.errors import PcretrieveError
+from pcretrieve.ingestion import Isolation
 from pcretrieve.options import PipelineOptions
 from pcretrieve.pipeline.process import process
 from pcretrieve.retrieval.resolution import N_MODES, SAMPLE
@@ -54,9 +56,13 @@ def main(arguments: Sequence[str] | None = None) -> None:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     ).parse_args(arguments)
     bodies = [(family, number) for family in POSES for number in range(N_BODIES)]
-    with ProcessPool() as pool:
-        futures = [pool.schedule(log_eigenvalues, args=which) for which in bodies]
-        sample = np.stack([future.result() for future in tqdm(futures, unit="body")], axis=1)
+    running = Isolation().each(_of_body, bodies, workers=len(os.sched_getaffinity(0)))
+    found: dict[tuple[str, int], FloatArray] = {}
+    for which, outcome in tqdm(running, total=len(bodies), unit="body"):
+        if isinstance(outcome, PcretrieveError):
+            raise outcome
+        found[which] = outcome
+    sample = np.stack([found[which] for which in bodies], axis=1)
     path = Path(str(resources.files("pcretrieve.retrieval").joinpath(SAMPLE)))
     data = io.BytesIO()
     np.save(data, sample.astype(np.float32))
@@ -88,6 +94,10 @@ def log_eigenvalues(family: str, number: int) -> FloatArray:
         shape = process(cloud, PipelineOptions().changed(surface={"cell": cell, "reconstructions": 1}))
         rows.append(_log_eigenvalues(shape))
     return np.array(rows)
+
+
+def _of_body(which: tuple[str, int]) -> FloatArray:
+    return log_eigenvalues(*which)
 
 
 def _log_eigenvalues(shape: Shape) -> FloatArray:

@@ -18,9 +18,9 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from pebble import ProcessPool
 
 from pcretrieve.benchmarks.arguments import add_data, argument_parser, positive
+from pcretrieve.benchmarks.fidelity.answers import TIMEOUT, answers
 from pcretrieve.benchmarks.fidelity.conditions import CONDITIONS, DEFECTS, write_scan
 from pcretrieve.benchmarks.fidelity.examination import (
     N_VALUES,
@@ -41,7 +41,6 @@ from pcretrieve.benchmarks.fidelity.row import (
     retrieval,
 )
 from pcretrieve.benchmarks.fidelity.textbook import textbook_seconds
-from pcretrieve.benchmarks.fidelity.workers import TIMEOUT, ask, workers
 from pcretrieve.benchmarks.progress import progress
 from pcretrieve.benchmarks.sets import SETS, Item, spread
 from pcretrieve.benchmarks.tables import print_lines
@@ -170,32 +169,27 @@ def _configurations(given: argparse.Namespace) -> dict[str, PipelineOptions]:
 
 def _run(given: argparse.Namespace, configurations: dict[str, PipelineOptions]) -> Iterator[str]:
     """Lines of every set under every condition with every configuration, as soon as they are known."""
-    pool = workers(given.workers)
-    try:
-        for name in given.set or SETS:
-            items = SETS[name](given.data, given.limit)
-            truths = {label: _truth(name, items, options, pool) for label, options in configurations.items()}
-            yield f"{name}:"
-            yield TABLE.head
-            for condition in given.conditions:
-                with tempfile.TemporaryDirectory() as folder:
-                    scans = _scanned(name, items, condition, given, Path(folder))
-                    for label, options in configurations.items():
-                        row = _row(scans, label, options, truths[label], pool)
-                        yield from row.lines()
-                        if given.csv:
-                            append(given.csv, row)
-        pool.close()
-    except BaseException:
-        pool.stop()
-        raise
-    finally:
-        pool.join()
+    for name in given.set or SETS:
+        items = SETS[name](given.data, given.limit)
+        truths = {
+            label: _truth(name, items, options, given.workers) for label, options in configurations.items()
+        }
+        yield f"{name}:"
+        yield TABLE.head
+        for condition in given.conditions:
+            with tempfile.TemporaryDirectory() as folder:
+                scans = _scanned(name, items, condition, given, Path(folder))
+                for label, options in configurations.items():
+                    row = _row(scans, label, options, truths[label], given.workers)
+                    yield from row.lines()
+                    if given.csv:
+                        append(given.csv, row)
 
 
-def _truth(name: str, items: list[Item], options: PipelineOptions, pool: ProcessPool) -> Signatures:
+def _truth(name: str, items: list[Item], options: PipelineOptions, workers: int) -> Signatures:
     """Signatures of the clean meshes of a set."""
-    signed = ask(pool, f"{name}: clean meshes", clean_signatures, [(item.mesh, options) for item in items])
+    arguments = [(item.mesh, options) for item in items]
+    signed = answers(f"{name}: clean meshes", clean_signatures, arguments, workers=workers)
     done = [one for one in signed if one]
     if len(done) < len(signed):
         raise BenchmarkError(
@@ -226,28 +220,21 @@ def _scanned(name: str, items: list[Item], condition: str, given: argparse.Names
     ]
     # The textbook pipeline begins with points, which a damaged mesh does not have.
     timed = [] if condition == DEFECTS else [k for k, _ in spread(paths, given.textbook)]
-    # In another process, so that memory that is not freed is not missing for other scans.
-    with workers(1) as alone:
-        arguments = [(paths[k], TIMEOUT) for k in timed]
-        seconds = ask(alone, f"{title}: textbook", textbook_seconds, arguments)
+    arguments = [(paths[k], TIMEOUT) for k in timed]
+    seconds = answers(f"{title}: textbook", textbook_seconds, arguments, workers=1)
     return Scans(name, condition, items, paths, again, timed, [s for s in seconds if s is not None])
 
 
-def _row(scans: Scans, name: str, options: PipelineOptions, truth: Signatures, pool: ProcessPool) -> Row:
+def _row(scans: Scans, name: str, options: PipelineOptions, truth: Signatures, workers: int) -> Row:
     """Run one configuration on the scans of one condition; `truth` has the clean signatures."""
     title, n = f"{scans.set} {scans.condition} {name}", len(scans.items)
     arguments = [(path, item.mesh, options) for path, item in zip(scans.paths, scans.items, strict=True)]
-    answers: list[Examination | None] = ask(pool, title, examine, arguments)
-    repeats = [
-        [
-            signed.values
-            for signed in ask(pool, f"{title} again", signature, [(path, options) for path in own])
-            if signed
-        ]
-        for own in scans.again
-    ]
-    rows = [k for k, answer in enumerate(answers) if answer]
-    done = [answer for answer in answers if answer]
+    examined: list[Examination | None] = answers(title, examine, arguments, workers=workers)
+    again = [(path, options) for own in scans.again for path in own]
+    signed = iter(answers(f"{title} again", signature, again, workers=workers))
+    repeats = [[one.values for _ in own if (one := next(signed))] for own in scans.again]
+    rows = [k for k, answer in enumerate(examined) if answer]
+    done = [answer for answer in examined if answer]
     found = stacked([answer.signatures for answer in done])
     errors = np.linalg.norm(np.log(found.relative / truth.relative[rows]), axis=1).tolist()
     stages = dict.fromkeys(stage for answer in done for stage in answer.stages)
@@ -274,5 +261,5 @@ def _row(scans: Scans, name: str, options: PipelineOptions, truth: Signatures, p
         peak_mib=max((answer.peak for answer in done), default=NAN),
         rescan_spread=relative_spread(repeats, found.values, [scans.items[k].label for k in rows]),
         textbook_seconds=textbook,
-        textbook_ratio=textbook / median(a.seconds for k in scans.timed if (a := answers[k])),
+        textbook_ratio=textbook / median(a.seconds for k in scans.timed if (a := examined[k])),
     )
