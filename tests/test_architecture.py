@@ -168,6 +168,24 @@ def test_doors_lead_somewhere() -> None:
         assert package in {found.name.split(".")[0] for found in imports(ROOT / door)}
 
 
+def compiled(path: Path) -> list[ast.FunctionDef]:
+    """The functions of a source that numba compiles."""
+    functions = [node for node in tree(path).body if isinstance(node, ast.FunctionDef)]
+    return [node for node in functions if any("njit" in ast.unparse(by) for by in node.decorator_list)]
+
+
+COMPILED = {node.name: path for path in sources() for node in compiled(path)}
+
+
+def test_compiled_functions_call_none_of_another_module(source: Path) -> None:
+    """Numba keeps what it has compiled until the file of that function changes, not those of its callees."""
+    elsewhere = {name for name, path in COMPILED.items() if path != source}
+    imported = {found.name.split(".")[-1] for found in imports(source)} & elsewhere
+    for function in compiled(source):
+        called = {node.id for node in ast.walk(function) if isinstance(node, ast.Name)}
+        assert not called & imported, function.name
+
+
 # Files that are not results: an index of a catalogue is a folder that is renamed once it is complete, and
 # /proc is no disk.
 WRITERS = {"atomic.py", "catalogue/gallery.py", "benchmarks/memory.py"}

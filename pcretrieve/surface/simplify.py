@@ -1,4 +1,8 @@
-"""Surface → the same surface with fewer faces: edge collapse by quadric errors, compiled by numba."""
+"""Surface → the same surface with fewer faces: edge collapse by quadric errors, compiled by numba.
+
+The compiled functions are in one module, because numba does not compile a function again when another file
+changes.
+"""
 
 from __future__ import annotations
 
