@@ -1,6 +1,6 @@
 """The commands of the command line as functions, with the same names, defaults and numbers.
 
-A catalogue may be given as a `Catalogue` or as the path of its file, options as in `PipelineOptions.of`, and
+A catalogue may be given as a `Catalogue` or as its path or URL, options as in `PipelineOptions.of`, and
 a scan as a path, an array, or geometry of this package or another.
 """
 

@@ -12,7 +12,7 @@ from pcretrieve.options import PipelineOptions
 
 __all__ = ["CatalogueLike", "opened"]
 
-#: A catalogue, or the path of its file.
+#: A catalogue, or its path or URL.
 CatalogueLike: TypeAlias = "Catalogue | str | Path"
 
 
@@ -25,7 +25,7 @@ def opened(
     Parameters
     ----------
     catalogue : Catalogue, str or Path
-        The catalogue, or the path of its file.
+        The catalogue, or its path or URL.
     options : PipelineOptions, optional
         The options of a new catalogue, and those that an existing one must have.
     create : bool, default False

@@ -292,9 +292,7 @@ class SignatureIndex:
                 )
             signature = signature.values
         logs = coordinates(signature, self._metric)
-        if logs.shape != (self._filter.points.shape[1],):
-            raise InputError(
-                f"the query must have shape ({self._filter.points.shape[1]},), as the table's rows have, "
-                f"got {logs.shape}"
-            )
+        row = self._filter.points.shape[1:]
+        if logs.shape != row:
+            raise InputError(f"the query must have shape {row}, as the table's rows have, got {logs.shape}")
         return logs

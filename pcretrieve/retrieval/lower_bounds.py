@@ -30,7 +30,7 @@ __all__ = ["BLOCK", "LowerBounds"]
 # the bounds are looser and more shapes need an exact distance; with more the bounds take longer. See
 # docs/decisions.md, N_LEADING.
 N_LEADING = 16
-N_LEADING_D1 = 24
+N_LEADING_D1 = 32
 
 # The abscissa c where the chord of d1 ends; any c gives a lower bound. See docs/decisions.md, CLIP.
 CLIP = 1.5
