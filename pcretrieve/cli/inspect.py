@@ -117,7 +117,7 @@ def _inspected(
 
 def _document(inspection: Inspection, page: Path, png: Path | None) -> dict[str, object]:
     """The JSON document of an inspection."""
-    described, deviation = inspection.signature, inspection.rescan_deviation
+    signature, deviation = inspection.signature, inspection.rescan_deviation
     return {
         "scan": inspection.path,
         "page": str(page),
@@ -127,7 +127,7 @@ def _document(inspection: Inspection, page: Path, png: Path | None) -> dict[str,
         "checks": [asdict(check) for check in inspection.checks],
         "cuts": inspection.cuts.tolist(),
         "bridges": inspection.bridges.tolist(),
-        "signature": None if described is None else described.values.tolist(),
+        "signature": None if signature is None else signature.values.tolist(),
         "rescan_deviation": None if deviation is None else deviation.tolist(),
         "spread": inspection.spread,
         "failure": None if inspection.failure is None else asdict(inspection.failure),

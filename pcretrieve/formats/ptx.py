@@ -22,7 +22,7 @@ __all__ = ["PTX", "read_ptx"]
 N_HEADER_LINES = 10
 # Size of the shortest row, "0 0 0" and the end of the line; bytes.
 SHORTEST_ROW = 6
-# Largest deviation of the rotation of a pose from an orthogonal matrix: files have six digits.
+# Largest difference of the rotation of a pose from an orthogonal matrix: files have six digits.
 POSE_TOLERANCE = 1e-3
 
 

@@ -112,10 +112,10 @@ def signature_spread(
 ) -> tuple[Signature, FloatArray, float]:
     """The signature of a scan, and its standard deviation over simulated rescans.
 
-    Each rescan is a random part of the points, of which the surface is reconstructed. The deviation includes
-    the random errors of sampling, and of the cuts, bridges and filled holes that depend on it. It does not
-    include systematic errors, as of a side that was not scanned. It is 0 for a mesh that is used without
-    reconstruction.
+    Each rescan is a random part of the points, of which the surface is reconstructed. The rescan deviation
+    includes the random errors of sampling, and of the cuts, bridges and filled holes that depend on it. It
+    does not include systematic errors, as of a side that was not scanned. It is 0 for a mesh that is used
+    without reconstruction.
 
     Parameters
     ----------
@@ -134,7 +134,7 @@ def signature_spread(
     -------
     signature : Signature
         The signature of all points.
-    deviation : (L,) float64
+    rescan_deviation : (L,) float64
         Standard deviation (ddof 0) of the logarithm of each value over the rescans; dimensionless.
     spread : float
         Root mean square distance of the log-signatures of the rescans to their mean, comparable to the
@@ -155,8 +155,8 @@ def signature_spread(
         if sound_mesh(value, options.surface) is not None:
             return described, np.zeros(len(described.values)), 0.0
         value = sampled(value, options.surface)
-    deviation, spread = _scatter(_rescans(value, options, n=n, share=share, seed=seed))
-    return described, deviation, spread
+    rescan_deviation, spread = _scatter(_rescans(value, options, n=n, share=share, seed=seed))
+    return described, rescan_deviation, spread
 
 
 def _check_rescans(n: int, share: float) -> None:
@@ -175,9 +175,9 @@ def _rescans(cloud: PointCloud, options: PipelineOptions, *, n: int, share: floa
 
 
 def _scatter(logs: FloatArray) -> tuple[FloatArray, float]:
-    """The deviation and the spread of log-signatures, as in `signature_spread`."""
-    deviation: FloatArray = logs.std(axis=0)  # (L,)
-    return deviation, float(np.sqrt((deviation**2).sum()))
+    """The rescan deviation and the spread of log-signatures, as in `signature_spread`."""
+    rescan_deviation: FloatArray = logs.std(axis=0)  # (L,)
+    return rescan_deviation, float(np.sqrt((rescan_deviation**2).sum()))
 
 
 # --- stages -------------------------------------------------------------------------------------------
@@ -203,8 +203,8 @@ def _stages(scan: object, options: PipelineOptions, n_rescans: int) -> Iterator[
         yield (so_far := _Described(seen, replace(described, digest=options.signature_digest)))
         if n_rescans and seen.scan is not None:
             rescans = _rescans(seen.scan, options, n=n_rescans, share=RESCAN_SHARE, seed=0)
-            deviation, spread = _scatter(rescans)
-            yield replace(so_far, rescan_deviation=deviation, spread=spread)
+            rescan_deviation, spread = _scatter(rescans)
+            yield replace(so_far, rescan_deviation=rescan_deviation, spread=spread)
 
 
 def _inspection(name: str, path: str, reached: _Described, failure: Failure | None) -> Inspection:

@@ -87,9 +87,9 @@ def body(
     pose : Pose
         A pose of the family of the subject. Its contacts are closed for any proportions of the subject.
     rng : numpy.random.Generator or None, default None
-        If given, a random deviation is added to every angle of every joint.
+        If given, a random number is added to every angle of every joint.
     jitter : float, default 2
-        Standard deviation of these deviations; degrees.
+        Standard deviation of these numbers; degrees.
 
     Returns
     -------

@@ -206,12 +206,12 @@ class Pose:
         return bool(self.contacts)
 
     def jittered(self, joints: frozenset[str], spread: float, rng: np.random.Generator) -> Pose:
-        """The pose with random deviations of its angles.
+        """The pose with random changes of its angles.
 
         Parameters
         ----------
         joints : frozenset of str
-            Names of the joints whose angles deviate.
+            Names of the joints whose angles are changed.
         spread : float
             Standard deviation of the normal distribution of each angle; degrees.
         rng : numpy.random.Generator

@@ -43,7 +43,7 @@ __all__ = ["SurfaceMarks", "body_surfaces"]
 # Largest fraction of the interior of the coarse surface that the flood fill may
 # reach. If it reaches more, it has leaked through a hole, and is repeated with the
 # radius of closed holes multiplied by each factor in turn.
-MOST_WET = 0.02
+MOST_LEAKED = 0.02
 WIDER = (1.4, 2.0)
 
 # Side of the cube of the coarse Poisson surface, relative to the longest side of the bounding box. Larger
@@ -152,26 +152,26 @@ def _body_surface(
         known = weight > LEAST_WEIGHT
         # Far from the points only: near them the coarse surface can be inaccurate by a voxel.
         core = coarse_inside & ~known
-        if (outside.wet & core).sum() <= MOST_WET * core.sum():
+        if (outside.reached & core).sum() <= MOST_LEAKED * core.sum():
             break
     else:
-        outside = replace(outside, wet=np.zeros_like(outside.wet), depth=np.zeros_like(outside.depth))
+        outside = replace(outside, reached=np.zeros_like(outside.reached), depth=np.zeros_like(outside.depth))
         distance, weight = distance_field(cloud, outside)
         known = weight > LEAST_WEIGHT
         notes.append("the flood fill of the outside leaked into the body and was not used")
     grid = outside.grid
-    inside = np.where(known, distance < 0, coarse_inside) & ~outside.wet
-    parted, skins = np.zeros_like(inside), np.zeros((3, *grid.shape), dtype=bool)
+    inside = np.where(known, distance < 0, coarse_inside) & ~outside.reached
+    parted, crossed_links = np.zeros_like(inside), np.zeros((3, *grid.shape), dtype=bool)
     if options.genus != "free":
-        skins = _walls(cloud, grid)
+        crossed_links = _walls(cloud, grid)
         folds = folded(cloud, outside, inside)
-        open_skins = _walls(cloud.select(~folds), grid) if folds.any() else skins
-        parted = contact_layer(inside, open_skins, outside.distance)
+        open_links = _walls(cloud.select(~folds), grid) if folds.any() else crossed_links
+        parted = contact_layer(inside, open_links, outside.distance)
         inside &= ~parted
     inside, bridges = joined(inside, cloud.points, grid, options, notes)
     if not inside.any():
         raise ReconstructionError(f"{len(cloud.points)} points enclose nothing")
-    body, cuts = with_topology(inside, skins, outside, options, notes)
+    body, cuts = with_topology(inside, crossed_links, outside, options, notes)
     known_distance = np.where(known, distance, np.nan)
     mesh, is_invented = _surface(body, inside, parted, known_distance, coarse_crossings, grid)
     invented = float(is_invented.mean())

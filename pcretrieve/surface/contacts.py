@@ -102,7 +102,7 @@ def contact_layer(inside: Mask, walls: Mask, to_points: Voxels) -> Mask:
     middle = np.where(inside, to_points, -1).argmax()
     limb = _away(inside, walls, int(middle)).argmax()
     found = _contacts(inside, _away(inside, walls, int(limb)))
-    if found.sum() > MOST_CONTACTS * _skin_size(inside):
+    if found.sum() > MOST_CONTACTS * _n_boundary_voxels(inside):
         return np.zeros_like(found)
     return found
 
@@ -134,7 +134,7 @@ def _away(inside: Mask, walls: Mask, source: int) -> NDArray[np.int32]:
 
 
 @njit(cache=True)
-def _skin_size(inside: Mask) -> int:
+def _n_boundary_voxels(inside: Mask) -> int:
     """Number of boundary voxels: inside, and 18-adjacent to a voxel outside."""
     n_x, n_y, n_z = inside.shape
     size = 0

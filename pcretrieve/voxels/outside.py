@@ -22,7 +22,7 @@ FARTHEST = 12.0
 # Smallest distance of the outside from every point; in voxels. Points that sample a
 # surface with about one point in each voxel leave gaps, which this distance closes.
 # It is small enough for the outside to reach between fingers.
-SKIN = 1.8
+CLEARANCE = 1.8
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -33,7 +33,7 @@ class Outside:
     ----------
     grid : Grid
         The grid of the arrays.
-    wet : bool array of `grid.shape`
+    reached : bool array of `grid.shape`
         Voxels outside, which the flood fill has reached.
     depth : float32 array of `grid.shape`
         Distance to the nearest voxel outside; in voxels.
@@ -43,7 +43,7 @@ class Outside:
     """
 
     grid: Grid
-    wet: Mask
+    reached: Mask
     depth: Voxels
     distance: Voxels
 
@@ -98,45 +98,45 @@ def flood(
     occupied = np.zeros(grid.shape, dtype=bool)
     occupied[grid.index(points)] = True
     distance = distances(occupied, max(FARTHEST, wall + 1))
-    wet = _flooded(distance, wall, SKIN)
-    return Outside(grid, wet, distances(wet, deepest), distance)
+    reached = _flooded(distance, wall, CLEARANCE)
+    return Outside(grid, reached, distances(reached, deepest), distance)
 
 
 @njit(cache=True)
-def _flooded(distance: Voxels, wall: float, skin: float) -> Mask:
+def _flooded(distance: Voxels, wall: float, clearance: float) -> Mask:
     """Voxels reached from the border: outside the walls, then by as many steps as they are thick."""
     _, n_y, n_z = distance.shape
     to_points = distance.ravel()
-    is_wet = np.zeros(distance.size, dtype=np.bool_)
-    wet = is_wet.reshape(distance.shape)
-    wet[0], wet[-1] = True, True
-    wet[:, 0], wet[:, -1] = True, True
-    wet[:, :, 0], wet[:, :, -1] = True, True
+    is_reached = np.zeros(distance.size, dtype=np.bool_)
+    reached = is_reached.reshape(distance.shape)
+    reached[0], reached[-1] = True, True
+    reached[:, 0], reached[:, -1] = True, True
+    reached[:, :, 0], reached[:, :, -1] = True, True
     step = (n_y * n_z, n_z, 1)
     front = np.empty(distance.size, dtype=np.int32)
     steps = np.zeros(distance.size, dtype=np.int16)
     front[0] = n_y * n_z + n_z + 1
-    is_wet[front[0]] = True
+    is_reached[front[0]] = True
     n = 1
     most = int(wall) + 1
     # Breadth-first search; the second pass starts from all voxels that the first has reached.
-    for creeping in range(2):
-        limit = skin if creeping else wall
+    for second in range(2):
+        limit = clearance if second else wall
         i = 0
         while i < n:
             cell = front[i]
             i += 1
-            if creeping and steps[i - 1] >= most:
+            if second and steps[i - 1] >= most:
                 continue
             for axis in range(3):
                 for other in (cell - step[axis], cell + step[axis]):
-                    if is_wet[other] or to_points[other] <= limit:
+                    if is_reached[other] or to_points[other] <= limit:
                         continue
-                    is_wet[other] = True
+                    is_reached[other] = True
                     front[n] = other
-                    steps[n] = steps[i - 1] + 1 if creeping else 0
+                    steps[n] = steps[i - 1] + 1 if second else 0
                     n += 1
-    return wet
+    return reached
 
 
 def _sampled(values: Voxels, at: FloatArray) -> FloatArray:

@@ -26,13 +26,13 @@ def shell(hole: float, n: int = 20_000) -> FloatArray:
 @pytest.mark.parametrize("hole", [0.0, 0.6 * GAP])
 def test_a_hole_narrower_than_the_gap_stays_dry(hole: float) -> None:
     outside = flood(shell(hole), cell=CELL, gap=GAP)
-    wet = outside.wet[outside.grid.index(np.random.default_rng(0).uniform(-0.5, 0.5, (1000, 3)))]
-    assert not wet.any()
+    reached = outside.reached[outside.grid.index(np.random.default_rng(0).uniform(-0.5, 0.5, (1000, 3)))]
+    assert not reached.any()
 
 
 def test_a_hole_wider_than_the_gap_leaks() -> None:
     outside = flood(shell(1.6 * GAP), cell=CELL, gap=GAP)
-    assert outside.wet[outside.grid.index(np.zeros((1, 3)))].all()
+    assert outside.reached[outside.grid.index(np.zeros((1, 3)))].all()
 
 
 def test_the_outside_comes_as_near_to_the_points_as_the_skin() -> None:
@@ -41,8 +41,8 @@ def test_the_outside_comes_as_near_to_the_points_as_the_skin() -> None:
     distance = np.linalg.norm(
         np.moveaxis(np.indices(outside.grid.shape), 0, -1) * CELL + outside.grid.origin, axis=-1
     )
-    assert outside.wet[distance > RADIUS + 3 * CELL].all()
-    assert not outside.wet[outside.distance <= 1.5].any()
+    assert outside.reached[distance > RADIUS + 3 * CELL].all()
+    assert not outside.reached[outside.distance <= 1.5].any()
 
 
 def test_the_outside_comes_between_fingers() -> None:
@@ -51,7 +51,7 @@ def test_the_outside_comes_between_fingers() -> None:
     x, y = np.meshgrid(np.arange(0, 1, CELL / 2), np.arange(0, 1, CELL / 2))
     plates = [np.column_stack([x.ravel(), y.ravel(), np.full(x.size, z)]) for z in (0, gap)]
     outside = flood(np.concatenate(plates), cell=CELL, gap=3 * CELL)
-    assert outside.wet[outside.grid.index(np.array([[CELL, 0.5, gap / 2]]))].all()
+    assert outside.reached[outside.grid.index(np.array([[CELL, 0.5, gap / 2]]))].all()
 
 
 def test_depth_grows_and_direction_points_to_the_outside() -> None:
@@ -73,7 +73,7 @@ def test_depth_grows_and_direction_points_to_the_outside() -> None:
 def test_the_unit_does_not_matter() -> None:
     here = flood(shell(0.1), cell=CELL, gap=GAP)
     there = flood(1e3 * shell(0.1), cell=1e3 * CELL, gap=1e3 * GAP)
-    np.testing.assert_array_equal(here.wet, there.wet)
+    np.testing.assert_array_equal(here.reached, there.reached)
 
 
 def test_a_grid_holds_its_points_with_room_to_spare() -> None:

@@ -5,7 +5,7 @@ const scene = JSON.parse(document.getElementById("scene").textContent);
 const canvas = document.getElementById("canvas"), boxes = document.getElementById("layers").elements;
 const gl = canvas.getContext("webgl", {antialias: true});
 const start = {right: 0, up: 0, zoom: 1};
-const view = {...start};
+const camera = {...start};
 
 const VERTEX = `
 attribute vec3 at; attribute vec3 normal;
@@ -67,7 +67,7 @@ function buffer(values) {
 
 // Rows right, up and towards the viewer, turned by two angles; as WebGL wants it, column by column.
 function turned() {
-  const [a, e] = [view.right, view.up].map((degrees) => degrees * Math.PI / 180);
+  const [a, e] = [camera.right, camera.up].map((degrees) => degrees * Math.PI / 180);
   const [x, y, z] = scene.axes;
   const mix = (p, u, q, v) => u.map((part, k) => p * part + q * v[k]);
   const right = mix(Math.cos(a), x, -Math.sin(a), z), ahead = mix(Math.sin(a), x, Math.cos(a), z);
@@ -101,7 +101,7 @@ function draw() {
   gl.viewport(0, 0, w, h);
   gl.clearColor(0, 0, 0, 0);
   gl.clear(gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT);
-  const side = Math.min(w, h), scale = scene.zoom * view.zoom;
+  const side = Math.min(w, h), scale = scene.zoom * camera.zoom;
   gl.uniformMatrix3fv(place("turn"), false, turned());
   gl.uniform2f(place("scale"), scale * side / w, scale * side / h);
   for (const layer of scene.layers) {
@@ -133,18 +133,18 @@ function preset() {
   const on = names ? names.split(",") : scene.on;
   for (const layer of scene.layers) boxes[layer.name].checked = on.includes(layer.name);
   const [right, up] = (angles || "").split(",").map(Number);
-  Object.assign(view, start, {right: right || 0, up: up || 0});
+  Object.assign(camera, start, {right: right || 0, up: up || 0});
   draw();
 }
 
 function turn(across, down) {
-  view.right += across;
-  view.up = Math.max(-105, Math.min(75, view.up + down));
+  camera.right += across;
+  camera.up = Math.max(-105, Math.min(75, camera.up + down));
   draw();
 }
 
 function zoom(by) {
-  view.zoom = Math.max(0.3, Math.min(40, view.zoom * by));
+  camera.zoom = Math.max(0.3, Math.min(40, camera.zoom * by));
   draw();
 }
 
@@ -173,7 +173,7 @@ if (gl) {
     event.preventDefault();
     zoom(Math.exp(-0.001 * event.deltaY));
   }, {passive: false});
-  canvas.addEventListener("dblclick", () => { Object.assign(view, start); draw(); });
+  canvas.addEventListener("dblclick", () => { Object.assign(camera, start); draw(); });
   canvas.addEventListener("keydown", (event) => {
     const step = {ArrowLeft: [10, 0], ArrowRight: [-10, 0], ArrowUp: [0, 10], ArrowDown: [0, -10]}[event.key];
     if (step) { event.preventDefault(); turn(...step); }
