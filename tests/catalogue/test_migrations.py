@@ -22,9 +22,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+import shapes
 
 from pcretrieve import Catalogue
+from pcretrieve.catalogue import Content, Record
+from pcretrieve.descriptors import describe
 from pcretrieve.errors import CatalogueError, ShapeError
+from pcretrieve.pipeline.process import process
 from pcretrieve.retrieval import SignatureIndex
 from pcretrieve.types import ModalSpectrum
 
@@ -142,6 +146,21 @@ def test_a_migrated_catalogue_can_be_written(path: Path) -> None:
         "egg2": "long",
         "egg3": "long",
     }
+
+
+def test_a_migrated_catalogue_takes_new_shapes(path: Path) -> None:
+    """Shapes of before keep their overlaps, those of new shapes are computed from the mesh."""
+    with Catalogue(path) as store:
+        n_before = len(store)
+        shape = process(shapes.ellipsoid((1, 1, 1.7), subdivisions=3), store.options)
+        values = describe(shape, store.options.signature).values
+        store.put(Record("new", "/scans/new.off", "new", steps=shape.provenance), Content(shape, values))
+        assert [store.stored_bytes(name)["overlaps"] > 0 for name in ("egg0", "new")] == [True, False]
+        by_overlaps = store.options.changed(signature={"method": "wks"})
+        table = store.signatures(by_overlaps)
+    assert len(table) == n_before + 1
+    new = table.values[table.ids.index("new")]
+    np.testing.assert_array_equal(new, describe(shape, by_overlaps.signature).values)
 
 
 # --- whole or not at all --------------------------------------------------------------------------------
