@@ -1,7 +1,7 @@
-"""Shapes with provenance, spectra, surfaces and signatures, kept in a store.
+"""Shapes with provenance, spectra, surfaces and signatures, in a store.
 
-In come records and processed shapes; out come records, shapes with the parts that are needed, tables of
-signatures, whitenings and indexes. A store holds records and bytes, by default in an SQLite file.
+In come records and processed shapes; out come records, shapes, tables of signatures, whitenings and indexes.
+A store has records and bytes, by default in an SQLite file.
 """
 
 from pcretrieve.catalogue.record import Content, Record, free_id, numbered_id

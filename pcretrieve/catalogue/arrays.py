@@ -1,8 +1,8 @@
-"""Arrays ↔ the bytes that a catalogue stores of them; every bit comes back.
+"""Arrays ↔ the bytes that a catalogue stores, without loss.
 
-Numbers are stored little-endian, behind a header that states their type and shape. Large arrays are
-compressed after their bytes have been regrouped: the first bytes of all numbers, then the second bytes, and
-so on, because signs and exponents repeat where digits do not. A checksum tells when bytes have changed.
+Numbers are stored little-endian, after a header with their type and shape. Large arrays are compressed after
+their bytes have been regrouped: the first bytes of all numbers, then the second bytes, and so on, because
+signs and exponents repeat, and digits do not. A checksum detects changes of the bytes.
 """
 
 from __future__ import annotations
@@ -21,29 +21,29 @@ __all__ = ["packed", "packed_symmetric", "packed_values", "unpacked", "unpacked_
 
 DTYPES = tuple(np.dtype(name) for name in ("<f8", "<i4", "<i8", "|i1"))
 
-# Shorter arrays are stored as they are: compressed they would hardly be smaller.
+# Smallest number of bytes of an array that is compressed. Compression hardly reduces smaller arrays.
 SHORTEST_COMPRESSED = 4096
 
-# Of zlib. Higher levels take up to ten times as long, and save 2 % of a matrix and 4 % of a list of faces.
+# Compression level of zlib. See docs/decisions.md, LEVEL.
 LEVEL = 1
 
-# Of one array: its type, its number of dimensions, whether it is compressed, its length in bytes.
+# Header of an array: its type, its number of dimensions, whether it is compressed, its length in bytes.
 HEADER = struct.Struct("<BBBI")
 CHECKSUM = struct.Struct("<I")
 
 
 def packed(arrays: Sequence[NDArray[Any]]) -> bytes:
-    """Arrays as bytes.
+    """Convert arrays to bytes.
 
     Parameters
     ----------
     arrays : sequence of arrays
-        Of float64, int32, int64 or int8.
+        Arrays of float64, int32, int64 or int8.
 
     Returns
     -------
     bytes
-        The arrays, compressed where they are long, and a checksum.
+        The arrays, compressed if they are long, and a checksum.
     """
     parts = []
     for array in arrays:
@@ -60,12 +60,12 @@ def packed(arrays: Sequence[NDArray[Any]]) -> bytes:
 
 
 def unpacked(blob: bytes) -> list[NDArray[Any]]:
-    """The arrays that `packed` has made bytes of.
+    """The inverse of `packed`.
 
     Parameters
     ----------
     blob : bytes
-        What `packed` returned.
+        The result of `packed`.
 
     Returns
     -------
@@ -99,33 +99,33 @@ def unpacked(blob: bytes) -> list[NDArray[Any]]:
 
 
 def packed_symmetric(matrices: FloatArray) -> bytes:
-    """Symmetric matrices as bytes, half as many as of others.
+    """Convert symmetric matrices to bytes, half as many as `packed` needs.
 
     Parameters
     ----------
     matrices : (s, k, k) float64
-        Symmetric but for rounding errors, which are stored too.
+        Matrices that are symmetric except for rounding errors, which are stored too.
 
     Returns
     -------
     bytes
-        The entries on and above the diagonal, and the rounding errors of those below.
+        The entries on and above the diagonal, and the rounding errors of the entries below.
     """
     bits = np.ascontiguousarray(matrices).view(np.int64)
     upper, lower = np.triu_indices(bits.shape[1]), np.tril_indices(bits.shape[1], -1)
-    # Neighbouring numbers have neighbouring bits: what rounding has moved is a small integer.
+    # The bits of neighbouring numbers are neighbouring integers, so that rounding errors are small integers.
     moved = bits[_each(lower)] - bits.transpose(0, 2, 1)[_each(lower)]
     small = moved.astype(np.int8)
     return packed([matrices[_each(upper)], small if (small == moved).all() else moved])
 
 
 def unpacked_symmetric(blob: bytes) -> FloatArray:
-    """The matrices that `packed_symmetric` has made bytes of.
+    """The inverse of `packed_symmetric`.
 
     Parameters
     ----------
     blob : bytes
-        What `packed_symmetric` returned.
+        The result of `packed_symmetric`.
 
     Returns
     -------
@@ -148,7 +148,7 @@ def unpacked_symmetric(blob: bytes) -> FloatArray:
 
 
 def packed_values(values: FloatArray) -> bytes:
-    """Values of a signature as bytes, of which a million rows are read in a second.
+    """Convert the values of a signature to bytes that are fast to read.
 
     Parameters
     ----------
@@ -158,21 +158,21 @@ def packed_values(values: FloatArray) -> bytes:
     Returns
     -------
     bytes
-        8 (L + 1): the values, and the exclusive or of their bits as a checksum.
+        8 (L + 1) bytes: the values, and the exclusive or of their bits as a checksum.
     """
     words = np.ascontiguousarray(values, "<f8").view("<u8")
     return words.tobytes() + np.bitwise_xor.reduce(words, keepdims=True).tobytes()
 
 
 def unpacked_values(rows: NDArray[np.uint8], n_values: int) -> FloatArray:
-    """The values that `packed_values` has made bytes of.
+    """The inverse of `packed_values`, for many signatures.
 
     Parameters
     ----------
     rows : (N, b) uint8
-        In each row what `packed_values` returned.
+        One result of `packed_values` in each row.
     n_values : int
-        L.
+        L, the number of values of a signature.
 
     Returns
     -------
@@ -182,7 +182,7 @@ def unpacked_values(rows: NDArray[np.uint8], n_values: int) -> FloatArray:
     Raises
     ------
     ValueError
-        If a checksum shows that bytes have changed, or there are other numbers of values.
+        If a checksum shows that bytes have changed, or the number of values is not L.
     """
     if rows.size != 8 * len(rows) * (n_values + 1):
         raise ValueError(f"there must be {n_values} values")
@@ -193,7 +193,7 @@ def unpacked_values(rows: NDArray[np.uint8], n_values: int) -> FloatArray:
 
 
 def _each(entries: tuple[NDArray[np.intp], NDArray[np.intp]]) -> tuple[Any, ...]:
-    """The index of the same entries of each matrix."""
+    """The index of entries in each matrix of an array of matrices."""
     return (slice(None), *entries)
 
 

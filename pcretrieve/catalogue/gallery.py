@@ -1,8 +1,9 @@
-"""The indexes of a catalogue's signatures, kept as arrays that are mapped into memory.
+"""Cache of the indexes of a catalogue, as arrays that are mapped into memory.
 
-An index of a million shapes takes seconds to make and milliseconds to open. It is kept in a folder beside the
-catalogue's file, ``bodies.sqlite.gallery``, or in the user's cache folder where that cannot be written. It
-belongs to one state of the catalogue, and is made anew after a change. Nothing is lost with the folder.
+An index of a million shapes takes seconds to compute and milliseconds to open. It is stored in a folder
+beside the file of the catalogue, ``bodies.sqlite.gallery``, or in the cache folder of the user if that folder
+cannot be written. An index belongs to one state of the catalogue, and is computed again after a change. The
+folder may be deleted.
 """
 
 from __future__ import annotations
@@ -27,31 +28,30 @@ __all__ = ["Gallery"]
 
 logger = logging.getLogger(__name__)
 
-# Raised when the arrays of an index change their meaning.
+# Version of the arrays of an index, which is incremented when their meaning changes.
 FORMAT = 1
 
-# Shapes below which an index is made anew by every process: that takes no longer than to open it.
+# Smallest number of shapes for which an index is stored. A smaller index is computed as fast as it is opened.
 SMALLEST_KEPT = 10_000
 
-# Arrays of at least so many bytes are mapped into memory; smaller ones are read.
+# Smallest number of bytes of an array that is mapped into memory; smaller arrays are read.
 MAPPED = 2**16
 
-# How a folder is called before it is complete, and after how many seconds it is taken for that of a process
-# that was killed.
+# Beginning of the name of a folder until it is complete, and the age in seconds after which such a folder is
+# removed, because the process that wrote it must have been killed.
 UNFINISHED = ".unfinished-"
 ABANDONED = 3600.0
 
 
 class Gallery:
-    """The kept indexes of one catalogue; several processes may use them at once.
+    """The stored indexes of one catalogue, which several processes may use at the same time.
 
     Parameters
     ----------
     location : str
         The path or the URL of the catalogue.
     folder : Path, optional
-        Where the indexes are kept. Where it cannot be written, or is None, they are kept in the user's cache
-        folder.
+        The folder of the indexes. If it cannot be written, or is None, the cache folder of the user is used.
     """
 
     def __init__(self, location: str, folder: Path | None) -> None:
@@ -66,23 +66,23 @@ class Gallery:
         *,
         by_label: bool,
     ) -> SignatureIndex:
-        """The index for a request in a state of the catalogue, which was kept or is made now.
+        """Open the stored index of a state of the catalogue, or compute and store it.
 
         Parameters
         ----------
         request : str
-            What the index depends on beside the shapes.
+            A name of everything that the index depends on, apart from the shapes.
         revision : Revision
             The state of the catalogue.
         make : function that returns an index and a Revision
-            Makes the index. The state that it returns may be a later one.
+            Computes the index. The state that it returns may be a later one.
         by_label : bool
             Whether the index depends on the labels of the shapes.
 
         Returns
         -------
         SignatureIndex
-            Its arrays are mapped into memory where they were kept.
+            The index. If it is stored, its arrays are mapped into memory.
         """
         request = f"{FORMAT} {request}"
         name = _name(request, revision.state(by_label))
@@ -93,7 +93,7 @@ class Gallery:
                 name = _name(request, revision.state(by_label))
                 if len(index) >= SMALLEST_KEPT:
                     self._keep(name, revision, index)
-                    # The arrays in memory are given back.
+                    # The stored index replaces the one in memory, which is then freed.
                     index = self._opened(name) or index
             self._last = name, index
         return self._last[1]
@@ -104,14 +104,14 @@ class Gallery:
             try:
                 return SignatureIndex.from_arrays(_arrays(kept))
             except FileNotFoundError:
-                continue  # none, or another process removes it just now
+                continue  # there is none, or another process removes it at this moment
             except (OSError, ValueError, EOFError) as error:
-                logger.warning("made anew, since it cannot be read: %s (%s)", kept, error)
+                logger.warning("computed again, because it cannot be read: %s (%s)", kept, error)
                 shutil.rmtree(kept, ignore_errors=True)
         return None
 
     def _keep(self, name: str, revision: Revision, index: SignatureIndex) -> None:
-        """Keep an index in the first folder that can be written, and remove those of other states."""
+        """Store an index in the first folder that can be written, and remove indexes of other states."""
         for folder in self._folders:
             try:
                 folder.mkdir(parents=True, exist_ok=True)
@@ -119,7 +119,7 @@ class Gallery:
                 _tidy(folder, revision)
                 return
             except OSError as error:
-                logger.info("an index is not kept in %s: %s", folder, error)
+                logger.info("an index is not stored in %s: %s", folder, error)
 
 
 def _name(request: str, state: str) -> str:
@@ -131,12 +131,12 @@ def _digest(text: str) -> str:
 
 
 def _cache_folder(location: str, folder: Path | None) -> Iterator[Path]:
-    """The folder of a catalogue in the user's cache, where there is a user."""
+    """The folder of a catalogue in the cache of the user, if there is a user."""
     try:
         cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
     except RuntimeError:
         return
-    # The folder tells two files of one name in several working directories apart.
+    # The absolute path distinguishes files of one name in several folders.
     name = str(folder.absolute()) if folder else location
     yield cache / "pcretrieve" / f"{Path(location).name}-{_digest(name)}"
 
@@ -150,7 +150,7 @@ def _arrays(folder: Path) -> dict[str, NDArray[Any]]:
 
 
 def _write(folder: Path, name: str, arrays: Mapping[str, NDArray[Any]]) -> None:
-    """All arrays under that name, or none: a name is given to them once they are on the disk."""
+    """Write all arrays or none: the folder gets its name after all arrays are on the disk."""
     unfinished = Path(mkdtemp(prefix=UNFINISHED, dir=folder))
     try:
         for array_name, array in arrays.items():
@@ -170,7 +170,7 @@ def _write(folder: Path, name: str, arrays: Mapping[str, NDArray[Any]]) -> None:
 
 
 def _tidy(folder: Path, revision: Revision) -> None:
-    """Remove indexes of other states, and what killed processes left."""
+    """Remove indexes of other states, and incomplete folders of killed processes."""
     current = {_digest(revision.state(by_label)) for by_label in (False, True)}
     for kept in folder.iterdir():
         unfinished = kept.name.startswith(UNFINISHED)

@@ -1,4 +1,4 @@
-"""Files of earlier versions → files of this one, whole or not at all."""
+"""Migration of files of earlier schema versions to the current version, in one transaction."""
 
 from __future__ import annotations
 
@@ -33,34 +33,34 @@ Arrays = dict[str, NDArray[Any]]
 # Tables that every version has.
 TABLES = {"meta", "shapes"}
 
-# Shapes after which progress is logged.
+# Number of shapes after which progress is logged.
 REPORTED = 100
 
 
 def prepare(connection: sqlite3.Connection, path: Path, settings: Mapping[str, str]) -> None:
-    """See that a file is a catalogue of this schema; make it one where it is empty, or of an older schema.
+    """Check that a file is a catalogue of the current schema; create the tables, or migrate it, if necessary.
 
     Parameters
     ----------
     connection : sqlite3.Connection
-        Of the file.
+        Connection to the file.
     path : Path
         The file.
     settings : mapping of str to str
-        For a catalogue that is made now: ``options`` and ``numbers_version``.
+        Settings of a new catalogue: ``options`` and ``numbers_version``.
 
     Raises
     ------
     CatalogueError
-        If it is no catalogue, was written by a newer pcretrieve, or was written by an older one and cannot be
-        written now.
+        If the file is not a catalogue, was written by a newer pcretrieve, or was written by an older one and
+        cannot be written to.
     """
     tables = table_names(connection)
     if not tables:
-        # Readers go on while somebody writes.
+        # With a write-ahead log, other processes can read while one process writes.
         connection.execute("PRAGMA journal_mode = WAL")
         with transaction(connection, "IMMEDIATE"):
-            if not table_names(connection):  # and nobody else has made them a moment ago
+            if not table_names(connection):  # another process may have created them in the meantime
                 create_tables(connection, settings)
         tables = table_names(connection)
     if not tables >= TABLES:
@@ -85,9 +85,9 @@ def _migrate(connection: sqlite3.Connection, path: Path) -> None:
     with transaction(connection, "IMMEDIATE"):
         (version,) = connection.execute("PRAGMA user_version").fetchone()
         if version == SCHEMA_VERSION:
-            return  # another process was faster
+            return  # another process has migrated the file in the meantime
         settings = _settings_of_1(path, dict(connection.execute("SELECT key, value FROM meta")))
-        stored_options(path, settings)  # what cannot be used afterwards is better left as it is
+        stored_options(path, settings)  # raises, before the file is changed, if it could not be used
         (total,) = connection.execute("SELECT count(*) FROM shapes").fetchone()
         logger.warning(
             "rewriting %s, %d shapes, for this version of pcretrieve; this happens once", path, total
@@ -107,11 +107,11 @@ def _migrate(connection: sqlite3.Connection, path: Path) -> None:
 
 
 def _settings_of_1(path: Path, meta: Mapping[str, str]) -> dict[str, str]:
-    """Settings as version 2 has them. Version 1 had a digest of options and of the version of numbers."""
+    """The settings of version 2. Version 1 had a digest of the options and of the version of numbers."""
     try:
         options, digest = json.loads(meta["options"]), meta["digest"]
         numbers = {name: value for name, value in options.items() if name not in ("signature", "retrieval")}
-        # Before there were options of retrieval, the scale "area" was what "auto" is today.
+        # Before there were options of retrieval, the scale "area" had the present meaning of "auto".
         if "retrieval" not in options and options["signature"].get("scale") == "area":
             options["signature"]["scale"] = "auto"
     except (KeyError, TypeError, AttributeError, ValueError) as error:
@@ -126,7 +126,7 @@ def _settings_of_1(path: Path, meta: Mapping[str, str]) -> dict[str, str]:
 
 
 def _move_shape_of_1(connection: sqlite3.Connection, path: Path, shape_id: str) -> None:
-    """Take a shape out of the table of version 1, so that its pages serve the next one, and put it in."""
+    """Move a shape from the table of version 1 to the new tables, so that its pages can be used again."""
     chosen = (shape_id,)
     number = connection.execute(
         "INSERT INTO shapes SELECT NULL, id, path, content_hash, label, status, stage, error, message, area, "
@@ -161,7 +161,7 @@ def _archive(blob: bytes) -> Arrays:
 def _packages_of_1(
     area: float, signature: Arrays, eigenvalues: Arrays, moments: Arrays, mesh: Arrays
 ) -> dict[str, bytes]:
-    """What version 2 stores of the arrays of version 1, by table."""
+    """The arrays of version 1 as version 2 stores them, by table."""
     # In version 1 all surfaces of a scan were scaled by the factor that gave the first surface unit area.
     stored = zip(
         eigenvalues["values"], moments["values"], eigenvalues["areas"], moments["overlaps"], strict=True

@@ -1,4 +1,4 @@
-"""Path → a connection to the file, and errors of SQLite → what can be done about them."""
+"""Connections to SQLite files, and errors of SQLite → messages with advice."""
 
 from __future__ import annotations
 
@@ -14,29 +14,29 @@ from pcretrieve.errors import CatalogueError
 
 __all__ = ["connect", "damaged", "intact", "is_writable", "translated"]
 
-# How long to wait for another process that is writing; seconds.
+# Longest time to wait for another process that is writing; seconds.
 LOCK_TIMEOUT = 30.0
 
 
 def connect(path: Path, *, create: bool) -> sqlite3.Connection:
-    """A connection to a file that exists, or may be made.
+    """Connect to a file.
 
     Parameters
     ----------
     path : Path
         The file.
     create : bool
-        Make the file where there is none.
+        Whether the file is created if it does not exist.
 
     Returns
     -------
     sqlite3.Connection
-        For reading only, where the file cannot be written.
+        The connection; read-only, if the file cannot be written.
 
     Raises
     ------
     CatalogueError
-        If it is a folder, is missing and `create` is false, or cannot be opened or made.
+        If the path is a folder, does not exist and `create` is false, or cannot be opened or created.
     """
     try:
         if path.is_dir():
@@ -56,12 +56,12 @@ def connect(path: Path, *, create: bool) -> sqlite3.Connection:
         try:
             return _connected(path, "ro")
         except sqlite3.OperationalError:
-            # SQLite cannot make its files beside this one; where nobody is writing, it needs none.
+            # SQLite cannot create its further files in this folder, and needs none if no process writes.
             return _connected(path, "ro&immutable=1")
 
 
 def is_writable(path: Path) -> bool:
-    """Whether SQLite can write to a file: it makes further files beside that one.
+    """Whether SQLite can write to a file, for which it creates further files in the same folder.
 
     Parameters
     ----------
@@ -71,39 +71,39 @@ def is_writable(path: Path) -> bool:
     Returns
     -------
     bool
-        Whether the file and its folder can be written.
+        True if the file and its folder can be written.
     """
     return os.access(path, os.W_OK) and os.access(path.parent, os.W_OK)
 
 
 def damaged(location: str | Path, how: str) -> CatalogueError:
-    """The error for a catalogue whose content makes no sense.
+    """The error for a catalogue with invalid content.
 
     Parameters
     ----------
     location : str or Path
         The catalogue, as the message names it.
     how : str
-        What is wrong with the content.
+        The defect of the content.
 
     Returns
     -------
     CatalogueError
-        To be raised.
+        The error to be raised.
     """
     return CatalogueError(f"{location} is damaged ({how}): restore a copy, or ingest into a new catalogue")
 
 
 @contextmanager
 def intact(location: str | Path, what: str) -> Iterator[None]:
-    """Turn errors of bytes that make no sense into the error for a damaged catalogue.
+    """Convert errors due to invalid bytes to the error for a damaged catalogue.
 
     Parameters
     ----------
     location : str or Path
         The catalogue, as the message names it.
     what : str
-        What is read.
+        What is read, for the message.
 
     Yields
     ------
@@ -113,7 +113,7 @@ def intact(location: str | Path, what: str) -> Iterator[None]:
     Raises
     ------
     CatalogueError
-        If the code raises an error of its input.
+        If the code raises an error that invalid bytes cause.
     """
     try:
         yield
@@ -134,7 +134,7 @@ def _connected(path: Path, mode: str) -> sqlite3.Connection:
 
 @contextmanager
 def translated(path: Path) -> Iterator[None]:
-    """Turn errors of SQLite into errors that say what to do.
+    """Convert errors of SQLite to errors with advice.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""The shapes of a store, as they are read: records by id and by content, meshes and spectra."""
+"""Reading of the shapes of a store: records by id and by content, meshes and spectra."""
 
 from __future__ import annotations
 
@@ -13,26 +13,26 @@ from pcretrieve.types import Need, Shape, TriangleMesh
 
 __all__ = ["StoredShapes"]
 
-# Records that are read at a time where all are wanted.
+# Number of records that are read at a time.
 PAGE = 1000
 
 
 class StoredShapes:
-    """The shapes of a store: the part of a catalogue that only reads.
+    """The shapes of a store, with the operations of a catalogue that only read.
 
     Parameters
     ----------
     rows : Rows
         The store.
     options : PipelineOptions
-        The options that the catalogue was built with.
+        The options with which the catalogue was built.
 
     Attributes
     ----------
     location : str
         The path or the URL of the store, as messages name it.
     options : PipelineOptions
-        The options that the catalogue was built with.
+        The options with which the catalogue was built.
     """
 
     def __init__(self, rows: Rows, options: PipelineOptions) -> None:
@@ -45,21 +45,21 @@ class StoredShapes:
     def pages(
         self, *, status: Status | None = None, offset: int = 0, limit: int | None = None
     ) -> Iterator[list[Record]]:
-        """The records, failed ones included, in ascending order of id; a page is read when it is asked for.
+        """The records, including failed ones, in ascending order of id, in pages that are read one by one.
 
         Parameters
         ----------
         status : {"done", "failed"}, optional
             Only records of this status.
         offset : int, default 0
-            Records that are left out at the beginning.
+            Number of records that are left out at the beginning.
         limit : int, optional
             Largest number of records in all pages together.
 
         Yields
         ------
         list of Record
-            At least one record.
+            A page of at least one record.
         """
         after, left = "", limit
         while left is None or left > 0:
@@ -77,18 +77,18 @@ class StoredShapes:
         return [record for page in self.pages(status=status) for record in page]
 
     def record(self, shape_id: str) -> Record:
-        """The record of a shape; InputError if there is none of that id."""
+        """The record of a shape; InputError if there is no shape of this id."""
         record = self.get(shape_id)
         if record is None:
             raise unknown(self._rows, shape_id)
         return record
 
     def get(self, shape_id: str) -> Record | None:
-        """The record of a shape, or None if there is none of that id."""
+        """The record of a shape; None if there is no shape of this id."""
         return next(iter(self._rows.by_id([shape_id])), None)
 
     def with_content(self, content_hash: str) -> list[Record]:
-        """The shapes of files with a content, failed ones included, in ascending order of id."""
+        """The records of files with this content, including failed ones, in ascending order of id."""
         return self._rows.by_content([content_hash])
 
     def areas(self) -> tuple[float, float] | None:
@@ -110,25 +110,26 @@ class StoredShapes:
             raise
 
     def shape(self, shape_id: str, needs: tuple[Need, ...] = ("spectrum", "mesh")) -> Shape:
-        """A shape, with the parts that are asked for and no others.
+        """Read a shape with some of its parts.
 
         Parameters
         ----------
         shape_id : str
             The id of a shape that did not fail.
         needs : tuple of {"spectrum", "overlaps", "eigenvectors", "mesh", "points"}
-            What a descriptor needs. Overlaps that were not stored are computed from the mesh. For
-            eigenvectors the mesh is read, from which `describe` computes them. The points are not stored.
+            The parts, as in `pcretrieve.descriptors.Descriptor`. Overlaps that were not stored are computed
+            from the mesh. For eigenvectors the mesh is read, from which `describe` computes them. Points are
+            never stored.
 
         Returns
         -------
         Shape
-            Without the parts that were not stored and cannot be computed.
+            The shape with these parts, except those that were not stored and cannot be computed.
 
         Raises
         ------
         InputError
-            If there is no shape of that id, or it failed.
+            If there is no shape of this id, or the shape failed.
         CatalogueError
             If the stored arrays are damaged.
         """

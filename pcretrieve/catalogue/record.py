@@ -1,4 +1,4 @@
-"""What a catalogue knows of one shape."""
+"""The record of a shape in a catalogue, and the content that is stored of it."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ __all__ = ["Content", "Record", "completed", "free_id", "numbered_id"]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Content:
-    """What processing made of a scan.
+    """The result of processing a scan.
 
     Attributes
     ----------
     shape : Shape
-        Each of its surfaces with its mesh and its spectrum.
+        The shape; each of its surfaces has its mesh and its spectrum.
     signature : (L,) float64
-        The values by the options of the catalogue.
+        Values of the signature by the options of the catalogue.
     """
 
     shape: Shape
@@ -30,33 +30,34 @@ class Content:
 
 @dataclass(frozen=True, slots=True)
 class Record:
-    """One shape's provenance: everything but its arrays.
+    """The provenance of one shape: everything except its arrays.
 
     Attributes
     ----------
     id : str
-        Distinct within a catalogue: the file's name without its suffix, numbered where that is taken.
+        Unique in a catalogue: the name of the file without its suffix, with a number if another shape has it.
     path : str
         Absolute path of the file as it was read.
     content_hash : str
         SHA-256 of the file; of a ``.conf``, of the file and all its views.
     label : str or None
-        The shape's class.
+        Class of the shape.
     status : {"done", "failed"}
+        Whether the shape has a signature.
     stage, error, message : str or None
-        Where, how and why it failed.
+        Of a failed shape: the stage that failed, the class of the exception, and its message.
     steps : tuple of Step
-        What each stage did, repaired and fell back from, and how long it took.
+        The stages, with times, sizes, repairs and fallbacks.
     area : float or None
-        Unit length² of the file.
+        Area of the first surface; unit length² of the file.
     n_vertices, n_faces, euler : int or None
-        Of the clean mesh.
+        Numbers of vertices and faces, and Euler characteristic, of the first surface.
     options_digest : str
-        Of the options that made it.
+        Digest of the options.
     versions : dict of str to str
-        Of pcretrieve and the libraries that move numbers.
+        Versions of pcretrieve and of the libraries on which results depend.
     added : str
-        UTC, ISO 8601.
+        Time at which the record was stored, UTC (coordinated universal time) in the format ISO 8601.
     """
 
     id: str
@@ -78,26 +79,26 @@ class Record:
 
     @property
     def seconds(self) -> float:
-        """Time that all stages took together."""
+        """Total time of all stages; seconds."""
         return sum(step.seconds for step in self.steps)
 
 
 def completed(record: Record, content: Content | None, options_digest: str) -> Record:
-    """A record that is stored now, with the sizes of its content.
+    """Complete a record before it is stored.
 
     Parameters
     ----------
     record : Record
         The record of the file.
     content : Content or None
-        None for a shape that failed.
+        The content; None for a shape that failed.
     options_digest : str
-        Of the options of the catalogue.
+        Digest of the options of the catalogue.
 
     Returns
     -------
     Record
-        With the time of now, the digest and the sizes.
+        The record with the present time, the digest, and the sizes of the content.
     """
     added = datetime.now(timezone.utc).isoformat(timespec="seconds")
     record = replace(record, options_digest=options_digest, added=added)
@@ -121,25 +122,25 @@ def numbered_id(stem: str, number: int) -> str:
     stem : str
         The name of the file without its suffix.
     number : int
-        From 1.
+        The number, at least 1.
 
     Returns
     -------
     str
-        For the number 1, the stem itself.
+        The id; for the number 1, the stem.
     """
     return stem if number == 1 else f"{stem}-{number}"
 
 
 def free_id(record: Record, is_taken: Callable[[str], bool]) -> str:
-    """The record's id, or its file's name with a number where another path has that id.
+    """The id of a record, or the name of its file with a number if another path has this id.
 
     The number is doubled until it is free and then bisected, because one name may have many numbers.
 
     Parameters
     ----------
     record : Record
-        A record whose path the store does not hold.
+        A record whose path the store does not have.
     is_taken : function of str that returns bool
         Whether another path has an id.
 

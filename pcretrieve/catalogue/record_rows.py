@@ -11,7 +11,7 @@ from pcretrieve.types import Step
 
 __all__ = ["LENGTHS", "PROVENANCE_COLUMNS", "RECORDS", "SHAPE_COLUMNS", "record_of", "row_of"]
 
-#: Columns of the tables `shapes` and `provenance` that hold the fields of a record.
+#: Columns of the tables `shapes` and `provenance` with the fields of a record.
 SHAPE_COLUMNS = (
     "id",
     "path",
@@ -54,7 +54,7 @@ def row_of(record: Record) -> dict[str, Any]:
 
 
 def record_of(row: tuple[Any, ...]) -> Record:
-    """The record of a row that the query `RECORDS` gives.
+    """The record of a row of the result of the query `RECORDS`.
 
     Parameters
     ----------

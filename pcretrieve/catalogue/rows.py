@@ -1,7 +1,7 @@
-"""What a store of shapes does, whatever holds its rows.
+"""The protocol of stores, which hold the rows of a catalogue.
 
-A store knows records, and bytes by name; `pcretrieve.catalogue.Catalogue` knows what they mean. Each
-operation is one transaction: it happens as a whole or not at all, whatever other processes do at the time.
+A store has records, and bytes by name, whose meaning only `pcretrieve.catalogue.Catalogue` knows. Each
+operation is one transaction: it is atomic, and isolated from operations of other processes.
 """
 
 from __future__ import annotations
@@ -18,19 +18,19 @@ from pcretrieve.catalogue.record import Record
 
 __all__ = ["OWN", "PAYLOADS", "Listed", "Payload", "Revision", "Rows", "Status"]
 
-#: What is stored of a shape beside its record and its signatures, each of them read by itself.
+#: The parts that are stored of a shape besides its record and its signatures; each can be read separately.
 Payload = Literal["spectra", "moments", "overlaps", "meshes"]
 PAYLOADS: tuple[Payload, ...] = ("spectra", "moments", "overlaps", "meshes")
 
 Status = Literal["done", "failed"]
 
-#: The digest that the signatures by a catalogue's own options are kept under.
+#: The digest under which the signatures by the options of the catalogue are stored.
 OWN = "own"
 
 
 @dataclass(frozen=True, slots=True)
 class Revision:
-    """Names of a state of a store; a state that comes after another one never has the same names.
+    """Names of a state of a store. Two states have the same names only if they have the same shapes.
 
     Attributes
     ----------
@@ -44,25 +44,26 @@ class Revision:
     labels: str
 
     def state(self, by_label: bool) -> str:
-        """One name for the state of the shapes, or for that of the shapes and their labels."""
+        """A name of the state of the shapes or, if `by_label`, of the state of the shapes and labels."""
         return f"{self.shapes} {self.labels}" if by_label else self.shapes
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Listed:
-    """Signatures of all shapes that did not fail, as they stand in one state of the store.
+    """Signatures of all shapes that did not fail, in one state of the store.
 
     Attributes
     ----------
     revision : Revision
-        Of that state.
+        The state.
     ids : list of str
-        Ascending.
+        Identifiers of the shapes, in ascending order.
     labels : list of (str or None)
+        Classes of the shapes; None if unknown.
     packed : (N, b) uint8
-        The bytes of each signature, in the order of the ids. The array is the caller's, to be overwritten.
+        The bytes of each signature, in the order of the ids. The caller may overwrite the array.
     has : (N,) bool
-        Whether there is a signature by these options; where there is none yet, its bytes are zero.
+        Whether a signature by these options is stored. The bytes of signatures that are not stored are zero.
     """
 
     revision: Revision
@@ -73,9 +74,9 @@ class Listed:
 
 
 class Rows(Protocol):
-    """The operations that a catalogue needs of a store.
+    """The operations of a store.
 
-    ``tests/catalogue/test_rows.py`` tests stores for what this protocol asks of them.
+    ``tests/catalogue/test_rows.py`` tests that stores satisfy this protocol.
     """
 
     @property
@@ -84,7 +85,7 @@ class Rows(Protocol):
 
     @property
     def folder(self) -> Path | None:
-        """A folder for indexes, which can be made again; None where the user's cache folder must do."""
+        """A folder for indexes; None if they must be stored in the cache folder of the user."""
 
     @property
     def is_writable(self) -> bool:
@@ -94,16 +95,16 @@ class Rows(Protocol):
         """Release the store."""
 
     def settings(self) -> Mapping[str, str]:
-        """What the store was made with: ``options``, as JSON, and ``numbers_version``."""
+        """The settings with which the store was created: ``options``, as JSON, and ``numbers_version``."""
 
     def revision(self) -> Revision:
-        """The state of the store now."""
+        """The present state of the store."""
 
     def count(self, status: Status) -> int:
-        """The number of shapes of a status."""
+        """The number of shapes with a status."""
 
     def areas(self) -> tuple[float, float] | None:
-        """The smallest and the largest area of a shape that did not fail; None where there is none."""
+        """The smallest and the largest area of the shapes that did not fail; None if there are none."""
 
     def page(
         self, *, after: str = "", offset: int = 0, limit: int, status: Status | None = None
@@ -113,9 +114,9 @@ class Rows(Protocol):
         Parameters
         ----------
         after : str, default ""
-            An id; records up to it are left out.
+            An id; the record of this id, and records before it, are left out.
         offset : int, default 0
-            Further records that are left out.
+            Number of further records that are left out.
         limit : int
             Largest number of records.
         status : {"done", "failed"}, optional
@@ -124,52 +125,52 @@ class Rows(Protocol):
         Returns
         -------
         list of Record
-            With their provenance.
+            The records.
         """
 
     def by_id(self, shape_ids: Collection[str]) -> list[Record]:
-        """The records of some ids, in ascending order of id, without ids that the store does not hold."""
+        """The records of some ids, in ascending order of id; ids that the store does not have are ignored."""
 
     def by_content(self, hashes: Collection[str]) -> list[Record]:
         """The records of some content hashes, by id; several files may have the same content."""
 
     def put(self, record: Record, signature: bytes | None, payloads: Mapping[Payload, bytes]) -> Record:
-        """Store a shape under its path, in place of what the store holds of that path.
+        """Store a shape by its path, and replace an earlier shape of this path.
 
-        A path that the store holds keeps its id; an id that belongs to another path is replaced by the next
-        free number, as `pcretrieve.catalogue.free_id` finds it. A failure never replaces a finished shape.
+        A path that the store has keeps its id; an id that belongs to another path is replaced by one with the
+        next free number, from `pcretrieve.catalogue.free_id`. A failure never replaces a finished shape.
 
         Parameters
         ----------
         record : Record
             The record.
         signature : bytes or None
-            Kept under the digest `OWN`; None for a shape that failed.
+            Stored under the digest `OWN`; None for a shape that failed.
         payloads : mapping of str to bytes
             Some of `PAYLOADS`; none for a shape that failed.
 
         Returns
         -------
         Record
-            The record that the store holds of that path now.
+            The record that the store now has for this path.
         """
 
     def remove(self, shape_ids: Collection[str]) -> None:
-        """Remove shapes; ids that the store does not hold are ignored."""
+        """Remove shapes; ids that the store does not have are ignored."""
 
     def revise(
         self, *, moved: Mapping[str, str], removed: Collection[str], labels: Mapping[str, str]
     ) -> None:
-        """Rename, remove and label shapes by path, in this order; paths that it does not hold are ignored.
+        """Rename, remove and label shapes by path, in this order; unknown paths are ignored.
 
         Parameters
         ----------
-        moved : mapping of path to path
-            New path by the old one. Where the store holds the new path, nothing is renamed.
+        moved : mapping of str to str
+            New path by old path. If the store has the new path already, nothing is renamed.
         removed : collection of str
-            Paths of shapes to remove.
-        labels : mapping of path to class
-            By the new path where a shape was renamed.
+            Paths of the shapes that are removed.
+        labels : mapping of str to str
+            Class by path; by the new path, if a shape was renamed.
         """
 
     def read(self, shape_id: str, names: Collection[Payload]) -> tuple[Record, dict[Payload, bytes]] | None:
@@ -185,23 +186,23 @@ class Rows(Protocol):
         Returns
         -------
         (Record, dict of str to bytes) or None
-            The payloads of these names that are stored; None where there is no such shape.
+            The record, and those of the payloads that are stored; None if there is no shape of this id.
         """
 
     def sizes(self, shape_id: str) -> dict[str, int]:
-        """Bytes of a shape's payloads by name, of its ``signatures``, and of its ``record``."""
+        """The number of bytes of each payload of a shape, of its ``signatures``, and of its ``record``."""
 
     def signatures(self, digest: str) -> Listed:
-        """The signatures that were kept under a digest; `OWN` for those that shapes were put with."""
+        """The signatures that are stored under a digest; `OWN` for the signatures given to `put`."""
 
     def keep(self, digest: str, signatures: Collection[tuple[Record, bytes]]) -> None:
-        """Keep signatures, except those of shapes that were replaced or removed since.
+        """Store signatures, except of shapes that have been replaced or removed since they were read.
 
         Parameters
         ----------
         digest : str
-            What the signatures are kept under.
+            The digest under which the signatures are stored.
         signatures : collection of (Record, bytes)
-            The bytes of each signature, and the record that it was computed by: a shape was replaced if its
-            content hash is another one.
+            The bytes of each signature, and the record of the shape of which it was computed. A shape has
+            been replaced if the content hash of its record has changed.
         """

@@ -11,23 +11,23 @@ __all__ = ["NEW_NAME", "SCHEMA_VERSION", "create_tables", "table_names", "transa
 
 SCHEMA_VERSION = 2
 
-# SQL for the name of a state of the catalogue. A counter would give two states one name, where a copy of an
-# earlier state is restored and counts on from there.
+# SQL for the name of a state of the catalogue. It is random, because a counter would give two states the same
+# name if a copy of an earlier state is restored and then changed.
 NEW_NAME = "lower(hex(randomblob(16)))"
 
 
 def create_tables(connection: sqlite3.Connection, settings: Mapping[str, str]) -> None:
-    """Make all tables, within the transaction that is under way, and store the settings.
+    """Create all tables and store the settings, in the transaction that has begun.
 
     Parameters
     ----------
     connection : sqlite3.Connection
-        Of the file.
+        Connection to the file.
     settings : mapping of str to str
         ``options`` and ``numbers_version``.
     """
     schema = resources.files(__package__).joinpath("schema.sql").read_text("utf-8")
-    # Not by executescript, which ends the transaction first.
+    # Not by executescript, which would commit the transaction.
     for statement in schema.split(";\n"):
         connection.execute(statement)
     connection.executemany("INSERT INTO meta VALUES (?, ?)", settings.items())
@@ -36,17 +36,17 @@ def create_tables(connection: sqlite3.Connection, settings: Mapping[str, str]) -
 
 
 def table_names(connection: sqlite3.Connection) -> set[str]:
-    """The tables that a file has now.
+    """The tables of a file.
 
     Parameters
     ----------
     connection : sqlite3.Connection
-        Of the file.
+        Connection to the file.
 
     Returns
     -------
     set of str
-        Their names.
+        Names of the tables.
     """
     return {name for (name,) in connection.execute("SELECT name FROM sqlite_master WHERE type = 'table'")}
 
@@ -58,9 +58,9 @@ def transaction(connection: sqlite3.Connection, kind: str) -> Iterator[None]:
     Parameters
     ----------
     connection : sqlite3.Connection
-        Of the file.
+        Connection to the file.
     kind : {"DEFERRED", "IMMEDIATE"}
-        The first for readers, the second for writers.
+        DEFERRED for transactions that read, IMMEDIATE for transactions that write.
 
     Yields
     ------

@@ -1,5 +1,5 @@
--- Version 2. A shape's columns that are searched and listed are small and stand in one table; what is read of
--- single shapes stands in tables of its own, by the number of the shape.
+-- Version 2. The table shapes has the small columns that are searched and listed. Everything that is read for single
+-- shapes only is in further tables, by the number of the shape.
 CREATE TABLE meta (
     key   TEXT PRIMARY KEY,         -- options (JSON), numbers_version, revision, label_revision
     value TEXT NOT NULL
@@ -28,7 +28,7 @@ CREATE TABLE provenance (
     versions       TEXT NOT NULL,   -- JSON
     added          TEXT NOT NULL    -- UTC, ISO 8601
 );
--- Signatures by the options of this catalogue (descriptor 0), and by others that were asked for since.
+-- Signatures by the options of the catalogue (descriptor 0), and by other options.
 CREATE TABLE descriptors (
     number INTEGER PRIMARY KEY,
     digest TEXT NOT NULL UNIQUE

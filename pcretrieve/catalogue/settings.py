@@ -1,4 +1,4 @@
-"""Options ↔ what a catalogue writes down of them."""
+"""Options ↔ the settings that a catalogue stores."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ __all__ = ["fitting_options", "settings_of", "stored_options"]
 
 
 def settings_of(options: PipelineOptions) -> dict[str, str]:
-    """What a catalogue stores of the options that it is built with.
+    """The settings of a catalogue that is built with some options.
 
     Parameters
     ----------
@@ -37,11 +37,11 @@ def stored_options(
     Parameters
     ----------
     location : str or Path
-        Of the catalogue, for messages.
+        The catalogue, for messages.
     settings : mapping of str to str
-        As `settings_of` made them, perhaps before some options existed, which get their defaults.
+        The result of `settings_of`, also of a version without some of the options, which get their defaults.
     given : PipelineOptions, optional
-        Options that it must have been built with.
+        Options with which the catalogue must have been built.
 
     Returns
     -------
@@ -51,7 +51,7 @@ def stored_options(
     Raises
     ------
     CatalogueError
-        If the settings cannot be read, are of a pcretrieve whose numbers differ, or are other than `given`.
+        If the settings cannot be read, are of a version with other numerical results, or differ from `given`.
     """
     try:
         values, numbers = json.loads(settings["options"]), int(settings["numbers_version"])
@@ -79,16 +79,16 @@ def stored_options(
 
 
 def fitting_options(location: str, own: PipelineOptions, given: PipelineOptions) -> PipelineOptions:
-    """The options of a request to a catalogue, whose stored spectra must be those that they ask for.
+    """Check that the options of a request need no other spectra than a catalogue stores.
 
     Parameters
     ----------
     location : str
-        Of the catalogue, for messages.
+        The catalogue, for messages.
     own : PipelineOptions
-        Those that it was built with.
+        The options with which the catalogue was built.
     given : PipelineOptions
-        Those of the request, with any options of signatures and retrieval.
+        The options of the request, with any options of signatures and retrieval.
 
     Returns
     -------
@@ -98,12 +98,12 @@ def fitting_options(location: str, own: PipelineOptions, given: PipelineOptions)
     Raises
     ------
     CatalogueError
-        If other spectra are asked for.
+        If the options require other spectra.
     """
     if given.digest != own.digest:
         difference = "; ".join(options_difference(own, given))
         raise CatalogueError(
-            f"{location} was built with other options: {difference}. Of those only the ones of [signature] "
-            "and [retrieval] can be changed: start from its own, Catalogue.options"
+            f"{location} was built with other options: {difference}. Only the options in [signature] and "
+            "[retrieval] can be changed: start from Catalogue.options"
         )
     return given

@@ -1,4 +1,4 @@
-"""The signatures of all shapes of an SQLite file, read by columns: a million in eight seconds."""
+"""Reading of the signatures of all shapes of an SQLite file, by columns."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from pcretrieve.catalogue.rows import Listed, Revision
 
 __all__ = ["listed"]
 
-# Rows that are read at a time.
+# Number of rows that are read at a time.
 READ_AT_ONCE = 1000
 
 
@@ -26,18 +26,18 @@ def listed(connection: sqlite3.Connection, location: str, revision: Revision, di
     Parameters
     ----------
     connection : sqlite3.Connection
-        Of the file.
+        Connection to the file.
     location : str
         The path of the file, for messages.
     revision : Revision
-        The state that the transaction sees.
+        The state of the file in the transaction.
     digest : str
-        What the signatures are kept under.
+        The digest under which the signatures are stored.
 
     Returns
     -------
     Listed
-        In the order of the ids.
+        The signatures, in ascending order of id.
 
     Raises
     ------
@@ -48,7 +48,7 @@ def listed(connection: sqlite3.Connection, location: str, revision: Revision, di
     ids: list[str] = []
     labels: list[str | None] = []
     known: dict[str | None, str | None] = {}
-    # By the table, not by the index of the status, which would look each shape up by itself.
+    # A scan of the table is faster than the index of the status, by which each shape is looked up.
     query = "SELECT number, id, label FROM shapes NOT INDEXED WHERE status = 'done' ORDER BY number"
     for number, shape_id, label in _columns(connection, query):
         numbers += number
@@ -69,7 +69,7 @@ def _packed(
     numbers: NDArray[np.int64],
     rows: NDArray[np.intp],
 ) -> tuple[NDArray[np.uint8], NDArray[np.bool_]]:
-    """Signatures in the rows of their shapes, whose numbers ascend; and whether there is one."""
+    """The signatures of shapes with ascending numbers, one in each row, and a mask of those that exist."""
     query = (
         "SELECT shape, value FROM signatures JOIN descriptors ON number = descriptor WHERE digest = ? "
         "ORDER BY shape"
@@ -90,8 +90,8 @@ def _packed(
 def _columns(
     connection: sqlite3.Connection, query: str, values: Sequence[object] = ()
 ) -> Iterator[list[list[Any]]]:
-    """What a query finds by columns, some rows at a time."""
+    """Yield the result of a query by columns, some rows at a time."""
     cursor = connection.execute(query, values)
     while rows := cursor.fetchmany(READ_AT_ONCE):
-        # Not zip(*rows), which makes an iterator of each row: three times as slow.
+        # Faster than zip(*rows), which creates an iterator of each row.
         yield [[row[column] for row in rows] for column in range(len(rows[0]))]

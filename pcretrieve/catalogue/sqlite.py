@@ -1,4 +1,4 @@
-"""Rows in one SQLite file, readable while somebody writes."""
+"""The store of pcretrieve: an SQLite file, which other processes can read while one process writes."""
 
 from __future__ import annotations
 
@@ -28,23 +28,23 @@ __all__ = ["SqliteRows"]
 
 
 class SqliteRows(Rows):
-    """Rows in an SQLite file. What each method does is said in `Rows`.
+    """Rows in an SQLite file. The methods are documented in `Rows`.
 
     Parameters
     ----------
     path : Path
         The file.
     settings : mapping of str to str
-        As `settings` returns them; for a file that is made now.
+        Settings of a new file, as `settings` returns them.
     create : bool
-        Make the file where there is none.
+        Whether the file is created if it does not exist.
 
     Raises
     ------
     CatalogueError
-        If there is no such file and `create` is false; if it is a folder, no catalogue, or written by a newer
-        pcretrieve; if it was written by an older one and may not be written; if another process keeps it
-        locked. Every method raises it too where the file is locked or damaged.
+        If the file does not exist and `create` is false; if it is a folder or not a catalogue; if it was
+        written by a newer pcretrieve, or by an older one and cannot be written to; if another process has
+        locked it. All methods raise it if the file is locked or damaged.
     """
 
     def __init__(self, path: Path, settings: Mapping[str, str], *, create: bool) -> None:
@@ -192,22 +192,22 @@ class SqliteRows(Rows):
 
     @contextmanager
     def _reading(self) -> Iterator[None]:
-        """One transaction, in which all that is read belongs to one state."""
+        """One transaction, in which everything that is read belongs to one state."""
         with translated(self._path), transaction(self._connection, "DEFERRED"):
             yield
 
     @contextmanager
     def _writing(self) -> Iterator[sqlite3.Connection]:
-        """One transaction, which takes the write lock at its start: what it reads stays true to its end."""
+        """One transaction that locks the file for writing, so that what it has read does not change."""
         with translated(self._path), transaction(self._connection, "IMMEDIATE"):
             yield self._connection
 
     def _changed(self, revision: str) -> None:
-        """Give a state a name that none before had, not even one that a restored copy has forgotten."""
+        """Give the new state a name that no earlier state had, not even before a copy was restored."""
         self._connection.execute(f"UPDATE meta SET value = {NEW_NAME} WHERE key = ?", (revision,))
 
     def _insert(self, table: str, row: Mapping[str, Any]) -> int:
-        """Insert a row, and return the number that it is found by."""
+        """Insert a row, and return its number."""
         names, marks = ", ".join(row), ", ".join(f":{name}" for name in row)
         inserted = self._connection.execute(f"INSERT INTO {table} ({names}) VALUES ({marks})", row)
         return int(inserted.lastrowid or 0)
@@ -223,7 +223,7 @@ class SqliteRows(Rows):
         chosen = [(number,) for number in numbers]
         for name in ("provenance", *PAYLOADS):
             self._connection.executemany(f"DELETE FROM {name} WHERE shape = ?", chosen)
-        # By both columns of the key, which has the descriptor first.
+        # With a condition on both columns of the key, whose first column is the descriptor.
         self._connection.executemany(
             "DELETE FROM signatures WHERE descriptor IN (SELECT number FROM descriptors) AND shape = ?",
             chosen,

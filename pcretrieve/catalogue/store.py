@@ -1,4 +1,4 @@
-"""The catalogue: shapes with provenance, spectra, meshes and signatures, kept in a store of rows."""
+"""The catalogue: shapes with provenance, spectra, meshes and signatures, in a store."""
 
 from __future__ import annotations
 
@@ -22,31 +22,31 @@ __all__ = ["Catalogue"]
 
 
 class Catalogue(StoredShapes):
-    """Shapes with their provenance, spectra, signatures and clean meshes.
+    """Shapes with their provenance, spectra, signatures and meshes.
 
     Parameters
     ----------
     location : str or Path
-        The path of an SQLite file, or as str a URL whose scheme is the name of a store of another package.
+        The path of an SQLite file; or, as str, a URL whose scheme is the name of a store of another package.
     options : PipelineOptions, optional
-        The options that the catalogue is, or must have been, built with. By default those of the existing
-        catalogue, or the defaults for a new one.
+        The options with which a new catalogue is built, or an existing one must have been built. By default
+        the options of an existing catalogue, or the default options for a new one.
     create : bool, default False
-        Make the catalogue where there is none.
+        Whether the catalogue is created if it does not exist.
 
     Attributes
     ----------
     location : str
         The path or the URL, as messages name it.
     options : PipelineOptions
-        The options that the catalogue was built with.
+        The options with which the catalogue was built.
 
     Raises
     ------
     CatalogueError
-        If there is no catalogue and `create` is false; if the file is a folder, no catalogue, or written by a
-        newer pcretrieve; if it was built with other options (the message names the difference); if another
-        process keeps it locked.
+        If the catalogue does not exist and `create` is false; if the path is a folder or another file; if the
+        catalogue was written by a newer pcretrieve, or was built with other options (the message names the
+        difference); if another process has locked it.
     OptionError
         If there is no store with the scheme of the URL.
 
@@ -81,23 +81,23 @@ class Catalogue(StoredShapes):
         self._rows.close()
 
     def put(self, record: Record, content: Content | None = None) -> Record:
-        """Store a shape under its path, in one transaction.
+        """Store a shape by its path, in one transaction.
 
         The id is assigned in this transaction, because other processes may have stored shapes since `record`
-        was made: a path that the catalogue holds keeps its id, and an id that belongs to another path gets
-        the next free number. A failure never replaces a finished shape.
+        was made: a path that the catalogue has keeps its id, and an id that belongs to another path gets the
+        next free number. A failure never replaces a finished shape.
 
         Parameters
         ----------
         record : Record
-            Its path, content hash, label and provenance.
+            Path, content hash, label and provenance of the shape.
         content : Content, optional
-            None for a shape that failed.
+            The shape and its signature; None for a shape that failed.
 
         Returns
         -------
         Record
-            The record that the catalogue holds of that path now.
+            The record that the catalogue now has for this path.
         """
         record = completed(record, content, self.options.digest)
         if content is None:
@@ -106,7 +106,7 @@ class Catalogue(StoredShapes):
         return self._rows.put(record, packed_values(content.signature), payloads)
 
     def remove(self, *shape_ids: str) -> None:
-        """Remove shapes, all of them or none; InputError if the catalogue holds none of one of the ids."""
+        """Remove shapes; InputError, without a change, if one of the ids does not exist."""
         for shape_id in shape_ids:
             self.record(shape_id)
         self._rows.remove(shape_ids)
@@ -120,48 +120,48 @@ class Catalogue(StoredShapes):
     ) -> None:
         """Rename, remove and label shapes by path, in one transaction.
 
-        Paths that the catalogue does not hold are ignored, because another process may have renamed or
-        removed the same shapes.
+        Unknown paths are ignored, because another process may have renamed or removed the same shapes.
 
         Parameters
         ----------
-        moved : mapping of path to path, optional
-            New path of a file by its old one. Where the catalogue holds the new path, nothing is renamed.
+        moved : mapping of str to str, optional
+            New path by old path. If the catalogue has the new path already, nothing is renamed.
         removed : collection of str, optional
-            Paths of shapes to remove.
-        labels : mapping of path to class, optional
-            By the new path where a file was renamed.
+            Paths of the shapes that are removed.
+        labels : mapping of str to str, optional
+            Class by path; by the new path, if a file was renamed.
         """
         self._rows.revise(moved=moved or {}, removed=removed, labels=labels or {})
 
     def signatures(self, options: PipelineOptions | None = None) -> SignatureTable:
-        """The signatures by which all shapes that did not fail are compared, by id.
+        """The signatures of all shapes that did not fail.
 
         Parameters
         ----------
         options : PipelineOptions, optional
-            With a descriptor other than the catalogue's own, as ``catalogue.options.changed(signature=...)``.
-            Such signatures are computed from what is stored when they are asked for the first time, and kept.
+            Options, which may have another descriptor than the options of the catalogue, from
+            ``catalogue.options.changed(signature=...)``. Signatures that are not stored are computed from the
+            stored spectra and surfaces, and stored.
 
         Returns
         -------
         SignatureTable
-            With the classes of the shapes.
+            The signatures in ascending order of id, with the classes of the shapes.
 
         Raises
         ------
         CatalogueError
-            If `options` are for other spectra than those of the catalogue.
+            If `options` require other spectra than the catalogue has.
         ShapeError
             If a part of a shape that the descriptor needs was not stored.
         """
         return signature_table(self._rows, self.options, self._fitting(options))
 
     def index(self, options: PipelineOptions | None = None) -> SignatureIndex:
-        """The index of this catalogue's signatures that options ask for.
+        """The index of the signatures of the catalogue.
 
-        The index of a large catalogue is kept in a folder beside the file, or in the user's cache folder, and
-        opened from there until shapes or labels change.
+        The index of a large catalogue is stored in a folder beside the file, or in the cache folder of the
+        user, and opened from there until shapes or labels change.
 
         Parameters
         ----------
@@ -171,14 +171,14 @@ class Catalogue(StoredShapes):
         Returns
         -------
         SignatureIndex
-            With the whitening of the signatures.
+            The index, with the whitening of the options.
 
         Raises
         ------
         CatalogueError
-            If `options` are for other spectra than those of the catalogue.
+            If `options` require other spectra than the catalogue has.
         InputError
-            If the catalogue holds no shapes, or too few for the whitening.
+            If the catalogue has no shapes, or too few for the whitening.
         """
         options = self._fitting(options)
         return self._gallery.index(
@@ -189,9 +189,9 @@ class Catalogue(StoredShapes):
         )
 
     def whitening(self, options: PipelineOptions | None = None) -> Whitening:
-        """The whitening of this catalogue's signatures that options ask for.
+        """The whitening of the signatures of the catalogue.
 
-        The whitenings ``pca`` and ``within-class`` are fitted on the shapes that the catalogue holds now.
+        The whitenings ``pca`` and ``within-class`` are fitted to the present shapes of the catalogue.
 
         Parameters
         ----------
@@ -201,12 +201,12 @@ class Catalogue(StoredShapes):
         Returns
         -------
         Whitening
-            The linear map of the log-signatures.
+            The affine map of log-signatures.
 
         Raises
         ------
         CatalogueError
-            If `options` are for other spectra than those of the catalogue.
+            If `options` require other spectra than the catalogue has.
         """
         options = self._fitting(options)
         if options.retrieval.whitening in ("none", "resolution"):
@@ -214,5 +214,5 @@ class Catalogue(StoredShapes):
         return self.index(options).whitening
 
     def _fitting(self, options: PipelineOptions | None) -> PipelineOptions:
-        """The options of a request, once they have been seen to be for the spectra that are stored."""
+        """The options of a request, after a check that they need no other spectra than the stored ones."""
         return fitting_options(self.location, self.options, options or self.options)

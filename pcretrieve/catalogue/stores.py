@@ -33,19 +33,19 @@ class OpenStore(Protocol):
         location : str
             The URL, with its scheme.
         settings : mapping of str to str
-            As `Rows.settings` returns them, for a store that is made now.
+            Settings of a new store, as `Rows.settings` returns them.
         create : bool
-            Make the store where there is none.
+            Whether the store is created if it does not exist.
 
         Returns
         -------
         Rows
-            The store. Its methods raise CatalogueError where they fail.
+            The store. Its methods raise CatalogueError if they fail.
 
         Raises
         ------
         CatalogueError
-            If there is no such store and `create` is false, or it cannot be opened.
+            If the store does not exist and `create` is false, or it cannot be opened.
         """
         ...
 
@@ -58,9 +58,9 @@ def open_rows(location: str | Path, settings: Mapping[str, str], *, create: bool
     location : str or Path
         A URL whose scheme is the name of a store, or the path of an SQLite file.
     settings : mapping of str to str
-        As `Rows.settings` returns them, for a store that is made now.
+        Settings of a new store, as `Rows.settings` returns them.
     create : bool
-        Make the store where there is none.
+        Whether the store is created if it does not exist.
 
     Returns
     -------
@@ -72,7 +72,7 @@ def open_rows(location: str | Path, settings: Mapping[str, str], *, create: bool
     OptionError
         If there is no store of that name, or its package cannot be loaded.
     CatalogueError
-        If there is no such store and `create` is false, or it cannot be opened.
+        If the store does not exist and `create` is false, or it cannot be opened.
     """
     scheme = SCHEME.match(location) if isinstance(location, str) else None
     if scheme is None:

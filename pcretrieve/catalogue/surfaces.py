@@ -19,21 +19,21 @@ __all__ = ["payloads_of", "read_shape", "unknown"]
 
 
 def payloads_of(shape: Shape, options: PipelineOptions) -> dict[Payload, bytes]:
-    """The arrays of all surfaces that are stored by some options, by their names.
+    """The arrays of all surfaces that a catalogue stores, by name.
 
     Parameters
     ----------
     shape : Shape
-        With the mesh and the spectrum of each surface.
+        The shape; each of its surfaces has its mesh and its spectrum.
     options : PipelineOptions
-        Those of the catalogue: `CatalogueOptions.keep` says what is left out.
+        The options of the catalogue, of which `CatalogueOptions.keep` names the arrays that are stored.
 
     Returns
     -------
     dict of str to bytes
         The packed arrays.
     """
-    # Imported where it is needed: queries store nothing, and the solvers take half a second to import.
+    # Imported here, because queries do not need this slow import.
     from pcretrieve.spectral import ELEMENTS
 
     keep, parts = options.catalogue.keep, shape.apart()
@@ -43,7 +43,7 @@ def payloads_of(shape: Shape, options: PipelineOptions) -> dict[Payload, bytes]:
         "spectra": packed([areas, np.stack([s.eigenvalues for s in spectra])]),
         "moments": packed([np.stack([s.moments for s in spectra])]),
     }
-    # The operator of a point cloud is that of points which are not stored: no mesh gives its overlaps again.
+    # The overlaps of a point cloud cannot be computed from the mesh: its operator is that of the points.
     if "overlaps" in keep or ELEMENTS[options.spectral.element].needs == "points":
         stored["overlaps"] = packed_symmetric(np.stack([s.known_overlaps() for s in spectra]))
     if "meshes" in keep:
@@ -55,17 +55,17 @@ def payloads_of(shape: Shape, options: PipelineOptions) -> dict[Payload, bytes]:
 def read_shape(
     rows: Rows, own: PipelineOptions, shape_id: str, needs: Collection[Need]
 ) -> tuple[Record, Shape]:
-    """A shape with the parts that are needed and no others, and its record in the same state of the store.
+    """Read a shape with some of its parts, and its record, in one transaction.
 
-    Overlaps that were not stored are computed from the mesh. A part that was not stored, and cannot be
-    computed, is missing in the shape.
+    Overlaps that were not stored are computed from the mesh. Parts that were not stored, and cannot be
+    computed, are missing in the shape.
 
     Parameters
     ----------
     rows : Rows
         The store.
     own : PipelineOptions
-        The options that the catalogue was built with.
+        The options with which the catalogue was built.
     shape_id : str
         The id of the shape.
     needs : collection of {"spectrum", "overlaps", "eigenvectors", "mesh", "points"}
@@ -74,16 +74,16 @@ def read_shape(
     Returns
     -------
     record : Record
-        What the catalogue knows of the shape.
+        The record of the shape.
     shape : Shape
-        For the need ``eigenvectors``, with the mesh in their place. The points are never stored.
+        The shape; for the need ``eigenvectors``, it has the mesh instead. Points are never stored.
 
     Raises
     ------
     InputError
-        If there is no shape of that id, or it failed.
+        If there is no shape of this id, or the shape failed.
     CatalogueError
-        If its bytes are damaged.
+        If the stored bytes are damaged.
     """
     overlaps, with_mesh = "overlaps" in needs, bool({"mesh", "eigenvectors"} & set(needs))
     names: list[Payload] = ["spectra"]
@@ -107,7 +107,7 @@ def read_shape(
 
 
 def _with_overlaps(surface: Surface, element: str) -> Surface:
-    """A surface with the overlaps of the eigenfunctions of its mesh, or as it is where no mesh is stored."""
+    """The surface with the overlaps of its eigenfunctions, from the mesh; unchanged without a mesh."""
     if surface.mesh is None or surface.spectrum is None:
         return surface
     from threadpoolctl import threadpool_limits
@@ -121,7 +121,7 @@ def _with_overlaps(surface: Surface, element: str) -> Surface:
 
 
 def unknown(rows: Rows, shape_id: str) -> InputError:
-    """The error for an id that a store does not hold.
+    """The error for an id that a store does not have.
 
     Parameters
     ----------
@@ -133,13 +133,13 @@ def unknown(rows: Rows, shape_id: str) -> InputError:
     Returns
     -------
     InputError
-        To be raised.
+        The error to be raised.
     """
     return InputError(f"{rows.location} holds no shape {shape_id!r}; `pcretrieve list` names them")
 
 
 def _shape(payloads: Mapping[Payload, bytes], provenance: tuple[Step, ...]) -> Shape:
-    """The shape that was stored. A mesh is None where version 1 had that of the first surface alone."""
+    """The stored shape. Version 1 stored the mesh of the first surface only; other meshes are then None."""
     areas, eigenvalues = unpacked(payloads["spectra"])  # (s,), (s, k)
     n = len(areas)
     spectra: list[ModalSpectrum | None] = [None] * n

@@ -1,4 +1,4 @@
-"""Rows → a table of signatures, of which those that are missing are computed and kept."""
+"""Rows → tables and indexes of signatures; signatures that are not stored are computed and stored."""
 
 from __future__ import annotations
 
@@ -26,22 +26,22 @@ __all__ = ["index_name", "made_index", "resolution_of", "signature_table"]
 
 logger = logging.getLogger(__name__)
 
-# Signatures that are computed before they are kept: what was done is not lost when the rest is stopped.
+# Number of computed signatures that are stored together, so that few are lost after an interruption.
 KEPT_AT_ONCE = 100
 
 
 def resolution_of(options: PipelineOptions) -> Whitening | None:
-    """The whitening that is not fitted to shapes, where it is asked for.
+    """The whitening ``resolution``, which is not fitted to the shapes of the catalogue.
 
     Parameters
     ----------
     options : PipelineOptions
-        Of which `retrieval` asks for a whitening.
+        The options.
 
     Returns
     -------
     Whitening or None
-        None for the other whitenings.
+        The whitening; None if the options name another one.
     """
     if options.retrieval.whitening != "resolution":
         return None
@@ -50,17 +50,17 @@ def resolution_of(options: PipelineOptions) -> Whitening | None:
 
 
 def index_name(options: PipelineOptions) -> str:
-    """What an index depends on beside the shapes: its signatures, the distance, and the whitening.
+    """A name of everything that an index depends on, apart from the shapes.
 
     Parameters
     ----------
     options : PipelineOptions
-        The options that ask for the index.
+        The options, of which the signature, the distance and the whitening are used.
 
     Returns
     -------
     str
-        Equal for equal indexes.
+        The name, which is equal for equal indexes.
     """
     retrieval = options.retrieval
     distance = retrieval.distance + DISTANCES.version(retrieval.distance)
@@ -68,8 +68,8 @@ def index_name(options: PipelineOptions) -> str:
 
 
 def _digest_of(options: PipelineOptions) -> str:
-    """What the signatures that are compared by some options depend on."""
-    # A package that is upgraded may give other values by the same options.
+    """The digest of the signatures that are compared by some options."""
+    # With the version of the package of the descriptor, because other versions may give other values.
     method = options.signature.method
     if method in METHODS:
         return options.compared_digest
@@ -84,11 +84,13 @@ class Signatures(NamedTuple):
     Attributes
     ----------
     revision : Revision
-        The state of the catalogue that they are of.
+        The state of the catalogue.
     ids : list of str
-        Ascending.
+        Identifiers of the shapes, in ascending order.
     labels : list of (str or None)
+        Classes of the shapes; None if unknown.
     values : (N, L) float64
+        One signature in each row.
     """
 
     revision: Revision
@@ -98,8 +100,8 @@ class Signatures(NamedTuple):
 
 
 def read_signatures(rows: Rows, own: PipelineOptions, options: PipelineOptions) -> Signatures:
-    """The signatures that options ask for, which are computed where they are not kept."""
-    # Only for those who read all signatures: the descriptors bring scipy.
+    """The signatures by some options; signatures that are not stored are computed and stored."""
+    # Imported here, because other functions do not need this slow import.
     from pcretrieve.descriptors import signature_length
 
     digest = OWN if options.compared_digest == own.signature_digest else _digest_of(options)
@@ -119,26 +121,26 @@ def read_signatures(rows: Rows, own: PipelineOptions, options: PipelineOptions) 
 
 
 def signature_table(rows: Rows, own: PipelineOptions, options: PipelineOptions) -> SignatureTable:
-    """The signatures that options ask for, which are computed and kept where they are missing.
+    """The signatures by some options; signatures that are not stored are computed and stored.
 
     Parameters
     ----------
     rows : Rows
         The store.
     own : PipelineOptions
-        The options that the catalogue was built with.
+        The options with which the catalogue was built.
     options : PipelineOptions
-        With any options of signatures and retrieval.
+        The options, with any options of signatures and retrieval.
 
     Returns
     -------
     SignatureTable
-        Of all shapes that did not fail, by id.
+        The signatures of all shapes that did not fail, in ascending order of id.
 
     Raises
     ------
     ShapeError
-        If a shape has no such signature.
+        If the signature of a shape cannot be computed.
     """
     from pcretrieve.descriptors import DESCRIPTORS
 
@@ -149,38 +151,38 @@ def signature_table(rows: Rows, own: PipelineOptions, options: PipelineOptions) 
 
 
 def made_index(rows: Rows, own: PipelineOptions, options: PipelineOptions) -> tuple[SignatureIndex, Revision]:
-    """The index of the signatures that options ask for, and the state of the catalogue that it is of.
+    """Compute the index of the signatures by some options.
 
-    Unless it is whitened by class, no more than two arrays of the size of the table are in memory at a time.
+    Except for within-class whitening, at most two arrays of the size of the table are in memory at a time.
 
     Parameters
     ----------
     rows : Rows
         The store.
     own : PipelineOptions
-        The options that the catalogue was built with.
+        The options with which the catalogue was built.
     options : PipelineOptions
-        With any options of signatures and retrieval.
+        The options, with any options of signatures and retrieval.
 
     Returns
     -------
     index : SignatureIndex
-        With the whitening of the signatures.
+        The index, with the whitening of the options.
     revision : Revision
-        The state of the store.
+        The state of the store to which the index belongs.
     """
     from pcretrieve.descriptors import DESCRIPTORS
 
     descriptor = DESCRIPTORS[options.signature.method]
     check_comparable(descriptor.name, descriptor.metric, options.retrieval.distance)
     revision, ids, labels, values = read_signatures(rows, own, options)
-    # In place: the table has been read for the index alone.
+    # In place, because the table is not used afterwards.
     for start in range(0, len(values), BLOCK):
         block = slice(start, start + BLOCK)
         values[block] = coordinates(values[block], descriptor.metric)
     names = Names.of(ids)
     if options.retrieval.whitening != "within-class":
-        labels = []  # only that whitening asks for them
+        labels = []  # other whitenings do not use labels
     del ids
     index = SignatureIndex.of_coordinates(
         names,
@@ -200,7 +202,7 @@ def _described(
     options: PipelineOptions,
     shape_ids: Sequence[str],
 ) -> list[FloatArray]:
-    """Signatures (L,) of shapes that have none by these options, which are kept where that can be."""
+    """Compute the signatures (L,) of some shapes, and store them if the store can be written to."""
     from pcretrieve.descriptors import DESCRIPTORS, describe
 
     needs = DESCRIPTORS[options.signature.method].needs
