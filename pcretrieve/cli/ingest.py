@@ -94,6 +94,7 @@ def ingest_command(
 
     from pcretrieve.catalogue import Catalogue
     from pcretrieve.ingestion.discover import discover, printable
+    from pcretrieve.ingestion.executors import EXECUTORS
     from pcretrieve.ingestion.labels import read_labels
     from pcretrieve.ingestion.run import ingest_files
 
@@ -101,6 +102,7 @@ def ingest_command(
         raise click.UsageError("name at least one scan")
     scans = discover(paths, beside=[catalogue, *([labels] if labels else [])])
     names = read_labels(labels) if labels else None
+    runs = EXECUTORS[executor]
     # Without --config and --surface, the options of an existing catalogue are used.
     options = None
     if config or surface or no_meshes:
@@ -129,7 +131,7 @@ def ingest_command(
                 workers=workers,
                 timeout=timeout,
                 memory=memory,
-                executor=executor,
+                executor=runs,
                 retry_failed=retry_failed,
                 on_shape=advance,
             )

@@ -14,7 +14,8 @@ from pcretrieve.errors import PcretrieveError
 from pcretrieve.ingestion import work
 from pcretrieve.ingestion.contents import Contents
 from pcretrieve.ingestion.discover import printable
-from pcretrieve.ingestion.executors import EXECUTORS, Executor
+from pcretrieve.ingestion.executors import Executor
+from pcretrieve.ingestion.isolation import in_processes
 from pcretrieve.ingestion.plan import Plan, Planner, apply, failed
 from pcretrieve.options import PipelineOptions
 
@@ -58,7 +59,7 @@ def ingest_files(
     workers: int | None = None,
     timeout: float = 600.0,
     memory: float | None = None,
-    executor: Executor | str = "processes",
+    executor: Executor = in_processes,
     retry_failed: bool = False,
     on_shape: Callable[[Record], None] = lambda record: None,
 ) -> Summary:
@@ -81,9 +82,9 @@ def ingest_files(
         Longest time for one shape; seconds.
     memory : float, optional
         Largest heap of one worker; GiB.
-    executor : Executor or str, default "processes"
-        What processes the scans: an executor, or the name of one in `EXECUTORS`. That of pcretrieve has
-        processes of its own, so that a shape that hangs, crashes or fills the memory disturbs no other.
+    executor : Executor, optional
+        What processes the scans. By default isolated worker processes, so that a shape that hangs, crashes
+        or fills the memory disturbs no other.
     retry_failed : bool, default False
         Process scans again that failed before, with the same content and options.
     on_shape : callable, optional
@@ -96,8 +97,6 @@ def ingest_files(
 
     Raises
     ------
-    OptionError
-        If there is no such executor.
     BenchmarkError
         If a label matches several scans, or a scan has two classes.
     CatalogueError
@@ -105,8 +104,6 @@ def ingest_files(
     PcretrieveError
         If the executor cannot work, or ends without an outcome for each scan.
     """
-    if isinstance(executor, str):
-        executor = EXECUTORS[executor]
     summary = Summary()
     files = {printable(path): path for path in paths}
     contents = Contents(files, workers or len(os.sched_getaffinity(0)), timeout)

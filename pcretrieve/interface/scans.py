@@ -8,7 +8,7 @@ from pathlib import Path
 from pcretrieve.catalogue import Record
 from pcretrieve.conversion import as_cloud
 from pcretrieve.formats.scans import ScanLike, as_scan
-from pcretrieve.ingestion import Executor
+from pcretrieve.ingestion import EXECUTORS, Executor
 from pcretrieve.ingestion.discover import discover
 from pcretrieve.ingestion.labels import read_labels
 from pcretrieve.ingestion.run import Summary, ingest_files
@@ -86,6 +86,7 @@ def ingest(
     scans = discover([paths] if isinstance(paths, (str, Path)) else paths, beside)
     names = read_labels(labels) if isinstance(labels, (str, Path)) else labels
     chosen = None if options is None else PipelineOptions.of(options)
+    runs = EXECUTORS[executor] if isinstance(executor, str) else executor
     with opened(catalogue, chosen, create=True) as store:
         return ingest_files(
             scans,
@@ -94,7 +95,7 @@ def ingest(
             workers=workers,
             timeout=timeout,
             memory=memory,
-            executor=executor,
+            executor=runs,
             retry_failed=retry_failed,
             on_shape=on_shape,
         )

@@ -146,7 +146,10 @@ def test_the_command_line_takes_an_executor_by_its_name(
     with Catalogue(tmp_path / "c.sqlite") as catalogue:
         assert catalogue.signatures().ids == ("egg",)
     with pytest.raises(OptionError, match="no executor 'ship'; there are processes, calling-process"):
-        ingest(tmp_path / "egg.off", tmp_path / "c.sqlite", executor="ship")
+        ingest(tmp_path / "egg.off", tmp_path / "other.sqlite", executor="ship")
+    command[3] = str(tmp_path / "other.sqlite")
+    assert CliRunner().invoke(cli, [*command, "ship"]).exit_code != 0
+    assert not (tmp_path / "other.sqlite").exists()
 
 
 def test_an_executor_that_loses_scans_is_told_from_one_that_is_done(tmp_path: Path) -> None:
