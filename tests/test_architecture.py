@@ -57,8 +57,10 @@ STAGES = [
 DOORS = {
     "cholespy": "spectral/krylov.py",
     "lapy": "adapters/lapy.py",
+    "lazrs": "adapters/lazrs.py",
     "matplotlib": "adapters/matplotlib.py",
     "open3d": "adapters/open3d.py",
+    "pye57": "adapters/pye57.py",
     "pytetwild": "adapters/tetwild.py",
     "robust_laplacian": "adapters/robust_laplacian.py",
     "skimage": "simulation/skin.py",

@@ -12,6 +12,7 @@ import numpy as np
 from pcretrieve.arrays import FloatArray
 from pcretrieve.errors import ScanReadError
 from pcretrieve.formats.format import Format
+from pcretrieve.formats.members import Members
 from pcretrieve.formats.organised import organised_scan
 from pcretrieve.formats.raw import RawScan, incomplete, joined
 from pcretrieve.formats.text_points import number_rows
@@ -35,19 +36,21 @@ class Header(NamedTuple):
     translation: FloatArray  # (3,)
 
 
-def read_ptx(path: Path) -> RawScan:
-    """Read all scans of a PTX file.
+def read_ptx(path: Path, name: str | None = None) -> RawScan:
+    """Read a PTX file.
 
     Parameters
     ----------
     path : Path
         The file.
+    name : str, optional
+        The number of a scan, from 1; by default all of them are read as one.
 
     Returns
     -------
     RawScan
-        The points of all scans in the common frame of the file, in its unit, with normals and the position of
-        the sensor of each point. Readings without an answer, which are zeros, are dropped with a note.
+        The points in the common frame of the file, in its unit, with normals and the position of the sensor
+        of each point. Readings without an answer, which are zeros, are dropped with a note.
 
     Raises
     ------
@@ -59,9 +62,26 @@ def read_ptx(path: Path) -> RawScan:
     scans = []
     # Bytes that are no text are no numbers either, and are reported as such.
     with path.open(encoding="utf-8-sig", errors="replace") as file:
-        for header in _headers(path, file):
-            scans.append(_scan(path, file, header))
+        for number, header in enumerate(_headers(path, file), start=1):
+            if name in (None, str(number)):
+                scans.append(_scan(path, file, header))
+            else:
+                _pass_over(file, header)
     return joined(scans)
+
+
+def _names(path: Path) -> tuple[str, ...]:
+    with path.open(encoding="utf-8-sig", errors="replace") as file:
+        headers = []
+        for header in _headers(path, file):
+            headers.append(header)
+            _pass_over(file, header)
+    return tuple(str(number) for number in range(1, len(headers) + 1))
+
+
+def _pass_over(file: IO[str], header: Header) -> None:
+    for _ in islice(file, header.n_columns * header.n_rows):
+        pass
 
 
 def _headers(path: Path, file: IO[str]) -> Iterator[Header]:
@@ -101,4 +121,4 @@ def _scan(path: Path, file: IO[str], header: Header) -> RawScan:
         raise ScanReadError(f"a scan of {size[0]} × {size[1]} readings: {error.message}") from error
 
 
-PTX = Format((".ptx",), read_ptx)
+PTX = Format((".ptx",), read_ptx, members=Members(_names, read_ptx))

@@ -10,9 +10,11 @@ from numpy.typing import NDArray
 from pcretrieve.errors import OptionError, ScanReadError, ShapeError, Stage
 from pcretrieve.formats.arrays import NPY, NPZ
 from pcretrieve.formats.conf import conf_format
+from pcretrieve.formats.e57 import E57
 from pcretrieve.formats.files import check_file
 from pcretrieve.formats.format import Extra, Format
 from pcretrieve.formats.gltf import GLB, GLTF
+from pcretrieve.formats.las import LAS, LAZ
 from pcretrieve.formats.members import MARK
 from pcretrieve.formats.obj import OBJ
 from pcretrieve.formats.off import OFF
@@ -213,9 +215,7 @@ _OWN = {
         PLY,
         PCD,
         *TEXT_FORMATS,
-        PTX,
-        NPY,
-        NPZ,
+        *(PTX, NPY, NPZ, LAS, LAZ, E57),
         OBJ,
         OFF,
         STL,

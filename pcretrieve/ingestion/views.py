@@ -59,8 +59,6 @@ def view_files(paths: Sequence[str | Path]) -> tuple[list[Path], FloatArray | No
         If a file with poses cannot be read.
     """
     files = discover(paths)
-    if len(files) > 1 and len({split_member(file)[0] for file in files}) == 1:
-        return files, np.tile(np.eye(4), (len(files), 1, 1))  # the scans in a file have one frame
     for file in files:
         try:
             views = parts_of(file)
@@ -98,4 +96,13 @@ def read_views(paths: Sequence[str | Path]) -> Views:
         If a file cannot be read.
     """
     files, poses = view_files(paths)
-    return Views(tuple(files), tuple(as_cloud(read_scan(file)) for file in files), poses)
+    clouds = tuple(as_cloud(read_scan(file)) for file in files)
+    if poses is None and len(clouds) > 1 and len({split_member(file)[0] for file in files}) == 1:
+        poses = _common_frame(clouds)
+    return Views(tuple(files), clouds, poses)
+
+
+def _common_frame(clouds: Sequence[PointCloud]) -> FloatArray | None:
+    """The (v, 4, 4) poses of the scans in a file; None if all sensors are at one place: nobody posed them."""
+    sensors = {tuple(cloud.viewpoints[0]) for cloud in clouds if cloud.viewpoints is not None}
+    return None if len(sensors) == 1 else np.tile(np.eye(4), (len(clouds), 1, 1))

@@ -11,6 +11,8 @@ from scipy.spatial.transform import Rotation
 
 from pcretrieve import PointCloud, read_scan
 from pcretrieve.errors import ScanReadError
+from pcretrieve.formats import members_of
+from pcretrieve.ingestion.views import read_views
 
 SENSOR = np.array([10.0, -20.0, 3.0])
 TURN = Rotation.from_euler("zyx", [0.4, -0.2, 1.1])
@@ -87,6 +89,22 @@ def test_several_scans_of_one_file_are_joined_in_their_common_frame(tmp_path: Pa
     np.testing.assert_array_equal(both.points[:n], alone.points)
     np.testing.assert_allclose(both.points[n:] @ TURN.as_matrix().T + SENSOR, alone.points, atol=1e-6)
     np.testing.assert_array_equal(both.viewpoints[n:], np.zeros((n, 3)))
+    first, second = members_of(tmp_path / "both.ptx")
+    assert [path.name for path in (first, second)] == ["both.ptx#1", "both.ptx#2"]
+    np.testing.assert_array_equal(cloud(first).points, alone.points)
+    np.testing.assert_array_equal(cloud(second).points, both.points[n:])
+    assert members_of(tmp_path / "one.ptx") == ()
+
+
+def test_scans_of_one_file_are_views_that_are_placed_if_their_sensors_are(tmp_path: Path) -> None:
+    readings = body(sphere_readings())
+    placed = header(TURN, SENSOR) + readings + header(Rotation.identity(), np.zeros(3)) + readings
+    (tmp_path / "placed.ptx").write_text(placed)
+    (tmp_path / "loose.ptx").write_text(2 * (header(Rotation.identity(), np.zeros(3)) + readings))
+    np.testing.assert_array_equal(read_views([tmp_path / "placed.ptx"]).poses, [np.eye(4), np.eye(4)])
+    loose = read_views([tmp_path / "loose.ptx"])
+    assert len(loose.clouds) == 2
+    assert loose.poses is None
 
 
 def test_readings_that_stand_alone_are_dropped_with_a_note(tmp_path: Path) -> None:

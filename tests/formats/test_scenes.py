@@ -15,7 +15,7 @@ from pcretrieve.errors import ScanReadError
 from pcretrieve.formats import members_of, missing_extra, parts_of, split_member
 from pcretrieve.formats.registry import read_raw
 from pcretrieve.ingestion.discover import content_hash, discover, shape_ids
-from pcretrieve.ingestion.views import view_files
+from pcretrieve.ingestion.views import read_views
 from pcretrieve.surface import defects
 
 BALL = shapes.icosphere(1)
@@ -76,10 +76,10 @@ def test_each_body_is_a_shape(name: str, tmp_path: Path) -> None:
 
 def test_bodies_of_one_file_are_views_in_one_frame(tmp_path: Path) -> None:
     write_all(tmp_path)
-    files, poses = view_files([tmp_path / "a.gltf"])
-    assert [path.name for path in files] == ["a.gltf#left", "a.gltf#2"]
-    np.testing.assert_array_equal(poses, [np.eye(4), np.eye(4)])
-    assert view_files([tmp_path / "a.gltf", tmp_path / "a.wrl"])[1] is None
+    views = read_views([tmp_path / "a.gltf"])
+    assert [path.name for path in views.files] == ["a.gltf#left", "a.gltf#2"]
+    np.testing.assert_array_equal(views.poses, [np.eye(4), np.eye(4)])
+    assert read_views([tmp_path / "a.gltf", tmp_path / "a.wrl"]).poses is None
 
 
 def test_names_in_a_file(tmp_path: Path) -> None:

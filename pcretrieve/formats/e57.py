@@ -1,0 +1,91 @@
+"""The format E57 [1]_ of terrestrial scanners, read by pye57: scans with the poses of sensors, in metres.
+
+References
+----------
+.. [1] ASTM E2807-11, "Standard Specification for 3D Imaging Data Exchange", 2011.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from pcretrieve.adapters.pye57 import ScanHeader, scan_headers, scan_points
+from pcretrieve.errors import ScanReadError
+from pcretrieve.formats.format import Extra, Format
+from pcretrieve.formats.members import Members, distinct_names
+from pcretrieve.formats.raw import RawScan, incomplete, joined, without_zeros
+
+__all__ = ["E57", "read_e57"]
+
+# Fewest bits of a point in a file: its three coordinates cannot all be constant.
+FEWEST_BITS = 1
+
+
+def read_e57(path: Path, name: str | None = None) -> RawScan:
+    """Read an E57 file.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    name : str, optional
+        The name of a scan; by default all of them are read as one.
+
+    Returns
+    -------
+    RawScan
+        The points in the common frame, in metres, without those that the file marks as invalid. The positions
+        of the sensors are those of the poses. A pose that is the identity, of points without a grid, is
+        written by programs that do not know the sensor, and is ignored.
+
+    Raises
+    ------
+    OSError
+        If the file cannot be read.
+    MemoryError
+        If the file is too large for the memory.
+    ScanReadError
+        If the file is not an E57 file, is damaged, or holds no scans.
+    """
+    headers = _headers(path)
+    numbers = range(len(headers)) if name is None else [_names_of(headers).index(name)]
+    try:
+        return joined([_scan(path, number, headers[number]) for number in numbers])
+    except ValueError as error:
+        raise incomplete(path, error) from error
+
+
+def _scan(path: Path, number: int, header: ScanHeader) -> RawScan:
+    points = scan_points(path, number)
+    known = header.position is not None and (header.is_grid or header.position.any())
+    return without_zeros(RawScan(points, viewpoints=header.position if known else None, unit="m"))
+
+
+def _members(path: Path) -> tuple[str, ...]:
+    return tuple(_names_of(_headers(path)))
+
+
+def _names_of(headers: list[ScanHeader]) -> list[str]:
+    return distinct_names(header.name for header in headers)
+
+
+def _headers(path: Path) -> list[ScanHeader]:
+    """The headers of the scans, whose sizes are checked before the scans are read."""
+    try:
+        headers = scan_headers(path)
+    except ValueError as error:
+        raise incomplete(path, error) from error
+    if not headers:
+        raise ScanReadError("the file holds no scans")
+    n_bits = 8 * path.stat().st_size
+    for header in headers:
+        if header.n_points * FEWEST_BITS > n_bits:
+            raise incomplete(path, f"it promises {header.n_points} points in {n_bits // 8} bytes")
+        if header.position is not None and not np.isfinite(header.position).all():
+            raise incomplete(path, "the position of a sensor is not finite")
+    return headers
+
+
+E57 = Format((".e57",), read_e57, members=Members(_members, read_e57), extra=Extra("e57", ("pye57",)))
