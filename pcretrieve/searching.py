@@ -22,7 +22,7 @@ __all__ = ["search"]
 
 
 def _signature(scan: Path, options: PipelineOptions) -> Signature:
-    """As `pcretrieve.signature`, imported when it is called: a caller may do so in another process."""
+    """The function `pcretrieve.signature`, imported when it is called, because a caller may replace it."""
     from pcretrieve.pipeline.process import signature
 
     return signature(scan, options)
@@ -37,26 +37,26 @@ def search(
     matrix: DistanceMatrix | None = None,
     describe_scan: Callable[[Path, PipelineOptions], Signature] = _signature,
 ) -> Neighbors:
-    """The shapes of a catalogue nearest to a scan, to one of its shapes, or to a signature.
+    """Find the shapes of a catalogue nearest to a scan, to one of its shapes, or to a signature.
 
     Parameters
     ----------
     catalogue : Catalogue
-        The shapes that are searched.
+        The catalogue that is searched.
     query : str, Path or Signature
-        The file of a scan, which is processed with the catalogue's own options, or looked up by its content
-        where the catalogue holds it; the id of a shape of the catalogue, as a str that names no file; or a
-        signature that was made with the same options as those that are compared.
+        The file of a scan, which is processed with the options of the catalogue unless the catalogue has a
+        shape of the same content; the id of a shape of the catalogue, as a str that is not the path of a
+        file; or a signature that was made with the same options as the signatures of the catalogue.
     k : int, default 10
         Number of shapes. If the catalogue has fewer, all of them are returned.
     options : PipelineOptions, optional
-        With a descriptor, a distance or a whitening other than the catalogue's own, such as
+        Options with another descriptor, distance or whitening than the options of the catalogue, such as
         ``catalogue.options.changed(retrieval={"whitening": "pca"})``.
     matrix : DistanceMatrix, optional
-        Distances in place of those of signatures, from the shape that the query stands for.
+        Distances that replace the distances of signatures, for a query that the catalogue has.
     describe_scan : callable, optional
-        What makes the signature of a scan that the catalogue does not hold, with the options that it is
-        given; `pcretrieve.signature` by default, in this process.
+        Computes the signature of a scan that the catalogue does not have, with given options; by default
+        `pcretrieve.signature`, in this process.
 
     Returns
     -------
@@ -66,10 +66,10 @@ def search(
     Raises
     ------
     CatalogueError
-        If `options` are for other spectra than those of the catalogue.
+        If `options` require other spectra than the catalogue has.
     InputError
-        If the catalogue holds no shapes, the query is neither a file nor one of them, or it is not one of
-        them and there is a `matrix`.
+        If the catalogue has no shapes; if the query is neither a file nor the id of a shape; or, with
+        `matrix`, if the query is not in the catalogue.
     ShapeError
         If the scan cannot be read or has no usable surface.
     """
@@ -79,7 +79,7 @@ def search(
         if held is None:
             raise InputError(
                 f"a distance matrix ranks shapes of {catalogue.location} only, which does not hold {query}: "
-                "leave out the matrix, or ingest the scan and make the matrix anew"
+                "leave out the matrix, or ingest the scan and make the matrix again"
             )
         return matrix.nearest(held, k)
     index = catalogue.index(options)
@@ -92,9 +92,9 @@ def search(
 
 
 def _held(catalogue: Catalogue, query: str | Path) -> str | None:
-    """The id of the shape that a query stands for; None for a scan that the catalogue does not hold."""
+    """The id of the shape that a query names; None for a scan that the catalogue does not have."""
     path = Path(query)
-    # Readers are loaded for files only, because they are not needed to look up a shape.
+    # Readers are imported for files only, because they are not needed to look up an id.
     if isinstance(query, str) and (path.is_dir() or not (path.exists() or _is_in_a_file(path))):
         return _stored(catalogue, query)
     from pcretrieve.ingestion.discover import content_hash
@@ -113,7 +113,7 @@ def _is_in_a_file(path: Path) -> bool:
 
 
 def _stored(catalogue: Catalogue, shape_id: str) -> str:
-    """An id, once it has been seen that its shape can be compared."""
+    """An id, after a check that its shape has a signature."""
     record = catalogue.get(shape_id)
     if record is None:
         raise InputError(

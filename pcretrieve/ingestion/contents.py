@@ -1,4 +1,4 @@
-"""Files → hashes of their contents, ahead of whoever asks for them."""
+"""Files → hashes of their contents, computed in the background."""
 
 from __future__ import annotations
 
@@ -14,17 +14,17 @@ __all__ = ["Contents"]
 
 
 class Contents:
-    """Hashes of files, each computed once: in threads for the files that are expected, or when asked for.
+    """Hashes of files, each computed once, in threads: in advance with `expect`, or on demand with `of`.
 
     Parameters
     ----------
     files : mapping of str to Path
-        Each by the name that it is asked for.
+        Files by name.
     n_threads : int
-        Files that are read at a time. Hashing and reading release the interpreter lock.
+        Number of files that are read at the same time. Hashing and reading release the interpreter lock.
     timeout : float
-        Longest time to read one file; seconds. A file on a network that is gone may never be read: then its
-        thread waits on, without a part in the count of threads, and does not keep the program from ending.
+        Longest time to read one file; seconds. Reading a file on a network that is not connected may never
+        end: its thread then continues, is not counted, and does not prevent the program from ending.
     """
 
     def __init__(self, files: Mapping[str, Path], n_threads: int, timeout: float) -> None:
@@ -45,7 +45,7 @@ class Contents:
             self._start()
 
     def of(self, name: str) -> str | ShapeError:
-        """SHA-256 of a file, or why it cannot be read."""
+        """The SHA-256 hash of a file, or the error of reading it."""
         self.expect([name])
         with self._changed:
             while name not in self._known:
@@ -66,13 +66,13 @@ class Contents:
             name = next(iter(self._expected))
             del self._expected[name]
             self._deadlines[name] = time.monotonic() + self._timeout
-            # A program that ends waits for the threads of an executor, but not for daemons.
+            # A daemon thread, because a program waits for the threads of a thread pool before it ends.
             Thread(target=self._read, args=(name,), daemon=True).start()
 
     def _read(self, name: str) -> None:
         try:
             content: str | Exception = content_hash(self._files[name])
-        except Exception as error:  # noqa: BLE001  `of` raises it where it is asked for
+        except Exception as error:  # noqa: BLE001  `of` raises it
             content = error
         with self._changed:
             self._finish(name, content)
@@ -84,7 +84,7 @@ class Contents:
             self._finish(name, StageTimeout(message, stage=Stage.READ))
 
     def _finish(self, name: str, content: str | Exception) -> None:
-        if self._deadlines.pop(name, None) is not None:  # else it was given up
+        if self._deadlines.pop(name, None) is not None:  # otherwise its time limit was exceeded
             self._known[name] = content
             self._start()
             self._changed.notify_all()

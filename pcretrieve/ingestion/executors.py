@@ -21,9 +21,9 @@ Answer = TypeVar("Answer")
 
 
 class Executor(Protocol):
-    """A callable that applies a function to many items, and gives each item with its outcome.
+    """A callable that applies a function to many items, and yields each item with its outcome.
 
-    ``tests/ingestion/test_executors.py`` tests executors for what this protocol asks of them.
+    ``tests/ingestion/test_executors.py`` tests that executors satisfy this protocol.
     """
 
     def __call__(
@@ -36,40 +36,41 @@ class Executor(Protocol):
         timeout: float,
         memory: float | None,
     ) -> Generator[tuple[Item, Answer | PcretrieveError], None, None]:
-        """Apply a function to items, and give each item with its outcome as soon as that is known.
+        """Apply a function to items, and yield each item with its outcome as soon as the outcome is known.
 
-        Closing the generator cancels the work: what has begun has ended, or its outcome is thrown away, when
-        ``close`` returns, and no further item is read.
+        Closing the generator cancels the work. When ``close`` returns, calls that have begun have ended, or
+        their outcomes are discarded, and no further items are read.
 
         Parameters
         ----------
         function : callable
             The function, its argument and what it returns can be pickled.
         items : iterable
-            Must be read by the thread that iterates over the outcomes, because reading writes to the
-            catalogue; and a few items at a time, as workers become free, because the files of later items are
-            read then. What reading raises must be raised on.
+            The items. They must be read by the thread that iterates over the outcomes, because reading them
+            writes to the catalogue; and only when workers are free, because it also reads the files of later
+            items. Exceptions of reading them must be raised again.
         workers : int, optional
-            Largest number of items to work on at a time. By default as many as the executor has cores.
+            Largest number of items that are processed at a time. By default the number of cores of the
+            executor.
         timeout : float
             Longest time for one item; seconds. An executor that cannot interrupt a function ignores it.
         memory : float, optional
-            Largest heap of a process that works on an item; GiB. An executor without processes of its own
+            Largest heap of the process that processes an item; GiB. An executor without processes of its own
             ignores it.
 
         Yields
         ------
-        item
-            Each of the items once, in any order.
-        outcome
-            What the function returned. Or what it raised, as `pcretrieve.errors.shape_error` converts it; or
-            a `StageTimeout`, a `MemoryExceeded` or a `WorkerDied`, if the item exceeded a limit or ended its
+        item : object
+            Each item once, in any order.
+        outcome : object or PcretrieveError
+            What the function returned; what it raised, converted by `pcretrieve.errors.shape_error`; or a
+            `StageTimeout`, a `MemoryExceeded` or a `WorkerDied`, if the item exceeded a limit or ended its
             process.
 
         Raises
         ------
         PcretrieveError
-            If the executor cannot work at all; the ingest stops, and can be started again.
+            If the executor does not work; the ingest stops, and can be started again.
         """
         ...
 

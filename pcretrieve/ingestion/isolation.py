@@ -1,7 +1,7 @@
-"""Functions called in a process of their own: whatever happens there is an answer or an error.
+"""Calls of functions in other processes, whose result is an answer or an error of pcretrieve.
 
-In come a function and its arguments; out comes what it returned, or one error of pcretrieve. Native code that
-crashes, an endless loop and a full memory end the process that they happen in, and no other.
+In come a function and its arguments; out comes what the function returned, or an error of pcretrieve. Crashes
+of native code, endless loops and a lack of memory end the process of the call only.
 """
 
 from __future__ import annotations
@@ -27,10 +27,10 @@ Answer = TypeVar("Answer")
 
 @dataclass(frozen=True, slots=True)
 class Isolation:
-    """Calls functions in processes of their own, on one thread each.
+    """Calls functions in other processes, on one thread each.
 
-    Functions, arguments and answers must be fit for pickling. A function that imports what it needs when it
-    is called spares the calling process that import.
+    Functions, arguments and answers must be picklable. A function that imports modules when it is called
+    saves the calling process these imports.
 
     Attributes
     ----------
@@ -68,7 +68,7 @@ class Isolation:
         ------
         PcretrieveError
             What the function raised, as an error of pcretrieve; `StageTimeout`, `MemoryExceeded` or
-            `WorkerDied`, if the process met its limits, or ended without an answer.
+            `WorkerDied`, if the process exceeded its limits, or ended without an answer.
         """
         ((_, outcome),) = self.each(_called, [partial(function, *arguments, **named)])
         if isinstance(outcome, PcretrieveError):
@@ -78,16 +78,16 @@ class Isolation:
     def each(
         self, function: Callable[[Item], Answer], items: Iterable[Item], *, workers: int = 1
     ) -> Generator[tuple[Item, Answer | PcretrieveError], None, None]:
-        """Call a function on items, and give each outcome as soon as it is known.
+        """Call a function with each of many items, and return each outcome as soon as it is known.
 
         Parameters
         ----------
         function : callable
-            Of one item.
+            A function of one item.
         items : iterable
-            Read as processes ask for more.
+            The items, which are read when processes are free.
         workers : int, default 1
-            Largest number of processes at a time. The outcomes of one come in the order of the items.
+            Largest number of processes. With one process, the outcomes are in the order of the items.
 
         Returns
         -------
@@ -108,16 +108,16 @@ def in_processes(
     timeout: float,
     memory: float | None,
 ) -> Generator[tuple[Item, Answer | PcretrieveError], None, None]:
-    """The `Executor` of this computer: each item in one of several processes, so that none disturbs another.
+    """The default `Executor`: processes on this computer, so that items do not affect each other.
 
     Parameters
     ----------
     function : callable
-        Of one item.
+        A function of one item.
     items : iterable
-        Read as processes ask for more.
+        The items, which are read when processes are free.
     workers : int, optional
-        Largest number of processes at a time. By default one for each core.
+        Largest number of processes. By default one for each core.
     timeout : float
         Longest time for one item; seconds.
     memory : float, optional
@@ -126,20 +126,19 @@ def in_processes(
     Returns
     -------
     generator of (item, outcome)
-        As `Isolation.each` yields them.
+        The outcomes, as from `Isolation.each`.
     """
     return Isolation(timeout, memory).each(function, items, workers=workers or len(os.sched_getaffinity(0)))
 
 
 def _prepare(memory: float | None) -> None:
-    """Make this process a worker: one thread, a limit to its memory (GiB), deaf to Ctrl-C, silent.
-
-    What a reader or native code prints goes to standard error: standard output is the command's.
-    """
+    """Prepare a worker process: one thread, a memory limit (GiB), no Ctrl-C, no standard output."""
+    # What readers and native code print is redirected to standard error, because standard output has the
+    # results of the command.
     from threadpoolctl import threadpool_limits
 
     os.dup2(2, 1)
-    # The terminal sends Ctrl-C to every process; the one that started this one decides what it means.
+    # The terminal sends Ctrl-C to all processes; the parent process handles it.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     threadpool_limits(limits=1)
     if memory is not None:

@@ -1,4 +1,4 @@
-"""Many scans → catalogue, over an executor."""
+"""Many scans → catalogue, processed by an executor."""
 
 from __future__ import annotations
 
@@ -21,27 +21,27 @@ from pcretrieve.options import PipelineOptions
 
 __all__ = ["Summary", "ingest_files"]
 
-# Files that are planned together: enough for few transactions, few enough that work begins at once.
+# Number of files that are planned together: large enough for few transactions, small enough to begin soon.
 FILES_AT_ONCE = 32
 
 
 @dataclass(slots=True)
 class Summary:
-    """What an ingest did.
+    """The result of an ingest.
 
     Attributes
     ----------
     done : list of Record
-        Processed now.
+        Scans that were processed.
     failed : list of Record
-        Failed now. A shape that finished in an earlier run keeps its place in the catalogue.
+        Scans that failed. The catalogue keeps the result of an earlier run, if there is one.
     held : list of Record
-        Skipped: the catalogue has the same content already, done or failed, under that path, or under one
-        that is gone since.
+        Skipped scans: the catalogue has the same content already, done or failed, with the same path or with
+        the path of a file that does not exist any more.
     duplicates : list of (Path, Record)
-        Skipped: the same content under another path.
+        Skipped files with the same content as another file, and the record of the other file.
     unknown_labels : list of str
-        Names in the label file that stand for none of the scans.
+        Names in the label file that match no scan.
     """
 
     done: list[Record] = field(default_factory=list)
@@ -63,19 +63,19 @@ def ingest_files(
     retry_failed: bool = False,
     on_shape: Callable[[Record], None] = lambda record: None,
 ) -> Summary:
-    """Process scans and store them, failures included.
+    """Process scans, and store the results, including failures.
 
-    Each shape is stored as soon as it is finished, so that an interrupted run can be started again and goes
-    on.
+    Each shape is stored as soon as it is finished, so that an interrupted run can be continued by starting it
+    again.
 
     Parameters
     ----------
     paths : sequence of Path
-        As from `discover`.
+        The scans, from `discover`.
     catalogue : Catalogue
         The catalogue, whose options are used.
-    labels : mapping of name to class, optional
-        As from `read_labels`. Also applied to scans that the catalogue holds already.
+    labels : mapping of str to str, optional
+        Class by name, from `read_labels`. Labels are also applied to scans that the catalogue has already.
     workers : int, optional
         Largest number of scans that are processed at a time. By default one for each core.
     timeout : float, default 600
@@ -83,8 +83,8 @@ def ingest_files(
     memory : float, optional
         Largest heap of one worker; GiB.
     executor : Executor, optional
-        What processes the scans. By default isolated worker processes, so that a shape that hangs, crashes
-        or fills the memory disturbs no other.
+        The executor that processes the scans. By default worker processes on this computer, so that a scan
+        that hangs, crashes or exhausts the memory does not affect others.
     retry_failed : bool, default False
         Process scans again that failed before, with the same content and options.
     on_shape : callable, optional
@@ -117,7 +117,7 @@ def ingest_files(
         on_shape(stored)
 
     def queue() -> Iterator[tuple[Path, Record]]:
-        """The scans to process; the others are dealt with on the way."""
+        """Yield the scans that must be processed; the results for other scans are stored."""
         for made in _plans(planner, contents):
             apply(made, catalogue)
             summary.held += made.held
@@ -144,14 +144,14 @@ def ingest_files(
     if in_work:
         raise PcretrieveError(
             f"an executor must give an outcome for each scan, but {len(in_work)} have none, {min(in_work)} "
-            "among them: start the ingest again, with another executor if need be"
+            "among them: start the ingest again, with another executor if necessary"
         )
     summary.unknown_labels = planner.unknown_labels
     return summary
 
 
 def _plans(planner: Planner, contents: Contents) -> Iterator[Plan]:
-    """What to do, some files at a time: while they are processed, the contents of the next are hashed."""
+    """Yield plans for some files at a time; meanwhile, the contents of the next files are hashed."""
     names = list(planner.files)
     chunks = [names[start : start + FILES_AT_ONCE] for start in range(0, len(names), FILES_AT_ONCE)]
     for chunk, upcoming in zip(chunks, [*chunks[1:], []], strict=True):
@@ -160,7 +160,7 @@ def _plans(planner: Planner, contents: Contents) -> Iterator[Plan]:
 
 
 def _reported(failure: Record, stored: Record) -> Record:
-    """A failure as it is reported, which says where the catalogue keeps an earlier result instead."""
+    """The record of a failure, with a note if the catalogue keeps an earlier result."""
     if stored.status == "failed":
         return stored
     kept = f"{failure.message}; the catalogue keeps what was made of this file on {stored.added}"

@@ -1,7 +1,7 @@
-"""A worker process, seen from both ends: it applies a function to one item after the other.
+"""A worker process, which applies a function to one item after the other: its parent's side and its own.
 
-Each worker has its own two pipes, and no two share a lock: a worker may be killed at any moment, even while
-it sends its answer, and disturbs no other.
+Each worker has its own two pipes, and workers do not share locks. A worker can therefore be killed at any
+moment, even while it sends an answer, without an effect on other workers.
 """
 
 from __future__ import annotations
@@ -27,49 +27,50 @@ __all__ = ["Task", "Worker", "interrupts_blocked"]
 Item = TypeVar("Item")
 Answer = TypeVar("Answer")
 
-# An answer is a pickle behind its length. The first one only says that the worker is ready.
+# An answer is its length, followed by a pickle. The first answer only says that the worker is ready.
 LENGTH = struct.Struct("<q")
 CHUNK = 1 << 20  # bytes read at once
 
-# How long a worker may take to get ready; seconds.
+# Longest time until a worker is ready; seconds.
 START_TIMEOUT = 120.0
 
-# How long each further part of an answer may take, once its first bytes have arrived; seconds. The answer
-# waits in the worker while this process is busy with another one.
+# Longest time for each further part of an answer, after its first bytes have arrived; seconds. The worker
+# waits while the parent process reads another answer.
 ANSWER_TIMEOUT = 10.0
 
-# How long a killed process may take to be gone; seconds. One that waits for a disk or a network cannot go.
+# Longest time for which a killed process is awaited; seconds. A process that waits for a disk or a network
+# cannot end.
 KILL_TIMEOUT = 5.0
 
 
 @dataclass(slots=True, eq=False)
 class Task(Generic[Item]):
-    """An item, and how often a worker has taken it."""
+    """An item, and the number of attempts to process it."""
 
     item: Item
     attempts: int = 0
 
 
 class Worker(Generic[Item, Answer]):
-    """The end of one worker that is in the process that started it.
+    """A worker, in the parent process that has started it.
 
     Parameters
     ----------
     function : callable
-        Of one item.
+        A function of one item.
     prepare : callable
-        What the worker calls first.
+        A function that the worker calls first.
 
     Attributes
     ----------
     task : Task or None
-        What the worker works on; None while it starts.
+        The present task; None until the worker is ready.
     n_tasks : int
-        Number of tasks that it has been given.
+        Number of tasks that the worker has taken.
     is_gone : bool
-        Whether its process has been stopped, or has ended.
+        Whether the process has been stopped, or has ended.
     deadline : float
-        When the worker is late with its task or its start; seconds of the monotonic clock.
+        Time at which the task, or the start, has exceeded its limit; seconds of the monotonic clock.
     """
 
     def __init__(self, function: Callable[[Item], Answer], prepare: Callable[[], object]) -> None:
@@ -89,47 +90,47 @@ class Worker(Generic[Item, Answer]):
         try:
             self._process.start()
         finally:
-            # The worker alone holds these ends: when it dies, nothing can be read or written any more.
+            # Only the worker has these ends open: after it has ended, reading and writing fail.
             tasks.close()
             answers.close()
 
     @property
     def events(self) -> tuple[Connection[Any, Any], int]:
-        """What to wait for: an answer, and the end of the process."""
+        """The handles to wait for: an answer, and the end of the process."""
         return self._answers, self._process.sentinel
 
     def take(self, task: Task[Item], timeout: float) -> None:
-        """Hand a task to the worker, which has none.
+        """Send a task to the worker, which must not have one.
 
         Parameters
         ----------
         task : Task
-            What to work on.
+            The task.
         timeout : float
-            Longest time for it; seconds.
+            Longest time for the task; seconds.
         """
         task.attempts += 1
         self.task = task
         self.n_tasks += 1
         self._limit = timeout
         self.deadline = time.monotonic() + timeout
-        with suppress(OSError):  # it is dead: `news` will say so
+        with suppress(OSError):  # the worker has ended, which `news` will report
             self._tasks.send(task.item)
 
     def news(self) -> tuple[Answer | PcretrieveError] | None:
-        """The outcome of the task, or of the start, in a tuple; None while the worker goes on."""
+        """The outcome of the task, or of the start, in a tuple; None while the worker is busy."""
         has_ended = not self._process.is_alive()
         message = self._message()
         if message is not None:
             try:
                 outcome: Answer | PcretrieveError = pickle.loads(message)
-            except Exception as error:  # noqa: BLE001  a class of a plug-in's may be fit for pickling only
+            except Exception as error:  # noqa: BLE001  a class of a plug-in may be picklable, but not unpicklable
                 outcome = shape_error(error)
             return (outcome,)
         if has_ended or self._is_at_end:
             code = self.stop()
             died = WorkerDied(
-                f"the process that worked on it ended with {_exit_text(code)}, perhaps for want of memory: "
+                f"the process that worked on it ended with {_exit_text(code)}, perhaps for lack of memory: "
                 "raise --memory if you gave it, or have fewer processes work at a time"
             )
             return (died,)
@@ -139,11 +140,11 @@ class Worker(Generic[Item, Answer]):
         return None
 
     def has_memory_to_blame(self, outcome: object) -> bool:
-        """Whether the task may have failed for what else was in the memory."""
+        """Whether the task may have failed because other data were in memory."""
         return isinstance(outcome, WorkerDied) or (isinstance(outcome, MemoryExceeded) and self.n_tasks > 1)
 
     def stop(self) -> int | None:
-        """Kill the process, if it is there; its exit code."""
+        """Kill the process, if it is running, and return its exit code."""
         if not self.is_gone:
             self.is_gone = True
             self._process.kill()
@@ -153,7 +154,7 @@ class Worker(Generic[Item, Answer]):
         return self._process.exitcode
 
     def _message(self) -> bytes | None:
-        """The whole answer, once it is here; reading never waits, because a stopped worker sends no more."""
+        """The answer, if it is complete. Reading does not block, because a stopped worker sends nothing."""
         with suppress(BlockingIOError):
             while chunk := os.read(self._answers.fileno(), CHUNK):
                 self._arrived += chunk
@@ -171,16 +172,16 @@ class Worker(Generic[Item, Answer]):
 
 @contextmanager
 def interrupts_blocked() -> Iterator[None]:
-    """Let the processes that are started inside never see Ctrl-C, not even while they still import.
+    """Block the signal of Ctrl-C in the processes that are started inside, also during their imports.
 
-    The terminal sends it to all processes; the process that started the others decides what it means.
+    The terminal sends the signal to all processes; the parent process handles it.
 
     Yields
     ------
     None
         Once, for the start of the processes.
     """
-    # The resource tracker is started with the first worker, and would lift the block.
+    # The resource tracker, which is started with the first worker, would unblock the signal.
     resource_tracker.ensure_running()
     before = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])
     try:
@@ -190,7 +191,7 @@ def interrupts_blocked() -> Iterator[None]:
 
 
 def _exit_text(code: int | None) -> str:
-    """How a process ended, in words: ``exit code 1``, ``SIGKILL``."""
+    """The exit code or the signal of a process as text: ``exit code 1``, ``SIGKILL``."""
     if code is None:
         return "no exit code"
     names = {-number: number.name for number in signal.Signals}
@@ -206,13 +207,13 @@ def _serve(
     function: Callable[[Item], Answer],
     prepare: Callable[[], object],
 ) -> None:
-    """Answer task after task, as long as the parent lives."""
+    """Answer tasks until the parent process ends."""
     end_with_parent()
     parent = multiprocessing.parent_process()
     if parent is None or os.getppid() != parent.pid:
-        return  # it has died before the kernel was told
+        return  # the parent has ended before `end_with_parent`
     prepare()
-    with suppress(EOFError, BrokenPipeError):  # it has died since, where the kernel cannot be told
+    with suppress(EOFError, BrokenPipeError):  # the parent has ended, on a system without `end_with_parent`
         _send(answers, pickle.dumps(True))
         while True:
             answer = _answer(function, tasks.recv())
@@ -220,7 +221,7 @@ def _serve(
 
 
 def _answer(function: Callable[[Item], Answer], item: Item) -> bytes:
-    """What the function returned or raised; a plug-in may raise anything, also what ends a program."""
+    """What the function returned or raised, pickled. A plug-in may raise anything, also SystemExit."""
     try:
         return pickle.dumps(function(item))
     except BaseException as error:  # noqa: BLE001

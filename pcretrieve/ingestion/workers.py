@@ -1,4 +1,4 @@
-"""A function applied to many items by worker processes; whatever happens in one is the outcome of an item."""
+"""The application of a function to many items by worker processes, with one outcome for each item."""
 
 from __future__ import annotations
 
@@ -17,15 +17,15 @@ __all__ = ["outcomes"]
 Item = TypeVar("Item")
 Answer = TypeVar("Answer")
 
-# Items after which a worker is replaced, because cholespy does not free the workspace of its first solve with
-# a factor. See docs/decisions.md, MAX_ITEMS.
+# Number of items after which a worker is replaced, because cholespy does not free the workspace of its first
+# solve with a factor. See docs/decisions.md, MAX_ITEMS.
 MAX_ITEMS = 200
 
-# How many workers in a row may fail to get ready.
+# Number of workers that may fail to start, one after the other.
 MAX_FAILED_STARTS = 5
 
-# An item that lacked memory, or whose worker died, is tried once more in a fresh worker: earlier items may
-# have left too little, or another program may have taken it.
+# Number of attempts for an item that lacked memory, or whose worker ended. The second attempt is in a new
+# worker, because earlier items or other programs may have used the memory.
 MAX_ATTEMPTS = 2
 
 
@@ -37,32 +37,33 @@ def outcomes(
     workers: int,
     timeout: float,
 ) -> Generator[tuple[Item, Answer | PcretrieveError], None, None]:
-    """Apply a function to items, and give each item with its outcome as soon as it is known.
+    """Apply a function to items, and yield each item with its outcome as soon as the outcome is known.
 
     Parameters
     ----------
     function : callable
-        The function, its argument and what it returns must be fit for pickling.
+        A function of one item. The function, its argument and its result must be picklable.
     items : iterable
-        Read as workers ask for more.
+        The items, which are read when workers are free.
     prepare : callable
-        What each worker calls first.
+        A function that each worker calls first.
     workers : int
-        Largest number of processes at a time.
+        Largest number of processes.
     timeout : float
         Longest time for one item; seconds.
 
     Yields
     ------
-    item
-    outcome
-        What the function returned. Or what it raised, of whatever class, as an error of pcretrieve;
-        `StageTimeout`; `WorkerDied`.
+    item : object
+        The item.
+    outcome : object or PcretrieveError
+        What the function returned; what it raised, as an error of pcretrieve; or a `StageTimeout` or a
+        `WorkerDied`.
 
     Raises
     ------
     PcretrieveError
-        If workers end, one after the other, before they can take an item.
+        If several workers, one after the other, end before they can take an item.
     """
     queue = _Queue(items)
     crew: list[Worker[Item, Answer]] = []
@@ -74,7 +75,7 @@ def outcomes(
                     crew.append(Worker(function, prepare))
             if not crew:
                 return
-            _wait_for_news(crew)
+            _wait(crew)
             finished = []
             for worker in tuple(crew):
                 task, news = worker.task, worker.news()
@@ -86,7 +87,7 @@ def outcomes(
                     if failed_starts == MAX_FAILED_STARTS:
                         raise PcretrieveError(
                             f"{failed_starts} worker processes in a row ended, or hung, before they could "
-                            "take a shape, perhaps for want of memory: raise --memory if you gave it, or "
+                            "take a shape, perhaps for lack of memory: raise --memory if you gave it, or "
                             "have fewer processes work at a time"
                         )
                 elif worker.has_memory_to_blame(outcome) and task.attempts < MAX_ATTEMPTS:
@@ -111,7 +112,7 @@ class _Queue(Generic[Item]):
     Attributes
     ----------
     again : deque of Task
-        Tasks that only a fresh worker may take.
+        Tasks that only a new worker may take.
     """
 
     def __init__(self, items: Iterable[Item]) -> None:
@@ -120,12 +121,12 @@ class _Queue(Generic[Item]):
         self._ahead: deque[Task[Item]] = deque()
 
     def holds(self, n: int) -> bool:
-        """Whether there are as many tasks for fresh workers."""
+        """Whether there are at least `n` tasks for new workers."""
         self._read(n - len(self.again))
         return len(self._ahead) + len(self.again) >= n
 
     def next(self, worker: Worker[Item, Any]) -> Task[Item] | None:
-        """A task for a worker, or None where it is to make room for a fresh one, or is needed no more."""
+        """A task for a worker; None if the worker must be replaced, or is not needed any more."""
         if worker.n_tasks >= MAX_ITEMS:
             return None
         if self.again and worker.n_tasks == 0:
@@ -138,8 +139,8 @@ class _Queue(Generic[Item]):
         self._ahead.extend(Task(item) for item in islice(self._items, missing))
 
 
-def _wait_for_news(crew: Sequence[Worker[Item, Answer]]) -> None:
-    """Until a worker has answered, has ended, or has had its time."""
+def _wait(crew: Sequence[Worker[Item, Answer]]) -> None:
+    """Wait until a worker has answered, has ended, or has exceeded its time limit."""
     events = [event for worker in crew for event in worker.events]
     first_deadline = min(worker.deadline for worker in crew)
     connection.wait(events, max(0.0, first_deadline - time.monotonic()))

@@ -1,4 +1,4 @@
-"""Values in the frame of the scan, or moved to the origin."""
+"""Points and surfaces in the frame of the scan, or translated to the origin."""
 
 from __future__ import annotations
 
@@ -14,21 +14,21 @@ V = TypeVar("V", PointCloud, TriangleMesh)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Framed(Generic[V]):
-    """Points or a surface, and where the origin of their coordinates is.
+    """Points or a surface, and the origin of their coordinates.
 
     Attributes
     ----------
     value : PointCloud or TriangleMesh
         The points or the surface; unit of the scan.
     origin : (3,) float64 or None
-        The origin of the coordinates in the frame of the scan; None if it is that of the scan.
+        The origin of the coordinates, in the frame of the scan; None if the coordinates are in this frame.
     """
 
     value: V
     origin: FloatArray | None = None
 
     def near_origin(self) -> Framed[V]:
-        """The value with the mean of its points at the origin; the same if it has been moved already."""
+        """The value with the mean of its points at the origin; unchanged if it has been moved already."""
         if self.origin is not None:
             return self
         points = self.value.points if isinstance(self.value, PointCloud) else self.value.vertices
@@ -41,19 +41,19 @@ class Framed(Generic[V]):
 
 
 def moved(value: V, by: FloatArray) -> V:
-    """Points or a surface, translated.
+    """Translate points or a surface.
 
     Parameters
     ----------
     value : PointCloud or TriangleMesh
-        With sensor positions, if it has any.
+        The points, with their sensor positions if there are any, or the surface.
     by : (3,) float64
         The translation.
 
     Returns
     -------
     PointCloud or TriangleMesh
-        Of the same class.
+        The translated value, of the same class.
     """
     if isinstance(value, TriangleMesh):
         return replace(value, vertices=value.vertices + by)

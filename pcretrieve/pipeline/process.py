@@ -33,7 +33,7 @@ def signature(scan: ScanLike, options: OptionsLike = None) -> Signature:
     Returns
     -------
     Signature
-        Dimensionless; the same for a scan in millimetres and in metres.
+        The signature; with the default options dimensionless and independent of the unit of the scan.
 
     Raises
     ------
@@ -48,10 +48,10 @@ def signature(scan: ScanLike, options: OptionsLike = None) -> Signature:
 
 
 def reconstruct(scan: ScanLike, options: OptionsLike = None) -> TriangleMesh:
-    """The surface of one scan: closed, connected, manifold, pointing outwards.
+    """The surface of one scan: closed, connected, manifold and oriented outwards.
 
-    A mesh with these properties is used as it is, unless ``options.surface.mode`` is ``reconstruct``; with
-    the mode ``keep``, a mesh may have holes.
+    A mesh with these properties is used without reconstruction, unless ``options.surface.mode`` is
+    ``reconstruct``; with the mode ``keep``, a mesh may have holes.
 
     Parameters
     ----------
@@ -63,29 +63,29 @@ def reconstruct(scan: ScanLike, options: OptionsLike = None) -> TriangleMesh:
     Returns
     -------
     TriangleMesh
-        In the unit of the scan. Its `provenance` has a step for each stage, with a note for each repair and
-        each fallback.
+        The surface; unit of the scan. Its `provenance` has a step for each stage, with a note for each repair
+        and each fallback.
 
     Raises
     ------
     OptionError
-        If the stages make no surface.
+        If the stages do not include the stage ``surface``.
     ShapeError
         If the scan cannot be read or has no usable surface.
     """
     with placed(scan):
         options = PipelineOptions.of(options)
-        # Which element is that of the spectrum does not matter, but there must be a surface.
+        # No spectrum is computed; the element is set, because with some elements there is no surface.
         alone = options.changed(surface={"reconstructions": 1}, spectral={"element": "linear"})
         *_, last = stages(scan, alone)
     return last.surface
 
 
 def process(scan: ScanLike, options: OptionsLike = None) -> Shape:
-    """Make the surfaces of one scan and their spectra, on one thread.
+    """Compute the surfaces of one scan and their spectra, on one thread.
 
-    More threads would not help: the blocks of the eigensolver are narrow, and threads wait for each other
-    where other work keeps a core busy.
+    More threads would not be faster, because the blocks of the eigenvalue solver are narrow, and threads wait
+    for each other if a core is busy.
 
     Parameters
     ----------
@@ -97,8 +97,8 @@ def process(scan: ScanLike, options: OptionsLike = None) -> Shape:
     Returns
     -------
     Shape
-        The surfaces with their spectra, the filtered points and the provenance; lengths in the unit of the
-        scan, spectra of surfaces of unit area.
+        The surfaces with their spectra, the filtered points and the provenance. Lengths are in the unit of
+        the scan; spectra are those of the surfaces scaled to unit area.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""The log of stages that have ended, by the logger ``pcretrieve.pipeline``."""
+"""Logging of stages that have ended, by the logger ``pcretrieve.pipeline``."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What there is of a scan after some stage."""
+"""The results of the stages of a scan, up to some stage."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ __all__ = ["Seen"]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Seen:
-    """What there is of a scan after some stage, in the unit of the scan.
+    """The results of the stages of a scan, up to some stage; lengths are in the unit of the scan.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""The stage ``spectrum``: surfaces of a scan, or its points with normals → shape with spectra."""
+"""The stage ``spectrum``: surfaces, or points with normals → shape with spectra."""
 
 from __future__ import annotations
 
@@ -29,27 +29,27 @@ __all__ = ["shape_of"]
 
 
 def shape_of(seen: Seen, options: PipelineOptions) -> Shape:
-    """The shape of one scan: its surfaces with their spectra.
+    """Compute the spectra of the surfaces, or of the points, of one scan.
 
     Parameters
     ----------
     seen : Seen
-        The result of the last stage of `pcretrieve.pipeline.stages.stages`. Without a surface, the spectrum
-        is that of the points.
+        The result of the last stage of `pcretrieve.pipeline.stages.stages`. If it has no surface, the
+        spectrum of the points is computed.
     options : PipelineOptions
-        Of which `spectral` is used; for points, `surface.max_discarded` too.
+        Of which `spectral` is used, and for points `surface.max_discarded`.
 
     Returns
     -------
     Shape
-        As of `pcretrieve.pipeline.process.process`.
+        The shape, as from `pcretrieve.pipeline.process.process`.
 
     Raises
     ------
     SpectrumError
-        If there is no spectrum.
+        If a spectrum cannot be computed.
     ReconstructionError
-        If the points are of two bodies or more.
+        If the points show two or more bodies.
     """
     with in_stage(Stage.SPECTRUM):
         if seen.mesh is None and seen.cloud is not None:
@@ -73,7 +73,7 @@ def _with_spectrum(mesh: TriangleMesh, options: PipelineOptions) -> tuple[Surfac
 
 
 def _unit_spectrum(pairs: Eigenpairs) -> ModalSpectrum:
-    """The spectrum of a surface whose area is 1 but for rounding."""
+    """The modal spectrum of a surface with unit area, which `pairs` has up to rounding errors."""
     return replace(ModalSpectrum.of(pairs), area=1.0)
 
 
@@ -99,7 +99,7 @@ def _of_points(cloud: PointCloud, options: PipelineOptions) -> Shape:
 def _largest_piece(
     cloud: PointCloud, options: PipelineOptions
 ) -> tuple[PointCloud, LaplaceBeltrami, tuple[str, ...]]:
-    """The largest connected part of the points, its operator, and a note of what was dropped."""
+    """The largest connected component of the points, its operator, and a note on removed loose pieces."""
     operator = laplace_beltrami(moved(cloud, -cloud.points.mean(axis=0)), options.spectral.element)
     if operator.n_components == 1:
         return cloud, operator, ()

@@ -1,8 +1,8 @@
-"""The stages from a scan to its surfaces, run in the order that the options name.
+"""The stages from a scan to its surfaces, in the order of the option `pipeline.stages`.
 
-This is the only module that knows every stage. A mesh that is used without reconstruction (`surface.mode`)
+This is the only module that imports all stages. A mesh that is used without reconstruction (`surface.mode`)
 enters the chain after the stage ``surface``. The stages of the default chain check their results and add
-their steps to the provenance; here the same is done for filters that options add to the chain.
+their steps to the provenance; this module does the same for filters that options add to the chain.
 """
 
 from __future__ import annotations
@@ -31,27 +31,27 @@ V = TypeVar("V", PointCloud, TriangleMesh)
 
 
 def stages(scan: object, options: PipelineOptions) -> Iterator[Seen]:
-    """The stages from a scan to the surfaces or points of its spectrum, each logged when it has ended.
+    """Run the stages before the stage ``spectrum``, and log each of them when it has ended.
 
     Parameters
     ----------
     scan : object
-        As `pcretrieve.reconstruct` takes it.
+        A scan, as in `pcretrieve.reconstruct`.
     options : PipelineOptions
-        The stages in order, and their options.
+        The order of the stages, and their options.
 
     Yields
     ------
     Seen
-        What there is after each stage. The last has the final surfaces; or, if the element of the spectrum
-        needs points, the points with normals.
+        The results after each stage. The last results have the final surfaces or, if the element of the
+        spectrum needs points, the points with normals.
 
     Raises
     ------
     OptionError
-        If the chain of stages does not lead to what the element needs.
+        If the chain of stages does not give what the element needs.
     ShapeError
-        In the stage that fails, after the stages before it have been yielded.
+        If a stage fails, after the results of the stages before have been yielded.
     """
     name, logged = scan_name(scan), 0
     for seen in _stages(scan, options):
@@ -104,14 +104,14 @@ def _of_points(
             check_extent(cloud.value.points, name)
             if oriented and cloud.value.normals is None:
                 raise ShapeError(f"{POINT_FILTERS.called(name)} must keep normals, it gave none", stage=name)
-        # The normals of a file need not point outwards.
+        # Normals of a file are not passed on before they are oriented, because they need not point outwards.
         yield cloud if oriented else replace(cloud, value=replace(cloud.value, normals=None))
 
 
 def _of_surfaces(
     seen: Seen, cloud: Framed[PointCloud], filters: Sequence[str], options: PipelineOptions
 ) -> Iterator[Seen]:
-    """The surfaces of points, the first of them after each filter."""
+    """Yield the surfaces of points; of the first surface, the result of each filter."""
     with in_stage(Stage.SURFACE):
         made = surfaces(cloud.value, options.surface)
         mesh, marks = next(made)
@@ -130,7 +130,7 @@ def _of_surfaces(
                 _check_closed(surface.value)
                 yield (seen := replace(seen, others=(*seen.others, surface.in_scan())))
     except ReconstructionError as error:
-        # One surface is enough for a signature; two are needed only for its error bar.
+        # One surface suffices for a signature; only the error bar needs two.
         note = Step("surface", 0.0, notes=(f"no further surface could be made: {error.message}",))
         yield replace(seen, mesh=seen.surface.after(note))
 
@@ -138,7 +138,7 @@ def _of_surfaces(
 def _of_kept(
     mesh: TriangleMesh, point_filters: Sequence[str], filters: Sequence[str], options: PipelineOptions
 ) -> Iterator[Seen]:
-    """A mesh that is used without reconstruction, after each filter of surfaces that is for such meshes."""
+    """Yield a mesh that is used without reconstruction, after each filter that applies to such meshes."""
     for name in point_filters:
         if name not in DEFAULT_STAGES:
             note = "not applied to a mesh that is used without reconstruction (surface.mode)"
@@ -151,7 +151,7 @@ def _of_kept(
 def _filtered_surfaces(
     surface: Framed[TriangleMesh], filters: Sequence[str], options: PipelineOptions
 ) -> Iterator[Framed[TriangleMesh]]:
-    """A surface, then the surface after each filter."""
+    """Yield a surface, and the result of each filter."""
     yield surface
     for name in filters:
         filtered = _filtered(surface, SURFACE_FILTERS, name, options)
@@ -169,7 +169,7 @@ def _check_closed(mesh: TriangleMesh, stage: str | None = None) -> None:
 
 
 def _filtered(framed: Framed[V], filters: Registry[Any], name: str, options: PipelineOptions) -> Framed[V]:
-    """Points or a surface after one filter, whose step is added to the provenance if the filter has not."""
+    """The result of one filter, with a step in its provenance."""
     started = time.perf_counter()
     with in_stage(name):
         record = filters[name]
