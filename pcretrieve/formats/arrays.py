@@ -15,8 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcretrieve.errors import ScanReadError
+from pcretrieve.formats.depth import camera_parts, depth_scan, has_camera
 from pcretrieve.formats.files import member_bytes
-from pcretrieve.formats.format import Format
+from pcretrieve.formats.format import Format, Part
 from pcretrieve.formats.raw import RawScan, are_normals, incomplete, without_zeros
 from pcretrieve.formats.text_layout import FEWEST_POINTS, MOST_COLUMNS
 
@@ -40,7 +41,8 @@ def read_npy(path: Path) -> RawScan:
     path : Path
         The file: an array (n, c) of c ≥ 3 columns, of which the first three are coordinates, and the next
         three the normals if all have unit length; an organised array (h, w, c); or an array of records with
-        the fields ``x y z``, and ``nx ny nz`` or ``normal_x normal_y normal_z``.
+        the fields ``x y z``, and ``nx ny nz`` or ``normal_x normal_y normal_z``. A larger array (h, w) is a
+        depth image, if the file of its camera lies beside it: see `depth_scan`.
 
     Returns
     -------
@@ -58,6 +60,8 @@ def read_npy(path: Path) -> RawScan:
     """
     with path.open("rb") as file:
         array = _array(path, file, path.stat().st_size)
+    if _is_image(array.shape, array.dtype) and has_camera(path):
+        return depth_scan(path, array)
     return without_zeros(_scan_of(array))
 
 
@@ -132,6 +136,8 @@ def _recognise_npy(path: Path) -> bool:
         raise
     except Exception:  # noqa: BLE001 - whatever is wrong with it, it is not recognised
         return False
+    if _is_image(shape, dtype):
+        return has_camera(path)
     if dtype.names:
         return set(COORDINATES) <= set(dtype.names)
     return (
@@ -140,6 +146,23 @@ def _recognise_npy(path: Path) -> bool:
         and 3 <= shape[-1] <= MOST_COLUMNS
         and int(np.prod(shape[:-1], dtype=float)) >= FEWEST_POINTS
     )
+
+
+def _is_image(shape: tuple[int, ...], dtype: np.dtype[Any]) -> bool:
+    """Whether an array may be a depth image, because it has too many columns for a table of points."""
+    return len(shape) == 2 and shape[1] > MOST_COLUMNS and dtype.kind in "fiu"
+
+
+def _parts_of_npy(path: Path) -> tuple[Part, ...]:
+    """The file of the camera, of a depth image."""
+    with path.open("rb") as file:
+        try:
+            shape, dtype, _ = _header(file)
+        except OSError:
+            raise
+        except Exception:  # noqa: BLE001 - reading it will say what is wrong
+            return ()
+    return camera_parts(path) if _is_image(shape, dtype) else ()
 
 
 def _recognise_npz(path: Path) -> bool:
@@ -219,5 +242,5 @@ def _header(file: IO[bytes]) -> tuple[tuple[int, ...], np.dtype[Any], bool]:
     return shape, dtype, in_columns
 
 
-NPY = Format((".npy",), read_npy, recognise=_recognise_npy)
+NPY = Format((".npy",), read_npy, _parts_of_npy, recognise=_recognise_npy)
 NPZ = Format((".npz",), read_npz, recognise=_recognise_npz)

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from pcretrieve.errors import ScanReadError
 
-__all__ = ["check_archive", "check_file", "member_bytes"]
+__all__ = ["DEFLATE_RATIO", "check_archive", "check_file", "member_bytes"]
 
 # Largest compression ratio of deflate, the usual method of archives.
 DEFLATE_RATIO = 1032

@@ -25,8 +25,10 @@ REACH = 2
 MOST_APART = 6.0
 # Fewest neighbours that make a plane.
 FEWEST_NEIGHBORS = 3
-# Readings whose neighbours are in memory at a time, each with about 300 bytes.
-MOST_AT_ONCE = 1 << 18
+# Readings whose sums are in memory at a time, few enough for the cache of a processor.
+MOST_AT_ONCE = 1 << 14
+# Elements of a symmetric matrix.
+PAIRS = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
 
 
 def organised_scan(grid: FloatArray, measured: NDArray[np.bool_], sensor: FloatArray) -> RawScan:
@@ -55,6 +57,8 @@ def organised_scan(grid: FloatArray, measured: NDArray[np.bool_], sensor: FloatA
     n_readings, n_measured = measured.size, int(measured.sum())
     if not n_measured:
         raise ScanReadError(f"none of its {n_readings} readings is an answer")
+    seen = np.ix_(*(_span(measured.any(axis=axis)) for axis in (1, 0)))
+    grid, measured = grid[seen], measured[seen]
     spacing = _spacing(grid, measured, sensor)  # (h, w)
     band = max(1, MOST_AT_ONCE // grid.shape[1])
     starts = range(0, len(grid), band)
@@ -75,6 +79,12 @@ def organised_scan(grid: FloatArray, measured: NDArray[np.bool_], sensor: FloatA
             f"dropped {n_measured - len(points)} of {n_measured} points without three neighbours on a surface"
         )
     return RawScan(points, None, normals, sensor, tuple(notes))
+
+
+def _span(hit: NDArray[np.bool_]) -> NDArray[np.intp]:
+    """The numbers from the first hit to the last."""
+    first, *_, last = [*np.flatnonzero(hit)[[0, -1]]]
+    return np.arange(first, last + 1)
 
 
 def _spacing(grid: FloatArray, measured: NDArray[np.bool_], sensor: FloatArray) -> FloatArray:
@@ -100,11 +110,12 @@ def _shifted(array: NDArray[Any], axis: int) -> tuple[NDArray[Any], NDArray[Any]
 def _normals(grid: FloatArray, measured: NDArray[np.bool_], spacing: FloatArray, band: slice) -> FloatArray:
     """(b, w, 3) unit normals of a band of rows, by the covariance of neighbours; zero where there are few."""
     start, stop, _ = band.indices(len(grid))
-    center, here = grid[start:stop], measured[start:stop]  # (b, w, 3), (b, w)
-    count = np.zeros(here.shape)
-    total = np.zeros(center.shape)
-    products = np.zeros((*here.shape, 3, 3))
     height, width = measured.shape
+    here = measured[start:stop]  # (b, w)
+    planes = grid.transpose(2, 0, 1)
+    count = np.zeros(here.shape)
+    totals = np.zeros((3, *here.shape))
+    products = np.zeros((len(PAIRS), *here.shape))
     reach = range(-REACH, REACH + 1)
     for down, right in itertools.product(reach, reach):
         if not (down or right):
@@ -113,19 +124,24 @@ def _normals(grid: FloatArray, measured: NDArray[np.bool_], spacing: FloatArray,
         left, end = max(0, -right), min(width, width - right)
         if top >= bottom or left >= end:
             continue
+        own = slice(top, bottom), slice(left, end)
         inner = slice(top - start, bottom - start), slice(left, end)
         outer = slice(top + down, bottom + down), slice(left + right, end + right)
-        apart = grid[outer] - center[inner]  # (b', w', 3)
-        most = MOST_APART * np.hypot(down, right) * spacing[start:stop][inner]
-        near = here[inner] & measured[outer] & (np.einsum("ijk,ijk->ij", apart, apart) <= most**2)
-        apart = np.where(near[..., None], apart, 0)
+        apart = [plane[outer] - plane[own] for plane in planes]  # three (b', w')
+        squares = apart[0] * apart[0] + apart[1] * apart[1] + apart[2] * apart[2]
+        near = (squares <= (MOST_APART * np.hypot(down, right) * spacing[own]) ** 2) & measured[outer]
         count[inner] += near
-        total[inner] += apart
-        products[inner] += apart[..., :, None] * apart[..., None, :]
+        for k in range(3):
+            apart[k] *= near
+            totals[k][inner] += apart[k]
+        for product, (i, j) in zip(products, PAIRS, strict=True):
+            product[inner] += apart[i] * apart[j]
     enough = here & (count >= FEWEST_NEIGHBORS)
-    normals = np.zeros(center.shape)
-    n = count[enough][:, None, None] + 1  # with the reading itself, which is at zero
-    mean = total[enough][:, :, None] / n
-    _, axes = np.linalg.eigh(products[enough] / n - mean * mean.transpose(0, 2, 1))
-    normals[enough] = axes[:, :, 0]
+    n = count[enough] + 1  # with the reading itself, which is at zero
+    means = totals[:, enough] / n  # (3, p)
+    covariance = np.empty((len(n), 3, 3))
+    for product, (i, j) in zip(products, PAIRS, strict=True):
+        covariance[:, i, j] = covariance[:, j, i] = product[enough] / n - means[i] * means[j]
+    normals = np.zeros((*here.shape, 3))
+    normals[enough] = np.linalg.eigh(covariance)[1][:, :, 0]
     return normals

@@ -26,8 +26,8 @@ def read_scan(path: str | Path) -> PointCloud | TriangleMesh:
     ----------
     path : str or Path
         Points: ``.ply .pcd``, tables ``.txt .csv .asc .xyz .xyzn .xyzrgb .pts``, grids ``.ptx``, arrays
-        ``.npy .npz``, laser scans ``.las``, and ``.laz .e57`` by the extras ``las`` and ``e57``, or the
-        posed range scans that a Stanford ``.conf`` merges.
+        ``.npy .npz``, laser scans ``.las``, and ``.laz .e57`` by the extras ``las`` and ``e57``, depth
+        images ``.png .tif .npy``, or the posed range scans that a Stanford ``.conf`` merges.
         Meshes: ``.ply .obj .off .stl .glb .gltf .wrl``, and ``.3mf .dae`` by the extra ``meshes``.
         ``file#name`` is one of several scans in a file; the file itself is all of them as one.
 

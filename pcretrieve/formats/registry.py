@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from pcretrieve.errors import OptionError, ScanReadError, ShapeError, Stage
 from pcretrieve.formats.arrays import NPY, NPZ
 from pcretrieve.formats.conf import conf_format
+from pcretrieve.formats.depth import DEPTH_IMAGE
 from pcretrieve.formats.e57 import E57
 from pcretrieve.formats.files import check_file
 from pcretrieve.formats.format import Extra, Format
@@ -215,7 +216,7 @@ _OWN = {
         PLY,
         PCD,
         *TEXT_FORMATS,
-        *(PTX, NPY, NPZ, LAS, LAZ, E57),
+        *(PTX, NPY, NPZ, LAS, LAZ, E57, DEPTH_IMAGE),
         OBJ,
         OFF,
         STL,

@@ -13,6 +13,7 @@ import shapes
 import trimesh
 from laser_files import CAN_WRITE, with_checksums, without_checksums, write_laser_scan
 from mutations import mutated
+from PIL import Image
 from pypcd4.pypcd4 import Encoding
 from pypcd4.pypcd4 import PointCloud as Pcd
 from scene_files import collada, three_mf, vrml, write_gltf
@@ -35,6 +36,7 @@ PLY = (
 POLYGONS = [[0, 1, 2], [2, 3, 4, 5], [6, 7, 8]]
 PTX = "6\n7\n1 2 3\n1 0 0\n0 1 0\n0 0 1\n0 1 0 0\n-1 0 0 0\n0 0 1 0\n1 2 3 1\n"
 GRID = np.array([[x, y, 9 - (x * x + y * y) / 20] for x in range(6) for y in range(7)])
+DEPTH = np.fromfunction(lambda v, u: 1500 + u * u + v, (30, 40)).astype(np.uint16)
 CONF = "camera 0 0 0\nbmesh cloud.ply 0 0 0 0 0 0 1\nbmesh cloud.pcd 0 0 1 0 0.6 0 0.8\n"
 
 
@@ -74,6 +76,10 @@ def originals(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     for suffix in (".las", ".laz", ".e57"):
         if CAN_WRITE[suffix]:
             write_laser_scan(folder / f"scan{suffix}", BALL.vertices)
+    for name in ("depth.png", "depth.tif", "depth.tiff"):
+        Image.fromarray(DEPTH).save(folder / name)
+    np.save(folder / "depth.npy", DEPTH)
+    (folder / "camera.toml").write_text("fx = 60\nfy = 60\ncx = 20\ncy = 15\n")
     np.save(folder / "array.npy", BALL.vertices)
     np.savez_compressed(folder / "arrays.npz", points=BALL.vertices, normals=NORMALS)
     ball: Any = trimesh.Trimesh(BALL.vertices, BALL.faces)
@@ -88,6 +94,7 @@ NAMES = (
     *("lines.xyzrgb", "lines.asc", "lines.csv", "lines.txt", "grids.ptx", "array.npy", "arrays.npz"),
     *("scene.gltf", "data.gltf", "scene.3mf", "scene.dae", "scene.wrl", "scene.vrml"),
     *(f"scan{suffix}" for suffix in (".las", ".laz", ".e57") if CAN_WRITE[suffix]),
+    *("depth.png", "depth.tif", "depth.tiff", "depth.npy"),
     "views.conf",
 )
 

@@ -1,0 +1,204 @@
+"""Depth images: the points that a pinhole camera saw, and where its parameters are found."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from PIL import Image
+
+from pcretrieve import PointCloud, read_scan
+from pcretrieve.errors import ScanReadError
+from pcretrieve.formats import is_scan, parts_of
+from pcretrieve.formats.camera import KINECTS, TUM_CAMERAS, camera_of
+from pcretrieve.formats.registry import read_raw
+from pcretrieve.ingestion.discover import content_hash, discover
+
+WIDTH, HEIGHT = 80, 60
+FX, FY, CX, CY = 70.0, 72.0, 38.0, 31.0
+CENTER, RADIUS = np.array([0.1, -0.05, 1.5]), 0.4  # of a ball, in metres
+FLAT = f"fx = {FX}\nfy = {FY}\ncx = {CX}\ncy = {CY}\n"
+OPEN3D = {"width": WIDTH, "height": HEIGHT, "intrinsic_matrix": [FX, 0, 0, 0, FY, 0, CX, CY, 1]}
+
+
+def depth(
+    camera: tuple[float, float, float, float] = (FX, FY, CX, CY), size: tuple[int, int] = (WIDTH, HEIGHT)
+) -> NDArray[np.float64]:
+    """(h, w) depth of a ball in metres; zero where there is none."""
+    fx, fy, cx, cy = camera
+    u, v = np.meshgrid(np.arange(size[0]), np.arange(size[1]))
+    rays = np.stack([(u - cx) / fx, (v - cy) / fy, np.ones(u.shape)], axis=2)  # with depth 1
+    a, b = (rays**2).sum(axis=2), rays @ CENTER
+    inside = b**2 - a * (CENTER @ CENTER - RADIUS**2)
+    return np.where(inside > 0, (b - np.sqrt(np.maximum(inside, 0))) / a, 0)
+
+
+def write(path: Path, image: NDArray[Any]) -> None:
+    if path.suffix == ".npy":
+        np.save(path, image)
+    else:
+        Image.fromarray(image).save(path)
+
+
+def cloud(path: Path) -> PointCloud:
+    found = read_scan(path)
+    assert isinstance(found, PointCloud)
+    return found
+
+
+def is_ball(found: PointCloud, tolerance: float) -> bool:
+    """Whether points, normals and sensors are those of the ball, seen from the origin."""
+    assert found.normals is not None
+    assert found.viewpoints is not None
+    outward = found.points - CENTER
+    distance = np.linalg.norm(outward, axis=1)
+    outward /= distance[:, None]
+    # Away from the silhouette, where the surface is seen from the side.
+    facing = np.einsum("ij,ij->i", outward, -found.points) > 0.5 * np.linalg.norm(found.points, axis=1)
+    cosine = np.einsum("ij,ij->i", outward[facing], found.normals[facing])
+    return bool(
+        len(found.points) > 300
+        and np.abs(distance - RADIUS).max() < tolerance
+        and cosine.mean() > 0.99
+        and not found.viewpoints.any()
+    )
+
+
+MILLIMETRES = np.round(1000 * depth()).astype(np.uint16)
+
+
+@pytest.mark.parametrize(
+    ("name", "image"),
+    [
+        ("a.png", MILLIMETRES),
+        ("a.tif", MILLIMETRES),
+        ("a.tiff", depth().astype(np.float32)),
+        ("a.npy", MILLIMETRES),
+        ("a.npy", depth()),
+        ("a.npy", np.where(depth() > 0, depth(), np.nan).astype(np.float32)),
+    ],
+)
+def test_millimetres_and_metres(name: str, image: NDArray[Any], tmp_path: Path) -> None:
+    write(tmp_path / name, image)
+    (tmp_path / "camera.toml").write_text(FLAT)
+    assert is_ball(cloud(tmp_path / name), tolerance=1e-3)
+    assert read_raw(tmp_path / name).unit == "m"
+    assert discover([tmp_path]) == [tmp_path / name]
+
+
+CAMERAS = {
+    "a.json": json.dumps({"fx": FX, "fy": FY, "cx": CX, "cy": CY}),
+    "a.toml": FLAT,
+    "camera.json": json.dumps(OPEN3D),
+    "camera_intrinsic.json": json.dumps(OPEN3D),
+    "intrinsics.json": json.dumps({"intrinsic": OPEN3D, "extrinsic": np.eye(4).ravel().tolist()}),
+    "intrinsics.toml": f"depth_scale = 1e3\nintrinsic_matrix = [[{FX}, 0, {CX}], [0, {FY}, {CY}], [0, 0, 1]]",
+}
+
+
+@pytest.mark.parametrize("above", [False, True])
+@pytest.mark.parametrize("name", CAMERAS)
+def test_where_the_camera_is_found(name: str, above: bool, tmp_path: Path) -> None:
+    (tmp_path / "depth").mkdir()
+    image = tmp_path / "depth" / "a.png"
+    file = (tmp_path if above and not name.startswith("a.") else image.parent) / name
+    write(image, MILLIMETRES)
+    file.write_text(CAMERAS[name])
+    assert is_scan(image)
+    assert is_ball(cloud(image), tolerance=1e-3)
+    assert [part.path for part in parts_of(image)] == [file.absolute()]
+    before = content_hash(image)
+    file.write_text(CAMERAS[name].replace("70", "71"))
+    assert content_hash(image) != before
+
+
+def test_the_folder_of_the_tum_benchmark(tmp_path: Path) -> None:
+    folder = tmp_path / "rgbd_dataset_freiburg2_desk"
+    (folder / "depth").mkdir(parents=True)
+    (folder / "depth.txt").write_text("# depth maps\n1.0 depth/1.0.png\n")
+    (folder / "groundtruth.txt").write_text("# timestamp tx ty tz qx qy qz qw\n" + "1 0 0 0 0 0 0 1\n" * 9)
+    camera = TUM_CAMERAS["freiburg2"]
+    image = depth((*camera.focal, *camera.center), (640, 480))
+    write(folder / "depth" / "1.0.png", np.round(5000 * image).astype(np.uint16))
+    assert discover([folder]) == [folder / "depth" / "1.0.png"]
+    assert is_ball(cloud(folder / "depth" / "1.0.png"), tolerance=1e-3)
+
+
+@pytest.mark.parametrize("size", KINECTS)
+def test_the_default_is_the_camera_of_a_kinect_for_images_of_its_size(
+    size: tuple[int, int], tmp_path: Path
+) -> None:
+    camera = KINECTS[size]
+    image = depth((*camera.focal, *camera.center), size)
+    write(tmp_path / "a.png", np.round(1000 * image).astype(np.uint16))
+    found = cloud(tmp_path / "a.png")
+    assert is_ball(found, tolerance=1e-3)
+    assert (
+        found.provenance[0].notes[0].startswith(f"assumed the camera of a {camera.note}: there is no camera")
+    )
+    assert not is_scan(tmp_path / "a.png")  # of any 16-bit image in a folder, nobody knows
+
+
+def test_readings_without_an_answer_are_dropped_with_a_note(tmp_path: Path) -> None:
+    image = MILLIMETRES.copy()
+    image[:5] = 65535
+    write(tmp_path / "a.png", image)
+    (tmp_path / "camera.toml").write_text(FLAT)
+    found = cloud(tmp_path / "a.png")
+    assert found.points[:, 2].max() < 2
+    n_missing = int((MILLIMETRES[5:] == 0).sum()) + 5 * WIDTH
+    assert found.provenance[0].notes[0] == (
+        f"dropped {n_missing} of {WIDTH * HEIGHT} readings without an answer"
+    )
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "words"),
+    [
+        ("camera.json", "{", "the camera file camera.json must have intrinsic_matrix as Open3D writes it"),
+        ("camera.json", "[]", "the camera file camera.json must have"),
+        (
+            "camera.json",
+            json.dumps(OPEN3D | {"width": 81}),
+            r"the camera has \(81, 60\) pixels, the image has",
+        ),
+        ("camera.json", json.dumps(OPEN3D | {"intrinsic_matrix": [1, 2]}), "ValueError cannot reshape"),
+        ("camera.toml", "fx = 1\n", "KeyError 'fy'"),
+        ("camera.toml", FLAT.replace("70", "-70"), "focal lengths and the depth scale must be positive"),
+        ("camera.toml", FLAT + "depth_scale = 0\n", "focal lengths and the depth scale must be positive"),
+        ("camera.toml", FLAT + "#" * (1 << 16), "must have at most 65536 bytes"),
+        ("other.toml", FLAT, "needs the parameters of its camera: put "),
+    ],
+)
+def test_a_camera_that_cannot_be_read(name: str, text: str, words: str, tmp_path: Path) -> None:
+    write(tmp_path / "a.png", MILLIMETRES)
+    (tmp_path / name).write_text(text)
+    with pytest.raises(ScanReadError, match=words):
+        read_scan(tmp_path / "a.png")
+
+
+def test_images_that_are_no_depth_images(tmp_path: Path) -> None:
+    (tmp_path / "camera.toml").write_text(FLAT)
+    write(tmp_path / "colours.png", np.zeros((HEIGHT, WIDTH, 3), dtype=np.uint8))
+    write(tmp_path / "empty.png", np.zeros((HEIGHT, WIDTH), dtype=np.uint16))
+    (tmp_path / "text.png").write_text("1 2 3\n")
+    for name, words in (
+        ("colours.png", "must have one channel of 16 or 32 bits, this image is RGB"),
+        ("empty.png", "none of its 4800 readings is an answer"),
+        ("text.png", "not a complete PNG file"),
+    ):
+        with pytest.raises(ScanReadError, match=words):
+            read_scan(tmp_path / name)
+    assert not is_scan(tmp_path / "colours.png")
+    assert not is_scan(tmp_path / "text.png")
+
+
+def test_the_parameters_of_open3d_are_read_by_columns(tmp_path: Path) -> None:
+    open3d = pytest.importorskip("open3d")
+    intrinsic = open3d.camera.PinholeCameraIntrinsic(WIDTH, HEIGHT, FX, FY, CX, CY)
+    open3d.io.write_pinhole_camera_intrinsic(str(tmp_path / "camera.json"), intrinsic)
+    assert camera_of(tmp_path / "camera.json") == ((FX, FY), (CX, CY), None, (WIDTH, HEIGHT), "")
