@@ -57,8 +57,8 @@ def organised_scan(grid: FloatArray, measured: NDArray[np.bool_], sensor: FloatA
     n_readings, n_measured = measured.size, int(measured.sum())
     if not n_measured:
         raise ScanReadError(f"none of its {n_readings} readings is an answer")
-    seen = np.ix_(*(_span(measured.any(axis=axis)) for axis in (1, 0)))
-    grid, measured = grid[seen], measured[seen]
+    rows, columns = _span(measured, axis=1), _span(measured, axis=0)
+    grid, measured = grid[rows, columns], measured[rows, columns]
     spacing = _spacing(grid, measured, sensor)  # (h, w)
     band = max(1, MOST_AT_ONCE // grid.shape[1])
     starts = range(0, len(grid), band)
@@ -81,10 +81,10 @@ def organised_scan(grid: FloatArray, measured: NDArray[np.bool_], sensor: FloatA
     return RawScan(points, None, normals, sensor, tuple(notes))
 
 
-def _span(hit: NDArray[np.bool_]) -> NDArray[np.intp]:
-    """The numbers from the first hit to the last."""
-    first, *_, last = [*np.flatnonzero(hit)[[0, -1]]]
-    return np.arange(first, last + 1)
+def _span(measured: NDArray[np.bool_], axis: int) -> slice:
+    """The rows, or columns, from the first with an answer to the last."""
+    hit = np.flatnonzero(measured.any(axis=axis))
+    return slice(int(hit[0]), int(hit[-1]) + 1)
 
 
 def _spacing(grid: FloatArray, measured: NDArray[np.bool_], sensor: FloatArray) -> FloatArray:
@@ -132,11 +132,12 @@ def _normals(grid: FloatArray, measured: NDArray[np.bool_], spacing: FloatArray,
         near = (squares <= (MOST_APART * np.hypot(down, right) * spacing[own]) ** 2) & measured[outer]
         count[inner] += near
         for k in range(3):
-            apart[k] *= near
+            apart[k] = np.where(near, apart[k], 0)
             totals[k][inner] += apart[k]
         for product, (i, j) in zip(products, PAIRS, strict=True):
             product[inner] += apart[i] * apart[j]
-    enough = here & (count >= FEWEST_NEIGHBORS)
+    # Coordinates of damaged files have no squares.
+    enough = here & (count >= FEWEST_NEIGHBORS) & np.isfinite(products).all(axis=0)
     n = count[enough] + 1  # with the reading itself, which is at zero
     means = totals[:, enough] / n  # (3, p)
     covariance = np.empty((len(n), 3, 3))
