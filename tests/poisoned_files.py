@@ -14,7 +14,7 @@ POINTS = shapes.points_on(shapes.body(), 6000)
 
 
 def ply_of(body: bytes, n_vertices: int, kind: str) -> bytes:
-    """A binary little-endian PLY file whose header promises coordinates of type `kind`."""
+    """A binary little-endian PLY file whose header declares coordinates of type `kind`."""
     coordinates = "".join(f"property {kind} {axis}\n" for axis in "xyz")
     header = f"ply\nformat binary_little_endian 1.0\nelement vertex {n_vertices}\n{coordinates}end_header\n"
     return header.encode() + body

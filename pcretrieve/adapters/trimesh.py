@@ -154,7 +154,7 @@ def scene_bodies(path: Path, file_type: str) -> tuple[list[Body], str | None]:
         return bodies, unit
     except (OSError, MemoryError):
         raise
-    # trimesh has no exception class of its own: a damaged file raises whatever its parser does.
+    # trimesh has no exception class of its own: damaged files raise exceptions of any class.
     except Exception as error:
         raise ValueError(str(error) or type(error).__name__) from error
 

@@ -4,7 +4,7 @@
 
 Catalogues of 100,000 and of a million shapes are made in a temporary folder from the seed 0: records and
 signatures of 45 values, by `r-bihdm`, relative, but neither spectra nor meshes. Queries are PCA whitened and
-ask for ten shapes. The temporary folder needs 3.5 GB (`TMPDIR` says where it is). About 12 minutes on two
+ask for ten shapes. The temporary folder needs 3.5 GB (`TMPDIR` names its parent). About 12 minutes on two
 cores of a 2.5 GHz Xeon, of which 5 are the ingestion; `--shapes 100000 --meshes 200` takes one.
 """
 
@@ -46,13 +46,13 @@ K = 10
 N_REPEATS = 5
 N_QUERIES = 100
 
-# Answers that are compared with those of brute force.
+# Number of answers that are compared with those of brute force.
 N_COMPARED = 5
 
 N_VERTICES = 252
 N_WORKERS = 2
 
-# Vertices of the body that is scanned, to see what its surfaces cost.
+# Number of vertices of the body whose surfaces are stored, for the size of what is stored.
 N_SCANNED = 2000
 
 
@@ -185,7 +185,7 @@ def _processor_seconds() -> float:
 
 
 def _cost(path: Path, shape_id: str, surfaces: str) -> str:
-    """What is stored of a shape."""
+    """The size of what is stored of a shape."""
     with Catalogue(path) as catalogue:
         stored = catalogue.stored_bytes(shape_id)
     meshes = stored.pop("meshes")

@@ -75,6 +75,6 @@ def timed_by_turns(functions: Sequence[Callable[[], Result]], n_repeats: int) ->
 
 
 def use_one_core() -> None:
-    """Confine this process, and those that it starts, to one core, where the operating system can do so."""
+    """Confine this process, and those that it starts, to one core, if the operating system can do so."""
     if hasattr(os, "sched_setaffinity"):
         os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})

@@ -81,9 +81,9 @@ def _packed(
             raise damaged(location, "signatures by the same options have several lengths")
         if not packed.shape[1]:
             packed = np.zeros((len(numbers), len(values[0])), np.uint8)
-        theirs = rows[np.searchsorted(numbers, shapes)]
-        packed[theirs] = np.frombuffer(b"".join(values), np.uint8).reshape(len(values), -1)
-        has[theirs] = True
+        here = rows[np.searchsorted(numbers, shapes)]
+        packed[here] = np.frombuffer(b"".join(values), np.uint8).reshape(len(values), -1)
+        has[here] = True
     return packed, has
 
 

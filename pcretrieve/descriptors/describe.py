@@ -175,7 +175,7 @@ def _needed(descriptor: Descriptor, part: Shape, options: SignatureOptions) -> S
 
 
 def _lowest_pairs(part: Shape, n_pairs: int) -> Eigenpairs:
-    """The smallest eigenpairs: those that the shape holds, if they are enough, else those of its mesh."""
+    """The smallest eigenpairs: those of the shape, if it has enough of them, else those of its mesh."""
     kept = part.surfaces[0].eigenpairs
     if kept is None or len(kept.eigenvalues) < n_pairs:
         return unit_eigenpairs(part.mesh, n_pairs)

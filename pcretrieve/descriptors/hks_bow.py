@@ -100,7 +100,7 @@ def hks_bow(
     else:
         shares = in_modes[0]  # (L,): ∫ θ_w, since φ_0 = 1 on unit area
     kind = "si-hks-bow" if scale_invariant else "hks-bow"
-    # The heat kernel truncated at m modes may be negative where it is small.
+    # The heat kernel truncated at m modes may have small negative values.
     return Signature(
         np.maximum(shares, 0) + SMALLEST_SHARE,
         kind=f"{kind}-spatial" if spatial else kind,

@@ -144,7 +144,7 @@ class WithinClassWhitening(_Whitener):
 
 
 class ResolutionWhitening(_Whitener):
-    """The whitening by what the resolution of a surface changes; ``resolution`` of `RetrievalOptions`.
+    """Whitening by the changes that the resolution of a surface causes; ``resolution`` of `RetrievalOptions`.
 
     Nothing is estimated from the signatures, which must be R-BiHDM with 60 modes.
 

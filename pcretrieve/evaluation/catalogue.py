@@ -71,7 +71,7 @@ def rank_catalogue(
     BenchmarkError
         If no class has two shapes, or the file of classes does not fit.
     CatalogueError
-        If `options` are for other spectra than those of the catalogue.
+        If `options` require other spectra than the catalogue has.
     InputError
         If the matrix has a shape that the catalogue does not have.
     """
@@ -92,7 +92,7 @@ def rank_catalogue(
     table = catalogue.signatures(options)
     table = replace(table, labels=tuple(classes[shape_id] for shape_id in table.ids))
     failed = [classes[record.id] for record in records.values() if record.status == "failed"]
-    # Others are fitted to the table, with the same result as those that a catalogue stores.
+    # Other whitenings are fitted to the table, with the same result as whitenings by `Catalogue.whitening`.
     measured = options.retrieval.whitening == "resolution"
     whitening = catalogue.whitening(options) if measured else None
     rankings = rank_table(table, options.retrieval, whitening=whitening, failed_labels=failed)

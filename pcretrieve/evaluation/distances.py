@@ -51,7 +51,7 @@ def catalogue_distances(
     Raises
     ------
     CatalogueError
-        If `options` are for other spectra than those of the catalogue.
+        If `options` require other spectra than the catalogue has.
     InputError
         If the catalogue holds no shapes.
     OptionError

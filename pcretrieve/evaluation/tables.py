@@ -32,7 +32,7 @@ def rank_table(
         folds.
     whitening : Whitening, optional
         A whitening made before, such as `resolution_whitening`, instead of the one that `options` name. A
-        within-class whitening is not used, but fitted anew by grouped folds.
+        within-class whitening is not used, but is fitted by grouped folds instead.
     failed_labels : iterable of (str or None)
         Classes of the shapes that failed, which count as misses.
 

@@ -104,7 +104,7 @@ def read_npz(path: Path) -> RawScan:
             )
     except (OSError, MemoryError, ScanReadError):
         raise
-    # A damaged archive raises whatever zipfile and the decompressor do.
+    # zipfile and the decompressor raise exceptions of many classes for damaged archives.
     except Exception as error:
         raise incomplete(path, error) from error
     scan = _scan_of(found)
@@ -134,7 +134,7 @@ def _recognise_npy(path: Path) -> bool:
             shape, dtype, _ = _header(file)
     except OSError:
         raise
-    except Exception:  # noqa: BLE001 - whatever is wrong with it, it is not recognised
+    except Exception:  # noqa: BLE001 - a file that cannot be read is not recognised
         return False
     if _is_image(shape, dtype):
         return has_camera(path)
@@ -222,14 +222,14 @@ def _array(path: Path, file: IO[bytes], n_bytes: int) -> NDArray[Any]:
         shape, dtype, in_columns = _header(file)
     except OSError:
         raise
-    # The header is a Python expression: one that is damaged raises whatever its parser does.
+    # The header is a Python expression, whose parser raises exceptions of many classes.
     except Exception as error:
         raise incomplete(path, f"its header is damaged: {error}") from error
     if dtype.hasobject:
         raise ScanReadError("it holds Python objects, which are not read: save an array of numbers")
     promised = int(np.prod([*shape, dtype.itemsize], dtype=object))
     if any(size < 0 for size in shape) or promised > n_bytes - file.tell():
-        raise incomplete(path, f"its header promises {promised} bytes, {n_bytes - file.tell()} follow")
+        raise incomplete(path, f"its header declares {promised} bytes, {n_bytes - file.tell()} follow")
     values = np.frombuffer(file.read(promised), dtype)
     return values.reshape(shape, order="F" if in_columns else "C")
 

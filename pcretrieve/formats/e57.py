@@ -82,7 +82,7 @@ def _headers(path: Path) -> list[ScanHeader]:
     n_bits = 8 * path.stat().st_size
     for header in headers:
         if header.n_points * FEWEST_BITS > n_bits:
-            raise incomplete(path, f"it promises {header.n_points} points in {n_bits // 8} bytes")
+            raise incomplete(path, f"it declares {header.n_points} points in {n_bits // 8} bytes")
         if header.position is not None and not np.isfinite(header.position).all():
             raise incomplete(path, "the position of a sensor is not finite")
     return headers

@@ -60,7 +60,7 @@ def member_bytes(archive: zipfile.ZipFile, name: str | zipfile.ZipInfo) -> bytes
     KeyError
         If there is no such member.
     ScanReadError
-        If the member promises more bytes than such an archive can hold.
+        If the member declares more bytes than such an archive can hold.
     """
     info = archive.getinfo(name) if isinstance(name, str) else name
     _check_ratio(info)
@@ -78,7 +78,7 @@ def check_archive(archive: zipfile.ZipFile) -> None:
     Raises
     ------
     ScanReadError
-        If a member promises more bytes than such an archive can hold.
+        If a member declares more bytes than such an archive can hold.
     """
     for info in archive.infolist():
         _check_ratio(info)
@@ -87,5 +87,5 @@ def check_archive(archive: zipfile.ZipFile) -> None:
 def _check_ratio(info: zipfile.ZipInfo) -> None:
     if info.file_size > DEFLATE_RATIO * (info.compress_size + 1):
         raise ScanReadError(
-            f"its member {info.filename} promises {info.file_size} bytes in {info.compress_size}"
+            f"its member {info.filename} declares {info.file_size} bytes in {info.compress_size}"
         )

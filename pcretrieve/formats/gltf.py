@@ -113,7 +113,7 @@ def _placed(document: Document) -> list[Placed]:
     sizes = {mesh: _n_values(tree, mesh) for mesh in {body.mesh for body in placed}}
     n_values, most = sum(sizes[body.mesh] for body in placed), max(document.n_bytes, MOST_OF_SMALL_FILE)
     if n_values > most:
-        raise ScanReadError(f"its scene promises {n_values} values, it has {document.n_bytes} bytes")
+        raise ScanReadError(f"its scene declares {n_values} values, it has {document.n_bytes} bytes")
     return placed
 
 

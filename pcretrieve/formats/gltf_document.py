@@ -67,7 +67,7 @@ def read_glb_document(path: Path) -> Document:
     if version != VERSION or data[16:20] != JSON_CHUNK:
         raise ScanReadError("it is not glTF 2.0")
     if not 20 + length_of_tree <= length <= len(data):
-        raise ScanReadError(f"its header promises {length} bytes, it has {len(data)}")
+        raise ScanReadError(f"its header declares {length} bytes, it has {len(data)}")
     tree = _tree(data[20 : 20 + length_of_tree])
     start, binary = 20 + length_of_tree, b""
     while start + 8 <= length and not binary:

@@ -1,6 +1,6 @@
 """The formats LAS [1]_ and LAZ of laser scanners, in metres.
 
-The header and the points of LAS files are read here, because laspy follows what a damaged header promises, up
+The header and the points of LAS files are read here, because laspy follows what a damaged header declares, up
 to four thousand million records. Points of LAZ files are decompressed by lazrs.
 
 References
@@ -125,7 +125,7 @@ def _plain(data: bytes, header: Header) -> NDArray[np.uint8]:
     promised = header.n_points * header.record_bytes
     if promised > len(data) - header.start:
         raise ValueError(
-            f"its header promises {header.n_points} points, {len(data) - header.start} bytes follow"
+            f"its header declares {header.n_points} points, {len(data) - header.start} bytes follow"
         )
     return np.frombuffer(data, np.uint8, promised, header.start).reshape(-1, header.record_bytes)
 

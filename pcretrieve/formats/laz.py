@@ -1,7 +1,7 @@
-"""The compressed points of LAZ files [1]_, whose tables are checked before lazrs follows them.
+"""The compressed points of LAZ files [1]_, whose tables are checked before lazrs uses them.
 
 Points are compressed in chunks. lazrs allocates what the table of the chunks and the list of the layers of a
-chunk promise, and ends the process if there is not so much memory.
+chunk declare, and ends the process if there is not so much memory.
 
 References
 ----------
@@ -101,7 +101,7 @@ def unpacked(data: bytes, start: int, record: bytes, n_points: int, n_bytes: int
         raise ValueError(f"its chunks are listed at byte {table}, it has {len(data)}")
     (n_chunks,) = struct.unpack_from("<I", data, table + 4)
     if n_chunks > len(data):
-        raise ValueError(f"it promises {n_chunks} chunks in {len(data)} bytes")
+        raise ValueError(f"it declares {n_chunks} chunks in {len(data)} bytes")
     chunks = chunk_sizes(data, start, record)
     if start + 8 + sum(chunks) != table:
         raise ValueError(f"its chunks end at byte {start + 8 + sum(chunks)}, and not at {table}")

@@ -73,8 +73,7 @@ def read_pcd(path: Path) -> RawScan:
         content = Pcd.from_fileobj(io.BytesIO(data))  # type: ignore[arg-type]
     except (ScanReadError, MemoryError):
         raise
-    # pypcd4 has no exception class of its own: a damaged file raises whatever numpy, pydantic (the header) or
-    # the decompressor does.
+    # pypcd4 has no exception class: damaged files raise exceptions of numpy, pydantic or the decompressor.
     except Exception as error:
         raise incomplete(path, error) from error
 
@@ -87,7 +86,7 @@ def read_pcd(path: Path) -> RawScan:
     if points is None:
         raise ScanReadError(f"a PCD scan must have the fields x y z, this one has {' '.join(content.fields)}")
     if len(points) != content.metadata.points:
-        raise incomplete(path, f"it promises {content.metadata.points} points and holds {len(points)}")
+        raise incomplete(path, f"it declares {content.metadata.points} points and holds {len(points)}")
     viewpoints = columns("vp_x", "vp_y", "vp_z")
     if viewpoints is None:
         pose = np.asarray(content.metadata.viewpoint, dtype=np.float64)  # (7,): tx ty tz qw qx qy qz
@@ -114,18 +113,18 @@ def _check_promises(path: Path, header: MetaData, body: memoryview) -> None:
     """Check, before arrays are allocated, that the file is large enough for its header."""
     n_values = sum(header.count)
     if n_values > MOST_VALUES:
-        raise incomplete(path, f"its header promises {n_values} values a point, {MOST_VALUES} may be")
+        raise incomplete(path, f"its header declares {n_values} values a point, {MOST_VALUES} may be")
     n_bytes = header.points * sum(size * count for size, count in zip(header.size, header.count, strict=True))
     most = len(body)
     if header.data.value.startswith("binary") and header.data.value != "binary":
         compressed, uncompressed = struct.unpack_from("<II", body)
         if compressed > len(body) - 8 or uncompressed > LZF_RATIO * compressed:
             raise incomplete(
-                path, f"it promises {uncompressed} bytes in {compressed}, {len(body) - 8} follow"
+                path, f"it declares {uncompressed} bytes in {compressed}, {len(body) - 8} follow"
             )
         most = uncompressed
     if header.data.value != "ascii" and n_bytes > most:
-        raise incomplete(path, f"its header promises {header.points} points, {most} bytes follow")
+        raise incomplete(path, f"its header declares {header.points} points, {most} bytes follow")
 
 
 def _pcd_bytes(cloud: PointCloud) -> bytes:

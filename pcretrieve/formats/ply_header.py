@@ -158,7 +158,7 @@ def _n_rows(path: Path, name: str, number: str, n_bytes: int) -> int:
         raise LookupError
     # float, because int raises an exception for a number of thousands of digits.
     if float(number) > n_bytes:
-        raise incomplete(path, f"its header promises {float(number):.0f} of {name}, {n_bytes} bytes follow")
+        raise incomplete(path, f"its header declares {float(number):.0f} of {name}, {n_bytes} bytes follow")
     return int(number)
 
 

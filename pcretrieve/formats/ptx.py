@@ -85,7 +85,7 @@ def _pass_over(file: IO[str], header: Header) -> None:
 
 
 def _headers(path: Path, file: IO[str]) -> Iterator[Header]:
-    """Yield the header of each scan; whoever asks for the next must have read the rows."""
+    """Yield the header of each scan. The caller must read the rows before the next header."""
     size, first = path.stat().st_size, True
     while lines := [line for line in islice(file, N_HEADER_LINES) if first or line.strip()]:
         first = False
@@ -98,7 +98,7 @@ def _headers(path: Path, file: IO[str]) -> Iterator[Header]:
             if not (n_columns.is_integer() and n_rows.is_integer() and min(n_columns, n_rows) > 0):
                 raise ValueError(f"the size of the grid must be whole numbers, got {n_columns:g} {n_rows:g}")
             if n_columns * n_rows * SHORTEST_ROW > size:
-                raise ValueError(f"it promises {n_columns * n_rows:.0f} rows in {size} bytes")
+                raise ValueError(f"it declares {n_columns * n_rows:.0f} rows in {size} bytes")
             rotation = pose[:3, :3]
             if np.abs(rotation @ rotation.T - np.eye(3)).max() > POSE_TOLERANCE:
                 raise ValueError("the matrix is not a rigid motion")
@@ -111,7 +111,7 @@ def _scan(path: Path, file: IO[str], header: Header) -> RawScan:
     n = header.n_columns * header.n_rows
     table = number_rows(islice(file, n), (0, 1, 2))
     if len(table) != n:
-        raise incomplete(path, f"its header promises {n} points, it holds {len(table)}")
+        raise incomplete(path, f"its header declares {n} points, it holds {len(table)}")
     measured = np.isfinite(table).all(axis=1) & table.any(axis=1)  # (n,)
     points = table @ header.rotation + header.translation
     size = header.n_columns, header.n_rows

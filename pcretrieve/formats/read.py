@@ -46,7 +46,7 @@ def read_scan(path: str | Path) -> PointCloud | TriangleMesh:
     path = Path(path)
     started = time.perf_counter()
     try:
-        # Garbage may be signaling NaN, or have no square: whatever is not finite is dropped in `_scan`.
+        # Invalid numbers may be signalling NaN, or overflow when squared; `_scan` removes non-finite points.
         with np.errstate(all="ignore"):
             return _scan(read_raw(path), started=started)
     except ScanReadError as error:

@@ -46,7 +46,7 @@ def read_text_points(path: Path, *, normals: bool | None = None) -> RawScan:
         If the file cannot be read.
     ScanReadError
         If the file is not a text file, a line has too few numbers, or the number of points is not the one
-        that the header promises.
+        that the header declares.
     """
     layout = find_layout(path, n_numbers=6 if normals else 3)
     columns = layout.points + (layout.normals or ())
@@ -54,7 +54,7 @@ def read_text_points(path: Path, *, normals: bool | None = None) -> RawScan:
         columns = (0, 1, 2, 3, 4, 5)
     table = _table(path, columns, layout)
     if layout.promised is not None and layout.promised != len(table):
-        raise incomplete(path, f"it promises {layout.promised:.0f} points and holds {len(table)}")
+        raise incomplete(path, f"it declares {layout.promised:.0f} points and holds {len(table)}")
     keep = len(columns) == 6 and (layout.named or normals or are_normals(table[:, 3:]))
     return without_zeros(RawScan(table[:, :3], normals=table[:, 3:] if keep else None))
 

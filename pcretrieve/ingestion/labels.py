@@ -145,11 +145,11 @@ def _princeton(path: Path, text: str) -> dict[str, str]:
             name, _, count = words[position], words[position + 1], int(words[position + 2])
             models = words[position + 3 : position + 3 + count]
             if len(models) != count:
-                raise ValueError(f"class {name} promises {count} models, {len(models)} follow")
+                raise ValueError(f"class {name} declares {count} models, {len(models)} follow")
             labels |= dict.fromkeys(models, name)
             position += 3 + count
         if len(labels) != int(head[3]):
-            raise ValueError(f"its header promises {head[3]} models, {len(labels)} follow")
+            raise ValueError(f"its header declares {head[3]} models, {len(labels)} follow")
     except (IndexError, ValueError) as error:
         raise BenchmarkError(f"the label file {path} is not a complete .cla file ({error})") from error
     return labels

@@ -103,6 +103,6 @@ def read_views(paths: Sequence[str | Path]) -> Views:
 
 
 def _common_frame(clouds: Sequence[PointCloud]) -> FloatArray | None:
-    """The (v, 4, 4) poses of the scans in a file; None if all sensors are at one place: nobody posed them."""
+    """The (v, 4, 4) poses of the scans in a file; None if all sensors are at one place, without poses."""
     sensors = {tuple(cloud.viewpoints[0]) for cloud in clouds if cloud.viewpoints is not None}
     return None if len(sensors) == 1 else np.tile(np.eye(4), (len(clouds), 1, 1))

@@ -117,7 +117,7 @@ def read_matrix(path: str | Path) -> DistanceMatrix:
 
 
 def _npy(path: Path) -> NDArray[Any]:
-    """The array of a file; mapped into memory, so that a header cannot promise more than the file holds."""
+    """The array of a file; mapped into memory, because a header may declare more than the file has."""
     array: NDArray[Any] = np.load(path, mmap_mode="r", allow_pickle=False)
     return array
 

@@ -89,7 +89,7 @@ class DistanceMatrix(Value):
 
 
 def distance_matrix(ranking: Ranking, labels: tuple[str | None, ...] = ()) -> DistanceMatrix:
-    """All distances of a gallery, from whatever ranks it.
+    """Compute all distances of a gallery.
 
     Parameters
     ----------

@@ -17,27 +17,27 @@ __all__ = ["describe_options", "options_difference"]
 BARE_KEY = re.compile(r"[\w-]+", re.ASCII)
 
 
-def options_difference(theirs: PipelineOptions, ours: PipelineOptions) -> list[str]:
-    """The options of what a catalogue stores, retrieval therefore left out, in which two sets differ.
+def options_difference(stored: PipelineOptions, given: PipelineOptions) -> list[str]:
+    """The differences of two sets of options, except for the options of retrieval.
 
     Parameters
     ----------
-    theirs : PipelineOptions
-        The options called "there", such as those of a stored catalogue.
-    ours : PipelineOptions
-        The options called "here".
+    stored : PipelineOptions
+        The options of a catalogue, called "there".
+    given : PipelineOptions
+        Other options, called "here".
 
     Returns
     -------
     list of str
         One line for each option, such as ``surface.poisson_depth: 7 there, 8 here``.
     """
-    there, here = theirs.model_dump(exclude={"retrieval"}), ours.model_dump()
+    there, here = stored.model_dump(exclude={"retrieval"}), given.model_dump()
     return [line for table in there for line in _differences(table, there[table], here[table])]
 
 
 def _differences(table: str, there: dict[str, Any], here: dict[str, Any]) -> Iterator[str]:
-    # A table that only one of them has is of a filter, and the stages differ too.
+    # A table that is in only one of the two sets is that of a filter; the stages then differ too.
     for name in [name for name in there if name in here and there[name] != here[name]]:
         if isinstance(there[name], dict):
             yield from _differences(f"{table}.{name}", there[name], here[name])

@@ -235,10 +235,10 @@ class PipelineOptions(Options):
 
         The options of the stages `signature` and `retrieval` are not included, because signatures are
         computed from the stored spectrum on demand: one catalogue serves all methods, numbers of values and
-        distances. Nor are those of `catalogue`, which change no number.
+        distances. The options `catalogue` are not included, because no number depends on them.
         """
         values = self.model_dump(exclude={"signature", "retrieval", "catalogue"})
-        # The digests of catalogues that were made before chains could be changed are those of the default.
+        # Without the default chain, so that digests of catalogues of versions without chains do not change.
         if self.pipeline == StageOptions():
             del values["pipeline"]
         values["numbers_version"] = NUMBERS_VERSION
@@ -275,7 +275,7 @@ class PipelineOptions(Options):
 
 
 def _laid_over(values: dict[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
-    """Values, some of which are replaced; in tables that both have, some of theirs."""
+    """Values, some of which are replaced; in nested tables, some of the values of the table."""
     replaced = {
         name: _laid_over(values[name], change)
         if isinstance(values.get(name), dict) and isinstance(change, Mapping)

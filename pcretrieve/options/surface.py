@@ -31,7 +31,7 @@ class SurfaceOptions(Options):
     Other packages can add methods."""
     genus: Literal["auto", "sphere", "free"] | Annotated[int, Field(ge=0)] = "auto"
     """Genus, the number of handles, of the surface by growth. sphere: 0; a number: that number; free:
-    whatever the points suggest; auto: only handles about as thick as the body."""
+    as many as the points suggest; auto: only handles about as thick as the body."""
     cell: Literal["auto"] | Annotated[float, Field(gt=0, lt=0.1)] = "auto"
     """Edge of the voxels of growth; relative to the diagonal. auto: .0033 to .0045, by the noise of the
     points. At least the spacing of the points."""

@@ -87,9 +87,8 @@ def adjusted(
 
     References
     ----------
-    .. [1] Y. Chen and G. Medioni, "Object modelling by registration of multiple
-           range images", Image and Vision
-       Computing 10 (1992).
+    .. [1] Y. Chen and G. Medioni, "Object modelling by registration of multiple range images", Image and
+       Vision Computing 10 (1992).
     .. [2] K. Pulli, "Multiview registration for large data sets", 3DIM 1999.
     """
     changed = dict(poses)

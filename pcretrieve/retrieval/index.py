@@ -38,7 +38,7 @@ from pcretrieve.types import FloatArray, Metric, Neighbors, Signature, Signature
 
 __all__ = ["SignatureIndex"]
 
-# What the names of a whitening's arrays begin with among those of an index.
+# Prefix of the names of the arrays of the whitening, among the arrays of an index.
 WHITENING = "whitening_"
 
 NO_SHAPES = "an index needs at least 1 shape, got an empty table; ingest shapes first"

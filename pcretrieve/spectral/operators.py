@@ -121,7 +121,7 @@ def _assembled(record: Element, surface: TriangleMesh | PointCloud) -> Assembled
         assembled = record.assemble(surface)
         if not isinstance(assembled, Assembled):
             raise TypeError(f"an element must give an Assembled, got {assembled!r}")
-        LaplaceBeltrami(assembled.stiffness, assembled.mass)  # refuses what is no such operator
+        LaplaceBeltrami(assembled.stiffness, assembled.mass)  # raises, if it is not such an operator
         return assembled
 
 

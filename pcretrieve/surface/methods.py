@@ -65,7 +65,7 @@ def surfaces(cloud: PointCloud, options: SurfaceOptions) -> Iterator[Reconstruct
     mesh : TriangleMesh
         With the provenance of the cloud and a step ``surface``; unit of the file.
     marks : SurfaceMarks or None
-        Where the topology of the surface was changed, if the method tells.
+        Where the topology of the surface was changed, if the method gives them.
 
     Raises
     ------

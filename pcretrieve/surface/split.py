@@ -31,8 +31,8 @@ def split_non_manifold(mesh: TriangleMesh) -> TriangleMesh:
     References
     ----------
     .. [1] A. Guéziec, G. Taubin, F. Lazarus and B. Horn, "Cutting and stitching: converting sets of polygons
-           to
-       manifold surfaces", IEEE TVCG 7 (2001); the pairing by the interior is ours.
+       to manifold surfaces", IEEE Transactions on Visualization and Computer Graphics 7 (2001); without the
+       pairing by the interior.
     """
     edges = edges_of(mesh.faces)
     crowded = edges.use > 2

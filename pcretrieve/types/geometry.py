@@ -1,4 +1,4 @@
-"""Points and surfaces, and the record of what was done to them."""
+"""Points and surfaces, with the record of their processing."""
 
 from __future__ import annotations
 
@@ -258,6 +258,6 @@ def bounding_diagonal(points: FloatArray) -> float:
     Returns
     -------
     float
-        In the unit of the points; 0 where there are none.
+        The length; unit of the points. 0 if there are no points.
     """
     return float(np.linalg.norm(np.ptp(points, axis=0))) if len(points) else 0.0

@@ -1,4 +1,4 @@
-"""A processed scan: its surfaces with what was computed of them, or why there are none."""
+"""A processed scan: its surfaces with their spectra, or the failure of the processing."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _Part = TypeVar("_Part")
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Surface(Value):
-    """One of the surfaces that were reconstructed from a scan, with those of its parts that were kept.
+    """One of the surfaces that were reconstructed from a scan, with the parts that were kept.
 
     Attributes
     ----------
@@ -129,7 +129,7 @@ def _kept(part: Need, value: _Part | None) -> _Part:
     if value is None:
         raise ShapeError(
             f"gone: the shape must hold its {part}, but does not: not kept when it was stored, or not among "
-            "the needs that the descriptor declares; process the scan anew, or choose another descriptor",
+            "the needs that the descriptor declares; process the scan again, or choose another descriptor",
             stage=Stage.SIGNATURE,
         )
     return value

@@ -192,7 +192,7 @@ class ModalSpectrum(Value):
             raise ShapeError(
                 "gone: this spectrum has no overlaps ⟨φ_i², φ_j²⟩: neither they nor the mesh were kept when "
                 "the shape was stored, or overlaps are not among the needs that the descriptor declares; "
-                'ingest anew with catalogue.keep = ["overlaps"], or choose another descriptor',
+                'ingest again with catalogue.keep = ["overlaps"], or choose another descriptor',
                 stage=Stage.SIGNATURE,
             )
         return self.overlaps

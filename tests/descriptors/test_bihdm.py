@@ -47,7 +47,7 @@ def test_it_needs_the_overlaps() -> None:
     spectrum = ModalSpectrum.of(eigenpairs(laplace_beltrami(shapes.body(3)), 13))
     assert len(bihdm(spectrum, 5, 12).values) == 5
     with pytest.raises(
-        ShapeError, match=r"gone: this spectrum has no overlaps .*ingest anew with catalogue.keep"
+        ShapeError, match=r"gone: this spectrum has no overlaps .*ingest again with catalogue.keep"
     ):
         bihdm(replace(spectrum, overlaps=None), 5, 12)
 

@@ -45,11 +45,11 @@ BROKEN = {
     ),
     "promise.ply": (
         f"{PLY}element face 99999\nproperty list uchar int vertex_indices\nend_header\n{ROWS}".encode(),
-        "its header promises 99999 of face, 18 bytes follow",
+        "its header declares 99999 of face, 18 bytes follow",
     ),
     "endless.ply": (
         PLY.replace("vertex 3", f"vertex {'9' * 5000}").encode() + b"end_header\n",
-        "promises inf",
+        "declares inf",
     ),
     "far.xyz": (b"1e300 0 0\n0 1e300 0\n", "coordinates must be 1e-50 to 1e+50 in size"),
     "near.xyz": (b"1e-300 0 0\n0 1e-300 0\n", "give the scan in another unit"),
@@ -61,7 +61,7 @@ BROKEN = {
     "superscript.pts": ("²\n1 2\n".encode(), "each line must hold 3 numbers"),
     "no_data.pcd": (b"VERSION 0.7\nFIELDS x y z\n", "its header has no line DATA"),
     "no_z.pcd": ((pcd_header("x", "y", n=1) + "1 2\n").encode(), "must have the fields x y z"),
-    "short.pcd": ((pcd_header("x", "y", "z", n=3) + ROWS[:6]).encode(), "promises 3 points and holds 1"),
+    "short.pcd": ((pcd_header("x", "y", "z", n=3) + ROWS[:6]).encode(), "declares 3 points and holds 1"),
     "odd.pcd": (
         pcd_header("x", "y", "z", n=3).replace("SIZE 4 4", "SIZE 4").encode(),
         "not a complete PCD file",
@@ -78,24 +78,24 @@ BROKEN = {
     ),
     "counts.pcd": (
         pcd_header("x", "y", "z", n=3).replace("COUNT 1", "COUNT 99999999").encode() + ROWS.encode(),
-        "its header promises 100000001 values a point, 4096 may be",
+        "its header declares 100000001 values a point, 4096 may be",
     ),
     "underscores.pcd": (
         pcd_header("x", "y", "z", n=3, data="binary").replace("POINTS 3", "POINTS 3_000_000").encode()
         + bytes(36),
-        "its header promises 3000000 points, 36 bytes follow",
+        "its header declares 3000000 points, 36 bytes follow",
     ),
     "lzf_size.pcd": (
         pcd_header("x", "y", "z", n=10**8, data="binary_compressed").encode()
         + struct.pack("<II", 9, 12 * 10**8)
         + bytes(9),
-        "it promises 1200000000 bytes in 9, 9 follow",
+        "it declares 1200000000 bytes in 9, 9 follow",
     ),
     "lzf_points.pcd": (
         pcd_header("x", "y", "z", n=10**8, data="binary_compressed").encode()
         + struct.pack("<II", 9, 36)
         + bytes(9),
-        "its header promises 100000000 points, 36 bytes follow",
+        "its header declares 100000000 points, 36 bytes follow",
     ),
     "codec.pcd": (
         b"VERSION 0.7\nFIELDS x \xff\nDATA binary\n",

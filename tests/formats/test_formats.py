@@ -49,7 +49,7 @@ def test_points_as_text(name: str, line: str, tmp_path: Path) -> None:
 
 def test_a_pts_file_must_hold_what_its_first_line_promises(tmp_path: Path) -> None:
     (tmp_path / "short.pts").write_text("3\n1 2 3\n4 5 6\n")
-    with pytest.raises(ScanReadError, match="promises 3 points"):
+    with pytest.raises(ScanReadError, match="declares 3 points"):
         read_scan(tmp_path / "short.pts")
 
 

@@ -130,8 +130,8 @@ GOOD = broken()
     [
         (b"solid", "its first bytes are not those of glTF"),
         (GOOD[:4] + b"\1" + GOOD[5:], "it is not glTF 2.0"),
-        (GOOD[:-4], f"its header promises {len(GOOD)} bytes, it has {len(GOOD) - 4}"),
-        (GOOD[:12] + b"\xff\xff\xff\xff" + GOOD[16:], "its header promises"),
+        (GOOD[:-4], f"its header declares {len(GOOD)} bytes, it has {len(GOOD) - 4}"),
+        (GOOD[:12] + b"\xff\xff\xff\xff" + GOOD[16:], "its header declares"),
         (GOOD.replace(b'{"asset"', b'["asset"'), "its JSON part is broken"),
         (GOOD.replace(b'"asset"', b"\xff" * 7), "its JSON part holds bytes that are no text"),
         (glb([]), "its JSON part is broken: AttributeError"),
@@ -140,7 +140,7 @@ GOOD = broken()
         (broken(nodes=[{"mesh": 0, "children": [0]}]), "node 0 has more than one parent"),
         (broken(nodes__0__mesh=1), "its JSON part is broken: IndexError"),
         (broken(accessors__0__count=5), "its binary part is too short for 5 values"),
-        (broken(accessors__0__count=10**9), "its scene promises 1000000006 values"),
+        (broken(accessors__0__count=10**9), "its scene declares 1000000006 values"),
         (broken(accessors__0__count="many"), "its JSON part is broken: ValueError"),
         (broken(accessors__1__count=5), "its JSON part is broken: ValueError"),
         (broken(accessors__0__byteOffset=-4), "its binary part is too short"),
@@ -152,7 +152,7 @@ GOOD = broken()
         (broken(accessors__0__count=3), "its faces name vertex 3, of 3"),
         (
             glb(*gltf(SQUARE * 100, HALVES * 50, [{"mesh": 0}] * 5000, roots=range(5000))),
-            "its scene promises 3500000 values",
+            "its scene declares 3500000 values",
         ),
     ],
 )

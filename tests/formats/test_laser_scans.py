@@ -75,7 +75,7 @@ def test_noise_by_its_class(point_format: int, tmp_path: Path) -> None:
         (96, struct.pack("<I", 10**9), "its points begin at byte 1000000000"),
         (104, b"\x0b", "its points have 34 bytes, and the format 11"),
         (105, struct.pack("<H", 12), "its points have 12 bytes, and the format 3"),
-        (107, struct.pack("<I", 2**32 - 1), "its header promises 4294967295 points, 17000 bytes follow"),
+        (107, struct.pack("<I", 2**32 - 1), "its header declares 4294967295 points, 17000 bytes follow"),
         (131, struct.pack("<d", np.nan), "its scale is not finite"),
     ],
 )

@@ -120,7 +120,7 @@ def test_what_a_folder_does_not_take_for_points(name: str, tmp_path: Path) -> No
         ("a.txt", "Three or more\n", "each line must hold 3 numbers, got 'Three or more'"),
         ("a.txt", "x y z\n1 2 3\n4 5\n", "each line must hold 3 numbers: invalid column index 2"),
         ("a.csv", "x,y,z\n1,2,3\n4,,5\n", "could not convert string ''"),
-        ("a.pts", "4\n1 2 3\n4 5 6\n", "it promises 4 points and holds 2"),
+        ("a.pts", "4\n1 2 3\n4 5 6\n", "it declares 4 points and holds 2"),
         ("a.xyz", "header\n" * 60 + "1 2 3\n", "each line must hold 3 numbers, got 'header'"),
     ],
 )

@@ -126,10 +126,10 @@ GOOD = header(Rotation.identity(), np.zeros(3), (2, 2))
     [
         ("2\n2\n0 0 0\n", "its header is damaged: it must be ten lines"),
         ("1 2 3\n" * 20, "its header is damaged"),
-        (GOOD.replace("2\n2\n", "99999\n99999\n") + "1 2 3\n", "it promises 9999800001 rows in"),
+        (GOOD.replace("2\n2\n", "99999\n99999\n") + "1 2 3\n", "it declares 9999800001 rows in"),
         (GOOD.replace("2\n2\n", "1.5\n2\n") + "1 2 3\n" * 9, "must be whole numbers, got 1.5 2"),
         (GOOD.replace("\n1 0 0 0\n", "\n2 0 0 0\n") + "1 2 3\n" * 9, "the matrix is not a rigid motion"),
-        (GOOD + "1 2 3 0.5\n" * 3, "its header promises 4 points, it holds 3"),
+        (GOOD + "1 2 3 0.5\n" * 3, "its header declares 4 points, it holds 3"),
         (GOOD + "1 2\n" * 4, "each line must hold 3 numbers"),
         (GOOD + "0 0 0 0.5\n" * 4, "a scan of 2 × 2 readings: none of its 4 readings is an answer"),
         (GOOD + "0 0 1\n0 0 2\n0 0 5\n0 0 0\n", "none of its 3 readings has three neighbours"),

@@ -126,7 +126,7 @@ def test_text_that_is_no_matrix(text: str, ids: str | None, message: str, tmp_pa
 
 
 def huge(path: Path) -> None:
-    """A header that promises eight terabytes."""
+    """A header that declares eight terabytes."""
     np.save(path, np.zeros((2, 2)))
     path.write_bytes(path.read_bytes().replace(b"(2, 2)", b"(1000000, 1000000)"))
 

@@ -1,4 +1,4 @@
-"""Conditions of scanning: what the virtual scanner does to a clean mesh."""
+"""Conditions of scanning: options of the virtual scanner, by name."""
 
 from __future__ import annotations
 

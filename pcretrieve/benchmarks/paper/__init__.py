@@ -1,6 +1,6 @@
 """The experiments of the paper on its own descriptor, repeated.
 
-In come the meshes of TOSCA and two flat drums; out come tables of our figures and those of the paper [1]_.
+In come the meshes of TOSCA and two flat drums; out come tables of figures beside those of the paper [1]_.
 
 References
 ----------

@@ -1,4 +1,4 @@
-"""Figure 6: the spectra of two isospectral drums, which R-BiHDM tells apart."""
+"""Figure 6: the spectra of two isospectral drums, which R-BiHDM distinguishes."""
 
 from __future__ import annotations
 
@@ -61,10 +61,9 @@ def drum_spectra(element: Element, n_cuts: int = DRUM_CUTS) -> FloatArray:
 
 
 def figure_6() -> Iterator[str]:
-    """Both spectra of both drums, ours and those of the paper.
+    """Both spectra of both drums, computed here and in the paper.
 
-    Cubic elements show how far linear elements are from the exact spectrum at this size, the paper's as well
-    as ours.
+    Cubic elements show the error of linear elements at this size, which the paper uses too.
 
     Yields
     ------
@@ -77,9 +76,9 @@ def figure_6() -> Iterator[str]:
     for element in elements:
         columns = drum_spectra(element)
         off = np.abs(columns / FIGURE_6 - 1)
-        yield f"{element} elements, ours differ by: {_differing(columns)}"
+        yield f"{element} elements, pcretrieve's two drums differ by: {_differing(columns)}"
         yield "   " + "".join(f"{head:<38}" for head in ("λ I", "λ II", "R-BiHDM I", "R-BiHDM II")).rstrip()
-        yield "   " + (4 * f"{'ours':<15}{'paper':<15}{'off':<8}").rstrip()
+        yield "   " + (4 * f"{'pcretrieve':<15}{'paper':<15}{'error':<8}").rstrip()
         for number, row in enumerate(np.stack([columns, FIGURE_6, off], axis=2)):
             cells = (f"{ours:<15.8g}{paper:<15.8g}{by:<8.0e}" for ours, paper, by in row)
             yield f"{number:<3}" + "".join(cells).rstrip()
@@ -87,7 +86,7 @@ def figure_6() -> Iterator[str]:
 
 
 def _differing(columns: FloatArray) -> str:
-    """How far the two spectra of each kind are apart."""
+    """The largest relative difference of the two spectra of each kind."""
     one, other = columns[:, ::2], columns[:, 1::2]  # (10, 2)
     laplace, reduced = np.abs(other / one - 1).max(axis=0)
     return f"λ {laplace:.0e}, R-BiHDM {reduced:.0e}"

@@ -1,4 +1,4 @@
-"""Repeat the experiments of the paper on its own descriptor, and print our figures and those of the paper.
+"""Repeat the experiments of the paper on its own descriptor, and print the figures beside those of the paper.
 
     .venv/bin/python scripts/reproduce_paper --data FOLDER --plot figure7.png
 

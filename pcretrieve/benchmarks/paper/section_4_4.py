@@ -63,7 +63,7 @@ def drifts(poses: Poses, methods: tuple[str, ...] = METHODS) -> dict[str, FloatA
     Parameters
     ----------
     poses : mapping of class to two meshes
-        The first mesh is perturbed, with random numbers of its own.
+        The first mesh is perturbed by random numbers.
     methods : tuple of str
         Names of descriptors; by default `METHODS`.
 
