@@ -57,6 +57,7 @@ if TYPE_CHECKING:
         Step,
         Surface,
         TriangleMesh,
+        Verdict,
     )
 
 __version__ = "0.2.0"
@@ -102,6 +103,7 @@ __all__ = [
     "Surface",
     "TriangleMesh",
     "UnexpectedError",
+    "Verdict",
     "Whitening",
     "WithinClassWhitening",
     "WorkerDied",
@@ -217,6 +219,7 @@ _HOMES = {
         "Step",
         "Surface",
         "TriangleMesh",
+        "Verdict",
     ),
 }
 _HOME_OF = {name: home for home, names in _HOMES.items() for name in names}

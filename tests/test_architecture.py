@@ -35,6 +35,7 @@ STAGES = [
     "registration",
     "scan",
     "surface",
+    "quality",
     "spectral",
     "descriptors",
     "retrieval",

@@ -42,7 +42,7 @@ def test_the_examples_run(names: dict[str, object]) -> None:
         index = PairwiseIndex(MATCHERS["girth"], table.ids, catalogue.shape)
         assert index.nearest("thin").ids == ("thin", "body")
         stages = [step.stage for step in catalogue.record("body").steps]
-        assert stages == ["read", "topology", "near", "smooth", "spectrum"]  # a mesh that is kept
+        assert stages == ["read", "topology", "near", "smooth", "spectrum", "checks"]  # a mesh that is kept
     points = shapes.points_on(shapes.body(3), 3000)
     surface = pr.reconstruct(np.concatenate([points, points[:20] + 20]), options)
     assert [step.stage for step in surface.provenance] == ["near", "clean", "orient", "surface", "smooth"]

@@ -7,52 +7,24 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from pcretrieve.adapters.rays import RayScene
 from pcretrieve.descriptors import describe
 from pcretrieve.errors import OptionError, ShapeError
 from pcretrieve.formats.scans import ScanLike, as_scan
 from pcretrieve.ingestion.discover import printable
-from pcretrieve.inspection.checks import (
-    VERDICTS,
-    Check,
-    failure_check,
-    fit_checks,
-    marks_check,
-    normal_checks,
-    point_checks,
-    rescan_check,
-    spread_check,
-    surface_checks,
-)
+from pcretrieve.inspection.checks import failure_check, rescan_check, spread_check
 from pcretrieve.inspection.inspection import Inspection
 from pcretrieve.options import OptionsLike, PipelineOptions
 from pcretrieve.pipeline.process import placed, signature
 from pcretrieve.pipeline.seen import Seen
 from pcretrieve.pipeline.spectra import shape_of
 from pcretrieve.pipeline.stages import stages
-from pcretrieve.surface import (
-    sampled,
-    sound_mesh,
-)
-from pcretrieve.types import Failure, FloatArray, PointCloud, Signature, TriangleMesh
+from pcretrieve.quality import OUTCOMES, findings_of
+from pcretrieve.surface import sampled, sound_mesh
+from pcretrieve.types import Failure, FloatArray, PointCloud, Shape, Signature, TriangleMesh
 
 __all__ = ["inspect_scan", "signature_spread"]
-
-# Number of neighbours with whose normals the normal of a point is compared.
-N_NEIGHBORS = 8
-
-# Distance to the nearest point beyond which a face was filled in, in median distances between nearest
-# neighbours. If points are distributed uniformly over a surface, the fraction of the surface beyond this
-# distance is 1e-6.
-FILLED = 4
-
-# Largest distance of voxels that belong to one cut or bridge, relative to the diagonal.
-PLACE = 0.02
 
 # Distance to the nearest filtered point beyond which a raw point was removed, in median distances between
 # nearest neighbours. Points that were averaged in a voxel are nearer to their mean.
@@ -188,6 +160,7 @@ class _Described:
     """The results up to some stage; attributes as in `Inspection`."""
 
     seen: Seen = field(default_factory=Seen)
+    shape: Shape | None = None
     signature: Signature | None = None
     rescan_deviation: FloatArray | None = None
     spread: float | None = None
@@ -199,8 +172,9 @@ def _stages(scan: object, options: PipelineOptions, n_rescans: int) -> Iterator[
         seen = Seen()
         for seen in stages(scan, options):
             yield _Described(seen)
-        described = describe(shape_of(seen, options), options.signature)
-        yield (so_far := _Described(seen, replace(described, digest=options.signature_digest)))
+        shape = shape_of(seen, options)
+        described = describe(shape, options.signature)
+        yield (so_far := _Described(seen, shape, replace(described, digest=options.signature_digest)))
         if n_rescans and seen.scan is not None:
             rescans = _rescans(seen.scan, options, n=n_rescans, share=RESCAN_SHARE, seed=0)
             rescan_deviation, spread = _scatter(rescans)
@@ -210,37 +184,13 @@ def _stages(scan: object, options: PipelineOptions, n_rescans: int) -> Iterator[
 def _inspection(name: str, path: str, reached: _Described, failure: Failure | None) -> Inspection:
     seen = reached.seen
     scan, cloud, mesh = seen.scan, seen.cloud, seen.mesh
-    spacing = 0.0
+    found = findings_of(cloud, mesh, seen.marks, reached.shape)
+    checks, spacing = list(found.checks), found.spacing
     dropped = np.zeros(0 if scan is None else len(scan.points), dtype=np.bool_)
-    filled = np.zeros(0 if mesh is None else len(mesh.faces), dtype=np.bool_)
-    cuts = bridges = np.zeros((0, 3))
-    checks: list[Check] = []
     if cloud is None and scan is not None and len(scan.points) > 1:
-        spacing = float(np.median(_nearest(scan.points, scan.points, k=2)[0][:, 1]))
+        spacing = float(np.median(_nearest(scan.points, scan.points, k=2)[:, 1]))
     if scan is not None and cloud is not None:
-        distance, nearest = _nearest(cloud.points, cloud.points, k=N_NEIGHBORS + 1)  # itself first
-        spacing = float(np.median(distance[:, 1]))
-        dropped = _nearest(cloud.points, scan.points)[0][:, 0] > DROPPED * spacing
-        checks += point_checks(cloud, spacing=spacing)
-        if cloud.normals is not None:
-            checks += normal_checks(cloud.normals, nearest[:, 1:])
-    if mesh is not None:
-        checks += surface_checks(mesh)
-    if mesh is not None and cloud is not None:
-        filled = _nearest(cloud.points, mesh.vertices[mesh.faces].mean(axis=1))[0][:, 0] > FILLED * spacing
-        # Open3D computes these distances in single precision, so the points are moved near the origin.
-        origin = cloud.points.mean(axis=0)
-        gap = RayScene(mesh.vertices - origin, mesh.faces).distance(cloud.points - origin)
-        lost = gap > FILLED * spacing
-        checks += fit_checks(
-            filled=float(mesh.face_areas[filled].sum() / mesh.area),
-            lost=float(lost.mean()),
-            noise=float(np.sqrt((gap[~lost] ** 2).sum() / max((~lost).sum(), 1))) / cloud.diagonal,
-        )
-    if seen.marks is not None and cloud is not None:
-        reach = PLACE * cloud.diagonal
-        cuts, bridges = _places(seen.marks.cuts, reach), _places(seen.marks.bridges, reach)
-        checks.append(marks_check(len(cuts), len(bridges)))
+        dropped = _nearest(cloud.points, scan.points)[:, 0] > DROPPED * spacing
     if reached.spread is not None:
         checks.append(spread_check(reached.spread))
     if failure is not None and reached.signature is not None:
@@ -252,15 +202,15 @@ def _inspection(name: str, path: str, reached: _Described, failure: Failure | No
     return Inspection(
         name=name,
         path=path,
-        checks=tuple(sorted(checks, key=lambda check: VERDICTS.index(check.verdict))),
+        checks=tuple(sorted(checks, key=lambda check: OUTCOMES.index(check.verdict))),
         scan=scan,
         dropped=dropped,
         cloud=cloud,
         spacing=spacing,
         mesh=mesh,
-        filled=filled,
-        cuts=cuts,
-        bridges=bridges,
+        filled=found.filled,
+        cuts=found.cuts,
+        bridges=found.bridges,
         signature=reached.signature,
         rescan_deviation=reached.rescan_deviation,
         spread=reached.spread,
@@ -269,17 +219,6 @@ def _inspection(name: str, path: str, reached: _Described, failure: Failure | No
     )
 
 
-def _nearest(points: FloatArray, places: FloatArray, k: int = 1) -> tuple[FloatArray, NDArray[np.intp]]:
-    """Distances from each place to its k nearest points, (p, k), and the indices of these points."""
-    distance, number = cKDTree(points).query(places, k=np.arange(1, k + 1))
-    return np.asarray(distance), np.asarray(number)
-
-
-def _places(cells: FloatArray, reach: float) -> FloatArray:
-    """Centroids of groups of cells, (p, 3); cells nearer to each other than `reach` are in one group."""
-    near = cKDTree(cells).query_pairs(reach, output_type="ndarray") if len(cells) else np.zeros((0, 2), int)
-    links = coo_array((np.ones(len(near)), (near[:, 0], near[:, 1])), shape=(len(cells), len(cells)))
-    n, group = connected_components(links, directed=False)
-    sums = np.stack([np.bincount(group, cells[:, axis], n) for axis in range(3)], axis=1)
-    middles: FloatArray = sums / np.bincount(group, minlength=n)[:, None]
-    return middles
+def _nearest(points: FloatArray, places: FloatArray, k: int = 1) -> FloatArray:
+    """Distances from each place to its k nearest points, (p, k)."""
+    return np.asarray(cKDTree(points).query(places, k=np.arange(1, k + 1))[0])

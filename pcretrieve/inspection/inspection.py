@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from pcretrieve.inspection.checks import VERDICTS, Check, Verdict
+from pcretrieve.quality import OUTCOMES, Check, Outcome
 from pcretrieve.types import Failure, FloatArray, PointCloud, Signature, Step, TriangleMesh
 
 __all__ = ["Inspection"]
@@ -71,10 +71,10 @@ class Inspection:
     steps: tuple[Step, ...]
 
     @property
-    def verdict(self) -> Verdict:
+    def verdict(self) -> Outcome:
         """The most severe verdict of the checks."""
         given = {check.verdict for check in self.checks}
-        return next((verdict for verdict in VERDICTS if verdict in given), "passed")
+        return next((verdict for verdict in OUTCOMES if verdict in given), "passed")
 
     @property
     def summary(self) -> str:

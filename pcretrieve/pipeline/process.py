@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
@@ -13,9 +14,11 @@ from pcretrieve.errors import PcretrieveError, ShapeError, Stage, in_stage, shap
 from pcretrieve.formats.scans import ScanLike
 from pcretrieve.options import OptionsLike, PipelineOptions
 from pcretrieve.pipeline.progress import log_steps, scan_name
+from pcretrieve.pipeline.seen import Seen
 from pcretrieve.pipeline.spectra import shape_of
 from pcretrieve.pipeline.stages import stages
-from pcretrieve.types import Shape, Signature, TriangleMesh
+from pcretrieve.quality import findings_of, verdict_of
+from pcretrieve.types import Shape, Signature, Step, TriangleMesh
 
 __all__ = ["placed", "process", "reconstruct", "signature"]
 
@@ -97,8 +100,8 @@ def process(scan: ScanLike, options: OptionsLike = None) -> Shape:
     Returns
     -------
     Shape
-        The surfaces with their spectra, the filtered points and the provenance. Lengths are in the unit of
-        the scan; spectra are those of the surfaces scaled to unit area.
+        The surfaces with their spectra, the filtered points, the provenance and the verdict. Lengths are in
+        the unit of the scan; spectra are those of the surfaces scaled to unit area.
 
     Raises
     ------
@@ -108,9 +111,36 @@ def process(scan: ScanLike, options: OptionsLike = None) -> Shape:
     options = PipelineOptions.of(options)
     with threadpool_limits(limits=1), placed(scan):
         *_, last = stages(scan, options)
-        shape = shape_of(last, options)
-        log_steps(scan_name(scan), shape.provenance[-1:])
+        shape = judged(shape_of(last, options), last)
+        log_steps(scan_name(scan), shape.provenance[-2:])
         return shape
+
+
+def judged(shape: Shape, seen: Seen) -> Shape:
+    """A shape with the verdict on it, by the checks of its points, its surface and its spectra.
+
+    Parameters
+    ----------
+    shape : Shape
+        With the spectrum of each surface.
+    seen : Seen
+        What the last stage made of the same scan.
+
+    Returns
+    -------
+    Shape
+        With a step ``checks`` in the provenance, and a note in it unless the verdict is "sound".
+    """
+    started = time.perf_counter()
+    found = findings_of(seen.cloud, seen.mesh, seen.marks, shape)
+    verdict = verdict_of(found.checks)
+    step = Step(
+        "checks",
+        time.perf_counter() - started,
+        {"uncertainty": verdict.uncertainty},
+        () if verdict.is_sound else (str(verdict),),
+    )
+    return replace(shape, provenance=(*shape.provenance, step), verdict=verdict)
 
 
 @contextmanager

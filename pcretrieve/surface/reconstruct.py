@@ -11,7 +11,7 @@ from pcretrieve.errors import DegenerateMeshError, ReconstructionError, Stage
 from pcretrieve.options import SurfaceOptions
 from pcretrieve.surface.repair import ONE_SIDED, largest_component, outward, repaired, used_vertices
 from pcretrieve.surface.sampling import uniform_points
-from pcretrieve.surface.topology import compact, defects, orient_faces
+from pcretrieve.surface.topology import Defects, compact, defects, orient_faces
 from pcretrieve.types import FloatArray, IntArray, PointCloud, Step, TriangleMesh
 
 __all__ = ["poisson_surface", "sampled", "sound_mesh"]
@@ -50,14 +50,12 @@ def sound_mesh(mesh: TriangleMesh, options: SurfaceOptions) -> TriangleMesh | No
         used, unused = used_vertices(mesh)
         kept, turned = outward(used)
         notes = (*unused, *turned)
+        sizes: dict[str, float] = {}
     else:
         kept, notes = repaired(mesh)
-    step = Step(
-        "topology",
-        time.perf_counter() - started,
-        {"vertices": len(kept.vertices), "faces": len(kept.faces), "euler": kept.euler_characteristic},
-        notes,
-    )
+        sizes = {"non_manifold": _n_non_manifold(defects(mesh))}
+    sizes |= {"vertices": len(kept.vertices), "faces": len(kept.faces), "euler": kept.euler_characteristic}
+    step = Step("topology", time.perf_counter() - started, sizes, notes)
     return TriangleMesh(kept.vertices, kept.faces, (*mesh.provenance, step))
 
 
@@ -92,7 +90,7 @@ def sampled(mesh: TriangleMesh, options: SurfaceOptions) -> PointCloud:
     step = Step(
         "sample",
         time.perf_counter() - started,
-        {"points": n},
+        {"points": n, "non_manifold": _n_non_manifold(found)},
         (f"sampled {n} points from a mesh with defects: {found}",) if found else (),
     )
     return PointCloud(points, provenance=(*mesh.provenance, step))
@@ -156,6 +154,10 @@ def poisson_surface(cloud: PointCloud, options: SurfaceOptions) -> TriangleMesh:
         (*dropped, *notes),
     )
     return TriangleMesh(final.vertices, final.faces, (*cloud.provenance, step))
+
+
+def _n_non_manifold(found: Defects) -> int:
+    return found.non_manifold_edges + found.non_manifold_vertices
 
 
 def _trimmed(vertices: FloatArray, faces: IntArray, density: FloatArray, share: float) -> TriangleMesh:

@@ -14,6 +14,7 @@ from pcretrieve.types.shapes import Failure, Need, Shape, Surface
 from pcretrieve.types.signatures import Metric, Neighbors, Signature, SignatureTable
 from pcretrieve.types.spectra import Eigenpairs, LaplaceBeltrami, ModalSpectrum
 from pcretrieve.types.units import METRES, unit_of
+from pcretrieve.types.verdicts import Judgement, Verdict
 
 __all__ = [
     "METRES",
@@ -21,6 +22,7 @@ __all__ = [
     "Failure",
     "FloatArray",
     "IntArray",
+    "Judgement",
     "LaplaceBeltrami",
     "Metric",
     "ModalSpectrum",
@@ -33,6 +35,7 @@ __all__ = [
     "Step",
     "Surface",
     "TriangleMesh",
+    "Verdict",
     "bounding_diagonal",
     "unit_of",
 ]

@@ -10,6 +10,7 @@ import numpy as np
 from pcretrieve.errors import InputError, ShapeError, Stage
 from pcretrieve.types.geometry import PointCloud, Step, TriangleMesh
 from pcretrieve.types.spectra import Eigenpairs, ModalSpectrum
+from pcretrieve.types.verdicts import Verdict
 from pcretrieve.values import Value
 
 __all__ = ["Failure", "Need", "Shape", "Surface"]
@@ -62,12 +63,15 @@ class Shape(Value):
         The filtered points with their normals, in the unit of the file. None for a mesh that was used without
         reconstruction, and if the points were not kept.
     provenance : tuple of Step
-        All stages from the file to the spectra, in order.
+        All stages from the file to the spectra, and the checks, in order.
+    verdict : Verdict or None
+        Whether the signature can be relied on; None if the shape was not judged.
     """
 
     surfaces: tuple[Surface, ...]
     cloud: PointCloud | None = None
     provenance: tuple[Step, ...] = field(default=(), compare=False)
+    verdict: Verdict | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "surfaces", tuple(self.surfaces))

@@ -10,9 +10,9 @@ import shapes
 
 from pcretrieve import PipelineOptions, PointCloud, TriangleMesh, signature
 from pcretrieve.errors import InputError, OptionError
-from pcretrieve.inspection.checks import Check
 from pcretrieve.inspection.inspect import inspect_scan, signature_spread
 from pcretrieve.inspection.inspection import Inspection
+from pcretrieve.quality import Check
 from pcretrieve.types import FloatArray
 
 BODY = shapes.body()
@@ -134,7 +134,7 @@ def test_a_mesh_that_is_kept_has_nothing_but_its_surface() -> None:
     seen = inspect_scan(BODY)
     assert (seen.scan, seen.cloud, seen.spread, seen.failure) == (None, None, None, None)
     assert seen.mesh is not None and len(seen.mesh.faces) == len(BODY.faces)
-    assert [found.name for found in seen.checks] == ["Closed surface", "Handles"]
+    assert [found.name for found in seen.checks] == ["Closed surface", "Handles", "One body"]
     assert seen.signature is not None
 
 

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from pcretrieve.errors import InputError
-from pcretrieve.inspection.checks import Check, fit_checks, normal_checks, spread_check, surface_checks
+from pcretrieve.inspection.checks import spread_check
 from pcretrieve.inspection.inspection import Inspection
 from pcretrieve.pages.inspection_page import write_inspection_page
 from pcretrieve.pages.inspection_pictures import (
@@ -30,6 +30,7 @@ from pcretrieve.pages.inspection_pictures import (
     rows_of,
     write_inspection_png,
 )
+from pcretrieve.quality import Check, fit_checks, normal_checks, surface_checks
 from pcretrieve.rendering import CLAY, Colour
 from pcretrieve.types import Failure, PointCloud, Signature, TriangleMesh
 
@@ -210,11 +211,11 @@ def test_the_summary_names_the_worst() -> None:
 
 def test_normals_of_half_a_sphere_have_a_mean_of_one_half() -> None:
     half = SPHERE.vertices[SPHERE.vertices[:, 1] > 0]
-    agree, sides = normal_checks(half, np.arange(len(half))[:, None])
+    agree, sides = normal_checks(half, half, np.arange(len(half))[:, None])
     assert (agree.verdict, agree.value) == ("passed", 0)
     assert sides.verdict == "failed"
     assert sides.value == pytest.approx(0.5, abs=0.02)
-    _, all_round = normal_checks(SPHERE.vertices, np.arange(len(SPHERE.vertices))[:, None])
+    _, all_round = normal_checks(SPHERE.vertices, SPHERE.vertices, np.arange(len(SPHERE.vertices))[:, None])
     assert all_round.verdict == "passed"
 
 
@@ -233,11 +234,13 @@ def test_surfaces_are_told_apart(mesh: TriangleMesh, verdicts: list[str]) -> Non
 
 
 def test_worse_numbers_get_worse_verdicts() -> None:
-    for index, name in enumerate(("filled", "lost", "noise")):
-        verdicts = [
-            fit_checks(**{"filled": 0.0, "lost": 0.0, "noise": 0.0, name: value})[index].verdict
-            for value in (0, 0.006, 0.012, 0.5)
+    names = ("filled", "ends", "gaps", "lost", "noise")
+    for index, name in enumerate(names):
+        found = [
+            fit_checks(**dict.fromkeys(names, 0.0) | {name: value})[index] for value in (0, 0.006, 0.012, 0.5)
         ]
+        verdicts, errors = [check.verdict for check in found], [check.error for check in found]
+        assert errors == sorted(set(errors))
         assert verdicts[0] == "passed" and verdicts[-1] == "failed" and "look" in verdicts
     assert [spread_check(spread).verdict for spread in (0.05, 0.3, 1)] == ["passed", "look", "failed"]
 

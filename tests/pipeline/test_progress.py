@@ -26,7 +26,7 @@ def test_each_stage_is_logged_once_with_its_repairs(tmp_path: Path, caplog: pyte
     records = [record for record in caplog.records if record.name == LOGGER]
     stages = [record.getMessage().split()[1] for record in records if record.levelno == logging.INFO]
     assert stages == [step.stage for step in shape.provenance]
-    assert stages[-4:] == ["orient", "surface", "surface", "spectrum"]
+    assert stages[-4:] == ["surface", "surface", "spectrum", "checks"]
     repairs = [record.getMessage() for record in records if record.levelno == logging.WARNING]
     assert repairs == [f"body.xyz: {step.stage}: {note}" for step in shape.provenance for note in step.notes]
     assert any("dropped 1 of 8001 points more than 20 median distances" in repair for repair in repairs)

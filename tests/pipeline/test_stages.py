@@ -81,7 +81,7 @@ def test_every_surface_of_a_scan_is_filtered() -> None:
         np.testing.assert_allclose(after.mesh.vertices, before.mesh.vertices * [1, 1, 2], atol=1e-9)
         assert steps(after.mesh) == ["clean", "orient", "surface", "stretch"]
     stretched = [step.stage for step in high.provenance]
-    assert stretched == ["clean", "orient", "surface", "stretch", "surface", "stretch", "spectrum"]
+    assert stretched == ["clean", "orient", "surface", "stretch", "surface", "stretch", "spectrum", "checks"]
 
 
 @pytest.mark.usefixtures("addition")
@@ -100,7 +100,7 @@ def test_a_mesh_that_is_kept_enters_after_its_surface() -> None:
 def test_points_alone_are_filtered() -> None:
     options = chain("cut", "clean", "orient", "surface", "spectrum", cut={"height": 0.5})
     shape = process(POINTS, options.changed(spectral={"element": "points"}))
-    assert [step.stage for step in shape.provenance] == ["cut", "clean", "orient", "spectrum"]
+    assert [step.stage for step in shape.provenance] == ["cut", "clean", "orient", "spectrum", "checks"]
     assert shape.mesh.vertices[:, 2].max() < 0.5
     with pytest.raises(OptionError, match="'spectrum' takes a surface"):
         reconstruct(POINTS, {"pipeline": {"stages": ("clean", "orient", "spectrum")}} | OF_POINTS)

@@ -1,0 +1,29 @@
+"""How far the signature of a scan can be relied on.
+
+In come the points, the surface and the spectrum of one scan; out come checks, each with a verdict and advice,
+and the verdict on the whole shape. The checks take a few hundredths of a second, so that every scan is
+checked; `pcretrieve.inspection` adds rescans, and shows the findings.
+"""
+
+from pcretrieve.quality.check import OUTCOMES, Check, Limits, Outcome, graded
+from pcretrieve.quality.findings import Findings, findings_of
+from pcretrieve.quality.points import normal_checks, point_checks
+from pcretrieve.quality.surfaces import fit_checks, marks_check, mesh_check, surface_checks
+from pcretrieve.quality.verdict import verdict_of
+
+__all__ = [
+    "OUTCOMES",
+    "Check",
+    "Findings",
+    "Limits",
+    "Outcome",
+    "findings_of",
+    "fit_checks",
+    "graded",
+    "marks_check",
+    "mesh_check",
+    "normal_checks",
+    "point_checks",
+    "surface_checks",
+    "verdict_of",
+]

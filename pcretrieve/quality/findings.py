@@ -1,0 +1,155 @@
+"""Points, surface and spectrum of a scan → checks, and the places that they name."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
+
+from pcretrieve.adapters.rays import RayScene
+from pcretrieve.quality.check import Check
+from pcretrieve.quality.points import normal_checks, point_checks
+from pcretrieve.quality.spectra import spectrum_checks
+from pcretrieve.quality.surfaces import fit_checks, marks_check, mesh_check, surface_checks
+from pcretrieve.surface import SurfaceMarks
+from pcretrieve.types import FloatArray, PointCloud, Shape, TriangleMesh
+
+__all__ = ["Findings", "findings_of"]
+
+# Number of neighbours with whose normals the normal of a point is compared.
+N_NEIGHBORS = 8
+
+# Number of points at which normals are compared and distances to the surface measured, at regular steps. A
+# fraction of .01 is then known to .0015.
+MEASURED = 5000
+
+# Distance to the nearest point beyond which a face was filled in, in median distances between nearest
+# neighbours. If points are distributed uniformly over a surface, the fraction of the surface beyond this
+# distance is 1e-6.
+FILLED = 4
+
+# Largest cosine of the angle between the normal of a face that was filled in and that of the nearest point
+# at which the face closes a cut end. In a hole of a smooth surface the normals agree.
+TURNED = 0.3
+
+# Fraction of the surface that is nearer to a point than the distance in the check "Gaps".
+COVERED = 0.95
+
+# Largest distance of voxels that belong to one cut or bridge, relative to the diagonal.
+PLACE = 0.02
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Findings:
+    """The checks of one scan, and the places that they name.
+
+    Attributes
+    ----------
+    checks : tuple of Check
+        Those that can be made of what there is.
+    spacing : float
+        Median distance from a point to its nearest neighbour, unit of the file; 0 without points.
+    filled : (m,) bool
+        Faces of the surface without a point nearby.
+    cuts, bridges : (k, 3) float64
+        Places where parts of the surface that touch were separated, and where a loose part was connected.
+    """
+
+    checks: tuple[Check, ...] = ()
+    spacing: float = 0.0
+    filled: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, dtype=np.bool_))
+    cuts: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))
+    bridges: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))
+
+
+def findings_of(
+    cloud: PointCloud | None, mesh: TriangleMesh | None, marks: SurfaceMarks | None, shape: Shape | None
+) -> Findings:
+    """Check what there is of a scan after some stage.
+
+    Parameters
+    ----------
+    cloud : PointCloud or None
+        The filtered points; None for a mesh that is used without reconstruction.
+    mesh : TriangleMesh or None
+        The first surface.
+    marks : SurfaceMarks or None
+        Where the topology of the first surface was changed.
+    shape : Shape or None
+        All surfaces with their spectra.
+
+    Returns
+    -------
+    Findings
+        Lengths are in the unit of the file.
+    """
+    checks: list[Check] = []
+    spacing = 0.0
+    filled = np.zeros(0 if mesh is None else len(mesh.faces), dtype=np.bool_)
+    cuts = bridges = np.zeros((0, 3))
+    if cloud is not None:
+        tree = cKDTree(cloud.points)
+        some = slice(None, None, max(1, len(cloud.points) // MEASURED))
+        distance, nearest = _nearest(tree, cloud.points[some], N_NEIGHBORS + 1)  # itself first
+        spacing = float(np.median(distance[:, 1]))
+        checks += point_checks(cloud, spacing=spacing)
+        if cloud.normals is not None:
+            checks += normal_checks(cloud.normals, cloud.normals[some], nearest[:, 1:])
+        if mesh is not None:
+            filled, fit = _fit(cloud, mesh, tree, cloud.points[some], spacing)
+            checks += fit
+        if marks is not None:
+            reach = PLACE * cloud.diagonal
+            cuts, bridges = _places(marks.cuts, reach), _places(marks.bridges, reach)
+            checks.append(marks_check(len(cuts), len(bridges)))
+    if mesh is not None:
+        checks += [*surface_checks(mesh), *mesh_check(mesh.provenance)]
+    if shape is not None:
+        checks += spectrum_checks(shape)
+    return Findings(tuple(checks), spacing, filled, cuts, bridges)
+
+
+def _fit(
+    cloud: PointCloud, mesh: TriangleMesh, tree: cKDTree, some: FloatArray, spacing: float
+) -> tuple[NDArray[np.bool_], list[Check]]:
+    """Faces without a point nearby, and the checks of the fit of points and surface."""
+    apart, nearest = (part[:, 0] for part in _nearest(tree, mesh.vertices[mesh.faces].mean(axis=1), 1))
+    filled = np.asarray(apart > FILLED * spacing)  # (m,)
+    areas = mesh.face_areas
+    ends = 0.0
+    if cloud.normals is not None:
+        lean = np.einsum("ij,ij->i", mesh.area_vectors, cloud.normals[nearest])  # area times cosine
+        ends = float(areas[filled & (lean < TURNED * areas)].sum() / mesh.area)
+    order = np.argsort(apart)
+    covered = int(np.searchsorted(np.cumsum(areas[order]), COVERED * mesh.area))
+    # Open3D computes these distances in single precision, so the points are moved near the origin.
+    origin = some.mean(axis=0)
+    gap = RayScene(mesh.vertices - origin, mesh.faces).distance(some - origin)
+    lost = gap > FILLED * spacing
+    return filled, fit_checks(
+        filled=float(areas[filled].sum() / mesh.area),
+        ends=ends,
+        gaps=float(apart[order[min(covered, len(order) - 1)]]) / cloud.diagonal,
+        lost=float(lost.mean()),
+        noise=float(np.sqrt((gap[~lost] ** 2).sum() / max((~lost).sum(), 1))) / cloud.diagonal,
+    )
+
+
+def _nearest(tree: cKDTree, places: FloatArray, k: int) -> tuple[FloatArray, NDArray[np.intp]]:
+    """Distances from each place to its k nearest points, (p, k), and the indices of these points."""
+    distance, number = tree.query(places, k=np.arange(1, k + 1))
+    return np.asarray(distance), np.asarray(number)
+
+
+def _places(cells: FloatArray, reach: float) -> FloatArray:
+    """Centroids of groups of cells, (p, 3); cells nearer to each other than `reach` are in one group."""
+    near = cKDTree(cells).query_pairs(reach, output_type="ndarray") if len(cells) else np.zeros((0, 2), int)
+    links = coo_array((np.ones(len(near)), (near[:, 0], near[:, 1])), shape=(len(cells), len(cells)))
+    n, group = connected_components(links, directed=False)
+    sums = np.stack([np.bincount(group, cells[:, axis], n) for axis in range(3)], axis=1)
+    middles: FloatArray = sums / np.bincount(group, minlength=n)[:, None]
+    return middles

@@ -1,0 +1,120 @@
+"""Checks of the filtered points of a scan and of their normals."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pcretrieve.quality.check import Check, Limits, graded, percent
+from pcretrieve.types import FloatArray, PointCloud
+
+__all__ = ["normal_checks", "point_checks"]
+
+# What scans of known quality have: see docs/decisions.md, SPACING, and the rows below it.
+SPACING: Limits = (0.005, 0.015)
+OUTLIERS: Limits = (0.04, 0.15)
+DISAGREEING: Limits = (0.05, 0.25)
+UNBALANCED: Limits = (0.15, 0.25)
+
+
+def point_checks(cloud: PointCloud, *, spacing: float) -> list[Check]:
+    """Check the density of a filtered cloud, the fraction of outliers, and how its outside was found.
+
+    Parameters
+    ----------
+    cloud : PointCloud
+        The check "Outliers" is left out if there is no step ``clean`` in the provenance.
+    spacing : float
+        Median distance from a point to its nearest neighbour; unit of the file.
+
+    Returns
+    -------
+    list of Check
+        "Points": spacing relative to the diagonal. "Outliers": fraction of the points of the voxel grid that
+        were removed as statistical outliers. "Outside": no value.
+    """
+    share = spacing / cloud.diagonal
+    checks = [
+        graded(
+            "Points",
+            share,
+            SPACING,
+            f"{len(cloud.points):,} points, {percent(share)} of the diagonal apart",
+            passed="Dense enough for limbs and fingers.",
+            poor="Thin parts may be lost: scan more densely, or from nearer.",
+        )
+    ]
+    for cleaned in [step.sizes for step in cloud.provenance if step.stage == "clean"]:
+        outliers = 1 - cleaned["points"] / cleaned["points_thinned"]
+        checks.append(
+            graded(
+                "Outliers",
+                outliers,
+                OUTLIERS,
+                f"{percent(outliers)} dropped",
+                passed="Single points off the surface were removed.",
+                poor="Look at the points in red: if they belong to the body, raise scan.outlier_std; "
+                "else scan again.",
+            )
+        )
+    return [*checks, _sensor_check(cloud)]
+
+
+def normal_checks(normals: FloatArray, some: FloatArray, neighbors: NDArray[np.intp]) -> list[Check]:
+    """Check the consistency of the normals of a cloud, and whether they point to all sides.
+
+    Parameters
+    ----------
+    normals : (n, 3) float64
+        Unit normals.
+    some : (m, 3) float64
+        Those of the points that are compared with their neighbours.
+    neighbors : (m, k) int
+        Indices of the nearest neighbours of these points.
+
+    Returns
+    -------
+    list of Check
+        "Normals": fraction of pairs of neighbours whose normals are more than 90 degrees apart. "Sides seen":
+        length of the mean normal.
+    """
+    cosines = np.einsum("ij,ikj->ik", some, normals[neighbors])  # (m, k)
+    disagreeing = float((cosines <= 0).mean())
+    # The mean normal of a closed surface is 0; the mean normal of half a sphere has the length 1/2.
+    unbalanced = float(np.linalg.norm(normals.mean(axis=0)))
+    return [
+        graded(
+            "Normals",
+            disagreeing,
+            DISAGREEING,
+            f"{percent(1 - disagreeing)} of neighbours agree",
+            passed="Neighbouring points agree on which side is outside.",
+            poor="Normals of some patches point inwards, or the points are noisy: look at the orange "
+            "patches, and keep the sensor positions when scanning.",
+        ),
+        graded(
+            "Sides seen",
+            unbalanced,
+            UNBALANCED,
+            f"their normals are {percent(unbalanced)} one-sided",
+            passed="The normals point to all sides.",
+            poor="Most normals point the same way, as in a single view: scan the other sides too, and merge "
+            "the views.",
+        ),
+    ]
+
+
+def _sensor_check(cloud: PointCloud) -> Check:
+    notes = [note for step in cloud.provenance if step.stage == "orient" for note in step.notes]
+    guessed = cloud.viewpoints is None and any("leaked" in note for note in notes)
+    return Check(
+        "Outside",
+        "look" if guessed else "passed",
+        None,
+        "sensor positions in the file"
+        if cloud.viewpoints is not None
+        else (notes or ["found by flood fill from outside"])[0],
+        "The scan has holes and no sensor positions: save the positions with it."
+        if guessed
+        else "It is known which side is outside.",
+    )

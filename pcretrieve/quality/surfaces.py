@@ -1,0 +1,204 @@
+"""Checks of the surface of a scan, and of how well points and surface fit each other."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from pcretrieve.quality.check import Check, Limits, counted, graded, percent
+from pcretrieve.surface import defects
+from pcretrieve.types import Step, TriangleMesh
+
+__all__ = ["fit_checks", "marks_check", "mesh_check", "surface_checks"]
+
+# What scans of known quality have: see docs/decisions.md, UNSUPPORTED, and the rows below it.
+UNSUPPORTED: Limits = (0.01, 0.15)
+LOST: Limits = (0.005, 0.05)
+NOISE: Limits = (0.0025, 0.01)
+ENDS: Limits = (0.005, 0.03)
+GAPS: Limits = (0.008, 0.025)
+
+# Log-signature error for each unit of these measurements; that of gaps is for their square, that of ends for
+# what exceeds the ends that noise and small holes give. See docs/decisions.md, DOUBTFUL.
+ERROR_OF_FILLED = 2.0
+ERROR_OF_LOST = 5.0
+ERROR_OF_NOISE = 100.0
+ERROR_OF_ENDS = 75.0
+ENDS_OF_NOISE = 0.0015
+ERROR_OF_GAPS = 2900.0
+
+# Log-signature error of a surface with holes, and of a mesh whose parts are welded: .7 to 2.4 where they are
+# limbs, less where they are neighbours.
+ERROR_OF_HOLES = 0.3
+ERROR_OF_WELDS = 0.3
+
+
+def surface_checks(mesh: TriangleMesh) -> list[Check]:
+    """Check whether a surface is one closed manifold, and count its handles.
+
+    Parameters
+    ----------
+    mesh : TriangleMesh
+        The surface.
+
+    Returns
+    -------
+    list of Check
+        "Closed surface": number of boundary edges, non-manifold edges and inconsistently oriented edges. If
+        there are none, "Handles": the genus.
+    """
+    found = defects(mesh)
+    closed = Check(
+        "Closed surface",
+        "look" if found else "passed",
+        float(sum((found.boundary_edges, found.non_manifold_edges, found.inconsistent_edges))),
+        str(found) if found else "no defects",
+        "It has holes, or edges that no closed surface has: reconstruct it with surface.mode = 'reconstruct'."
+        if found
+        else "One closed, consistently oriented surface.",
+        ERROR_OF_HOLES if found else 0.0,
+    )
+    if found:
+        return [closed]
+    handles = 1 - mesh.euler_characteristic // 2
+    return [
+        closed,
+        Check(
+            "Handles",
+            "look" if handles else "passed",
+            float(handles),
+            f"{counted(handles, 'handle')}, Euler characteristic {mesh.euler_characteristic}",
+            "Right for a ring or a mug. If the body has no handle, parts that touch have fused: pose it with "
+            "limbs apart, or set surface.genus = 'sphere'."
+            if handles
+            else "No parts that touch have fused into a ring.",
+        ),
+    ]
+
+
+def mesh_check(provenance: Sequence[Step]) -> list[Check]:
+    """Check whether a mesh that was repaired, or sampled for reconstruction, was a manifold.
+
+    Parameters
+    ----------
+    provenance : sequence of Step
+        The stages that made the surface.
+
+    Returns
+    -------
+    list of Check
+        "Welds": number of non-manifold vertices and edges. Empty for a cloud, and for a mesh that needed no
+        repair.
+    """
+    return [
+        Check(
+            "Welds",
+            "look" if step.sizes["non_manifold"] else "passed",
+            step.sizes["non_manifold"],
+            counted(int(step.sizes["non_manifold"]), "non-manifold vertex or edge"),
+            "Parts of the body may be joined where they only touch: separate these vertices and edges."
+            if step.sizes["non_manifold"]
+            else "No vertex or edge joins parts of the mesh.",
+            ERROR_OF_WELDS if step.sizes["non_manifold"] else 0.0,
+        )
+        for step in provenance
+        if "non_manifold" in step.sizes
+    ]
+
+
+def fit_checks(*, filled: float, ends: float, gaps: float, lost: float, noise: float) -> list[Check]:
+    """Check how well points and surface fit each other.
+
+    Parameters
+    ----------
+    filled : float
+        Area of the surface without a point nearby; relative to the whole area.
+    ends : float
+        Part of this area that is turned away from the nearest points; relative to the whole area.
+    gaps : float
+        Distance to the nearest point that 5 % of the surface exceed; relative to the diagonal.
+    lost : float
+        Number of points without a surface nearby; relative to all points.
+    noise : float
+        Root mean square distance of the other points to the surface; relative to the diagonal.
+
+    Returns
+    -------
+    list of Check
+        "Filled in", "Closed ends", "Gaps", "Left out" and "Noise", with these values.
+    """
+    return [
+        graded(
+            "Filled in",
+            filled,
+            UNSUPPORTED,
+            f"{percent(filled)} of the surface",
+            passed="Nearly all of the surface lies on points.",
+            poor="The orange surface is interpolated, because there are no points: scan these places too.",
+            error=ERROR_OF_FILLED * filled,
+        ),
+        graded(
+            "Closed ends",
+            ends,
+            ENDS,
+            f"{percent(ends)} of the surface",
+            passed="What was filled in continues the surface round it.",
+            poor="The surface was closed across a limb that ends in a hole: scan the part that is missing.",
+            error=ERROR_OF_ENDS * max(0.0, ends - ENDS_OF_NOISE),
+        ),
+        graded(
+            "Gaps",
+            gaps,
+            GAPS,
+            f"95 % of the surface lie within {percent(gaps)} of the diagonal of a point",
+            passed="Points are dense everywhere.",
+            poor="Parts of the body have few points: scan these parts more densely, or from nearer.",
+            error=ERROR_OF_GAPS * gaps**2,
+        ),
+        graded(
+            "Left out",
+            lost,
+            LOST,
+            f"{percent(lost)} of the points lie off the surface",
+            passed="The surface passes by all points.",
+            poor="A part of the body was cut off, or something else was scanned with it: compare the points "
+            "with the surface.",
+            error=ERROR_OF_LOST * lost,
+        ),
+        graded(
+            "Noise",
+            noise,
+            NOISE,
+            f"{percent(noise)} of the diagonal (rms)",
+            passed="Points lie close to the surface.",
+            poor="Points scatter about the surface: scan from nearer, hold still, or align the views better.",
+            error=ERROR_OF_NOISE * noise,
+        ),
+    ]
+
+
+def marks_check(n_cuts: int, n_bridges: int) -> Check:
+    """Check how often the topology of the surface was changed.
+
+    Parameters
+    ----------
+    n_cuts : int
+        Number of places where parts that touch were separated.
+    n_bridges : int
+        Number of places where a loose part was connected.
+
+    Returns
+    -------
+    Check
+        "Cuts and bridges": the number of both.
+    """
+    n = n_cuts + n_bridges
+    return Check(
+        "Cuts and bridges",
+        "look" if n else "passed",
+        float(n),
+        f"{counted(n_cuts, 'cut')}, {counted(n_bridges, 'bridge')}",
+        "Look at the rings: parts that touch were separated there, or a loose part was connected; pose limbs "
+        "apart, and scan between them."
+        if n
+        else "No parts had to be separated or connected.",
+    )
