@@ -52,7 +52,7 @@ SAME_BODY = {
     "far_away": doubles(100 * POINTS + 1e14),
 }
 
-# Whatever these give, the process that reads them goes on.
+# Files that must not end the process that reads them, whatever the result.
 GARBAGE = {
     "byte_swapped": ply_of(POINTS.astype(">f4").tobytes(), len(POINTS), "float"),
     "doubles_byte_swapped": ply_of(POINTS.astype(">f8").tobytes(), len(POINTS), "double"),

@@ -28,7 +28,7 @@ FOUNDATION = {
     "rendering",
 }
 
-# The way of the data: a package may know those before it, never those after it.
+# The order in which data flows: a package may import packages before it, not packages after it.
 STAGES = [
     "formats",
     "voxels",

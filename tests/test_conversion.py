@@ -57,7 +57,7 @@ def test_a_cloud_survives_the_way_out_and_in() -> None:
     np.testing.assert_array_equal(as_cloud(CLOUD.to_trimesh()).points, CLOUD.points)
 
 
-def test_what_goes_out_can_be_changed_without_harm() -> None:
+def test_arrays_of_exported_geometry_are_copies() -> None:
     out = MESH.to_trimesh()
     out.vertices[0] = 99
     assert not (MESH.vertices == 99).any()

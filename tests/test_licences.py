@@ -1,4 +1,4 @@
-"""Whoever installs pcretrieve, which is under the MIT licence, is bound by no stricter one."""
+"""The licences of all hard dependencies are as permissive as the MIT licence of pcretrieve."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ else:
 
 PROJECT = Path(__file__).parents[1] / "pyproject.toml"
 
-# Copyleft that reaches whoever distributes a program together with the library.
+# Copyleft licences that apply to programs that are distributed with the library.
 STRONG = re.compile(r"\bA?GPL|GNU (Affero )?General Public", re.IGNORECASE)
 # The lesser licence leaves a program free that imports the library.
 LESSER = re.compile(r"\bLGPL[\w.+-]*|GNU (Library or )?Lesser General Public[\w ]*", re.IGNORECASE)
@@ -79,5 +79,5 @@ def test_no_dependency_has_a_stricter_licence() -> None:
         ("MPL-2.0 AND MIT", False),
     ],
 )
-def test_licences_are_told_apart(words: str, strong: bool) -> None:
+def test_licences_are_distinguished(words: str, strong: bool) -> None:
     assert is_strong(words) == strong

@@ -124,7 +124,7 @@ def test_errors_of_a_package_fail_a_shape(error: BaseException) -> None:
         ("one", KeyError("x")),
     ],
 )
-def test_errors_that_are_nobodys_fault_are_left_as_they_are(name: str, error: BaseException) -> None:
+def test_errors_of_other_causes_are_not_changed(name: str, error: BaseException) -> None:
     with pytest.raises(type(error)) as raised:
         fail(name, error)
     assert raised.value is error

@@ -1,4 +1,4 @@
-"""The public names: exact, documented, and free of charge until they are used."""
+"""The public names: exact, documented, and imported only when they are used."""
 
 import ast
 import importlib

@@ -25,7 +25,7 @@ DEFAULT_STAGES = ("clean", "orient", "surface", "remesh", "spectrum")
 
 @dataclass(frozen=True, slots=True)
 class Link:
-    """What the check of a chain needs to know of a stage.
+    """The declaration of a stage: its input, its output and its options.
 
     Attributes
     ----------
@@ -88,6 +88,7 @@ def link_of(stage: str) -> Link:
     Returns
     -------
     Link
+        The declaration of the stage.
 
     Raises
     ------
@@ -148,7 +149,7 @@ def check_chain(stages: Sequence[str], *, of_points: bool) -> None:
 
 
 def with_method(tables: Mapping[str, Any]) -> dict[str, Any]:
-    """Tables of options in which the chain names the stage ``surface`` in place of a surface method.
+    """Replace the name of a surface method in the chain by ``surface`` and the option `surface.method`.
 
     Parameters
     ----------
@@ -163,7 +164,7 @@ def with_method(tables: Mapping[str, Any]) -> dict[str, Any]:
     Raises
     ------
     OptionError
-        If that option is another method.
+        If `surface.method` is another method.
     """
     changed = dict(tables)
     chain, surface = tables.get("pipeline"), tables.get("surface", {})
@@ -193,7 +194,7 @@ def _named(table: Any, option: str) -> Any:
 
 
 def _replaced(table: Any, **values: Any) -> Any:
-    """A table of options with other values of some of them. What is no table is refused later."""
+    """A table of options with some values replaced. Values that are not tables are refused later."""
     if isinstance(table, Options):
         return table.model_copy(update=values)
     return {**table, **values} if isinstance(table, Mapping) else table
@@ -252,7 +253,7 @@ class StageOptions(Options):
 
 
 def _made(name: str, kind: type[Options], table: Any) -> Options:
-    """The options of a filter: a table of values, or such an object already."""
+    """The options of a filter, from a table of values, or from an object of options."""
     if isinstance(table, kind):
         return table
     if not isinstance(table, Mapping):

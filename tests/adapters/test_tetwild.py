@@ -1,4 +1,4 @@
-"""The fTetWild server: it runs while its client does, and ends with it, whichever process is killed."""
+"""The fTetWild server runs as long as its client, and ends with it, if either process is killed."""
 
 from __future__ import annotations
 

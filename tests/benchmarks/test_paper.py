@@ -61,7 +61,7 @@ def test_drums_sound_alike_and_have_different_signatures(element: Element, n_cut
 
 
 def test_figure_6_comes_out_as_printed() -> None:
-    """The paper's meshes are not ours: its two columns of one spectrum differ by up to 3e-3 themselves."""
+    """The meshes of the paper are other ones: its two columns of one spectrum differ by up to 3e-3."""
     columns = drum_spectra("linear")
     np.testing.assert_allclose(columns[:, :2], FIGURE_6[:, :2], rtol=3e-3)
     np.testing.assert_allclose(columns[:, 2:], FIGURE_6[:, 2:], rtol=5e-3)

@@ -1,4 +1,4 @@
-"""Sets of meshes: read whole or in part, and said where they are not there."""
+"""Sets of meshes are read as a whole or in part; missing sets are reported."""
 
 from __future__ import annotations
 

@@ -35,7 +35,7 @@ def test_median_and_best() -> None:
 
 
 @linux_only
-def test_the_peak_outlives_the_memory_and_can_be_forgotten() -> None:
+def test_the_peak_is_kept_after_memory_is_freed_and_can_be_reset() -> None:
     """In a process of its own, whose kernel record no other test has touched."""
     program = """
 import numpy as np

@@ -1,4 +1,4 @@
-"""Indexes are kept beside the catalogue, belong to its state, and answer as those that are made anew."""
+"""Stored indexes belong to a state of the catalogue, and give the results of newly computed indexes."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ def asked(whitening: str = "none", distance: str = "log") -> PipelineOptions:
 
 
 def fresh(store: Catalogue, options: PipelineOptions) -> SignatureIndex:
-    """The index of the table, which nobody kept."""
+    """An index of the table that is not stored."""
     return SignatureIndex(store.signatures(options), options.retrieval, whitening=store.whitening(options))
 
 
@@ -89,7 +89,7 @@ def test_an_index_that_was_kept_answers_as_one_made_anew(
         statements: list[str] = []
         other._rows._connection.set_trace_callback(statements.append)  # type: ignore[attr-defined]
         index = other.index(options)
-        assert not [text for text in statements if "signatures" in text], "it was made anew"
+        assert not [text for text in statements if "signatures" in text], "it was computed again"
         assert_same(index, catalogue, options)
 
 

@@ -1,4 +1,4 @@
-"""A catalogue stores the parts of a shape that its options name; the others are computed anew, or gone."""
+"""A catalogue stores the parts of a shape that its options name; others are computed again, or missing."""
 
 from __future__ import annotations
 

@@ -35,7 +35,7 @@ from pcretrieve.types import ModalSpectrum
 HERE = Path(__file__).parent
 EXPECTED: dict[str, Any] = json.loads((HERE / "version1.json").read_text("utf-8"))
 
-# Shapes of the catalogue that is killed, and after how many.
+# Number of shapes of the catalogue whose migration is killed, and number of shapes before that.
 MANY = 1000
 KILLED_AFTER = 200
 
@@ -234,7 +234,7 @@ def test_what_cannot_be_rewritten_is_left_as_it_is(damage: str, said: str, path:
 
 
 @pytest.mark.skipif(os.geteuid() == 0, reason="root may write every file")
-def test_one_that_may_not_be_written_says_so(path: Path) -> None:
+def test_a_catalogue_that_cannot_be_written_is_an_error(path: Path) -> None:
     path.parent.chmod(0o500)
     try:
         with pytest.raises(CatalogueError, match=r"older pcretrieve \(schema 1\) and must be rewritten"):

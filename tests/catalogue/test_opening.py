@@ -40,7 +40,7 @@ def execute(path: Path, *statements: str) -> None:
 # --- options --------------------------------------------------------------------------------------------
 
 
-def test_a_catalogue_knows_its_options(path: Path) -> None:
+def test_a_catalogue_has_the_options_it_was_built_with(path: Path) -> None:
     with Catalogue(path) as own, Catalogue(path, OPTIONS, create=True) as same:
         assert own.options == same.options == OPTIONS
 
@@ -196,7 +196,7 @@ DAMAGES: dict[str, Callable[[Path], None]] = {
 
 
 @pytest.mark.parametrize("damage", DAMAGES)
-def test_damage_is_told(damage: str, path: Path) -> None:
+def test_damaged_bytes_are_an_error(damage: str, path: Path) -> None:
     DAMAGES[damage](path)
     with pytest.raises(CatalogueError, match=r"is damaged \(.*\): restore a copy, or ingest into a new"):  # noqa: SIM117
         with Catalogue(path) as store:

@@ -262,7 +262,7 @@ def test_what_is_no_store(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> No
         Catalogue(Path("sqlite://rows"))
 
 
-def test_a_catalogue_knows_where_it_is(tmp_path: Path) -> None:
+def test_a_catalogue_has_its_location(tmp_path: Path) -> None:
     options = PipelineOptions().changed(signature={"n_values": 9})
     with closing(open_rows(tmp_path / "c.sqlite", settings_of(options), create=True)) as rows:
         assert rows.location == str(tmp_path / "c.sqlite")

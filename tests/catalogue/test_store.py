@@ -165,7 +165,7 @@ def test_a_shape_that_has_no_such_signature_is_named(catalogue: Catalogue) -> No
 @pytest.mark.parametrize("kind", ["pca", "within-class"])
 def test_a_whitening_is_fitted_anew_once_the_shapes_change(kind: str, catalogue: Catalogue) -> None:
     def fitted() -> bytes:
-        """By whoever asks: what the catalogue answers is always what its shapes give."""
+        """Also by other processes: the catalogue always gives the results of its present shapes."""
         table = catalogue.signatures(whitened(kind))
         expected = fit_whitening(
             kind, log_signatures(table.values), table.labels, options_digest=table.digest

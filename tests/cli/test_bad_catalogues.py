@@ -88,7 +88,7 @@ def test_one_message_and_the_right_exit_code(
     assert ended == code, said
 
 
-def test_nothing_was_lost(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_no_row_was_lost(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """After all of the above, the catalogue still answers."""
     assert run("query", folder / "egg.off", "-c", folder / "good.sqlite", "-k", "1") == 0
     assert "egg" in capsys.readouterr().out

@@ -1,4 +1,4 @@
-"""Commands on one scan: whatever a scan does to the process that works on it, they end with a message."""
+"""Commands for one scan end with a message if the worker process crashes, hangs or lacks memory."""
 
 from __future__ import annotations
 

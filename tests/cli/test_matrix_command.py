@@ -112,7 +112,7 @@ def test_a_scan_that_the_catalogue_does_not_hold_has_no_row(
     assert "which does not hold" in str(refused)
 
 
-def test_shapes_that_nobody_knows(folder: Path, tmp_path: Path) -> None:
+def test_unknown_ids_are_refused(folder: Path, tmp_path: Path) -> None:
     np.savetxt(tmp_path / "run.txt", np.zeros((2, 2)))
     (tmp_path / "run.ids").write_text("00\nstranger\n")
     for command in (("evaluate",), ("report", "-o", tmp_path / "page.html")):

@@ -168,7 +168,7 @@ def test_a_catalogue_compares_as_the_options_that_it_was_made_with_say(
     assert (
         plain == run(*query, "-c", tmp_path / "c.sqlite", "--whitening", "none", "--distance", "log").stdout
     )
-    # Nothing that is stored depends on them, so that a catalogue goes on with others.
+    # Stored results do not depend on these options, so that a catalogue can be used with other values.
     run("ingest", files[0].parent, "-c", tmp_path / "plain.sqlite", "--config", tmp_path / "mine.toml")
 
 
@@ -179,7 +179,7 @@ def test_a_catalogue_that_stored_relative_keeps_it(catalogue: Path) -> None:
     assert catalogue.parent.name.startswith(own(catalogue))
 
 
-def test_size_tells_bodies_of_one_form_apart(tmp_path: Path) -> None:
+def test_size_distinguishes_bodies_of_one_form(tmp_path: Path) -> None:
     """A small and a large one of each of two forms, seen by form, and by form and size."""
     scans = []
     for name, length, size in (("a", 1.2, 1.0), ("b", 1.2, 1.3), ("c", 1.3, 1.0), ("d", 1.3, 1.3)):

@@ -34,7 +34,7 @@ hollow = "girth:hollow"
 lost = "girth_lost:girth"
 """,
     "girth.py": '''
-"""Descriptors that nobody needs."""
+"""Descriptors for tests."""
 
 import numpy as np
 

@@ -77,7 +77,7 @@ def test_it_does_not_see_motion_or_numbering(method: str, change) -> None:  # ty
     )
 
 
-def test_it_tells_a_body_from_a_cigar(method: str) -> None:
+def test_it_distinguishes_a_body_from_an_ellipsoid(method: str) -> None:
     cigar = process(shapes.ellipsoid((1.0, 0.2, 0.2), subdivisions=3), PipelineOptions())
     gap = np.abs(np.log(values(cigar, method)) - np.log(values(body(), method))).max()
     assert gap > 0.08  # more than motion and numbering change, of whatever descriptor
@@ -159,12 +159,12 @@ def test_wave_kernels_by_points_are_the_same() -> None:
 
 
 @pytest.mark.parametrize("name", ["hks-bow", "si-hks-bow"])
-def test_words_share_out_the_surface(name: str) -> None:
+def test_the_frequencies_of_words_sum_up_to_the_surface(name: str) -> None:
     shares = values(body(), name) - 1e-3
     assert shares.sum() == pytest.approx(1, abs=1e-6)
 
 
-def test_pairs_of_words_see_where_words_are() -> None:
+def test_pairs_of_words_depend_on_the_positions_of_words() -> None:
     """The heat kernel has unit row sums: the pairs of a word sum up to the frequency of the word."""
     pairs = values(body(), "hks-bow-spatial") - 1e-3
     table = np.zeros((N_VALUES, N_VALUES))

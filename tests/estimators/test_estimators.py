@@ -163,7 +163,7 @@ def test_all_within_a_radius_are_found(distance: str) -> None:
 def test_the_score_is_the_mean_average_precision_of_new_queries() -> None:
     gallery = np.array([[0.0], [1.0], [2.0], [3.0]])
     estimator = SignatureNeighbors().fit(gallery, ["a", "b", "a", "b"])
-    # From .4 the order is a b a b, and from 2.9 it is b a b a; nobody knows c.
+    # From .4 the order is a b a b, and from 2.9 it is b a b a; no shape of the class c was fitted.
     assert estimator.score([[0.4]], ["a"]) == pytest.approx((1 + 2 / 3) / 2)
     assert estimator.score([[0.4], [2.9], [0.0]], ["b", "a", "c"]) == pytest.approx((1 / 2 + 2 / 4) / 2)
     with pytest.raises(InputError, match="a score needs queries of fitted classes, got none"):

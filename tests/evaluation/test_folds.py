@@ -1,4 +1,4 @@
-"""Grouped folds: what they keep apart, and what an evaluation makes of them."""
+"""Grouped folds separate classes, and an evaluation uses them."""
 
 from dataclasses import asdict, replace
 
@@ -86,7 +86,7 @@ def test_the_whitening_has_seen_no_value_of_the_classes_it_is_scored_on() -> Non
         assert (poisoned[number].queries == fold.queries).all()
         assert (poisoned[number].whitening.matrix == fold.whitening.matrix).all()
         assert (poisoned[number].whitening.mean == fold.whitening.mean).all()
-        # All other folds are fitted on those values, so the poison did reach the fit where it may.
+        # All other folds are fitted on these values, so that the changed values did affect these fits.
         for other in range(5):
             same = (
                 poisoned[other].whitening.matrix == list(within_class_folds(table))[other].whitening.matrix

@@ -140,7 +140,7 @@ def test_the_default_is_the_camera_of_a_kinect_for_images_of_its_size(
     assert (
         found.provenance[0].notes[0].startswith(f"assumed the camera of a {camera.note}: there is no camera")
     )
-    assert not is_scan(tmp_path / "a.png")  # of any 16-bit image in a folder, nobody knows
+    assert not is_scan(tmp_path / "a.png")  # a 16-bit image in a folder need not be a depth image
 
 
 def test_readings_without_an_answer_are_dropped_with_a_note(tmp_path: Path) -> None:

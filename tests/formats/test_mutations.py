@@ -1,4 +1,4 @@
-"""Whatever happens to a file, reading it gives a scan, or an error that says what is wrong with the file."""
+"""Reading a damaged file gives a scan, or an error that names the defect of the file."""
 
 from __future__ import annotations
 
@@ -101,7 +101,7 @@ NAMES = (
 
 @pytest.fixture
 def _bounded_memory() -> Iterator[None]:
-    """Whoever takes more gets a MemoryError."""
+    """Limit the memory of this process: larger allocations raise a MemoryError."""
     status = Path("/proc/self/status").read_text(encoding="ascii")
     (used,) = (int(line.split()[1]) << 10 for line in status.splitlines() if line.startswith("VmData"))
     before = resource.getrlimit(resource.RLIMIT_DATA)
@@ -138,7 +138,7 @@ def test_a_damaged_file_is_a_scan_or_an_error_of_that_file(name: str, originals:
             n_errors += 1
             assert str(damaged) in error.message
             assert "codec" not in error.message
-        # What else may go wrong is told with the seed, for whoever has to find out why.
+        # Other exceptions are reported with the seed, so that they can be reproduced.
         except BaseException as error:
             raise AssertionError(f"seed {seed}: {type(error).__name__}: {error}") from error
         else:

@@ -177,7 +177,7 @@ def test_what_is_wrong_is_said(content: bytes, words: str, tmp_path: Path) -> No
     assert words in raised.value.message
 
 
-def test_garbage_is_told_without_the_words_of_a_codec(tmp_path: Path) -> None:
+def test_messages_about_binary_files_do_not_quote_a_codec(tmp_path: Path) -> None:
     for start in (b"", b"ply\n", b"ply\nformat ascii 1.0\n"):
         (tmp_path / "a.ply").write_bytes(start + bytes(range(256)) * 4)
         with pytest.raises(ScanReadError) as raised:

@@ -30,12 +30,12 @@ def folder(tmp_path: Path) -> Path:
 
 @pytest.fixture
 def hanging(folder: Path) -> Iterator[list[Path]]:
-    """The first two files: the kernel lets nobody else open them, while this process has a lease of them."""
+    """Block the first two files: other processes cannot open them while this process has a lease."""
     paths = [folder / "0.off", folder / "1.off"]
     held = [os.open(path, os.O_RDWR) for path in paths]
     try:
         for file in held:
-            # Whoever asks for the file is announced by a signal, which by default ends this process.
+            # The kernel announces that another process opens the file by a signal, whose default ends this process.
             fcntl.fcntl(file, fcntl.F_SETSIG, signal.SIGURG)
             fcntl.fcntl(file, fcntl.F_SETLEASE, fcntl.F_WRLCK)
     except OSError as error:

@@ -71,7 +71,7 @@ def test_a_name_with_brackets_is_a_name_first(folder: Path) -> None:
     ],
     ids=["lines", "table", "from a spreadsheet"],
 )
-def test_a_manifest_names_paths_from_where_it_lies(manifest: str, text: str, folder: Path) -> None:
+def test_paths_in_a_manifest_are_relative_to_its_folder(manifest: str, text: str, folder: Path) -> None:
     """Also one that is missing: that is this shape's failure, not the batch's."""
     (folder / "deep" / manifest).write_text(text, encoding="utf-8", newline="")
     assert names(f"deep/{manifest}") == ["a.ply", "deep/c.xyz", "deep/gone.ply"]
@@ -217,7 +217,7 @@ def test_a_folder_that_may_not_be_read_is_named(locked: Path, caplog: pytest.Log
 # --- identity -------------------------------------------------------------------------------------------
 
 
-def test_content_tells_files_apart_and_names_do_not(folder: Path) -> None:
+def test_files_are_identified_by_content_not_by_name(folder: Path) -> None:
     (folder / "copy.ply").write_bytes((folder / "a.ply").read_bytes())
     assert content_hash(folder / "copy.ply") == content_hash(folder / "a.ply")
     assert content_hash(folder / "b.OBJ") != content_hash(folder / "a.ply")

@@ -152,7 +152,7 @@ def test_the_command_line_takes_an_executor_by_its_name(
     assert not (tmp_path / "other.sqlite").exists()
 
 
-def test_an_executor_that_loses_scans_is_told_from_one_that_is_done(tmp_path: Path) -> None:
+def test_an_executor_that_loses_scans_is_an_error(tmp_path: Path) -> None:
     def lose(function: object, items: Iterator[object], /, **limits: object) -> Iterator[object]:
         list(items)
         yield from ()

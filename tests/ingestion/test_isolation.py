@@ -1,4 +1,4 @@
-"""A function in a process of its own: its answer comes back, and its end is an error."""
+"""A function in another process: its answer is returned, and the end of the process is an error."""
 
 from __future__ import annotations
 

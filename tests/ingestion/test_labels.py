@@ -89,7 +89,7 @@ def test_a_name_stands_for_one_shape(name: str, shape: str) -> None:
 
 
 @pytest.mark.parametrize("name", ["cat", "nn/stand.ply", "T5.ply", "6", "/stand.ply", "T", ""])
-def test_names_that_stand_for_none_are_told(name: str) -> None:
+def test_names_that_match_no_shape_are_returned(name: str) -> None:
     assert match_labels({name: "x", "T15": "y"}, PATHS) == ({"T15": "y"}, [name])
 
 

@@ -1,4 +1,4 @@
-"""An ingest that is stopped loses nothing, and goes on."""
+"""An interrupted ingest loses no results, and can be continued."""
 
 from __future__ import annotations
 

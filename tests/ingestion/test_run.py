@@ -1,4 +1,4 @@
-"""Files come, go and change; shapes fail, hang and die: the catalogue holds what is there, once."""
+"""Ingests of new, removed, changed and damaged files: the catalogue has each present content once."""
 
 from __future__ import annotations
 
@@ -91,7 +91,7 @@ def test_under_another_suffix_the_same_bytes_are_another_scan(tmp_path: Path, ca
 
 
 def test_a_file_that_changed_is_processed_again(folder: Path, filled: Catalogue) -> None:
-    """And what stood for its old content, a copy, comes into its own."""
+    """A duplicate of the old content of the file is then processed."""
     before = filled.signatures()
     egg(folder / "a.off", 3)
     summary = again(folder, filled)
@@ -141,7 +141,7 @@ def test_labels_reach_shapes_that_are_held_already(folder: Path, filled: Catalog
     assert summary.unknown_labels == ["nobody"]
 
 
-def test_a_failure_is_remembered_until_it_is_to_be_tried_again(folder: Path, filled: Catalogue) -> None:
+def test_a_failure_is_stored_until_it_is_retried(folder: Path, filled: Catalogue) -> None:
     (folder / "flat.xyz").write_text("1 2 3\n" * 200)
     assert ids([*again(folder, filled).failed]) == ["flat"]
     remembered = again(folder, filled)
@@ -371,7 +371,7 @@ def test_one_shape_takes_no_other_with_it(folder: Path, catalogue: Catalogue) ->
 
 @pytest.mark.usefixtures("vicious")
 def test_json_is_all_that_standard_output_gets(folder: Path, tmp_path: Path) -> None:
-    """Whatever a reader prints, and whatever bytes the name of a copy has."""
+    """Also if readers print, and if names of duplicates are not UTF-8."""
     (folder / "shout.vicious").write_text("shout")
     odd = Path(os.fsdecode(os.fsencode(folder) + b"/latin-\xe9.off"))
     odd.write_bytes((folder / "b.off").read_bytes())

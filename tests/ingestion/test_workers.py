@@ -1,4 +1,4 @@
-"""Processes that are killed, stopped and worn out cost one outcome at most."""
+"""Worker processes that are killed, stopped or replaced affect at most one outcome."""
 
 from __future__ import annotations
 
@@ -207,7 +207,7 @@ def test_a_worker_that_is_killed_before_its_first_item_is_replaced(
     ],
     ids=lambda value: type(value).__name__,
 )
-def test_whatever_is_raised_is_that_items_outcome(
+def test_every_exception_is_the_outcome_of_its_item(
     raised: BaseException, recorded: type[PcretrieveError]
 ) -> None:
     found = dict(outcomes(partial(raise_one, raised), range(4), prepare=nothing, workers=1, timeout=60))

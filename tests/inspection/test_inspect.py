@@ -86,7 +86,7 @@ def test_a_hole_in_the_scan_is_filled_where_it_is() -> None:
     assert check(seen, "Filled in").verdict == "look"
 
 
-def test_a_one_sided_scan_says_so() -> None:
+def test_a_one_sided_scan_fails_a_check() -> None:
     points = shapes.points_on(shapes.ellipsoid(), 20_000)
     seen = inspect_scan(seen_from_far(points[points[:, 0] > 0]), OPTIONS, n_rescans=0)
     sides = check(seen, "Sides seen")
@@ -138,7 +138,7 @@ def test_a_mesh_that_is_kept_has_nothing_but_its_surface() -> None:
     assert seen.signature is not None
 
 
-def test_a_mesh_with_holes_is_sampled_or_says_so() -> None:
+def test_a_mesh_with_holes_is_sampled_or_has_a_check() -> None:
     holed = TriangleMesh(BODY.vertices, BODY.faces[10:])
     assert inspect_scan(holed, OPTIONS, n_rescans=0).scan is not None
     kept = inspect_scan(holed, PipelineOptions().changed(surface={"mode": "keep"}))

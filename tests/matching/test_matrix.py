@@ -58,7 +58,7 @@ def test_equally_far_shapes_come_in_the_order_of_their_ids() -> None:
     assert MATRIX.nearest("d", 2).ids == ("d", "a")
 
 
-def test_neighbours_of_nobody_and_none_of_them() -> None:
+def test_unknown_queries_and_zero_neighbours_are_refused() -> None:
     with pytest.raises(InputError, match="the query must be one of the 4 ranked shapes, got 'e'"):
         MATRIX.nearest("e")
     with pytest.raises(OptionError, match="k must be a whole number of at least 1, got 0"):

@@ -153,7 +153,7 @@ def test_size_place_and_order_of_vertices_do_not_count() -> None:
     assert apart < 0.02 * heat_distance(heat_set(shape(mesh)), heat_set(egg(2.5)))
 
 
-def test_forms_are_told_apart() -> None:
+def test_forms_are_distinguished() -> None:
     """By the amount in which they differ; the finer two meshes of one form, the nearer they are."""
     sets = {length: heat_set(egg(length)) for length in (1.5, 2.0, 3.0)}
     assert heat_distance(sets[1.5], sets[2.0]) < heat_distance(sets[1.5], sets[3.0])

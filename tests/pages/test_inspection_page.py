@@ -229,7 +229,7 @@ def test_normals_of_half_a_sphere_have_a_mean_of_one_half() -> None:
     ],
     ids=["sphere", "torus", "square", "two"],
 )
-def test_surfaces_are_told_apart(mesh: TriangleMesh, verdicts: list[str]) -> None:
+def test_surfaces_are_distinguished(mesh: TriangleMesh, verdicts: list[str]) -> None:
     assert [check.verdict for check in surface_checks(mesh)] == verdicts
 
 

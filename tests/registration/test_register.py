@@ -153,7 +153,7 @@ def test_given_poses_are_refined_or_kept() -> None:
     assert error(refined.poses, back @ truth, clouds) < TOLERANCE
 
 
-def test_a_view_far_from_the_others_stays_where_it_was_put_and_is_named() -> None:
+def test_a_view_far_from_the_others_keeps_its_given_pose_with_a_note() -> None:
     clouds, motions = views()
     poses = np.linalg.inv(motions).astype(np.float64)
     poses[3, :3, 3] += 100
@@ -271,7 +271,7 @@ def test_options_have_limits() -> None:
 
 
 @needs_data
-def test_the_bunny_comes_together() -> None:
+def test_the_views_of_the_bunny_are_registered() -> None:
     """Ten scans without poses; where two of them are one surface, they are so to a third of a millimetre."""
     scans = [read_scan(path) for path in sorted((DATA / "stanford_bunny").glob("*.ply"))]
     clouds = [scan for scan in scans if isinstance(scan, PointCloud)]

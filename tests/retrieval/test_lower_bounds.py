@@ -1,4 +1,4 @@
-"""Bounds in single precision are never longer than the distances that they stand for."""
+"""Lower bounds in single precision never exceed the distances."""
 
 from __future__ import annotations
 

@@ -82,7 +82,7 @@ def test_within_class_shrinks_towards_the_mean_variance() -> None:
     np.testing.assert_allclose(product, product[0, 0] * np.eye(8), atol=1e-10 * product[0, 0])
 
 
-def test_within_class_tells_classes_apart_that_pose_had_blurred() -> None:
+def test_within_class_whitening_separates_classes_that_overlap_by_pose() -> None:
     logs, labels = labelled_logs()
     same = np.equal.outer(labels, labels)
 
@@ -155,7 +155,7 @@ def test_arrays_keep_all_of_it_without_pickle(kind: str) -> None:
         assert getattr(again, name) == getattr(whitening, name)
 
 
-def test_the_digest_tells_what_made_it() -> None:
+def test_the_digest_depends_on_kind_damping_and_options() -> None:
     logs, labels = labelled_logs()
     base = fit_whitening("pca", logs, options_digest="3f2a")
     assert base.digest == fit_whitening("pca", logs[:50], options_digest="3f2a").digest

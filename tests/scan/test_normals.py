@@ -66,7 +66,7 @@ def test_the_unit_does_not_matter(unit: float) -> None:
     assert (np.einsum("ij,ij->i", ours, theirs) > 0).mean() > 0.999
 
 
-def test_auto_believes_sensors_before_normals_before_a_flood() -> None:
+def test_auto_prefers_sensors_to_normals_and_normals_to_a_flood_fill() -> None:
     cloud, true = scanned(SURFACES["ball"], 2000)
     wrong = replace(cloud, normals=-true)
     assert share_right(oriented_normals(cloud, ScanOptions()), true) > 0.99

@@ -76,7 +76,7 @@ def test_the_catalogue_of_poses_is_rich_and_fits(family: str) -> None:
 
 
 def gaps(subject: Subject, pose: Pose, contacts: tuple[Contact, ...]) -> list[float]:
-    """From the skin of what comes to the flesh that it rests on, negative inside, relative to the body."""
+    """Distance from the skin of the moving part to the flesh of the other, negative inside; relative."""
     own = skin(subject)
     moved = motions(subject, close_contacts(own, pose))
     mesh = body(subject, pose)

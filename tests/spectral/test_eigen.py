@@ -165,7 +165,7 @@ def test_it_is_kept_where_it_is_hard_to(n_pairs: int, stretch: float) -> None:
     assert lack_of_orthogonality(laplace_beltrami(mesh), n_pairs) < 1e-10
 
 
-def test_it_is_kept_by_the_estimate_of_what_is_lost(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_orthogonality_is_kept_by_the_estimate_of_its_loss(monkeypatch: pytest.MonkeyPatch) -> None:
     often = eigenpairs(BODY, 150).eigenvalues
     monkeypatch.setattr(krylov, "LARGEST_LOST", 0)
     always = eigenpairs(BODY, 150).eigenvalues

@@ -76,7 +76,7 @@ def test_eigenvalues_of_a_square_with_free_boundary() -> None:
     assert rates.max() < 2.1
 
 
-def test_eigenvalues_of_a_surface_do_not_see_how_it_lies_in_space() -> None:
+def test_eigenvalues_are_invariant_to_bending_without_stretching() -> None:
     # A strip of paper, flat and rolled to a quarter of a tube: every edge along or across keeps its length
     # up to second order.
     flat = shapes.square(24)

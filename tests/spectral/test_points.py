@@ -144,7 +144,7 @@ def test_normals_keep_the_sides_of_a_thin_limb_apart() -> None:
     assert apart.area == pytest.approx(2, rel=0.2)  # half of the neighbours that there could be
 
 
-def test_a_normal_that_no_neighbour_agrees_with_is_not_believed() -> None:
+def test_a_normal_that_disagrees_with_all_neighbours_is_not_used() -> None:
     normals = SPHERE / np.linalg.norm(SPHERE, axis=1, keepdims=True)
     normals[7] *= -1
     operator = laplace_beltrami(PointCloud(SPHERE, normals), "points")

@@ -71,7 +71,7 @@ def test_a_ring_loses_one_slice_and_no_more() -> None:
     assert np.degrees(np.ptp(np.unwrap(np.arctan2(at[:, 1], at[:, 0])))) < 45
 
 
-def test_what_is_a_ball_already_comes_back_whole() -> None:
+def test_bodies_of_genus_zero_are_not_changed() -> None:
     limbs = cells(
         (40, 40, 40),
         (slice(5, 35), slice(17, 23), slice(17, 23)),
@@ -83,7 +83,7 @@ def test_what_is_a_ball_already_comes_back_whole() -> None:
 
 
 @pytest.mark.parametrize("thickness", [4, 5, 6, 7])
-def test_an_even_bar_comes_back_whole(thickness: int) -> None:
+def test_a_bar_of_constant_thickness_is_not_changed(thickness: int) -> None:
     """Many voxels have equal depths: their order must not leave tunnels."""
     inside = np.pad(np.ones((40, thickness, thickness), dtype=bool), 2)
     np.testing.assert_array_equal(grown(inside, depth(inside), no_walls(inside)), inside)

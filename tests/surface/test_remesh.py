@@ -25,7 +25,7 @@ def only_note(mesh: TriangleMesh) -> str:
 
 
 @pytest.mark.parametrize("mesh", [BODY, shapes.torus(24, 12)], ids=["body", "torus"])
-def test_a_sound_body_comes_back_as_itself(mesh: TriangleMesh) -> None:
+def test_a_closed_surface_keeps_topology_area_and_volume(mesh: TriangleMesh) -> None:
     earlier = Step("surface", 1.0)
     result = remesh(mesh.after(earlier), TETWILD)
     assert not defects(result)

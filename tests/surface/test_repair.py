@@ -71,7 +71,7 @@ def test_a_sound_mesh_needs_nothing() -> None:
         ),
     ],
 )
-def test_a_broken_ball_comes_back_as_the_ball(broken: TriangleMesh, note: str) -> None:
+def test_a_ball_with_defects_is_repaired_to_the_ball(broken: TriangleMesh, note: str) -> None:
     mesh, notes = repaired(broken)
     assert notes == (note,)
     assert not defects(mesh)
@@ -98,7 +98,7 @@ def test_flat_faces_collapse_until_none_is_left() -> None:
     assert notes == ("collapsed 4 of 5 faces, flat ones and their neighbours",)
 
 
-def test_a_fin_goes_and_leaves_the_surface_closed() -> None:
+def test_a_fin_is_removed_and_the_surface_remains_closed() -> None:
     a, b = BALL.faces[0, :2]
     tip = len(BALL.vertices)
     fin = with_more(BALL, [[a, b, tip], [b, a, tip]], [0, 0, 3])

@@ -92,7 +92,7 @@ def test_it_ends_at_tetrahedra() -> None:
     assert np.array_equal(simplified(tetrahedron, 0).faces, tetrahedron.faces)
 
 
-def test_enough_is_left_alone() -> None:
+def test_a_surface_with_few_faces_is_not_changed() -> None:
     mesh = shapes.body(2)
     same = simplified(mesh, len(mesh.faces))
     assert np.array_equal(same.vertices, mesh.vertices)

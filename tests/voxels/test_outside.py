@@ -24,7 +24,7 @@ def shell(hole: float, n: int = 20_000) -> FloatArray:
 
 
 @pytest.mark.parametrize("hole", [0.0, 0.6 * GAP])
-def test_a_hole_narrower_than_the_gap_stays_dry(hole: float) -> None:
+def test_the_flood_does_not_pass_a_hole_narrower_than_the_gap(hole: float) -> None:
     outside = flood(shell(hole), cell=CELL, gap=GAP)
     reached = outside.reached[outside.grid.index(np.random.default_rng(0).uniform(-0.5, 0.5, (1000, 3)))]
     assert not reached.any()
@@ -35,7 +35,7 @@ def test_a_hole_wider_than_the_gap_leaks() -> None:
     assert outside.reached[outside.grid.index(np.zeros((1, 3)))].all()
 
 
-def test_the_outside_comes_as_near_to_the_points_as_the_skin() -> None:
+def test_the_outside_reaches_the_clearance_around_the_points() -> None:
     """The space is narrower than the walls, and is reached in the second pass."""
     outside = flood(shell(0.0), cell=CELL, gap=GAP)
     distance = np.linalg.norm(
@@ -45,7 +45,7 @@ def test_the_outside_comes_as_near_to_the_points_as_the_skin() -> None:
     assert not outside.reached[outside.distance <= 1.5].any()
 
 
-def test_the_outside_comes_between_fingers() -> None:
+def test_the_outside_reaches_between_fingers() -> None:
     """Two plates at a distance less than the thickness of two walls."""
     gap = 5 * CELL
     x, y = np.meshgrid(np.arange(0, 1, CELL / 2), np.arange(0, 1, CELL / 2))
