@@ -1,6 +1,6 @@
 """scikit-learn estimators: scans → signatures → whitened signatures → neighbours.
 
-They use the functions of the other rooms, so that their numbers are the same. This room alone imports
+They use the functions of other packages of pcretrieve, so that results are equal. Only this package imports
 scikit-learn, and is itself imported on request only.
 """
 

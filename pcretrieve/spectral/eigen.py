@@ -171,7 +171,7 @@ def _arpack(operator: LaplaceBeltrami, n_pairs: int, _: float) -> tuple[FloatArr
     n = stiffness.shape[0]
     shift = RELATIVE_SHIFT / operator.area
     # The shifted matrix is symmetric positive definite: diagonal pivots are stable, and minimum degree
-    # ordering of the symmetric pattern causes a third of the fill-in of the default ordering.
+    # ordering of the symmetric pattern causes less fill-in than the default ordering.
     factor = splu(
         csc_array(stiffness - shift * mass),
         permc_spec="MMD_AT_PLUS_A",

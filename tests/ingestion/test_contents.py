@@ -35,7 +35,7 @@ def hanging(folder: Path) -> Iterator[list[Path]]:
     held = [os.open(path, os.O_RDWR) for path in paths]
     try:
         for file in held:
-            # The kernel announces that another process opens the file by a signal, whose default ends this process.
+            # Another process that opens the file is announced by a signal, whose default ends this process.
             fcntl.fcntl(file, fcntl.F_SETSIG, signal.SIGURG)
             fcntl.fcntl(file, fcntl.F_SETLEASE, fcntl.F_WRLCK)
     except OSError as error:
