@@ -41,7 +41,7 @@ class Document(NamedTuple):
 
 
 def read_glb_document(path: Path) -> Document:
-    """Read a GLB file: a header, a chunk of JSON, and a binary chunk, which is the first buffer.
+    """Read a GLB file: a header, a chunk of JSON, and a binary chunk, the buffer without an address.
 
     Parameters
     ----------
@@ -51,7 +51,7 @@ def read_glb_document(path: Path) -> Document:
     Returns
     -------
     Document
-        The tree and one buffer.
+        The tree and all buffers.
 
     Raises
     ------
@@ -77,9 +77,10 @@ def read_glb_document(path: Path) -> Document:
             raise ScanReadError("its binary part is cut short")
         if kind == BINARY_CHUNK:
             binary = data[start - size : start]
-    if any("uri" in buffer for buffer in tree.get("buffers", [])):
-        raise ScanReadError("its values lie outside of it: export it with everything in one file")
-    return Document(tree, (binary,), len(data))
+    buffers = tuple(
+        _data(str(buffer["uri"])) if "uri" in buffer else binary for buffer in tree.get("buffers", [])
+    )
+    return Document(tree, buffers, len(data))
 
 
 def read_gltf_document(path: Path) -> Document:
@@ -189,9 +190,16 @@ def _tree(data: bytes) -> Any:
         raise ScanReadError("its JSON part holds bytes that are no text") from error
 
 
+def _data(uri: str) -> bytes:
+    """The content of a data URI."""
+    if not uri.startswith("data:"):
+        raise ScanReadError("its values lie outside of it: export it with everything in one file")
+    return base64.b64decode(uri.partition(",")[2])
+
+
 def _buffer(path: Path, uri: str) -> bytes:
     if uri.startswith("data:"):
-        return base64.b64decode(uri.partition(",")[2])
+        return _data(uri)
     file = _file(path, uri)
     try:
         check_file(file)

@@ -36,7 +36,7 @@ WRITINGS = ((None, "."), (",", "."), (";", "."), (";", ","), (None, ","))
 # Names of columns of other tables: of trajectories, and of files.
 OTHER_TABLES = frozenset({"timestamp", "qw", "path", "file", "filename"})
 # Names of coordinates and normals: "X[mm]", "x_coord", "Points_0" and "Points:0" (ParaView), "normal_x".
-COORDINATE = re.compile(r"(?:points?[_:.])?([xyz]|(?<=[_:.])[012])(?:_?coord\w*)?")
+COORDINATE = re.compile(r"(?:points?[_:.])?([xyz]|(?<=[_:.])[012])(?:[_ ]?coord\w*)?")
 NORMAL = re.compile(r"(?:n|normals?[_:.]?)([xyz]|(?<=[_:.])[012])")
 # The first line of a raster of heights by ESRI, which has the suffix .asc too.
 RASTER = re.compile(r"\s*ncols\s+\d+\s*$", re.IGNORECASE)
@@ -128,7 +128,8 @@ def looks_like_points(path: Path) -> bool:
         layout = _layout(lines, encoding, n_numbers=3)
     except ScanReadError:
         return False
-    names = {name for line in lines[: layout.n_header_lines] for name in _names(line)}
+    header = lines[: layout.n_header_lines]
+    names = {name for line in header for name in _names(line, layout.separator)}
     rows = [cells for line in lines[layout.n_header_lines :] if (cells := _cells(line, layout.separator))]
     return (
         len(rows) >= FEWEST_POINTS
@@ -170,14 +171,23 @@ def _head(path: Path) -> tuple[str, list[str]]:
 def _layout(lines: list[str], encoding: str, n_numbers: int) -> Layout:
     if lines and RASTER.match(lines[0]):
         raise ScanReadError("it is a raster of heights by ESRI, not a table of points: export the points")
-    names: tuple[str, ...] = ()
+    header = ""  # the last line above the first row that has words
     promised = None
     for n_lines, line in enumerate(lines[: MOST_HEADER_LINES + 1]):
         for separator, decimal in WRITINGS:
             cells = _cells(line, separator)
-            points, normals = _named(names) if len(names) == len(cells) else (None, None)
+            names = _names(header, separator)
+            points, normals = _columns(names, COORDINATE), _columns(names, NORMAL)
+            if len(names) != len(cells):  # columns behind those that are named change nothing
+                matches, points, normals = points in (None, (0, 1, 2)), None, None
+            else:
+                matches = True
             columns = points or tuple(range(n_numbers))
             if _is_row(cells, columns, decimal):
+                if not matches:
+                    raise ScanReadError(
+                        f"its header names {len(names)} columns, its first row has {len(cells)}"
+                    )
                 return Layout(
                     *(encoding, separator, decimal, n_lines, promised, len(cells)),
                     *(points or (0, 1, 2), normals, points is not None),
@@ -188,7 +198,7 @@ def _layout(lines: list[str], encoding: str, n_numbers: int) -> Layout:
         elif words and _is_row(words, range(len(words)), "."):
             break  # a row with too few numbers, and not a header
         else:
-            names = _names(line) or names
+            header = line if _names(line, None) else header
     first = next((line.strip()[:MOST_QUOTED] for line in lines if line.strip()), None)
     if first is None:
         raise ScanReadError("a table of points must have rows of numbers, this one has none at all")
@@ -214,15 +224,15 @@ def _is_number(cell: str, decimal: str) -> bool:
     return "_" not in cell  # which Python allows between digits
 
 
-def _names(line: str) -> tuple[str, ...]:
-    """The words of a line of a header in lower case, without units in brackets, quotes and comment signs."""
-    words = re.split(r"[\s,;]+", re.sub(r"[\[(].*?[\])]", "", line.lower()).strip("#/%\ufeff \t\r\n"))
-    return tuple(name for word in words if (name := word.strip("\"'")))
-
-
-def _named(names: tuple[str, ...]) -> tuple[tuple[int, ...] | None, tuple[int, ...] | None]:
-    """The columns of the coordinates and of the normals, where all three are named."""
-    return _columns(names, COORDINATE), _columns(names, NORMAL)
+def _names(line: str, separator: str | None) -> tuple[str, ...]:
+    """The names in a header in lower case, without units in brackets, quotes and comment signs."""
+    plain = re.sub(r"[\[(].*?[\])]", "", line.lower()).strip("#/%\ufeff \r\n")
+    mark = "\t" if separator is None and "\t" in plain.strip() else separator
+    # Names of one word may be separated otherwise than the cells of the rows. A name may be empty: that of
+    # the index of a table by pandas.
+    words = plain.split(mark) if mark is not None and mark in plain else re.split(r"[\s,;]+", plain.strip())
+    names = tuple(word.strip("\"' \t") for word in words)
+    return names if any(names) else ()
 
 
 def _columns(names: tuple[str, ...], pattern: re.Pattern[str]) -> tuple[int, ...] | None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import resource
 from collections.abc import Iterator
 from pathlib import Path
@@ -23,7 +24,8 @@ from pcretrieve.errors import ScanReadError
 from pcretrieve.formats import missing_extra, read_scan, write_cloud, write_mesh
 from pcretrieve.formats.registry import FORMATS
 
-N_SEEDS = 300
+# The longer run: PCRETRIEVE_SEEDS=10000 scripts/test --timeout 0 tests/formats/test_mutations.py
+N_SEEDS = int(os.environ.get("PCRETRIEVE_SEEDS", "300"))
 MEMORY = 1 << 30  # what a file of a few kilobytes may take; bytes
 
 BALL = shapes.icosphere(1)

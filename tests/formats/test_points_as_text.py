@@ -49,6 +49,9 @@ TABLES = {
     "colours.xyzrgb": lines("{} {} {} 0.1 0.2 1"),
     "named.csv": "id,intensity,z,y,x\n"
     + "\n".join(f"P{k},5,{z},{y},{x}" for k, (x, y, z) in enumerate(POINTS)),
+    "pandas.csv": ",x,y,z\n" + lines("17,{},{},{}"),
+    "words_in_names.txt": "Point ID\tX coord\tY coord\tZ coord\n" + lines("17\t{}\t{}\t{}"),
+    "more_columns.asc": "# x y z\n" + lines("{} {} {} 17 18"),
     "words_behind.txt": lines("{} {} {} ground"),
     "bom.txt": "\ufeff" + lines("{} {} {}"),
 }
@@ -120,6 +123,7 @@ def test_what_a_folder_does_not_take_for_points(name: str, tmp_path: Path) -> No
         ("a.txt", "Three or more\n", "each line must hold 3 numbers, got 'Three or more'"),
         ("a.txt", "x y z\n1 2 3\n4 5\n", "each line must hold 3 numbers: invalid column index 2"),
         ("a.csv", "x,y,z\n1,2,3\n4,,5\n", "could not convert string ''"),
+        ("a.csv", "id,x,y,z\n1,2,3,4,5\n", "its header names 4 columns, its first row has 5"),
         ("a.pts", "4\n1 2 3\n4 5 6\n", "it declares 4 points and holds 2"),
         ("a.xyz", "header\n" * 60 + "1 2 3\n", "each line must hold 3 numbers, got 'header'"),
     ],
