@@ -1,4 +1,4 @@
-"""What is in a file, before it is read: whether it is a scan, its scans, and the files that belong to it."""
+"""The contents of a file, before it is read: whether it is a scan, its scans, and the files of its parts."""
 
 from __future__ import annotations
 
@@ -24,8 +24,9 @@ def is_scan(path: Path) -> bool:
     Returns
     -------
     bool
-        Whether its suffix is that of a format, whose extra is installed, and which recognises the file where
-        other files have the suffix too. A file that cannot be opened is a scan, so that reading it says why.
+        True if the suffix is that of a format whose extra is installed, and which recognises the file, if
+        other files may have the suffix too. A file that cannot be opened counts as a scan, so that reading it
+        reports the error.
     """
     suffix = path.suffix.lower()
     if suffix not in FORMATS.names.all() or missing_extra(suffix):
@@ -96,7 +97,7 @@ def parts_of(path: Path) -> tuple[Part, ...]:
     OSError
         If the file cannot be read.
     ScanReadError
-        If the file does not say which they are, or its reader cannot be loaded.
+        If the file does not name its parts, or its reader cannot be loaded.
     """
     file, _ = split_member(path)
     suffix = file.suffix.lower()

@@ -22,9 +22,9 @@ __all__ = ["DEPTH_IMAGE", "camera_parts", "depth_scan", "has_camera"]
 DEPTH_MODES = ("I;16", "I;16B", "I;16L", "I;16N", "I", "F")
 # Size of a pixel of these modes; bytes.
 MOST_PIXEL_BYTES = 4
-# Depth values of one metre, where the camera does not say: millimetres in whole numbers, else metres.
+# Depth values of one metre, if the file of the camera has none: millimetres in whole numbers, else metres.
 MILLIMETRES, METRES = 1000.0, 1.0
-# What sensors write for no answer, beside zero: the largest number of 16 bits.
+# Value that sensors write for missing measurements, besides zero: the largest number of 16 bits.
 NO_ANSWER = 65535
 
 
@@ -138,7 +138,7 @@ def _pixels(path: Path) -> NDArray[Any]:
 
     try:
         with warnings.catch_warnings():
-            # Such as that of a metadata block that is damaged, or of an image that is suspiciously large.
+            # Pillow warns of damaged metadata, and of images that are suspiciously large.
             warnings.simplefilter("error")
             with Image.open(path, formats=("PNG", "TIFF")) as image:
                 if image.mode not in DEPTH_MODES:
@@ -147,7 +147,7 @@ def _pixels(path: Path) -> NDArray[Any]:
                     )
                 width, height = image.size
                 if width * height * MOST_PIXEL_BYTES > DEFLATE_RATIO * path.stat().st_size:
-                    raise incomplete(path, f"it promises {width} × {height} pixels")
+                    raise incomplete(path, f"it declares {width} × {height} pixels")
                 return np.asarray(image)
     except (MemoryError, ScanReadError):
         raise
@@ -167,7 +167,7 @@ def _is_depth_image(path: Path) -> bool:
             warnings.simplefilter("error")
             with Image.open(path, formats=("PNG", "TIFF")) as image:
                 return image.mode in DEPTH_MODES
-    except Exception:  # noqa: BLE001 - whatever is wrong with it, it is not recognised
+    except Exception:  # noqa: BLE001 - a file that cannot be read is not recognised
         return False
 
 

@@ -37,12 +37,12 @@ RECORD_BYTES = (20, 28, 26, 34, 57, 63, 30, 36, 38, 59, 67)
 COMPRESSED = 0xC0
 # Point formats from this one on have a byte for the class, at byte 16; older ones five bits of byte 15.
 FIRST_OF_NEW = 6
-# Classes of points that are no readings of a surface: low noise, high noise.
+# Classes of points that are not on a surface: low noise, high noise.
 NOISE = (7, 18)
 
 
 class Header(NamedTuple):
-    """What a header says of the points."""
+    """The declarations of a header about the points."""
 
     start: int  # of the points; bytes
     n_points: int

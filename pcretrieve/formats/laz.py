@@ -31,14 +31,14 @@ AT_ONCE = 1 << 20
 
 
 def laszip_record(records: bytes, n_records: int) -> bytes:
-    """The variable length record that says how points are compressed.
+    """The variable length record that describes the compression of the points.
 
     Parameters
     ----------
     records : bytes
         All variable length records of a file.
     n_records : int
-        Their number.
+        Number of the records.
 
     Returns
     -------
@@ -48,7 +48,7 @@ def laszip_record(records: bytes, n_records: int) -> bytes:
     Raises
     ------
     ValueError
-        If there is none.
+        If there is no such record.
     struct.error
         If the records are cut short.
     """
@@ -72,7 +72,7 @@ def unpacked(data: bytes, start: int, record: bytes, n_points: int, n_bytes: int
     start : int
         Position of the points; bytes.
     record : bytes
-        As from `laszip_record`.
+        The result of `laszip_record`.
     n_points : int
         Number of points.
     n_bytes : int

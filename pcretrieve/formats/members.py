@@ -11,16 +11,16 @@ from pcretrieve.formats.raw import RawScan
 
 __all__ = ["MARK", "Members", "distinct_names"]
 
-# What stands between the name of a file and that of a scan in it.
+# Separator between the name of a file and the name of a scan in it.
 MARK = "#"
-# What may not stand in a path, or would be taken for the end of a file's name.
+# Characters that a path must not have, and the separator.
 UNSAFE = re.compile(r"[\x00-\x1f\x7f/\\#]+")
 # Longest name; file systems allow 255 bytes for the name of a file.
 LONGEST = 80
 
 
 class Members(NamedTuple):
-    """How the scans in a file are read one by one.
+    """Functions that read single scans of a file with several scans.
 
     Attributes
     ----------
@@ -36,7 +36,7 @@ class Members(NamedTuple):
 
 
 def distinct_names(names: Iterable[str]) -> list[str]:
-    """Names that may be parts of a path, each of them once.
+    """Convert names to distinct names that can be parts of a path.
 
     Parameters
     ----------
@@ -46,7 +46,7 @@ def distinct_names(names: Iterable[str]) -> list[str]:
     Returns
     -------
     list of str
-        The names without signs that a path may not have, numbered where they are empty or the same.
+        The names without characters that a path must not have, with numbers if they are empty or equal.
     """
     found: dict[str, None] = {}
     counts: dict[str, int] = {}

@@ -37,8 +37,8 @@ class Check:
     words : str
         What a passed check means; what to do about one that is not passed.
     error : float, default 0
-        The log-signature error that such a value comes with; dimensionless. 0 if it is not known to change
-        the signature.
+        The log-signature error that such a value causes; dimensionless. 0 if no effect on the signature is
+        known.
 
     Raises
     ------

@@ -23,8 +23,8 @@ __all__ = ["Findings", "findings_of"]
 # Number of neighbours with whose normals the normal of a point is compared.
 N_NEIGHBORS = 8
 
-# Number of points at which normals are compared and distances to the surface measured, at regular steps. A
-# fraction of .01 is then known to .0015.
+# Number of points at which normals are compared and distances to the surface measured, at regular steps. The
+# standard error of a fraction of .01 is then .0015.
 MEASURED = 5000
 
 # Distance to the nearest point beyond which a face was filled in, in median distances between nearest
@@ -50,7 +50,7 @@ class Findings:
     Attributes
     ----------
     checks : tuple of Check
-        Those that can be made of what there is.
+        The checks for which there are data.
     spacing : float
         Median distance from a point to its nearest neighbour, unit of the file; 0 without points.
     filled : (m,) bool
@@ -69,7 +69,7 @@ class Findings:
 def findings_of(
     cloud: PointCloud | None, mesh: TriangleMesh | None, marks: SurfaceMarks | None, shape: Shape | None
 ) -> Findings:
-    """Check what there is of a scan after some stage.
+    """Check the results of the stages of a scan, up to some stage.
 
     Parameters
     ----------

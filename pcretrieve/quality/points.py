@@ -68,7 +68,7 @@ def normal_checks(normals: FloatArray, some: FloatArray, neighbors: NDArray[np.i
     normals : (n, 3) float64
         Unit normals.
     some : (m, 3) float64
-        Those of the points that are compared with their neighbours.
+        Normals of the points that are compared with their neighbours.
     neighbors : (m, k) int
         Indices of the nearest neighbours of these points.
 

@@ -26,8 +26,8 @@ ERROR_OF_ENDS = 75.0
 ENDS_OF_NOISE = 0.0015
 ERROR_OF_GAPS = 2900.0
 
-# Log-signature error of a surface with holes, and of a mesh whose parts are welded: .7 to 2.4 where they are
-# limbs, less where they are neighbours.
+# Log-signature error of a surface with holes, and of a mesh whose parts are welded. See docs/decisions.md,
+# ERROR_OF_HOLES.
 ERROR_OF_HOLES = 0.3
 ERROR_OF_WELDS = 0.3
 
@@ -141,7 +141,7 @@ def fit_checks(*, filled: float, ends: float, gaps: float, lost: float, noise: f
             ends,
             ENDS,
             f"{percent(ends)} of the surface",
-            passed="What was filled in continues the surface round it.",
+            passed="The filled parts continue the surface around them.",
             poor="The surface was closed across a limb that ends in a hole: scan the part that is missing.",
             error=ERROR_OF_ENDS * max(0.0, ends - ENDS_OF_NOISE),
         ),

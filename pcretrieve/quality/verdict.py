@@ -11,8 +11,7 @@ from pcretrieve.types import Verdict
 
 __all__ = ["verdict_of"]
 
-# Largest uncertainty of a sound shape, and of a doubtful one. Two poses of a body are .1 apart, two similar
-# bodies .5. See docs/decisions.md, DOUBTFUL.
+# Largest uncertainty of a sound shape, and of a doubtful one. See docs/decisions.md, DOUBTFUL.
 DOUBTFUL = 0.25
 UNUSABLE = 0.75
 
@@ -23,7 +22,7 @@ REASON = 0.1
 def verdict_of(checks: Sequence[Check]) -> Verdict:
     """The verdict on a shape.
 
-    The errors of the checks are taken for independent, so that the uncertainty is the root of the sum of
+    The errors of the checks are assumed to be independent, so that the uncertainty is the root of the sum of
     their squares.
 
     Parameters

@@ -21,6 +21,6 @@ def unit_of(metres: float) -> str | None:
     Returns
     -------
     str or None
-        Its symbol, a key of `METRES`; None if no unit has that length, to six digits.
+        The symbol, a key of `METRES`; None if no unit has this length, to six digits.
     """
     return next((unit for unit, length in METRES.items() if math.isclose(length, metres, rel_tol=1e-6)), None)

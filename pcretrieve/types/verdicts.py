@@ -28,7 +28,7 @@ class Verdict:
         about 0.1 apart, two similar bodies 0.5. It is not `Signature.deviation`, the error bar over the
         surfaces of one scan.
     reasons : tuple of str
-        The checks that gave the judgement, each with its measurement, the gravest first; empty if sound.
+        The checks that led to the judgement, each with its measurement, most severe first; empty if sound.
 
     Raises
     ------
