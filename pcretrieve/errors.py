@@ -57,6 +57,7 @@ class Stage(str, Enum):
 
     READ = "read"
     MERGE = "merge"
+    CROP = "crop"
     CLEAN = "clean"
     ORIENT = "orient"
     SURFACE = "surface"

@@ -27,7 +27,7 @@ NAMES = {
     names.kind: names
     for names in (
         Names("element", "pcretrieve.elements", ("linear", "cubic", "intrinsic-delaunay", "points")),
-        Names("point filter", "pcretrieve.point_filters", ("clean", "orient")),
+        Names("point filter", "pcretrieve.point_filters", ("crop", "clean", "orient")),
         Names("surface method", "pcretrieve.surface_methods", ("growth", "poisson")),
         Names("surface filter", "pcretrieve.surface_filters", ("remesh",)),
         Names("descriptor", "pcretrieve.signatures", tuple(METHODS)),

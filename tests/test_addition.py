@@ -58,7 +58,7 @@ def test_a_surface_method() -> None:
     scan = shapes.points_on(MESH, 4000)
     options = PipelineOptions().changed(surface={"method": "hull"})
     surface = reconstruct(scan, options)
-    assert [step.stage for step in surface.provenance] == ["clean", "orient", "surface"]
+    assert [step.stage for step in surface.provenance] == ["crop", "clean", "orient", "surface"]
     assert surface.volume == pytest.approx(ConvexHull(scan).volume, rel=0.02)
     assert signature(scan, options).deviation is None
 

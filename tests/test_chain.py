@@ -55,7 +55,10 @@ def test_the_stages_of_options_are_those_of_the_records() -> None:
 @pytest.mark.parametrize(
     ("stages", "message"),
     [
-        ("clean dust orient surface spectrum", "input should be names of clean, orient, .*, got 'dust'"),
+        (
+            "clean dust orient surface spectrum",
+            "input should be names of crop, clean, orient, .*, got 'dust'",
+        ),
         ("clean orient clean surface spectrum", "input should name each stage once, got 'clean' again"),
         (
             "clean orient growth poisson spectrum",
@@ -175,9 +178,9 @@ def test_records_state_what_there_is() -> None:
 
 
 def test_the_name_of_a_method_stands_for_the_surface() -> None:
-    named = chain("clean", "orient", "poisson", "remesh", "spectrum")
+    named = chain("crop", "clean", "orient", "poisson", "remesh", "spectrum")
     assert named == DEFAULT.changed(surface={"method": "poisson"})
-    assert chain("clean", "orient", "growth", "remesh", "spectrum").digest == DEFAULT.digest
+    assert chain("crop", "clean", "orient", "growth", "remesh", "spectrum").digest == DEFAULT.digest
     # Named in a chain, a method replaces that of the options which are changed.
     assert named.changed(pipeline={"stages": ("orient", "growth", "spectrum")}).surface.method == "growth"
     stages = StageOptions(stages=("clean", "orient", "poisson", "spectrum"))

@@ -34,14 +34,21 @@ class Options(BaseModel):
 
 
 # How pydantic names a type that it tried, in the location of an error of an option with several types.
-TYPES_TRIED = ("literal['auto','sphere','free']", "literal['auto']", "constrained-int", "constrained-float")
+TYPES_TRIED = (
+    "literal['auto','sphere','free']",
+    "literal['auto']",
+    "literal['none']",
+    "constrained-int",
+    "constrained-float",
+    "tuple[",
+)
 
 
 def _explain(error: ValidationError) -> str:
     """What must hold and what was given, one clause for each invalid option."""
     clauses = []
     for problem in error.errors():
-        name = ".".join(str(part) for part in problem["loc"] if part not in TYPES_TRIED)
+        name = ".".join(str(part) for part in problem["loc"] if not str(part).startswith(TYPES_TRIED))
         cause = problem.get("ctx", {}).get("error")
         if isinstance(cause, OptionError) and name:
             # The message of a table in a table begins with the name of the inner one.

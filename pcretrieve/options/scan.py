@@ -4,16 +4,32 @@ from __future__ import annotations
 
 from typing import Annotated, Literal
 
-from pydantic import Field
+from pydantic import Field, field_validator
 
 from pcretrieve.options.model import Count, Length, Options
 
 __all__ = ["ScanOptions"]
 
+Corner = tuple[float, float, float]
+
 
 class ScanOptions(Options):
-    """Raw points → filtered points with normals that point outwards."""
+    """Raw points → points of the body, filtered, with normals that point outwards."""
 
+    min_range: Annotated[float, Field(gt=0)] | Literal["none"] = "none"
+    """Distance from the sensor below which points are removed; unit of the file. From the origin, if the file
+    has no sensor positions."""
+    max_range: Annotated[float, Field(gt=0)] | Literal["none"] = "none"
+    """Distance from the sensor beyond which points are removed as background, as min_range."""
+    box: tuple[Corner, Corner] | Literal["none"] = "none"
+    """Axis-aligned box outside which points are removed: [[x, y, z], [x, y, z]], its lowest and its highest
+    corner; unit of the file."""
+    ground: Literal["auto", "none"] = "auto"
+    """auto: remove the largest plane on which the body stands, if it is seen around the body."""
+    keep_largest: bool = False
+    """Remove all but the largest connected component."""
+    piece_gap: Annotated[float, Field(gt=0, lt=1)] = 0.02
+    """Distance between points above which they are in different components; relative to the diagonal."""
     voxel: Literal["auto"] | Length = "auto"
     """Edge of the voxels in which points are averaged (voxel-grid filter); relative to the diagonal, 0 for no
     filter. auto: .003 for dense clouds, .0015 for others."""
@@ -36,3 +52,13 @@ class ScanOptions(Options):
     attempt; relative to the diagonal."""
     flood_retries: Annotated[int, Field(ge=0, le=10)] = 4
     """Number of further attempts, each with a larger radius, if the flood fill leaks into the body."""
+
+    @field_validator("box")
+    @classmethod
+    def _has_a_volume(cls, box: tuple[Corner, Corner] | str) -> tuple[Corner, Corner] | str:
+        if not isinstance(box, str) and not all(low < high for low, high in zip(*box, strict=True)):
+            raise ValueError(
+                "input should be the lowest and the highest corner of a box, got "
+                f"{[list(corner) for corner in box]}"
+            )
+        return box

@@ -20,7 +20,7 @@ from pcretrieve.plugins import Registry, named
 __all__ = ["DEFAULT_STAGES", "OWN_STAGES", "Link", "StageOptions", "check_chain", "link_of", "with_method"]
 
 #: The stages of the default chain, by name.
-DEFAULT_STAGES = ("clean", "orient", "surface", "remesh", "spectrum")
+DEFAULT_STAGES = ("crop", "clean", "orient", "surface", "remesh", "spectrum")
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,6 +46,7 @@ class Link:
 #: The stages of pcretrieve: those of the default chain, and filters with a table ``pipeline.NAME``. Tests
 #: hold them and the records of the filters against each other.
 OWN_STAGES: Mapping[str, Link] = {
+    "crop": Link("points", "points", ScanOptions, "scan"),
     "clean": Link("points", "points", ScanOptions, "scan"),
     "orient": Link("points", "normals", ScanOptions, "scan"),
     "surface": Link("normals", "surface", SurfaceOptions, "surface"),
@@ -206,7 +207,7 @@ class StageOptions(Options):
     model_config = ConfigDict(extra="allow")
 
     stages: tuple[str, ...] = DEFAULT_STAGES
-    """Names of stages, in order. clean and orient (options in [scan]), and filters of points that other
+    """Names of stages, in order. crop, clean and orient (options in [scan]), and filters of points that other
     packages add; surface ([surface]), or in its place the value of surface.method; remesh ([remesh]), and
     filters of surfaces that other packages add; spectrum ([spectral]), the last. A mesh that is used without
     reconstruction passes through the added filters of surfaces only."""

@@ -94,7 +94,7 @@ def _of_points(
     scan: PointCloud, filters: Sequence[str], options: PipelineOptions
 ) -> Iterator[Framed[PointCloud]]:
     """The points after each filter."""
-    if filters[0] != "clean":
+    if filters[0] not in ("crop", "clean"):
         check_extent(scan.points, Stage.READ)
     cloud, oriented = Framed(scan), False
     for name in filters:

@@ -1,4 +1,4 @@
-"""Raw points → filtered points: far points removed, voxel-grid filter, statistical outlier removal."""
+"""Points of a body → filtered points: voxel-grid filter, statistical outlier removal."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from pcretrieve.errors import ReconstructionError, Stage
 from pcretrieve.options import PointFilter, ScanOptions
 from pcretrieve.types import FloatArray, PointCloud, Step
 
-__all__ = ["CLEAN", "check_extent", "clean"]
+__all__ = ["CLEAN", "FEWEST_POINTS", "check_extent", "clean"]
 
 # Smallest number of points of a scan. With fewer points, limbs cannot be resolved.
 FEWEST_POINTS = 100
@@ -21,13 +21,6 @@ FEWEST_POINTS = 100
 # Smallest ratio of singular values of the centred points, below which the points are collinear or coplanar.
 # See docs/decisions.md, SMALLEST_THICKNESS.
 SMALLEST_THICKNESS = 1e-3
-
-# Distance from the median point, in median distances, beyond which a point is an error: docs/decisions.md,
-# FAR_AWAY. Depth cameras write such points for missing measurements. Far points are removed first, because
-# every length in the options is relative to the diagonal; but not if there are more than this fraction of
-# them, because they may be a second body.
-FAR_AWAY = 20
-MOST_FAR_POINTS = 0.05
 
 # Edge of the voxels for averaging, relative to the diagonal: of dense clouds, which have at least DENSE
 # points for each occupied voxel of this edge, and of other clouds. See docs/decisions.md, DENSE_VOXEL.
@@ -37,12 +30,12 @@ VOXEL = 0.0015
 
 
 def clean(cloud: PointCloud, options: ScanOptions) -> PointCloud:
-    """Filter a cloud: remove far points, average the points in each voxel, and remove statistical outliers.
+    """Filter a cloud: average the points in each voxel, and remove statistical outliers.
 
     Parameters
     ----------
     cloud : PointCloud
-        The raw points; normals and viewpoints are optional.
+        The points; normals and viewpoints are optional.
     options : ScanOptions
         Of which `voxel`, `outlier_neighbors` and `outlier_std` are used.
 
@@ -58,9 +51,8 @@ def clean(cloud: PointCloud, options: ScanOptions) -> PointCloud:
         If fewer than 100 points are left, or all points are equal, collinear or coplanar.
     """
     started = time.perf_counter()
-    near, notes = _without_far_points(cloud)
-    check_extent(near.points, Stage.CLEAN)
-    thinned = _thinned(near, options.voxel)
+    check_extent(cloud.points, Stage.CLEAN)
+    thinned = _thinned(cloud, options.voxel)
     check_extent(thinned.points, Stage.CLEAN)
     inliers = open3d.statistical_inliers(
         thinned.points, n_neighbors=options.outlier_neighbors, std_ratio=options.outlier_std
@@ -68,8 +60,7 @@ def clean(cloud: PointCloud, options: ScanOptions) -> PointCloud:
     kept = thinned.select(inliers)
     check_extent(kept.points, Stage.CLEAN)
     n_outliers = len(thinned.points) - len(inliers)
-    if n_outliers:
-        notes = (*notes, f"dropped {n_outliers} of {len(thinned.points)} points as outliers")
+    notes = (f"dropped {n_outliers} of {len(thinned.points)} points as outliers",) if n_outliers else ()
     step = Step(
         "clean",
         time.perf_counter() - started,
@@ -80,18 +71,6 @@ def clean(cloud: PointCloud, options: ScanOptions) -> PointCloud:
 
 
 CLEAN = PointFilter("clean", clean, ScanOptions)
-
-
-def _without_far_points(cloud: PointCloud) -> tuple[PointCloud, tuple[str, ...]]:
-    if len(cloud.points) < FEWEST_POINTS:
-        return cloud, ()
-    distance = np.linalg.norm(cloud.points - np.median(cloud.points, axis=0), axis=1)  # (n,)
-    far = distance > FAR_AWAY * np.median(distance)
-    if not 0 < far.sum() <= MOST_FAR_POINTS * len(far):
-        return cloud, ()
-    return cloud.select(~far), (
-        f"dropped {far.sum()} of {len(far)} points more than {FAR_AWAY} median distances from the middle",
-    )
 
 
 def _thinned(cloud: PointCloud, voxel: float | str) -> PointCloud:

@@ -6,10 +6,11 @@ from pcretrieve.names import NAMES
 from pcretrieve.options import PointFilter
 from pcretrieve.plugins import Registry, named
 from pcretrieve.scan.clean import CLEAN
+from pcretrieve.scan.crop import CROP
 from pcretrieve.scan.normals import ORIENT
 
 __all__ = ["POINT_FILTERS"]
 
 POINT_FILTERS: Registry[PointFilter] = Registry(
-    NAMES["point filter"], {record.name: record for record in (CLEAN, ORIENT)}, named(PointFilter)
+    NAMES["point filter"], {record.name: record for record in (CROP, CLEAN, ORIENT)}, named(PointFilter)
 )

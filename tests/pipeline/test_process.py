@@ -87,8 +87,8 @@ def test_an_error_names_its_scan_and_its_stage(tmp_path: Path) -> None:
     (tmp_path / "few.xyz").write_text("1 2 3\n4 5 6\n")
     with pytest.raises(ReconstructionError) as raised:
         reconstruct(tmp_path / "few.xyz")
-    assert (raised.value.shape_id, raised.value.stage) == ("few.xyz", "clean")
-    assert str(raised.value).startswith("[few.xyz / clean] a scan needs at least 100 points, got 2")
+    assert (raised.value.shape_id, raised.value.stage) == ("few.xyz", "crop")
+    assert str(raised.value).startswith("[few.xyz / crop] a scan needs at least 100 points, got 2")
     with pytest.raises(ScanReadError, match=r"^\[gone\.ply / read\] cannot read .*gone\.ply"):
         signature(tmp_path / "gone.ply")
 
