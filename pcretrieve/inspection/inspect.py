@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from pcretrieve.descriptors import describe
@@ -160,6 +161,7 @@ class _Described:
     """The results up to some stage; attributes as in `Inspection`."""
 
     seen: Seen = field(default_factory=Seen)
+    cut_away: NDArray[np.bool_] | None = None
     shape: Shape | None = None
     signature: Signature | None = None
     rescan_deviation: FloatArray | None = None
@@ -169,12 +171,17 @@ class _Described:
 def _stages(scan: object, options: PipelineOptions, n_rescans: int) -> Iterator[_Described]:
     """The results of `pcretrieve.pipeline.process.signature` after each stage; then those of the rescans."""
     with placed(scan):
-        seen = Seen()
+        seen, cut_away = Seen(), None
         for seen in stages(scan, options):
-            yield _Described(seen)
+            if seen.scan is not None and seen.cloud is not None and seen.steps[-1].stage == "crop":
+                # The stage does not change the points that it keeps.
+                cut_away = _nearest(seen.cloud.points, seen.scan.points)[:, 0] > 0
+            yield _Described(seen, cut_away)
         shape = shape_of(seen, options)
         described = describe(shape, options.signature)
-        yield (so_far := _Described(seen, shape, replace(described, digest=options.signature_digest)))
+        yield (
+            so_far := _Described(seen, cut_away, shape, replace(described, digest=options.signature_digest))
+        )
         if n_rescans and seen.scan is not None:
             rescans = _rescans(seen.scan, options, n=n_rescans, share=RESCAN_SHARE, seed=0)
             rescan_deviation, spread = _scatter(rescans)
@@ -187,10 +194,11 @@ def _inspection(name: str, path: str, reached: _Described, failure: Failure | No
     found = findings_of(cloud, mesh, seen.marks, reached.shape)
     checks, spacing = list(found.checks), found.spacing
     dropped = np.zeros(0 if scan is None else len(scan.points), dtype=np.bool_)
+    cut_away = dropped if reached.cut_away is None else reached.cut_away
     if cloud is None and scan is not None and len(scan.points) > 1:
         spacing = float(np.median(_nearest(scan.points, scan.points, k=2)[:, 1]))
     if scan is not None and cloud is not None:
-        dropped = _nearest(cloud.points, scan.points)[:, 0] > DROPPED * spacing
+        dropped = (_nearest(cloud.points, scan.points)[:, 0] > DROPPED * spacing) & ~cut_away
     if reached.spread is not None:
         checks.append(spread_check(reached.spread))
     if failure is not None and reached.signature is not None:
@@ -204,6 +212,7 @@ def _inspection(name: str, path: str, reached: _Described, failure: Failure | No
         path=path,
         checks=tuple(sorted(checks, key=lambda check: OUTCOMES.index(check.verdict))),
         scan=scan,
+        cut_away=cut_away,
         dropped=dropped,
         cloud=cloud,
         spacing=spacing,

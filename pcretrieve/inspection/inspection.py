@@ -28,8 +28,10 @@ class Inspection:
         In descending order of severity.
     scan : PointCloud or None
         The raw points. None if the scan could not be read, or is a mesh that is used without reconstruction.
+    cut_away : (n,) bool
+        Points of `scan` that the stage `crop` removed: background, ground and strays.
     dropped : (n,) bool
-        Points of `scan` that were removed: far points and outliers.
+        Other points of `scan` that were removed: outliers.
     cloud : PointCloud or None
         The filtered points; with normals, if the stage `orient` did not fail.
     spacing : float
@@ -57,6 +59,7 @@ class Inspection:
     path: str
     checks: tuple[Check, ...]
     scan: PointCloud | None
+    cut_away: NDArray[np.bool_]
     dropped: NDArray[np.bool_]
     cloud: PointCloud | None
     spacing: float

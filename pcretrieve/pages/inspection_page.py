@@ -97,7 +97,8 @@ def _scene(it: Inspection) -> dict[str, Any] | None:
 
     layers = []
     if it.scan is not None:
-        kept, dropped = thinned(it.scan.points[~it.dropped]), thinned(it.scan.points[it.dropped])
+        kept = thinned(it.scan.points[~(it.dropped | it.cut_away)])
+        dropped = thinned(it.scan.points[it.dropped])
         layers.append(layer_of("points", "points", kept, KEPT, width=SKIN_WIDTH / 2 * it.spacing))
         layers.append(layer_of("dropped", "dropped", dropped, DROPPED, width=half / 60, over=True))
     if it.cloud is not None and it.cloud.normals is not None:

@@ -27,6 +27,7 @@ __all__ = [
     "AWAY",
     "BRIDGE",
     "CUT",
+    "CUT_AWAY",
     "DROPPED",
     "FACING",
     "FILLED",
@@ -52,6 +53,7 @@ MOST_POINTS = 45_000
 # sRGB colours in [0, 1], with contrast to white and to black: blue is right and orange is wrong, which
 # colour-blind readers can distinguish.
 KEPT = (0.42, 0.55, 0.70)
+CUT_AWAY = (0.93, 0.69, 0.13)
 DROPPED = (0.86, 0.10, 0.42)
 FACING = (0.24, 0.50, 0.82)
 AWAY = (0.95, 0.52, 0.10)
@@ -62,6 +64,10 @@ BRIDGE = (0.45, 0.15, 0.75)
 # Width of the squares of dropped points, relative to the squares of other points. There are few of them, and
 # they should be visible.
 DROPPED_WIDTH = 2.5
+
+# Largest distance from the body of points that were cut away and are shown, in diagonals of the body.
+# Background may be so far away that the body would be a dot.
+AROUND = 1.0
 
 # Width of the squares of points, in median distances between nearest neighbours. Squares of this width
 # overlap, and hide the points behind them.
@@ -134,9 +140,12 @@ def rows_of(it: Inspection) -> list[Row]:
     Returns
     -------
     list of Row
-        Raw points, normals, surface, and changes of the surface, as far as the stages did not fail.
+        Points that were cut away, if any were; raw points, normals, surface, and changes of the surface, as
+        far as the stages did not fail.
     """
     rows = []
+    if it.scan is not None and it.cut_away.any():
+        rows.append(_cut_row(it.scan, it))
     if it.scan is not None and inspection_cameras(it):
         rows.append(_raw_row(it.scan, it))
     if it.cloud is not None and it.cloud.normals is not None:
@@ -153,8 +162,26 @@ def rows_of(it: Inspection) -> list[Row]:
     return rows
 
 
+def _cut_row(scan: PointCloud, it: Inspection) -> Row:
+    low, high = it.body.min(axis=0), it.body.max(axis=0)
+    margin = AROUND * np.linalg.norm(high - low)
+    near = ((scan.points >= low - margin) & (scan.points <= high + margin)).all(axis=1)
+    points, cut = scan.points[near], it.cut_away[near]
+    points, colours = thinned(points), thinned(np.where(cut[:, None], CUT_AWAY, KEPT))
+    pictures = []
+    for camera in cameras_around(points):
+        depth = camera.seen(points)[:, 2:]
+        bright = DARKEST + (1 - DARKEST) * (np.clip(depth, -1, 1) + 1) / 2  # (k, 1)
+        width = max(SKIN_WIDTH / 2 * it.spacing, camera.half / 150)
+        pictures.append(point_picture(points, bright * colours, camera, width=width, size=PICTURE_PIXELS))
+    n, n_far = int(it.cut_away.sum()), int((it.cut_away & ~near).sum())
+    words = f"{n} cut away" + (f", {n_far} of them too far away to be shown" if n_far else "")
+    return Row("What was cut away", [(KEPT, f"{len(scan.points) - n} points"), (CUT_AWAY, words)], pictures)
+
+
 def _raw_row(scan: PointCloud, it: Inspection) -> Row:
-    kept, dropped = thinned(scan.points[~it.dropped]), thinned(scan.points[it.dropped])
+    kept = thinned(scan.points[~(it.dropped | it.cut_away)])
+    dropped = thinned(scan.points[it.dropped])
     width = SKIN_WIDTH / 2 * it.spacing
     pictures = []
     for camera in inspection_cameras(it):
@@ -169,8 +196,8 @@ def _raw_row(scan: PointCloud, it: Inspection) -> Row:
             size=PICTURE_PIXELS,
         )
         pictures.append(Image.alpha_composite(picture, over))
-    n = int(it.dropped.sum())
-    key = [(KEPT, f"{len(scan.points) - n} points"), (DROPPED, f"{n} dropped as outliers")]
+    n, n_cut = int(it.dropped.sum()), int(it.cut_away.sum())
+    key = [(KEPT, f"{len(scan.points) - n - n_cut} points"), (DROPPED, f"{n} dropped as outliers")]
     return Row("Points as they were read", key, pictures)
 
 

@@ -18,7 +18,7 @@ UNBALANCED: Limits = (0.15, 0.25)
 
 
 def point_checks(cloud: PointCloud, *, spacing: float) -> list[Check]:
-    """Check the density of a filtered cloud, the fraction of outliers, and how its outside was found.
+    """Check the density of a filtered cloud, what was removed of it, and how its outside was found.
 
     Parameters
     ----------
@@ -31,7 +31,8 @@ def point_checks(cloud: PointCloud, *, spacing: float) -> list[Check]:
     -------
     list of Check
         "Points": spacing relative to the diagonal. "Outliers": fraction of the points of the voxel grid that
-        were removed as statistical outliers. "Outside": no value.
+        were removed as statistical outliers. "Background", passed, if the stage `crop` removed any points:
+        their fraction. "Outside": no value.
     """
     share = spacing / cloud.diagonal
     checks = [
@@ -44,6 +45,10 @@ def point_checks(cloud: PointCloud, *, spacing: float) -> list[Check]:
             poor="Thin parts may be lost: scan more densely, or from nearer.",
         )
     ]
+    for cropped in [step for step in cloud.provenance if step.stage == "crop" and step.notes]:
+        share = 1 - cropped.sizes["points"] / cropped.sizes["points_in"]
+        removed = f"{'; '.join(cropped.notes)}."
+        checks.append(Check("Background", "passed", share, f"{percent(share)} cut away", removed))
     for cleaned in [step.sizes for step in cloud.provenance if step.stage == "clean"]:
         outliers = 1 - cleaned["points"] / cleaned["points_thinned"]
         checks.append(

@@ -50,8 +50,25 @@ def test_a_good_scan_passes(good: Inspection) -> None:
 
 
 def test_outliers_are_what_was_dropped(good: Inspection) -> None:
-    assert good.dropped[-12:].all()
+    assert (good.dropped | good.cut_away)[-12:].all()
     assert good.dropped.mean() < 0.02
+
+
+def test_background_is_what_was_cut_away() -> None:
+    """A floor beneath the body, and a reading without an answer for each tenth of its points."""
+    points = shapes.points_on(BODY, 12_000)
+    at = np.random.default_rng(0).uniform(-2, 2, (8000, 2))
+    floor = np.column_stack([at, np.full(len(at), points[:, 2].min())])
+    nothing = 65.535 * np.ones((2000, 3))
+    seen = inspect_scan(np.concatenate([nothing, points, floor]), OPTIONS, n_rescans=0)
+    assert seen.cut_away[:2000].all()
+    assert seen.cut_away[14_000:].mean() > 0.99
+    assert seen.cut_away[2000:14_000].mean() < 0.02
+    assert not (seen.cut_away & seen.dropped).any()
+    background = check(seen, "Background")
+    assert (background.verdict, background.shown) == ("passed", "46 % cut away")
+    assert "readings without an answer; " in background.words
+    assert "of the ground on which the body stands" in background.words
 
 
 def test_lengths_are_those_of_the_scan(good: Inspection) -> None:
@@ -153,7 +170,7 @@ def test_what_fails_is_shown_as_far_as_it_came(tmp_path: Path) -> None:
     assert unread.scan is None and unread.steps == ()
 
     few = inspect_scan(shapes.points_on(BODY, 50))
-    assert few.failure is not None and few.failure.stage == "clean"
+    assert few.failure is not None and few.failure.stage == "crop"
     assert few.scan is not None and few.cloud is None and few.spacing > 0
 
     moved = TriangleMesh(BODY.vertices + np.array([7, 0, 0]), BODY.faces)

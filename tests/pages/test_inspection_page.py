@@ -24,9 +24,11 @@ from pcretrieve.pages.inspection_page import write_inspection_page
 from pcretrieve.pages.inspection_pictures import (
     AWAY,
     CUT,
+    CUT_AWAY,
     DROPPED,
     FACING,
     FILLED,
+    KEPT,
     rows_of,
     write_inspection_png,
 )
@@ -54,6 +56,7 @@ def inspection(n_turned: int = 0) -> Inspection:
             Check("Points", "passed", 1.0, "many", "Fine."),
         ),
         scan=PointCloud(np.concatenate([points, OUTLIERS])),
+        cut_away=np.zeros(len(points) + 2, dtype=bool),
         dropped=np.arange(len(points) + 2) >= len(points),
         cloud=PointCloud(points, normals),
         spacing=0.035,
@@ -74,9 +77,9 @@ def empty(failure: Failure) -> Inspection:
     flags = np.zeros(0, dtype=bool)
     checks = (Check("The read stage", "failed", None, failure.error, failure.message),)
     return Inspection(
-        name=failure.shape_id, path="", checks=checks, scan=None, dropped=flags, cloud=None, spacing=0,
-        mesh=None, filled=flags, cuts=none, bridges=none, signature=None, rescan_deviation=None, spread=None,
-        failure=failure, steps=(),
+        name=failure.shape_id, path="", checks=checks, scan=None, cut_away=flags, dropped=flags, cloud=None,
+        spacing=0, mesh=None, filled=flags, cuts=none, bridges=none, signature=None,
+        rescan_deviation=None, spread=None, failure=failure, steps=(),
     )  # fmt: skip
 
 
@@ -154,11 +157,40 @@ def test_the_viewer_gets_points_normals_and_faces(tmp_path: Path) -> None:
     np.testing.assert_array_equal(faces, seen.mesh.faces[seen.filled])
 
 
+def test_what_was_cut_away_is_shown_around_the_body() -> None:
+    """A plane beneath the ball, and a wall that is so far away that the ball would be a dot."""
+    at = np.random.default_rng(0).uniform(-2, 2, (9000, 2))
+    plane = np.column_stack([at, np.full(len(at), -1.0)])
+    plain = inspection()
+    assert plain.scan is not None
+    seen = replace(
+        plain,
+        scan=PointCloud(np.concatenate([plain.scan.points, plane, plane + np.array([0, 0, 300])])),
+        dropped=np.append(plain.dropped, np.zeros(18_000, dtype=bool)),
+        cut_away=np.append(plain.cut_away, np.ones(18_000, dtype=bool)),
+    )
+    assert "What was cut away" not in [row.title for row in rows_of(plain)]
+    row = rows_of(seen)[0]
+    n = len(plain.scan.points)
+    assert [words for _, words in row.key] == [
+        f"{n} points",
+        "18000 cut away, 9000 of them too far away to be shown",
+    ]
+    for picture in pictures(seen, "What was cut away"):
+        assert share_of(CUT_AWAY, picture) > 0.2
+        assert share_of(KEPT, picture) > 0.01
+    (before,), (after,) = (
+        [row for row in rows_of(it) if row.title == "Points as they were read"] for it in (plain, seen)
+    )
+    assert [words for _, words in before.key] == [words for _, words in after.key]
+
+
 def test_the_page_needs_nothing_else_and_stays_small(tmp_path: Path) -> None:
     many = shapes.points_on(SPHERE, 300_000)
     seen = replace(
         inspection(),
         scan=PointCloud(many),
+        cut_away=np.zeros(len(many), dtype=bool),
         dropped=np.arange(len(many)) % 2 == 0,
         cloud=PointCloud(many, many / np.linalg.norm(many, axis=1, keepdims=True)),
         mesh=SPHERE,
