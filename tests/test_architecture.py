@@ -32,8 +32,8 @@ FOUNDATION = {
 STAGES = [
     "formats",
     "voxels",
-    "registration",
     "scan",
+    "registration",
     "surface",
     "quality",
     "spectral",

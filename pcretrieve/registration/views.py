@@ -12,8 +12,9 @@ from pcretrieve.adapters import open3d
 from pcretrieve.adapters.features import feature_histograms
 from pcretrieve.errors import InputError, ReconstructionError, Stage
 from pcretrieve.formats.conf import SENSOR_DISTANCE
-from pcretrieve.options import MergeOptions
+from pcretrieve.options import MergeOptions, ScanOptions
 from pcretrieve.registration.range_image import RangeImage
+from pcretrieve.scan import kept_points
 from pcretrieve.types import FloatArray, PointCloud, bounding_diagonal
 
 __all__ = ["View", "one_of_each_cell", "prepared"]
@@ -26,9 +27,6 @@ FEATURE_RADIUS = 6
 
 # Number of points of each view for registration and verification.
 SOME_POINTS = 1000
-
-# Voxels are 26-adjacent if their indices are less than this apart: √3 < 1.8 < 2.
-TOUCHING = 1.8
 
 
 class View(NamedTuple):
@@ -79,7 +77,7 @@ def prepared(
     Returns
     -------
     views : list of View
-        Each in its own frame, without background if the options say so.
+        Each in its own frame, without invalid readings, and the background that the options name.
     scale : float
         Median diagonal of the views, to which relative options refer; unit of the points.
 
@@ -93,7 +91,7 @@ def prepared(
     """
     sensors = [_sensor(cloud, number, options) for number, cloud in enumerate(clouds)]
     fronts = [
-        _foreground(cloud.points, sensor, number, options)
+        _foreground(cloud, sensor, number, options)
         for number, (cloud, sensor) in enumerate(zip(clouds, sensors, strict=True))
     ]
     scale = float(np.median([bounding_diagonal(points) for points in fronts]))
@@ -147,12 +145,15 @@ def _sensor(view: PointCloud, number: int, options: MergeOptions) -> FloatArray:
     return np.asarray(middle + np.array([0, 0, SENSOR_DISTANCE * view.diagonal]))
 
 
-def _foreground(points: FloatArray, sensor: FloatArray, number: int, options: MergeOptions) -> FloatArray:
+def _foreground(cloud: PointCloud, sensor: FloatArray, number: int, options: MergeOptions) -> FloatArray:
     """(n, 3) points within `max_range`, and of the largest component, if these options are set."""
-    if options.max_range is not None:
-        points = points[np.linalg.norm(points - sensor, axis=1) <= options.max_range]
-    if options.keep_largest and len(points):
-        points = points[_largest_piece(points, options.piece_gap * bounding_diagonal(points))]
+    crop = ScanOptions(
+        max_range="none" if options.max_range is None else options.max_range,
+        keep_largest=options.keep_largest,
+        piece_gap=options.piece_gap,
+    )
+    kept = kept_points(PointCloud(cloud.points, viewpoints=sensor), crop, of_view=True)
+    points: FloatArray = cloud.points[kept.points]
     if len(points) <= NORMAL_NEIGHBORS or not bounding_diagonal(points):
         raise ReconstructionError(
             f"view {number} must have more than {NORMAL_NEIGHBORS} different points in reach, got "
@@ -160,21 +161,6 @@ def _foreground(points: FloatArray, sensor: FloatArray, number: int, options: Me
             stage=Stage.MERGE,
         )
     return points
-
-
-def _largest_piece(points: FloatArray, gap: float) -> NDArray[np.bool_]:
-    """(n,) mask of the component with the most points, by 26-connected voxels of the edge `gap`."""
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import connected_components
-    from scipy.spatial import cKDTree
-
-    if not gap:
-        return np.ones(len(points), dtype=bool)
-    voxels, voxel = np.unique(np.floor(points / gap), axis=0, return_inverse=True)
-    touching = cKDTree(voxels).query_pairs(TOUCHING, output_type="ndarray")  # (t, 2)
-    graph = coo_array((np.ones(len(touching)), tuple(touching.T)), shape=(len(voxels), len(voxels)))
-    piece = connected_components(graph, directed=False)[1][voxel.ravel()]  # (n,)
-    return np.asarray(piece == np.bincount(piece).argmax())
 
 
 def _view(points: FloatArray, sensor: FloatArray, cell: float, rng: np.random.Generator) -> View:
