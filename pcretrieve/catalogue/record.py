@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 from datetime import datetime, timezone
 from pathlib import Path
 
-from pcretrieve.types import FloatArray, Shape, Step
+from pcretrieve.types import UNIT, FloatArray, Shape, Step
 
 __all__ = ["Content", "Record", "completed", "free_id", "numbered_id"]
 
@@ -49,7 +49,7 @@ class Record:
     steps : tuple of Step
         The stages, with times, sizes, repairs and fallbacks.
     area : float or None
-        Area of the first surface; unit length² of the file.
+        Area of the first surface, in the square of the unit of the scan: see `metres_per_unit`.
     n_vertices, n_faces, euler : int or None
         Numbers of vertices and faces, and Euler characteristic, of the first surface.
     options_digest : str
@@ -76,6 +76,11 @@ class Record:
     options_digest: str = ""
     versions: dict[str, str] = field(default_factory=dict)
     added: str = ""
+
+    @property
+    def metres_per_unit(self) -> float | None:
+        """Length of the unit of the area; metres. None if the format of the file does not have a unit."""
+        return next((step.sizes[UNIT] for step in self.steps if UNIT in step.sizes), None)
 
     @property
     def seconds(self) -> float:

@@ -10,7 +10,7 @@ import numpy as np
 from pcretrieve.errors import ScanReadError
 from pcretrieve.formats.raw import RawScan
 from pcretrieve.formats.registry import read_raw
-from pcretrieve.types import PointCloud, Step, TriangleMesh
+from pcretrieve.types import METRES, UNIT, PointCloud, Step, TriangleMesh
 
 __all__ = ["read_scan"]
 
@@ -34,8 +34,9 @@ def read_scan(path: str | Path) -> PointCloud | TriangleMesh:
     Returns
     -------
     PointCloud or TriangleMesh
-        A mesh, if the file has faces; unit of the file. Points with NaN or infinite coordinates, which depth
-        cameras write for missing measurements, are removed, and the provenance has their number.
+        A mesh, if the file has faces; in metres if the format has a unit, else in the unit of the file.
+        Points with NaN or infinite coordinates, which depth cameras write for missing measurements, are
+        removed, and the provenance has their number.
 
     Raises
     ------
@@ -57,6 +58,7 @@ def read_scan(path: str | Path) -> PointCloud | TriangleMesh:
 
 def _scan(raw: RawScan, *, started: float) -> PointCloud | TriangleMesh:
     """A cloud or a mesh with finite points, valid faces and unit normals, from the arrays of a file."""
+    raw, unit = _in_metres(raw)
     n = len(raw.points)
     finite = np.isfinite(raw.points).all(axis=1)  # (n,)
     notes = list(raw.notes)
@@ -78,9 +80,8 @@ def _scan(raw: RawScan, *, started: float) -> PointCloud | TriangleMesh:
         whole = finite[faces].all(axis=1)  # (m,)
         if whole.any():
             renumbered = np.cumsum(finite) - 1  # (n,)
-            step = Step(
-                "read", time.perf_counter() - started, {"vertices": n, "faces": len(faces)}, tuple(notes)
-            )
+            sizes = {"vertices": n, "faces": len(faces), **unit}
+            step = Step("read", time.perf_counter() - started, sizes, tuple(notes))
             return TriangleMesh(raw.points[finite], renumbered[faces[whole]].astype(np.int32), (step,))
         notes.append("took the vertices as points: no face has three of them")
 
@@ -102,5 +103,21 @@ def _scan(raw: RawScan, *, started: float) -> PointCloud | TriangleMesh:
                 f"{LARGEST_COORDINATE:g}"
             )
             viewpoints = None
-    step = Step("read", time.perf_counter() - started, {"points": n}, tuple(notes))
+    step = Step("read", time.perf_counter() - started, {"points": n} | unit, tuple(notes))
     return PointCloud(raw.points[finite], normals, viewpoints, (step,))
+
+
+def _in_metres(raw: RawScan) -> tuple[RawScan, dict[str, float]]:
+    """The arrays in metres, and the length of the unit for the provenance, if the unit is known."""
+    if raw.unit is None:
+        return raw, {}
+    metres = METRES[raw.unit]
+    if metres == 1:
+        return raw, {UNIT: 1.0}
+    converted = raw._replace(
+        points=raw.points * metres,
+        viewpoints=None if raw.viewpoints is None else raw.viewpoints * metres,
+        notes=(*raw.notes, f"converted the coordinates from {raw.unit} to m"),
+        unit="m",
+    )
+    return converted, {UNIT: 1.0}

@@ -13,11 +13,12 @@ from pcretrieve.types.geometry import PointCloud, Step, TriangleMesh, bounding_d
 from pcretrieve.types.shapes import Failure, Need, Shape, Surface
 from pcretrieve.types.signatures import Metric, Neighbors, Signature, SignatureTable
 from pcretrieve.types.spectra import Eigenpairs, LaplaceBeltrami, ModalSpectrum
-from pcretrieve.types.units import METRES, unit_of
+from pcretrieve.types.units import METRES, UNIT, unit_of
 from pcretrieve.types.verdicts import Judgement, Verdict
 
 __all__ = [
     "METRES",
+    "UNIT",
     "Eigenpairs",
     "Failure",
     "FloatArray",

@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import math
 
-__all__ = ["METRES", "unit_of"]
+__all__ = ["METRES", "UNIT", "unit_of"]
+
+#: Name of the length of the unit, in metres, among the sizes of the step ``read`` of the provenance.
+UNIT = "metres_per_unit"
 
 #: Metres of each unit of length, by its symbol.
 METRES = {"um": 1e-6, "mm": 1e-3, "cm": 1e-2, "dm": 1e-1, "m": 1.0, "km": 1e3, "in": 0.0254, "ft": 0.3048}

@@ -11,12 +11,14 @@ import shapes
 from scene_files import collada, numbers, three_mf, vrml, write_gltf
 
 from pcretrieve import TriangleMesh, read_scan
+from pcretrieve.catalogue import Record
 from pcretrieve.errors import ScanReadError
 from pcretrieve.formats import members_of, missing_extra, parts_of, split_member
 from pcretrieve.formats.registry import read_raw
 from pcretrieve.ingestion.discover import content_hash, discover, shape_ids
 from pcretrieve.ingestion.views import read_views
 from pcretrieve.surface import defects
+from pcretrieve.types import METRES
 
 BALL = shapes.icosphere(1)
 NODES: list[dict[str, Any]] = [{"mesh": 0, "name": "left"}, {"mesh": 0, "translation": [5, 0, 0]}]
@@ -38,7 +40,7 @@ def write_all(folder: Path) -> None:
     write_gltf(folder / "a.gltf", BALL, NODES, "a.bin")
     write_gltf(folder / "data.gltf", BALL, NODES)
     items = '<item objectid="1"/><item objectid="1" transform="1 0 0 0 1 0 0 0 1 5 0 0"/>'
-    (folder / "a.3mf").write_bytes(three_mf(BALL, items=items))
+    (folder / "a.3mf").write_bytes(three_mf(BALL, unit="meter", items=items))
     moved = f"Transform {{ translation 5 0 0 children [ {vrml(BALL, 'right').partition(chr(10))[2]} ] }}"
     (folder / "a.wrl").write_text(vrml(BALL, "left") + moved)
 
@@ -179,7 +181,29 @@ def test_a_collada_file_says_how_long_its_unit_is(
     assert found.unit == unit
     assert len(found.points) == len(BALL.vertices)
     np.testing.assert_allclose(found.points.mean(axis=0), scale * np.array([1, 2, 3]), atol=1e-6)
-    assert mesh(tmp_path / "a.dae").volume == pytest.approx(scale**3 * BALL.volume, rel=1e-5)
+    length = scale * METRES[unit]
+    assert mesh(tmp_path / "a.dae").volume == pytest.approx(length**3 * BALL.volume, rel=1e-5)
+
+
+@needs(".3mf")
+def test_scans_whose_unit_is_known_are_read_in_metres(tmp_path: Path) -> None:
+    (tmp_path / "a.3mf").write_bytes(three_mf(BALL, unit="inch"))
+    found = mesh(tmp_path / "a.3mf")
+    assert found.volume == pytest.approx(0.0254**3 * BALL.volume, rel=1e-5)
+    assert found.provenance[0].sizes["metres_per_unit"] == 1
+    assert found.provenance[0].notes == ("converted the coordinates from in to m",)
+    (tmp_path / "a.wrl").write_text(vrml(BALL))
+    assert "metres_per_unit" not in mesh(tmp_path / "a.wrl").provenance[0].sizes
+
+
+def test_the_record_of_a_shape_has_its_unit(tmp_path: Path) -> None:
+    write_gltf(tmp_path / "a.gltf", BALL, NODES[:1])
+    (tmp_path / "a.wrl").write_text(vrml(BALL))
+    units = {
+        name: Record(name, name, "", steps=mesh(tmp_path / name).provenance).metres_per_unit
+        for name in ("a.gltf", "a.wrl")
+    }
+    assert units == {"a.gltf": 1, "a.wrl": None}
 
 
 def test_gltf_is_in_metres(tmp_path: Path) -> None:
