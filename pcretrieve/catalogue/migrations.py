@@ -81,11 +81,14 @@ def prepare(connection: sqlite3.Connection, path: Path, settings: Mapping[str, s
 
 
 def _migrate(connection: sqlite3.Connection, path: Path) -> None:
-    """Rewrite a file of version 1, in one transaction."""
+    """Rewrite a file of version 1, or add to one of version 2 what it lacks, in one transaction."""
     with transaction(connection, "IMMEDIATE"):
         (version,) = connection.execute("PRAGMA user_version").fetchone()
         if version == SCHEMA_VERSION:
             return  # another process has migrated the file in the meantime
+        if version == 2:
+            _add_verdicts(connection)
+            return
         settings = _settings_of_1(path, dict(connection.execute("SELECT key, value FROM meta")))
         stored_options(path, settings)  # raises, before the file is changed, if it could not be used
         (total,) = connection.execute("SELECT count(*) FROM shapes").fetchone()
@@ -106,8 +109,20 @@ def _migrate(connection: sqlite3.Connection, path: Path) -> None:
         connection.execute("DROP TABLE shapes_1")
 
 
+def _add_verdicts(connection: sqlite3.Connection) -> None:
+    """Add the columns of verdicts, which are empty: the shapes have not been judged."""
+    for table, column in (
+        ("shapes", "judgement TEXT"),
+        ("shapes", "uncertainty REAL"),
+        ("provenance", "reasons TEXT"),
+    ):
+        connection.execute(f"ALTER TABLE {table} ADD COLUMN {column}")
+    connection.execute("CREATE INDEX doubtful_shapes ON shapes (id) WHERE judgement <> 'sound'")
+    connection.execute(f"PRAGMA user_version = {SCHEMA_VERSION}")
+
+
 def _settings_of_1(path: Path, meta: Mapping[str, str]) -> dict[str, str]:
-    """The settings of version 2. Version 1 had a digest of the options and of the version of numbers."""
+    """The settings of version 2 and later. Version 1 had one digest of options and version of numbers."""
     try:
         options, digest = json.loads(meta["options"]), meta["digest"]
         numbers = {name: value for name, value in options.items() if name not in ("signature", "retrieval")}
@@ -130,11 +145,12 @@ def _move_shape_of_1(connection: sqlite3.Connection, path: Path, shape_id: str) 
     chosen = (shape_id,)
     number = connection.execute(
         "INSERT INTO shapes SELECT NULL, id, path, content_hash, label, status, stage, error, message, area, "
-        "n_vertices, n_faces, euler FROM shapes_1 WHERE id = ?",
+        "n_vertices, n_faces, euler, NULL, NULL FROM shapes_1 WHERE id = ?",
         chosen,
     ).lastrowid
     connection.execute(
-        "INSERT INTO provenance SELECT ?, steps, options_digest, versions, added FROM shapes_1 WHERE id = ?",
+        "INSERT INTO provenance SELECT ?, steps, options_digest, versions, added, NULL FROM shapes_1 "
+        "WHERE id = ?",
         (number, shape_id),
     )
     status, area, *archives = connection.execute(
@@ -161,7 +177,7 @@ def _archive(blob: bytes) -> Arrays:
 def _packages_of_1(
     area: float, signature: Arrays, eigenvalues: Arrays, moments: Arrays, mesh: Arrays
 ) -> dict[str, bytes]:
-    """The arrays of version 1 as version 2 stores them, by table."""
+    """The arrays of version 1 as versions 2 and 3 store them, by table."""
     # In version 1 all surfaces of a scan were scaled by the factor that gave the first surface unit area.
     stored = zip(
         eigenvalues["values"], moments["values"], eigenvalues["areas"], moments["overlaps"], strict=True

@@ -43,7 +43,12 @@ class StoredShapes:
         return self._rows.count("done")
 
     def pages(
-        self, *, status: Status | None = None, offset: int = 0, limit: int | None = None
+        self,
+        *,
+        status: Status | None = None,
+        doubtful: bool = False,
+        offset: int = 0,
+        limit: int | None = None,
     ) -> Iterator[list[Record]]:
         """The records, including failed ones, in ascending order of id, in pages that are read one by one.
 
@@ -51,6 +56,8 @@ class StoredShapes:
         ----------
         status : {"done", "failed"}, optional
             Only records of this status.
+        doubtful : bool, default False
+            Only records whose verdict is "doubtful" or "unusable".
         offset : int, default 0
             Number of records that are left out at the beginning.
         limit : int, optional
@@ -64,7 +71,7 @@ class StoredShapes:
         after, left = "", limit
         while left is None or left > 0:
             size = PAGE if left is None else min(PAGE, left)
-            page = self._rows.page(after=after, offset=offset, limit=size, status=status)
+            page = self._rows.page(after=after, offset=offset, limit=size, status=status, doubtful=doubtful)
             if page:
                 yield page
             if len(page) < size:

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 from datetime import datetime, timezone
 from pathlib import Path
 
-from pcretrieve.types import UNIT, FloatArray, Shape, Step
+from pcretrieve.types import UNIT, FloatArray, Shape, Step, Verdict
 
 __all__ = ["Content", "Record", "completed", "free_id", "numbered_id"]
 
@@ -58,6 +58,9 @@ class Record:
         Versions of pcretrieve and of the libraries on which results depend.
     added : str
         Time at which the record was stored, UTC (coordinated universal time) in the format ISO 8601.
+    verdict : Verdict or None
+        Whether the signature can be relied on; None for a shape that failed, or was stored before there were
+        verdicts.
     """
 
     id: str
@@ -76,6 +79,12 @@ class Record:
     options_digest: str = ""
     versions: dict[str, str] = field(default_factory=dict)
     added: str = ""
+    verdict: Verdict | None = None
+
+    @property
+    def is_doubtful(self) -> bool:
+        """Whether the verdict is "doubtful" or "unusable"; false if the shape was not judged."""
+        return self.verdict is not None and not self.verdict.is_sound
 
     @property
     def metres_per_unit(self) -> float | None:
@@ -116,6 +125,7 @@ def completed(record: Record, content: Content | None, options_digest: str) -> R
         n_vertices=len(mesh.vertices),
         n_faces=len(mesh.faces),
         euler=mesh.euler_characteristic,
+        verdict=content.shape.verdict,
     )
 
 

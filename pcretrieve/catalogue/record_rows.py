@@ -7,7 +7,7 @@ from dataclasses import asdict
 from typing import Any
 
 from pcretrieve.catalogue.record import Record
-from pcretrieve.types import Step
+from pcretrieve.types import Step, Verdict
 
 __all__ = ["LENGTHS", "PROVENANCE_COLUMNS", "RECORDS", "SHAPE_COLUMNS", "record_of", "row_of"]
 
@@ -25,8 +25,10 @@ SHAPE_COLUMNS = (
     "n_vertices",
     "n_faces",
     "euler",
+    "judgement",
+    "uncertainty",
 )
-PROVENANCE_COLUMNS = ("steps", "options_digest", "versions", "added")
+PROVENANCE_COLUMNS = ("steps", "options_digest", "versions", "added", "reasons")
 COLUMNS = (*SHAPE_COLUMNS, *PROVENANCE_COLUMNS)
 #: The bytes of a record.
 LENGTHS = " + ".join(f"ifnull(length(CAST({name} AS BLOB)), 0)" for name in COLUMNS)
@@ -47,9 +49,13 @@ def row_of(record: Record) -> dict[str, Any]:
     dict of str to value
         The columns of `SHAPE_COLUMNS` and `PROVENANCE_COLUMNS`.
     """
+    verdict = record.verdict
     return asdict(record) | {
         "steps": json.dumps([asdict(step) for step in record.steps]),
         "versions": json.dumps(record.versions),
+        "judgement": None if verdict is None else verdict.judgement,
+        "uncertainty": None if verdict is None else verdict.uncertainty,
+        "reasons": None if verdict is None else json.dumps(verdict.reasons),
     }
 
 
@@ -69,4 +75,7 @@ def record_of(row: tuple[Any, ...]) -> Record:
     """
     values = dict(zip(COLUMNS, row, strict=True))
     steps = [Step(**step | {"notes": tuple(step["notes"])}) for step in json.loads(values["steps"])]
-    return Record(**values | {"steps": tuple(steps), "versions": json.loads(values["versions"])})
+    judgement, uncertainty, reasons = (values.pop(name) for name in ("judgement", "uncertainty", "reasons"))
+    verdict = None if judgement is None else Verdict(judgement, uncertainty, json.loads(reasons))
+    fields = {"steps": tuple(steps), "versions": json.loads(values["versions"]), "verdict": verdict}
+    return Record(**values | fields)

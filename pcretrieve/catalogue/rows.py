@@ -107,7 +107,13 @@ class Rows(Protocol):
         """The smallest and the largest area of the shapes that did not fail; None if there are none."""
 
     def page(
-        self, *, after: str = "", offset: int = 0, limit: int, status: Status | None = None
+        self,
+        *,
+        after: str = "",
+        offset: int = 0,
+        limit: int,
+        status: Status | None = None,
+        doubtful: bool = False,
     ) -> list[Record]:
         """Some records in ascending order of id.
 
@@ -121,6 +127,8 @@ class Rows(Protocol):
             Largest number of records.
         status : {"done", "failed"}, optional
             Only records of this status.
+        doubtful : bool, default False
+            Only records whose verdict is "doubtful" or "unusable".
 
         Returns
         -------

@@ -1,4 +1,4 @@
--- Version 2. The table shapes has the small columns that are searched and listed. Everything that is read for single
+-- Version 3. The table shapes has the small columns that are searched and listed. Everything that is read for single
 -- shapes only is in further tables, by the number of the shape.
 CREATE TABLE meta (
     key   TEXT PRIMARY KEY,         -- options (JSON), numbers_version, revision, label_revision
@@ -17,16 +17,20 @@ CREATE TABLE shapes (
     area         REAL,              -- of the first surface, unit length² of the file
     n_vertices   INTEGER,           -- of the first surface, as the next two
     n_faces      INTEGER,
-    euler        INTEGER
+    euler        INTEGER,
+    judgement    TEXT,              -- sound, doubtful or unusable; NULL: not judged
+    uncertainty  REAL               -- log-signature error that the checks let expect
 );
 CREATE INDEX shapes_by_content ON shapes (content_hash);
 CREATE INDEX shapes_by_status ON shapes (status, id);
+CREATE INDEX doubtful_shapes ON shapes (id) WHERE judgement <> 'sound';
 CREATE TABLE provenance (
     shape          INTEGER PRIMARY KEY,
     steps          TEXT NOT NULL,   -- JSON: stage, seconds, sizes, notes
     options_digest TEXT NOT NULL,
     versions       TEXT NOT NULL,   -- JSON
-    added          TEXT NOT NULL    -- UTC, ISO 8601
+    added          TEXT NOT NULL,   -- UTC, ISO 8601
+    reasons        TEXT             -- JSON: of the judgement; NULL: not judged
 );
 -- Signatures by the options of the catalogue (descriptor 0), and by other options.
 CREATE TABLE descriptors (

@@ -103,7 +103,7 @@ def read_shape(
         surfaces = tuple(_with_overlaps(surface, own.spectral.element) for surface in surfaces)
     if not with_mesh:
         surfaces = tuple(replace(surface, mesh=None) for surface in surfaces)
-    return record, replace(shape, surfaces=surfaces)
+    return record, replace(shape, surfaces=surfaces, verdict=record.verdict)
 
 
 def _with_overlaps(surface: Surface, element: str) -> Surface:

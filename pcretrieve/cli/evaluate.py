@@ -36,12 +36,16 @@ MEASURES = {"nn": "NN", "ft": "FT", "st": "ST", "e": "E", "dcg": "DCG", "map": "
     "--labels", type=click.Path(path_type=Path), metavar="CSV", help="Classes that replace the stored ones."
 )
 @matrix_option
+@click.option(
+    "--sound-only", is_flag=True, help="Leave out shapes of the catalogue that are doubtful or unusable."
+)
 @comparison_options
 @json_option
 def evaluate_command(
     catalogue: str | None,
     labels: Path | None,
     matrix: Path | None,
+    sound_only: bool,
     as_json: bool,
     **comparison: Any,
 ) -> None:
@@ -64,11 +68,13 @@ def evaluate_command(
     if catalogue is None:
         if distances is None or labels is None:
             raise click.UsageError("give --catalogue, or both --matrix and --labels")
+        if sound_only:
+            raise click.UsageError("--sound-only needs --catalogue, which has the verdicts")
         ranked = RankedCatalogue(rank_matrix(distances, labels), 0, None)
     else:
         with Catalogue(catalogue) as store:
             options = compared(store, **comparison)
-            ranked = rank_catalogue(store, options, labels=labels, matrix=distances)
+            ranked = rank_catalogue(store, options, labels=labels, matrix=distances, sound_only=sound_only)
         if ranked.table is not None:
             how = {
                 "method": ranked.table.kind,

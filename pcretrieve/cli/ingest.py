@@ -156,12 +156,20 @@ def ingest_command(
         f"already, {len(duplicates)} duplicates: {catalogue}"
         + ("; --retry-failed processes the failed shapes again" if failures else "")
     )
+    doubts = [record for record in (*summary.done, *summary.held) if record.is_doubtful]
+    if doubts:
+        n_unusable = sum(record.verdict.judgement == "unusable" for record in doubts if record.verdict)
+        say(
+            f"{len(doubts) - n_unusable} doubtful, {n_unusable} unusable by the checks of their scans: "
+            "`pcretrieve list --doubtful` gives the reasons"
+        )
     if as_json:
         write_json(
             {
                 "catalogue": str(catalogue),
                 "done": [record.id for record in summary.done],
                 "held": [record.id for record in summary.held if record.status == "done"],
+                "doubtful": [record.id for record in doubts],
                 "duplicates": [{"path": path, "id": original.id} for path, original in duplicates],
                 "failed": [
                     {

@@ -18,13 +18,18 @@ __all__ = ["list_command"]
 @click.command("list")
 @catalogue_option
 @click.option("--failed", is_flag=True, help="Only shapes that failed, with the reason.")
+@click.option("--doubtful", is_flag=True, help="Only shapes that are doubtful or unusable, with the reasons.")
 @click.option("--limit", type=click.IntRange(min=1), metavar="N", help="Largest number of shapes.")
 @click.option(
     "--offset", type=click.IntRange(min=0), default=0, metavar="N", help="Number of shapes to skip."
 )
 @json_option
-def list_command(catalogue: str, failed: bool, limit: int | None, offset: int, as_json: bool) -> None:
-    """List the shapes of a catalogue: id, status, class, Euler characteristic, seconds, path.
+def list_command(
+    catalogue: str, failed: bool, doubtful: bool, limit: int | None, offset: int, as_json: bool
+) -> None:
+    """List the shapes of a catalogue: id, verdict, class, Euler characteristic, seconds, path.
+
+    The verdict is sound, doubtful or unusable, or done for a shape that was not judged.
 
     \b
     pcretrieve list --catalogue bodies.sqlite --failed
@@ -32,7 +37,9 @@ def list_command(catalogue: str, failed: bool, limit: int | None, offset: int, a
     from pcretrieve.catalogue import Catalogue
 
     with Catalogue(catalogue) as store:
-        pages = store.pages(status="failed" if failed else None, offset=offset, limit=limit)
+        pages = store.pages(
+            status="failed" if failed else None, doubtful=doubtful, offset=offset, limit=limit
+        )
         records = (record for page in pages for record in page)
         if as_json:
             write_json_list(asdict(record) | {"seconds": round(record.seconds, 3)} for record in records)
@@ -40,7 +47,9 @@ def list_command(catalogue: str, failed: bool, limit: int | None, offset: int, a
         for record in records:
             euler = "-" if record.euler is None else str(record.euler)
             reason = f"  [{record.stage}] {record.message}" if record.status == "failed" else ""
+            reason += f"  [{record.verdict}]" if record.verdict and record.is_doubtful else ""
+            status = record.verdict.judgement if record.verdict else record.status
             click.echo(
-                f"{record.id:<24}  {record.status:<6}  {record.label or '-':<16}  {euler:>4}  "
+                f"{record.id:<24}  {status:<8}  {record.label or '-':<16}  {euler:>4}  "
                 f"{record.seconds:6.2f}  {record.path}{reason}"
             )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -16,12 +17,13 @@ from pcretrieve.cli.parts import (
     limit_options,
     matrix_option,
     read_distances,
+    say,
     write_json,
 )
 
 if TYPE_CHECKING:
     from pcretrieve.options import PipelineOptions
-    from pcretrieve.types import Signature
+    from pcretrieve.types import Signature, Verdict
 
 __all__ = ["query_command"]
 
@@ -69,28 +71,40 @@ def query_command(
         )
         records = [store.record(shape_id) for shape_id in neighbors.ids]
     found = [
-        {"rank": rank, "id": record.id, "path": record.path, "label": record.label, "distance": float(gap)}
+        {
+            "rank": rank,
+            "id": record.id,
+            "path": record.path,
+            "label": record.label,
+            "distance": float(gap),
+            "verdict": None if record.verdict is None else asdict(record.verdict),
+        }
         for rank, (record, gap) in enumerate(zip(records, neighbors.distances, strict=True), start=1)
     ]
     if as_json:
         write_json(found)
         return
-    for row in found:
+    for row, record in zip(found, records, strict=True):
+        doubt = f"  [{record.verdict}]" if record.is_doubtful else ""
         click.echo(
             f"{row['rank']:>4}  {row['distance']:<10.4g}  {row['label'] or '-':<16}  {row['id']:<24}  "
-            f"{row['path']}"
+            f"{row['path']}{doubt}"
         )
 
 
 def _signature(timeout: float, memory: float | None, scan: Path, options: PipelineOptions) -> Signature:
     # Imported here, because it is not needed for shapes that the catalogue has.
+    from pcretrieve.ingestion.discover import printable
     from pcretrieve.ingestion.isolation import Isolation
 
-    return Isolation(timeout, memory).call(_isolated_signature, scan, options)
+    described, verdict = Isolation(timeout, memory).call(_isolated_signature, scan, options)
+    if not verdict.is_sound:
+        say(f"{printable(scan)} is {verdict}")
+    return described
 
 
-def _isolated_signature(scan: Path, options: PipelineOptions) -> Signature:
-    """The signature of a scan, in a worker process, which imports the stages."""
-    from pcretrieve.pipeline.process import signature
+def _isolated_signature(scan: Path, options: PipelineOptions) -> tuple[Signature, Verdict]:
+    """The signature of a scan and the verdict on it, in a worker process, which imports the stages."""
+    from pcretrieve.pipeline.process import judged_signature
 
-    return signature(scan, options)
+    return judged_signature(scan, options)

@@ -36,6 +36,8 @@ def show_command(shape_id: str, catalogue: str, as_json: bool) -> None:
     for name, value in asdict(record).items():
         if name == "versions":
             value = ", ".join(f"{package} {version}" for package, version in record.versions.items())
+        if name == "verdict":
+            value = None if record.status == "failed" else str(record.verdict or "not judged")
         if name != "steps" and value is not None:
             click.echo(f"{name:<15} {value}")
     parts = ", ".join(f"{name} {size / 1000:.1f}" for name, size in stored.items() if size)

@@ -46,6 +46,7 @@ def rank_catalogue(
     *,
     labels: str | Path | None = None,
     matrix: DistanceMatrix | None = None,
+    sound_only: bool = False,
 ) -> RankedCatalogue:
     """Rank the shapes of a catalogue for each labelled shape.
 
@@ -60,6 +61,8 @@ def rank_catalogue(
     matrix : DistanceMatrix, optional
         Distances that are used instead of those of the signatures. Shapes of the catalogue that the matrix
         does not have are misses.
+    sound_only : bool, default False
+        Leave out the shapes whose verdict is "doubtful" or "unusable", as queries and as results.
 
     Returns
     -------
@@ -76,7 +79,9 @@ def rank_catalogue(
         If the matrix has a shape that the catalogue does not have.
     """
     options = options or catalogue.options
-    records = {record.id: record for record in catalogue.records()}
+    everything = catalogue.records()
+    left = {record.id for record in everything if sound_only and record.is_doubtful}
+    records = {record.id: record for record in everything if record.id not in left}
     if labels is None:
         classes = {shape_id: record.label for shape_id, record in records.items()}
     else:
@@ -87,9 +92,13 @@ def rank_catalogue(
         raise BenchmarkError(f"no shape in {catalogue.location} has a class: {advice}")
     if matrix is not None:
         check_known(matrix, catalogue)
+        if left.intersection(matrix.ids):
+            matrix = matrix.select([shape_id for shape_id in matrix.ids if shape_id not in left])
         missing = [classes[shape_id] for shape_id in records if shape_id not in set(matrix.ids)]
         return RankedCatalogue(_ranked(matrix, classes, missing), len(missing), None)
     table = catalogue.signatures(options)
+    if left:
+        table = table.select([shape_id for shape_id in table.ids if shape_id not in left])
     table = replace(table, labels=tuple(classes[shape_id] for shape_id in table.ids))
     failed = [classes[record.id] for record in records.values() if record.status == "failed"]
     # Other whitenings are fitted to the table, with the same result as whitenings by `Catalogue.whitening`.

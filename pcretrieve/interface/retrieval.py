@@ -78,6 +78,7 @@ def evaluate(
     options: OptionsLike = None,
     labels: str | Path | None = None,
     matrix: DistanceMatrix | None = None,
+    sound_only: bool = False,
 ) -> RetrievalMeasures:
     """Retrieval measures of labelled shapes, each of which is a query in all other shapes.
 
@@ -91,6 +92,8 @@ def evaluate(
         A label file, whose classes replace the classes of the catalogue.
     matrix : DistanceMatrix, optional
         Distances that replace the distances of signatures.
+    sound_only : bool, default False
+        Leave out the shapes of a catalogue whose verdict is "doubtful" or "unusable".
 
     Returns
     -------
@@ -109,7 +112,9 @@ def evaluate(
         return evaluate_rankings(rank_table(shapes, PipelineOptions.of(options).retrieval))
     with opened(shapes) as store:
         chosen = PipelineOptions.of(options, store.options)
-        return evaluate_rankings(rank_catalogue(store, chosen, labels=labels, matrix=matrix).rankings)
+        return evaluate_rankings(
+            rank_catalogue(store, chosen, labels=labels, matrix=matrix, sound_only=sound_only).rankings
+        )
 
 
 def matrix(

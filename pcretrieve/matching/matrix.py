@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -53,6 +53,12 @@ class DistanceMatrix(Value):
 
     def __len__(self) -> int:
         return len(self.ids)
+
+    def select(self, ids: Sequence[str]) -> DistanceMatrix:
+        """The distances between some of the shapes; ValueError if there is no shape of such an id."""
+        chosen = [self.ids.index(shape_id) for shape_id in ids]
+        labels = tuple(self.labels[row] for row in chosen)
+        return DistanceMatrix(tuple(ids), self.values[np.ix_(chosen, chosen)], labels)
 
     def blocks(self, queries: Positions | None = None) -> Iterator[DistanceBlock]:
         """Distances from shapes of the gallery to all of the gallery.

@@ -17,7 +17,7 @@ from pcretrieve.atomic import write_file
 from pcretrieve.errors import InputError
 from pcretrieve.evaluation import PrecisionRecall, RetrievalMeasures
 from pcretrieve.pages.html import page_template
-from pcretrieve.types import Failure
+from pcretrieve.types import Failure, Verdict
 
 __all__ = ["Card", "Panel", "write_report"]
 
@@ -73,6 +73,8 @@ class Card:
         and a result with 8 rem (about 130 pixels); screens of high resolution show up to twice as many.
     relevant : bool or None
         Whether the shape has the class of the query; None if one of both has no label, and for the query.
+    verdict : Verdict or None
+        Whether the signature can be relied on. The page says so if it cannot.
 
     Raises
     ------
@@ -86,6 +88,7 @@ class Card:
     distance: float | None = None
     picture: bytes | None = None
     relevant: bool | None = None
+    verdict: Verdict | None = None
 
     def __post_init__(self) -> None:
         if self.picture is not None and not self.picture.startswith(PNG_MAGIC):

@@ -82,7 +82,7 @@ def retrieval_page(
     def card(record: Record, pixels: int, gap: float | None = None, relevant: bool | None = None) -> Card:
         mesh = catalogue.shape(record.id, ("mesh",)).surfaces[0].mesh
         picture = None if mesh is None else thumbnail(mesh.vertices, mesh.faces, size=pixels)
-        return Card(record.id, record.label, record.path, gap, picture, relevant)
+        return Card(record.id, record.label, record.path, gap, picture, relevant, record.verdict)
 
     panels = []
     for shape_id in _queries(classes, n_queries):

@@ -14,13 +14,12 @@ from pcretrieve.errors import PcretrieveError, ShapeError, Stage, in_stage, shap
 from pcretrieve.formats.scans import ScanLike
 from pcretrieve.options import OptionsLike, PipelineOptions
 from pcretrieve.pipeline.progress import log_steps, scan_name
-from pcretrieve.pipeline.seen import Seen
 from pcretrieve.pipeline.spectra import shape_of
 from pcretrieve.pipeline.stages import stages
 from pcretrieve.quality import findings_of, verdict_of
-from pcretrieve.types import Shape, Signature, Step, TriangleMesh
+from pcretrieve.types import Shape, Signature, Step, TriangleMesh, Verdict
 
-__all__ = ["placed", "process", "reconstruct", "signature"]
+__all__ = ["judged_signature", "placed", "process", "reconstruct", "signature"]
 
 
 def signature(scan: ScanLike, options: OptionsLike = None) -> Signature:
@@ -43,11 +42,36 @@ def signature(scan: ScanLike, options: OptionsLike = None) -> Signature:
     ShapeError
         If the scan cannot be read or has no usable surface.
     """
+    return judged_signature(scan, options)[0]
+
+
+def judged_signature(scan: ScanLike, options: OptionsLike = None) -> tuple[Signature, Verdict]:
+    """The signature of one scan, and whether it can be relied on.
+
+    Parameters
+    ----------
+    scan : ScanLike
+        As for `signature`.
+    options : OptionsLike, optional
+        As for `signature`.
+
+    Returns
+    -------
+    signature : Signature
+        As `signature` returns it.
+    verdict : Verdict
+        That of the shape.
+
+    Raises
+    ------
+    ShapeError
+        If the scan cannot be read or has no usable surface.
+    """
     options = PipelineOptions.of(options)
-    shape = process(scan, options)
+    shape, verdict = _judged(scan, options)
     with placed(scan), in_stage(Stage.SIGNATURE):
         described = describe(shape, options.signature)
-    return replace(described, digest=options.signature_digest)
+    return replace(described, digest=options.signature_digest), verdict
 
 
 def reconstruct(scan: ScanLike, options: OptionsLike = None) -> TriangleMesh:
@@ -108,39 +132,25 @@ def process(scan: ScanLike, options: OptionsLike = None) -> Shape:
     ShapeError
         If the scan cannot be read or has no usable surface.
     """
-    options = PipelineOptions.of(options)
+    return _judged(scan, PipelineOptions.of(options))[0]
+
+
+def _judged(scan: ScanLike, options: PipelineOptions) -> tuple[Shape, Verdict]:
+    """The shape of a scan with its verdict, and the verdict."""
     with threadpool_limits(limits=1), placed(scan):
         *_, last = stages(scan, options)
-        shape = judged(shape_of(last, options), last)
+        shape = shape_of(last, options)
+        started = time.perf_counter()
+        verdict = verdict_of(findings_of(last.cloud, last.mesh, last.marks, shape).checks)
+        step = Step(
+            "checks",
+            time.perf_counter() - started,
+            {"uncertainty": verdict.uncertainty},
+            () if verdict.is_sound else (str(verdict),),
+        )
+        shape = replace(shape, provenance=(*shape.provenance, step), verdict=verdict)
         log_steps(scan_name(scan), shape.provenance[-2:])
-        return shape
-
-
-def judged(shape: Shape, seen: Seen) -> Shape:
-    """A shape with the verdict on it, by the checks of its points, its surface and its spectra.
-
-    Parameters
-    ----------
-    shape : Shape
-        With the spectrum of each surface.
-    seen : Seen
-        What the last stage made of the same scan.
-
-    Returns
-    -------
-    Shape
-        With a step ``checks`` in the provenance, and a note in it unless the verdict is "sound".
-    """
-    started = time.perf_counter()
-    found = findings_of(seen.cloud, seen.mesh, seen.marks, shape)
-    verdict = verdict_of(found.checks)
-    step = Step(
-        "checks",
-        time.perf_counter() - started,
-        {"uncertainty": verdict.uncertainty},
-        () if verdict.is_sound else (str(verdict),),
-    )
-    return replace(shape, provenance=(*shape.provenance, step), verdict=verdict)
+        return shape, verdict
 
 
 @contextmanager

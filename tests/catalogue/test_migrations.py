@@ -16,7 +16,7 @@ import subprocess
 import sys
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -30,7 +30,7 @@ from pcretrieve.descriptors import describe
 from pcretrieve.errors import CatalogueError, ShapeError
 from pcretrieve.pipeline.process import process
 from pcretrieve.retrieval import SignatureIndex
-from pcretrieve.types import ModalSpectrum
+from pcretrieve.types import ModalSpectrum, Verdict
 
 HERE = Path(__file__).parent
 EXPECTED: dict[str, Any] = json.loads((HERE / "version1.json").read_text("utf-8"))
@@ -69,8 +69,31 @@ def test_records_and_labels_are_those_of_before(path: Path) -> None:
     assert version(path) == 1
     with Catalogue(path) as store:
         records = json.loads(json.dumps([asdict(record) for record in store.records()]))
-    assert records == EXPECTED["records"]
-    assert version(path) == 2
+    assert records == [record | {"verdict": None} for record in EXPECTED["records"]]
+    assert version(path) == 3
+
+
+def test_a_catalogue_of_version_2_gets_verdicts(path: Path) -> None:
+    with Catalogue(path) as store:
+        before = store.records()
+    with closing(sqlite3.connect(path)) as connection, connection:
+        connection.execute("DROP INDEX doubtful_shapes")
+        for column in ("judgement", "uncertainty"):
+            connection.execute(f"ALTER TABLE shapes DROP COLUMN {column}")
+        columns = "shape, steps, options_digest, versions, added"
+        connection.execute(f"CREATE TABLE earlier AS SELECT {columns} FROM provenance")
+        connection.execute("DROP TABLE provenance")
+        connection.execute("ALTER TABLE earlier RENAME TO provenance")
+        connection.execute("PRAGMA user_version = 2")
+    with Catalogue(path) as store:
+        assert store.records() == before
+        assert {record.verdict for record in before} == {None}
+        assert [record for page in store.pages(doubtful=True) for record in page] == []
+        judged = replace(process(shapes.body()), verdict=Verdict("doubtful", 0.3, ("gaps: wide",)))
+        stored = store.put(Record("new", "/new.ply", "hash"), Content(judged, np.ones(23)))
+        assert stored.verdict == judged.verdict
+        assert [record.id for page in store.pages(doubtful=True) for record in page] == ["new"]
+    assert version(path) == 3
 
 
 def test_signatures_are_those_of_before_to_the_bit(path: Path) -> None:
@@ -200,7 +223,7 @@ def test_killed_halfway_nothing_is_lost(path: Path) -> None:
     with Catalogue(path) as store:
         assert len(store.records()) == MANY
         table = store.signatures()
-    assert version(path) == 2
+    assert version(path) == 3
     for shape_id, values in zip(table.ids, table.values.tolist(), strict=True):
         assert values == EXPECTED["signatures"][shape_id.partition(".")[0]]
 

@@ -119,8 +119,8 @@ def test_a_database_of_another_program_is_left_as_it_is(create: bool, version: i
 
 
 def test_a_newer_catalogue(path: Path) -> None:
-    execute(path, "PRAGMA user_version = 3")
-    with pytest.raises(CatalogueError, match=r"newer pcretrieve \(schema 3, this one knows 2\): upgrade"):
+    execute(path, "PRAGMA user_version = 4")
+    with pytest.raises(CatalogueError, match=r"newer pcretrieve \(schema 4, this one knows 3\): upgrade"):
         Catalogue(path)
 
 

@@ -21,7 +21,7 @@ from pcretrieve.catalogue.stores import open_rows
 from pcretrieve.cli.main import cli
 from pcretrieve.errors import CatalogueError, OptionError
 from pcretrieve.formats import write_mesh
-from pcretrieve.types import Step
+from pcretrieve.types import Step, Verdict
 
 SETTINGS = {"options": "{}", "numbers_version": "7"}
 IDS = ("b", "d", "a", "c")
@@ -97,6 +97,18 @@ def test_pages_ascend(rows: Rows) -> None:
     assert ids(rows.page(after="aa", limit=1, status="done")) == ["b"]
     assert rows.page(limit=10)[0] == record("a")
     assert rows.page(limit=10)[-1] == failure("e")
+
+
+def test_doubtful_shapes(rows: Rows) -> None:
+    for name, verdict in (
+        ("a", Verdict("sound", 0.1)),
+        ("b", Verdict("doubtful", 0.4, ("gaps: wide", "noise: much"))),
+        ("d", Verdict("unusable", 2.0, ("gaps: wide",))),
+    ):
+        judged = record(name, verdict=verdict)
+        assert rows.put(judged, signature(name), {}) == judged
+    assert ids(rows.page(limit=10, doubtful=True)) == ["b", "d"]
+    assert ids(rows.page(after="b", limit=10, status="done", doubtful=True)) == ["d"]
 
 
 def test_records_by_id_and_by_content(rows: Rows) -> None:
