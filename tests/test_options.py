@@ -20,6 +20,7 @@ from pcretrieve.options import (
 OTHER: dict[str, dict[str, Any]] = {
     "pipeline": {"stages": ("clean", "orient", "surface", "spectrum")},
     "scan": {
+        "unit": "mm",
         "min_range": 0.3,
         "max_range": 4.5,
         "box": ((-1.0, -1.0, 0.0), (1.0, 1.0, 2.0)),

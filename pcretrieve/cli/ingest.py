@@ -45,6 +45,11 @@ QUOTED = 5
 @config_option
 @surface_option
 @click.option(
+    "--unit",
+    type=click.Choice(["um", "mm", "cm", "dm", "m", "km", "in", "ft"]),
+    help="Unit of the files whose format does not have one. All scans are converted to metres.",
+)
+@click.option(
     "--no-meshes",
     is_flag=True,
     help="Leave meshes out of a new catalogue: a scan then takes some 60 kB, and not some 350 kB. Pages have "
@@ -73,6 +78,7 @@ def ingest_command(
     labels: Path | None,
     config: Path | None,
     surface: str | None,
+    unit: str | None,
     no_meshes: bool,
     workers: int | None,
     timeout: float,
@@ -103,10 +109,12 @@ def ingest_command(
     scans = discover(paths, beside=[catalogue, *([labels] if labels else [])])
     names = read_labels(labels) if labels else None
     runs = EXECUTORS[executor]
-    # Without --config and --surface, the options of an existing catalogue are used.
+    # Without --config, --surface and --unit, the options of an existing catalogue are used.
     options = None
-    if config or surface or no_meshes:
+    if config or surface or unit or no_meshes:
         options = load_options(config, surface)
+    if options and unit:
+        options = options.changed(scan={"unit": unit})
     if options and no_meshes:
         options = options.changed(catalogue={"keep": set(options.catalogue.keep) - {"meshes"}})
     with (

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import TypeAlias
 
 from pcretrieve.conversion import GeometryLike, as_geometry
 from pcretrieve.formats.read import read_scan
-from pcretrieve.types import PointCloud, TriangleMesh
+from pcretrieve.types import METRES, UNIT, PointCloud, Step, TriangleMesh
 
 __all__ = ["ScanLike", "as_scan"]
 
@@ -15,18 +16,20 @@ __all__ = ["ScanLike", "as_scan"]
 ScanLike: TypeAlias = "str | Path | GeometryLike"
 
 
-def as_scan(scan: ScanLike) -> PointCloud | TriangleMesh:
+def as_scan(scan: ScanLike, unit: str = "none") -> PointCloud | TriangleMesh:
     """Read a scan from a path, or convert a value to a scan.
 
     Parameters
     ----------
     scan : ScanLike
         A path as in `read_scan`, or a value as in `as_geometry`.
+    unit : str, default "none"
+        Unit of scans that do not have one themselves, a key of `METRES`; they are converted to metres.
 
     Returns
     -------
     PointCloud or TriangleMesh
-        The scan; unit of the file or of the value.
+        In metres if the unit is known, else in the unit of the file or of the value.
 
     Raises
     ------
@@ -35,4 +38,13 @@ def as_scan(scan: ScanLike) -> PointCloud | TriangleMesh:
     ScanReadError
         If the file cannot be read.
     """
-    return read_scan(scan) if isinstance(scan, (str, Path)) else as_geometry(scan)
+    value = read_scan(scan) if isinstance(scan, (str, Path)) else as_geometry(scan)
+    if unit == "none" or any(UNIT in step.sizes for step in value.provenance):
+        return value
+    metres = METRES[unit]
+    notes = (f"converted the coordinates from {unit} to m",) if metres != 1 else ()
+    step = Step("read", 0.0, {UNIT: 1.0}, notes)
+    if isinstance(value, TriangleMesh):
+        return replace(value, vertices=value.vertices * metres).after(step)
+    viewpoints = None if value.viewpoints is None else value.viewpoints * metres
+    return replace(value, points=value.points * metres, viewpoints=viewpoints).after(step)

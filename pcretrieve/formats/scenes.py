@@ -94,7 +94,11 @@ def _three_mf_scene(path: Path) -> Scene:
     try:
         with zipfile.ZipFile(path) as archive:
             check_archive(archive)
-    except zipfile.BadZipFile as error:
+    except (OSError, MemoryError, ScanReadError):
+        raise
+    # A damaged archive raises whatever zipfile does: BadZipFile, NotImplementedError for its version, and
+    # others.
+    except Exception as error:
         raise ValueError(str(error)) from error
     bodies, unit = scene_bodies(path, "3mf")
     if unit is not None and unit not in UNITS:

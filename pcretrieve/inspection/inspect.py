@@ -122,7 +122,7 @@ def signature_spread(
     """
     options = PipelineOptions.of(options)
     _check_rescans(n, share)
-    value = as_scan(scan)
+    value = as_scan(scan, options.scan.unit)
     described = signature(value, options)
     if isinstance(value, TriangleMesh):
         if sound_mesh(value, options.surface) is not None:

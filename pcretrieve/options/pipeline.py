@@ -241,6 +241,9 @@ class PipelineOptions(Options):
         # Without the default chain, so that digests of catalogues of versions without chains do not change.
         if self.pipeline == StageOptions():
             del values["pipeline"]
+        # Without the default unit, for the same reason.
+        if self.scan.unit == "none":
+            del values["scan"]["unit"]
         values["numbers_version"] = NUMBERS_VERSION
         return hashlib.sha256(json.dumps(values, sort_keys=True).encode()).hexdigest()[:16]
 

@@ -16,6 +16,9 @@ Corner = tuple[float, float, float]
 class ScanOptions(Options):
     """Raw points → points of the body, filtered, with normals that point outwards."""
 
+    unit: Literal["none", "um", "mm", "cm", "dm", "m", "km", "in", "ft"] = "none"
+    """Unit of the files whose format does not have one; they are converted to metres, as all others are.
+    none: unknown, the coordinates are not converted."""
     min_range: Annotated[float, Field(gt=0)] | Literal["none"] = "none"
     """Distance from the sensor below which points are removed; unit of the file. From the origin, if the file
     has no sensor positions."""

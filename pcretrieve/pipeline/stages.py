@@ -69,7 +69,7 @@ def _stages(scan: object, options: PipelineOptions) -> Iterator[Seen]:
     point_filters = [stage for stage, link in links.items() if link.gives in ("points", "normals")]
     surface_filters = [stage for stage, link in links.items() if link.takes == "surface" == link.gives]
     with in_stage(Stage.READ):
-        value = as_scan(scan)
+        value = as_scan(scan, options.scan.unit)
     if isinstance(value, TriangleMesh):
         yield Seen(scan=PointCloud(value.vertices, provenance=value.provenance))
         with in_stage(Stage.SURFACE):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import Any
 
@@ -220,6 +221,7 @@ def test_gltf_is_in_metres(tmp_path: Path) -> None:
         (three_mf(BALL, items=""), "not a complete 3MF file"),
         (three_mf(BALL)[:-30], "not a complete 3MF file"),
         (three_mf(BALL).replace(b"PK\x01\x02", b"PK\x09\x09"), "not a complete 3MF file"),
+        (re.sub(rb"(?s)(PK\x01\x02..).", b"\\g<1>\xff", three_mf(BALL)), r"zip file version 25\.5"),
     ],
 )
 def test_damaged_archives(content: bytes, words: str, tmp_path: Path) -> None:
