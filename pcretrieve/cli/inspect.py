@@ -91,6 +91,8 @@ def inspect_command(
     for check in inspection.checks:
         advice = "" if check.verdict == "passed" else f": {check.words}"
         say(f"{check.verdict:<6}  {check.name:<16}  {check.shown}{advice}")
+    if inspection.shape_verdict is not None:
+        say(f"The shape is {inspection.shape_verdict}.")
     say(inspection.summary)
     if as_json:
         write_json(_document(inspection, page, png))
@@ -118,12 +120,14 @@ def _inspected(
 def _document(inspection: Inspection, page: Path, png: Path | None) -> dict[str, object]:
     """The JSON document of an inspection."""
     signature, deviation = inspection.signature, inspection.rescan_deviation
+    judged = inspection.shape_verdict
     return {
         "scan": inspection.path,
         "page": str(page),
         "png": None if png is None else str(png),
         "verdict": inspection.verdict,
         "summary": inspection.summary,
+        "shape_verdict": None if judged is None else asdict(judged),
         "checks": [asdict(check) for check in inspection.checks],
         "cuts": inspection.cuts.tolist(),
         "bridges": inspection.bridges.tolist(),

@@ -8,8 +8,8 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from pcretrieve.quality import OUTCOMES, Check, Outcome
-from pcretrieve.types import Failure, FloatArray, PointCloud, Signature, Step, TriangleMesh
+from pcretrieve.quality import OUTCOMES, Check, Outcome, verdict_of
+from pcretrieve.types import Failure, FloatArray, PointCloud, Signature, Step, TriangleMesh, Verdict
 
 __all__ = ["Inspection"]
 
@@ -78,6 +78,11 @@ class Inspection:
         """The most severe verdict of the checks."""
         given = {check.verdict for check in self.checks}
         return next((verdict for verdict in OUTCOMES if verdict in given), "passed")
+
+    @property
+    def shape_verdict(self) -> Verdict | None:
+        """The verdict on the shape by all checks, rescans included; None if there is no signature."""
+        return None if self.signature is None else verdict_of(self.checks)
 
     @property
     def summary(self) -> str:

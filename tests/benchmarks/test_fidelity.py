@@ -120,7 +120,7 @@ def test_rows_are_printed_and_appended_below_one_header(tmp_path: Path) -> None:
     first, *_, last = row.lines()
     assert len(first) <= len(TABLE.head)
     assert first.split()[:4] == ["defects", "mine", "3", "1"]
-    assert last == "    clean 0.25 s"
+    assert last == "    clean 0.25 s (100.0%)"
     for _ in range(2):
         append(tmp_path / "rows.csv", row)
     with (tmp_path / "rows.csv").open(newline="", encoding="utf-8") as file:

@@ -44,7 +44,7 @@ def test_the_page_goes_where_one_stands_and_its_path_to_standard_output(folder: 
     assert result.returncode == 0
     assert result.stdout == f"{(folder / 'mesh.html').resolve()}\n"
     assert "mesh.off" in (folder / "mesh.html").read_text(encoding="utf-8")
-    assert result.stderr.splitlines()[-1] == "A good scan: all checks passed."
+    assert result.stderr.splitlines()[-2:] == ["The shape is sound, ± 0.", "A good scan: all checks passed."]
 
 
 def test_json_holds_checks_and_numbers(folder: Path) -> None:
@@ -65,13 +65,14 @@ def test_json_holds_checks_and_numbers(folder: Path) -> None:
     assert answer["page"] == str((folder / "page.html").resolve())
     assert answer["failure"] is None
     assert answer["verdict"] in ("passed", "look")
+    assert answer["shape_verdict"]["judgement"] in ("sound", "doubtful")
     assert {"Points", "Normals", "Handles", "Signature"} <= {check["name"] for check in answer["checks"]}
     for check in answer["checks"]:
         assert f"{check['verdict']:<6}  {check['name']}" in result.stderr
     assert len(answer["signature"]) == len(answer["rescan_deviation"]) == 23
     assert "deviation" not in answer, "that is over the surfaces of one scan"
     assert answer["spread"] ** 2 == pytest.approx(sum(part**2 for part in answer["rescan_deviation"]))
-    assert [step["stage"] for step in answer["steps"]][:3] == ["read", "clean", "orient"]
+    assert [step["stage"] for step in answer["steps"]][:3] == ["read", "crop", "clean"]
     with Image.open(folder / "sheet.png") as sheet:
         assert sheet.format == "PNG" and sheet.width > 1000
 

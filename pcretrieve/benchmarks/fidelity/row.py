@@ -124,7 +124,9 @@ class Row:
             f"    clean meshes: NN {self.clean_nn:.3f}, mAP {self.clean_map:.3f}, "
             f"within-class NN {self.clean_nn_within:.3f}, mAP {self.clean_map_within:.3f}"
         )
-        yield "    " + ", ".join(f"{stage} {s:.2f} s" for stage, s in json.loads(self.stages).items())
+        stages = json.loads(self.stages)
+        total = sum(stages.values())
+        yield "    " + ", ".join(f"{stage} {s:.2f} s ({s / total:.1%})" for stage, s in stages.items())
         if not is_missing(self.rescan_spread):
             yield f"    spread of rescans / distance to the nearest other class: {self.rescan_spread:.3f}"
         if not is_missing(self.textbook_ratio):
