@@ -6,6 +6,7 @@ of it: four meshes that were kept, a cloud that was made into two surfaces, and 
 
 from __future__ import annotations
 
+import hashlib
 import io
 import json
 import os
@@ -28,6 +29,7 @@ from pcretrieve import Catalogue
 from pcretrieve.catalogue import Content, Record
 from pcretrieve.descriptors import describe
 from pcretrieve.errors import CatalogueError, ShapeError
+from pcretrieve.options import NUMBERS_VERSION
 from pcretrieve.pipeline.process import process
 from pcretrieve.retrieval import SignatureIndex
 from pcretrieve.types import ModalSpectrum, Verdict
@@ -42,7 +44,15 @@ KILLED_AFTER = 200
 
 @pytest.fixture
 def path(tmp_path: Path) -> Path:
-    return Path(shutil.copy(HERE / "version1.db", tmp_path / "old.sqlite"))
+    """The catalogue, as if its numbers were of the present version, since the layout alone is tested."""
+    copy = Path(shutil.copy(HERE / "version1.db", tmp_path / "old.sqlite"))
+    with closing(sqlite3.connect(copy)) as connection, connection:
+        (options,) = connection.execute("SELECT value FROM meta WHERE key = 'options'").fetchone()
+        numbers = {name: table for name, table in json.loads(options).items() if name != "signature"}
+        made_by = json.dumps(numbers | {"numbers_version": NUMBERS_VERSION}, sort_keys=True)
+        digest = hashlib.sha256(made_by.encode()).hexdigest()[:16]
+        connection.execute("UPDATE meta SET value = ? WHERE key = 'digest'", (digest,))
+    return copy
 
 
 @pytest.fixture
