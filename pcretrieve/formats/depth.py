@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import warnings
 from pathlib import Path
 from typing import Any
@@ -136,11 +137,13 @@ def camera_parts(path: Path) -> tuple[Part, ...]:
 def _pixels(path: Path) -> NDArray[Any]:
     from PIL import Image
 
+    # In memory, because Pillow allocates what a damaged chunk declares before it reads a file, up to 4 GB.
+    data = path.read_bytes()
     try:
         with warnings.catch_warnings():
             # Pillow warns of damaged metadata, and of images that are suspiciously large.
             warnings.simplefilter("error")
-            with Image.open(path, formats=("PNG", "TIFF")) as image:
+            with Image.open(io.BytesIO(data), formats=("PNG", "TIFF")) as image:
                 if image.mode not in DEPTH_MODES:
                     raise ScanReadError(
                         f"a depth image must have one channel of 16 or 32 bits, this image is {image.mode}"
@@ -162,10 +165,11 @@ def _is_depth_image(path: Path) -> bool:
 
     if not has_camera(path):
         return False
+    data = path.read_bytes()
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("error")
-            with Image.open(path, formats=("PNG", "TIFF")) as image:
+            with Image.open(io.BytesIO(data), formats=("PNG", "TIFF")) as image:
                 return image.mode in DEPTH_MODES
     except Exception:  # noqa: BLE001 - a file that cannot be read is not recognised
         return False
