@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 from pcretrieve.quality.check import Check, Limits, counted, graded, percent
@@ -25,6 +26,10 @@ ERROR_OF_NOISE = 100.0
 ERROR_OF_ENDS = 75.0
 ENDS_OF_NOISE = 0.0015
 ERROR_OF_GAPS = 2900.0
+
+# Log-signature error of one cut or bridge; those of several are independent. See docs/decisions.md,
+# ERROR_OF_CUT.
+ERROR_OF_CUT = 0.15
 
 # Log-signature error of a surface with holes, and of a mesh whose parts are welded. See docs/decisions.md,
 # ERROR_OF_HOLES.
@@ -201,4 +206,5 @@ def marks_check(n_cuts: int, n_bridges: int) -> Check:
         "apart, and scan between them."
         if n
         else "No parts had to be separated or connected.",
+        ERROR_OF_CUT * math.sqrt(n),
     )
