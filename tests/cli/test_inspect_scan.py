@@ -77,7 +77,7 @@ def test_json_holds_checks_and_numbers(folder: Path) -> None:
         assert sheet.format == "PNG" and sheet.width > 1000
 
 
-@pytest.mark.parametrize(("scan", "stage"), [("garbage.ply", "read"), ("few.ply", "clean")])
+@pytest.mark.parametrize(("scan", "stage"), [("garbage.ply", "read"), ("few.ply", "crop")])
 def test_a_scan_that_fails_gets_its_page(scan: str, stage: str, folder: Path) -> None:
     result = run(scan, "--json", cwd=folder)
     assert result.returncode == 3
