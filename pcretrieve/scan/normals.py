@@ -37,6 +37,12 @@ WIDER = 1.4
 # the body. See docs/decisions.md, LEAST_AGREEMENT.
 LEAST_AGREEMENT = 0.95
 
+# The flood fill contradicts a sensor if the cosine between its direction and that to the sensor is below
+# −OPPOSED. It has leaked into the body if it contradicts more than a fraction of them: see
+# docs/decisions.md, MOST_OPPOSED.
+OPPOSED = 0.3
+MOST_OPPOSED = 0.05
+
 # Number of neighbours with which each point is compared.
 N_COMPARED = 8
 
@@ -95,7 +101,12 @@ def _by_viewpoint(cloud: PointCloud, options: ScanOptions) -> tuple[FloatArray, 
     neighbors = _neighbors(cloud.points, options)
     outside, _, notes = _tight_flood(cloud, neighbors, options)
     if outside is not None:
-        towards = _unit(towards + outside.direction_at(cloud.points))
+        direction = outside.direction_at(cloud.points)
+        opposed = float((np.einsum("ij,ij->i", towards, direction) < -OPPOSED).mean())
+        if opposed > MOST_OPPOSED:
+            notes = (*notes, f"the flood fill contradicted {opposed:.0%} of the sensors and was not used")
+        else:
+            towards = _unit(towards + direction)
     return _guided_normals(cloud.points, towards, neighbors, options), notes
 
 

@@ -20,20 +20,18 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from pcretrieve.adapters import open3d
 from pcretrieve.errors import ReconstructionError
 from pcretrieve.options import SurfaceOptions
 from pcretrieve.scan.sampling import PLANE_NEIGHBORS, Neighborhoods, neighborhoods, noise, spacing
+from pcretrieve.surface.coarse import coarse_surface
 from pcretrieve.surface.contacts import contact_layer, walls
 from pcretrieve.surface.field import LEAST_WEIGHT, distance_field, folded, hidden_below, normals_of
 from pcretrieve.surface.filled import filled
 from pcretrieve.surface.handles import with_topology
 from pcretrieve.surface.marching import Crossings, crossed, marched
 from pcretrieve.surface.pieces import joined
-from pcretrieve.surface.repair import largest_component
 from pcretrieve.surface.simplify import simplified
 from pcretrieve.surface.smooth import smoothed
-from pcretrieve.surface.topology import compact, defects
 from pcretrieve.types import FloatArray, PointCloud, Step, TriangleMesh
 from pcretrieve.voxels import Grid, Mask, Voxels, flood
 
@@ -45,10 +43,6 @@ __all__ = ["SurfaceMarks", "body_surfaces"]
 # radius of closed holes multiplied by each factor in turn.
 MOST_LEAKED = 0.02
 WIDER = (1.4, 2.0)
-
-# Side of the cube of the coarse Poisson surface, relative to the longest side of the bounding box. Larger
-# than the default of 1.1, so that holes at the border of the bounding box can be closed outside it.
-FILL_SCALE = 1.5
 
 # Rounds of Taubin smoothing of the surface that no points support: in holes, at cuts and at bridges.
 SMOOTHING = 8
@@ -131,7 +125,7 @@ def body_surfaces(cloud: PointCloud, options: SurfaceOptions) -> Iterator[tuple[
     neighbors = neighborhoods(cloud.points, PLANE_NEIGHBORS + 1, of_some=True)
     least = spacing(neighbors)
     size = _cell(cloud, neighbors, options)
-    coarse = _coarse_surface(cloud, options)
+    coarse = coarse_surface(cloud, options)
     for number in range(options.reconstructions):
         cell = max(CELLS[number % len(CELLS)] * size, least)
         mesh, marks, step = _body_surface(cloud, coarse, cell, number * SHIFT % 1, options)
@@ -212,23 +206,6 @@ def _cell(cloud: PointCloud, neighbors: Neighborhoods, options: SurfaceOptions) 
 
 def _walls(cloud: PointCloud, grid: Grid) -> Mask:
     return walls(grid.coordinates(cloud.points), normals_of(cloud), grid.shape)
-
-
-def _coarse_surface(cloud: PointCloud, options: SurfaceOptions) -> TriangleMesh:
-    """The largest component of a coarse Poisson surface; it decides far from the points."""
-    vertices, faces, _ = open3d.poisson(
-        cloud.points, normals_of(cloud), depth=options.fill_depth, scale=FILL_SCALE
-    )
-    if not len(faces):
-        raise ReconstructionError(f"Poisson reconstruction of {len(cloud.points)} points gave no surface")
-    surface = compact(vertices, faces)
-    largest, _ = largest_component(surface, 1.0)
-    if n_open := defects(largest).boundary_edges:
-        raise ReconstructionError(
-            f"the points must surround a body, their surface has {n_open} boundary edges: "
-            "scan the sides that are missing, or merge this view with others"
-        )
-    return surface
 
 
 def _surface(
