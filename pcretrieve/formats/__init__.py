@@ -7,6 +7,7 @@ together, such as posed range scans, are read as one scan.
 from pcretrieve.formats.contents import is_scan, members_of, parts_of
 from pcretrieve.formats.files import check_file
 from pcretrieve.formats.format import Extra, Format, Part
+from pcretrieve.formats.members import MARK
 from pcretrieve.formats.raw import RawScan
 from pcretrieve.formats.read import read_scan
 from pcretrieve.formats.registry import missing_extra, split_member, suffixes
@@ -14,6 +15,7 @@ from pcretrieve.formats.signatures import write_signatures
 from pcretrieve.formats.write import check_output, write_cloud, write_mesh
 
 __all__ = [
+    "MARK",
     "Extra",
     "Format",
     "Part",

@@ -8,7 +8,7 @@ from pcretrieve.errors import OptionError, ScanReadError, ShapeError, Stage
 from pcretrieve.formats.files import check_file
 from pcretrieve.formats.format import Part
 from pcretrieve.formats.members import MARK
-from pcretrieve.formats.registry import FORMATS, as_read_error, format_of, missing_extra, split_member
+from pcretrieve.formats.registry import FORMATS, format_of, missing_extra, reading, split_member
 
 __all__ = ["is_scan", "members_of", "parts_of"]
 
@@ -71,11 +71,8 @@ def members_of(path: Path) -> tuple[Path, ...]:
     if members is None:
         return ()
     check_file(path)
-    try:
-        with FORMATS.blamed(suffix, Stage.READ):
-            names = members.names(path)
-    except ShapeError as error:
-        raise as_read_error(error) from error
+    with reading(suffix):
+        names = members.names(path)
     return tuple(path.with_name(f"{path.name}{MARK}{name}") for name in names) if len(names) > 1 else ()
 
 
@@ -104,8 +101,5 @@ def parts_of(path: Path) -> tuple[Part, ...]:
     if suffix not in FORMATS.names.all():
         return ()
     found = format_of(suffix)
-    try:
-        with FORMATS.blamed(suffix, Stage.READ):
-            return tuple(found.parts(file))
-    except ShapeError as error:
-        raise as_read_error(error) from error
+    with reading(suffix):
+        return tuple(found.parts(file))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -29,7 +31,7 @@ from pcretrieve.formats.text_points import TEXT_FORMATS
 from pcretrieve.formats.vrml import VRML
 from pcretrieve.plugins import Names, Registry
 
-__all__ = ["FORMATS", "as_read_error", "format_of", "missing_extra", "read_raw", "split_member", "suffixes"]
+__all__ = ["FORMATS", "format_of", "missing_extra", "read_raw", "reading", "split_member", "suffixes"]
 
 # Largest number of names in a message.
 MOST_QUOTED = 5
@@ -119,13 +121,11 @@ def read_raw(path: Path) -> RawScan:
     try:
         check_file(file)
         found = format_of(suffix)
-        with FORMATS.blamed(suffix, Stage.READ):
+        with reading(suffix):
             scan = found.read(file) if name is None else _member(found, file, name)
             return scan if suffix in FORMATS.own else _checked(scan)
     except OSError as error:
         raise ScanReadError(f"cannot read {file}: {error.strerror or error}") from error
-    except ShapeError as error:
-        raise as_read_error(error) from error
 
 
 def _member(found: Format, file: Path, name: str) -> RawScan:
@@ -161,20 +161,32 @@ def format_of(suffix: str) -> Format:
         raise ScanReadError(error.message) from error
 
 
-def as_read_error(error: ShapeError) -> ScanReadError:
-    """An error of a reader as one of its file.
+@contextmanager
+def reading(suffix: str) -> Iterator[None]:
+    """Turn the errors of a reader into errors of its file.
 
     Parameters
     ----------
-    error : ShapeError
-        What a reader raised.
+    suffix : str
+        That of the file; one of `suffixes`.
 
-    Returns
-    -------
+    Yields
+    ------
+    None
+        Once, for the call of a function of the format.
+
+    Raises
+    ------
     ScanReadError
-        The error itself, or one with its message.
+        If the function raises an error of a shape, or an exception that is not one of pcretrieve.
     """
-    return error if isinstance(error, ScanReadError) else ScanReadError(error.message)
+    try:
+        with FORMATS.blamed(suffix, Stage.READ):
+            yield
+    except ScanReadError:
+        raise
+    except ShapeError as error:
+        raise ScanReadError(error.message) from error
 
 
 def _added(suffix: str, added: object) -> Format:

@@ -1,4 +1,4 @@
-"""Files → hashes of their contents, computed in the background."""
+"""Scans → hashes of their contents, computed in the background."""
 
 from __future__ import annotations
 
@@ -8,18 +8,21 @@ from pathlib import Path
 from threading import Condition, Thread
 
 from pcretrieve.errors import ShapeError, Stage, StageTimeout
-from pcretrieve.ingestion.discover import content_hash
+from pcretrieve.formats import split_member
+from pcretrieve.ingestion.discover import file_hash, scan_hash
 
 __all__ = ["Contents"]
 
 
 class Contents:
-    """Hashes of files, each computed once, in threads: in advance with `expect`, or on demand with `of`.
+    """Hashes of scans, computed in threads: in advance with `expect`, or on demand with `of`.
+
+    Each file is read once, also if it holds several scans.
 
     Parameters
     ----------
-    files : mapping of str to Path
-        Files by name.
+    scans : mapping of str to Path
+        Scans by name.
     n_threads : int
         Number of files that are read at the same time. Hashing and reading release the interpreter lock.
     timeout : float
@@ -27,34 +30,39 @@ class Contents:
         end: its thread then continues, is not counted, and does not prevent the program from ending.
     """
 
-    def __init__(self, files: Mapping[str, Path], n_threads: int, timeout: float) -> None:
-        self._files = files
+    def __init__(self, scans: Mapping[str, Path], n_threads: int, timeout: float) -> None:
+        self._scans = scans
         self._n_threads = n_threads
         self._timeout = timeout
         self._changed = Condition()  # guards the attributes below
-        self._known: dict[str, str | Exception] = {}
-        self._expected: dict[str, None] = {}  # in the order in which they are to be read
-        self._deadlines: dict[str, float] = {}  # of the files that are being read
+        self._known: dict[Path, str | Exception] = {}
+        self._expected: dict[Path, None] = {}  # in the order in which they are to be read
+        self._deadlines: dict[Path, float] = {}  # of the files that are being read
 
     def expect(self, names: Iterable[str]) -> None:
-        """Begin to hash files in the background."""
+        """Begin to hash scans in the background."""
         with self._changed:
             for name in names:
-                if name not in self._known and name not in self._deadlines:
-                    self._expected[name] = None
+                file, _ = split_member(self._scans[name])
+                if file not in self._known and file not in self._deadlines:
+                    self._expected[file] = None
             self._start()
 
     def of(self, name: str) -> str | ShapeError:
-        """The SHA-256 hash of a file, or the error of reading it."""
+        """The SHA-256 hash of a scan, or the error of reading its file."""
         self.expect([name])
+        scan = self._scans[name]
+        file, _ = split_member(scan)
         with self._changed:
-            while name not in self._known:
+            while file not in self._known:
                 self._changed.wait(min(self._deadlines.values()) - time.monotonic())
                 self._give_up()
-            content = self._known[name]
-        if isinstance(content, Exception) and not isinstance(content, ShapeError):
-            raise content
-        return content
+            content = self._known[file]
+        if isinstance(content, str):
+            return scan_hash(scan, content)
+        if isinstance(content, ShapeError):
+            return content
+        raise content
 
     def close(self) -> None:
         """Hash no more files."""
@@ -63,28 +71,28 @@ class Contents:
 
     def _start(self) -> None:
         while self._expected and len(self._deadlines) < self._n_threads:
-            name = next(iter(self._expected))
-            del self._expected[name]
-            self._deadlines[name] = time.monotonic() + self._timeout
+            file = next(iter(self._expected))
+            del self._expected[file]
+            self._deadlines[file] = time.monotonic() + self._timeout
             # A daemon thread, because a program waits for the threads of a thread pool before it ends.
-            Thread(target=self._read, args=(name,), daemon=True).start()
+            Thread(target=self._read, args=(file,), daemon=True).start()
 
-    def _read(self, name: str) -> None:
+    def _read(self, file: Path) -> None:
         try:
-            content: str | Exception = content_hash(self._files[name])
+            content: str | Exception = file_hash(file)
         except Exception as error:  # noqa: BLE001  `of` raises it
             content = error
         with self._changed:
-            self._finish(name, content)
+            self._finish(file, content)
 
     def _give_up(self) -> None:
         now = time.monotonic()
-        for name in [name for name, deadline in self._deadlines.items() if deadline <= now]:
-            message = f"{self._files[name]} was not read within {self._timeout:g} s: raise --timeout"
-            self._finish(name, StageTimeout(message, stage=Stage.READ))
+        for file in [file for file, deadline in self._deadlines.items() if deadline <= now]:
+            message = f"{file} was not read within {self._timeout:g} s: raise --timeout"
+            self._finish(file, StageTimeout(message, stage=Stage.READ))
 
-    def _finish(self, name: str, content: str | Exception) -> None:
-        if self._deadlines.pop(name, None) is not None:  # otherwise its time limit was exceeded
-            self._known[name] = content
+    def _finish(self, file: Path, content: str | Exception) -> None:
+        if self._deadlines.pop(file, None) is not None:  # otherwise its time limit was exceeded
+            self._known[file] = content
             self._start()
             self._changed.notify_all()

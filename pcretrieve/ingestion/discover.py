@@ -10,11 +10,11 @@ from collections.abc import Collection, Iterable, Mapping, Sequence
 from pathlib import Path
 
 from pcretrieve.errors import InputError, ScanReadError
-from pcretrieve.formats import check_file, is_scan, members_of, parts_of, split_member, suffixes
+from pcretrieve.formats import MARK, check_file, is_scan, members_of, parts_of, split_member, suffixes
 from pcretrieve.ingestion.manifests import MANIFESTS, read_manifest
 from pcretrieve.ingestion.unread import unread_files
 
-__all__ = ["content_hash", "discover", "printable", "shape_ids"]
+__all__ = ["content_hash", "discover", "file_hash", "printable", "scan_hash", "shape_ids"]
 
 logger = logging.getLogger(__name__)
 
@@ -56,12 +56,34 @@ def discover(arguments: Sequence[str | Path], beside: Iterable[str | Path] = ())
 
 
 def content_hash(path: Path) -> str:
-    """The SHA-256 hash of a scan: of its file, the parts that the file names, and its name in the file.
+    """The SHA-256 hash of a scan.
 
     Parameters
     ----------
     path : Path
         The file, or ``file#name`` for one of several scans in a file.
+
+    Returns
+    -------
+    str
+        64 hexadecimal digits: those of `file_hash`, or of this hash and the name of the scan.
+
+    Raises
+    ------
+    ScanReadError
+        If one of the files cannot be read.
+    """
+    file, _ = split_member(path)
+    return scan_hash(path, file_hash(file))
+
+
+def file_hash(file: Path) -> str:
+    """The SHA-256 hash of a file and of the parts that the file names.
+
+    Parameters
+    ----------
+    file : Path
+        The file.
 
     Returns
     -------
@@ -74,14 +96,13 @@ def content_hash(path: Path) -> str:
         If one of the files cannot be read.
     """
     digest = hashlib.sha256()
-    whole, name = split_member(path)
-    part = whole
+    part = file
     try:
-        check_file(whole)
-        for part in [whole, *(part.path for part in parts_of(path))]:
+        check_file(file)
+        for part in [file, *(part.path for part in parts_of(file))]:
             check_file(part)
-            with part.open("rb") as file:
-                while chunk := file.read(CHUNK):
+            with part.open("rb") as opened:
+                while chunk := opened.read(CHUNK):
                     digest.update(chunk)
     except ScanReadError as error:
         if str(part) in error.message:
@@ -90,9 +111,28 @@ def content_hash(path: Path) -> str:
     # A path with a zero byte, from a binary file in place of a manifest, raises a ValueError.
     except (OSError, ValueError) as error:
         raise ScanReadError(f"cannot read {part}: {getattr(error, 'strerror', None) or error}") from error
-    if name is not None:
-        digest.update(name.encode("utf-8", "surrogateescape"))
     return digest.hexdigest()
+
+
+def scan_hash(path: Path, hash_of_file: str) -> str:
+    """The hash of a scan, given that of its file.
+
+    Parameters
+    ----------
+    path : Path
+        The file, or ``file#name`` for one of several scans in a file.
+    hash_of_file : str
+        The `file_hash` of the file.
+
+    Returns
+    -------
+    str
+        64 hexadecimal digits.
+    """
+    _, name = split_member(path)
+    if name is None:
+        return hash_of_file
+    return hashlib.sha256(os.fsencode(f"{hash_of_file}{MARK}{name}")).hexdigest()
 
 
 def printable(text: str | Path) -> str:

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import pytest
 import shapes
+from scene_files import write_gltf
 
 from pcretrieve import Catalogue
 from pcretrieve.errors import StageTimeout
@@ -52,6 +53,19 @@ def test_contents_are_those_of_the_files(folder: Path) -> None:
     assert {name: contents.of(name) for name in files} == {
         name: content_hash(path) for name, path in files.items()
     }
+
+
+def test_a_file_of_several_scans_is_read_once(tmp_path: Path) -> None:
+    """Its second scan is hashed after the file is gone."""
+    file = tmp_path / "two.gltf"
+    write_gltf(file, shapes.icosphere(1), [{"mesh": 0}, {"mesh": 0, "translation": [5, 0, 0]}])
+    scans = {path.name: path for path in discover([tmp_path])}
+    expected = {name: content_hash(path) for name, path in scans.items()}
+    contents = Contents(scans, 1, 60)
+    first, second = scans
+    assert contents.of(first) == expected[first]
+    file.unlink()
+    assert contents.of(second) == expected[second] != expected[first]
 
 
 def test_a_file_that_cannot_be_read_holds_up_no_other(folder: Path, hanging: list[Path]) -> None:
