@@ -35,6 +35,7 @@ def search(
     k: int = 10,
     options: PipelineOptions | None = None,
     matrix: DistanceMatrix | None = None,
+    unit: str | None = None,
     describe_scan: Callable[[Path, PipelineOptions], Signature] = _signature,
 ) -> Neighbors:
     """Find the shapes of a catalogue nearest to a scan, to one of its shapes, or to a signature.
@@ -54,6 +55,9 @@ def search(
         ``catalogue.options.changed(retrieval={"whitening": "pca"})``.
     matrix : DistanceMatrix, optional
         Distances that replace the distances of signatures, for a query that the catalogue has.
+    unit : str, optional
+        Unit of the file of the query, if its format does not have one, a key of `METRES`; by default that of
+        the options of the catalogue. Matters only if sizes are compared.
     describe_scan : callable, optional
         Computes the signature of a scan that the catalogue does not have, with given options; by default
         `pcretrieve.signature`, in this process.
@@ -68,13 +72,15 @@ def search(
     CatalogueError
         If `options` require other spectra than the catalogue has.
     InputError
-        If the catalogue has no shapes; if the query is neither a file nor the id of a shape; or, with
+        If the catalogue has no shapes; if the query is neither a file nor the id of a shape; if sizes are
+        compared, and the unit of the query is known and that of the shapes is not, or vice versa; or, with
         `matrix`, if the query is not in the catalogue.
     ShapeError
         If the scan cannot be read or has no usable surface.
     """
     options = options or catalogue.options
-    held = None if isinstance(query, Signature) else _held(catalogue, query)
+    is_converted = matrix is None and unit not in (None, catalogue.options.scan.unit)
+    held = None if isinstance(query, Signature) else _held(catalogue, query, is_converted=is_converted)
     if matrix is not None:
         if held is None:
             raise InputError(
@@ -88,15 +94,19 @@ def search(
     if isinstance(query, Signature):
         return index.query(query, k)
     own = catalogue.options.model_copy(update={"signature": options.compared})
-    return index.query(describe_scan(Path(query), own).values, k)
+    if unit is not None:
+        own = own.changed(scan={"unit": unit})
+    return index.query(describe_scan(Path(query), own), k)
 
 
-def _held(catalogue: Catalogue, query: str | Path) -> str | None:
-    """The id of the shape that a query names; None for a scan that the catalogue does not have."""
+def _held(catalogue: Catalogue, query: str | Path, *, is_converted: bool) -> str | None:
+    """The id of the shape that a query names; None for a scan that it does not have, or in another unit."""
     path = Path(query)
     # Readers are imported for files only, because they are not needed to look up an id.
     if isinstance(query, str) and (path.is_dir() or not (path.exists() or _is_in_a_file(path))):
         return _stored(catalogue, query)
+    if is_converted:
+        return None
     from pcretrieve.ingestion.discover import content_hash
 
     done = (record.id for record in catalogue.with_content(content_hash(path)) if record.status == "done")

@@ -87,7 +87,7 @@ def _migrate(connection: sqlite3.Connection, path: Path) -> None:
         if version == SCHEMA_VERSION:
             return  # another process has migrated the file in the meantime
         if version == 2:
-            _add_verdicts(connection)
+            _add_columns(connection)
             return
         settings = _settings_of_1(path, dict(connection.execute("SELECT key, value FROM meta")))
         stored_options(path, settings)  # raises, before the file is changed, if it could not be used
@@ -109,11 +109,12 @@ def _migrate(connection: sqlite3.Connection, path: Path) -> None:
         connection.execute("DROP TABLE shapes_1")
 
 
-def _add_verdicts(connection: sqlite3.Connection) -> None:
-    """Add the columns of verdicts, which are empty: the shapes have not been judged."""
+def _add_columns(connection: sqlite3.Connection) -> None:
+    """Add the columns of verdicts and of units, which are empty: neither was known of the shapes."""
     for table, column in (
         ("shapes", "judgement TEXT"),
         ("shapes", "uncertainty REAL"),
+        ("shapes", "metres_per_unit REAL"),
         ("provenance", "reasons TEXT"),
     ):
         connection.execute(f"ALTER TABLE {table} ADD COLUMN {column}")
@@ -145,7 +146,7 @@ def _move_shape_of_1(connection: sqlite3.Connection, path: Path, shape_id: str) 
     chosen = (shape_id,)
     number = connection.execute(
         "INSERT INTO shapes SELECT NULL, id, path, content_hash, label, status, stage, error, message, area, "
-        "n_vertices, n_faces, euler, NULL, NULL FROM shapes_1 WHERE id = ?",
+        "n_vertices, n_faces, euler, NULL, NULL, NULL FROM shapes_1 WHERE id = ?",
         chosen,
     ).lastrowid
     connection.execute(

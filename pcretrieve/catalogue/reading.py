@@ -98,8 +98,8 @@ class StoredShapes:
         """The records of files with this content, including failed ones, in ascending order of id."""
         return self._rows.by_content([content_hash])
 
-    def areas(self) -> tuple[float, float] | None:
-        """The smallest and the largest area of a shape, unit length² of the files; None if it is empty."""
+    def areas(self) -> dict[float | None, tuple[float, float]]:
+        """The smallest and the largest area of a shape, by `Record.metres_per_unit`."""
         return self._rows.areas()
 
     def stored_bytes(self, shape_id: str) -> dict[str, int]:

@@ -27,6 +27,7 @@ SHAPE_COLUMNS = (
     "euler",
     "judgement",
     "uncertainty",
+    "metres_per_unit",
 )
 PROVENANCE_COLUMNS = ("steps", "options_digest", "versions", "added", "reasons")
 COLUMNS = (*SHAPE_COLUMNS, *PROVENANCE_COLUMNS)
@@ -56,6 +57,8 @@ def row_of(record: Record) -> dict[str, Any]:
         "judgement": None if verdict is None else verdict.judgement,
         "uncertainty": None if verdict is None else verdict.uncertainty,
         "reasons": None if verdict is None else json.dumps(verdict.reasons),
+        # A column of its own, so that the units of a large catalogue are known without its provenance.
+        "metres_per_unit": record.metres_per_unit,
     }
 
 
@@ -75,6 +78,7 @@ def record_of(row: tuple[Any, ...]) -> Record:
     """
     values = dict(zip(COLUMNS, row, strict=True))
     steps = [Step(**step | {"notes": tuple(step["notes"])}) for step in json.loads(values["steps"])]
+    del values["metres_per_unit"]  # which a record has in its steps
     judgement, uncertainty, reasons = (values.pop(name) for name in ("judgement", "uncertainty", "reasons"))
     verdict = None if judgement is None else Verdict(judgement, uncertainty, json.loads(reasons))
     fields = {"steps": tuple(steps), "versions": json.loads(values["versions"]), "verdict": verdict}

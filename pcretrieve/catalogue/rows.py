@@ -103,8 +103,8 @@ class Rows(Protocol):
     def count(self, status: Status) -> int:
         """The number of shapes with a status."""
 
-    def areas(self) -> tuple[float, float] | None:
-        """The smallest and the largest area of the shapes that did not fail; None if there are none."""
+    def areas(self) -> dict[float | None, tuple[float, float]]:
+        """The smallest and the largest area of the shapes that did not fail, by `Record.metres_per_unit`."""
 
     def page(
         self,

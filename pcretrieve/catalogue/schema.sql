@@ -14,12 +14,13 @@ CREATE TABLE shapes (
     stage        TEXT,              -- where it failed
     error        TEXT,              -- how, by the name of the exception
     message      TEXT,              -- why, in words
-    area         REAL,              -- of the first surface, unit length² of the file
+    area         REAL,              -- of the first surface, unit length² of the shape
     n_vertices   INTEGER,           -- of the first surface, as the next two
     n_faces      INTEGER,
     euler        INTEGER,
     judgement    TEXT,              -- sound, doubtful or unusable; NULL: not judged
-    uncertainty  REAL               -- log-signature error that the checks let expect
+    uncertainty  REAL,              -- log-signature error that the checks let expect
+    metres_per_unit REAL            -- length of the unit of the area; NULL: unknown
 );
 CREATE INDEX shapes_by_content ON shapes (content_hash);
 CREATE INDEX shapes_by_status ON shapes (status, id);

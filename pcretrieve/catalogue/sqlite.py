@@ -87,9 +87,9 @@ class SqliteRows(Rows):
     def count(self, status: Status) -> int:
         return int(self._all("SELECT count(*) FROM shapes WHERE status = ?", (status,))[0][0])
 
-    def areas(self) -> tuple[float, float] | None:
-        ((smallest, largest),) = self._all("SELECT min(area), max(area) FROM shapes WHERE status = 'done'")
-        return None if smallest is None else (smallest, largest)
+    def areas(self) -> dict[float | None, tuple[float, float]]:
+        query = "SELECT metres_per_unit, min(area), max(area) FROM shapes WHERE status = 'done' GROUP BY 1"
+        return {unit: (smallest, largest) for unit, smallest, largest in self._all(query)}
 
     # --- records ----------------------------------------------------------------------------------------
 

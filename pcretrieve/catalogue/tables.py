@@ -13,14 +13,14 @@ from pcretrieve.catalogue.opening import intact
 from pcretrieve.catalogue.record import Record
 from pcretrieve.catalogue.rows import OWN, Revision, Rows
 from pcretrieve.catalogue.surfaces import read_shape
-from pcretrieve.errors import ShapeError
+from pcretrieve.errors import InputError, ShapeError
 from pcretrieve.names import METHODS
 from pcretrieve.options import PipelineOptions
 from pcretrieve.retrieval import DISTANCES, SignatureIndex, Whitening, resolution_whitening
 from pcretrieve.retrieval.distances import check_comparable, coordinates
 from pcretrieve.retrieval.lower_bounds import BLOCK
 from pcretrieve.retrieval.names import Names
-from pcretrieve.types import FloatArray, SignatureTable
+from pcretrieve.types import FloatArray, SignatureTable, SizeUnit
 
 __all__ = ["index_name", "made_index", "resolution_of", "signature_table"]
 
@@ -139,15 +139,32 @@ def signature_table(rows: Rows, own: PipelineOptions, options: PipelineOptions) 
 
     Raises
     ------
+    InputError
+        If the signatures depend on the sizes of the bodies, and the units of some files only are known.
     ShapeError
         If the signature of a shape cannot be computed.
     """
     from pcretrieve.descriptors import DESCRIPTORS
 
     descriptor = DESCRIPTORS[options.signature.method]
+    unit = _unit_of_sizes(rows, options)
     _, ids, labels, values = read_signatures(rows, own, options)
     made_by = descriptor.name, options.compared_digest
-    return SignatureTable(tuple(ids), values, *made_by, tuple(labels), descriptor.metric)
+    return SignatureTable(tuple(ids), values, *made_by, tuple(labels), descriptor.metric, unit)
+
+
+def _unit_of_sizes(rows: Rows, options: PipelineOptions) -> SizeUnit | None:
+    """The one unit of the sizes in all signatures; None if they do not depend on sizes."""
+    if not options.signature.compares_sizes:
+        return None
+    units = rows.areas().keys()
+    if None in units and len(units) > 1:
+        raise InputError(
+            f"sizes must be in one unit to be compared: in {rows.location} some shapes are in metres, the "
+            "unit of others is unknown; ingest all into a new catalogue with --unit (scan.unit), the unit of "
+            "the files that have none, or compare the form alone (size_weight = 0, and the scale area)"
+        )
+    return "unknown" if None in units else "m"
 
 
 def made_index(rows: Rows, own: PipelineOptions, options: PipelineOptions) -> tuple[SignatureIndex, Revision]:
@@ -170,10 +187,16 @@ def made_index(rows: Rows, own: PipelineOptions, options: PipelineOptions) -> tu
         The index, with the whitening of the options.
     revision : Revision
         The state of the store to which the index belongs.
+
+    Raises
+    ------
+    InputError
+        As by `signature_table`.
     """
     from pcretrieve.descriptors import DESCRIPTORS
 
     descriptor = DESCRIPTORS[options.signature.method]
+    unit = _unit_of_sizes(rows, options)
     check_comparable(descriptor.name, descriptor.metric, options.retrieval.distance)
     revision, ids, labels, values = read_signatures(rows, own, options)
     # In place, because the table is not used afterwards.
@@ -188,7 +211,7 @@ def made_index(rows: Rows, own: PipelineOptions, options: PipelineOptions) -> tu
         names,
         values,
         labels,
-        (descriptor.name, options.compared_digest, descriptor.metric),
+        (descriptor.name, options.compared_digest, descriptor.metric, unit),
         options.retrieval,
         resolution_of(options),
     )

@@ -20,6 +20,7 @@ from pcretrieve.cli.parts import (
     load_options,
     say,
     surface_option,
+    unit_option,
     write_json,
 )
 
@@ -44,11 +45,7 @@ QUOTED = 5
 )
 @config_option
 @surface_option
-@click.option(
-    "--unit",
-    type=click.Choice(["um", "mm", "cm", "dm", "m", "km", "in", "ft"]),
-    help="Unit of the files whose format does not have one. All scans are converted to metres.",
-)
+@unit_option
 @click.option(
     "--no-meshes",
     is_flag=True,

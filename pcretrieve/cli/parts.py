@@ -37,6 +37,7 @@ __all__ = [
     "size_weight_option",
     "step_lines",
     "surface_option",
+    "unit_option",
     "write_json",
     "write_json_list",
 ]
@@ -66,6 +67,11 @@ surface_option = click.option(
     type=click.Choice(["auto", "reconstruct", "keep"]),
     help="Which meshes to reconstruct: all that are not closed manifolds (auto, the default), all, or none "
     "(keep).",
+)
+unit_option = click.option(
+    "--unit",
+    type=click.Choice(["um", "mm", "cm", "dm", "m", "km", "in", "ft"]),
+    help="Unit of the files whose format does not have one. All scans are converted to metres.",
 )
 matrix_option = click.option(
     "--matrix",
@@ -146,7 +152,7 @@ scale_option = click.option(
     "--scale",
     type=click.Choice(["auto", "area", "relative", "absolute"]),
     help="How values are normalised: by the area of the surface (area), by the first value (relative), or "
-    "not (absolute), so that they depend on the size of bodies in the unit of the files. auto is relative "
+    "not (absolute), so that they depend on the size of bodies. auto is relative "
     "with --whitening pca, else area.  [default: auto, or the catalogue's]",
 )
 
@@ -155,8 +161,9 @@ size_weight_option = click.option(
     "--size-weight",
     type=click.FloatRange(min=0, max=20),
     metavar="W",
-    help="Weight of the size of bodies beside their form, if all files have one unit: adds a value, the area "
-    "to the power of W. 6 is best for people.  [default: 0, or the catalogue's]",
+    help="Weight of the size of bodies beside their form, if all files have one unit or known ones (see "
+    "--unit): adds a value, the area to the power of W. 6 is best for people.  [default: 0, or the "
+    "catalogue's]",
 )
 
 
@@ -239,7 +246,7 @@ def compared(store: Catalogue, config: Path | None, **flags: Any) -> PipelineOpt
     for name, value in given.items():
         tables["retrieval" if name in ("distance", "whitening") else "signature"][name] = value
     options = load_options(config, base=store.options).changed(**tables)
-    if options.signature.size_weight or options.signature.scale == "absolute":
+    if options.signature.compares_sizes:
         _warn_of_mixed_units(store)
     return options
 
@@ -291,10 +298,10 @@ def given_flags(comparison: dict[str, Any]) -> str:
 
 
 def _warn_of_mixed_units(store: Catalogue) -> None:
-    areas = store.areas()
-    if areas is not None and areas[1] > MIXED_UNITS * areas[0]:
+    smallest, largest = store.areas().get(None, (1.0, 1.0))
+    if largest > MIXED_UNITS * smallest:
         say(
-            f"the largest body in {store.location} has {areas[1] / areas[0]:.0f} times the area of the "
+            f"the largest body in {store.location} has {largest / smallest:.0f} times the area of the "
             "smallest: size tells them apart only if all files have one unit"
         )
 

@@ -18,6 +18,7 @@ from pcretrieve.cli.parts import (
     matrix_option,
     read_distances,
     say,
+    unit_option,
     write_json,
 )
 
@@ -34,6 +35,7 @@ __all__ = ["query_command"]
 @click.option("-k", "k", type=click.IntRange(min=1), default=10, show_default=True, help="Number of results.")
 @matrix_option
 @comparison_options
+@unit_option
 @limit_options("scan")
 @json_option
 def query_command(
@@ -41,6 +43,7 @@ def query_command(
     catalogue: str,
     k: int,
     matrix: Path | None,
+    unit: str | None,
     timeout: float,
     memory: float | None,
     as_json: bool,
@@ -67,6 +70,7 @@ def query_command(
             k=k,
             options=options,
             matrix=distances,
+            unit=unit,
             describe_scan=partial(_signature, timeout, memory),
         )
         records = [store.record(shape_id) for shape_id in neighbors.ids]

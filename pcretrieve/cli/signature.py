@@ -23,6 +23,7 @@ from pcretrieve.cli.parts import (
     scale_option,
     size_weight_option,
     surface_option,
+    unit_option,
     write_json,
 )
 
@@ -59,6 +60,7 @@ __all__ = ["signature_command"]
 @size_weight_option
 @config_option
 @surface_option
+@unit_option
 @limit_options("scan")
 @json_option
 def signature_command(
@@ -71,6 +73,7 @@ def signature_command(
     size_weight: float | None,
     config: Path | None,
     surface: str | None,
+    unit: str | None,
     timeout: float,
     memory: float | None,
     as_json: bool,
@@ -87,8 +90,8 @@ def signature_command(
     from pcretrieve.ingestion.isolation import Isolation
     from pcretrieve.types import Signature
 
-    if from_catalogue is not None and (config or surface):
-        raise click.UsageError("a catalogue has options of its own: leave out --config and --surface")
+    if from_catalogue is not None and (config or surface or unit):
+        raise click.UsageError("a catalogue has options of its own: leave out --config, --surface and --unit")
     if from_catalogue is None and not paths:
         raise click.UsageError("name at least one scan")
     given = {
@@ -103,12 +106,14 @@ def signature_command(
         rows = _of_catalogue(from_catalogue, paths, chosen)
     else:
         options = load_options(config, surface).changed(signature=chosen)
+        if unit is not None:
+            options = options.changed(scan={"unit": unit})
         rows = _of_scans(paths, options, Isolation(timeout, memory))
     found: list[dict[str, object]] = []
     n_failed = 0
     for name, outcome, facts in rows:
         if isinstance(outcome, Signature):
-            facts |= {"kind": outcome.kind, "values": outcome.values.tolist()}
+            facts |= {"kind": outcome.kind, "unit": outcome.unit, "values": outcome.values.tolist()}
             if outcome.deviation is not None:
                 facts |= {"deviation": outcome.deviation.tolist()}
             if not as_json:

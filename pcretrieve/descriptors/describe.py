@@ -33,7 +33,7 @@ from pcretrieve.names import NAMES
 from pcretrieve.options import SignatureOptions
 from pcretrieve.plugins import Registry, named
 from pcretrieve.spectral import unit_eigenpairs
-from pcretrieve.types import Eigenpairs, Shape, Signature, Surface
+from pcretrieve.types import UNIT, Eigenpairs, Shape, Signature, SizeUnit, Surface
 
 __all__ = ["DESCRIPTORS", "describe", "signature_length"]
 
@@ -82,7 +82,8 @@ def describe(shape: Shape, options: SignatureOptions) -> Signature:
     -------
     Signature
         In the order and the units of the method. If w > 0, the last value is the size: area^w, unit
-        length^(2 w) of the file, for the metric ``logarithms``, and w log area for ``values``.
+        length^(2 w) of the shape, for the metric ``logarithms``, and w log area for ``values``.
+        `Signature.unit` is the unit of length, if values depend on the size.
         `Signature.deviation` is None if there is one surface only.
 
     Raises
@@ -96,7 +97,8 @@ def describe(shape: Shape, options: SignatureOptions) -> Signature:
     descriptor = DESCRIPTORS[options.method]
     _check_size(descriptor, options)
     parts = (shape,) if set(descriptor.needs) == {"points"} else shape.apart()
-    made = [_described(descriptor, part, options) for part in parts]
+    unit = _unit_of_sizes(shape) if options.compares_sizes else None
+    made = [replace(_described(descriptor, part, options), unit=unit) for part in parts]
     if len(made) == 1:
         return made[0]
     rows = np.array([signature.values for signature in made])  # (s, L)
@@ -125,6 +127,10 @@ def signature_length(options: SignatureOptions) -> int:
         If the method does not exist, or its package cannot be loaded.
     """
     return DESCRIPTORS[options.method].length(options) + bool(options.size_weight)
+
+
+def _unit_of_sizes(shape: Shape) -> SizeUnit:
+    return "m" if any(UNIT in step.sizes for step in shape.provenance) else "unknown"
 
 
 def _check_size(descriptor: Descriptor, options: SignatureOptions) -> None:

@@ -27,8 +27,9 @@ def write_signatures(table: SignatureTable, path: str | Path) -> None:
         The signatures.
     path : str or Path
         The file. ``.npz`` holds the arrays ``ids``, ``labels`` (empty where unknown), ``values`` (N, L),
-        ``kind`` and ``digest``, none of them pickled. ``.parquet`` (the extra ``tables``) and ``.csv`` have
-        the columns ``id``, ``label``, ``v1`` ... ``vL``; Parquet keeps ``kind`` and ``digest`` as metadata.
+        ``kind``, ``digest`` and ``unit`` (empty if no value depends on the size), none of them pickled.
+        ``.parquet`` (the extra ``tables``) and ``.csv`` have the columns ``id``, ``label``, ``v1`` ...
+        ``vL``; Parquet keeps ``kind``, ``digest`` and ``unit`` as metadata.
 
     Raises
     ------
@@ -43,7 +44,8 @@ def write_signatures(table: SignatureTable, path: str | Path) -> None:
             f"a file of signatures must end in one of {' '.join(SIGNATURE_SUFFIXES)}, got {path.name}"
         )
     if suffix == ".parquet":
-        data = parquet_bytes(table.columns(), {"kind": table.kind, "digest": table.digest})
+        made_by = {"kind": table.kind, "digest": table.digest, "unit": table.unit or ""}
+        data = parquet_bytes(table.columns(), made_by)
     elif suffix == ".npz":
         file = io.BytesIO()
         np.savez(
@@ -53,6 +55,7 @@ def write_signatures(table: SignatureTable, path: str | Path) -> None:
             values=table.values,
             kind=np.array(table.kind),
             digest=np.array(table.digest),
+            unit=np.array(table.unit or ""),
         )
         data = file.getvalue()
     else:

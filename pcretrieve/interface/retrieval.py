@@ -32,6 +32,7 @@ def search(
     k: int = 10,
     options: OptionsLike = None,
     matrix: DistanceMatrix | None = None,
+    unit: str | None = None,
 ) -> Neighbors:
     """The shapes of a catalogue nearest to a scan.
 
@@ -49,6 +50,9 @@ def search(
         Signature, distance and whitening. By default the options of the catalogue.
     matrix : DistanceMatrix, optional
         Distances that replace the distances of signatures, for a query that the catalogue has.
+    unit : str, optional
+        Unit of the query (``um mm cm dm m km in ft``), if it does not have one itself; by default that of the
+        options of the catalogue. Matters only if sizes are compared.
 
     Returns
     -------
@@ -60,16 +64,18 @@ def search(
     CatalogueError
         If the options require other spectra than the catalogue has.
     InputError
-        If the catalogue has no shapes; or, with `matrix`, does not have this query.
+        If the catalogue has no shapes; or, with `matrix`, does not have this query; or if sizes are compared
+        and one of the units, of the query and of the shapes, is known and the other is not.
     ShapeError
         If the scan cannot be read or has no usable surface.
     """
     with opened(catalogue) as store:
         chosen = PipelineOptions.of(options, store.options)
         if not isinstance(query, (str, Path, Signature)):
-            made = describe(process(query, store.options), chosen.compared)
+            own = store.options if unit is None else store.options.changed(scan={"unit": unit})
+            made = describe(process(query, own), chosen.compared)
             query = replace(made, digest=chosen.compared_digest)
-        return search_catalogue(store, query, k=k, options=chosen, matrix=matrix)
+        return search_catalogue(store, query, k=k, options=chosen, matrix=matrix, unit=unit)
 
 
 def evaluate(

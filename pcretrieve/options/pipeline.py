@@ -274,7 +274,9 @@ class PipelineOptions(Options):
 
     def _digest_of(self, scale: Scale) -> str:
         signature = self.signature.model_copy(update={"scale": scale}).model_dump_json()
-        return hashlib.sha256((self.digest + signature).encode()).hexdigest()[:16]
+        # Without the unit, which a signature that depends on it has itself (`Signature.unit`).
+        unitless = self.model_copy(update={"scan": self.scan.model_copy(update={"unit": "none"})})
+        return hashlib.sha256((unitless.digest + signature).encode()).hexdigest()[:16]
 
 
 def _laid_over(values: dict[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:

@@ -40,17 +40,22 @@ class SignatureOptions(Options):
     scale: Literal["auto", "relative", "area", "absolute"] = "auto"
     """Normalisation of the values: by the area of the surface (area), by the first value of the descriptor
     (relative, as in the papers), or none (absolute). area and relative are invariant to scaling; absolute
-    compares sizes too, and is meaningful only if all files are in one unit. auto: relative if signatures are
+    compares sizes too, for files in one unit or whose units are all known. auto: relative if signatures are
     compared after PCA whitening, area otherwise, which for R-BiHDM gives the better rankings."""
     size_weight: Annotated[float, Field(ge=0, le=20)] = 0.0
     """Weight w of the size of a body relative to its form: area^w is appended to the values, if w > 0. In log
-    distances, bodies whose areas differ by a factor of exp(1/w) are then 1 apart. Meaningful only if all
-    files are in one unit. Gives better rankings than the scale absolute."""
+    distances, bodies whose areas differ by a factor of exp(1/w) are then 1 apart. For files in one unit or
+    whose units are all known. Gives better rankings than the scale absolute."""
 
     @property
     def measured_by(self) -> Scale:
         """The normalisation of a signature by itself: `scale`, with area for auto."""
         return "area" if self.scale == "auto" else self.scale
+
+    @property
+    def compares_sizes(self) -> bool:
+        """Whether signatures depend on the size of bodies, and so on the unit of the files."""
+        return self.scale == "absolute" or self.size_weight > 0
 
     @model_validator(mode="after")
     def _has_a_size(self) -> SignatureOptions:

@@ -13,7 +13,7 @@ References
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from typing import Any, cast
+from typing import Any, TypeAlias, cast
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -33,13 +33,17 @@ from pcretrieve.retrieval.ranking import (
     pairwise_blocks,
     position_of,
 )
+from pcretrieve.retrieval.units import check_unit
 from pcretrieve.retrieval.whitening import Whitening
-from pcretrieve.types import FloatArray, Metric, Neighbors, Signature, SignatureTable
+from pcretrieve.types import FloatArray, Metric, Neighbors, Signature, SignatureTable, SizeUnit
 
 __all__ = ["SignatureIndex"]
 
 # Prefix of the names of the arrays of the whitening, among the arrays of an index.
 WHITENING = "whitening_"
+
+# Kind, digest and metric of the signatures, and the unit of their sizes, as in `SignatureTable`.
+MadeBy: TypeAlias = "tuple[str, str, Metric, SizeUnit | None]"
 
 NO_SHAPES = "an index needs at least 1 shape, got an empty table; ingest shapes first"
 
@@ -85,7 +89,7 @@ class SignatureIndex:
             raise InputError(NO_SHAPES)
         by_id = sorted(range(len(table)), key=table.ids.__getitem__)
         points = table_coordinates(table, options.distance)
-        made_by = table.kind, table.digest, table.metric
+        made_by = table.kind, table.digest, table.metric, table.unit
         whitening = whitening or fit_whitening(
             options.whitening, points, table.labels, damping=options.damping, options_digest=table.digest
         )
@@ -97,7 +101,7 @@ class SignatureIndex:
         ids: Names,
         points: FloatArray,
         labels: Sequence[str | None],
-        made_by: tuple[str, str, Metric],
+        made_by: MadeBy,
         options: RetrievalOptions,
         whitening: Whitening | None = None,
     ) -> SignatureIndex:
@@ -112,8 +116,8 @@ class SignatureIndex:
             become part of the index.
         labels : sequence of (str or None), length N
             Classes; needed only for a whitening that is fitted to them.
-        made_by : tuple of str
-            Kind, digest and metric of the signatures, as in `SignatureTable`.
+        made_by : tuple
+            Kind, digest and metric of the signatures, and the unit of their sizes, as in `SignatureTable`.
         options : RetrievalOptions
             The distance, and the whitening to fit on `points`.
         whitening : Whitening, optional
@@ -140,14 +144,14 @@ class SignatureIndex:
 
     def _fill(
         self,
-        made_by: tuple[str, str, Metric],
+        made_by: MadeBy,
         ids: Names,
         points: FloatArray,
         options: RetrievalOptions,
         whitening: Whitening,
     ) -> None:
         """Whiten coordinates in place, in the order of the ids, and bound their distances."""
-        self._kind, self._digest, self._metric = made_by
+        self._kind, self._digest, self._metric, self._unit = made_by
         whitening.check_made_for(self._digest)
         self.distance, self.whitening, self.ids = options.distance, whitening, ids
         for start in range(0, len(ids), BLOCK):
@@ -178,8 +182,8 @@ class SignatureIndex:
         OptionError
             If `k` is not an integer of at least 1.
         InputError
-            If the kind, the digest or the length of the signature is not that of the table, or a value is not
-            positive and finite.
+            If the kind, the digest, the unit or the length of the signature is not that of the table, or a
+            value is not positive and finite.
         """
         k = checked_k(k)
         return self._nearest(self.whitening.apply(self._checked_logs(signature)[np.newaxis]), k)
@@ -247,6 +251,7 @@ class SignatureIndex:
         arrays |= {f"{WHITENING}{name}": array for name, array in self.whitening.to_arrays().items()}
         arrays |= {"id_text": self.ids.text, "id_ends": self.ids.ends}
         made_by = {"kind": self._kind, "digest": self._digest, "metric": self._metric}
+        made_by["unit"] = self._unit or ""
         return arrays | {name: np.array(text) for name, text in made_by.items()}
 
     @classmethod
@@ -273,6 +278,7 @@ class SignatureIndex:
         try:
             index._kind, index._digest = str(arrays["kind"]), str(arrays["digest"])
             index._metric = cast("Metric", str(arrays["metric"]))
+            index._unit = cast("SizeUnit", str(arrays["unit"])) or None
             index.ids = Names(arrays["id_text"], arrays["id_ends"])
             index._filter = Filter.from_arrays(arrays)
         except KeyError as error:
@@ -290,6 +296,7 @@ class SignatureIndex:
                     f"the query must be made by the same method and options as the table, "
                     f"{self._kind!r} {self._digest!r}, got {signature.kind!r} {signature.digest!r}"
                 )
+            check_unit(signature.unit, self._unit)
             signature = signature.values
         logs = coordinates(signature, self._metric)
         row = self._filter.points.shape[1:]

@@ -13,7 +13,7 @@ from pcretrieve.types.geometry import PointCloud, Step, TriangleMesh, bounding_d
 from pcretrieve.types.shapes import Failure, Need, Shape, Surface
 from pcretrieve.types.signatures import Metric, Neighbors, Signature, SignatureTable
 from pcretrieve.types.spectra import Eigenpairs, LaplaceBeltrami, ModalSpectrum
-from pcretrieve.types.units import METRES, UNIT, unit_of
+from pcretrieve.types.units import METRES, UNIT, SizeUnit, unit_of
 from pcretrieve.types.verdicts import Judgement, Verdict
 
 __all__ = [
@@ -33,6 +33,7 @@ __all__ = [
     "Shape",
     "Signature",
     "SignatureTable",
+    "SizeUnit",
     "Step",
     "Surface",
     "TriangleMesh",

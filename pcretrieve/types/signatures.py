@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from pcretrieve.arrays import FloatArray
 from pcretrieve.errors import InputError
+from pcretrieve.types.units import SizeUnit
 from pcretrieve.values import Value, as_array, locked
 
 __all__ = ["Metric", "Neighbors", "Signature", "SignatureTable"]
@@ -43,6 +44,10 @@ class Signature(Value):
     metric : {"logarithms", "values", "histograms"}, default "logarithms"
         How two signatures of this kind are compared: by the logarithms of their values, which are positive;
         by the values as they are; or as histograms, whose bins are not negative.
+    unit : {"m", "unknown"} or None
+        Unit of length of the values, if they depend on the size of the body (scale ``absolute``, or a weight
+        of the size): metres, or that of a file whose unit is unknown. None if no value depends on the size.
+        Signatures are comparable only if it is equal.
     """
 
     values: FloatArray
@@ -50,8 +55,10 @@ class Signature(Value):
     digest: str = ""
     deviation: FloatArray | None = None
     metric: Metric = "logarithms"
+    unit: SizeUnit | None = None
 
     def __post_init__(self) -> None:
+        _check_unit(self.unit)
         object.__setattr__(self, "values", _suited(locked("values", self.values, (None,)), self.metric))
         if self.deviation is not None:
             deviation = locked("deviation", self.deviation, (len(self.values),))
@@ -87,8 +94,8 @@ class SignatureTable(Value):
         Identifiers of the shapes, distinct.
     values : (N, L) float64
         One signature in each row, in the units of `Signature`.
-    kind, digest, metric : str
-        Method, hash of the options, and metric, as in `Signature`.
+    kind, digest, metric, unit
+        Method, hash of the options, metric, and unit of the sizes, as in `Signature`.
     labels : tuple of (str or None), length N
         Class of each shape; None if unknown.
     """
@@ -99,8 +106,10 @@ class SignatureTable(Value):
     digest: str = ""
     labels: tuple[str | None, ...] = ()
     metric: Metric = "logarithms"
+    unit: SizeUnit | None = None
 
     def __post_init__(self) -> None:
+        _check_unit(self.unit)
         object.__setattr__(self, "ids", tuple(self.ids))
         n = len(self.ids)
         if len(set(self.ids)) != n:
@@ -158,6 +167,11 @@ class SignatureTable(Value):
         from pcretrieve.adapters.pandas import data_frame
 
         return data_frame(self.columns(), index="id")
+
+
+def _check_unit(unit: SizeUnit | None) -> None:
+    if unit not in (None, *get_args(SizeUnit)):
+        raise InputError(f"the unit of sizes must be None, 'm' or 'unknown', got {unit!r}")
 
 
 def _suited(values: FloatArray, metric: Metric) -> FloatArray:

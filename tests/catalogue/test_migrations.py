@@ -88,7 +88,7 @@ def test_a_catalogue_of_version_2_gets_verdicts(path: Path) -> None:
         before = store.records()
     with closing(sqlite3.connect(path)) as connection, connection:
         connection.execute("DROP INDEX doubtful_shapes")
-        for column in ("judgement", "uncertainty"):
+        for column in ("judgement", "uncertainty", "metres_per_unit"):
             connection.execute(f"ALTER TABLE shapes DROP COLUMN {column}")
         columns = "shape, steps, options_digest, versions, added"
         connection.execute(f"CREATE TABLE earlier AS SELECT {columns} FROM provenance")

@@ -21,7 +21,7 @@ from pcretrieve.catalogue.stores import open_rows
 from pcretrieve.cli.main import cli
 from pcretrieve.errors import CatalogueError, OptionError
 from pcretrieve.formats import write_mesh
-from pcretrieve.types import Step, Verdict
+from pcretrieve.types import UNIT, Step, Verdict
 
 SETTINGS = {"options": "{}", "numbers_version": "7"}
 IDS = ("b", "d", "a", "c")
@@ -82,9 +82,12 @@ def test_a_store_that_is_not_there(location: str) -> None:
 
 def test_numbers_and_areas(rows: Rows) -> None:
     assert (rows.count("done"), rows.count("failed")) == (4, 1)
-    assert rows.areas() == (1, 4)
+    assert rows.areas() == {None: (1, 4)}
+    for name in ("b", "c"):
+        rows.put(record(name, steps=(Step("read", 0.5, {UNIT: 1.0}),)), signature(name), ARRAYS)
+    assert rows.areas() == {None: (1, 4), 1.0: (2, 3)}
     rows.remove(["a", "b", "c", "d"])
-    assert rows.areas() is None
+    assert rows.areas() == {}
 
 
 # --- records --------------------------------------------------------------------------------------------

@@ -222,7 +222,7 @@ def test_shapes_of_a_catalogue_that_have_no_signature(run: Run, catalogue: Path)
     assert "holds no shape 'ogre'; `pcretrieve list` names them" in unknown.stderr
     usage = run("signature", "--from-catalogue", catalogue, "--surface", "keep")
     assert usage.code == 2
-    assert "a catalogue has options of its own: leave out --config and --surface" in usage.stderr
+    assert "a catalogue has options of its own: leave out --config, --surface and --unit" in usage.stderr
     assert run("signature").code == 2
 
 

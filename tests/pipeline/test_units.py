@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,7 +14,7 @@ import pcretrieve as pr
 from pcretrieve import TriangleMesh
 from pcretrieve.catalogue import Catalogue
 from pcretrieve.cli.main import cli
-from pcretrieve.errors import OptionError
+from pcretrieve.errors import InputError, OptionError
 from pcretrieve.formats import write_mesh
 from pcretrieve.formats.scans import as_scan
 from pcretrieve.options import PipelineOptions
@@ -57,8 +58,30 @@ def test_the_unit_is_part_of_the_digest_only_if_it_is_given() -> None:
     options = PipelineOptions()
     assert options.changed(scan={"unit": "mm"}).digest != options.digest
     assert options.changed(scan={"unit": "none"}).digest == options.digest
+    # The unit of a signature is in the signature itself.
+    assert options.changed(scan={"unit": "mm"}).signature_digest == options.signature_digest
     with pytest.raises(OptionError, match="unit"):
         options.changed(scan={"unit": "parsec"})
+
+
+@pytest.mark.parametrize(
+    ("options", "unit"),
+    [
+        ({}, {"m": None, "mm": None}),
+        (SIZED, {"m": "m", "mm": "unknown"}),
+        ({"signature": {"scale": "absolute"}}, {"m": "m", "mm": "unknown"}),
+        ({**SIZED, "scan": {"unit": "mm"}}, {"m": "m", "mm": "m"}),
+    ],
+)
+def test_a_signature_with_a_size_has_its_unit(
+    options: dict[str, Any], unit: dict[str, str | None], files: dict[str, Path]
+) -> None:
+    assert {name: pr.signature(path, options).unit for name, path in files.items()} == unit
+
+
+def test_there_is_no_other_unit() -> None:
+    with pytest.raises(InputError, match="unit of sizes must be None, 'm' or 'unknown', got 'mm'"):
+        pr.Signature(np.ones(2), "r-bihdm", unit="mm")  # type: ignore[arg-type]
 
 
 def test_ingest_with_a_unit(files: dict[str, Path], tmp_path: Path) -> None:
