@@ -4,18 +4,25 @@ from __future__ import annotations
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
 from pcretrieve.voxels.grid import Mask, Voxels
 
 __all__ = ["distances"]
 
+# The squared distance of a voxel that no source has reached yet; in voxels².
+FAR = np.float32(1e18)
+
+Row = NDArray[np.float32]
+
 
 @njit(cache=True)
 def distances(sources: Mask, limit: float) -> Voxels:
-    """The distance of each voxel to the nearest source voxel, by propagation of the nearest source [1]_.
+    """The Euclidean distance of each voxel to the nearest source voxel, axis by axis [1]_.
 
-    The propagation visits only voxels within the limit, unlike a distance transform of the whole grid. With a
-    26-neighbourhood its error is less than a tenth of a voxel.
+    Distances along the second axis are exact squares, and each further axis takes the minimum over the
+    neighbours on its lines. All loops are over lines of the last axis, which are contiguous, so that they
+    compute eight voxels at once; lines that are beyond the limit are skipped.
 
     Parameters
     ----------
@@ -27,61 +34,77 @@ def distances(sources: Mask, limit: float) -> Voxels:
     Returns
     -------
     (a, b, c) float32
-        Distances, at most `limit`; in voxels.
+        Distances, at most `limit`; in voxels. `limit` everywhere if there are no sources.
 
     References
     ----------
-    .. [1] P.-E. Danielsson, "Euclidean distance mapping", Computer Graphics and Image Processing 14 (1980).
+    .. [1] T. Saito and J.-I. Toriwaki, "New algorithms for Euclidean distance transformation of an
+       n-dimensional digitized picture with applications", Pattern Recognition 27 (1994).
     """
     n_x, n_y, n_z = sources.shape
-    n = sources.size
-    result = np.full(n, limit, dtype=np.float32)
-    nearest = np.empty(n, dtype=np.int32)
-    is_source = sources.ravel()
-    front = np.empty(n, dtype=np.int32)
-    queued = np.zeros(n, dtype=np.bool_)
-    count = 0
+    reach = int(min(limit, max(n_x, n_y, n_z))) + 1
+    squares, largest, is_near = _squares_along_y(sources, min(limit * limit, FAR))
+    result = np.full(sources.shape, limit, dtype=np.float32)
+    line = np.empty(n_z, dtype=np.float32)
     for x in range(n_x):
         for y in range(n_y):
+            line[:] = squares[x, y]
+            is_reached = is_near[x, y]
+            k = 1
+            # A square that is less than k² cannot become smaller by a neighbour k voxels away.
+            while k <= reach and k * k < largest[x, y]:
+                if x >= k and is_near[x - k, y]:
+                    _lower(line, squares[x - k, y], k)
+                    is_reached = True
+                if x + k < n_x and is_near[x + k, y]:
+                    _lower(line, squares[x + k, y], k)
+                    is_reached = True
+                k += 1
+            if not is_reached:
+                continue
+            best = result[x, y]
+            best[:] = line
+            deepest = line.max()
+            k = 1
+            while k <= reach and k < n_z and k * k < deepest:
+                _lower(best[: n_z - k], line[k:], k)
+                _lower(best[k:], line[: n_z - k], k)
+                k += 1
             for z in range(n_z):
-                cell = (x * n_y + y) * n_z + z
-                if not is_source[cell]:
-                    continue
-                result[cell] = 0
-                nearest[cell] = cell
-                # The propagation starts at the boundary of the sources.
-                if (
-                    (x > 0 and not is_source[cell - n_y * n_z])
-                    or (x < n_x - 1 and not is_source[cell + n_y * n_z])
-                    or (y > 0 and not is_source[cell - n_z])
-                    or (y < n_y - 1 and not is_source[cell + n_z])
-                    or (z > 0 and not is_source[cell - 1])
-                    or (z < n_z - 1 and not is_source[cell + 1])
-                ):
-                    front[count] = cell
-                    queued[cell] = True
-                    count += 1
-    head, waiting = 0, count
-    tail = count % n
-    while waiting:
-        cell = front[head]
-        head = (head + 1) % n
-        waiting -= 1
-        queued[cell] = False
-        source = nearest[cell]
-        a, b, c = source // (n_y * n_z), source // n_z % n_y, source % n_z
-        x, y, z = cell // (n_y * n_z), cell // n_z % n_y, cell % n_z
-        for u in range(max(0, x - 1), min(n_x, x + 2)):
-            for v in range(max(0, y - 1), min(n_y, y + 2)):
-                for w in range(max(0, z - 1), min(n_z, z + 2)):
-                    other = (u * n_y + v) * n_z + w
-                    apart = np.float32(np.sqrt((u - a) ** 2 + (v - b) ** 2 + (w - c) ** 2))
-                    if apart < result[other]:
-                        result[other] = apart
-                        nearest[other] = source
-                        if not queued[other]:
-                            queued[other] = True
-                            front[tail] = other
-                            tail = (tail + 1) % n
-                            waiting += 1
-    return result.reshape(sources.shape)
+                best[z] = min(np.sqrt(best[z]), np.float32(limit))
+    return result
+
+
+@njit(cache=True)
+def _squares_along_y(sources: Mask, most: float) -> tuple[Voxels, Voxels, Mask]:
+    """Squared distances along the second axis; of each line, the largest, and whether any is below `most`."""
+    n_x, n_y, n_z = sources.shape
+    squares = np.empty(sources.shape, dtype=np.float32)
+    largest = np.empty((n_x, n_y), dtype=np.float32)
+    is_near = np.empty((n_x, n_y), dtype=np.bool_)
+    for x in range(n_x):
+        for y in range(n_y):
+            line, here = squares[x, y], sources[x, y]
+            before = squares[x, max(0, y - 1)]
+            for z in range(n_z):
+                step = before[z] + np.float32(1) if y else FAR
+                line[z] = np.float32(0) if here[z] else step
+        for y in range(n_y - 2, -1, -1):
+            line, after = squares[x, y], squares[x, y + 1]
+            for z in range(n_z):
+                line[z] = min(line[z], after[z] + np.float32(1))
+        for y in range(n_y):
+            line = squares[x, y]
+            for z in range(n_z):
+                line[z] = min(line[z] * line[z], FAR)
+            largest[x, y] = line.max()
+            is_near[x, y] = line.min() < most
+    return squares, largest, is_near
+
+
+@njit(cache=True)
+def _lower(line: Row, other: Row, k: int) -> None:
+    """Lower the squares of a line to those of another line, k voxels away, plus k²."""
+    square = np.float32(k * k)
+    for z in range(len(line)):
+        line[z] = min(line[z], other[z] + square)
