@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from pcretrieve.errors import ReconstructionError
 from pcretrieve.options import SurfaceOptions
 from pcretrieve.types import FloatArray
-from pcretrieve.voxels import Grid, Mask
+from pcretrieve.voxels import Grid, Mask, components
 
 __all__ = ["joined"]
 
@@ -50,11 +50,11 @@ def joined(
     ReconstructionError
         If a component that is too far away has more than `max_discarded` of the points.
     """
-    from scipy import ndimage
+    from scipy.ndimage import distance_transform_edt
 
     nowhere = np.zeros((0, 3), dtype=np.intp)
-    pieces, n = ndimage.label(inside)
-    if n == 0:
+    pieces, sizes = components(inside, corners=False)
+    if len(sizes) == 1:
         return inside, nowhere
     # A point is on the surface of its component: in one of its voxels, or in one adjacent to it.
     at = np.array(grid.index(points))  # (3, n)
@@ -63,14 +63,13 @@ def joined(
     round_it = np.indices((3, 3, 3)).reshape(3, 27, 1) - 1
     x, y, z = at[:, None, beside] + round_it  # (27, b) each
     near[beside] = pieces[x, y, z].max(axis=0, initial=0)
-    support = np.bincount(near, minlength=n + 1) / len(points)
-    sizes = np.bincount(pieces.ravel())
+    support = np.bincount(near, minlength=len(sizes)) / len(points)
     sizes[0] = 0
     body = pieces == sizes.argmax()
     support[0] = support[sizes.argmax()] = 0
     bridges = []
     for piece in np.argsort(-support)[: int((support > LEAST_PIECE).sum())]:
-        depth, nearest = ndimage.distance_transform_edt(~body, return_indices=True)
+        depth, nearest = distance_transform_edt(~body, return_indices=True)
         cells = np.argwhere(pieces == piece)
         start = cells[depth[tuple(cells.T)].argmin()]
         gap = depth[tuple(start)] * grid.cell
@@ -88,7 +87,7 @@ def joined(
         body |= pieces == piece
         body[tuple(tube.T)] = True
         notes.append(f"joined a piece with {support[piece]:.1%} of the points across a gap of {gap:.3g}")
-    hollow, _ = ndimage.label(~body, np.ones((3, 3, 3)))
+    hollow, _ = components(~body, corners=True)
     return hollow != hollow[0, 0, 0], np.concatenate([nowhere, *bridges])
 
 
