@@ -71,15 +71,8 @@ def distance_field(cloud: PointCloud, outside: Outside) -> tuple[Voxels, Voxels]
        surfaces", Computer Graphics Forum 27 (2008), equation (4).
     """
     shown = ~_hidden(cloud, outside)
-    points, normals = cloud.points[shown], normals_of(cloud)[shown]
-    at, shape = outside.grid.coordinates(points), outside.grid.shape
-    near = np.flatnonzero(_near(at, shape))
-    number = np.full(shape, -1, dtype=np.int32)
-    number.ravel()[near] = np.arange(len(near), dtype=np.int32)
-    fitted = _fitted(_summed(at, normals, number, len(near)))  # (k, 2)
-    field = np.zeros((2, *shape), dtype=np.float32)
-    field.reshape(2, -1)[:, near] = fitted.T
-    return field[0], field[1]
+    at = outside.grid.coordinates(cloud.points[shown])
+    return _fitted(at, normals_of(cloud)[shown], outside.distance)
 
 
 def normals_of(cloud: PointCloud) -> FloatArray:
@@ -174,58 +167,97 @@ def hidden_below(diagonal: float, cell: float) -> float:
     return max(HIDDEN_CELLS, HIDDEN * diagonal / cell)
 
 
-@njit(cache=True)
-def _near(at: FloatArray, shape: tuple[int, int, int]) -> Mask:
-    """Voxels with a point at a distance of at most `REACH`."""
-    near = np.zeros(shape, dtype=np.bool_)
-    for i in range(len(at)):
-        x, y, z = at[i]
-        for u in range(max(0, int(np.ceil(x - REACH))), min(shape[0], int(x + REACH) + 1)):
-            for v in range(max(0, int(np.ceil(y - REACH))), min(shape[1], int(y + REACH) + 1)):
-                for w in range(max(0, int(np.ceil(z - REACH))), min(shape[2], int(z + REACH) + 1)):
-                    if (u - x) ** 2 + (v - y) ** 2 + (w - z) ** 2 <= REACH * REACH:
-                        near[u, v, w] = True
-    return near
+@njit(cache=True, error_model="numpy")
+def _fitted(at: FloatArray, normals: FloatArray, to_points: Voxels) -> tuple[Voxels, Voxels]:
+    """Distances to the sphere u₀ + u·p + q p·p = 0 that is fitted near each voxel, and the weights."""
+    distance = np.zeros(to_points.shape, dtype=np.float32)
+    weight = np.zeros(to_points.shape, dtype=np.float32)
+    number = _numbers(to_points)
+    weights, sums = _summed(at, normals, number)
+    n_x, n_y, n_z = to_points.shape
+    for x in range(n_x):
+        for y in range(n_y):
+            for z in range(n_z):
+                k = number[x, y, z]
+                if k < 0 or weights[k] == 0:
+                    continue
+                s, w = sums[k], weights[k]
+                # The sums relative to the centre of the voxel.
+                a, b, c = s[0] - x * w, s[1] - y * w, s[2] - z * w
+                squares = s[6] - x * (s[0] + a) - y * (s[1] + b) - z * (s[2] + c)
+                along = s[7] - x * s[3] - y * s[4] - z * s[5]
+                extent = squares - (a * a + b * b + c * c) / w
+                q = 0.0
+                if extent > LEAST_EXTENT * w:
+                    q = CURVATURE * (along - (a * s[3] + b * s[4] + c * s[5]) / w) / (2 * extent)
+                u, v, t = (s[3] - 2 * q * a) / w, (s[4] - 2 * q * b) / w, (s[5] - 2 * q * c) / w
+                u_0 = -(u * a + v * b + t * c + q * squares) / w
+                # Minus the root d of u₀ + |u| d + q d² that stays finite as q → 0; if it is not real, the
+                # distance to the centre of the sphere.
+                steepness = np.sqrt(u * u + v * v + t * t)
+                root = np.sqrt(max(steepness * steepness - 4 * u_0 * q, 0))
+                distance[x, y, z] = 2 * u_0 / (steepness + root + 1e-9)
+                weight[x, y, z] = w
+    return distance, weight
 
 
 @njit(cache=True)
-def _summed(at: FloatArray, normals: FloatArray, number: NDArray[np.int32], n: int) -> FloatArray:
-    """(n, 9) sums of w, w p, w n, w p·p, w p·n over the points p near each voxel, relative to its centre."""
-    shape = number.shape
-    sums = np.zeros((n, 9))
+def _numbers(to_points: Voxels) -> NDArray[np.int32]:
+    """Number, in order, of each voxel that may have a point at a distance of at most `REACH`; −1 elsewhere."""
+    number = np.empty(to_points.shape, dtype=np.int32)
+    n = 0
+    # A point is at most half a diagonal of a voxel away from the centre of its own voxel.
+    farthest = REACH + np.sqrt(3) / 2
+    for x in range(to_points.shape[0]):
+        for y in range(to_points.shape[1]):
+            for z in range(to_points.shape[2]):
+                is_near = to_points[x, y, z] <= farthest
+                number[x, y, z] = n if is_near else -1
+                n += is_near
+    return number
+
+
+@njit(cache=True, error_model="numpy")
+def _summed(at: FloatArray, normals: FloatArray, number: NDArray[np.int32]) -> tuple[FloatArray, FloatArray]:
+    """(n,) sums of the weights w, and (n, 8) of w p, w n, w p·p, w p·n over the points p near each voxel."""
+    n_x, n_y, n_z = number.shape
+    n = number.max() + 1
+    weights, sums = np.zeros(n), np.zeros((n, 8))
+    # The Gaussian weight is a product of factors for the axes.
+    side = int(2 * REACH) + 2
+    of_y, of_z = np.empty(side), np.empty(side)
+    narrow = 1 / (2 * SPREAD * SPREAD)
     for i in range(len(at)):
-        x, y, z = at[i]
-        for u in range(max(0, int(np.ceil(x - REACH))), min(shape[0], int(x + REACH) + 1)):
-            for v in range(max(0, int(np.ceil(y - REACH))), min(shape[1], int(y + REACH) + 1)):
-                for w in range(max(0, int(np.ceil(z - REACH))), min(shape[2], int(z + REACH) + 1)):
-                    a, b, c = x - u, y - v, z - w
-                    square = a * a + b * b + c * c
-                    if square > REACH * REACH:
-                        continue
-                    weight = np.exp(-square / (2 * SPREAD * SPREAD))
-                    k = number[u, v, w]
-                    sums[k, 0] += weight
-                    sums[k, 1] += weight * a
-                    sums[k, 2] += weight * b
-                    sums[k, 3] += weight * c
-                    sums[k, 4] += weight * normals[i, 0]
-                    sums[k, 5] += weight * normals[i, 1]
-                    sums[k, 6] += weight * normals[i, 2]
-                    sums[k, 7] += weight * square
-                    sums[k, 8] += weight * (a * normals[i, 0] + b * normals[i, 1] + c * normals[i, 2])
-    return sums
-
-
-def _fitted(sums: FloatArray) -> FloatArray:
-    """(n, 2) distances to the sphere u₀ + u·p + q p·p = 0 fitted to each row of sums, and the weights."""
-    weight, points, normals = sums[:, 0], sums[:, 1:4], sums[:, 4:7]
-    extent = sums[:, 7] - np.einsum("ij,ij->i", points, points) / weight
-    turn = sums[:, 8] - np.einsum("ij,ij->i", points, normals) / weight
-    q = np.where(extent > LEAST_EXTENT * weight, CURVATURE * turn / (2 * np.maximum(extent, 1e-9)), 0)
-    u = (normals - 2 * q[:, None] * points) / weight[:, None]
-    u_0 = -(np.einsum("ij,ij->i", u, points) + q * sums[:, 7]) / weight
-    # Minus the root d of u₀ + |u| d + q d² that stays finite as q → 0; if it is not real, the distance to the
-    # centre of the sphere.
-    steepness = np.linalg.norm(u, axis=1)
-    root = np.sqrt(np.maximum(steepness**2 - 4 * u_0 * q, 0))
-    return np.column_stack([2 * u_0 / (steepness + root + 1e-9), weight])
+        x, y, z = at[i, 0], at[i, 1], at[i, 2]
+        a, b, c = normals[i, 0], normals[i, 1], normals[i, 2]
+        square = x * x + y * y + z * z
+        along = x * a + y * b + z * c
+        v_low, v_high = max(0, int(np.ceil(y - REACH))), min(n_y, int(y + REACH) + 1)
+        w_low, w_high = max(0, int(np.ceil(z - REACH))), min(n_z, int(z + REACH) + 1)
+        for v in range(v_low, v_high):
+            of_y[v - v_low] = np.exp(-narrow * (y - v) ** 2)
+        for w in range(w_low, w_high):
+            of_z[w - w_low] = np.exp(-narrow * (z - w) ** 2)
+        for u in range(max(0, int(np.ceil(x - REACH))), min(n_x, int(x + REACH) + 1)):
+            of_x = np.exp(-narrow * (x - u) ** 2)
+            for v in range(v_low, v_high):
+                rest = REACH * REACH - (x - u) ** 2 - (y - v) ** 2
+                if rest < 0:
+                    continue
+                half = np.sqrt(rest)
+                first, last = max(0, int(np.ceil(z - half))), min(n_z, int(z + half) + 1)
+                of_line = of_x * of_y[v - v_low]
+                k = number[u, v, first]  # the numbers of the voxels on this line are consecutive
+                for w in range(first, last):
+                    weight = of_line * of_z[w - w_low]
+                    weights[k] += weight
+                    sums[k, 0] += weight * x
+                    sums[k, 1] += weight * y
+                    sums[k, 2] += weight * z
+                    sums[k, 3] += weight * a
+                    sums[k, 4] += weight * b
+                    sums[k, 5] += weight * c
+                    sums[k, 6] += weight * square
+                    sums[k, 7] += weight * along
+                    k += 1
+    return weights, sums
