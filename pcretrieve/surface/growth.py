@@ -21,21 +21,28 @@ from pcretrieve.voxels import Mask, Voxels
 __all__ = ["grown"]
 
 
-# Number of integer priorities for each voxel edge of depth.
+# Number of integer priorities for each voxel edge of depth, and of all.
 STEPS = 8
+MOST_STEPS = 30_000
 
 # The 3 × 3 × 3 neighbourhood of a voxel. Its voxels are numbered x·9 + y·3 + z with x, y, z in 0 … 2, the
-# centre is number 13, and a set of them is an integer with one bit for each. SIX[k] are the 6-neighbours of
-# voxel k within the 18-neighbourhood of the centre, ALL_ROUND[k] its 26-neighbours without the centre, FACES
-# the 6-neighbours of the centre, and EVERYTHING its 26-neighbours.
+# centre is number 13, and a set of them is an integer with one bit for each, so that a shift moves all voxels
+# of a set at once. FACES are the 6-neighbours of the centre, NEAR its 18-neighbours and EVERYTHING its
+# 26-neighbours; Y_LOW to Z_HIGH are the voxels that can be moved along an axis without leaving the
+# neighbourhood.
 _AROUND = np.array([[x, y, z] for x in range(3) for y in range(3) for z in range(3)])
-_APART = np.abs(_AROUND[:, None] - _AROUND[None])  # (27, 27, 3)
 _BITS = 1 << np.arange(27)
-_NEAR = np.array([k != 13 and not (_AROUND[k] != 1).all() for k in range(27)])
-SIX = ((_APART.sum(axis=2) == 1) & _NEAR[:, None] & _NEAR[None]) @ _BITS
-ALL_ROUND = ((_APART.max(axis=2) == 1) & (np.arange(27) != 13)[None] & (np.arange(27) != 13)[:, None]) @ _BITS
-FACES = int(sum(_BITS[k] for k in (4, 10, 12, 14, 16, 22)))
-EVERYTHING = int(_BITS.sum() - _BITS[13])
+
+
+def _set(chosen: NDArray[np.bool_]) -> int:
+    return int(_BITS[chosen].sum())
+
+
+FACES = _set((_AROUND != 1).sum(axis=1) == 1)
+NEAR = _set(((_AROUND == 1).any(axis=1)) & (_AROUND != 1).any(axis=1))
+EVERYTHING = _set((_AROUND != 1).any(axis=1))
+Y_LOW, Y_HIGH = _set(_AROUND[:, 1] < 2), _set(_AROUND[:, 1] > 0)
+Z_LOW, Z_HIGH = _set(_AROUND[:, 2] < 2), _set(_AROUND[:, 2] > 0)
 
 
 def grown(inside: Mask, priority: Voxels, walls: Mask) -> Mask:
@@ -58,30 +65,47 @@ def grown(inside: Mask, priority: Voxels, walls: Mask) -> Mask:
     (a, b, c) bool
         The region, of genus 0.
     """
-    steps = np.where(inside, np.clip(priority * STEPS, 0, 30_000) + 1, 0).astype(np.int16)
-    return _grown(steps, walls, int(steps.argmax()), int(steps.max()) + 1)
+    steps, seed = _steps(inside, priority)
+    return _grown(steps, walls, seed)
 
 
 @njit(cache=True)
-def _grown(steps: NDArray[np.int16], walls: Mask, seed: int, n_buckets: int) -> Mask:
+def _steps(inside: Mask, priority: Voxels) -> tuple[NDArray[np.int16], int]:
+    """The integer priority of each voxel from 1, 0 outside; and the first voxel of the highest."""
+    steps = np.zeros(inside.size, dtype=np.int16)
+    is_inside, values = inside.ravel(), priority.ravel()
+    seed = 0
+    for cell in range(inside.size):
+        if is_inside[cell]:
+            steps[cell] = np.int16(min(max(values[cell] * np.float32(STEPS), 0), MOST_STEPS)) + 1
+            if steps[cell] > steps[seed]:
+                seed = cell
+    return steps.reshape(inside.shape), seed
+
+
+@njit(cache=True)
+def _grown(steps: NDArray[np.int16], walls: Mask, seed: int) -> Mask:
     _, n_y, n_z = steps.shape
     n = steps.size
     step = steps.ravel()
-    wall_x, wall_y, wall_z = walls[0].ravel(), walls[1].ravel(), walls[2].ravel()
+    wall = walls.reshape(3, n)
     body = np.zeros(n, dtype=np.bool_)
     offset = np.empty(27, dtype=np.int64)
     for k in range(27):
         offset[k] = (k // 9 - 1) * n_y * n_z + (k // 3 % 3 - 1) * n_z + k % 3 - 1
-    along_x, along_y = n_y * n_z, n_z
+    along = (n_y * n_z, n_z, 1)
+    n_buckets = step[seed] + 1
     # Two bucket queues, whose buckets are linked lists through `after`: 1 for voxels that are reached by a
     # link without a surfel, 0 for the others.
-    head = np.full((2, n_buckets), -1, dtype=np.int64)
-    tail = np.full((2, n_buckets), -1, dtype=np.int64)
-    after = np.full((2, n), -1, dtype=np.int64)
+    head = np.full((2, n_buckets), -1, dtype=np.int32)
+    tail = np.full((2, n_buckets), -1, dtype=np.int32)
+    after = np.empty((2, n), dtype=np.int32)
     waiting = np.zeros((2, n), dtype=np.bool_)
+    queue_of = np.full(n, -1, dtype=np.int8)  # of each voxel that is adjacent to the region
     top = np.zeros(2, dtype=np.int64)
     top[1] = step[seed]
     head[1, top[1]] = seed
+    after[1, seed] = -1
     empty = True
     while True:
         queue = 1
@@ -106,24 +130,14 @@ def _grown(steps: NDArray[np.int16], walls: Mask, seed: int, n_buckets: int) -> 
             continue  # it is queued again when a neighbour is added
         empty = False
         body[cell] = True
+        for axis in range(3):
+            above, below = cell + along[axis], cell - along[axis]
+            queue_of[above] = max(queue_of[above], 0 if wall[axis, cell] else 1)
+            queue_of[below] = max(queue_of[below], 0 if wall[axis, below] else 1)
         for k in range(27):
             other = cell + offset[k]
-            if k == 13 or step[other] == 0 or body[other]:
-                continue
-            queue = -1
-            if body[other - along_x]:
-                queue = max(queue, 0 if wall_x[other - along_x] else 1)
-            if body[other + along_x]:
-                queue = max(queue, 0 if wall_x[other] else 1)
-            if body[other - along_y]:
-                queue = max(queue, 0 if wall_y[other - along_y] else 1)
-            if body[other + along_y]:
-                queue = max(queue, 0 if wall_y[other] else 1)
-            if body[other - 1]:
-                queue = max(queue, 0 if wall_z[other - 1] else 1)
-            if body[other + 1]:
-                queue = max(queue, 0 if wall_z[other] else 1)
-            if queue < 0 or waiting[queue, other]:
+            queue = queue_of[other]
+            if queue < 0 or step[other] == 0 or body[other] or waiting[queue, other]:
                 continue
             waiting[queue, other] = True
             after[queue, other] = -1
@@ -145,24 +159,37 @@ def _is_simple(body: int) -> bool:
     if faces == 0:
         return False
     first = faces & -faces
-    if faces != first and _reached(first, body, SIX) & faces != faces:
+    if faces != first and not _joined_by_faces(first, faces, body & NEAR):
         return False
     rest = EVERYTHING & ~body
-    return rest != 0 and _reached(rest & -rest, rest, ALL_ROUND) == rest
+    return rest != 0 and _is_joined_by_corners(rest)
 
 
 @njit(cache=True)
-def _reached(start: int, allowed: int, neighbors: NDArray[np.int64]) -> int:
-    """The connected component of the set `allowed` that contains `start`."""
-    reached = front = start
-    while front:
-        found = 0
-        k = 0
-        while front:
-            if front & 1:
-                found |= neighbors[k]
-            front >>= 1
-            k += 1
-        front = found & allowed & ~reached
-        reached |= front
-    return reached
+def _joined_by_faces(start: int, wanted: int, allowed: int) -> bool:
+    """Whether the 6-connected component of `start` in the set `allowed` has all voxels of `wanted`."""
+    reached = start
+    while wanted & ~reached:
+        beside = (reached & Z_LOW) << 1 | (reached & Z_HIGH) >> 1
+        beside |= (reached & Y_LOW) << 3 | (reached & Y_HIGH) >> 3
+        beside |= reached << 9 | reached >> 9
+        more = reached | beside & allowed
+        if more == reached:
+            return False
+        reached = more
+    return True
+
+
+@njit(cache=True)
+def _is_joined_by_corners(voxels: int) -> bool:
+    """Whether a set of voxels is 26-connected."""
+    reached = voxels & -voxels
+    while reached != voxels:
+        more = reached | (reached & Z_LOW) << 1 | (reached & Z_HIGH) >> 1
+        more |= (more & Y_LOW) << 3 | (more & Y_HIGH) >> 3
+        more |= more << 9 | more >> 9
+        more &= voxels
+        if more == reached:
+            return False
+        reached = more
+    return True
