@@ -203,7 +203,7 @@ def _fitted(at: FloatArray, normals: FloatArray, to_points: Voxels) -> tuple[Vox
 
 @njit(cache=True)
 def _numbers(to_points: Voxels) -> NDArray[np.int32]:
-    """Number, in order, of each voxel that may have a point at a distance of at most `REACH`; −1 elsewhere."""
+    """Number, in order, of each voxel that may have a point within `REACH`; −1 elsewhere."""
     number = np.empty(to_points.shape, dtype=np.int32)
     n = 0
     # A point is at most half a diagonal of a voxel away from the centre of its own voxel.

@@ -35,7 +35,7 @@ def components(voxels: Mask, corners: bool) -> tuple[NDArray[np.int32], NDArray[
     .. [1] L. He, Y. Chao and K. Suzuki, "A run-based two-scan labeling algorithm", IEEE Transactions on Image
        Processing 17 (2008).
     """
-    n_x, n_y, n_z = voxels.shape
+    n_x, n_y, _ = voxels.shape
     begins, ends, lines = _runs(voxels)
     parent = np.arange(len(begins))
     apart = 0 if corners else -1  # the largest number of voxels from the end of a run to an adjacent run

@@ -10,9 +10,7 @@ from pcretrieve.voxels import distances
 @pytest.mark.parametrize("limit", [1.0, 3.5, 12.0, np.inf])
 @pytest.mark.parametrize("shape", [(1, 9, 20), (7, 1, 5), (23, 31, 17)])
 @pytest.mark.parametrize("share", [0.002, 0.1, 0.9])
-def test_distances_are_exact_up_to_the_limit(
-    limit: float, shape: tuple[int, int, int], share: float
-) -> None:
+def test_distances_are_exact_up_to_the_limit(limit: float, shape: tuple[int, int, int], share: float) -> None:
     sources = np.random.default_rng(0).random(shape) < share
     sources[0, 0, 0] = True
     expected = np.minimum(distance_transform_edt(~sources), limit).astype(np.float32)
