@@ -7,9 +7,11 @@ from functools import cache
 from typing import NamedTuple
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from pcretrieve.types import FloatArray, IntArray
+from pcretrieve.voxels import Mask
 
 __all__ = ["Crossings", "crossed", "marched"]
 
@@ -42,8 +44,18 @@ TUBES = {255 ^ (1 << k | 1 << (7 - k)) for k in range(4)}
 # in a face and coincides with a diagonal of the adjacent cube.
 LONG = 6
 
+# The number of such a vertex among those of a cube, after the vertices on its twelve edges. No cube has two.
+MIDDLE = 12
 
-def marched(body: NDArray[np.bool_], crossings: Sequence[Crossings] = ()) -> tuple[FloatArray, IntArray]:
+# Largest number of triangles in a cube, and largest length of a loop.
+MOST = 7
+
+# The corner at the lower end of each edge, and the axis along which the edge is.
+LOWER = np.array([CORNERS[low] for low, _ in EDGES])  # (12, 3)
+AXIS = np.array([int((CORNERS[high] - CORNERS[low]).argmax()) for low, high in EDGES])  # (12,)
+
+
+def marched(body: Mask, crossings: Sequence[Crossings] = ()) -> tuple[FloatArray, IntArray]:
     """The boundary surface of a set of voxels, by marching cubes [1]_.
 
     The set is 6-connected and its complement 26-connected. Hence, on a face of a cube with two opposite
@@ -81,44 +93,71 @@ def marched(body: NDArray[np.bool_], crossings: Sequence[Crossings] = ()) -> tup
         position[:, axis] += share
         placed.append(position)
     vertices = np.concatenate(placed)
-
-    a, b, c = (size - 1 for size in body.shape)
-    case = np.zeros((a, b, c), dtype=np.uint8)
-    for k, (x, y, z) in enumerate(CORNERS):
-        case |= body[x : a + x, y : b + y, z : c + z].astype(np.uint8) << np.uint8(k)
-    cubes = np.argwhere((case > 0) & (case < 255))
-    cases = case[tuple(cubes.T)]
-    order = np.argsort(cases, kind="stable")
-    ends = np.searchsorted(cases[order], np.arange(257))
-    faces, middles = [], []
-    for k in range(1, 255):
-        group = cubes[order[ends[k] : ends[k + 1]]]  # (g, 3)
-        if not len(group):
-            continue
-
-        def vertex(edge: int, group: NDArray[np.intp] = group) -> IntArray:
-            """(g,) vertex on an edge of each cube of the group."""
-            low, high = EDGES[edge]
-            axis = int((CORNERS[high] - CORNERS[low]).argmax())
-            return np.asarray(number[axis][tuple((group + CORNERS[low]).T)])
-
-        if k in TUBES:
-            faces += [np.stack([vertex(edge) for edge in triangle], axis=1) for triangle in _tube(k)]
-            continue
-        for loop in _loops(k):
-            ring = np.stack([vertex(edge) for edge in loop], axis=1)  # (g, length)
-            if len(loop) < LONG:
-                faces += [ring[:, [0, i, i + 1]] for i in range(1, len(loop) - 1)]
-            else:
-                middle = np.arange(n, n + len(group), dtype=np.int32)
-                n += len(group)
-                middles.append(vertices[ring].mean(axis=1))
-                after = np.roll(ring, -1, axis=1)
-                faces += [np.stack([ring[:, i], after[:, i], middle], axis=1) for i in range(len(loop))]
-    return np.concatenate([vertices, *middles]), np.concatenate(faces).astype(np.int32)
+    triangles, n_triangles, loops = _table()
+    faces, middles = _triangulated(body, number, vertices, triangles, n_triangles, loops)
+    return np.concatenate([vertices, middles]), faces
 
 
-def crossed(body: NDArray[np.bool_]) -> list[NDArray[np.intp]]:
+@njit(cache=True)
+def _triangulated(
+    body: Mask,
+    number: IntArray,
+    vertices: FloatArray,
+    triangles: IntArray,
+    n_triangles: IntArray,
+    loops: IntArray,
+) -> tuple[IntArray, FloatArray]:
+    """The (m, 3) faces, sorted by the case of their cubes, and the (k, 3) vertices in the middle of loops."""
+    a, b, c = body.shape[0] - 1, body.shape[1] - 1, body.shape[2] - 1
+    cases = np.zeros((a, b, c), dtype=np.uint8)
+    n_cubes = np.zeros(256, dtype=np.int64)
+    for x in range(a):
+        for y in range(b):
+            for z in range(c):
+                case = 0
+                for k in range(8):
+                    case |= body[x + (k >> 2), y + (k >> 1 & 1), z + (k & 1)] << k
+                cases[x, y, z] = case
+                n_cubes[case] += 1
+    # The number of faces, and of vertices in the middle, before those of each case.
+    n_faces, n_middles = 0, 0
+    first_face, first_middle = np.zeros(256, dtype=np.int64), np.zeros(256, dtype=np.int64)
+    for case in range(256):
+        first_face[case], first_middle[case] = n_faces, n_middles
+        n_faces += n_cubes[case] * n_triangles[case]
+        n_middles += n_cubes[case] * (loops[case, 0] >= 0)
+    faces, middles = np.empty((n_faces, 3), dtype=np.int32), np.zeros((n_middles, 3))
+    done = np.zeros(256, dtype=np.int64)
+    corner = np.empty(MIDDLE + 1, dtype=np.int32)  # vertices of the cube
+    for x in range(a):
+        for y in range(b):
+            for z in range(c):
+                case = cases[x, y, z]
+                if n_triangles[case] == 0:
+                    continue
+                for t in range(n_triangles[case]):
+                    for side in range(3):
+                        edge = triangles[case, t, side]
+                        if edge < MIDDLE:
+                            low = LOWER[edge]
+                            corner[edge] = number[AXIS[edge], x + low[0], y + low[1], z + low[2]]
+                if loops[case, 0] >= 0:
+                    middle = middles[first_middle[case] + done[case]]
+                    length = 0
+                    while length < MOST and loops[case, length] >= 0:
+                        middle += vertices[corner[loops[case, length]]]
+                        length += 1
+                    middle /= length
+                    corner[MIDDLE] = len(vertices) + first_middle[case] + done[case]
+                for t in range(n_triangles[case]):
+                    face = first_face[case] + t * n_cubes[case] + done[case]
+                    for side in range(3):
+                        faces[face, side] = corner[triangles[case, t, side]]
+                done[case] += 1
+    return faces, middles
+
+
+def crossed(body: Mask) -> list[NDArray[np.intp]]:
     """The links between adjacent voxels of which one is in a set and the other is not.
 
     Parameters
@@ -131,13 +170,49 @@ def crossed(body: NDArray[np.bool_]) -> list[NDArray[np.intp]]:
     list of (k, 3) int, length 3
         For each axis, the voxels at which these links begin.
     """
-    found = []
-    for axis in range(3):
-        here = [slice(None)] * 3
-        after = [slice(None)] * 3
-        here[axis], after[axis] = slice(None, -1), slice(1, None)
-        found.append(np.argwhere(body[tuple(here)] != body[tuple(after)]))
+    return [_crossed(body, int(x), int(y), int(z)) for x, y, z in np.eye(3)]
+
+
+@njit(cache=True)
+def _crossed(body: Mask, along_x: int, along_y: int, along_z: int) -> NDArray[np.intp]:
+    """The voxels of which the next one along an axis differs."""
+    a, b, c = body.shape[0] - along_x, body.shape[1] - along_y, body.shape[2] - along_z
+    n = 0
+    for x in range(a):
+        for y in range(b):
+            here, after = body[x, y], body[x + along_x, y + along_y]
+            for z in range(c):
+                n += here[z] != after[z + along_z]
+    found = np.empty((n, 3), dtype=np.intp)
+    n = 0
+    for x in range(a):
+        for y in range(b):
+            here, after = body[x, y], body[x + along_x, y + along_y]
+            for z in range(c):
+                if here[z] != after[z + along_z]:
+                    found[n, 0], found[n, 1], found[n, 2] = x, y, z
+                    n += 1
     return found
+
+
+@cache
+def _table() -> tuple[IntArray, IntArray, IntArray]:
+    """The triangles of each case, their number, and the loop round a vertex in the middle; −1 for none."""
+    triangles = np.full((256, MOST, 3), -1, dtype=np.int32)
+    n_triangles = np.zeros(256, dtype=np.int32)
+    loops = np.full((256, MOST), -1, dtype=np.int32)
+    for case in range(1, 255):
+        found = _tube(case) if case in TUBES else []
+        for loop in [] if found else _loops(case):
+            if len(loop) < LONG:
+                found = found + [[loop[0], loop[i], loop[i + 1]] for i in range(1, len(loop) - 1)]
+            else:
+                loops[case, : len(loop)] = loop
+                ends = zip(loop, loop[1:] + loop[:1], strict=True)
+                found = found + [[first, last, MIDDLE] for first, last in ends]
+        triangles[case, : len(found)] = found
+        n_triangles[case] = len(found)
+    return triangles, n_triangles, loops
 
 
 @cache
