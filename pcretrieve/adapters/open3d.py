@@ -34,8 +34,9 @@ __all__ = [
 # Binary digits of a coordinate in single precision: in a cube of side 1, points nearer than 2**-24 coincide.
 SINGLE_DIGITS = 24
 
-# Fewer points than this bound no surface.
+# Fewer points than this bound no surface; and the number of points among which so many are looked for first.
 FEWEST_POINTS = 100
+SOME = 1000
 
 # Surfaces with diagonals in this range are simplified in the caller's unit of length, see `simplify`.
 ORDINARY = 1e-6, 1e6
@@ -243,13 +244,17 @@ def poisson(
 
 def _check_resolved(framed: FloatArray) -> None:
     """Whether points, in their frame, are distinct in single precision."""
-    n_distinct = len(np.unique(np.round(np.ldexp(framed, SINGLE_DIGITS)), axis=0))
-    if n_distinct < FEWEST_POINTS:
-        raise ReconstructionError(
-            f"at least {FEWEST_POINTS} points must be distinct in single precision, relative to the diagonal "
-            f"of all points; of {len(framed)} points {n_distinct} are: look for points far from the body "
-            "and drop them"
-        )
+    n_distinct = 0
+    # A few of the points mostly suffice, and take a twentieth of the time of all points.
+    for some in (framed[:: 1 + len(framed) // SOME], framed):
+        n_distinct = len(np.unique(np.round(np.ldexp(some, SINGLE_DIGITS)), axis=0))
+        if n_distinct >= FEWEST_POINTS:
+            return
+    raise ReconstructionError(
+        f"at least {FEWEST_POINTS} points must be distinct in single precision, relative to the diagonal "
+        f"of all points; of {len(framed)} points {n_distinct} are: look for points far from the body "
+        "and drop them"
+    )
 
 
 def simplify(vertices: FloatArray, faces: IntArray, *, n_faces: int) -> tuple[FloatArray, IntArray]:

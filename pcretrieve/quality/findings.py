@@ -15,6 +15,7 @@ from pcretrieve.quality.check import Check
 from pcretrieve.quality.points import normal_checks, point_checks
 from pcretrieve.quality.spectra import spectrum_checks
 from pcretrieve.quality.surfaces import fit_checks, marks_check, mesh_check, surface_checks
+from pcretrieve.scan.nearest import nearest
 from pcretrieve.surface import SurfaceMarks
 from pcretrieve.types import FloatArray, PointCloud, Shape, TriangleMesh
 
@@ -92,15 +93,17 @@ def findings_of(
     filled = np.zeros(0 if mesh is None else len(mesh.faces), dtype=np.bool_)
     cuts = bridges = np.zeros((0, 3))
     if cloud is not None:
-        tree = cKDTree(cloud.points)
         some = slice(None, None, max(1, len(cloud.points) // MEASURED))
-        distance, nearest = _nearest(tree, cloud.points[some], N_NEIGHBORS + 1)  # itself first
+        places = np.ascontiguousarray(cloud.points[some])
+        distance, near = nearest(
+            cloud.points, places, min(N_NEIGHBORS + 1, len(cloud.points))
+        )  # itself first
         spacing = float(np.median(distance[:, 1]))
         checks += point_checks(cloud, spacing=spacing)
         if cloud.normals is not None:
-            checks += normal_checks(cloud.normals, cloud.normals[some], nearest[:, 1:])
+            checks += normal_checks(cloud.normals, cloud.normals[some], near[:, 1:])
         if mesh is not None:
-            filled, fit = _fit(cloud, mesh, tree, cloud.points[some], spacing)
+            filled, fit = _fit(cloud, mesh, places, spacing)
             checks += fit
         if marks is not None:
             reach = PLACE * cloud.diagonal
@@ -114,35 +117,32 @@ def findings_of(
 
 
 def _fit(
-    cloud: PointCloud, mesh: TriangleMesh, tree: cKDTree, some: FloatArray, spacing: float
+    cloud: PointCloud, mesh: TriangleMesh, some: FloatArray, spacing: float
 ) -> tuple[NDArray[np.bool_], list[Check]]:
     """Faces without a point nearby, and the checks of the fit of points and surface."""
-    apart, nearest = (part[:, 0] for part in _nearest(tree, mesh.vertices[mesh.faces].mean(axis=1), 1))
+    a, b, c = (mesh.vertices[mesh.faces[:, k]] for k in range(3))
+    apart, near = (part[:, 0] for part in nearest(cloud.points, (a + b + c) / 3, 1))
     filled = np.asarray(apart > FILLED * spacing)  # (m,)
-    areas = mesh.face_areas
+    vectors = mesh.area_vectors
+    areas = np.linalg.norm(vectors, axis=1)
+    area = areas.sum()
     ends = 0.0
     if cloud.normals is not None:
-        lean = np.einsum("ij,ij->i", mesh.area_vectors, cloud.normals[nearest])  # area times cosine
-        ends = float(areas[filled & (lean < TURNED * areas)].sum() / mesh.area)
+        lean = np.einsum("ij,ij->i", vectors, cloud.normals[near])  # area times cosine
+        ends = float(areas[filled & (lean < TURNED * areas)].sum() / area)
     order = np.argsort(apart)
-    covered = int(np.searchsorted(np.cumsum(areas[order]), COVERED * mesh.area))
+    covered = int(np.searchsorted(np.cumsum(areas[order]), COVERED * area))
     # Open3D computes these distances in single precision, so the points are moved near the origin.
     origin = some.mean(axis=0)
     gap = RayScene(mesh.vertices - origin, mesh.faces).distance(some - origin)
     lost = gap > FILLED * spacing
     return filled, fit_checks(
-        filled=float(areas[filled].sum() / mesh.area),
+        filled=float(areas[filled].sum() / area),
         ends=ends,
         gaps=float(apart[order[min(covered, len(order) - 1)]]) / cloud.diagonal,
         lost=float(lost.mean()),
         noise=float(np.sqrt((gap[~lost] ** 2).sum() / max((~lost).sum(), 1))) / cloud.diagonal,
     )
-
-
-def _nearest(tree: cKDTree, places: FloatArray, k: int) -> tuple[FloatArray, NDArray[np.intp]]:
-    """Distances from each place to its k nearest points, (p, k), and the indices of these points."""
-    distance, number = tree.query(places, k=np.arange(1, k + 1))
-    return np.asarray(distance), np.asarray(number)
 
 
 def _places(cells: FloatArray, reach: float) -> FloatArray:

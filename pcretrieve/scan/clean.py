@@ -8,9 +8,9 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from pcretrieve.adapters import open3d
 from pcretrieve.errors import ReconstructionError, Stage
 from pcretrieve.options import PointFilter, ScanOptions
+from pcretrieve.scan.sampling import neighborhoods
 from pcretrieve.types import FloatArray, PointCloud, Step
 
 __all__ = ["CLEAN", "FEWEST_POINTS", "check_extent", "clean"]
@@ -54,9 +54,7 @@ def clean(cloud: PointCloud, options: ScanOptions) -> PointCloud:
     check_extent(cloud.points, Stage.CLEAN)
     thinned = _thinned(cloud, options.voxel)
     check_extent(thinned.points, Stage.CLEAN)
-    inliers = open3d.statistical_inliers(
-        thinned.points, n_neighbors=options.outlier_neighbors, std_ratio=options.outlier_std
-    )
+    inliers = _inliers(thinned.points, options)
     kept = thinned.select(inliers)
     check_extent(kept.points, Stage.CLEAN)
     n_outliers = len(thinned.points) - len(inliers)
@@ -71,6 +69,16 @@ def clean(cloud: PointCloud, options: ScanOptions) -> PointCloud:
 
 
 CLEAN = PointFilter("clean", clean, ScanOptions)
+
+
+def _inliers(points: FloatArray, options: ScanOptions) -> NDArray[np.intp]:
+    """Positions of the points whose mean distance to their neighbours is not exceptional, (k,)."""
+    distance = neighborhoods(points, options.outlier_neighbors).distance.mean(axis=1)  # (n,)
+    apart = distance[distance > 0]  # not of points that coincide with all their neighbours
+    if len(apart) < 2:
+        return np.arange(len(points))
+    limit = apart.mean() + options.outlier_std * apart.std(ddof=1)
+    return np.flatnonzero((distance > 0) & (distance < limit))
 
 
 def _thinned(cloud: PointCloud, voxel: float | str) -> PointCloud:

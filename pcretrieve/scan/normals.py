@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from pcretrieve.adapters import open3d
 from pcretrieve.errors import ReconstructionError, Stage
 from pcretrieve.options import PointFilter, ScanOptions
+from pcretrieve.scan.planes import guided_planes
 from pcretrieve.scan.sampling import SPACING_NEIGHBORS, Neighborhoods, neighborhoods, spacing
 from pcretrieve.types import FloatArray, PointCloud, Step
 from pcretrieve.voxels import Outside, flood
@@ -190,17 +191,9 @@ def _guided_normals(
         Unit normals, with the orientation of the guide.
     """
     k = options.normal_neighbors
-    distance, near = neighbors.distance[:, :k], neighbors.near[:, :k]
-    agreement = np.einsum("ij,ikj->ik", guide, guide[near])
-    weight = np.clip((agreement - SAME_SIDE) / (1 - SAME_SIDE), 0, 1)
-    weight[~guide.any(axis=1)] = 1
-    weight *= np.exp(-((distance / (NEIGHBOR_SPREAD * distance[:, -1:] + np.finfo(float).tiny)) ** 2))
-    around = points[near]  # (n, k, 3)
-    middle = np.einsum("nk,nkd->nd", weight, around) / weight.sum(axis=1, keepdims=True)
-    apart = around - middle[:, None]
-    _, axes = np.linalg.eigh(np.einsum("nk,nki,nkj->nij", weight, apart, apart, optimize=True))
-    normals = axes[:, :, 0]
-    return np.asarray(np.where(np.einsum("ij,ij->i", normals, guide)[:, None] < 0, -normals, normals))
+    near = np.ascontiguousarray(neighbors.near[:, :k])
+    distance = np.ascontiguousarray(neighbors.distance[:, :k])
+    return guided_planes(points, guide, near, distance, SAME_SIDE, NEIGHBOR_SPREAD)
 
 
 def _agreement(oriented: FloatArray, neighbors: Neighborhoods, shallow: NDArray[np.bool_]) -> float:

@@ -11,6 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from pcretrieve.scan.nearest import nearest
+from pcretrieve.scan.planes import plane_deviations
 from pcretrieve.types import FloatArray
 
 __all__ = ["PLANE_NEIGHBORS", "SPACING_NEIGHBORS", "Neighborhoods", "neighborhoods", "noise", "spacing"]
@@ -48,7 +50,7 @@ class Neighborhoods:
 
 
 def neighborhoods(points: FloatArray, k: int, *, of_some: bool = False) -> Neighborhoods:
-    """Search for the nearest neighbours of points among themselves, by a k-d tree.
+    """Search for the nearest neighbours of points among themselves.
 
     Parameters
     ----------
@@ -64,11 +66,8 @@ def neighborhoods(points: FloatArray, k: int, *, of_some: bool = False) -> Neigh
     Neighborhoods
         Of all points, or of some; unit of the file.
     """
-    from scipy.spatial import cKDTree
-
-    asked = points[:: _step(len(points))] if of_some else points
-    distance, near = cKDTree(points).query(asked, k=min(k, len(points)))
-    return Neighborhoods(np.asarray(distance), np.asarray(near))
+    asked = np.ascontiguousarray(points[:: _step(len(points))]) if of_some else points
+    return Neighborhoods(*nearest(points, asked, min(k, len(points))))
 
 
 def spacing(neighbors: Neighborhoods) -> float:
@@ -109,12 +108,9 @@ def noise(points: FloatArray, neighbors: Neighborhoods) -> float:
     float
         Unit of the file.
     """
-    near = neighbors.near[:, : PLANE_NEIGHBORS + 1]  # (m, k)
-    k = near.shape[1]
-    offsets = points[near] - points[near].mean(axis=1, keepdims=True)  # (m, k, 3)
-    # A plane has three degrees of freedom, so that k points leave k − 3.
-    from_plane = np.linalg.svd(offsets, compute_uv=False)[:, 2] / np.sqrt(max(1, k - 3))  # (m,)
-    return float(np.quantile(from_plane, FLATTEST))
+    near = np.ascontiguousarray(neighbors.near[:, : PLANE_NEIGHBORS + 1])
+    deviations = plane_deviations(points, near)
+    return float(np.quantile(deviations, FLATTEST))
 
 
 def _step(n: int) -> int:

@@ -267,7 +267,8 @@ def _one_sidedness(mesh: TriangleMesh, invented: Mask) -> float:
     # The area vectors of the whole surface sum up to zero. The ratio is 0 if the normals of the unsupported
     # part balance, and 1/2 if this part is one side of a sheet and the points are the other.
     share = invented[mesh.faces].mean(axis=1)  # (m,)
-    return float(np.linalg.norm(share @ mesh.area_vectors) / mesh.area)
+    vectors = mesh.area_vectors
+    return float(np.linalg.norm(share @ vectors) / np.linalg.norm(vectors, axis=1).sum())
 
 
 def _centres(cells: NDArray[np.intp], grid: Grid) -> FloatArray:

@@ -5,11 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-__all__ = ["Edges", "edges_of", "fans", "joined_by"]
+from pcretrieve.types import IntArray
+
+__all__ = ["Edges", "edges_of", "fans", "is_connected", "joined_by", "twins"]
 
 Index = NDArray[np.intp]
 
@@ -142,3 +145,99 @@ def joined_by(a: NDArray[np.integer], b: NDArray[np.integer], n: int) -> Index:
     """
     graph = coo_array((np.ones(len(a), dtype=np.int8), (a, b)), shape=(n, n))
     return np.asarray(connected_components(graph, directed=False)[1], dtype=np.intp)
+
+
+@njit(cache=True)
+def _after(h: int) -> int:
+    return h - 2 if h % 3 == 2 else h + 1
+
+
+@njit(cache=True)
+def _before(h: int) -> int:
+    return h + 2 if h % 3 == 0 else h - 1
+
+
+@njit(cache=True)
+def twins(corners: IntArray, n_vertices: int) -> tuple[IntArray, int]:
+    """The twins of the half-edges of a closed manifold: those of adjacent faces, in the opposite direction.
+
+    Parameters
+    ----------
+    corners : (3m,) int32
+        Vertex numbers of the faces, one face after the other.
+    n_vertices : int
+        Number of vertices.
+
+    Returns
+    -------
+    twin : (3m,) int32
+        Number of the twin of each half-edge, −1 for none.
+    n_bad : int
+        Number of half-edges without exactly one twin; if it is 0, number of vertices with two or more fans.
+        0 for a closed, oriented manifold of any number of components.
+    """
+    starts = np.zeros(n_vertices + 1, dtype=np.int32)
+    for v in corners:
+        starts[v + 1] += 1
+    starts = np.cumsum(starts)
+    fill = starts[:-1].copy()
+    leaving = np.empty(len(corners), dtype=np.int32)  # half-edges, grouped by their first vertex
+    for h in range(len(corners)):
+        leaving[fill[corners[h]]] = h
+        fill[corners[h]] += 1
+    twin = np.full(len(corners), -1, dtype=np.int32)
+    n_bad = 0
+    for h in range(len(corners)):
+        tail, head = corners[h], corners[_after(h)]
+        n_back, n_along = 0, 0
+        for g in leaving[starts[head] : starts[head + 1]]:
+            if corners[_after(g)] == tail:
+                twin[h] = g
+                n_back += 1
+        for g in leaving[starts[tail] : starts[tail + 1]]:
+            n_along += corners[_after(g)] == head
+        n_bad += tail == head or n_back != 1 or n_along != 1
+    if n_bad:
+        return twin, n_bad
+    for v in range(n_vertices):
+        n_around = starts[v + 1] - starts[v]
+        if n_around:
+            first = leaving[starts[v]]
+            h = twin[_before(first)]
+            n_fan = 1
+            while h != first:
+                h = twin[_before(h)]
+                n_fan += 1
+            n_bad += n_fan != n_around
+    return twin, n_bad
+
+
+@njit(cache=True)
+def is_connected(twin: IntArray) -> bool:
+    """Whether a closed manifold is connected.
+
+    Parameters
+    ----------
+    twin : (3m,) int32
+        From `twins`, of at least one face.
+
+    Returns
+    -------
+    bool
+        Whether every face is reached from the first one across edges.
+    """
+    m = len(twin) // 3
+    reached = np.zeros(m, dtype=np.bool_)
+    front = np.empty(m, dtype=np.int32)
+    reached[0], front[0] = True, 0
+    n = 1
+    for i in range(m):
+        if i == n:
+            return False
+        for side in range(3):
+            face = twin[3 * front[i] + side] // 3
+            if not reached[face]:
+                reached[face] = True
+                front[n] = face
+                n += 1
+    return True

@@ -11,6 +11,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from pcretrieve.errors import DegenerateMeshError
+from pcretrieve.surface.edges import twins
 from pcretrieve.surface.topology import compact
 from pcretrieve.types import FloatArray, IntArray, TriangleMesh
 
@@ -72,7 +73,7 @@ def simplified(mesh: TriangleMesh, n_faces: int) -> TriangleMesh:
        l'Institut Mathématique 66, 1999.
     """
     vertices, corners = mesh.vertices.copy(), mesh.faces.flatten()  # (n, 3), (3m,): modified below
-    twin, n_bad = _twins(corners, len(vertices))
+    twin, n_bad = twins(corners, len(vertices))
     if n_bad:
         raise DegenerateMeshError(
             "a surface must be closed, manifold and oriented to be simplified, this one is not at "
@@ -85,8 +86,7 @@ def simplified(mesh: TriangleMesh, n_faces: int) -> TriangleMesh:
     return compact(vertices, faces)
 
 
-# Half-edge 3 f + k goes from corner k of face f to the next corner, as in `edges`. Its twin is the half-edge
-# of the adjacent face on the same edge, in the opposite direction.
+# Half-edges are numbered as in `edges`.
 
 
 @njit(cache=True)
@@ -97,45 +97,6 @@ def _next(h: int) -> int:
 @njit(cache=True)
 def _previous(h: int) -> int:
     return h + 2 if h % 3 == 0 else h - 1
-
-
-@njit(cache=True)
-def _twins(corners: IntArray, n_vertices: int) -> tuple[IntArray, int]:
-    """(3m,) twins of half-edges; number of half-edges without one, or else of vertices with two fans."""
-    starts = np.zeros(n_vertices + 1, dtype=np.int32)
-    for v in corners:
-        starts[v + 1] += 1
-    starts = np.cumsum(starts)
-    fill = starts[:-1].copy()
-    leaving = np.empty(len(corners), dtype=np.int32)  # half-edges, grouped by their first vertex
-    for h in range(len(corners)):
-        leaving[fill[corners[h]]] = h
-        fill[corners[h]] += 1
-    twin = np.full(len(corners), -1, dtype=np.int32)
-    n_bad = 0
-    for h in range(len(corners)):
-        tail, head = corners[h], corners[_next(h)]
-        n_back, n_along = 0, 0
-        for g in leaving[starts[head] : starts[head + 1]]:
-            if corners[_next(g)] == tail:
-                twin[h] = g
-                n_back += 1
-        for g in leaving[starts[tail] : starts[tail + 1]]:
-            n_along += corners[_next(g)] == head
-        n_bad += tail == head or n_back != 1 or n_along != 1
-    if n_bad:
-        return twin, n_bad
-    for v in range(n_vertices):
-        n_around = starts[v + 1] - starts[v]
-        if n_around:
-            first = leaving[starts[v]]
-            h = twin[_previous(first)]
-            n_fan = 1
-            while h != first:
-                h = twin[_previous(h)]
-                n_fan += 1
-            n_bad += n_fan != n_around
-    return twin, n_bad
 
 
 @njit(cache=True)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from pcretrieve.surface.edges import Index, edges_of, fans, joined_by
+from pcretrieve.surface.edges import Index, edges_of, fans, is_connected, joined_by, twins
 from pcretrieve.types import FloatArray, IntArray, TriangleMesh
 
 __all__ = ["Defects", "compact", "components", "defects", "face_groups", "orient_faces"]
@@ -76,6 +76,8 @@ def defects(mesh: TriangleMesh) -> Defects:
     Defects
         False as a truth value, if the mesh is a closed, oriented, connected manifold.
     """
+    if _is_sound(mesh):
+        return SOUND
     edges = edges_of(mesh.faces)
     crowded = edges.use > 2
     _, first = np.unique(fans(edges, edges.pairs), return_index=True)  # one corner of each fan
@@ -90,6 +92,15 @@ def defects(mesh: TriangleMesh) -> Defects:
         degenerate_faces=len(mesh.faces) - len(sound),
         components=int(components(mesh).max(initial=-1)) + 1,
     )
+
+
+def _is_sound(mesh: TriangleMesh) -> bool:
+    """Whether a mesh has no defects, which takes a quarter of the time that it takes to count them."""
+    # Of two faces, which may have the same corners, the defects are counted.
+    if len(mesh.faces) <= 2:
+        return False
+    twin, n_bad = twins(mesh.faces.flatten(), len(mesh.vertices))
+    return n_bad == 0 and is_connected(twin) and not mesh.flat_faces.any()
 
 
 def components(mesh: TriangleMesh) -> Index:

@@ -8,6 +8,7 @@ import numpy as np
 from numba import njit
 
 from pcretrieve.types import FloatArray
+from pcretrieve.voxels.components import components
 from pcretrieve.voxels.distance import distances
 from pcretrieve.voxels.grid import Grid, Mask, Voxels
 
@@ -98,49 +99,68 @@ def flood(
     occupied = np.zeros(grid.shape, dtype=bool)
     occupied[grid.index(points)] = True
     distance = distances(occupied, max(FARTHEST, wall + 1))
-    reached = _flooded(distance, wall, CLEARANCE)
+    labels, _ = components(distance > wall, corners=False)
+    reached = _regrown(labels == labels[0, 0, 0], distance, int(wall) + 1, CLEARANCE)
     return Outside(grid, reached, distances(reached, deepest), distance)
 
 
 @njit(cache=True)
-def _flooded(distance: Voxels, wall: float, clearance: float) -> Mask:
-    """Voxels reached from the border: outside the walls, then by as many steps as they are thick."""
-    _, n_y, n_z = distance.shape
-    to_points = distance.ravel()
-    is_reached = np.zeros(distance.size, dtype=np.bool_)
-    reached = is_reached.reshape(distance.shape)
-    reached[0], reached[-1] = True, True
-    reached[:, 0], reached[:, -1] = True, True
-    reached[:, :, 0], reached[:, :, -1] = True, True
+def _regrown(outside: Mask, distance: Voxels, n_steps: int, clearance: float) -> Mask:
+    """The voxels outside the walls, and those that are reached from them by a number of steps."""
+    n_x, n_y, n_z = outside.shape
+    result: Mask = outside.copy()
+    reached, to_points = result.ravel(), distance.ravel()
     step = (n_y * n_z, n_z, 1)
     front = np.empty(distance.size, dtype=np.int32)
-    steps = np.zeros(distance.size, dtype=np.int16)
-    front[0] = n_y * n_z + n_z + 1
-    is_reached[front[0]] = True
-    n = 1
-    most = int(wall) + 1
-    # Breadth-first search; the second pass starts from all voxels that the first has reached.
-    for second in range(2):
-        limit = clearance if second else wall
-        i = 0
-        while i < n:
-            cell = front[i]
-            i += 1
-            if second and steps[i - 1] >= most:
-                continue
-            for axis in range(3):
-                for other in (cell - step[axis], cell + step[axis]):
-                    if is_reached[other] or to_points[other] <= limit:
-                        continue
-                    is_reached[other] = True
-                    front[n] = other
-                    steps[n] = steps[i - 1] + 1 if second else 0
+    n = 0
+    for x in range(1, n_x - 1):
+        for y in range(1, n_y - 1):
+            for z in range(1, n_z - 1):
+                if outside[x, y, z] or distance[x, y, z] <= clearance:
+                    continue
+                if (
+                    outside[x - 1, y, z]
+                    or outside[x + 1, y, z]
+                    or outside[x, y - 1, z]
+                    or outside[x, y + 1, z]
+                    or outside[x, y, z - 1]
+                    or outside[x, y, z + 1]
+                ):
+                    front[n] = (x * n_y + y) * n_z + z
                     n += 1
-    return reached
+    for i in range(n):
+        reached[front[i]] = True
+    # Breadth-first search, one step for all voxels of the front at a time.
+    begin = 0
+    for _ in range(n_steps - 1):
+        end = n
+        for i in range(begin, end):
+            for axis in range(3):
+                for other in (front[i] - step[axis], front[i] + step[axis]):
+                    if not reached[other] and to_points[other] > clearance:
+                        reached[other] = True
+                        front[n] = other
+                        n += 1
+        begin = end
+    return result
 
 
+@njit(cache=True)
 def _sampled(values: Voxels, at: FloatArray) -> FloatArray:
-    """(n,) values at (n, 3) positions, by trilinear interpolation."""
-    from scipy.ndimage import map_coordinates
-
-    return np.asarray(map_coordinates(values, at.T, order=1), dtype=np.float64)
+    """(n,) values at (n, 3) positions, by trilinear interpolation; positions are moved into the grid."""
+    found = np.empty(len(at))
+    for i in range(len(at)):
+        total = 0.0
+        x = min(max(at[i, 0], 0.0), values.shape[0] - 1.0)
+        y = min(max(at[i, 1], 0.0), values.shape[1] - 1.0)
+        z = min(max(at[i, 2], 0.0), values.shape[2] - 1.0)
+        u = min(int(x), values.shape[0] - 2)
+        v = min(int(y), values.shape[1] - 2)
+        w = min(int(z), values.shape[2] - 2)
+        for a in range(2):
+            for b in range(2):
+                for c in range(2):
+                    share = abs(1 - a - (x - u)) * abs(1 - b - (y - v)) * abs(1 - c - (z - w))
+                    total += share * values[u + a, v + b, w + c]
+        found[i] = total
+    return found
