@@ -13,7 +13,7 @@ from pcretrieve.options.merge import MergeOptions
 from pcretrieve.options.model import Options
 from pcretrieve.options.pipeline import NUMBERS_VERSION, OptionsLike, PipelineOptions
 from pcretrieve.options.presets import PRESETS
-from pcretrieve.options.retrieval import Damping, RetrievalOptions, WhiteningKind
+from pcretrieve.options.retrieval import Damping, RerankKind, RetrievalOptions, WhiteningKind
 from pcretrieve.options.scan import ScanOptions
 from pcretrieve.options.signature import Scale, SignatureOptions, SpectralOptions
 from pcretrieve.options.stages import DEFAULT_STAGES, StageOptions, check_chain, link_of

@@ -9,9 +9,10 @@ from pydantic import AfterValidator, Field
 from pcretrieve.names import NAMES
 from pcretrieve.options.model import Options
 
-__all__ = ["Damping", "RetrievalOptions", "WhiteningKind"]
+__all__ = ["Damping", "RerankKind", "RetrievalOptions", "WhiteningKind"]
 
 WhiteningKind = Literal["none", "resolution", "pca", "within-class"]
+RerankKind = Literal["none", "local", "k-reciprocal"]
 Damping = Literal["auto"] | Annotated[float, Field(gt=0, le=1)]
 
 

@@ -1,0 +1,119 @@
+"""Pairs of shapes that are probably of one class, found without labels.
+
+Two shapes form a pair if each is among the other's k nearest after k-reciprocal re-ranking. The weight of a
+pair has two factors. The squared Jaccard index of the two neighbourhoods is small for pairs between classes,
+which share few neighbours. The inverse squared length of the difference makes all differences unit vectors
+(spatial-sign covariance [1]_), so that a few distant pairs do not dominate the covariance.
+
+References
+----------
+.. [1] Visuri, Koivunen and Oja, "Sign and rank covariance matrices", Journal of Statistical Planning and
+   Inference 2000.
+"""
+
+from __future__ import annotations
+
+from typing import Literal, NamedTuple
+
+import numpy as np
+from scipy.sparse import csr_array, triu
+
+from pcretrieve.retrieval.ranking import Positions, pairwise_blocks
+from pcretrieve.retrieval.reranking import nearest_matrix, neighbour_lists, rerank
+from pcretrieve.types import FloatArray
+
+__all__ = ["NeighbourPairs", "neighbour_pairs"]
+
+# Largest number k of neighbours that is tried, and k where no number stands out: the neighbourhoods of an
+# isolated class of c shapes are equal for k = c − 1. See docs/decisions.md, N_NEIGHBORS.
+MOST_NEIGHBORS = 12
+N_NEIGHBORS = 5
+
+# Mean Jaccard index of neighbouring neighbourhoods from which a number of neighbours stands out.
+DISTINCT = 0.8
+
+# Of more shapes than this, pairs are searched within groups of near shapes, so that the classes in the sample
+# are complete, unlike those in a random sample.
+LARGEST = 4000
+N_GROUPS = 40
+SEED = 0
+
+# Differences are no shorter than this share of the longest one, so that copies of one shape weigh no more
+# than other pairs.
+SHORTEST = 1e-4
+
+
+class NeighbourPairs(NamedTuple):
+    """Weighted pairs of near shapes.
+
+    Attributes
+    ----------
+    first, second : (P,) intp
+        Positions of the two shapes of each pair.
+    weights : (P,) float64
+        Positive; for squared differences of log-signatures.
+    n_neighbors : int
+        k, the number of neighbours of each shape.
+    """
+
+    first: Positions
+    second: Positions
+    weights: FloatArray
+    n_neighbors: int
+
+
+def neighbour_pairs(logs: FloatArray, n_neighbors: int | Literal["auto"] = "auto") -> NeighbourPairs:
+    """Find the pairs of shapes that are among each other's nearest.
+
+    Parameters
+    ----------
+    logs : (N, L) float64
+        Log-signatures, one in each row.
+    n_neighbors : int or "auto", default "auto"
+        k. auto: the number up to 12 at which the neighbourhoods of neighbouring shapes overlap most, if it
+        stands out, as with classes of equal size; else 5.
+
+    Returns
+    -------
+    NeighbourPairs
+        The pairs; equal shapes form none.
+    """
+    rows = np.arange(len(logs)) if len(logs) <= LARGEST else _groups(logs)
+    points = np.ascontiguousarray(logs[rows])
+    lists = neighbour_lists(pairwise_blocks("log", points, np.arange(len(points))), len(points))
+    order = rerank("k-reciprocal", lists)
+    most = min(MOST_NEIGHBORS, order.shape[1] - 1)
+    k = min(_distinct_number(order, most) if n_neighbors == "auto" else n_neighbors, order.shape[1] - 1)
+    near = nearest_matrix(order, k)
+    overlap = triu(_jaccard(near).multiply(near.T), k=1).tocoo()
+    lengths = np.linalg.norm(points[overlap.row] - points[overlap.col], axis=1)
+    kept = lengths > 0
+    lengths = np.maximum(lengths[kept], SHORTEST * lengths.max(initial=0))
+    weights = overlap.data[kept] ** 2 / lengths**2
+    return NeighbourPairs(rows[overlap.row[kept]], rows[overlap.col[kept]], weights, k)
+
+
+def _jaccard(near: csr_array) -> csr_array:
+    """For each edge of a graph of neighbours, the Jaccard index of the neighbourhoods of its ends."""
+    size = near.indptr[1] - near.indptr[0]
+    common = csr_array((near @ near.T).multiply(near))
+    common.data = common.data / (2 * size - common.data)
+    return common
+
+
+def _distinct_number(order: Positions, most: int) -> int:
+    """The number of neighbours at which the neighbourhoods of neighbours overlap most; else N_NEIGHBORS."""
+    n = len(order)
+    # Without the edges from each shape to itself, whose Jaccard index is 1.
+    means = [(_jaccard(nearest_matrix(order, k)).sum() - n) / (n * k) for k in range(1, most + 1)]
+    best = int(np.argmax(means)) + 1 if means else 0
+    return best if means and means[best - 1] >= DISTINCT else N_NEIGHBORS
+
+
+def _groups(logs: FloatArray) -> Positions:
+    """The rows of the shapes that are nearest to a few shapes chosen at random."""
+    seeds = np.random.default_rng(SEED).choice(len(logs), N_GROUPS, replace=False)
+    size = LARGEST // N_GROUPS
+    squares = np.einsum("ij,ij->i", logs, logs)  # (N,)
+    near = [np.argpartition(squares - 2 * (logs @ logs[seed]), size)[:size] for seed in seeds]
+    return np.unique(np.concatenate(near))

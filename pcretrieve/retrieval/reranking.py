@@ -1,0 +1,226 @@
+"""Re-ranking: a ranked list sorted again by how the neighbourhoods of the query and of each result overlap.
+
+``local`` (local scaling, NICDM [1]_) divides the distance of two shapes by the geometric mean of their radii;
+the radius of a shape is its mean distance from its nearest neighbours. ``k-reciprocal`` [2]_ compares the
+sets of shapes that are mutually among the k nearest: shapes of one class share most of these neighbours.
+
+Only the first results of a list are sorted again, and the nearest shape keeps its rank.
+
+References
+----------
+.. [1] Jégou, Harzallah and Schmid, "A contextual dissimilarity measure for accurate and efficient image
+   search", CVPR 2007; one pass, with the mean of the nearest neighbours (Schnitzer et al., JMLR 2012).
+.. [2] Zhong, Zheng, Cao and Li, "Re-ranking person re-identification with k-reciprocal encoding", CVPR 2017,
+   equations 2 to 12.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import NamedTuple, get_args
+
+import numpy as np
+from scipy.sparse import csr_array
+
+from pcretrieve.errors import OptionError
+from pcretrieve.options import RerankKind
+from pcretrieve.retrieval.ranking import DistanceBlock, Positions
+from pcretrieve.types import FloatArray
+
+__all__ = [
+    "N_RERANKED",
+    "RERANKINGS",
+    "NeighbourLists",
+    "k_reciprocal",
+    "local_scaling",
+    "neighbour_lists",
+    "nearest_matrix",
+    "rerank",
+]
+
+RERANKINGS: tuple[str, ...] = get_args(RerankKind)
+
+#: Number of results of each query that are sorted again.
+N_RERANKED = 100
+
+# Number of neighbours of which the radius of a shape is the mean distance.
+N_RADIUS = 5
+
+# k₁ and k₂, the sizes of the reciprocal sets and of the query expansion, and λ, the weight of the original
+# distance beside the Jaccard distance. See docs/decisions.md, K_RECIPROCAL.
+K_RECIPROCAL = (8, 3, 0.3)
+
+# Share of the reciprocal neighbours of a neighbour that must be in the set before the others are added.
+EXPANDED = 2 / 3
+
+
+class NeighbourLists(NamedTuple):
+    """The nearest shapes of each of N shapes.
+
+    Attributes
+    ----------
+    order : (N, K) intp
+        Positions, nearest first. The first one is the shape itself.
+    distances : (N, K) float64
+        Their distances.
+    """
+
+    order: Positions
+    distances: FloatArray
+
+
+def neighbour_lists(blocks: Iterable[DistanceBlock], n: int, k: int = N_RERANKED) -> NeighbourLists:
+    """The nearest shapes of all shapes of a gallery.
+
+    Parameters
+    ----------
+    blocks : iterable of DistanceBlock
+        All distances of the gallery.
+    n : int
+        N, the number of shapes.
+    k : int, default 100
+        Number of neighbours; N − 1 if that is less.
+
+    Returns
+    -------
+    NeighbourLists
+        min(k + 1, N) shapes for each shape; equal distances by position.
+    """
+    length = min(k + 1, n)
+    order, distances = np.empty((n, length), dtype=np.intp), np.empty((n, length))
+    for queries, block in blocks:
+        columns = block.copy()
+        columns[np.arange(len(queries)), queries] = -np.inf  # a shape is the first in its own list
+        nearest = np.argsort(columns, axis=1, kind="stable")[:, :length]
+        order[queries] = nearest
+        distances[queries] = np.take_along_axis(block, nearest, axis=1)
+    return NeighbourLists(order, distances)
+
+
+def rerank(method: str, lists: NeighbourLists, rows: Positions | None = None) -> Positions:
+    """Sort the lists of some shapes again.
+
+    Parameters
+    ----------
+    method : str
+        ``none``, ``local`` or ``k-reciprocal``.
+    lists : NeighbourLists
+        The lists of all shapes of the gallery.
+    rows : (Q,) intp, optional
+        The queries, positions in the gallery. By default all.
+
+    Returns
+    -------
+    (Q, K) intp
+        The shapes of the lists of the queries in their new order; the first two, which are the query and the
+        shape nearest to it, keep their places.
+
+    Raises
+    ------
+    OptionError
+        If there is no such method.
+    """
+    if method not in RERANKINGS:
+        raise OptionError(f"rerank must be one of {', '.join(RERANKINGS)}, got {method!r}")
+    rows = np.arange(len(lists.order)) if rows is None else rows
+    if method == "none" or lists.order.shape[1] < 3:
+        return lists.order[rows]
+    distances = (local_scaling if method == "local" else k_reciprocal)(lists, rows)
+    distances[:, :2] = -np.inf
+    order = np.argsort(distances, axis=1, kind="stable")
+    return np.take_along_axis(lists.order[rows], order, axis=1)
+
+
+def local_scaling(lists: NeighbourLists, rows: Positions) -> FloatArray:
+    """Distances divided by the geometric mean of the radii of both shapes.
+
+    Parameters
+    ----------
+    lists : NeighbourLists
+        The lists of all shapes of the gallery.
+    rows : (Q,) intp
+        The queries.
+
+    Returns
+    -------
+    (Q, K) float64
+        The scaled distances of the shapes in the lists of the queries; dimensionless.
+    """
+    radius = lists.distances[:, 1 : N_RADIUS + 1].mean(axis=1)  # (N,)
+    radius = np.maximum(radius, np.finfo(np.float64).tiny)
+    scaled: FloatArray = lists.distances[rows] / np.sqrt(radius[rows, None] * radius[lists.order[rows]])
+    return scaled
+
+
+def k_reciprocal(lists: NeighbourLists, rows: Positions) -> FloatArray:
+    """Jaccard distances of the k-reciprocal neighbourhoods, plus a share of the original distances.
+
+    Parameters
+    ----------
+    lists : NeighbourLists
+        The lists of all shapes of the gallery.
+    rows : (Q,) intp
+        The queries.
+
+    Returns
+    -------
+    (Q, K) float64
+        The distances of the shapes in the lists of the queries; dimensionless. The original distances are
+        divided by the mean distance in the list of the query.
+    """
+    k1, k2, weight = K_RECIPROCAL
+    n, length = lists.order.shape
+    mutual = _mutual(nearest_matrix(lists.order, k1))
+    half = _mutual(nearest_matrix(lists.order, max(1, k1 // 2)))
+    # A neighbour brings its own closest neighbours, if most of these are in the set already.
+    shared = (mutual @ half.T).multiply(mutual).tocoo()  # (N, N), |R(i) ∩ R½(j)| for j in R(i)
+    sizes = np.asarray(half.sum(axis=1))
+    brings = shared.data > EXPANDED * sizes[shared.col]
+    bringing = csr_array((np.ones(brings.sum()), (shared.row[brings], shared.col[brings])), shape=(n, n))
+    members = csr_array(((mutual + bringing @ half) > 0).astype(np.float64))
+    # Gaussian-like weights, relative to the scale of each neighbourhood.
+    scale = np.maximum(lists.distances[:, 1 : k1 + 1].mean(axis=1), np.finfo(np.float64).tiny)
+    near = np.maximum(np.exp(-lists.distances / scale[:, None]), np.finfo(np.float64).tiny)
+    indptr = np.arange(0, n * length + 1, length)
+    features = csr_array(members.multiply(csr_array((near.ravel(), lists.order.ravel(), indptr), shape=(n, n))))
+    features = csr_array(features.multiply(1 / np.asarray(features.sum(axis=1))[:, None]))
+    features = csr_array(nearest_matrix(lists.order, k2 - 1) @ features / min(k2, length))
+    by_column = features.tocsc()
+    jaccard = np.empty((len(rows), length))
+    for number, row in enumerate(rows):
+        overlap = np.zeros(n)  # Σ min of the weights, with every shape
+        own = slice(features.indptr[row], features.indptr[row + 1])
+        for column, value in zip(features.indices[own], features.data[own], strict=True):
+            others = slice(by_column.indptr[column], by_column.indptr[column + 1])
+            overlap[by_column.indices[others]] += np.minimum(by_column.data[others], value)
+        common = overlap[lists.order[row]]
+        jaccard[number] = 1 - common / (2 - common)
+    plain = lists.distances[rows]
+    mean = np.maximum(plain[:, 1:].mean(axis=1, keepdims=True), np.finfo(np.float64).tiny)
+    combined: FloatArray = (1 - weight) * jaccard + weight * plain / mean
+    return combined
+
+
+def nearest_matrix(order: Positions, k: int) -> csr_array:
+    """The graph of the nearest neighbours, with an edge from each shape to itself.
+
+    Parameters
+    ----------
+    order : (N, K) intp
+        Positions, nearest first; the first one is the shape itself.
+    k : int
+        Number of neighbours, at most K − 1.
+
+    Returns
+    -------
+    (N, N) csr_array of float64
+        1 where the column is the row, or among its k nearest; else 0.
+    """
+    n = len(order)
+    near = order[:, : k + 1]
+    ends = np.arange(0, near.size + 1, near.shape[1])
+    return csr_array((np.ones(near.size), near.ravel(), ends), shape=(n, n))
+
+
+def _mutual(near: csr_array) -> csr_array:
+    return csr_array(near.multiply(near.T))
