@@ -30,6 +30,7 @@ if TYPE_CHECKING:
         WorkerDied,
     )
     from pcretrieve.estimators import (
+        NeighbourWhitening,
         PCAWhitening,
         ResolutionWhitening,
         SignatureNeighbors,
@@ -80,6 +81,7 @@ __all__ = [
     "MergeOptions",
     "ModalSpectrum",
     "Neighbors",
+    "NeighbourWhitening",
     "OptionError",
     "PCAWhitening",
     "PcretrieveError",
@@ -159,6 +161,7 @@ _HOMES = {
         "WorkerDied",
     ),
     "pcretrieve.estimators": (
+        "NeighbourWhitening",
         "PCAWhitening",
         "ResolutionWhitening",
         "SignatureNeighbors",

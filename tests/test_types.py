@@ -182,7 +182,7 @@ CHANGES: dict[str, tuple[str, Callable[[Any], Any]]] = {
     "Signature": ("deviation", lambda deviation: np.ones(3)),
     "SignatureTable": ("labels", lambda labels: ("cat", "dog")),
     "Neighbors": ("distances", lambda distances: distances + 1),
-    "Whitening": ("damping", lambda damping: damping / 2),
+    "Whitening": ("shrinkage", lambda shrinkage: shrinkage / 2),
 }
 
 

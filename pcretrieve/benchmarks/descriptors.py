@@ -35,7 +35,13 @@ from pcretrieve.options import (
     RetrievalOptions,
     SignatureOptions,
 )
-from pcretrieve.retrieval import DISTANCES, WHITENINGS, resolution_whitening
+from pcretrieve.retrieval import (
+    DISTANCES,
+    WHITENINGS,
+    resolution_covariance,
+    resolution_whitening,
+    table_whitening,
+)
 from pcretrieve.retrieval.resolution import is_measured
 from pcretrieve.types import FloatArray, Signature, SignatureTable
 
@@ -137,6 +143,9 @@ def _rows(name: str, catalogue: Catalogue, options: SignatureOptions) -> Iterato
         if whitening == "resolution" and not is_measured(options):
             continue
         made = resolution_whitening(options) if whitening == "resolution" else None
+        if whitening == "neighbours":
+            neighbours = RetrievalOptions(whitening=whitening)
+            made = table_whitening(described.table, neighbours, prior=resolution_covariance(options))
         for distance in DISTANCES.own:
             retrieval = RetrievalOptions(distance=distance, whitening=whitening)
             measures = evaluate_table(

@@ -89,7 +89,7 @@ def _shrec11(data: Path, folder: Path) -> Iterator[str]:
     pca = longer.changed(retrieval={"whitening": "pca"})
     with ingested(data, folder / "shrec11.sqlite", KEEP) as (catalogue, _):
         relative = catalogue.signatures(KEEP.changed(signature=RELATIVE))
-        plain = evaluate_table(relative, RetrievalOptions(distance="d2"))
+        plain = evaluate_table(relative, RetrievalOptions(distance="d2", whitening="none"))
         whitened = evaluate_table(catalogue.signatures(pca), pca.retrieval)
         within = evaluate_table(catalogue.signatures(longer), RetrievalOptions(whitening="within-class"))
     yield TABLE.row("SHREC'11 L=23 relative D2 no whitening", _words(plain))
@@ -99,16 +99,17 @@ def _shrec11(data: Path, folder: Path) -> Iterator[str]:
 
 def _tosca(data: Path, folder: Path) -> Iterator[str]:
     """TOSCA, 76 meshes, kept as they are and as noisy scans that are rebuilt."""
+    plain = RetrievalOptions(whitening="none")
     with ingested(data, folder / "clean.sqlite", KEEP) as (catalogue, _):
         truth = catalogue.signatures(KEEP.changed(signature=RELATIVE))
-        clean = evaluate_table(catalogue.signatures())
+        clean = evaluate_table(catalogue.signatures(), plain)
     scans = folder / "tosca"
     n = _write_scans(data, scans)
     labels = {Path(name).stem: label for name, label in read_labels(data / "labels.csv").items()}
     with ingested(scans, folder / "scans.sqlite", PipelineOptions(), labels) as (catalogue, summary):
         failed = [record.label for record in summary.failed]
         found = catalogue.signatures(catalogue.options.changed(signature=RELATIVE))
-        rebuilt = evaluate_table(catalogue.signatures(), failed_labels=failed)
+        rebuilt = evaluate_table(catalogue.signatures(), plain, failed_labels=failed)
     done = summary.done
     yield TABLE.row("TOSCA scans with a closed manifold surface", f"{len(done) / n:.1%} of {n}")
     yield TABLE.row("TOSCA clean meshes", _words(clean))

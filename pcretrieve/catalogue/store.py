@@ -185,13 +185,14 @@ class Catalogue(StoredShapes):
             index_name(options),
             self._rows.revision(),
             lambda: made_index(self._rows, self.options, options),
-            by_label=options.retrieval.whitening == "within-class",
+            by_label=options.retrieval.whitening in ("auto", "within-class"),
         )
 
     def whitening(self, options: PipelineOptions | None = None) -> Whitening:
         """The whitening of the signatures of the catalogue.
 
-        The whitenings ``pca`` and ``within-class`` are fitted to the present shapes of the catalogue.
+        The whitenings ``neighbours``, ``pca`` and ``within-class`` are fitted to the present shapes of the
+        catalogue.
 
         Parameters
         ----------

@@ -16,7 +16,14 @@ from pcretrieve.catalogue.surfaces import read_shape
 from pcretrieve.errors import InputError, ShapeError
 from pcretrieve.names import METHODS
 from pcretrieve.options import PipelineOptions
-from pcretrieve.retrieval import DISTANCES, SignatureIndex, Whitening, resolution_whitening
+from pcretrieve.retrieval import (
+    DISTANCES,
+    SignatureIndex,
+    Whitening,
+    fit_whitening,
+    resolution_covariance,
+    resolution_whitening,
+)
 from pcretrieve.retrieval.distances import check_comparable, coordinates
 from pcretrieve.retrieval.lower_bounds import BLOCK
 from pcretrieve.retrieval.names import Names
@@ -45,8 +52,8 @@ def resolution_of(options: PipelineOptions) -> Whitening | None:
     """
     if options.retrieval.whitening != "resolution":
         return None
-    damping = options.retrieval.damping
-    return resolution_whitening(options.compared, damping=damping, options_digest=options.compared_digest)
+    shrinkage = options.retrieval.shrinkage
+    return resolution_whitening(options.compared, shrinkage=shrinkage, options_digest=options.compared_digest)
 
 
 def index_name(options: PipelineOptions) -> str:
@@ -64,7 +71,7 @@ def index_name(options: PipelineOptions) -> str:
     """
     retrieval = options.retrieval
     distance = retrieval.distance + DISTANCES.version(retrieval.distance)
-    return f"{_digest_of(options)} {distance} {retrieval.whitening} {retrieval.damping}"
+    return f"{_digest_of(options)} {distance} {retrieval.whitening} {retrieval.shrinkage}"
 
 
 def _digest_of(options: PipelineOptions) -> str:
@@ -204,9 +211,17 @@ def made_index(rows: Rows, own: PipelineOptions, options: PipelineOptions) -> tu
         block = slice(start, start + BLOCK)
         values[block] = coordinates(values[block], descriptor.metric)
     names = Names.of(ids)
-    if options.retrieval.whitening != "within-class":
-        labels = []  # other whitenings do not use labels
     del ids
+    whitening = resolution_of(options)
+    if whitening is None and len(values):
+        whitening = fit_whitening(
+            options.retrieval.whitening,
+            values,
+            labels,
+            shrinkage=options.retrieval.shrinkage,
+            prior=resolution_covariance(options.compared),
+            options_digest=options.compared_digest,
+        )
     index = SignatureIndex.of_coordinates(
         names,
         values,

@@ -53,8 +53,8 @@ def evaluate_command(
 
     Printed are nearest neighbour (NN), first and second tier (FT, ST), E-measure (E), discounted cumulative
     gain (DCG) and mean average precision (mAP). Each shape is a query in all other shapes; shapes that failed
-    count as misses. Within-class whitening is cross-validated by folds of classes: it is evaluated on
-    classes to which it was not fitted.
+    count as misses. The default whitening does not use the labels. Within-class whitening is cross-validated
+    by folds of classes: it is evaluated on classes to which it was not fitted.
 
     \b
     pcretrieve evaluate --catalogue shrec11.sqlite --n-values 45 --whitening pca
@@ -83,6 +83,7 @@ def evaluate_command(
                 "size_weight": options.signature.size_weight,
                 "distance": options.retrieval.distance,
                 "whitening": options.retrieval.whitening,
+                "whitening_used": ranked.whitening,
             }
     measures = evaluate_rankings(ranked.rankings)
     counts = {"n_failed": ranked.n_failed, "n_shapes": ranked.rankings.n_gallery}
@@ -99,3 +100,5 @@ def evaluate_command(
         f"{measures.n_queries} queries in {counts['n_shapes']} shapes, {ranked.n_failed} failed shapes count "
         f"as misses; {by}"
     )
+    if ranked.whitening:
+        say(f"whitening: {ranked.whitening}")

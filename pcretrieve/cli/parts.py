@@ -123,10 +123,12 @@ _distance_option = click.option(
 )
 _whitening_option = click.option(
     "--whitening",
-    type=click.Choice(["none", "resolution", "pca", "within-class"]),
-    help="Whiten log-signatures by a covariance matrix: of the errors that the resolution of a surface "
-    "causes, estimated from simulated bodies (resolution, for r-bihdm); of all shapes of the catalogue "
-    "(pca); or of the variation within its classes (within-class).  [default: none, or the catalogue's]",
+    type=click.Choice(["auto", "none", "resolution", "neighbours", "pca", "within-class"]),
+    help="Whiten log-signatures by a covariance matrix: of the differences of near shapes (neighbours); of "
+    "the variation within the classes of the catalogue (within-class); of all its shapes (pca); or of the "
+    "errors that the resolution of a surface causes, estimated from simulated bodies (resolution, for "
+    "r-bihdm). auto is within-class if there are enough labels, else neighbours; `evaluate` does not fit "
+    "auto to labels.  [default: auto, or the catalogue's]",
 )
 _overlay_option = click.option(
     "--config",

@@ -74,6 +74,8 @@ def query_command(
             describe_scan=partial(_signature, timeout, memory),
         )
         records = [store.record(shape_id) for shape_id in neighbors.ids]
+        if distances is None and not as_json:
+            say(f"whitening: {store.whitening(options).reason}")
     found = [
         {
             "rank": rank,

@@ -6,9 +6,15 @@ scikit-learn, and is itself imported on request only.
 
 from pcretrieve.estimators.neighbors import SignatureNeighbors
 from pcretrieve.estimators.transformer import SignatureTransformer
-from pcretrieve.estimators.whitenings import PCAWhitening, ResolutionWhitening, WithinClassWhitening
+from pcretrieve.estimators.whitenings import (
+    NeighbourWhitening,
+    PCAWhitening,
+    ResolutionWhitening,
+    WithinClassWhitening,
+)
 
 __all__ = [
+    "NeighbourWhitening",
     "PCAWhitening",
     "ResolutionWhitening",
     "SignatureNeighbors",

@@ -11,10 +11,11 @@ from typing import NamedTuple
 from pcretrieve.catalogue import Catalogue
 from pcretrieve.errors import BenchmarkError, InputError
 from pcretrieve.evaluation.rankings import Rankings, rank
-from pcretrieve.evaluation.tables import rank_table
+from pcretrieve.evaluation.tables import rank_table, unsupervised
 from pcretrieve.ingestion.labels import match_labels, read_labels
 from pcretrieve.matching import DistanceMatrix
 from pcretrieve.options import PipelineOptions
+from pcretrieve.retrieval import resolution_covariance, table_whitening
 from pcretrieve.types import SignatureTable
 
 __all__ = ["RankedCatalogue", "check_known", "rank_catalogue", "rank_matrix"]
@@ -33,11 +34,14 @@ class RankedCatalogue(NamedTuple):
         Number of shapes that cannot be ranked, labelled or not.
     table : SignatureTable or None
         The signatures that were compared, with the classes; None for a distance matrix.
+    whitening : str
+        The whitening that was used, and why, in one line; empty for a distance matrix.
     """
 
     rankings: Rankings
     n_failed: int
     table: SignatureTable | None
+    whitening: str = ""
 
 
 def rank_catalogue(
@@ -101,11 +105,20 @@ def rank_catalogue(
         table = table.select([shape_id for shape_id in table.ids if shape_id not in left])
     table = replace(table, labels=tuple(classes[shape_id] for shape_id in table.ids))
     failed = [classes[record.id] for record in records.values() if record.status == "failed"]
-    # Other whitenings are fitted to the table, with the same result as whitenings by `Catalogue.whitening`.
-    measured = options.retrieval.whitening == "resolution"
-    whitening = catalogue.whitening(options) if measured else None
-    rankings = rank_table(table, options.retrieval, whitening=whitening, failed_labels=failed)
-    return RankedCatalogue(rankings, len(failed), table)
+    retrieval = unsupervised(options.retrieval)
+    if retrieval.whitening == "within-class":
+        rankings = rank_table(table, retrieval, failed_labels=failed)
+        reason = f"within-class, fitted for each of {retrieval.n_folds} folds of classes to the other folds"
+        return RankedCatalogue(rankings, len(failed), table, reason)
+    if retrieval.whitening == "resolution":
+        whitening = catalogue.whitening(options)
+    else:
+        whitening = table_whitening(table, retrieval, prior=resolution_covariance(options.compared))
+    rankings = rank_table(table, retrieval, whitening=whitening, failed_labels=failed)
+    reason = whitening.reason
+    if options.retrieval.whitening == "auto":
+        reason += ", without labels"
+    return RankedCatalogue(rankings, len(failed), table, reason)
 
 
 def check_known(matrix: DistanceMatrix, catalogue: Catalogue) -> None:

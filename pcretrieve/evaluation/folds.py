@@ -96,7 +96,7 @@ def within_class_folds(table: SignatureTable, options: RetrievalOptions | None =
     table : SignatureTable
         Signatures with labels.
     options : RetrievalOptions, optional
-        The damping, the number of folds and the seed.
+        The shrinkage, the number of folds and the seed.
 
     Yields
     ------
@@ -112,7 +112,7 @@ def within_class_folds(table: SignatureTable, options: RetrievalOptions | None =
             "within-class",
             logs[fitted],
             [table.labels[position] for position in fitted],
-            damping=options.damping,
+            shrinkage=options.shrinkage,
             options_digest=table.digest,
         )
         yield Fold(np.flatnonzero(scored), whitening)
@@ -128,7 +128,7 @@ def within_class_distances(
     table : SignatureTable
         Signatures with labels.
     options : RetrievalOptions, optional
-        The distance, the damping, the number of folds and the seed.
+        The distance, the shrinkage, the number of folds and the seed.
 
     Yields
     ------

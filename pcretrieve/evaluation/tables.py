@@ -11,7 +11,7 @@ from pcretrieve.options import RetrievalOptions
 from pcretrieve.retrieval import SignatureIndex, Whitening
 from pcretrieve.types import SignatureTable
 
-__all__ = ["evaluate_table", "rank_table"]
+__all__ = ["evaluate_table", "rank_table", "unsupervised"]
 
 
 def rank_table(
@@ -28,8 +28,9 @@ def rank_table(
     table : SignatureTable
         Signatures with labels. Shapes without a label are in the gallery, but no queries.
     options : RetrievalOptions, optional
-        The distance, and the whitening: ``pca`` is fitted to the whole table, ``within-class`` by grouped
-        folds.
+        The distance, and the whitening: ``neighbours`` and ``pca`` are fitted to the whole table,
+        ``within-class`` by grouped folds. ``auto`` is ``neighbours``, because the labels are what the
+        rankings are compared with.
     whitening : Whitening, optional
         A whitening made before, such as `resolution_whitening`, instead of the one that `options` name. A
         within-class whitening is not used, but is fitted by grouped folds instead.
@@ -50,7 +51,7 @@ def rank_table(
     OptionError
         If the whitening ``resolution`` is asked for and was not made before.
     """
-    options = options or RetrievalOptions()
+    options = unsupervised(options or RetrievalOptions())
     if (options.whitening if whitening is None else whitening.kind) == "within-class":
         if whitening is not None:
             whitening.check_made_for(table.digest)
@@ -61,6 +62,22 @@ def rank_table(
     index = SignatureIndex(table, options, whitening=whitening)
     label_of = dict(zip(table.ids, table.labels, strict=True))
     return rank(index, [label_of[shape_id] for shape_id in index.ids], failed_labels=failed_labels)
+
+
+def unsupervised(options: RetrievalOptions) -> RetrievalOptions:
+    """The options of an evaluation: the whitening ``auto`` must not be fitted to the labels of the queries.
+
+    Parameters
+    ----------
+    options : RetrievalOptions
+        The options.
+
+    Returns
+    -------
+    RetrievalOptions
+        The same, with ``neighbours`` for ``auto``.
+    """
+    return options.model_copy(update={"whitening": "neighbours"}) if options.whitening == "auto" else options
 
 
 def evaluate_table(

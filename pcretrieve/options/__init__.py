@@ -13,7 +13,7 @@ from pcretrieve.options.merge import MergeOptions
 from pcretrieve.options.model import Options
 from pcretrieve.options.pipeline import NUMBERS_VERSION, OptionsLike, PipelineOptions
 from pcretrieve.options.presets import PRESETS
-from pcretrieve.options.retrieval import Damping, RerankKind, RetrievalOptions, WhiteningKind
+from pcretrieve.options.retrieval import RerankKind, RetrievalOptions, Shrinkage, WhiteningKind
 from pcretrieve.options.scan import ScanOptions
 from pcretrieve.options.signature import Scale, SignatureOptions, SpectralOptions
 from pcretrieve.options.stages import DEFAULT_STAGES, StageOptions, check_chain, link_of
@@ -24,16 +24,17 @@ __all__ = [
     "NUMBERS_VERSION",
     "PRESETS",
     "CatalogueOptions",
-    "Damping",
     "MergeOptions",
     "Options",
     "OptionsLike",
     "PipelineOptions",
     "PointFilter",
     "RemeshOptions",
+    "RerankKind",
     "RetrievalOptions",
     "Scale",
     "ScanOptions",
+    "Shrinkage",
     "SignatureOptions",
     "SpectralOptions",
     "StageOptions",

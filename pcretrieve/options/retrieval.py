@@ -9,11 +9,11 @@ from pydantic import AfterValidator, Field
 from pcretrieve.names import NAMES
 from pcretrieve.options.model import Options
 
-__all__ = ["Damping", "RerankKind", "RetrievalOptions", "WhiteningKind"]
+__all__ = ["RerankKind", "RetrievalOptions", "Shrinkage", "WhiteningKind"]
 
-WhiteningKind = Literal["none", "resolution", "pca", "within-class"]
+WhiteningKind = Literal["auto", "none", "resolution", "neighbours", "pca", "within-class"]
 RerankKind = Literal["none", "local", "k-reciprocal"]
-Damping = Literal["auto"] | Annotated[float, Field(gt=0, le=1)]
+Shrinkage = Literal["auto"] | Annotated[float, Field(gt=0, le=1)]
 
 
 class RetrievalOptions(Options):
@@ -22,13 +22,16 @@ class RetrievalOptions(Options):
     distance: Annotated[str, AfterValidator(NAMES["distance"].known)] = "log"
     """Distance of two signatures: the Euclidean distance of their logarithms (log), or the dissimilarities D1
     and D2 of Ye and Yu."""
-    whitening: WhiteningKind = "none"
+    whitening: WhiteningKind = "auto"
     """Linear map of log-signatures before they are compared: none; the whitening of the changes that the
     resolution of a surface causes, measured on simulated bodies (resolution, for r-bihdm only); or that of
-    the covariance of the gallery (pca), or of its pooled within-class covariance (within-class)."""
-    damping: Damping = "auto"
+    the covariance of the gallery: of the differences of shapes that are among each other's nearest
+    (neighbours), of all shapes (pca), or pooled within classes (within-class). auto: within-class if labels
+    suffice, else neighbours; none for few shapes. In an evaluation auto does not use labels."""
+    shrinkage: Shrinkage = "auto"
     """Regularisation of the covariance of a whitening: for pca and resolution relative to its largest
-    eigenvalue, for within-class the shrinkage intensity. auto: .01, .03 and .1."""
+    eigenvalue, for others the shrinkage intensity. auto: .01, .03, and .1 for neighbours, .03 with r-bihdm;
+    for within-class the likeliest on classes that are left out."""
     n_folds: Annotated[int, Field(ge=2)] = 5
     """Number of folds of classes with which a within-class whitening is evaluated."""
     fold_seed: Annotated[int, Field(ge=0)] = 0

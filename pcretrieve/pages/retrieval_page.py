@@ -71,8 +71,9 @@ def retrieval_page(
         table = catalogue.signatures(options)
         if not len(table):
             raise InputError(f"{catalogue.location} holds no shapes: ingest some first")
-        ranking = SignatureIndex(table, options.retrieval, whitening=catalogue.whitening(options))
-        facts = _signature_facts(table, options)
+        whitening = catalogue.whitening(options)
+        ranking = SignatureIndex(table, options.retrieval, whitening=whitening)
+        facts = _signature_facts(table, options) | {"whitening": whitening.reason}
     else:
         check_known(matrix, catalogue)
         ranking = matrix
@@ -103,8 +104,10 @@ def retrieval_page(
     measures = curve = None
     known = [label for label in classes.values() if label is not None]
     if len(set(known)) < len(known):
-        rankings = rank_catalogue(catalogue, options, matrix=matrix).rankings
-        measures, curve = evaluate_rankings(rankings), precision_recall(rankings)
+        ranked = rank_catalogue(catalogue, options, matrix=matrix)
+        measures, curve = evaluate_rankings(ranked.rankings), precision_recall(ranked.rankings)
+        if ranked.whitening:
+            facts["whitening of the measures"] = ranked.whitening
     return write_report(
         path,
         title=f"Retrieval in {Path(catalogue.location).name}",
@@ -125,7 +128,6 @@ def _signature_facts(table: SignatureTable, options: PipelineOptions) -> dict[st
         "scale": options.compared.scale,
         "weight of size": f"{options.signature.size_weight:g}",
         "distance": options.retrieval.distance,
-        "whitening": options.retrieval.whitening,
     }
 
 

@@ -8,7 +8,7 @@ from pcretrieve.retrieval.distances import (
     pairwise,
     table_coordinates,
 )
-from pcretrieve.retrieval.fitting import DEFAULT_DAMPING, checked_damping, fit_whitening, table_whitening
+from pcretrieve.retrieval.fitting import DEFAULT_SHRINKAGE, checked_shrinkage, fit_whitening, table_whitening
 from pcretrieve.retrieval.index import SignatureIndex
 from pcretrieve.retrieval.ranking import (
     BLOCK_DISTANCES,
@@ -19,28 +19,35 @@ from pcretrieve.retrieval.ranking import (
     pairwise_blocks,
     position_of,
 )
-from pcretrieve.retrieval.resolution import resolution_whitening
+from pcretrieve.retrieval.reranking import N_RERANKED, RERANKINGS, NeighbourLists, neighbour_lists, rerank
+from pcretrieve.retrieval.resolution import resolution_covariance, resolution_whitening
 from pcretrieve.retrieval.whitening import WHITENINGS, Whitening, whitening_digest
 
 __all__ = [
     "BLOCK_DISTANCES",
-    "DEFAULT_DAMPING",
+    "DEFAULT_SHRINKAGE",
     "DISTANCES",
+    "N_RERANKED",
+    "RERANKINGS",
     "WHITENINGS",
     "Distance",
     "DistanceBlock",
+    "NeighbourLists",
     "Positions",
     "Ranking",
     "SignatureIndex",
     "Whitening",
-    "checked_damping",
+    "checked_shrinkage",
     "coordinates",
     "fit_whitening",
     "log_signatures",
     "nearest_of",
+    "neighbour_lists",
     "pairwise",
     "pairwise_blocks",
     "position_of",
+    "rerank",
+    "resolution_covariance",
     "resolution_whitening",
     "table_coordinates",
     "table_whitening",

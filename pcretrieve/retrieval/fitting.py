@@ -10,41 +10,80 @@ The factor s preserves the total variance of the shapes of the fit. D₁ and D�
 without s they would be evaluated far from the magnitudes for which they were designed, and distances with
 different whitenings would not be comparable.
 
+C describes what should be ignored: the differences within classes (``within-class``), the differences of
+pairs that are probably of one class (``neighbours``), or, as a first approximation, all differences
+(``pca``). Whitening by the differences of nearest neighbours is unsupervised, in the manner of relevant
+component analysis [2]_ with the pairs in place of its equivalence constraints.
+
 References
 ----------
 .. [1] Kessy, Lewin and Strimmer, "Optimal whitening and decorrelation", The American Statistician 2018.
+.. [2] Bar-Hillel, Hertz, Shental and Weinshall, "Learning a Mahalanobis metric from equivalence
+   constraints", Journal of Machine Learning Research 2005.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+import logging
+from collections import Counter
+from collections.abc import Mapping, Sequence
 from types import MappingProxyType
+from typing import Literal, NamedTuple
 
 import numpy as np
 
 from pcretrieve.errors import InputError, OptionError
-from pcretrieve.options import Damping, RetrievalOptions
+from pcretrieve.options import RetrievalOptions, Shrinkage
+from pcretrieve.retrieval.covariances import likeliest_shrinkage, shrunk, within_class_residuals
 from pcretrieve.retrieval.distances import table_coordinates
+from pcretrieve.retrieval.pairs import neighbour_pairs
 from pcretrieve.retrieval.whitening import WHITENINGS, Whitening
 from pcretrieve.types import FloatArray, SignatureTable
 
 __all__ = [
-    "DEFAULT_DAMPING",
-    "checked_damping",
+    "DEFAULT_SHRINKAGE",
+    "checked_shrinkage",
     "fit_whitening",
     "inverse_square_root",
     "table_whitening",
 ]
 
+logger = logging.getLogger(__name__)
+
 #: Regularisation of the covariance, which limits the amplification of noise in directions of small variance.
-#: See docs/decisions.md, DEFAULT_DAMPING.
-DEFAULT_DAMPING: Mapping[str, float] = MappingProxyType(
+#: See docs/decisions.md, DEFAULT_SHRINKAGE. For within-class it is estimated instead.
+DEFAULT_SHRINKAGE: Mapping[str, float] = MappingProxyType(
     {
-        "pca": 0.01,  # Tikhonov: times the largest eigenvalue, added to all eigenvalues
+        "neighbours": 0.10,  # intensity towards the mean variance times the identity
+        "pca": 0.01,  # times the largest eigenvalue, added to all eigenvalues (Tikhonov)
         "resolution": 0.03,  # as for pca
-        "within-class": 0.10,  # shrinkage intensity towards the mean variance times the identity
     }
 )
+
+# Shrinkage of the covariance of neighbours towards the covariance of changes of resolution, where that is
+# known, and the remaining shrinkage towards the identity. See docs/decisions.md, PRIOR_SHARE.
+PRIOR_SHARE = 0.3
+SHRINKAGE_WITH_PRIOR = 0.03
+
+# Least numbers of shapes and of pairs for a whitening by neighbours. See docs/decisions.md, LEAST_SHAPES.
+LEAST_SHAPES = 24
+LEAST_PAIRS = 10
+
+# Least number of classes from which labels are used by "auto".
+LEAST_CLASSES = 5
+
+# Mean squared difference of neighbouring shapes as a share of the total variance, after PCA whitening, above
+# which PCA whitening is likely to do harm. See docs/decisions.md, PCA_NOISE.
+PCA_NOISE = 0.1
+
+
+class _Fit(NamedTuple):
+    """What a whitening is made of: the shapes (n, L) of the fit, and the covariance (L, L), regularised."""
+
+    shapes: FloatArray
+    covariance: FloatArray
+    shrinkage: float
+    reason: str
 
 
 def fit_whitening(
@@ -52,7 +91,9 @@ def fit_whitening(
     logs: FloatArray,
     labels: Sequence[str | None] | None = None,
     *,
-    damping: Damping = "auto",
+    shrinkage: Shrinkage = "auto",
+    n_neighbors: int | Literal["auto"] = "auto",
+    prior: FloatArray | None = None,
     options_digest: str = "",
 ) -> Whitening:
     """Fit a whitening to log-signatures.
@@ -60,53 +101,75 @@ def fit_whitening(
     Parameters
     ----------
     kind : str
-        ``none``: W is the identity. ``pca``: C is the covariance of all shapes, labelled or not, with
-        `damping` times its largest eigenvalue added to every eigenvalue (Tikhonov regularisation).
-        ``within-class``: C is the pooled within-class covariance, shrunk with intensity `damping` towards its
-        mean variance times the identity. ``resolution`` is not fitted: see `resolution_whitening`.
+        ``none``: W is the identity. ``neighbours``: C is the covariance of the differences of shapes that are
+        among each other's nearest, shrunk with intensity `shrinkage` towards its mean variance times the
+        identity; ``none`` if there are too few. ``pca``: C is the covariance of all shapes, labelled or not,
+        with `shrinkage` times its largest eigenvalue added to every eigenvalue (Tikhonov regularisation).
+        ``within-class``: C is the pooled within-class covariance, shrunk like that of neighbours. ``auto``:
+        ``within-class`` if at least 5 classes have as many shapes, less one for each class, as there are
+        values, else ``neighbours``. ``resolution`` is not fitted: see `resolution_whitening`.
     logs : (N, L) float64
         Log-signatures, one in each row.
     labels : sequence of (str or None), length N, optional
-        Classes, for ``within-class`` only. Shapes without a label, and classes of one shape, are ignored.
-    damping : float or "auto", default "auto"
-        In (0, 1]. auto: ``DEFAULT_DAMPING[kind]``. Ignored for ``none``.
+        Classes, for ``within-class`` and ``auto``. Shapes without a label, and classes of one shape, are
+        ignored.
+    shrinkage : float or "auto", default "auto"
+        In (0, 1]. auto: for ``within-class`` the intensity at which the differences within classes that are
+        left out are most likely; for others ``DEFAULT_SHRINKAGE[kind]``. Ignored for ``none``.
+    n_neighbors : int or "auto", default "auto"
+        Number of neighbours, for ``neighbours`` only, as in `neighbour_pairs`.
+    prior : (L, L) float64, optional
+        A covariance of trace 1 of what should be ignored in any gallery, such as `resolution_covariance`.
+        For ``neighbours`` only: 30 % of the covariance.
     options_digest : str, default ""
         Digest of the table of the signatures.
 
     Returns
     -------
     Whitening
-        The mean and the matrix W = s C^(−1/2) of the map.
+        The mean and the matrix W = s C^(−1/2) of the map, and in one line what was used and why.
 
     Raises
     ------
     OptionError
-        If the kind does not exist or is not fitted, or the damping is not in (0, 1].
+        If the kind does not exist or is not fitted, or the shrinkage is not in (0, 1].
     InputError
-        If a log-signature is not finite, there are fewer than two distinct shapes, or, for ``within-class``,
-        no class with two distinct shapes.
+        If a log-signature is not finite; if there are fewer than two distinct shapes, for ``pca``; or if no
+        class has two distinct shapes, for ``within-class``.
     """
-    if kind not in WHITENINGS:
-        raise OptionError(f"whitening must be one of {', '.join(WHITENINGS)}, got {kind!r}")
+    if kind not in (*WHITENINGS, "auto"):
+        raise OptionError(f"whitening must be one of auto, {', '.join(WHITENINGS)}, got {kind!r}")
     if logs.ndim != 2 or not np.isfinite(logs).all():
         raise InputError(f"log-signatures must be finite and have shape (N, L), got {logs.shape}")
-    n_values = logs.shape[1]
-    if kind == "none":
-        return Whitening(
-            kind, np.zeros(n_values), np.eye(n_values), n_fitted=len(logs), options_digest=options_digest
-        )
-    if kind not in _FITS:
+    if kind == "resolution":
         raise OptionError(f"whitening {kind!r} is not fitted to shapes: see resolution_whitening")
-    used = checked_damping(kind, damping)
-    fitted, covariance = _FITS[kind](logs, labels, used)
-    total = _covariance(fitted)
-    root = inverse_square_root(covariance)
+    if kind not in ("none", "auto"):
+        checked_shrinkage(kind, shrinkage)
+    used = _chosen(logs, labels) if kind == "auto" else kind
+    fit: _Fit | str | None = None
+    if used == "pca":
+        fit = _pca(logs, shrinkage)
+    elif used == "within-class":
+        fit = _within_class(logs, labels, shrinkage)
+    elif used == "neighbours":
+        fit = _neighbours(logs, shrinkage, n_neighbors, prior)
+    if fit is None or isinstance(fit, str):
+        n_values = logs.shape[1]
+        reason = fit or "none"
+        return Whitening("none", np.zeros(n_values), np.eye(n_values), len(logs), 0.0, options_digest, reason)
+    total = _covariance(fit.shapes)
+    root = inverse_square_root(fit.covariance)
     scale = np.sqrt(np.trace(total) / np.trace(root @ total @ root))
-    return Whitening(kind, fitted.mean(axis=0), scale * root, len(fitted), used, options_digest)
+    mean = fit.shapes.mean(axis=0)
+    return Whitening(used, mean, scale * root, len(fit.shapes), fit.shrinkage, options_digest, fit.reason)
 
 
 def table_whitening(
-    table: SignatureTable, options: RetrievalOptions, whitening: Whitening | None = None
+    table: SignatureTable,
+    options: RetrievalOptions,
+    whitening: Whitening | None = None,
+    *,
+    prior: FloatArray | None = None,
 ) -> Whitening:
     """The whitening of a table of signatures.
 
@@ -115,9 +178,11 @@ def table_whitening(
     table : SignatureTable
         The signatures.
     options : RetrievalOptions
-        The kind of whitening to fit on `table`, and its damping.
+        The kind of whitening to fit on `table`, and its shrinkage.
     whitening : Whitening, optional
         A whitening made before, which is returned instead.
+    prior : (L, L) float64, optional
+        As in `fit_whitening`.
 
     Returns
     -------
@@ -135,55 +200,94 @@ def table_whitening(
     if whitening is None:
         logs = table_coordinates(table, options.distance)
         return fit_whitening(
-            options.whitening, logs, table.labels, damping=options.damping, options_digest=table.digest
+            options.whitening,
+            logs,
+            table.labels,
+            shrinkage=options.shrinkage,
+            prior=prior,
+            options_digest=table.digest,
         )
     whitening.check_made_for(table.digest)
     return whitening
 
 
-def _pca(
-    logs: FloatArray, labels: Sequence[str | None] | None, damping: float
-) -> tuple[FloatArray, FloatArray]:
-    """All shapes (N, L), and their regularised covariance (L, L)."""
+def _chosen(logs: FloatArray, labels: Sequence[str | None] | None) -> str:
+    """The whitening that ``auto`` stands for."""
+    sizes = [
+        size for size in Counter(label for label in labels or () if label is not None).values() if size > 1
+    ]
+    # The rank of the pooled covariance, beyond which directions would be whitened by the shrinkage alone.
+    rank = sum(sizes) - len(sizes)
+    return "within-class" if len(sizes) >= LEAST_CLASSES and rank >= logs.shape[1] else "neighbours"
+
+
+def _neighbours(
+    logs: FloatArray, shrinkage: Shrinkage, n_neighbors: int | Literal["auto"], prior: FloatArray | None
+) -> _Fit | str:
+    """All shapes, and the covariance of differences of neighbours; a reason if there are too few of them."""
+    if len(logs) < LEAST_SHAPES:
+        return f"none, because {len(logs)} shapes are too few to learn from neighbours ({LEAST_SHAPES})"
+    pairs = neighbour_pairs(logs, n_neighbors)
+    if len(pairs.weights) < LEAST_PAIRS:
+        return (
+            f"none, because only {len(pairs.weights)} pairs of shapes are mutual neighbours ({LEAST_PAIRS})"
+        )
+    differences = logs[pairs.first] - logs[pairs.second]  # (P, L)
+    covariance = (differences * pairs.weights[:, np.newaxis]).T @ differences
+    covariance /= np.trace(covariance)
+    if shrinkage == "auto":
+        used = DEFAULT_SHRINKAGE["neighbours"] if prior is None else SHRINKAGE_WITH_PRIOR
+    else:
+        used = float(shrinkage)
+    if prior is not None:
+        covariance = (1 - PRIOR_SHARE) * covariance + PRIOR_SHARE * prior
+    reason = f"neighbours: {len(pairs.weights)} pairs, each among the other's {pairs.n_neighbors} nearest"
+    return _Fit(logs, shrunk(covariance, used), used, reason)
+
+
+def _pca(logs: FloatArray, shrinkage: Shrinkage) -> _Fit:
+    """All shapes, and their regularised covariance."""
     _check_distinct("pca", logs)
+    used = checked_shrinkage("pca", shrinkage)
     covariance = _covariance(logs)
     largest = np.linalg.eigvalsh(covariance)[-1]
-    return logs, covariance + damping * largest * np.eye(len(covariance))
+    covariance += used * largest * np.eye(len(covariance))
+    _warn_of_noise(logs, inverse_square_root(covariance))
+    return _Fit(logs, covariance, used, f"pca: the covariance of {len(logs)} shapes")
 
 
-def _within_class(
-    logs: FloatArray, labels: Sequence[str | None] | None, damping: float
-) -> tuple[FloatArray, FloatArray]:
-    """The shapes in classes of at least two shapes, and their shrunk pooled covariance (L, L)."""
-    if labels is None or len(labels) != len(logs):
-        given = "none" if labels is None else str(len(labels))
-        raise InputError(f"within-class whitening needs one label per shape ({len(logs)}), got {given}")
-    rows: dict[str, list[int]] = {}
-    for row, label in enumerate(labels):
-        if label is not None:
-            rows.setdefault(label, []).append(row)
-    classes = [logs[rows[label]] for label in sorted(rows) if len(rows[label]) > 1]
-    if not classes:
-        raise InputError(
-            f"within-class whitening needs a class with at least 2 shapes, got {len(rows)} classes and none "
-            "so large; label more shapes, or use the whitening 'pca' or 'none'"
+def _warn_of_noise(logs: FloatArray, root: FloatArray) -> None:
+    """Warn if whitening by a covariance makes neighbours distant, as with bodies of one kind."""
+    if len(logs) < LEAST_SHAPES:
+        return
+    pairs = neighbour_pairs(logs)
+    if not len(pairs.weights):
+        return
+    difference = (logs[pairs.first] - logs[pairs.second]) @ root
+    share = (difference**2).sum(axis=1).mean() / 2 / (logs @ root).var(axis=0).sum()
+    if share > PCA_NOISE:
+        logger.warning(
+            "PCA whitening is likely to make rankings worse here: after it, neighbouring shapes differ by "
+            "%.0f %% of the total variance, as in collections of one kind of body; the whitening "
+            "'neighbours' has no such effect",
+            100 * share,
         )
-    fitted = np.concatenate(classes)
+
+
+def _within_class(logs: FloatArray, labels: Sequence[str | None] | None, shrinkage: Shrinkage) -> _Fit:
+    """The shapes in classes of at least two shapes, and their shrunk pooled covariance."""
+    residuals = within_class_residuals(logs, labels)
+    fitted = logs[residuals.rows]
     _check_distinct("within-class", fitted)
-    residuals = np.concatenate([members - members.mean(axis=0) for members in classes])
-    pooled = residuals.T @ residuals / (len(fitted) - len(classes))
-    mean_variance = np.trace(pooled) / len(pooled)
-    if mean_variance == 0:
+    pooled = residuals.covariance
+    if np.trace(pooled) == 0:
         raise InputError(
             "within-class whitening needs shapes that differ within their class, got equal signatures in "
             "every class; use the whitening 'pca' or 'none'"
         )
-    return fitted, (1 - damping) * pooled + damping * mean_variance * np.eye(len(pooled))
-
-
-_FITS: Mapping[
-    str, Callable[[FloatArray, Sequence[str | None] | None, float], tuple[FloatArray, FloatArray]]
-] = MappingProxyType({"pca": _pca, "within-class": _within_class})
+    used = likeliest_shrinkage(residuals) if shrinkage == "auto" else float(shrinkage)
+    reason = f"within-class: {residuals.n_classes} classes of {len(fitted)} shapes"
+    return _Fit(fitted, shrunk(pooled, used), used, reason)
 
 
 def _covariance(logs: FloatArray) -> FloatArray:
@@ -192,15 +296,15 @@ def _covariance(logs: FloatArray) -> FloatArray:
     return covariance
 
 
-def checked_damping(kind: str, damping: Damping) -> float:
-    """The damping of a whitening, or its default, after a check of its range.
+def checked_shrinkage(kind: str, shrinkage: Shrinkage) -> float:
+    """The shrinkage of a whitening, or its default, after a check of its range.
 
     Parameters
     ----------
     kind : str
-        A key of `DEFAULT_DAMPING`.
-    damping : float or "auto"
-        auto: the default of the kind.
+        The kind of the whitening.
+    shrinkage : float or "auto"
+        auto: that of `DEFAULT_SHRINKAGE`; 1 if the kind has none, because it is estimated.
 
     Returns
     -------
@@ -210,11 +314,11 @@ def checked_damping(kind: str, damping: Damping) -> float:
     Raises
     ------
     OptionError
-        If the damping is not in (0, 1].
+        If the shrinkage is not in (0, 1].
     """
-    value = DEFAULT_DAMPING[kind] if damping == "auto" else float(damping)
+    value = DEFAULT_SHRINKAGE.get(kind, 1.0) if shrinkage == "auto" else float(shrinkage)
     if not 0 < value <= 1:
-        raise OptionError(f"damping must lie in (0, 1], got {value}")
+        raise OptionError(f"shrinkage must lie in (0, 1], got {value}")
     return value
 
 

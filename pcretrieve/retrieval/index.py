@@ -91,7 +91,7 @@ class SignatureIndex:
         points = table_coordinates(table, options.distance)
         made_by = table.kind, table.digest, table.metric, table.unit
         whitening = whitening or fit_whitening(
-            options.whitening, points, table.labels, damping=options.damping, options_digest=table.digest
+            options.whitening, points, table.labels, shrinkage=options.shrinkage, options_digest=table.digest
         )
         self._fill(made_by, Names.of(table.ids[row] for row in by_id), points[by_id], options, whitening)
 
@@ -137,7 +137,7 @@ class SignatureIndex:
             raise InputError(NO_SHAPES)
         index = cls.__new__(cls)
         whitening = whitening or fit_whitening(
-            options.whitening, points, labels, damping=options.damping, options_digest=made_by[1]
+            options.whitening, points, labels, shrinkage=options.shrinkage, options_digest=made_by[1]
         )
         index._fill(made_by, ids, points, options, whitening)
         return index

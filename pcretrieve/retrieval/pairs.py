@@ -13,14 +13,16 @@ References
 
 from __future__ import annotations
 
-from typing import Literal, NamedTuple
+from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import numpy as np
-from scipy.sparse import csr_array, triu
 
 from pcretrieve.retrieval.ranking import Positions, pairwise_blocks
 from pcretrieve.retrieval.reranking import nearest_matrix, neighbour_lists, rerank
 from pcretrieve.types import FloatArray
+
+if TYPE_CHECKING:
+    from scipy.sparse import csr_array
 
 __all__ = ["NeighbourPairs", "neighbour_pairs"]
 
@@ -78,7 +80,10 @@ def neighbour_pairs(logs: FloatArray, n_neighbors: int | Literal["auto"] = "auto
     NeighbourPairs
         The pairs; equal shapes form none.
     """
+    from scipy.sparse import triu
+
     rows = np.arange(len(logs)) if len(logs) <= LARGEST else _groups(logs)
+    rows = rows[np.lexsort(logs[rows].T)]  # so that ties do not depend on the order of the table
     points = np.ascontiguousarray(logs[rows])
     lists = neighbour_lists(pairwise_blocks("log", points, np.arange(len(points))), len(points))
     order = rerank("k-reciprocal", lists)
@@ -95,6 +100,8 @@ def neighbour_pairs(logs: FloatArray, n_neighbors: int | Literal["auto"] = "auto
 
 def _jaccard(near: csr_array) -> csr_array:
     """For each edge of a graph of neighbours, the Jaccard index of the neighbourhoods of its ends."""
+    from scipy.sparse import csr_array
+
     size = near.indptr[1] - near.indptr[0]
     common = csr_array((near @ near.T).multiply(near))
     common.data = common.data / (2 * size - common.data)

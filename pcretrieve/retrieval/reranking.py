@@ -17,15 +17,17 @@ References
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import NamedTuple, get_args
+from typing import TYPE_CHECKING, NamedTuple, get_args
 
 import numpy as np
-from scipy.sparse import csr_array
 
 from pcretrieve.errors import OptionError
 from pcretrieve.options import RerankKind
 from pcretrieve.retrieval.ranking import DistanceBlock, Positions
 from pcretrieve.types import FloatArray
+
+if TYPE_CHECKING:
+    from scipy.sparse import csr_array
 
 __all__ = [
     "N_RERANKED",
@@ -33,8 +35,8 @@ __all__ = [
     "NeighbourLists",
     "k_reciprocal",
     "local_scaling",
-    "neighbour_lists",
     "nearest_matrix",
+    "neighbour_lists",
     "rerank",
 ]
 
@@ -147,8 +149,8 @@ def local_scaling(lists: NeighbourLists, rows: Positions) -> FloatArray:
         The scaled distances of the shapes in the lists of the queries; dimensionless.
     """
     radius = lists.distances[:, 1 : N_RADIUS + 1].mean(axis=1)  # (N,)
-    radius = np.maximum(radius, np.finfo(np.float64).tiny)
-    scaled: FloatArray = lists.distances[rows] / np.sqrt(radius[rows, None] * radius[lists.order[rows]])
+    root = np.sqrt(np.maximum(radius, np.finfo(np.float64).tiny))
+    scaled: FloatArray = lists.distances[rows] / (root[rows, None] * root[lists.order[rows]])
     return scaled
 
 
@@ -168,6 +170,8 @@ def k_reciprocal(lists: NeighbourLists, rows: Positions) -> FloatArray:
         The distances of the shapes in the lists of the queries; dimensionless. The original distances are
         divided by the mean distance in the list of the query.
     """
+    from scipy.sparse import csr_array  # imported here, because an index without whitening does not need it
+
     k1, k2, weight = K_RECIPROCAL
     n, length = lists.order.shape
     mutual = _mutual(nearest_matrix(lists.order, k1))
@@ -182,7 +186,9 @@ def k_reciprocal(lists: NeighbourLists, rows: Positions) -> FloatArray:
     scale = np.maximum(lists.distances[:, 1 : k1 + 1].mean(axis=1), np.finfo(np.float64).tiny)
     near = np.maximum(np.exp(-lists.distances / scale[:, None]), np.finfo(np.float64).tiny)
     indptr = np.arange(0, n * length + 1, length)
-    features = csr_array(members.multiply(csr_array((near.ravel(), lists.order.ravel(), indptr), shape=(n, n))))
+    features = csr_array(
+        members.multiply(csr_array((near.ravel(), lists.order.ravel(), indptr), shape=(n, n)))
+    )
     features = csr_array(features.multiply(1 / np.asarray(features.sum(axis=1))[:, None]))
     features = csr_array(nearest_matrix(lists.order, k2 - 1) @ features / min(k2, length))
     by_column = features.tocsc()
@@ -216,6 +222,8 @@ def nearest_matrix(order: Positions, k: int) -> csr_array:
     (N, N) csr_array of float64
         1 where the column is the row, or among its k nearest; else 0.
     """
+    from scipy.sparse import csr_array
+
     n = len(order)
     near = order[:, : k + 1]
     ends = np.arange(0, near.size + 1, near.shape[1])
@@ -223,4 +231,6 @@ def nearest_matrix(order: Positions, k: int) -> csr_array:
 
 
 def _mutual(near: csr_array) -> csr_array:
+    from scipy.sparse import csr_array
+
     return csr_array(near.multiply(near.T))

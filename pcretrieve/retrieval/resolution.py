@@ -23,11 +23,12 @@ from importlib import resources
 import numpy as np
 
 from pcretrieve.errors import OptionError
-from pcretrieve.options import Damping, SignatureOptions
-from pcretrieve.retrieval.fitting import checked_damping, inverse_square_root
+from pcretrieve.options import Shrinkage, SignatureOptions
+from pcretrieve.retrieval.fitting import checked_shrinkage, inverse_square_root
 from pcretrieve.retrieval.whitening import Whitening
+from pcretrieve.types import FloatArray
 
-__all__ = ["is_measured", "resolution_whitening"]
+__all__ = ["is_measured", "resolution_covariance", "resolution_whitening"]
 
 # (2, n, m + 1) float32, written by scripts/sample_resolution: logarithms of |μ_1| … |μ_m| and μ_0, divided by
 # the squared area, of n bodies reconstructed with the smaller and with the larger voxel edge.
@@ -59,7 +60,7 @@ def is_measured(options: SignatureOptions) -> bool:
 
 
 def resolution_whitening(
-    options: SignatureOptions, *, damping: Damping = "auto", options_digest: str = ""
+    options: SignatureOptions, *, shrinkage: Shrinkage = "auto", options_digest: str = ""
 ) -> Whitening:
     """The whitening W = s (C + d c I)^(−1/2), with C the second moment of the changes caused by resolution.
 
@@ -67,8 +68,8 @@ def resolution_whitening(
     ----------
     options : SignatureOptions
         The options of the signatures: R-BiHDM with 60 modes, normalised by the area or relative.
-    damping : float or "auto", default "auto"
-        d, in (0, 1], in units of c, the largest eigenvalue of C. auto: that of `DEFAULT_DAMPING`.
+    shrinkage : float or "auto", default "auto"
+        d, in (0, 1], in units of c, the largest eigenvalue of C. auto: that of `DEFAULT_SHRINKAGE`.
     options_digest : str, default ""
         Digest of the table to which the whitening is applied.
 
@@ -81,28 +82,54 @@ def resolution_whitening(
     Raises
     ------
     OptionError
-        If the whitening is not defined for the options, or the damping is not in (0, 1].
+        If the whitening is not defined for the options, or the shrinkage is not in (0, 1].
     """
+    used = checked_shrinkage("resolution", shrinkage)
+    mean, change = _changes(options)
+    covariance = change.T @ change / len(change)
+    largest = np.linalg.eigvalsh(covariance)[-1]
+    root = inverse_square_root(covariance + used * largest * np.eye(len(covariance)))
+    root *= np.sqrt(len(root) / np.trace(root @ root))
+    if options.size_weight:
+        root, mean = np.pad(root, (0, 1)), np.append(mean, 0.0)
+        root[-1, -1] = 1
+    reason = f"resolution: changes of {len(change)} simulated bodies"
+    return Whitening("resolution", mean, root, len(change), used, options_digest, reason)
+
+
+def resolution_covariance(options: SignatureOptions) -> FloatArray | None:
+    """The covariance of the changes caused by resolution, for `fit_whitening`.
+
+    Parameters
+    ----------
+    options : SignatureOptions
+        The options of the signatures.
+
+    Returns
+    -------
+    (L, L) float64, or None
+        Of trace 1; zero in the row and the column of a size. None if it was not measured for the options.
+    """
+    if not is_measured(options):
+        return None
+    _, change = _changes(options)
+    covariance = change.T @ change
+    covariance /= np.trace(covariance)
+    return np.pad(covariance, (0, 1)) if options.size_weight else covariance
+
+
+def _changes(options: SignatureOptions) -> tuple[FloatArray, FloatArray]:
+    """The mean log-signature (L,), and the changes (n, L) of the bodies of the sample that change least."""
     if not is_measured(options):
         raise OptionError(
             f"whitening 'resolution' has been measured for {METHOD} with n_modes = {N_MODES}, by area or "
             f"relative, got {options.method} with {options.n_modes}, {options.measured_by}: take 'pca' or "
             "'none'"
         )
-    used = checked_damping("resolution", damping)
     sample = np.load(str(resources.files(__package__).joinpath(SAMPLE))).astype(np.float64)
     if options.measured_by == "relative":
         sample -= sample[:, :, -1:]
     logs = sample[:, :, : options.n_values]
     change = logs[0] - logs[1]  # (n, L)
     size = np.linalg.norm(change, axis=1)
-    change = change[size <= np.quantile(size, MOST)]
-    covariance = change.T @ change / len(change)
-    largest = np.linalg.eigvalsh(covariance)[-1]
-    root = inverse_square_root(covariance + used * largest * np.eye(len(covariance)))
-    root *= np.sqrt(len(root) / np.trace(root @ root))
-    mean = logs.mean(axis=(0, 1))
-    if options.size_weight:
-        root, mean = np.pad(root, (0, 1)), np.append(mean, 0.0)
-        root[-1, -1] = 1
-    return Whitening("resolution", mean, root, len(change), used, options_digest)
+    return logs.mean(axis=(0, 1)), change[size <= np.quantile(size, MOST)]

@@ -22,7 +22,8 @@ from pcretrieve.values import Value, locked
 
 __all__ = ["WHITENINGS", "Whitening", "whitening_digest"]
 
-WHITENINGS: tuple[str, ...] = get_args(WhiteningKind)
+#: What a whitening can be; "auto" stands for one of them.
+WHITENINGS: tuple[str, ...] = tuple(kind for kind in get_args(WhiteningKind) if kind != "auto")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -39,18 +40,21 @@ class Whitening(Value):
         W, symmetric positive definite, dimensionless; the identity for ``none``.
     n_fitted : int
         Number of shapes of the fit.
-    damping : float
+    shrinkage : float
         Regularisation as in `fit_whitening`; zero for ``none``.
     options_digest : str
         Digest of the signatures of the fit, to which alone the whitening may be applied.
+    reason : str
+        What was used and why, in one line.
     """
 
     kind: str
     mean: FloatArray
     matrix: FloatArray
     n_fitted: int
-    damping: float = 0.0
+    shrinkage: float = 0.0
     options_digest: str = ""
+    reason: str = ""
 
     def __post_init__(self) -> None:
         if self.kind not in WHITENINGS:
@@ -62,8 +66,8 @@ class Whitening(Value):
 
     @property
     def digest(self) -> str:
-        """Hash of the kind, the damping, and the options of the signatures."""
-        return whitening_digest(self.kind, self.damping, self.options_digest)
+        """Hash of the kind, the shrinkage, and the options of the signatures."""
+        return whitening_digest(self.kind, self.shrinkage, self.options_digest)
 
     def check_made_for(self, digest: str) -> None:
         """Check that the whitening may be applied to signatures.
@@ -121,8 +125,9 @@ class Whitening(Value):
             "mean": self.mean,
             "matrix": self.matrix,
             "n_fitted": np.array(self.n_fitted),
-            "damping": np.array(self.damping),
+            "shrinkage": np.array(self.shrinkage),
             "options_digest": np.array(self.options_digest),
+            "reason": np.array(self.reason),
         }
 
     @classmethod
@@ -155,19 +160,20 @@ class Whitening(Value):
             mean=arrays["mean"],
             matrix=arrays["matrix"],
             n_fitted=int(arrays["n_fitted"]),
-            damping=float(arrays["damping"]),
+            shrinkage=float(arrays["shrinkage"]),
             options_digest=str(arrays["options_digest"]),
+            reason=str(arrays["reason"]),
         )
 
 
-def whitening_digest(kind: str, damping: float, options_digest: str) -> str:
+def whitening_digest(kind: str, shrinkage: float, options_digest: str) -> str:
     """Hash of what determines a whitening, apart from the shapes of the fit.
 
     Parameters
     ----------
     kind : str
         One of `WHITENINGS`.
-    damping : float
+    shrinkage : float
         Regularisation, as in `Whitening`.
     options_digest : str
         Digest of the signatures.
@@ -177,4 +183,4 @@ def whitening_digest(kind: str, damping: float, options_digest: str) -> str:
     str
         64 hexadecimal digits.
     """
-    return hashlib.sha256(json.dumps([kind, damping, options_digest]).encode()).hexdigest()
+    return hashlib.sha256(json.dumps([kind, shrinkage, options_digest]).encode()).hexdigest()

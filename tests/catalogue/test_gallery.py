@@ -25,7 +25,7 @@ from pcretrieve.retrieval import DISTANCES
 from pcretrieve.types import Shape
 
 OPTIONS = PipelineOptions()
-WHITENINGS = ("none", "resolution", "pca", "within-class")
+WHITENINGS = ("none", "resolution", "neighbours", "pca", "within-class")
 N_SHAPES = 40
 
 
@@ -95,7 +95,10 @@ def test_an_index_that_was_kept_answers_as_one_made_anew(
 
 def test_each_request_has_an_index_of_its_own(catalogue: Catalogue) -> None:
     requests = [asked(w, d) for w in WHITENINGS for d in DISTANCES.own]
-    requests += [asked("pca").changed(retrieval={"damping": 0.5}), asked().changed(signature={"n_values": 9})]
+    requests += [
+        asked("pca").changed(retrieval={"shrinkage": 0.5}),
+        asked().changed(signature={"n_values": 9}),
+    ]
     for options in requests:
         catalogue.index(options)
     assert len(kept(catalogue)) == len(requests)

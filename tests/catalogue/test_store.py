@@ -185,9 +185,9 @@ def test_a_whitening_is_fitted_anew_once_the_shapes_change(kind: str, catalogue:
 
 
 def test_whitenings_damped_in_two_ways_are_two(catalogue: Catalogue) -> None:
-    damped = [OPTIONS.changed(retrieval={"whitening": "pca", "damping": d}) for d in ("auto", 0.01, 0.5)]
+    damped = [OPTIONS.changed(retrieval={"whitening": "pca", "shrinkage": d}) for d in ("auto", 0.01, 0.5)]
     found = [catalogue.whitening(options) for options in (*damped, *damped)]
-    assert [whitening.damping for whitening in found] == [0.01, 0.01, 0.5] * 2
+    assert [whitening.shrinkage for whitening in found] == [0.01, 0.01, 0.5] * 2
     np.testing.assert_array_equal(found[0].matrix, found[1].matrix)
     assert not np.array_equal(found[1].matrix, found[2].matrix)
     np.testing.assert_array_equal(found[2].matrix, found[5].matrix)

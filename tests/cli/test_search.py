@@ -93,7 +93,7 @@ def test_resolution_is_for_the_descriptor_that_it_was_measured_for(catalogue: Pa
     assert found["map"] != plain["map"]
     run("report", "-c", catalogue, "-o", tmp_path / "page.html", "--queries", 1, *asked)
     page = (tmp_path / "page.html").read_text(encoding="utf-8")
-    assert re.search(r"<dt>whitening</dt>\s*<dd>resolution</dd>", page)
+    assert re.search(r"<dt>whitening</dt>\s*<dd>resolution: changes of", page)
     refused = run("evaluate", "-c", catalogue, "--method", "wks", *asked, code=1)
     assert "whitening 'resolution' has been measured for r-bihdm with n_modes = 60" in str(refused.exception)
 
@@ -114,7 +114,7 @@ def test_queries_and_pages_do_as_evaluation_does(catalogue: Path, files: list[Pa
         assert re.search(rf"<dt>scale</dt>\s*<dd>{expected}</dd>", page.read_text(encoding="utf-8"))
 
 
-@pytest.mark.parametrize("whitening", ["none", "resolution", "pca", "within-class"])
+@pytest.mark.parametrize("whitening", ["none", "resolution", "neighbours", "pca", "within-class"])
 def test_python_and_the_command_give_the_same_numbers(
     whitening: str, catalogue: Path, files: list[Path]
 ) -> None:
@@ -134,7 +134,7 @@ def test_a_file_gives_commands_their_options_and_flags_override_it(
     by_file = json.loads(run(*asked, "--config", mine).stdout)
     assert (by_file["n_values"], by_file["whitening"], by_file["distance"]) == (9, "pca", "d1")
     assert by_file == json.loads(run(*asked, *PCA, "--distance", "d1", "--n-values", 9).stdout)
-    overridden = run(*asked, "--config", mine, "--whitening", "none", "--distance", "log", "--n-values", 23)
+    overridden = run(*asked, "--config", mine, "--whitening", "auto", "--distance", "log", "--n-values", 23)
     assert overridden.stdout == run(*asked).stdout
     query = ("query", "-c", catalogue, files[0], "--json")
     assert (
@@ -144,8 +144,12 @@ def test_a_file_gives_commands_their_options_and_flags_override_it(
     )
     run("report", "-c", catalogue, "-o", tmp_path / "page.html", "--queries", 1, "--config", mine)
     page = (tmp_path / "page.html").read_text(encoding="utf-8")
-    for name, value in (("distance", "d1"), ("whitening", "pca"), ("scale", by_file["scale"])):
-        assert re.search(rf"<dt>{name}</dt>\s*<dd>{value}</dd>", page), name
+    for name, value in (
+        ("distance", "d1"),
+        ("whitening", "pca: the covariance"),
+        ("scale", by_file["scale"]),
+    ):
+        assert re.search(rf"<dt>{name}</dt>\s*<dd>{value}", page), name
 
 
 def test_a_file_cannot_change_how_stored_spectra_were_made(catalogue: Path, files: list[Path]) -> None:
@@ -201,7 +205,7 @@ def test_size_distinguishes_bodies_of_one_form(tmp_path: Path) -> None:
         sized = store.signatures(store.options.changed(signature={"size_weight": 6}))
     assert sized.values[0, -1] == pytest.approx(areas["a"] ** 6)
     said = run("query", "-c", path, scans[0], "--size-weight", 6).stderr
-    assert said == "", "they are all of one unit"
+    assert "size tells them apart" not in said, "they are all of one unit"
 
 
 def test_mixed_units_are_noticed_where_size_counts(tmp_path: Path) -> None:
@@ -213,7 +217,9 @@ def test_mixed_units_are_noticed_where_size_counts(tmp_path: Path) -> None:
     path = tmp_path / "c.sqlite"
     with Catalogue(path, PipelineOptions(), create=True) as store:
         ingest_files(scans, store)
-    assert run("query", "-c", path, scans[0]).stderr == ""
+    assert run("query", "-c", path, scans[0]).stderr == (
+        "whitening: none, because 2 shapes are too few to learn from neighbours (24)\n"
+    )
     for chosen in (("--size-weight", 1), ("--scale", "absolute")):
         said = run("query", "-c", path, scans[0], *chosen).stderr
         assert "1000000 times the area of the smallest: size tells them apart only if all files have" in said

@@ -29,6 +29,7 @@ from sklearn.utils.estimator_checks import (
 import pcretrieve as pr
 from pcretrieve.errors import InputError, OptionError, ShapeError
 from pcretrieve.estimators import (
+    NeighbourWhitening,
     PCAWhitening,
     ResolutionWhitening,
     SignatureNeighbors,
@@ -48,8 +49,9 @@ from pcretrieve.retrieval import (
 from pcretrieve.types import FloatArray, SignatureTable, TriangleMesh
 
 ESTIMATORS = [
+    NeighbourWhitening(),
     PCAWhitening(),
-    PCAWhitening(damping=0.5),
+    PCAWhitening(shrinkage=0.5),
     WithinClassWhitening(),
     ResolutionWhitening(),
     SignatureNeighbors(n_neighbors=1),
@@ -74,14 +76,17 @@ def some_logs(n: int = 60, n_values: int = 8, *, seed: int = 0) -> tuple[FloatAr
 # --- whitenings -----------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("damping", ["auto", 0.3])
-def test_whitenings_are_those_of_the_functions(damping: Any) -> None:
+@pytest.mark.parametrize("shrinkage", ["auto", 0.3])
+def test_whitenings_are_those_of_the_functions(shrinkage: Any) -> None:
     logs, labels = some_logs()
     expected = {
-        PCAWhitening(damping): fit_whitening("pca", logs, damping=damping),
-        WithinClassWhitening(damping): fit_whitening("within-class", logs, labels, damping=damping),
-        ResolutionWhitening("relative", damping): resolution_whitening(
-            SignatureOptions(n_values=8, scale="relative"), damping=damping
+        NeighbourWhitening(3, shrinkage): fit_whitening(
+            "neighbours", logs, n_neighbors=3, shrinkage=shrinkage
+        ),
+        PCAWhitening(shrinkage): fit_whitening("pca", logs, shrinkage=shrinkage),
+        WithinClassWhitening(shrinkage): fit_whitening("within-class", logs, labels, shrinkage=shrinkage),
+        ResolutionWhitening("relative", shrinkage): resolution_whitening(
+            SignatureOptions(n_values=8, scale="relative"), shrinkage=shrinkage
         ),
     }
     for estimator, whitening in expected.items():
@@ -109,8 +114,13 @@ def test_names_of_values_stay() -> None:
 
 def test_parameters_out_of_range() -> None:
     logs, labels = some_logs()
-    for estimator in (PCAWhitening(2), WithinClassWhitening(2), ResolutionWhitening(damping=2)):
-        with pytest.raises(OptionError, match=r"damping must lie in \(0, 1\], got 2"):
+    for estimator in (
+        NeighbourWhitening(shrinkage=2),
+        PCAWhitening(2),
+        WithinClassWhitening(2),
+        ResolutionWhitening(shrinkage=2),
+    ):
+        with pytest.raises(OptionError, match=r"shrinkage must lie in \(0, 1\], got 2"):
             estimator.fit(logs, labels)
     with pytest.raises(OptionError, match="has been measured for r-bihdm with n_modes = 60, by area or"):
         ResolutionWhitening("absolute").fit(logs)
@@ -124,7 +134,8 @@ def test_neighbours_are_those_of_the_index(distance: str) -> None:
     logs, _ = some_logs()
     logs[-6:] = logs[:6]  # equally far
     ids = tuple(f"{row:02}" for row in range(60))
-    index = SignatureIndex(SignatureTable(ids, np.exp(logs), "x"), RetrievalOptions(distance=distance))
+    plain = RetrievalOptions(distance=distance, whitening="none")
+    index = SignatureIndex(SignatureTable(ids, np.exp(logs), "x"), plain)
     logs = log_signatures(np.exp(logs))
     estimator = SignatureNeighbors(distance=distance).fit(logs)
     distances, rows = estimator.kneighbors(logs[:9] + 0.01, 7)

@@ -19,6 +19,7 @@ from pcretrieve.retrieval import DISTANCES, DistanceBlock, fit_whitening, log_si
 from pcretrieve.types import FloatArray, SignatureTable
 
 WITHIN_CLASS = RetrievalOptions(whitening="within-class")
+PLAIN = RetrievalOptions(whitening="none")
 
 
 def a_table(*, seed: int = 0, n_classes: int = 10, per_class: int = 6, n_values: int = 8) -> SignatureTable:
@@ -107,9 +108,11 @@ def test_the_whitening_has_seen_no_label_of_the_classes_it_is_scored_on() -> Non
 def test_the_whitening_of_a_fold_is_that_of_the_other_folds() -> None:
     table = a_table()
     logs = log_signatures(table.values)
-    for fold in within_class_folds(table, RetrievalOptions(damping=0.2)):
+    for fold in within_class_folds(table, RetrievalOptions(shrinkage=0.2)):
         others = np.setdiff1d(np.arange(60), fold.queries)
-        expected = fit_whitening("within-class", logs[others], [table.labels[i] for i in others], damping=0.2)
+        expected = fit_whitening(
+            "within-class", logs[others], [table.labels[i] for i in others], shrinkage=0.2
+        )
         np.testing.assert_allclose(fold.whitening.matrix, expected.matrix, rtol=1e-12)
         assert fold.whitening.options_digest == "3f2a"
 
@@ -157,14 +160,15 @@ def test_within_class_whitening_finds_nothing_in_noise() -> None:
     rng = np.random.default_rng(3)
     table = a_table()
     honest, leaking = [], []
+    shrunk_little = RetrievalOptions(whitening="within-class", shrinkage=0.01)
     for _ in range(10):
         values = rng.lognormal(size=(60, 30))
         noise = replace(table, values=values)
         logs = log_signatures(values)
-        seen = fit_whitening("within-class", logs, table.labels).apply(logs)
-        baseline = evaluate_table(noise).map
-        honest.append(evaluate_table(noise, WITHIN_CLASS).map - baseline)
-        leaking.append(evaluate_table(replace(noise, values=np.exp(seen))).map - baseline)
+        seen = fit_whitening("within-class", logs, table.labels, shrinkage=0.01).apply(logs)
+        baseline = evaluate_table(noise, PLAIN).map
+        honest.append(evaluate_table(noise, shrunk_little).map - baseline)
+        leaking.append(evaluate_table(replace(noise, values=np.exp(seen)), PLAIN).map - baseline)
     assert np.mean(honest) < 0
     assert np.mean(leaking) > 0.1
 
@@ -234,15 +238,17 @@ def test_a_whitening_of_other_signatures_is_refused(kind: str) -> None:
             score(table, whitening=other)
 
 
-def test_damping_and_folds_are_those_of_the_options() -> None:
+def test_shrinkage_and_folds_are_those_of_the_options() -> None:
     table = a_table()
-    damped = replace(table, values=np.exp(_damped(table, "pca", 0.5)))
-    assert evaluate_table(table, RetrievalOptions(whitening="pca", damping=0.5)) == evaluate_table(damped)
+    shrunk = replace(table, values=np.exp(_whitened(table, "pca", 0.5)))
+    assert evaluate_table(table, RetrievalOptions(whitening="pca", shrinkage=0.5)) == evaluate_table(
+        shrunk, PLAIN
+    )
     few = RetrievalOptions(whitening="within-class", n_folds=2)
     assert len(list(within_class_folds(table, few))) == 2
     assert evaluate_table(table, few) != evaluate_table(table, WITHIN_CLASS)
 
 
-def _damped(table: SignatureTable, kind: str, damping: float) -> FloatArray:
+def _whitened(table: SignatureTable, kind: str, shrinkage: float) -> FloatArray:
     logs = log_signatures(table.values)
-    return fit_whitening(kind, logs, damping=damping).apply(logs)
+    return fit_whitening(kind, logs, shrinkage=shrinkage).apply(logs)

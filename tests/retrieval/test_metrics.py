@@ -47,7 +47,7 @@ def test_values_are_compared_as_they_are(whitening: str) -> None:
 
 def test_histograms_are_compared_by_the_hellinger_distance() -> None:
     table = a_table("histograms")
-    found = SignatureIndex(table).query(table.values[3], 9)
+    found = SignatureIndex(table, RetrievalOptions(whitening="none")).query(table.values[3], 9)
     gaps = hellinger(table.values, table.values[3])
     assert found.ids == tuple(table.ids[row] for row in np.argsort(gaps, kind="stable")[:9])
     np.testing.assert_allclose(found.distances / np.sqrt(2), np.sort(gaps)[:9], atol=1e-7)
@@ -102,7 +102,7 @@ def test_the_index_finds_the_nearest_by_any_distance(
     install(tmp_path / "site", "theirs", {"theirs": MODULE}, ENTRY_POINTS, monkeypatch)
     values = np.exp(np.random.default_rng(5).normal(size=(2000, L)))
     table = SignatureTable(tuple(f"s{number:04}" for number in range(2000)), values, "x")
-    index = SignatureIndex(table, RetrievalOptions(distance=distance))
+    index = SignatureIndex(table, RetrievalOptions(distance=distance, whitening="none"))
     exact = pairwise(distance, table_coordinates(table, distance)[:20], table_coordinates(table, distance))
     for row in range(20):
         nearest = index.query(values[row], 7)

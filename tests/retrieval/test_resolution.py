@@ -73,6 +73,6 @@ def test_signatures_that_were_not_measured(given: dict[str, str | int]) -> None:
         resolution_whitening(options)
 
 
-def test_damping_must_be_a_share() -> None:
-    with pytest.raises(OptionError, match=r"damping must lie in \(0, 1\], got 0"):
-        resolution_whitening(SignatureOptions(), damping=0)
+def test_shrinkage_must_be_a_share() -> None:
+    with pytest.raises(OptionError, match=r"shrinkage must lie in \(0, 1\], got 0"):
+        resolution_whitening(SignatureOptions(), shrinkage=0)

@@ -7,10 +7,12 @@ import numpy as np
 import pytest
 
 from pcretrieve.errors import InputError, OptionError
-from pcretrieve.retrieval import DEFAULT_DAMPING, Whitening, fit_whitening, pairwise
-from pcretrieve.types import FloatArray
+from pcretrieve.evaluation import evaluate_table
+from pcretrieve.options import RetrievalOptions
+from pcretrieve.retrieval import DEFAULT_SHRINKAGE, Whitening, fit_whitening, pairwise
+from pcretrieve.types import FloatArray, SignatureTable
 
-FITTED = ("pca", "within-class")
+FITTED = ("neighbours", "pca", "within-class")
 
 
 def labelled_logs(*, seed: int = 0, n_classes: int = 12, per_class: int = 10) -> tuple[FloatArray, list[str]]:
@@ -21,6 +23,12 @@ def labelled_logs(*, seed: int = 0, n_classes: int = 12, per_class: int = 10) ->
     mixing = rng.normal(size=(8, 8))
     labels = [f"class {number}" for number in range(n_classes) for _ in range(per_class)]
     return (np.repeat(centres, per_class, axis=0) + within) @ mixing, labels
+
+
+def mean_average_precision(points: FloatArray, labels: list[str]) -> float:
+    ids = tuple(f"{row:04}" for row in range(len(points)))
+    table = SignatureTable(ids, np.exp(points), "x", labels=tuple(labels))
+    return evaluate_table(table, RetrievalOptions(whitening="none")).map
 
 
 def within_class_covariance(logs: FloatArray, labels: list[str]) -> FloatArray:
@@ -46,30 +54,30 @@ def test_none_is_the_identity() -> None:
     assert (whitening.matrix == np.eye(8)).all()
 
 
-def test_pca_with_hardly_any_damping_makes_all_directions_equal() -> None:
+def test_pca_with_hardly_any_shrinkage_makes_all_directions_equal() -> None:
     logs, _ = labelled_logs()
-    covariance = np.cov(fit_whitening("pca", logs, damping=1e-12).apply(logs).T)
+    covariance = np.cov(fit_whitening("pca", logs, shrinkage=1e-12).apply(logs).T)
     np.testing.assert_allclose(covariance, covariance[0, 0] * np.eye(8), atol=1e-6 * covariance[0, 0])
 
 
 def test_pca_damps_each_variance_by_a_fraction_of_the_largest() -> None:
     logs, _ = labelled_logs()
     variances = np.linalg.eigvalsh(np.cov(logs.T))
-    whitened = np.linalg.eigvalsh(np.cov(fit_whitening("pca", logs, damping=0.05).apply(logs).T))
+    whitened = np.linalg.eigvalsh(np.cov(fit_whitening("pca", logs, shrinkage=0.05).apply(logs).T))
     expected = variances / (variances + 0.05 * variances[-1])
     np.testing.assert_allclose(whitened / whitened[-1], expected / expected[-1], rtol=1e-10)
 
 
 def test_within_class_makes_spread_within_classes_equal() -> None:
     logs, labels = labelled_logs()
-    whitened = fit_whitening("within-class", logs, labels, damping=1e-12).apply(logs)
+    whitened = fit_whitening("within-class", logs, labels, shrinkage=1e-12).apply(logs)
     covariance = within_class_covariance(whitened, labels)
     np.testing.assert_allclose(covariance, covariance[0, 0] * np.eye(8), atol=1e-6 * covariance[0, 0])
 
 
 def test_within_class_shrunk_all_the_way_keeps_distances() -> None:
     logs, labels = labelled_logs()
-    whitened = fit_whitening("within-class", logs, labels, damping=1.0).apply(logs)
+    whitened = fit_whitening("within-class", logs, labels, shrinkage=1.0).apply(logs)
     np.testing.assert_allclose(pairwise("log", whitened, whitened), pairwise("log", logs, logs), atol=1e-12)
 
 
@@ -77,7 +85,7 @@ def test_within_class_shrinks_towards_the_mean_variance() -> None:
     logs, labels = labelled_logs()
     pooled = within_class_covariance(logs, labels)
     shrunk = 0.7 * pooled + 0.3 * np.trace(pooled) / 8 * np.eye(8)
-    matrix = fit_whitening("within-class", logs, labels, damping=0.3).matrix
+    matrix = fit_whitening("within-class", logs, labels, shrinkage=0.3).matrix
     product = matrix @ shrunk @ matrix
     np.testing.assert_allclose(product, product[0, 0] * np.eye(8), atol=1e-10 * product[0, 0])
 
@@ -151,26 +159,26 @@ def test_arrays_keep_all_of_it_without_pickle(kind: str) -> None:
     with np.load(file, allow_pickle=False) as stored:
         again = Whitening.from_arrays(stored)
     assert (again.apply(logs) == whitening.apply(logs)).all()
-    for name in ("kind", "n_fitted", "damping", "options_digest", "digest"):
+    for name in ("kind", "n_fitted", "shrinkage", "options_digest", "digest"):
         assert getattr(again, name) == getattr(whitening, name)
 
 
-def test_the_digest_depends_on_kind_damping_and_options() -> None:
+def test_the_digest_depends_on_kind_shrinkage_and_options() -> None:
     logs, labels = labelled_logs()
     base = fit_whitening("pca", logs, options_digest="3f2a")
     assert base.digest == fit_whitening("pca", logs[:50], options_digest="3f2a").digest
     others = [
-        fit_whitening("within-class", logs, labels, options_digest="3f2a", damping=base.damping),
-        fit_whitening("pca", logs, options_digest="3f2a", damping=0.02),
+        fit_whitening("within-class", logs, labels, options_digest="3f2a", shrinkage=base.shrinkage),
+        fit_whitening("pca", logs, options_digest="3f2a", shrinkage=0.02),
         fit_whitening("pca", logs, options_digest="77b1"),
     ]
     assert len({base.digest, *(other.digest for other in others)}) == 4
 
 
-@pytest.mark.parametrize("kind", FITTED)
-def test_the_default_damping_is_recorded(kind: str) -> None:
+@pytest.mark.parametrize("kind", ["neighbours", "pca"])
+def test_the_default_shrinkage_is_recorded(kind: str) -> None:
     logs, labels = labelled_logs()
-    assert fit_whitening(kind, logs, labels).damping == DEFAULT_DAMPING[kind]
+    assert fit_whitening(kind, logs, labels).shrinkage == DEFAULT_SHRINKAGE[kind]
 
 
 def test_a_whitening_is_locked() -> None:
@@ -181,7 +189,8 @@ def test_a_whitening_is_locked() -> None:
 
 def test_unknown_kind() -> None:
     with pytest.raises(
-        OptionError, match="whitening must be one of none, resolution, pca, within-class, got 'zca'"
+        OptionError,
+        match="whitening must be one of auto, none, resolution, neighbours, pca, within-class, got 'zca'",
     ):
         fit_whitening("zca", np.zeros((2, 3)))
     with pytest.raises(OptionError, match="whitening must be one of"):
@@ -189,11 +198,11 @@ def test_unknown_kind() -> None:
 
 
 @pytest.mark.parametrize("kind", FITTED)
-@pytest.mark.parametrize("damping", [0.0, -0.1, 1.5, np.nan])
-def test_damping_out_of_range(kind: str, damping: float) -> None:
+@pytest.mark.parametrize("shrinkage", [0.0, -0.1, 1.5, np.nan])
+def test_shrinkage_out_of_range(kind: str, shrinkage: float) -> None:
     logs, labels = labelled_logs()
-    with pytest.raises(OptionError, match=rf"damping must lie in \(0, 1\], got {damping}"):
-        fit_whitening(kind, logs, labels, damping=damping)
+    with pytest.raises(OptionError, match=rf"shrinkage must lie in \(0, 1\], got {shrinkage}"):
+        fit_whitening(kind, logs, labels, shrinkage=shrinkage)
 
 
 @pytest.mark.parametrize(
@@ -242,8 +251,8 @@ def test_logs_of_another_length(kind: str) -> None:
 
 def test_stored_arrays_that_are_not_all_there() -> None:
     arrays = fit_whitening("none", np.zeros((2, 3))).to_arrays()
-    del arrays["matrix"], arrays["damping"]
-    with pytest.raises(InputError, match="missing: matrix, damping; fit it again"):
+    del arrays["matrix"], arrays["shrinkage"]
+    with pytest.raises(InputError, match="missing: matrix, shrinkage; fit it again"):
         Whitening.from_arrays(arrays)
 
 
@@ -253,3 +262,73 @@ def test_stored_arrays_that_do_not_fit() -> None:
         Whitening.from_arrays(arrays | {"matrix": np.eye(2)})
     with pytest.raises(InputError, match="must be finite"):
         Whitening.from_arrays(arrays | {"mean": np.full(3, np.nan)})
+
+
+def test_auto_uses_labels_that_determine_the_covariance() -> None:
+    logs, labels = labelled_logs()
+    assert fit_whitening("auto", logs, labels).kind == "within-class"
+    for unknown in (None, [None] * len(logs), [*labels[:40], *[None] * 80]):
+        assert fit_whitening("auto", logs, unknown).kind == "neighbours"  # 0, 0 and 4 classes
+    assert fit_whitening("auto", logs, labels).reason == "within-class: 12 classes of 120 shapes"
+    sparse = [label if row % 10 < 2 else None for row, label in enumerate(labels)]
+    assert fit_whitening("auto", logs, sparse).kind == "within-class"  # 12 classes of 2, rank 12
+    wide = np.hstack([logs, logs])  # 16 values
+    assert fit_whitening("auto", wide, sparse).kind == "neighbours"
+
+
+def test_of_few_shapes_nothing_is_learned_from_neighbours() -> None:
+    logs, _ = labelled_logs()
+    few = fit_whitening("neighbours", logs[:23])
+    assert (few.kind, few.reason) == (
+        "none",
+        "none, because 23 shapes are too few to learn from neighbours (24)",
+    )
+    assert (few.apply(logs) == logs).all()
+    equal = fit_whitening("neighbours", np.ones((30, 3)))
+    assert equal.kind == "none"
+    assert "only 0 pairs of shapes are mutual neighbours" in equal.reason
+    assert fit_whitening("neighbours", logs[:24]).kind == "neighbours"
+
+
+def test_neighbours_separate_classes_that_overlap_by_pose_without_labels() -> None:
+    logs, labels = labelled_logs(n_classes=30)
+    plain = mean_average_precision(logs, labels)
+    whitened = mean_average_precision(fit_whitening("neighbours", logs).apply(logs), labels)
+    assert plain < 0.9
+    assert whitened > plain + 0.05
+
+
+def test_a_prior_is_part_of_the_covariance_of_neighbours() -> None:
+    """Directions that the prior says to ignore have a smaller weight."""
+    logs, _ = labelled_logs()
+    prior = np.zeros((8, 8))
+    prior[3, 3] = 1
+    with_prior = fit_whitening("neighbours", logs, prior=prior, shrinkage=0.1).matrix
+    without = fit_whitening("neighbours", logs, shrinkage=0.1).matrix
+    assert with_prior[3, 3] / np.trace(with_prior) < 0.9 * without[3, 3] / np.trace(without)
+
+
+def test_shrinkage_within_classes_follows_the_number_of_shapes() -> None:
+    """Few shapes determine a covariance badly, so that more shrinkage makes other classes likelier."""
+    rng = np.random.default_rng(2)
+    mixing = rng.normal(size=(40, 40)) * np.geomspace(1, 0.03, 40)
+
+    def estimated(n_classes: int) -> float:
+        labels = [f"class {row // 4}" for row in range(4 * n_classes)]
+        logs = rng.normal(size=(4 * n_classes, 40)) @ mixing
+        return fit_whitening("within-class", logs, labels).shrinkage
+
+    assert estimated(10) > estimated(400)
+
+
+def test_pca_warns_where_neighbours_become_distant(caplog: pytest.LogCaptureFixture) -> None:
+    """Classes far apart in two of forty directions: PCA whitening turns the noise in the others up."""
+    rng = np.random.default_rng(0)
+    centres = rng.normal(size=(12, 40)) * np.r_[5, 5, np.zeros(38)]
+    one_kind = np.repeat(centres, 6, axis=0) + 0.1 * rng.normal(size=(72, 40))
+    fit_whitening("pca", one_kind)
+    assert "PCA whitening is likely to make rankings worse here" in caplog.text
+    caplog.clear()
+    many_kinds = np.repeat(5 * rng.normal(size=(12, 40)), 6, axis=0) + 0.1 * rng.normal(size=(72, 40))
+    fit_whitening("pca", many_kinds)
+    assert not caplog.text

@@ -1,0 +1,121 @@
+"""Re-ranking: invariants, and agreement with the formulas of the papers written out for dense matrices."""
+
+import numpy as np
+import pytest
+
+from pcretrieve.errors import OptionError
+from pcretrieve.retrieval import (
+    RERANKINGS,
+    NeighbourLists,
+    neighbour_lists,
+    pairwise,
+    pairwise_blocks,
+    rerank,
+)
+from pcretrieve.retrieval.reranking import EXPANDED, K_RECIPROCAL, k_reciprocal, local_scaling
+from pcretrieve.types import FloatArray
+
+
+def some_points(n: int = 60, *, seed: int = 0) -> FloatArray:
+    rng = np.random.default_rng(seed)
+    return np.repeat(rng.normal(size=(n // 6, 8)), 6, axis=0) + 0.4 * rng.normal(size=(n, 8))
+
+
+def lists_of(points: FloatArray, k: int = 100) -> NeighbourLists:
+    return neighbour_lists(pairwise_blocks("log", points, np.arange(len(points))), len(points), k)
+
+
+@pytest.mark.parametrize("method", RERANKINGS)
+def test_a_list_keeps_its_shapes_and_its_first(method: str) -> None:
+    lists = lists_of(some_points(), 20)
+    order = rerank(method, lists)
+    np.testing.assert_array_equal(order[:, :2], lists.order[:, :2])
+    np.testing.assert_array_equal(np.sort(order, axis=1), np.sort(lists.order, axis=1))
+    np.testing.assert_array_equal(rerank(method, lists, np.array([7, 3])), order[[7, 3]])
+    assert (method == "none") == (order == lists.order).all()
+
+
+def test_lists_are_the_nearest_with_the_shape_itself_first() -> None:
+    points = some_points()
+    points[5] = points[4]
+    order, distances = lists_of(points, 7)
+    assert order.shape == (60, 8)
+    np.testing.assert_array_equal(order[:, 0], np.arange(60))
+    exact = pairwise("log", points, points)
+    np.testing.assert_array_equal(distances, np.sort(exact, axis=1)[:, :8])
+
+
+def test_k_reciprocal_is_that_of_sets() -> None:
+    """Zhong et al., equations 2 to 12, with sets and loops."""
+    points = some_points()
+    lists = lists_of(points)
+    distances = pairwise("log", points, points)
+    order, n = np.argsort(distances, axis=1, kind="stable"), len(points)
+    k1, k2, weight = K_RECIPROCAL
+
+    def reciprocal(i: int, k: int) -> set[int]:
+        return {j for j in order[i, : k + 1].tolist() if i in order[j, : k + 1]}
+
+    features = np.zeros((n, n))
+    for i in range(n):
+        members = reciprocal(i, k1)
+        for j in reciprocal(i, k1):
+            own = reciprocal(j, k1 // 2)
+            if len(own & reciprocal(i, k1)) > EXPANDED * len(own):
+                members |= own
+        rows = sorted(members)
+        features[i, rows] = np.exp(-distances[i, rows] / distances[i, order[i, 1 : k1 + 1]].mean())
+    features /= features.sum(axis=1, keepdims=True)
+    features = np.array([features[order[i, :k2]].mean(axis=0) for i in range(n)])
+    for i in range(n):
+        common = np.minimum(features[i], features).sum(axis=1)
+        own_mean = distances[i, order[i, 1:]].mean()
+        expected = (1 - weight) * (1 - common / (2 - common)) + weight * distances[i] / own_mean
+        found = k_reciprocal(lists, np.array([i]))[0]
+        np.testing.assert_allclose(found, expected[lists.order[i]], atol=1e-12)
+
+
+def test_local_scaling_is_relative_to_both_radii() -> None:
+    lists = lists_of(some_points())
+    scaled = local_scaling(lists, np.arange(60))
+    radius = lists.distances[:, 1:6].mean(axis=1)
+    i, place = 13, 29
+    j = lists.order[i, place]
+    assert scaled[i, place] == pytest.approx(lists.distances[i, place] / np.sqrt(radius[i] * radius[j]))
+    # The scaled distance is symmetric.
+    back = np.flatnonzero(lists.order[j] == i)[0]
+    assert scaled[j, back] == pytest.approx(scaled[i, place])
+
+
+@pytest.mark.parametrize("method", ["local", "k-reciprocal"])
+def test_units_of_distances_do_not_matter(method: str) -> None:
+    points = some_points()
+    np.testing.assert_array_equal(rerank(method, lists_of(points)), rerank(method, lists_of(1024 * points)))
+
+
+@pytest.mark.parametrize("method", ["local", "k-reciprocal"])
+def test_classes_of_unequal_spread_are_ranked_better(method: str) -> None:
+    """A wide class beside a narrow one: the narrow one's shapes come first in plain lists of the wide one."""
+    rng = np.random.default_rng(3)
+    narrow, wide = 0.05 * rng.normal(size=(12, 3)) + [1.2, 0, 0], 0.6 * rng.normal(size=(12, 3))
+    points = np.vstack([narrow, wide])
+    lists = lists_of(points)
+    same = np.arange(24) // 12
+
+    def mean_rank(order: np.ndarray) -> float:
+        hits = same[order] == same[:, np.newaxis]
+        return float(np.nonzero(hits[12:])[1].mean())
+
+    assert mean_rank(rerank(method, lists)) < mean_rank(lists.order)
+
+
+@pytest.mark.parametrize("method", RERANKINGS)
+@pytest.mark.parametrize("n", [1, 2, 3, 4])
+def test_few_or_equal_shapes(method: str, n: int) -> None:
+    for points in (np.ones((n, 3)), np.random.default_rng(0).normal(size=(n, 3))):
+        assert np.sort(rerank(method, lists_of(points)), axis=1).tolist() == [list(range(n))] * n
+
+
+def test_unknown_method() -> None:
+    with pytest.raises(OptionError, match="rerank must be one of none, local, k-reciprocal, got 'gnn'"):
+        rerank("gnn", lists_of(some_points()))
