@@ -3,9 +3,13 @@
     .venv/bin/python scripts/benchmark_catalogue
 
 Catalogues of 100,000 and of a million shapes are made in a temporary folder from the seed 0: records and
-signatures of 45 values, by `r-bihdm`, relative, but neither spectra nor meshes. Queries are PCA whitened and
-ask for ten shapes. The temporary folder needs 3.5 GB (`TMPDIR` names its parent). About 12 minutes on two
-cores of a 2.5 GHz Xeon, of which 5 are the ingestion; `--shapes 100000 --meshes 200` takes one.
+signatures of 45 values, by `r-bihdm`, relative, but neither spectra nor meshes. Queries ask for ten shapes;
+those of the command line are PCA whitened. Queries of an index alternate with flat scans of faiss, which are
+in single precision and on one thread, if faiss is installed (the extra `benchmark`). Times of both are
+processor times, which other load on the machine changes less than wall-clock times.
+
+The temporary folder needs 3.5 GB (`TMPDIR` names its parent). About 12 minutes on two cores of a 2.5 GHz
+Xeon, of which 5 are the ingestion; `--shapes 100000 --meshes 200` takes one.
 """
 
 from __future__ import annotations
@@ -16,7 +20,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from pathlib import Path
 
@@ -34,6 +38,7 @@ from pcretrieve.errors import PcretrieveError
 from pcretrieve.options import PipelineOptions
 from pcretrieve.retrieval import DISTANCES, SignatureIndex
 from pcretrieve.simulation import UniformOptions, scan_uniformly, write_ply
+from pcretrieve.types import FloatArray
 
 __all__ = ["main"]
 
@@ -45,6 +50,12 @@ SEED = 0
 K = 10
 N_REPEATS = 5
 N_QUERIES = 100
+N_BATCH = 1000
+
+# Number of queries before the first that is measured; an index answers the first ten without compiled code.
+N_WARM = 12
+
+WHITENINGS_OF_QUERIES = ("none", "pca", "within-class")
 
 # Number of answers that are compared with those of brute force.
 N_COMPARED = 5
@@ -112,27 +123,64 @@ def _catalogue(path: Path, n_shapes: int) -> Iterator[str]:
         "  pcretrieve query ID, whose index is kept", f"median {seconds:.2f} s, peak {peak:.0f} MiB"
     )
     yield TABLE.row("  pcretrieve list, first line", f"{_first_line('list', '-c', str(path)):.2f} s")
-    for distance in DISTANCES.own:
-        yield _queries(path, distance)
+    for whitening in WHITENINGS_OF_QUERIES:
+        for distance in DISTANCES.own:
+            yield from _queries(path, distance, whitening)
 
 
-def _queries(path: Path, distance: str) -> str:
+def _queries(path: Path, distance: str, whitening: str) -> Iterator[str]:
     """Times of queries by an index that was kept, and whether brute force agrees."""
-    options = OPTIONS.changed(retrieval={"whitening": "pca", "distance": distance})
+    options = OPTIONS.changed(retrieval={"whitening": whitening, "distance": distance})
     with Catalogue(path) as catalogue:
-        catalogue.index(options)
+        building, index = timed(partial(catalogue.index, options))
     with Catalogue(path) as catalogue:
         opening, index = timed(partial(catalogue.index, options))
-        rows = np.random.default_rng(SEED).integers(len(index), size=N_QUERIES)
-        ids = [synthetic_id(row) for row in rows.tolist()]
-        index.nearest(ids[0], K)  # which maps the arrays
-        times = [timed(partial(index.nearest, shape_id, K))[0] for shape_id in ids]
-        equal = sum(_agrees(index, row) for row in rows[:N_COMPARED].tolist())
-    return TABLE.row(
-        f"  index.nearest, {distance}",
-        f"opens in {opening * 1e3:.0f} ms, query median {statistics.median(times) * 1e3:.1f} ms, "
-        f"{equal} of {N_COMPARED} as by brute force",
+        rows = np.random.default_rng(SEED).integers(len(index), size=N_QUERIES).tolist()
+        ids = [synthetic_id(row) for row in rows]
+        for shape_id in ids[:N_WARM]:
+            index.nearest(shape_id, K)  # maps the arrays, and loads what numba has compiled
+        points = index.to_arrays()["gallery"]
+        flat_scan = _flat_scan(points)
+        own, other = [], []
+        for row, shape_id in zip(rows, ids, strict=True):
+            own.append(_thread_seconds(partial(index.nearest, shape_id, K)))
+            if flat_scan is not None:
+                other.append(_thread_seconds(partial(flat_scan, points[row])))
+        equal = sum(_agrees(index, row) for row in rows[:N_COMPARED])
+        values = catalogue.signatures(options).values[:N_BATCH]
+        batch, _ = timed(partial(index.query_many, values, K, n_threads=N_WORKERS))
+    median = statistics.median(own)
+    faiss = "faiss is not installed"
+    if other:
+        flat = statistics.median(other)
+        faiss = f"flat scan of faiss {flat * 1e3:.1f} ms, ratio {median / flat:.2f}"
+    yield TABLE.row(
+        f"  index.nearest, {distance}, whitening {whitening}",
+        f"{median * 1e3:.2f} ms; {faiss}; {equal} of {N_COMPARED} as by brute force; "
+        f"made in {building:.1f} s, opens in {opening * 1e3:.0f} ms",
     )
+    yield TABLE.row(
+        f"  index.query_many, {N_WORKERS} threads", f"{len(values) / batch:.0f} queries/s of wall-clock time"
+    )
+
+
+def _thread_seconds(function: Callable[[], object]) -> float:
+    """Processor time of this thread in a call of a function."""
+    started = time.thread_time()
+    function()
+    return time.thread_time() - started
+
+
+def _flat_scan(points: FloatArray) -> Callable[[FloatArray], object] | None:
+    """The exact search of faiss in single precision, if it is installed."""
+    try:
+        import faiss
+    except ImportError:
+        return None
+    faiss.omp_set_num_threads(1)
+    flat = faiss.IndexFlatL2(points.shape[1])
+    flat.add(points.astype(np.float32))
+    return lambda point: flat.search(point[np.newaxis].astype(np.float32), K)
 
 
 def _agrees(index: SignatureIndex, row: int) -> bool:

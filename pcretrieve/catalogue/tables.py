@@ -25,8 +25,9 @@ from pcretrieve.retrieval import (
     resolution_whitening,
 )
 from pcretrieve.retrieval.distances import check_comparable, coordinates
-from pcretrieve.retrieval.lower_bounds import BLOCK
+from pcretrieve.retrieval.lower_bounds import CHUNK
 from pcretrieve.retrieval.names import Names
+from pcretrieve.retrieval.whitened import MadeBy
 from pcretrieve.types import FloatArray, SignatureTable, SizeUnit
 
 __all__ = ["index_name", "made_index", "resolution_of", "signature_table"]
@@ -207,8 +208,8 @@ def made_index(rows: Rows, own: PipelineOptions, options: PipelineOptions) -> tu
     check_comparable(descriptor.name, descriptor.metric, options.retrieval.distance)
     revision, ids, labels, values = read_signatures(rows, own, options)
     # In place, because the table is not used afterwards.
-    for start in range(0, len(values), BLOCK):
-        block = slice(start, start + BLOCK)
+    for start in range(0, len(values), CHUNK):
+        block = slice(start, start + CHUNK)
         values[block] = coordinates(values[block], descriptor.metric)
     names = Names.of(ids)
     del ids
@@ -226,7 +227,7 @@ def made_index(rows: Rows, own: PipelineOptions, options: PipelineOptions) -> tu
         names,
         values,
         labels,
-        (descriptor.name, options.compared_digest, descriptor.metric, unit),
+        MadeBy(descriptor.name, options.compared_digest, descriptor.metric, unit),
         options.retrieval,
         resolution_of(options),
     )

@@ -1,18 +1,20 @@
 """The filter of a nearest-neighbour search: the shapes of a gallery that can be among the k nearest.
 
-Three steps, by the lower bounds of `pcretrieve.retrieval.lower_bounds`:
+By the lower bounds of `pcretrieve.retrieval.lower_bounds`, a few blocks of shapes at a time, nearest blocks
+first:
 
-1. Compute a lower bound of the distance to every shape, and the exact distances to a few shapes with small
-   bounds. Let τ be the k-th smallest of them: at least k shapes are within τ of the query, so that each of
-   the k nearest neighbours is.
-2. Keep the shapes with a lower bound of at most τ. They include the k nearest neighbours, because a lower
-   bound does not exceed the exact distance.
-3. Do both again with the shapes that are left, which gives a smaller τ.
+1. Find the shapes in the blocks whose lower bound is at most the limit of the radius τ, which is infinite at
+   first.
+2. Compute the exact distances to those with the smallest bounds. At least k shapes are within the k-th
+   smallest distance of the query, so that each of the k nearest neighbours is: it is the new τ.
+3. Stop when the lower bounds of all other blocks exceed the limit. Because a lower bound does not exceed the
+   exact distance, the shapes with a bound within the limit include the k nearest neighbours.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import math
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -20,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcretrieve.errors import InputError
+from pcretrieve.retrieval.blocks import Rows
 from pcretrieve.retrieval.distances import DISTANCES, pairwise
 from pcretrieve.retrieval.lower_bounds import LowerBounds
 from pcretrieve.types import FloatArray
@@ -27,13 +30,15 @@ from pcretrieve.types import FloatArray
 __all__ = ["Filter"]
 
 # Tolerance of the lower bound. The rounding error of a sum of L products of numbers of magnitude s is at most
-# a few L·s·ε; this is the factor of L·s.
+# a few L·s·ε, and that of a vector of up to L such sums √L times as large; this is the factor of L²·s.
 ROUNDING = 64 * float(np.finfo(np.float64).eps)
 
-# Exact distances in the first step, relative to k, and the number of blocks of the table, relative to k, from
-# each of which the shape with the smallest lower bound is taken. See docs/decisions.md, N_FIRST.
+# Exact distances in the second step, relative to k. See docs/decisions.md, N_FIRST.
 N_FIRST = 4
-N_BLOCKS = 64
+
+# Number of blocks of the first turn, and its growth from turn to turn. See docs/decisions.md, N_BLOCKS.
+N_BLOCKS = 8
+GROWTH = 4
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -79,7 +84,9 @@ class Filter:
         bound = DISTANCES[distance].at_least
         return cls(distance, points, size, LowerBounds.of(bound, points, n_leading) if bound else None)
 
-    def candidates(self, point: FloatArray, k: int) -> NDArray[np.intp]:
+    def candidates(
+        self, point: FloatArray, k: int, scan: Callable[..., int] | None = None
+    ) -> NDArray[np.intp]:
         """The shapes that can be among the k nearest.
 
         Parameters
@@ -88,6 +95,8 @@ class Filter:
             Whitened coordinates of the query.
         k : int
             Between 1 and N.
+        scan : function, optional
+            As in `LowerBounds.to_rows`.
 
         Returns
         -------
@@ -96,16 +105,24 @@ class Filter:
         """
         if self.bounds is None:
             return np.arange(len(self.points))
-        bounds = self.bounds.to(point[0])  # (N,)
-        # The smallest bound of each of many blocks is found faster than the smallest bounds of the table.
-        length = max(1, len(bounds) // (N_BLOCKS * k))
-        n_blocks = len(bounds) // length
-        best = bounds[: n_blocks * length].reshape(n_blocks, length).argmin(axis=1)
-        radius = self._radius(point, k, bounds, best + length * np.arange(n_blocks))
-        rows = np.flatnonzero(~(bounds > self.bounds.limit(point[0], radius)))
-        # Neighbours in one block were missed by the first step: the rows that are left include them.
-        radius = min(radius, self._radius(point, k, bounds, rows))
-        return rows[~(bounds[rows] > self.bounds.limit(point[0], radius))]
+        query = self.bounds.query(point[0])
+        to_blocks = self.bounds.to_blocks(query)
+        order = np.argsort(to_blocks, kind="stable")
+        rows, to_rows = np.empty(0, np.int32), np.empty(0, np.float32)
+        radius, limit, start, n = math.inf, math.inf, 0, N_BLOCKS
+        while start < len(order):
+            chosen = order[start : start + n]
+            chosen = chosen[to_blocks[chosen] <= limit]
+            if not len(chosen):
+                break
+            found = self.bounds.to_rows(query, chosen, limit, scan)
+            rows, to_rows = np.concatenate([rows, found[0]]), np.concatenate([to_rows, found[1]])
+            radius = min(radius, self._radius(point, k, rows, to_rows))
+            limit = self.bounds.limit(radius)
+            near = ~(to_rows > limit)
+            rows, to_rows = rows[near], to_rows[near]
+            start, n = start + n, GROWTH * n
+        return np.sort(rows).astype(np.intp)
 
     def to_arrays(self) -> dict[str, NDArray[Any]]:
         """The contents as arrays by name: the input of `from_arrays`."""
@@ -140,18 +157,18 @@ class Filter:
         distance, points = str(arrays["distance"]), arrays["gallery"]
         bound = DISTANCES[distance].at_least
         bounds = LowerBounds.from_arrays(bound, arrays) if bound else None
-        if bounds is not None and bounds.table_shape != points.shape:
+        if bounds is not None and not bounds.fits(points):
             raise InputError("the arrays of an index must be of one table, got several; build it again")
         return cls(distance, points, float(arrays["size"]), bounds)
 
-    def _radius(
-        self, point: FloatArray, k: int, bounds: NDArray[np.float32], rows: NDArray[np.intp]
-    ) -> float:
+    def _radius(self, point: FloatArray, k: int, rows: Rows, bounds: NDArray[np.float32]) -> float:
         """A radius within which at least `k` of some rows lie, rounding errors included."""
+        if len(rows) < k:
+            return math.inf
         n = min(N_FIRST * k, len(rows))
-        first = rows[np.argpartition(bounds[rows], n - 1)[:n]]
+        first = rows[np.argpartition(bounds, n - 1)[:n]]
         exact = pairwise(self.distance, point, self.points[first])[0]
         farthest = float(np.partition(exact, k - 1)[k - 1])
         size = max(self.size, float(np.abs(point).max(initial=0)))
-        radius: float = farthest + ROUNDING * (farthest + size * point.shape[1])
+        radius: float = farthest + ROUNDING * (farthest + size * point.shape[1] ** 2)
         return radius

@@ -12,38 +12,36 @@ References
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from typing import Any, TypeAlias, cast
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from functools import partial
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pcretrieve.errors import InputError
 from pcretrieve.options import RetrievalOptions
-from pcretrieve.retrieval.distances import coordinates, pairwise, table_coordinates
-from pcretrieve.retrieval.filtering import Filter
+from pcretrieve.retrieval.distances import pairwise, table_coordinates
 from pcretrieve.retrieval.fitting import fit_whitening
-from pcretrieve.retrieval.lower_bounds import BLOCK
 from pcretrieve.retrieval.names import Names
 from pcretrieve.retrieval.ranking import (
     DistanceBlock,
     Positions,
+    checked_count,
     checked_k,
-    nearest_of,
     pairwise_blocks,
     position_of,
 )
-from pcretrieve.retrieval.units import check_unit
+from pcretrieve.retrieval.whitened import MadeBy, WhitenedTable
 from pcretrieve.retrieval.whitening import Whitening
-from pcretrieve.types import FloatArray, Metric, Neighbors, Signature, SignatureTable, SizeUnit
+from pcretrieve.types import FloatArray, Neighbors, Signature, SignatureTable
 
 __all__ = ["SignatureIndex"]
 
-# Prefix of the names of the arrays of the whitening, among the arrays of an index.
-WHITENING = "whitening_"
-
-# Kind, digest and metric of the signatures, and the unit of their sizes, as in `SignatureTable`.
-MadeBy: TypeAlias = "tuple[str, str, Metric, SizeUnit | None]"
+# Number of queries that an index answers without compiled code: numba takes longer to load than they take.
+# See docs/decisions.md, N_INTERPRETED.
+N_INTERPRETED = 10
 
 NO_SHAPES = "an index needs at least 1 shape, got an empty table; ingest shapes first"
 
@@ -77,6 +75,9 @@ class SignatureIndex:
         If the table is empty, or the whitening was fitted on signatures with other options.
     """
 
+    # Counted without a lock: two threads that count the same query change no answer.
+    _n_answered = 0
+
     def __init__(
         self,
         table: SignatureTable,
@@ -89,11 +90,12 @@ class SignatureIndex:
             raise InputError(NO_SHAPES)
         by_id = sorted(range(len(table)), key=table.ids.__getitem__)
         points = table_coordinates(table, options.distance)
-        made_by = table.kind, table.digest, table.metric, table.unit
+        made_by = MadeBy(table.kind, table.digest, table.metric, table.unit)
         whitening = whitening or fit_whitening(
             options.whitening, points, table.labels, shrinkage=options.shrinkage, options_digest=table.digest
         )
-        self._fill(made_by, Names.of(table.ids[row] for row in by_id), points[by_id], options, whitening)
+        ids = Names.of(table.ids[row] for row in by_id)
+        self._table = WhitenedTable.of(made_by, ids, points[by_id], options.distance, whitening)
 
     @classmethod
     def of_coordinates(
@@ -116,7 +118,7 @@ class SignatureIndex:
             become part of the index.
         labels : sequence of (str or None), length N
             Classes; needed only for a whitening that is fitted to them.
-        made_by : tuple
+        made_by : MadeBy
             Kind, digest and metric of the signatures, and the unit of their sizes, as in `SignatureTable`.
         options : RetrievalOptions
             The distance, and the whitening to fit on `points`.
@@ -137,27 +139,25 @@ class SignatureIndex:
             raise InputError(NO_SHAPES)
         index = cls.__new__(cls)
         whitening = whitening or fit_whitening(
-            options.whitening, points, labels, shrinkage=options.shrinkage, options_digest=made_by[1]
+            options.whitening, points, labels, shrinkage=options.shrinkage, options_digest=made_by.digest
         )
-        index._fill(made_by, ids, points, options, whitening)
+        index._table = WhitenedTable.of(made_by, ids, points, options.distance, whitening)
         return index
 
-    def _fill(
-        self,
-        made_by: MadeBy,
-        ids: Names,
-        points: FloatArray,
-        options: RetrievalOptions,
-        whitening: Whitening,
-    ) -> None:
-        """Whiten coordinates in place, in the order of the ids, and bound their distances."""
-        self._kind, self._digest, self._metric, self._unit = made_by
-        whitening.check_made_for(self._digest)
-        self.distance, self.whitening, self.ids = options.distance, whitening, ids
-        for start in range(0, len(ids), BLOCK):
-            block = slice(start, start + BLOCK)
-            points[block] = whitening.apply(points[block])
-        self._filter = Filter.of(self.distance, points)  # sorted by id: so are ties
+    @property
+    def ids(self) -> Names:
+        """The shapes of the table, in alphabetical order."""
+        return self._table.ids
+
+    @property
+    def distance(self) -> str:
+        """A name in `pcretrieve.retrieval.DISTANCES`."""
+        return self._table.filter.distance
+
+    @property
+    def whitening(self) -> Whitening:
+        """The whitening of the gallery and of all queries."""
+        return self._table.whitening
 
     def __len__(self) -> int:
         return len(self.ids)
@@ -186,9 +186,11 @@ class SignatureIndex:
             value is not positive and finite.
         """
         k = checked_k(k)
-        return self._nearest(self.whitening.apply(self._checked_logs(signature)[np.newaxis]), k)
+        return self._nearest(self._table.point_of(signature), k)
 
-    def query_many(self, signatures: Iterable[Signature | ArrayLike], k: int = 10) -> list[Neighbors]:
+    def query_many(
+        self, signatures: Iterable[Signature | ArrayLike], k: int = 10, *, n_threads: int = 1
+    ) -> list[Neighbors]:
         """The nearest neighbours of each of Q signatures, in order.
 
         Parameters
@@ -197,13 +199,21 @@ class SignatureIndex:
             The queries, each as in `query`.
         k : int, default 10
             Number of neighbours of each query, at least 1.
+        n_threads : int, default 1
+            Number of queries that are answered at a time, at least 1.
 
         Returns
         -------
         list of Neighbors, length Q
             The result of `query` for each signature.
+
+        Raises
+        ------
+        OptionError
+            If `k` or `n_threads` is not an integer of at least 1.
         """
-        return [self.query(signature, k) for signature in signatures]
+        with ThreadPoolExecutor(checked_count("n_threads", n_threads)) as threads:
+            return list(threads.map(partial(self.query, k=k), signatures))
 
     def nearest(self, shape_id: str, k: int = 10) -> Neighbors:
         """The nearest neighbours of a shape of the table, itself included.
@@ -221,7 +231,7 @@ class SignatureIndex:
             Nearest first; equal distances by identifier.
         """
         row = position_of(self.ids, shape_id)
-        return self._nearest(self._filter.points[row : row + 1], checked_k(k))
+        return self._nearest(self._table.filter.points[row : row + 1], checked_k(k))
 
     def blocks(self, queries: Positions | None = None) -> Iterator[DistanceBlock]:
         """Distances from shapes of the table to the whole table.
@@ -237,22 +247,28 @@ class SignatureIndex:
             Some of the queries.
         """
         rows = np.arange(len(self)) if queries is None else queries
-        yield from pairwise_blocks(self.distance, self._filter.points, rows)
+        yield from pairwise_blocks(self.distance, self._table.filter.points, rows)
 
     def _nearest(self, point: FloatArray, k: int) -> Neighbors:
         """The `k` nearest neighbours of a (1, L) whitened log-signature."""
-        candidates = self._filter.candidates(point, min(k, len(self)))
-        distances = pairwise(self.distance, point, self._filter.points[candidates])[0]
-        return nearest_of([self.ids[row] for row in candidates], distances, k)
+        candidates = self._table.filter.candidates(point, min(k, len(self)), self._scan())
+        distances = pairwise(self.distance, point, self._table.filter.points[candidates])[0]
+        # Candidates ascend, and so do their ids: a stable sort leaves equal distances in the ids' order.
+        first = np.argsort(distances, kind="stable")[:k]
+        return Neighbors(tuple(self.ids[row] for row in candidates[first]), distances[first])
+
+    def _scan(self) -> Callable[..., int] | None:
+        """The compiled scan of the blocks, once it is worth the time that numba needs to load it."""
+        self._n_answered += 1
+        if self._n_answered <= N_INTERPRETED:
+            return None
+        from pcretrieve.retrieval.compiled import scan
+
+        return scan
 
     def to_arrays(self) -> dict[str, NDArray[Any]]:
         """The contents as arrays by name, none of which holds objects: the input of `from_arrays`."""
-        arrays = self._filter.to_arrays()
-        arrays |= {f"{WHITENING}{name}": array for name, array in self.whitening.to_arrays().items()}
-        arrays |= {"id_text": self.ids.text, "id_ends": self.ids.ends}
-        made_by = {"kind": self._kind, "digest": self._digest, "metric": self._metric}
-        made_by["unit"] = self._unit or ""
-        return arrays | {name: np.array(text) for name, text in made_by.items()}
+        return self._table.to_arrays()
 
     @classmethod
     def from_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> SignatureIndex:
@@ -273,33 +289,6 @@ class SignatureIndex:
         InputError
             If an array is missing or has the wrong shape.
         """
-        fitted = {name.removeprefix(WHITENING): a for name, a in arrays.items() if name.startswith(WHITENING)}
         index = cls.__new__(cls)
-        try:
-            index._kind, index._digest = str(arrays["kind"]), str(arrays["digest"])
-            index._metric = cast("Metric", str(arrays["metric"]))
-            index._unit = cast("SizeUnit", str(arrays["unit"])) or None
-            index.ids = Names(arrays["id_text"], arrays["id_ends"])
-            index._filter = Filter.from_arrays(arrays)
-        except KeyError as error:
-            raise InputError(f"the arrays of an index must include {error.args[0]!r}") from error
-        index.distance, index.whitening = index._filter.distance, Whitening.from_arrays(fitted)
-        if len(index.ids) != len(index._filter.points):
-            raise InputError("the arrays of an index must be of one table, got several; build it again")
+        index._table = WhitenedTable.from_arrays(arrays)
         return index
-
-    def _checked_logs(self, signature: Signature | ArrayLike) -> FloatArray:
-        """(L,) logarithms of a query, after checks that it is comparable with the table."""
-        if isinstance(signature, Signature):
-            if (signature.kind, signature.digest) != (self._kind, self._digest):
-                raise InputError(
-                    f"the query must be made by the same method and options as the table, "
-                    f"{self._kind!r} {self._digest!r}, got {signature.kind!r} {signature.digest!r}"
-                )
-            check_unit(signature.unit, self._unit)
-            signature = signature.values
-        logs = coordinates(signature, self._metric)
-        row = self._filter.points.shape[1:]
-        if logs.shape != row:
-            raise InputError(f"the query must have shape {row}, as the table's rows have, got {logs.shape}")
-        return logs

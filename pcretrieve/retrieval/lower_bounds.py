@@ -1,44 +1,61 @@
 """Lower bounds of the distances from one signature to all others, in single precision.
 
-Exact k-nearest-neighbour search by filter and refinement (`pcretrieve.retrieval.index`) needs for each
-distance a bound that is fast to compute for every shape.
+Exact k-nearest-neighbour search by filter and refinement (`pcretrieve.retrieval.index`) needs bounds of the
+distances that are fast to compute for many shapes. The bounds are sums of terms of the distances |p − q| of
+coordinates, for which `pcretrieve.retrieval.blocks` has lower bounds.
 
 ``log`` and ``d2``
-    An orthogonal projection does not increase the Euclidean distance. The squared distance of the coordinates
-    along the first principal directions is therefore a lower bound of the square of ``log``, and of that of
-    ``d2``, since ``log`` ≤ ``d2``. Written as ‖p‖² − 2 p·q + ‖q‖², it is a product of a vector and a matrix.
+    An orthogonal projection does not increase the Euclidean distance. The sum of (p − q)² over the
+    coordinates along the first principal directions is therefore a lower bound of the square of ``log``, and
+    of that of ``d2``, since ``log`` ≤ ``d2``.
 ``d1``
     tanh(x / 2) is concave for x ≥ 0. It is therefore at least its chord, x tanh(c / 2) / c, for x ≤ c, and at
-    least tanh(c / 2) for x > c. The sum of min(|x|, c) over some of the values, times tanh(c / 2) / c, is a
-    lower bound of ``d1``.
+    least tanh(c / 2) for x > c. The sum of min(|p − q|, c) over some of the values, times tanh(c / 2) / c, is
+    a lower bound of ``d1``.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import math
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from pcretrieve.retrieval.blocks import N_CELLS, NO_ROW, Blocks, Rows
 from pcretrieve.types import FloatArray
 
-__all__ = ["BLOCK", "LowerBounds"]
+__all__ = ["CHUNK", "LowerBounds"]
 
 # Number of principal directions, and for d1 number of values, that the bounds are computed from. With fewer
 # the bounds are looser and more shapes need an exact distance; with more the bounds take longer. See
 # docs/decisions.md, N_LEADING.
-N_LEADING = 16
-N_LEADING_D1 = 32
+N_LEADING = 24
+N_LEADING_D1 = 40
+
+# Largest number of the leading axes that the blocks are divided along. A million shapes are divided ten times
+# before they are in blocks.
+N_DIVIDING = 8
 
 # The abscissa c where the chord of d1 ends; any c gives a lower bound. See docs/decisions.md, CLIP.
 CLIP = 1.5
+CHORD_SLOPE = math.tanh(CLIP / 2) / CLIP
 
 # Number of signatures that are processed together, so that intermediate arrays have a few MB.
-BLOCK = 2**15
+CHUNK = 2**15
+
+# Number of blocks whose bounds numpy computes together: their arrays fit the second-level cache.
+N_TOGETHER = 32
 
 SINGLE = float(np.finfo(np.float32).eps)
+LARGEST_SINGLE = float(np.finfo(np.float32).max)
+
+# Rounding errors in single precision of the distance to a cell, in units of its length: numbers of up to 512
+# lengths are rounded three times, and the factor of ten beyond that is without effect on the bounds.
+CELL_ROUNDING = 10 * 3 * 2 * N_CELLS * SINGLE
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -53,15 +70,14 @@ class LowerBounds:
         Mean of the whitened log-signatures, which is subtracted from each.
     axes : (L, D) float64
         Orthonormal columns: the principal directions, or the unit vectors of the selected values.
-    coordinates : (D + 1, N) or (D, N) float32
-        Coordinates of the signatures along the axes; for ``log`` and ``d2`` the squared length of each in the
-        last row.
+    blocks : Blocks
+        Coordinates of the signatures along the axes.
     """
 
     euclidean: bool
     mean: FloatArray
     axes: FloatArray
-    coordinates: NDArray[np.float32]
+    blocks: Blocks
 
     @classmethod
     def of(cls, distance: str, gallery: FloatArray, n_leading: int | None = None) -> LowerBounds:
@@ -82,22 +98,25 @@ class LowerBounds:
             With the principal directions, or the values, of largest variance.
         """
         mean = gallery.mean(axis=0)
+        scatter = _scatter(gallery, mean)
         if distance == "d1":
-            order = np.argsort(-np.diag(_scatter(gallery, mean)), kind="stable")[: n_leading or N_LEADING_D1]
+            order = np.argsort(-np.diag(scatter), kind="stable")[: n_leading or N_LEADING_D1]
             axes = np.eye(gallery.shape[1])[:, order]  # (L, D)
-            return cls(False, mean, axes, _coordinates(gallery, mean, axes))
-        _, directions = np.linalg.eigh(_scatter(gallery, mean))  # variances ascend
-        axes = np.ascontiguousarray(directions[:, ::-1][:, : n_leading or N_LEADING])
-        return cls(True, mean, axes, _coordinates(gallery, mean, axes, lengths=True))
-
-    @property
-    def table_shape(self) -> tuple[int, int]:
-        """(N, L): the number of signatures, and of values of each."""
-        return self.coordinates.shape[1], len(self.mean)
+        else:
+            _, directions = np.linalg.eigh(scatter)  # variances ascend
+            axes = np.ascontiguousarray(directions[:, ::-1][:, : n_leading or N_LEADING])
+        coordinates = partial(_coordinates, gallery, mean, axes)
+        leading = np.empty((min(N_DIVIDING, axes.shape[1]), len(gallery)), np.float32)
+        rows = np.arange(len(gallery), dtype=np.int32)
+        with np.errstate(over="ignore"):
+            for start in range(0, len(rows), CHUNK):
+                chunk = slice(start, start + CHUNK)
+                leading[:, chunk] = _coordinates(gallery, mean, axes[:, : len(leading)], chunk).T
+        return cls(distance != "d1", mean, axes, Blocks.of(leading, coordinates, rows))
 
     def to_arrays(self) -> dict[str, NDArray[Any]]:
         """The arrays of the bounds, by name: the input of `from_arrays`."""
-        return {"mean": self.mean, "axes": self.axes, "coordinates": self.coordinates}
+        return {"mean": self.mean, "axes": self.axes} | self.blocks.to_arrays()
 
     @classmethod
     def from_arrays(cls, distance: str, arrays: Mapping[str, NDArray[Any]]) -> LowerBounds:
@@ -120,104 +139,139 @@ class LowerBounds:
         KeyError
             If an array is missing.
         """
-        return cls(distance != "d1", arrays["mean"], arrays["axes"], arrays["coordinates"])
+        return cls(distance != "d1", arrays["mean"], arrays["axes"], Blocks.from_arrays(arrays))
 
-    def to(self, point: FloatArray) -> NDArray[np.float32]:
-        """Values that increase with the lower bounds of the distances from a query.
+    def fits(self, gallery: FloatArray) -> bool:
+        """Whether the arrays have the shapes of the bounds of a table (N, L)."""
+        blocks, n_axes = self.blocks, self.axes.shape[1]
+        n_blocks, size = blocks.rows.shape
+        return (
+            (blocks.n_rows, len(self.mean)) == gallery.shape
+            and self.axes.shape[0] == len(self.mean)
+            and blocks.low.shape == blocks.step.shape == (n_blocks, n_axes)
+            and blocks.codes.shape == (n_blocks, n_axes, size)
+        )
 
-        Parameters
-        ----------
-        point : (L,) float64
-            Whitened log-signature of the query.
-
-        Returns
-        -------
-        (N,) float32
-            To be compared with `limit`.
-        """
-        query = self._query(point)
-        # Where single precision overflows, bounds are infinite or NaN.
-        with np.errstate(over="ignore", invalid="ignore"):
-            if self.euclidean:
-                product: NDArray[np.float32] = np.append(-2 * query, 1).astype(np.float32) @ self.coordinates
-                return product
-            return _clipped_sums(query.astype(np.float32), self.coordinates)
-
-    def limit(self, point: FloatArray, radius: float) -> np.float32:
-        """The largest value of `to` that a signature within a radius can have, rounding errors included.
-
-        Parameters
-        ----------
-        point : (L,) float64
-            Whitened log-signature of the query.
-        radius : float
-            Distance from the query; not negative, may be infinite.
-
-        Returns
-        -------
-        float32
-            A signature with a larger value, NaN apart, is outside the radius.
-        """
-        query = self._query(point)
-        n = len(query)
-        with np.errstate(over="ignore", invalid="ignore"):
-            if self.euclidean:
-                length = query @ query
-                # The stored squared lengths are reduced by their share of the rounding error.
-                bound = radius**2 - length + _rounding(n) * length
-            else:
-                # Where |p − q| ≤ c, the magnitude of the coordinate p is at most |q| + c.
-                rounding = SINGLE * n * (2 * np.abs(query).max() + (n + 3) * CLIP)
-                bound = radius * CLIP / np.tanh(CLIP / 2) + rounding
-            limit: np.float32 = np.nextafter(np.float32(bound), np.float32(np.inf))
-            return limit
-
-    def _query(self, point: FloatArray) -> FloatArray:
-        """(D,) coordinates of a point along the axes."""
+    def query(self, point: FloatArray) -> FloatArray:
+        """(D,) coordinates of a point (L,) along the axes."""
         coordinates: FloatArray = (point - self.mean) @ self.axes
         return coordinates
+
+    def to_blocks(self, query: FloatArray) -> FloatArray:
+        """Values that increase with the lower bounds of the distances from a query to whole blocks.
+
+        Parameters
+        ----------
+        query : (D,) float64
+            The result of `query`.
+
+        Returns
+        -------
+        (B,) float64
+            To be compared with `limit`; zero where a number is too large for a bound.
+        """
+        with np.errstate(over="ignore", invalid="ignore"):
+            gaps = self.blocks.gaps(query)
+            terms = gaps**2 if self.euclidean else np.minimum(gaps, CLIP)
+        bounds: FloatArray = terms.sum(axis=1)
+        bounds[np.isnan(bounds)] = 0
+        return bounds
+
+    def to_rows(
+        self, query: FloatArray, chosen: NDArray[np.intp], limit: float, scan: Callable[..., int] | None
+    ) -> tuple[Rows, NDArray[np.float32]]:
+        """The rows in some blocks whose lower bound is at most a limit.
+
+        Parameters
+        ----------
+        query : (D,) float64
+            The result of `query`.
+        chosen : (b,) intp
+            The blocks.
+        limit : float
+            A result of `limit`.
+        scan : function, optional
+            `pcretrieve.retrieval.compiled.scan`; by default numpy is used.
+
+        Returns
+        -------
+        rows : (n,) int32
+            The rows.
+        bounds : (n,) float32
+            Values that increase with the lower bounds of their distances.
+        """
+        blocks = self.blocks
+        with np.errstate(over="ignore", invalid="ignore"):
+            step = blocks.step[chosen]  # (b, D)
+            offset = (blocks.low[chosen] - query + step / 2).astype(np.float32)
+            half = (step * (0.5 + CELL_ROUNDING)).astype(np.float32)
+            single = step.astype(np.float32)
+            if scan is None:
+                return self._scan(chosen, offset, single, half, np.float32(limit))
+        clip = np.float32(0 if self.euclidean else CLIP)
+        rows = np.empty(len(chosen) * blocks.rows.shape[1], np.int32)
+        bounds = np.empty(len(rows), np.float32)
+        n = scan(
+            blocks.codes, blocks.rows, chosen, offset, single, half, clip, np.float32(limit), rows, bounds
+        )
+        return rows[:n], bounds[:n]
+
+    def limit(self, radius: float) -> float:
+        """The largest value of `to_blocks` or `to_rows` that a signature within a radius can have.
+
+        Parameters
+        ----------
+        radius : float
+            Distance from the query; not negative, may be infinite. It includes the rounding errors of the
+            coordinates in double precision.
+
+        Returns
+        -------
+        float
+            A signature with a larger value is outside the radius.
+        """
+        # The terms are rounded, and so are the partial sums of D terms, none of which is negative.
+        rounding = 1 + 4 * (self.axes.shape[1] + 8) * SINGLE
+        limit = (radius * radius if self.euclidean else radius / CHORD_SLOPE) * rounding
+        return limit if limit < LARGEST_SINGLE else math.inf
+
+    def _scan(
+        self,
+        chosen: NDArray[np.intp],
+        offset: NDArray[np.float32],
+        step: NDArray[np.float32],
+        half: NDArray[np.float32],
+        limit: np.float32,
+    ) -> tuple[Rows, NDArray[np.float32]]:
+        """What `pcretrieve.retrieval.compiled.scan` finds, by numpy."""
+        found_rows, found_bounds = [], []
+        for start in range(0, len(chosen), N_TOGETHER):
+            part = slice(start, start + N_TOGETHER)
+            rows = self.blocks.rows[chosen[part]]  # (b, S)
+            total = np.zeros(rows.shape, np.float32)
+            for axis in range(step.shape[1]):
+                apart = self.blocks.codes[chosen[part], axis] * step[part, axis, np.newaxis]
+                apart += offset[part, axis, np.newaxis]
+                np.abs(apart, out=apart)
+                apart -= half[part, axis, np.newaxis]
+                np.maximum(apart, 0, out=apart)
+                total += np.square(apart, out=apart) if self.euclidean else np.minimum(apart, CLIP, out=apart)
+            near = ~(total > limit) & (rows != NO_ROW)
+            found_rows.append(rows[near])
+            found_bounds.append(total[near])
+        return np.concatenate(found_rows), np.concatenate(found_bounds)
 
 
 def _scatter(gallery: FloatArray, mean: FloatArray) -> FloatArray:
     """(L, L) sum of the outer products of the centred rows, without a centred copy of the table."""
     scatter = np.zeros((len(mean), len(mean)))
-    for start in range(0, len(gallery), BLOCK):
-        centred = gallery[start : start + BLOCK] - mean
+    for start in range(0, len(gallery), CHUNK):
+        centred = gallery[start : start + CHUNK] - mean
         scatter += centred.T @ centred
     return scatter
 
 
-def _coordinates(
-    gallery: FloatArray, mean: FloatArray, axes: FloatArray, *, lengths: bool = False
-) -> NDArray[np.float32]:
-    """(D, N) coordinates along the axes; with `lengths` (D + 1, N), the squared lengths in the last row."""
-    n_axes = axes.shape[1]
-    coordinates = np.empty((n_axes + lengths, len(gallery)), np.float32)
-    with np.errstate(over="ignore"):
-        for start in range(0, len(gallery), BLOCK):
-            block = slice(start, start + BLOCK)
-            along = (gallery[block] - mean) @ axes  # (n, D)
-            coordinates[:n_axes, block] = along.T
-            if lengths:
-                coordinates[-1, block] = (along**2).sum(axis=1) * (1 - 2 * _rounding(n_axes))
-    return coordinates
-
-
-def _rounding(n_axes: int) -> float:
-    """Bound of the rounding error of ‖p‖² − 2 p·q in single precision, relative to 2 ‖p‖² + ‖q‖²."""
-    # The factors, the products and the partial sums of D + 1 terms are rounded, and 2 |p·q| ≤ ‖p‖² + ‖q‖².
-    # The factor of four beyond that covers the errors in double precision.
-    return 2 * (n_axes + 4) * SINGLE
-
-
-def _clipped_sums(query: NDArray[np.float32], coordinates: NDArray[np.float32]) -> NDArray[np.float32]:
-    """(N,) sums over the rows of min(|coordinate − query|, c)."""
-    sums = np.empty(coordinates.shape[1], np.float32)
-    terms = np.empty((len(query), BLOCK), np.float32)
-    for start in range(0, len(sums), BLOCK):
-        block = coordinates[:, start : start + BLOCK]
-        apart = np.subtract(block, query[:, np.newaxis], out=terms[:, : block.shape[1]])
-        np.abs(apart, out=apart)
-        np.minimum(apart, np.float32(CLIP), out=apart)
-        apart.sum(axis=0, out=sums[start : start + BLOCK])
-    return sums
+def _coordinates(gallery: FloatArray, mean: FloatArray, axes: FloatArray, rows: Rows | slice) -> FloatArray:
+    """(n, D) coordinates of some rows along the axes."""
+    along: FloatArray = (gallery[rows] - mean) @ axes
+    return along

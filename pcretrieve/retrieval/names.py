@@ -56,9 +56,9 @@ class Names(Sequence[str]):
     def __getitem__(self, position: int | slice) -> str | list[str]:
         if isinstance(position, slice):
             return [self[number] for number in range(*position.indices(len(self)))]
-        number = range(len(self))[position]
+        number = range(len(self.ends))[position]
         start = self.ends[number - 1] if number else 0
-        return self.text[start : self.ends[number]].tobytes().decode()
+        return str(self.text[start : self.ends[number]].data, "utf-8")
 
     def __contains__(self, name: object) -> bool:
         return isinstance(name, str) and self[(row := bisect_left(self, name)) : row + 1] == [name]

@@ -17,6 +17,7 @@ __all__ = [
     "DistanceBlock",
     "Positions",
     "Ranking",
+    "checked_count",
     "checked_k",
     "nearest_of",
     "pairwise_blocks",
@@ -160,9 +161,32 @@ def checked_k(k: int) -> int:
     OptionError
         If it is not a whole number of at least 1.
     """
-    if isinstance(k, bool) or not isinstance(k, (int, np.integer)) or k < 1:
-        raise OptionError(f"k must be a whole number of at least 1, got {k!r}")
-    return int(k)
+    return checked_count("k", k)
+
+
+def checked_count(name: str, value: int) -> int:
+    """A number of things, after a check.
+
+    Parameters
+    ----------
+    name : str
+        The name of the parameter.
+    value : int
+        The number.
+
+    Returns
+    -------
+    int
+        At least 1.
+
+    Raises
+    ------
+    OptionError
+        If it is not a whole number of at least 1.
+    """
+    if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < 1:
+        raise OptionError(f"{name} must be a whole number of at least 1, got {value!r}")
+    return int(value)
 
 
 def position_of(ids: Sequence[str], shape_id: str) -> int:

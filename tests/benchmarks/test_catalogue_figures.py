@@ -26,7 +26,9 @@ def test_figures_of_catalogues_and_of_ingestion() -> None:
     measured = {line[:58].strip(): line[59:] for line in lines}
     assert re.fullmatch(r"[\d.]+ ms", measured["Catalogue(...)"])
     for distance in ("log", "d1", "d2"):
-        assert measured[f"index.nearest, {distance}"].endswith("5 of 5 as by brute force")
+        for whitening in ("none", "pca", "within-class"):
+            row = measured[f"index.nearest, {distance}, whitening {whitening}"]
+            assert re.match(r"[\d.]+ ms; .*faiss.*; 5 of 5 as by brute force", row)
     assert re.fullmatch(
         r"median [\d.]+ s, peak \d+ MiB", measured["pcretrieve query ID, whose index is kept"]
     )

@@ -14,8 +14,8 @@ from pcretrieve.retrieval import (
     fit_whitening,
     log_signatures,
     pairwise,
+    whitened,
 )
-from pcretrieve.retrieval import index as index_module
 from pcretrieve.retrieval.filtering import Filter
 from pcretrieve.retrieval.names import Names
 from pcretrieve.types import FloatArray, Signature, SignatureTable
@@ -68,7 +68,7 @@ def test_leaves_most_of_a_gallery_out(distance: str) -> None:
     table = a_table(3000)
     index = SignatureIndex(table, RetrievalOptions(distance=distance))
     points = index.whitening.apply(log_signatures(table.values[:20]))
-    measured = [len(index._filter.candidates(point[np.newaxis], 5)) for point in points]
+    measured = [len(index._table.filter.candidates(point[np.newaxis], 5)) for point in points]
     assert np.median(measured) < 100
 
 
@@ -260,7 +260,7 @@ def test_arrays_that_are_missing_are_named(missing: str) -> None:
         SignatureIndex.from_arrays(arrays)
 
 
-@pytest.mark.parametrize("name", ["gallery", "id_ends", "coordinates", "mean"])
+@pytest.mark.parametrize("name", ["gallery", "id_ends", "rows", "codes", "mean"])
 def test_arrays_of_two_tables_are_no_index(name: str) -> None:
     arrays = SignatureIndex(a_table(20)).to_arrays()
     arrays[name] = SignatureIndex(a_table(21, n_values=14)).to_arrays()[name]
@@ -282,7 +282,7 @@ def test_a_shape_of_the_table_is_asked_for_by_its_id() -> None:
 def test_long_tables_are_whitened_in_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
     table = a_table(100)
     whole = SignatureIndex(table, RetrievalOptions(whitening="pca")).to_arrays()["gallery"]
-    monkeypatch.setattr(index_module, "BLOCK", 7)
+    monkeypatch.setattr(whitened, "CHUNK", 7)
     blocks = SignatureIndex(table, RetrievalOptions(whitening="pca")).to_arrays()["gallery"]
     np.testing.assert_array_equal(blocks, whole)
 

@@ -4,15 +4,21 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from collections.abc import Callable
 
 import numpy as np
 import pytest
 
 from pcretrieve.retrieval import DISTANCES, pairwise
-from pcretrieve.retrieval.lower_bounds import BLOCK, LowerBounds
+from pcretrieve.retrieval.blocks import BLOCK_SIZE
+from pcretrieve.retrieval.compiled import scan
+from pcretrieve.retrieval.filtering import ROUNDING
+from pcretrieve.retrieval.lower_bounds import LowerBounds
 from pcretrieve.types import FloatArray
 
 N_VALUES = 12
+
+Scan = Callable[..., int] | None
 
 
 def galleries() -> dict[str, FloatArray]:
@@ -25,57 +31,101 @@ def galleries() -> dict[str, FloatArray]:
         "equal": np.full((40, N_VALUES), -0.7),
         "one far outlier": np.concatenate([spread, [np.full(N_VALUES, 1e6)]]),
         "one": spread[:1],
+        "two blocks": np.concatenate([spread, spread + 1e-3, spread[:300] - 5]),
     }
 
 
+def bounds_of_all(bounds: LowerBounds, point: FloatArray, scan: Scan) -> FloatArray:
+    """(N,) lower bounds; infinite for rows that are in no block."""
+    rows, found = bounds.to_rows(bounds.query(point), np.arange(len(bounds.blocks.rows)), np.inf, scan)
+    every = np.full(bounds.blocks.n_rows, np.inf)
+    every[rows] = found
+    return every
+
+
+@pytest.mark.parametrize("scan", [None, scan])
 @pytest.mark.parametrize("distance", DISTANCES.own)
 @pytest.mark.parametrize("name", galleries())
-def test_no_signature_lies_within_a_distance_and_beyond_its_limit(name: str, distance: str) -> None:
+def test_no_signature_lies_within_a_distance_and_beyond_its_limit(
+    name: str, distance: str, scan: Scan
+) -> None:
     gallery = galleries()[name]
     bounds = LowerBounds.of(distance, gallery)
     rng = np.random.default_rng(6)
     queries = (gallery[0], gallery[-1], gallery[0] + 1e-7, rng.normal(size=N_VALUES) * 300)
     for query in queries:
         exact = pairwise(distance, query[np.newaxis], gallery)[0]
-        found = bounds.to(query)
-        for radius in np.unique(exact):
-            within = found <= bounds.limit(query, radius * (1 + 1e-12) + 1e-11)
-            assert within[exact <= radius].all()
+        rounding = ROUNDING * N_VALUES**2 * max(np.abs(gallery).max(), np.abs(query).max())
+        found = bounds_of_all(bounds, query, scan)
+        blocks = bounds.to_blocks(bounds.query(query))
+        for radius in np.unique(exact)[:: max(1, len(gallery) // 50)]:
+            limit = bounds.limit(float(radius) * (1 + ROUNDING) + rounding)
+            within = np.flatnonzero(exact <= radius)
+            assert (found[within] <= limit).all()
+            for block, rows in zip(blocks, bounds.blocks.rows, strict=True):
+                assert block <= limit or not np.isin(within, rows).any()
 
 
+@pytest.mark.parametrize("scan", [None, scan])
 @pytest.mark.parametrize("distance", DISTANCES.own)
-def test_bounds_tell_near_from_far(distance: str) -> None:
+def test_bounds_tell_near_from_far(distance: str, scan: Scan) -> None:
     gallery = galleries()["spread"]
     bounds = LowerBounds.of(distance, gallery)
     exact = pairwise(distance, gallery[:1], gallery)[0]
     radius = float(np.quantile(exact, 0.02))
-    within = bounds.to(gallery[0]) <= bounds.limit(gallery[0], radius)
-    assert within.sum() < 0.1 * len(gallery)
-
-
-def test_tables_longer_than_a_block() -> None:
-    rng = np.random.default_rng(7)
-    gallery = rng.normal(size=(BLOCK + 3, 4))
-    bounds = LowerBounds.of("d1", gallery)
-    halves = [LowerBounds(False, bounds.mean, bounds.axes, bounds.coordinates[:, s]) for s in np.s_[:9, -9:]]
-    whole = bounds.to(gallery[0])
-    np.testing.assert_array_equal(whole[:9], halves[0].to(gallery[0]))
-    np.testing.assert_array_equal(whole[-9:], halves[1].to(gallery[0]))
+    found, _ = bounds.to_rows(bounds.query(gallery[0]), np.array([0]), bounds.limit(radius), scan)
+    assert set(np.flatnonzero(exact <= radius)) <= set(found.tolist())
+    assert len(found) < 0.1 * len(gallery)
 
 
 @pytest.mark.parametrize("distance", DISTANCES.own)
-def test_queries_beyond_single_precision_leave_nothing_out(distance: str) -> None:
+def test_compiled_bounds_are_those_of_numpy(distance: str) -> None:
+    gallery = galleries()["two blocks"]
+    bounds = LowerBounds.of(distance, gallery)
+    assert len(bounds.blocks.rows) == 2
+    for query in gallery[::100]:
+        np.testing.assert_allclose(
+            bounds_of_all(bounds, query, scan), bounds_of_all(bounds, query, None), rtol=1e-5, atol=1e-6
+        )
+
+
+@pytest.mark.parametrize("scan", [None, scan])
+@pytest.mark.parametrize("distance", DISTANCES.own)
+def test_queries_beyond_single_precision_leave_nothing_out(distance: str, scan: Scan) -> None:
     gallery = galleries()["spread"]
     bounds = LowerBounds.of(distance, gallery)
     query = np.full(N_VALUES, 1e30)
-    assert not (bounds.to(query) > bounds.limit(query, np.inf)).any()
+    assert bounds.limit(1e30) == (np.inf if bounds.euclidean else pytest.approx(1e30 * 2.36, rel=0.01))
+    rows, _ = bounds.to_rows(bounds.query(query), np.array([0]), np.inf, scan)
+    assert sorted(rows) == list(range(len(gallery)))
+
+
+@pytest.mark.parametrize("n", [1, 2, BLOCK_SIZE, BLOCK_SIZE + 1, 5 * BLOCK_SIZE + 3])
+def test_each_row_is_in_one_block(n: int) -> None:
+    rng = np.random.default_rng(7)
+    for gallery in (rng.normal(size=(n, 4)), np.ones((n, 4))):
+        rows = LowerBounds.of("log", gallery).blocks.rows
+        assert sorted(rows[rows >= 0]) == list(range(n))
+
+
+def test_blocks_are_of_neighbours() -> None:
+    """So that most blocks are farther from a query than its neighbours are."""
+    gallery = np.random.default_rng(8).normal(size=(50 * BLOCK_SIZE, 3))
+    bounds = LowerBounds.of("log", gallery)
+    radius = float(np.sort(pairwise("log", gallery[:1], gallery)[0])[10])
+    near = bounds.to_blocks(bounds.query(gallery[0])) <= bounds.limit(radius)
+    assert 1 <= near.sum() < 0.2 * len(near)
 
 
 def test_an_index_needs_no_scikit_learn() -> None:
+    """Nor numba, which takes longer to load than a few queries."""
     code = (
         "import sys, numpy; from pcretrieve.retrieval import SignatureIndex; "
         "from pcretrieve.types import SignatureTable; "
-        "SignatureIndex(SignatureTable('ab', numpy.ones((2, 3)), 'k')).query(numpy.ones(3)); "
-        "assert not {'sklearn', 'scipy', 'numba'} & set(sys.modules), sorted(sys.modules)"
+        "index = SignatureIndex(SignatureTable('ab', numpy.ones((2, 3)), 'k')); "
+        "index.query(numpy.ones(3)); "
+        "assert not {'sklearn', 'scipy', 'numba'} & set(sys.modules), sorted(sys.modules); "
+        "index.query_many(numpy.ones((20, 3))); "
+        "assert 'numba' in sys.modules"
     )
     subprocess.run([sys.executable, "-c", code], check=True, timeout=100)

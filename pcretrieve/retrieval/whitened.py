@@ -1,0 +1,188 @@
+"""The contents of an index: whitened coordinates of many shapes, in the order of their ids."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, NamedTuple, cast
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pcretrieve.errors import InputError
+from pcretrieve.retrieval.distances import coordinates
+from pcretrieve.retrieval.filtering import Filter
+from pcretrieve.retrieval.lower_bounds import CHUNK
+from pcretrieve.retrieval.names import Names
+from pcretrieve.retrieval.units import check_unit
+from pcretrieve.retrieval.whitening import Whitening
+from pcretrieve.types import FloatArray, Metric, Signature, SizeUnit
+
+__all__ = ["MadeBy", "WhitenedTable"]
+
+# Prefix of the names of the arrays of the whitening, among all arrays.
+WHITENING = "whitening_"
+
+
+class MadeBy(NamedTuple):
+    """How the signatures of a table were made.
+
+    Attributes
+    ----------
+    kind : str
+        The method.
+    digest : str
+        Digest of its options.
+    metric : {"logarithms", "values", "histograms"}
+        How its signatures are compared.
+    unit : {"m", "unknown"} or None
+        Unit of their sizes, as in `SignatureTable`.
+    """
+
+    kind: str
+    digest: str
+    metric: Metric
+    unit: SizeUnit | None
+
+    def check(self, query: Signature) -> None:
+        """Check that a query is comparable with the signatures of the table.
+
+        Parameters
+        ----------
+        query : Signature
+            The query.
+
+        Raises
+        ------
+        InputError
+            If it was made by another method or other options, or its size is in another unit.
+        """
+        if (query.kind, query.digest) != (self.kind, self.digest):
+            raise InputError(
+                f"the query must be made by the same method and options as the table, "
+                f"{self.kind!r} {self.digest!r}, got {query.kind!r} {query.digest!r}"
+            )
+        check_unit(query.unit, self.unit)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class WhitenedTable:
+    """Whitened coordinates of shapes, and the filter of their neighbours.
+
+    Attributes
+    ----------
+    made_by : MadeBy
+        How the signatures were made.
+    ids : Names, length N
+        The shapes, in alphabetical order.
+    whitening : Whitening
+        The whitening of the coordinates.
+    filter : Filter
+        The coordinates, in the order of the ids: equal distances are then in the order of the rows.
+    """
+
+    made_by: MadeBy
+    ids: Names
+    whitening: Whitening
+    filter: Filter
+
+    @classmethod
+    def of(
+        cls, made_by: MadeBy, ids: Names, points: FloatArray, distance: str, whitening: Whitening
+    ) -> WhitenedTable:
+        """Whiten coordinates in place, and bound their distances.
+
+        Parameters
+        ----------
+        made_by : MadeBy
+            How the signatures were made.
+        ids : Names, length N
+            The shapes, in alphabetical order; at least one.
+        points : (N, L) float64
+            Coordinates of the signatures, which are overwritten.
+        distance : str
+            A name in `pcretrieve.retrieval.DISTANCES`.
+        whitening : Whitening
+            The whitening.
+
+        Returns
+        -------
+        WhitenedTable
+            It holds the array `points`.
+
+        Raises
+        ------
+        InputError
+            If the whitening was fitted on signatures with other options.
+        """
+        whitening.check_made_for(made_by.digest)
+        for start in range(0, len(ids), CHUNK):
+            chunk = slice(start, start + CHUNK)
+            points[chunk] = whitening.apply(points[chunk])
+        return cls(made_by, ids, whitening, Filter.of(distance, points))
+
+    def point_of(self, signature: Signature | ArrayLike) -> FloatArray:
+        """The whitened coordinates of a query, after checks that it is comparable with the table.
+
+        Parameters
+        ----------
+        signature : Signature or (L,) array_like
+            The query.
+
+        Returns
+        -------
+        (1, L) float64
+            The coordinates.
+
+        Raises
+        ------
+        InputError
+            If the kind, the digest, the unit or the length of the signature is not that of the table, or the
+            metric does not allow a value.
+        """
+        if isinstance(signature, Signature):
+            self.made_by.check(signature)
+            signature = signature.values
+        point = coordinates(signature, self.made_by.metric)
+        row = self.filter.points.shape[1:]
+        if point.shape != row:
+            raise InputError(f"the query must have shape {row}, as the table's rows have, got {point.shape}")
+        return self.whitening.apply(point[np.newaxis])
+
+    def to_arrays(self) -> dict[str, NDArray[Any]]:
+        """The contents as arrays by name, none of which holds objects: the input of `from_arrays`."""
+        arrays = self.filter.to_arrays()
+        arrays |= {f"{WHITENING}{name}": array for name, array in self.whitening.to_arrays().items()}
+        arrays |= {"id_text": self.ids.text, "id_ends": self.ids.ends}
+        return arrays | {name: np.array(text or "") for name, text in self.made_by._asdict().items()}
+
+    @classmethod
+    def from_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> WhitenedTable:
+        """The table that `to_arrays` has written as arrays.
+
+        Parameters
+        ----------
+        arrays : mapping of str to array
+            The arrays, which are not copied.
+
+        Returns
+        -------
+        WhitenedTable
+            The table before.
+
+        Raises
+        ------
+        InputError
+            If an array is missing or has the wrong shape.
+        """
+        fitted = {name.removeprefix(WHITENING): a for name, a in arrays.items() if name.startswith(WHITENING)}
+        try:
+            kind, digest, metric, unit = (str(arrays[name]) for name in MadeBy._fields)
+            made_by = MadeBy(kind, digest, cast("Metric", metric), cast("SizeUnit", unit) or None)
+            ids = Names(arrays["id_text"], arrays["id_ends"])
+            table = cls(made_by, ids, Whitening.from_arrays(fitted), Filter.from_arrays(arrays))
+        except KeyError as error:
+            raise InputError(f"the arrays of an index must include {error.args[0]!r}") from error
+        if len(ids) != len(table.filter.points):
+            raise InputError("the arrays of an index must be of one table, got several; build it again")
+        return table
