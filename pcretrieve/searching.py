@@ -13,6 +13,8 @@ from typing import TYPE_CHECKING
 from pcretrieve.catalogue import Catalogue
 from pcretrieve.errors import InputError
 from pcretrieve.options import PipelineOptions
+from pcretrieve.retrieval import N_NEAR, reranked_neighbors
+from pcretrieve.retrieval.ranking import checked_k
 from pcretrieve.types import Neighbors, Signature
 
 if TYPE_CHECKING:
@@ -88,15 +90,21 @@ def search(
                 "leave out the matrix, or ingest the scan and make the matrix again"
             )
         return matrix.nearest(held, k)
-    index = catalogue.index(options)
+    index, method = catalogue.index(options), options.retrieval.rerank
+    # The neighbourhoods of the results, among which a list is sorted again, need more shapes than asked for.
+    most = checked_k(k) if method == "none" else max(checked_k(k), N_NEAR)
     if held is not None:
-        return index.nearest(held, k)
+        return _first(reranked_neighbors(index, index.nearest(held, most), method, shape_id=held), k)
     if isinstance(query, Signature):
-        return index.query(query, k)
+        return _first(reranked_neighbors(index, index.query(query, most), method), k)
     own = catalogue.options.model_copy(update={"signature": options.compared})
     if unit is not None:
         own = own.changed(scan={"unit": unit})
-    return index.query(describe_scan(Path(query), own), k)
+    return _first(reranked_neighbors(index, index.query(describe_scan(Path(query), own), most), method), k)
+
+
+def _first(found: Neighbors, k: int) -> Neighbors:
+    return Neighbors(found.ids[:k], found.distances[:k])
 
 
 def _held(catalogue: Catalogue, query: str | Path, *, is_converted: bool) -> str | None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -84,6 +85,7 @@ def evaluate_command(
                 "distance": options.retrieval.distance,
                 "whitening": options.retrieval.whitening,
                 "whitening_used": ranked.whitening,
+                "rerank": options.retrieval.rerank,
             }
     measures = evaluate_rankings(ranked.rankings)
     counts = {"n_failed": ranked.n_failed, "n_shapes": ranked.rankings.n_gallery}
@@ -92,7 +94,10 @@ def evaluate_command(
         write_json(document)
         return
     click.echo("  ".join(f"{name:>6}" for name in MEASURES.values()))
-    click.echo("  ".join(f"{document[name]:6.4f}" for name in MEASURES))
+    rerank = how.get("rerank", "none")
+    if ranked.plain is not None and rerank != "none":
+        click.echo(f"{_row(asdict(evaluate_rankings(ranked.plain)))}  plain")
+    click.echo(_row(document) + (f"  {rerank}" if rerank != "none" else ""))
     by = f"scale {how['scale']}" if "scale" in how else f"distances of {matrix}"
     if how.get("size_weight"):
         by += f", size weight {how['size_weight']:g}"
@@ -102,3 +107,7 @@ def evaluate_command(
     )
     if ranked.whitening:
         say(f"whitening: {ranked.whitening}")
+
+
+def _row(measures: Mapping[str, Any]) -> str:
+    return "  ".join(f"{measures[name]:6.4f}" for name in MEASURES)

@@ -130,6 +130,13 @@ _whitening_option = click.option(
     "r-bihdm). auto is within-class if there are enough labels, else neighbours; `evaluate` does not fit "
     "auto to labels.  [default: auto, or the catalogue's]",
 )
+_rerank_option = click.option(
+    "--rerank",
+    type=click.Choice(["none", "local", "k-reciprocal"]),
+    help="Sort the first hundred results again, of which the first stays: by distances relative to those of "
+    "near shapes (local), or by how many neighbours two shapes share (k-reciprocal).  [default: none, or "
+    "the catalogue's]",
+)
 _overlay_option = click.option(
     "--config",
     type=click.Path(path_type=Path),
@@ -214,6 +221,7 @@ def comparison_options(command: Callable[..., None]) -> Callable[..., None]:
         scale_option,
         n_values_option,
         method_option,
+        _rerank_option,
         _whitening_option,
         _distance_option,
     ):
@@ -246,7 +254,7 @@ def compared(store: Catalogue, config: Path | None, **flags: Any) -> PipelineOpt
     given = {name: value for name, value in flags.items() if value is not None}
     tables: dict[str, dict[str, Any]] = {"signature": {}, "retrieval": {}}
     for name, value in given.items():
-        tables["retrieval" if name in ("distance", "whitening") else "signature"][name] = value
+        tables["retrieval" if name in ("distance", "whitening", "rerank") else "signature"][name] = value
     options = load_options(config, base=store.options).changed(**tables)
     if options.signature.compares_sizes:
         _warn_of_mixed_units(store)

@@ -36,12 +36,15 @@ class RankedCatalogue(NamedTuple):
         The signatures that were compared, with the classes; None for a distance matrix.
     whitening : str
         The whitening that was used, and why, in one line; empty for a distance matrix.
+    plain : Rankings or None
+        The rankings before re-ranking; None for a distance matrix.
     """
 
     rankings: Rankings
     n_failed: int
     table: SignatureTable | None
     whitening: str = ""
+    plain: Rankings | None = None
 
 
 def rank_catalogue(
@@ -106,19 +109,30 @@ def rank_catalogue(
     table = replace(table, labels=tuple(classes[shape_id] for shape_id in table.ids))
     failed = [classes[record.id] for record in records.values() if record.status == "failed"]
     retrieval = unsupervised(options.retrieval)
+    whitening = None
     if retrieval.whitening == "within-class":
-        rankings = rank_table(table, retrieval, failed_labels=failed)
         reason = f"within-class, fitted for each of {retrieval.n_folds} folds of classes to the other folds"
-        return RankedCatalogue(rankings, len(failed), table, reason)
-    if retrieval.whitening == "resolution":
-        whitening = catalogue.whitening(options)
+        if retrieval.rerank != "none":
+            reason += ", and the gallery is the fold"
     else:
-        whitening = table_whitening(table, retrieval, prior=resolution_covariance(options.compared))
-    rankings = rank_table(table, retrieval, whitening=whitening, failed_labels=failed)
-    reason = whitening.reason
-    if options.retrieval.whitening == "auto":
-        reason += ", without labels"
-    return RankedCatalogue(rankings, len(failed), table, reason)
+        prior = resolution_covariance(options.compared)
+        is_measured = retrieval.whitening == "resolution"
+        made = catalogue.whitening(options) if is_measured else None
+        whitening = table_whitening(table, retrieval, made, prior=prior)
+        reason = whitening.reason + (", without labels" if options.retrieval.whitening == "auto" else "")
+
+    def ranked(method: str) -> Rankings:
+        return rank_table(
+            table,
+            retrieval.model_copy(update={"rerank": method}),
+            whitening=whitening,
+            failed_labels=failed,
+            unseen_only=retrieval.rerank != "none",
+        )
+
+    plain = ranked("none")
+    rankings = plain if retrieval.rerank == "none" else ranked(retrieval.rerank)
+    return RankedCatalogue(rankings, len(failed), table, reason, plain)
 
 
 def check_known(matrix: DistanceMatrix, catalogue: Catalogue) -> None:

@@ -11,11 +11,13 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Iterator
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
 
 from pcretrieve.errors import BenchmarkError
+from pcretrieve.evaluation.reranked import reranked_blocks
 from pcretrieve.options import RetrievalOptions
 from pcretrieve.retrieval import (
     DistanceBlock,
@@ -119,7 +121,7 @@ def within_class_folds(table: SignatureTable, options: RetrievalOptions | None =
 
 
 def within_class_distances(
-    table: SignatureTable, options: RetrievalOptions | None = None
+    table: SignatureTable, options: RetrievalOptions | None = None, *, unseen_only: bool = False
 ) -> Iterator[DistanceBlock]:
     """Distances from each labelled shape to the whole table, after the whitening of its fold.
 
@@ -128,14 +130,25 @@ def within_class_distances(
     table : SignatureTable
         Signatures with labels.
     options : RetrievalOptions, optional
-        The distance, the shrinkage, the number of folds and the seed.
+        The distance, the shrinkage, the number of folds and the seed; and the re-ranking, if `unseen_only`.
+    unseen_only : bool, default False
+        Whether the gallery of a query is its fold only. Shapes of the fit, which form dense classes because
+        their labels were used, would distort what re-ranking measures: neighbourhoods.
 
     Yields
     ------
     DistanceBlock
-        Queries of one fold.
+        Queries of one fold; with `unseen_only`, ranks within the fold, and infinity for other shapes.
     """
     options = options or RetrievalOptions()
     logs = table_coordinates(table, options.distance)
     for fold in within_class_folds(table, options):
-        yield from pairwise_blocks(options.distance, fold.whitening.apply(logs), fold.queries)
+        if not unseen_only:
+            yield from pairwise_blocks(options.distance, fold.whitening.apply(logs), fold.queries)
+            continue
+        own = np.arange(len(fold.queries))
+        blocks = partial(pairwise_blocks, options.distance, fold.whitening.apply(logs[fold.queries]), own)
+        for queries, ranks in reranked_blocks(options.rerank, blocks, len(own), own):
+            distances = np.full((len(queries), len(table)), np.inf)
+            distances[:, fold.queries] = ranks
+            yield DistanceBlock(fold.queries[queries], distances)

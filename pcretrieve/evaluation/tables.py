@@ -4,9 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
+import numpy as np
+
 from pcretrieve.evaluation.folds import within_class_distances
 from pcretrieve.evaluation.measures import RetrievalMeasures, evaluate_rankings
 from pcretrieve.evaluation.rankings import Rankings, rank, rank_gallery
+from pcretrieve.evaluation.reranked import reranked_blocks
 from pcretrieve.options import RetrievalOptions
 from pcretrieve.retrieval import SignatureIndex, Whitening
 from pcretrieve.types import SignatureTable
@@ -20,6 +23,7 @@ def rank_table(
     *,
     whitening: Whitening | None = None,
     failed_labels: Iterable[str | None] = (),
+    unseen_only: bool = False,
 ) -> Rankings:
     """Rank a table of signatures for each labelled shape in it.
 
@@ -36,6 +40,9 @@ def rank_table(
         within-class whitening is not used, but is fitted by grouped folds instead.
     failed_labels : iterable of (str or None)
         Classes of the shapes that failed, which count as misses.
+    unseen_only : bool, default False
+        Whether the gallery of a query has only classes to which a within-class whitening was not fitted, as
+        is always so with re-ranking.
 
     Returns
     -------
@@ -55,13 +62,18 @@ def rank_table(
     if (options.whitening if whitening is None else whitening.kind) == "within-class":
         if whitening is not None:
             whitening.check_made_for(table.digest)
-        blocks = within_class_distances(table, options)
+        blocks = within_class_distances(table, options, unseen_only=unseen_only or options.rerank != "none")
         return rank_gallery(blocks, table.ids, table.labels, failed_labels=failed_labels)
     if not len(table):
         return rank_gallery((), (), (), failed_labels=failed_labels)
     index = SignatureIndex(table, options, whitening=whitening)
     label_of = dict(zip(table.ids, table.labels, strict=True))
-    return rank(index, [label_of[shape_id] for shape_id in index.ids], failed_labels=failed_labels)
+    labels = [label_of[shape_id] for shape_id in index.ids]
+    if options.rerank == "none":
+        return rank(index, labels, failed_labels=failed_labels)
+    labelled = np.flatnonzero([label is not None for label in labels])
+    blocks = reranked_blocks(options.rerank, index.blocks, len(index), labelled)
+    return rank_gallery(blocks, index.ids, labels, failed_labels=failed_labels)
 
 
 def unsupervised(options: RetrievalOptions) -> RetrievalOptions:

@@ -32,6 +32,10 @@ class RetrievalOptions(Options):
     """Regularisation of the covariance of a whitening: for pca and resolution relative to its largest
     eigenvalue, for others the shrinkage intensity. auto: .01, .03, and .1 for neighbours, .03 with r-bihdm;
     for within-class the likeliest on classes that are left out."""
+    rerank: RerankKind = "none"
+    """Re-ranking of the first hundred results of a query, of which the first keeps its rank: by distances
+    relative to the distances of near shapes (local), or by the overlap of k-reciprocal neighbourhoods
+    (k-reciprocal)."""
     n_folds: Annotated[int, Field(ge=2)] = 5
     """Number of folds of classes with which a within-class whitening is evaluated."""
     fold_seed: Annotated[int, Field(ge=0)] = 0

@@ -12,7 +12,7 @@ from pcretrieve.matching import DistanceMatrix
 from pcretrieve.options import PipelineOptions
 from pcretrieve.pages.report import Card, Panel, write_report
 from pcretrieve.rendering import thumbnail
-from pcretrieve.retrieval import Ranking, SignatureIndex
+from pcretrieve.retrieval import N_NEAR, Ranking, SignatureIndex, reranked_neighbors
 from pcretrieve.types import Failure, SignatureTable
 
 __all__ = ["retrieval_page"]
@@ -78,6 +78,7 @@ def retrieval_page(
         check_known(matrix, catalogue)
         ranking = matrix
         facts = {"distances": f"a matrix of {len(matrix)} shapes"}
+    method = options.retrieval.rerank if matrix is None else "none"
     classes = {shape_id: records[shape_id].label for shape_id in ranking.ids}
 
     def card(record: Record, pixels: int, gap: float | None = None, relevant: bool | None = None) -> Card:
@@ -88,7 +89,8 @@ def retrieval_page(
     panels = []
     for shape_id in _queries(classes, n_queries):
         query = records[shape_id]
-        found = ranking.nearest(shape_id, k + 1)
+        found = ranking.nearest(shape_id, k + 1 if method == "none" else max(k + 1, N_NEAR))
+        found = reranked_neighbors(ranking, found, method, shape_id=shape_id)
         results = [
             card(
                 records[found_id],
@@ -96,7 +98,7 @@ def retrieval_page(
                 float(gap),
                 None if query.label is None else records[found_id].label == query.label,
             )
-            for found_id, gap in zip(found.ids, found.distances, strict=True)
+            for found_id, gap in list(zip(found.ids, found.distances, strict=True))[: k + 1]
             if found_id != query.id
         ]
         panels.append(Panel(card(query, QUERY_PIXELS), tuple(results[:k])))
@@ -128,6 +130,7 @@ def _signature_facts(table: SignatureTable, options: PipelineOptions) -> dict[st
         "scale": options.compared.scale,
         "weight of size": f"{options.signature.size_weight:g}",
         "distance": options.retrieval.distance,
+        "re-ranking": options.retrieval.rerank,
     }
 
 

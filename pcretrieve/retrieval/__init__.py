@@ -19,7 +19,15 @@ from pcretrieve.retrieval.ranking import (
     pairwise_blocks,
     position_of,
 )
-from pcretrieve.retrieval.reranking import N_RERANKED, RERANKINGS, NeighbourLists, neighbour_lists, rerank
+from pcretrieve.retrieval.reranking import (
+    N_NEAR,
+    N_RERANKED,
+    RERANKINGS,
+    NeighbourLists,
+    neighbour_lists,
+    rerank,
+    reranked_neighbors,
+)
 from pcretrieve.retrieval.resolution import resolution_covariance, resolution_whitening
 from pcretrieve.retrieval.whitening import WHITENINGS, Whitening, whitening_digest
 
@@ -27,6 +35,7 @@ __all__ = [
     "BLOCK_DISTANCES",
     "DEFAULT_SHRINKAGE",
     "DISTANCES",
+    "N_NEAR",
     "N_RERANKED",
     "RERANKINGS",
     "WHITENINGS",
@@ -47,6 +56,7 @@ __all__ = [
     "pairwise_blocks",
     "position_of",
     "rerank",
+    "reranked_neighbors",
     "resolution_covariance",
     "resolution_whitening",
     "table_coordinates",

@@ -16,20 +16,22 @@ References
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Mapping
+from types import MappingProxyType
 from typing import TYPE_CHECKING, NamedTuple, get_args
 
 import numpy as np
 
 from pcretrieve.errors import OptionError
 from pcretrieve.options import RerankKind
-from pcretrieve.retrieval.ranking import DistanceBlock, Positions
-from pcretrieve.types import FloatArray
+from pcretrieve.retrieval.ranking import DistanceBlock, Positions, Ranking
+from pcretrieve.types import FloatArray, Neighbors
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
 
 __all__ = [
+    "N_NEAR",
     "N_RERANKED",
     "RERANKINGS",
     "NeighbourLists",
@@ -38,12 +40,16 @@ __all__ = [
     "nearest_matrix",
     "neighbour_lists",
     "rerank",
+    "reranked_neighbors",
 ]
 
 RERANKINGS: tuple[str, ...] = get_args(RerankKind)
 
 #: Number of results of each query that are sorted again.
 N_RERANKED = 100
+
+#: Number of shapes nearest to a query whose neighbourhoods are computed, among these shapes.
+N_NEAR = 300
 
 # Number of neighbours of which the radius of a shape is the mean distance.
 N_RADIUS = 5
@@ -127,10 +133,60 @@ def rerank(method: str, lists: NeighbourLists, rows: Positions | None = None) ->
     rows = np.arange(len(lists.order)) if rows is None else rows
     if method == "none" or lists.order.shape[1] < 3:
         return lists.order[rows]
-    distances = (local_scaling if method == "local" else k_reciprocal)(lists, rows)
+    distances = _METHODS[method](lists, rows)
     distances[:, :2] = -np.inf
     order = np.argsort(distances, axis=1, kind="stable")
     return np.take_along_axis(lists.order[rows], order, axis=1)
+
+
+def reranked_neighbors(
+    ranking: Ranking, found: Neighbors, method: str, *, shape_id: str | None = None
+) -> Neighbors:
+    """Sort the results of one query again.
+
+    Parameters
+    ----------
+    ranking : Ranking
+        The gallery.
+    found : Neighbors
+        The results, nearest first: `N_NEAR` or more, or the whole gallery. Neighbourhoods are those among
+        these shapes.
+    method : str
+        ``none``, ``local`` or ``k-reciprocal``.
+    shape_id : str, optional
+        The query, if it is a shape of the gallery.
+
+    Returns
+    -------
+    Neighbors
+        The same shapes, the first `N_RERANKED` in their new order. Their distances are the new ones; the
+        nearest shape, which keeps its rank, has at most the smallest of them. Later results follow at the
+        last distance plus their original one.
+    """
+    if method == "none" or len(found) < 3:
+        return found
+    rows = np.array([ranking.ids.index(name) for name in found.ids], dtype=np.intp)
+    n = len(rows)
+    place = {int(row): number for number, row in enumerate(rows)}
+    distances = np.zeros((n + 1, n + 1))  # the query is last
+    for queries, block in ranking.blocks(rows):
+        distances[[place[int(row)] for row in queries], :n] = block[:, rows]
+    distances[n, :n] = distances[:n, n] = found.distances
+    held = [(0.0, shape_id)] if shape_id is not None and shape_id in found.ids else []
+    query, size = (found.ids.index(held[0][1]), n) if held else (n, n + 1)
+    lists = neighbour_lists([DistanceBlock(np.arange(size), distances[:size, :size])], size)
+    order = lists.order[query][1:]  # without the query
+    new = _METHODS[method](lists, np.array([query]))[0, 1:]
+    if len(new) > 1:
+        # Just below the others, so that equal distances remain in alphabetical order.
+        new[0] = min(new[0], np.nextafter(new[1:].min(), -np.inf))
+    new = np.maximum(new, 0)
+    names = [found.ids[number] for number in order]
+    results = sorted([*held, *zip(new.tolist(), names, strict=True)])
+    last = results[-1][0]
+    later = [number for number in range(n) if number not in {query, *order.tolist()}]
+    results += [(last + float(found.distances[number]), found.ids[number]) for number in later]
+    return Neighbors(tuple(name for _, name in results), np.array([gap for gap, _ in results]))
 
 
 def local_scaling(lists: NeighbourLists, rows: Positions) -> FloatArray:
@@ -234,3 +290,8 @@ def _mutual(near: csr_array) -> csr_array:
     from scipy.sparse import csr_array
 
     return csr_array(near.multiply(near.T))
+
+
+_METHODS: Mapping[str, Callable[[NeighbourLists, Positions], FloatArray]] = MappingProxyType(
+    {"local": local_scaling, "k-reciprocal": k_reciprocal}
+)

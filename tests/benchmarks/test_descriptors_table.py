@@ -41,7 +41,7 @@ def test_a_set_of_five_classes(tmp_path: Path) -> None:
     longer = [row for row in rows if "left out: n_values must be between 1 and n_modes = 60" in row]
     assert [row.split()[1:4] for row in longer] == [["r-bihdm", "99", s] for s in ("relative", "area")]
     rows = [row for row in rows if row not in longer]
-    assert len(rows) == 5 * 9 + 2 * 3, "wks at two lengths, r-bihdm by two scales, hks-bow once"
+    assert len(rows) == 5 * 12 + 2 * 3, "wks at two lengths, r-bihdm by two scales, hks-bow once"
     assert sum(row.split()[5] == "resolution" for row in rows) == 2 * 3, "r-bihdm only"
     figures = np.array([row.split()[6:] for row in rows], dtype=float)
     plain = [row.split()[5] == "none" for row in rows]

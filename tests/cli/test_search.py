@@ -125,6 +125,17 @@ def test_python_and_the_command_give_the_same_numbers(
     assert [row["distance"] for row in printed] == found.distances.tolist()
 
 
+def test_lists_are_sorted_again_and_both_rows_are_printed(catalogue: Path, files: list[Path]) -> None:
+    asked = ("evaluate", "-c", catalogue, "--whitening", "none")
+    plain, both = (run(*asked, *chosen).stdout.splitlines() for chosen in ((), ("--rerank", "k-reciprocal")))
+    assert [row.split()[-1] for row in both[1:]] == ["plain", "k-reciprocal"]
+    assert both[1].removesuffix("  plain") == plain[1]
+    query = ("query", "-c", catalogue, files[0], "--json")
+    before, after = (json.loads(run(*query, "--rerank", how).stdout) for how in ("none", "local"))
+    assert [row["id"] for row in before[:2]] == [row["id"] for row in after[:2]]
+    assert {row["id"] for row in before} == {row["id"] for row in after}
+
+
 def test_a_file_gives_commands_their_options_and_flags_override_it(
     catalogue: Path, files: list[Path], tmp_path: Path
 ) -> None:

@@ -4,16 +4,20 @@ import numpy as np
 import pytest
 
 from pcretrieve.errors import OptionError
+from pcretrieve.options import RetrievalOptions
 from pcretrieve.retrieval import (
+    N_RERANKED,
     RERANKINGS,
     NeighbourLists,
+    SignatureIndex,
     neighbour_lists,
     pairwise,
     pairwise_blocks,
     rerank,
+    reranked_neighbors,
 )
 from pcretrieve.retrieval.reranking import EXPANDED, K_RECIPROCAL, k_reciprocal, local_scaling
-from pcretrieve.types import FloatArray
+from pcretrieve.types import FloatArray, SignatureTable
 
 
 def some_points(n: int = 60, *, seed: int = 0) -> FloatArray:
@@ -119,3 +123,37 @@ def test_few_or_equal_shapes(method: str, n: int) -> None:
 def test_unknown_method() -> None:
     with pytest.raises(OptionError, match="rerank must be one of none, local, k-reciprocal, got 'gnn'"):
         rerank("gnn", lists_of(some_points()))
+
+
+def index_of(points: FloatArray) -> SignatureIndex:
+    ids = tuple(f"{row:03}" for row in range(len(points)))
+    return SignatureIndex(SignatureTable(ids, np.exp(points), "x"), RetrievalOptions(whitening="none"))
+
+
+@pytest.mark.parametrize("method", RERANKINGS)
+def test_results_of_a_query_are_sorted_like_lists(method: str) -> None:
+    points = some_points(180)
+    index = index_of(points)
+    order = rerank(method, lists_of(points))
+    for row in (0, 77):
+        found = index.nearest(f"{row:03}", 300)
+        again = reranked_neighbors(index, found, method, shape_id=f"{row:03}")
+        assert again.ids[: N_RERANKED + 1] == tuple(f"{other:03}" for other in order[row])
+        assert set(again.ids) == set(found.ids)
+        assert again.ids[:2] == found.ids[:2]
+
+
+@pytest.mark.parametrize("method", RERANKINGS)
+def test_a_new_scan_is_ranked_as_if_it_were_in_the_gallery(method: str) -> None:
+    points = some_points(120)
+    order = rerank(method, lists_of(points))[119]
+    index = index_of(points[:119])
+    found = reranked_neighbors(index, index.query(np.exp(points[119]), 300), method)
+    assert found.ids[:N_RERANKED] == tuple(f"{row:03}" for row in order[1:])
+
+
+@pytest.mark.parametrize("method", ["local", "k-reciprocal"])
+def test_a_gallery_of_copies(method: str) -> None:
+    index = index_of(np.ones((8, 3)))
+    found = reranked_neighbors(index, index.nearest("003", 8), method, shape_id="003")
+    assert set(found.ids) == set(index.ids)
