@@ -10,7 +10,11 @@ therefore transform coordinates to a `Frame` of unit size before Open3D sees the
 
 from __future__ import annotations
 
+import sys
+from collections.abc import Callable
 from functools import cache
+from importlib import import_module
+from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -38,6 +42,9 @@ SINGLE_DIGITS = 24
 FEWEST_POINTS = 100
 SOME = 1000
 
+# The module of the viewer in a browser.
+VIEWER = "open3d.visualization.draw_plotly"
+
 # Surfaces with diagonals in this range are simplified in the caller's unit of length, see `simplify`.
 ORDINARY = 1e-6, 1e6
 
@@ -51,13 +58,34 @@ def library() -> Any:
     module
         The module open3d, with messages disabled and on one thread.
     """
-    import open3d
-
+    open3d = _imported()
     open3d.utility.set_verbosity_level(open3d.utility.VerbosityLevel.Error)
     # OMP_NUM_THREADS has no effect from 0.20 on; older versions have no set_max_threads.
     if hasattr(open3d.utility, "set_max_threads"):
         open3d.utility.set_max_threads(1)
     return open3d
+
+
+def _imported() -> Any:
+    """Import Open3D without its viewer in a browser, which needs dash and plotly: half of the time."""
+    if "open3d" in sys.modules:
+        import open3d
+
+        return open3d
+    sys.modules[VIEWER] = stand_in = ModuleType(VIEWER)
+    stand_in.__getattr__ = _later  # type: ignore[method-assign]
+    try:
+        import open3d
+    finally:
+        del sys.modules[VIEWER]
+    return open3d
+
+
+def _later(name: str) -> Callable[..., Any]:
+    """A function of the viewer, which is imported when the function is called."""
+    if name.startswith("__"):
+        raise AttributeError(name)
+    return lambda *args, **options: getattr(import_module(VIEWER), name)(*args, **options)
 
 
 # --- exchange ----------------------------------------------------------------------------------------

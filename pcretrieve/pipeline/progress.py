@@ -1,16 +1,40 @@
-"""Logging of stages that have ended, by the logger ``pcretrieve.pipeline``."""
+"""Logging of stages that have ended, by the logger ``pcretrieve.pipeline``, and of compilation."""
 
 from __future__ import annotations
 
 import logging
 from collections.abc import Iterable
+from functools import cache
 from pathlib import Path
 
 from pcretrieve.types import Step
 
-__all__ = ["log_steps", "scan_name"]
+__all__ = ["announce_compilation", "log_steps", "scan_name"]
 
 _LOGGER = logging.getLogger("pcretrieve.pipeline")
+
+
+@cache
+def announce_compilation() -> None:
+    """Log at the level INFO, once in a process, that numba compiles functions which it has not cached.
+
+    The logger is ``pcretrieve.compilation``.
+    """
+    from numba.core import event
+
+    class First(event.Listener):
+        announced = False
+
+        def on_start(self, event: object) -> None:
+            if not self.announced:
+                self.announced = True
+                logging.getLogger("pcretrieve.compilation").info(
+                    "compiling, once: later processes load the compiled functions from the cache of numba"
+                )
+
+        def on_end(self, event: object) -> None: ...
+
+    event.register("numba:compile", First())  # type: ignore[no-untyped-call]
 
 
 def scan_name(scan: object) -> str | None:

@@ -17,7 +17,7 @@ from pcretrieve.errors import DegenerateMeshError, ReconstructionError, ShapeErr
 from pcretrieve.formats.scans import as_scan
 from pcretrieve.options import DEFAULT_STAGES, PipelineOptions, check_chain, link_of
 from pcretrieve.pipeline.frames import Framed
-from pcretrieve.pipeline.progress import log_steps, scan_name
+from pcretrieve.pipeline.progress import announce_compilation, log_steps, scan_name
 from pcretrieve.pipeline.seen import Seen
 from pcretrieve.plugins import Registry
 from pcretrieve.scan import POINT_FILTERS, check_extent
@@ -53,6 +53,7 @@ def stages(scan: object, options: PipelineOptions) -> Iterator[Seen]:
     ShapeError
         If a stage fails, after the results of the stages before have been yielded.
     """
+    announce_compilation()
     name, logged = scan_name(scan), 0
     for seen in _stages(scan, options):
         steps = seen.steps

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from typing import Any
 
 import numpy as np
@@ -173,3 +175,17 @@ def test_simplification_keeps_the_body() -> None:
     assert len(faces) <= 1000
     assert len(faces) > 900
     assert coarse.volume == pytest.approx(body.volume, rel=0.01)
+
+
+def test_the_viewer_in_a_browser_is_imported_when_it_is_used() -> None:
+    program = """
+import sys
+from pcretrieve.adapters.open3d import library
+
+o3d = library()
+print("dash" in sys.modules, "plotly" in sys.modules)
+figure = o3d.visualization.get_plotly_fig([o3d.geometry.TriangleMesh.create_sphere()])
+print("dash" in sys.modules, type(figure).__name__)
+"""
+    run = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    assert run.stdout.split() == ["False", "False", "True", "Figure"]

@@ -103,7 +103,7 @@ def test_the_columns_are_stable() -> None:
         "clean_nn_within clean_map_within seconds stages peak_mib rescan_spread textbook_seconds "
         "textbook_ratio nn_relative map_relative nn_pca map_pca clean_nn_relative clean_map_relative "
         "clean_nn_pca clean_map_pca nn_resolution map_resolution clean_nn_resolution clean_map_resolution "
-        "nn_sized map_sized clean_nn_sized clean_map_sized"
+        "nn_sized map_sized clean_nn_sized clean_map_sized processor_seconds"
     )
 
 

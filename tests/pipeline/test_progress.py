@@ -41,3 +41,22 @@ def test_the_command_line_and_programs_without_logging_stay_quiet(tmp_path: Path
     for arguments in (("-c", program), ("-m", "pcretrieve", "signature", "--json", str(scan))):
         done = subprocess.run([sys.executable, *arguments], capture_output=True, text=True, check=True)
         assert "topology" not in done.stderr
+
+
+def test_compilation_is_announced_once() -> None:
+    program = """
+import logging
+import numba
+from pcretrieve.pipeline.progress import announce_compilation
+
+logging.basicConfig(level=logging.INFO, format="%(name)s %(message)s")
+announce_compilation()
+announce_compilation()
+for added in (1, 2):
+    print("compiles", flush=True)
+    numba.njit(lambda x: x + added)(1)
+"""
+    run = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    assert run.stdout.count("compiles") == 2
+    (line,) = run.stderr.splitlines()
+    assert line.startswith("pcretrieve.compilation compiling, once")

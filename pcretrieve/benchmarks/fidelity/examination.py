@@ -64,8 +64,8 @@ class Examination(NamedTuple):
     ----------
     signatures : Signatures
         The signatures of the scan.
-    seconds : float
-        Wall-clock time from the file to the signature.
+    seconds, processor : float
+        Wall-clock time and processor time from the file to the signature.
     stages : dict of str to float
         Seconds of each stage.
     peak : float
@@ -82,6 +82,7 @@ class Examination(NamedTuple):
 
     signatures: Signatures
     seconds: float
+    processor: float
     stages: dict[str, float]
     peak: float
     normals: float | None
@@ -114,10 +115,10 @@ def examine(path: Path, truth: TriangleMesh, options: PipelineOptions) -> Examin
         If the scan has no usable surface.
     """
     forget_peak()
-    started = time.perf_counter()
+    started, processor = time.perf_counter(), time.process_time()
     shape = process(path, options)
     describe(shape, options.signature)
-    seconds = time.perf_counter() - started
+    seconds, processor = time.perf_counter() - started, time.process_time() - processor
     peak = peak_memory()
     stages: dict[str, float] = {}
     for step in shape.provenance:
@@ -132,6 +133,7 @@ def examine(path: Path, truth: TriangleMesh, options: PipelineOptions) -> Examin
     return Examination(
         signatures=_signatures(shape, options),
         seconds=seconds,
+        processor=processor,
         stages=stages,
         peak=peak,
         normals=_right_normals(path, on_truth, true_normals, options),

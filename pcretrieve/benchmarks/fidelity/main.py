@@ -257,6 +257,7 @@ def _row(scans: Scans, name: str, options: PipelineOptions, truth: Signatures, w
         **retrieval(found, scans.items, rows, options)._asdict(),
         **{f"clean_{measure}": value for measure, value in clean.items()},
         seconds=median(answer.seconds for answer in done),
+        processor_seconds=median(answer.processor for answer in done),
         stages=json.dumps({s: round(median(a.stages.get(s, 0.0) for a in done), 4) for s in stages}),
         peak_mib=max((answer.peak for answer in done), default=NAN),
         rescan_spread=relative_spread(repeats, found.values, [scans.items[k].label for k in rows]),

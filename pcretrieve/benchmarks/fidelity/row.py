@@ -115,6 +115,7 @@ class Row:
     map_sized: float
     clean_nn_sized: float
     clean_map_sized: float
+    processor_seconds: float
 
     def lines(self) -> Iterator[str]:
         """A line of `TABLE`, and further lines with the values that are not in the table."""
@@ -127,6 +128,8 @@ class Row:
         stages = json.loads(self.stages)
         total = sum(stages.values())
         yield "    " + ", ".join(f"{stage} {s:.2f} s ({s / total:.1%})" for stage, s in stages.items())
+        if not is_missing(self.processor_seconds):
+            yield f"    processor time of a scan: {self.processor_seconds:.2f} s"
         if not is_missing(self.rescan_spread):
             yield f"    spread of rescans / distance to the nearest other class: {self.rescan_spread:.3f}"
         if not is_missing(self.textbook_ratio):
