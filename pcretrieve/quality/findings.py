@@ -15,7 +15,9 @@ from pcretrieve.quality.check import Check
 from pcretrieve.quality.points import normal_checks, point_checks
 from pcretrieve.quality.spectra import spectrum_checks
 from pcretrieve.quality.surfaces import fit_checks, marks_check, mesh_check, surface_checks
+from pcretrieve.scan.density import local_spacings
 from pcretrieve.scan.nearest import nearest
+from pcretrieve.scan.sampling import SPACING_NEIGHBORS, Neighborhoods
 from pcretrieve.surface import SurfaceMarks
 from pcretrieve.types import FloatArray, PointCloud, Shape, TriangleMesh
 
@@ -32,6 +34,11 @@ MEASURED = 5000
 # neighbours. If points are distributed uniformly over a surface, the fraction of the surface beyond this
 # distance is 1e-6.
 FILLED = 4
+
+# Distance to the nearest point beyond which a face was filled in where points are sparse, in spacings there.
+# As often exceeded as FILLED, if points are random: their nearest neighbours are half a spacing apart. See
+# docs/decisions.md, FILLED_OF_SPARSE.
+FILLED_OF_SPARSE = 2
 
 # Largest cosine of the angle between the normal of a face that was filled in and that of the nearest point
 # at which the face closes a cut end. In a hole of a smooth surface the normals agree.
@@ -121,8 +128,10 @@ def _fit(
 ) -> tuple[NDArray[np.bool_], list[Check]]:
     """Faces without a point nearby, and the checks of the fit of points and surface."""
     a, b, c = (mesh.vertices[mesh.faces[:, k]] for k in range(3))
-    apart, near = (part[:, 0] for part in nearest(cloud.points, (a + b + c) / 3, 1))
+    distance, number = nearest(cloud.points, (a + b + c) / 3, 1)
+    apart, near = distance[:, 0], number[:, 0]  # (m,)
     filled = np.asarray(apart > FILLED * spacing)  # (m,)
+    filled[filled] = apart[filled] > FILLED_OF_SPARSE * _spacings(cloud.points, near[filled])
     vectors = mesh.area_vectors
     areas = np.linalg.norm(vectors, axis=1)
     area = areas.sum()
@@ -143,6 +152,11 @@ def _fit(
         lost=float(lost.mean()),
         noise=float(np.sqrt((gap[~lost] ** 2).sum() / max((~lost).sum(), 1))) / cloud.diagonal,
     )
+
+
+def _spacings(points: FloatArray, chosen: NDArray[np.intp]) -> FloatArray:
+    """The spacing of the points near each of the chosen ones; unit of the file."""
+    return local_spacings(Neighborhoods(*nearest(points, points[chosen], SPACING_NEIGHBORS + 1)))
 
 
 def _places(cells: FloatArray, reach: float) -> FloatArray:

@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 
 from pcretrieve.errors import ReconstructionError, Stage
 from pcretrieve.options import PointFilter, ScanOptions
-from pcretrieve.scan.sampling import neighborhoods
+from pcretrieve.scan.density import FARTHER, is_of_surface
+from pcretrieve.scan.sampling import neighborhoods, voxel_numbers
 from pcretrieve.types import FloatArray, PointCloud, Step
 
 __all__ = ["CLEAN", "FEWEST_POINTS", "check_extent", "clean"]
@@ -54,7 +55,7 @@ def clean(cloud: PointCloud, options: ScanOptions) -> PointCloud:
     check_extent(cloud.points, Stage.CLEAN)
     thinned = _thinned(cloud, options.voxel)
     check_extent(thinned.points, Stage.CLEAN)
-    inliers = _inliers(thinned.points, options)
+    inliers = _inliers(thinned, options)
     kept = thinned.select(inliers)
     check_extent(kept.points, Stage.CLEAN)
     n_outliers = len(thinned.points) - len(inliers)
@@ -71,34 +72,30 @@ def clean(cloud: PointCloud, options: ScanOptions) -> PointCloud:
 CLEAN = PointFilter("clean", clean, ScanOptions)
 
 
-def _inliers(points: FloatArray, options: ScanOptions) -> NDArray[np.intp]:
+def _inliers(cloud: PointCloud, options: ScanOptions) -> NDArray[np.intp]:
     """Positions of the points whose mean distance to their neighbours is not exceptional, (k,)."""
-    distance = neighborhoods(points, options.outlier_neighbors).distance.mean(axis=1)  # (n,)
+    k = options.outlier_neighbors
+    neighbors = neighborhoods(cloud.points, max(k, FARTHER + 1))
+    distance = neighbors.distance[:, :k].mean(axis=1)  # (n,)
     apart = distance[distance > 0]  # not of points that coincide with all their neighbours
     if len(apart) < 2:
-        return np.arange(len(points))
+        return np.arange(len(distance))
     limit = apart.mean() + options.outlier_std * apart.std(ddof=1)
-    return np.flatnonzero((distance > 0) & (distance < limit))
+    # Where the points are sparse, distances are exceptional, and no points are outliers for that reason.
+    sparse = is_of_surface(neighbors, cell=DENSE_VOXEL * cloud.diagonal)
+    return np.flatnonzero((distance > 0) & ((distance < limit) | sparse))
 
 
 def _thinned(cloud: PointCloud, voxel: float | str) -> PointCloud:
     if isinstance(voxel, str):
-        n_voxels = len(np.unique(_voxels(cloud.points, DENSE_VOXEL * cloud.diagonal)))
+        n_voxels = len(np.unique(voxel_numbers(cloud.points, DENSE_VOXEL * cloud.diagonal)))
         voxel = DENSE_VOXEL if len(cloud.points) >= DENSE * n_voxels else VOXEL
     return _averaged(cloud, voxel * cloud.diagonal) if voxel else cloud
 
 
-def _voxels(points: FloatArray, edge: float) -> NDArray[np.int64]:
-    """The number of the voxel that contains each point, (n,)."""
-    index = np.floor((points - points.min(axis=0)) / edge).astype(np.int64)  # (n, 3)
-    sides = index.max(axis=0) + 1
-    number: NDArray[np.int64] = (index[:, 0] * sides[1] + index[:, 1]) * sides[2] + index[:, 2]
-    return number
-
-
 def _averaged(cloud: PointCloud, edge: float) -> PointCloud:
     _, first, group, counts = np.unique(
-        _voxels(cloud.points, edge), return_index=True, return_inverse=True, return_counts=True
+        voxel_numbers(cloud.points, edge), return_index=True, return_inverse=True, return_counts=True
     )
 
     def average(values: FloatArray) -> FloatArray:

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from pcretrieve.adapters import open3d
 from pcretrieve.errors import ReconstructionError, Stage
 from pcretrieve.options import PointFilter, ScanOptions
+from pcretrieve.scan.density import disks, local_spacings, sparse_points
 from pcretrieve.scan.planes import guided_planes
 from pcretrieve.scan.sampling import SPACING_NEIGHBORS, Neighborhoods, neighborhoods, spacing
 from pcretrieve.types import FloatArray, PointCloud, Step
@@ -147,9 +148,10 @@ def _tight_flood(
     """
     cell = max(options.flood_cell * cloud.diagonal, FLOOD_CELL * spacing(neighbors.some()))
     gap = options.flood_gap
+    walled = _with_disks(cloud, neighbors, cell / FLOOD_CELL)
     for attempt in range(options.flood_retries + 1):
         gap = options.flood_gap * WIDER**attempt
-        outside = flood(cloud.points, cell=cell, gap=gap * cloud.diagonal)
+        outside = flood(walled, cell=cell, gap=gap * cloud.diagonal)
         towards = outside.direction_at(cloud.points)
         oriented = _guided_normals(cloud.points, towards, neighbors, options)
         shallow = outside.depth_at(cloud.points) < SHALLOW
@@ -157,6 +159,20 @@ def _tight_flood(
             note = f"the flood fill leaked; holes with radii up to {gap:.3f} of the diagonal were closed"
             return outside, oriented, (note,) if attempt else ()
     return None, None, (f"the flood fill leaked with holes up to {gap:.3f} of the diagonal closed",)
+
+
+def _with_disks(cloud: PointCloud, neighbors: Neighborhoods, step: float) -> FloatArray:
+    """The points, and points on disks around those that are sparse, which close the surface between them."""
+    spacings = local_spacings(neighbors)
+    sparse = sparse_points(spacings, cell=step, diagonal=cloud.diagonal)
+    if not sparse.any():
+        return cloud.points
+    around = cloud.points[neighbors.near[sparse, : N_COMPARED + 1]]  # (m, k, 3)
+    around -= around.mean(axis=1, keepdims=True)
+    normals = np.zeros_like(cloud.points)
+    normals[sparse] = np.linalg.eigh(np.einsum("nki,nkj->nij", around, around))[1][:, :, 0]
+    placed, _ = disks(cloud.points, normals, spacings, sparse, step=step)
+    return np.concatenate([cloud.points, placed])
 
 
 def _unit(vectors: FloatArray) -> FloatArray:

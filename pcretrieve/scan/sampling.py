@@ -15,7 +15,15 @@ from pcretrieve.scan.nearest import nearest
 from pcretrieve.scan.planes import plane_deviations
 from pcretrieve.types import FloatArray
 
-__all__ = ["PLANE_NEIGHBORS", "SPACING_NEIGHBORS", "Neighborhoods", "neighborhoods", "noise", "spacing"]
+__all__ = [
+    "PLANE_NEIGHBORS",
+    "SPACING_NEIGHBORS",
+    "Neighborhoods",
+    "neighborhoods",
+    "noise",
+    "spacing",
+    "voxel_numbers",
+]
 
 # Number of neighbours for the spacing, number of neighbours for a plane, and number of points at which both
 # are measured.
@@ -111,6 +119,27 @@ def noise(points: FloatArray, neighbors: Neighborhoods) -> float:
     near = np.ascontiguousarray(neighbors.near[:, : PLANE_NEIGHBORS + 1])
     deviations = plane_deviations(points, near)
     return float(np.quantile(deviations, FLATTEST))
+
+
+def voxel_numbers(points: FloatArray, edge: float) -> NDArray[np.int64]:
+    """The number of the voxel that contains each point.
+
+    Parameters
+    ----------
+    points : (n, 3) float64
+        At least one point.
+    edge : float
+        Edge of the voxels; unit of the points.
+
+    Returns
+    -------
+    (n,) int64
+        Equal for points in one voxel; ascending by the first, the second and the third coordinate.
+    """
+    index = np.floor((points - points.min(axis=0)) / edge).astype(np.int64)  # (n, 3)
+    sides = index.max(axis=0) + 1
+    number: NDArray[np.int64] = (index[:, 0] * sides[1] + index[:, 1]) * sides[2] + index[:, 2]
+    return number
 
 
 def _step(n: int) -> int:

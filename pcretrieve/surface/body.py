@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 
 from pcretrieve.errors import ReconstructionError
 from pcretrieve.options import SurfaceOptions
+from pcretrieve.scan.density import interpolated
 from pcretrieve.scan.sampling import PLANE_NEIGHBORS, Neighborhoods, neighborhoods, noise, spacing
 from pcretrieve.surface.coarse import coarse_surface
 from pcretrieve.surface.contacts import contact_layer, walls
@@ -93,6 +94,7 @@ class SurfaceMarks:
 def body_surfaces(cloud: PointCloud, options: SurfaceOptions) -> Iterator[tuple[TriangleMesh, SurfaceMarks]]:
     """Reconstruct the surface of the body that oriented points enclose, on several grids.
 
+    Where the points are sparse beside the voxels, points are interpolated first (see `scan.density`).
     Near the points a voxel is inside if the signed distance to the algebraic sphere fitted to the points is
     negative. Elsewhere, in holes of the scan, it is inside if it is inside a coarse Poisson surface. A voxel
     that the flood fill of the outside reaches is never inside. Components separated by holes are connected to
@@ -125,11 +127,17 @@ def body_surfaces(cloud: PointCloud, options: SurfaceOptions) -> Iterator[tuple[
     neighbors = neighborhoods(cloud.points, PLANE_NEIGHBORS + 1, of_some=True)
     least = spacing(neighbors)
     size = _cell(cloud, neighbors, options)
+    n_measured = len(cloud.points)
+    cloud = interpolated(cloud, neighbors, cell=max(size, least))
     coarse = coarse_surface(cloud, options)
     for number in range(options.reconstructions):
         cell = max(CELLS[number % len(CELLS)] * size, least)
         mesh, marks, step = _body_surface(cloud, coarse, cell, number * SHIFT % 1, options)
         step = replace(step, seconds=time.perf_counter() - started)
+        if len(cloud.points) > n_measured:
+            n_between = len(cloud.points) - n_measured
+            note = f"interpolated {n_between} points where the {n_measured} points are sparse"
+            step = replace(step, notes=(note, *step.notes))
         yield TriangleMesh(mesh.vertices, mesh.faces, (*cloud.provenance, step)), marks
         started = time.perf_counter()
 

@@ -1,0 +1,260 @@
+"""Points whose density varies over the body: which of them are sparse, and points interpolated between them.
+
+A scanner measures few points where a surface is far away, dark, or inclined. All later stages work at the
+scale of one voxel, at which sparse points are isolated. Between them, points are therefore interpolated, for
+the walls of the flood fill and for the reconstruction of the surface. The points of a scan themselves do not
+change, and nothing is interpolated in a scan of uniform density.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pcretrieve.scan.nearest import nearest
+from pcretrieve.scan.sampling import SPACING_NEIGHBORS, Neighborhoods, neighborhoods, voxel_numbers
+from pcretrieve.types import FloatArray, PointCloud
+
+__all__ = ["FARTHER", "disks", "interpolated", "is_of_surface", "local_spacings", "sparse_points"]
+
+Mask = NDArray[np.bool_]
+
+# Spacing from which a point is sparse, in voxels; and the smallest fraction of the surface that sparse points
+# represent for points to be interpolated. See docs/decisions.md, SPARSE.
+SPARSE = 2.0
+LEAST_SPARSE = 0.05
+
+# Largest spacing of points between which points are interpolated, relative to the diagonal.
+FARTHEST = 0.1
+
+# Radius of the disk around a sparse point, in spacings. Disks of one spacing leave gaps if the points are
+# random.
+RADIUS = 1.5
+
+# Number of the farther neighbour whose distance is compared with that of neighbour SPACING_NEIGHBORS, and the
+# smallest ratio of these distances for points of a surface: in the mean it is 1.83 on a plane, 1.49 in a
+# volume, and near 1 for a point off the surface. See docs/decisions.md, LEAST_RATIO.
+FARTHER = 20
+LEAST_RATIO = 1.6
+
+# Smallest spacing of the points that are compared, in medians: no point of a scan of uniform density has one.
+UNCOMMON = 1.8
+
+# Smallest ratio of a single point, if the median is that of a surface, and fewest points for a median.
+LEAST_OF_ONE = 1.2
+FEWEST = 5
+
+# Number of neighbours to which a sphere is fitted, and number of times that a point is moved to its sphere.
+FITTED = 16
+ROUNDS = 2
+
+# Smallest cosine of the angle between normals of one side of a thin part.
+SAME_SIDE = 0.2
+
+# Smallest distance of an interpolated point from a measured one, in voxels.
+APART = 0.7
+
+# The golden angle, by which successive points of a spiral are turned; radians.
+GOLDEN = np.pi * (3 - np.sqrt(5))
+
+
+def local_spacings(neighbors: Neighborhoods) -> FloatArray:
+    """The spacing at each point: the square root of the area of surface for one point near it.
+
+    Parameters
+    ----------
+    neighbors : Neighborhoods
+        Of m points, with at least `SPACING_NEIGHBORS` + 1 neighbours, or all points of a smaller cloud.
+
+    Returns
+    -------
+    (m,) float64
+        As in `pcretrieve.scan.sampling.spacing`, which is its median; unit of the file.
+    """
+    k = min(SPACING_NEIGHBORS, neighbors.distance.shape[1] - 1)
+    return np.asarray(np.sqrt(np.pi / k) * neighbors.distance[:, k])
+
+
+def sparse_points(spacings: FloatArray, *, cell: float, diagonal: float) -> Mask:
+    """The points whose spacing is so much larger than a voxel that points must be interpolated.
+
+    Parameters
+    ----------
+    spacings : (m,) float64
+        From `local_spacings`; unit of the file.
+    cell : float
+        Edge of the voxels, not smaller than the median of the spacings; unit of the file.
+    diagonal : float
+        Of the scan; unit of the file.
+
+    Returns
+    -------
+    (m,) bool
+        The sparse points; none if they represent a small part of the surface.
+    """
+    sparse = (spacings > SPARSE * cell) & (spacings < FARTHEST * diagonal)
+    known = spacings < FARTHEST * diagonal
+    share = (spacings[sparse] ** 2).sum() / max((spacings[known] ** 2).sum(), np.finfo(float).tiny)
+    return sparse if share > LEAST_SPARSE else np.zeros_like(sparse)
+
+
+def is_of_surface(neighbors: Neighborhoods, *, cell: float) -> Mask:
+    """Whether points belong to a surface that is measured by few points.
+
+    The number of points within a distance r of a point of a surface is proportional to r². Around outliers,
+    which are in a volume, or isolated before a dense surface, it grows faster.
+
+    Parameters
+    ----------
+    neighbors : Neighborhoods
+        Of all points, with at least `FARTHER` + 1 neighbours, or all points of a smaller cloud.
+    cell : float
+        Smallest edge of later voxels; unit of the file.
+
+    Returns
+    -------
+    (n,) bool
+        Points that are not isolated; none, if the sparse points of the scan are not those of a surface.
+    """
+    near, far = (min(k, neighbors.distance.shape[1] - 1) for k in (SPACING_NEIGHBORS, FARTHER))
+    ratio = neighbors.distance[:, far] / np.maximum(neighbors.distance[:, near], np.finfo(float).tiny)
+    # By the farther distance: a nearer one would select points with a small ratio.
+    spacings = np.sqrt(np.pi / FARTHER) * neighbors.distance[:, far]
+    sparse = spacings > UNCOMMON * max(cell, float(np.median(spacings)))
+    if sparse.sum() < FEWEST or np.median(ratio[sparse]) < LEAST_RATIO:
+        return np.zeros(len(ratio), dtype=np.bool_)
+    return np.asarray(ratio > LEAST_OF_ONE)
+
+
+def disks(
+    points: FloatArray, normals: FloatArray, spacings: FloatArray, sparse: Mask, *, step: float
+) -> tuple[FloatArray, NDArray[np.intp]]:
+    """Points on disks around sparse points, in their tangent planes.
+
+    Parameters
+    ----------
+    points, normals : (n, 3) float64
+        Coordinates, and unit normals of either sign.
+    spacings : (n,) float64
+        From `local_spacings`.
+    sparse : (n,) bool
+        From `sparse_points`.
+    step : float
+        Distance between the points on a disk; unit of the file.
+
+    Returns
+    -------
+    points : (k, 3) float64
+        One for each voxel of the edge `step`; unit of the file.
+    centres : (k,) int
+        The index of the sparse point of each disk.
+    """
+    centres = np.flatnonzero(sparse)
+    radius = RADIUS * spacings[centres]
+    n = np.maximum(1, np.pi * (radius / step) ** 2).astype(np.intp)
+    which = np.repeat(np.arange(len(centres)), n)
+    # A spiral of Vogel, whose points have equal areas.
+    number = np.arange(n.sum()) - np.repeat(np.cumsum(n) - n, n)
+    out = radius[which] * np.sqrt((number + 0.5) / n[which])
+    normal = normals[centres]
+    axis = np.eye(3)[np.abs(normal).argmin(axis=1)]
+    first = np.cross(normal, axis)
+    first /= np.linalg.norm(first, axis=1, keepdims=True)
+    second = np.cross(normal, first)
+    turn = GOLDEN * number
+    placed = (
+        points[centres[which]]
+        + (out * np.cos(turn))[:, None] * first[which]
+        + (out * np.sin(turn))[:, None] * second[which]
+    )
+    kept = _one_a_voxel(placed, step)
+    return placed[kept], centres[which[kept]]
+
+
+def interpolated(cloud: PointCloud, some: Neighborhoods, *, cell: float) -> PointCloud:
+    """A cloud with further points between its sparse ones.
+
+    The points are on algebraic spheres that are fitted to the nearest points of the same side [1]_. Each has
+    the position of the sensor of a sparse point nearby.
+
+    Parameters
+    ----------
+    cloud : PointCloud
+        Points with normals that point outwards.
+    some : Neighborhoods
+        Of some of the points, by which it is decided whether any are sparse.
+    cell : float
+        Edge of the voxels, and distance between the further points; unit of the file.
+
+    Returns
+    -------
+    PointCloud
+        The points of the cloud, and the further points after them. The cloud itself, if no points are sparse.
+
+    References
+    ----------
+    .. [1] G. Guennebaud and M. Gross, "Algebraic point set surfaces", ACM Transactions on Graphics 26 (2007).
+    """
+    varies = sparse_points(local_spacings(some), cell=cell, diagonal=cloud.diagonal).any()
+    if cloud.normals is None or not varies:
+        return cloud
+    spacings = local_spacings(neighborhoods(cloud.points, SPACING_NEIGHBORS + 1))
+    sparse = sparse_points(spacings, cell=cell, diagonal=cloud.diagonal)
+    points, normals, centres = _on_spheres(cloud.points, cloud.normals, spacings, sparse, step=cell)
+    return replace(
+        cloud,
+        points=np.concatenate([cloud.points, points]),
+        normals=np.concatenate([cloud.normals, normals]),
+        viewpoints=None
+        if cloud.viewpoints is None
+        else np.concatenate([cloud.viewpoints, cloud.viewpoints[centres]]),
+    )
+
+
+def _on_spheres(
+    points: FloatArray, normals: FloatArray, spacings: FloatArray, sparse: Mask, *, step: float
+) -> tuple[FloatArray, FloatArray, NDArray[np.intp]]:
+    """Points on spheres around sparse points, their normals, and the indices of the sparse points."""
+    placed, centres = disks(points, normals, spacings, sparse, step=step)
+    outward = normals[centres]
+    for _ in range(ROUNDS):
+        distance, near = nearest(points, placed, min(FITTED, len(points)))
+        agreement = np.einsum("ij,ikj->ik", normals[centres], normals[near])
+        weight = np.clip(1 - (distance / distance[:, -1:]) ** 2, 0, 1) ** 2
+        weight *= np.clip((agreement - SAME_SIDE) / (1 - SAME_SIDE), 0, 1)
+        height, outward = _sphere(points[near] - placed[:, None], normals[near], weight)
+        limit = RADIUS * spacings[centres]
+        placed = placed - np.clip(height, -limit, limit)[:, None] * outward
+    distance, near = nearest(points, placed, 1)  # (k, 1)
+    usable = (distance > APART * step) & (distance < RADIUS * spacings[near])
+    usable &= np.einsum("ij,ikj->ik", outward, normals[near]) > 0
+    usable = usable[:, 0]
+    placed, outward, centres = placed[usable], outward[usable], centres[usable]
+    kept = _one_a_voxel(placed, step)
+    return placed[kept], outward[kept], centres[kept]
+
+
+def _sphere(apart: FloatArray, normals: FloatArray, weight: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Heights of the origin above spheres u₀ + u·p + q p·p = 0 fitted to (n, k, 3) points, and normals."""
+    total = weight.sum(axis=1) + np.finfo(float).tiny
+    middle = np.einsum("nk,nkd->nd", weight, apart)
+    summed = np.einsum("nk,nkd->nd", weight, normals)
+    squares = np.einsum("nk,nkd,nkd->n", weight, apart, apart)
+    turn = np.einsum("nk,nkd,nkd->n", weight, apart, normals) - (middle * summed).sum(axis=1) / total
+    extent = squares - (middle**2).sum(axis=1) / total
+    q = np.divide(turn, 2 * extent, out=np.zeros_like(turn), where=extent > 1e-9 * squares)
+    u = (summed - 2 * q[:, None] * middle) / total[:, None]
+    u_0 = -((u * middle).sum(axis=1) + q * squares) / total
+    steepness = np.linalg.norm(u, axis=1)
+    root = np.sqrt(np.maximum(steepness**2 - 4 * u_0 * q, 0))
+    height = np.divide(2 * u_0, steepness + root, out=np.zeros_like(u_0), where=steepness > 0)
+    return height, u / np.maximum(steepness, np.finfo(float).tiny)[:, None]
+
+
+def _one_a_voxel(points: FloatArray, edge: float) -> NDArray[np.intp]:
+    """Indices of the first point in each voxel."""
+    if not len(points):
+        return np.zeros(0, dtype=np.intp)
+    return np.asarray(np.unique(voxel_numbers(points, edge), return_index=True)[1])
