@@ -72,6 +72,7 @@ OTHER: dict[str, dict[str, Any]] = {
         "distance": "d1",
         "whitening": "within-class",
         "shrinkage": 0.2,
+        "rerank": "local",
         "n_folds": 3,
         "fold_seed": 7,
     },

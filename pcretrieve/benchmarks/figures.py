@@ -31,7 +31,8 @@ from pcretrieve.types import SignatureTable
 
 __all__ = ["main"]
 
-KEEP = PipelineOptions().changed(surface={"mode": "keep"})
+SHORT = PipelineOptions().changed(signature={"n_values": 23})
+KEEP = SHORT.changed(surface={"mode": "keep"})
 
 # Relative values, as equation (10) of the paper has them; the default is by area.
 RELATIVE = {"scale": "relative"}
@@ -106,7 +107,7 @@ def _tosca(data: Path, folder: Path) -> Iterator[str]:
     scans = folder / "tosca"
     n = _write_scans(data, scans)
     labels = {Path(name).stem: label for name, label in read_labels(data / "labels.csv").items()}
-    with ingested(scans, folder / "scans.sqlite", PipelineOptions(), labels) as (catalogue, summary):
+    with ingested(scans, folder / "scans.sqlite", SHORT, labels) as (catalogue, summary):
         failed = [record.label for record in summary.failed]
         found = catalogue.signatures(catalogue.options.changed(signature=RELATIVE))
         rebuilt = evaluate_table(catalogue.signatures(), plain, failed_labels=failed)

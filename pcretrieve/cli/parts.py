@@ -60,7 +60,7 @@ config_option = click.option(
     type=click.Path(path_type=Path),
     metavar="TOML|PRESET",
     help="Pipeline options: a file such as `pcretrieve options` prints, or one of body-scanner, handheld, "
-    "depth-camera, clean-mesh.",
+    "depth-camera, clean-mesh, paper.",
 )
 surface_option = click.option(
     "--surface",
@@ -153,7 +153,7 @@ n_values_option = click.option(
     "--n-values",
     type=click.IntRange(min=1),
     metavar="L",
-    help="Number of values of the descriptor.  [default: 23, or the catalogue's]",
+    help="Number of values of the descriptor.  [default: 59, or the catalogue's]",
 )
 
 

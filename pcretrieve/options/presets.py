@@ -24,4 +24,10 @@ PRESETS: dict[str, dict[str, dict[str, Any]]] = {
     },
     # Meshes from modelling software, or cleaned by hand: repaired, but not reconstructed.
     "clean-mesh": {"surface": {"mode": "keep"}},
+    # The setting of Ye and Yu for the non-rigid track of SHREC'11.
+    "paper": {
+        "signature": {"method": "r-bihdm", "n_values": 23, "scale": "relative"},
+        "retrieval": {"distance": "d2", "whitening": "none"},
+        "surface": {"mode": "keep"},
+    },
 }

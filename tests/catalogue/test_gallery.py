@@ -37,7 +37,7 @@ def egg() -> Shape:
 def put(store: Catalogue, number: int) -> None:
     """A shape that is no egg's, but somebody else's signature."""
     rng = np.random.default_rng(number)
-    values = describe(egg(), OPTIONS.signature).values * np.exp(rng.normal(size=23) * 0.3)
+    values = describe(egg(), OPTIONS.signature).values * np.exp(rng.normal(size=59) * 0.3)
     record = Record(f"s{number:03}", f"/s{number:03}.off", f"hash{number}", f"kind{number % 5}")
     store.put(record, Content(egg(), values))
 

@@ -100,7 +100,7 @@ def test_a_catalogue_of_version_2_gets_verdicts(path: Path) -> None:
         assert {record.verdict for record in before} == {None}
         assert [record for page in store.pages(doubtful=True) for record in page] == []
         judged = replace(process(shapes.body()), verdict=Verdict("doubtful", 0.3, ("gaps: wide",)))
-        stored = store.put(Record("new", "/new.ply", "hash"), Content(judged, np.ones(23)))
+        stored = store.put(Record("new", "/new.ply", "hash"), Content(judged, np.ones(59)))
         assert stored.verdict == judged.verdict
         assert [record.id for page in store.pages(doubtful=True) for record in page] == ["new"]
     assert version(path) == 3

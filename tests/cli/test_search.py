@@ -145,7 +145,7 @@ def test_a_file_gives_commands_their_options_and_flags_override_it(
     by_file = json.loads(run(*asked, "--config", mine).stdout)
     assert (by_file["n_values"], by_file["whitening"], by_file["distance"]) == (9, "pca", "d1")
     assert by_file == json.loads(run(*asked, *PCA, "--distance", "d1", "--n-values", 9).stdout)
-    overridden = run(*asked, "--config", mine, "--whitening", "auto", "--distance", "log", "--n-values", 23)
+    overridden = run(*asked, "--config", mine, "--whitening", "auto", "--distance", "log", "--n-values", 59)
     assert overridden.stdout == run(*asked).stdout
     query = ("query", "-c", catalogue, files[0], "--json")
     assert (

@@ -145,7 +145,7 @@ def test_a_descriptor_of_another_package_is_used_like_any_other(
     assert len(found) == 5
     assert (np.diff(found) > 0).all()
     stored = values(run("signature", "--from-catalogue", catalogue, "--method", "girth", "body"))
-    assert len(stored["body"]) == 23
+    assert len(stored["body"]) == 59
     np.testing.assert_allclose(stored["body"][[0, -1]], found[[0, -1]], rtol=1e-6)
     asked = run("query", "-c", catalogue, scan, "--method", "girth", "--json")
     assert [row["id"] for row in json.loads(asked.stdout)] == ["body", "egg"], asked.stderr

@@ -1,0 +1,168 @@
+"""Print retrieval measures of labelled sets with every whitening and re-ranking.
+
+    .venv/bin/python scripts/benchmark_retrieval --data FOLDER --keep FOLDER
+
+FOLDER of --data has the subfolders shrec11, tosca and shrec14_csd, as far as they are there; simulated people
+and the scans in scans/ need no data. With --keep, the catalogues stay in a folder, so that the next run
+computes only what is missing. Without it a run takes half an hour on one core.
+
+Whitenings by neighbours and PCA are fitted to all shapes of a set, without labels. Within-class whitening is
+fitted by grouped folds; if lists are re-ranked, the gallery of a query is its fold. The vectors of SHREC'14
+are those of Chiotellis et al. (ECCV 2016), compared as they are.
+"""
+
+from __future__ import annotations
+
+import argparse
+import tempfile
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from pcretrieve.benchmarks.arguments import add_data, argument_parser
+from pcretrieve.benchmarks.fidelity.conditions import write_scan
+from pcretrieve.benchmarks.progress import progress
+from pcretrieve.benchmarks.sets import SETS, ingested, left_out
+from pcretrieve.benchmarks.tables import MEASURES, Column, Table, measure_values, print_lines
+from pcretrieve.benchmarks.timing import use_one_core
+from pcretrieve.errors import OptionError
+from pcretrieve.evaluation import evaluate_rankings, rank_table
+from pcretrieve.formats import write_mesh
+from pcretrieve.options import PipelineOptions, RetrievalOptions, SignatureOptions
+from pcretrieve.retrieval import RERANKINGS, resolution_covariance, table_whitening
+from pcretrieve.types import SignatureTable
+
+__all__ = ["main"]
+
+MESHES = {"shrec11": "shrec11", "tosca": "tosca", "people": "humans"}
+SCANS = {"tosca-scans": "tosca", "people-scans": "humans", "samples": "scans"}
+VECTORS = {"shrec14-real": "real.mat", "shrec14-synthetic": "synthetic.mat"}
+NAMES = (*MESHES, *SCANS, *VECTORS)
+WHITENINGS = ("none", "pca", "neighbours", "within-class")
+
+# The condition under which meshes are scanned, as in benchmark_fidelity.
+CONDITION = "typical-uniform"
+
+TABLE = Table(
+    Column("set", 17, align="<"),
+    Column("method", 16, align="<"),
+    Column("L", 4),
+    Column("whitening", 12, align="<"),
+    Column("re-ranking", 12, align="<"),
+    *(Column(title, 6, ".4f") for title in MEASURES),
+)
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Print the table.
+
+    Parameters
+    ----------
+    arguments : sequence of str, optional
+        By default the arguments of the command line.
+    """
+    parser = argument_parser(__doc__)
+    add_data(parser)
+    parser.add_argument("--only", nargs="+", choices=NAMES, default=NAMES, help="some sets only")
+    parser.add_argument("--samples", type=Path, default=Path("scans"), help="folder of the sample scans")
+    parser.add_argument("--methods", nargs="+", default=["r-bihdm"], help="descriptors")
+    parser.add_argument("--n-values", type=int, nargs="+", default=[59], help="lengths of the descriptors")
+    parser.add_argument("--keep", type=Path, metavar="FOLDER", help="keep the catalogues in this folder")
+    given = parser.parse_args(arguments)
+    use_one_core()
+    print_lines(_lines(given))
+
+
+def _lines(given: argparse.Namespace) -> Iterator[str]:
+    yield TABLE.head
+    with tempfile.TemporaryDirectory() as temporary:
+        folder = Path(temporary) if given.keep is None else given.keep
+        folder.mkdir(parents=True, exist_ok=True)
+        for name in given.only:
+            needed = _needed(name, given)
+            if missing := left_out(name, needed):
+                yield missing
+            elif name in VECTORS:
+                yield from _rows(name, _vectors(needed / VECTORS[name]), None)
+            else:
+                yield from _catalogue_rows(name, folder, given)
+
+
+def _needed(name: str, given: argparse.Namespace) -> Path:
+    """The folder without which a set is left out."""
+    data: Path = given.data
+    if name in VECTORS:
+        return data / "shrec14_csd"
+    if name == "samples":
+        return Path(given.samples)
+    source = (MESHES | SCANS)[name]
+    return Path() if source == "humans" else data / source
+
+
+def _catalogue_rows(name: str, folder: Path, given: argparse.Namespace) -> Iterator[str]:
+    options = PipelineOptions()
+    if name in MESHES:
+        options = options.changed(surface={"mode": "keep"})
+    source, labels = _files(name, folder, given)
+    with ingested(source, folder / f"{name}.sqlite", options, labels) as (catalogue, _):
+        failed = [record.label for record in catalogue.records(status="failed")]
+        for method in given.methods:
+            for n_values in given.n_values:
+                try:
+                    chosen = options.changed(
+                        signature={"method": method, "n_values": n_values, "scale": "area"}
+                    )
+                    table = catalogue.signatures(chosen)
+                except OptionError as error:
+                    yield f"{name} {method} {n_values}: left out, {error.message}"
+                    continue
+                yield from _rows(name, table, chosen.compared, failed)
+
+
+def _files(name: str, folder: Path, given: argparse.Namespace) -> tuple[Path, dict[str, str] | None]:
+    """The folder of the files of a set, which are written if they do not exist, and their classes."""
+    if name == "samples" or MESHES.get(name) in ("shrec11", "tosca"):
+        return _needed(name, given), None
+    files = folder / f"{name}-files"
+    files.mkdir(exist_ok=True)
+    labels = {}
+    for item in progress(SETS[(MESHES | SCANS)[name]](given.data, None), name):
+        written = next(iter(files.glob(f"{item.name}.*")), None)
+        if written is None and name in MESHES:
+            written = files / f"{item.name}.off"
+            write_mesh(item.mesh, written)
+        elif written is None:
+            written = write_scan(files / item.name, item.mesh, CONDITION, np.random.default_rng(item.number))
+        labels[written.name] = item.label
+    return files, labels
+
+
+def _vectors(path: Path) -> SignatureTable:
+    """The pooled WKS and SI-HKS values (N, 150) of a file of MATLAB, with the classes."""
+    from scipy.io import loadmat
+
+    arrays = loadmat(path)
+    values = np.hstack([arrays["WksPooledMat"], arrays["SihksPooledMat"]])
+    labels = tuple(str(number) for number in arrays["C"].ravel())
+    ids = tuple(f"{number:04}" for number in range(len(labels)))
+    return SignatureTable(ids, values, "csd", labels=labels, metric="values")
+
+
+def _rows(
+    name: str,
+    table: SignatureTable,
+    options: SignatureOptions | None,
+    failed: Sequence[str | None] = (),
+) -> Iterator[str]:
+    """One line for each whitening and re-ranking."""
+    for kind in WHITENINGS:
+        whitening = None
+        if kind != "within-class":
+            prior = None if options is None else resolution_covariance(options)
+            whitening = table_whitening(table, RetrievalOptions(whitening=kind), prior=prior)
+        for method in RERANKINGS:
+            retrieval = RetrievalOptions(whitening=kind, rerank=method)
+            ranked = rank_table(table, retrieval, whitening=whitening, failed_labels=failed)
+            measures = measure_values(evaluate_rankings(ranked))
+            yield TABLE.row(name, table.kind, table.values.shape[1], kind, method, *measures)
