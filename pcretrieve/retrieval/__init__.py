@@ -1,5 +1,6 @@
 """Signatures → ranked shapes: distances, whitening, and an exact nearest-neighbour index."""
 
+from pcretrieve.retrieval.changes import with_shapes, without_shapes
 from pcretrieve.retrieval.distances import (
     DISTANCES,
     Distance,
@@ -62,4 +63,6 @@ __all__ = [
     "table_coordinates",
     "table_whitening",
     "whitening_digest",
+    "with_shapes",
+    "without_shapes",
 ]

@@ -137,6 +137,48 @@ class Blocks:
         below = self.low - query
         return np.maximum(np.maximum(below, -below - N_CELLS * self.step), 0.0)
 
+    def renumbered(self, numbers: Rows) -> Blocks:
+        """The blocks after rows of the table were moved or removed.
+
+        Parameters
+        ----------
+        numbers : (N,) int32
+            The new number of each row of the table, or `NO_ROW` if it was removed.
+
+        Returns
+        -------
+        Blocks
+            Blocks with the same boxes, without blocks that have no row any more.
+        """
+        rows = np.where(self.rows == NO_ROW, np.int32(NO_ROW), numbers[self.rows])
+        if (used := (rows != NO_ROW).any(axis=1)).all():
+            return Blocks(rows, self.low, self.step, self.codes)
+        return Blocks(rows[used], self.low[used], self.step[used], self.codes[used])
+
+    def extended(self, coordinates: Callable[[Rows], FloatArray], rows: Rows) -> Blocks:
+        """The blocks with further rows, which are stored in new blocks beside those of the last block.
+
+        Parameters
+        ----------
+        coordinates : function of (m,) int32 that returns (m, D) float64
+            Coordinates of rows of the table.
+        rows : (n,) int32
+            The further rows.
+
+        Returns
+        -------
+        Blocks
+            All blocks but the last one are unchanged.
+        """
+        last = self.rows[-1]
+        rows = np.concatenate([last[last != NO_ROW], rows])
+        with np.errstate(over="ignore"):
+            leading = np.ascontiguousarray(coordinates(rows).T, np.float32)
+        new = Blocks.of(leading, coordinates, rows, len(last))
+        return Blocks(
+            *(np.concatenate([old[:-1], new.to_arrays()[name]]) for name, old in self.to_arrays().items())
+        )
+
     def to_arrays(self) -> dict[str, NDArray[Any]]:
         """The attributes as arrays by name: the input of `from_arrays`."""
         return {"rows": self.rows, "low": self.low, "step": self.step, "codes": self.codes}

@@ -22,12 +22,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcretrieve.errors import InputError
-from pcretrieve.retrieval.blocks import Rows
+from pcretrieve.retrieval.blocks import NO_ROW, Rows
 from pcretrieve.retrieval.distances import DISTANCES, pairwise
+from pcretrieve.retrieval.interpreted import scan
 from pcretrieve.retrieval.lower_bounds import LowerBounds
 from pcretrieve.types import FloatArray
 
 __all__ = ["Filter"]
+
+# Largest number of shapes that are all compared with each query, which takes as long as to find a few of them
+# by lower bounds. See docs/decisions.md, N_ALL.
+N_ALL = 1000
 
 # Tolerance of the lower bound. The rounding error of a sum of L products of numbers of magnitude s is at most
 # a few L·s·ε, and that of a vector of up to L such sums √L times as large; this is the factor of L²·s.
@@ -54,7 +59,7 @@ class Filter:
     size : float
         Largest magnitude of a coordinate, at least 1.
     bounds : LowerBounds or None
-        None for a distance without lower bounds, by which no shape is left out.
+        None for few shapes, and for a distance without lower bounds: no shape is left out.
     """
 
     distance: str
@@ -78,15 +83,59 @@ class Filter:
         Returns
         -------
         Filter
-            With the bounds that the distance declares.
+            With the bounds that the distance declares, if there are more than `N_ALL` shapes.
         """
         size = max(1.0, float(points.max()), -float(points.min()))
-        bound = DISTANCES[distance].at_least
+        bound = DISTANCES[distance].at_least if len(points) > N_ALL else None
         return cls(distance, points, size, LowerBounds.of(bound, points, n_leading) if bound else None)
 
-    def candidates(
-        self, point: FloatArray, k: int, scan: Callable[..., int] | None = None
-    ) -> NDArray[np.intp]:
+    def __str__(self) -> str:
+        if self.bounds is None:
+            return "all shapes compared"
+        n_blocks, n_axes, size = self.bounds.blocks.codes.shape
+        axes = "directions" if self.bounds.euclidean else "values"
+        return f"{n_blocks} blocks of up to {size} shapes, bounds of {n_axes} {axes}"
+
+    def extended(self, points: FloatArray, numbers: Rows, rows: Rows) -> Filter:
+        """The filter with further shapes.
+
+        Parameters
+        ----------
+        points : (N + n, L) float64
+            The coordinates of all shapes.
+        numbers : (N,) int32
+            The row of `points` of each shape that the filter has.
+        rows : (n,) int32
+            The rows of the further shapes.
+
+        Returns
+        -------
+        Filter
+            With bounds along the axes of the shapes before, if these have bounds.
+        """
+        if self.bounds is None:
+            return Filter.of(self.distance, points)
+        size = max(self.size, float(np.abs(points[rows]).max()))
+        return Filter(self.distance, points, size, self.bounds.renumbered(numbers).extended(points, rows))
+
+    def kept(self, keep: NDArray[np.bool_]) -> Filter:
+        """The filter of some of the shapes.
+
+        Parameters
+        ----------
+        keep : (N,) bool
+            Which ones; at least one.
+
+        Returns
+        -------
+        Filter
+            With the bounds of these shapes.
+        """
+        numbers = np.where(keep, np.cumsum(keep) - 1, NO_ROW).astype(np.int32)
+        bounds = None if self.bounds is None else self.bounds.renumbered(numbers)
+        return Filter(self.distance, self.points[keep], self.size, bounds)
+
+    def candidates(self, point: FloatArray, k: int, scan: Callable[..., int] = scan) -> NDArray[np.intp]:
         """The shapes that can be among the k nearest.
 
         Parameters
@@ -96,7 +145,7 @@ class Filter:
         k : int
             Between 1 and N.
         scan : function, optional
-            As in `LowerBounds.to_rows`.
+            As in `LowerBounds.to_rows`, by default without compiled code.
 
         Returns
         -------
@@ -156,7 +205,7 @@ class Filter:
         """
         distance, points = str(arrays["distance"]), arrays["gallery"]
         bound = DISTANCES[distance].at_least
-        bounds = LowerBounds.from_arrays(bound, arrays) if bound else None
+        bounds = LowerBounds.from_arrays(bound, arrays) if bound and "codes" in arrays else None
         if bounds is not None and not bounds.fits(points):
             raise InputError("the arrays of an index must be of one table, got several; build it again")
         return cls(distance, points, float(arrays["size"]), bounds)

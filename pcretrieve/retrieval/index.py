@@ -22,6 +22,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from pcretrieve.errors import InputError
 from pcretrieve.options import RetrievalOptions
+from pcretrieve.retrieval import interpreted
 from pcretrieve.retrieval.distances import pairwise, table_coordinates
 from pcretrieve.retrieval.fitting import fit_whitening
 from pcretrieve.retrieval.names import Names
@@ -60,12 +61,9 @@ class SignatureIndex:
 
     Attributes
     ----------
-    ids : sequence of str, length N
-        The shapes of the table, in alphabetical order.
-    distance : str
-        A name in `pcretrieve.retrieval.DISTANCES`.
-    whitening : Whitening
-        The whitening of the gallery and of all queries.
+    contents : WhitenedTable
+        The whitened coordinates. Neighbours are found by blocks of neighbouring shapes, or, among few shapes
+        and for distances without lower bounds, by all distances: ``repr`` says which.
 
     Raises
     ------
@@ -95,7 +93,7 @@ class SignatureIndex:
             options.whitening, points, table.labels, shrinkage=options.shrinkage, options_digest=table.digest
         )
         ids = Names.of(table.ids[row] for row in by_id)
-        self._table = WhitenedTable.of(made_by, ids, points[by_id], options.distance, whitening)
+        self.contents = WhitenedTable.of(made_by, ids, points[by_id], options.distance, whitening)
 
     @classmethod
     def of_coordinates(
@@ -137,27 +135,39 @@ class SignatureIndex:
         """
         if not len(ids):
             raise InputError(NO_SHAPES)
-        index = cls.__new__(cls)
         whitening = whitening or fit_whitening(
             options.whitening, points, labels, shrinkage=options.shrinkage, options_digest=made_by.digest
         )
-        index._table = WhitenedTable.of(made_by, ids, points, options.distance, whitening)
+        return cls.of_contents(WhitenedTable.of(made_by, ids, points, options.distance, whitening))
+
+    @classmethod
+    def of_contents(cls, contents: WhitenedTable) -> SignatureIndex:
+        """The index of coordinates that are whitened already."""
+        index = cls.__new__(cls)
+        index.contents = contents
         return index
 
     @property
     def ids(self) -> Names:
         """The shapes of the table, in alphabetical order."""
-        return self._table.ids
+        return self.contents.ids
 
     @property
     def distance(self) -> str:
         """A name in `pcretrieve.retrieval.DISTANCES`."""
-        return self._table.filter.distance
+        return self.contents.filter.distance
 
     @property
     def whitening(self) -> Whitening:
         """The whitening of the gallery and of all queries."""
-        return self._table.whitening
+        return self.contents.whitening
+
+    def __repr__(self) -> str:
+        n_shapes, n_values = self.contents.filter.points.shape
+        return (
+            f"SignatureIndex({n_shapes} shapes of {n_values} values, distance {self.distance}, "
+            f"whitening {self.whitening.kind}: {self.contents.filter})"
+        )
 
     def __len__(self) -> int:
         return len(self.ids)
@@ -186,7 +196,7 @@ class SignatureIndex:
             value is not positive and finite.
         """
         k = checked_k(k)
-        return self._nearest(self._table.point_of(signature), k)
+        return self._nearest(self.contents.point_of(signature), k)
 
     def query_many(
         self, signatures: Iterable[Signature | ArrayLike], k: int = 10, *, n_threads: int = 1
@@ -206,11 +216,6 @@ class SignatureIndex:
         -------
         list of Neighbors, length Q
             The result of `query` for each signature.
-
-        Raises
-        ------
-        OptionError
-            If `k` or `n_threads` is not an integer of at least 1.
         """
         with ThreadPoolExecutor(checked_count("n_threads", n_threads)) as threads:
             return list(threads.map(partial(self.query, k=k), signatures))
@@ -231,7 +236,7 @@ class SignatureIndex:
             Nearest first; equal distances by identifier.
         """
         row = position_of(self.ids, shape_id)
-        return self._nearest(self._table.filter.points[row : row + 1], checked_k(k))
+        return self._nearest(self.contents.filter.points[row : row + 1], checked_k(k))
 
     def blocks(self, queries: Positions | None = None) -> Iterator[DistanceBlock]:
         """Distances from shapes of the table to the whole table.
@@ -247,28 +252,28 @@ class SignatureIndex:
             Some of the queries.
         """
         rows = np.arange(len(self)) if queries is None else queries
-        yield from pairwise_blocks(self.distance, self._table.filter.points, rows)
+        yield from pairwise_blocks(self.distance, self.contents.filter.points, rows)
 
     def _nearest(self, point: FloatArray, k: int) -> Neighbors:
         """The `k` nearest neighbours of a (1, L) whitened log-signature."""
-        candidates = self._table.filter.candidates(point, min(k, len(self)), self._scan())
-        distances = pairwise(self.distance, point, self._table.filter.points[candidates])[0]
+        candidates = self.contents.filter.candidates(point, min(k, len(self)), self._scan())
+        distances = pairwise(self.distance, point, self.contents.filter.points[candidates])[0]
         # Candidates ascend, and so do their ids: a stable sort leaves equal distances in the ids' order.
         first = np.argsort(distances, kind="stable")[:k]
         return Neighbors(tuple(self.ids[row] for row in candidates[first]), distances[first])
 
-    def _scan(self) -> Callable[..., int] | None:
-        """The compiled scan of the blocks, once it is worth the time that numba needs to load it."""
+    def _scan(self) -> Callable[..., int]:
+        """The scan of the blocks, compiled once that is worth the time that numba needs to load it."""
         self._n_answered += 1
         if self._n_answered <= N_INTERPRETED:
-            return None
+            return interpreted.scan
         from pcretrieve.retrieval.compiled import scan
 
         return scan
 
     def to_arrays(self) -> dict[str, NDArray[Any]]:
         """The contents as arrays by name, none of which holds objects: the input of `from_arrays`."""
-        return self._table.to_arrays()
+        return self.contents.to_arrays()
 
     @classmethod
     def from_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> SignatureIndex:
@@ -289,6 +294,4 @@ class SignatureIndex:
         InputError
             If an array is missing or has the wrong shape.
         """
-        index = cls.__new__(cls)
-        index._table = WhitenedTable.from_arrays(arrays)
-        return index
+        return cls.of_contents(WhitenedTable.from_arrays(arrays))

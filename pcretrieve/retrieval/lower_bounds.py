@@ -18,14 +18,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pcretrieve.retrieval.blocks import N_CELLS, NO_ROW, Blocks, Rows
+from pcretrieve.retrieval.blocks import N_CELLS, Blocks, Rows
 from pcretrieve.types import FloatArray
 
 __all__ = ["CHUNK", "LowerBounds"]
@@ -46,9 +46,6 @@ CHORD_SLOPE = math.tanh(CLIP / 2) / CLIP
 
 # Number of signatures that are processed together, so that intermediate arrays have a few MB.
 CHUNK = 2**15
-
-# Number of blocks whose bounds numpy computes together: their arrays fit the second-level cache.
-N_TOGETHER = 32
 
 SINGLE = float(np.finfo(np.float32).eps)
 LARGEST_SINGLE = float(np.finfo(np.float32).max)
@@ -114,6 +111,39 @@ class LowerBounds:
                 leading[:, chunk] = _coordinates(gallery, mean, axes[:, : len(leading)], chunk).T
         return cls(distance != "d1", mean, axes, Blocks.of(leading, coordinates, rows))
 
+    def renumbered(self, numbers: Rows) -> LowerBounds:
+        """The bounds after rows of the table were moved or removed.
+
+        Parameters
+        ----------
+        numbers : (N,) int32
+            As in `Blocks.renumbered`.
+
+        Returns
+        -------
+        LowerBounds
+            Bounds along the same axes.
+        """
+        return replace(self, blocks=self.blocks.renumbered(numbers))
+
+    def extended(self, gallery: FloatArray, rows: Rows) -> LowerBounds:
+        """The bounds with further rows, as in `Blocks.extended`.
+
+        Parameters
+        ----------
+        gallery : (N, L) float64
+            All whitened log-signatures.
+        rows : (n,) int32
+            Those that have no bounds.
+
+        Returns
+        -------
+        LowerBounds
+            Bounds along the same axes.
+        """
+        coordinates = partial(_coordinates, gallery, self.mean, self.axes)
+        return replace(self, blocks=self.blocks.extended(coordinates, rows))
+
     def to_arrays(self) -> dict[str, NDArray[Any]]:
         """The arrays of the bounds, by name: the input of `from_arrays`."""
         return {"mean": self.mean, "axes": self.axes} | self.blocks.to_arrays()
@@ -178,7 +208,7 @@ class LowerBounds:
         return bounds
 
     def to_rows(
-        self, query: FloatArray, chosen: NDArray[np.intp], limit: float, scan: Callable[..., int] | None
+        self, query: FloatArray, chosen: NDArray[np.intp], limit: float, scan: Callable[..., int]
     ) -> tuple[Rows, NDArray[np.float32]]:
         """The rows in some blocks whose lower bound is at most a limit.
 
@@ -190,8 +220,8 @@ class LowerBounds:
             The blocks.
         limit : float
             A result of `limit`.
-        scan : function, optional
-            `pcretrieve.retrieval.compiled.scan`; by default numpy is used.
+        scan : function
+            The function `scan` of `pcretrieve.retrieval.compiled` or of `pcretrieve.retrieval.interpreted`.
 
         Returns
         -------
@@ -206,8 +236,6 @@ class LowerBounds:
             offset = (blocks.low[chosen] - query + step / 2).astype(np.float32)
             half = (step * (0.5 + CELL_ROUNDING)).astype(np.float32)
             single = step.astype(np.float32)
-            if scan is None:
-                return self._scan(chosen, offset, single, half, np.float32(limit))
         clip = np.float32(0 if self.euclidean else CLIP)
         rows = np.empty(len(chosen) * blocks.rows.shape[1], np.int32)
         bounds = np.empty(len(rows), np.float32)
@@ -234,32 +262,6 @@ class LowerBounds:
         rounding = 1 + 4 * (self.axes.shape[1] + 8) * SINGLE
         limit = (radius * radius if self.euclidean else radius / CHORD_SLOPE) * rounding
         return limit if limit < LARGEST_SINGLE else math.inf
-
-    def _scan(
-        self,
-        chosen: NDArray[np.intp],
-        offset: NDArray[np.float32],
-        step: NDArray[np.float32],
-        half: NDArray[np.float32],
-        limit: np.float32,
-    ) -> tuple[Rows, NDArray[np.float32]]:
-        """What `pcretrieve.retrieval.compiled.scan` finds, by numpy."""
-        found_rows, found_bounds = [], []
-        for start in range(0, len(chosen), N_TOGETHER):
-            part = slice(start, start + N_TOGETHER)
-            rows = self.blocks.rows[chosen[part]]  # (b, S)
-            total = np.zeros(rows.shape, np.float32)
-            for axis in range(step.shape[1]):
-                apart = self.blocks.codes[chosen[part], axis] * step[part, axis, np.newaxis]
-                apart += offset[part, axis, np.newaxis]
-                np.abs(apart, out=apart)
-                apart -= half[part, axis, np.newaxis]
-                np.maximum(apart, 0, out=apart)
-                total += np.square(apart, out=apart) if self.euclidean else np.minimum(apart, CLIP, out=apart)
-            near = ~(total > limit) & (rows != NO_ROW)
-            found_rows.append(rows[near])
-            found_bounds.append(total[near])
-        return np.concatenate(found_rows), np.concatenate(found_bounds)
 
 
 def _scatter(gallery: FloatArray, mean: FloatArray) -> FloatArray:

@@ -88,3 +88,40 @@ class Names(Sequence[str]):
         if row >= last or self[row] != name:
             raise ValueError(f"{name!r} is not among the names")
         return row
+
+    def inserted(self, names: Names, places: NDArray[np.intp]) -> Names:
+        """The strings with further ones among them.
+
+        Parameters
+        ----------
+        names : Names, length n
+            The further strings, ascending.
+        places : (n,) intp
+            The position before which each of them comes.
+
+        Returns
+        -------
+        Names
+            All strings, ascending if the places are the right ones.
+        """
+        lengths, further = (np.diff(some.ends, prepend=0) for some in (self, names))
+        starts = self.ends - lengths
+        before = np.append(starts, len(self.text))[places]
+        text = np.insert(self.text, np.repeat(before, further), names.text)
+        return Names(text, np.cumsum(np.insert(lengths, places, further)))
+
+    def kept(self, keep: NDArray[np.bool_]) -> Names:
+        """Some of the strings.
+
+        Parameters
+        ----------
+        keep : (n,) bool
+            Which ones.
+
+        Returns
+        -------
+        Names
+            These strings, in the same order.
+        """
+        lengths = np.diff(self.ends, prepend=0)
+        return Names(self.text[np.repeat(keep, lengths)], np.cumsum(lengths[keep]))

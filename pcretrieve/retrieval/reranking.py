@@ -240,7 +240,8 @@ def k_reciprocal(lists: NeighbourLists, rows: Positions) -> FloatArray:
     members = csr_array(((mutual + bringing @ half) > 0).astype(np.float64))
     # Gaussian-like weights, relative to the scale of each neighbourhood.
     scale = np.maximum(lists.distances[:, 1 : k1 + 1].mean(axis=1), np.finfo(np.float64).tiny)
-    near = np.maximum(np.exp(-lists.distances / scale[:, None]), np.finfo(np.float64).tiny)
+    with np.errstate(over="ignore"):  # neighbourhoods of equal shapes have the scale zero
+        near = np.maximum(np.exp(-lists.distances / scale[:, None]), np.finfo(np.float64).tiny)
     indptr = np.arange(0, n * length + 1, length)
     features = csr_array(
         members.multiply(csr_array((near.ravel(), lists.order.ravel(), indptr), shape=(n, n)))

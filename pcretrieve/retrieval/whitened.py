@@ -16,7 +16,7 @@ from pcretrieve.retrieval.lower_bounds import CHUNK
 from pcretrieve.retrieval.names import Names
 from pcretrieve.retrieval.units import check_unit
 from pcretrieve.retrieval.whitening import Whitening
-from pcretrieve.types import FloatArray, Metric, Signature, SizeUnit
+from pcretrieve.types import FloatArray, Metric, Signature, SignatureTable, SizeUnit
 
 __all__ = ["MadeBy", "WhitenedTable"]
 
@@ -44,25 +44,25 @@ class MadeBy(NamedTuple):
     metric: Metric
     unit: SizeUnit | None
 
-    def check(self, query: Signature) -> None:
-        """Check that a query is comparable with the signatures of the table.
+    def check(self, other: Signature | SignatureTable) -> None:
+        """Check that other signatures are comparable with those of the table.
 
         Parameters
         ----------
-        query : Signature
-            The query.
+        other : Signature or SignatureTable
+            A query, or further shapes.
 
         Raises
         ------
         InputError
             If it was made by another method or other options, or its size is in another unit.
         """
-        if (query.kind, query.digest) != (self.kind, self.digest):
+        if (other.kind, other.digest) != (self.kind, self.digest):
             raise InputError(
-                f"the query must be made by the same method and options as the table, "
-                f"{self.kind!r} {self.digest!r}, got {query.kind!r} {query.digest!r}"
+                f"signatures must be made by the same method and options as the table, "
+                f"{self.kind!r} {self.digest!r}, got {other.kind!r} {other.digest!r}"
             )
-        check_unit(query.unit, self.unit)
+        check_unit(other.unit, self.unit)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

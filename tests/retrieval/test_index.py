@@ -11,6 +11,7 @@ from pcretrieve.options import RetrievalOptions
 from pcretrieve.retrieval import (
     DISTANCES,
     SignatureIndex,
+    filtering,
     fit_whitening,
     log_signatures,
     pairwise,
@@ -47,7 +48,10 @@ def by_brute_force(
 @pytest.mark.parametrize("whitening", ["none", "pca", "within-class"])
 @pytest.mark.parametrize("distance", DISTANCES.own)
 @pytest.mark.parametrize("seed", range(3))
-def test_agrees_with_brute_force(distance: str, whitening: str, seed: int) -> None:
+def test_agrees_with_brute_force(
+    distance: str, whitening: str, seed: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(filtering, "N_ALL", 0)
     table = a_table(300, seed=seed, copies=60)
     index = SignatureIndex(table, RetrievalOptions(distance=distance, whitening=whitening))
     rng = np.random.default_rng(seed + 100)
@@ -68,7 +72,7 @@ def test_leaves_most_of_a_gallery_out(distance: str) -> None:
     table = a_table(3000)
     index = SignatureIndex(table, RetrievalOptions(distance=distance))
     points = index.whitening.apply(log_signatures(table.values[:20]))
-    measured = [len(index._table.filter.candidates(point[np.newaxis], 5)) for point in points]
+    measured = [len(index.contents.filter.candidates(point[np.newaxis], 5)) for point in points]
     assert np.median(measured) < 100
 
 
@@ -122,7 +126,10 @@ def test_infinite_distances_are_ranked_by_id() -> None:
 
 @pytest.mark.parametrize("distance", DISTANCES.own)
 @pytest.mark.parametrize("n_leading", [1, 15, 100])
-def test_the_leading_directions_change_no_answer(distance: str, n_leading: int) -> None:
+def test_the_leading_directions_change_no_answer(
+    distance: str, n_leading: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(filtering, "N_ALL", 0)
     points = log_signatures(a_table(200).values)
     few = Filter.of(distance, points, n_leading)
     for point in points[:10, np.newaxis]:
@@ -236,8 +243,11 @@ def test_values_of_another_shape(shape: tuple[int, ...]) -> None:
 
 @pytest.mark.parametrize("whitening", ["none", "pca", "within-class"])
 @pytest.mark.parametrize("distance", DISTANCES.own)
-def test_arrays_give_the_answers_of_the_index(distance: str, whitening: str, tmp_path: Path) -> None:
+def test_arrays_give_the_answers_of_the_index(
+    distance: str, whitening: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Mapped into memory too; a few of them are files that are read as a whole."""
+    monkeypatch.setattr(filtering, "N_ALL", 0)
     table = a_table(300, copies=20)
     index = SignatureIndex(table, RetrievalOptions(distance=distance, whitening=whitening))
     for name, array in index.to_arrays().items():
@@ -261,7 +271,8 @@ def test_arrays_that_are_missing_are_named(missing: str) -> None:
 
 
 @pytest.mark.parametrize("name", ["gallery", "id_ends", "rows", "codes", "mean"])
-def test_arrays_of_two_tables_are_no_index(name: str) -> None:
+def test_arrays_of_two_tables_are_no_index(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(filtering, "N_ALL", 0)
     arrays = SignatureIndex(a_table(20)).to_arrays()
     arrays[name] = SignatureIndex(a_table(21, n_values=14)).to_arrays()[name]
     with pytest.raises(InputError, match="must be of one table"):

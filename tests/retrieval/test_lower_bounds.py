@@ -9,16 +9,17 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from pcretrieve.retrieval import DISTANCES, pairwise
+from pcretrieve.retrieval import DISTANCES, compiled, interpreted, pairwise
 from pcretrieve.retrieval.blocks import BLOCK_SIZE
-from pcretrieve.retrieval.compiled import scan
 from pcretrieve.retrieval.filtering import ROUNDING
 from pcretrieve.retrieval.lower_bounds import LowerBounds
 from pcretrieve.types import FloatArray
 
 N_VALUES = 12
 
-Scan = Callable[..., int] | None
+Scan = Callable[..., int]
+
+SCANS = (interpreted.scan, compiled.scan)
 
 
 def galleries() -> dict[str, FloatArray]:
@@ -43,7 +44,7 @@ def bounds_of_all(bounds: LowerBounds, point: FloatArray, scan: Scan) -> FloatAr
     return every
 
 
-@pytest.mark.parametrize("scan", [None, scan])
+@pytest.mark.parametrize("scan", SCANS)
 @pytest.mark.parametrize("distance", DISTANCES.own)
 @pytest.mark.parametrize("name", galleries())
 def test_no_signature_lies_within_a_distance_and_beyond_its_limit(
@@ -66,7 +67,7 @@ def test_no_signature_lies_within_a_distance_and_beyond_its_limit(
                 assert block <= limit or not np.isin(within, rows).any()
 
 
-@pytest.mark.parametrize("scan", [None, scan])
+@pytest.mark.parametrize("scan", SCANS)
 @pytest.mark.parametrize("distance", DISTANCES.own)
 def test_bounds_tell_near_from_far(distance: str, scan: Scan) -> None:
     gallery = galleries()["spread"]
@@ -84,12 +85,11 @@ def test_compiled_bounds_are_those_of_numpy(distance: str) -> None:
     bounds = LowerBounds.of(distance, gallery)
     assert len(bounds.blocks.rows) == 2
     for query in gallery[::100]:
-        np.testing.assert_allclose(
-            bounds_of_all(bounds, query, scan), bounds_of_all(bounds, query, None), rtol=1e-5, atol=1e-6
-        )
+        by_numpy, compiled_ones = (bounds_of_all(bounds, query, scan) for scan in SCANS)
+        np.testing.assert_allclose(compiled_ones, by_numpy, rtol=1e-5, atol=1e-6)
 
 
-@pytest.mark.parametrize("scan", [None, scan])
+@pytest.mark.parametrize("scan", SCANS)
 @pytest.mark.parametrize("distance", DISTANCES.own)
 def test_queries_beyond_single_precision_leave_nothing_out(distance: str, scan: Scan) -> None:
     gallery = galleries()["spread"]
