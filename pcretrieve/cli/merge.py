@@ -9,7 +9,15 @@ from typing import TYPE_CHECKING
 
 import click
 
-from pcretrieve.cli.parts import EXIT_SOME_FAILED, json_option, limit_options, say, write_json
+from pcretrieve.cli.parts import (
+    EXIT_SOME_FAILED,
+    config_option,
+    json_option,
+    limit_options,
+    load_options,
+    say,
+    write_json,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -32,23 +40,29 @@ __all__ = ["merge_command"]
     "normals only.",
 )
 @click.option(
-    "--refine/--no-refine", default=True, help="Refine the poses of a .conf file, or use them as they are."
+    "--refine/--no-refine", default=None, help="Refine the poses of a .conf file, or use them as they are."
 )
 @click.option(
     "--sensor",
     type=click.Choice(["front", "origin"]),
-    default="front",
-    show_default=True,
     help="Position of the sensor of files that have none: far away in the direction +z (front), as of range "
-    "scanners, or at the origin, as of frames of a depth camera.",
+    "scanners, or at the origin, as of frames of a depth camera.  "
+    "[default: front]",
 )
 @click.option("--max-range", type=float, metavar="LENGTH", help="Remove points farther from the sensor.")
-@click.option("--keep-largest", is_flag=True, help="Keep only the largest connected piece of each view.")
+@click.option(
+    "--background",
+    type=click.Choice(["none", "planes"]),
+    help="Remove the planes of floors and walls (planes), or nothing.  [default: none]",
+)
+@click.option(
+    "--keep-largest", is_flag=True, default=None, help="Keep only the largest connected piece of each view."
+)
 @click.option(
     "--voxel",
     type=float,
     metavar="SHARE",
-    help="Keep one point in each voxel of this size, 0 to keep all points.  [default: 0]",
+    help="Average the points in each voxel of this size, 0 to keep all points.  [default: 0]",
 )
 @click.option(
     "--reach", type=float, metavar="SHARE", help="Largest distance of corresponding points.  [default: 0.01]"
@@ -60,18 +74,21 @@ __all__ = ["merge_command"]
     help="Smallest fraction of the points of a view that another view must have measured too.  "
     "[default: 0.1]",
 )
+@config_option
 @limit_options("view, all of them together")
 @json_option
 def merge_command(
     paths: tuple[str, ...],
     output: Path,
-    refine: bool,
-    sensor: str,
+    refine: bool | None,
+    sensor: str | None,
     max_range: float | None,
-    keep_largest: bool,
+    background: str | None,
+    keep_largest: bool | None,
     voxel: float | None,
     reach: float | None,
     min_overlap: float | None,
+    config: Path | None,
     timeout: float,
     memory: float | None,
     as_json: bool,
@@ -79,25 +96,34 @@ def merge_command(
     """Register range scans (views) of one body, and merge them into one point cloud.
 
     VIEWS are files, folders, glob patterns, or one Stanford .conf file, whose poses are the initial ones.
-    Views without poses may be in any order and in any pose. Views that cannot be registered are left out, and
-    the exit code is 3. Voxel and reach are relative to the median diagonal of the views; the range is in the
-    unit of the files.
+    Views without poses may be in any order and in any pose; frames of a depth camera are fastest in the order
+    of their names. Views that cannot be registered are left out, and the exit code is 3. Voxel and reach are
+    relative to the median diagonal of the views; the range is in the unit of the files.
 
     \b
     pcretrieve merge bunny/*.ply -o bunny.ply
+    pcretrieve merge frames/ --config depth-camera -o body.ply
     pcretrieve merge frames/ --sensor origin --max-range 1.5 --keep-largest -o body.ply
     """
     from pcretrieve.formats import check_output, write_cloud
     from pcretrieve.ingestion.discover import printable
     from pcretrieve.ingestion.isolation import Isolation
     from pcretrieve.ingestion.views import view_files
-    from pcretrieve.options import MergeOptions
 
     if not paths:
         raise click.UsageError("name at least two views, or one .conf")
-    chosen = {"voxel": voxel, "reach": reach, "min_overlap": min_overlap, "max_range": max_range}
+    chosen = {
+        "refine": refine,
+        "sensor": sensor,
+        "max_range": max_range,
+        "background": background,
+        "keep_largest": keep_largest,
+        "voxel": voxel,
+        "reach": reach,
+        "min_overlap": min_overlap,
+    }
     given = {name: value for name, value in chosen.items() if value is not None}
-    options = MergeOptions(refine=refine, sensor=sensor, keep_largest=keep_largest, **given)
+    options = load_options(config).changed(merge=given).merge
     files, _ = view_files(paths)
     check_output(output, files, "point")
     merged = Isolation(timeout * len(files), memory).call(_merged, paths, options)

@@ -136,7 +136,7 @@ def inspect(
 
 def merge_views(
     views: str | Path | Sequence[ScanLike],
-    options: MergeOptions | Mapping[str, object] | None = None,
+    options: MergeOptions | Mapping[str, object] | str | Path | None = None,
     *,
     on_pair: Callable[[int, int], None] | None = None,
 ) -> Merged:
@@ -146,8 +146,9 @@ def merge_views(
     ----------
     views : str, Path, or a sequence of ScanLike
         A folder, a glob or a Stanford ``.conf`` file; or the views, each a file, an array or geometry.
-    options : MergeOptions or mapping, optional
-        The parameters of the registration. By default the defaults.
+    options : MergeOptions, mapping, str or Path, optional
+        The parameters of the registration, or the name of a preset or of a TOML file that has them in the
+        table ``[merge]``. By default the defaults.
     on_pair : function, optional
         Called with the number of pairs of views that have been matched, and the number of all pairs.
 
@@ -165,6 +166,8 @@ def merge_views(
     ReconstructionError
         If no two views share a surface.
     """
+    if isinstance(options, (str, Path)):
+        options = PipelineOptions.named(options).merge
     chosen = options if isinstance(options, MergeOptions) else MergeOptions(**(options or {}))
     named = [views] if isinstance(views, (str, Path)) else views
     files = [view for view in named if isinstance(view, (str, Path))]

@@ -18,7 +18,7 @@ BARE_KEY = re.compile(r"[\w-]+", re.ASCII)
 
 
 def options_difference(stored: PipelineOptions, given: PipelineOptions) -> list[str]:
-    """The differences of two sets of options, except for the options of retrieval.
+    """The differences of two sets of options, except for those of retrieval and of `merge`.
 
     Parameters
     ----------
@@ -32,7 +32,7 @@ def options_difference(stored: PipelineOptions, given: PipelineOptions) -> list[
     list of str
         One line for each option, such as ``surface.poisson_depth: 7 there, 8 here``.
     """
-    there, here = stored.model_dump(exclude={"retrieval"}), given.model_dump()
+    there, here = stored.model_dump(exclude={"retrieval", "merge"}), given.model_dump()
     return [line for table in there for line in _differences(table, there[table], here[table])]
 
 

@@ -24,13 +24,18 @@ class MergeOptions(Options):
     view, the convention of range scanners; origin: at its origin, the convention of depth cameras."""
     max_range: Annotated[float, Field(gt=0)] | None = None
     """Distance from the sensor beyond which points are removed as background; unit of the file."""
+    background: Literal["none", "planes"] = "none"
+    """planes: remove floors and walls: planes with a tenth of the points or more, and with nothing behind."""
     keep_largest: bool = False
     """Remove all but the largest connected component of each view as background."""
     piece_gap: Annotated[float, Field(gt=0, lt=1)] = 0.02
     """Distance between points above which they are in different components; relative to the diagonal of the
     view."""
     voxel: Length = 0.0
-    """Edge of the voxels of which each keeps one point of the merged cloud, 0 to keep all; relative."""
+    """Edge of the voxels in which the points of the merged cloud are averaged, 0 to keep all points;
+    relative."""
+    normal_neighbors: Annotated[int, Field(ge=3)] = 16
+    """Number of neighbours to which the tangent plane of a point is fitted."""
     cell: Annotated[float, Field(gt=0, lt=0.1)] = 0.012
     """Edge of the voxels of which each gives one point to the matching of features; relative."""
     n_tries: Annotated[int, Field(ge=1000)] = 200_000

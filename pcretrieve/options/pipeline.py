@@ -14,6 +14,7 @@ from pydantic import model_validator
 from pcretrieve.errors import OptionError
 from pcretrieve.names import NAMES
 from pcretrieve.options.catalogue import CatalogueOptions
+from pcretrieve.options.merge import MergeOptions
 from pcretrieve.options.model import Options
 from pcretrieve.options.presets import PRESETS
 from pcretrieve.options.retrieval import RetrievalOptions
@@ -49,6 +50,7 @@ class PipelineOptions(Options):
     signature: SignatureOptions = SignatureOptions()
     retrieval: RetrievalOptions = RetrievalOptions()
     catalogue: CatalogueOptions = CatalogueOptions()
+    merge: MergeOptions = MergeOptions()
 
     @model_validator(mode="before")
     @classmethod
@@ -235,9 +237,10 @@ class PipelineOptions(Options):
 
         The options of the stages `signature` and `retrieval` are not included, because signatures are
         computed from the stored spectrum on demand: one catalogue serves all methods, numbers of values and
-        distances. The options `catalogue` are not included, because no number depends on them.
+        distances. The options `catalogue` are not included, because no number depends on them, nor those of
+        `merge`, which makes the file of a scan before the pipeline.
         """
-        values = self.model_dump(exclude={"signature", "retrieval", "catalogue"})
+        values = self.model_dump(exclude={"signature", "retrieval", "catalogue", "merge"})
         # Without the default chain, so that digests of catalogues of versions without chains do not change.
         if self.pipeline == StageOptions():
             del values["pipeline"]

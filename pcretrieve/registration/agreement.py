@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from itertools import combinations
 from typing import NamedTuple
 
 import numpy as np
@@ -15,7 +14,7 @@ from pcretrieve.registration.alignment import paired
 from pcretrieve.registration.motions import Poses, moved, turned
 from pcretrieve.registration.views import View
 
-__all__ = ["Overlap", "Verdict", "overlap", "overlaps", "shared", "verdict"]
+__all__ = ["Overlap", "Verification", "overlap", "overlaps", "shared", "verification"]
 
 # Smallest overlap of two views that is reported; fraction of the points of one of them.
 LEAST_SHARE = 0.02
@@ -42,7 +41,7 @@ class Overlap:
     rms: float
 
 
-class Verdict(NamedTuple):
+class Verification(NamedTuple):
     """The verification of two groups of views by their range images.
 
     Attributes
@@ -61,7 +60,7 @@ class Verdict(NamedTuple):
         return self.share >= options.min_overlap and self.contradiction <= options.max_contradiction
 
 
-def verdict(views: Sequence[View], group: Poses, other: Poses, reach: float) -> Verdict:
+def verification(views: Sequence[View], group: Poses, other: Poses, reach: float) -> Verification:
     """Verify the poses of two groups of views by the range images of all of them.
 
     Parameters
@@ -75,14 +74,14 @@ def verdict(views: Sequence[View], group: Poses, other: Poses, reach: float) -> 
 
     Returns
     -------
-    Verdict
+    Verification
         How many points agree, and how many contradict.
     """
     said = _seen_by(views, group, other, reach) + _seen_by(views, other, group, reach)
     n_agreeing = sum(int(agrees.sum()) for agrees, _ in said)
     n_contradicting = sum(int(contradicts.sum()) for _, contradicts in said)
     share = max(float(agrees.mean()) for agrees, _ in said)
-    return Verdict(share, n_contradicting / n_agreeing if n_agreeing else np.inf)
+    return Verification(share, n_contradicting / n_agreeing if n_agreeing else np.inf)
 
 
 def _seen_by(
@@ -157,8 +156,10 @@ def overlap(views: Sequence[View], poses: Poses, first: int, second: int, reach:
     return Overlap(first, second, max(shares), float(np.sqrt(squares.mean())) if len(squares) else np.nan)
 
 
-def overlaps(views: Sequence[View], poses: Poses, reach: float) -> tuple[Overlap, ...]:
-    """The overlaps of all pairs of registered views that share at least `LEAST_SHARE`.
+def overlaps(
+    views: Sequence[View], poses: Poses, pairs: Iterable[tuple[int, int]], reach: float
+) -> tuple[Overlap, ...]:
+    """The overlaps of the pairs of registered views that share at least `LEAST_SHARE`.
 
     Parameters
     ----------
@@ -166,6 +167,8 @@ def overlaps(views: Sequence[View], poses: Poses, reach: float) -> tuple[Overlap
         All views.
     poses : mapping of int to (4, 4) float64
         The poses of the registered views, by number.
+    pairs : iterable of tuple of int
+        Numbers of two views each, in any order.
     reach : float
         Largest distance of correspondences; unit of the points.
 
@@ -174,5 +177,6 @@ def overlaps(views: Sequence[View], poses: Poses, reach: float) -> tuple[Overlap
     tuple of Overlap
         In the order of the numbers of the views.
     """
-    pairs = [overlap(views, poses, *pair, reach) for pair in combinations(sorted(poses), 2)]
-    return tuple(pair for pair in pairs if pair.share >= LEAST_SHARE)
+    ordered = sorted((min(pair), max(pair)) for pair in pairs)
+    found = [overlap(views, poses, first, second, reach) for first, second in ordered]
+    return tuple(pair for pair in found if pair.share >= LEAST_SHARE)

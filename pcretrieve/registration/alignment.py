@@ -53,7 +53,7 @@ def paired(
     near = nearest < len(first.cloud.points)
     points, normals, nearest = points[near], normals[near], nearest[near]
     planes = np.asarray(first.cloud.normals)[nearest]
-    distance = np.einsum("ij,ij->i", points - first.cloud.points[nearest], planes)
+    distance = np.einsum("ij,ij->i", points - first.feet[nearest], planes)
     kept = (np.abs(distance) < reach) & (np.einsum("ij,ij->i", normals, planes) > LEAST_COSINE)
     return moved(first_pose, points[kept]), turned(first_pose, planes[kept]), distance[kept]
 

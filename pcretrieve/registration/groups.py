@@ -15,11 +15,11 @@ import numpy as np
 
 from pcretrieve.errors import ReconstructionError, Stage
 from pcretrieve.options import MergeOptions
-from pcretrieve.registration.agreement import Overlap, overlap, verdict
+from pcretrieve.registration.agreement import Overlap, overlap, verification
 from pcretrieve.registration.alignment import adjusted
 from pcretrieve.registration.matching import candidate_motions, distinct
 from pcretrieve.registration.motions import Poses
-from pcretrieve.registration.views import View
+from pcretrieve.registration.views import View, features_of
 from pcretrieve.types import FloatArray
 
 __all__ = ["COARSE", "FINE", "largest_group", "settled"]
@@ -56,17 +56,20 @@ class _Match(NamedTuple):
 
 def largest_group(
     views: Sequence[View],
+    groups: Sequence[Poses],
     scale: float,
     options: MergeOptions,
     rng: np.random.Generator,
     on_pair: Callable[[int, int], None] | None,
 ) -> dict[int, FloatArray]:
-    """Match all pairs of views, and merge the views that fit each other into groups.
+    """Match all pairs of views of different groups, and merge the groups that fit each other.
 
     Parameters
     ----------
     views : sequence of View
         All views.
+    groups : sequence of mappings of int to (4, 4) float64
+        The poses of the views that are registered to each other already, by number; of a view alone, any.
     scale : float
         The length to which relative options refer; unit of the points.
     options : MergeOptions
@@ -87,20 +90,25 @@ def largest_group(
         If no two views overlap.
     """
     reach = options.reach * scale
-    groups = [{number: np.eye(4)} for number in range(len(views))]
+    joined = [dict(group) for group in groups]
     matches: list[_Match] = []
+    features: dict[int, FloatArray] = {}
     n_done = 0
     for _ in range(ROUNDS):
         pairs = [
-            (min(i, j), max(i, j)) for group, other in combinations(groups, 2) for i in group for j in other
+            (min(i, j), max(i, j)) for group, other in combinations(joined, 2) for i in group for j in other
         ]
         for left, (first, second) in zip(range(len(pairs) - 1, -1, -1), sorted(pairs), strict=True):
-            matches += _matches(views, first, second, scale, options, rng)
+            for number in (first, second):
+                if number not in features:
+                    features[number] = features_of(views[number], options.cell * scale)
+            pair = features[first], features[second]
+            matches += _matches(views, first, second, pair, scale, options, rng)
             n_done += 1
             if on_pair is not None:
                 on_pair(n_done, n_done + left)
-        groups = _grouped(views, matches, groups, reach, options)
-    largest = max(groups, key=len)
+        joined = _grouped(views, matches, joined, reach, options)
+    largest = max(joined, key=len)
     if len(largest) == 1:
         raise ReconstructionError(
             f"no two of the {len(views)} views share a surface: scan with more overlap, or lower min_overlap",
@@ -115,6 +123,7 @@ def _matches(
     views: Sequence[View],
     first: int,
     second: int,
+    features: tuple[FloatArray, FloatArray],
     scale: float,
     options: MergeOptions,
     rng: np.random.Generator,
@@ -123,11 +132,11 @@ def _matches(
     found = []
     reach = options.reach * scale
     here = {first: np.eye(4)}
-    for motion in candidate_motions(views[first], views[second], scale, options, rng):
+    for motion in candidate_motions(views[first], views[second], features, scale, options, rng):
         both = adjusted(
             views, here | {second: motion}, fixed=[first], reaches=np.multiply(COARSE, reach).tolist()
         )
-        if verdict(views, here, {second: both[second]}, reach).holds(options):
+        if verification(views, here, {second: both[second]}, reach).holds(options):
             found.append(_Match(overlap(views, both, first, second, reach), both[second]))
     found.sort(key=lambda match: match.rank)
     motions = np.array([match.motion for match in found]).reshape(-1, 4, 4)
@@ -157,7 +166,7 @@ def _grouped(
         both = group | {number: motion @ pose for number, pose in other.items()}
         both = adjusted(views, both, fixed=list(group), reaches=np.multiply(JOINING, reach).tolist())
         brought = {number: both[number] for number in other}
-        if verdict(views, group, brought, reach).holds(options):
+        if verification(views, group, brought, reach).holds(options):
             joined = [known for known in joined if known is not group and known is not other]
             joined.append(settled(views, both, FINE[:4], reach))
     return joined

@@ -34,7 +34,12 @@ SAME_COSINE, SAME_CELLS = 0.906, 10
 
 
 def candidate_motions(
-    first: View, second: View, scale: float, options: MergeOptions, rng: np.random.Generator
+    first: View,
+    second: View,
+    features: tuple[FloatArray, FloatArray],
+    scale: float,
+    options: MergeOptions,
+    rng: np.random.Generator,
 ) -> FloatArray:
     """Candidates of the rigid motion between two views.
 
@@ -47,6 +52,8 @@ def candidate_motions(
     ----------
     first, second : View
         The views.
+    features : tuple of (k, 33) float64
+        The features of their points.
     scale : float
         The length to which relative options refer; unit of the points.
     options : MergeOptions
@@ -60,7 +67,7 @@ def candidate_motions(
         At most `n_candidates` distinct motions of `second` into the frame of `first`, highest score first.
     """
     cell = options.cell * scale
-    here, there = _look_alikes(first.features, second.features)  # (l,), (l,)
+    here, there = _look_alikes(*features)  # (l,), (l,)
     one, two = rng.integers(len(here), size=(2, options.n_tries))
     length, cosines, frame, middle = _pairs(first, here[one], here[two])
     other_length, other_cosines, other_frame, other_middle = _pairs(second, there[one], there[two])

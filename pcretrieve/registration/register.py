@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from itertools import combinations
 
 import numpy as np
 
@@ -13,7 +14,9 @@ from pcretrieve.options import MergeOptions
 from pcretrieve.registration.agreement import Overlap, overlaps, shared
 from pcretrieve.registration.groups import COARSE, FINE, largest_group, settled
 from pcretrieve.registration.motions import moved, turned
-from pcretrieve.registration.views import one_of_each_cell, prepared
+from pcretrieve.registration.tracking import followed, tracks
+from pcretrieve.registration.views import prepared
+from pcretrieve.scan.clean import averaged
 from pcretrieve.types import FloatArray, PointCloud, Step
 
 __all__ = ["Merged", "merge_views"]
@@ -33,7 +36,8 @@ class Merged:
     shares : (v,) float64
         Fraction of the points of each view that another registered view measured too; 0 if it was left out.
     overlaps : tuple of Overlap
-        The overlaps of pairs of registered views.
+        The overlaps of pairs of registered views; of the frames of a sequence, those of key frames, and of
+        each other frame with its key frame.
     scale : float
         Median diagonal of the views, to which relative options refer; unit of the file.
     """
@@ -112,27 +116,36 @@ def merge_views(
     rng = np.random.default_rng(options.seed)
     ready, scale = prepared(views, options, rng)
     reach = options.reach * scale
+    notes = []
     if poses is None:
-        placed = largest_group(ready, scale, options, rng, on_pair)
+        found = tracks(ready, scale, options)
+        groups = [settled(ready, track.key_poses, COARSE, reach) for track in found]
+        keys = largest_group(ready, groups, scale, options, rng, on_pair)
+        placed, key_of = followed(ready, keys, found, scale, options)
+        if len(keys) < len(placed):
+            notes.append(f"registered {len(placed)} views of a sequence by {len(keys)} key frames")
     else:
         placed = dict(enumerate(np.array(poses, dtype=np.float64)))
         if options.refine:
             placed = settled(ready, placed, (*COARSE, *FINE), reach)
+        keys, key_of = placed, {number: number for number in placed}
 
-    all_poses, shares, notes = np.full((len(views), 4, 4), np.nan), np.zeros(len(views)), []
+    all_poses, shares = np.full((len(views), 4, 4), np.nan), np.zeros(len(views))
     for number in range(len(views)):
         if number not in placed:
             notes.append(f"left out view {number}: it has no place where it shares a surface with the others")
             continue
         all_poses[number] = placed[number]
-        shares[number] = shared(ready, placed, number, reach)
+        shares[number] = shared(ready, keys | {number: placed[number]}, number, reach)
         if shares[number] < options.min_overlap:
             notes.append(f"view {number} shares only {shares[number]:.1%} of its points with the others")
     cloud = _joined([ready[number].cloud for number in sorted(placed)], all_poses[sorted(placed)])
-    cloud = cloud.select(one_of_each_cell(cloud.points, options.voxel * scale))
+    if options.voxel:
+        cloud = averaged(cloud, options.voxel * scale)
     sizes = {"views": float(len(views)), "placed": float(len(placed)), "points": float(len(cloud.points))}
     step = Step("merge", time.perf_counter() - started, sizes, tuple(notes))
-    return Merged(cloud.after(step), all_poses, shares, overlaps(ready, placed, reach), scale)
+    pairs = [*combinations(sorted(keys), 2), *((key, view) for view, key in key_of.items() if key != view)]
+    return Merged(cloud.after(step), all_poses, shares, overlaps(ready, placed, pairs, reach), scale)
 
 
 def _check_poses(poses: FloatArray, n_views: int) -> None:

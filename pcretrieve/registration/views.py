@@ -12,15 +12,12 @@ from pcretrieve.adapters import open3d
 from pcretrieve.adapters.features import feature_histograms
 from pcretrieve.errors import InputError, ReconstructionError, Stage
 from pcretrieve.formats.conf import SENSOR_DISTANCE
-from pcretrieve.options import MergeOptions, ScanOptions
+from pcretrieve.options import MergeOptions
+from pcretrieve.registration.foreground import foreground
 from pcretrieve.registration.range_image import RangeImage
-from pcretrieve.scan import kept_points
 from pcretrieve.types import FloatArray, PointCloud, bounding_diagonal
 
-__all__ = ["View", "one_of_each_cell", "prepared"]
-
-# Number of neighbours for a normal.
-NORMAL_NEIGHBORS = 16
+__all__ = ["View", "features_of", "one_of_each_cell", "prepared"]
 
 # Radius of the neighbourhood of a feature, in voxels. It is of the size of distinctive parts of a body.
 FEATURE_RADIUS = 6
@@ -38,14 +35,15 @@ class View(NamedTuple):
         The points in the frame of the view, with normals towards the sensor, and its position.
     points, normals : (k, 3) float64
         One point in each voxel.
-    features : (k, 33) float64
-        Fast point feature histograms of these points.
     sample : (s,) int
         Positions of a random sample of these points.
     image : RangeImage
         The range image of the cloud.
     tree : cKDTree
         The k-d tree of all points of the cloud.
+    feet : (n, 3) float64
+        The points of the tangent planes: the foot of the perpendicular from each point of the cloud to the
+        least-squares plane of its neighbours.
     spacing : float
         Median distance from a point to its nearest neighbour; unit of the file.
     """
@@ -53,10 +51,10 @@ class View(NamedTuple):
     cloud: PointCloud
     points: FloatArray
     normals: FloatArray
-    features: FloatArray
     sample: NDArray[np.intp]
     image: RangeImage
     tree: Any
+    feet: FloatArray
     spacing: float
 
 
@@ -91,12 +89,12 @@ def prepared(
     """
     sensors = [_sensor(cloud, number, options) for number, cloud in enumerate(clouds)]
     fronts = [
-        _foreground(cloud, sensor, number, options)
+        foreground(cloud, sensor, number, options)
         for number, (cloud, sensor) in enumerate(zip(clouds, sensors, strict=True))
     ]
     scale = float(np.median([bounding_diagonal(points) for points in fronts]))
     views = [
-        _view(points, sensor, options.cell * scale, rng)
+        _view(points, sensor, options, options.cell * scale, rng)
         for points, sensor in zip(fronts, sensors, strict=True)
     ]
     return views, scale
@@ -145,39 +143,44 @@ def _sensor(view: PointCloud, number: int, options: MergeOptions) -> FloatArray:
     return np.asarray(middle + np.array([0, 0, SENSOR_DISTANCE * view.diagonal]))
 
 
-def _foreground(cloud: PointCloud, sensor: FloatArray, number: int, options: MergeOptions) -> FloatArray:
-    """(n, 3) points within `max_range`, and of the largest component, if these options are set."""
-    crop = ScanOptions(
-        max_range="none" if options.max_range is None else options.max_range,
-        keep_largest=options.keep_largest,
-        piece_gap=options.piece_gap,
-    )
-    kept = kept_points(PointCloud(cloud.points, viewpoints=sensor), crop, of_view=True)
-    points: FloatArray = cloud.points[kept.points]
-    if len(points) <= NORMAL_NEIGHBORS or not bounding_diagonal(points):
-        raise ReconstructionError(
-            f"view {number} must have more than {NORMAL_NEIGHBORS} different points in reach, got "
-            f"{len(points)}: leave it out, or raise max_range",
-            stage=Stage.MERGE,
-        )
-    return points
+def features_of(view: View, cell: float) -> FloatArray:
+    """Features of the points of a view that are matched.
+
+    Parameters
+    ----------
+    view : View
+        The view.
+    cell : float
+        Edge of the voxels of which each gave one point; unit of the points.
+
+    Returns
+    -------
+    (k, 33) float64
+        Fast point feature histograms of `View.points`.
+    """
+    return feature_histograms(view.points, view.normals, radius=FEATURE_RADIUS * cell)
 
 
-def _view(points: FloatArray, sensor: FloatArray, cell: float, rng: np.random.Generator) -> View:
-    """The view of points without background, with features of voxels of the edge `cell`."""
+def _view(
+    points: FloatArray, sensor: FloatArray, options: MergeOptions, cell: float, rng: np.random.Generator
+) -> View:
+    """The view of points without background, thinned by voxels of the edge `cell`."""
     from scipy.spatial import cKDTree
 
-    normals = open3d.estimate_normals(points, n_neighbors=NORMAL_NEIGHBORS)
+    k = min(options.normal_neighbors, len(points))
+    normals = open3d.estimate_normals(points, n_neighbors=k)
     normals[np.einsum("ij,ij->i", normals, sensor - points) < 0] *= -1
     few = one_of_each_cell(points, cell)
     tree = cKDTree(points)
+    distance, near = map(np.asarray, tree.query(points, k=k))  # (n, k), (n, k)
+    height = np.einsum("ij,ij->i", points[near].mean(axis=1) - points, normals)
     return View(
         PointCloud(points, normals, sensor),
         points[few],
         normals[few],
-        feature_histograms(points[few], normals[few], radius=FEATURE_RADIUS * cell),
         rng.permutation(len(few))[:SOME_POINTS],
         RangeImage(points, normals, sensor),
         tree,
-        float(np.median(np.asarray(tree.query(points[few], k=2)[0])[:, 1])),
+        points + height[:, None] * normals,
+        float(np.median(distance[few, 1])),
     )

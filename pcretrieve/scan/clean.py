@@ -14,7 +14,7 @@ from pcretrieve.scan.density import FARTHER, is_of_surface
 from pcretrieve.scan.sampling import neighborhoods, voxel_numbers
 from pcretrieve.types import FloatArray, PointCloud, Step
 
-__all__ = ["CLEAN", "FEWEST_POINTS", "check_extent", "clean"]
+__all__ = ["CLEAN", "FEWEST_POINTS", "averaged", "check_extent", "clean"]
 
 # Smallest number of points of a scan. With fewer points, limbs cannot be resolved.
 FEWEST_POINTS = 100
@@ -90,10 +90,24 @@ def _thinned(cloud: PointCloud, voxel: float | str) -> PointCloud:
     if isinstance(voxel, str):
         n_voxels = len(np.unique(voxel_numbers(cloud.points, DENSE_VOXEL * cloud.diagonal)))
         voxel = DENSE_VOXEL if len(cloud.points) >= DENSE * n_voxels else VOXEL
-    return _averaged(cloud, voxel * cloud.diagonal) if voxel else cloud
+    return averaged(cloud, voxel * cloud.diagonal) if voxel else cloud
 
 
-def _averaged(cloud: PointCloud, edge: float) -> PointCloud:
+def averaged(cloud: PointCloud, edge: float) -> PointCloud:
+    """Voxel-grid filter: the mean of the points in each voxel.
+
+    Parameters
+    ----------
+    cloud : PointCloud
+        The points; normals and viewpoints are optional.
+    edge : float
+        Edge of a voxel; unit of the points.
+
+    Returns
+    -------
+    PointCloud
+        One point for each voxel, with the mean normal, and with one of the sensor positions.
+    """
     _, first, group, counts = np.unique(
         voxel_numbers(cloud.points, edge), return_index=True, return_inverse=True, return_counts=True
     )

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from pcretrieve.scan.sampling import PLANE_NEIGHBORS, neighborhoods, noise
 from pcretrieve.types import FloatArray, bounding_diagonal
 
-__all__ = ["Ground", "ground_of"]
+__all__ = ["Ground", "fitted_plane", "ground_of", "planes_of"]
 
 # Number of points by which planes are compared, and from which the three points of each plane are chosen;
 # number of planes; number of neighbours of the first point among which the second and the third are.
@@ -94,7 +94,7 @@ def ground_of(points: FloatArray, viewpoints: FloatArray | None = None) -> Groun
         return None
     close = neighborhoods(points, PLANE_NEIGHBORS + 1, of_some=True)
     thickness = max(THICKNESS * diagonal, THICKNESS_OF_NOISE * noise(points, close))
-    normals, offsets = _planes(few - middle, rng)
+    normals, offsets = planes_of(few - middle, rng)
     heights = normals @ (few - middle).T - offsets[:, None]  # (planes, s)
     on = (abs(heights) <= thickness).mean(axis=1)
     above = (heights > thickness).mean(axis=1)
@@ -104,7 +104,7 @@ def ground_of(points: FloatArray, viewpoints: FloatArray | None = None) -> Groun
     if not (possible[best] and on[best] >= LEAST_SHARE):
         return None
     up = normals[best] if above[best] > 0.5 * (1 - on[best]) else -normals[best]
-    up, height = _fitted(points, few[abs(heights[best]) <= thickness], up, thickness)
+    up, height = fitted_plane(points, few[abs(heights[best]) <= thickness], up, thickness)
     on_plane = abs(height) <= thickness
     body = height > 2 * thickness
     if not (on_plane.mean() >= LEAST_SHARE and body.mean() >= LEAST_SHARE):
@@ -120,8 +120,23 @@ def ground_of(points: FloatArray, viewpoints: FloatArray | None = None) -> Groun
     return Ground(place, up, height <= removed)
 
 
-def _planes(points: FloatArray, rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
-    """Planes through three points that are near each other: (p, 3) unit normals, and (p,) offsets."""
+def planes_of(points: FloatArray, rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
+    """Planes through three random points each, which are near each other.
+
+    Parameters
+    ----------
+    points : (n, 3) float64
+        Coordinates, about the origin.
+    rng : numpy.random.Generator
+        Source of the random numbers.
+
+    Returns
+    -------
+    normals : (p, 3) float64
+        Unit normals; zero if the three points are collinear.
+    offsets : (p,) float64
+        Products of the normals with the points of the planes; unit of the points.
+    """
     from scipy.spatial import cKDTree
 
     first = rng.integers(len(points), size=N_PLANES)
@@ -135,10 +150,29 @@ def _planes(points: FloatArray, rng: np.random.Generator) -> tuple[FloatArray, F
     return normals, np.einsum("ij,ij->i", normals, a)
 
 
-def _fitted(
+def fitted_plane(
     points: FloatArray, inliers: FloatArray, up: FloatArray, thickness: float
 ) -> tuple[FloatArray, FloatArray]:
-    """The least-squares plane of its inliers: the unit normal, and (n,) heights of all points above it."""
+    """The least-squares plane of its inliers, which are selected again in each of three steps.
+
+    Parameters
+    ----------
+    points : (n, 3) float64
+        All points.
+    inliers : (k, 3) float64
+        The inliers of the first step, at least three.
+    up : (3,) float64
+        A vector on the side of the plane to which its normal shall point.
+    thickness : float
+        Largest distance of an inlier from the plane; unit of the points.
+
+    Returns
+    -------
+    normal : (3,) float64
+        Unit normal of the plane.
+    heights : (n,) float64
+        Signed distances of all points from the plane; unit of the points.
+    """
     height = np.zeros(len(points))
     for _ in range(3):
         centre = inliers.mean(axis=0)

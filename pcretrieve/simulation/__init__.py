@@ -9,6 +9,7 @@ from pcretrieve.simulation.damage import DamageOptions, damaged
 from pcretrieve.simulation.files import write_conf, write_pcd, write_ply
 from pcretrieve.simulation.rig import RigOptions, camera_pose, scan, scan_views
 from pcretrieve.simulation.skeleton import Bone, Contact, Pose, RoundCone, Subject
+from pcretrieve.simulation.turning import TurningOptions, turning_frames, write_frames
 from pcretrieve.simulation.uniform import UniformOptions, scan_uniformly
 
 __all__ = [
@@ -20,6 +21,7 @@ __all__ = [
     "RigOptions",
     "RoundCone",
     "Subject",
+    "TurningOptions",
     "UniformOptions",
     "body",
     "camera_pose",
@@ -28,7 +30,9 @@ __all__ = [
     "scan",
     "scan_uniformly",
     "scan_views",
+    "turning_frames",
     "write_conf",
+    "write_frames",
     "write_pcd",
     "write_ply",
 ]

@@ -1,0 +1,111 @@
+"""Range scans → their foreground: the body, without floors, walls and far points."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pcretrieve.errors import ReconstructionError, Stage
+from pcretrieve.options import MergeOptions, ScanOptions
+from pcretrieve.scan import kept_points
+from pcretrieve.scan.ground import fitted_plane, planes_of
+from pcretrieve.types import FloatArray, PointCloud, bounding_diagonal
+
+__all__ = ["NORMAL_NEIGHBORS", "foreground"]
+
+# Fewest neighbours for a normal; a view must have more points.
+NORMAL_NEIGHBORS = 16
+
+# Number of points by which planes are compared, largest number of planes that are removed, and largest
+# distance of a point from the plane to which it belongs: relative to the diagonal, to find the plane; in
+# median distances from the plane, to remove its points, which is four standard deviations.
+COMPARED = 2000
+MOST_PLANES = 4
+THICKNESS = 0.005
+REMOVED = 6.0
+
+# A plane of the background has at least this fraction of the points, and extends over this fraction of the
+# diagonal; at most this fraction of the points are behind it; and this fraction of the points is in front.
+LEAST_SHARE = 0.1
+LEAST_EXTENT = 0.5
+MOST_BEHIND = 0.02
+LEAST_LEFT = 0.03
+
+
+def foreground(cloud: PointCloud, sensor: FloatArray, number: int, options: MergeOptions) -> FloatArray:
+    """The points of a view that are of the body.
+
+    Parameters
+    ----------
+    cloud : PointCloud
+        The points that one sensor measured.
+    sensor : (3,) float64
+        Its position.
+    number : int
+        Number of the view, for messages.
+    options : MergeOptions
+        Of which `background`, `keep_largest`, `max_range` and `piece_gap` are used.
+
+    Returns
+    -------
+    (n, 3) float64
+        The points within `max_range`, in front of the planes of the background, and of the largest component,
+        if these options are set.
+
+    Raises
+    ------
+    ReconstructionError
+        If too few points are left.
+    """
+    near = ScanOptions(max_range="none" if options.max_range is None else options.max_range)
+    kept = kept_points(PointCloud(cloud.points, viewpoints=sensor), near, of_view=True)
+    points: FloatArray = cloud.points[kept.points]
+    if options.background == "planes":
+        points = _in_front_of_planes(points, sensor)
+    if options.keep_largest and len(points):
+        largest = ScanOptions(keep_largest=True, piece_gap=options.piece_gap)
+        points = points[kept_points(PointCloud(points, viewpoints=sensor), largest, of_view=True).points]
+    if len(points) <= NORMAL_NEIGHBORS or not bounding_diagonal(points):
+        raise ReconstructionError(
+            f"view {number} must have more than {NORMAL_NEIGHBORS} different points in reach, got "
+            f"{len(points)}: leave it out, or raise max_range",
+            stage=Stage.MERGE,
+        )
+    return points
+
+
+def _in_front_of_planes(points: FloatArray, sensor: FloatArray) -> FloatArray:
+    """The points in front of the largest planes behind which there is nothing."""
+    rng = np.random.default_rng(0)
+    for _ in range(MOST_PLANES):
+        mask = _background_plane(points, sensor, rng)
+        if mask is None:
+            break
+        points = points[~mask]
+    return points
+
+
+def _background_plane(
+    points: FloatArray, sensor: FloatArray, rng: np.random.Generator
+) -> NDArray[np.bool_] | None:
+    """(n,) mask of the points on a plane of the background and behind it; None if there is no such plane."""
+    if len(points) <= NORMAL_NEIGHBORS:
+        return None
+    few = points[rng.permutation(len(points))[:COMPARED]]
+    middle, diagonal = few.mean(axis=0), bounding_diagonal(few)
+    thickness = THICKNESS * diagonal
+    normals, offsets = planes_of(few - middle, rng)
+    towards = np.where(normals @ (sensor - middle) > offsets, 1, -1)  # (p,)
+    heights = towards[:, None] * (normals @ (few - middle).T - offsets[:, None])  # (p, s): in front
+    on = (abs(heights) <= thickness).mean(axis=1)
+    front = (heights > thickness).mean(axis=1)
+    possible = (1 - on - front <= MOST_BEHIND) & (on >= LEAST_SHARE) & (front >= LEAST_LEFT)
+    if not possible.any():
+        return None
+    best = int(np.where(possible, on, 0).argmax())
+    inliers = few[abs(heights[best]) <= thickness]
+    if bounding_diagonal(inliers) < LEAST_EXTENT * diagonal:
+        return None
+    _, height = fitted_plane(points, inliers, towards[best] * normals[best], thickness)
+    on_plane = abs(height) <= thickness
+    return np.asarray(height <= min(thickness, REMOVED * float(np.median(abs(height[on_plane])))))
