@@ -42,10 +42,21 @@ def filled(mesh: TriangleMesh, grid: Grid) -> tuple[Mask, Voxels]:
     crossings = np.full((3, *grid.shape), np.nan, dtype=np.float32)
     odd = np.zeros(grid.shape, dtype=np.bool_)
     _cross(at, mesh.faces, crossings, odd)
-    inside = np.logical_xor.accumulate(odd, axis=2)
+    _accumulate(odd)
     for side in (0, -1):
-        inside[side] = inside[:, side] = inside[:, :, side] = False
-    return inside, crossings
+        odd[side] = odd[:, side] = odd[:, :, side] = False
+    return odd, crossings
+
+
+@njit(cache=True)
+def _accumulate(odd: Mask) -> None:
+    """Turn the changes of the parity along the last axis into the parity."""
+    for x in range(odd.shape[0]):
+        for y in range(odd.shape[1]):
+            line, is_inside = odd[x, y], False
+            for z in range(len(line)):
+                is_inside ^= line[z]
+                line[z] = is_inside
 
 
 @njit(cache=True)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from pcretrieve.options import SurfaceOptions
@@ -55,20 +56,34 @@ def with_topology(
     if options.genus == "free":
         return inside, np.zeros((0, 3), dtype=np.intp)
     depth = distances(~inside, np.inf)
-    # At a contact there are points between the limbs: the priority is low there.
-    to_points = np.where(outside.distance < FARTHEST, outside.distance + SKIN_DEPTH, np.inf)
-    priority = np.minimum(depth, to_points).astype(np.float32)
-    body = grown(inside, priority, walls)
+    body = grown(inside, _priority(depth, outside.distance), walls)
     if options.genus not in ("sphere", 0):
         body = _with_handles(inside, body, depth, options.genus, notes)
-    return body, np.argwhere(inside & ~body)
+    return body, _voxels(inside & ~body)
+
+
+@njit(cache=True)
+def _priority(depth: Voxels, to_points: Voxels) -> Voxels:
+    """The depth of each voxel, but little more than its distance to the points."""
+    # At a contact there are points between the limbs: the priority is low there.
+    priority: Voxels = depth.copy()
+    values, distance = priority.ravel(), to_points.ravel()
+    for cell in range(len(values)):
+        if distance[cell] < FARTHEST:
+            values[cell] = min(values[cell], distance[cell] + np.float32(SKIN_DEPTH))
+    return priority
+
+
+def _voxels(mask: Mask) -> NDArray[np.intp]:
+    """(k, 3) voxels of a set."""
+    return np.stack(np.unravel_index(np.flatnonzero(mask), mask.shape), axis=1)
 
 
 def _with_handles(inside: Mask, body: Mask, depth: Voxels, genus: str | int, notes: list[str]) -> Mask:
     """The body after restoring the handles with the thickest cuts, as many as the genus requires."""
     # A contact is thin compared with the limbs, a true handle is not: ``auto`` restores the handles whose
     # cuts are at least `HANDLE` as deep as the body. Each component of the removed voxels is a cut.
-    left_out = np.argwhere(inside & ~body)  # (k, 3)
+    left_out = _voxels(inside & ~body)  # (k, 3)
     cut_of = _pieces(left_out)
     n_cuts = int(cut_of.max(initial=-1)) + 1
     thickness = np.zeros(n_cuts)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from pcretrieve.errors import ReconstructionError
@@ -56,13 +57,7 @@ def joined(
     pieces, sizes = components(inside, corners=False)
     if len(sizes) == 1:
         return inside, nowhere
-    # A point is on the surface of its component: in one of its voxels, or in one adjacent to it.
-    at = np.array(grid.index(points))  # (3, n)
-    near = pieces[tuple(at)]  # (n,)
-    beside = near == 0
-    round_it = np.indices((3, 3, 3)).reshape(3, 27, 1) - 1
-    x, y, z = at[:, None, beside] + round_it  # (27, b) each
-    near[beside] = pieces[x, y, z].max(axis=0, initial=0)
+    near = _pieces_at(pieces, grid.coordinates(points))  # (n,)
     support = np.bincount(near, minlength=len(sizes)) / len(points)
     sizes[0] = 0
     body = pieces == sizes.argmax()
@@ -89,6 +84,18 @@ def joined(
         notes.append(f"joined a piece with {support[piece]:.1%} of the points across a gap of {gap:.3g}")
     hollow, _ = components(~body, corners=True)
     return hollow != hollow[0, 0, 0], np.concatenate([nowhere, *bridges])
+
+
+@njit(cache=True)
+def _pieces_at(pieces: NDArray[np.int32], at: FloatArray) -> NDArray[np.int32]:
+    """The component of each point, which is in its voxel or in one adjacent to it; 0 for none."""
+    found = np.zeros(len(at), dtype=np.int32)
+    for i in range(len(at)):
+        x, y, z = int(np.rint(at[i, 0])), int(np.rint(at[i, 1])), int(np.rint(at[i, 2]))
+        found[i] = pieces[x, y, z]
+        if found[i] == 0:
+            found[i] = pieces[x - 1 : x + 2, y - 1 : y + 2, z - 1 : z + 2].max()
+    return found
 
 
 def _thickness(piece: Mask) -> float:

@@ -283,6 +283,7 @@ def _collapsed(
     half = np.empty(len(corners) // 2, dtype=np.int32)  # a half-edge of each edge; −1 if the edge was removed
     known = np.zeros(len(half), dtype=np.int32)  # the step in which the cost of the edge was computed
     queued = np.ones(len(half), dtype=np.bool_)
+    is_rejected = np.zeros(len(vertices), dtype=np.bool_)  # whether an edge of the vertex may not be queued
     heap = np.empty(len(half), dtype=np.int64)
     size = 0
     for h in range(len(corners)):
@@ -319,6 +320,8 @@ def _collapsed(
             or not _keeps_topology(corners, twin, h, mark, label)
             or not _keeps_shape(vertices, corners, twin, h, place)
         ):
+            if h >= 0:
+                is_rejected[u] = is_rejected[v] = True
             continue
         step += 1
         n_left -= 2
@@ -329,10 +332,12 @@ def _collapsed(
         start = _merge(corners, twin, edge, half, h)
         # Edges around here that were rejected may be possible now. They are queued first: their costs were
         # below those of all queued edges, unless an end was moved, and then the cost is computed again.
+        is_rejected[u] |= is_rejected[v]
         g = start
         while True:
             k = twin[g]
-            while True:
+            w = corners[k]
+            while is_rejected[w]:
                 if not queued[edge[k]]:
                     queued[edge[k]] = True
                     heap[size] = _key(0.0, edge[k])
@@ -340,7 +345,7 @@ def _collapsed(
                     size += 1
                 k = twin[_previous(k)]
                 if k == twin[g]:
-                    break
+                    is_rejected[w] = False
             g = twin[_previous(g)]
             if g == start:
                 break
