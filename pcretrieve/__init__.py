@@ -40,7 +40,7 @@ if TYPE_CHECKING:
     from pcretrieve.evaluation import RetrievalMeasures
     from pcretrieve.formats import read_scan, write_cloud, write_mesh, write_signatures
     from pcretrieve.inspection import Inspection, signature_spread
-    from pcretrieve.interface import evaluate, ingest, inspect, matrix, merge_views, report, search
+    from pcretrieve.interface import calibrate, evaluate, ingest, inspect, matrix, merge_views, report, search
     from pcretrieve.matching import DistanceMatrix, read_matrix, write_matrix
     from pcretrieve.options import MergeOptions, PipelineOptions
     from pcretrieve.pipeline.process import process, reconstruct, signature
@@ -110,6 +110,7 @@ __all__ = [
     "WithinClassWhitening",
     "WorkerDied",
     "__version__",
+    "calibrate",
     "describe",
     "eigenpairs",
     "evaluate",
@@ -180,6 +181,7 @@ _HOMES = {
         "signature_spread",
     ),
     "pcretrieve.interface": (
+        "calibrate",
         "evaluate",
         "ingest",
         "inspect",

@@ -56,6 +56,50 @@ def test_a_search_is_a_query(catalogue: Path, whitening: str) -> None:
     assert neighbors.ids[0] == "egg-0"
 
 
+def test_a_metric_of_labelled_scans_is_used_in_another_catalogue(catalogue: Path, tmp_path: Path) -> None:
+    """Balls that differ in one direction: in another catalogue, that direction counts less."""
+    metric, other = tmp_path / "metric.npz", tmp_path / "other.sqlite"
+    for name in ("egg-0", "egg-1", "ring-0"):
+        (tmp_path / "scans").mkdir(exist_ok=True)
+        pr.write_mesh(meshes()[name], tmp_path / "scans" / f"{name}.off")
+    pr.ingest(tmp_path / "scans", other, options={"signature": {"n_values": 15}}, workers=1)
+    said = subprocess.run(
+        [sys.executable, "-m", "pcretrieve", "calibrate", "-c", str(catalogue), "-o", str(metric)],
+        capture_output=True,
+        text=True,
+        check=True,
+    ).stderr
+    assert said == f"{metric}: within-class: 2 classes of 4 shapes\n"
+    with pr.Catalogue(catalogue) as store:
+        labelled = store.options.changed(retrieval={"whitening": "within-class"})
+        expected = store.whitening(labelled)
+    chosen = {"retrieval": {"calibration": str(metric)}}
+    with pr.Catalogue(other) as store:
+        used = store.whitening(store.options.changed(**chosen))
+    np.testing.assert_array_equal(used.matrix, expected.matrix)
+    assert (used.kind, used.reason) == ("calibrated", f"within-class: 2 classes of 4 shapes, from {metric}")
+    found = json.loads(command("query", "egg-0", "-c", other, "--whitening", metric, "--json"))
+    neighbors = pr.search(other, "egg-0", options=chosen)
+    assert [row["distance"] for row in found] == neighbors.distances.tolist()
+    assert found != json.loads(command("query", "egg-0", "-c", other, "--whitening", "none", "--json"))
+    again = pr.calibrate(catalogue, tmp_path / "again.npz")
+    assert again.read_bytes() == metric.read_bytes()
+    evaluated = json.loads(command("evaluate", "-c", catalogue, "--whitening", metric, "--json"))
+    assert evaluated["whitening_used"] == f"within-class: 2 classes of 4 shapes, from {metric}"
+
+
+def test_a_metric_of_other_signatures_is_refused(catalogue: Path, tmp_path: Path) -> None:
+    metric = pr.calibrate(catalogue, tmp_path / "metric.npz", options={"signature": {"n_values": 9}})
+    with pytest.raises(InputError, match="must be fitted on signatures made by the same options"):
+        pr.search(catalogue, "egg-0", options={"retrieval": {"calibration": str(metric)}})
+    for content in (b"", b"PK no archive", b"words"):
+        metric.write_bytes(content)
+        with pytest.raises(InputError, match="a whitening must be a name such as auto, or a file"):
+            pr.search(catalogue, "egg-0", options={"retrieval": {"calibration": str(metric)}})
+    with pytest.raises(InputError, match="a whitening must be a name such as auto, or a file"):
+        pr.search(catalogue, "egg-0", options={"retrieval": {"calibration": "pac"}})
+
+
 def test_what_is_no_file_is_searched_for_too(catalogue: Path) -> None:
     mesh = meshes()["egg-1"]
     wanted = pr.search(catalogue, catalogue.with_name("egg-1.off"), k=2)

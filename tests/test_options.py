@@ -71,6 +71,7 @@ OTHER: dict[str, dict[str, Any]] = {
     "retrieval": {
         "distance": "d1",
         "whitening": "within-class",
+        "calibration": "metric.npz",
         "shrinkage": 0.2,
         "rerank": "local",
         "n_folds": 3,

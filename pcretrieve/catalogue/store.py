@@ -13,7 +13,7 @@ from pcretrieve.catalogue.record import Content, Record, completed
 from pcretrieve.catalogue.settings import fitting_options, settings_of, stored_options
 from pcretrieve.catalogue.stores import open_rows
 from pcretrieve.catalogue.surfaces import payloads_of
-from pcretrieve.catalogue.tables import index_name, made_index, resolution_of, signature_table
+from pcretrieve.catalogue.tables import index_name, made_before, made_index, signature_table
 from pcretrieve.options import PipelineOptions
 from pcretrieve.retrieval import SignatureIndex, Whitening, table_whitening
 from pcretrieve.types import SignatureTable
@@ -210,8 +210,8 @@ class Catalogue(StoredShapes):
             If `options` require other spectra than the catalogue has.
         """
         options = self._fitting(options)
-        if options.retrieval.whitening in ("none", "resolution"):
-            return table_whitening(self.signatures(options), options.retrieval, resolution_of(options))
+        if options.retrieval.calibration or options.retrieval.whitening in ("none", "resolution"):
+            return table_whitening(self.signatures(options), options.retrieval, made_before(options))
         return self.index(options).whitening
 
     def _fitting(self, options: PipelineOptions | None) -> PipelineOptions:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import hashlib
 import logging
 from collections.abc import Sequence
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -21,6 +23,7 @@ from pcretrieve.retrieval import (
     SignatureIndex,
     Whitening,
     fit_whitening,
+    read_whitening,
     resolution_covariance,
     resolution_whitening,
 )
@@ -30,7 +33,7 @@ from pcretrieve.retrieval.names import Names
 from pcretrieve.retrieval.whitened import MadeBy
 from pcretrieve.types import FloatArray, SignatureTable, SizeUnit
 
-__all__ = ["index_name", "made_index", "resolution_of", "signature_table"]
+__all__ = ["index_name", "made_before", "made_index", "signature_table"]
 
 logger = logging.getLogger(__name__)
 
@@ -38,8 +41,8 @@ logger = logging.getLogger(__name__)
 KEPT_AT_ONCE = 100
 
 
-def resolution_of(options: PipelineOptions) -> Whitening | None:
-    """The whitening ``resolution``, which is not fitted to the shapes of the catalogue.
+def made_before(options: PipelineOptions) -> Whitening | None:
+    """The whitening ``resolution``, or one of a file, which are not fitted to the shapes of the catalogue.
 
     Parameters
     ----------
@@ -50,7 +53,16 @@ def resolution_of(options: PipelineOptions) -> Whitening | None:
     -------
     Whitening or None
         The whitening; None if the options name another one.
+
+    Raises
+    ------
+    InputError
+        If the file holds no whitening, or one that was fitted to signatures with other options.
     """
+    if options.retrieval.calibration is not None:
+        whitening = read_whitening(Path(options.retrieval.calibration))
+        whitening.check_made_for(options.compared_digest)
+        return whitening
     if options.retrieval.whitening != "resolution":
         return None
     shrinkage = options.retrieval.shrinkage
@@ -72,7 +84,10 @@ def index_name(options: PipelineOptions) -> str:
     """
     retrieval = options.retrieval
     distance = retrieval.distance + DISTANCES.version(retrieval.distance)
-    return f"{_digest_of(options)} {distance} {retrieval.whitening} {retrieval.shrinkage}"
+    calibrated = ""
+    if retrieval.calibration is not None:
+        calibrated = hashlib.sha256(read_whitening(Path(retrieval.calibration)).matrix.tobytes()).hexdigest()
+    return f"{_digest_of(options)} {distance} {retrieval.whitening} {retrieval.shrinkage} {calibrated}"
 
 
 def _digest_of(options: PipelineOptions) -> str:
@@ -213,7 +228,7 @@ def made_index(rows: Rows, own: PipelineOptions, options: PipelineOptions) -> tu
         values[block] = coordinates(values[block], descriptor.metric)
     names = Names.of(ids)
     del ids
-    whitening = resolution_of(options)
+    whitening = made_before(options)
     if whitening is None and len(values):
         whitening = fit_whitening(
             options.retrieval.whitening,
@@ -229,7 +244,7 @@ def made_index(rows: Rows, own: PipelineOptions, options: PipelineOptions) -> tu
         labels,
         MadeBy(descriptor.name, options.compared_digest, descriptor.metric, unit),
         options.retrieval,
-        resolution_of(options),
+        made_before(options),
     )
     return index, revision
 

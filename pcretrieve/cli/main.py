@@ -38,6 +38,7 @@ COMMANDS = (
     "ingest",
     "query",
     "evaluate",
+    "calibrate",
     "matrix",
     "report",
     "list",

@@ -42,6 +42,8 @@ __all__ = [
     "write_json_list",
 ]
 
+WHITENING_NAMES = ("auto", "none", "resolution", "neighbours", "pca", "within-class")
+
 EXIT_SOME_FAILED = 3
 EXIT_INTERRUPTED = 130
 
@@ -115,6 +117,29 @@ class RecordName(click.ParamType):  # type: ignore[type-arg]  # generic since cl
         return f"[{'|'.join(NAMES[self.name].all())}]"
 
 
+class WhiteningName(click.ParamType):  # type: ignore[type-arg]  # generic since click 8.3 only
+    """The name of a whitening, or a file of `pcretrieve calibrate`."""
+
+    name = "whitening"
+
+    def get_metavar(self, param: click.Parameter, ctx: click.Context | None = None) -> str:
+        """The names, as the help shows them.
+
+        Parameters
+        ----------
+        param : click.Parameter
+            Not used.
+        ctx : click.Context, optional
+            Not used.
+
+        Returns
+        -------
+        str
+            The names in brackets.
+        """
+        return f"[{'|'.join(WHITENING_NAMES)}|FILE]"
+
+
 _distance_option = click.option(
     "--distance",
     type=RecordName("distance"),
@@ -123,12 +148,13 @@ _distance_option = click.option(
 )
 _whitening_option = click.option(
     "--whitening",
-    type=click.Choice(["auto", "none", "resolution", "neighbours", "pca", "within-class"]),
+    type=WhiteningName(),
     help="Whiten log-signatures by a covariance matrix: of the differences of near shapes (neighbours); of "
     "the variation within the classes of the catalogue (within-class); of all its shapes (pca); or of the "
     "errors that the resolution of a surface causes, estimated from simulated bodies (resolution, for "
     "r-bihdm). auto is within-class if there are enough labels, else neighbours; `evaluate` does not fit "
-    "auto to labels.  [default: auto, or the catalogue's]",
+    "auto to labels. FILE is a whitening that `calibrate` has fitted to other scans.  [default: auto, or "
+    "the catalogue's]",
 )
 _rerank_option = click.option(
     "--rerank",
@@ -255,6 +281,12 @@ def compared(store: Catalogue, config: Path | None, **flags: Any) -> PipelineOpt
     tables: dict[str, dict[str, Any]] = {"signature": {}, "retrieval": {}}
     for name, value in given.items():
         tables["retrieval" if name in ("distance", "whitening", "rerank") else "signature"][name] = value
+    # A whitening by name replaces a file that the configuration names, and vice versa.
+    if "whitening" in given:
+        name = given["whitening"]
+        tables["retrieval"]["calibration"] = None if name in WHITENING_NAMES else name
+        if name not in WHITENING_NAMES:
+            del tables["retrieval"]["whitening"]
     options = load_options(config, base=store.options).changed(**tables)
     if options.signature.compares_sizes:
         _warn_of_mixed_units(store)

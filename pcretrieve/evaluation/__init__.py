@@ -4,6 +4,7 @@ In come a catalogue, a table of signatures or a distance matrix, with the classe
 measures and precision–recall curves go out.
 """
 
+from pcretrieve.evaluation.calibration import calibrate
 from pcretrieve.evaluation.catalogue import RankedCatalogue, check_known, rank_catalogue, rank_matrix
 from pcretrieve.evaluation.distances import CatalogueDistances, catalogue_distances
 from pcretrieve.evaluation.measures import (
@@ -21,6 +22,7 @@ __all__ = [
     "RankedCatalogue",
     "Rankings",
     "RetrievalMeasures",
+    "calibrate",
     "catalogue_distances",
     "check_known",
     "evaluate_rankings",

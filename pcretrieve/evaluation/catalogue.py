@@ -110,16 +110,20 @@ def rank_catalogue(
     failed = [classes[record.id] for record in records.values() if record.status == "failed"]
     retrieval = unsupervised(options.retrieval)
     whitening = None
-    if retrieval.whitening == "within-class":
+    if retrieval.whitening == "within-class" and retrieval.calibration is None:
         reason = f"within-class, fitted for each of {retrieval.n_folds} folds of classes to the other folds"
         if retrieval.rerank != "none":
             reason += ", and the gallery is the fold"
     else:
         prior = resolution_covariance(options.compared)
-        is_measured = retrieval.whitening == "resolution"
+        is_measured = retrieval.whitening == "resolution" or retrieval.calibration is not None
         made = catalogue.whitening(options) if is_measured else None
         whitening = table_whitening(table, retrieval, made, prior=prior)
-        reason = whitening.reason + (", without labels" if options.retrieval.whitening == "auto" else "")
+        reason = whitening.reason + (
+            ", without labels"
+            if whitening.kind in ("none", "neighbours") and options.retrieval.whitening == "auto"
+            else ""
+        )
 
     def ranked(method: str) -> Rankings:
         return rank_table(

@@ -5,7 +5,17 @@ a scan as a path, an array, or geometry of this package or another.
 """
 
 from pcretrieve.interface.catalogues import CatalogueLike
-from pcretrieve.interface.retrieval import evaluate, matrix, report, search
+from pcretrieve.interface.retrieval import calibrate, evaluate, matrix, report, search
 from pcretrieve.interface.scans import ingest, inspect, merge_views
 
-__all__ = ["CatalogueLike", "evaluate", "ingest", "inspect", "matrix", "merge_views", "report", "search"]
+__all__ = [
+    "CatalogueLike",
+    "calibrate",
+    "evaluate",
+    "ingest",
+    "inspect",
+    "matrix",
+    "merge_views",
+    "report",
+    "search",
+]

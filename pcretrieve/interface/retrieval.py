@@ -13,6 +13,7 @@ from pcretrieve.evaluation import (
     rank_catalogue,
     rank_table,
 )
+from pcretrieve.evaluation import calibrate as calibrate_catalogue
 from pcretrieve.formats.scans import ScanLike
 from pcretrieve.interface.catalogues import CatalogueLike, opened
 from pcretrieve.matching import DistanceMatrix
@@ -22,7 +23,7 @@ from pcretrieve.pipeline.process import process
 from pcretrieve.searching import search as search_catalogue
 from pcretrieve.types import Neighbors, Signature, SignatureTable
 
-__all__ = ["evaluate", "matrix", "report", "search"]
+__all__ = ["calibrate", "evaluate", "matrix", "report", "search"]
 
 
 def search(
@@ -121,6 +122,36 @@ def evaluate(
         return evaluate_rankings(
             rank_catalogue(store, chosen, labels=labels, matrix=matrix, sound_only=sound_only).rankings
         )
+
+
+def calibrate(catalogue: CatalogueLike, path: str | Path, *, options: OptionsLike = None) -> Path:
+    """Learn from labelled scans what to ignore, for other catalogues.
+
+    Parameters
+    ----------
+    catalogue : Catalogue, str or Path
+        Labelled shapes, such as three people in ten poses.
+    path : str or Path
+        The file of the whitening. ``{"retrieval": {"calibration": path}}`` are the options of a search in
+        another catalogue that uses it.
+    options : OptionsLike, optional
+        Signature and shrinkage. By default the options of the catalogue.
+
+    Returns
+    -------
+    Path
+        Absolute path of the file.
+
+    Raises
+    ------
+    CatalogueError
+        If the options require other spectra than the catalogue has.
+    InputError
+        If no class has two distinct shapes, or the file cannot be written.
+    """
+    with opened(catalogue) as store:
+        calibrate_catalogue(store, path, PipelineOptions.of(options, store.options))
+    return Path(path).absolute()
 
 
 def matrix(

@@ -28,6 +28,9 @@ class RetrievalOptions(Options):
     the covariance of the gallery: of the differences of shapes that are among each other's nearest
     (neighbours), of all shapes (pca), or pooled within classes (within-class). auto: within-class if labels
     suffice, else neighbours; none for few shapes. In an evaluation auto does not use labels."""
+    calibration: str | None = None
+    """File of a whitening that `pcretrieve calibrate` has fitted to labelled scans, which replaces that of
+    the option whitening; none by default."""
     shrinkage: Shrinkage = "auto"
     """Regularisation of the covariance of a whitening: for pca and resolution relative to its largest
     eigenvalue, for others the shrinkage intensity. auto: .01, .03, and .1 for neighbours, .03 with r-bihdm;

@@ -30,7 +30,13 @@ from pcretrieve.retrieval.reranking import (
     reranked_neighbors,
 )
 from pcretrieve.retrieval.resolution import resolution_covariance, resolution_whitening
-from pcretrieve.retrieval.whitening import WHITENINGS, Whitening, whitening_digest
+from pcretrieve.retrieval.whitening import (
+    WHITENINGS,
+    Whitening,
+    read_whitening,
+    whitening_digest,
+    write_whitening,
+)
 
 __all__ = [
     "BLOCK_DISTANCES",
@@ -56,6 +62,7 @@ __all__ = [
     "pairwise",
     "pairwise_blocks",
     "position_of",
+    "read_whitening",
     "rerank",
     "reranked_neighbors",
     "resolution_covariance",
@@ -65,4 +72,5 @@ __all__ = [
     "whitening_digest",
     "with_shapes",
     "without_shapes",
+    "write_whitening",
 ]

@@ -7,23 +7,31 @@ changes that the resolution of a surface causes.
 from __future__ import annotations
 
 import hashlib
+import io
 import json
+import zipfile
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
+from pcretrieve.atomic import write_file
 from pcretrieve.errors import InputError, OptionError
 from pcretrieve.options import WhiteningKind
 from pcretrieve.types import FloatArray
 from pcretrieve.values import Value, locked
 
-__all__ = ["WHITENINGS", "Whitening", "whitening_digest"]
+__all__ = ["WHITENINGS", "Whitening", "read_whitening", "whitening_digest", "write_whitening"]
 
 #: What a whitening can be; "auto" stands for one of them.
 WHITENINGS: tuple[str, ...] = tuple(kind for kind in get_args(WhiteningKind) if kind != "auto")
+
+
+# What a whitening of a file is, which was fitted to other shapes.
+CALIBRATED = "calibrated"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -33,7 +41,7 @@ class Whitening(Value):
     Attributes
     ----------
     kind : str
-        One of `WHITENINGS`.
+        One of `WHITENINGS`, or ``calibrated``.
     mean : (L,) float64
         Mean log-signature of the shapes of the fit; zero for ``none``.
     matrix : (L, L) float64
@@ -57,7 +65,7 @@ class Whitening(Value):
     reason: str = ""
 
     def __post_init__(self) -> None:
-        if self.kind not in WHITENINGS:
+        if self.kind not in (*WHITENINGS, CALIBRATED):
             raise OptionError(f"whitening must be one of {', '.join(WHITENINGS)}, got {self.kind!r}")
         mean = locked("the mean of a whitening", self.mean, (None,))
         matrix = locked("the matrix of a whitening", self.matrix, (len(mean), len(mean)))
@@ -164,6 +172,56 @@ class Whitening(Value):
             options_digest=str(arrays["options_digest"]),
             reason=str(arrays["reason"]),
         )
+
+
+def write_whitening(whitening: Whitening, path: Path) -> None:
+    """Write a whitening that was fitted to labelled shapes, for shapes of other catalogues.
+
+    Parameters
+    ----------
+    whitening : Whitening
+        The whitening.
+    path : Path
+        The file, an archive of NumPy arrays. A file that is there is replaced.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be written.
+    """
+    arrays = whitening.to_arrays() | {"kind": np.array(CALIBRATED)}
+    packed = io.BytesIO()
+    np.savez(packed, allow_pickle=False, **arrays)
+    write_file(path, packed.getvalue())
+
+
+def read_whitening(path: Path) -> Whitening:
+    """Read a whitening of `write_whitening`.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+
+    Returns
+    -------
+    Whitening
+        The whitening, of the kind ``calibrated``.
+
+    Raises
+    ------
+    InputError
+        If the file is missing, or holds no whitening.
+    """
+    try:
+        with np.load(path, allow_pickle=False) as arrays:
+            whitening = Whitening.from_arrays(arrays)
+    except (OSError, ValueError, EOFError, zipfile.BadZipFile, AttributeError, TypeError) as error:
+        raise InputError(
+            f"a whitening must be a name such as auto, or a file of `pcretrieve calibrate`, got {path} "
+            f"({error})"
+        ) from error
+    return replace(whitening, reason=f"{whitening.reason}, from {path}")
 
 
 def whitening_digest(kind: str, shrinkage: float, options_digest: str) -> str:

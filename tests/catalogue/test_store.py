@@ -137,7 +137,7 @@ def test_labels_moves_and_removals(catalogue: Catalogue) -> None:
     [
         SignatureOptions(n_values=10),
         SignatureOptions(method="shape-dna", scale="absolute"),
-        SignatureOptions(method="bihdm", n_modes=40),
+        SignatureOptions(method="bihdm", n_values=23, n_modes=40),
         SignatureOptions(method="hks-bow"),
     ],
 )

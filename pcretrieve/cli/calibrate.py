@@ -1,0 +1,43 @@
+"""The command that fits a whitening to labelled scans, for other catalogues: calibrate."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import click
+
+from pcretrieve.cli.parts import catalogue_option, compared, comparison_options, say
+
+__all__ = ["calibrate_command"]
+
+
+@click.command("calibrate")
+@catalogue_option
+@click.option(
+    "--output",
+    "-o",
+    type=click.Path(path_type=Path),
+    required=True,
+    metavar="FILE",
+    help="The file to write, such as metric.npz.",
+)
+@comparison_options
+def calibrate_command(catalogue: str, output: Path, **comparison: Any) -> None:
+    """Learn from labelled scans what to ignore, for other catalogues.
+
+    Scan some bodies several times as they will be scanned later, such as three people in ten poses. The
+    variation within these classes is what `--whitening FILE` of query, evaluate and report ignores in other
+    catalogues, which must be built with the same options, and needs no labels there.
+
+    \b
+    pcretrieve ingest three_people/ --labels people.csv --catalogue three.sqlite
+    pcretrieve calibrate --catalogue three.sqlite -o metric.npz
+    pcretrieve query --catalogue bodies.sqlite new_scan.ply --whitening metric.npz
+    """
+    from pcretrieve.catalogue import Catalogue
+    from pcretrieve.evaluation import calibrate
+
+    with Catalogue(catalogue) as store:
+        whitening = calibrate(store, output, compared(store, **comparison))
+    say(f"{output}: {whitening.reason}")
