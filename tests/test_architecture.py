@@ -61,6 +61,7 @@ DOORS = {
     "lazrs": "adapters/lazrs.py",
     "matplotlib": "adapters/matplotlib.py",
     "open3d": "adapters/open3d.py",
+    "psycopg": "adapters/postgresql.py",
     "pye57": "adapters/pye57.py",
     "pytetwild": "adapters/tetwild.py",
     "robust_laplacian": "adapters/robust_laplacian.py",

@@ -1,4 +1,4 @@
-"""The command that writes meshes or signatures of a catalogue to files: export."""
+"""The command that writes meshes or signatures of a catalogue to files or to a database: export."""
 
 from __future__ import annotations
 
@@ -19,7 +19,6 @@ __all__ = ["export_command"]
     "--output",
     "-o",
     type=click.Path(path_type=Path),
-    required=True,
     metavar="PATH",
     help="A mesh file for one shape (.ply .obj .off .stl .glb), or a folder for .ply files; a file of "
     "signatures (.npz .parquet .csv) with --signatures.",
@@ -27,25 +26,46 @@ __all__ = ["export_command"]
 @click.option(
     "--signatures", is_flag=True, help="Write signatures with their ids and classes, instead of meshes."
 )
+@click.option(
+    "--to",
+    metavar="URL",
+    help="A PostgreSQL database with pgvector, postgresql://user@host/name: write whitened signatures to its "
+    "new table pcretrieve_signatures.",
+)
 @comparison_options
 def export_command(
-    shape_ids: tuple[str, ...], catalogue: str, output: Path, signatures: bool, **comparison: Any
+    shape_ids: tuple[str, ...],
+    catalogue: str,
+    output: Path | None,
+    signatures: bool,
+    to: str | None,
+    **comparison: Any,
 ) -> None:
-    """Write the meshes, or the signatures, of some or all shapes of a catalogue to files.
+    """Write the meshes, or the signatures, of some or all shapes of a catalogue to files or to a database.
 
     \b
     pcretrieve export cat0 --catalogue bodies.sqlite -o cat0.obj
     pcretrieve export --catalogue bodies.sqlite -o meshes/
     pcretrieve export --signatures --catalogue bodies.sqlite -o bodies.parquet
+    pcretrieve export --catalogue bodies.sqlite --to postgresql://localhost/bodies
     """
     from pcretrieve.catalogue import Catalogue
+    from pcretrieve.catalogue.vectors import export_vectors
     from pcretrieve.errors import InputError
     from pcretrieve.formats import write_mesh, write_signatures
 
+    if (output is None) == (to is None) or (to and signatures):
+        raise click.UsageError("give either --output, or --to for signatures in a database")
     given = [f"--{name.replace('_', '-')}" for name, value in comparison.items() if value is not None]
-    if given and not signatures:
-        raise click.UsageError(f"{', '.join(given)} is for --signatures: meshes have no such options")
+    if given and not signatures and not to:
+        raise click.UsageError(
+            f"{', '.join(given)} is for --signatures and --to: meshes have no such options"
+        )
     with Catalogue(catalogue) as store:
+        if output is None:
+            n = export_vectors(store, str(to), compared(store, **comparison), shape_ids=shape_ids)
+            say(f"wrote {n} signatures to the table pcretrieve_signatures")
+            return
         if signatures:
             table = store.signatures(compared(store, **comparison))
             write_signatures(table.select(shape_ids) if shape_ids else table, output)
