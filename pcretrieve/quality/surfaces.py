@@ -36,6 +36,10 @@ ERROR_OF_CUT = 0.15
 ERROR_OF_HOLES = 0.3
 ERROR_OF_WELDS = 0.3
 
+# Number of welds whose errors are added, as independent ones. Where a mesh has more, most of them join
+# neighbours and have no effect: the mesh is doubtful, and not unusable for that reason alone.
+WELDS_OF_PARTS = 5
+
 
 def surface_checks(mesh: TriangleMesh) -> list[Check]:
     """Check whether a surface is one closed manifold, and count its handles.
@@ -103,7 +107,7 @@ def mesh_check(provenance: Sequence[Step]) -> list[Check]:
             "Parts of the body may be joined where they only touch: separate these vertices and edges."
             if step.sizes["non_manifold"]
             else "No vertex or edge joins parts of the mesh.",
-            ERROR_OF_WELDS if step.sizes["non_manifold"] else 0.0,
+            ERROR_OF_WELDS * math.sqrt(min(step.sizes["non_manifold"], WELDS_OF_PARTS)),
         )
         for step in provenance
         if "non_manifold" in step.sizes

@@ -33,17 +33,17 @@ FARTHEST = 0.1
 # random.
 RADIUS = 1.5
 
-# Number of the farther neighbour whose distance is compared with that of neighbour SPACING_NEIGHBORS, and the
-# smallest ratio of these distances for points of a surface: in the mean it is 1.83 on a plane, 1.49 in a
-# volume, and near 1 for a point off the surface. See docs/decisions.md, LEAST_RATIO.
+# The distance of neighbour k is proportional to k^(1/2) on a surface, and to k^(1/3) in a volume; the
+# exponent is near 0 for a point off a dense surface. It is measured between the neighbours SPACING_NEIGHBORS
+# and FARTHER. The smallest one of points of a surface: see docs/decisions.md, LEAST_GROWTH.
 FARTHER = 20
-LEAST_RATIO = 1.6
+LEAST_GROWTH = 0.39
 
 # Smallest spacing of the points that are compared, in medians: no point of a scan of uniform density has one.
 UNCOMMON = 1.8
 
-# Smallest ratio of a single point, if the median is that of a surface, and fewest points for a median.
-LEAST_OF_ONE = 1.2
+# Smallest exponent of a single point, if the median is that of a surface, and fewest points for a median.
+LEAST_OF_ONE = 0.15
 FEWEST = 5
 
 # Number of neighbours to which a sphere is fitted, and number of times that a point is moved to its sphere.
@@ -77,13 +77,13 @@ def local_spacings(neighbors: Neighborhoods) -> FloatArray:
     return np.asarray(np.sqrt(np.pi / k) * neighbors.distance[:, k])
 
 
-def sparse_points(spacings: FloatArray, *, cell: float, diagonal: float) -> Mask:
+def sparse_points(neighbors: Neighborhoods, *, cell: float, diagonal: float) -> Mask:
     """The points whose spacing is so much larger than a voxel that points must be interpolated.
 
     Parameters
     ----------
-    spacings : (m,) float64
-        From `local_spacings`; unit of the file.
+    neighbors : Neighborhoods
+        Of all points, with at least twice `SPACING_NEIGHBORS` neighbours, or all points of a smaller cloud.
     cell : float
         Edge of the voxels, not smaller than the median of the spacings; unit of the file.
     diagonal : float
@@ -91,13 +91,40 @@ def sparse_points(spacings: FloatArray, *, cell: float, diagonal: float) -> Mask
 
     Returns
     -------
-    (m,) bool
-        The sparse points; none if they represent a small part of the surface.
+    (n,) bool
+        The sparse points; none if they represent a small part of the surface, or are not on a surface.
     """
-    sparse = (spacings > SPARSE * cell) & (spacings < FARTHEST * diagonal)
+    sparse = _many_sparse(local_spacings(neighbors), cell, diagonal)
+    if sparse.any() and not _is_surface(neighbors, least=SPARSE * cell):
+        return np.zeros_like(sparse)
+    return sparse
+
+
+def _many_sparse(spacings: FloatArray, cell: float, diagonal: float) -> Mask:
     known = spacings < FARTHEST * diagonal
+    sparse = known & (spacings > SPARSE * cell)
     share = (spacings[sparse] ** 2).sum() / max((spacings[known] ** 2).sum(), np.finfo(float).tiny)
     return sparse if share > LEAST_SPARSE else np.zeros_like(sparse)
+
+
+def _growth(neighbors: Neighborhoods) -> FloatArray:
+    """(n,) exponents a of the distance of neighbour k, which is proportional to k^a."""
+    near, far = (min(k, neighbors.distance.shape[1] - 1) for k in (SPACING_NEIGHBORS, FARTHER))
+    ratio = neighbors.distance[:, far] / np.maximum(neighbors.distance[:, near], np.finfo(float).tiny)
+    return np.asarray(np.log(np.maximum(ratio, 1)) / np.log(far / near))
+
+
+def _is_surface(neighbors: Neighborhoods, *, least: float) -> bool:
+    """Whether the points with at least some spacing are, in the median, on a surface."""
+    # By the farther distance: a nearer one would select points whose distances grow slowly.
+    sparse = _wide_spacings(neighbors) > least
+    return bool(sparse.sum() >= FEWEST and np.median(_growth(neighbors)[sparse]) > LEAST_GROWTH)
+
+
+def _wide_spacings(neighbors: Neighborhoods) -> FloatArray:
+    """(n,) spacings by the distance of the neighbour `FARTHER`."""
+    far = min(FARTHER, neighbors.distance.shape[1] - 1)
+    return np.asarray(np.sqrt(np.pi / far) * neighbors.distance[:, far])
 
 
 def is_of_surface(neighbors: Neighborhoods, *, cell: float) -> Mask:
@@ -118,14 +145,10 @@ def is_of_surface(neighbors: Neighborhoods, *, cell: float) -> Mask:
     (n,) bool
         Points that are not isolated; none, if the sparse points of the scan are not those of a surface.
     """
-    near, far = (min(k, neighbors.distance.shape[1] - 1) for k in (SPACING_NEIGHBORS, FARTHER))
-    ratio = neighbors.distance[:, far] / np.maximum(neighbors.distance[:, near], np.finfo(float).tiny)
-    # By the farther distance: a nearer one would select points with a small ratio.
-    spacings = np.sqrt(np.pi / FARTHER) * neighbors.distance[:, far]
-    sparse = spacings > UNCOMMON * max(cell, float(np.median(spacings)))
-    if sparse.sum() < FEWEST or np.median(ratio[sparse]) < LEAST_RATIO:
-        return np.zeros(len(ratio), dtype=np.bool_)
-    return np.asarray(ratio > LEAST_OF_ONE)
+    median = float(np.median(_wide_spacings(neighbors)))
+    if not _is_surface(neighbors, least=UNCOMMON * max(cell, median)):
+        return np.zeros(len(neighbors.distance), dtype=np.bool_)
+    return np.asarray(_growth(neighbors) > LEAST_OF_ONE)
 
 
 def disks(
@@ -197,11 +220,13 @@ def interpolated(cloud: PointCloud, some: Neighborhoods, *, cell: float) -> Poin
     ----------
     .. [1] G. Guennebaud and M. Gross, "Algebraic point set surfaces", ACM Transactions on Graphics 26 (2007).
     """
-    varies = sparse_points(local_spacings(some), cell=cell, diagonal=cloud.diagonal).any()
-    if cloud.normals is None or not varies:
+    if cloud.normals is None or not _many_sparse(local_spacings(some), cell, cloud.diagonal).any():
         return cloud
-    spacings = local_spacings(neighborhoods(cloud.points, SPACING_NEIGHBORS + 1))
-    sparse = sparse_points(spacings, cell=cell, diagonal=cloud.diagonal)
+    neighbors = neighborhoods(cloud.points, FARTHER + 1)
+    spacings = local_spacings(neighbors)
+    sparse = sparse_points(neighbors, cell=cell, diagonal=cloud.diagonal)
+    if not sparse.any():
+        return cloud
     points, normals, centres = _on_spheres(cloud.points, cloud.normals, spacings, sparse, step=cell)
     return replace(
         cloud,

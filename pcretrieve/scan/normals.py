@@ -164,7 +164,7 @@ def _tight_flood(
 def _with_disks(cloud: PointCloud, neighbors: Neighborhoods, step: float) -> FloatArray:
     """The points, and points on disks around those that are sparse, which close the surface between them."""
     spacings = local_spacings(neighbors)
-    sparse = sparse_points(spacings, cell=step, diagonal=cloud.diagonal)
+    sparse = sparse_points(neighbors, cell=step, diagonal=cloud.diagonal)
     if not sparse.any():
         return cloud.points
     around = cloud.points[neighbors.near[sparse, : N_COMPARED + 1]]  # (m, k, 3)

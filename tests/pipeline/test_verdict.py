@@ -14,10 +14,10 @@ from pcretrieve import PointCloud, TriangleMesh, process
 from pcretrieve.descriptors import describe
 from pcretrieve.errors import InputError, ReconstructionError
 from pcretrieve.options import PipelineOptions
-from pcretrieve.quality import Check, verdict_of
+from pcretrieve.quality import Check, fit_checks, marks_check, mesh_check, verdict_of
 from pcretrieve.simulation import UniformOptions, scan_uniformly
 from pcretrieve.simulation.bodies import POSES, body, make_subject
-from pcretrieve.types import FloatArray, Shape, Verdict
+from pcretrieve.types import FloatArray, Shape, Step, Verdict
 
 Fault = Callable[[TriangleMesh, FloatArray, np.random.Generator], PointCloud | TriangleMesh]
 
@@ -75,6 +75,18 @@ def two_vertices_welded(person: TriangleMesh, points: FloatArray, rng: np.random
     return TriangleMesh(person.vertices, np.where(person.faces == low, high, person.faces))
 
 
+def turned(person: TriangleMesh, points: FloatArray, rng: np.random.Generator) -> PointCloud:
+    return PointCloud(points @ np.linalg.qr(rng.normal(size=(3, 3)))[0])
+
+
+def mirrored(person: TriangleMesh, points: FloatArray, rng: np.random.Generator) -> PointCloud:
+    return PointCloud(points * [-1, 1, 1])
+
+
+def every_point_twice(person: TriangleMesh, points: FloatArray, rng: np.random.Generator) -> PointCloud:
+    return PointCloud(np.concatenate([points, points]))
+
+
 def arms_that_cross_the_trunk(
     person: TriangleMesh, points: FloatArray, rng: np.random.Generator
 ) -> PointCloud:
@@ -94,6 +106,9 @@ FAULTS: tuple[Fault, ...] = (
     one_hole,
     two_vertices_welded,
     arms_that_cross_the_trunk,
+    turned,
+    mirrored,
+    every_point_twice,
 )
 
 
@@ -141,6 +156,80 @@ def test_garbage_is_removed(person: TriangleMesh, points: FloatArray) -> None:
     shape = process(PointCloud(np.concatenate([points, garbage])))
     assert shape.verdict is not None and shape.verdict.is_sound
     assert error(shape, person) < 0.15
+
+
+def thinned(points: FloatArray, kept: FloatArray) -> PointCloud:
+    """The points, of which the given fractions are kept at random."""
+    return PointCloud(points[np.random.default_rng(3).random(len(points)) < kept])
+
+
+@pytest.mark.parametrize(("ratio", "axis"), [(10, 0), (10, 1), (30, 1)])
+def test_density_may_fall_from_end_to_end(
+    ratio: float, axis: int, person: TriangleMesh, points: FloatArray
+) -> None:
+    along = (points[:, axis] - points[:, axis].min()) / np.ptp(points[:, axis])
+    shape = process(thinned(points, ratio**-along))
+    assert error(shape, person) < 0.15
+    assert shape.verdict is not None and shape.verdict.uncertainty < 0.5
+
+
+def test_a_half_may_be_thinner(person: TriangleMesh, points: FloatArray) -> None:
+    for half in (heights(points) < 0.5, heights(points) > 0.5):
+        shape = process(thinned(points, np.where(half, 1, 0.2)))
+        assert error(shape, person) < 0.15
+        assert shape.verdict is not None and shape.verdict.is_sound, shape.verdict
+
+
+# --- the uncertainty ----------------------------------------------------------------------------------
+
+
+def uncertainty(scan: PointCloud) -> float:
+    verdict = process(scan).verdict
+    assert verdict is not None
+    return verdict.uncertainty
+
+
+def test_the_uncertainty_grows_with_thinner_points(points: FloatArray) -> None:
+    found = [uncertainty(PointCloud(points[::step])) for step in (1, 4, 10, 20)]
+    assert found == sorted(found)
+    assert found[-1] > 5 * found[0]
+
+
+def test_the_uncertainty_grows_with_what_is_filled_in(person: TriangleMesh, points: FloatArray) -> None:
+    belly = points[np.abs(heights(points) - 0.6).argmin()]
+    distance = np.linalg.norm(points - belly, axis=1) / person.diagonal
+    found = [uncertainty(PointCloud(points[distance > radius])) for radius in (0, 0.04, 0.06, 0.08)]
+    assert found == sorted(found)
+    assert found[-1] > 2 * found[0]
+
+
+def test_the_uncertainty_grows_with_noise(points: FloatArray) -> None:
+    rng = np.random.default_rng(6)
+    found = [
+        uncertainty(PointCloud(points + rng.normal(0, noise, points.shape))) for noise in (0, 0.003, 0.006)
+    ]
+    assert found == sorted(found)
+    assert found[-1] > 2 * found[0]
+
+
+MEASURED = {"filled": 0.0, "ends": 0.0, "gaps": 0.004, "lost": 0.0, "noise": 0.001}
+
+
+@pytest.mark.parametrize("name", MEASURED)
+def test_each_measurement_adds_to_the_uncertainty(name: str) -> None:
+    found = [
+        verdict_of(fit_checks(**{**MEASURED, name: value})).uncertainty
+        for value in np.linspace(MEASURED[name], 0.3, 50)
+    ]
+    assert (np.diff(found) >= 0).all()
+    assert found[-1] > found[0]
+
+
+def test_cuts_and_welds_add_to_the_uncertainty() -> None:
+    cuts = [marks_check(n, n_bridges).error for n_bridges in (0, 3) for n in range(20)]
+    welds = [mesh_check([Step("surface", 0.0, {"non_manifold": n})])[0].error for n in range(5)]
+    assert (np.diff(cuts[:20]) > 0).all() and (np.diff(cuts[20:]) > 0).all() and cuts[20] > cuts[0]
+    assert welds[0] == 0 and (np.diff(welds) > 0).all()
 
 
 # --- the verdict --------------------------------------------------------------------------------------
