@@ -22,7 +22,7 @@ from pcretrieve.pipeline.seen import Seen
 from pcretrieve.plugins import Registry
 from pcretrieve.scan import POINT_FILTERS, check_extent
 from pcretrieve.spectral import ELEMENTS
-from pcretrieve.surface import SURFACE_FILTERS, SurfaceMarks, defects, sampled, sound_mesh, surfaces
+from pcretrieve.surface import SURFACE_FILTERS, defects, sampled, sound_mesh, surfaces
 from pcretrieve.types import PointCloud, Step, TriangleMesh
 
 __all__ = ["stages"]
@@ -120,7 +120,7 @@ def _of_surfaces(
         ignored = f"surface.method = {options.surface.method!r} does not use {', '.join(unused)}"
         mesh = mesh.after(Step("surface", 0.0, notes=(ignored,)))
     if marks is not None and cloud.origin is not None:
-        marks = SurfaceMarks(marks.cuts + cloud.origin, marks.bridges + cloud.origin)
+        marks = marks.moved(cloud.origin)
     for surface in _filtered_surfaces(Framed(mesh, cloud.origin), filters, options):
         yield (seen := replace(seen, mesh=surface.in_scan(), marks=marks))
     _check_closed(surface.value)

@@ -8,7 +8,7 @@ checked; `pcretrieve.inspection` adds rescans, and shows the findings.
 from pcretrieve.quality.check import OUTCOMES, Check, Limits, Outcome, graded
 from pcretrieve.quality.findings import Findings, findings_of
 from pcretrieve.quality.points import normal_checks, point_checks
-from pcretrieve.quality.surfaces import fit_checks, marks_check, mesh_check, surface_checks
+from pcretrieve.quality.surfaces import base_check, fit_checks, marks_check, mesh_check, surface_checks
 from pcretrieve.quality.verdict import verdict_of
 
 __all__ = [
@@ -17,6 +17,7 @@ __all__ = [
     "Findings",
     "Limits",
     "Outcome",
+    "base_check",
     "findings_of",
     "fit_checks",
     "graded",

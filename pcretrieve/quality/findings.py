@@ -14,7 +14,8 @@ from pcretrieve.adapters.rays import RayScene
 from pcretrieve.quality.check import Check
 from pcretrieve.quality.points import normal_checks, point_checks
 from pcretrieve.quality.spectra import spectrum_checks
-from pcretrieve.quality.surfaces import fit_checks, marks_check, mesh_check, surface_checks
+from pcretrieve.quality.surfaces import base_check, fit_checks, marks_check, mesh_check, surface_checks
+from pcretrieve.scan import ground_normal
 from pcretrieve.scan.density import local_spacings
 from pcretrieve.scan.nearest import nearest
 from pcretrieve.scan.sampling import SPACING_NEIGHBORS, Neighborhoods
@@ -110,7 +111,8 @@ def findings_of(
         if cloud.normals is not None:
             checks += normal_checks(cloud.normals, cloud.normals[some], near[:, 1:])
         if mesh is not None:
-            filled, fit = _fit(cloud, mesh, places, spacing)
+            base = np.zeros((0, 3)) if marks is None else marks.base
+            filled, fit = _fit(cloud, mesh, places, spacing, base)
             checks += fit
         if marks is not None:
             reach = PLACE * cloud.diagonal
@@ -124,34 +126,42 @@ def findings_of(
 
 
 def _fit(
-    cloud: PointCloud, mesh: TriangleMesh, some: FloatArray, spacing: float
+    cloud: PointCloud, mesh: TriangleMesh, some: FloatArray, spacing: float, base: FloatArray
 ) -> tuple[NDArray[np.bool_], list[Check]]:
-    """Faces without a point nearby, and the checks of the fit of points and surface."""
+    """Faces without a point nearby, and the checks of the fit; `base` as in `SurfaceMarks`."""
     a, b, c = (mesh.vertices[mesh.faces[:, k]] for k in range(3))
-    distance, number = nearest(cloud.points, (a + b + c) / 3, 1)
+    middles = (a + b + c) / 3
+    distance, number = nearest(cloud.points, middles, 1)
     apart, near = distance[:, 0], number[:, 0]  # (m,)
     filled = np.asarray(apart > FILLED * spacing)  # (m,)
     filled[filled] = apart[filled] > FILLED_OF_SPARSE * _spacings(cloud.points, near[filled])
     vectors = mesh.area_vectors
     areas = np.linalg.norm(vectors, axis=1)
     area = areas.sum()
+    checks = []
+    if len(base):
+        on_base = filled.copy()
+        on_base[filled] = nearest(base, middles[filled], 1)[0][:, 0] < apart[filled]
+        checks.append(base_check(float(areas[on_base].sum() / area), ground_normal(cloud) is not None))
+        apart, areas = np.where(on_base, 0, apart), np.where(on_base, 0, areas)
     ends = 0.0
     if cloud.normals is not None:
         lean = np.einsum("ij,ij->i", vectors, cloud.normals[near])  # area times cosine
         ends = float(areas[filled & (lean < TURNED * areas)].sum() / area)
     order = np.argsort(apart)
-    covered = int(np.searchsorted(np.cumsum(areas[order]), COVERED * area))
+    covered = int(np.searchsorted(np.cumsum(areas[order]), COVERED * areas.sum()))
     # Open3D computes these distances in single precision, so the points are moved near the origin.
     origin = some.mean(axis=0)
     gap = RayScene(mesh.vertices - origin, mesh.faces).distance(some - origin)
     lost = gap > FILLED * spacing
-    return filled, fit_checks(
+    checks += fit_checks(
         filled=float(areas[filled].sum() / area),
         ends=ends,
         gaps=float(apart[order[min(covered, len(order) - 1)]]) / cloud.diagonal,
         lost=float(lost.mean()),
         noise=float(np.sqrt((gap[~lost] ** 2).sum() / max((~lost).sum(), 1))) / cloud.diagonal,
     )
+    return filled, checks
 
 
 def _spacings(points: FloatArray, chosen: NDArray[np.intp]) -> FloatArray:

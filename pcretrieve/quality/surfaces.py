@@ -9,7 +9,7 @@ from pcretrieve.quality.check import Check, Limits, counted, graded, percent
 from pcretrieve.surface import defects
 from pcretrieve.types import Step, TriangleMesh
 
-__all__ = ["fit_checks", "marks_check", "mesh_check", "surface_checks"]
+__all__ = ["base_check", "fit_checks", "marks_check", "mesh_check", "surface_checks"]
 
 # What scans of known quality have: see docs/decisions.md, UNSUPPORTED, and the rows below it.
 UNSUPPORTED: Limits = (0.01, 0.15)
@@ -26,6 +26,10 @@ ERROR_OF_NOISE = 100.0
 ERROR_OF_ENDS = 75.0
 ENDS_OF_NOISE = 0.0015
 ERROR_OF_GAPS = 2900.0
+
+# Log-signature error of a base if the ground was not seen: what was cut off there may be legs. See
+# docs/decisions.md, ERROR_OF_BASE.
+ERROR_OF_BASE = 0.3
 
 # Log-signature error of one cut or bridge; those of several are independent. See docs/decisions.md,
 # ERROR_OF_CUT.
@@ -183,6 +187,34 @@ def fit_checks(*, filled: float, ends: float, gaps: float, lost: float, noise: f
             error=ERROR_OF_NOISE * noise,
         ),
     ]
+
+
+def base_check(area: float, on_ground: bool) -> Check:
+    """Check how much of the surface is the base on which the body stood, which no sensor sees.
+
+    Parameters
+    ----------
+    area : float
+        Area of the base; relative to the whole area.
+    on_ground : bool
+        Whether the ground was scanned, so that it is known where the body ends.
+
+    Returns
+    -------
+    Check
+        "Closed base", with the area.
+    """
+    return Check(
+        "Closed base",
+        "passed" if on_ground else "look",
+        area,
+        f"{percent(area)} of the surface",
+        "The body stands on the ground that was scanned, and its base was closed there."
+        if on_ground
+        else "The side on which the body can stand was not seen, and was closed flat: scan the ground too, "
+        "or merge views from below; if limbs were cut off there, scan them.",
+        ERROR_OF_FILLED * area + (0.0 if on_ground else ERROR_OF_BASE),
+    )
 
 
 def marks_check(n_cuts: int, n_bridges: int) -> Check:

@@ -8,6 +8,16 @@ from pcretrieve.options import PointFilter
 from pcretrieve.scan.clean import check_extent, clean
 from pcretrieve.scan.crop import crop, kept_points
 from pcretrieve.scan.filters import POINT_FILTERS
+from pcretrieve.scan.ground import ground_normal
 from pcretrieve.scan.normals import oriented_normals
 
-__all__ = ["POINT_FILTERS", "PointFilter", "check_extent", "clean", "crop", "kept_points", "oriented_normals"]
+__all__ = [
+    "POINT_FILTERS",
+    "PointFilter",
+    "check_extent",
+    "clean",
+    "crop",
+    "ground_normal",
+    "kept_points",
+    "oriented_normals",
+]

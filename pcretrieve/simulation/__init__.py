@@ -9,11 +9,13 @@ from pcretrieve.simulation.damage import DamageOptions, damaged
 from pcretrieve.simulation.files import write_conf, write_pcd, write_ply
 from pcretrieve.simulation.rig import RigOptions, camera_pose, scan, scan_views
 from pcretrieve.simulation.skeleton import Bone, Contact, Pose, RoundCone, Subject
+from pcretrieve.simulation.support import SEATED, on_support
 from pcretrieve.simulation.turning import TurningOptions, turning_frames, write_frames
 from pcretrieve.simulation.uniform import UniformOptions, scan_uniformly
 
 __all__ = [
     "POSES",
+    "SEATED",
     "Bone",
     "Contact",
     "DamageOptions",
@@ -27,6 +29,7 @@ __all__ = [
     "camera_pose",
     "damaged",
     "make_subject",
+    "on_support",
     "scan",
     "scan_uniformly",
     "scan_views",

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +24,7 @@ from pcretrieve.errors import ReconstructionError
 from pcretrieve.options import SurfaceOptions
 from pcretrieve.scan.density import interpolated
 from pcretrieve.scan.sampling import PLANE_NEIGHBORS, Neighborhoods, neighborhoods, noise, spacing
+from pcretrieve.surface.caps import NO_CAP, Capped, base_of, points_on
 from pcretrieve.surface.coarse import coarse_surface
 from pcretrieve.surface.contacts import contact_layer, walls
 from pcretrieve.surface.field import LEAST_WEIGHT, distance_field, folded, hidden_below, normals_of
@@ -85,10 +86,18 @@ class SurfaceMarks:
         Centres of the voxels that were removed to obtain the requested genus; unit of the file.
     bridges : (j, 3) float64
         Centres of the voxels that were added to connect a component to the body; unit of the file.
+    base : (p, 3) float64
+        Points of the caps of the base on which the body stands, where no points were measured; unit of the
+        file.
     """
 
     cuts: FloatArray
     bridges: FloatArray
+    base: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))
+
+    def moved(self, by: FloatArray) -> SurfaceMarks:
+        """All places, translated by (3,) `by`."""
+        return SurfaceMarks(self.cuts + by, self.bridges + by, self.base + by)
 
 
 def body_surfaces(cloud: PointCloud, options: SurfaceOptions) -> Iterator[tuple[TriangleMesh, SurfaceMarks]]:
@@ -129,7 +138,7 @@ def body_surfaces(cloud: PointCloud, options: SurfaceOptions) -> Iterator[tuple[
     size = _cell(cloud, neighbors, options)
     n_measured = len(cloud.points)
     cloud = interpolated(cloud, neighbors, cell=max(size, least))
-    coarse = coarse_surface(cloud, options)
+    coarse = coarse_surface(cloud, options, spacing=least)
     for number in range(options.reconstructions):
         cell = max(CELLS[number % len(CELLS)] * size, least)
         mesh, marks, step = _body_surface(cloud, coarse, cell, number * SHIFT % 1, options)
@@ -143,13 +152,15 @@ def body_surfaces(cloud: PointCloud, options: SurfaceOptions) -> Iterator[tuple[
 
 
 def _body_surface(
-    cloud: PointCloud, coarse: TriangleMesh, cell: float, shift: FloatArray, options: SurfaceOptions
+    cloud: PointCloud, coarse: Capped, cell: float, shift: FloatArray, options: SurfaceOptions
 ) -> tuple[TriangleMesh, SurfaceMarks, Step]:
     notes: list[str] = []
     deepest = hidden_below(cloud.diagonal, cell) + 1  # interpolated between voxels
+    # A cap stops the flood fill as points do.
+    walled = np.concatenate([cloud.points, points_on(coarse.surface, coarse.cap != NO_CAP, cell)])
     for gap in (options.gap, *(options.gap * wider for wider in WIDER)):
-        outside = flood(cloud.points, cell=cell, gap=gap * cloud.diagonal, shift=shift, deepest=deepest)
-        coarse_inside, coarse_crossings = filled(coarse, outside.grid)
+        outside = flood(walled, cell=cell, gap=gap * cloud.diagonal, shift=shift, deepest=deepest)
+        coarse_inside, coarse_crossings = filled(coarse.surface, outside.grid)
         distance, weight = distance_field(cloud, outside)
         known = weight > LEAST_WEIGHT
         # Far from the points only: near them the coarse surface can be inaccurate by a voxel.
@@ -200,7 +211,8 @@ def _body_surface(
         },
         tuple(notes),
     )
-    marks = SurfaceMarks(_centres(cuts, grid), _centres(bridges, grid))
+    base = points_on(coarse.surface, base_of(coarse, cloud), cell)
+    marks = SurfaceMarks(_centres(cuts, grid), _centres(bridges, grid), base)
     return final, marks, step
 
 

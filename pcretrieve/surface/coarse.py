@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
-import numpy as np
-
 from pcretrieve.adapters import open3d
 from pcretrieve.errors import ReconstructionError
 from pcretrieve.options import SurfaceOptions
+from pcretrieve.surface.caps import Capped, capped
 from pcretrieve.surface.field import normals_of
 from pcretrieve.surface.repair import largest_component
 from pcretrieve.surface.topology import compact, defects
-from pcretrieve.types import FloatArray, PointCloud, TriangleMesh
+from pcretrieve.types import PointCloud
 
 __all__ = ["coarse_surface"]
 
@@ -22,15 +19,12 @@ __all__ = ["coarse_surface"]
 FILL_SCALE = 1.5
 BASE_SCALE = 2.0
 
-# Rounds in which the vertices of a surface are moved to the planes of a convex hull.
-CLIPPING = 20
 
-
-def coarse_surface(cloud: PointCloud, options: SurfaceOptions) -> TriangleMesh:
+def coarse_surface(cloud: PointCloud, options: SurfaceOptions, *, spacing: float) -> Capped:
     """Reconstruct a coarse Poisson surface, which decides far from the points.
 
-    If it is not closed, as where a body stands, it is reconstructed in a larger cube, and moved into the
-    convex hull of the points, so that the base is flat.
+    If it is not closed, as where a body stands, it is reconstructed in a larger cube. In large holes it is
+    replaced by flat caps.
 
     Parameters
     ----------
@@ -38,11 +32,13 @@ def coarse_surface(cloud: PointCloud, options: SurfaceOptions) -> TriangleMesh:
         Points with normals.
     options : SurfaceOptions
         Of which `fill_depth` is used.
+    spacing : float
+        Of the points; unit of the file.
 
     Returns
     -------
-    TriangleMesh
-        The surface, of which the largest component is closed; unit of the file.
+    Capped
+        The surface, of which the largest component is closed, and its caps; unit of the file.
 
     Raises
     ------
@@ -58,21 +54,8 @@ def coarse_surface(cloud: PointCloud, options: SurfaceOptions) -> TriangleMesh:
         surface = compact(vertices, faces)
         largest, _ = largest_component(surface, 1.0)
         if not (n_open := defects(largest).boundary_edges):
-            return surface if scale == FILL_SCALE else _with_flat_base(surface, cloud.points)
+            return capped(surface, cloud, spacing=spacing)
     raise ReconstructionError(
         f"the points must surround a body, their surface has {n_open} boundary edges: "
         "scan the sides that are missing, or merge this view with others"
     )
-
-
-def _with_flat_base(surface: TriangleMesh, points: FloatArray) -> TriangleMesh:
-    """A coarse surface that bulges where a body stands, moved into the convex hull of the points."""
-    from scipy.spatial import ConvexHull
-
-    planes = ConvexHull(points).equations  # (p, 4): unit normals outwards, and offsets
-    vertices = surface.vertices.copy()
-    for _ in range(CLIPPING):
-        beyond = vertices @ planes[:, :3].T + planes[:, 3]  # (n, p)
-        farthest = beyond.argmax(axis=1)
-        vertices -= np.maximum(beyond.max(axis=1), 0)[:, None] * planes[farthest, :3]
-    return replace(surface, vertices=vertices)

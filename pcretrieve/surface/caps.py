@@ -1,0 +1,177 @@
+"""Large holes of a scan → caps of a coarse surface, of which some are the base on which the body stood."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pcretrieve.scan import ground_normal
+from pcretrieve.surface.edges import edges_of, joined_by
+from pcretrieve.types import FloatArray, PointCloud, TriangleMesh
+from pcretrieve.voxels import Mask
+
+__all__ = ["Capped", "base_of", "capped", "points_on"]
+
+# Distance to the nearest point beyond which a vertex is in a hole: relative to the diagonal, and in spacings
+# of the points, whichever is larger. A vertex of a large hole exceeds the last distance, relative to the
+# diagonal. See docs/decisions.md, LARGE_HOLE.
+IN_HOLE = 0.012
+IN_SPACINGS = 2.0
+LARGE_HOLE = 0.025
+
+# Number of a face that is on no cap.
+NO_CAP = -1
+
+# A cap is flat if the norm of the sum of its area vectors, relative to its area, is at least this large. Two
+# caps are parallel if the cosine of the angle between their normals is.
+FLAT = 0.7
+PARALLEL = 0.9
+
+# A cap supports the body if at most a fraction of the points is beneath its plane, by more than a distance
+# relative to the diagonal: on a seat, .18 are, those of the lower legs. Points above the plane by at most
+# this distance touch it too.
+MOST_BENEATH = 0.3
+NEAR_PLANE = 0.02
+
+
+class Capped(NamedTuple):
+    """A surface with caps.
+
+    Attributes
+    ----------
+    surface : TriangleMesh
+        The surface.
+    cap : (m,) int
+        Number of the cap of each face; −1 for a face that is not in a large hole.
+    """
+
+    surface: TriangleMesh
+    cap: NDArray[np.intp]
+
+
+def capped(surface: TriangleMesh, cloud: PointCloud, *, spacing: float) -> Capped:
+    """Replace the parts of a surface in large holes of the points by minimal surfaces.
+
+    A Poisson surface bulges out of a large hole, such as an unseen base. A cap is a membrane instead: each of
+    its vertices is at the mean of its neighbours, so that the cap is in the convex hull of its rim, and flat
+    if the rim is planar. The rim is moved to the points.
+
+    Parameters
+    ----------
+    surface : TriangleMesh
+        A closed surface.
+    cloud : PointCloud
+        The points; unit of the surface.
+    spacing : float
+        Of the points; unit of the surface.
+
+    Returns
+    -------
+    Capped
+        The surface with its caps; without large holes, it is not changed.
+    """
+    from scipy.sparse import csr_array, diags_array
+    from scipy.sparse.linalg import splu
+    from scipy.spatial import cKDTree
+
+    distance, near = map(np.asarray, cKDTree(cloud.points).query(surface.vertices))  # (n,), (n,)
+    n, far = len(distance), distance > max(IN_HOLE * cloud.diagonal, IN_SPACINGS * spacing)  # (n,)
+    ends = edges_of(surface.faces).ends  # (e, 2)
+    inner = ends[far[ends].all(axis=1)]
+    hole = joined_by(inner[:, 0], inner[:, 1], n)
+    farthest = np.zeros(n)
+    np.maximum.at(farthest, hole[far], distance[far])
+    free = far & (farthest[hole] > LARGE_HOLE * cloud.diagonal)  # (n,)
+    cap = np.where(free[surface.faces], hole[surface.faces], NO_CAP).max(axis=1)
+    if not free.any():
+        return Capped(surface, cap)
+    vertices = surface.vertices.copy()
+    rim = np.setdiff1d(surface.faces[cap != NO_CAP], np.flatnonzero(free))
+    vertices[rim] = cloud.points[near[rim]]
+    joined = csr_array((np.ones(len(ends)), (ends[:, 0], ends[:, 1])), shape=(n, n))
+    joined = joined + joined.T
+    laplacian = (diags_array(joined.sum(axis=1)) - joined).tocsr()[free]  # (k, n)
+    vertices[free] = splu(laplacian[:, free].tocsc()).solve(-(laplacian[:, ~free] @ vertices[~free]))
+    return Capped(TriangleMesh(vertices, surface.faces), cap)
+
+
+def base_of(capped: Capped, cloud: PointCloud) -> Mask:
+    """The faces of a base: flat caps that face down.
+
+    Down is away from the ground, if the stage `crop` has removed it. Otherwise it is the normal of the
+    largest cap on which the body can stand: few points are beneath its plane, and the mean of the points is
+    above the convex hull of the caps that are parallel to it and of the points that touch its plane.
+
+    Parameters
+    ----------
+    capped : Capped
+        A surface with its caps.
+    cloud : PointCloud
+        The points; unit of the surface.
+
+    Returns
+    -------
+    (m,) bool
+        Also the caps of a seat and of hands that rest on something, if they face down; none, if the body
+        cannot stand.
+    """
+    surface, cap = capped
+    numbers = np.setdiff1d(cap, [NO_CAP])
+    sums = np.array([surface.area_vectors[cap == number].sum(axis=0) for number in numbers]).reshape(-1, 3)
+    areas = np.array([surface.face_areas[cap == number].sum() for number in numbers])
+    size = np.linalg.norm(sums, axis=1)
+    flat = size >= FLAT * areas  # (c,)
+    normals = sums / np.where(size > 0, size, 1)[:, None]
+    up = ground_normal(cloud)
+    downs = [-up] if up is not None else normals[flat][np.argsort(-areas[flat])]
+    for down in downs:
+        facing = numbers[flat & (normals @ down >= PARALLEL)]
+        faces = np.asarray(np.isin(cap, facing))
+        own = surface.vertices[surface.faces[faces]].reshape(-1, 3)
+        if len(own) and (up is not None or _stands(own, down, cloud)):
+            return faces
+    return np.zeros(len(cap), dtype=np.bool_)
+
+
+def _stands(base: FloatArray, down: FloatArray, cloud: PointCloud) -> bool:
+    """Whether a body can stand on the points of its base, whose outward normal is `down`."""
+    from scipy.spatial import ConvexHull, QhullError
+
+    height = -cloud.points @ down  # (n,)
+    ground = (-base @ down).min()
+    touching = height <= ground + NEAR_PLANE * cloud.diagonal
+    if (height < ground - NEAR_PLANE * cloud.diagonal).mean() > MOST_BENEATH:
+        return False
+    axes = np.linalg.svd(down[None])[2][1:]  # (2, 3), perpendicular to `down`
+    try:
+        outline = ConvexHull(np.concatenate([base, cloud.points[touching]]) @ axes.T).equations
+    except QhullError:  # fewer than three points, or all on a line
+        return False
+    return bool((outline[:, :2] @ (axes @ cloud.points.mean(axis=0)) + outline[:, 2] <= 0).all())
+
+
+def points_on(surface: TriangleMesh, faces: Mask, spacing: float) -> FloatArray:
+    """Points on some faces of a surface, on a regular grid of each face.
+
+    Parameters
+    ----------
+    surface : TriangleMesh
+        Of m faces.
+    faces : (m,) bool
+        The faces that get points.
+    spacing : float
+        Largest distance between neighbouring points; unit of the surface.
+
+    Returns
+    -------
+    (p, 3) float64
+        The points.
+    """
+    corners = surface.vertices[surface.faces[faces]]  # (f, 3, 3)
+    longest = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(initial=0.0)
+    n = int(np.ceil(longest / spacing)) + 1
+    i, j = np.nonzero(np.add.outer(np.arange(n + 1), np.arange(n + 1)) <= n)
+    shares = np.column_stack([i, j, n - i - j]) / n  # (g, 3): barycentric coordinates
+    return np.asarray(np.einsum("gk,fkd->fgd", shares, corners).reshape(-1, 3))
