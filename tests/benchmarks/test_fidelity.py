@@ -15,7 +15,7 @@ import pytest
 import shapes
 
 from pcretrieve.benchmarks.fidelity.conditions import CONDITIONS, write_scan
-from pcretrieve.benchmarks.fidelity.examination import examine
+from pcretrieve.benchmarks.fidelity.examination import N_VALUES, examine
 from pcretrieve.benchmarks.fidelity.main import main
 from pcretrieve.benchmarks.fidelity.row import NAN, TABLE, Row, append, relative_spread
 from pcretrieve.benchmarks.fidelity.textbook import textbook_seconds
@@ -73,7 +73,8 @@ def test_a_clean_mesh_examined_against_itself_is_without_fault(tmp_path: Path) -
         + "".join("{:.17g} {:.17g} {:.17g}\n".format(*vertex) for vertex in mesh.vertices.tolist())
         + "".join("3 {} {} {}\n".format(*face) for face in mesh.faces.tolist())
     )
-    found = examine(path, mesh, PipelineOptions().changed(surface={"mode": "keep"}))
+    options = PipelineOptions().changed(surface={"mode": "keep"}, signature={"n_values": N_VALUES})
+    found = examine(path, mesh, options)
     assert found.closed
     assert found.euler == 2
     assert found.normals is None
