@@ -26,7 +26,7 @@ from pcretrieve.scan.density import interpolated
 from pcretrieve.scan.sampling import PLANE_NEIGHBORS, Neighborhoods, neighborhoods, noise, spacing
 from pcretrieve.surface.caps import NO_CAP, Capped, base_of, points_on
 from pcretrieve.surface.coarse import coarse_surface
-from pcretrieve.surface.contacts import contact_layer, walls
+from pcretrieve.surface.contacts import CONTINUED, contact_layer, rims, walls
 from pcretrieve.surface.field import LEAST_WEIGHT, distance_field, folded, hidden_below, normals_of
 from pcretrieve.surface.filled import filled
 from pcretrieve.surface.handles import with_topology
@@ -35,7 +35,7 @@ from pcretrieve.surface.pieces import joined
 from pcretrieve.surface.simplify import simplified
 from pcretrieve.surface.smooth import smoothed
 from pcretrieve.types import FloatArray, PointCloud, Step, TriangleMesh
-from pcretrieve.voxels import Grid, Mask, Voxels, flood
+from pcretrieve.voxels import Grid, Mask, Outside, Voxels, flood
 
 __all__ = ["SurfaceMarks", "body_surfaces"]
 
@@ -179,8 +179,10 @@ def _body_surface(
         crossed_links = _walls(cloud, grid)
         folds = folded(cloud, outside, inside)
         open_links = _walls(cloud.select(~folds), grid) if folds.any() else crossed_links
-        parted = contact_layer(inside, open_links, outside.distance)
+        continued = _continued(cloud, outside)
+        parted = contact_layer(inside, open_links, continued, outside.distance)
         inside &= ~parted
+        crossed_links |= continued
     inside, bridges = joined(inside, cloud.points, grid, options, notes)
     if not inside.any():
         raise ReconstructionError(f"{len(cloud.points)} points enclose nothing")
@@ -226,6 +228,15 @@ def _cell(cloud: PointCloud, neighbors: Neighborhoods, options: SurfaceOptions) 
 
 def _walls(cloud: PointCloud, grid: Grid) -> Mask:
     return walls(grid.coordinates(cloud.points), normals_of(cloud), grid.shape)
+
+
+def _continued(cloud: PointCloud, outside: Outside) -> Mask:
+    """The links that cross a wall continued inwards from the rim of a contact, if sensors left it unseen."""
+    grid = outside.grid
+    if cloud.viewpoints is None:
+        return np.zeros((3, *grid.shape), dtype=bool)
+    middles, directions = rims(grid.coordinates(cloud.points), normals_of(cloud), outside.distance)
+    return walls(middles, directions, grid.shape, CONTINUED)
 
 
 def _surface(

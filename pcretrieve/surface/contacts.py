@@ -3,6 +3,10 @@
 Two parts that touch, such as a calf folded against its thigh, do not always form a handle, so that the
 topology of the voxels does not show the contact. But the points between them separate the two parts, and the
 shortest path inside the body that avoids the points, through the knee, is long.
+
+Sensors do not see the middle of a contact, so that the points between the parts have holes. But they see its
+rim, where the two surfaces face each other across a narrow gap. The wall between the parts is continued from
+the rim into the contact, in the plane of symmetry of the two surfaces.
 """
 
 from __future__ import annotations
@@ -14,7 +18,7 @@ from numpy.typing import NDArray
 from pcretrieve.types import FloatArray
 from pcretrieve.voxels import Mask, Voxels
 
-__all__ = ["contact_layer", "walls"]
+__all__ = ["CONTINUED", "contact_layer", "rims", "walls"]
 
 
 # Radius of the surfel, an oriented disk, that represents a point; in voxels.
@@ -28,13 +32,31 @@ LEAST_LEAN = 0.3
 # See docs/decisions.md, DETOUR.
 DETOUR = 6
 
+# Largest distance between two points that face each other across the gap at the rim of a contact, in voxels,
+# and smallest cosine of the angle between one normal and the opposite of the other, and of the angle between
+# their difference and the line from point to point.
+RIM = 4.0
+OPPOSITE = 0.3
+ACROSS = 0.6
+
+# Probes on the normal of a point at which another surface is looked for, in voxels, and the largest distance
+# of a point from such a probe, relative to the distance of the probe.
+PROBES = (2.0, 3.0)
+FACED = 0.9
+
+# Radius of the surfels that continue the wall inwards from a rim, in voxels, and the smallest difference of
+# geodesic distances of two voxels that these surfels separate. It is larger than the detour around such a
+# surfel that ends inside the body. See docs/decisions.md, CONTINUED.
+CONTINUED = 6.0
+LONG_DETOUR = 14
+
 # Largest number of voxels in contact layers, relative to the boundary voxels of the body. More of them are
 # caused by noise, and all are then ignored. See docs/decisions.md, MOST_CONTACTS.
 MOST_CONTACTS = 0.08
 
 
 @njit(cache=True)
-def walls(at: FloatArray, normals: FloatArray, shape: tuple[int, int, int]) -> Mask:
+def walls(at: FloatArray, normals: FloatArray, shape: tuple[int, int, int], radius: float = DISK) -> Mask:
     """The links between adjacent voxels that cross the surfel of a point.
 
     Parameters
@@ -45,6 +67,8 @@ def walls(at: FloatArray, normals: FloatArray, shape: tuple[int, int, int]) -> M
         Unit normals of the points; their sign does not matter.
     shape : tuple of int, length 3
         (a, b, c), the shape of the grid.
+    radius : float, default `DISK`
+        Radius of the surfels; in voxels.
 
     Returns
     -------
@@ -59,11 +83,13 @@ def walls(at: FloatArray, normals: FloatArray, shape: tuple[int, int, int]) -> M
             if abs(lean) < LEAST_LEAN:
                 continue
             first, second = (axis + 1) % 3, (axis + 2) % 3
-            for a in range(int(np.ceil(at[i, first] - DISK)), int(np.floor(at[i, first] + DISK)) + 1):
-                for b in range(int(np.ceil(at[i, second] - DISK)), int(np.floor(at[i, second] + DISK)) + 1):
+            for a in range(int(np.ceil(at[i, first] - radius)), int(np.floor(at[i, first] + radius)) + 1):
+                for b in range(
+                    int(np.ceil(at[i, second] - radius)), int(np.floor(at[i, second] + radius)) + 1
+                ):
                     da, db = a - at[i, first], b - at[i, second]
                     along = -(normals[i, first] * da + normals[i, second] * db) / lean
-                    if da * da + db * db + along * along > DISK * DISK:
+                    if da * da + db * db + along * along > radius * radius:
                         continue
                     place[axis], place[first], place[second] = int(np.floor(at[i, axis] + along)), a, b
                     if (
@@ -76,13 +102,54 @@ def walls(at: FloatArray, normals: FloatArray, shape: tuple[int, int, int]) -> M
     return walls
 
 
-def contact_layer(inside: Mask, walls: Mask, to_points: Voxels) -> Mask:
+def rims(at: FloatArray, normals: FloatArray, to_points: Voxels) -> tuple[FloatArray, FloatArray]:
+    """Surfels half way between points that face each other across the narrow gap at the rim of a contact.
+
+    Parameters
+    ----------
+    at : (n, 3) float64
+        Coordinates of the points, in voxels.
+    normals : (n, 3) float64
+        Unit normals of the points, which point out of the body.
+    to_points : (a, b, c) float32
+        Distance to the nearest point; in voxels.
+
+    Returns
+    -------
+    middles, directions : (k, 3) float64
+        Centres, in voxels, and unit normals of the surfels; at most one in each voxel. They lie in the plane
+        of symmetry of the two points and their normals.
+    """
+    from scipy.spatial import cKDTree
+
+    faces = np.zeros(len(at), dtype=bool)
+    most = np.array(to_points.shape) - 1
+    for probe in PROBES:
+        x, y, z = np.clip(np.rint(at + probe * normals).astype(np.intp), 0, most).T
+        faces |= to_points[x, y, z] < FACED * probe
+    at, normals = at[faces], normals[faces]
+    if not len(at):
+        return at, normals
+    i, j = cKDTree(at).query_pairs(RIM, output_type="ndarray").T
+    opposite = np.einsum("ij,ij->i", normals[i], normals[j]) < -OPPOSITE
+    i, j = i[opposite], j[opposite]
+    directions = normals[i] - normals[j]  # (p, 3)
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    lines = at[j] - at[i]
+    across = np.einsum("ij,ij->i", lines, directions) > ACROSS * np.linalg.norm(lines, axis=1)
+    middles = (at[i] + at[j])[across] / 2
+    _, first = np.unique(np.floor(middles), axis=0, return_index=True)
+    return middles[first], directions[across][first]
+
+
+def contact_layer(inside: Mask, walls: Mask, continued: Mask, to_points: Voxels) -> Mask:
     """The voxels to be removed so that parts of a body that touch are separated.
 
     Geodesic distances are computed from the end of one limb along links that cross no surfel. A voxel is in
     the layer if its distance exceeds that of an adjacent voxel by `DETOUR`: it is a boundary voxel of the
     part that is farther from the limb. A voxel that is not reached is in the layer if two voxels around it
-    differ as much in their distance.
+    differ as much in their distance. This is repeated with the surfels that continue the walls inwards from
+    the rims of contacts, and with `LONG_DETOUR`.
 
     Parameters
     ----------
@@ -90,6 +157,8 @@ def contact_layer(inside: Mask, walls: Mask, to_points: Voxels) -> Mask:
         Voxels that may belong to the body; False on the border of the grid.
     walls : (3, a, b, c) bool
         The links that cross a surfel, from `walls`.
+    continued : (3, a, b, c) bool
+        The links that cross a surfel from `rims`.
     to_points : (a, b, c) float32
         Distance to the nearest point; in voxels.
 
@@ -98,13 +167,21 @@ def contact_layer(inside: Mask, walls: Mask, to_points: Voxels) -> Mask:
     (a, b, c) bool
         The voxels of the layer. All False if there are so many that noise is the cause.
     """
-    # The deepest voxel is not a suitable source: two legs that touch are at equal distances from it.
-    middle = np.where(inside, to_points, -1).argmax()
-    limb = _away(inside, walls, int(middle)).argmax()
-    found = _contacts(inside, _away(inside, walls, int(limb)))
-    if found.sum() > MOST_CONTACTS * _n_boundary_voxels(inside):
+    middle = int(np.where(inside, to_points, -1).argmax())
+    found = _contacts(inside, _from_limb(inside, walls, middle), DETOUR)
+    most = MOST_CONTACTS * _n_boundary_voxels(inside)
+    if found.sum() > most:
         return np.zeros_like(found)
+    if continued.any():
+        further = found | _contacts(inside, _from_limb(inside, walls | continued, middle), LONG_DETOUR)
+        found = further if further.sum() <= most else found
     return found
+
+
+def _from_limb(inside: Mask, walls: Mask, middle: int) -> NDArray[np.int32]:
+    """Geodesic distances from the end of the limb that is farthest from the middle of the body."""
+    # The middle is not a suitable source: two legs that touch are at equal distances from it.
+    return _away(inside, walls, int(_away(inside, walls, middle).argmax()))
 
 
 @njit(cache=True)
@@ -153,7 +230,7 @@ def _n_boundary_voxels(inside: Mask) -> int:
 
 
 @njit(cache=True)
-def _contacts(inside: Mask, away: NDArray[np.int32]) -> Mask:
+def _contacts(inside: Mask, away: NDArray[np.int32], detour: int) -> Mask:
     """Voxels at which the distance jumps: to a 6-neighbour or, if not reached, around the voxel."""
     n_x, n_y, n_z = inside.shape
     found = np.zeros(inside.shape, dtype=np.bool_)
@@ -173,5 +250,5 @@ def _contacts(inside: Mask, away: NDArray[np.int32]) -> Mask:
                             near = min(near, there)
                             if here < 0:
                                 far = max(far, there)
-                found[x, y, z] = far - near >= DETOUR
+                found[x, y, z] = far - near >= detour
     return found
