@@ -36,8 +36,10 @@ FLOOD_CELL = 1.3
 WIDER = 1.4
 
 # Smallest fraction of pairs of neighbours with consistent normals, below which the flood fill has leaked into
-# the body. See docs/decisions.md, LEAST_AGREEMENT.
+# the body: of the pairs whose normals are parallel up to this cosine, because noise turns the others. See
+# docs/decisions.md, LEAST_AGREEMENT.
 LEAST_AGREEMENT = 0.95
+PARALLEL = 0.7
 
 # The flood fill contradicts a sensor if the cosine between its direction and that to the sensor is below
 # −OPPOSED. It has leaked into the body if it contradicts more than a fraction of them: see
@@ -213,11 +215,11 @@ def _guided_normals(
 
 
 def _agreement(oriented: FloatArray, neighbors: Neighborhoods, shallow: NDArray[np.bool_]) -> float:
-    """The fraction of pairs of neighbours, both in the mask `shallow`, with consistent normals."""
+    """The fraction of parallel pairs of neighbours, both in the mask `shallow`, with consistent normals."""
     near = neighbors.near[shallow, 1 : N_COMPARED + 1]  # (m, k), without the point itself
-    agree = np.einsum("ij,ikj->ik", oriented[shallow], oriented[near]) > 0
-    pairs = shallow[near]
-    return float((agree & pairs).sum() / max(1, pairs.sum()))
+    cosines = np.einsum("ij,ikj->ik", oriented[shallow], oriented[near])
+    pairs = shallow[near] & (abs(cosines) > PARALLEL)
+    return float((pairs & (cosines > 0)).sum() / max(1, pairs.sum()))
 
 
 def _neighbors(points: FloatArray, options: ScanOptions) -> Neighborhoods:

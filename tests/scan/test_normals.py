@@ -7,10 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import shapes
+from scipy.spatial import cKDTree
 
 from pcretrieve.errors import ReconstructionError
 from pcretrieve.options import ScanOptions
-from pcretrieve.scan import oriented_normals
+from pcretrieve.scan import clean, oriented_normals
+from pcretrieve.simulation import POSES, UniformOptions, body, make_subject, scan_uniformly
 from pcretrieve.types import FloatArray, PointCloud, TriangleMesh
 
 SURFACES = {"ball": shapes.icosphere(3), "torus": shapes.torus(), "body": shapes.body()}
@@ -54,6 +56,17 @@ def test_the_two_sides_of_a_thin_plate_look_away_from_each_other(thickness: floa
     assert normals is not None
     inner = (np.abs(points[:, :2] - 0.5) < 0.45).all(axis=1)
     assert (up * normals[:, 2] > 0.95)[inner].mean() > 0.99
+
+
+def test_noise_is_not_taken_for_a_leak() -> None:
+    """Normals of neighbours disagree where points scatter, however large the holes are that are closed."""
+    person = body(make_subject("person", np.random.default_rng(0)), POSES["person"]["reach_up"])
+    noisy = UniformOptions(n_points=40_000, noise=0.003, n_holes=0, outlier_share=0)
+    averaged = clean(scan_uniformly(person, noisy, np.random.default_rng(1)), ScanOptions())
+    found = oriented_normals(averaged, ScanOptions())
+    assert not found.provenance[-1].notes
+    _, nearest = cKDTree(person.vertices[person.faces].mean(axis=1)).query(averaged.points)
+    assert share_right(found, person.area_vectors[nearest]) > 0.95
 
 
 @pytest.mark.parametrize("unit", [1e-3, 1e3])
