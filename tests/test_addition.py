@@ -101,7 +101,9 @@ def test_filters_of_the_command_line(tmp_path: Path) -> None:
 def test_a_distance() -> None:
     values = np.exp(np.random.default_rng(0).normal(size=(50, 4)))
     ids = tuple(f"shape{number:02}" for number in range(50))
-    index = SignatureIndex(SignatureTable(ids, values, "x"), RetrievalOptions(distance="largest"))
+    index = SignatureIndex(
+        SignatureTable(ids, values, "x"), RetrievalOptions(distance="largest", whitening="none")
+    )
     nearest = index.query(values[7], 5)
     gaps = np.abs(np.log(values) - np.log(values[7])).max(axis=1)
     assert nearest.ids == tuple(ids[row] for row in np.argsort(gaps)[:5])

@@ -17,7 +17,7 @@ __all__ = ["BIHDM", "bihdm", "full_matrix"]
 
 def bihdm(
     pairs: Eigenpairs | ModalSpectrum,
-    n_values: int = 23,
+    n_values: int = 59,
     n_modes: int = 60,
     *,
     scale: Scale = "area",
@@ -28,7 +28,7 @@ def bihdm(
     ----------
     pairs : Eigenpairs or ModalSpectrum
         At least `n_modes` + 1 eigenpairs of a connected surface.
-    n_values : int, default 23
+    n_values : int, default 59
         L, the number of values, at most `n_modes`.
     n_modes : int, default 60
         m, the number of modes in the sum of the biharmonic distance, equation (4).

@@ -15,7 +15,7 @@ __all__ = ["COMBINED", "combined"]
 
 def combined(
     pairs: Eigenpairs | ModalSpectrum,
-    n_values: int = 23,
+    n_values: int = 59,
     n_modes: int = 60,
     *,
     scale: Scale = "area",
@@ -29,7 +29,7 @@ def combined(
     ----------
     pairs : Eigenpairs or ModalSpectrum
         At least `n_modes` + 1 eigenpairs of a connected surface.
-    n_values : int, default 23
+    n_values : int, default 59
         L, the number of values of each descriptor, at most `n_modes`.
     n_modes : int, default 60
         m, the number of modes, as in `r_bihdm`.

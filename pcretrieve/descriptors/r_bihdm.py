@@ -41,7 +41,7 @@ __all__ = ["R_BIHDM", "leading", "r_bihdm", "reduced_matrix"]
 
 def r_bihdm(
     pairs: Eigenpairs | ModalSpectrum,
-    n_values: int = 23,
+    n_values: int = 59,
     n_modes: int = 60,
     *,
     scale: Scale = "area",
@@ -52,7 +52,7 @@ def r_bihdm(
     ----------
     pairs : Eigenpairs or ModalSpectrum
         At least `n_modes` + 1 eigenpairs of a connected surface.
-    n_values : int, default 23
+    n_values : int, default 59
         L, the number of values, at most `n_modes`. The paper takes 10 to 30; see docs/decisions.md, n_values.
     n_modes : int, default 60
         m, the number of modes at which the matrix is truncated. The paper asks for m > max(60, 2 L); see

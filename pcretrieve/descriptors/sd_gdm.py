@@ -16,14 +16,14 @@ __all__ = ["SD_GDM", "geodesic_matrix", "sd_gdm"]
 N_FACES = 1000
 
 
-def sd_gdm(mesh: TriangleMesh, n_values: int = 23, *, scale: Scale = "area") -> Signature:
+def sd_gdm(mesh: TriangleMesh, n_values: int = 59, *, scale: Scale = "area") -> Signature:
     """The SD-GDM signature of a surface [1]_; requires the extra ``pcretrieve[geodesic]``.
 
     Parameters
     ----------
     mesh : TriangleMesh
         Connected; also closed if it has more than 1000 faces, because it is then simplified.
-    n_values : int, default 23
+    n_values : int, default 59
         L, the number of values, less than the number of vertices.
     scale : {"area", "relative", "absolute"}, default "area"
         What the eigenvalues are divided by: A^(3/2) with the area A, the eigenvalue μ_0 of largest

@@ -20,7 +20,7 @@ BY: dict[str, Literal["area", "nothing"]] = {
 
 def shape_dna(
     pairs: Eigenpairs | ModalSpectrum,
-    n_values: int = 23,
+    n_values: int = 59,
     *,
     normalized_by: Literal["area", "first", "nothing"] = "area",
 ) -> Signature:
@@ -30,7 +30,7 @@ def shape_dna(
     ----------
     pairs : Eigenpairs or ModalSpectrum
         At least `n_values` + 1 eigenpairs of a connected surface; `n_values` + 2 for ``first``.
-    n_values : int, default 23
+    n_values : int, default 59
         L, the number of values.
     normalized_by : {"area", "first", "nothing"}, default "area"
         Normalisation of the eigenvalues: by the area A, by λ_1, or none. ``first`` leaves λ_1 itself out,

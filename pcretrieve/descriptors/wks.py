@@ -14,7 +14,7 @@ __all__ = ["WKS", "wks"]
 WIDTH = 0.07
 
 
-def wks(pairs: Eigenpairs | ModalSpectrum, n_values: int = 23, n_modes: int = 60) -> Signature:
+def wks(pairs: Eigenpairs | ModalSpectrum, n_values: int = 59, n_modes: int = 60) -> Signature:
     """The second moment of the wave kernel signature over a surface, at L energies.
 
     The wave kernel signature of a point x at energy e [1]_, equations (4) and (5), is
@@ -28,7 +28,7 @@ def wks(pairs: Eigenpairs | ModalSpectrum, n_values: int = 23, n_modes: int = 60
     ----------
     pairs : Eigenpairs or ModalSpectrum
         At least `n_modes` + 1 eigenpairs of a connected surface.
-    n_values : int, default 23
+    n_values : int, default 59
         L, the number of energies, evenly spaced from log λ_1 to log λ_m.
     n_modes : int, default 60
         m, the number of modes in the sum.

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
@@ -145,8 +147,20 @@ def _smallest_eigenvalue(matrix: Symmetric) -> float:
 @njit(cache=True, error_model="numpy")
 def _smallest_eigenvector(matrix: Symmetric) -> tuple[float, float, float]:
     """A unit eigenvector of the smallest eigenvalue λ of A."""
-    xx, yy, zz, xy, xz, yz = matrix
-    value = _smallest_eigenvalue(matrix)
+    # A power of two, so that the scaled matrix has the same digits; squares of the entries do not underflow
+    # then, as they would for points that nearly coincide.
+    _, exponent = math.frexp(matrix[0] + matrix[1] + matrix[2])
+    xx, yy, zz = (
+        math.ldexp(matrix[0], -exponent),
+        math.ldexp(matrix[1], -exponent),
+        math.ldexp(matrix[2], -exponent),
+    )
+    xy, xz, yz = (
+        math.ldexp(matrix[3], -exponent),
+        math.ldexp(matrix[4], -exponent),
+        math.ldexp(matrix[5], -exponent),
+    )
+    value = _smallest_eigenvalue((xx, yy, zz, xy, xz, yz))
     a, b, c = xx - value, yy - value, zz - value
     # It is perpendicular to all rows of A − λI: of the cross products of two rows, the longest is taken.
     first = (xy * yz - xz * b, xz * xy - a * yz, a * b - xy * xy)

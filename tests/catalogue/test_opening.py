@@ -50,7 +50,7 @@ def test_other_options_are_named(path: Path) -> None:
         Catalogue(path, PipelineOptions(), create=True)
     assert raised.value.message == (
         f"{path} was built with other options: scan.voxel: 0.005 there, 'auto' here; signature.n_values: 15 "
-        "there, 23 here. Ingest into a new catalogue, or leave the options out to use its own"
+        "there, 59 here. Ingest into a new catalogue, or leave the options out to use its own"
     )
 
 

@@ -60,7 +60,7 @@ def test_values_by_area_are_what_the_sample_holds() -> None:
 
 
 def test_size_stays_what_it_is() -> None:
-    logs = np.random.default_rng(0).normal(size=(5, 24))
+    logs = np.random.default_rng(0).normal(size=(5, SignatureOptions().n_values + 1))
     form = resolution_whitening(SignatureOptions()).apply(logs[:, :-1])
     sized = resolution_whitening(SignatureOptions(size_weight=6)).apply(logs)
     np.testing.assert_allclose(sized, np.column_stack([form, logs[:, -1]]), rtol=1e-12)
