@@ -37,13 +37,15 @@ def reranked_blocks(
         the list that is sorted again are in the order of their distances.
     """
     lists = neighbour_lists(blocks(), n)
-    wanted = np.zeros(n, dtype=bool)
-    wanted[queries] = True
+    # Once for all queries, because the neighbourhoods of the whole gallery are computed each time.
+    sorted_again = rerank(method, lists, queries)  # (Q, K)
+    place = np.full(n, -1)
+    place[queries] = np.arange(len(queries))
     for rows, distances in blocks():
-        kept = np.flatnonzero(wanted[rows])
+        kept = np.flatnonzero(place[rows] >= 0)
         for start in range(0, len(kept), BLOCK_ROWS):
             chosen = kept[start : start + BLOCK_ROWS]
-            first = rerank(method, lists, rows[chosen])  # (q, K)
+            first = sorted_again[place[rows[chosen]]]  # (q, K)
             ranks = np.argsort(np.argsort(distances[chosen], axis=1, kind="stable"), axis=1).astype(
                 np.float64
             )

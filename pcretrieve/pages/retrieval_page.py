@@ -67,12 +67,13 @@ def retrieval_page(
     records = {record.id: record for record in catalogue.records()}
     failed = [record for record in records.values() if record.status == "failed"]
     ranking: Ranking
+    index = None
     if matrix is None:
         table = catalogue.signatures(options)
         if not len(table):
             raise InputError(f"{catalogue.location} holds no shapes: ingest some first")
         whitening = catalogue.whitening(options)
-        ranking = SignatureIndex(table, options.retrieval, whitening=whitening)
+        ranking = index = SignatureIndex(table, options.retrieval, whitening=whitening)
         facts = _signature_facts(table, options) | {"whitening": whitening.reason}
     else:
         check_known(matrix, catalogue)
@@ -90,7 +91,8 @@ def retrieval_page(
     for shape_id in _queries(classes, n_queries):
         query = records[shape_id]
         found = ranking.nearest(shape_id, k + 1 if method == "none" else max(k + 1, N_NEAR))
-        found = reranked_neighbors(ranking, found, method, shape_id=shape_id)
+        if index is not None:
+            found = reranked_neighbors(index, found, method, shape_id=shape_id)
         results = [
             card(
                 records[found_id],

@@ -254,6 +254,27 @@ class SignatureIndex:
         rows = np.arange(len(self)) if queries is None else queries
         yield from pairwise_blocks(self.distance, self.contents.filter.points, rows)
 
+    def between(self, ids: Sequence[str]) -> FloatArray:
+        """Distances between some shapes of the table.
+
+        Parameters
+        ----------
+        ids : sequence of str, length m
+            The shapes, which are in `ids`.
+
+        Returns
+        -------
+        (m, m) float64
+            The distance from each of them to each.
+
+        Raises
+        ------
+        InputError
+            If the table does not have one of the shapes.
+        """
+        points = self.contents.filter.points[[position_of(self.ids, shape_id) for shape_id in ids]]
+        return pairwise(self.distance, points, points)
+
     def _nearest(self, point: FloatArray, k: int) -> Neighbors:
         """The `k` nearest neighbours of a (1, L) whitened log-signature."""
         candidates = self.contents.filter.candidates(point, min(k, len(self)), self._scan())

@@ -16,15 +16,15 @@ References
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from types import MappingProxyType
-from typing import TYPE_CHECKING, NamedTuple, get_args
+from typing import TYPE_CHECKING, NamedTuple, Protocol, get_args
 
 import numpy as np
 
 from pcretrieve.errors import OptionError
 from pcretrieve.options import RerankKind
-from pcretrieve.retrieval.ranking import DistanceBlock, Positions, Ranking
+from pcretrieve.retrieval.ranking import DistanceBlock, Positions
 from pcretrieve.types import FloatArray, Neighbors
 
 if TYPE_CHECKING:
@@ -139,15 +139,33 @@ def rerank(method: str, lists: NeighbourLists, rows: Positions | None = None) ->
     return np.take_along_axis(lists.order[rows], order, axis=1)
 
 
+class Gallery(Protocol):
+    """Shapes between which there are distances."""
+
+    def between(self, ids: Sequence[str]) -> FloatArray:
+        """Distances between some shapes of the gallery.
+
+        Parameters
+        ----------
+        ids : sequence of str, length m
+            The shapes.
+
+        Returns
+        -------
+        (m, m) float64
+            The distance from each of them to each.
+        """
+
+
 def reranked_neighbors(
-    ranking: Ranking, found: Neighbors, method: str, *, shape_id: str | None = None
+    gallery: Gallery, found: Neighbors, method: str, *, shape_id: str | None = None
 ) -> Neighbors:
     """Sort the results of one query again.
 
     Parameters
     ----------
-    ranking : Ranking
-        The gallery.
+    gallery : Gallery
+        The shapes that were searched.
     found : Neighbors
         The results, nearest first: `N_NEAR` or more, or the whole gallery. Neighbourhoods are those among
         these shapes.
@@ -165,12 +183,9 @@ def reranked_neighbors(
     """
     if method == "none" or len(found) < 3:
         return found
-    rows = np.array([ranking.ids.index(name) for name in found.ids], dtype=np.intp)
-    n = len(rows)
-    place = {int(row): number for number, row in enumerate(rows)}
+    n = len(found)
     distances = np.zeros((n + 1, n + 1))  # the query is last
-    for queries, block in ranking.blocks(rows):
-        distances[[place[int(row)] for row in queries], :n] = block[:, rows]
+    distances[:n, :n] = gallery.between(found.ids)
     distances[n, :n] = distances[:n, n] = found.distances
     held = [(0.0, shape_id)] if shape_id is not None and shape_id in found.ids else []
     query, size = (found.ids.index(held[0][1]), n) if held else (n, n + 1)

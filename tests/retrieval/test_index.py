@@ -311,3 +311,14 @@ def test_names_come_back(names: list[str]) -> None:
     for beyond in (len(names), -len(names) - 1):
         with pytest.raises(IndexError):
             stored[beyond]
+
+
+@pytest.mark.parametrize("distance", ["log", "d1", "d2"])
+def test_distances_between_some_shapes_are_those_of_the_gallery(distance: str) -> None:
+    values = np.exp(np.random.default_rng(0).normal(size=(60, 5)))
+    names = tuple(f"{row:02}" for row in range(60))
+    options = RetrievalOptions.model_validate({"distance": distance, "whitening": "none"})
+    index = SignatureIndex(SignatureTable(names, values, "x"), options)
+    chosen = [41, 3, 17]
+    ((_, distances),) = index.blocks(np.array(chosen))
+    np.testing.assert_array_equal(index.between([names[row] for row in chosen]), distances[:, chosen])
