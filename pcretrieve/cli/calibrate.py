@@ -7,7 +7,9 @@ from typing import Any
 
 import click
 
-from pcretrieve.cli.parts import catalogue_option, compared, comparison_options, say
+from pcretrieve.cli.comparison import compared, comparison_options
+from pcretrieve.cli.messages import say
+from pcretrieve.cli.parts import catalogue_option
 
 __all__ = ["calibrate_command"]
 

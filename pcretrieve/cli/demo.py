@@ -7,7 +7,7 @@ from pathlib import Path
 
 import click
 
-from pcretrieve.cli.parts import say
+from pcretrieve.cli.messages import say
 
 __all__ = ["demo_command"]
 

@@ -9,16 +9,9 @@ from typing import Any
 
 import click
 
-from pcretrieve.cli.parts import (
-    CATALOGUE,
-    compared,
-    comparison_options,
-    json_option,
-    matrix_option,
-    read_distances,
-    say,
-    write_json,
-)
+from pcretrieve.cli.comparison import compared, comparison_options, matrix_option, read_distances
+from pcretrieve.cli.messages import say, write_json
+from pcretrieve.cli.parts import CATALOGUE, json_option
 
 __all__ = ["evaluate_command"]
 

@@ -8,20 +8,18 @@ from typing import TYPE_CHECKING
 
 import click
 
+from pcretrieve.cli.comparison import RecordName
+from pcretrieve.cli.messages import failure_line, say, write_json
 from pcretrieve.cli.parts import (
     EXIT_INTERRUPTED,
     EXIT_SOME_FAILED,
-    RecordName,
     catalogue_option,
     config_option,
-    failure_line,
     json_option,
     limit_options,
     load_options,
-    say,
     surface_option,
     unit_option,
-    write_json,
 )
 
 if TYPE_CHECKING:

@@ -8,15 +8,14 @@ from typing import TYPE_CHECKING
 
 import click
 
+from pcretrieve.cli.messages import say, write_json
 from pcretrieve.cli.parts import (
     EXIT_SOME_FAILED,
     config_option,
     json_option,
     limit_options,
     load_options,
-    say,
     surface_option,
-    write_json,
 )
 
 if TYPE_CHECKING:

@@ -6,11 +6,8 @@ from dataclasses import asdict
 
 import click
 
-from pcretrieve.cli.parts import (
-    catalogue_option,
-    json_option,
-    write_json_list,
-)
+from pcretrieve.cli.messages import write_json_list
+from pcretrieve.cli.parts import catalogue_option, json_option
 
 __all__ = ["list_command"]
 

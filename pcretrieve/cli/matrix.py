@@ -7,15 +7,9 @@ from typing import Any
 
 import click
 
-from pcretrieve.cli.parts import (
-    EXIT_SOME_FAILED,
-    RecordName,
-    catalogue_option,
-    compared,
-    comparison_options,
-    given_flags,
-    say,
-)
+from pcretrieve.cli.comparison import RecordName, compared, comparison_options, given_flags
+from pcretrieve.cli.messages import say
+from pcretrieve.cli.parts import EXIT_SOME_FAILED, catalogue_option
 
 __all__ = ["matrix_command"]
 

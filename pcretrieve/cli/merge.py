@@ -9,15 +9,8 @@ from typing import TYPE_CHECKING
 
 import click
 
-from pcretrieve.cli.parts import (
-    EXIT_SOME_FAILED,
-    config_option,
-    json_option,
-    limit_options,
-    load_options,
-    say,
-    write_json,
-)
+from pcretrieve.cli.messages import say, write_json
+from pcretrieve.cli.parts import EXIT_SOME_FAILED, config_option, json_option, limit_options, load_options
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -6,10 +6,7 @@ from pathlib import Path
 
 import click
 
-from pcretrieve.cli.parts import (
-    config_option,
-    load_options,
-)
+from pcretrieve.cli.parts import config_option, load_options
 
 __all__ = ["options_command"]
 

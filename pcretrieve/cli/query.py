@@ -9,18 +9,9 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from pcretrieve.cli.parts import (
-    catalogue_option,
-    compared,
-    comparison_options,
-    json_option,
-    limit_options,
-    matrix_option,
-    read_distances,
-    say,
-    unit_option,
-    write_json,
-)
+from pcretrieve.cli.comparison import compared, comparison_options, matrix_option, read_distances
+from pcretrieve.cli.messages import say, write_json
+from pcretrieve.cli.parts import catalogue_option, json_option, limit_options, unit_option
 
 if TYPE_CHECKING:
     from pcretrieve.options import PipelineOptions

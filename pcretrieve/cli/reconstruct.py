@@ -8,16 +8,8 @@ from typing import TYPE_CHECKING
 
 import click
 
-from pcretrieve.cli.parts import (
-    config_option,
-    json_option,
-    limit_options,
-    load_options,
-    say,
-    step_lines,
-    surface_option,
-    write_json,
-)
+from pcretrieve.cli.messages import say, step_lines, write_json
+from pcretrieve.cli.parts import config_option, json_option, limit_options, load_options, surface_option
 
 if TYPE_CHECKING:
     from pcretrieve.options import PipelineOptions

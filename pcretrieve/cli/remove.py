@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import click
 
-from pcretrieve.cli.parts import (
-    catalogue_option,
-    say,
-)
+from pcretrieve.cli.messages import say
+from pcretrieve.cli.parts import catalogue_option
 
 __all__ = ["remove_command"]
 

@@ -7,13 +7,8 @@ from typing import Any
 
 import click
 
-from pcretrieve.cli.parts import (
-    catalogue_option,
-    compared,
-    comparison_options,
-    matrix_option,
-    read_distances,
-)
+from pcretrieve.cli.comparison import compared, comparison_options, matrix_option, read_distances
+from pcretrieve.cli.parts import catalogue_option
 
 __all__ = ["report_command"]
 

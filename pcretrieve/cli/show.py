@@ -6,12 +6,8 @@ from dataclasses import asdict
 
 import click
 
-from pcretrieve.cli.parts import (
-    catalogue_option,
-    json_option,
-    step_lines,
-    write_json,
-)
+from pcretrieve.cli.messages import step_lines, write_json
+from pcretrieve.cli.parts import catalogue_option, json_option
 
 __all__ = ["show_command"]
 

@@ -9,22 +9,17 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from pcretrieve.cli.comparison import method_option, n_values_option, scale_option, size_weight_option
+from pcretrieve.cli.messages import failure_line, say, write_json
 from pcretrieve.cli.parts import (
     CATALOGUE,
     EXIT_SOME_FAILED,
     config_option,
-    failure_line,
     json_option,
     limit_options,
     load_options,
-    method_option,
-    n_values_option,
-    say,
-    scale_option,
-    size_weight_option,
     surface_option,
     unit_option,
-    write_json,
 )
 
 if TYPE_CHECKING:
