@@ -75,14 +75,14 @@ class Described(NamedTuple):
     ----------
     table : SignatureTable
         The signatures.
-    failed : list of (str or None)
+    failed : dict of str to (str or None)
         Classes of the shapes without such a signature.
     seconds : float
         Median time of a signature.
     """
 
     table: SignatureTable
-    failed: list[str | None]
+    failed: dict[str, str | None]
     seconds: float
 
 
@@ -148,9 +148,7 @@ def _rows(name: str, catalogue: Catalogue, options: SignatureOptions) -> Iterato
             made = table_whitening(described.table, neighbours, prior=resolution_covariance(options))
         for distance in DISTANCES.own:
             retrieval = RetrievalOptions(distance=distance, whitening=whitening)
-            measures = evaluate_table(
-                described.table, retrieval, whitening=made, failed_labels=described.failed
-            )
+            measures = evaluate_table(described.table, retrieval, whitening=made, failed=described.failed)
             yield TABLE.row(
                 name,
                 options.method,
@@ -181,5 +179,5 @@ def _described(catalogue: Catalogue, options: SignatureOptions) -> Described:
         times.append(seconds)
     classes = tuple(labels[shape_id] for shape_id in values)
     table = SignatureTable(tuple(values), np.array(list(values.values())), options.method, labels=classes)
-    failed = [label for shape_id, label in labels.items() if shape_id not in values]
+    failed = {shape_id: label for shape_id, label in labels.items() if shape_id not in values}
     return Described(table, failed, statistics.median(times))

@@ -108,9 +108,9 @@ def _tosca(data: Path, folder: Path) -> Iterator[str]:
     n = _write_scans(data, scans)
     labels = {Path(name).stem: label for name, label in read_labels(data / "labels.csv").items()}
     with ingested(scans, folder / "scans.sqlite", SHORT, labels) as (catalogue, summary):
-        failed = [record.label for record in summary.failed]
+        failed = {record.id: record.label for record in summary.failed}
         found = catalogue.signatures(catalogue.options.changed(signature=RELATIVE))
-        rebuilt = evaluate_table(catalogue.signatures(), plain, failed_labels=failed)
+        rebuilt = evaluate_table(catalogue.signatures(), plain, failed=failed)
     done = summary.done
     yield TABLE.row("TOSCA scans with a closed manifold surface", f"{len(done) / n:.1%} of {n}")
     yield TABLE.row("TOSCA clean meshes", _words(clean))

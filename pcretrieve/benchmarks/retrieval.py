@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import argparse
 import tempfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -27,7 +27,8 @@ from pcretrieve.benchmarks.sets import SETS, ingested, left_out
 from pcretrieve.benchmarks.tables import MEASURES, Column, Table, measure_values, print_lines
 from pcretrieve.benchmarks.timing import use_one_core
 from pcretrieve.errors import OptionError
-from pcretrieve.evaluation import evaluate_rankings, rank_table
+from pcretrieve.evaluation import evaluate_rankings, rank_table, rerank_table
+from pcretrieve.evaluation.rankings import NO_FAILURES
 from pcretrieve.formats import write_mesh
 from pcretrieve.options import PipelineOptions, RetrievalOptions, SignatureOptions
 from pcretrieve.retrieval import RERANKINGS, resolution_covariance, table_whitening
@@ -106,7 +107,7 @@ def _catalogue_rows(name: str, folder: Path, given: argparse.Namespace) -> Itera
         options = options.changed(surface={"mode": "keep"})
     source, labels = _files(name, folder, given)
     with ingested(source, folder / f"{name}.sqlite", options, labels) as (catalogue, _):
-        failed = [record.label for record in catalogue.records(status="failed")]
+        failed = {record.id: record.label for record in catalogue.records(status="failed")}
         for method in given.methods:
             for n_values in given.n_values:
                 try:
@@ -153,7 +154,7 @@ def _rows(
     name: str,
     table: SignatureTable,
     options: SignatureOptions | None,
-    failed: Sequence[str | None] = (),
+    failed: Mapping[str, str | None] = NO_FAILURES,
 ) -> Iterator[str]:
     """One line for each whitening and re-ranking."""
     for kind in WHITENINGS:
@@ -161,8 +162,10 @@ def _rows(
         if kind != "within-class":
             prior = None if options is None else resolution_covariance(options)
             whitening = table_whitening(table, RetrievalOptions(whitening=kind), prior=prior)
-        for method in RERANKINGS:
-            retrieval = RetrievalOptions(whitening=kind, rerank=method)
-            ranked = rank_table(table, retrieval, whitening=whitening, failed_labels=failed)
-            measures = measure_values(evaluate_rankings(ranked))
+        retrieval = RetrievalOptions(whitening=kind)
+        ranked = rerank_table(table, RERANKINGS, retrieval, whitening=whitening, failed=failed)
+        if kind == "within-class":  # without re-ranking, the gallery is the whole set
+            ranked["none"] = rank_table(table, retrieval, failed=failed)
+        for method, rankings in ranked.items():
+            measures = measure_values(evaluate_rankings(rankings))
             yield TABLE.row(name, table.kind, table.values.shape[1], kind, method, *measures)

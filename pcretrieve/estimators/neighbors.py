@@ -184,7 +184,7 @@ class SignatureNeighbors(BaseEstimator):  # type: ignore[misc]
         if not n_relevant:
             raise InputError("a score needs queries of fitted classes, got none")
         rankings = Rankings(
-            ids=(None,) * len(n_relevant),
+            ids=tuple(map(str, range(len(n_relevant)))),
             labels=("",) * len(n_relevant),
             n_relevant=np.array(n_relevant),
             hit_query=np.concatenate(hit_query),

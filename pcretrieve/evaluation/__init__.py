@@ -14,7 +14,7 @@ from pcretrieve.evaluation.measures import (
     precision_recall,
 )
 from pcretrieve.evaluation.rankings import Rankings, rank
-from pcretrieve.evaluation.tables import evaluate_table, rank_table
+from pcretrieve.evaluation.tables import evaluate_table, rank_table, rerank_table
 
 __all__ = [
     "CatalogueDistances",
@@ -32,4 +32,5 @@ __all__ = [
     "rank_catalogue",
     "rank_matrix",
     "rank_table",
+    "rerank_table",
 ]

@@ -11,7 +11,7 @@ from typing import NamedTuple
 from pcretrieve.catalogue import Catalogue
 from pcretrieve.errors import BenchmarkError, InputError
 from pcretrieve.evaluation.rankings import Rankings, rank
-from pcretrieve.evaluation.tables import rank_table, unsupervised
+from pcretrieve.evaluation.tables import rank_table, rerank_table, unsupervised
 from pcretrieve.ingestion.labels import match_labels, read_labels
 from pcretrieve.matching import DistanceMatrix
 from pcretrieve.options import PipelineOptions
@@ -101,13 +101,14 @@ def rank_catalogue(
         check_known(matrix, catalogue)
         if left.intersection(matrix.ids):
             matrix = matrix.select([shape_id for shape_id in matrix.ids if shape_id not in left])
-        missing = [classes[shape_id] for shape_id in records if shape_id not in set(matrix.ids)]
+        ranked_ids = set(matrix.ids)
+        missing = {shape_id: classes[shape_id] for shape_id in records if shape_id not in ranked_ids}
         return RankedCatalogue(_ranked(matrix, classes, missing), len(missing), None)
     table = catalogue.signatures(options)
     if left:
         table = table.select([shape_id for shape_id in table.ids if shape_id not in left])
     table = replace(table, labels=tuple(classes[shape_id] for shape_id in table.ids))
-    failed = [classes[record.id] for record in records.values() if record.status == "failed"]
+    failed = {record.id: classes[record.id] for record in records.values() if record.status == "failed"}
     retrieval = unsupervised(options.retrieval)
     whitening = None
     if retrieval.whitening == "within-class" and retrieval.calibration is None:
@@ -125,17 +126,12 @@ def rank_catalogue(
             else ""
         )
 
-    def ranked(method: str) -> Rankings:
-        return rank_table(
-            table,
-            retrieval.model_copy(update={"rerank": method}),
-            whitening=whitening,
-            failed_labels=failed,
-            unseen_only=retrieval.rerank != "none",
-        )
-
-    plain = ranked("none")
-    rankings = plain if retrieval.rerank == "none" else ranked(retrieval.rerank)
+    if retrieval.rerank == "none":
+        rankings = plain = rank_table(table, retrieval, whitening=whitening, failed=failed)
+    else:
+        methods = ("none", retrieval.rerank)
+        by_method = rerank_table(table, methods, retrieval, whitening=whitening, failed=failed)
+        rankings, plain = by_method[retrieval.rerank], by_method["none"]
     return RankedCatalogue(rankings, len(failed), table, reason, plain)
 
 
@@ -189,11 +185,13 @@ def rank_matrix(matrix: DistanceMatrix, labels: str | Path) -> Rankings:
             raise BenchmarkError(
                 f"a shape must have one class, {shape_id!r} has {named[shape_id]!r} and {label!r} in {labels}"
             )
-    return _ranked(matrix, _classes(labels, named, {shape_id: f"/{shape_id}" for shape_id in ids}), [])
+    return _ranked(matrix, _classes(labels, named, {shape_id: f"/{shape_id}" for shape_id in ids}), {})
 
 
-def _ranked(matrix: DistanceMatrix, classes: Mapping[str, str | None], missing: list[str | None]) -> Rankings:
-    return rank(matrix, [classes[shape_id] for shape_id in matrix.ids], failed_labels=missing)
+def _ranked(
+    matrix: DistanceMatrix, classes: Mapping[str, str | None], missing: Mapping[str, str | None]
+) -> Rankings:
+    return rank(matrix, [classes[shape_id] for shape_id in matrix.ids], failed=missing)
 
 
 def _classes(file: str | Path, labels: Mapping[str, str], paths: Mapping[str, str]) -> dict[str, str | None]:

@@ -11,13 +11,12 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Iterator
-from functools import partial
 from typing import NamedTuple
 
 import numpy as np
 
 from pcretrieve.errors import BenchmarkError
-from pcretrieve.evaluation.reranked import reranked_blocks
+from pcretrieve.evaluation.reranked import Subset
 from pcretrieve.options import RetrievalOptions
 from pcretrieve.retrieval import (
     DistanceBlock,
@@ -34,6 +33,7 @@ __all__ = [
     "grouped_folds",
     "within_class_distances",
     "within_class_folds",
+    "within_class_subsets",
 ]
 
 
@@ -121,7 +121,7 @@ def within_class_folds(table: SignatureTable, options: RetrievalOptions | None =
 
 
 def within_class_distances(
-    table: SignatureTable, options: RetrievalOptions | None = None, *, unseen_only: bool = False
+    table: SignatureTable, options: RetrievalOptions | None = None
 ) -> Iterator[DistanceBlock]:
     """Distances from each labelled shape to the whole table, after the whitening of its fold.
 
@@ -130,25 +130,40 @@ def within_class_distances(
     table : SignatureTable
         Signatures with labels.
     options : RetrievalOptions, optional
-        The distance, the shrinkage, the number of folds and the seed; and the re-ranking, if `unseen_only`.
-    unseen_only : bool, default False
-        Whether the gallery of a query is its fold only. Shapes of the fit, which form dense classes because
-        their labels were used, would distort what re-ranking measures: neighbourhoods.
+        The distance, the shrinkage, the number of folds and the seed.
 
     Yields
     ------
     DistanceBlock
-        Queries of one fold; with `unseen_only`, ranks within the fold, and infinity for other shapes.
+        Queries of one fold.
     """
     options = options or RetrievalOptions()
     logs = table_coordinates(table, options.distance)
     for fold in within_class_folds(table, options):
-        if not unseen_only:
-            yield from pairwise_blocks(options.distance, fold.whitening.apply(logs), fold.queries)
-            continue
+        yield from pairwise_blocks(options.distance, fold.whitening.apply(logs), fold.queries)
+
+
+def within_class_subsets(table: SignatureTable, options: RetrievalOptions | None = None) -> Iterator[Subset]:
+    """The shapes of each fold, and their distances after its whitening.
+
+    Shapes of the fit are left out, because their classes are dense, since their labels were used, and would
+    distort what re-ranking measures: neighbourhoods.
+
+    Parameters
+    ----------
+    table : SignatureTable
+        Signatures with labels.
+    options : RetrievalOptions, optional
+        The distance, the shrinkage, the number of folds and the seed.
+
+    Yields
+    ------
+    Subset
+        The labelled shapes of one fold.
+    """
+    options = options or RetrievalOptions()
+    logs = table_coordinates(table, options.distance)
+    for fold in within_class_folds(table, options):
+        whitened = fold.whitening.apply(logs[fold.queries])
         own = np.arange(len(fold.queries))
-        blocks = partial(pairwise_blocks, options.distance, fold.whitening.apply(logs[fold.queries]), own)
-        for queries, ranks in reranked_blocks(options.rerank, blocks, len(own), own):
-            distances = np.full((len(queries), len(table)), np.inf)
-            distances[:, fold.queries] = ranks
-            yield DistanceBlock(fold.queries[queries], distances)
+        yield Subset(fold.queries, pairwise_blocks(options.distance, whitened, own))

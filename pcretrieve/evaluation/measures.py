@@ -58,7 +58,7 @@ class QueryScores(Value):
 
     Attributes
     ----------
-    ids : tuple of (str or None), length Q
+    ids : tuple of str, length Q
         The queries, as in `Rankings`.
     labels : tuple of str, length Q
         Class of each query.
@@ -66,7 +66,7 @@ class QueryScores(Value):
         The measures, between 0 and 1.
     """
 
-    ids: tuple[str | None, ...]
+    ids: tuple[str, ...]
     labels: tuple[str, ...]
     nn: FloatArray
     ft: FloatArray

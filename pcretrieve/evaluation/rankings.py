@@ -7,17 +7,36 @@ shapes are queries, and which are relevant to a query, is defined in `pcretrieve
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from types import MappingProxyType
+from typing import NamedTuple
 
 import numpy as np
 
 from pcretrieve.errors import BenchmarkError, InputError
 from pcretrieve.retrieval import DistanceBlock, Positions, Ranking
-from pcretrieve.types import FloatArray
 from pcretrieve.values import Value
 
-__all__ = ["Rankings", "rank", "rank_gallery"]
+__all__ = ["NO_FAILURES", "Rankings", "SortedBlock", "by_distance", "rank", "rank_gallery", "rank_sorted"]
+
+#: The classes of failed shapes by id, if no shape failed.
+NO_FAILURES: Mapping[str, str | None] = MappingProxyType({})
+
+
+class SortedBlock(NamedTuple):
+    """Some queries, and the gallery in the order of its distances from each of them.
+
+    Attributes
+    ----------
+    queries : (q,) intp
+        Positions of the queries in the gallery.
+    order : (q, m) intp
+        Positions of the shapes that are ranked: first the query itself, then the nearest.
+    """
+
+    queries: Positions
+    order: Positions
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -26,8 +45,8 @@ class Rankings(Value):
 
     Attributes
     ----------
-    ids : tuple of (str or None), length Q
-        The queries in the order of the gallery, then None for each failed shape.
+    ids : tuple of str, length Q
+        The queries in the order of the gallery, then the shapes that failed.
     labels : tuple of str, length Q
         Class of each query.
     n_relevant : (Q,) intp
@@ -43,7 +62,7 @@ class Rankings(Value):
         Number of shapes that are alone in their class and therefore no queries.
     """
 
-    ids: tuple[str | None, ...]
+    ids: tuple[str, ...]
     labels: tuple[str, ...]
     n_relevant: Positions
     hit_query: Positions
@@ -59,7 +78,7 @@ class Rankings(Value):
 
 
 def rank(
-    ranking: Ranking, labels: Sequence[str | None], *, failed_labels: Iterable[str | None] = ()
+    ranking: Ranking, labels: Sequence[str | None], *, failed: Mapping[str, str | None] = NO_FAILURES
 ) -> Rankings:
     """Rank a gallery for each labelled shape in it.
 
@@ -69,8 +88,8 @@ def rank(
         An index, a pairwise matcher or a distance matrix.
     labels : sequence of (str or None), length N
         Classes of the shapes `ranking.ids`.
-    failed_labels : iterable of (str or None)
-        Classes of the shapes that are not in the gallery because they failed; they count as misses.
+    failed : mapping of str to (str or None), optional
+        Classes by id of the shapes that are not in the gallery because they failed; they count as misses.
 
     Returns
     -------
@@ -85,7 +104,7 @@ def rank(
         If the labels are not as many as the shapes.
     """
     labelled = np.flatnonzero([label is not None for label in labels])
-    return rank_gallery(ranking.blocks(labelled), ranking.ids, labels, failed_labels=failed_labels)
+    return rank_gallery(ranking.blocks(labelled), ranking.ids, labels, failed=failed)
 
 
 def rank_gallery(
@@ -93,7 +112,7 @@ def rank_gallery(
     ids: Sequence[str],
     labels: Sequence[str | None],
     *,
-    failed_labels: Iterable[str | None] = (),
+    failed: Mapping[str, str | None] = NO_FAILURES,
 ) -> Rankings:
     """Rank a gallery for each labelled shape by blocks of distances.
 
@@ -106,9 +125,8 @@ def rank_gallery(
         The gallery.
     labels : sequence of (str or None), length N
         Class of each shape of the gallery; None if unknown.
-    failed_labels : iterable of (str or None)
-        Classes of the shapes that are not in the gallery because they failed, one entry for each shape; None
-        is ignored.
+    failed : mapping of str to (str or None), optional
+        Classes by id of the shapes that are not in the gallery because they failed.
 
     Returns
     -------
@@ -122,10 +140,73 @@ def rank_gallery(
     InputError
         If distances are negative, NaN or of the wrong shape, or queries are missing or repeated.
     """
+    in_order = (SortedBlock(block.queries, by_distance(block, ids)) for block in blocks)
+    return rank_sorted(in_order, ids, labels, failed=failed)
+
+
+def by_distance(block: DistanceBlock, ids: Sequence[str]) -> Positions:
+    """Sort a gallery by its distances from some queries.
+
+    Parameters
+    ----------
+    block : DistanceBlock
+        The queries, and their distances.
+    ids : sequence of str, length N
+        The gallery.
+
+    Returns
+    -------
+    (q, N) intp
+        Positions: first the query itself, then the nearest shapes, equal distances by id.
+
+    Raises
+    ------
+    InputError
+        If distances are negative, NaN or of the wrong shape.
+    """
+    _check_block(block, len(ids))
+    by_id = np.array(sorted(range(len(ids)), key=ids.__getitem__), dtype=np.intp)  # (N,)
+    columns = block.distances[:, by_id]  # (q, N): a stable sort then orders equal distances by identifier
+    columns[block.queries[:, np.newaxis] == by_id] = -np.inf
+    order: Positions = by_id[np.argsort(columns, axis=1, kind="stable")]
+    return order
+
+
+def rank_sorted(
+    blocks: Iterable[SortedBlock],
+    ids: Sequence[str],
+    labels: Sequence[str | None],
+    *,
+    failed: Mapping[str, str | None] = NO_FAILURES,
+) -> Rankings:
+    """The ranks of the relevant shapes in a gallery that is sorted for each query.
+
+    Parameters
+    ----------
+    blocks : iterable of SortedBlock
+        As the blocks of `rank_gallery`. Relevant shapes that a list does not have are not ranked.
+    ids : sequence of str, length N
+        The gallery.
+    labels : sequence of (str or None), length N
+        Class of each shape of the gallery; None if unknown.
+    failed : mapping of str to (str or None), optional
+        Classes by id of the shapes that are not in the gallery because they failed.
+
+    Returns
+    -------
+    Rankings
+        The ranks of the relevant shapes.
+
+    Raises
+    ------
+    BenchmarkError
+        If no class has two shapes.
+    InputError
+        If queries are missing or repeated.
+    """
     if len(ids) != len(labels):
         raise InputError(f"labels must be as many as ids ({len(ids)}), got {len(labels)}")
-    failed = [label for label in failed_labels if label is not None]
-    sizes = Counter(label for label in (*labels, *failed) if label is not None)
+    sizes = Counter(label for label in (*labels, *failed.values()) if label is not None)
     shared = {label for label, size in sizes.items() if size > 1}
     if not shared:
         raise BenchmarkError(
@@ -133,21 +214,21 @@ def rank_gallery(
             "large; label more shapes"
         )
     answered = [position for position, label in enumerate(labels) if label in shared]
-    missed = [label for label in failed if label in shared]
+    missed = {shape_id: label for shape_id, label in failed.items() if label is not None and label in shared}
 
     code_of = {label: code for code, label in enumerate(sorted(sizes))}
     codes = np.array([-1 if label is None else code_of[label] for label in labels], dtype=np.intp)  # (N,)
-    by_id = np.array(sorted(range(len(ids)), key=ids.__getitem__), dtype=np.intp)  # (N,)
     number = np.full(len(ids), -1)  # (N,) of each shape as a query
     number[answered] = np.arange(len(answered))
     hits = [np.empty((2, 0), dtype=np.intp)]
     times_seen = np.zeros(len(answered), dtype=np.intp)
     for block in blocks:
-        _check_block(block, len(ids))
         wanted = np.flatnonzero(number[block.queries] >= 0)
         queries = block.queries[wanted]
         np.add.at(times_seen, number[queries], 1)
-        row, rank = _relevant_ranks(block.distances[wanted], queries, by_id, codes)
+        relevant = codes[block.order[wanted]] == codes[queries][:, np.newaxis]
+        relevant[:, :1] = False  # the query itself, at rank 0
+        row, rank = np.nonzero(relevant)
         hits.append(np.stack([number[queries][row], rank]))
     if (times_seen != 1).any():
         raise InputError(
@@ -156,9 +237,9 @@ def rank_gallery(
         )
     hit_query, hit_rank = np.concatenate(hits, axis=1)
     order = np.lexsort((hit_rank, hit_query))
-    query_labels = (*(str(labels[position]) for position in answered), *missed)
+    query_labels = (*(str(labels[position]) for position in answered), *missed.values())
     return Rankings(
-        ids=(*(ids[position] for position in answered), *(None for _ in missed)),
+        ids=(*(ids[position] for position in answered), *missed),
         labels=query_labels,
         n_relevant=np.array([sizes[label] - 1 for label in query_labels], dtype=np.intp),
         hit_query=hit_query[order],
@@ -167,20 +248,6 @@ def rank_gallery(
         n_failed=len(missed),
         n_single=sum(size for size in sizes.values() if size == 1),
     )
-
-
-def _relevant_ranks(
-    distances: FloatArray, queries: Positions, by_id: Positions, codes: Positions
-) -> tuple[Positions, Positions]:
-    """Row and rank of each relevant shape."""
-    columns = distances[:, by_id]  # (q, N): a stable sort then orders equal distances by identifier
-    # The query itself is at rank 0.
-    columns[queries[:, np.newaxis] == by_id] = -np.inf
-    order = np.argsort(columns, axis=1, kind="stable")
-    relevant = codes[by_id][order] == codes[queries][:, np.newaxis]
-    relevant[:, :1] = False
-    row, rank = np.nonzero(relevant)
-    return row, rank
 
 
 def _check_block(block: DistanceBlock, n: int) -> None:

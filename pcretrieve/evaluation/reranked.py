@@ -1,54 +1,102 @@
-"""Distances of a gallery → ranks after re-ranking, as distances."""
+"""Distances of a gallery → the rankings before and after re-ranking, from one pass over the distances."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
-from pcretrieve.retrieval import DistanceBlock, Positions, neighbour_lists, rerank
+from pcretrieve.evaluation.rankings import NO_FAILURES, Rankings, SortedBlock, by_distance, rank_sorted
+from pcretrieve.retrieval import N_RERANKED, DistanceBlock, NeighbourLists, Positions, rerank
 
-__all__ = ["reranked_blocks"]
-
-# Number of ranks that are in memory at once, as in `pcretrieve.retrieval.BLOCK_DISTANCES`.
-BLOCK_ROWS = 256
+__all__ = ["Subset", "rank_subsets"]
 
 
-def reranked_blocks(
-    method: str, blocks: Callable[[], Iterable[DistanceBlock]], n: int, queries: Positions
-) -> Iterator[DistanceBlock]:
-    """The ranks of a gallery for some queries, after re-ranking.
+class Subset(NamedTuple):
+    """Shapes of a gallery that are ranked among each other.
+
+    Attributes
+    ----------
+    members : (m,) intp
+        Positions of the shapes in the gallery.
+    blocks : iterable of DistanceBlock
+        All distances between them; queries are positions in `members`.
+    """
+
+    members: Positions
+    blocks: Iterable[DistanceBlock]
+
+
+def rank_subsets(
+    subsets: Iterable[Subset],
+    ids: Sequence[str],
+    labels: Sequence[str | None],
+    methods: Sequence[str],
+    *,
+    failed: Mapping[str, str | None] = NO_FAILURES,
+) -> dict[str, Rankings]:
+    """Rank each labelled shape's subset of a gallery, by plain and by re-ranked lists.
 
     Parameters
     ----------
-    method : str
-        A name in `pcretrieve.retrieval.RERANKINGS`.
-    blocks : function that returns an iterable of DistanceBlock
-        All distances of the gallery; it is called twice.
-    n : int
-        Number of shapes of the gallery.
-    queries : (Q,) intp
-        Positions of the queries in the gallery.
+    subsets : iterable of Subset
+        Such that each labelled shape is in exactly one of them, together with all shapes of its class.
+    ids : sequence of str, length N
+        The gallery.
+    labels : sequence of (str or None), length N
+        Class of each shape of the gallery; None if unknown.
+    methods : sequence of str
+        Names in `pcretrieve.retrieval.RERANKINGS`.
+    failed : mapping of str to (str or None), optional
+        Classes by id of the shapes that are not in the gallery because they failed.
 
-    Yields
+    Returns
+    -------
+    dict of str to Rankings
+        By the name of the method. Shapes behind the list that is sorted again keep their ranks.
+
+    Raises
     ------
-    DistanceBlock
-        For each query the rank of each shape in place of its distance: 0 for the query itself. Shapes behind
-        the list that is sorted again are in the order of their distances.
+    BenchmarkError
+        If no class has two shapes.
+    InputError
+        If distances are negative or NaN, or queries are missing or repeated.
     """
-    lists = neighbour_lists(blocks(), n)
-    # Once for all queries, because the neighbourhoods of the whole gallery are computed each time.
-    sorted_again = rerank(method, lists, queries)  # (Q, K)
-    place = np.full(n, -1)
-    place[queries] = np.arange(len(queries))
-    for rows, distances in blocks():
-        kept = np.flatnonzero(place[rows] >= 0)
-        for start in range(0, len(kept), BLOCK_ROWS):
-            chosen = kept[start : start + BLOCK_ROWS]
-            first = sorted_again[place[rows[chosen]]]  # (q, K)
-            ranks = np.argsort(np.argsort(distances[chosen], axis=1, kind="stable"), axis=1).astype(
-                np.float64
-            )
-            ranks += first.shape[1]  # behind the list
-            np.put_along_axis(ranks, first, np.arange(float(first.shape[1]))[np.newaxis], axis=1)
-            yield DistanceBlock(rows[chosen], ranks)
+    lists: list[tuple[Positions, NeighbourLists]] = []
+
+    def plain_blocks() -> Iterator[SortedBlock]:
+        for members, blocks in subsets:
+            m = len(members)
+            length = min(N_RERANKED + 1, m)  # with the shape itself
+            kept = NeighbourLists(np.empty((m, length), dtype=np.intp), np.empty((m, length)))
+            names = [ids[position] for position in members]
+            for block in blocks:
+                order = by_distance(block, names)
+                nearest = order[:, :length]
+                kept.order[block.queries] = nearest
+                kept.distances[block.queries] = np.take_along_axis(block.distances, nearest, axis=1)
+                yield SortedBlock(members[block.queries], members[order])
+            lists.append((members, kept))
+
+    plain = rank_sorted(plain_blocks(), ids, labels, failed=failed)
+    # Ranks behind the lists are as before. Lists that are shorter have all shapes of their subset.
+    behind = plain.hit_rank > N_RERANKED
+    labelled = np.array([label is not None for label in labels], dtype=bool)
+    rankings = {}
+    for method in methods:
+        if method == "none":
+            rankings[method] = plain
+            continue
+        again = (
+            SortedBlock(members[queries], members[rerank(method, kept, queries)])
+            for members, kept in lists
+            for queries in [np.flatnonzero(labelled[members])]
+        )
+        first = rank_sorted(again, ids, labels, failed=failed)
+        hit_query = np.concatenate([first.hit_query, plain.hit_query[behind]])
+        hit_rank = np.concatenate([first.hit_rank, plain.hit_rank[behind]])
+        order = np.lexsort((hit_rank, hit_query))
+        rankings[method] = replace(first, hit_query=hit_query[order], hit_rank=hit_rank[order])
+    return rankings

@@ -194,7 +194,7 @@ def test_failures_lower_every_measure(whitening: str) -> None:
     table = a_table()
     whole = evaluate_table(table, RetrievalOptions(whitening=whitening))
     failed = evaluate_table(
-        table, RetrievalOptions(whitening=whitening), failed_labels=["class 3", "class 3", None]
+        table, RetrievalOptions(whitening=whitening), failed={"a": "class 3", "b": "class 3", "c": None}
     )
     assert (failed.n_queries, failed.n_failed) == (62, 2)
     for name in ("nn", "ft", "dcg", "map"):
@@ -204,7 +204,7 @@ def test_failures_lower_every_measure(whitening: str) -> None:
 def test_a_query_whose_class_mates_all_failed_is_in_some_fold() -> None:
     table = a_table()
     table = replace(table, labels=(*table.labels[:-1], "rare"))
-    result = rank_table(table, WITHIN_CLASS, failed_labels=["rare"])
+    result = rank_table(table, WITHIN_CLASS, failed={"lost": "rare"})
     assert result.labels.count("rare") == 2
     assert len(result.labels) == 61
 
@@ -224,7 +224,7 @@ def test_whitening_without_labels_is_fitted_on_the_whole_gallery(distance: str, 
 
 def test_a_table_without_shapes_has_misses_only() -> None:
     table = SignatureTable((), np.zeros((0, 8)), "r-bihdm", "3f2a")
-    assert evaluate_table(table, failed_labels=["A", "A"]).map == 0
+    assert evaluate_table(table, failed={"a": "A", "b": "A"}).map == 0
 
 
 @pytest.mark.parametrize("kind", ["pca", "within-class"])

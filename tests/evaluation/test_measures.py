@@ -34,7 +34,8 @@ def distances_of(orders: dict[str, str]) -> FloatArray:
 
 def ranked(orders: dict[str, str], labels: dict[str, str | None], failed: str = "") -> Rankings:
     block = DistanceBlock(np.arange(len(orders)), distances_of(orders))
-    return rank_gallery([block], list(orders), [labels.get(i) for i in orders], failed_labels=failed)
+    lost = {f"failed {number}": label for number, label in enumerate(failed)}
+    return rank_gallery([block], list(orders), [labels.get(i) for i in orders], failed=lost)
 
 
 def measured(orders: dict[str, str], labels: dict[str, str | None], failed: str = "") -> RetrievalMeasures:
@@ -114,7 +115,7 @@ def test_a_shape_without_label_is_no_query_but_stands_in_the_way() -> None:
 def test_a_failed_shape_is_a_query_without_score_and_a_miss_for_its_class() -> None:
     result = ranked({"a": "bx", "b": "ax", "x": "ab"}, {"a": "A", "b": "A"}, failed="A")
     scores = query_scores(result)
-    assert scores.ids == ("a", "b", None)
+    assert scores.ids == ("a", "b", "failed 0")
     assert scores.labels == ("A", "A", "A")
     # R = 2, one of them found at rank 1 of 2.
     np.testing.assert_allclose(scores.nn, [1, 1, 0])
@@ -130,7 +131,7 @@ def test_a_failed_shape_is_a_query_without_score_and_a_miss_for_its_class() -> N
 
 def test_failures_without_class_mates_or_labels() -> None:
     block = DistanceBlock(np.arange(2), np.ones((2, 2)))
-    result = rank_gallery([block], ["a", "b"], ["A", "A"], failed_labels=[None, "alone"])
+    result = rank_gallery([block], ["a", "b"], ["A", "A"], failed={"c": None, "d": "alone"})
     assert (result.n_failed, result.n_single, len(result.labels)) == (0, 1, 2)
 
 
@@ -141,7 +142,7 @@ def test_a_shape_whose_only_class_mate_failed() -> None:
 
 
 def test_all_of_a_class_failed() -> None:
-    result = evaluate_rankings(rank_gallery([], [], [], failed_labels=["A", "A"]))
+    result = evaluate_rankings(rank_gallery([], [], [], failed={"a": "A", "b": "A"}))
     assert [getattr(result, name) for name in MEASURES] == [0] * 6
     assert result.n_queries == result.n_failed == 2
 

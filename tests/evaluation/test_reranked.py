@@ -5,9 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pcretrieve.evaluation import evaluate_table, rank_table
-from pcretrieve.evaluation.folds import within_class_distances, within_class_folds
+from pcretrieve.evaluation import evaluate_table, rank_table, rerank_table
+from pcretrieve.evaluation.folds import within_class_folds, within_class_subsets
+from pcretrieve.evaluation.reranked import Subset, rank_subsets
 from pcretrieve.options import RetrievalOptions
+from pcretrieve.retrieval import DistanceBlock, neighbour_lists, pairwise, rerank
 from pcretrieve.types import SignatureTable
 
 
@@ -51,22 +53,64 @@ def test_the_gallery_has_no_class_to_which_the_whitening_was_fitted() -> None:
     """These classes are dense after the whitening, which would make the others look isolated."""
     table = a_table()
     options = RetrievalOptions(whitening="within-class", rerank="local")
-    fold_of = np.zeros(len(table), dtype=int)
-    for number, fold in enumerate(within_class_folds(table, options)):
-        fold_of[fold.queries] = number
-    for queries, ranks in within_class_distances(table, options, unseen_only=True):
-        np.testing.assert_array_equal(np.isfinite(ranks), fold_of[queries][:, np.newaxis] == fold_of)
+    folds = list(within_class_folds(table, options))
+    assert len(folds) == options.n_folds
+    for fold, subset in zip(folds, within_class_subsets(table, options), strict=True):
+        np.testing.assert_array_equal(subset.members, fold.queries)
+        whitened = fold.whitening.apply(np.log(table.values[subset.members]))
+        for queries, distances in subset.blocks:
+            np.testing.assert_array_equal(distances, pairwise("log", whitened[queries], whitened))
 
 
 def test_noise_stays_noise_after_a_fitted_whitening_and_re_ranking() -> None:
     rng = np.random.default_rng(3)
     table = a_table()
     options = RetrievalOptions(whitening="within-class", rerank="k-reciprocal")
-    plain = RetrievalOptions(whitening="within-class")
     gains = []
     for _ in range(5):
         noise = replace(table, values=rng.lognormal(size=table.values.shape))
-        before = rank_table(noise, plain, unseen_only=True)
-        after = rank_table(noise, options)
-        gains.append(np.mean(1 / after.hit_rank) - np.mean(1 / before.hit_rank))
+        found = rerank_table(noise, ("none", "k-reciprocal"), options)
+        gains.append(np.mean(1 / found["k-reciprocal"].hit_rank) - np.mean(1 / found["none"].hit_rank))
     assert abs(np.mean(gains)) < 0.02
+
+
+@pytest.mark.parametrize("whitening", ["none", "within-class"])
+def test_several_methods_at_once_rank_as_each_of_them(whitening: str) -> None:
+    table = a_table()
+    options = RetrievalOptions(whitening=whitening)
+    found = rerank_table(table, ("none", "local", "k-reciprocal"), options)
+    for method in ("local", "k-reciprocal"):
+        assert found[method] == rank_table(table, options.model_copy(update={"rerank": method}))
+        assert found[method] != found["none"]
+
+
+def test_distances_are_needed_once() -> None:
+    """For plain and re-ranked lists together: an iterator can be exhausted only once."""
+    distances = pairwise("log", *(np.log(a_table().values),) * 2)
+    blocks = iter(
+        [DistanceBlock(np.arange(0, 70), distances[:70]), DistanceBlock(np.arange(70, 120), distances[70:])]
+    )
+    table = a_table()
+    subset = Subset(np.arange(120), blocks)
+    found = rank_subsets([subset], table.ids, table.labels, ("none", "local"))
+    plain = RetrievalOptions(whitening="none")
+    assert found["none"] == rank_table(table, plain)
+    assert found["local"] == rank_table(table, plain.model_copy(update={"rerank": "local"}))
+
+
+def test_ranks_are_those_of_the_re_ranked_lists_and_then_of_the_distances() -> None:
+    """Over more shapes than are sorted again, with many equal distances, and some shapes without a class."""
+    rng = np.random.default_rng(4)
+    n = 150
+    distances = np.round(rng.random((n, n)), 1)
+    ids = [f"{number:03}" for number in range(n)]
+    labels = [None if number % 10 == 0 else f"class {number % 7}" for number in range(n)]
+    block = DistanceBlock(np.arange(n), distances)
+    found = rank_subsets([Subset(np.arange(n), [block])], ids, labels, ("none", "local"))
+    again = rerank("local", neighbour_lists([block], n))
+    for number, query in enumerate(map(int, found["local"].ids)):
+        order = list(again[query])
+        rest = sorted(set(range(n)).difference(order), key=lambda other: (distances[query, other], other))
+        ranked = [labels[other] == labels[query] for other in order + rest]
+        expected = np.flatnonzero(ranked)[1:]
+        np.testing.assert_array_equal(found["local"].hit_rank[found["local"].hit_query == number], expected)

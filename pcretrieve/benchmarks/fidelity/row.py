@@ -209,7 +209,7 @@ def retrieval(
         The measures. NaN if a whitening is not defined, or needs more classes of two shapes than there are.
     """
     labels = [item.label for item in items]
-    failed = [labels[k] for k in set(range(len(items))).difference(rows)]
+    failed = {f"failed {k}": labels[k] for k in set(range(len(items))).difference(rows)}
     names, classes = tuple(items[k].name for k in rows), tuple(labels[k] for k in rows)
     ways: list[tuple[WhiteningKind, FloatArray]] = [
         ("none", known.values),
@@ -227,7 +227,7 @@ def retrieval(
         try:
             made = resolution_whitening(form) if whitening == "resolution" else None
             chosen = RetrievalOptions(whitening=whitening)
-            measures = evaluate_table(table, chosen, whitening=made, failed_labels=failed)
+            measures = evaluate_table(table, chosen, whitening=made, failed=failed)
             found += [measures.nn, measures.map]
         except InputError:
             found += [NAN, NAN]
