@@ -7,8 +7,10 @@ and the scans in scans/ need no data. With --keep, the catalogues stay in a fold
 computes only what is missing. Without it a run takes half an hour on one core.
 
 Whitenings by neighbours and PCA are fitted to all shapes of a set, without labels. Within-class whitening is
-fitted by grouped folds; if lists are re-ranked, the gallery of a query is its fold. The vectors of SHREC'14
-are those of Chiotellis et al. (ECCV 2016), compared as they are.
+fitted by grouped folds; if lists are re-ranked, the gallery of a query is its fold. "3-people" is fitted to
+three random classes, as by `pcretrieve calibrate`, which are neither queries nor in the gallery: the mean,
+and below it the standard deviation, of fifty draws. The vectors of SHREC'14 are those of Chiotellis et al.
+(ECCV 2016), compared as they are.
 """
 
 from __future__ import annotations
@@ -21,6 +23,7 @@ from pathlib import Path
 import numpy as np
 
 from pcretrieve.benchmarks.arguments import add_data, argument_parser
+from pcretrieve.benchmarks.calibration import calibrated_measures
 from pcretrieve.benchmarks.fidelity.conditions import write_scan
 from pcretrieve.benchmarks.progress import progress
 from pcretrieve.benchmarks.sets import SETS, ingested, left_out
@@ -41,6 +44,10 @@ SCANS = {"tosca-scans": "tosca", "people-scans": "humans", "samples": "scans"}
 VECTORS = {"shrec14-real": "real.mat", "shrec14-synthetic": "synthetic.mat"}
 NAMES = (*MESHES, *SCANS, *VECTORS)
 WHITENINGS = ("none", "pca", "neighbours", "within-class")
+
+# Numbers of people to whom a whitening is fitted for the others, where there are as many others.
+CALIBRATIONS = (3, 10)
+PEOPLE = ("people-scans", *VECTORS)
 
 # The condition under which meshes are scanned, as in benchmark_fidelity.
 CONDITION = "typical-uniform"
@@ -156,7 +163,7 @@ def _rows(
     options: SignatureOptions | None,
     failed: Mapping[str, str | None] = NO_FAILURES,
 ) -> Iterator[str]:
-    """One line for each whitening and re-ranking."""
+    """One line for each whitening and re-ranking, and two for each calibration."""
     for kind in WHITENINGS:
         whitening = None
         if kind != "within-class":
@@ -169,3 +176,10 @@ def _rows(
         for method, rankings in ranked.items():
             measures = measure_values(evaluate_rankings(rankings))
             yield TABLE.row(name, table.kind, table.values.shape[1], kind, method, *measures)
+    n_people = len(set(table.labels)) if name in PEOPLE else 0
+    for number in CALIBRATIONS:
+        if 2 * number < n_people:
+            rows = calibrated_measures(table, number, failed=failed)
+            facts = name, table.kind, table.values.shape[1]
+            yield TABLE.row(*facts, f"{number}-people", "none", *rows.mean(axis=0))
+            yield TABLE.row(*facts, f"{number}-people", "deviation", *rows.std(axis=0, ddof=1))

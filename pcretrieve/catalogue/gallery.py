@@ -29,7 +29,7 @@ __all__ = ["Gallery"]
 logger = logging.getLogger(__name__)
 
 # Version of the arrays of an index, which is incremented when their meaning changes.
-FORMAT = 3
+FORMAT = 4
 
 # Smallest number of shapes for which an index is stored. A smaller index is computed as fast as it is opened.
 SMALLEST_KEPT = 10_000

@@ -236,6 +236,7 @@ def made_index(rows: Rows, own: PipelineOptions, options: PipelineOptions) -> tu
             labels,
             shrinkage=options.retrieval.shrinkage,
             prior=resolution_covariance(options.compared),
+            metric=descriptor.metric,
             options_digest=options.compared_digest,
         )
     index = SignatureIndex.of_coordinates(
@@ -244,7 +245,7 @@ def made_index(rows: Rows, own: PipelineOptions, options: PipelineOptions) -> tu
         labels,
         MadeBy(descriptor.name, options.compared_digest, descriptor.metric, unit),
         options.retrieval,
-        made_before(options),
+        whitening,
     )
     return index, revision
 

@@ -115,6 +115,7 @@ def within_class_folds(table: SignatureTable, options: RetrievalOptions | None =
             logs[fitted],
             [table.labels[position] for position in fitted],
             shrinkage=options.shrinkage,
+            metric=table.metric,
             options_digest=table.digest,
         )
         yield Fold(np.flatnonzero(scored), whitening)

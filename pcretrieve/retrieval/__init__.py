@@ -31,6 +31,7 @@ from pcretrieve.retrieval.reranking import (
 )
 from pcretrieve.retrieval.resolution import resolution_covariance, resolution_whitening
 from pcretrieve.retrieval.whitening import (
+    CALIBRATED,
     WHITENINGS,
     Whitening,
     read_whitening,
@@ -40,6 +41,7 @@ from pcretrieve.retrieval.whitening import (
 
 __all__ = [
     "BLOCK_DISTANCES",
+    "CALIBRATED",
     "DEFAULT_SHRINKAGE",
     "DISTANCES",
     "N_NEAR",

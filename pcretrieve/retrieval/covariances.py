@@ -1,4 +1,10 @@
-"""Covariance within labelled classes, and its shrinkage by the likelihood of classes that are left out."""
+"""Covariance within labelled classes, and its shrinkage by the likelihood of classes that are left out.
+
+A covariance is shrunk towards that of uncorrelated values. In this target all values have the same variance
+if they have one unit, as logarithms have; otherwise each value has its own variance, so that the result does
+not depend on the units (targets B and D of Schäfer and Strimmer, Statistical Applications in Genetics and
+Molecular Biology 2005). See docs/decisions.md, one_unit.
+"""
 
 from __future__ import annotations
 
@@ -17,6 +23,10 @@ __all__ = ["Residuals", "likeliest_shrinkage", "shrunk", "within_class_residuals
 INTENSITIES = (0.0003, 0.001, 0.003, 0.01, 0.03, 0.1, 0.3)
 N_GROUPS = 4
 SEED = 1
+
+# Smallest variance of a value in the target, relative to the mean variance: the covariance must be invertible
+# also if a value is the same for all shapes of each class.
+LEAST_VARIANCE = 1e-9
 
 # Intensity if there are fewer than two classes, so that none can be left out.
 UNTESTED = 0.1
@@ -88,13 +98,15 @@ def within_class_residuals(logs: FloatArray, labels: Sequence[str | None] | None
     return Residuals(np.concatenate([np.array(members) for members in classes]), numbers, values)
 
 
-def likeliest_shrinkage(residuals: Residuals) -> float:
+def likeliest_shrinkage(residuals: Residuals, *, one_unit: bool = True) -> float:
     """The shrinkage at which the residuals of classes that are left out are most likely.
 
     Parameters
     ----------
     residuals : Residuals
         The residuals.
+    one_unit : bool, default True
+        Whether all values have one unit, as in `shrunk`.
 
     Returns
     -------
@@ -115,14 +127,14 @@ def likeliest_shrinkage(residuals: Residuals) -> float:
             continue
         n_free = held.sum() - (group == left_out).sum()
         for number, intensity in enumerate(INTENSITIES):
-            covariance = shrunk(pooled, intensity)
+            covariance = shrunk(pooled, intensity, one_unit=one_unit)
             deviance = np.linalg.slogdet(covariance)[1] + np.trace(np.linalg.solve(covariance, tested))
             likelihood[number] -= n_free * deviance
     return INTENSITIES[int(np.argmax(likelihood))]
 
 
-def shrunk(covariance: FloatArray, intensity: float) -> FloatArray:
-    """A covariance shrunk towards its mean variance times the identity.
+def shrunk(covariance: FloatArray, intensity: float, *, one_unit: bool = True) -> FloatArray:
+    """A covariance shrunk towards that of uncorrelated values.
 
     Parameters
     ----------
@@ -130,14 +142,18 @@ def shrunk(covariance: FloatArray, intensity: float) -> FloatArray:
         C.
     intensity : float
         s, in [0, 1].
+    one_unit : bool, default True
+        Whether all values have one unit. The target T is then tr(C)/L I, otherwise the diagonal of C.
 
     Returns
     -------
     (L, L) float64
-        (1 − s) C + s tr(C)/L I.
+        (1 − s) C + s T.
     """
-    mean_variance = np.trace(covariance) / len(covariance)
-    result: FloatArray = (1 - intensity) * covariance + intensity * mean_variance * np.eye(len(covariance))
+    variances = np.diag(covariance)
+    mean = variances.mean()
+    target = np.full(len(variances), mean) if one_unit else np.maximum(variances, LEAST_VARIANCE * mean)
+    result: FloatArray = (1 - intensity) * covariance + intensity * np.diag(target)
     return result
 
 

@@ -38,7 +38,7 @@ from pcretrieve.retrieval.covariances import likeliest_shrinkage, shrunk, within
 from pcretrieve.retrieval.distances import table_coordinates
 from pcretrieve.retrieval.pairs import neighbour_pairs
 from pcretrieve.retrieval.whitening import WHITENINGS, Whitening
-from pcretrieve.types import FloatArray, SignatureTable
+from pcretrieve.types import FloatArray, Metric, SignatureTable
 
 __all__ = [
     "DEFAULT_SHRINKAGE",
@@ -94,6 +94,7 @@ def fit_whitening(
     shrinkage: Shrinkage = "auto",
     n_neighbors: int | Literal["auto"] = "auto",
     prior: FloatArray | None = None,
+    metric: Metric = "logarithms",
     options_digest: str = "",
 ) -> Whitening:
     """Fit a whitening to log-signatures.
@@ -105,9 +106,10 @@ def fit_whitening(
         among each other's nearest, shrunk with intensity `shrinkage` towards its mean variance times the
         identity; ``none`` if there are too few. ``pca``: C is the covariance of all shapes, labelled or not,
         with `shrinkage` times its largest eigenvalue added to every eigenvalue (Tikhonov regularisation).
-        ``within-class``: C is the pooled within-class covariance, shrunk like that of neighbours. ``auto``:
-        ``within-class`` if at least 5 classes have as many shapes, less one for each class, as there are
-        values, else ``neighbours``. ``resolution`` is not fitted: see `resolution_whitening`.
+        ``within-class``: C is the pooled within-class covariance, shrunk like that of neighbours, or towards
+        its diagonal with the metric ``values``. ``auto``: ``within-class`` if at least 5 classes have as many
+        shapes, less one for each class, as there are values, else ``neighbours``. ``resolution`` is not
+        fitted: see `resolution_whitening`.
     logs : (N, L) float64
         Log-signatures, one in each row.
     labels : sequence of (str or None), length N, optional
@@ -121,6 +123,9 @@ def fit_whitening(
     prior : (L, L) float64, optional
         A covariance of trace 1 of what should be ignored in any gallery, such as `resolution_covariance`.
         For ``neighbours`` only: 30 % of the covariance.
+    metric : {"logarithms", "values", "histograms"}, default "logarithms"
+        The metric of the signatures. The coordinates of the metric ``values`` may have different units. For
+        ``within-class`` only.
     options_digest : str, default ""
         Digest of the table of the signatures.
 
@@ -150,7 +155,7 @@ def fit_whitening(
     if used == "pca":
         fit = _pca(logs, shrinkage)
     elif used == "within-class":
-        fit = _within_class(logs, labels, shrinkage)
+        fit = _within_class(logs, labels, shrinkage, one_unit=metric != "values")
     elif used == "neighbours":
         fit = _neighbours(logs, shrinkage, n_neighbors, prior)
     if fit is None or isinstance(fit, str):
@@ -205,6 +210,7 @@ def table_whitening(
             table.labels,
             shrinkage=options.shrinkage,
             prior=prior,
+            metric=table.metric,
             options_digest=table.digest,
         )
     whitening.check_made_for(table.digest)
@@ -274,7 +280,9 @@ def _warn_of_noise(logs: FloatArray, root: FloatArray) -> None:
         )
 
 
-def _within_class(logs: FloatArray, labels: Sequence[str | None] | None, shrinkage: Shrinkage) -> _Fit:
+def _within_class(
+    logs: FloatArray, labels: Sequence[str | None] | None, shrinkage: Shrinkage, *, one_unit: bool
+) -> _Fit:
     """The shapes in classes of at least two shapes, and their shrunk pooled covariance."""
     residuals = within_class_residuals(logs, labels)
     fitted = logs[residuals.rows]
@@ -285,9 +293,9 @@ def _within_class(logs: FloatArray, labels: Sequence[str | None] | None, shrinka
             "within-class whitening needs shapes that differ within their class, got equal signatures in "
             "every class; use the whitening 'pca' or 'none'"
         )
-    used = likeliest_shrinkage(residuals) if shrinkage == "auto" else float(shrinkage)
+    used = likeliest_shrinkage(residuals, one_unit=one_unit) if shrinkage == "auto" else float(shrinkage)
     reason = f"within-class: {residuals.n_classes} classes of {len(fitted)} shapes"
-    return _Fit(fitted, shrunk(pooled, used), used, reason)
+    return _Fit(fitted, shrunk(pooled, used, one_unit=one_unit), used, reason)
 
 
 def _covariance(logs: FloatArray) -> FloatArray:

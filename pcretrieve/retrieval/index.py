@@ -90,7 +90,12 @@ class SignatureIndex:
         points = table_coordinates(table, options.distance)
         made_by = MadeBy(table.kind, table.digest, table.metric, table.unit)
         whitening = whitening or fit_whitening(
-            options.whitening, points, table.labels, shrinkage=options.shrinkage, options_digest=table.digest
+            options.whitening,
+            points,
+            table.labels,
+            shrinkage=options.shrinkage,
+            metric=table.metric,
+            options_digest=table.digest,
         )
         ids = Names.of(table.ids[row] for row in by_id)
         self.contents = WhitenedTable.of(made_by, ids, points[by_id], options.distance, whitening)
@@ -136,7 +141,12 @@ class SignatureIndex:
         if not len(ids):
             raise InputError(NO_SHAPES)
         whitening = whitening or fit_whitening(
-            options.whitening, points, labels, shrinkage=options.shrinkage, options_digest=made_by.digest
+            options.whitening,
+            points,
+            labels,
+            shrinkage=options.shrinkage,
+            metric=made_by.metric,
+            options_digest=made_by.digest,
         )
         return cls.of_contents(WhitenedTable.of(made_by, ids, points, options.distance, whitening))
 

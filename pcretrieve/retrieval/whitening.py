@@ -24,13 +24,12 @@ from pcretrieve.options import WhiteningKind
 from pcretrieve.types import FloatArray
 from pcretrieve.values import Value, locked
 
-__all__ = ["WHITENINGS", "Whitening", "read_whitening", "whitening_digest", "write_whitening"]
+__all__ = ["CALIBRATED", "WHITENINGS", "Whitening", "read_whitening", "whitening_digest", "write_whitening"]
 
 #: What a whitening can be; "auto" stands for one of them.
 WHITENINGS: tuple[str, ...] = tuple(kind for kind in get_args(WhiteningKind) if kind != "auto")
 
-
-# What a whitening of a file is, which was fitted to other shapes.
+#: The kind of a whitening that was fitted to labelled shapes other than those that it is used for.
 CALIBRATED = "calibrated"
 
 

@@ -31,7 +31,9 @@ def test_vectors_and_missing_sets(tmp_path: Path) -> None:
     (tmp_path / "shrec14_csd").mkdir()
     arrays = {"WksPooledMat": values[:, :100], "SihksPooledMat": values[:, 100:], "C": labels}
     savemat(tmp_path / "shrec14_csd" / "real.mat", arrays)
-    head, *rows, missing = printed("--data", tmp_path, "--only", "shrec14-real", "shrec11")
+    head, *rows, calibrated, spread, missing = printed(
+        "--data", tmp_path, "--only", "shrec14-real", "shrec11"
+    )
     assert head.split()[:5] == ["set", "method", "L", "whitening", "re-ranking"]
     assert [tuple(row.split()[3:5]) for row in rows] == [
         (whitening, method)
@@ -39,6 +41,9 @@ def test_vectors_and_missing_sets(tmp_path: Path) -> None:
         for method in ("none", "local", "k-reciprocal")
     ]
     assert all(float(row.split()[-1]) > 0.9 for row in rows if "pca" not in row)
+    assert calibrated.split()[3:5] == ["3-people", "none"]
+    assert spread.split()[3:5] == ["3-people", "deviation"]
+    assert float(calibrated.split()[-1]) > 0.9 > 0.1 > float(spread.split()[-1])
     assert missing == f"shrec11: left out, {tmp_path / 'shrec11'} is not there"
 
 

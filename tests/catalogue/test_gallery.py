@@ -21,7 +21,7 @@ from pcretrieve.catalogue import Content, Record, gallery
 from pcretrieve.descriptors import describe
 from pcretrieve.errors import InputError
 from pcretrieve.pipeline.process import process
-from pcretrieve.retrieval import DISTANCES
+from pcretrieve.retrieval import DISTANCES, resolution_covariance, table_whitening
 from pcretrieve.types import Shape
 
 OPTIONS = PipelineOptions()
@@ -91,6 +91,17 @@ def test_an_index_that_was_kept_answers_as_one_made_anew(
         index = other.index(options)
         assert not [text for text in statements if "signatures" in text], "it was computed again"
         assert_same(index, catalogue, options)
+
+
+def test_neighbours_have_the_changes_of_resolution_as_a_prior(catalogue: Catalogue) -> None:
+    """Queries are whitened as evaluations are."""
+    options = asked("neighbours")
+    table = catalogue.signatures(options)
+    expected = table_whitening(table, options.retrieval, prior=resolution_covariance(options.compared))
+    assert expected.kind == "neighbours"
+    assert expected != table_whitening(table, options.retrieval)
+    assert catalogue.whitening(options) == expected
+    assert catalogue.index(options).whitening == expected
 
 
 def test_each_request_has_an_index_of_its_own(catalogue: Catalogue) -> None:

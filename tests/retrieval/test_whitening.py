@@ -10,7 +10,7 @@ from pcretrieve.errors import InputError, OptionError
 from pcretrieve.evaluation import evaluate_table
 from pcretrieve.options import RetrievalOptions
 from pcretrieve.retrieval import DEFAULT_SHRINKAGE, Whitening, fit_whitening, pairwise
-from pcretrieve.types import FloatArray, SignatureTable
+from pcretrieve.types import FloatArray, Metric, SignatureTable
 
 FITTED = ("neighbours", "pca", "within-class")
 
@@ -88,6 +88,27 @@ def test_within_class_shrinks_towards_the_mean_variance() -> None:
     matrix = fit_whitening("within-class", logs, labels, shrinkage=0.3).matrix
     product = matrix @ shrunk @ matrix
     np.testing.assert_allclose(product, product[0, 0] * np.eye(8), atol=1e-10 * product[0, 0])
+
+
+def test_within_class_of_values_with_different_units_does_not_depend_on_the_units() -> None:
+    logs, labels = labelled_logs()
+    units = np.geomspace(0.1, 10, 8)
+
+    def gaps(points: FloatArray, metric: Metric) -> FloatArray:
+        whitening = fit_whitening("within-class", points, labels, metric=metric)
+        d = pairwise("log", *(whitening.apply(points),) * 2)
+        relative: FloatArray = d / d.mean()
+        return relative
+
+    np.testing.assert_allclose(gaps(logs, "values"), gaps(logs * units, "values"), rtol=1e-6)
+    assert np.abs(gaps(logs, "logarithms") - gaps(logs * units, "logarithms")).max() > 0.1
+
+
+def test_a_value_that_is_the_same_in_every_class_does_not_prevent_a_fit() -> None:
+    logs, labels = labelled_logs()
+    constant = np.column_stack([logs, np.ones(len(logs))])
+    whitened = fit_whitening("within-class", constant, labels, metric="values").apply(constant)
+    assert np.isfinite(whitened).all()
 
 
 def test_within_class_whitening_separates_classes_that_overlap_by_pose() -> None:
