@@ -40,11 +40,22 @@ if TYPE_CHECKING:
     from pcretrieve.evaluation import RetrievalMeasures
     from pcretrieve.formats import read_scan, write_cloud, write_mesh, write_signatures
     from pcretrieve.inspection import Inspection, signature_spread
-    from pcretrieve.interface import calibrate, evaluate, ingest, inspect, matrix, merge_views, report, search
+    from pcretrieve.interface import (
+        calibrate,
+        evaluate,
+        ingest,
+        inspect,
+        matrix,
+        merge_views,
+        report,
+        search,
+        search_many,
+    )
     from pcretrieve.matching import DistanceMatrix, read_matrix, write_matrix
     from pcretrieve.options import MergeOptions, PipelineOptions
     from pcretrieve.pipeline.process import process, reconstruct, signature
     from pcretrieve.retrieval import SignatureIndex, Whitening
+    from pcretrieve.searching import Answer
     from pcretrieve.spectral import eigenpairs, laplace_beltrami
     from pcretrieve.types import (
         Eigenpairs,
@@ -67,6 +78,7 @@ __version__ = "0.2.0"
 logging.getLogger("pcretrieve").addHandler(logging.NullHandler())
 
 __all__ = [
+    "Answer",
     "BenchmarkError",
     "Catalogue",
     "CatalogueError",
@@ -126,6 +138,7 @@ __all__ = [
     "reconstruct",
     "report",
     "search",
+    "search_many",
     "shape_dna",
     "signature",
     "signature_spread",
@@ -189,6 +202,7 @@ _HOMES = {
         "merge_views",
         "report",
         "search",
+        "search_many",
     ),
     "pcretrieve.matching": (
         "DistanceMatrix",
@@ -208,6 +222,7 @@ _HOMES = {
         "SignatureIndex",
         "Whitening",
     ),
+    "pcretrieve.searching": ("Answer",),
     "pcretrieve.spectral": (
         "eigenpairs",
         "laplace_beltrami",

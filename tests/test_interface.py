@@ -49,7 +49,10 @@ def command(*arguments: object) -> str:
 @pytest.mark.parametrize("whitening", ["none", "pca", "within-class"])
 def test_a_search_is_a_query(catalogue: Path, whitening: str) -> None:
     scan = catalogue.with_name("egg-0.off")
-    found = json.loads(command("query", scan, "-c", catalogue, "-k", 3, "--whitening", whitening, "--json"))
+    (answer,) = json.loads(
+        command("query", scan, "-c", catalogue, "-k", 3, "--whitening", whitening, "--json")
+    )
+    found = answer["results"]
     neighbors = pr.search(catalogue, scan, k=3, options={"retrieval": {"whitening": whitening}})
     assert [row["id"] for row in found] == list(neighbors.ids)
     assert [row["distance"] for row in found] == neighbors.distances.tolist()
@@ -78,10 +81,10 @@ def test_a_metric_of_labelled_scans_is_used_in_another_catalogue(catalogue: Path
         used = store.whitening(store.options.changed(**chosen))
     np.testing.assert_array_equal(used.matrix, expected.matrix)
     assert (used.kind, used.reason) == ("calibrated", f"within-class: 2 classes of 4 shapes, from {metric}")
-    found = json.loads(command("query", "egg-0", "-c", other, "--whitening", metric, "--json"))
+    (found,) = json.loads(command("query", "egg-0", "-c", other, "--whitening", metric, "--json"))
     neighbors = pr.search(other, "egg-0", options=chosen)
-    assert [row["distance"] for row in found] == neighbors.distances.tolist()
-    assert found != json.loads(command("query", "egg-0", "-c", other, "--whitening", "none", "--json"))
+    assert [row["distance"] for row in found["results"]] == neighbors.distances.tolist()
+    assert [found] != json.loads(command("query", "egg-0", "-c", other, "--whitening", "none", "--json"))
     again = pr.calibrate(catalogue, tmp_path / "again.npz")
     assert again.read_bytes() == metric.read_bytes()
     evaluated = json.loads(command("evaluate", "-c", catalogue, "--whitening", metric, "--json"))

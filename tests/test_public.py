@@ -42,7 +42,7 @@ def test_every_command_has_a_function() -> None:
     """All that the command line does can be done in Python."""
     functions = {
         "merge": "merge_views",
-        "query": "search",
+        "query": "search_many",
         "list": "Catalogue",
         "show": "Catalogue",
         "remove": "Catalogue",

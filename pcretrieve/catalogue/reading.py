@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 
 from pcretrieve.catalogue.record import Record
 from pcretrieve.catalogue.rows import Rows, Status
@@ -93,6 +93,10 @@ class StoredShapes:
     def get(self, shape_id: str) -> Record | None:
         """The record of a shape; None if there is no shape of this id."""
         return next(iter(self._rows.by_id([shape_id])), None)
+
+    def labelled(self, labels: Collection[str]) -> list[str]:
+        """The ids of the shapes of some classes that did not fail, in ascending order."""
+        return self._rows.labelled(labels)
 
     def with_content(self, content_hash: str) -> list[Record]:
         """The records of files with this content, including failed ones, in ascending order of id."""

@@ -142,6 +142,9 @@ class Rows(Protocol):
     def by_content(self, hashes: Collection[str]) -> list[Record]:
         """The records of some content hashes, by id; several files may have the same content."""
 
+    def labelled(self, labels: Collection[str]) -> list[str]:
+        """The ids of the shapes of some classes that did not fail, in ascending order."""
+
     def put(self, record: Record, signature: bytes | None, payloads: Mapping[Payload, bytes]) -> Record:
         """Store a shape by its path, and replace an earlier shape of this path.
 

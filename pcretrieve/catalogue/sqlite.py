@@ -115,6 +115,11 @@ class SqliteRows(Rows):
     def by_content(self, hashes: Collection[str]) -> list[Record]:
         return self._where("content_hash", hashes)
 
+    def labelled(self, labels: Collection[str]) -> list[str]:
+        # One class after the other, because there may be more classes than parameters of a query.
+        query = "SELECT id FROM shapes NOT INDEXED WHERE status = 'done' AND label = ?"
+        return sorted(shape_id for label in set(labels) for (shape_id,) in self._all(query, (label,)))
+
     def put(self, record: Record, signature: bytes | None, payloads: Mapping[Payload, bytes]) -> Record:
         with self._writing():
             earlier = self._all("SELECT number, id, status FROM shapes WHERE path = ?", (record.path,))

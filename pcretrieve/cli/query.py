@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import csv
+import io
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict
 from functools import partial
 from pathlib import Path
@@ -10,98 +13,217 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from pcretrieve.cli.comparison import compared, comparison_options, matrix_option, read_distances
-from pcretrieve.cli.messages import say, write_json
-from pcretrieve.cli.parts import catalogue_option, json_option, limit_options, unit_option
+from pcretrieve.cli.messages import say, write_json_list
+from pcretrieve.cli.parts import EXIT_SOME_FAILED, catalogue_option, json_option, limit_options, unit_option
 
 if TYPE_CHECKING:
+    from pcretrieve.errors import PcretrieveError, ShapeError
     from pcretrieve.options import PipelineOptions
-    from pcretrieve.types import Signature, Verdict
+    from pcretrieve.searching import Answer, Described
 
 __all__ = ["query_command"]
 
+CSV_COLUMNS = ("query", "rank", "id", "label", "distance", "path")
+
+Row = dict[str, Any]
+Outcomes = Iterator[tuple[str, "Answer | ShapeError"]]
+
+
+class LabelFilter(click.ParamType):  # type: ignore[type-arg]  # generic since click 8.3 only
+    """A condition ``label=CLASS`` on the shapes that are searched."""
+
+    name = "label=CLASS"
+
+    def convert(self, value: str, param: click.Parameter | None, ctx: click.Context | None) -> str:
+        """The class of a condition.
+
+        Parameters
+        ----------
+        value : str
+            The condition.
+        param : click.Parameter, optional
+            The option, for the message.
+        ctx : click.Context, optional
+            The command, for the message.
+
+        Returns
+        -------
+        str
+            The class.
+        """
+        key, mark, label = value.partition("=")
+        if key != "label" or not mark:
+            self.fail(f"must be label=CLASS, got {value!r}", param, ctx)
+        return label
+
 
 @click.command("query")
-@click.argument("scan", metavar="SCAN|ID")
+@click.argument("queries", nargs=-1, required=True, metavar="SCAN|FOLDER|ID...")
 @catalogue_option
 @click.option("-k", "k", type=click.IntRange(min=1), default=10, show_default=True, help="Number of results.")
+@click.option(
+    "--filter",
+    "labels",
+    type=LabelFilter(),
+    multiple=True,
+    help="Search only shapes of this class; several times: of these classes.",
+)
+@click.option(
+    "--exclude-self", is_flag=True, help="Leave a query that is in the catalogue out of its results."
+)
 @matrix_option
 @comparison_options
 @unit_option
 @limit_options("scan")
 @json_option
+@click.option("--csv", "as_csv", is_flag=True, help="Print one table of all results, as CSV.")
 def query_command(
-    scan: str,
+    queries: tuple[str, ...],
     catalogue: str,
     k: int,
+    labels: tuple[str, ...],
+    exclude_self: bool,
     matrix: Path | None,
     unit: str | None,
     timeout: float,
     memory: float | None,
     as_json: bool,
+    as_csv: bool,
     **comparison: Any,
 ) -> None:
-    """Find the shapes most similar to a scan, or to a shape of the catalogue, nearest first.
+    """Find the shapes most similar to scans, or to shapes of the catalogue, nearest first.
 
-    The scan is processed with the options of the catalogue, unless the catalogue has it already. An argument
-    that is not a file is the id of a shape.
+    A scan is processed with the options of the catalogue, unless the catalogue has it already. A folder
+    stands for all scans in it. An argument that is neither a file nor a folder is the id of a shape.
 
     \b
     pcretrieve query --catalogue bodies.sqlite scan.ply -k 5 --whitening pca
-    pcretrieve query --catalogue bodies.sqlite cat0
+    pcretrieve query --catalogue bodies.sqlite cat0 dog1 --exclude-self --filter label=cat
+    pcretrieve query --catalogue bodies.sqlite new_scans/ --csv
     """
     from pcretrieve.catalogue import Catalogue
-    from pcretrieve.searching import search
+    from pcretrieve.searching import search_many
 
+    if as_json and as_csv:
+        raise click.UsageError("choose one of --json and --csv")
     distances = read_distances(matrix, comparison)
+    failures: list[ShapeError] = []
     with Catalogue(catalogue) as store:
         options = compared(store, **comparison)
-        neighbors = search(
+        answers = search_many(
             store,
-            scan,
+            queries,
             k=k,
             options=options,
             matrix=distances,
             unit=unit,
-            describe_scan=partial(_signature, timeout, memory),
+            labels=labels or None,
+            exclude_self=exclude_self,
+            describe_scans=partial(_described, timeout, memory),
         )
-        records = [store.record(shape_id) for shape_id in neighbors.ids]
-        if distances is None and not as_json:
-            say(f"whitening: {store.whitening(options).reason}")
-    found = [
+        is_alone = len(queries) == 1 and not Path(queries[0]).is_dir()
+        outcomes = _with_messages(answers, failures, is_alone=is_alone)
+        if as_json:
+            write_json_list(_document(name, outcome) for name, outcome in outcomes)
+        elif as_csv:
+            _print_csv(outcomes)
+        else:
+            _print_lines(outcomes, headed=not is_alone)
+            if distances is None:
+                say(f"whitening: {store.whitening(options).reason}")
+    if failures:
+        click.get_current_context().exit(EXIT_SOME_FAILED)
+
+
+def _with_messages(outcomes: Outcomes, failures: list[ShapeError], *, is_alone: bool) -> Outcomes:
+    """The outcomes of the queries; failures are printed and collected, that of a query alone is raised."""
+    from pcretrieve.errors import ShapeError
+
+    for name, outcome in outcomes:
+        if isinstance(outcome, ShapeError):
+            if is_alone:
+                raise outcome
+            failures.append(outcome)
+            say(f"failed: {outcome}")
+        yield name, outcome
+
+
+def _document(name: str, outcome: Answer | ShapeError) -> Row:
+    """The outcome of one query, for JSON."""
+    from pcretrieve.searching import Answer
+
+    if isinstance(outcome, Answer):
+        return {"query": name, "results": _results(outcome)}
+    error = {"error": type(outcome).__name__, "stage": outcome.stage, "message": outcome.message}
+    return {"query": name, **error}
+
+
+def _results(answer: Answer) -> list[Row]:
+    """The results of one query, one row each."""
+    return [
         {
             "rank": rank,
             "id": record.id,
             "path": record.path,
             "label": record.label,
-            "distance": float(gap),
+            "distance": gap,
             "verdict": None if record.verdict is None else asdict(record.verdict),
         }
-        for rank, (record, gap) in enumerate(zip(records, neighbors.distances, strict=True), start=1)
-    ]
-    if as_json:
-        write_json(found)
-        return
-    for row, record in zip(found, records, strict=True):
-        doubt = f"  [{record.verdict}]" if record.is_doubtful else ""
-        click.echo(
-            f"{row['rank']:>4}  {row['distance']:<10.4g}  {row['label'] or '-':<16}  {row['id']:<24}  "
-            f"{row['path']}{doubt}"
+        for rank, (record, gap) in enumerate(
+            zip(answer.records, answer.neighbors.distances.tolist(), strict=True), start=1
         )
+    ]
 
 
-def _signature(timeout: float, memory: float | None, scan: Path, options: PipelineOptions) -> Signature:
+def _print_lines(outcomes: Outcomes, *, headed: bool) -> None:
+    """One line for each result, below a line with the query if there are several."""
+    from pcretrieve.searching import Answer
+
+    for name, answer in outcomes:
+        if not isinstance(answer, Answer):
+            continue
+        if headed:
+            click.echo(name)
+        for row, record in zip(_results(answer), answer.records, strict=True):
+            doubt = f"  [{record.verdict}]" if record.is_doubtful else ""
+            click.echo(
+                f"{row['rank']:>4}  {row['distance']:<10.4g}  {row['label'] or '-':<16}  {row['id']:<24}  "
+                f"{row['path']}{doubt}"
+            )
+
+
+def _print_csv(outcomes: Outcomes) -> None:
+    """One row for each result of each query."""
+    from pcretrieve.searching import Answer
+
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(CSV_COLUMNS)
+    for name, answer in outcomes:
+        if isinstance(answer, Answer):
+            rows = ({"query": name, **row} for row in _results(answer))
+            writer.writerows([row[column] for column in CSV_COLUMNS] for row in rows)
+    click.echo(text.getvalue(), nl=False)
+
+
+def _described(
+    timeout: float, memory: float | None, scans: Sequence[Path], options: PipelineOptions
+) -> Iterator[tuple[Path, Described | PcretrieveError]]:
+    """The signatures of scans, each computed in a worker process."""
     # Imported here, because it is not needed for shapes that the catalogue has.
+    from pcretrieve.errors import PcretrieveError
     from pcretrieve.ingestion.discover import printable
     from pcretrieve.ingestion.isolation import Isolation
 
-    described, verdict = Isolation(timeout, memory).call(_isolated_signature, scan, options)
-    if not verdict.is_sound:
-        say(f"{printable(scan)} is {verdict}")
-    return described
+    for scan, outcome in Isolation(timeout, memory).each(partial(_isolated, options), scans):
+        if not isinstance(outcome, PcretrieveError) and outcome.verdict and not outcome.verdict.is_sound:
+            say(f"{printable(scan)} is {outcome.verdict}")
+        yield scan, outcome
 
 
-def _isolated_signature(scan: Path, options: PipelineOptions) -> tuple[Signature, Verdict]:
+def _isolated(options: PipelineOptions, scan: Path) -> Described:
     """The signature of a scan and the verdict on it, in a worker process, which imports the stages."""
     from pcretrieve.pipeline.process import judged_signature
+    from pcretrieve.searching import Described
 
-    return judged_signature(scan, options)
+    return Described(*judged_signature(scan, options))

@@ -5,7 +5,8 @@ a scan as a path, an array, or geometry of this package or another.
 """
 
 from pcretrieve.interface.catalogues import CatalogueLike
-from pcretrieve.interface.retrieval import calibrate, evaluate, matrix, report, search
+from pcretrieve.interface.queries import search, search_many
+from pcretrieve.interface.retrieval import calibrate, evaluate, matrix, report
 from pcretrieve.interface.scans import ingest, inspect, merge_views
 
 __all__ = [
@@ -18,4 +19,5 @@ __all__ = [
     "merge_views",
     "report",
     "search",
+    "search_many",
 ]

@@ -1,11 +1,9 @@
-"""Catalogue → neighbours, measures, distances and pages: `search`, `evaluate`, `matrix` and `report`."""
+"""Catalogue → measures, whitenings, distances and pages: `evaluate`, `calibrate`, `matrix` and `report`."""
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 
-from pcretrieve.descriptors import describe
 from pcretrieve.evaluation import (
     RetrievalMeasures,
     catalogue_distances,
@@ -14,69 +12,13 @@ from pcretrieve.evaluation import (
     rank_table,
 )
 from pcretrieve.evaluation import calibrate as calibrate_catalogue
-from pcretrieve.formats.scans import ScanLike
 from pcretrieve.interface.catalogues import CatalogueLike, opened
 from pcretrieve.matching import DistanceMatrix
 from pcretrieve.options import OptionsLike, PipelineOptions
 from pcretrieve.pages.retrieval_page import retrieval_page
-from pcretrieve.pipeline.process import process
-from pcretrieve.searching import search as search_catalogue
-from pcretrieve.types import Neighbors, Signature, SignatureTable
+from pcretrieve.types import SignatureTable
 
-__all__ = ["calibrate", "evaluate", "matrix", "report", "search"]
-
-
-def search(
-    catalogue: CatalogueLike,
-    query: ScanLike | Signature,
-    *,
-    k: int = 10,
-    options: OptionsLike = None,
-    matrix: DistanceMatrix | None = None,
-    unit: str | None = None,
-) -> Neighbors:
-    """The shapes of a catalogue nearest to a scan.
-
-    Parameters
-    ----------
-    catalogue : Catalogue, str or Path
-        The catalogue that is searched.
-    query : ScanLike or Signature
-        The file of a scan, which is processed with the options of the catalogue unless the catalogue has a
-        shape of the same content; the id of a shape of the catalogue, as a str that is not the path of a
-        file; an array or geometry, which is processed; or a signature that was made with the same options.
-    k : int, default 10
-        Number of shapes. If the catalogue has fewer, all of them are returned.
-    options : OptionsLike, optional
-        Signature, distance and whitening. By default the options of the catalogue.
-    matrix : DistanceMatrix, optional
-        Distances that replace the distances of signatures, for a query that the catalogue has.
-    unit : str, optional
-        Unit of the query (``um mm cm dm m km in ft``), if it does not have one itself; by default that of the
-        options of the catalogue. Matters only if sizes are compared.
-
-    Returns
-    -------
-    Neighbors
-        Nearest first; equal distances by id.
-
-    Raises
-    ------
-    CatalogueError
-        If the options require other spectra than the catalogue has.
-    InputError
-        If the catalogue has no shapes; or, with `matrix`, does not have this query; or if sizes are compared
-        and one of the units, of the query and of the shapes, is known and the other is not.
-    ShapeError
-        If the scan cannot be read or has no usable surface.
-    """
-    with opened(catalogue) as store:
-        chosen = PipelineOptions.of(options, store.options)
-        if not isinstance(query, (str, Path, Signature)):
-            own = store.options if unit is None else store.options.changed(scan={"unit": unit})
-            made = describe(process(query, own), chosen.compared)
-            query = replace(made, digest=chosen.compared_digest)
-        return search_catalogue(store, query, k=k, options=chosen, matrix=matrix, unit=unit)
+__all__ = ["calibrate", "evaluate", "matrix", "report"]
 
 
 def evaluate(

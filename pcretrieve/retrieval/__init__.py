@@ -30,6 +30,7 @@ from pcretrieve.retrieval.reranking import (
     reranked_neighbors,
 )
 from pcretrieve.retrieval.resolution import resolution_covariance, resolution_whitening
+from pcretrieve.retrieval.subsets import nearest_among
 from pcretrieve.retrieval.whitening import (
     CALIBRATED,
     WHITENINGS,
@@ -59,6 +60,7 @@ __all__ = [
     "coordinates",
     "fit_whitening",
     "log_signatures",
+    "nearest_among",
     "nearest_of",
     "neighbour_lists",
     "pairwise",

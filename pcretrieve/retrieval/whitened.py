@@ -14,6 +14,7 @@ from pcretrieve.retrieval.distances import coordinates
 from pcretrieve.retrieval.filtering import Filter
 from pcretrieve.retrieval.lower_bounds import CHUNK
 from pcretrieve.retrieval.names import Names
+from pcretrieve.retrieval.ranking import position_of
 from pcretrieve.retrieval.units import check_unit
 from pcretrieve.retrieval.whitening import Whitening
 from pcretrieve.types import FloatArray, Metric, Signature, SignatureTable, SizeUnit
@@ -121,13 +122,13 @@ class WhitenedTable:
             points[chunk] = whitening.apply(points[chunk])
         return cls(made_by, ids, whitening, Filter.of(distance, points))
 
-    def point_of(self, signature: Signature | ArrayLike) -> FloatArray:
+    def point_of(self, query: str | Signature | ArrayLike) -> FloatArray:
         """The whitened coordinates of a query, after checks that it is comparable with the table.
 
         Parameters
         ----------
-        signature : Signature or (L,) array_like
-            The query.
+        query : str, Signature or (L,) array_like
+            The id of a shape of the table, or a signature.
 
         Returns
         -------
@@ -137,13 +138,17 @@ class WhitenedTable:
         Raises
         ------
         InputError
-            If the kind, the digest, the unit or the length of the signature is not that of the table, or the
-            metric does not allow a value.
+            If the table has no shape of this id; if the kind, the digest, the unit or the length of the
+            signature is not that of the table, or the metric does not allow a value.
         """
-        if isinstance(signature, Signature):
-            self.made_by.check(signature)
-            signature = signature.values
-        point = coordinates(signature, self.made_by.metric)
+        if isinstance(query, str):
+            place = position_of(self.ids, query)
+            held: FloatArray = self.filter.points[place : place + 1]
+            return held
+        if isinstance(query, Signature):
+            self.made_by.check(query)
+            query = query.values
+        point = coordinates(query, self.made_by.metric)
         row = self.filter.points.shape[1:]
         if point.shape != row:
             raise InputError(f"the query must have shape {row}, as the table's rows have, got {point.shape}")

@@ -114,6 +114,15 @@ def test_doubtful_shapes(rows: Rows) -> None:
     assert ids(rows.page(after="b", limit=10, status="done", doubtful=True)) == ["d"]
 
 
+def test_shapes_of_some_classes(rows: Rows) -> None:
+    rows.put(record("f", label="other"), signature("f"), {})
+    rows.put(record("g", label=None), signature("g"), {})
+    rows.put(replace(failure("h"), label="label"), None, {})
+    assert rows.labelled(["label"]) == ["a", "b", "c", "d"]
+    assert rows.labelled(["other", "label", "nobody"]) == ["a", "b", "c", "d", "f"]
+    assert rows.labelled([]) == []
+
+
 def test_records_by_id_and_by_content(rows: Rows) -> None:
     rows.put(record("f", content_hash="hash-b"), signature("f"), {})
     assert ids(rows.by_id(["d", "nobody", "a", "d"])) == ["a", "d"]

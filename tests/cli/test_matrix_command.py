@@ -148,7 +148,7 @@ def test_a_matcher_makes_a_matrix_that_ranks(folder: Path, tmp_path: Path) -> No
     found = document("evaluate", "-c", folder / "c.sqlite", "--matrix", path)
     assert (found["n_queries"], found["n_failed"]) == (10, 1)
     query = ("query", "-c", folder / "c.sqlite", folder / "10.off", "--matrix", path, "--json")
-    assert json.loads(run(*query).stdout)[0]["id"] == "10"
+    assert json.loads(run(*query).stdout)[0]["results"][0]["id"] == "10"
 
 
 def test_shapes_that_a_matcher_fails_on_are_named_and_left_out(

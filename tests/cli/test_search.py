@@ -6,6 +6,7 @@ import json
 import re
 from dataclasses import asdict, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -57,6 +58,13 @@ def run(*arguments: object, code: int = 0) -> Result:
     return result
 
 
+def results(done: Result) -> list[dict[str, Any]]:
+    """The results of the only query."""
+    (answer,) = json.loads(done.stdout)
+    found: list[dict[str, Any]] = answer["results"]
+    return found
+
+
 def own(catalogue: Path) -> str:
     with Catalogue(catalogue) as store:
         return store.options.signature.measured_by
@@ -101,8 +109,7 @@ def test_resolution_is_for_the_descriptor_that_it_was_measured_for(catalogue: Pa
 def test_queries_and_pages_do_as_evaluation_does(catalogue: Path, files: list[Path], tmp_path: Path) -> None:
     def gaps(*chosen: str) -> list[float]:
         return [
-            row["distance"]
-            for row in json.loads(run("query", "-c", catalogue, files[0], *chosen, "--json").stdout)
+            row["distance"] for row in results(run("query", "-c", catalogue, files[0], *chosen, "--json"))
         ]
 
     assert gaps(*PCA) == gaps(*PCA, "--scale", "relative")
@@ -118,7 +125,7 @@ def test_queries_and_pages_do_as_evaluation_does(catalogue: Path, files: list[Pa
 def test_python_and_the_command_give_the_same_numbers(
     whitening: str, catalogue: Path, files: list[Path]
 ) -> None:
-    printed = json.loads(run("query", "-c", catalogue, files[0], "--whitening", whitening, "--json").stdout)
+    printed = results(run("query", "-c", catalogue, files[0], "--whitening", whitening, "--json"))
     with Catalogue(catalogue) as store:
         found = search(store, files[0], options=store.options.changed(retrieval={"whitening": whitening}))
     assert [row["id"] for row in printed] == list(found.ids)
@@ -131,7 +138,7 @@ def test_lists_are_sorted_again_and_both_rows_are_printed(catalogue: Path, files
     assert [row.split()[-1] for row in both[1:]] == ["plain", "k-reciprocal"]
     assert both[1].removesuffix("  plain") == plain[1]
     query = ("query", "-c", catalogue, files[0], "--json")
-    before, after = (json.loads(run(*query, "--rerank", how).stdout) for how in ("none", "local"))
+    before, after = (results(run(*query, "--rerank", how)) for how in ("none", "local"))
     assert [row["id"] for row in before[:2]] == [row["id"] for row in after[:2]]
     assert {row["id"] for row in before} == {row["id"] for row in after}
 
@@ -206,7 +213,7 @@ def test_size_distinguishes_bodies_of_one_form(tmp_path: Path) -> None:
         ingest_files(scans, store)
 
     def nearest(*chosen: object) -> str:
-        return str(json.loads(run("query", "-c", path, scans[0], *chosen, "--json").stdout)[1]["id"])
+        return str(results(run("query", "-c", path, scans[0], *chosen, "--json"))[1]["id"])
 
     assert nearest() == "b"
     assert nearest("--size-weight", 6) == "c"

@@ -148,7 +148,7 @@ def test_a_descriptor_of_another_package_is_used_like_any_other(
     assert len(stored["body"]) == 59
     np.testing.assert_allclose(stored["body"][[0, -1]], found[[0, -1]], rtol=1e-6)
     asked = run("query", "-c", catalogue, scan, "--method", "girth", "--json")
-    assert [row["id"] for row in json.loads(asked.stdout)] == ["body", "egg"], asked.stderr
+    assert [row["id"] for row in json.loads(asked.stdout)[0]["results"]] == ["body", "egg"], asked.stderr
 
 
 @pytest.mark.usefixtures("installed")

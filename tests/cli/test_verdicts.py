@@ -63,7 +63,8 @@ def test_a_result_comes_with_its_verdict(path: Path) -> None:
     found = {line.split()[3]: line for line in run("query", "-c", path, "a1").stdout.splitlines()}
     assert found["b3"].endswith("[unusable, ± 2: closed ends: many]")
     assert found["a3"].endswith(".off") and found["b1"].endswith(".off")
-    (row,) = [row for row in json.loads(run("query", "-c", path, "a1", "--json").stdout) if row["id"] == "a2"]
+    (answer,) = json.loads(run("query", "-c", path, "a1", "--json").stdout)
+    (row,) = [row for row in answer["results"] if row["id"] == "a2"]
     assert row["verdict"] == {"judgement": "doubtful", "uncertainty": 0.4, "reasons": ["gaps: wide"]}
 
 

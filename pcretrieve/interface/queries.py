@@ -1,0 +1,139 @@
+"""Catalogue and queries → ranked shapes: `search` and `search_many`."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterable, Iterator
+from dataclasses import replace
+from pathlib import Path
+
+from pcretrieve import searching
+from pcretrieve.descriptors import describe
+from pcretrieve.errors import ShapeError
+from pcretrieve.formats.scans import ScanLike
+from pcretrieve.interface.catalogues import CatalogueLike, opened
+from pcretrieve.matching import DistanceMatrix
+from pcretrieve.options import OptionsLike, PipelineOptions
+from pcretrieve.pipeline.process import process
+from pcretrieve.searching import Answer
+from pcretrieve.types import Neighbors, Signature
+
+__all__ = ["search", "search_many"]
+
+
+def search(
+    catalogue: CatalogueLike,
+    query: ScanLike | Signature,
+    *,
+    k: int = 10,
+    options: OptionsLike = None,
+    matrix: DistanceMatrix | None = None,
+    unit: str | None = None,
+    labels: Collection[str] | None = None,
+    exclude_self: bool = False,
+) -> Neighbors:
+    """The shapes of a catalogue nearest to a scan.
+
+    Parameters
+    ----------
+    catalogue : Catalogue, str or Path
+        The catalogue that is searched.
+    query : ScanLike or Signature
+        The file of a scan, which is processed with the options of the catalogue unless the catalogue has a
+        shape of the same content; the id of a shape of the catalogue, as a str that is not the path of a
+        file; an array or geometry, which is processed; or a signature that was made with the same options.
+    k : int, default 10
+        Number of shapes. If the catalogue has fewer, all of them are returned.
+    options : OptionsLike, optional
+        Signature, distance and whitening. By default the options of the catalogue.
+    matrix : DistanceMatrix, optional
+        Distances that replace the distances of signatures, for a query that the catalogue has.
+    unit : str, optional
+        Unit of the query (``um mm cm dm m km in ft``), if it does not have one itself; by default that of the
+        options of the catalogue. Matters only if sizes are compared.
+    labels : collection of str, optional
+        The classes whose shapes are searched; by default all shapes.
+    exclude_self : bool, default False
+        Whether a query that is a shape of the catalogue is left out of its own results.
+
+    Returns
+    -------
+    Neighbors
+        Nearest first; equal distances by id.
+
+    Raises
+    ------
+    CatalogueError
+        If the options require other spectra than the catalogue has.
+    InputError
+        If the catalogue has no shapes, or none of these classes; or, with `matrix`, does not have this query;
+        or if sizes are compared and one of the units, of the query and of the shapes, is known and the other
+        is not.
+    ShapeError
+        If the scan cannot be read or has no usable surface.
+    """
+    with opened(catalogue) as store:
+        chosen = PipelineOptions.of(options, store.options)
+        if not isinstance(query, (str, Path, Signature)):
+            own = store.options if unit is None else store.options.changed(scan={"unit": unit})
+            made = describe(process(query, own), chosen.compared)
+            query = replace(made, digest=chosen.compared_digest)
+        return searching.search(
+            store,
+            query,
+            k=k,
+            options=chosen,
+            matrix=matrix,
+            unit=unit,
+            labels=labels,
+            exclude_self=exclude_self,
+        )
+
+
+def search_many(
+    catalogue: CatalogueLike,
+    queries: Iterable[str | Path | Signature],
+    *,
+    k: int = 10,
+    options: OptionsLike = None,
+    matrix: DistanceMatrix | None = None,
+    unit: str | None = None,
+    labels: Collection[str] | None = None,
+    exclude_self: bool = False,
+) -> Iterator[tuple[str, Answer | ShapeError]]:
+    """Answer several queries, in their order.
+
+    Parameters
+    ----------
+    catalogue : Catalogue, str or Path
+        The catalogue that is searched.
+    queries : iterable of str, Path or Signature
+        Each as in `search`, or a folder, which stands for all scans in it. A str that is the id of a shape is
+        that shape, also if there is a folder of this name.
+    k, options, matrix, unit, labels, exclude_self
+        As in `search`.
+
+    Yields
+    ------
+    name : str
+        The query: its path or its id, the path of each scan of a folder, or the kind of a signature.
+    answer : Answer or ShapeError
+        The neighbours and their records, or the error of a scan that cannot be read or has no usable surface.
+
+    Raises
+    ------
+    CatalogueError
+        If the options require other spectra than the catalogue has.
+    InputError
+        As by `search`, before the first answer.
+    """
+    with opened(catalogue) as store:
+        yield from searching.search_many(
+            store,
+            queries,
+            k=k,
+            options=PipelineOptions.of(options, store.options),
+            matrix=matrix,
+            unit=unit,
+            labels=labels,
+            exclude_self=exclude_self,
+        )

@@ -1,0 +1,39 @@
+"""The nearest neighbours of a query among some of the shapes of an index."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from pcretrieve.retrieval.distances import pairwise
+from pcretrieve.retrieval.index import SignatureIndex
+from pcretrieve.retrieval.ranking import nearest_of, position_of
+from pcretrieve.types import FloatArray, Neighbors
+
+__all__ = ["nearest_among"]
+
+
+def nearest_among(index: SignatureIndex, point: FloatArray, ids: Sequence[str], k: int) -> Neighbors:
+    """The nearest neighbours of a query among some shapes, all of which are compared.
+
+    Parameters
+    ----------
+    index : SignatureIndex
+        The shapes.
+    point : (1, L) float64
+        Whitened coordinates of the query.
+    ids : sequence of str
+        The shapes among which neighbours are searched; distinct. Shapes that the index does not have, because
+        they were stored after it was made, are ignored.
+    k : int
+        Number of neighbours, at least 1; all if there are fewer.
+
+    Returns
+    -------
+    Neighbors
+        Nearest first; equal distances by identifier. Distances are those that the index finds among all
+        shapes, bit for bit.
+    """
+    known = [shape_id for shape_id in ids if shape_id in index.ids]
+    rows = [position_of(index.ids, shape_id) for shape_id in known]
+    distances = pairwise(index.distance, point, index.contents.filter.points[rows])[0]
+    return nearest_of(known, distances, k)

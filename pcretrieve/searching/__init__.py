@@ -1,0 +1,11 @@
+"""Catalogue and queries → ranked shapes.
+
+In come a catalogue, and scans, stored shapes or signatures; out come the identifiers of the nearest shapes
+and their distances.
+"""
+
+from pcretrieve.searching.answering import search, search_many
+from pcretrieve.searching.answers import Answer
+from pcretrieve.searching.queries import Described
+
+__all__ = ["Answer", "Described", "search", "search_many"]

@@ -1,0 +1,153 @@
+"""What a query names: a shape of the catalogue, the file of a scan, the scans of a folder, or a signature."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from pcretrieve.catalogue import Catalogue
+from pcretrieve.errors import InputError, ScanReadError
+from pcretrieve.types import Signature, Verdict
+
+__all__ = ["Described", "Query", "queries_of", "query_of"]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Described:
+    """The signature of a query.
+
+    Attributes
+    ----------
+    signature : Signature
+        The signature, by the options of the search.
+    verdict : Verdict or None
+        Whether it can be relied on; None if the scan was not judged.
+    """
+
+    signature: Signature
+    verdict: Verdict | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Query:
+    """One query of a search.
+
+    Attributes
+    ----------
+    name : str
+        The path or the id, as it was given; the path of each scan of a folder; the kind of a signature.
+    of : str, Path or Signature
+        The id of a shape of the catalogue, the file of a scan that the catalogue does not have, or a
+        signature.
+    """
+
+    name: str
+    of: str | Path | Signature
+
+
+def query_of(catalogue: Catalogue, query: str | Path | Signature, *, is_converted: bool) -> Query:
+    """Find what a query names.
+
+    Parameters
+    ----------
+    catalogue : Catalogue
+        The catalogue that is searched.
+    query : str, Path or Signature
+        The file of a scan; the id of a shape of the catalogue, as a str that is not the path of a file; or a
+        signature.
+    is_converted : bool
+        Whether files are read in another unit than those of the catalogue, so that a shape of the same
+        content does not stand for them.
+
+    Returns
+    -------
+    Query
+        The query; a file whose content the catalogue has is the shape of the catalogue.
+
+    Raises
+    ------
+    InputError
+        If the query is neither a file nor the id of a shape that has a signature.
+    ScanReadError
+        If a file cannot be read.
+    """
+    if isinstance(query, Signature):
+        return Query(query.kind, query)
+    path, name = Path(query), str(query)
+    # Readers are imported for files only, because they are not needed to look up an id.
+    if isinstance(query, str) and (path.is_dir() or not (path.exists() or _is_in_a_file(path))):
+        return Query(name, _stored(catalogue, query))
+    if is_converted:
+        return Query(name, path)
+    from pcretrieve.ingestion.discover import content_hash
+
+    done = (record.id for record in catalogue.with_content(content_hash(path)) if record.status == "done")
+    return Query(name, next(done, path))
+
+
+def queries_of(
+    catalogue: Catalogue, queries: Iterable[str | Path | Signature], *, is_converted: bool
+) -> list[Query]:
+    """Find what several queries name.
+
+    Parameters
+    ----------
+    catalogue : Catalogue
+        The catalogue that is searched.
+    queries : iterable of str, Path or Signature
+        Each as in `query_of`, or a folder, which stands for all scans in it. A str that is the id of a shape
+        is that shape, also if there is a folder of this name.
+    is_converted : bool
+        As in `query_of`.
+
+    Returns
+    -------
+    list of Query
+        At least one for each of `queries`, in their order. A file that cannot be read is a query of its path.
+
+    Raises
+    ------
+    InputError
+        If a query is neither a file, a folder of scans, nor the id of a shape that has a signature.
+    """
+    return [found for query in queries for found in _expanded(catalogue, query, is_converted=is_converted)]
+
+
+def _expanded(catalogue: Catalogue, query: str | Path | Signature, *, is_converted: bool) -> Iterator[Query]:
+    """The queries of a folder, or the one query that is given."""
+    scans: list[str | Path | Signature] = [query]
+    is_folder = not isinstance(query, Signature) and Path(query).is_dir()
+    if is_folder and (isinstance(query, Path) or catalogue.get(str(query)) is None):
+        from pcretrieve.ingestion.discover import discover
+
+        scans = list(discover([str(query)]))
+    for scan in scans:
+        try:
+            yield query_of(catalogue, scan, is_converted=is_converted)
+        except ScanReadError:
+            yield Query(str(scan), Path(str(scan)))  # reading it as a scan will report why
+
+
+def _is_in_a_file(path: Path) -> bool:
+    """Whether a path ``file#name`` names one of the scans in a file."""
+    if "#" not in path.name:
+        return False
+    from pcretrieve.formats import split_member
+
+    return split_member(path)[0].exists()
+
+
+def _stored(catalogue: Catalogue, shape_id: str) -> str:
+    """An id, after a check that its shape has a signature."""
+    record = catalogue.get(shape_id)
+    if record is None:
+        raise InputError(
+            f"a query must be the file of a scan or the id of a shape, {shape_id!r} is no file and no shape "
+            f"of {catalogue.location}; `pcretrieve list` names the shapes"
+        )
+    if record.status != "done":
+        raise InputError(
+            f"shape {shape_id!r} has no signature: it failed in {record.stage}: {record.message}"
+        )
+    return shape_id

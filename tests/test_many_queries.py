@@ -1,0 +1,160 @@
+"""Several queries at once, in some classes or without themselves: the ranks are those of all shapes."""
+
+from __future__ import annotations
+
+import csv
+import json
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import pytest
+import shapes
+from click.testing import CliRunner, Result
+
+import pcretrieve as pr
+from pcretrieve.cli.main import cli
+from pcretrieve.errors import InputError, ScanReadError
+from pcretrieve.types import Neighbors
+
+N_KINDS, N_EACH = 3, 4
+RERANKINGS = ("none", "local", "k-reciprocal")
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Eggs of three kinds in a catalogue, and two scans in a folder that it does not have."""
+    folder = tmp_path_factory.mktemp("eggs")
+    (folder / "stored").mkdir()
+    labels = {}
+    for kind in range(N_KINDS):
+        for number in range(N_EACH):
+            name = f"{kind}{number}"
+            egg = shapes.ellipsoid((1 + 0.1 * number, 1, 1.2 + 0.15 * kind), subdivisions=3)
+            pr.write_mesh(egg, folder / "stored" / f"{name}.off")
+            labels[name] = f"kind{kind}"
+    pr.ingest(folder / "stored", folder / "c.sqlite", labels=labels, workers=1)
+    (folder / "new").mkdir()
+    for kind in range(2):
+        egg = shapes.ellipsoid((1.05, 1, 1.21 + 0.15 * kind), subdivisions=3)
+        pr.write_mesh(egg, folder / "new" / f"new{kind}.off")
+    return folder
+
+
+@pytest.fixture(scope="module")
+def catalogue(folder: Path) -> Path:
+    return folder / "c.sqlite"
+
+
+def run(*arguments: object, code: int = 0) -> Result:
+    result = CliRunner().invoke(cli, [str(word) for word in arguments])
+    assert result.exit_code == code, result.output
+    return result
+
+
+def among(found: Neighbors, ids: Sequence[str], k: int) -> Neighbors:
+    """The first results that are some shapes."""
+    rows = [row for row, name in enumerate(found.ids) if name in ids][:k]
+    return Neighbors(tuple(found.ids[row] for row in rows), found.distances[rows])
+
+
+@pytest.mark.parametrize("distance", ["log", "d1", "d2"])
+def test_ranks_in_some_classes_are_those_among_all_shapes(distance: str, catalogue: Path) -> None:
+    options = {"retrieval": {"distance": distance}}
+    signature = pr.signature(shapes.ellipsoid((1.02, 1, 1.3), subdivisions=3))
+    some = [f"{kind}{number}" for kind in (0, 2) for number in range(N_EACH)]
+    for query in ("11", "01", signature):
+        everything = pr.search(catalogue, query, k=N_KINDS * N_EACH, options=options)
+        found = pr.search(catalogue, query, k=5, options=options, labels=["kind2", "kind0"])
+        assert found == among(everything, some, 5)
+
+
+def test_a_matrix_is_filtered_too(catalogue: Path) -> None:
+    matrix = pr.matrix(catalogue)
+    found = pr.search(catalogue, "11", k=3, matrix=matrix, labels=["kind0"])
+    assert found == pr.search(catalogue, "11", k=3, labels=["kind0"])
+    alone = pr.search(catalogue, "11", k=3, matrix=matrix, exclude_self=True)
+    assert alone == pr.search(catalogue, "11", k=3, exclude_self=True)
+
+
+@pytest.mark.parametrize("rerank", RERANKINGS)
+def test_a_query_can_be_left_out_of_its_results(rerank: str, catalogue: Path, folder: Path) -> None:
+    options = {"retrieval": {"rerank": rerank}}
+    with_itself = pr.search(catalogue, "11", k=4, options=options)
+    assert with_itself.ids[0] == "11"
+    without = pr.search(catalogue, "11", k=3, options=options, exclude_self=True)
+    assert without.ids == with_itself.ids[1:]
+    np.testing.assert_array_equal(without.distances, with_itself.distances[1:])
+    stored = folder / "stored" / "11.off"
+    assert pr.search(catalogue, stored, k=3, options=options, exclude_self=True) == without
+    other = folder / "new" / "new0.off"
+    assert pr.search(catalogue, other, exclude_self=True) == pr.search(catalogue, other)
+
+
+def test_an_unknown_class(catalogue: Path) -> None:
+    with pytest.raises(InputError, match="is of the class none or nothing; `pcretrieve list` shows"):
+        pr.search(catalogue, "11", labels=["nothing", "none"])
+
+
+def test_many_queries_are_answered_like_each(catalogue: Path, folder: Path) -> None:
+    queries = ["11", folder / "new", str(folder / "stored" / "20.off")]
+    answers = dict(pr.search_many(catalogue, queries, k=3))
+    scans = [str(folder / "new" / f"new{kind}.off") for kind in range(2)]
+    assert list(answers) == ["11", *scans, queries[2]]
+    for name, answer in answers.items():
+        assert isinstance(answer, pr.Answer)
+        assert answer.neighbors == pr.search(catalogue, name, k=3)
+        assert answer.labels == tuple(f"kind{shape_id[0]}" for shape_id in answer.neighbors.ids)
+
+
+def test_wrong_queries_are_refused_before_the_work(catalogue: Path, folder: Path) -> None:
+    with pytest.raises(InputError, match="'nobody' is no file and no shape"):
+        next(pr.search_many(catalogue, [folder / "new", "nobody"]))
+    with pytest.raises(InputError, match=r"a distance matrix ranks shapes .* does not hold .*new0\.off"):
+        next(pr.search_many(catalogue, ["11", folder / "new"], matrix=pr.matrix(catalogue)))
+
+
+def test_what_is_printed_of_many(catalogue: Path, folder: Path) -> None:
+    asked = ("query", "11", folder / "new", "-c", catalogue, "-k", 2)
+    names = ["11", *(str(folder / "new" / f"new{kind}.off") for kind in range(2))]
+    expected = [pr.search(catalogue, name, k=2) for name in names]
+    lines = run(*asked).stdout.splitlines()
+    assert lines[::3] == names
+    assert [line.split()[3] for line in lines if line not in names] == [
+        name for found in expected for name in found.ids
+    ]
+    documents = json.loads(run(*asked, "--json").stdout)
+    assert [document["query"] for document in documents] == names
+    for document, found in zip(documents, expected, strict=True):
+        assert [row["distance"] for row in document["results"]] == found.distances.tolist()
+    rows = list(csv.DictReader(run(*asked, "--csv").stdout.splitlines()))
+    assert [(row["query"], row["rank"], row["id"]) for row in rows] == [
+        (name, str(rank), shape_id)
+        for name, found in zip(names, expected, strict=True)
+        for rank, shape_id in enumerate(found.ids, start=1)
+    ]
+
+
+def test_conditions_on_the_command_line(catalogue: Path) -> None:
+    asked = ("query", "11", "-c", catalogue, "-k", 20)
+    filters = ("--filter", "label=kind0", "--filter", "label=kind1", "--exclude-self")
+    found = [line.split()[3] for line in run(*asked, *filters).stdout.splitlines()]
+    assert found == list(pr.search(catalogue, "11", k=20, labels=["kind0", "kind1"], exclude_self=True).ids)
+    assert len(found) == 2 * N_EACH - 1
+    assert "must be label=CLASS, got 'kind0'" in run(*asked, "--filter", "kind0", code=2).stderr
+    assert "choose one of --json and --csv" in run(*asked, "--json", "--csv", code=2).stderr
+
+
+def test_a_scan_that_fails_does_not_stop_the_others(catalogue: Path, folder: Path, tmp_path: Path) -> None:
+    broken = tmp_path / "broken.off"
+    broken.write_text("OFF\n1 1 0\n")
+    queries = (folder / "new" / "new0.off", broken, "11")
+    done = run("query", *queries, "-c", catalogue, "-k", 1, "--json", code=3)
+    documents = json.loads(done.stdout)
+    assert ["results" in document for document in documents] == [True, False, True]
+    assert (documents[1]["error"], documents[1]["stage"]) == ("ScanReadError", "read")
+    assert f"failed: [broken.off / read] {documents[1]['message']}" in done.stderr
+    answers = dict(pr.search_many(catalogue, queries, k=1))
+    assert isinstance(answers[str(broken)], ScanReadError)
+    alone = CliRunner().invoke(cli, ["query", str(broken), "-c", str(catalogue)])
+    assert isinstance(alone.exception, ScanReadError)
