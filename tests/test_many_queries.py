@@ -97,7 +97,7 @@ def test_an_unknown_class(catalogue: Path) -> None:
 
 
 def test_many_queries_are_answered_like_each(catalogue: Path, folder: Path) -> None:
-    queries = ["11", folder / "new", str(folder / "stored" / "20.off")]
+    queries: list[str | Path] = ["11", folder / "new", str(folder / "stored" / "20.off")]
     answers = dict(pr.search_many(catalogue, queries, k=3))
     scans = [str(folder / "new" / f"new{kind}.off") for kind in range(2)]
     assert list(answers) == ["11", *scans, queries[2]]

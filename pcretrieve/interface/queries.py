@@ -109,8 +109,18 @@ def search_many(
     queries : iterable of str, Path or Signature
         Each as in `search`, or a folder, which stands for all scans in it. A str that is the id of a shape is
         that shape, also if there is a folder of this name.
-    k, options, matrix, unit, labels, exclude_self
-        As in `search`.
+    k : int, default 10
+        Number of shapes for each query. If the catalogue has fewer, all of them are returned.
+    options : OptionsLike, optional
+        Signature, distance and whitening. By default the options of the catalogue.
+    matrix : DistanceMatrix, optional
+        Distances that replace the distances of signatures, for queries that the catalogue has.
+    unit : str, optional
+        Unit of the files of the queries, as in `search`.
+    labels : collection of str, optional
+        The classes whose shapes are searched; by default all shapes.
+    exclude_self : bool, default False
+        Whether a query that is a shape of the catalogue is left out of its own results.
 
     Yields
     ------

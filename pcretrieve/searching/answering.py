@@ -120,7 +120,7 @@ def search_many(
         The catalogue that is searched.
     queries : iterable of str, Path or Signature
         Each as in `search`, or a folder, which stands for all scans in it.
-    k, options, matrix, unit, labels, exclude_self
+    k, options, matrix, unit, labels, exclude_self : object
         As in `search`.
     describe_scans : callable, optional
         Computes the signatures of scans that the catalogue does not have, with given options, in their order;
