@@ -41,9 +41,13 @@ ROUNDING = 64 * float(np.finfo(np.float64).eps)
 # Exact distances in the second step, relative to k. See docs/decisions.md, N_FIRST.
 N_FIRST = 4
 
+# Largest number of shapes, relative to k, for which no smaller radius is computed after the last turn. See
+# docs/decisions.md, N_FIRST.
+N_LAST = 16
+
 # Number of blocks of the first turn, and its growth from turn to turn. See docs/decisions.md, N_BLOCKS.
-N_BLOCKS = 8
-GROWTH = 4
+N_BLOCKS = 2
+GROWTH = 16
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -158,19 +162,18 @@ class Filter:
         to_blocks = self.bounds.to_blocks(query)
         order = np.argsort(to_blocks, kind="stable")
         rows, to_rows = np.empty(0, np.int32), np.empty(0, np.float32)
-        radius, limit, start, n = math.inf, math.inf, 0, N_BLOCKS
-        while start < len(order):
+        limit, start, n = math.inf, 0, N_BLOCKS
+        while start < len(order) and to_blocks[order[start]] <= limit:
             chosen = order[start : start + n]
-            chosen = chosen[to_blocks[chosen] <= limit]
-            if not len(chosen):
-                break
-            found = self.bounds.to_rows(query, chosen, limit, scan)
+            found = self.bounds.to_rows(query, chosen[to_blocks[chosen] <= limit], limit, scan)
             rows, to_rows = np.concatenate([rows, found[0]]), np.concatenate([to_rows, found[1]])
-            radius = min(radius, self._radius(point, k, rows, to_rows))
-            limit = self.bounds.limit(radius)
+            start, n = start + n, GROWTH * n
+            is_last = start >= len(order) or to_blocks[order[start]] > limit
+            if is_last and len(rows) <= N_LAST * k:
+                break
+            limit = min(limit, self.bounds.limit(self._radius(point, k, rows, to_rows)))
             near = ~(to_rows > limit)
             rows, to_rows = rows[near], to_rows[near]
-            start, n = start + n, GROWTH * n
         return np.sort(rows).astype(np.intp)
 
     def to_arrays(self) -> dict[str, NDArray[Any]]:

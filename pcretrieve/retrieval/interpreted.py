@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcretrieve.retrieval.blocks import NO_ROW, Codes, Rows
+from pcretrieve.types import FloatArray
 
 __all__ = ["scan"]
 
@@ -16,11 +17,13 @@ N_TOGETHER = 32
 def scan(
     codes: Codes,
     rows: Rows,
+    low: FloatArray,
+    step: FloatArray,
     blocks: NDArray[np.intp],
-    offset: NDArray[np.float32],
-    step: NDArray[np.float32],
-    half: NDArray[np.float32],
-    clip: np.float32,
+    query: FloatArray,
+    half: float,
+    clip: float,
+    rounding: float,
     limit: np.float32,
     near: Rows,
     bounds: NDArray[np.float32],
@@ -33,16 +36,18 @@ def scan(
         As in `Blocks`.
     rows : (B, S) int32
         As in `Blocks`.
+    low, step : (B, D) float64
+        As in `Blocks`.
     blocks : (b,) intp
         The blocks.
-    offset : (b, D) float32
-        Coordinates of the centre of the first cell of each of these blocks, minus those of the query.
-    step : (b, D) float32
-        Lengths of the cells.
-    half : (b, D) float32
-        Half the lengths of the cells, enlarged by the rounding error.
-    clip : float32
-        Largest term of a sum of magnitudes; zero for a sum of squares.
+    query : (D,) float64
+        Coordinates of the query.
+    half : float
+        Half the length of a cell relative to its length, enlarged by the rounding error.
+    clip : float
+        c, the largest term of a sum of magnitudes; zero for a sum of squares.
+    rounding : float
+        Factor of the sum of h that allows for rounding errors.
     limit : float32
         The largest lower bound.
     near : (b * S,) int32
@@ -56,18 +61,26 @@ def scan(
         Number of rows that are found.
     """
     found = 0
-    for start in range(0, len(blocks), N_TOGETHER):
-        part = slice(start, start + N_TOGETHER)
-        members = rows[blocks[part]]  # (b, S)
-        total = np.zeros(members.shape, np.float32)
+    for first in range(0, len(blocks), N_TOGETHER):
+        part = blocks[first : first + N_TOGETHER]
+        members, lengths = rows[part], step[part]  # (b, S), (b, D)
         with np.errstate(over="ignore", invalid="ignore"):
+            offset = (low[part] - query + lengths / 2).astype(np.float32)
+            ends = (clip + half * lengths).astype(np.float32)
+            start = (
+                -rounding * half * lengths.sum(axis=1, keepdims=True) if clip else np.zeros((len(part), 1))
+            )
+            total = np.repeat(start.astype(np.float32), members.shape[1], axis=1)
+            single = lengths.astype(np.float32)
             for axis in range(codes.shape[1]):
-                apart = codes[blocks[part], axis] * step[part, axis, np.newaxis]
-                apart += offset[part, axis, np.newaxis]
+                apart = codes[part, axis] * single[:, axis, np.newaxis]
+                apart += offset[:, axis, np.newaxis]
                 np.abs(apart, out=apart)
-                apart -= half[part, axis, np.newaxis]
-                np.maximum(apart, 0, out=apart)
-                total += np.minimum(apart, clip, out=apart) if clip else np.square(apart, out=apart)
+                end = ends[:, axis, np.newaxis]
+                if clip:
+                    total += np.minimum(apart, end, out=apart)
+                else:
+                    total += np.square(np.maximum(apart - end, 0, out=apart), out=apart)
         within = ~(total > limit) & (members != NO_ROW)
         some = slice(found, found + np.count_nonzero(within))
         near[some], bounds[some] = members[within], total[within]

@@ -34,14 +34,14 @@ __all__ = ["CHUNK", "LowerBounds"]
 # the bounds are looser and more shapes need an exact distance; with more the bounds take longer. See
 # docs/decisions.md, N_LEADING.
 N_LEADING = 24
-N_LEADING_D1 = 40
+N_LEADING_D1 = 64
 
 # Largest number of the leading axes that the blocks are divided along. A million shapes are divided ten times
 # before they are in blocks.
 N_DIVIDING = 8
 
 # The abscissa c where the chord of d1 ends; any c gives a lower bound. See docs/decisions.md, CLIP.
-CLIP = 1.5
+CLIP = 1.0
 CHORD_SLOPE = math.tanh(CLIP / 2) / CLIP
 
 # Number of signatures that are processed together, so that intermediate arrays have a few MB.
@@ -231,16 +231,21 @@ class LowerBounds:
             Values that increase with the lower bounds of their distances.
         """
         blocks = self.blocks
-        with np.errstate(over="ignore", invalid="ignore"):
-            step = blocks.step[chosen]  # (b, D)
-            offset = (blocks.low[chosen] - query + step / 2).astype(np.float32)
-            half = (step * (0.5 + CELL_ROUNDING)).astype(np.float32)
-            single = step.astype(np.float32)
-        clip = np.float32(0 if self.euclidean else CLIP)
         rows = np.empty(len(chosen) * blocks.rows.shape[1], np.int32)
         bounds = np.empty(len(rows), np.float32)
         n = scan(
-            blocks.codes, blocks.rows, chosen, offset, single, half, clip, np.float32(limit), rows, bounds
+            blocks.codes,
+            blocks.rows,
+            blocks.low,
+            blocks.step,
+            chosen,
+            query,
+            0.5 + CELL_ROUNDING,
+            0.0 if self.euclidean else CLIP,
+            self._rounding,
+            np.float32(limit),
+            rows,
+            bounds,
         )
         return rows[:n], bounds[:n]
 
@@ -258,10 +263,13 @@ class LowerBounds:
         float
             A signature with a larger value is outside the radius.
         """
-        # The terms are rounded, and so are the partial sums of D terms, none of which is negative.
-        rounding = 1 + 4 * (self.axes.shape[1] + 8) * SINGLE
-        limit = (radius * radius if self.euclidean else radius / CHORD_SLOPE) * rounding
+        limit = (radius * radius if self.euclidean else radius / CHORD_SLOPE) * self._rounding
         return limit if limit < LARGEST_SINGLE else math.inf
+
+    @property
+    def _rounding(self) -> float:
+        """The factor that allows for rounding errors of D terms and of their partial sums."""
+        return 1 + 4 * (int(self.axes.shape[1]) + 8) * SINGLE
 
 
 def _scatter(gallery: FloatArray, mean: FloatArray) -> FloatArray:
