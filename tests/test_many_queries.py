@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import shutil
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -13,8 +14,9 @@ import shapes
 from click.testing import CliRunner, Result
 
 import pcretrieve as pr
+from pcretrieve.catalogue import gallery
 from pcretrieve.cli.main import cli
-from pcretrieve.errors import InputError, ScanReadError
+from pcretrieve.errors import InputError, OptionError, ScanReadError
 from pcretrieve.types import Neighbors
 
 N_KINDS, N_EACH = 3, 4
@@ -120,7 +122,7 @@ def test_what_is_printed_of_many(catalogue: Path, folder: Path) -> None:
     expected = [pr.search(catalogue, name, k=2) for name in names]
     lines = run(*asked).stdout.splitlines()
     assert lines[::3] == names
-    assert [line.split()[3] for line in lines if line not in names] == [
+    assert [line.split()[4] for line in lines if line not in names] == [
         name for found in expected for name in found.ids
     ]
     documents = json.loads(run(*asked, "--json").stdout)
@@ -138,7 +140,7 @@ def test_what_is_printed_of_many(catalogue: Path, folder: Path) -> None:
 def test_conditions_on_the_command_line(catalogue: Path) -> None:
     asked = ("query", "11", "-c", catalogue, "-k", 20)
     filters = ("--filter", "label=kind0", "--filter", "label=kind1", "--exclude-self")
-    found = [line.split()[3] for line in run(*asked, *filters).stdout.splitlines()]
+    found = [line.split()[4] for line in run(*asked, *filters).stdout.splitlines()]
     assert found == list(pr.search(catalogue, "11", k=20, labels=["kind0", "kind1"], exclude_self=True).ids)
     assert len(found) == 2 * N_EACH - 1
     assert "must be label=CLASS, got 'kind0'" in run(*asked, "--filter", "kind0", code=2).stderr
@@ -158,3 +160,43 @@ def test_a_scan_that_fails_does_not_stop_the_others(catalogue: Path, folder: Pat
     assert isinstance(answers[str(broken)], ScanReadError)
     alone = CliRunner().invoke(cli, ["query", str(broken), "-c", str(catalogue)])
     assert isinstance(alone.exception, ScanReadError)
+
+
+def test_scores_come_with_distances_and_least_ones_leave_no_match(catalogue: Path, folder: Path) -> None:
+    found = pr.search(catalogue, "11", k=12)
+    with pr.Catalogue(catalogue) as store:
+        scores = store.index().scores
+    assert scores is not None and found.scores is not None
+    np.testing.assert_array_equal(found.scores, scores.of(found.distances))
+    assert found.to_pandas().columns.tolist() == ["id", "distance", "score"]
+    again = pr.search(catalogue, "11", k=12, options={"retrieval": {"rerank": "k-reciprocal"}})
+    assert again.scores is not None
+    plain = dict(zip(found.ids, found.scores.tolist(), strict=True))
+    assert again.scores.tolist() == [plain[shape_id] for shape_id in again.ids]
+    least = float(found.scores[5])
+    kept = pr.search(catalogue, "11", k=12, min_score=least)
+    assert kept.ids == tuple(name for name in found.ids if plain[name] >= least) != found.ids
+    done = run("query", "11", "-c", catalogue, "--min-score", 1)
+    assert done.stdout == "no match\n"
+    assert f"score: {scores.reason}" in done.stderr
+    assert len(pr.search(catalogue, "11", min_score=1)) == 0
+    with pytest.raises(OptionError, match="min_score must be between 0 and 1, got 2"):
+        pr.search(catalogue, "11", min_score=2)
+    with pytest.raises(InputError, match="a least score needs calibrated scores"):
+        pr.search(catalogue, "11", min_score=0.5, matrix=pr.matrix(catalogue))
+
+
+def test_other_labels_give_other_scores(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Also of an index that is kept, and whose whitening does not depend on labels."""
+    monkeypatch.setattr(gallery, "SMALLEST_KEPT", 1)
+    copy = folder / "relabelled.sqlite"
+    shutil.copy(folder / "c.sqlite", copy)
+    options = {"retrieval": {"whitening": "none"}}
+    before = pr.search(copy, "11", options=options)
+    assert pr.search(copy, "11", options=options).scores is not None
+    with pr.Catalogue(copy) as store:
+        store.revise(labels={record.path: record.id[1] for record in store.records()})
+    after = pr.search(copy, "11", options=options)
+    assert after == before
+    assert after.scores is not None and before.scores is not None
+    assert after.scores[0] < before.scores[0]

@@ -29,7 +29,7 @@ __all__ = ["Gallery"]
 logger = logging.getLogger(__name__)
 
 # Version of the arrays of an index, which is incremented when their meaning changes.
-FORMAT = 4
+FORMAT = 5
 
 # Smallest number of shapes for which an index is stored. A smaller index is computed as fast as it is opened.
 SMALLEST_KEPT = 10_000
@@ -63,8 +63,6 @@ class Gallery:
         request: str,
         revision: Revision,
         make: Callable[[], tuple[SignatureIndex, Revision]],
-        *,
-        by_label: bool,
     ) -> SignatureIndex:
         """Open the stored index of a state of the catalogue, or compute and store it.
 
@@ -76,8 +74,6 @@ class Gallery:
             The state of the catalogue.
         make : function that returns an index and a Revision
             Computes the index. The state that it returns may be a later one.
-        by_label : bool
-            Whether the index depends on the labels of the shapes.
 
         Returns
         -------
@@ -85,12 +81,12 @@ class Gallery:
             The index. If it is stored, its arrays are mapped into memory.
         """
         request = f"{FORMAT} {request}"
-        name = _name(request, revision.state(by_label))
+        name = _name(request, revision.state())
         if self._last is None or self._last[0] != name:
             index = self._opened(name)
             if index is None:
                 index, revision = make()
-                name = _name(request, revision.state(by_label))
+                name = _name(request, revision.state())
                 if len(index) >= SMALLEST_KEPT:
                     self._keep(name, revision, index)
                     # The stored index replaces the one in memory, which is then freed.
@@ -171,12 +167,12 @@ def _write(folder: Path, name: str, arrays: Mapping[str, NDArray[Any]]) -> None:
 
 def _tidy(folder: Path, revision: Revision) -> None:
     """Remove indexes of other states, and incomplete folders of killed processes."""
-    current = {_digest(revision.state(by_label)) for by_label in (False, True)}
+    current = _digest(revision.state())
     for kept in folder.iterdir():
         unfinished = kept.name.startswith(UNFINISHED)
         if unfinished:
             stale = kept.stat().st_mtime < time.time() - ABANDONED
         else:
-            stale = kept.name.rpartition("-")[2] not in current
+            stale = kept.name.rpartition("-")[2] != current
         if stale:
             shutil.rmtree(kept, ignore_errors=True)

@@ -43,9 +43,9 @@ class Revision:
     shapes: str
     labels: str
 
-    def state(self, by_label: bool) -> str:
-        """A name of the state of the shapes or, if `by_label`, of the state of the shapes and labels."""
-        return f"{self.shapes} {self.labels}" if by_label else self.shapes
+    def state(self) -> str:
+        """A name of the state of the shapes and their labels."""
+        return f"{self.shapes} {self.labels}"
 
 
 @dataclass(frozen=True, slots=True, eq=False)

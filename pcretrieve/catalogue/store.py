@@ -185,7 +185,6 @@ class Catalogue(StoredShapes):
             index_name(options),
             self._rows.revision(),
             lambda: made_index(self._rows, self.options, options),
-            by_label=options.retrieval.whitening in ("auto", "within-class"),
         )
 
     def whitening(self, options: PipelineOptions | None = None) -> Whitening:

@@ -22,7 +22,9 @@ from pcretrieve.retrieval import (
     DISTANCES,
     SignatureIndex,
     Whitening,
+    fit_scores,
     fit_whitening,
+    pair_sample,
     read_whitening,
     resolution_covariance,
     resolution_whitening,
@@ -207,7 +209,7 @@ def made_index(rows: Rows, own: PipelineOptions, options: PipelineOptions) -> tu
     Returns
     -------
     index : SignatureIndex
-        The index, with the whitening of the options.
+        The index, with the whitening of the options and the scores of distances.
     revision : Revision
         The state of the store to which the index belongs.
 
@@ -239,6 +241,7 @@ def made_index(rows: Rows, own: PipelineOptions, options: PipelineOptions) -> tu
             metric=descriptor.metric,
             options_digest=options.compared_digest,
         )
+    sample = pair_sample(values, labels)  # before the values are whitened in place
     index = SignatureIndex.of_coordinates(
         names,
         values,
@@ -247,7 +250,14 @@ def made_index(rows: Rows, own: PipelineOptions, options: PipelineOptions) -> tu
         options.retrieval,
         whitening,
     )
-    return index, revision
+    scores = fit_scores(
+        sample,
+        index.whitening,
+        distance=options.retrieval.distance,
+        shrinkage=options.retrieval.shrinkage,
+        metric=descriptor.metric,
+    )
+    return index.scored(scores), revision
 
 
 def _described(

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 __all__ = ["query_command"]
 
-CSV_COLUMNS = ("query", "rank", "id", "label", "distance", "path")
+CSV_COLUMNS = ("query", "rank", "id", "label", "distance", "score", "path")
 
 Row = dict[str, Any]
 Outcomes = Iterator[tuple[str, "Answer | ShapeError"]]
@@ -71,6 +71,12 @@ class LabelFilter(click.ParamType):  # type: ignore[type-arg]  # generic since c
 @click.option(
     "--exclude-self", is_flag=True, help="Leave a query that is in the catalogue out of its results."
 )
+@click.option(
+    "--min-score",
+    type=click.FloatRange(0, 1),
+    metavar="SHARE",
+    help='Leave out results with a smaller score; "no match" if none is left.',
+)
 @matrix_option
 @comparison_options
 @unit_option
@@ -83,6 +89,7 @@ def query_command(
     k: int,
     labels: tuple[str, ...],
     exclude_self: bool,
+    min_score: float | None,
     matrix: Path | None,
     unit: str | None,
     timeout: float,
@@ -99,7 +106,7 @@ def query_command(
     \b
     pcretrieve query --catalogue bodies.sqlite scan.ply -k 5 --whitening pca
     pcretrieve query --catalogue bodies.sqlite cat0 dog1 --exclude-self --filter label=cat
-    pcretrieve query --catalogue bodies.sqlite new_scans/ --csv
+    pcretrieve query --catalogue bodies.sqlite new_scans/ --min-score 0.9 --csv
     """
     from pcretrieve.catalogue import Catalogue
     from pcretrieve.searching import search_many
@@ -119,6 +126,7 @@ def query_command(
             unit=unit,
             labels=labels or None,
             exclude_self=exclude_self,
+            min_score=min_score,
             describe_scans=partial(_described, timeout, memory),
         )
         is_alone = len(queries) == 1 and not Path(queries[0]).is_dir()
@@ -130,7 +138,9 @@ def query_command(
         else:
             _print_lines(outcomes, headed=not is_alone)
             if distances is None:
+                scores = store.index(options).scores
                 say(f"whitening: {store.whitening(options).reason}")
+                say(f"score: {scores.reason if scores else 'none, because labels and shapes are too few'}")
     if failures:
         click.get_current_context().exit(EXIT_SOME_FAILED)
 
@@ -160,6 +170,8 @@ def _document(name: str, outcome: Answer | ShapeError) -> Row:
 
 def _results(answer: Answer) -> list[Row]:
     """The results of one query, one row each."""
+    known = answer.neighbors.scores
+    scores = [None] * len(answer.records) if known is None else known.tolist()
     return [
         {
             "rank": rank,
@@ -167,10 +179,11 @@ def _results(answer: Answer) -> list[Row]:
             "path": record.path,
             "label": record.label,
             "distance": gap,
+            "score": score,
             "verdict": None if record.verdict is None else asdict(record.verdict),
         }
-        for rank, (record, gap) in enumerate(
-            zip(answer.records, answer.neighbors.distances.tolist(), strict=True), start=1
+        for rank, (record, gap, score) in enumerate(
+            zip(answer.records, answer.neighbors.distances.tolist(), scores, strict=True), start=1
         )
     ]
 
@@ -184,11 +197,14 @@ def _print_lines(outcomes: Outcomes, *, headed: bool) -> None:
             continue
         if headed:
             click.echo(name)
+        if not answer.records:
+            click.echo("no match")
         for row, record in zip(_results(answer), answer.records, strict=True):
             doubt = f"  [{record.verdict}]" if record.is_doubtful else ""
+            score = "-" if row["score"] is None else f"{row['score']:.2f}"
             click.echo(
-                f"{row['rank']:>4}  {row['distance']:<10.4g}  {row['label'] or '-':<16}  {row['id']:<24}  "
-                f"{row['path']}{doubt}"
+                f"{row['rank']:>4}  {row['distance']:<10.4g}  {score:<4}  {row['label'] or '-':<16}  "
+                f"{row['id']:<24}  {row['path']}{doubt}"
             )
 
 

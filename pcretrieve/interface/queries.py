@@ -30,6 +30,7 @@ def search(
     unit: str | None = None,
     labels: Collection[str] | None = None,
     exclude_self: bool = False,
+    min_score: float | None = None,
 ) -> Neighbors:
     """The shapes of a catalogue nearest to a scan.
 
@@ -54,11 +55,15 @@ def search(
         The classes whose shapes are searched; by default all shapes.
     exclude_self : bool, default False
         Whether a query that is a shape of the catalogue is left out of its own results.
+    min_score : float, optional
+        Least score of a result, between 0 and 1; no results then mean "no match". By default results have any
+        score.
 
     Returns
     -------
     Neighbors
-        Nearest first; equal distances by id.
+        Nearest first; equal distances by id. They have scores, the shares of pairs of one class among pairs
+        that near, unless there is a `matrix`, or the catalogue has neither labels nor enough shapes.
 
     Raises
     ------
@@ -86,6 +91,7 @@ def search(
             unit=unit,
             labels=labels,
             exclude_self=exclude_self,
+            min_score=min_score,
         )
 
 
@@ -99,6 +105,7 @@ def search_many(
     unit: str | None = None,
     labels: Collection[str] | None = None,
     exclude_self: bool = False,
+    min_score: float | None = None,
 ) -> Iterator[tuple[str, Answer | ShapeError]]:
     """Answer several queries, in their order.
 
@@ -121,6 +128,9 @@ def search_many(
         The classes whose shapes are searched; by default all shapes.
     exclude_self : bool, default False
         Whether a query that is a shape of the catalogue is left out of its own results.
+    min_score : float, optional
+        Least score of a result, between 0 and 1; no results then mean "no match". By default results have any
+        score.
 
     Yields
     ------
@@ -146,4 +156,5 @@ def search_many(
             unit=unit,
             labels=labels,
             exclude_self=exclude_self,
+            min_score=min_score,
         )

@@ -30,6 +30,7 @@ from pcretrieve.retrieval.reranking import (
     reranked_neighbors,
 )
 from pcretrieve.retrieval.resolution import resolution_covariance, resolution_whitening
+from pcretrieve.retrieval.scores import MatchScores, PairSample, fit_scores, pair_sample
 from pcretrieve.retrieval.subsets import nearest_among
 from pcretrieve.retrieval.whitening import (
     CALIBRATED,
@@ -51,18 +52,22 @@ __all__ = [
     "WHITENINGS",
     "Distance",
     "DistanceBlock",
+    "MatchScores",
     "NeighbourLists",
+    "PairSample",
     "Positions",
     "Ranking",
     "SignatureIndex",
     "Whitening",
     "checked_shrinkage",
     "coordinates",
+    "fit_scores",
     "fit_whitening",
     "log_signatures",
     "nearest_among",
     "nearest_of",
     "neighbour_lists",
+    "pair_sample",
     "pairwise",
     "pairwise_blocks",
     "position_of",

@@ -21,7 +21,7 @@ __all__ = ["with_shapes", "without_shapes"]
 def with_shapes(index: SignatureIndex, table: SignatureTable) -> SignatureIndex:
     """An index with further shapes.
 
-    The whitening remains that of the shapes for which it was fitted.
+    The whitening and the scores remain those of the shapes for which they were fitted.
 
     Parameters
     ----------
@@ -64,13 +64,13 @@ def with_shapes(index: SignatureIndex, table: SignatureTable) -> SignatureIndex:
         np.insert(old.filter.points, places, points, axis=0), moved.astype(np.int32), rows.astype(np.int32)
     )
     names = old.ids.inserted(Names.of(ids), places)
-    return SignatureIndex.of_contents(WhitenedTable(old.made_by, names, old.whitening, new))
+    return SignatureIndex.of_contents(WhitenedTable(old.made_by, names, old.whitening, new, old.scores))
 
 
 def without_shapes(index: SignatureIndex, ids: Iterable[str]) -> SignatureIndex:
     """An index without some of its shapes.
 
-    The whitening remains that of the shapes for which it was fitted.
+    The whitening and the scores remain those of the shapes for which they were fitted.
 
     Parameters
     ----------
@@ -95,5 +95,5 @@ def without_shapes(index: SignatureIndex, ids: Iterable[str]) -> SignatureIndex:
         keep[position_of(old.ids, shape_id)] = False
     if not keep.any():
         raise InputError(NO_SHAPES)
-    table = WhitenedTable(old.made_by, old.ids.kept(keep), old.whitening, old.filter.kept(keep))
+    table = WhitenedTable(old.made_by, old.ids.kept(keep), old.whitening, old.filter.kept(keep), old.scores)
     return SignatureIndex.of_contents(table)

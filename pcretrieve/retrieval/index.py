@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -34,6 +35,7 @@ from pcretrieve.retrieval.ranking import (
     pairwise_blocks,
     position_of,
 )
+from pcretrieve.retrieval.scores import MatchScores
 from pcretrieve.retrieval.whitened import MadeBy, WhitenedTable
 from pcretrieve.retrieval.whitening import Whitening
 from pcretrieve.types import FloatArray, Neighbors, Signature, SignatureTable
@@ -171,6 +173,15 @@ class SignatureIndex:
     def whitening(self) -> Whitening:
         """The whitening of the gallery and of all queries."""
         return self.contents.whitening
+
+    @property
+    def scores(self) -> MatchScores | None:
+        """The calibrated score of a distance; None if it was not estimated (see `fit_scores`)."""
+        return self.contents.scores
+
+    def scored(self, scores: MatchScores | None) -> SignatureIndex:
+        """The index with scores of distances, such as `fit_scores` estimates."""
+        return self.of_contents(replace(self.contents, scores=scores))
 
     def __repr__(self) -> str:
         n_shapes, n_values = self.contents.filter.points.shape

@@ -25,7 +25,7 @@ from pcretrieve.types import FloatArray
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
 
-__all__ = ["NeighbourPairs", "neighbour_pairs"]
+__all__ = ["NeighbourPairs", "near_groups", "neighbour_pairs"]
 
 # Largest number k of neighbours that is tried, and k where no number stands out: the neighbourhoods of an
 # isolated class of c shapes are equal for k = c − 1. See docs/decisions.md, N_NEIGHBORS.
@@ -83,7 +83,7 @@ def neighbour_pairs(logs: FloatArray, n_neighbors: int | Literal["auto"] = "auto
     """
     from scipy.sparse import triu
 
-    rows = np.arange(len(logs)) if len(logs) <= LARGEST else _groups(logs)
+    rows = np.arange(len(logs)) if len(logs) <= LARGEST else near_groups(logs, LARGEST)
     rows = rows[np.lexsort(logs[rows].T)]  # so that ties do not depend on the order of the table
     points = np.ascontiguousarray(logs[rows])
     lists = neighbour_lists(_blocks(points), len(points))
@@ -129,10 +129,23 @@ def _blocks(points: FloatArray) -> Iterator[DistanceBlock]:
         yield DistanceBlock(rows, np.sqrt(np.maximum(gaps, 0)))
 
 
-def _groups(logs: FloatArray) -> Positions:
-    """The rows of the shapes that are nearest to a few shapes chosen at random."""
+def near_groups(logs: FloatArray, largest: int) -> Positions:
+    """The shapes that are nearest to a few shapes chosen at random.
+
+    Parameters
+    ----------
+    logs : (N, L) float64
+        Log-signatures, one in each row.
+    largest : int
+        Largest number of shapes that are chosen, less than N.
+
+    Returns
+    -------
+    (n,) intp
+        Their rows, ascending.
+    """
     seeds = np.random.default_rng(SEED).choice(len(logs), N_GROUPS, replace=False)
-    size = LARGEST // N_GROUPS
+    size = largest // N_GROUPS
     squares = np.einsum("ij,ij->i", logs, logs)  # (N,)
     near = [np.argpartition(squares - 2 * (logs @ logs[seed]), size)[:size] for seed in seeds]
     return np.unique(np.concatenate(near))

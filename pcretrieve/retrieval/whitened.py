@@ -15,14 +15,16 @@ from pcretrieve.retrieval.filtering import Filter
 from pcretrieve.retrieval.lower_bounds import CHUNK
 from pcretrieve.retrieval.names import Names
 from pcretrieve.retrieval.ranking import position_of
+from pcretrieve.retrieval.scores import MatchScores
 from pcretrieve.retrieval.units import check_unit
 from pcretrieve.retrieval.whitening import Whitening
 from pcretrieve.types import FloatArray, Metric, Signature, SignatureTable, SizeUnit
 
 __all__ = ["MadeBy", "WhitenedTable"]
 
-# Prefix of the names of the arrays of the whitening, among all arrays.
+# Prefixes of the names of the arrays of the whitening and of the scores, among all arrays.
 WHITENING = "whitening_"
+SCORES = "scores_"
 
 
 class MadeBy(NamedTuple):
@@ -80,12 +82,15 @@ class WhitenedTable:
         The whitening of the coordinates.
     filter : Filter
         The coordinates, in the order of the ids: equal distances are then in the order of the rows.
+    scores : MatchScores or None
+        The calibrated score of a distance; None if it was not estimated.
     """
 
     made_by: MadeBy
     ids: Names
     whitening: Whitening
     filter: Filter
+    scores: MatchScores | None = None
 
     @classmethod
     def of(
@@ -158,6 +163,8 @@ class WhitenedTable:
         """The contents as arrays by name, none of which holds objects: the input of `from_arrays`."""
         arrays = self.filter.to_arrays()
         arrays |= {f"{WHITENING}{name}": array for name, array in self.whitening.to_arrays().items()}
+        if self.scores is not None:
+            arrays |= {f"{SCORES}{name}": array for name, array in self.scores.to_arrays().items()}
         arrays |= {"id_text": self.ids.text, "id_ends": self.ids.ends}
         return arrays | {name: np.array(text or "") for name, text in self.made_by._asdict().items()}
 
@@ -180,12 +187,16 @@ class WhitenedTable:
         InputError
             If an array is missing or has the wrong shape.
         """
-        fitted = {name.removeprefix(WHITENING): a for name, a in arrays.items() if name.startswith(WHITENING)}
+        fitted, scored = (
+            {name.removeprefix(prefix): array for name, array in arrays.items() if name.startswith(prefix)}
+            for prefix in (WHITENING, SCORES)
+        )
         try:
             kind, digest, metric, unit = (str(arrays[name]) for name in MadeBy._fields)
             made_by = MadeBy(kind, digest, cast("Metric", metric), cast("SizeUnit", unit) or None)
             ids = Names(arrays["id_text"], arrays["id_ends"])
-            table = cls(made_by, ids, Whitening.from_arrays(fitted), Filter.from_arrays(arrays))
+            scores = MatchScores.from_arrays(scored) if scored else None
+            table = cls(made_by, ids, Whitening.from_arrays(fitted), Filter.from_arrays(arrays), scores)
         except KeyError as error:
             raise InputError(f"the arrays of an index must include {error.args[0]!r}") from error
         if len(ids) != len(table.filter.points):

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from pcretrieve.catalogue import Catalogue
-from pcretrieve.errors import InputError, PcretrieveError, ShapeError
+from pcretrieve.errors import InputError, OptionError, PcretrieveError, ShapeError
 from pcretrieve.options import PipelineOptions
 from pcretrieve.retrieval import N_NEAR, nearest_among, nearest_of, position_of, reranked_neighbors
+from pcretrieve.retrieval.fitting import LEAST_SHAPES
 from pcretrieve.retrieval.ranking import checked_k
 from pcretrieve.searching.answers import Answer
 from pcretrieve.searching.queries import Described, Query, queries_of, query_of
@@ -50,6 +53,7 @@ def search(
     unit: str | None = None,
     labels: Collection[str] | None = None,
     exclude_self: bool = False,
+    min_score: float | None = None,
 ) -> Neighbors:
     """Find the shapes of a catalogue nearest to a scan, to one of its shapes, or to a signature.
 
@@ -75,11 +79,14 @@ def search(
         The classes whose shapes are searched; by default all shapes.
     exclude_self : bool, default False
         Whether a query that is a shape of the catalogue is left out of its own results.
+    min_score : float, optional
+        Least score of a result, between 0 and 1; there may be no results. By default results have any score.
 
     Returns
     -------
     Neighbors
-        Nearest first; equal distances by identifier. A shape of the catalogue is its own neighbour.
+        Nearest first; equal distances by identifier. A shape of the catalogue is its own neighbour. They have
+        scores, unless there is a `matrix`, or the catalogue has neither labels nor enough shapes.
 
     Raises
     ------
@@ -92,7 +99,8 @@ def search(
     ShapeError
         If the scan cannot be read or has no usable surface.
     """
-    terms = _Terms(catalogue, options or catalogue.options, checked_k(k), matrix, unit, labels, exclude_self)
+    options = options or catalogue.options
+    terms = _Terms(catalogue, options, checked_k(k), matrix, unit, labels, exclude_self, min_score)
     asked = query_of(catalogue, query, is_converted=terms.is_converted)
     ((_, outcome),) = _resolved(terms, [asked], _described)
     if isinstance(outcome, ShapeError):
@@ -110,6 +118,7 @@ def search_many(
     unit: str | None = None,
     labels: Collection[str] | None = None,
     exclude_self: bool = False,
+    min_score: float | None = None,
     describe_scans: DescribeScans = _described,
 ) -> Iterator[tuple[str, Answer | ShapeError]]:
     """Answer several queries, in their order.
@@ -120,7 +129,7 @@ def search_many(
         The catalogue that is searched.
     queries : iterable of str, Path or Signature
         Each as in `search`, or a folder, which stands for all scans in it.
-    k, options, matrix, unit, labels, exclude_self : object
+    k, options, matrix, unit, labels, exclude_self, min_score : object
         As in `search`.
     describe_scans : callable, optional
         Computes the signatures of scans that the catalogue does not have, with given options, in their order;
@@ -138,7 +147,8 @@ def search_many(
     CatalogueError, InputError
         As by `search`.
     """
-    terms = _Terms(catalogue, options or catalogue.options, checked_k(k), matrix, unit, labels, exclude_self)
+    options = options or catalogue.options
+    terms = _Terms(catalogue, options, checked_k(k), matrix, unit, labels, exclude_self, min_score)
     asked = queries_of(catalogue, queries, is_converted=terms.is_converted)
     for name, outcome in _resolved(terms, asked, describe_scans):
         if isinstance(outcome, ShapeError):
@@ -177,6 +187,11 @@ class _Terms:
     unit: str | None
     labels: Collection[str] | None
     exclude_self: bool
+    min_score: float | None
+
+    def __post_init__(self) -> None:
+        if self.min_score is not None and not 0 <= self.min_score <= 1:
+            raise OptionError(f"min_score must be between 0 and 1, got {self.min_score}")
 
     @property
     def is_converted(self) -> bool:
@@ -202,12 +217,19 @@ class _Terms:
         held = query if isinstance(query, str) else None
         # A query that is left out of its results is one of them before.
         found = self._ranked(query, among, self.k + self.exclude_self)
+        if self.min_score is not None and found.scores is None:
+            raise InputError(
+                "a least score needs calibrated scores, which are estimated from distances of signatures, of "
+                f"labelled shapes or of {LEAST_SHAPES} or more: label shapes, or leave out the least score"
+            )
         kept = [
             number
             for number, shape_id in enumerate(found.ids)
             if not (self.exclude_self and shape_id == held)
+            and (self.min_score is None or found.scores is None or found.scores[number] >= self.min_score)
         ][: self.k]
-        return Neighbors(tuple(found.ids[number] for number in kept), found.distances[kept])
+        scores = None if found.scores is None else found.scores[kept]
+        return Neighbors(tuple(found.ids[number] for number in kept), found.distances[kept], scores)
 
     def _ranked(self, query: str | Signature, among: Collection[str] | None, k: int) -> Neighbors:
         """The `k` first results, or more, among some shapes or all."""
@@ -226,7 +248,11 @@ class _Terms:
             found = index.nearest(query, most)
         else:
             found = index.query(query, most)
-        return reranked_neighbors(index, found, method, shape_id=held)
+        ranked = reranked_neighbors(index, found, method, shape_id=held)
+        if index.scores is None:
+            return ranked
+        score_of = dict(zip(found.ids, index.scores.of(found.distances).tolist(), strict=True))
+        return replace(ranked, scores=np.array([score_of[shape_id] for shape_id in ranked.ids]))
 
     def _labelled(self, labels: Collection[str]) -> set[str]:
         among = set(self.catalogue.labelled(labels))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any, Literal, get_args
 
 import numpy as np
@@ -196,10 +196,15 @@ class Neighbors(Value):
         Identifiers of the shapes, distinct, nearest first; equally near shapes in alphabetical order.
     distances : (k,) float64
         Distances to the query, not negative, ascending; dimensionless. May be infinite.
+    scores : (k,) float64 or None
+        Calibrated score of each distance: the share of pairs of one class among pairs that near, or of mutual
+        neighbours where there are no labels. After re-ranking, that of the original distance. None if it is
+        not known. Two lists are equal whatever their scores.
     """
 
     ids: tuple[str, ...]
     distances: FloatArray
+    scores: FloatArray | None = field(default=None, compare=False)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "ids", tuple(self.ids))
@@ -212,6 +217,8 @@ class Neighbors(Value):
         if any(tie and self.ids[i] > self.ids[i + 1] for i, tie in enumerate(tied)):
             raise InputError("ids of equally distant shapes must be in alphabetical order, got another one")
         object.__setattr__(self, "distances", distances)
+        if self.scores is not None:
+            object.__setattr__(self, "scores", locked("scores", self.scores, (len(self.ids),)))
 
     def __len__(self) -> int:
         return len(self.ids)
@@ -221,11 +228,17 @@ class Neighbors(Value):
         return f"Neighbors({found})"
 
     def to_pandas(self) -> Any:
-        """A ``pandas.DataFrame`` (the extra ``tables``) with the columns id and distance, indexed by rank."""
+        """A ``pandas.DataFrame`` (extra ``tables``) indexed by rank: id, distance, and the score if known."""
         from pcretrieve.adapters.pandas import data_frame
 
         ranks = list(range(1, len(self) + 1))
-        columns = {"rank": ranks, "id": list(self.ids), "distance": self.distances.tolist()}
+        columns: dict[str, list[Any]] = {
+            "rank": ranks,
+            "id": list(self.ids),
+            "distance": self.distances.tolist(),
+        }
+        if self.scores is not None:
+            columns["score"] = self.scores.tolist()
         return data_frame(columns, index="rank")
 
     def plot(self, axes: Any = None) -> Any:

@@ -60,7 +60,7 @@ def test_doubtful_shapes_are_listed_with_their_reasons(path: Path) -> None:
 
 
 def test_a_result_comes_with_its_verdict(path: Path) -> None:
-    found = {line.split()[3]: line for line in run("query", "-c", path, "a1").stdout.splitlines()}
+    found = {line.split()[4]: line for line in run("query", "-c", path, "a1").stdout.splitlines()}
     assert found["b3"].endswith("[unusable, ± 2: closed ends: many]")
     assert found["a3"].endswith(".off") and found["b1"].endswith(".off")
     (answer,) = json.loads(run("query", "-c", path, "a1", "--json").stdout)
@@ -110,4 +110,4 @@ def test_ingest_sums_them_up_and_a_query_says_so(tmp_path: Path) -> None:
     write_mesh(TriangleMesh(body.vertices, body.faces[12:]), tmp_path / "other.off")
     asked = run("query", "-c", catalogue, tmp_path / "other.off")
     assert "other.off is doubtful, ± 0.3: closed surface: " in asked.stderr
-    assert [line.split()[3] for line in asked.stdout.splitlines() if line.endswith("]")] == ["open"]
+    assert [line.split()[4] for line in asked.stdout.splitlines() if line.endswith("]")] == ["open"]

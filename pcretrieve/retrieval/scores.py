@@ -1,0 +1,314 @@
+"""Calibrated scores: the share of pairs of one class among the pairs of shapes that are at some distance.
+
+Pairs are counted by distance, and the share of pairs of one class is made to decrease with the distance, by
+isotonic regression (pool adjacent violators [1]_), which is the usual calibration of a classifier without a
+model [2]_. Where there are labels, pairs of labelled shapes are counted. Without labels, pairs of mutual
+neighbours stand for pairs of one class.
+
+A whitening that was fitted to classes makes these classes more compact than others. Distances within classes
+are then those after a whitening that was fitted to other classes (grouped cross-validation).
+
+References
+----------
+.. [1] Barlow, Bartholomew, Bremner and Brunk, "Statistical inference under order restrictions", 1972.
+.. [2] Zadrozny and Elkan, "Transforming classifier scores into accurate multiclass probability estimates",
+   KDD 2002.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pcretrieve.errors import InputError
+from pcretrieve.options import Shrinkage
+from pcretrieve.retrieval.distances import pairwise
+from pcretrieve.retrieval.fitting import LEAST_SHAPES, fit_whitening
+from pcretrieve.retrieval.pairs import near_groups, neighbour_pairs
+from pcretrieve.retrieval.whitening import Whitening
+from pcretrieve.types import FloatArray, Metric
+from pcretrieve.values import Value, locked
+
+__all__ = ["MatchScores", "PairSample", "fit_scores", "isotonic_shares", "pair_sample"]
+
+# Largest number of shapes whose pairs are counted, and the seed of the choice of their classes.
+LARGEST = 1000
+SEED = 0
+
+# Least number of pairs of one class for scores, and the number of them in each interval of distances in which
+# pairs are counted, of which there are at most a hundred.
+LEAST_PAIRS = 10
+PAIRS_PER_INTERVAL = 5
+MOST_INTERVALS = 100
+
+# Largest number of groups of classes, each of which is left out of a within-class whitening once.
+MOST_FOLDS = 5
+
+# Added to the pairs of one class and to the others in an interval (the prior of Jeffreys), so that no score
+# is exactly 0 or 1.
+PRIOR = 0.5
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MatchScores(Value):
+    """The score of a distance: the share of pairs of one class among pairs that near.
+
+    Attributes
+    ----------
+    distances : (m,) float64
+        Ascending.
+    scores : (m,) float64
+        The score at each of these distances, between 0 and 1, not ascending. It is interpolated between them,
+        and constant before the first and behind the last.
+    reason : str
+        From which pairs the scores were estimated, in one line.
+    """
+
+    distances: FloatArray
+    scores: FloatArray
+    reason: str
+
+    def __post_init__(self) -> None:
+        distances = locked("the distances of scores", self.distances, (None,))
+        scores = locked("scores", self.scores, (len(distances),))
+        if not len(distances) or (np.diff(distances) < 0).any() or (np.diff(scores) > 0).any():
+            raise InputError("scores must not ascend with the distance, and be at least one, got others")
+        object.__setattr__(self, "distances", distances)
+        object.__setattr__(self, "scores", scores)
+
+    def of(self, distances: FloatArray) -> FloatArray:
+        """The scores (n,) of distances (n,), which may be infinite."""
+        return np.interp(distances, self.distances, self.scores)
+
+    def to_arrays(self) -> dict[str, NDArray[Any]]:
+        """The attributes as arrays by name."""
+        return {"distances": self.distances, "scores": self.scores, "reason": np.array(self.reason)}
+
+    @classmethod
+    def from_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> MatchScores:
+        """The inverse of `to_arrays`; KeyError if an array is missing."""
+        return cls(arrays["distances"], arrays["scores"], str(arrays["reason"]))
+
+
+class PairSample(NamedTuple):
+    """Shapes whose pairs are counted.
+
+    Attributes
+    ----------
+    logs : (n, L) float64
+        Their log-signatures.
+    labels : list of (str or None), length n
+        Their classes; all None if there are too few labels.
+    sizes : mapping of str to int
+        Number of shapes of each class in the whole table.
+    """
+
+    logs: FloatArray
+    labels: list[str | None]
+    sizes: Mapping[str, int]
+
+
+class _Pairs(NamedTuple):
+    """Distances (p,) of pairs, whether each is of one class, and how many pairs each stands for."""
+
+    distances: FloatArray
+    same: NDArray[np.bool_]
+    weights: FloatArray
+
+
+def pair_sample(logs: FloatArray, labels: Sequence[str | None]) -> PairSample:
+    """Choose the shapes whose pairs are counted.
+
+    Parameters
+    ----------
+    logs : (N, L) float64
+        Log-signatures, one in each row.
+    labels : sequence of (str or None), length N
+        Classes.
+
+    Returns
+    -------
+    PairSample
+        Copies. Of more than a thousand labelled shapes, the shapes of classes that are chosen at random;
+        without labels, shapes near to a few that are chosen at random.
+    """
+    sizes = Counter(label for label in labels if label is not None)
+    n_same = sum(size * (size - 1) // 2 for size in sizes.values())
+    if len(sizes) < 2 or n_same < LEAST_PAIRS:
+        rows = np.arange(len(logs)) if len(logs) <= LARGEST else near_groups(logs, LARGEST)
+        return PairSample(logs[rows], [None] * len(rows), {})
+    names = sorted(sizes)
+    chosen: set[str] = set()
+    n_chosen = 0
+    for number in np.random.default_rng(SEED).permutation(len(names)):
+        # At least two classes, so that there are pairs of both kinds.
+        if n_chosen >= LARGEST and len(chosen) > 1:
+            break
+        chosen.add(names[number])
+        n_chosen += min(sizes[names[number]], LARGEST)
+    kept: Counter[str] = Counter()
+    rows_of: list[int] = []
+    for row, label in enumerate(labels):
+        if label in chosen and label is not None and kept[label] < LARGEST:
+            kept[label] += 1
+            rows_of.append(row)
+    return PairSample(logs[rows_of], [labels[row] for row in rows_of], sizes)
+
+
+def fit_scores(
+    sample: PairSample,
+    whitening: Whitening,
+    *,
+    distance: str = "log",
+    shrinkage: Shrinkage = "auto",
+    metric: Metric = "logarithms",
+) -> MatchScores | None:
+    """Estimate the score of a distance from the pairs of some shapes.
+
+    Parameters
+    ----------
+    sample : PairSample
+        The shapes.
+    whitening : Whitening
+        The whitening of the index.
+    distance : str, default "log"
+        A name in `pcretrieve.retrieval.DISTANCES`.
+    shrinkage : float or "auto", default "auto"
+        That of the whitening, if it is ``within-class``.
+    metric : {"logarithms", "values", "histograms"}, default "logarithms"
+        The metric of the signatures.
+
+    Returns
+    -------
+    MatchScores or None
+        The scores; None if there are neither labels nor enough shapes for pairs of mutual neighbours.
+    """
+    labelled = any(label is not None for label in sample.labels)
+    classes = np.unique([label for label in sample.labels if label is not None])
+    if labelled and whitening.kind != "within-class":
+        pairs = _class_pairs(sample, np.arange(len(sample.labels)), whitening, distance)
+        reason = f"share of pairs of one class among {len(pairs.same)} pairs of {len(classes)} classes"
+    elif labelled and len(classes) >= 4:
+        parts = list(_left_out(sample, classes, distance, shrinkage, metric))
+        if not parts:
+            return None
+        pairs = _Pairs(*(np.concatenate(part) for part in zip(*parts, strict=True)))
+        reason = (
+            f"share of pairs of one class among {len(pairs.same)} pairs of {len(classes)} classes, each left "
+            "out of the whitening"
+        )
+    elif len(sample.logs) >= LEAST_SHAPES:
+        pairs = _mutual_pairs(sample, whitening, distance)
+        reason = f"share of mutual neighbours among {len(pairs.same)} pairs, because there are no labels"
+    else:
+        return None
+    if pairs.same.sum() < LEAST_PAIRS or pairs.same.all():
+        return None
+    return MatchScores(*_shares(pairs), reason)
+
+
+def isotonic_shares(same: FloatArray, total: FloatArray) -> tuple[FloatArray, NDArray[np.intp]]:
+    """Shares that do not ascend, by pool adjacent violators.
+
+    Parameters
+    ----------
+    same : (b,) float64
+        Number of pairs of one class in each interval of distances.
+    total : (b,) float64
+        Number of all pairs in it; positive.
+
+    Returns
+    -------
+    shares : (b,) float64
+        The shares that do not ascend and deviate least from ``same / total``, weighted by `total`.
+    blocks : (b,) intp
+        The number of the pool of each interval, ascending from 0.
+    """
+    pools: list[tuple[float, float, int]] = []  # pairs of one class, all pairs, intervals
+    for one, every in zip(same.tolist(), total.tolist(), strict=True):
+        pool = (one, every, 1)
+        while pools and pools[-1][0] * pool[1] <= pool[0] * pools[-1][1]:
+            before = pools.pop()
+            pool = (before[0] + pool[0], before[1] + pool[1], before[2] + pool[2])
+        pools.append(pool)
+    lengths = [length for _, _, length in pools]
+    shares = np.repeat([one / every for one, every, _ in pools], lengths)
+    return shares, np.repeat(np.arange(len(pools)), lengths)
+
+
+def _shares(pairs: _Pairs) -> tuple[FloatArray, FloatArray]:
+    """Distances, ascending, and the score at each of them."""
+    order = np.argsort(pairs.distances, kind="stable")
+    distances, same = pairs.distances[order], pairs.same[order]
+    ours = np.where(same, pairs.weights[order], 0.0)
+    # Intervals with equal numbers of pairs of one class; ends between equal distances are moved behind them.
+    n_intervals = max(1, min(MOST_INTERVALS, int(same.sum()) // PAIRS_PER_INTERVAL))
+    found = np.cumsum(ours)
+    ends = np.searchsorted(found, found[-1] * np.arange(1, n_intervals) / n_intervals)
+    ends = np.unique(np.searchsorted(distances, distances[ends], side="right"))
+    number = np.searchsorted(ends, np.arange(len(distances)), side="right")
+    _, pools = isotonic_shares(*_counts(number, ours, pairs.weights[order]))
+    pool = pools[number]  # of each pair
+    n_same, total = _counts(pool, ours, pairs.weights[order])
+    weight = np.maximum(n_same, np.finfo(np.float64).tiny)
+    middle = np.bincount(pool, ours * distances) / weight
+    scores = (n_same + PRIOR) / (total + 2 * PRIOR)
+    # The prior moves small pools more, and a last pool without pairs of one class has no middle.
+    return np.maximum.accumulate(middle), np.minimum.accumulate(scores)
+
+
+def _counts(number: NDArray[np.intp], ours: FloatArray, every: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """The weights of the pairs of one class, and of all pairs, in each interval."""
+    n = int(number[-1]) + 1
+    return np.bincount(number, ours, n).astype(np.float64), np.bincount(number, every, n).astype(np.float64)
+
+
+def _class_pairs(sample: PairSample, rows: NDArray[np.intp], whitening: Whitening, distance: str) -> _Pairs:
+    """The pairs of some labelled shapes, each of which stands for the pairs of the whole table."""
+    points = whitening.apply(sample.logs[rows])
+    names, codes = np.unique([str(sample.labels[row]) for row in rows], return_inverse=True)
+    here = np.bincount(codes)[codes].astype(np.float64)  # (n,) shapes of the class, here and in the table
+    there = np.array([sample.sizes[name] for name in names], dtype=np.float64)[codes]
+    n_table = float(sum(sample.sizes.values()))
+    within = (there - 1) / np.maximum(here - 1, 1)
+    between = (n_table - there) / np.maximum(len(rows) - here, 1)
+    first, second = np.triu_indices(len(rows), k=1)
+    same = codes[first] == codes[second]
+    weights = np.where(same, within[first] + within[second], between[first] + between[second]) / 2
+    return _Pairs(pairwise(distance, points, points)[first, second], same, weights)
+
+
+def _left_out(
+    sample: PairSample, classes: NDArray[Any], distance: str, shrinkage: Shrinkage, metric: Metric
+) -> Iterator[_Pairs]:
+    """The pairs of each group of classes, whitened by what shapes of the other classes differ by."""
+    n_folds = min(MOST_FOLDS, len(classes) // 2)
+    fold_of = np.random.default_rng(SEED).permutation(len(classes)) % n_folds
+    fold = fold_of[np.searchsorted(classes, np.array(sample.labels, dtype=str))]
+    for number in range(n_folds):
+        rows, others = np.flatnonzero(fold == number), np.flatnonzero(fold != number)
+        labels = [sample.labels[row] for row in others]
+        try:
+            fitted = fit_whitening(
+                "within-class", sample.logs[others], labels, shrinkage=shrinkage, metric=metric
+            )
+        except InputError:
+            continue  # the other classes have one shape each, or equal ones
+        yield _class_pairs(sample, rows, fitted, distance)
+
+
+def _mutual_pairs(sample: PairSample, whitening: Whitening, distance: str) -> _Pairs:
+    """All pairs, of which those of mutual neighbours stand for pairs of one class."""
+    points = whitening.apply(sample.logs)
+    n = len(points)
+    found = neighbour_pairs(points)
+    mutual = np.zeros((n, n), dtype=bool)
+    mutual[found.first, found.second] = mutual[found.second, found.first] = True
+    first, second = np.triu_indices(n, k=1)
+    distances = pairwise(distance, points, points)[first, second]
+    return _Pairs(distances, mutual[first, second], np.ones(len(first)))

@@ -1,0 +1,132 @@
+"""Calibrated scores: shares of pairs of one class that are true of shapes that were not counted."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from sklearn.isotonic import IsotonicRegression
+
+from pcretrieve.errors import InputError
+from pcretrieve.retrieval import (
+    MatchScores,
+    SignatureIndex,
+    Whitening,
+    fit_scores,
+    fit_whitening,
+    pair_sample,
+    pairwise,
+    scores,
+)
+from pcretrieve.retrieval.changes import without_shapes
+from pcretrieve.types import FloatArray, SignatureTable
+
+N_VALUES = 6
+
+
+def classes(n_classes: int, n_each: int, seed: int, spread: float = 0.5) -> tuple[FloatArray, list[str]]:
+    """Normally distributed classes, which differ most within themselves in the first direction."""
+    rng = np.random.default_rng(seed)
+    noise = spread * rng.normal(size=(n_classes * n_each, N_VALUES)) * np.geomspace(3, 0.5, N_VALUES)
+    centres = np.repeat(rng.normal(size=(n_classes, N_VALUES)), n_each, axis=0)
+    return centres + noise, [f"{row // n_each:03}" for row in range(n_classes * n_each)]
+
+
+def fitted(logs: FloatArray, labels: list[str], kind: str = "none") -> tuple[MatchScores, Whitening]:
+    whitening = fit_whitening(kind, logs, labels)
+    found = fit_scores(pair_sample(logs, labels), whitening)
+    assert found is not None
+    return found, whitening
+
+
+def pairs_of(points: FloatArray, labels: list[str]) -> tuple[FloatArray, FloatArray]:
+    """Distances of all pairs, and 1 for those of one class."""
+    first, second = np.triu_indices(len(points), k=1)
+    same = np.array(labels)[first] == np.array(labels)[second]
+    return pairwise("log", points, points)[first, second], same.astype(float)
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_pools_are_those_of_isotonic_regression(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    total = rng.integers(1, 20, size=rng.integers(1, 60)).astype(float)
+    same = np.minimum(rng.poisson(total / 2), total).astype(float)
+    expected = IsotonicRegression(increasing=False).fit_transform(
+        np.arange(len(total)), same / total, sample_weight=total
+    )
+    shares, pools = scores.isotonic_shares(same, total)
+    np.testing.assert_allclose(shares, expected, rtol=1e-12, atol=1e-15)
+    np.testing.assert_array_equal(np.diff(pools) > 0, np.diff(shares) < 0)
+
+
+def test_a_score_is_the_share_among_new_pairs_that_near() -> None:
+    found, _ = fitted(*classes(120, 8, seed=0, spread=0.25))
+    assert found.reason == "share of pairs of one class among 460320 pairs of 120 classes"
+    distances, same = pairs_of(*classes(120, 8, seed=1, spread=0.25))
+    given = found.of(distances)
+    for low in (0.05, 0.2, 0.4):
+        near = (given >= low) & (given < 2 * low)
+        assert near.sum() > 100
+        assert same[near].mean() == pytest.approx(given[near].mean(), rel=0.25)
+
+
+def test_scores_after_a_whitening_of_classes_are_those_of_other_classes() -> None:
+    """Whitened by what they differ by, the classes of the fit are more compact than new ones."""
+    logs, labels = classes(10, 8, seed=2, spread=1.0)
+    found, whitening = fitted(logs, labels, "within-class")
+    assert found.reason.endswith("10 classes, each left out of the whitening")
+    own_distances, own = pairs_of(whitening.apply(logs), labels)
+    # Of these classes the scores are too small, and they are about right for the classes of another draw.
+    near = np.quantile(own_distances[own == 1], 0.2)
+    logs, labels = classes(40, 8, seed=3, spread=1.0)
+    new_distances, new = pairs_of(whitening.apply(logs), labels)
+    said = found.of(np.array([near]))[0]
+    share = own[own_distances <= near].mean()
+    assert said < share
+    # 40 classes have four times as many pairs of two classes for each of one.
+    n_same, n_other = new[new_distances <= near].sum(), (1 - new)[new_distances <= near].sum()
+    assert n_same / (n_same + n_other / 4) < share
+
+
+def test_without_labels_mutual_neighbours_are_counted() -> None:
+    logs, labels = classes(20, 6, seed=4, spread=0.15)
+    whitening = fit_whitening("none", logs)
+    found = fit_scores(pair_sample(logs, [None] * len(logs)), whitening)
+    assert found is not None
+    assert found.reason == "share of mutual neighbours among 7140 pairs, because there are no labels"
+    distances, same = pairs_of(logs, labels)
+    assert same[found.of(distances) > 0.5].mean() > 0.9
+    assert same[found.of(distances) < 0.1].mean() < 0.1
+    assert fit_scores(pair_sample(logs[:20], [None] * 20), whitening) is None
+    # A few labels are no more than none.
+    few = [*labels[:4], *[None] * (len(logs) - 4)]
+    again = fit_scores(pair_sample(logs, few), whitening)
+    assert again == found
+
+
+def test_a_sample_of_classes_stands_for_all(monkeypatch: pytest.MonkeyPatch) -> None:
+    logs, labels = classes(100, 6, seed=5, spread=0.25)
+    expected, whitening = fitted(logs, labels)
+    monkeypatch.setattr(scores, "LARGEST", 300)
+    sample = pair_sample(logs, labels)
+    assert len(sample.logs) == 300  # 50 whole classes
+    found = fit_scores(sample, whitening)
+    assert found is not None
+    at = np.quantile(pairs_of(logs, labels)[0], [0.001, 0.003, 0.01, 0.03])
+    np.testing.assert_allclose(found.of(at), expected.of(at), atol=0.1)
+
+
+def test_scores_descend_and_are_kept_with_an_index() -> None:
+    logs, labels = classes(10, 5, seed=6)
+    found, _ = fitted(logs, labels)
+    assert (np.diff(found.scores) <= 0).all() and (np.diff(found.distances) >= 0).all()
+    assert 0 < found.of(np.array([np.inf]))[0] < found.of(np.array([0.0]))[0] < 1
+    with pytest.raises(InputError, match="scores must not ascend"):
+        MatchScores(np.array([0.0, 1.0]), np.array([0.1, 0.2]), "")
+    ids = tuple(f"{row:03}" for row in range(len(logs)))
+    plain = SignatureIndex(SignatureTable(ids, np.exp(logs), "any", labels=tuple(labels)))
+    assert plain.scores is None
+    index = plain.scored(found)
+    again = SignatureIndex.from_arrays(index.to_arrays())
+    assert again.scores == found and again.scores.reason == found.reason
+    assert without_shapes(index, ids[:1]).scores == found
+    assert SignatureIndex.from_arrays(plain.to_arrays()).scores is None
