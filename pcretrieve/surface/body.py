@@ -176,13 +176,14 @@ def _body_surface(
     inside = np.where(known, distance < 0, coarse_inside) & ~outside.reached
     parted, crossed_links = np.zeros_like(inside), np.zeros((3, *grid.shape), dtype=bool)
     if options.genus != "free":
-        crossed_links = _walls(cloud, grid)
         folds = folded(cloud, outside, inside)
-        open_links = _walls(cloud.select(~folds), grid) if folds.any() else crossed_links
+        crossed_links = _walls(cloud.select(~folds), grid)
         continued = _continued(cloud, outside)
-        parted = contact_layer(inside, open_links, continued, outside.distance)
+        parted = contact_layer(inside, crossed_links, continued, outside.distance)
         inside &= ~parted
         crossed_links |= continued
+        if folds.any():
+            crossed_links |= _walls(cloud.select(folds), grid)
     inside, bridges = joined(inside, cloud.points, grid, options, notes)
     if not inside.any():
         raise ReconstructionError(f"{len(cloud.points)} points enclose nothing")

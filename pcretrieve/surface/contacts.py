@@ -76,29 +76,26 @@ def walls(at: FloatArray, normals: FloatArray, shape: tuple[int, int, int], radi
         For each axis and voxel, whether the link to the next voxel along the axis crosses a surfel.
     """
     walls = np.zeros((3, shape[0], shape[1], shape[2]), dtype=np.bool_)
-    place = np.zeros(3, dtype=np.int64)
+    links = walls.reshape(3, -1)
+    step = (shape[1] * shape[2], shape[2], 1)
     for i in range(len(at)):
         for axis in range(3):
             lean = normals[i, axis]
             if abs(lean) < LEAST_LEAN:
                 continue
             first, second = (axis + 1) % 3, (axis + 2) % 3
-            for a in range(int(np.ceil(at[i, first] - radius)), int(np.floor(at[i, first] + radius)) + 1):
-                for b in range(
-                    int(np.ceil(at[i, second] - radius)), int(np.floor(at[i, second] + radius)) + 1
-                ):
-                    da, db = a - at[i, first], b - at[i, second]
+            x, y = at[i, first], at[i, second]
+            left, right = max(0, int(np.ceil(x - radius))), min(shape[first] - 1, int(np.floor(x + radius)))
+            low, high = max(0, int(np.ceil(y - radius))), min(shape[second] - 1, int(np.floor(y + radius)))
+            for a in range(left, right + 1):
+                for b in range(low, high + 1):
+                    da, db = a - x, b - y
                     along = -(normals[i, first] * da + normals[i, second] * db) / lean
                     if da * da + db * db + along * along > radius * radius:
                         continue
-                    place[axis], place[first], place[second] = int(np.floor(at[i, axis] + along)), a, b
-                    if (
-                        (place >= 0).all()
-                        and place[0] < shape[0]
-                        and place[1] < shape[1]
-                        and place[2] < shape[2]
-                    ):
-                        walls[axis, place[0], place[1], place[2]] = True
+                    c = int(np.floor(at[i, axis] + along))
+                    if 0 <= c < shape[axis]:
+                        links[axis, a * step[first] + b * step[second] + c * step[axis]] = True
     return walls
 
 

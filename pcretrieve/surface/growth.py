@@ -45,6 +45,11 @@ Y_LOW, Y_HIGH = _set(_AROUND[:, 1] < 2), _set(_AROUND[:, 1] > 0)
 Z_LOW, Z_HIGH = _set(_AROUND[:, 2] < 2), _set(_AROUND[:, 2] > 0)
 
 
+# The state of a voxel, as a set of bits: whether it may be added, was added, is adjacent to the region, is
+# adjacent to it by a link without a surfel, and waits in the queue 0 (the next bit is for the queue 1).
+INSIDE, ADDED, ADJACENT, LINKED, WAITING = 1, 2, 4, 8, 16
+
+
 def grown(inside: Mask, priority: Voxels, walls: Mask) -> Mask:
     """Grow a region without handles and cavities from the voxel of highest priority.
 
@@ -89,7 +94,10 @@ def _grown(steps: NDArray[np.int16], walls: Mask, seed: int) -> Mask:
     n = steps.size
     step = steps.ravel()
     wall = walls.reshape(3, n)
-    body = np.zeros(n, dtype=np.bool_)
+    # The state of a voxel is in one byte, so that the states of a neighbourhood stay in the cache.
+    state = np.zeros(n, dtype=np.uint8)
+    for cell in range(n):
+        state[cell] = INSIDE if step[cell] else 0
     offset = np.empty(27, dtype=np.int64)
     for k in range(27):
         offset[k] = (k // 9 - 1) * n_y * n_z + (k // 3 % 3 - 1) * n_z + k % 3 - 1
@@ -100,8 +108,6 @@ def _grown(steps: NDArray[np.int16], walls: Mask, seed: int) -> Mask:
     head = np.full((2, n_buckets), -1, dtype=np.int32)
     tail = np.full((2, n_buckets), -1, dtype=np.int32)
     after = np.empty((2, n), dtype=np.int32)
-    waiting = np.zeros((2, n), dtype=np.bool_)
-    queue_of = np.full(n, -1, dtype=np.int8)  # of each voxel that is adjacent to the region
     top = np.zeros(2, dtype=np.int64)
     top[1] = step[seed]
     head[1, top[1]] = seed
@@ -116,30 +122,32 @@ def _grown(steps: NDArray[np.int16], walls: Mask, seed: int) -> Mask:
                 break
             queue -= 1
         if queue < 0:
-            return body.reshape(steps.shape)
+            region: Mask = (state & ADDED != 0).reshape(steps.shape)
+            return region
         cell = head[queue, top[queue]]
         head[queue, top[queue]] = after[queue, cell]
-        waiting[queue, cell] = False
-        if body[cell]:
+        state[cell] &= ~(WAITING << queue)
+        if state[cell] & ADDED:
             continue
         around = 0
         for k in range(27):
-            if k != 13 and body[cell + offset[k]]:
-                around |= 1 << k
+            around |= (state[cell + offset[k]] & ADDED != 0) << k
         if not empty and not _is_simple(around):
             continue  # it is queued again when a neighbour is added
         empty = False
-        body[cell] = True
+        state[cell] |= ADDED
         for axis in range(3):
             above, below = cell + along[axis], cell - along[axis]
-            queue_of[above] = max(queue_of[above], 0 if wall[axis, cell] else 1)
-            queue_of[below] = max(queue_of[below], 0 if wall[axis, below] else 1)
+            state[above] |= ADJACENT if wall[axis, cell] else ADJACENT | LINKED
+            state[below] |= ADJACENT if wall[axis, below] else ADJACENT | LINKED
         for k in range(27):
             other = cell + offset[k]
-            queue = queue_of[other]
-            if queue < 0 or step[other] == 0 or body[other] or waiting[queue, other]:
+            if state[other] & (INSIDE | ADDED | ADJACENT) != INSIDE | ADJACENT:
                 continue
-            waiting[queue, other] = True
+            queue = 1 if state[other] & LINKED else 0
+            if state[other] & (WAITING << queue):
+                continue
+            state[other] |= WAITING << queue
             after[queue, other] = -1
             if head[queue, step[other]] < 0:
                 head[queue, step[other]] = other
