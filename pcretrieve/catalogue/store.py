@@ -15,7 +15,7 @@ from pcretrieve.catalogue.stores import open_rows
 from pcretrieve.catalogue.surfaces import payloads_of
 from pcretrieve.catalogue.tables import index_name, made_before, made_index, signature_table
 from pcretrieve.options import PipelineOptions
-from pcretrieve.retrieval import SignatureIndex, Whitening, table_whitening
+from pcretrieve.retrieval import SignatureIndex, Whitening
 from pcretrieve.types import SignatureTable
 
 __all__ = ["Catalogue"]
@@ -209,9 +209,7 @@ class Catalogue(StoredShapes):
             If `options` require other spectra than the catalogue has.
         """
         options = self._fitting(options)
-        if options.retrieval.calibration or options.retrieval.whitening in ("none", "resolution"):
-            return table_whitening(self.signatures(options), options.retrieval, made_before(options))
-        return self.index(options).whitening
+        return made_before(options) or self.index(options).whitening
 
     def _fitting(self, options: PipelineOptions | None) -> PipelineOptions:
         """The options of a request, after a check that they need no other spectra than the stored ones."""

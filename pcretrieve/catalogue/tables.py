@@ -29,8 +29,8 @@ from pcretrieve.retrieval import (
     resolution_covariance,
     resolution_whitening,
 )
+from pcretrieve.retrieval.covariances import CHUNK
 from pcretrieve.retrieval.distances import check_comparable, coordinates
-from pcretrieve.retrieval.lower_bounds import CHUNK
 from pcretrieve.retrieval.names import Names
 from pcretrieve.retrieval.whitened import MadeBy
 from pcretrieve.types import FloatArray, SignatureTable, SizeUnit

@@ -17,7 +17,10 @@ from pcretrieve.errors import InputError
 from pcretrieve.retrieval.ranking import Positions
 from pcretrieve.types import FloatArray
 
-__all__ = ["Residuals", "likeliest_shrinkage", "shrunk", "within_class_residuals"]
+__all__ = ["CHUNK", "Residuals", "likeliest_shrinkage", "scatter_matrix", "shrunk", "within_class_residuals"]
+
+# Number of signatures that are processed together, so that intermediate arrays have a few MB.
+CHUNK = 2**15
 
 # Intensities that are tried, and the number of groups of classes, each of which is left out once.
 INTENSITIES = (0.0003, 0.001, 0.003, 0.01, 0.03, 0.1, 0.3)
@@ -30,6 +33,28 @@ LEAST_VARIANCE = 1e-9
 
 # Intensity if there are fewer than two classes, so that none can be left out.
 UNTESTED = 0.1
+
+
+def scatter_matrix(logs: FloatArray, mean: FloatArray) -> FloatArray:
+    """The scatter matrix of many shapes, without a centred copy of the table.
+
+    Parameters
+    ----------
+    logs : (N, L) float64
+        Log-signatures, one in each row.
+    mean : (L,) float64
+        Their mean.
+
+    Returns
+    -------
+    (L, L) float64
+        The sum of the outer products of the centred rows: N − 1 times the covariance.
+    """
+    scatter = np.zeros((len(mean), len(mean)))
+    for start in range(0, len(logs), CHUNK):
+        centred = logs[start : start + CHUNK] - mean
+        scatter += centred.T @ centred
+    return scatter
 
 
 class Residuals(NamedTuple):

@@ -34,7 +34,12 @@ import numpy as np
 
 from pcretrieve.errors import InputError, OptionError
 from pcretrieve.options import RetrievalOptions, Shrinkage
-from pcretrieve.retrieval.covariances import likeliest_shrinkage, shrunk, within_class_residuals
+from pcretrieve.retrieval.covariances import (
+    likeliest_shrinkage,
+    scatter_matrix,
+    shrunk,
+    within_class_residuals,
+)
 from pcretrieve.retrieval.distances import table_coordinates
 from pcretrieve.retrieval.pairs import neighbour_pairs
 from pcretrieve.retrieval.whitening import WHITENINGS, Whitening
@@ -299,9 +304,7 @@ def _within_class(
 
 
 def _covariance(logs: FloatArray) -> FloatArray:
-    centred = logs - logs.mean(axis=0)
-    covariance: FloatArray = centred.T @ centred / (len(logs) - 1)
-    return covariance
+    return scatter_matrix(logs, logs.mean(axis=0)) / (len(logs) - 1)
 
 
 def checked_shrinkage(kind: str, shrinkage: Shrinkage) -> float:

@@ -26,9 +26,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcretrieve.retrieval.blocks import N_CELLS, Blocks, Rows
+from pcretrieve.retrieval.covariances import CHUNK, scatter_matrix
 from pcretrieve.types import FloatArray
 
-__all__ = ["CHUNK", "LowerBounds"]
+__all__ = ["LowerBounds"]
 
 # Number of principal directions, and for d1 number of values, that the bounds are computed from. With fewer
 # the bounds are looser and more shapes need an exact distance; with more the bounds take longer. See
@@ -43,9 +44,6 @@ N_DIVIDING = 8
 # The abscissa c where the chord of d1 ends; any c gives a lower bound. See docs/decisions.md, CLIP.
 CLIP = 1.0
 CHORD_SLOPE = math.tanh(CLIP / 2) / CLIP
-
-# Number of signatures that are processed together, so that intermediate arrays have a few MB.
-CHUNK = 2**15
 
 SINGLE = float(np.finfo(np.float32).eps)
 LARGEST_SINGLE = float(np.finfo(np.float32).max)
@@ -95,7 +93,7 @@ class LowerBounds:
             With the principal directions, or the values, of largest variance.
         """
         mean = gallery.mean(axis=0)
-        scatter = _scatter(gallery, mean)
+        scatter = scatter_matrix(gallery, mean)
         if distance == "d1":
             order = np.argsort(-np.diag(scatter), kind="stable")[: n_leading or N_LEADING_D1]
             axes = np.eye(gallery.shape[1])[:, order]  # (L, D)
@@ -270,15 +268,6 @@ class LowerBounds:
     def _rounding(self) -> float:
         """The factor that allows for rounding errors of D terms and of their partial sums."""
         return 1 + 4 * (int(self.axes.shape[1]) + 8) * SINGLE
-
-
-def _scatter(gallery: FloatArray, mean: FloatArray) -> FloatArray:
-    """(L, L) sum of the outer products of the centred rows, without a centred copy of the table."""
-    scatter = np.zeros((len(mean), len(mean)))
-    for start in range(0, len(gallery), CHUNK):
-        centred = gallery[start : start + CHUNK] - mean
-        scatter += centred.T @ centred
-    return scatter
 
 
 def _coordinates(gallery: FloatArray, mean: FloatArray, axes: FloatArray, rows: Rows | slice) -> FloatArray:

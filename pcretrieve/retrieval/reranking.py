@@ -99,10 +99,24 @@ def neighbour_lists(blocks: Iterable[DistanceBlock], n: int, k: int = N_RERANKED
     for queries, block in blocks:
         columns = block.copy()
         columns[np.arange(len(queries)), queries] = -np.inf  # a shape is the first in its own list
-        nearest = np.argsort(columns, axis=1, kind="stable")[:, :length]
+        nearest = _first_columns(columns, length)
         order[queries] = nearest
         distances[queries] = np.take_along_axis(block, nearest, axis=1)
     return NeighbourLists(order, distances)
+
+
+def _first_columns(values: FloatArray, length: int) -> Positions:
+    """The columns (n, length) of the smallest values in each row, ascending; equal values by column."""
+    if length == values.shape[1]:
+        return np.argsort(values, axis=1, kind="stable")
+    # In time proportional to the number of columns, unlike a sorting of whole rows.
+    columns = np.sort(np.argpartition(values, length - 1, axis=1)[:, :length], axis=1)
+    chosen = np.take_along_axis(values, columns, axis=1)  # (n, length)
+    first = np.take_along_axis(columns, np.argsort(chosen, axis=1, kind="stable"), axis=1)
+    # Which of several values that equal the largest chosen one are chosen is left to chance.
+    tied = (values <= chosen.max(axis=1, keepdims=True)).sum(axis=1) > length
+    first[tied] = np.argsort(values[tied], axis=1, kind="stable")[:, :length]
+    return first
 
 
 def rerank(method: str, lists: NeighbourLists, rows: Positions | None = None) -> Positions:

@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pcretrieve.errors import InputError
+from pcretrieve.retrieval.covariances import CHUNK
 from pcretrieve.retrieval.distances import coordinates
 from pcretrieve.retrieval.filtering import Filter
-from pcretrieve.retrieval.lower_bounds import CHUNK
 from pcretrieve.retrieval.names import Names
 from pcretrieve.retrieval.ranking import position_of
 from pcretrieve.retrieval.scores import MatchScores

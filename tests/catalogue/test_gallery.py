@@ -89,6 +89,7 @@ def test_an_index_that_was_kept_answers_as_one_made_anew(
         statements: list[str] = []
         other._rows._connection.set_trace_callback(statements.append)  # type: ignore[attr-defined]
         index = other.index(options)
+        assert other.whitening(options) == index.whitening
         assert not [text for text in statements if "signatures" in text], "it was computed again"
         assert_same(index, catalogue, options)
 

@@ -49,6 +49,15 @@ def test_lists_are_the_nearest_with_the_shape_itself_first() -> None:
     np.testing.assert_array_equal(distances, np.sort(exact, axis=1)[:, :8])
 
 
+@pytest.mark.parametrize("k", [1, 6, 7, 40, 59])
+def test_of_equally_near_shapes_the_first_are_in_the_lists(k: int) -> None:
+    points = np.round(some_points())[:, :3]  # on a lattice, so that many distances are equal
+    distances = pairwise("log", points, points)
+    np.fill_diagonal(distances, -1)
+    wanted = np.argsort(distances, axis=1, kind="stable")[:, : k + 1]
+    np.testing.assert_array_equal(lists_of(points, k).order, wanted)
+
+
 def test_k_reciprocal_is_that_of_sets() -> None:
     """Zhong et al., equations 2 to 12, with sets and loops."""
     points = some_points()
