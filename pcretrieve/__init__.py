@@ -42,6 +42,7 @@ if TYPE_CHECKING:
     from pcretrieve.inspection import Inspection, signature_spread
     from pcretrieve.interface import (
         calibrate,
+        compare,
         evaluate,
         ingest,
         inspect,
@@ -123,6 +124,7 @@ __all__ = [
     "WorkerDied",
     "__version__",
     "calibrate",
+    "compare",
     "describe",
     "eigenpairs",
     "evaluate",
@@ -195,6 +197,7 @@ _HOMES = {
     ),
     "pcretrieve.interface": (
         "calibrate",
+        "compare",
         "evaluate",
         "ingest",
         "inspect",

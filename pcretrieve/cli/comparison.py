@@ -227,7 +227,9 @@ def compared(store: Catalogue, config: Path | None, **flags: Any) -> PipelineOpt
     return options
 
 
-def read_distances(matrix: Path | None, comparison: dict[str, Any]) -> DistanceMatrix | None:
+def read_distances(
+    matrix: Path | None, comparison: dict[str, Any], *, reranks: bool = False
+) -> DistanceMatrix | None:
     """Read the distance matrix that ``--matrix`` names.
 
     Parameters
@@ -236,6 +238,8 @@ def read_distances(matrix: Path | None, comparison: dict[str, Any]) -> DistanceM
         The file; None: not given.
     comparison : dict of str to object
         Values of `comparison_options`.
+    reranks : bool, default False
+        Whether the command can re-rank by a matrix.
 
     Returns
     -------
@@ -249,7 +253,8 @@ def read_distances(matrix: Path | None, comparison: dict[str, Any]) -> DistanceM
     """
     if matrix is None:
         return None
-    if given := given_flags(comparison):
+    without = {name: value for name, value in comparison.items() if name != "rerank" or not reranks}
+    if given := given_flags(without):
         raise click.UsageError(f"a matrix holds distances already: leave out {given}")
     from pcretrieve.matching import read_matrix
 

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -13,9 +13,15 @@ from pcretrieve.cli.comparison import compared, comparison_options, matrix_optio
 from pcretrieve.cli.messages import say, write_json
 from pcretrieve.cli.parts import CATALOGUE, json_option
 
-__all__ = ["evaluate_command"]
+if TYPE_CHECKING:
+    from pcretrieve.evaluation import RankedCatalogue
+    from pcretrieve.options import RerankKind
+    from pcretrieve.types import FloatArray
 
-MEASURES = {"nn": "NN", "ft": "FT", "st": "ST", "e": "E", "dcg": "DCG", "map": "mAP"}
+__all__ = ["HEAD", "evaluate_command", "numbers_line"]
+
+#: The line above rows of measures.
+HEAD = "  ".join(f"{name:>6}" for name in ("NN", "FT", "ST", "E", "DCG", "mAP"))
 
 
 @click.command("evaluate")
@@ -33,6 +39,19 @@ MEASURES = {"nn": "NN", "ft": "FT", "st": "ST", "e": "E", "dcg": "DCG", "map": "
 @click.option(
     "--sound-only", is_flag=True, help="Leave out shapes of the catalogue that are doubtful or unusable."
 )
+@click.option(
+    "--per-class",
+    is_flag=True,
+    help="Add the means of each class, and of which other classes the nearest shapes of its queries are.",
+)
+@click.option(
+    "--csv",
+    "folder",
+    type=click.Path(path_type=Path),
+    metavar="FOLDER",
+    help="Write queries.csv, classes.csv, confusion.csv (of the nearest shape) and precision_recall.csv to "
+    "this folder.",
+)
 @comparison_options
 @json_option
 def evaluate_command(
@@ -40,35 +59,52 @@ def evaluate_command(
     labels: Path | None,
     matrix: Path | None,
     sound_only: bool,
+    per_class: bool,
+    folder: Path | None,
     as_json: bool,
     **comparison: Any,
 ) -> None:
     """Retrieval measures of a labelled catalogue.
 
     Printed are nearest neighbour (NN), first and second tier (FT, ST), E-measure (E), discounted cumulative
-    gain (DCG) and mean average precision (mAP). Each shape is a query in all other shapes; shapes that failed
-    count as misses. The default whitening does not use the labels. Within-class whitening is cross-validated
-    by folds of classes: it is evaluated on classes to which it was not fitted.
+    gain (DCG) and mean average precision (mAP): micro-averages, which are means over the queries, with 95 %
+    confidence intervals by the bootstrap over queries; and macro-averages, which are means over the classes.
+    Each shape is a query in all other shapes; shapes that failed count as misses. The default whitening does
+    not use the labels. Within-class whitening is cross-validated by folds of classes: it is evaluated on
+    classes to which it was not fitted.
 
     \b
     pcretrieve evaluate --catalogue shrec11.sqlite --n-values 45 --whitening pca
+    pcretrieve evaluate --catalogue shrec11.sqlite --per-class --csv shrec11/
     pcretrieve evaluate --matrix run1.txt --labels shrec11.cla
     """
     from pcretrieve.catalogue import Catalogue
-    from pcretrieve.evaluation import RankedCatalogue, evaluate_rankings, rank_catalogue, rank_matrix
+    from pcretrieve.evaluation import (
+        LEVEL,
+        MEASURES,
+        bootstrap_interval,
+        class_measures,
+        evaluate_rankings,
+        query_scores,
+        rank_catalogue,
+        rank_matrix,
+        write_evaluation,
+    )
 
-    distances = read_distances(matrix, comparison)
+    distances = read_distances(matrix, comparison, reranks=True)
+    rerank: RerankKind = comparison["rerank"] or "none"
     how: dict[str, object] = {"matrix": str(matrix)}
     if catalogue is None:
         if distances is None or labels is None:
             raise click.UsageError("give --catalogue, or both --matrix and --labels")
         if sound_only:
             raise click.UsageError("--sound-only needs --catalogue, which has the verdicts")
-        ranked = RankedCatalogue(rank_matrix(distances, labels), 0, None)
+        ranked = rank_matrix(distances, labels, rerank=rerank)
     else:
         with Catalogue(catalogue) as store:
             options = compared(store, **comparison)
             ranked = rank_catalogue(store, options, labels=labels, matrix=distances, sound_only=sound_only)
+        rerank = options.retrieval.rerank
         if ranked.table is not None:
             how = {
                 "method": ranked.table.kind,
@@ -78,29 +114,83 @@ def evaluate_command(
                 "distance": options.retrieval.distance,
                 "whitening": options.retrieval.whitening,
                 "whitening_used": ranked.whitening,
-                "rerank": options.retrieval.rerank,
             }
-    measures = evaluate_rankings(ranked.rankings)
-    counts = {"n_failed": ranked.n_failed, "n_shapes": ranked.rankings.n_gallery}
-    document = asdict(measures) | counts | how
+    how["rerank"] = rerank
+    if folder is not None:
+        write_evaluation(ranked.rankings, folder)
+        say(f"queries, classes, confusion and precision_recall: .csv files in {folder}")
+    measures = asdict(evaluate_rankings(ranked.rankings))
+    macro = asdict(evaluate_rankings(ranked.rankings, average="macro"))
+    low, high = bootstrap_interval(query_scores(ranked.rankings).columns)
+    classes = class_measures(ranked.rankings) if per_class else ()
     if as_json:
+        counts = {"n_failed": ranked.n_failed, "n_shapes": ranked.rankings.n_gallery}
+        document = measures | counts | how
+        document["interval"] = {
+            "level": LEVEL,
+            "low": _named(MEASURES, low),
+            "high": _named(MEASURES, high),
+        }
+        document["macro"] = {name: macro[name] for name in MEASURES}
+        if per_class:
+            document["classes"] = [
+                {"label": one.label, "n_queries": one.n_queries}
+                | _named(MEASURES, one.means)
+                | {"confused": [{"label": label, "n_queries": n} for label, n in one.confused]}
+                for one in classes
+            ]
         write_json(document)
         return
-    click.echo("  ".join(f"{name:>6}" for name in MEASURES.values()))
-    rerank = how.get("rerank", "none")
-    if ranked.plain is not None and rerank != "none":
-        click.echo(f"{_row(asdict(evaluate_rankings(ranked.plain)))}  plain")
-    click.echo(_row(document) + (f"  {rerank}" if rerank != "none" else ""))
-    by = f"scale {how['scale']}" if "scale" in how else f"distances of {matrix}"
+    click.echo(HEAD)
+    if rerank != "none":
+        plain = asdict(evaluate_rankings(ranked.plain))
+        click.echo(f"{_row(plain, MEASURES)}  micro-average, plain")
+    click.echo(f"{_row(measures, MEASURES)}  micro-average" + (f", {rerank}" if rerank != "none" else ""))
+    click.echo(f"{numbers_line(low)}    {LEVEL:.0%} interval from")
+    click.echo(f"{numbers_line(high)}    to")
+    click.echo(f"{_row(macro, MEASURES)}  macro-average")
+    for one in classes:
+        others = ", ".join(f"{label or 'no class'} {n}" for label, n in one.confused)
+        click.echo(
+            f"{numbers_line(one.means)}  {one.label}, {one.n_queries} queries"
+            + (f"; nearest {others}" if others else "")
+        )
+    _say_how(ranked, how)
+
+
+def _say_how(ranked: RankedCatalogue, how: Mapping[str, object]) -> None:
+    by = f"scale {how['scale']}" if "scale" in how else f"distances of {how['matrix']}"
     if how.get("size_weight"):
         by += f", size weight {how['size_weight']:g}"
     say(
-        f"{measures.n_queries} queries in {counts['n_shapes']} shapes, {ranked.n_failed} failed shapes count "
-        f"as misses; {by}"
+        f"{len(ranked.rankings.ids)} queries in {ranked.rankings.n_gallery} shapes, {ranked.n_failed} failed "
+        f"shapes count as misses; {by}"
     )
     if ranked.whitening:
         say(f"whitening: {ranked.whitening}")
 
 
-def _row(measures: Mapping[str, Any]) -> str:
-    return "  ".join(f"{measures[name]:6.4f}" for name in MEASURES)
+def numbers_line(values: Iterable[float], form: str = "6.4f") -> str:
+    """A row of measures below `HEAD`.
+
+    Parameters
+    ----------
+    values : iterable of float
+        The measures.
+    form : str, default "6.4f"
+        Format of a number of six characters or more.
+
+    Returns
+    -------
+    str
+        The line.
+    """
+    return "  ".join(format(value, form) for value in values)
+
+
+def _row(measures: Mapping[str, float], names: Iterable[str]) -> str:
+    return numbers_line(measures[name] for name in names)
+
+
+def _named(names: Iterable[str], values: FloatArray) -> dict[str, float]:
+    return dict(zip(names, values.tolist(), strict=True))

@@ -38,6 +38,7 @@ COMMANDS = (
     "ingest",
     "query",
     "evaluate",
+    "compare",
     "calibrate",
     "matrix",
     "report",

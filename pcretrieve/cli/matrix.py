@@ -35,7 +35,8 @@ def matrix_command(catalogue: str, output: Path, matcher: str | None, **comparis
     """Write the distance matrix of a catalogue, in the format of the SHREC (Shape Retrieval Contest) tracks.
 
     The value in row i and column j is the distance from the query i to the shape j. Shapes that the matcher
-    cannot be applied to are reported and left out.
+    cannot be applied to are reported and left out. Distances are written without re-ranking, which `evaluate
+    --matrix` applies to them.
 
     \b
     pcretrieve matrix --catalogue bodies.sqlite -o bodies.txt
@@ -47,6 +48,8 @@ def matrix_command(catalogue: str, output: Path, matcher: str | None, **comparis
 
     if matcher is not None and (given := given_flags(comparison)):
         raise click.UsageError(f"a matcher has no signatures: leave out {given}")
+    if comparison["rerank"] is not None:
+        raise click.UsageError("distances are not re-ranked: leave out --rerank, and give it to `evaluate`")
     with Catalogue(catalogue) as store:
         matrix, failures = catalogue_distances(store, compared(store, **comparison), matcher=matcher)
     write_matrix(matrix, output)

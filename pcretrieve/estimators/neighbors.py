@@ -189,6 +189,8 @@ class SignatureNeighbors(BaseEstimator):  # type: ignore[misc]
             n_relevant=np.array(n_relevant),
             hit_query=np.concatenate(hit_query),
             hit_rank=np.concatenate(hit_rank),
+            nearest=(None,) * len(n_relevant),
+            nearest_labels=(None,) * len(n_relevant),
             n_gallery=self.n_samples_fit_ + 1,
             n_failed=0,
             n_single=0,

@@ -8,13 +8,16 @@ from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
+import numpy as np
+
 from pcretrieve.catalogue import Catalogue
 from pcretrieve.errors import BenchmarkError, InputError
 from pcretrieve.evaluation.rankings import Rankings, rank
+from pcretrieve.evaluation.reranked import Subset, rank_subsets
 from pcretrieve.evaluation.tables import rank_table, rerank_table, unsupervised
 from pcretrieve.ingestion.labels import match_labels, read_labels
 from pcretrieve.matching import DistanceMatrix
-from pcretrieve.options import PipelineOptions
+from pcretrieve.options import PipelineOptions, RerankKind
 from pcretrieve.retrieval import resolution_covariance, table_whitening
 from pcretrieve.types import SignatureTable
 
@@ -24,7 +27,7 @@ logger = logging.getLogger(__name__)
 
 
 class RankedCatalogue(NamedTuple):
-    """The rankings of the shapes of a catalogue.
+    """The rankings of the shapes of a catalogue, or of a distance matrix.
 
     Attributes
     ----------
@@ -36,15 +39,15 @@ class RankedCatalogue(NamedTuple):
         The signatures that were compared, with the classes; None for a distance matrix.
     whitening : str
         The whitening that was used, and why, in one line; empty for a distance matrix.
-    plain : Rankings or None
-        The rankings before re-ranking; None for a distance matrix.
+    plain : Rankings
+        The rankings before re-ranking; those of `rankings` without it.
     """
 
     rankings: Rankings
     n_failed: int
     table: SignatureTable | None
-    whitening: str = ""
-    plain: Rankings | None = None
+    whitening: str
+    plain: Rankings
 
 
 def rank_catalogue(
@@ -66,8 +69,8 @@ def rank_catalogue(
     labels : str or Path, optional
         A file of classes, which are used instead of the stored ones.
     matrix : DistanceMatrix, optional
-        Distances that are used instead of those of the signatures. Shapes of the catalogue that the matrix
-        does not have are misses.
+        Distances that are used instead of those of the signatures, with the re-ranking of the options. Shapes
+        of the catalogue that the matrix does not have are misses.
     sound_only : bool, default False
         Leave out the shapes whose verdict is "doubtful" or "unusable", as queries and as results.
 
@@ -83,7 +86,7 @@ def rank_catalogue(
     CatalogueError
         If `options` require other spectra than the catalogue has.
     InputError
-        If the matrix has a shape that the catalogue does not have.
+        If the matrix has a shape that the catalogue does not have, or infinite distances are re-ranked.
     """
     options = options or catalogue.options
     everything = catalogue.records()
@@ -103,7 +106,7 @@ def rank_catalogue(
             matrix = matrix.select([shape_id for shape_id in matrix.ids if shape_id not in left])
         ranked_ids = set(matrix.ids)
         missing = {shape_id: classes[shape_id] for shape_id in records if shape_id not in ranked_ids}
-        return RankedCatalogue(_ranked(matrix, classes, missing), len(missing), None)
+        return _ranked(matrix, classes, missing, options.retrieval.rerank)
     table = catalogue.signatures(options)
     if left:
         table = table.select([shape_id for shape_id in table.ids if shape_id not in left])
@@ -157,7 +160,9 @@ def check_known(matrix: DistanceMatrix, catalogue: Catalogue) -> None:
         )
 
 
-def rank_matrix(matrix: DistanceMatrix, labels: str | Path) -> Rankings:
+def rank_matrix(
+    matrix: DistanceMatrix, labels: str | Path, *, rerank: RerankKind = "none"
+) -> RankedCatalogue:
     """Rank the shapes of a distance matrix for each labelled shape.
 
     Parameters
@@ -166,16 +171,20 @@ def rank_matrix(matrix: DistanceMatrix, labels: str | Path) -> Rankings:
         The distances.
     labels : str or Path
         A file of classes, whose names are the ids of the matrix, or files named like them.
+    rerank : {"none", "local", "k-reciprocal"}, default "none"
+        The re-ranking.
 
     Returns
     -------
-    Rankings
-        The ranks of the relevant shapes.
+    RankedCatalogue
+        The rankings.
 
     Raises
     ------
     BenchmarkError
         If no class has two shapes, or the file of classes does not fit.
+    InputError
+        If infinite distances are re-ranked.
     """
     ids = set(matrix.ids)
     named: dict[str, str] = {}
@@ -185,13 +194,30 @@ def rank_matrix(matrix: DistanceMatrix, labels: str | Path) -> Rankings:
             raise BenchmarkError(
                 f"a shape must have one class, {shape_id!r} has {named[shape_id]!r} and {label!r} in {labels}"
             )
-    return _ranked(matrix, _classes(labels, named, {shape_id: f"/{shape_id}" for shape_id in ids}), {})
+    classes = _classes(labels, named, {shape_id: f"/{shape_id}" for shape_id in ids})
+    return _ranked(matrix, classes, {}, rerank)
 
 
 def _ranked(
-    matrix: DistanceMatrix, classes: Mapping[str, str | None], missing: Mapping[str, str | None]
-) -> Rankings:
-    return rank(matrix, [classes[shape_id] for shape_id in matrix.ids], failed=missing)
+    matrix: DistanceMatrix,
+    classes: Mapping[str, str | None],
+    missing: Mapping[str, str | None],
+    rerank: RerankKind,
+) -> RankedCatalogue:
+    """The rankings by a matrix, in which some shapes are missing."""
+    labels = [classes[shape_id] for shape_id in matrix.ids]
+    if rerank == "none":
+        plain = again = rank(matrix, labels, failed=missing)
+    else:
+        if not np.isfinite(matrix.values).all():
+            raise InputError(
+                f"re-ranking needs finite distances, got {np.isinf(matrix.values).sum()} that are infinite: "
+                "rank without it"
+            )
+        everything = Subset(np.arange(len(matrix)), matrix.blocks())
+        by_method = rank_subsets([everything], matrix.ids, labels, ("none", rerank), failed=missing)
+        plain, again = by_method["none"], by_method[rerank]
+    return RankedCatalogue(again, len(missing), None, "", plain)
 
 
 def _classes(file: str | Path, labels: Mapping[str, str], paths: Mapping[str, str]) -> dict[str, str | None]:

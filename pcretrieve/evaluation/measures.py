@@ -11,8 +11,9 @@ relevant. For each query [1]_:
     DCG   Σ g(rank of each relevant shape) / Σ g(1 … R), g(1) = 1 and g(i) = 1 / log₂ i
     AP    mean over the R relevant shapes of the precision at the rank of each; 0 for shapes not ranked
 
-The result is the mean over the queries (micro-average). A list that is shorter than 32, or than 2R, is used
-as a whole. Conventions that the benchmark does not define:
+The micro-average is the mean over the queries, and the macro-average the mean over the classes of the means
+of their queries, in which small classes count as much as large ones. A list that is shorter than 32, or than
+2R, is used as a whole. Conventions that the benchmark does not define:
 
 - A shape that failed is a miss: as a query its measures are 0, and for the other shapes of its class it is a
   relevant shape that is not ranked.
@@ -28,7 +29,7 @@ References
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Literal, NamedTuple, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,6 +41,8 @@ from pcretrieve.types import FloatArray
 from pcretrieve.values import Value
 
 __all__ = [
+    "MEASURES",
+    "Average",
     "PrecisionRecall",
     "QueryScores",
     "RetrievalMeasures",
@@ -47,6 +50,11 @@ __all__ = [
     "precision_recall",
     "query_scores",
 ]
+
+#: The measures, in the order of the columns of `QueryScores.columns`.
+MEASURES = ("nn", "ft", "st", "e", "dcg", "map")
+
+Average = Literal["micro", "macro"]
 
 # Length of the list of which E is computed, as in the benchmark: about the results that fit on a screen.
 E_CUTOFF = 32
@@ -75,10 +83,15 @@ class QueryScores(Value):
     dcg: FloatArray
     ap: FloatArray
 
+    @property
+    def columns(self) -> FloatArray:
+        """(Q, 6) float64, the measures of each query in the order of `MEASURES`."""
+        return np.column_stack([self.nn, self.ft, self.st, self.e, self.dcg, self.ap])
+
 
 @dataclass(frozen=True, slots=True)
 class RetrievalMeasures:
-    """The means of the measures over all queries.
+    """Averages of the measures over all queries, or over all classes.
 
     Attributes
     ----------
@@ -152,27 +165,36 @@ def query_scores(ranked: Rankings) -> QueryScores:
     )
 
 
-def evaluate_rankings(ranked: Rankings) -> RetrievalMeasures:
-    """The mean of each measure over all queries.
+def evaluate_rankings(ranked: Rankings, *, average: Average = "micro") -> RetrievalMeasures:
+    """The average of each measure.
 
     Parameters
     ----------
     ranked : Rankings
         The ranks of the relevant shapes.
+    average : {"micro", "macro"}, default "micro"
+        The mean over the queries, or the mean over the classes of the means of their queries.
 
     Returns
     -------
     RetrievalMeasures
-        The means.
+        The averages.
+
+    Raises
+    ------
+    OptionError
+        If there is no such average.
     """
-    scores = query_scores(ranked)
+    if average not in get_args(Average):
+        raise OptionError(f"average must be one of {', '.join(get_args(Average))}, got {average!r}")
+    columns = query_scores(ranked).columns
+    if average == "macro":
+        _, number = np.unique(np.array(ranked.labels), return_inverse=True)
+        sizes = np.bincount(number)
+        columns = columns * (len(number) / (len(sizes) * sizes[number]))[:, np.newaxis]
+    means = columns.mean(axis=0)
     return RetrievalMeasures(
-        nn=float(scores.nn.mean()),
-        ft=float(scores.ft.mean()),
-        st=float(scores.st.mean()),
-        e=float(scores.e.mean()),
-        dcg=float(scores.dcg.mean()),
-        map=float(scores.ap.mean()),
+        **dict(zip(MEASURES, means.tolist(), strict=True)),
         n_queries=len(ranked.labels),
         n_failed=ranked.n_failed,
         n_single=ranked.n_single,

@@ -54,6 +54,10 @@ class Rankings(Value):
     hit_query, hit_rank : (H,) intp
         One entry for each relevant shape in a ranked list: the number of the query, ascending, and the rank
         of the shape, 1 for the nearest, ascending for each query.
+    nearest : tuple of (str or None), length Q
+        The nearest shape of each query; None for shapes that failed, and in a gallery of one.
+    nearest_labels : tuple of (str or None), length Q
+        Its class; None if unknown.
     n_gallery : int
         Number of shapes in the gallery.
     n_failed : int
@@ -67,6 +71,8 @@ class Rankings(Value):
     n_relevant: Positions
     hit_query: Positions
     hit_rank: Positions
+    nearest: tuple[str | None, ...]
+    nearest_labels: tuple[str | None, ...]
     n_gallery: int
     n_failed: int
     n_single: int
@@ -222,6 +228,7 @@ def rank_sorted(
     number[answered] = np.arange(len(answered))
     hits = [np.empty((2, 0), dtype=np.intp)]
     times_seen = np.zeros(len(answered), dtype=np.intp)
+    nearest = np.full(len(answered), -1)
     for block in blocks:
         wanted = np.flatnonzero(number[block.queries] >= 0)
         queries = block.queries[wanted]
@@ -230,6 +237,8 @@ def rank_sorted(
         relevant[:, :1] = False  # the query itself, at rank 0
         row, rank = np.nonzero(relevant)
         hits.append(np.stack([number[queries][row], rank]))
+        if block.order.shape[1] > 1:
+            nearest[number[queries]] = block.order[wanted, 1]
     if (times_seen != 1).any():
         raise InputError(
             f"every query must be ranked exactly once, got {(times_seen == 0).sum()} queries missing and "
@@ -244,6 +253,8 @@ def rank_sorted(
         n_relevant=np.array([sizes[label] - 1 for label in query_labels], dtype=np.intp),
         hit_query=hit_query[order],
         hit_rank=hit_rank[order],
+        nearest=(*(None if near < 0 else ids[near] for near in nearest), *(None for _ in missed)),
+        nearest_labels=(*(None if near < 0 else labels[near] for near in nearest), *(None for _ in missed)),
         n_gallery=len(ids),
         n_failed=len(missed),
         n_single=sum(size for size in sizes.values() if size == 1),

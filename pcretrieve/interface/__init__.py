@@ -6,12 +6,13 @@ a scan as a path, an array, or geometry of this package or another.
 
 from pcretrieve.interface.catalogues import CatalogueLike
 from pcretrieve.interface.queries import search, search_many
-from pcretrieve.interface.retrieval import calibrate, evaluate, matrix, report
+from pcretrieve.interface.retrieval import calibrate, compare, evaluate, matrix, report
 from pcretrieve.interface.scans import ingest, inspect, merge_views
 
 __all__ = [
     "CatalogueLike",
     "calibrate",
+    "compare",
     "evaluate",
     "ingest",
     "inspect",

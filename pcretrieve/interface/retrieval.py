@@ -1,15 +1,19 @@
-"""Catalogue → measures, whitenings, distances and pages: `evaluate`, `calibrate`, `matrix` and `report`."""
+"""Catalogue → measures, whitenings, distances and pages: `evaluate`, `compare`, `matrix` and so on."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
 from pcretrieve.evaluation import (
+    Comparison,
+    QueryScores,
     RetrievalMeasures,
     catalogue_distances,
+    compare_scores,
     evaluate_rankings,
     rank_catalogue,
     rank_table,
+    result_scores,
 )
 from pcretrieve.evaluation import calibrate as calibrate_catalogue
 from pcretrieve.interface.catalogues import CatalogueLike, opened
@@ -18,7 +22,7 @@ from pcretrieve.options import OptionsLike, PipelineOptions
 from pcretrieve.pages.retrieval_page import retrieval_page
 from pcretrieve.types import SignatureTable
 
-__all__ = ["calibrate", "evaluate", "matrix", "report"]
+__all__ = ["calibrate", "compare", "evaluate", "matrix", "report"]
 
 
 def evaluate(
@@ -64,6 +68,54 @@ def evaluate(
         return evaluate_rankings(
             rank_catalogue(store, chosen, labels=labels, matrix=matrix, sound_only=sound_only).rankings
         )
+
+
+def compare(
+    first: CatalogueLike | DistanceMatrix,
+    second: CatalogueLike | DistanceMatrix,
+    *,
+    options: OptionsLike = None,
+    second_options: OptionsLike = None,
+    labels: str | Path | None = None,
+) -> Comparison:
+    """Compare two results for the same labelled shapes, query by query.
+
+    Parameters
+    ----------
+    first : Catalogue, str, Path or DistanceMatrix
+        A catalogue; a distance matrix, or its file; or a file ``queries.csv`` of
+        `pcretrieve.evaluation.write_evaluation`.
+    second : Catalogue, str, Path or DistanceMatrix
+        The other result, which may be the same catalogue.
+    options : OptionsLike, optional
+        Signature, distance, whitening and re-ranking. By default the options of each catalogue.
+    second_options : OptionsLike, optional
+        Those of the second catalogue, if they differ.
+    labels : str or Path, optional
+        A label file, whose classes replace those of the catalogues, and which distance matrices need.
+
+    Returns
+    -------
+    Comparison
+        The differences of the measures, second minus first, with paired confidence intervals, and the shapes
+        by how much their average precision changes.
+
+    Raises
+    ------
+    BenchmarkError
+        If no shape has a class, or no class two shapes.
+    CatalogueError
+        If a catalogue does not exist, or the options require other spectra than it has.
+    InputError
+        If a file cannot be read, or the results have no query in common.
+    """
+
+    def scores(result: CatalogueLike | DistanceMatrix, own: OptionsLike) -> QueryScores:
+        return result_scores(result, lambda store: PipelineOptions.of(own, store.options), labels)
+
+    return compare_scores(
+        scores(first, options), scores(second, options if second_options is None else second_options)
+    )
 
 
 def calibrate(catalogue: CatalogueLike, path: str | Path, *, options: OptionsLike = None) -> Path:

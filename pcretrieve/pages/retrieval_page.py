@@ -108,7 +108,8 @@ def retrieval_page(
     measures = curve = None
     known = [label for label in classes.values() if label is not None]
     if len(set(known)) < len(known):
-        ranked = rank_catalogue(catalogue, options, matrix=matrix)
+        shown = options.changed(retrieval={"rerank": method})
+        ranked = rank_catalogue(catalogue, shown, matrix=matrix)
         measures, curve = evaluate_rankings(ranked.rankings), precision_recall(ranked.rankings)
         if ranked.whitening:
             facts["whitening of the measures"] = ranked.whitening

@@ -1,0 +1,119 @@
+"""The command that compares two results for the same queries: compare."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from pcretrieve.cli.comparison import compared, comparison_options
+from pcretrieve.cli.evaluate import HEAD, numbers_line
+from pcretrieve.cli.messages import say, write_json
+from pcretrieve.cli.parts import CATALOGUE, json_option
+
+if TYPE_CHECKING:
+    from pcretrieve.catalogue import Catalogue
+    from pcretrieve.options import PipelineOptions
+
+__all__ = ["compare_command"]
+
+
+@click.command("compare")
+@click.argument("first", type=CATALOGUE, metavar="A")
+@click.argument("second", type=CATALOGUE, metavar="B")
+@click.option(
+    "--labels",
+    type=click.Path(path_type=Path),
+    metavar="CSV",
+    help="Classes that replace the stored ones. Needed for distance matrices.",
+)
+@click.option(
+    "--changes",
+    type=click.IntRange(min=0),
+    default=5,
+    show_default=True,
+    metavar="N",
+    help="Number of shapes that are listed, those whose average precision differs most.",
+)
+@comparison_options
+@json_option
+def compare_command(
+    first: str, second: str, labels: Path | None, changes: int, as_json: bool, **comparison: Any
+) -> None:
+    """Compare two results for the same shapes, query by query.
+
+    A and B are catalogues, distance matrices, or files queries.csv of `evaluate --csv`. Printed are the
+    measures of both, and the differences B minus A with 95 % confidence intervals by the bootstrap over
+    queries, which are paired. Options of the comparison of shapes, such as --whitening, are for both
+    catalogues; given twice, they are for A and for B.
+
+    \b
+    pcretrieve compare bodies.sqlite bodies.sqlite --whitening none --whitening neighbours
+    pcretrieve compare run1.txt run2.txt --labels shrec11.cla
+    """
+    from pcretrieve.evaluation import MEASURES, compare_scores, result_scores
+
+    found = compare_scores(
+        result_scores(first, _options(comparison, 0), labels),
+        result_scores(second, _options(comparison, 1), labels),
+    )
+    rows = {
+        "first": found.first,
+        "second": found.second,
+        "difference": found.difference,
+        "low": found.interval[0],
+        "high": found.interval[1],
+    }
+    shown = found.changes[:changes]
+    if as_json:
+        document: dict[str, object] = {
+            name: dict(zip(MEASURES, row.tolist(), strict=True)) for name, row in rows.items()
+        }
+        document |= {
+            "level": found.level,
+            "n_queries": len(found.changes),
+            "only_first": found.only_first,
+            "only_second": found.only_second,
+            "changes": [
+                {"id": one.shape_id, "label": one.label, "first": one.first, "second": one.second}
+                for one in shown
+            ],
+        }
+        write_json(document)
+        return
+    click.echo(HEAD)
+    click.echo(f"{numbers_line(found.first)}  A: {first}")
+    click.echo(f"{numbers_line(found.second)}  B: {second}")
+    click.echo(f"{numbers_line(found.difference, '+6.3f')}  B - A")
+    click.echo(f"{numbers_line(found.interval[0], '+6.3f')}    {found.level:.0%} interval from")
+    click.echo(f"{numbers_line(found.interval[1], '+6.3f')}    to")
+    for one in shown:
+        if one.first != one.second:
+            click.echo(f"{one.shape_id} ({one.label}): average precision {one.first:.4f} to {one.second:.4f}")
+    left = len(found.only_first) + len(found.only_second)
+    say(
+        f"{len(found.changes)} queries in both"
+        + (
+            f"; left out are {len(found.only_first)} in A only and {len(found.only_second)} in B only"
+            if left
+            else ""
+        )
+    )
+
+
+def _options(comparison: dict[str, tuple[Any, ...]], number: int) -> Callable[[Catalogue], PipelineOptions]:
+    """The options of one of the results."""
+    chosen = {}
+    for name, values in comparison.items():
+        if len(values) > 2:
+            raise click.UsageError(f"--{name.replace('_', '-')} is given at most twice, got {len(values)}")
+        chosen[name] = values[min(number, len(values) - 1)] if values else None
+    return lambda store: compared(store, **chosen)
+
+
+for _parameter in compare_command.params:
+    # The options of the comparison of shapes can be given twice.
+    if isinstance(_parameter, click.Option) and _parameter.name not in ("labels", "changes", "as_json"):
+        _parameter.multiple = True

@@ -1,0 +1,68 @@
+"""Two results for the same queries: paired differences, and what cannot be compared."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from pcretrieve.errors import InputError
+from pcretrieve.evaluation import QueryScores, bootstrap_interval, compare_scores
+from pcretrieve.types import FloatArray
+
+
+def scores(ap: FloatArray, *, start: int = 0) -> QueryScores:
+    """Measures that are all equal, of queries with consecutive names."""
+    ids = tuple(f"{start + number:03}" for number in range(len(ap)))
+    return QueryScores(ids, ("X",) * len(ap), ap, ap, ap, ap, ap, ap)
+
+
+EASE = np.random.default_rng(0).random(100)
+
+
+def test_small_differences_show_beside_large_ones_between_queries() -> None:
+    """The measures of a result vary by .3 from query to query, their differences by .005."""
+    gains = 0.005 + 0.005 * np.random.default_rng(1).normal(size=100)
+    first, second = scores(0.9 * EASE), scores(0.9 * EASE + np.abs(gains))
+    found = compare_scores(first, second)
+    np.testing.assert_allclose(found.difference, np.abs(gains).mean())
+    assert (found.interval[0] > 0).all()
+    low, high = bootstrap_interval(first.columns)
+    assert (high - low > 10 * (found.interval[1] - found.interval[0])).all()
+    reverse = compare_scores(second, first)
+    np.testing.assert_allclose(reverse.interval, -found.interval[::-1])
+    np.testing.assert_allclose(reverse.difference, -found.difference)
+
+
+def test_queries_are_matched_by_their_ids() -> None:
+    order = np.random.default_rng(2).permutation(100)
+    first = scores(EASE)
+    shuffled = QueryScores(tuple(first.ids[row] for row in order), first.labels, *(first.columns[order].T))
+    found = compare_scores(first, shuffled)
+    assert (found.difference == 0).all()
+    assert (found.interval == 0).all()
+
+
+def test_shapes_that_changed_most_come_first() -> None:
+    changed = EASE / 2 + 0.25
+    found = compare_scores(scores(EASE), scores(changed))
+    steps = [abs(one.second - one.first) for one in found.changes]
+    assert steps == sorted(steps, reverse=True)
+    assert len(steps) == 100
+    row = int(np.argmax(np.abs(changed - EASE)))
+    assert found.changes[0] == (f"{row:03}", "X", EASE[row], changed[row])
+
+
+def test_queries_that_one_result_lacks_are_left_out_and_named() -> None:
+    found = compare_scores(scores(EASE[:60]), scores(EASE[10:], start=10))
+    assert found.only_first == tuple(f"{number:03}" for number in range(10))
+    assert found.only_second == tuple(f"{number:03}" for number in range(60, 100))
+    np.testing.assert_allclose(found.first, EASE[10:60].mean())
+    np.testing.assert_allclose(found.second, EASE[10:60].mean())
+
+
+def test_results_of_other_shapes_or_classes() -> None:
+    with pytest.raises(InputError, match="must have queries in common, got none of 100 and 100"):
+        compare_scores(scores(EASE), scores(EASE, start=500))
+    other = replace(scores(EASE), labels=("X",) * 98 + ("Y", "Z"))
+    with pytest.raises(InputError, match="the same class in both results, 2 have another, such as 098, 099"):
+        compare_scores(scores(EASE), other)
