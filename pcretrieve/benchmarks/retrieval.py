@@ -6,6 +6,11 @@ FOLDER of --data has the subfolders shrec11, tosca and shrec14_csd, as far as th
 and the scans in scans/ need no data. With --keep, the catalogues stay in a folder, so that the next run
 computes only what is missing. Without it a run takes half an hour on one core.
 
+With --no-match, the table says how good the answer "no match" is: half of the classes are left out of the
+gallery, and a match must have the score in the table. Precision is the share of the answers "no match" to
+queries whose class is left out; recall the share of these queries with this answer; "matched" the share of
+the other queries that have a match, and "right" the share of these matches that are of the class.
+
 Whitenings by neighbours and PCA are fitted to all shapes of a set, without labels. Within-class whitening is
 fitted by grouped folds; if lists are re-ranked, the gallery of a query is its fold. "3-people" is fitted to
 three random classes, as by `pcretrieve calibrate`, which are neither queries nor in the gallery: the mean,
@@ -17,7 +22,8 @@ from __future__ import annotations
 
 import argparse
 import tempfile
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -30,7 +36,7 @@ from pcretrieve.benchmarks.sets import SETS, ingested, left_out
 from pcretrieve.benchmarks.tables import MEASURES, Column, Table, measure_values, print_lines
 from pcretrieve.benchmarks.timing import use_one_core
 from pcretrieve.errors import OptionError
-from pcretrieve.evaluation import evaluate_rankings, rank_table, rerank_table
+from pcretrieve.evaluation import evaluate_rankings, no_match_measures, rank_table, rerank_table
 from pcretrieve.evaluation.rankings import NO_FAILURES
 from pcretrieve.formats import write_mesh
 from pcretrieve.options import PipelineOptions, RetrievalOptions, SignatureOptions
@@ -61,6 +67,16 @@ TABLE = Table(
     *(Column(title, 6, ".4f") for title in MEASURES),
 )
 
+# Least scores of a match, and the columns of the table of "no match".
+MIN_SCORES = (0.9, 0.5)
+NO_MATCH_TABLE = Table(
+    Column("set", 17, align="<"),
+    Column("scores from", 12, align="<"),
+    Column("whitening", 22, align="<"),
+    Column("score", 5, ".1f"),
+    *(Column(title, 9, ".3f") for title in ("precision", "recall", "matched", "right")),
+)
+
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Print the table.
@@ -77,13 +93,17 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--methods", nargs="+", default=["r-bihdm"], help="descriptors")
     parser.add_argument("--n-values", type=int, nargs="+", default=[59], help="lengths of the descriptors")
     parser.add_argument("--keep", type=Path, metavar="FOLDER", help="keep the catalogues in this folder")
+    parser.add_argument(
+        "--no-match", action="store_true", help='print how good the answer "no match" is, on classes left out'
+    )
     given = parser.parse_args(arguments)
     use_one_core()
     print_lines(_lines(given))
 
 
 def _lines(given: argparse.Namespace) -> Iterator[str]:
-    yield TABLE.head
+    yield (NO_MATCH_TABLE if given.no_match else TABLE).head
+    rows = _no_match_rows if given.no_match else _rows
     with tempfile.TemporaryDirectory() as temporary:
         folder = Path(temporary) if given.keep is None else given.keep
         folder.mkdir(parents=True, exist_ok=True)
@@ -92,9 +112,9 @@ def _lines(given: argparse.Namespace) -> Iterator[str]:
             if missing := left_out(name, needed):
                 yield missing
             elif name in VECTORS:
-                yield from _rows(name, _vectors(needed / VECTORS[name]), None)
+                yield from rows(name, _vectors(needed / VECTORS[name]), None)
             else:
-                yield from _catalogue_rows(name, folder, given)
+                yield from _catalogue_rows(name, folder, given, rows)
 
 
 def _needed(name: str, given: argparse.Namespace) -> Path:
@@ -108,7 +128,9 @@ def _needed(name: str, given: argparse.Namespace) -> Path:
     return Path() if source == "humans" else data / source
 
 
-def _catalogue_rows(name: str, folder: Path, given: argparse.Namespace) -> Iterator[str]:
+def _catalogue_rows(
+    name: str, folder: Path, given: argparse.Namespace, rows: Callable[..., Iterator[str]]
+) -> Iterator[str]:
     options = PipelineOptions()
     if name in MESHES:
         options = options.changed(surface={"mode": "keep"})
@@ -125,7 +147,7 @@ def _catalogue_rows(name: str, folder: Path, given: argparse.Namespace) -> Itera
                 except OptionError as error:
                     yield f"{name} {method} {n_values}: left out, {error.message}"
                     continue
-                yield from _rows(name, table, chosen.compared, failed)
+                yield from rows(name, table, chosen.compared, failed)
 
 
 def _files(name: str, folder: Path, given: argparse.Namespace) -> tuple[Path, dict[str, str] | None]:
@@ -183,3 +205,17 @@ def _rows(
             facts = name, table.kind, table.values.shape[1]
             yield TABLE.row(*facts, f"{number}-people", "none", *rows.mean(axis=0))
             yield TABLE.row(*facts, f"{number}-people", "deviation", *rows.std(axis=0, ddof=1))
+
+
+def _no_match_rows(
+    name: str,
+    table: SignatureTable,
+    options: SignatureOptions | None,
+    failed: Mapping[str, str | None] = NO_FAILURES,
+) -> Iterator[str]:
+    """Lines for scores from labels and without labels; failed shapes are left out."""
+    prior = None if options is None else resolution_covariance(options)
+    for labelled, least in product((True, False), MIN_SCORES):
+        found = no_match_measures(table, min_score=least, labelled=labelled, prior=prior)
+        facts = name, "labels" if labelled else "neighbours", found.whitening, least
+        yield NO_MATCH_TABLE.row(*facts, found.precision, found.recall, found.matched, found.right)

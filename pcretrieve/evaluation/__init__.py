@@ -23,6 +23,7 @@ from pcretrieve.evaluation.rankings import Rankings, rank
 from pcretrieve.evaluation.results import result_scores
 from pcretrieve.evaluation.score_files import read_scores, write_evaluation
 from pcretrieve.evaluation.tables import evaluate_table, rank_table, rerank_table
+from pcretrieve.evaluation.unknown_classes import NoMatchMeasures, no_match_measures
 
 __all__ = [
     "LEVEL",
@@ -32,6 +33,7 @@ __all__ = [
     "ClassMeasures",
     "Comparison",
     "Confusion",
+    "NoMatchMeasures",
     "PrecisionRecall",
     "QueryScores",
     "RankedCatalogue",
@@ -46,6 +48,7 @@ __all__ = [
     "confusion",
     "evaluate_rankings",
     "evaluate_table",
+    "no_match_measures",
     "precision_recall",
     "query_scores",
     "rank",

@@ -53,6 +53,8 @@ MOST_FOLDS = 5
 # is exactly 0 or 1.
 PRIOR = 0.5
 
+TINY = float(np.finfo(np.float64).tiny)
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MatchScores(Value):
@@ -229,6 +231,7 @@ def isotonic_shares(same: FloatArray, total: FloatArray) -> tuple[FloatArray, ND
     blocks : (b,) intp
         The number of the pool of each interval, ascending from 0.
     """
+    # Not by scikit-learn, whose import takes longer: see docs/decisions.md, isotonic_shares.
     pools: list[tuple[float, float, int]] = []  # pairs of one class, all pairs, intervals
     for one, every in zip(same.tolist(), total.tolist(), strict=True):
         pool = (one, every, 1)
@@ -246,20 +249,22 @@ def _shares(pairs: _Pairs) -> tuple[FloatArray, FloatArray]:
     order = np.argsort(pairs.distances, kind="stable")
     distances, same = pairs.distances[order], pairs.same[order]
     ours = np.where(same, pairs.weights[order], 0.0)
-    # Intervals with equal numbers of pairs of one class; ends between equal distances are moved behind them.
+    # Intervals with equal numbers of pairs of one class, and one behind the farthest of them. Ends between
+    # equal distances are moved behind these.
     n_intervals = max(1, min(MOST_INTERVALS, int(same.sum()) // PAIRS_PER_INTERVAL))
     found = np.cumsum(ours)
     ends = np.searchsorted(found, found[-1] * np.arange(1, n_intervals) / n_intervals)
+    ends = np.append(ends, np.flatnonzero(same)[-1])
     ends = np.unique(np.searchsorted(distances, distances[ends], side="right"))
     number = np.searchsorted(ends, np.arange(len(distances)), side="right")
     _, pools = isotonic_shares(*_counts(number, ours, pairs.weights[order]))
     pool = pools[number]  # of each pair
     n_same, total = _counts(pool, ours, pairs.weights[order])
-    weight = np.maximum(n_same, np.finfo(np.float64).tiny)
-    middle = np.bincount(pool, ours * distances) / weight
-    scores = (n_same + PRIOR) / (total + 2 * PRIOR)
-    # The prior moves small pools more, and a last pool without pairs of one class has no middle.
-    return np.maximum.accumulate(middle), np.minimum.accumulate(scores)
+    # The score of a pool is that of the mean distance of its pairs of one class; the last pool may have none.
+    first = distances[np.searchsorted(pool, np.arange(len(total)))]
+    middle = np.where(n_same > 0, np.bincount(pool, ours * distances) / np.maximum(n_same, TINY), first)
+    # The prior moves small pools more than others.
+    return middle, np.minimum.accumulate((n_same + PRIOR) / (total + 2 * PRIOR))
 
 
 def _counts(number: NDArray[np.intp], ours: FloatArray, every: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -304,6 +309,7 @@ def _left_out(
 
 def _mutual_pairs(sample: PairSample, whitening: Whitening, distance: str) -> _Pairs:
     """All pairs, of which those of mutual neighbours stand for pairs of one class."""
+    # Against all other pairs, not distant ones alone: see docs/decisions.md, _mutual_pairs.
     points = whitening.apply(sample.logs)
     n = len(points)
     found = neighbour_pairs(points)

@@ -65,3 +65,17 @@ def test_catalogues_are_kept(tmp_path: Path) -> None:
     assert printed(*asked) == first
     with Catalogue(kept / "samples.sqlite") as catalogue:
         assert catalogue.records() == records, "with the times at which they were processed"
+
+
+def test_how_good_no_match_is(tmp_path: Path) -> None:
+    rng = np.random.default_rng(0)
+    labels = np.repeat(np.arange(10), 6)
+    values = rng.normal(size=(10, 150))[labels] + 0.05 * rng.normal(size=(60, 150))
+    (tmp_path / "shrec14_csd").mkdir()
+    arrays = {"WksPooledMat": values[:, :100], "SihksPooledMat": values[:, 100:], "C": labels}
+    savemat(tmp_path / "shrec14_csd" / "real.mat", arrays)
+    head, *rows = printed("--data", tmp_path, "--only", "shrec14-real", "--no-match")
+    assert head.split()[-4:] == ["precision", "recall", "matched", "right"]
+    assert [row.split()[1] for row in rows] == ["labels", "labels", "neighbours", "neighbours"]
+    assert [row.split()[-5] for row in rows] == ["0.9", "0.5", "0.9", "0.5"]
+    assert [row.split()[-4:] for row in rows[:2]] == [["1.000"] * 4] * 2
