@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import dataclasses
 import json
 import shutil
 from collections.abc import Sequence
@@ -17,6 +18,7 @@ import pcretrieve as pr
 from pcretrieve.catalogue import gallery
 from pcretrieve.cli.main import cli
 from pcretrieve.errors import InputError, OptionError, ScanReadError
+from pcretrieve.retrieval import class_vote
 from pcretrieve.types import Neighbors
 
 N_KINDS, N_EACH = 3, 4
@@ -121,10 +123,12 @@ def test_what_is_printed_of_many(catalogue: Path, folder: Path) -> None:
     names = ["11", *(str(folder / "new" / f"new{kind}.off") for kind in range(2))]
     expected = [pr.search(catalogue, name, k=2) for name in names]
     lines = run(*asked).stdout.splitlines()
-    assert lines[::3] == names
-    assert [line.split()[4] for line in lines if line not in names] == [
+    assert lines[::4] == names
+    assert [line.split()[4] for line in lines if line.startswith("   ")] == [
         name for found in expected for name in found.ids
     ]
+    answers = pr.search_many(catalogue, names, k=2)
+    assert lines[3::4] == [str(answer) for _, answer in answers]
     documents = json.loads(run(*asked, "--json").stdout)
     assert [document["query"] for document in documents] == names
     for document, found in zip(documents, expected, strict=True):
@@ -140,7 +144,9 @@ def test_what_is_printed_of_many(catalogue: Path, folder: Path) -> None:
 def test_conditions_on_the_command_line(catalogue: Path) -> None:
     asked = ("query", "11", "-c", catalogue, "-k", 20)
     filters = ("--filter", "label=kind0", "--filter", "label=kind1", "--exclude-self")
-    found = [line.split()[4] for line in run(*asked, *filters).stdout.splitlines()]
+    *rows, verdict = run(*asked, *filters).stdout.splitlines()
+    found = [row.split()[4] for row in rows]
+    assert verdict.startswith("class kind1 by ")
     assert found == list(pr.search(catalogue, "11", k=20, labels=["kind0", "kind1"], exclude_self=True).ids)
     assert len(found) == 2 * N_EACH - 1
     assert "must be label=CLASS, got 'kind0'" in run(*asked, "--filter", "kind0", code=2).stderr
@@ -200,3 +206,30 @@ def test_other_labels_give_other_scores(folder: Path, monkeypatch: pytest.Monkey
     assert after == before
     assert after.scores is not None and before.scores is not None
     assert after.scores[0] < before.scores[0]
+
+
+def test_neighbours_vote_and_the_error_bar_is_carried_into_ranks(catalogue: Path, folder: Path) -> None:
+    """The query itself does not vote; its ranks are those of its own error bar."""
+    ((_, stored),) = pr.search_many(catalogue, ["11"], k=4)
+    assert isinstance(stored, pr.Answer) and stored.vote is not None and stored.rank_ranges is not None
+    assert stored.neighbors.ids[0] == "11"
+    assert stored.vote.n_voters == 3
+    assert stored.rank_ranges.shape == (4, 2)
+    assert (stored.rank_ranges[:, 0] <= [1, 2, 3, 4]).all() and (
+        stored.rank_ranges[:, 1] >= [1, 2, 3, 4]
+    ).all()
+    signature = pr.signature(folder / "new" / "new0.off")
+    for deviation, certain in ((1e-9, True), (1.0, False)):
+        given = dataclasses.replace(signature, deviation=np.full(len(signature), deviation))
+        ((_, answer),) = pr.search_many(catalogue, [given], k=4)
+        assert isinstance(answer, pr.Answer) and answer.rank_ranges is not None
+        assert (answer.rank_ranges[:, 0] == answer.rank_ranges[:, 1]).all() == certain
+        assert ("no ranks could swap" in str(answer)) == certain
+    ((_, answer),) = pr.search_many(catalogue, [dataclasses.replace(signature, deviation=None)], k=4)
+    assert isinstance(answer, pr.Answer) and answer.rank_ranges is None
+    (document,) = json.loads(run("query", "11", "-c", catalogue, "-k", 4, "--json").stdout)
+    assert document["vote"] == dataclasses.asdict(stored.vote)
+    assert [row["rank_range"] for row in document["results"]] == stored.rank_ranges.tolist()
+    ((_, by_matrix),) = pr.search_many(catalogue, ["11"], k=4, matrix=pr.matrix(catalogue))
+    assert isinstance(by_matrix, pr.Answer) and by_matrix.rank_ranges is None
+    assert by_matrix.vote == class_vote(by_matrix.labels[1:], np.ones(3))

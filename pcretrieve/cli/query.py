@@ -103,6 +103,11 @@ def query_command(
     A scan is processed with the options of the catalogue, unless the catalogue has it already. A folder
     stands for all scans in it. An argument that is neither a file nor a folder is the id of a shape.
 
+    Printed are rank, distance, score, class, id and file, and a verdict. The score is the share of pairs of
+    one class among all pairs of shapes of the catalogue that are as near, from its labels, or else from
+    mutual neighbours. The verdict is the class that the results vote for by their scores, its margin over the
+    next class, and which ranks could swap within the error bar of the query.
+
     \b
     pcretrieve query --catalogue bodies.sqlite scan.ply -k 5 --whitening pca
     pcretrieve query --catalogue bodies.sqlite cat0 dog1 --exclude-self --filter label=cat
@@ -163,14 +168,15 @@ def _document(name: str, outcome: Answer | ShapeError) -> Row:
     from pcretrieve.searching import Answer
 
     if isinstance(outcome, Answer):
-        return {"query": name, "results": _results(outcome)}
+        vote = None if outcome.vote is None else asdict(outcome.vote)
+        return {"query": name, "results": _results(outcome), "vote": vote}
     error = {"error": type(outcome).__name__, "stage": outcome.stage, "message": outcome.message}
     return {"query": name, **error}
 
 
 def _results(answer: Answer) -> list[Row]:
     """The results of one query, one row each."""
-    known = answer.neighbors.scores
+    known, ranges = answer.neighbors.scores, answer.rank_ranges
     scores = [None] * len(answer.records) if known is None else known.tolist()
     return [
         {
@@ -180,6 +186,7 @@ def _results(answer: Answer) -> list[Row]:
             "label": record.label,
             "distance": gap,
             "score": score,
+            "rank_range": None if ranges is None else ranges[rank - 1].tolist(),
             "verdict": None if record.verdict is None else asdict(record.verdict),
         }
         for rank, (record, gap, score) in enumerate(
@@ -197,8 +204,6 @@ def _print_lines(outcomes: Outcomes, *, headed: bool) -> None:
             continue
         if headed:
             click.echo(name)
-        if not answer.records:
-            click.echo("no match")
         for row, record in zip(_results(answer), answer.records, strict=True):
             doubt = f"  [{record.verdict}]" if record.is_doubtful else ""
             score = "-" if row["score"] is None else f"{row['score']:.2f}"
@@ -206,6 +211,7 @@ def _print_lines(outcomes: Outcomes, *, headed: bool) -> None:
                 f"{row['rank']:>4}  {row['distance']:<10.4g}  {score:<4}  {row['label'] or '-':<16}  "
                 f"{row['id']:<24}  {row['path']}{doubt}"
             )
+        click.echo(str(answer))
 
 
 def _print_csv(outcomes: Outcomes) -> None:

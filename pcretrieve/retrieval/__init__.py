@@ -11,6 +11,7 @@ from pcretrieve.retrieval.distances import (
 )
 from pcretrieve.retrieval.fitting import DEFAULT_SHRINKAGE, checked_shrinkage, fit_whitening, table_whitening
 from pcretrieve.retrieval.index import SignatureIndex
+from pcretrieve.retrieval.rank_errors import rank_ranges, swapping_ranks
 from pcretrieve.retrieval.ranking import (
     BLOCK_DISTANCES,
     DistanceBlock,
@@ -32,6 +33,7 @@ from pcretrieve.retrieval.reranking import (
 from pcretrieve.retrieval.resolution import resolution_covariance, resolution_whitening
 from pcretrieve.retrieval.scores import MatchScores, PairSample, fit_scores, pair_sample
 from pcretrieve.retrieval.subsets import nearest_among
+from pcretrieve.retrieval.votes import Vote, class_vote
 from pcretrieve.retrieval.whitening import (
     CALIBRATED,
     WHITENINGS,
@@ -58,8 +60,10 @@ __all__ = [
     "Positions",
     "Ranking",
     "SignatureIndex",
+    "Vote",
     "Whitening",
     "checked_shrinkage",
+    "class_vote",
     "coordinates",
     "fit_scores",
     "fit_whitening",
@@ -71,11 +75,13 @@ __all__ = [
     "pairwise",
     "pairwise_blocks",
     "position_of",
+    "rank_ranges",
     "read_whitening",
     "rerank",
     "reranked_neighbors",
     "resolution_covariance",
     "resolution_whitening",
+    "swapping_ranks",
     "table_coordinates",
     "table_whitening",
     "whitening_digest",

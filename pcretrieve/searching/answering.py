@@ -3,20 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from pcretrieve.catalogue import Catalogue
-from pcretrieve.errors import InputError, OptionError, PcretrieveError, ShapeError
+from pcretrieve.errors import PcretrieveError, ShapeError
 from pcretrieve.options import PipelineOptions
-from pcretrieve.retrieval import N_NEAR, nearest_among, nearest_of, position_of, reranked_neighbors
-from pcretrieve.retrieval.fitting import LEAST_SHAPES
 from pcretrieve.retrieval.ranking import checked_k
 from pcretrieve.searching.answers import Answer
 from pcretrieve.searching.queries import Described, Query, queries_of, query_of
+from pcretrieve.searching.terms import Terms
 from pcretrieve.types import Neighbors, Signature
 
 if TYPE_CHECKING:
@@ -100,12 +96,12 @@ def search(
         If the scan cannot be read or has no usable surface.
     """
     options = options or catalogue.options
-    terms = _Terms(catalogue, options, checked_k(k), matrix, unit, labels, exclude_self, min_score)
+    terms = Terms(catalogue, options, checked_k(k), matrix, unit, labels, exclude_self, min_score)
     asked = query_of(catalogue, query, is_converted=terms.is_converted)
     ((_, outcome),) = _resolved(terms, [asked], _described)
     if isinstance(outcome, ShapeError):
         raise outcome
-    return terms.neighbors(outcome)
+    return terms.neighbors(outcome if isinstance(outcome, str) else outcome.signature)
 
 
 def search_many(
@@ -148,19 +144,18 @@ def search_many(
         As by `search`.
     """
     options = options or catalogue.options
-    terms = _Terms(catalogue, options, checked_k(k), matrix, unit, labels, exclude_self, min_score)
+    terms = Terms(catalogue, options, checked_k(k), matrix, unit, labels, exclude_self, min_score)
     asked = queries_of(catalogue, queries, is_converted=terms.is_converted)
     for name, outcome in _resolved(terms, asked, describe_scans):
         if isinstance(outcome, ShapeError):
             yield name, outcome
             continue
-        found = terms.neighbors(outcome)
-        yield name, Answer(found, tuple(catalogue.record(shape_id) for shape_id in found.ids))
+        yield name, terms.answer(outcome)
 
 
 def _resolved(
-    terms: _Terms, queries: Sequence[Query], describe_scans: DescribeScans
-) -> Iterator[tuple[str, str | Signature | ShapeError]]:
+    terms: Terms, queries: Sequence[Query], describe_scans: DescribeScans
+) -> Iterator[tuple[str, str | Described | ShapeError]]:
     """For each query the id of its shape, or its signature, or why it has none."""
     for query in queries:
         terms.check(query)
@@ -171,94 +166,6 @@ def _resolved(
             _, outcome = next(described)
             if isinstance(outcome, PcretrieveError) and not isinstance(outcome, ShapeError):
                 raise outcome
-            yield query.name, outcome if isinstance(outcome, ShapeError) else outcome.signature
+            yield query.name, outcome
         else:
-            yield query.name, query.of
-
-
-@dataclass(frozen=True)
-class _Terms:
-    """What is searched for every query."""
-
-    catalogue: Catalogue
-    options: PipelineOptions
-    k: int
-    matrix: DistanceMatrix | None
-    unit: str | None
-    labels: Collection[str] | None
-    exclude_self: bool
-    min_score: float | None
-
-    def __post_init__(self) -> None:
-        if self.min_score is not None and not 0 <= self.min_score <= 1:
-            raise OptionError(f"min_score must be between 0 and 1, got {self.min_score}")
-
-    @property
-    def is_converted(self) -> bool:
-        return self.matrix is None and self.unit not in (None, self.catalogue.options.scan.unit)
-
-    @property
-    def scan_options(self) -> PipelineOptions:
-        """The options by which a scan that the catalogue does not have is processed."""
-        own = self.catalogue.options.model_copy(update={"signature": self.options.compared})
-        return own if self.unit is None else own.changed(scan={"unit": self.unit})
-
-    def check(self, query: Query) -> None:
-        """InputError if a distance matrix is to rank a query that is no shape of the catalogue."""
-        if self.matrix is not None and not isinstance(query.of, str):
-            raise InputError(
-                f"a distance matrix ranks shapes of {self.catalogue.location} only, which does not hold "
-                f"{query.name}: leave out the matrix, or ingest the scan and make the matrix again"
-            )
-
-    def neighbors(self, query: str | Signature) -> Neighbors:
-        """The results of the id of a shape of the catalogue, or of a signature."""
-        among = None if self.labels is None else self._labelled(self.labels)
-        held = query if isinstance(query, str) else None
-        # A query that is left out of its results is one of them before.
-        found = self._ranked(query, among, self.k + self.exclude_self)
-        if self.min_score is not None and found.scores is None:
-            raise InputError(
-                "a least score needs calibrated scores, which are estimated from distances of signatures, of "
-                f"labelled shapes or of {LEAST_SHAPES} or more: label shapes, or leave out the least score"
-            )
-        kept = [
-            number
-            for number, shape_id in enumerate(found.ids)
-            if not (self.exclude_self and shape_id == held)
-            and (self.min_score is None or found.scores is None or found.scores[number] >= self.min_score)
-        ][: self.k]
-        scores = None if found.scores is None else found.scores[kept]
-        return Neighbors(tuple(found.ids[number] for number in kept), found.distances[kept], scores)
-
-    def _ranked(self, query: str | Signature, among: Collection[str] | None, k: int) -> Neighbors:
-        """The `k` first results, or more, among some shapes or all."""
-        if self.matrix is not None and isinstance(query, str):
-            row = self.matrix.values[position_of(self.matrix.ids, query)]
-            chosen = [number for number, name in enumerate(self.matrix.ids) if among is None or name in among]
-            return nearest_of([self.matrix.ids[number] for number in chosen], row[chosen], k)
-        index, method = self.catalogue.index(self.options), self.options.retrieval.rerank
-        # The neighbourhoods of the results, among which a list is sorted again, need more shapes than asked
-        # for.
-        most = k if method == "none" else max(k, N_NEAR)
-        held = query if isinstance(query, str) else None
-        if among is not None:
-            found = nearest_among(index, index.contents.point_of(query), sorted(among), most)
-        elif isinstance(query, str):
-            found = index.nearest(query, most)
-        else:
-            found = index.query(query, most)
-        ranked = reranked_neighbors(index, found, method, shape_id=held)
-        if index.scores is None:
-            return ranked
-        score_of = dict(zip(found.ids, index.scores.of(found.distances).tolist(), strict=True))
-        return replace(ranked, scores=np.array([score_of[shape_id] for shape_id in ranked.ids]))
-
-    def _labelled(self, labels: Collection[str]) -> set[str]:
-        among = set(self.catalogue.labelled(labels))
-        if not among:
-            raise InputError(
-                f"no shape of {self.catalogue.location} is of the class {' or '.join(sorted(labels))}; "
-                "`pcretrieve list` shows the classes"
-            )
-        return among
+            yield query.name, query.of if isinstance(query.of, str) else Described(query.of)

@@ -4,7 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
+from numpy.typing import NDArray
+
 from pcretrieve.catalogue import Record
+from pcretrieve.retrieval import Vote, swapping_ranks
 from pcretrieve.types import Neighbors
 from pcretrieve.values import Value
 
@@ -21,12 +25,36 @@ class Answer(Value):
         The neighbours, nearest first.
     records : tuple of Record, length k
         The record of each neighbour.
+    vote : Vote or None
+        The class that the neighbours vote for, weighted by their scores; the query itself does not vote. None
+        if no class is known.
+    rank_ranges : (k, 2) intp or None
+        The lowest and the highest rank that each neighbour has within the error bar of the query, as by
+        `pcretrieve.retrieval.rank_ranges`. None if the error bar is not known, and for ranks of a distance
+        matrix or of re-ranked lists.
     """
 
     neighbors: Neighbors
     records: tuple[Record, ...]
+    vote: Vote | None = None
+    rank_ranges: NDArray[np.intp] | None = None
 
     @property
     def labels(self) -> tuple[str | None, ...]:
         """Class of each neighbour; None if unknown."""
         return tuple(record.label for record in self.records)
+
+    def __str__(self) -> str:
+        """The verdict, in one line: the class, how sure it is, and which ranks could swap."""
+        if not self.records:
+            return "no match"
+        parts = []
+        if self.vote is not None:
+            parts.append(
+                f"class {self.vote.label} by {self.vote.share:.0%} of {self.vote.n_voters} votes, "
+                f"margin {self.vote.margin:.0%}"
+            )
+        if self.rank_ranges is not None:
+            runs = ", ".join(f"{first} to {last}" for first, last in swapping_ranks(self.rank_ranges))
+            parts.append(f"ranks {runs} could swap" if runs else "no ranks could swap")
+        return "; ".join(parts) or f"nearest {self.records[0].id}"

@@ -1,0 +1,69 @@
+"""The class that the neighbours of a query vote for."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from pcretrieve.errors import InputError
+from pcretrieve.types import FloatArray
+
+__all__ = ["Vote", "class_vote"]
+
+
+@dataclass(frozen=True, slots=True)
+class Vote:
+    """The result of a vote of neighbours.
+
+    Attributes
+    ----------
+    label : str
+        The class with the most weight; of equal ones, the first in alphabetical order.
+    share : float
+        Its share of the weight of all voters, between 0 and 1.
+    margin : float
+        By how much its share exceeds that of the next class; its share itself if there is no other.
+    n_voters : int
+        Number of neighbours whose class is known.
+    """
+
+    label: str
+    share: float
+    margin: float
+    n_voters: int
+
+
+def class_vote(labels: Sequence[str | None], weights: FloatArray) -> Vote | None:
+    """Let the neighbours of a query vote for its class.
+
+    Parameters
+    ----------
+    labels : sequence of (str or None), length k
+        Class of each neighbour; neighbours of unknown class do not vote.
+    weights : (k,) float64
+        Weight of each vote, such as the score of the neighbour; not negative.
+
+    Returns
+    -------
+    Vote or None
+        The result; None if no class has weight.
+
+    Raises
+    ------
+    InputError
+        If there are not as many weights as labels, or one is negative.
+    """
+    if len(labels) != len(weights) or (weights < 0).any():
+        raise InputError(f"weights must be {len(labels)} numbers of 0 or more, got {weights}")
+    total: dict[str, float] = {}
+    for label, weight in zip(labels, weights.tolist(), strict=True):
+        if label is not None:
+            total[label] = total.get(label, 0.0) + weight
+    everything = sum(total.values())
+    if not everything:
+        return None
+    ranked = sorted(total.items(), key=lambda item: (-item[1], item[0]))
+    next_best = ranked[1][1] if len(ranked) > 1 else 0.0
+    n_voters = sum(label is not None for label in labels)
+    label, best = ranked[0]
+    return Vote(label, best / everything, (best - next_best) / everything, n_voters)
