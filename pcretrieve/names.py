@@ -19,6 +19,7 @@ METHODS: dict[str, bool] = {
     "si-hks-bow": False,
     "si-hks-bow-spatial": False,
     "wks": False,
+    "csd": False,
     "combined": True,
 }
 

@@ -152,7 +152,7 @@ def test_signatures_are_exported(catalogue: Path, tmp_path: Path, suffix: str) -
     if suffix == ".npz":
         with np.load(path, allow_pickle=False) as file:
             ids, labels, values = file["ids"].tolist(), file["labels"].tolist(), file["values"]
-            assert str(file["kind"]) == "r-bihdm"
+            assert str(file["kind"]) == "combined"
     elif suffix == ".parquet":
         import pandas
 

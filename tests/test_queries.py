@@ -49,7 +49,7 @@ def catalogue(tmp_path: Path) -> Iterator[Catalogue]:
 
 
 def test_a_file_an_id_and_a_signature_are_answered_alike(catalogue: Catalogue, tmp_path: Path) -> None:
-    signature = Signature(describe(egg(2), OPTIONS.signature).values, "r-bihdm", OPTIONS.signature_digest)
+    signature = Signature(describe(egg(2), OPTIONS.signature).values, "combined", OPTIONS.signature_digest)
     expected = search(catalogue, "egg2", k=4)
     assert expected.ids[0] == "egg2"
     assert expected.distances[0] == 0

@@ -44,7 +44,7 @@ __all__ = ["main"]
 
 TABLE = Table(Column("figure", 58, align="<"), Column("measured", 8, align="<"))
 
-OPTIONS = PipelineOptions().changed(signature={"n_values": 45, "scale": "relative"})
+OPTIONS = PipelineOptions().changed(signature={"method": "r-bihdm", "n_values": 45, "scale": "relative"})
 WHITENED = ("--whitening", "pca")
 SEED = 0
 K = 10

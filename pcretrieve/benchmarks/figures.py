@@ -31,7 +31,7 @@ from pcretrieve.types import SignatureTable
 
 __all__ = ["main"]
 
-SHORT = PipelineOptions().changed(signature={"n_values": 23})
+SHORT = PipelineOptions().changed(signature={"method": "r-bihdm", "n_values": 23})
 KEEP = SHORT.changed(surface={"mode": "keep"})
 
 # Relative values, as equation (10) of the paper has them; the default is by area.

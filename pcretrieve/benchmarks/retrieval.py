@@ -90,7 +90,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     add_data(parser)
     parser.add_argument("--only", nargs="+", choices=NAMES, default=NAMES, help="some sets only")
     parser.add_argument("--samples", type=Path, default=Path("scans"), help="folder of the sample scans")
-    parser.add_argument("--methods", nargs="+", default=["r-bihdm"], help="descriptors")
+    parser.add_argument("--methods", nargs="+", default=["combined"], help="descriptors")
     parser.add_argument("--n-values", type=int, nargs="+", default=[59], help="lengths of the descriptors")
     parser.add_argument("--keep", type=Path, metavar="FOLDER", help="keep the catalogues in this folder")
     parser.add_argument(

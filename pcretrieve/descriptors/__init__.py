@@ -6,6 +6,7 @@ and of other packages by name, and `describe` applies the one that the options n
 
 from pcretrieve.descriptors.bihdm import bihdm, full_matrix
 from pcretrieve.descriptors.combined import combined
+from pcretrieve.descriptors.csd import csd
 from pcretrieve.descriptors.describe import DESCRIPTORS, describe, signature_length
 from pcretrieve.descriptors.descriptor import Descriptor
 from pcretrieve.descriptors.hks_bow import hks_bow
@@ -19,6 +20,7 @@ __all__ = [
     "Descriptor",
     "bihdm",
     "combined",
+    "csd",
     "describe",
     "full_matrix",
     "hks_bow",

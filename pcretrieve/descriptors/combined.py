@@ -1,68 +1,76 @@
-"""The concatenation of the R-BiHDM and the Shape-DNA signature."""
+"""The R-BiHDM signature and the compact shape descriptor, concatenated with powers that balance them."""
 
 from __future__ import annotations
 
 import numpy as np
 
+from pcretrieve.descriptors.csd import csd
 from pcretrieve.descriptors.descriptor import Descriptor, spectrum_of
 from pcretrieve.descriptors.r_bihdm import r_bihdm
-from pcretrieve.descriptors.shape_dna import BY, shape_dna
 from pcretrieve.options import Scale
 from pcretrieve.types import Eigenpairs, ModalSpectrum, Signature
 
 __all__ = ["COMBINED", "combined"]
 
+# A power of a value is a factor of its logarithm. The ratio of the two powers balances the variances of the
+# two parts; their size makes distances between shapes as large as those of R-BiHDM alone. See
+# docs/decisions.md, POWERS.
+R_BIHDM_POWER = 0.6
+CSD_POWER = 3.0
+
 
 def combined(
-    pairs: Eigenpairs | ModalSpectrum,
+    spectrum: ModalSpectrum,
+    pairs: Eigenpairs,
     n_values: int = 59,
     n_modes: int = 60,
     *,
     scale: Scale = "area",
 ) -> Signature:
-    """The values of `r_bihdm` followed by the values of `shape_dna`, from one spectrum.
+    """The values of `r_bihdm` to the power .6, followed by those of `csd` to the power 3.
 
-    The errors of the two descriptors are only partly correlated, so that whitened retrieval by both is better
-    than by either of them.
+    R-BiHDM describes how modes interact over the whole surface, the compact shape descriptor what the
+    neighbourhood of a point is like on average. Their errors are only partly correlated, so that whitened
+    retrieval by both is better than by either of them.
 
     Parameters
     ----------
-    pairs : Eigenpairs or ModalSpectrum
-        At least `n_modes` + 1 eigenpairs of a connected surface.
+    spectrum : ModalSpectrum
+        At least `n_modes` + 1 modes of a connected surface.
+    pairs : Eigenpairs
+        At least `n_modes` + 1 eigenpairs of the surface on unit area.
     n_values : int, default 59
         L, the number of values of each descriptor, at most `n_modes`.
     n_modes : int, default 60
-        m, the number of modes, as in `r_bihdm`.
+        m, the number of modes, as in `r_bihdm` and `csd`.
     scale : {"area", "relative", "absolute"}, default "area"
-        Normalisation of both descriptors: as in `r_bihdm`; Shape-DNA is normalised by the area for ``area``
-        and ``relative``, and not normalised for ``absolute``.
+        Normalisation of R-BiHDM, as in `r_bihdm`.
 
     Returns
     -------
     Signature
-        values : (2 L,) float64: L values of R-BiHDM, then L values of Shape-DNA, each part largest first.
-        Dimensionless; for ``absolute``, unit length⁴ and unit length² respectively.
+        values : (2 L,) float64. Dimensionless; for ``absolute`` the first L are in unit length^2.4 of the
+        spectrum.
 
     Raises
     ------
     OptionError
-        If `n_modes` is not between 1 and the number of eigenpairs − 1, or `n_values` not between 1 and
+        If `n_modes` is not between 2 and the number of eigenpairs − 1, or `n_values` not between 3 and
         `n_modes`.
     SpectrumError
         If the matrix of R-BiHDM does not have a positive and m negative eigenvalues.
     """
-    spectrum = pairs if isinstance(pairs, ModalSpectrum) else ModalSpectrum.of(pairs)
-    halves = (
-        r_bihdm(spectrum, n_values, n_modes, scale=scale),
-        shape_dna(spectrum, n_values, normalized_by=BY[scale]),
-    )
-    values = np.concatenate([half.values for half in halves])
+    interaction = r_bihdm(spectrum, n_values, n_modes, scale=scale).values
+    average = csd(pairs, n_values, n_modes).values
+    values = np.concatenate([interaction**R_BIHDM_POWER, average**CSD_POWER])
     return Signature(values, kind="combined", digest=f"L={n_values} m={n_modes} {scale}")
 
 
 COMBINED = Descriptor(
     name="combined",
-    make=lambda shape, o: combined(spectrum_of(shape, o), o.n_values, o.n_modes, scale=o.measured_by),
-    needs=("spectrum",),
+    make=lambda shape, o: combined(
+        spectrum_of(shape, o), shape.eigenpairs, o.n_values, o.n_modes, scale=o.measured_by
+    ),
+    needs=("spectrum", "eigenvectors"),
     length=lambda o: 2 * o.n_values,
 )

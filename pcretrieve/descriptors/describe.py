@@ -22,6 +22,7 @@ import numpy as np
 
 from pcretrieve.descriptors.bihdm import BIHDM
 from pcretrieve.descriptors.combined import COMBINED
+from pcretrieve.descriptors.csd import CSD
 from pcretrieve.descriptors.descriptor import Descriptor
 from pcretrieve.descriptors.hks_bow import HEAT_KERNEL_BAGS
 from pcretrieve.descriptors.r_bihdm import R_BIHDM
@@ -57,6 +58,7 @@ DESCRIPTORS: Registry[Descriptor] = Registry(
             SD_GDM,
             *HEAT_KERNEL_BAGS,
             WKS,
+            CSD,
             COMBINED,
         )
     },
@@ -185,4 +187,4 @@ def _lowest_pairs(part: Shape, n_pairs: int) -> Eigenpairs:
     kept = part.surfaces[0].eigenpairs
     if kept is None or len(kept.eigenvalues) < n_pairs:
         return unit_eigenpairs(part.mesh, n_pairs)
-    return replace(kept, eigenvalues=kept.eigenvalues[:n_pairs], eigenvectors=kept.eigenvectors[:, :n_pairs])
+    return kept.lowest(n_pairs)

@@ -20,7 +20,7 @@ from pcretrieve.descriptors.descriptor import Descriptor
 from pcretrieve.errors import OptionError
 from pcretrieve.types import Eigenpairs, FloatArray, Signature
 
-__all__ = ["HEAT_KERNEL_BAGS", "heat_features", "hks_bow"]
+__all__ = ["HEAT_KERNEL_BAGS", "heat_features", "hks_bow", "scale_invariant_heat"]
 
 # Diffusion times on a surface of unit area, six as in ShapeGoogle. In time t heat spreads over a distance of
 # about √(4 t): 0.09 for the first time, 0.9 for the last.
@@ -126,13 +126,30 @@ def heat_features(pairs: Eigenpairs, *, scale_invariant: bool = False) -> FloatA
         ∂ log h / ∂ log t over log t: a scaling shifts this derivative along log t, which changes the phases
         alone.
     """
-    times = np.exp(LOG_TIMES) if scale_invariant else TIMES
-    decay = np.exp(-np.outer(pairs.eigenvalues, times))  # (k, t)
-    logs = np.log(pairs.eigenvectors**2 @ decay)  # (n, t)
     if scale_invariant:
-        frequencies = np.fft.rfft(np.diff(logs, axis=1), axis=1)
-        return np.abs(frequencies[:, :N_FREQUENCIES])
-    return np.asarray(logs - np.log(decay.sum(axis=0)))
+        return scale_invariant_heat(pairs, N_FREQUENCIES)
+    decay = np.exp(-np.outer(pairs.eigenvalues, TIMES))  # (k, t)
+    return np.asarray(np.log(pairs.eigenvectors**2 @ decay) - np.log(decay.sum(axis=0)))
+
+
+def scale_invariant_heat(pairs: Eigenpairs, n_frequencies: int) -> FloatArray:
+    """Scale-invariant heat kernel signatures of all vertices (Bronstein and Kokkinos, CVPR 2010).
+
+    Parameters
+    ----------
+    pairs : Eigenpairs
+        Eigenpairs of a surface of unit area with n vertices.
+    n_frequencies : int
+        f, the number of frequencies, at most 49.
+
+    Returns
+    -------
+    (n, f) float64
+        As `heat_features` returns them, the zero frequency first.
+    """
+    decay = np.exp(-np.outer(pairs.eigenvalues, np.exp(LOG_TIMES)))  # (k, t)
+    slopes = np.diff(np.log(pairs.eigenvectors**2 @ decay), axis=1)  # (n, t - 1)
+    return np.abs(np.fft.rfft(slopes, axis=1)[:, :n_frequencies])
 
 
 @cache

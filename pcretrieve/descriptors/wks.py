@@ -6,9 +6,9 @@ import numpy as np
 
 from pcretrieve.descriptors.descriptor import Descriptor
 from pcretrieve.errors import OptionError
-from pcretrieve.types import Eigenpairs, ModalSpectrum, Signature
+from pcretrieve.types import Eigenpairs, FloatArray, ModalSpectrum, Signature
 
-__all__ = ["WKS", "wks"]
+__all__ = ["WKS", "wave_kernel_weights", "wks"]
 
 # σ of the distribution of energies, relative to their range. Aubry et al. take 7 of 100 energy steps.
 WIDTH = 0.07
@@ -52,19 +52,45 @@ def wks(pairs: Eigenpairs | ModalSpectrum, n_values: int = 59, n_modes: int = 60
        to shape analysis", ICCV Workshops 2011.
     """
     spectrum = pairs if isinstance(pairs, ModalSpectrum) else ModalSpectrum.of(pairs)
-    n_pairs = len(spectrum.eigenvalues)
+    weights = wave_kernel_weights(spectrum.eigenvalues, n_values, n_modes)  # (L, m)
+    overlaps = spectrum.known_overlaps()[1 : n_modes + 1, 1 : n_modes + 1]  # (m, m)
+    values = spectrum.area * np.einsum("ei,ij,ej->e", weights, overlaps, weights)  # (L,)
+    return Signature(values, kind="wks", digest=f"L={n_values} m={n_modes}")
+
+
+def wave_kernel_weights(eigenvalues: FloatArray, n_energies: int, n_modes: int) -> FloatArray:
+    """The weights p_k(e) of the modes in the wave kernel signature, as in `wks`.
+
+    Parameters
+    ----------
+    eigenvalues : (k,) float64
+        Ascending, the zero eigenvalue first.
+    n_energies : int
+        Number of energies e, evenly spaced from log λ_1 to log λ_m.
+    n_modes : int
+        m, the number of modes.
+
+    Returns
+    -------
+    (n_energies, m) float64
+        Each row sums to 1.
+
+    Raises
+    ------
+    OptionError
+        If `n_modes` is not between 2 and k − 1.
+    """
+    n_pairs = len(eigenvalues)
     if not 2 <= n_modes < n_pairs:
         raise OptionError(
             f"n_modes must be between 2 and {n_pairs - 1} for {n_pairs} eigenpairs, got {n_modes}"
         )
-    overlaps = spectrum.known_overlaps()[1 : n_modes + 1, 1 : n_modes + 1]  # (m, m)
-    levels = np.log(spectrum.eigenvalues[1 : n_modes + 1])  # (m,)
-    energies = np.linspace(levels[0], levels[-1], n_values)  # (L,)
+    levels = np.log(eigenvalues[1 : n_modes + 1])  # (m,)
+    energies = np.linspace(levels[0], levels[-1], n_energies)
     width = WIDTH * (levels[-1] - levels[0])
-    weights = np.exp(-((energies[:, None] - levels) ** 2) / (2 * width**2))  # (L, m)
+    weights: FloatArray = np.exp(-((energies[:, np.newaxis] - levels) ** 2) / (2 * width**2))
     weights /= weights.sum(axis=1, keepdims=True)
-    values = spectrum.area * np.einsum("ei,ij,ej->e", weights, overlaps, weights)  # (L,)
-    return Signature(values, kind="wks", digest=f"L={n_values} m={n_modes}")
+    return weights
 
 
 WKS = Descriptor(

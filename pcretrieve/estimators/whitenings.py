@@ -253,7 +253,7 @@ class ResolutionWhitening(_Whitener):
             If the scale is absolute, or the shrinkage out of range.
         """
         n_values = validate_data(self, X, dtype=np.float64).shape[1]
-        options = SignatureOptions(n_values=n_values, scale=self.scale)
+        options = SignatureOptions(method="r-bihdm", n_values=n_values, scale=self.scale)
         self.whitening_ = resolution_whitening(options, shrinkage=self.shrinkage)
         return self
 

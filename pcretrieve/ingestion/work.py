@@ -30,7 +30,7 @@ def content(path: Path, options: PipelineOptions) -> Content:
     Returns
     -------
     Content
-        The shape, without its points, and the values of its signature.
+        The shape, without its points and eigenvectors, and the values of its signature.
 
     Raises
     ------
@@ -40,8 +40,9 @@ def content(path: Path, options: PipelineOptions) -> Content:
     shape = process(path, options)
     with in_stage(Stage.SIGNATURE):
         signature = describe(shape, options.signature).values
-    # The points are not stored, and are not sent to the process that stores the content.
-    return Content(replace(shape, cloud=None), signature)
+    # Points and eigenvectors are not stored, and are not sent to the process that stores the content.
+    surfaces = tuple(replace(surface, eigenpairs=None) for surface in shape.surfaces)
+    return Content(replace(shape, surfaces=surfaces, cloud=None), signature)
 
 
 @cache

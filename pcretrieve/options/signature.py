@@ -30,11 +30,11 @@ Scale = Literal["relative", "area", "absolute"]
 class SignatureOptions(Options):
     """Spectrum and surface → descriptor."""
 
-    method: Annotated[str, AfterValidator(NAMES["descriptor"].known)] = "r-bihdm"
+    method: Annotated[str, AfterValidator(NAMES["descriptor"].known)] = "combined"
     """The descriptor; `pcretrieve signature --help` lists all of them."""
     n_values: Count = 59
-    """Number L of values of the descriptor; by default the most that each of them has with 61 eigenpairs. For
-    combined, of each of its two parts; for bags of features, the number of words."""
+    """Number L of values of the descriptor; by default the most that R-BiHDM and Shape-DNA have with 61
+    eigenpairs. For combined, of each of its two parts; for bags of features, the number of words."""
     n_modes: Annotated[int, Field(ge=2)] = 60
     """Number m of modes at which R-BiHDM, BiHDM, and the heat and wave kernels are truncated."""
     scale: Literal["auto", "relative", "area", "absolute"] = "auto"

@@ -69,7 +69,9 @@ def _of_surfaces(seen: Seen, options: PipelineOptions) -> Shape:
 
 def _with_spectrum(mesh: TriangleMesh, options: PipelineOptions) -> tuple[Surface, dict[str, float]]:
     pairs = unit_eigenpairs(mesh, options.spectral.n_pairs, options.spectral.element)
-    return Surface(mesh.area, _unit_spectrum(pairs), mesh), _sizes(pairs, mesh)
+    # Of linear elements, which descriptors of vertices are defined by.
+    kept = pairs if options.spectral.element == "linear" else None
+    return Surface(mesh.area, _unit_spectrum(pairs), mesh, kept), _sizes(pairs, mesh)
 
 
 def _unit_spectrum(pairs: Eigenpairs) -> ModalSpectrum:

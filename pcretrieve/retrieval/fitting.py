@@ -59,7 +59,7 @@ logger = logging.getLogger(__name__)
 #: See docs/decisions.md, DEFAULT_SHRINKAGE. For within-class it is estimated instead.
 DEFAULT_SHRINKAGE: Mapping[str, float] = MappingProxyType(
     {
-        "neighbours": 0.10,  # intensity towards the mean variance times the identity
+        "neighbours": 0.20,  # intensity towards the mean variance times the identity
         "pca": 0.01,  # times the largest eigenvalue, added to all eigenvalues (Tikhonov)
         "resolution": 0.03,  # as for pca
     }

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -103,6 +103,10 @@ class Eigenpairs(Value):
     def area(self) -> float:
         """1ᵀM·1, unit length²."""
         return float(self.mass.sum())
+
+    def lowest(self, n: int) -> Eigenpairs:
+        """The first `n` eigenpairs, or all if there are fewer."""
+        return replace(self, eigenvalues=self.eigenvalues[:n], eigenvectors=self.eigenvectors[:, :n])
 
     def __repr__(self) -> str:
         return (

@@ -73,7 +73,9 @@ def test_a_clean_mesh_examined_against_itself_is_without_fault(tmp_path: Path) -
         + "".join("{:.17g} {:.17g} {:.17g}\n".format(*vertex) for vertex in mesh.vertices.tolist())
         + "".join("3 {} {} {}\n".format(*face) for face in mesh.faces.tolist())
     )
-    options = PipelineOptions().changed(surface={"mode": "keep"}, signature={"n_values": N_VALUES})
+    options = PipelineOptions().changed(
+        surface={"mode": "keep"}, signature={"method": "r-bihdm", "n_values": N_VALUES}
+    )
     found = examine(path, mesh, options)
     assert found.closed
     assert found.euler == 2

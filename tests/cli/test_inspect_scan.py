@@ -69,7 +69,7 @@ def test_json_holds_checks_and_numbers(folder: Path) -> None:
     assert {"Points", "Normals", "Handles", "Signature"} <= {check["name"] for check in answer["checks"]}
     for check in answer["checks"]:
         assert f"{check['verdict']:<6}  {check['name']}" in result.stderr
-    assert len(answer["signature"]) == len(answer["rescan_deviation"]) == 59
+    assert len(answer["signature"]) == len(answer["rescan_deviation"]) == 118
     assert "deviation" not in answer, "that is over the surfaces of one scan"
     assert answer["spread"] ** 2 == pytest.approx(sum(part**2 for part in answer["rescan_deviation"]))
     assert [step["stage"] for step in answer["steps"]][:3] == ["read", "crop", "clean"]

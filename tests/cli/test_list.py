@@ -84,6 +84,6 @@ def test_show_says_what_a_shape_costs(path: Path) -> None:
     said = run("show", "ball", "-c", path)
     assert f"{'stored':<15} {sum(stored.values()) / 1000:.1f} kB: record " in said
     assert set(stored) == {"record", "signatures", "spectra", "moments", "overlaps", "meshes"}
-    assert stored["signatures"] == 8 * (59 + 1)
+    assert stored["signatures"] == 8 * (118 + 1)
     failed = json.loads(run("show", "r0000", "-c", path, "--json"))["stored_bytes"]
     assert sum(failed.values()) == failed["record"] < 1000

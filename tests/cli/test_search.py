@@ -41,11 +41,11 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
 def catalogue(
     request: pytest.FixtureRequest, files: list[Path], tmp_path_factory: pytest.TempPathFactory
 ) -> Path:
-    """One that was built by default, and one that was told to be relative."""
+    """R-BiHDM, whose values have a scale: one by the default scale, and one that was told to be relative."""
     path = tmp_path_factory.mktemp(request.param) / "c.sqlite"
     built = {
-        "area": PipelineOptions(),
-        "relative": PipelineOptions().changed(signature={"scale": "relative"}),
+        "area": PipelineOptions().changed(signature={"method": "r-bihdm"}),
+        "relative": PipelineOptions().changed(signature={"method": "r-bihdm", "scale": "relative"}),
     }
     with Catalogue(path, built[request.param], create=True) as store:
         ingest_files(files, store, labels={file.name: f"kind{file.name[0]}" for file in files})
@@ -237,6 +237,7 @@ def test_mixed_units_are_noticed_where_size_counts(tmp_path: Path) -> None:
         ingest_files(scans, store)
     assert run("query", "-c", path, scans[0]).stderr == (
         "whitening: none, because 2 shapes are too few to learn from neighbours (24)\n"
+        "score: none, because labels and shapes are too few\n"
     )
     for chosen in (("--size-weight", 1), ("--scale", "absolute")):
         said = run("query", "-c", path, scans[0], *chosen).stderr

@@ -15,6 +15,7 @@ from pcretrieve.descriptors import (
     DESCRIPTORS,
     bihdm,
     combined,
+    csd,
     describe,
     r_bihdm,
     sd_gdm,
@@ -27,6 +28,7 @@ from pcretrieve.errors import DegenerateMeshError, OptionError, SpectrumError
 from pcretrieve.names import METHODS
 from pcretrieve.options import PipelineOptions, SignatureOptions
 from pcretrieve.pipeline.process import process
+from pcretrieve.spectral import unit_eigenpairs
 from pcretrieve.types import FloatArray, Shape, Signature, Surface, TriangleMesh
 
 N_VALUES = 9
@@ -83,8 +85,14 @@ def test_it_distinguishes_a_body_from_an_ellipsoid(method: str) -> None:
     assert gap > 0.08  # more than motion and numbering change, of whatever descriptor
 
 
-# Powers of length of the values for the scale absolute; of combined, those of R-BiHDM and of Shape-DNA.
-POWERS = {"r-bihdm": 4, "bihdm": 4, "shape-dna": 2, "sd-gdm": 3, "combined": [4] * N_VALUES + [2] * N_VALUES}
+# Powers of length of the values for the scale absolute; combined has R-BiHDM to the power .6, and csd.
+POWERS = {
+    "r-bihdm": 4,
+    "bihdm": 4,
+    "shape-dna": 2,
+    "sd-gdm": 3,
+    "combined": [2.4] * N_VALUES + [0] * N_VALUES,
+}
 
 
 def test_size_is_kept_where_it_is_asked_for_and_nowhere_else(method: str) -> None:
@@ -108,7 +116,7 @@ def test_without_size_by_area_and_relative_are_the_same(name: str) -> None:
         SignatureOptions(method=name, scale="absolute")
 
 
-@pytest.mark.parametrize("function", [r_bihdm, bihdm, combined])
+@pytest.mark.parametrize("function", [r_bihdm, bihdm])
 def test_a_descriptor_by_itself_is_that_of_the_default_options(function: Callable[..., Signature]) -> None:
     name = function.__name__.replace("_", "-")
     described = describe(body(), SignatureOptions(method=name))
@@ -116,6 +124,34 @@ def test_a_descriptor_by_itself_is_that_of_the_default_options(function: Callabl
     np.testing.assert_array_equal(described.values, function(body().spectrum).values)
     relative = function(body().spectrum, scale="relative").values
     assert not np.allclose(described.values, relative, rtol=0.1)
+
+
+def test_the_default_descriptor_is_r_bihdm_and_csd_in_balance() -> None:
+    described = describe(body(), SignatureOptions())
+    by_itself = combined(body().spectrum, body().eigenpairs)
+    assert described.digest == by_itself.digest
+    np.testing.assert_array_equal(described.values, by_itself.values)
+    halves = r_bihdm(body().spectrum).values ** 0.6, csd(body().eigenpairs).values ** 3
+    np.testing.assert_array_equal(described.values, np.concatenate(halves))
+
+
+def test_the_compact_shape_descriptor_of_a_sphere_is_that_of_each_of_its_points() -> None:
+    """By the addition theorem Σ φ² over the modes of one eigenvalue is constant on a sphere."""
+    degrees = np.arange(7)  # of λ = 4π l (l + 1) on unit area, 2 l + 1 times
+    pairs = unit_eigenpairs(shapes.icosphere(4), (2 * degrees + 1).sum())
+    found = csd(pairs, 9, n_modes=48).values
+    np.testing.assert_allclose(found[:6], 6**-0.5, rtol=0.02)
+    times = np.geomspace(0.001, 1, 97)
+    kernel = np.exp(-4 * np.pi * np.outer(times, degrees * (degrees + 1))) @ (2 * degrees + 1)
+    frequencies = np.abs(np.fft.rfft(np.diff(np.log(kernel))))[:3]
+    np.testing.assert_allclose(found[6:], frequencies / np.linalg.norm(frequencies), atol=0.002)
+
+
+def test_the_compact_shape_descriptor_has_no_more_values_than_the_heat_kernel_has_frequencies() -> None:
+    assert len(csd(body().eigenpairs, 147).values) == 147
+    for n_values in (2, 148):
+        with pytest.raises(OptionError, match=f"n_values must be between 3 and 147 for csd, got {n_values}"):
+            csd(body().eigenpairs, n_values)
 
 
 def test_geodesic_distances_by_themselves_are_those_of_the_default_options() -> None:

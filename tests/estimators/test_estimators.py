@@ -86,7 +86,7 @@ def test_whitenings_are_those_of_the_functions(shrinkage: Any) -> None:
         PCAWhitening(shrinkage): fit_whitening("pca", logs, shrinkage=shrinkage),
         WithinClassWhitening(shrinkage): fit_whitening("within-class", logs, labels, shrinkage=shrinkage),
         ResolutionWhitening("relative", shrinkage): resolution_whitening(
-            SignatureOptions(n_values=8, scale="relative"), shrinkage=shrinkage
+            SignatureOptions(method="r-bihdm", n_values=8, scale="relative"), shrinkage=shrinkage
         ),
     }
     for estimator, whitening in expected.items():
@@ -224,7 +224,7 @@ def test_rows_are_the_logarithms_of_signatures(tmp_path: Path) -> None:
     np.testing.assert_array_equal(SignatureTransformer(options).fit_transform(scans), expected)
     by_name = SignatureTransformer(KEEP, n_values=9, scale="relative")
     np.testing.assert_array_equal(by_name.transform(scans), expected)
-    assert by_name.transform([]).shape == (0, 9)
+    assert by_name.transform([]).shape == (0, 18)
     assert by_name.get_feature_names_out()[:2].tolist() == ["signaturetransformer0", "signaturetransformer1"]
 
 

@@ -31,7 +31,7 @@ def test_the_sample_is_what_its_module_measures() -> None:
 @pytest.mark.parametrize("scale", ["area", "relative"])
 @pytest.mark.parametrize("n_values", [1, 23, 60])
 def test_what_resolution_changes_counts_less(scale: str, n_values: int) -> None:
-    options = SignatureOptions.model_validate({"scale": scale, "n_values": n_values})
+    options = SignatureOptions.model_validate({"method": "r-bihdm", "scale": scale, "n_values": n_values})
     whitening = resolution_whitening(options)
     logs = SAMPLE[:, :, :60] - (SAMPLE[:, :, 60:] if scale == "relative" else 0)
     change = (logs[0] - logs[1])[:, :n_values].astype(np.float64)
@@ -53,20 +53,28 @@ def test_values_by_area_are_what_the_sample_holds() -> None:
     """Order and unit of a signature are those of the sample's columns."""
     shape = process(points_on(body(), 6000), PipelineOptions().changed(surface={"reconstructions": 1}))
     logs = np.log(np.abs(np.linalg.eigvalsh(reduced_matrix(shape.spectrum, N_MODES))))
-    values = describe(shape, SignatureOptions(n_values=60)).values
+    values = describe(shape, SignatureOptions(method="r-bihdm", n_values=60)).values
     np.testing.assert_allclose(np.log(values), logs[:60], rtol=1e-12)
-    relative = describe(shape, SignatureOptions(n_values=60, scale="relative")).values
+    relative = describe(shape, SignatureOptions(method="r-bihdm", n_values=60, scale="relative")).values
     np.testing.assert_allclose(np.log(relative), logs[:60] - logs[60], rtol=1e-9, atol=1e-12)
 
 
 def test_size_stays_what_it_is() -> None:
     logs = np.random.default_rng(0).normal(size=(5, SignatureOptions().n_values + 1))
-    form = resolution_whitening(SignatureOptions()).apply(logs[:, :-1])
-    sized = resolution_whitening(SignatureOptions(size_weight=6)).apply(logs)
+    form = resolution_whitening(SignatureOptions(method="r-bihdm")).apply(logs[:, :-1])
+    sized = resolution_whitening(SignatureOptions(method="r-bihdm", size_weight=6)).apply(logs)
     np.testing.assert_allclose(sized, np.column_stack([form, logs[:, -1]]), rtol=1e-12)
 
 
-@pytest.mark.parametrize("given", [{"method": "shape-dna"}, {"n_modes": 50}, {"scale": "absolute"}])
+@pytest.mark.parametrize(
+    "given",
+    [
+        {},
+        {"method": "shape-dna"},
+        {"method": "r-bihdm", "n_modes": 50},
+        {"method": "r-bihdm", "scale": "absolute"},
+    ],
+)
 def test_signatures_that_were_not_measured(given: dict[str, str | int]) -> None:
     options = SignatureOptions.model_validate(given)
     with pytest.raises(OptionError, match="'resolution' has been measured for r-bihdm with n_modes = 60"):
@@ -75,4 +83,4 @@ def test_signatures_that_were_not_measured(given: dict[str, str | int]) -> None:
 
 def test_shrinkage_must_be_a_share() -> None:
     with pytest.raises(OptionError, match=r"shrinkage must lie in \(0, 1\], got 0"):
-        resolution_whitening(SignatureOptions(), shrinkage=0)
+        resolution_whitening(SignatureOptions(method="r-bihdm"), shrinkage=0)

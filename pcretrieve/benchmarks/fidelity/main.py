@@ -156,13 +156,13 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _configurations(given: argparse.Namespace) -> dict[str, PipelineOptions]:
-    """Options by name, all with signatures of one length."""
+    """Options by name, all with R-BiHDM signatures of one length, which earlier tables have too."""
     loaded = [PipelineOptions.named(name) for name in given.config] or [PipelineOptions()]
     names = given.name or [path.stem for path in given.config] or ["default"]
     if not len(set(names)) == len(names) == len(loaded):
         raise InputError(f"configurations must have distinct names, one for each, got {', '.join(names)}")
     return {
-        name: options.changed(signature={"n_values": N_VALUES})
+        name: options.changed(signature={"method": "r-bihdm", "n_values": N_VALUES})
         for name, options in zip(names, loaded, strict=True)
     }
 
