@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 
@@ -10,6 +12,7 @@ from pcretrieve.options import RetrievalOptions
 from pcretrieve.retrieval import (
     DISTANCES,
     SignatureIndex,
+    blocks,
     compiled,
     filtering,
     interpreted,
@@ -40,8 +43,12 @@ def assert_same_answers(changed: SignatureIndex, built: SignatureIndex, queries:
 
 @pytest.fixture
 def few_compared(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Small tables are searched by blocks too."""
+    """Small tables are searched by blocks too, in several turns, and few shapes get an exact distance."""
     monkeypatch.setattr(filtering, "N_ALL", 0)
+    monkeypatch.setattr(filtering, "N_BLOCKS", 1)
+    monkeypatch.setattr(filtering, "GROWTH", 2)
+    monkeypatch.setattr(filtering, "N_LAST", 0)
+    monkeypatch.setattr(blocks, "BLOCK_SIZE", 128)
 
 
 @pytest.mark.parametrize("whitening", ["none", "pca"])
@@ -138,6 +145,54 @@ def test_hard_cases_keep_all_neighbours(distance: str, name: str, few_compared: 
                 candidates = found.candidates(query[np.newaxis], k, scan)
                 assert wanted <= set(candidates)
                 assert (np.diff(candidates) > 0).all()
+
+
+def drawn_points(rng: np.random.Generator) -> FloatArray:
+    """Points (N, L) of a random number, with random scales, copies, grids, outliers and offsets."""
+    n, n_values = int(rng.choice([1, 2, 5, 63, 64, 65, 300, 1100])), int(rng.choice([1, 2, 3, 9, 45, 70]))
+    points = rng.normal(size=(n, n_values)) * 10 ** rng.uniform(-6, 2, size=n_values)
+    if rng.random() < 0.4:
+        points = points[rng.integers(max(1, n // 7), size=n)]
+    if rng.random() < 0.3:
+        points = np.round(points, 1)
+    if rng.random() < 0.3:
+        points[rng.integers(n)] *= 10 ** rng.uniform(0, 12)
+    if rng.random() < 0.3:
+        points += rng.normal() * 1000
+    if rng.random() < 0.3:
+        points[:, rng.integers(n_values)] = 1.5
+    return points
+
+
+@pytest.mark.parametrize("scan", [interpreted.scan, compiled.scan])
+@pytest.mark.parametrize("distance", DISTANCES.own)
+@pytest.mark.parametrize("seed", range(40))
+def test_drawn_galleries_give_the_answers_of_all_distances(
+    seed: int, distance: str, scan: Callable[..., int], few_compared: None
+) -> None:
+    """To the last bit, and equal distances in the order of the rows, before and after changes."""
+    rng = np.random.default_rng(1000 + seed)
+    points = drawn_points(rng)
+    n, n_values = points.shape
+    old = np.sort(rng.choice(n, size=max(1, n // 2), replace=False)).astype(np.int32)
+    new = np.setdiff1d(np.arange(n, dtype=np.int32), old)
+    keep = rng.random(size=(n,)) < 0.8
+    keep[rng.integers(n)] = True
+    whole = Filter.of(distance, points, int(rng.integers(1, n_values + 1)))
+    grown = Filter.of(distance, points[old]).extended(points, old, new) if len(new) else whole
+    filters = (whole, grown, grown.kept(keep))
+    stored = points[rng.integers(n, size=1)]
+    far = 10 ** rng.uniform(-3, 3) * rng.normal(size=(1, n_values))
+    queries: tuple[FloatArray, ...] = (stored, points[:1] + 1e-7, far)
+    for found in filters:
+        for query in queries:
+            k = min(int(rng.choice([1, 5, 20, n])), len(found.points))
+            every = pairwise(distance, query, found.points)[0]
+            candidates = found.candidates(query, k, scan)
+            exact = pairwise(distance, query, found.points[candidates])[0]
+            nearest = candidates[np.argsort(exact, kind="stable")[:k]]
+            np.testing.assert_array_equal(nearest, np.argsort(every, kind="stable")[:k])
+            np.testing.assert_array_equal(exact, every[candidates])
 
 
 def test_threads_change_no_answer() -> None:
