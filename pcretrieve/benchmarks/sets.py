@@ -15,6 +15,7 @@ from pcretrieve.errors import BenchmarkError
 from pcretrieve.formats import read_scan
 from pcretrieve.ingestion.discover import discover
 from pcretrieve.ingestion.labels import read_labels
+from pcretrieve.ingestion.layouts import LAYOUTS
 from pcretrieve.ingestion.run import Summary, ingest_files
 from pcretrieve.options import PipelineOptions
 from pcretrieve.simulation import POSES, body, make_subject
@@ -67,7 +68,11 @@ def left_out(part: str, folder: Path) -> str | None:
     str or None
         The line; None if the folder exists.
     """
-    return None if folder.is_dir() else f"{part}: left out, {folder} is not there"
+    if folder.is_dir():
+        return None
+    layout = LAYOUTS.get(folder.name)
+    published = f"; the set is published at {layout.published}" if layout is not None else ""
+    return f"{part}: left out, {folder} is not there{published}"
 
 
 def read_mesh(path: Path) -> TriangleMesh:

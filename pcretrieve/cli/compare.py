@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -11,7 +10,7 @@ import click
 from pcretrieve.cli.comparison import compared, comparison_options
 from pcretrieve.cli.evaluate import HEAD, numbers_line
 from pcretrieve.cli.messages import say, write_json
-from pcretrieve.cli.parts import CATALOGUE, json_option
+from pcretrieve.cli.parts import CATALOGUE, json_option, labels_option
 
 if TYPE_CHECKING:
     from pcretrieve.catalogue import Catalogue
@@ -23,12 +22,7 @@ __all__ = ["compare_command"]
 @click.command("compare")
 @click.argument("first", type=CATALOGUE, metavar="A")
 @click.argument("second", type=CATALOGUE, metavar="B")
-@click.option(
-    "--labels",
-    type=click.Path(path_type=Path),
-    metavar="CSV",
-    help="Classes that replace the stored ones. Needed for distance matrices.",
-)
+@labels_option
 @click.option(
     "--changes",
     type=click.IntRange(min=0),
@@ -40,7 +34,7 @@ __all__ = ["compare_command"]
 @comparison_options
 @json_option
 def compare_command(
-    first: str, second: str, labels: Path | None, changes: int, as_json: bool, **comparison: Any
+    first: str, second: str, labels: str | None, changes: int, as_json: bool, **comparison: Any
 ) -> None:
     """Compare two results for the same shapes, query by query.
 

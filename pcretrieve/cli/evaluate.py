@@ -11,7 +11,7 @@ import click
 
 from pcretrieve.cli.comparison import compared, comparison_options, matrix_option, read_distances
 from pcretrieve.cli.messages import say, write_json
-from pcretrieve.cli.parts import CATALOGUE, json_option
+from pcretrieve.cli.parts import CATALOGUE, json_option, labels_option
 
 if TYPE_CHECKING:
     from pcretrieve.evaluation import RankedCatalogue
@@ -32,9 +32,7 @@ HEAD = "  ".join(f"{name:>6}" for name in ("NN", "FT", "ST", "E", "DCG", "mAP"))
     metavar="FILE|URL",
     help="The catalogue. Not needed with both --matrix and --labels.",
 )
-@click.option(
-    "--labels", type=click.Path(path_type=Path), metavar="CSV", help="Classes that replace the stored ones."
-)
+@labels_option
 @matrix_option
 @click.option(
     "--sound-only", is_flag=True, help="Leave out shapes of the catalogue that are doubtful or unusable."
@@ -56,7 +54,7 @@ HEAD = "  ".join(f"{name:>6}" for name in ("NN", "FT", "ST", "E", "DCG", "mAP"))
 @json_option
 def evaluate_command(
     catalogue: str | None,
-    labels: Path | None,
+    labels: str | None,
     matrix: Path | None,
     sound_only: bool,
     per_class: bool,
@@ -76,12 +74,14 @@ def evaluate_command(
     \b
     pcretrieve evaluate --catalogue shrec11.sqlite --n-values 45 --whitening pca
     pcretrieve evaluate --catalogue shrec11.sqlite --per-class --csv shrec11/
+    pcretrieve evaluate --catalogue shrec11.sqlite --labels shrec11
     pcretrieve evaluate --matrix run1.txt --labels shrec11.cla
     """
     from pcretrieve.catalogue import Catalogue
     from pcretrieve.evaluation import (
         LEVEL,
         MEASURES,
+        PUBLISHED,
         bootstrap_interval,
         class_measures,
         evaluate_rankings,
@@ -90,6 +90,7 @@ def evaluate_command(
         rank_matrix,
         write_evaluation,
     )
+    from pcretrieve.ingestion.layouts import LAYOUTS
 
     distances = read_distances(matrix, comparison, reranks=True)
     rerank: RerankKind = comparison["rerank"] or "none"
@@ -123,6 +124,7 @@ def evaluate_command(
     macro = asdict(evaluate_rankings(ranked.rankings, average="macro"))
     low, high = bootstrap_interval(query_scores(ranked.rankings).columns)
     classes = class_measures(ranked.rankings) if per_class else ()
+    published = PUBLISHED.get(labels or "", ())
     if as_json:
         counts = {"n_failed": ranked.n_failed, "n_shapes": ranked.rankings.n_gallery}
         document = measures | counts | how
@@ -138,6 +140,11 @@ def evaluate_command(
                 | _named(MEASURES, one.means)
                 | {"confused": [{"label": label, "n_queries": n} for label, n in one.confused]}
                 for one in classes
+            ]
+        if published:
+            document["published"] = [
+                {"method": one.method, "source": one.source} | dict(zip(MEASURES, one.measures, strict=True))
+                for one in published
             ]
         write_json(document)
         return
@@ -155,7 +162,11 @@ def evaluate_command(
             f"{numbers_line(one.means)}  {one.label}, {one.n_queries} queries"
             + (f"; nearest {others}" if others else "")
         )
+    for row in published:
+        click.echo(f"{numbers_line(row.measures)}  published: {row.method} ({row.source})")
     _say_how(ranked, how)
+    if layout := LAYOUTS.get(labels or ""):
+        say(f"{layout.name}: {layout.protocol}")
 
 
 def _say_how(ranked: RankedCatalogue, how: Mapping[str, object]) -> None:
@@ -170,13 +181,13 @@ def _say_how(ranked: RankedCatalogue, how: Mapping[str, object]) -> None:
         say(f"whitening: {ranked.whitening}")
 
 
-def numbers_line(values: Iterable[float], form: str = "6.4f") -> str:
+def numbers_line(values: Iterable[float | None], form: str = "6.4f") -> str:
     """A row of measures below `HEAD`.
 
     Parameters
     ----------
-    values : iterable of float
-        The measures.
+    values : iterable of (float or None)
+        The measures; None is printed as "-".
     form : str, default "6.4f"
         Format of a number of six characters or more.
 
@@ -185,7 +196,7 @@ def numbers_line(values: Iterable[float], form: str = "6.4f") -> str:
     str
         The line.
     """
-    return "  ".join(format(value, form) for value in values)
+    return "  ".join(f"{'-':>6}" if value is None else format(value, form) for value in values)
 
 
 def _row(measures: Mapping[str, float], names: Iterable[str]) -> str:

@@ -36,10 +36,10 @@ QUOTED = 5
 @catalogue_option
 @click.option(
     "--labels",
-    type=click.Path(path_type=Path),
-    metavar="CSV",
-    help="Classes: a CSV file with the columns file and class, or a .cla file of the Princeton Shape "
-    "Benchmark.",
+    metavar="CSV|LAYOUT",
+    help="Classes: a CSV file with the columns file and class; a .cla file of the Princeton Shape Benchmark; "
+    "or a layout: shrec11, shrec14-real, shrec14-synthetic, faust, tosca and psb are published sets; folders "
+    "are named like their class; csv is labels.csv beside the scans.",
 )
 @config_option
 @surface_option
@@ -70,7 +70,7 @@ QUOTED = 5
 def ingest_command(
     paths: tuple[str, ...],
     catalogue: str,
-    labels: Path | None,
+    labels: str | None,
     config: Path | None,
     surface: str | None,
     unit: str | None,
@@ -94,15 +94,14 @@ def ingest_command(
     from tqdm import tqdm
 
     from pcretrieve.catalogue import Catalogue
-    from pcretrieve.ingestion.discover import discover, printable
+    from pcretrieve.ingestion.discover import printable
     from pcretrieve.ingestion.executors import EXECUTORS
-    from pcretrieve.ingestion.labels import read_labels
+    from pcretrieve.ingestion.layouts import discover_labelled
     from pcretrieve.ingestion.run import ingest_files
 
     if not paths:
         raise click.UsageError("name at least one scan")
-    scans = discover(paths, beside=[catalogue, *([labels] if labels else [])])
-    names = read_labels(labels) if labels else None
+    scans, names = discover_labelled(paths, labels, [catalogue])
     runs = EXECUTORS[executor]
     # Without --config, --surface and --unit, the options of an existing catalogue are used.
     options = None

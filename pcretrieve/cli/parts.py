@@ -18,6 +18,7 @@ __all__ = [
     "catalogue_option",
     "config_option",
     "json_option",
+    "labels_option",
     "limit_options",
     "load_options",
     "surface_option",
@@ -31,6 +32,12 @@ EXIT_INTERRUPTED = 130
 CATALOGUE = click.Path()
 catalogue_option = click.option(
     "--catalogue", "-c", type=CATALOGUE, required=True, metavar="FILE|URL", help="The catalogue."
+)
+#: A string, because the layouts of published sets have names.
+labels_option = click.option(
+    "--labels",
+    metavar="CSV|LAYOUT",
+    help="Classes that replace the stored ones: a file, or a layout, both as for `ingest`.",
 )
 json_option = click.option("--json", "as_json", is_flag=True, help="Print one JSON document.")
 config_option = click.option(

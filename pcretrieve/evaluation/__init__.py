@@ -19,6 +19,7 @@ from pcretrieve.evaluation.measures import (
     precision_recall,
     query_scores,
 )
+from pcretrieve.evaluation.published import PUBLISHED, Published
 from pcretrieve.evaluation.rankings import Rankings, rank
 from pcretrieve.evaluation.results import result_scores
 from pcretrieve.evaluation.score_files import read_scores, write_evaluation
@@ -28,6 +29,7 @@ from pcretrieve.evaluation.unknown_classes import NoMatchMeasures, no_match_meas
 __all__ = [
     "LEVEL",
     "MEASURES",
+    "PUBLISHED",
     "CatalogueDistances",
     "Change",
     "ClassMeasures",
@@ -35,6 +37,7 @@ __all__ = [
     "Confusion",
     "NoMatchMeasures",
     "PrecisionRecall",
+    "Published",
     "QueryScores",
     "RankedCatalogue",
     "Rankings",

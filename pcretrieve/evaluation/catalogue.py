@@ -15,7 +15,8 @@ from pcretrieve.errors import BenchmarkError, InputError
 from pcretrieve.evaluation.rankings import Rankings, rank
 from pcretrieve.evaluation.reranked import Subset, rank_subsets
 from pcretrieve.evaluation.tables import rank_table, rerank_table, unsupervised
-from pcretrieve.ingestion.labels import match_labels, read_labels
+from pcretrieve.ingestion.labels import match_labels
+from pcretrieve.ingestion.layouts import labels_of
 from pcretrieve.matching import DistanceMatrix
 from pcretrieve.options import PipelineOptions, RerankKind
 from pcretrieve.retrieval import resolution_covariance, table_whitening
@@ -67,7 +68,7 @@ def rank_catalogue(
     options : PipelineOptions, optional
         The options of the signatures and of retrieval; by default those of the catalogue.
     labels : str or Path, optional
-        A file of classes, which are used instead of the stored ones.
+        A file of classes, or the name of a layout, which are used instead of the stored ones.
     matrix : DistanceMatrix, optional
         Distances that are used instead of those of the signatures, with the re-ranking of the options. Shapes
         of the catalogue that the matrix does not have are misses.
@@ -96,9 +97,13 @@ def rank_catalogue(
         classes = {shape_id: record.label for shape_id, record in records.items()}
     else:
         paths = {shape_id: record.path for shape_id, record in records.items()}
-        classes = _classes(labels, read_labels(labels), paths)
+        classes = _classes(labels, labels_of(labels, paths.values()), paths)
     if not any(classes.values()):
-        advice = "give --labels, a file of classes" if labels is None else f"no name in {labels} fits one"
+        advice = (
+            "give --labels, a file of classes or a layout"
+            if labels is None
+            else f"no name in {labels} fits one"
+        )
         raise BenchmarkError(f"no shape in {catalogue.location} has a class: {advice}")
     if matrix is not None:
         check_known(matrix, catalogue)
@@ -170,7 +175,8 @@ def rank_matrix(
     matrix : DistanceMatrix
         The distances.
     labels : str or Path
-        A file of classes, whose names are the ids of the matrix, or files named like them.
+        A file of classes, whose names are the ids of the matrix, or files named like them; or the name of a
+        layout whose classes are in the names of files.
     rerank : {"none", "local", "k-reciprocal"}, default "none"
         The re-ranking.
 
@@ -188,7 +194,7 @@ def rank_matrix(
     """
     ids = set(matrix.ids)
     named: dict[str, str] = {}
-    for name, label in read_labels(labels).items():
+    for name, label in labels_of(labels, (f"/{shape_id}" for shape_id in matrix.ids)).items():
         shape_id = name if name in ids else Path(name).stem
         if named.setdefault(shape_id if shape_id in ids else name, label) != label:
             raise BenchmarkError(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from pcretrieve.errors import BenchmarkError
@@ -54,7 +54,8 @@ def match_labels(labels: Mapping[str, str], paths: Mapping[str, str]) -> tuple[d
 
     A name matches the shape with this id. If there is none, it matches the shape whose path ends with the
     name, with or without the suffix of the path. If there is none, a number, as in a ``.cla`` file, matches
-    the shape whose name ends with the number (``5`` matches ``T5``).
+    the shape whose name ends with the number (``5`` matches ``T5``). A number that is an id must not also be
+    the name of another shape that has no label, as when one ``.cla`` file is given for two sets.
 
     Parameters
     ----------
@@ -87,26 +88,37 @@ def match_labels(labels: Mapping[str, str], paths: Mapping[str, str]) -> tuple[d
             by_number.setdefault(str(int(number[1])), set()).add(shape_id)
     matched: dict[str, str] = {}
     unknown = []
+    passed_over: dict[str, str] = {}  # name by the id of a shape that it could stand for too
     for name, label in labels.items():
         plain = name.removeprefix("./")
-        shapes = {plain} & paths.keys() or by_path.get(plain) or by_number.get(plain) or set()
+        named = by_path.get(plain) or by_number.get(plain) or set()
+        shapes = {plain} & paths.keys() or named
+        if plain.isdecimal():
+            passed_over |= dict.fromkeys(named - shapes, name)
         if plain.startswith("/"):
             shapes = {shape_id for shape_id, path in paths.items() if path == plain}
         if not shapes:
             unknown.append(name)
         if len(shapes) > 1:
-            some = ", ".join(sorted(paths[shape_id] for shape_id in shapes)[:QUOTED])
-            raise BenchmarkError(
-                f"a label must stand for one shape, {name!r} stands for {len(shapes)}, such as {some}: write "
-                "out more of the path"
-            )
+            raise BenchmarkError(_several(name, [paths[shape_id] for shape_id in shapes]))
         for shape_id in shapes:
             if matched.setdefault(shape_id, label) != label:
                 raise BenchmarkError(
                     f"a shape must have one class, {paths[shape_id]} is labelled {matched[shape_id]!r} and "
                     f"{label!r}: correct the label file"
                 )
+    if unlabelled := sorted(passed_over.keys() - matched.keys()):
+        name = passed_over[unlabelled[0]]
+        raise BenchmarkError(_several(name, [paths[name], paths[unlabelled[0]]]))
     return matched, unknown
+
+
+def _several(name: str, shapes: Sequence[str]) -> str:
+    """The message about a name that stands for several shapes, by their paths."""
+    return (
+        f"a label must stand for one shape, {name!r} stands for {len(shapes)}, such as "
+        f"{', '.join(sorted(shapes)[:QUOTED])}: write out more of the path, or label one set at a time"
+    )
 
 
 def _table(path: Path, text: str) -> dict[str, str]:

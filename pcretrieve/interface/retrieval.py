@@ -42,7 +42,7 @@ def evaluate(
     options : OptionsLike, optional
         Signature, distance and whitening. By default the options of the catalogue.
     labels : str or Path, optional
-        A label file, whose classes replace the classes of the catalogue.
+        A label file or the name of a layout, whose classes replace the classes of the catalogue.
     matrix : DistanceMatrix, optional
         Distances that replace the distances of signatures.
     sound_only : bool, default False

@@ -9,8 +9,7 @@ from pcretrieve.catalogue import Record
 from pcretrieve.conversion import as_cloud
 from pcretrieve.formats.scans import ScanLike, as_scan
 from pcretrieve.ingestion import EXECUTORS, Executor
-from pcretrieve.ingestion.discover import discover
-from pcretrieve.ingestion.labels import read_labels
+from pcretrieve.ingestion.layouts import discover_labelled
 from pcretrieve.ingestion.run import Summary, ingest_files
 from pcretrieve.ingestion.views import read_views
 from pcretrieve.inspection import Inspection, inspect_scan
@@ -49,7 +48,8 @@ def ingest(
         The catalogue in which the shapes are stored. A file that does not exist is created.
     labels : str, Path or mapping, optional
         The classes: a CSV file with the columns ``file`` and ``class``, a ``.cla`` file of the Princeton
-        Shape Benchmark, or a mapping of names to classes.
+        Shape Benchmark, a mapping of names to classes, or the name of a layout: ``shrec11``,
+        ``shrec14-real``, ``shrec14-synthetic``, ``faust``, ``tosca``, ``psb``, ``folders`` or ``csv``.
     options : OptionsLike, optional
         The options of a new catalogue. By default the options of an existing catalogue, or the defaults.
     workers : int, optional
@@ -82,16 +82,18 @@ def ingest(
     CatalogueError
         If the catalogue was built with other options, or cannot be opened.
     """
-    beside = [path for path in (labels, catalogue) if isinstance(path, (str, Path))]
-    scans = discover([paths] if isinstance(paths, (str, Path)) else paths, beside)
-    names = read_labels(labels) if isinstance(labels, (str, Path)) else labels
+    scans, names = discover_labelled(
+        [paths] if isinstance(paths, (str, Path)) else paths,
+        labels if isinstance(labels, (str, Path)) else None,
+        [catalogue] if isinstance(catalogue, (str, Path)) else [],
+    )
     chosen = None if options is None else PipelineOptions.of(options)
     runs = EXECUTORS[executor] if isinstance(executor, str) else executor
     with opened(catalogue, chosen, create=True) as store:
         return ingest_files(
             scans,
             store,
-            labels=names,
+            labels=labels if isinstance(labels, Mapping) else names,
             workers=workers,
             timeout=timeout,
             memory=memory,

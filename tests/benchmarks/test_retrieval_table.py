@@ -12,6 +12,7 @@ from scipy.io import savemat
 
 from pcretrieve.catalogue import Catalogue
 from pcretrieve.formats import write_mesh
+from pcretrieve.ingestion.layouts import LAYOUTS
 
 SCRIPT = Path(__file__).parents[2] / "scripts" / "benchmark_retrieval"
 
@@ -44,7 +45,8 @@ def test_vectors_and_missing_sets(tmp_path: Path) -> None:
     assert calibrated.split()[3:5] == ["3-people", "none"]
     assert spread.split()[3:5] == ["3-people", "deviation"]
     assert float(calibrated.split()[-1]) > 0.9 > 0.1 > float(spread.split()[-1])
-    assert missing == f"shrec11: left out, {tmp_path / 'shrec11'} is not there"
+    published = f"the set is published at {LAYOUTS['shrec11'].published}"
+    assert missing == f"shrec11: left out, {tmp_path / 'shrec11'} is not there; {published}"
 
 
 def test_catalogues_are_kept(tmp_path: Path) -> None:

@@ -10,6 +10,7 @@ import shapes
 from pcretrieve.benchmarks.sets import SETS, left_out, read_mesh, spread
 from pcretrieve.errors import BenchmarkError
 from pcretrieve.formats import write_mesh
+from pcretrieve.ingestion.layouts import LAYOUTS
 from pcretrieve.simulation import write_ply
 
 
@@ -20,7 +21,9 @@ def test_the_last_of_a_spread_is_the_last() -> None:
 
 
 def test_a_set_without_a_folder_is_left_out(tmp_path: Path) -> None:
-    assert left_out("drift", tmp_path / "tosca") == f"drift: left out, {tmp_path / 'tosca'} is not there"
+    published = f"the set is published at {LAYOUTS['tosca'].published}"
+    missing = tmp_path / "tosca"
+    assert left_out("drift", missing) == f"drift: left out, {missing} is not there; {published}"
     assert left_out("drift", tmp_path) is None
 
 

@@ -1,0 +1,69 @@
+"""`--labels` with the name of a layout: from the files to the measures, with published ones beside them."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+import shapes
+from click.testing import CliRunner, Result
+
+import pcretrieve as pr
+from pcretrieve.cli.main import cli
+from pcretrieve.evaluation import PUBLISHED
+from pcretrieve.ingestion.layouts import LAYOUTS
+
+
+def run(*arguments: object, code: int = 0) -> Result:
+    result = CliRunner().invoke(cli, [str(word) for word in arguments])
+    assert result.exit_code == code, result.output
+    return result
+
+
+@pytest.fixture(scope="module")
+def eggs(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Eggs of two kinds named as in TOSCA, with the numbers of a `.cla` file."""
+    place = tmp_path_factory.mktemp("eggs")
+    for number in range(4):
+        mesh = shapes.ellipsoid((1 + 0.1 * (number % 2), 1, 1 + number // 2), subdivisions=3)
+        pr.write_mesh(mesh, place / f"{'flat' if number < 2 else 'long'}{number}.off")
+    (place / "test.cla").write_text("PSB 1\n2 4\n\nA 0 2\n0\n1\n\nB 0 2\n2\n3\n")
+    run("ingest", place, "--labels", "tosca", "-c", place / "eggs.sqlite", "--workers", 1)
+    return place
+
+
+def test_the_names_of_files_are_classes(eggs: Path) -> None:
+    with pr.Catalogue(eggs / "eggs.sqlite") as store:
+        assert [record.label for record in store.records()] == ["flat", "flat", "long", "long"]
+    again = eggs / "again.sqlite"
+    assert len(pr.ingest(eggs, again, labels="tosca", workers=1).done) == 4
+    with pr.Catalogue(again) as store:
+        assert [record.label for record in store.records()] == ["flat", "flat", "long", "long"]
+
+
+def test_published_measures_are_below_ours(eggs: Path) -> None:
+    asked = ("evaluate", "-c", eggs / "eggs.sqlite", "--per-class")
+    ours = run(*asked, "--labels", eggs / "test.cla").stdout.splitlines()
+    result = run(*asked, "--labels", "shrec11")
+    lines = result.stdout.splitlines()
+    assert lines[: len(ours)] == ours
+    assert len(lines) == len(ours) + len(PUBLISHED["shrec11"])
+    assert lines[-1] == (
+        "1.0000  0.9710  0.9830  0.7300  0.9940       -  published: R-BiHDM, L = 23 (Ye and Yu, table 3)"
+    )
+    assert result.stderr.endswith(f"shrec11: {LAYOUTS['shrec11'].protocol}\n")
+    found = json.loads(run(*asked, "--labels", "shrec11", "--json").stdout)
+    assert [row["method"] for row in found["published"]] == [row.method for row in PUBLISHED["shrec11"]]
+    assert found["published"][0]["map"] is None
+
+
+def test_matrices_have_layouts_too(eggs: Path, tmp_path: Path) -> None:
+    run("matrix", "-c", eggs / "eggs.sqlite", "-o", tmp_path / "eggs.txt")
+    by_matrix = run("evaluate", "--matrix", tmp_path / "eggs.txt", "--labels", "tosca").stdout
+    assert by_matrix == run("evaluate", "-c", eggs / "eggs.sqlite").stdout
+
+
+def test_the_help_names_all_layouts() -> None:
+    shown = run("ingest", "--help").output.replace("\n", " ")
+    assert all(name in shown for name in LAYOUTS)
