@@ -46,7 +46,7 @@ from pcretrieve.types import SignatureTable
 __all__ = ["main"]
 
 MESHES = {"shrec11": "shrec11", "tosca": "tosca", "people": "humans"}
-SCANS = {"tosca-scans": "tosca", "people-scans": "humans", "samples": "scans"}
+SCANS = {"tosca-scans": "tosca", "tosca-sensors": "tosca", "people-scans": "humans", "samples": "scans"}
 VECTORS = {"shrec14-real": "real.mat", "shrec14-synthetic": "synthetic.mat"}
 NAMES = (*MESHES, *SCANS, *VECTORS)
 WHITENINGS = ("none", "pca", "neighbours", "within-class")
@@ -55,8 +55,12 @@ WHITENINGS = ("none", "pca", "neighbours", "within-class")
 CALIBRATIONS = (3, 10)
 PEOPLE = ("people-scans", *VECTORS)
 
-# The condition under which meshes are scanned, as in benchmark_fidelity.
-CONDITION = "typical-uniform"
+# The condition of benchmark_fidelity under which the meshes of a set are scanned.
+CONDITIONS = {
+    "tosca-scans": "typical-uniform",
+    "tosca-sensors": "typical-uniform-sensors",
+    "people-scans": "typical-uniform",
+}
 
 TABLE = Table(
     Column("set", 17, align="<"),
@@ -163,7 +167,8 @@ def _files(name: str, folder: Path, given: argparse.Namespace) -> tuple[Path, di
             written = files / f"{item.name}.off"
             write_mesh(item.mesh, written)
         elif written is None:
-            written = write_scan(files / item.name, item.mesh, CONDITION, np.random.default_rng(item.number))
+            rng = np.random.default_rng(item.number)
+            written = write_scan(files / item.name, item.mesh, CONDITIONS[name], rng)
         labels[written.name] = item.label
     return files, labels
 
