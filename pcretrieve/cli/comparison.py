@@ -133,7 +133,7 @@ _overlay_option = click.option(
 
 
 method_option = click.option(
-    "--method", type=RecordName("descriptor"), help="The descriptor.  [default: r-bihdm, or the catalogue's]"
+    "--method", type=RecordName("descriptor"), help="The descriptor.  [default: combined, or the catalogue's]"
 )
 n_values_option = click.option(
     "--n-values",

@@ -51,7 +51,7 @@ class NeighbourWhitening(_Whitener):
         Two signatures are a pair if each is among the other's `n_neighbors` nearest. auto: the number at
         which neighbourhoods overlap most, if it stands out, else 5.
     shrinkage : float or "auto", default "auto"
-        Shrinkage in (0, 1] of the covariance towards its mean variance times the identity. auto: .1.
+        Shrinkage in (0, 1] of the covariance towards its mean variance times the identity. auto: .2.
     prior : (L, L) array_like, optional
         A covariance of trace 1 that is mixed in, as in `pcretrieve.retrieval.fit_whitening`.
 

@@ -33,7 +33,7 @@ class RetrievalOptions(Options):
     the option whitening; none by default."""
     shrinkage: Shrinkage = "auto"
     """Regularisation of the covariance of a whitening: for pca and resolution relative to its largest
-    eigenvalue, for others the shrinkage intensity. auto: .01, .03, and .1 for neighbours, .03 with r-bihdm;
+    eigenvalue, for others the shrinkage intensity. auto: .01, .03, and .2 for neighbours, .03 with r-bihdm;
     for within-class the likeliest on classes that are left out."""
     rerank: RerankKind = "none"
     """Re-ranking of the first hundred results of a query, of which the first keeps its rank: by distances

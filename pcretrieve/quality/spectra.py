@@ -13,13 +13,13 @@ __all__ = ["spectrum_checks"]
 NECK = 0.2
 NECK_ERROR = 0.45
 
-# Number of eigenvalues that are compared between surfaces, as many as the values of the default signature.
+# Number of eigenvalues that are compared between surfaces, as many as the values of the paper's signature.
 N_COMPARED = 23
 
 # See docs/decisions.md, DISAGREEMENT.
 DISAGREEMENT: Limits = (0.08, 0.4)
 
-# Ratio of the deviation of the default signature over surfaces to that of the eigenvalues.
+# Ratio of the deviation of this signature over surfaces to that of the eigenvalues.
 ERROR_OF_DISAGREEMENT = 2.0
 
 
