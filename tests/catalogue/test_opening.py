@@ -141,7 +141,7 @@ def test_options_of_a_version_that_had_more_of_them(path: Path) -> None:
 
 def test_numbers_of_another_version(path: Path) -> None:
     execute(path, "UPDATE meta SET value = '6' WHERE key = 'numbers_version'")
-    with pytest.raises(CatalogueError, match=r"whose numbers differ \(version 6 there, 9 here\)"):
+    with pytest.raises(CatalogueError, match=r"whose numbers differ \(version 6 there, 10 here\)"):
         Catalogue(path)
 
 
