@@ -31,8 +31,8 @@ logger = logging.getLogger(__name__)
 # Version of the arrays of an index, which is incremented when their meaning changes.
 FORMAT = 5
 
-# Smallest number of shapes for which an index is stored. A smaller index is computed as fast as it is opened.
-SMALLEST_KEPT = 10_000
+# Smallest number of shapes for which an index is stored. See docs/decisions.md, SMALLEST_KEPT.
+SMALLEST_KEPT = 1_000
 
 # Smallest number of bytes of an array that is mapped into memory; smaller arrays are read.
 MAPPED = 2**16
