@@ -24,7 +24,7 @@ from pcretrieve.pipeline.process import process
 from pcretrieve.retrieval import DISTANCES, resolution_covariance, table_whitening
 from pcretrieve.types import Shape
 
-OPTIONS = PipelineOptions()
+OPTIONS = PipelineOptions().changed(signature={"method": "r-bihdm", "n_values": 59})
 WHITENINGS = ("none", "resolution", "neighbours", "pca", "within-class")
 N_SHAPES = 40
 
@@ -47,7 +47,7 @@ def catalogue(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Catal
     """One that is small, but for which indexes are kept."""
     monkeypatch.setattr(gallery, "SMALLEST_KEPT", 1)
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
-    with Catalogue(tmp_path / "c.sqlite", create=True) as store:
+    with Catalogue(tmp_path / "c.sqlite", OPTIONS, create=True) as store:
         for number in range(N_SHAPES):
             put(store, number)
         yield store
