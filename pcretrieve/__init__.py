@@ -42,7 +42,10 @@ if TYPE_CHECKING:
     from pcretrieve.inspection import Inspection, signature_spread
     from pcretrieve.interface import (
         calibrate,
+        cluster,
         compare,
+        draw_map,
+        duplicates,
         evaluate,
         ingest,
         inspect,
@@ -124,8 +127,11 @@ __all__ = [
     "WorkerDied",
     "__version__",
     "calibrate",
+    "cluster",
     "compare",
     "describe",
+    "draw_map",
+    "duplicates",
     "eigenpairs",
     "evaluate",
     "ingest",
@@ -197,7 +203,10 @@ _HOMES = {
     ),
     "pcretrieve.interface": (
         "calibrate",
+        "cluster",
         "compare",
+        "draw_map",
+        "duplicates",
         "evaluate",
         "ingest",
         "inspect",

@@ -162,9 +162,11 @@ def test_third_parties_have_one_door_each(source: Path) -> None:
             assert not found.at_once, f"{package} must be imported where it is used"
 
 
-def test_scikit_learn_is_for_its_estimators_alone(source: Path) -> None:
+def test_scikit_learn_is_for_estimators_clusters_and_maps_alone(source: Path) -> None:
     packages = {found.name.split(".")[0] for found in imports(source)}
-    assert ("sklearn" in packages) <= (room(source) == "estimators")
+    adapter = source.relative_to(ROOT).as_posix() == "adapters/scikit_learn.py"
+    assert ("sklearn" in packages) <= (adapter or room(source) == "estimators")
+    assert not (adapter and any(found.at_once for found in imports(source) if "sklearn" in found.name))
 
 
 def test_doors_lead_somewhere() -> None:

@@ -43,6 +43,7 @@ def test_every_command_has_a_function() -> None:
     functions = {
         "merge": "merge_views",
         "query": "search_many",
+        "map": "draw_map",
         "list": "Catalogue",
         "show": "Catalogue",
         "remove": "Catalogue",

@@ -17,13 +17,24 @@ from pcretrieve.arrays import FloatArray, IntArray
 from pcretrieve.atomic import write_file
 from pcretrieve.errors import InputError
 
-__all__ = ["draw_curves", "plot_points", "plot_ranking", "plot_signature", "plot_spectrum", "plot_surface"]
+__all__ = [
+    "draw_curves",
+    "draw_places",
+    "plot_points",
+    "plot_ranking",
+    "plot_signature",
+    "plot_spectrum",
+    "plot_surface",
+]
 
 # Largest number of points that are drawn. More points take longer, without a visible difference.
 MOST_POINTS = 20_000
 
 # A light clay, as in the pictures of the pages.
 CLAY = (0.86, 0.80, 0.74)
+
+# Number of groups in a column of a key.
+KEY_ROWS = 34
 
 
 def _pyplot() -> Any:
@@ -230,4 +241,48 @@ def draw_curves(
     axes.legend()
     data = io.BytesIO()
     figure.savefig(data, dpi=150, format=path.suffix.removeprefix(".") or None)
+    write_file(path, data.getvalue())
+
+
+def draw_places(path: Path, groups: Sequence[tuple[str | None, FloatArray, str, str]], *, title: str) -> None:
+    """Write a picture of places in the plane, with a key of the groups.
+
+    Parameters
+    ----------
+    path : Path
+        The file, of any format that matplotlib knows by its suffix.
+    groups : sequence of (str or None, (n, 2) float64, str, str)
+        For each group its name (None: unknown), the places, a colour, and a marker of matplotlib.
+    title : str
+        The title of the picture.
+
+    Raises
+    ------
+    InputError
+        If matplotlib is not installed, or the file cannot be written.
+    """
+    _pyplot()  # raises an error if matplotlib is not installed
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(9, 7), layout="constrained")
+    axes = figure.subplots()
+    for name, places, colour, marker in groups:
+        axes.scatter(
+            places[:, 0],
+            places[:, 1],
+            s=30,
+            c=colour,
+            marker=marker,
+            edgecolors="white",
+            linewidths=0.5,
+            label="class unknown" if name is None else name,
+        )
+    axes.set_aspect("equal")
+    axes.set_xticks([])
+    axes.set_yticks([])
+    axes.set_title(title)
+    columns = -(-len(groups) // KEY_ROWS)
+    figure.legend(loc="outside right upper", ncols=columns, fontsize="small", frameon=False)
+    data = io.BytesIO()
+    figure.savefig(data, dpi=150, format=path.suffix.removeprefix(".").lower() or None)
     write_file(path, data.getvalue())

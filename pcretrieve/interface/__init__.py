@@ -5,6 +5,7 @@ a scan as a path, an array, or geometry of this package or another.
 """
 
 from pcretrieve.interface.catalogues import CatalogueLike
+from pcretrieve.interface.collections import cluster, draw_map, duplicates
 from pcretrieve.interface.queries import search, search_many
 from pcretrieve.interface.retrieval import calibrate, compare, evaluate, matrix, report
 from pcretrieve.interface.scans import ingest, inspect, merge_views
@@ -12,7 +13,10 @@ from pcretrieve.interface.scans import ingest, inspect, merge_views
 __all__ = [
     "CatalogueLike",
     "calibrate",
+    "cluster",
     "compare",
+    "draw_map",
+    "duplicates",
     "evaluate",
     "ingest",
     "inspect",

@@ -1,6 +1,7 @@
 """Signatures → ranked shapes: distances, whitening, and an exact nearest-neighbour index."""
 
 from pcretrieve.retrieval.changes import with_shapes, without_shapes
+from pcretrieve.retrieval.clusters import cluster_numbers, plane_map
 from pcretrieve.retrieval.distances import (
     DISTANCES,
     Distance,
@@ -11,6 +12,7 @@ from pcretrieve.retrieval.distances import (
 )
 from pcretrieve.retrieval.fitting import DEFAULT_SHRINKAGE, checked_shrinkage, fit_whitening, table_whitening
 from pcretrieve.retrieval.index import SignatureIndex
+from pcretrieve.retrieval.near_pairs import NearPair, near_pairs
 from pcretrieve.retrieval.rank_errors import rank_ranges, swapping_ranks
 from pcretrieve.retrieval.ranking import (
     BLOCK_DISTANCES,
@@ -55,6 +57,7 @@ __all__ = [
     "Distance",
     "DistanceBlock",
     "MatchScores",
+    "NearPair",
     "NeighbourLists",
     "PairSample",
     "Positions",
@@ -64,16 +67,19 @@ __all__ = [
     "Whitening",
     "checked_shrinkage",
     "class_vote",
+    "cluster_numbers",
     "coordinates",
     "fit_scores",
     "fit_whitening",
     "log_signatures",
+    "near_pairs",
     "nearest_among",
     "nearest_of",
     "neighbour_lists",
     "pair_sample",
     "pairwise",
     "pairwise_blocks",
+    "plane_map",
     "position_of",
     "rank_ranges",
     "read_whitening",

@@ -6,6 +6,7 @@ and their distances.
 
 from pcretrieve.searching.answering import search, search_many
 from pcretrieve.searching.answers import Answer
+from pcretrieve.searching.duplicates import duplicates
 from pcretrieve.searching.queries import Described
 
-__all__ = ["Answer", "Described", "search", "search_many"]
+__all__ = ["Answer", "Described", "duplicates", "search", "search_many"]

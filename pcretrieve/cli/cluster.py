@@ -1,0 +1,60 @@
+"""The command that groups the shapes of a catalogue without labels: cluster."""
+
+from __future__ import annotations
+
+import csv
+import io
+from pathlib import Path
+from typing import Any
+
+import click
+
+from pcretrieve.cli.comparison import compared, comparison_options
+from pcretrieve.cli.messages import say
+from pcretrieve.cli.parts import catalogue_option
+
+__all__ = ["cluster_command"]
+
+
+@click.command("cluster")
+@catalogue_option
+@click.option(
+    "--min-size",
+    type=click.IntRange(min=2),
+    default=3,
+    show_default=True,
+    help="Least number of shapes of a cluster.",
+)
+@click.option(
+    "--output",
+    "-o",
+    type=click.Path(path_type=Path),
+    metavar="CSV",
+    help="The file to write.  [default: standard output]",
+)
+@comparison_options
+def cluster_command(catalogue: str, min_size: int, output: Path | None, **comparison: Any) -> None:
+    """Group the shapes of a catalogue without labels, by the density of their signatures (HDBSCAN).
+
+    The default whitening does not use labels. The table has the columns id and label; shapes in no cluster
+    have no label.
+
+    \b
+    pcretrieve cluster --catalogue bodies.sqlite -o clusters.csv
+    """
+    from pcretrieve.atomic import write_file
+    from pcretrieve.catalogue import Catalogue
+    from pcretrieve.interface import cluster
+
+    with Catalogue(catalogue) as store:
+        labels = cluster(store, options=compared(store, **comparison), min_size=min_size)
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(["id", "label"])
+    writer.writerows(labels.items())
+    if output is None:
+        click.echo(text.getvalue(), nl=False)
+    else:
+        write_file(output, text.getvalue().encode())
+    n_none = sum(label is None for label in labels.values())
+    say(f"{len({*labels.values()} - {None})} clusters of {len(labels)} shapes, {n_none} of them in none")

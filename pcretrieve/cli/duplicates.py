@@ -1,0 +1,44 @@
+"""The command that finds pairs of shapes that are nearer than the noise: duplicates."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import click
+
+from pcretrieve.cli.comparison import compared, comparison_options
+from pcretrieve.cli.messages import say, write_json
+from pcretrieve.cli.parts import catalogue_option, json_option
+
+__all__ = ["duplicates_command"]
+
+
+@click.command("duplicates")
+@catalogue_option
+@click.option(
+    "--threshold",
+    type=click.FloatRange(min=0),
+    help="Largest distance of a pair.  [default: what the uncertainties of both shapes let expect]",
+)
+@comparison_options
+@json_option
+def duplicates_command(catalogue: str, threshold: float | None, as_json: bool, **comparison: Any) -> None:
+    """Find pairs of shapes that are nearer than the noise, such as two scans of one body in one pose.
+
+    Printed are the distance, its limit and both ids, nearest first. Without --threshold, distances are those
+    of log-signatures without whitening, and doubtful shapes are left out.
+
+    \b
+    pcretrieve duplicates --catalogue bodies.sqlite
+    """
+    from pcretrieve.catalogue import Catalogue
+    from pcretrieve.searching import duplicates
+
+    with Catalogue(catalogue) as store:
+        pairs = duplicates(store, options=compared(store, **comparison), threshold=threshold)
+    if as_json:
+        write_json([pair._asdict() for pair in pairs])
+        return
+    for pair in pairs:
+        click.echo(f"{pair.distance:<10.4g}  {pair.limit:<10.4g}  {pair.first:<24}  {pair.second}")
+    say(f"{len(pairs)} {'pair' if len(pairs) == 1 else 'pairs'}")

@@ -1,0 +1,41 @@
+"""The command that draws the shapes of a catalogue in the plane: map."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import click
+
+from pcretrieve.cli.comparison import compared, comparison_options
+from pcretrieve.cli.parts import catalogue_option
+
+__all__ = ["map_command"]
+
+
+@click.command("map")
+@catalogue_option
+@click.option(
+    "--output",
+    "-o",
+    type=click.Path(path_type=Path),
+    required=True,
+    metavar="PNG|HTML",
+    help="The picture or the page to write.",
+)
+@comparison_options
+def map_command(catalogue: str, output: Path, **comparison: Any) -> None:
+    """Draw the shapes of a catalogue in the plane, shapes with similar signatures near each other.
+
+    The default whitening does not use labels. A page (.html) shows the name and a thumbnail of the shape
+    under the pointer; a picture (.png) needs matplotlib.
+
+    \b
+    pcretrieve map --catalogue bodies.sqlite -o bodies.html
+    """
+    from pcretrieve.catalogue import Catalogue
+    from pcretrieve.interface import draw_map
+
+    with Catalogue(catalogue) as store:
+        page = draw_map(store, output, options=compared(store, **comparison))
+    click.echo(str(page))

@@ -1,0 +1,149 @@
+"""`pcretrieve duplicates`, `cluster` and `map`."""
+
+from __future__ import annotations
+
+import csv
+import json
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import shapes
+from click.testing import CliRunner, Result
+from packages import install
+from PIL import Image
+
+import pcretrieve as pr
+from pcretrieve.catalogue import Content, Record
+from pcretrieve.cli.main import cli
+from pcretrieve.descriptors import describe
+from pcretrieve.errors import InputError, OptionError
+from pcretrieve.pipeline.process import process
+from pcretrieve.types import Verdict
+
+OPTIONS = pr.PipelineOptions()
+
+
+@pytest.fixture(scope="module")
+def catalogue(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Twelve eggs of three kinds; the fourth of each is almost the third, and not sound of the last kind."""
+    location = tmp_path_factory.mktemp("collections") / "eggs.sqlite"
+    with pr.Catalogue(location, create=True) as store:
+        for kind in range(3):
+            for number, width in enumerate((1, 1.04, 1.08, 1.0801)):
+                shape = process(shapes.ellipsoid((width, 1, 1.3 + 0.5 * kind), 3))
+                sound = (kind, number) != (2, 3)
+                verdict = Verdict("sound" if sound else "doubtful", 0.01 if sound else 0.5)
+                content = Content(replace(shape, verdict=verdict), describe(shape, OPTIONS.signature).values)
+                label = None if kind == 2 else f"<kind {kind}>"
+                name = f"{kind}{number}"
+                store.put(Record(name, f"/{name}.off", name, label), content)
+    return location
+
+
+def run(*arguments: object, code: int = 0) -> Result:
+    result = CliRunner().invoke(cli, [str(word) for word in arguments])
+    assert result.exit_code == code, result.output
+    return result
+
+
+def test_duplicates_are_nearer_than_the_noise(catalogue: Path) -> None:
+    pairs = pr.duplicates(catalogue)
+    assert {(pair.first, pair.second) for pair in pairs} == {("02", "03"), ("12", "13")}
+    assert all(pair.limit == pytest.approx(0.01 * 2**0.5) for pair in pairs)
+    done = run("duplicates", "-c", catalogue)
+    assert [line.split()[2:] for line in done.stdout.splitlines()] == [
+        [pair.first, pair.second] for pair in pairs
+    ]
+    assert done.stderr == "2 pairs\n"
+    printed = json.loads(run("duplicates", "-c", catalogue, "--json").stdout)
+    assert printed == [pair._asdict() for pair in pairs]
+
+
+def test_a_threshold_replaces_the_noise(catalogue: Path) -> None:
+    assert ("22", "23") in {(pair.first, pair.second) for pair in pr.duplicates(catalogue, threshold=0.01)}
+    assert len(pr.duplicates(catalogue, threshold=100)) == 12 * 11 / 2
+    assert pr.duplicates(catalogue, threshold=0) == []
+    with pytest.raises(OptionError, match="threshold must be 0 or more, got -1"):
+        pr.duplicates(catalogue, threshold=-1)
+
+
+def test_noise_is_that_of_logarithms(
+    catalogue: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    module = """
+import numpy as np
+from pcretrieve import Descriptor, Signature
+
+def lowest(shape, options):
+    return Signature(shape.mesh.vertices.min(axis=0), kind="lowest", metric="values")
+
+LOWEST = Descriptor("lowest", lowest, needs=("mesh",), length=lambda options: 3, metric="values")
+"""
+    entry_points = "[pcretrieve.signatures]\nlowest = low:LOWEST\n"
+    install(tmp_path / "site", "low", {"low": module}, entry_points, monkeypatch)
+    options = {"signature": {"method": "lowest"}}
+    with pytest.raises(InputError, match="as which lowest is not compared: give a threshold"):
+        pr.duplicates(catalogue, options=options)
+    assert pr.duplicates(catalogue, options=options, threshold=100)
+
+
+def test_clusters_are_a_table_of_labels(catalogue: Path, tmp_path: Path) -> None:
+    found = pr.cluster(catalogue, options={"retrieval": {"whitening": "none"}})
+    for kind in range(3):
+        (name,) = {label for shape_id, label in found.items() if shape_id[0] == str(kind)}
+        assert name is not None and name.startswith("cluster-")
+    assert len(set(found.values())) == 3
+    asked = ("cluster", "-c", catalogue, "--whitening", "none")
+    done = run(*asked, "-o", tmp_path / "clusters.csv")
+    rows = list(csv.DictReader((tmp_path / "clusters.csv").read_text("utf-8").splitlines()))
+    assert {row["id"]: row["label"] for row in rows} == found
+    assert done.stderr == "3 clusters of 12 shapes, 0 of them in none\n"
+    assert run(*asked).stdout == (tmp_path / "clusters.csv").read_text("utf-8")
+    assert "12 of them in none" in run(*asked, "--min-size", 13).stderr
+
+
+def test_a_map_is_a_picture_or_a_page(catalogue: Path, tmp_path: Path) -> None:
+    page, picture = tmp_path / "map.html", tmp_path / "map.png"
+    assert run("map", "-c", catalogue, "-o", page).stdout == f"{page}\n"
+    assert pr.draw_map(catalogue, picture) == picture
+    with Image.open(picture) as opened:
+        assert opened.size[0] > 600
+    text = page.read_text("utf-8")
+    assert len(re.findall(r"<path tabindex", text)) == 12
+    assert "&lt;kind 0&gt;" in text and "<kind 0>" not in text
+    assert text.count("class unknown") == 1
+    embedded = re.search(r'id="pictures">(.*?)</script>', text, re.DOTALL)
+    assert embedded is not None
+    pictures = json.loads(embedded[1])
+    assert len(pictures) == 12 and all(data.startswith("iVBOR") for data in pictures)
+    assert not re.search(r"(src|href)=\"(?!data:)", text), "it makes no requests"
+    again = tmp_path / "again.html"
+    pr.draw_map(catalogue, again)
+    assert again.read_bytes() == page.read_bytes()
+    with pytest.raises(InputError, match=r"a picture \.png or a page \.html, got map\.gif"):
+        pr.draw_map(catalogue, tmp_path / "map.gif")
+
+
+def test_labels_are_not_used_unless_they_are_asked_for(tmp_path: Path) -> None:
+    """By within-class whitening, random shapes are in clusters of their labels, which are random too."""
+    rng = np.random.default_rng(0)
+    labels = {f"{row:02}": f"class{row % 6}" for row in range(36)}
+    shape = process(shapes.ellipsoid((1, 1, 1.3), 2))
+    with pr.Catalogue(
+        tmp_path / "c.sqlite", OPTIONS.changed(signature={"n_values": 20}), create=True
+    ) as store:
+        for name, label in labels.items():
+            content = Content(shape, np.exp(rng.normal(size=20)))
+            store.put(Record(name, f"/{name}.off", name, label), content)
+        by_labels = {"retrieval": {"whitening": "within-class"}}
+        assert store.whitening().kind == "within-class"
+        assert pr.cluster(store) == pr.cluster(store, options={"retrieval": {"whitening": "neighbours"}})
+        pages = [tmp_path / "plain.html", tmp_path / "labels.html"]
+        pr.draw_map(store, pages[0])
+        pr.draw_map(store, pages[1], options=by_labels)
+    plain, labelled = (page.read_text("utf-8") for page in pages)
+    assert "Whitening: neighbours: " in plain
+    assert "Whitening: within-class: 6 classes of 36 shapes" in labelled
