@@ -35,7 +35,7 @@ __all__ = ["LowerBounds"]
 # the bounds are looser and more shapes need an exact distance; with more the bounds take longer. See
 # docs/decisions.md, N_LEADING.
 N_LEADING = 24
-N_LEADING_D1 = 64
+N_LEADING_D1 = 128
 
 # Largest number of the leading axes that the blocks are divided along. A million shapes are divided ten times
 # before they are in blocks.
