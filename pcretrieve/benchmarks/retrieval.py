@@ -15,7 +15,8 @@ Whitenings by neighbours and PCA are fitted to all shapes of a set, without labe
 fitted by grouped folds; if lists are re-ranked, the gallery of a query is its fold. "3-people" is fitted to
 three random classes, as by `pcretrieve calibrate`, which are neither queries nor in the gallery: the mean,
 and below it the standard deviation, of fifty draws. The vectors of SHREC'14 are those of Chiotellis et al.
-(ECCV 2016), compared as they are.
+(ECCV 2016), compared as they are and, in the sets whose names end in "log", by their logarithms, as the
+signatures of pcretrieve.
 """
 
 from __future__ import annotations
@@ -41,13 +42,18 @@ from pcretrieve.evaluation.rankings import NO_FAILURES
 from pcretrieve.formats import write_mesh
 from pcretrieve.options import PipelineOptions, RetrievalOptions, SignatureOptions
 from pcretrieve.retrieval import RERANKINGS, resolution_covariance, table_whitening
-from pcretrieve.types import SignatureTable
+from pcretrieve.types import Metric, SignatureTable
 
 __all__ = ["main"]
 
 MESHES = {"shrec11": "shrec11", "tosca": "tosca", "people": "humans"}
 SCANS = {"tosca-scans": "tosca", "tosca-sensors": "tosca", "people-scans": "humans", "samples": "scans"}
-VECTORS = {"shrec14-real": "real.mat", "shrec14-synthetic": "synthetic.mat"}
+VECTORS: dict[str, tuple[str, Metric]] = {
+    "shrec14-real": ("real.mat", "values"),
+    "shrec14-synthetic": ("synthetic.mat", "values"),
+    "shrec14-real-log": ("real.mat", "logarithms"),
+    "shrec14-synthetic-log": ("synthetic.mat", "logarithms"),
+}
 NAMES = (*MESHES, *SCANS, *VECTORS)
 WHITENINGS = ("none", "pca", "neighbours", "within-class")
 
@@ -63,7 +69,7 @@ CONDITIONS = {
 }
 
 TABLE = Table(
-    Column("set", 17, align="<"),
+    Column("set", 21, align="<"),
     Column("method", 16, align="<"),
     Column("L", 4),
     Column("whitening", 12, align="<"),
@@ -74,7 +80,7 @@ TABLE = Table(
 # Least scores of a match, and the columns of the table of "no match".
 MIN_SCORES = (0.9, 0.5)
 NO_MATCH_TABLE = Table(
-    Column("set", 17, align="<"),
+    Column("set", 21, align="<"),
     Column("scores from", 12, align="<"),
     Column("whitening", 22, align="<"),
     Column("score", 5, ".1f"),
@@ -116,7 +122,8 @@ def _lines(given: argparse.Namespace) -> Iterator[str]:
             if missing := left_out(name, needed):
                 yield missing
             elif name in VECTORS:
-                yield from rows(name, _vectors(needed / VECTORS[name]), None)
+                file, metric = VECTORS[name]
+                yield from rows(name, _vectors(needed / file, metric), None)
             else:
                 yield from _catalogue_rows(name, folder, given, rows)
 
@@ -173,7 +180,7 @@ def _files(name: str, folder: Path, given: argparse.Namespace) -> tuple[Path, di
     return files, labels
 
 
-def _vectors(path: Path) -> SignatureTable:
+def _vectors(path: Path, metric: Metric) -> SignatureTable:
     """The pooled WKS and SI-HKS values (N, 150) of a file of MATLAB, with the classes."""
     from scipy.io import loadmat
 
@@ -181,7 +188,7 @@ def _vectors(path: Path) -> SignatureTable:
     values = np.hstack([arrays["WksPooledMat"], arrays["SihksPooledMat"]])
     labels = tuple(str(number) for number in arrays["C"].ravel())
     ids = tuple(f"{number:04}" for number in range(len(labels)))
-    return SignatureTable(ids, values, "csd", labels=labels, metric="values")
+    return SignatureTable(ids, values, "csd", labels=labels, metric=metric)
 
 
 def _rows(

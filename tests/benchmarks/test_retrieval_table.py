@@ -49,6 +49,20 @@ def test_vectors_and_missing_sets(tmp_path: Path) -> None:
     assert missing == f"shrec11: left out, {tmp_path / 'shrec11'} is not there; {published}"
 
 
+def test_vectors_are_compared_by_their_logarithms_too(tmp_path: Path) -> None:
+    """Classes that differ by factors, of values of very different sizes."""
+    rng = np.random.default_rng(0)
+    labels = np.repeat(np.arange(10), 6)
+    logs = rng.normal(size=(10, 150))[labels] + 1.5 * rng.normal(size=(60, 150))
+    values = np.exp(logs) * np.geomspace(1e-6, 1, 150)
+    (tmp_path / "shrec14_csd").mkdir()
+    arrays = {"WksPooledMat": values[:, :100], "SihksPooledMat": values[:, 100:], "C": labels}
+    savemat(tmp_path / "shrec14_csd" / "real.mat", arrays)
+    rows = printed("--data", tmp_path, "--only", "shrec14-real", "shrec14-real-log")[1:]
+    plain = {row.split()[0]: float(row.split()[-1]) for row in rows if row.split()[3:5] == ["none", "none"]}
+    assert plain["shrec14-real-log"] > plain["shrec14-real"] + 0.2
+
+
 def test_catalogues_are_kept(tmp_path: Path) -> None:
     samples, kept = tmp_path / "samples", tmp_path / "kept"
     samples.mkdir()

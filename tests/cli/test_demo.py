@@ -33,7 +33,7 @@ def test_the_demonstration_finds_whose_the_new_scan_is(tmp_path: Path) -> None:
     assert ended.returncode == 0, ended.stderr
     first, *_ = ended.stdout.splitlines()
     assert first.split()[0] == "1"
-    assert first.split()[2] == DEMO_QUERY.split("_")[0], "the nearest scan is one of the same person"
+    assert first.split()[3] == DEMO_QUERY.split("_")[0], "the nearest scan is one of the same person"
     assert "NN" in ended.stdout
     address = ended.stderr.split()[-1]
     page = Path(unquote(urlparse(address).path))
