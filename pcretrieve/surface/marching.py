@@ -177,16 +177,20 @@ def crossed(body: Mask) -> list[NDArray[np.intp]]:
 def _crossed(body: Mask, along_x: int, along_y: int, along_z: int) -> NDArray[np.intp]:
     """The voxels of which the next one along an axis differs."""
     a, b, c = body.shape[0] - along_x, body.shape[1] - along_y, body.shape[2] - along_z
-    n = 0
+    on_line = np.zeros((a, b), dtype=np.int64)
     for x in range(a):
         for y in range(b):
             here, after = body[x, y], body[x + along_x, y + along_y]
+            n = 0
             for z in range(c):
                 n += here[z] != after[z + along_z]
-    found = np.empty((n, 3), dtype=np.intp)
+            on_line[x, y] = n
+    found = np.empty((on_line.sum(), 3), dtype=np.intp)
     n = 0
     for x in range(a):
         for y in range(b):
+            if on_line[x, y] == 0:
+                continue
             here, after = body[x, y], body[x + along_x, y + along_y]
             for z in range(c):
                 if here[z] != after[z + along_z]:
