@@ -24,6 +24,7 @@ from pcretrieve.pipeline.process import process
 from pcretrieve.types import Verdict
 
 OPTIONS = pr.PipelineOptions()
+R_BIHDM = OPTIONS.changed(signature={"method": "r-bihdm", "n_values": 20})
 
 
 @pytest.fixture(scope="module")
@@ -132,9 +133,7 @@ def test_labels_are_not_used_unless_they_are_asked_for(tmp_path: Path) -> None:
     rng = np.random.default_rng(0)
     labels = {f"{row:02}": f"class{row % 6}" for row in range(36)}
     shape = process(shapes.ellipsoid((1, 1, 1.3), 2))
-    with pr.Catalogue(
-        tmp_path / "c.sqlite", OPTIONS.changed(signature={"n_values": 20}), create=True
-    ) as store:
+    with pr.Catalogue(tmp_path / "c.sqlite", R_BIHDM, create=True) as store:
         for name, label in labels.items():
             content = Content(shape, np.exp(rng.normal(size=20)))
             store.put(Record(name, f"/{name}.off", name, label), content)
