@@ -32,9 +32,7 @@ __all__ = ["merge_command"]
     help="The point cloud: .ply or .pcd, which have the sensor position of each point, or .xyzn, which has "
     "normals only.",
 )
-@click.option(
-    "--refine/--no-refine", default=None, help="Refine the poses of a .conf file, or use them as they are."
-)
+@click.option("--refine/--no-refine", default=None, help="Refine given poses, or use them as they are.")
 @click.option(
     "--sensor",
     type=click.Choice(["front", "origin"]),
@@ -88,10 +86,11 @@ def merge_command(
 ) -> None:
     """Register range scans (views) of one body, and merge them into one point cloud.
 
-    VIEWS are files, folders, glob patterns, or one Stanford .conf file, whose poses are the initial ones.
-    Views without poses may be in any order and in any pose; frames of a depth camera are fastest in the order
-    of their names. Views that cannot be registered are left out, and the exit code is 3. Voxel and reach are
-    relative to the median diagonal of the views; the range is in the unit of the files.
+    VIEWS are files, folders, glob patterns, one Stanford .conf file, or a folder in the layout of TUM's RGB-D
+    benchmark; the poses of the last two are the initial ones. Views without poses may be in any order and in
+    any pose; frames of a depth camera are fastest in the order of their names. Views that cannot be
+    registered are left out, and the exit code is 3. Voxel and reach are relative to the median diagonal of
+    the views; the range is in the unit of the files.
 
     \b
     pcretrieve merge bunny/*.ply -o bunny.ply

@@ -12,6 +12,7 @@ from pcretrieve.formats.raw import RawScan
 from pcretrieve.formats.read import read_scan
 from pcretrieve.formats.registry import missing_extra, split_member, suffixes
 from pcretrieve.formats.signatures import write_signatures
+from pcretrieve.formats.trajectory import image_poses, trajectory_file
 from pcretrieve.formats.write import check_output, write_cloud, write_mesh
 
 __all__ = [
@@ -22,6 +23,7 @@ __all__ = [
     "RawScan",
     "check_file",
     "check_output",
+    "image_poses",
     "is_scan",
     "members_of",
     "missing_extra",
@@ -29,6 +31,7 @@ __all__ = [
     "read_scan",
     "split_member",
     "suffixes",
+    "trajectory_file",
     "write_cloud",
     "write_mesh",
     "write_signatures",

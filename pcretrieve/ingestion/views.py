@@ -1,7 +1,8 @@
-"""Files of range scans → views for registration, with their poses if a file such as ``.conf`` has them."""
+"""Files of range scans → views for registration, with the poses in a ``.conf`` file or in a trajectory."""
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
@@ -10,11 +11,13 @@ import numpy as np
 
 from pcretrieve.conversion import as_cloud
 from pcretrieve.errors import InputError, ScanReadError
-from pcretrieve.formats import parts_of, read_scan, split_member
+from pcretrieve.formats import image_poses, parts_of, read_scan, split_member, trajectory_file
 from pcretrieve.ingestion.discover import discover
 from pcretrieve.types import FloatArray, PointCloud
 
 __all__ = ["Views", "read_views", "view_files"]
+
+logger = logging.getLogger(__name__)
 
 
 class Views(NamedTuple):
@@ -42,14 +45,15 @@ def view_files(paths: Sequence[str | Path]) -> tuple[list[Path], FloatArray | No
     ----------
     paths : sequence of str or Path
         Files, folders or globs; or one file whose parts have poses, such as a Stanford ``.conf`` file, or
-        that holds several scans.
+        that holds several scans. A folder in the layout of the TUM RGB-D benchmark has poses too.
 
     Returns
     -------
     files : list of Path
         One file for each view, in the order of the paths.
     poses : (v, 4, 4) float64 or None
-        Rigid motions of the views into a common frame; None if the files have no poses.
+        Rigid motions of the views into a common frame; None if the files have no poses. If a trajectory does
+        not have the poses of all images, a warning says so, and there are none.
 
     Raises
     ------
@@ -72,7 +76,25 @@ def view_files(paths: Sequence[str | Path]) -> tuple[list[Path], FloatArray | No
             )
         if poses:
             return [view.path for view in views if view.pose is not None], np.array(poses)
-    return files, None
+    return files, _along_trajectory(files)
+
+
+def _along_trajectory(images: Sequence[Path]) -> FloatArray | None:
+    """The (v, 4, 4) poses of images on the trajectory beside them; None if it does not have all of them."""
+    file = trajectory_file(images)
+    if file is None:
+        return None
+    found = image_poses(images, file)
+    poses = [pose for pose in found if pose is not None]
+    if len(poses) < len(images):
+        logger.warning(
+            "%s has no pose at the time of %d of %d images: all poses are searched",
+            file,
+            len(images) - len(poses),
+            len(images),
+        )
+        return None
+    return np.array(poses)
 
 
 def read_views(paths: Sequence[str | Path]) -> Views:

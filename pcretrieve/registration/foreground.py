@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from pcretrieve.errors import ReconstructionError, Stage
 from pcretrieve.options import MergeOptions, ScanOptions
 from pcretrieve.scan import kept_points
-from pcretrieve.scan.ground import fitted_plane, planes_of
+from pcretrieve.scan.ground import fitted_plane
 from pcretrieve.types import FloatArray, PointCloud, bounding_diagonal
 
 __all__ = ["NORMAL_NEIGHBORS", "foreground"]
@@ -16,12 +16,19 @@ __all__ = ["NORMAL_NEIGHBORS", "foreground"]
 # Fewest neighbours for a normal; a view must have more points.
 NORMAL_NEIGHBORS = 16
 
-# Number of points by which planes are compared, largest number of planes that are removed, and largest
-# distance of a point from the plane to which it belongs: relative to the diagonal, to find the plane; in
-# median distances from the plane, to remove its points, which is four standard deviations.
+# Number of points by which planes are compared, number of planes, number of neighbours among the compared
+# points to which each is fitted, and largest number of planes that are removed.
 COMPARED = 2000
+N_PLANES = 400
+N_NEAR = 100
 MOST_PLANES = 4
-THICKNESS = 0.005
+
+# Largest distance of a point from the plane to which it belongs: four standard deviations of the points to
+# which the plane was fitted, because the noise of depth cameras grows with the range; but within these
+# fractions of the diagonal. Points are removed up to so many median distances from their plane, which is four
+# standard deviations too.
+DEVIATIONS = 4.0
+THINNEST, THICKEST = 0.003, 0.03
 REMOVED = 6.0
 
 # A plane of the background has at least this fraction of the points, and extends over this fraction of the
@@ -30,6 +37,10 @@ LEAST_SHARE = 0.1
 LEAST_EXTENT = 0.5
 MOST_BEHIND = 0.02
 LEAST_LEFT = 0.03
+
+# At least this fraction of the points on a plane are nearer to it than half the thickness: .95 of a plane
+# with noise, .5 of a slice of a body.
+LEAST_CENTRAL = 0.9
 
 
 def foreground(cloud: PointCloud, sensor: FloatArray, number: int, options: MergeOptions) -> FloatArray:
@@ -93,19 +104,34 @@ def _background_plane(
         return None
     few = points[rng.permutation(len(points))[:COMPARED]]
     middle, diagonal = few.mean(axis=0), bounding_diagonal(few)
-    thickness = THICKNESS * diagonal
-    normals, offsets = planes_of(few - middle, rng)
+    normals, offsets, deviation = _fitted_planes(few - middle, rng)
+    thickness = np.clip(DEVIATIONS * deviation, THINNEST * diagonal, THICKEST * diagonal)  # (p,)
     towards = np.where(normals @ (sensor - middle) > offsets, 1, -1)  # (p,)
     heights = towards[:, None] * (normals @ (few - middle).T - offsets[:, None])  # (p, s): in front
-    on = (abs(heights) <= thickness).mean(axis=1)
-    front = (heights > thickness).mean(axis=1)
+    on = (abs(heights) <= thickness[:, None]).mean(axis=1)
+    central = (abs(heights) <= thickness[:, None] / 2).mean(axis=1)
+    front = (heights > thickness[:, None]).mean(axis=1)
     possible = (1 - on - front <= MOST_BEHIND) & (on >= LEAST_SHARE) & (front >= LEAST_LEFT)
+    possible &= central >= LEAST_CENTRAL * on
     if not possible.any():
         return None
     best = int(np.where(possible, on, 0).argmax())
-    inliers = few[abs(heights[best]) <= thickness]
+    inliers = few[abs(heights[best]) <= thickness[best]]
     if bounding_diagonal(inliers) < LEAST_EXTENT * diagonal:
         return None
-    _, height = fitted_plane(points, inliers, towards[best] * normals[best], thickness)
-    on_plane = abs(height) <= thickness
-    return np.asarray(height <= min(thickness, REMOVED * float(np.median(abs(height[on_plane])))))
+    _, height = fitted_plane(points, inliers, towards[best] * normals[best], thickness[best])
+    on_plane = abs(height) <= thickness[best]
+    return np.asarray(height <= min(thickness[best], REMOVED * float(np.median(abs(height[on_plane])))))
+
+
+def _fitted_planes(points: FloatArray, rng: np.random.Generator) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Normals (p, 3), offsets (p,) and root mean square distances (p,) of planes of neighbours."""
+    from scipy.spatial import cKDTree
+
+    first = points[rng.integers(len(points), size=N_PLANES)]
+    near = points[np.asarray(cKDTree(points).query(first, k=min(N_NEAR, len(points)))[1])]  # (p, k, 3)
+    centres = near.mean(axis=1)  # (p, 3)
+    off = near - centres[:, None]
+    squares, axes = np.linalg.eigh(np.einsum("pki,pkj->pij", off, off) / near.shape[1])
+    normals = axes[:, :, 0]
+    return normals, np.einsum("pi,pi->p", normals, centres), np.sqrt(np.maximum(squares[:, 0], 0))

@@ -14,7 +14,7 @@ from pcretrieve.options import MergeOptions
 from pcretrieve.registration.agreement import Overlap, overlaps, shared
 from pcretrieve.registration.groups import COARSE, FINE, largest_group, settled
 from pcretrieve.registration.motions import moved, turned
-from pcretrieve.registration.tracking import followed, tracks
+from pcretrieve.registration.tracking import followed, posed_track, tracks
 from pcretrieve.registration.views import prepared
 from pcretrieve.scan.clean import averaged
 from pcretrieve.types import FloatArray, PointCloud, Step
@@ -88,9 +88,9 @@ def merge_views(
     options : MergeOptions
         The parameters of the registration.
     poses : (v, 4, 4) float64, optional
-        Rigid motions of the views into a common frame. They are refined if ``options.refine`` is set, and no
-        view is left out. Without them all poses are searched, and views that are not in the largest group are
-        left out, with a note in the provenance.
+        Rigid motions of the views into a common frame. They are refined if ``options.refine`` is set, by key
+        frames if views hardly differ, and no view is left out. Without them all poses are searched, and views
+        that are not in the largest group are left out, with a note in the provenance.
     on_pair : function, optional
         Called with the number of pairs of views that have been matched, and the number of all pairs. Pairs of
         views in different groups are matched twice.
@@ -122,13 +122,15 @@ def merge_views(
         groups = [settled(ready, track.key_poses, COARSE, reach) for track in found]
         keys = largest_group(ready, groups, scale, options, rng, on_pair)
         placed, key_of = followed(ready, keys, found, scale, options)
-        if len(keys) < len(placed):
-            notes.append(f"registered {len(placed)} views of a sequence by {len(keys)} key frames")
     else:
         placed = dict(enumerate(np.array(poses, dtype=np.float64)))
-        if options.refine:
-            placed = settled(ready, placed, (*COARSE, *FINE), reach)
         keys, key_of = placed, {number: number for number in placed}
+        if options.refine:
+            track = posed_track(ready, placed, scale, options)
+            keys = settled(ready, track.key_poses, (*COARSE, *FINE), reach)
+            placed, key_of = followed(ready, keys, [track], scale, options, verified=False)
+    if len(keys) < len(placed):
+        notes.append(f"registered {len(placed)} views of a sequence by {len(keys)} key frames")
 
     all_poses, shares = np.full((len(views), 4, 4), np.nan), np.zeros(len(views))
     for number in range(len(views)):

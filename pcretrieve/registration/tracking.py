@@ -18,7 +18,7 @@ from pcretrieve.registration.motions import Poses
 from pcretrieve.registration.views import View
 from pcretrieve.types import FloatArray
 
-__all__ = ["Track", "followed", "tracks"]
+__all__ = ["Track", "followed", "posed_track", "tracks"]
 
 # Largest distances of correspondences in the steps of the registration of a frame, in units of `reach`: from
 # the motion before, and from a pose near the final one.
@@ -108,12 +108,42 @@ def _is_tracked(found: Verification, options: MergeOptions) -> bool:
     return found.share >= TRACKED and found.contradiction <= options.max_contradiction
 
 
+def posed_track(views: Sequence[View], poses: Poses, scale: float, options: MergeOptions) -> Track:
+    """Choose the key frames of views with poses.
+
+    Parameters
+    ----------
+    views : sequence of View
+        All views, in their order.
+    poses : mapping of int to (4, 4) float64
+        Their poses, by number.
+    scale : float
+        The length to which relative options refer; unit of the points.
+    options : MergeOptions
+        Of which `max_contradiction` and `reach` are used.
+
+    Returns
+    -------
+    Track
+        A view is a key frame if it adds surface to the key frame before, or contradicts it.
+    """
+    track = Track(dict(poses), {})
+    key = min(poses)
+    for number in poses:
+        found = verification(views, {key: poses[key]}, {number: poses[number]}, options.reach * scale)
+        key = key if _is_tracked(found, options) and found.share >= NEW_SURFACE else number
+        track.keys[number] = key
+    return track
+
+
 def followed(
     views: Sequence[View],
     keys: Poses,
     tracked: Sequence[Track],
     scale: float,
     options: MergeOptions,
+    *,
+    verified: bool = True,
 ) -> tuple[dict[int, FloatArray], Mapping[int, int]]:
     """Register the views of tracks to their key frames, which do not move.
 
@@ -129,6 +159,8 @@ def followed(
         The length to which relative options refer; unit of the points.
     options : MergeOptions
         Of which `max_contradiction`, `min_overlap` and `reach` are used.
+    verified : bool, default True
+        Leave out the views whose poses the range images do not verify.
 
     Returns
     -------
@@ -148,7 +180,7 @@ def followed(
             both = adjusted(
                 views, near | {number: guess}, fixed=list(near), reaches=np.multiply(NEAR, reach).tolist()
             )
-            if verification(views, near, {number: both[number]}, reach).holds(options):
+            if not verified or verification(views, near, {number: both[number]}, reach).holds(options):
                 poses[number], key_of[number] = both[number], key
     return dict(sorted(poses.items())), key_of
 
