@@ -30,7 +30,7 @@ def test_the_preset_for_clean_meshes_keeps_the_surface() -> None:
     shape = process(body, PipelineOptions.preset("clean-mesh"))
     assert len(shape.mesh.vertices) == len(body.vertices)  # in another order
     assert shape.mesh.area == pytest.approx(body.area, rel=1e-12)
-    assert signature(body, "clean-mesh").values.shape == (59,)
+    assert signature(body, "clean-mesh").values.shape == (118,)
     assert signature(body, "paper").values.shape == (23,)
 
 

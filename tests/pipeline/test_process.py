@@ -33,7 +33,8 @@ def test_every_element_of_a_surface_can_be_asked_for(element: str) -> None:
     values = signature(body, options).values
     # The error of an element grows with the frequency.
     np.testing.assert_allclose(np.log(values[:23]), np.log(signature(body).values[:23]), atol=0.1)
-    assert (values != signature(body).values).all()
+    # The compact shape descriptor, the second half, is of linear elements always.
+    assert (values != signature(body).values)[:59].all()
 
 
 @pytest.mark.parametrize("scan", [POINTS, shapes.body(4)], ids=["cloud", "mesh"])
