@@ -32,6 +32,10 @@ __all__ = ["NeighbourPairs", "near_groups", "neighbour_pairs"]
 MOST_NEIGHBORS = 12
 N_NEIGHBORS = 5
 
+# k₁, k₂ and λ of the re-ranking: smaller sets than for a query, because a wrong pair does more harm than a
+# missing one. See docs/decisions.md, K_RECIPROCAL.
+PAIRING = (8, 3, 0.3)
+
 # Mean Jaccard index of neighbouring neighbourhoods from which a number of neighbours stands out.
 DISTINCT = 0.8
 
@@ -88,7 +92,7 @@ def neighbour_pairs(logs: FloatArray, n_neighbors: int | Literal["auto"] = "auto
     rows = rows[np.lexsort(logs[rows].T)]  # so that ties do not depend on the order of the table
     points = np.ascontiguousarray(logs[rows])
     lists = neighbour_lists(_blocks(points), len(points))
-    order = rerank("k-reciprocal", lists)
+    order = rerank("k-reciprocal", lists, parameters=PAIRING)
     most = min(MOST_NEIGHBORS, order.shape[1] - 1)
     k = min(_distinct_number(order, most) if n_neighbors == "auto" else n_neighbors, order.shape[1] - 1)
     near = nearest_matrix(order, k)

@@ -16,8 +16,7 @@ References
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from types import MappingProxyType
+from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING, NamedTuple, Protocol, get_args
 
 import numpy as np
@@ -54,9 +53,8 @@ N_NEAR = 300
 # Number of neighbours of which the radius of a shape is the mean distance.
 N_RADIUS = 5
 
-# k₁ and k₂, the sizes of the reciprocal sets and of the query expansion, and λ, the weight of the original
-# distance beside the Jaccard distance. See docs/decisions.md, K_RECIPROCAL.
-K_RECIPROCAL = (8, 3, 0.3)
+# k₁, k₂ and λ. See docs/decisions.md, K_RECIPROCAL.
+K_RECIPROCAL = (12, 4, 0.3)
 
 # Share of the reciprocal neighbours of a neighbour that must be in the set before the others are added.
 EXPANDED = 2 / 3
@@ -119,7 +117,13 @@ def _first_columns(values: FloatArray, length: int) -> Positions:
     return first
 
 
-def rerank(method: str, lists: NeighbourLists, rows: Positions | None = None) -> Positions:
+def rerank(
+    method: str,
+    lists: NeighbourLists,
+    rows: Positions | None = None,
+    *,
+    parameters: tuple[int, int, float] = K_RECIPROCAL,
+) -> Positions:
     """Sort the lists of some shapes again.
 
     Parameters
@@ -130,6 +134,8 @@ def rerank(method: str, lists: NeighbourLists, rows: Positions | None = None) ->
         The lists of all shapes of the gallery.
     rows : (Q,) intp, optional
         The queries, positions in the gallery. By default all.
+    parameters : (int, int, float), optional
+        k₁, k₂ and λ of ``k-reciprocal``, as in `k_reciprocal`.
 
     Returns
     -------
@@ -147,7 +153,7 @@ def rerank(method: str, lists: NeighbourLists, rows: Positions | None = None) ->
     rows = np.arange(len(lists.order)) if rows is None else rows
     if method == "none" or lists.order.shape[1] < 3:
         return lists.order[rows]
-    distances = _METHODS[method](lists, rows)
+    distances = local_scaling(lists, rows) if method == "local" else k_reciprocal(lists, rows, parameters)
     distances[:, :2] = -np.inf
     order = np.argsort(distances, axis=1, kind="stable")
     return np.take_along_axis(lists.order[rows], order, axis=1)
@@ -205,7 +211,8 @@ def reranked_neighbors(
     query, size = (found.ids.index(held[0][1]), n) if held else (n, n + 1)
     lists = neighbour_lists([DistanceBlock(np.arange(size), distances[:size, :size])], size)
     order = lists.order[query][1:]  # without the query
-    new = _METHODS[method](lists, np.array([query]))[0, 1:]
+    scaled = local_scaling if method == "local" else k_reciprocal
+    new = scaled(lists, np.array([query]))[0, 1:]
     if len(new) > 1:
         # Just below the others, so that equal distances remain in alphabetical order.
         new[0] = min(new[0], np.nextafter(new[1:].min(), -np.inf))
@@ -239,7 +246,9 @@ def local_scaling(lists: NeighbourLists, rows: Positions) -> FloatArray:
     return scaled
 
 
-def k_reciprocal(lists: NeighbourLists, rows: Positions) -> FloatArray:
+def k_reciprocal(
+    lists: NeighbourLists, rows: Positions, parameters: tuple[int, int, float] = K_RECIPROCAL
+) -> FloatArray:
     """Jaccard distances of the k-reciprocal neighbourhoods, plus a share of the original distances.
 
     Parameters
@@ -248,6 +257,9 @@ def k_reciprocal(lists: NeighbourLists, rows: Positions) -> FloatArray:
         The lists of all shapes of the gallery.
     rows : (Q,) intp
         The queries.
+    parameters : (int, int, float), default (12, 4, .3)
+        k₁ and k₂, the sizes of the reciprocal sets and of the query expansion, and λ, the weight of the
+        original distance beside the Jaccard distance.
 
     Returns
     -------
@@ -257,7 +269,7 @@ def k_reciprocal(lists: NeighbourLists, rows: Positions) -> FloatArray:
     """
     from scipy.sparse import csr_array  # imported here, because an index without whitening does not need it
 
-    k1, k2, weight = K_RECIPROCAL
+    k1, k2, weight = parameters
     n, length = lists.order.shape
     mutual = _mutual(nearest_matrix(lists.order, k1))
     half = _mutual(nearest_matrix(lists.order, max(1, k1 // 2)))
@@ -320,8 +332,3 @@ def _mutual(near: csr_array) -> csr_array:
     from scipy.sparse import csr_array
 
     return csr_array(near.multiply(near.T))
-
-
-_METHODS: Mapping[str, Callable[[NeighbourLists, Positions], FloatArray]] = MappingProxyType(
-    {"local": local_scaling, "k-reciprocal": k_reciprocal}
-)
