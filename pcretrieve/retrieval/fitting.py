@@ -98,6 +98,7 @@ def fit_whitening(
     *,
     shrinkage: Shrinkage = "auto",
     n_neighbors: int | Literal["auto"] = "auto",
+    rounds: int = 1,
     prior: FloatArray | None = None,
     metric: Metric = "logarithms",
     options_digest: str = "",
@@ -125,6 +126,9 @@ def fit_whitening(
         left out are most likely; for others ``DEFAULT_SHRINKAGE[kind]``. Ignored for ``none``.
     n_neighbors : int or "auto", default "auto"
         Number of neighbours, for ``neighbours`` only, as in `neighbour_pairs`.
+    rounds : int, default 1
+        For ``neighbours`` only: how often the pairs are found, from the second time on among the shapes as
+        they are whitened by the pairs before. See docs/decisions.md, ROUNDS.
     prior : (L, L) float64, optional
         A covariance of trace 1 of what should be ignored in any gallery, such as `resolution_covariance`.
         For ``neighbours`` only: 30 % of the covariance.
@@ -162,7 +166,7 @@ def fit_whitening(
     elif used == "within-class":
         fit = _within_class(logs, labels, shrinkage, one_unit=metric != "values")
     elif used == "neighbours":
-        fit = _neighbours(logs, shrinkage, n_neighbors, prior)
+        fit = _neighbours(logs, shrinkage, n_neighbors, rounds, prior)
     if fit is None or isinstance(fit, str):
         n_values = logs.shape[1]
         reason = fit or "none"
@@ -233,27 +237,38 @@ def _chosen(logs: FloatArray, labels: Sequence[str | None] | None) -> str:
 
 
 def _neighbours(
-    logs: FloatArray, shrinkage: Shrinkage, n_neighbors: int | Literal["auto"], prior: FloatArray | None
+    logs: FloatArray,
+    shrinkage: Shrinkage,
+    n_neighbors: int | Literal["auto"],
+    rounds: int,
+    prior: FloatArray | None,
 ) -> _Fit | str:
     """All shapes, and the covariance of differences of neighbours; a reason if there are too few of them."""
+    if rounds < 1:
+        raise OptionError(f"rounds must be at least 1, got {rounds}")
     if len(logs) < LEAST_SHAPES:
         return f"none, because {len(logs)} shapes are too few to learn from neighbours ({LEAST_SHAPES})"
-    pairs = neighbour_pairs(logs, n_neighbors)
-    if len(pairs.weights) < LEAST_PAIRS:
-        return (
-            f"none, because only {len(pairs.weights)} pairs of shapes are mutual neighbours ({LEAST_PAIRS})"
-        )
-    differences = logs[pairs.first] - logs[pairs.second]  # (P, L)
-    covariance = (differences * pairs.weights[:, np.newaxis]).T @ differences
-    covariance /= np.trace(covariance)
     if shrinkage == "auto":
         used = DEFAULT_SHRINKAGE["neighbours"] if prior is None else SHRINKAGE_WITH_PRIOR
     else:
         used = float(shrinkage)
-    if prior is not None:
-        covariance = (1 - PRIOR_SHARE) * covariance + PRIOR_SHARE * prior
+    whitened = logs
+    for _ in range(rounds):
+        pairs = neighbour_pairs(whitened, n_neighbors)
+        if len(pairs.weights) < LEAST_PAIRS:
+            return (
+                f"none, because only {len(pairs.weights)} pairs of shapes are mutual neighbours "
+                f"({LEAST_PAIRS})"
+            )
+        differences = logs[pairs.first] - logs[pairs.second]  # (P, L)
+        covariance = (differences * pairs.weights[:, np.newaxis]).T @ differences
+        covariance /= np.trace(covariance)
+        if prior is not None:
+            covariance = (1 - PRIOR_SHARE) * covariance + PRIOR_SHARE * prior
+        covariance = shrunk(covariance, used)
+        whitened = logs @ inverse_square_root(covariance) if rounds > 1 else logs
     reason = f"neighbours: {len(pairs.weights)} pairs, each among the other's {pairs.n_neighbors} nearest"
-    return _Fit(logs, shrunk(covariance, used), used, reason)
+    return _Fit(logs, covariance, used, reason)
 
 
 def _pca(logs: FloatArray, shrinkage: Shrinkage) -> _Fit:

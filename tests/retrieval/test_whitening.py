@@ -10,6 +10,9 @@ from pcretrieve.errors import InputError, OptionError
 from pcretrieve.evaluation import evaluate_table
 from pcretrieve.options import RetrievalOptions
 from pcretrieve.retrieval import DEFAULT_SHRINKAGE, Whitening, fit_whitening, pairwise
+from pcretrieve.retrieval.covariances import shrunk
+from pcretrieve.retrieval.fitting import inverse_square_root
+from pcretrieve.retrieval.pairs import neighbour_pairs
 from pcretrieve.types import FloatArray, Metric, SignatureTable
 
 FITTED = ("neighbours", "pca", "within-class")
@@ -317,6 +320,19 @@ def test_neighbours_separate_classes_that_overlap_by_pose_without_labels() -> No
     whitened = mean_average_precision(fit_whitening("neighbours", logs).apply(logs), labels)
     assert plain < 0.9
     assert whitened > plain + 0.05
+
+
+def test_a_second_round_finds_pairs_among_whitened_shapes() -> None:
+    logs, _ = labelled_logs(n_classes=30)
+    first, second = (fit_whitening("neighbours", logs, rounds=rounds, shrinkage=0.1) for rounds in (1, 2))
+    pairs = neighbour_pairs(first.apply(logs))
+    differences = logs[pairs.first] - logs[pairs.second]
+    covariance = (differences * pairs.weights[:, np.newaxis]).T @ differences
+    expected = inverse_square_root(shrunk(covariance, 0.1))
+    np.testing.assert_allclose(second.matrix / second.matrix[0, 0], expected / expected[0, 0], rtol=1e-6)
+    assert not np.allclose(second.matrix, first.matrix, rtol=0.01)
+    with pytest.raises(OptionError, match="rounds must be at least 1, got 0"):
+        fit_whitening("neighbours", logs, rounds=0)
 
 
 def test_a_prior_is_part_of_the_covariance_of_neighbours() -> None:
