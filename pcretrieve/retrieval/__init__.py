@@ -10,7 +10,7 @@ from pcretrieve.retrieval.distances import (
     pairwise,
     table_coordinates,
 )
-from pcretrieve.retrieval.fitting import DEFAULT_SHRINKAGE, checked_shrinkage, fit_whitening, table_whitening
+from pcretrieve.retrieval.fitting import fit_whitening, table_whitening
 from pcretrieve.retrieval.index import SignatureIndex
 from pcretrieve.retrieval.near_pairs import NearPair, near_pairs
 from pcretrieve.retrieval.rank_errors import rank_ranges, swapping_ranks
@@ -23,6 +23,7 @@ from pcretrieve.retrieval.ranking import (
     pairwise_blocks,
     position_of,
 )
+from pcretrieve.retrieval.regularisation import DEFAULT_SHRINKAGE, checked_shrinkage
 from pcretrieve.retrieval.reranking import (
     N_NEAR,
     N_RERANKED,

@@ -26,9 +26,8 @@ from __future__ import annotations
 
 import logging
 from collections import Counter
-from collections.abc import Mapping, Sequence
-from types import MappingProxyType
-from typing import Literal, NamedTuple
+from collections.abc import Sequence
+from typing import Literal
 
 import numpy as np
 
@@ -41,38 +40,15 @@ from pcretrieve.retrieval.covariances import (
     within_class_residuals,
 )
 from pcretrieve.retrieval.distances import table_coordinates
+from pcretrieve.retrieval.neighbour_covariance import LEAST_SHAPES, neighbour_covariance
 from pcretrieve.retrieval.pairs import neighbour_pairs
+from pcretrieve.retrieval.regularisation import CovarianceFit, checked_shrinkage, inverse_square_root
 from pcretrieve.retrieval.whitening import WHITENINGS, Whitening
 from pcretrieve.types import FloatArray, Metric, SignatureTable
 
-__all__ = [
-    "DEFAULT_SHRINKAGE",
-    "checked_shrinkage",
-    "fit_whitening",
-    "inverse_square_root",
-    "table_whitening",
-]
+__all__ = ["fit_whitening", "table_whitening"]
 
 logger = logging.getLogger(__name__)
-
-#: Regularisation of the covariance, which limits the amplification of noise in directions of small variance.
-#: See docs/decisions.md, DEFAULT_SHRINKAGE. For within-class it is estimated instead.
-DEFAULT_SHRINKAGE: Mapping[str, float] = MappingProxyType(
-    {
-        "neighbours": 0.20,  # intensity towards the mean variance times the identity
-        "pca": 0.01,  # times the largest eigenvalue, added to all eigenvalues (Tikhonov)
-        "resolution": 0.03,  # as for pca
-    }
-)
-
-# Shrinkage of the covariance of neighbours towards the covariance of changes of resolution, where that is
-# known, and the remaining shrinkage towards the identity. See docs/decisions.md, PRIOR_SHARE.
-PRIOR_SHARE = 0.3
-SHRINKAGE_WITH_PRIOR = 0.03
-
-# Least numbers of shapes and of pairs for a whitening by neighbours. See docs/decisions.md, LEAST_SHAPES.
-LEAST_SHAPES = 24
-LEAST_PAIRS = 10
 
 # Least number of classes from which labels are used by "auto".
 LEAST_CLASSES = 5
@@ -80,15 +56,6 @@ LEAST_CLASSES = 5
 # Mean squared difference of neighbouring shapes as a share of the total variance, after PCA whitening, above
 # which PCA whitening is likely to do harm. See docs/decisions.md, PCA_NOISE.
 PCA_NOISE = 0.1
-
-
-class _Fit(NamedTuple):
-    """What a whitening is made of: the shapes (n, L) of the fit, and the covariance (L, L), regularised."""
-
-    shapes: FloatArray
-    covariance: FloatArray
-    shrinkage: float
-    reason: str
 
 
 def fit_whitening(
@@ -160,13 +127,13 @@ def fit_whitening(
     if kind not in ("none", "auto"):
         checked_shrinkage(kind, shrinkage)
     used = _chosen(logs, labels) if kind == "auto" else kind
-    fit: _Fit | str | None = None
+    fit: CovarianceFit | str | None = None
     if used == "pca":
         fit = _pca(logs, shrinkage)
     elif used == "within-class":
         fit = _within_class(logs, labels, shrinkage, one_unit=metric != "values")
     elif used == "neighbours":
-        fit = _neighbours(logs, shrinkage, n_neighbors, rounds, prior)
+        fit = neighbour_covariance(logs, shrinkage, n_neighbors, rounds, prior)
     if fit is None or isinstance(fit, str):
         n_values = logs.shape[1]
         reason = fit or "none"
@@ -236,42 +203,7 @@ def _chosen(logs: FloatArray, labels: Sequence[str | None] | None) -> str:
     return "within-class" if len(sizes) >= LEAST_CLASSES and rank >= logs.shape[1] else "neighbours"
 
 
-def _neighbours(
-    logs: FloatArray,
-    shrinkage: Shrinkage,
-    n_neighbors: int | Literal["auto"],
-    rounds: int,
-    prior: FloatArray | None,
-) -> _Fit | str:
-    """All shapes, and the covariance of differences of neighbours; a reason if there are too few of them."""
-    if rounds < 1:
-        raise OptionError(f"rounds must be at least 1, got {rounds}")
-    if len(logs) < LEAST_SHAPES:
-        return f"none, because {len(logs)} shapes are too few to learn from neighbours ({LEAST_SHAPES})"
-    if shrinkage == "auto":
-        used = DEFAULT_SHRINKAGE["neighbours"] if prior is None else SHRINKAGE_WITH_PRIOR
-    else:
-        used = float(shrinkage)
-    whitened = logs
-    for _ in range(rounds):
-        pairs = neighbour_pairs(whitened, n_neighbors)
-        if len(pairs.weights) < LEAST_PAIRS:
-            return (
-                f"none, because only {len(pairs.weights)} pairs of shapes are mutual neighbours "
-                f"({LEAST_PAIRS})"
-            )
-        differences = logs[pairs.first] - logs[pairs.second]  # (P, L)
-        covariance = (differences * pairs.weights[:, np.newaxis]).T @ differences
-        covariance /= np.trace(covariance)
-        if prior is not None:
-            covariance = (1 - PRIOR_SHARE) * covariance + PRIOR_SHARE * prior
-        covariance = shrunk(covariance, used)
-        whitened = logs @ inverse_square_root(covariance) if rounds > 1 else logs
-    reason = f"neighbours: {len(pairs.weights)} pairs, each among the other's {pairs.n_neighbors} nearest"
-    return _Fit(logs, covariance, used, reason)
-
-
-def _pca(logs: FloatArray, shrinkage: Shrinkage) -> _Fit:
+def _pca(logs: FloatArray, shrinkage: Shrinkage) -> CovarianceFit:
     """All shapes, and their regularised covariance."""
     _check_distinct("pca", logs)
     used = checked_shrinkage("pca", shrinkage)
@@ -279,7 +211,7 @@ def _pca(logs: FloatArray, shrinkage: Shrinkage) -> _Fit:
     largest = np.linalg.eigvalsh(covariance)[-1]
     covariance += used * largest * np.eye(len(covariance))
     _warn_of_noise(logs, inverse_square_root(covariance))
-    return _Fit(logs, covariance, used, f"pca: the covariance of {len(logs)} shapes")
+    return CovarianceFit(logs, covariance, used, f"pca: the covariance of {len(logs)} shapes")
 
 
 def _warn_of_noise(logs: FloatArray, root: FloatArray) -> None:
@@ -302,7 +234,7 @@ def _warn_of_noise(logs: FloatArray, root: FloatArray) -> None:
 
 def _within_class(
     logs: FloatArray, labels: Sequence[str | None] | None, shrinkage: Shrinkage, *, one_unit: bool
-) -> _Fit:
+) -> CovarianceFit:
     """The shapes in classes of at least two shapes, and their shrunk pooled covariance."""
     residuals = within_class_residuals(logs, labels)
     fitted = logs[residuals.rows]
@@ -315,55 +247,11 @@ def _within_class(
         )
     used = likeliest_shrinkage(residuals, one_unit=one_unit) if shrinkage == "auto" else float(shrinkage)
     reason = f"within-class: {residuals.n_classes} classes of {len(fitted)} shapes"
-    return _Fit(fitted, shrunk(pooled, used, one_unit=one_unit), used, reason)
+    return CovarianceFit(fitted, shrunk(pooled, used, one_unit=one_unit), used, reason)
 
 
 def _covariance(logs: FloatArray) -> FloatArray:
     return scatter_matrix(logs, logs.mean(axis=0)) / (len(logs) - 1)
-
-
-def checked_shrinkage(kind: str, shrinkage: Shrinkage) -> float:
-    """The shrinkage of a whitening, or its default, after a check of its range.
-
-    Parameters
-    ----------
-    kind : str
-        The kind of the whitening.
-    shrinkage : float or "auto"
-        auto: that of `DEFAULT_SHRINKAGE`; 1 if the kind has none, because it is estimated.
-
-    Returns
-    -------
-    float
-        In (0, 1].
-
-    Raises
-    ------
-    OptionError
-        If the shrinkage is not in (0, 1].
-    """
-    value = DEFAULT_SHRINKAGE.get(kind, 1.0) if shrinkage == "auto" else float(shrinkage)
-    if not 0 < value <= 1:
-        raise OptionError(f"shrinkage must lie in (0, 1], got {value}")
-    return value
-
-
-def inverse_square_root(covariance: FloatArray) -> FloatArray:
-    """The symmetric inverse square root C^(−1/2) of a covariance.
-
-    Parameters
-    ----------
-    covariance : (L, L) float64
-        C, symmetric positive definite.
-
-    Returns
-    -------
-    (L, L) float64
-        Symmetric positive definite.
-    """
-    variances, directions = np.linalg.eigh(covariance)
-    root: FloatArray = (directions / np.sqrt(variances)) @ directions.T
-    return root
 
 
 def _check_distinct(kind: str, logs: FloatArray) -> None:

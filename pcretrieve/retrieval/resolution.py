@@ -24,7 +24,7 @@ import numpy as np
 
 from pcretrieve.errors import OptionError
 from pcretrieve.options import Shrinkage, SignatureOptions
-from pcretrieve.retrieval.fitting import checked_shrinkage, inverse_square_root
+from pcretrieve.retrieval.regularisation import checked_shrinkage, inverse_square_root
 from pcretrieve.retrieval.whitening import Whitening
 from pcretrieve.types import FloatArray
 

@@ -28,7 +28,8 @@ from numpy.typing import NDArray
 from pcretrieve.errors import InputError
 from pcretrieve.options import Shrinkage
 from pcretrieve.retrieval.distances import pairwise
-from pcretrieve.retrieval.fitting import LEAST_SHAPES, fit_whitening
+from pcretrieve.retrieval.fitting import fit_whitening
+from pcretrieve.retrieval.neighbour_covariance import LEAST_SHAPES
 from pcretrieve.retrieval.pairs import near_groups, neighbour_pairs
 from pcretrieve.retrieval.whitening import Whitening
 from pcretrieve.types import FloatArray, Metric

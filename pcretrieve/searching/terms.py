@@ -20,7 +20,7 @@ from pcretrieve.retrieval import (
     rank_ranges,
     reranked_neighbors,
 )
-from pcretrieve.retrieval.fitting import LEAST_SHAPES
+from pcretrieve.retrieval.neighbour_covariance import LEAST_SHAPES
 from pcretrieve.searching.answers import Answer
 from pcretrieve.searching.queries import Described, Query
 from pcretrieve.types import FloatArray, Neighbors, Signature

@@ -11,8 +11,8 @@ from pcretrieve.evaluation import evaluate_table
 from pcretrieve.options import RetrievalOptions
 from pcretrieve.retrieval import DEFAULT_SHRINKAGE, Whitening, fit_whitening, pairwise
 from pcretrieve.retrieval.covariances import shrunk
-from pcretrieve.retrieval.fitting import inverse_square_root
 from pcretrieve.retrieval.pairs import neighbour_pairs
+from pcretrieve.retrieval.regularisation import inverse_square_root
 from pcretrieve.types import FloatArray, Metric, SignatureTable
 
 FITTED = ("neighbours", "pca", "within-class")
