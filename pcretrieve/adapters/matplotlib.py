@@ -284,5 +284,5 @@ def draw_places(path: Path, groups: Sequence[tuple[str | None, FloatArray, str, 
     columns = -(-len(groups) // KEY_ROWS)
     figure.legend(loc="outside right upper", ncols=columns, fontsize="small", frameon=False)
     data = io.BytesIO()
-    figure.savefig(data, dpi=150, format=path.suffix.removeprefix(".").lower() or None)
+    figure.savefig(data, dpi=150, bbox_inches="tight", format=path.suffix.removeprefix(".").lower() or None)
     write_file(path, data.getvalue())
