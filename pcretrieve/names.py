@@ -35,6 +35,6 @@ NAMES = {
         Names("distance", "pcretrieve.distances", ("log", "d1", "d2")),
         Names("matcher", "pcretrieve.matchers", ("heat-hausdorff",)),
         Names("executor", "pcretrieve.executors", ("processes",)),
-        Names("store", "pcretrieve.stores", ("sqlite",)),
+        Names("store", "pcretrieve.stores", ("sqlite", "postgresql")),
     )
 }

@@ -66,6 +66,7 @@ DOORS = {
     "pytetwild": "adapters/tetwild.py",
     "robust_laplacian": "adapters/robust_laplacian.py",
     "skimage": "simulation/skin.py",
+    "sqlalchemy": "catalogue/database.py",
     "trimesh": "adapters/trimesh.py",
 }
 

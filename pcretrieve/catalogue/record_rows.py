@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from dataclasses import asdict
 from typing import Any
 
+from pcretrieve.catalogue.opening import damaged
 from pcretrieve.catalogue.record import Record
 from pcretrieve.types import Step, Verdict
 
-__all__ = ["LENGTHS", "PROVENANCE_COLUMNS", "RECORDS", "SHAPE_COLUMNS", "record_of", "row_of"]
+__all__ = ["COLUMNS", "LENGTHS", "PROVENANCE_COLUMNS", "RECORDS", "SHAPE_COLUMNS", "record_of", "row_of"]
 
 #: Columns of the tables `shapes` and `provenance` with the fields of a record.
 SHAPE_COLUMNS = (
@@ -62,20 +64,33 @@ def row_of(record: Record) -> dict[str, Any]:
     }
 
 
-def record_of(row: tuple[Any, ...]) -> Record:
+def record_of(row: Sequence[Any], location: str) -> Record:
     """The record of a row of the result of the query `RECORDS`.
 
     Parameters
     ----------
-    row : tuple
-        The values of `SHAPE_COLUMNS` and `PROVENANCE_COLUMNS`. If they are damaged, the JSON in them raises
-        ValueError, TypeError or KeyError.
+    row : sequence
+        The values of `SHAPE_COLUMNS` and `PROVENANCE_COLUMNS`.
+    location : str
+        The catalogue, as the message names it.
 
     Returns
     -------
     Record
         The record.
+
+    Raises
+    ------
+    CatalogueError
+        If the values are damaged.
     """
+    try:
+        return _record(row)
+    except (ValueError, TypeError, KeyError) as error:
+        raise damaged(location, f"shape {row[0]!r} has no readable provenance") from error
+
+
+def _record(row: Sequence[Any]) -> Record:
     values = dict(zip(COLUMNS, row, strict=True))
     steps = [Step(**step | {"notes": tuple(step["notes"])}) for step in json.loads(values["steps"])]
     del values["metres_per_unit"]  # which a record has in its steps

@@ -107,7 +107,7 @@ class SqliteRows(Rows):
         chosen += " AND judgement <> 'sound'" if doubtful else ""
         query = f"{RECORDS} WHERE id > :after {chosen} ORDER BY id LIMIT :limit OFFSET :offset"
         values = {"after": after, "status": status, "limit": limit, "offset": offset}
-        return [self._record(row) for row in self._all(query, values)]
+        return [record_of(row, self.location) for row in self._all(query, values)]
 
     def by_id(self, shape_ids: Collection[str]) -> list[Record]:
         return self._where("id", shape_ids)
@@ -257,13 +257,7 @@ class SqliteRows(Rows):
     def _where(self, column: str, values: Collection[str]) -> list[Record]:
         query = f"{RECORDS} WHERE {column} = ?"
         rows = [row for value in dict.fromkeys(values) for row in self._all(query, (value,))]
-        return sorted((self._record(row) for row in rows), key=lambda record: record.id)
-
-    def _record(self, row: tuple[Any, ...]) -> Record:
-        try:
-            return record_of(row)
-        except (ValueError, TypeError, KeyError) as error:
-            raise damaged(self._path, f"shape {row[0]!r} has no readable provenance") from error
+        return sorted((record_of(row, self.location) for row in rows), key=lambda record: record.id)
 
     def _all(self, query: str, values: Sequence[object] | Mapping[str, object] = ()) -> list[Any]:
         with translated(self._path):

@@ -1,8 +1,8 @@
 """The protocol that opens stores, and the table of stores.
 
 Another package adds a store by an entry point of the group ``pcretrieve.stores`` that names a callable of the
-protocol `OpenStore`. The name of the entry point is the scheme of the URLs that are opened by it: the store
-``postgresql`` opens ``postgresql://host/database``. Locations without a scheme are SQLite files.
+protocol `OpenStore`. The name of the entry point is the scheme of the URLs that are opened by it, as the
+store ``postgresql`` opens ``postgresql://host/database``. Locations without a scheme are SQLite files.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Protocol
 
+from pcretrieve.catalogue.postgresql import PostgresqlRows
 from pcretrieve.catalogue.rows import Rows
 from pcretrieve.catalogue.sqlite import SqliteRows
 from pcretrieve.names import NAMES
@@ -92,4 +93,6 @@ def _checked(name: str, added: object) -> OpenStore:
     return opened
 
 
-STORES: Registry[OpenStore] = Registry(NAMES["store"], {"sqlite": _sqlite}, _checked)
+STORES: Registry[OpenStore] = Registry(
+    NAMES["store"], {"sqlite": _sqlite, "postgresql": PostgresqlRows}, _checked
+)

@@ -1,4 +1,4 @@
-"""What the protocol `Rows` asks for, of SQLite files and of the store in CONTRIBUTING.md."""
+"""What the protocol `Rows` asks for, of SQLite files, of PostgreSQL and of the store in CONTRIBUTING.md."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
+from uuid import uuid4
 
 import numpy as np
 import pytest
@@ -28,9 +29,11 @@ IDS = ("b", "d", "a", "c")
 ARRAYS: dict[Payload, bytes] = {"spectra": b"eigenvalues", "meshes": bytes(5000)}
 
 
-@pytest.fixture(params=["sqlite", "memory"])
+@pytest.fixture(params=["sqlite", "postgresql", "memory"])
 def location(request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
     install_contributed(tmp_path / "site", monkeypatch)
+    if request.param == "postgresql":
+        return f"{request.getfixturevalue('postgresql')}?schema={uuid4().hex}rows"
     return f"{request.param}://{tmp_path / 'rows'}"
 
 
@@ -277,9 +280,9 @@ def test_the_command_line_takes_a_url(location: str, eggs: list[Path]) -> None:
 def test_what_is_no_store(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     points = "[pcretrieve.stores]\nnumber = numbers_package:SEVEN\n"
     install(tmp_path / "site", "numbers-package", {"numbers_package": "SEVEN = 7\n"}, points, monkeypatch)
-    assert STORES.names.all() == ("sqlite", "number")
-    with pytest.raises(OptionError, match="there is no store 'postgresql'; there are sqlite, number"):
-        Catalogue("postgresql://host/shapes", create=True)
+    assert STORES.names.all() == ("sqlite", "postgresql", "number")
+    with pytest.raises(OptionError, match="there is no store 'mysql'; there are sqlite, postgresql, number"):
+        Catalogue("mysql://host/shapes", create=True)
     with pytest.raises(OptionError, match=r"'number' .* must be a callable of the protocol OpenStore, got 7"):
         Catalogue("number://7", create=True)
     with pytest.raises(CatalogueError, match="there is no catalogue"):

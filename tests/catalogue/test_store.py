@@ -50,11 +50,23 @@ def record(number: int) -> Record:
     return Record(f"egg{number}", f"/eggs/egg{number}.off", f"hash{number}", label, steps=steps)
 
 
+def filled(location: str) -> Catalogue:
+    store = Catalogue(location, create=True)
+    for number in range(N_SHAPES):
+        store.put(record(number), content(number))
+    return store
+
+
 @pytest.fixture
-def catalogue(tmp_path: Path) -> Iterator[Catalogue]:
-    with Catalogue(tmp_path / "eggs.sqlite", create=True) as store:
-        for number in range(N_SHAPES):
-            store.put(record(number), content(number))
+def catalogue(new_location: str) -> Iterator[Catalogue]:
+    """A catalogue in each of the stores."""
+    with filled(new_location) as store:
+        yield store
+
+
+@pytest.fixture
+def in_file(tmp_path: Path) -> Iterator[Catalogue]:
+    with filled(str(tmp_path / "eggs.sqlite")) as store:
         yield store
 
 
@@ -72,11 +84,11 @@ def test_what_is_put_in_comes_back(catalogue: Catalogue) -> None:
     np.testing.assert_array_equal(catalogue.signatures().values[2], given.signature)
 
 
-def test_everything_outlives_the_process_in_one_file(catalogue: Catalogue) -> None:
-    before = catalogue.records()
-    catalogue.close()
-    assert [str(path) for path in Path(catalogue.location).parent.iterdir()] == [catalogue.location]
-    with Catalogue(catalogue.location) as again:
+def test_everything_outlives_the_process_in_one_file(in_file: Catalogue) -> None:
+    before = in_file.records()
+    in_file.close()
+    assert [str(path) for path in Path(in_file.location).parent.iterdir()] == [in_file.location]
+    with Catalogue(in_file.location) as again:
         assert again.records() == before
         assert len(again) == N_SHAPES
 
@@ -231,37 +243,37 @@ def test_a_whitening_by_class_follows_the_labels(catalogue: Catalogue) -> None:
 
 
 @pytest.mark.skipif(os.geteuid() == 0, reason="root may write every file")
-def test_a_catalogue_that_may_not_be_written_can_be_read(catalogue: Catalogue) -> None:
-    catalogue.close()
-    Path(catalogue.location).parent.chmod(0o500)
+def test_a_catalogue_that_may_not_be_written_can_be_read(in_file: Catalogue) -> None:
+    in_file.close()
+    Path(in_file.location).parent.chmod(0o500)
     try:
-        with Catalogue(catalogue.location) as reader:
+        with Catalogue(in_file.location) as reader:
             assert len(reader) == N_SHAPES
             assert reader.whitening(whitened("pca")).kind == "pca"
             with pytest.raises(CatalogueError, match="cannot be written to"):
                 reader.remove("egg0")
         with pytest.raises(CatalogueError, match="cannot be written to"):
-            Catalogue(catalogue.location, create=True)
+            Catalogue(in_file.location, create=True)
     finally:
-        Path(catalogue.location).parent.chmod(0o700)
+        Path(in_file.location).parent.chmod(0o700)
 
 
 # --- several at once ------------------------------------------------------------------------------------
 
 
-def test_readers_see_the_last_whole_state_while_somebody_writes(catalogue: Catalogue) -> None:
-    with closing(sqlite3.connect(catalogue.location)) as writer:
+def test_readers_see_the_last_whole_state_while_somebody_writes(in_file: Catalogue) -> None:
+    with closing(sqlite3.connect(in_file.location)) as writer:
         writer.execute("BEGIN IMMEDIATE")
         writer.execute("DELETE FROM shapes")
-        with Catalogue(catalogue.location) as reader:
+        with Catalogue(in_file.location) as reader:
             assert len(reader) == N_SHAPES
         writer.commit()
-    assert len(catalogue) == 0
+    assert len(in_file) == 0
 
 
-def test_two_writers_take_turns_or_say_so(catalogue: Catalogue, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_two_writers_take_turns_or_say_so(in_file: Catalogue, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(opening, "LOCK_TIMEOUT", 0.05)
-    with closing(sqlite3.connect(catalogue.location)) as writer, Catalogue(catalogue.location) as other:
+    with closing(sqlite3.connect(in_file.location)) as writer, Catalogue(in_file.location) as other:
         writer.execute("BEGIN IMMEDIATE")
         with pytest.raises(
             CatalogueError, match="is locked by another process: wait until that has finished"
@@ -269,7 +281,7 @@ def test_two_writers_take_turns_or_say_so(catalogue: Catalogue, monkeypatch: pyt
             other.remove("egg0")
         writer.rollback()
         other.remove("egg0")
-    assert len(catalogue) == N_SHAPES - 1
+    assert len(in_file) == N_SHAPES - 1
 
 
 @cache
@@ -292,17 +304,17 @@ def test_every_surface_of_a_scan_is_kept(method: str, catalogue: Catalogue) -> N
     np.testing.assert_array_equal(again.deviation, signature.deviation)
 
 
-def test_of_a_shape_only_what_is_needed_is_read(catalogue: Catalogue) -> None:
-    with closing(sqlite3.connect(catalogue.location)) as other, other:
+def test_of_a_shape_only_what_is_needed_is_read(in_file: Catalogue) -> None:
+    with closing(sqlite3.connect(in_file.location)) as other, other:
         for table, shape_id in (("moments", "egg1"), ("meshes", "egg2")):
             other.execute(
                 f"UPDATE {table} SET arrays = x'00' WHERE shape = (SELECT number FROM shapes WHERE id = ?)",
                 (shape_id,),
             )
-    assert catalogue.shape("egg1", needs=("mesh",)).mesh.area == egg(1).area
-    assert catalogue.shape("egg2", needs=("spectrum",)).spectrum.area == 1
+    assert in_file.shape("egg1", needs=("mesh",)).mesh.area == egg(1).area
+    assert in_file.shape("egg2", needs=("spectrum",)).spectrum.area == 1
     for part in ("spectrum", "mesh", "points"):
         with pytest.raises(
             ShapeError, match=rf"\[signature\] gone: the shape must hold its {part}, but does not"
         ):
-            getattr(catalogue.shape("egg0", needs=()), part)
+            getattr(in_file.shape("egg0", needs=()), part)

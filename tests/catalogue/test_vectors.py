@@ -1,23 +1,13 @@
-"""Signatures as vectors of a PostgreSQL server with pgvector, which gives the order of our index.
-
-The server is a throw-away cluster in a temporary folder, if its programs (those of PATH, of Debian, or of the
-folder PCRETRIEVE_POSTGRESQL) and the extension are installed.
-"""
+"""Signatures as vectors of a PostgreSQL server with pgvector, which gives the order of our index."""
 
 from __future__ import annotations
 
-import os
-import pwd
-import shutil
-import socket
-import subprocess
-from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from postgresql_server import has_pgvector, programs
 
 from pcretrieve.adapters.postgresql import write_vectors
 from pcretrieve.benchmarks.catalogue import OPTIONS
@@ -30,50 +20,11 @@ from pcretrieve.errors import InputError, OptionError
 N_SHAPES = 400
 
 
-def programs() -> Path:
-    """The folder of the programs of a PostgreSQL server that has pgvector."""
-    given = os.environ.get("PCRETRIEVE_POSTGRESQL")
-    on_path = shutil.which("pg_config")
-    folders = [Path(given)] if given else []
-    folders += sorted(Path("/usr/lib/postgresql").glob("*/bin"), reverse=True)
-    folders += [Path(on_path).resolve().parent] if on_path else []
-    for folder in folders:
-        if (config := folder / "pg_config").exists() and (folder / "initdb").exists():
-            command: list[str | Path] = [config, "--sharedir"]
-            shared = subprocess.run(command, capture_output=True, text=True, check=True).stdout.strip()
-            if (Path(shared) / "extension" / "vector.control").exists():
-                return folder
-    pytest.skip("no PostgreSQL server with pgvector is installed (Debian: postgresql-17-pgvector)")
-
-
-@pytest.fixture(scope="module")
-def url(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
-    """A database of a server that runs until the tests of this module have ended."""
-    pytest.importorskip("psycopg", reason="psycopg is not installed (the extra postgresql)")
-    tools = programs()
-    folder = tmp_path_factory.mktemp("postgresql")
-    as_user: dict[str, Any] = {}
-    if os.geteuid() == 0:  # PostgreSQL refuses to run as root
-        nobody = pwd.getpwnam("nobody")
-        as_user = {"user": nobody.pw_uid, "group": nobody.pw_gid, "extra_groups": []}
-        folder = Path(shutil.copytree(folder, f"/tmp/pcretrieve-postgresql-{os.getpid()}"))
-        os.chown(folder, nobody.pw_uid, nobody.pw_gid)
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        port = free.getsockname()[1]
-    data = folder / "data"
-
-    def run(*command: str | Path) -> None:
-        subprocess.run(command, check=True, cwd=folder, capture_output=True, timeout=100, **as_user)
-
-    run(tools / "initdb", "-D", data, "-U", "tester", "-A", "trust", "--no-sync")
-    settings = f"-c listen_addresses=127.0.0.1 -c port={port} -c unix_socket_directories={folder}"
-    run(tools / "pg_ctl", "-D", data, "-w", "-l", folder / "log", "-o", settings, "start")
-    try:
-        yield f"postgresql://tester@127.0.0.1:{port}/postgres"
-    finally:
-        run(tools / "pg_ctl", "-D", data, "-m", "immediate", "stop")
-        shutil.rmtree(folder)
+@pytest.fixture
+def url(postgresql: str) -> str:
+    if not has_pgvector(programs()):
+        pytest.skip("the PostgreSQL server has no pgvector (Debian 13: postgresql-17-pgvector)")
+    return postgresql
 
 
 @pytest.fixture(scope="module")

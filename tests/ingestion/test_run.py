@@ -244,16 +244,18 @@ def test_an_ingest_within_another_takes_none_of_its_ids(folder: Path, catalogue:
 
 
 @pytest.mark.parametrize("same", [False, True], ids=["other files of the same names", "the same files"])
-def test_two_processes_that_ingest_at_once_store_every_shape_once(same: bool, tmp_path: Path) -> None:
+def test_two_processes_that_ingest_at_once_store_every_shape_once(
+    same: bool, new_location: str, tmp_path: Path
+) -> None:
     folders = [tmp_path / name for name in ("one", "two")]
     for start, folder in enumerate(folders):
         folder.mkdir()
         for number in range(4):
             egg(folder / f"{number}.off", 1 + (start + 2 * number) / 8)
-    command = [sys.executable, "-m", "pcretrieve", "ingest", "-c", tmp_path / "c.sqlite", "--workers", "1"]
+    command = [sys.executable, "-m", "pcretrieve", "ingest", "-c", new_location, "--workers", "1", "--json"]
     running = [
         subprocess.Popen(
-            [*map(str, command), "--json", folders[0] if same else folder],
+            [*command, str(folders[0] if same else folder)],
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
         )
@@ -264,7 +266,7 @@ def test_two_processes_that_ingest_at_once_store_every_shape_once(same: bool, tm
         assert process.returncode == 0, errors.decode()
         answer = json.loads(said)
         assert len(answer["done"]) + len(answer["held"]) == 4
-    with Catalogue(tmp_path / "c.sqlite") as catalogue:
+    with Catalogue(new_location) as catalogue:
         records = catalogue.records()
         assert len(catalogue.signatures().ids) == len(records)
     expected = folders[:1] if same else folders
