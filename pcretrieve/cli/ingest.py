@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import click
 
 from pcretrieve.cli.comparison import RecordName
-from pcretrieve.cli.messages import failure_line, say, write_json
+from pcretrieve.cli.messages import failure_line, log_to, say, write_json
 from pcretrieve.cli.parts import (
     EXIT_INTERRUPTED,
     EXIT_SOME_FAILED,
@@ -21,14 +21,13 @@ from pcretrieve.cli.parts import (
     surface_option,
     unit_option,
 )
+from pcretrieve.cli.progress import Progress, progress_option
+from pcretrieve.cli.summary import record_facts, say_summary, summary_document
 
 if TYPE_CHECKING:
     from pcretrieve.catalogue import Record
 
 __all__ = ["ingest_command"]
-
-# Largest number of names in the message about names in a label file that match no scan.
-QUOTED = 5
 
 
 @click.command("ingest")
@@ -66,6 +65,31 @@ QUOTED = 5
     help="What processes the scans.",
 )
 @click.option("--retry-failed", is_flag=True, help="Process scans again that failed before.")
+@click.option(
+    "--retries",
+    type=click.IntRange(min=0),
+    default=0,
+    show_default=True,
+    metavar="N",
+    help="Try a scan that fails again, N times at most, after all other scans: in a new process, then with "
+    "cheaper settings, then by the other method of surface reconstruction. `pcretrieve show` says what was "
+    "changed.",
+)
+@click.option(
+    "--max-failures",
+    type=click.IntRange(min=1),
+    metavar="N",
+    help="Stop after N scans have failed. The same command goes on from there.",
+)
+@click.option("--dry-run", is_flag=True, help="Say what would be done, and do nothing.")
+@progress_option
+@click.option("--quiet", "-q", is_flag=True, help="Print warnings and failures only.")
+@click.option(
+    "--log-file",
+    type=click.Path(path_type=Path),
+    metavar="FILE",
+    help="Append each stage of each scan, with repairs and fallbacks, to a file.",
+)
 @json_option
 def ingest_command(
     paths: tuple[str, ...],
@@ -80,6 +104,12 @@ def ingest_command(
     memory: float | None,
     executor: str,
     retry_failed: bool,
+    retries: int,
+    max_failures: int | None,
+    dry_run: bool,
+    progress: str,
+    quiet: bool,
+    log_file: Path | None,
     as_json: bool,
 ) -> None:
     """Process scans, and store them in a catalogue.
@@ -91,16 +121,16 @@ def ingest_command(
     pcretrieve ingest scans/ --labels scans/labels.csv --catalogue bodies.sqlite
     pcretrieve ingest 'tosca/*.off' --surface keep --catalogue tosca.sqlite
     """
-    from tqdm import tqdm
-
     from pcretrieve.catalogue import Catalogue
-    from pcretrieve.ingestion.discover import printable
     from pcretrieve.ingestion.executors import EXECUTORS
     from pcretrieve.ingestion.layouts import discover_labelled
-    from pcretrieve.ingestion.run import ingest_files
+    from pcretrieve.ingestion.run import ingest_files, plan_files
+    from pcretrieve.interface.catalogues import stored_records
 
     if not paths:
         raise click.UsageError("name at least one scan")
+    if log_file is not None:
+        log_to(log_file)
     scans, names = discover_labelled(paths, labels, [catalogue])
     runs = EXECUTORS[executor]
     # Without --config, --surface and --unit, the options of an existing catalogue are used.
@@ -111,80 +141,45 @@ def ingest_command(
         options = options.changed(scan={"unit": unit})
     if options and no_meshes:
         options = options.changed(catalogue={"keep": set(options.catalogue.keep) - {"meshes"}})
-    with (
-        Catalogue(catalogue, options, create=True) as store,
-        tqdm(total=len(scans), unit="scan", desc="ingest", disable=None) as bar,
-    ):
-        n_failed = 0
+    with Progress("ingest", len(scans), "none" if quiet and progress == "bar" else progress) as shown:
 
         def advance(record: Record) -> None:
-            nonlocal n_failed
-            if record.status == "failed":
-                n_failed += 1
-                tqdm.write(failure_line(record), file=sys.stderr)
-            bar.set_postfix(failed=n_failed, refresh=False)
-            bar.update()
+            failure = failure_line(record) if record.status == "failed" else None
+            shown.advance(record_facts(record), failure)
 
-        try:
-            summary = ingest_files(
+        if dry_run:
+            summary = plan_files(
                 scans,
-                store,
+                stored_records(catalogue, options),
                 labels=names,
-                workers=workers,
                 timeout=timeout,
-                memory=memory,
-                executor=runs,
                 retry_failed=retry_failed,
                 on_shape=advance,
             )
-        except (KeyboardInterrupt, SystemExit) as stop:
-            bar.close()
-            say(f"stopped; {len(store)} shapes are in {catalogue}, and the same command goes on from there")
-            sys.exit(stop.code if isinstance(stop, SystemExit) else EXIT_INTERRUPTED)
-    held_failed = [record for record in summary.held if record.status == "failed"]
-    duplicates = [(printable(path), original) for path, original in summary.duplicates]
-    for path, original in duplicates:
-        say(f"skipped {path}: the same content as {original.id} ({original.path})")
-    if summary.unknown_labels:
-        quoted = ", ".join(summary.unknown_labels[:QUOTED])
-        more = len(summary.unknown_labels) - QUOTED
-        say(
-            f"{labels} names {len(summary.unknown_labels)} shapes that are not among the scans: {quoted}"
-            + (f" and {more} more" if more > 0 else "")
-        )
-    failures = summary.failed + held_failed
-    say(
-        f"{len(summary.done)} done, {len(failures)} failed, {len(summary.held) - len(held_failed)} held "
-        f"already, {len(duplicates)} duplicates: {catalogue}"
-        + ("; --retry-failed processes the failed shapes again" if failures else "")
-    )
-    doubts = [record for record in (*summary.done, *summary.held) if record.is_doubtful]
-    if doubts:
-        n_unusable = sum(record.verdict.judgement == "unusable" for record in doubts if record.verdict)
-        say(
-            f"{len(doubts) - n_unusable} doubtful, {n_unusable} unusable by the checks of their scans: "
-            "`pcretrieve list --doubtful` gives the reasons"
-        )
+        else:
+            with Catalogue(catalogue, options, create=True) as store:
+                try:
+                    summary = ingest_files(
+                        scans,
+                        store,
+                        labels=names,
+                        workers=workers,
+                        timeout=timeout,
+                        memory=memory,
+                        executor=runs,
+                        retry_failed=retry_failed,
+                        retries=retries,
+                        max_failures=max_failures,
+                        on_shape=advance,
+                    )
+                except (KeyboardInterrupt, SystemExit) as stop:
+                    shown.close()
+                    n = len(store)
+                    say(f"stopped; {n} shapes are in {catalogue}, and the same command goes on from there")
+                    sys.exit(stop.code if isinstance(stop, SystemExit) else EXIT_INTERRUPTED)
+    if not quiet:
+        say_summary(summary, catalogue, labels)
     if as_json:
-        write_json(
-            {
-                "catalogue": str(catalogue),
-                "done": [record.id for record in summary.done],
-                "held": [record.id for record in summary.held if record.status == "done"],
-                "doubtful": [record.id for record in doubts],
-                "duplicates": [{"path": path, "id": original.id} for path, original in duplicates],
-                "failed": [
-                    {
-                        "id": record.id,
-                        "path": record.path,
-                        "stage": record.stage,
-                        "error": record.error,
-                        "message": record.message,
-                    }
-                    for record in failures
-                ],
-                "unknown_labels": summary.unknown_labels,
-            }
-        )
-    if failures:
+        write_json(summary_document(summary, catalogue))
+    if any(record.status == "failed" for record in (*summary.failed, *summary.held)):
         click.get_current_context().exit(EXIT_SOME_FAILED)

@@ -3,17 +3,21 @@
 from __future__ import annotations
 
 import json
+import logging
 from collections.abc import Iterable
+from pathlib import Path
 from textwrap import indent
 from typing import TYPE_CHECKING
 
 import click
 
+from pcretrieve.errors import InputError
+
 if TYPE_CHECKING:
     from pcretrieve.catalogue import Record
     from pcretrieve.types import Step
 
-__all__ = ["failure_line", "say", "step_lines", "write_json", "write_json_list"]
+__all__ = ["failure_line", "log_to", "say", "step_lines", "write_json", "write_json_list"]
 
 
 def say(message: str) -> None:
@@ -25,6 +29,36 @@ def say(message: str) -> None:
         The message.
     """
     click.echo(message, err=True)
+
+
+def log_to(path: Path) -> None:
+    """Append what the library logs, from the level INFO, to a file until the command ends.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be written.
+    """
+    try:
+        handler = logging.FileHandler(path, encoding="utf-8")
+    except OSError as error:
+        raise InputError(f"cannot write the log file {path}: {error.strerror}; name another") from error
+    handler.setFormatter(logging.Formatter("%(asctime)s %(levelname)s %(name)s: %(message)s"))
+    logger, level = logging.getLogger("pcretrieve"), logging.getLogger("pcretrieve").level
+    logger.addHandler(handler)
+    logger.setLevel(logging.INFO)
+
+    def stop() -> None:
+        logger.removeHandler(handler)
+        logger.setLevel(level)
+        handler.close()
+
+    click.get_current_context().call_on_close(stop)
 
 
 def write_json(document: object) -> None:

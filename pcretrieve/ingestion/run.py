@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import logging
 import os
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -12,14 +13,18 @@ from pathlib import Path
 from pcretrieve.catalogue import Catalogue, Content, Record
 from pcretrieve.errors import PcretrieveError
 from pcretrieve.ingestion import work
+from pcretrieve.ingestion.attempts import Attempt, next_attempt
 from pcretrieve.ingestion.contents import Contents
 from pcretrieve.ingestion.discover import printable
 from pcretrieve.ingestion.executors import Executor
 from pcretrieve.ingestion.isolation import in_processes
 from pcretrieve.ingestion.plan import Plan, Planner, apply, failed
 from pcretrieve.options import PipelineOptions
+from pcretrieve.pipeline.progress import log_steps, scan_name
 
-__all__ = ["Summary", "ingest_files"]
+__all__ = ["Summary", "ingest_files", "plan_files"]
+
+logger = logging.getLogger(__name__)
 
 # Number of files that are planned together: large enough for few transactions, small enough to begin soon.
 FILES_AT_ONCE = 32
@@ -42,6 +47,8 @@ class Summary:
         Skipped files with the same content as another file, and the record of the other file.
     unknown_labels : list of str
         Names in the label file that match no scan.
+    planned : list of Record
+        Scans that would be processed. Only `plan_files` has them.
     """
 
     done: list[Record] = field(default_factory=list)
@@ -49,6 +56,7 @@ class Summary:
     held: list[Record] = field(default_factory=list)
     duplicates: list[tuple[Path, Record]] = field(default_factory=list)
     unknown_labels: list[str] = field(default_factory=list)
+    planned: list[Record] = field(default_factory=list)
 
 
 def ingest_files(
@@ -61,6 +69,8 @@ def ingest_files(
     memory: float | None = None,
     executor: Executor = in_processes,
     retry_failed: bool = False,
+    retries: int = 0,
+    max_failures: int | None = None,
     on_shape: Callable[[Record], None] = lambda record: None,
 ) -> Summary:
     """Process scans, and store the results, including failures.
@@ -87,6 +97,11 @@ def ingest_files(
         that hangs, crashes or exhausts the memory does not affect others.
     retry_failed : bool, default False
         Process scans again that failed before, with the same content and options.
+    retries : int, default 0
+        Number of further attempts at a scan that fails, after all other scans, each with a change: see
+        `pcretrieve.ingestion.attempts.next_attempt`. The provenance of the shape has the step ``retry``.
+    max_failures : int, optional
+        Number of scans that may fail in this run before it stops. By default all of them.
     on_shape : callable, optional
         Called with each record, after it has been stored or skipped.
 
@@ -102,7 +117,8 @@ def ingest_files(
     CatalogueError
         If the catalogue cannot be written.
     PcretrieveError
-        If the executor cannot work, or ends without an outcome for each scan.
+        If `max_failures` scans have failed; if the executor cannot work, or ends without an outcome for each
+        scan.
     """
     summary = Summary()
     files = {printable(path): path for path in paths}
@@ -114,40 +130,130 @@ def ingest_files(
         if content is None:
             stored = _reported(record, stored)
         (summary.failed if content is None else summary.done).append(stored)
+        log_steps(scan_name(stored.path), stored.steps)
+        if content is None:
+            logger.info("failed: [%s / %s] %s", stored.id, stored.stage, stored.message)
         on_shape(stored)
+        if content is None and len(summary.failed) == max_failures:
+            raise PcretrieveError(
+                f"stopped after {max_failures} scans that failed, which is the limit (--max-failures); look "
+                "at the reasons, and start the ingest again: it goes on with the other scans"
+            )
 
-    def queue() -> Iterator[tuple[Path, Record]]:
+    def queue() -> Iterator[Attempt]:
         """Yield the scans that must be processed; the results for other scans are stored."""
         for made in _plans(planner, contents):
             apply(made, catalogue)
-            summary.held += made.held
-            summary.duplicates += made.duplicates
-            for record in (*made.held, *(original for _, original in made.duplicates)):
-                on_shape(record)
+            _note(summary, made, on_shape)
             for record in made.unreadable:
                 store(record, None)
-            for scan in made.process:
-                in_work.add(scan[0])
-                yield scan
+            for path, record in made.process:
+                yield Attempt(path, record)
 
-    in_work: set[Path] = set()
-    running = executor(
-        partial(_content, catalogue.options), queue(), workers=workers, timeout=timeout, memory=memory
-    )
-    with closing(contents), closing(running):
-        for (path, record), outcome in running:
-            in_work.discard(path)
-            if isinstance(outcome, Content):
-                store(replace(record, steps=outcome.shape.provenance), outcome)
-            else:
-                store(failed(record, outcome), None)
-    if in_work:
-        raise PcretrieveError(
-            f"an executor must give an outcome for each scan, but {len(in_work)} have none, {min(in_work)} "
-            "among them: start the ingest again, with another executor if necessary"
-        )
+    def finish(attempt: Attempt, outcome: Content | PcretrieveError) -> None:
+        """Store an outcome, or append the next attempt to `later`."""
+        if isinstance(outcome, Content):
+            steps = (*outcome.shape.provenance, *attempt.steps)
+            store(replace(attempt.record, steps=steps), outcome)
+        elif len(attempt.notes) < retries and (upcoming := next_attempt(attempt, outcome, catalogue.options)):
+            logger.warning("%s: %s", scan_name(attempt.path), printable(upcoming.notes[-1]))
+            later.append(upcoming)
+        else:
+            store(replace(failed(attempt.record, outcome), steps=attempt.steps), None)
+
+    later: list[Attempt] = []
+    attempts: Iterable[Attempt] = queue()
+    with closing(contents):
+        while True:
+            in_work: set[Path] = set()
+            running = executor(
+                partial(_content, catalogue.options),
+                _counted(attempts, in_work),
+                workers=workers,
+                timeout=timeout,
+                memory=memory,
+            )
+            with closing(running):
+                for attempt, outcome in running:
+                    in_work.discard(attempt.path)
+                    finish(attempt, outcome)
+            if in_work:
+                raise PcretrieveError(
+                    f"an executor must give an outcome for each scan, but {len(in_work)} have none, "
+                    f"{min(in_work)} among them: start the ingest again, with another executor if necessary"
+                )
+            if not later:
+                break
+            # A new call of the executor, whose processes are started after the failures.
+            attempts, later = later, []
     summary.unknown_labels = planner.unknown_labels
     return summary
+
+
+def plan_files(
+    paths: Sequence[Path],
+    records: Sequence[Record],
+    *,
+    labels: Mapping[str, str] | None = None,
+    timeout: float = 600.0,
+    retry_failed: bool = False,
+    on_shape: Callable[[Record], None] = lambda record: None,
+) -> Summary:
+    """Find what `ingest_files` would do, and write nothing.
+
+    Parameters
+    ----------
+    paths : sequence of Path
+        The scans, from `discover`.
+    records : sequence of Record
+        The records of the catalogue; none for a catalogue that does not exist.
+    labels : mapping of str to str, optional
+        As for `ingest_files`.
+    timeout : float, default 600
+        Longest time to read one file; seconds.
+    retry_failed : bool, default False
+        As for `ingest_files`.
+    on_shape : callable, optional
+        Called with the record of each scan.
+
+    Returns
+    -------
+    Summary
+        The scans that would be processed, the files that cannot be read, and those that would be skipped.
+
+    Raises
+    ------
+    BenchmarkError
+        If a label matches several scans, or a scan has two classes.
+    """
+    summary = Summary()
+    files = {printable(path): path for path in paths}
+    contents = Contents(files, len(os.sched_getaffinity(0)), timeout)
+    planner = Planner(files, records, labels or {}, contents.of, retry_failed=retry_failed)
+    with closing(contents):
+        for made in _plans(planner, contents):
+            _note(summary, made, on_shape)
+            summary.failed += made.unreadable
+            summary.planned += (record for _, record in made.process)
+            for record in (*made.unreadable, *(record for _, record in made.process)):
+                on_shape(record)
+    summary.unknown_labels = planner.unknown_labels
+    return summary
+
+
+def _note(summary: Summary, made: Plan, on_shape: Callable[[Record], None]) -> None:
+    """Add the scans of a plan that are skipped to the summary."""
+    summary.held += made.held
+    summary.duplicates += made.duplicates
+    for record in (*made.held, *(original for _, original in made.duplicates)):
+        on_shape(record)
+
+
+def _counted(attempts: Iterable[Attempt], in_work: set[Path]) -> Iterator[Attempt]:
+    """The attempts; the path of each one that has been read is added to `in_work`."""
+    for attempt in attempts:
+        in_work.add(attempt.path)
+        yield attempt
 
 
 def _plans(planner: Planner, contents: Contents) -> Iterator[Plan]:
@@ -167,5 +273,5 @@ def _reported(failure: Record, stored: Record) -> Record:
     return replace(failure, id=stored.id, message=kept)
 
 
-def _content(options: PipelineOptions, scan: tuple[Path, Record]) -> Content:
-    return work.content(scan[0], options)
+def _content(options: PipelineOptions, attempt: Attempt) -> Content:
+    return work.content(attempt.path, options.changed(**attempt.changes))

@@ -10,10 +10,10 @@ from pcretrieve.conversion import as_cloud
 from pcretrieve.formats.scans import ScanLike, as_scan
 from pcretrieve.ingestion import EXECUTORS, Executor
 from pcretrieve.ingestion.layouts import discover_labelled
-from pcretrieve.ingestion.run import Summary, ingest_files
+from pcretrieve.ingestion.run import Summary, ingest_files, plan_files
 from pcretrieve.ingestion.views import read_views
 from pcretrieve.inspection import Inspection, inspect_scan
-from pcretrieve.interface.catalogues import CatalogueLike, opened
+from pcretrieve.interface.catalogues import CatalogueLike, opened, stored_records
 from pcretrieve.options import MergeOptions, OptionsLike, PipelineOptions
 from pcretrieve.pages.inspection_page import write_inspection_page
 from pcretrieve.registration import Merged
@@ -33,6 +33,9 @@ def ingest(
     memory: float | None = None,
     executor: Executor | str = "processes",
     retry_failed: bool = False,
+    retries: int = 0,
+    max_failures: int | None = None,
+    dry_run: bool = False,
     on_shape: Callable[[Record], None] = lambda record: None,
 ) -> Summary:
     """Process scans, and store them in a catalogue, failures included.
@@ -63,6 +66,14 @@ def ingest(
         computer, so that a scan that hangs, crashes or exhausts the memory does not affect other scans.
     retry_failed : bool, default False
         Whether scans that failed before are processed again.
+    retries : int, default 0
+        Number of further attempts at a scan that fails, after all other scans: in a new process, then with
+        cheaper settings, then by the other method of surface reconstruction. What was changed is in the
+        provenance of the shape, in the step ``retry``.
+    max_failures : int, optional
+        Number of scans that may fail in this run before it stops. By default all of them.
+    dry_run : bool, default False
+        Whether nothing is processed and stored: the summary has what would be done.
     on_shape : function, optional
         Called with the record of each shape as soon as it is stored, or skipped.
 
@@ -81,6 +92,8 @@ def ingest(
         If there is no such option, or no such executor.
     CatalogueError
         If the catalogue was built with other options, or cannot be opened.
+    PcretrieveError
+        If `max_failures` scans have failed.
     """
     scans, names = discover_labelled(
         [paths] if isinstance(paths, (str, Path)) else paths,
@@ -89,16 +102,24 @@ def ingest(
     )
     chosen = None if options is None else PipelineOptions.of(options)
     runs = EXECUTORS[executor] if isinstance(executor, str) else executor
+    classes = labels if isinstance(labels, Mapping) else names
+    if dry_run:
+        records = stored_records(catalogue, chosen)
+        return plan_files(
+            scans, records, labels=classes, timeout=timeout, retry_failed=retry_failed, on_shape=on_shape
+        )
     with opened(catalogue, chosen, create=True) as store:
         return ingest_files(
             scans,
             store,
-            labels=labels if isinstance(labels, Mapping) else names,
+            labels=classes,
             workers=workers,
             timeout=timeout,
             memory=memory,
             executor=runs,
             retry_failed=retry_failed,
+            retries=retries,
+            max_failures=max_failures,
             on_shape=on_shape,
         )
 
