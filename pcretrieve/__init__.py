@@ -39,9 +39,12 @@ if TYPE_CHECKING:
     )
     from pcretrieve.evaluation import RetrievalMeasures
     from pcretrieve.formats import read_scan, write_cloud, write_mesh, write_signatures
-    from pcretrieve.inspection import Inspection, signature_spread
+    from pcretrieve.ingestion import DaskExecutor
+    from pcretrieve.inspection import Inspection, report_problem, signature_spread
     from pcretrieve.interface import (
+        backup,
         calibrate,
+        check,
         cluster,
         compare,
         draw_map,
@@ -50,10 +53,14 @@ if TYPE_CHECKING:
         ingest,
         inspect,
         matrix,
+        merge_catalogues,
         merge_views,
         report,
+        retry,
         search,
         search_many,
+        status,
+        watch,
     )
     from pcretrieve.matching import DistanceMatrix, read_matrix, write_matrix
     from pcretrieve.options import MergeOptions, PipelineOptions
@@ -75,6 +82,7 @@ if TYPE_CHECKING:
         TriangleMesh,
         Verdict,
     )
+    from pcretrieve.web import serve
 
 __version__ = "0.2.0"
 
@@ -86,6 +94,7 @@ __all__ = [
     "BenchmarkError",
     "Catalogue",
     "CatalogueError",
+    "DaskExecutor",
     "DegenerateMeshError",
     "Descriptor",
     "DistanceMatrix",
@@ -126,7 +135,9 @@ __all__ = [
     "WithinClassWhitening",
     "WorkerDied",
     "__version__",
+    "backup",
     "calibrate",
+    "check",
     "cluster",
     "compare",
     "describe",
@@ -138,6 +149,7 @@ __all__ = [
     "inspect",
     "laplace_beltrami",
     "matrix",
+    "merge_catalogues",
     "merge_views",
     "process",
     "r_bihdm",
@@ -145,11 +157,16 @@ __all__ = [
     "read_scan",
     "reconstruct",
     "report",
+    "report_problem",
+    "retry",
     "search",
     "search_many",
+    "serve",
     "shape_dna",
     "signature",
     "signature_spread",
+    "status",
+    "watch",
     "write_cloud",
     "write_matrix",
     "write_mesh",
@@ -197,12 +214,16 @@ _HOMES = {
         "write_mesh",
         "write_signatures",
     ),
+    "pcretrieve.ingestion": ("DaskExecutor",),
     "pcretrieve.inspection": (
         "Inspection",
+        "report_problem",
         "signature_spread",
     ),
     "pcretrieve.interface": (
+        "backup",
         "calibrate",
+        "check",
         "cluster",
         "compare",
         "draw_map",
@@ -211,10 +232,14 @@ _HOMES = {
         "ingest",
         "inspect",
         "matrix",
+        "merge_catalogues",
         "merge_views",
         "report",
+        "retry",
         "search",
         "search_many",
+        "status",
+        "watch",
     ),
     "pcretrieve.matching": (
         "DistanceMatrix",
@@ -253,6 +278,7 @@ _HOMES = {
         "TriangleMesh",
         "Verdict",
     ),
+    "pcretrieve.web": ("serve",),
 }
 _HOME_OF = {name: home for home, names in _HOMES.items() for name in names}
 

@@ -67,6 +67,7 @@ class Stage(str, Enum):
     SIGNATURE = "signature"
     THUMBNAIL = "thumbnail"
     WORKER = "worker"  # the worker process ended, in an unknown stage
+    CHECK = "check"  # what was stored of a finished shape was damaged
 
     def __str__(self) -> str:
         return self.value
@@ -251,7 +252,15 @@ def shape_error(error: BaseException, stage: str | None = None) -> PcretrieveErr
     frames = [frame for frame in traceback.extract_tb(error.__traceback__) if PACKAGE in frame.filename]
     place = f" (at {Path(frames[-1].filename).name}, line {frames[-1].lineno})" if frames else ""
     return UnexpectedError(
-        f"{type(error).__name__}: {error}{place}; this is a fault of pcretrieve, or of a package that "
-        "it uses: please report it with the scan",
+        f"{type(error).__name__}: {_words(error)}{place}; this is a fault of pcretrieve, or of a package "
+        "that it uses: please report it with the file that `pcretrieve report-problem` writes",
         stage=stage,
     )
+
+
+def _words(error: BaseException) -> str:
+    """The message of an exception of any class, whose own method may fail."""
+    try:
+        return str(error)
+    except Exception:  # noqa: BLE001
+        return "an exception without words"

@@ -4,22 +4,29 @@ from __future__ import annotations
 
 from pcretrieve.plugins import Names
 
-__all__ = ["METHODS", "NAMES"]
+__all__ = ["METHODS", "NAMES", "fused_names", "has_size", "known_method"]
 
 #: The descriptors of pcretrieve by name, and whether their values have a size, without which the scale
 #: "absolute" is not defined. The records in `pcretrieve.descriptors` say more.
 METHODS: dict[str, bool] = {
     "r-bihdm": True,
     "bihdm": True,
+    "bihdm-sampled": True,
     "shape-dna": True,
     "shape-dna-norm1": False,
+    "shape-dna-norm1-values": False,
     "sd-gdm": True,
+    "sd-gdm-sampled": True,
     "hks-bow": False,
     "hks-bow-spatial": False,
     "si-hks-bow": False,
     "si-hks-bow-spatial": False,
+    "dl": False,
+    "dl-supervised": False,
     "wks": False,
     "csd": False,
+    "ispm": False,
+    "hapt": False,
     "combined": True,
 }
 
@@ -33,8 +40,66 @@ NAMES = {
         Names("surface filter", "pcretrieve.surface_filters", ("remesh",)),
         Names("descriptor", "pcretrieve.signatures", tuple(METHODS)),
         Names("distance", "pcretrieve.distances", ("log", "d1", "d2")),
-        Names("matcher", "pcretrieve.matchers", ("heat-hausdorff",)),
+        Names(
+            "matcher", "pcretrieve.matchers", ("heat-hausdorff", "hks-bow-gallery", "mds-cm-bof", "meshsift")
+        ),
         Names("executor", "pcretrieve.executors", ("processes",)),
         Names("store", "pcretrieve.stores", ("sqlite", "postgresql")),
     )
 }
+
+
+def fused_names(method: str) -> tuple[str, ...]:
+    """The names of the descriptors that a method fuses.
+
+    Parameters
+    ----------
+    method : str
+        The name of a descriptor, or several names joined by ``+``.
+
+    Returns
+    -------
+    tuple of str
+        The names, in order.
+    """
+    return tuple(method.split("+"))
+
+
+def known_method(method: str) -> str:
+    """The method itself.
+
+    Parameters
+    ----------
+    method : str
+        The name of a descriptor, or several names joined by ``+``.
+
+    Returns
+    -------
+    str
+        The same method.
+
+    Raises
+    ------
+    ValueError
+        If there is no descriptor of one of the names.
+    """
+    for name in fused_names(method):
+        NAMES["descriptor"].known(name)
+    return method
+
+
+def has_size(method: str) -> bool:
+    """Whether values of a method depend on the size of the body for the scale ``absolute``.
+
+    Parameters
+    ----------
+    method : str
+        As for `known_method`.
+
+    Returns
+    -------
+    bool
+        True for the fusion of descriptors, one of which has a size, and for descriptors of other packages,
+        whose records say more.
+    """
+    return any(METHODS.get(name, True) for name in fused_names(method))

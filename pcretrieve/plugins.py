@@ -20,6 +20,7 @@ from importlib.metadata import EntryPoint, entry_points
 from typing import Generic, Protocol, TypeVar
 
 from pcretrieve.errors import InputError, OptionError, ShapeError
+from pcretrieve.suggestions import did_you_mean
 
 __all__ = ["Named", "Names", "Registry", "named"]
 
@@ -70,7 +71,10 @@ class Names:
             If there is no record of that name.
         """
         if name not in self.own and name not in self.all():
-            raise ValueError(f"input should be one of {', '.join(self.all())}, got {name!r}")
+            names = self.all()
+            raise ValueError(
+                f"input should be one of {', '.join(names)}, got {name!r}{did_you_mean(name, names)}"
+            )
         return name
 
 

@@ -7,9 +7,14 @@ import os
 import signal
 from collections.abc import Iterator
 from pathlib import Path
+from typing import TYPE_CHECKING
 from uuid import uuid4
 
 import pytest
+
+if TYPE_CHECKING:
+    from dask_cluster import DaskCluster
+    from search_server import Server
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -30,9 +35,58 @@ def postgresql() -> Iterator[str]:
         yield url
 
 
+@pytest.fixture(scope="session")
+def cluster(tmp_path_factory: pytest.TempPathFactory) -> "Iterator[DaskCluster]":
+    """A Dask cluster of two workers that runs until the tests have ended."""
+    pytest.importorskip("distributed", reason="distributed is not installed (the extra cluster)")
+    # Imported here, because only tests with this fixture need the cluster.
+    from dask_cluster import dask_cluster
+
+    with dask_cluster(tmp_path_factory.mktemp("dask") / "cluster") as started:
+        yield started
+
+
+@pytest.fixture(scope="session")
+def eggs(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A catalogue of eggs, which no test changes."""
+    from search_server import write_eggs
+
+    path = tmp_path_factory.mktemp("eggs") / "eggs.sqlite"
+    write_eggs(path)
+    return path
+
+
+@pytest.fixture(scope="session")
+def server(eggs: Path) -> "Iterator[Server]":
+    """The search page of the eggs, until the tests have ended."""
+    for name in ("starlette", "uvicorn"):
+        pytest.importorskip(name, reason=f"{name} is not installed (the extra web)")
+    from search_server import running
+
+    with running(eggs) as started:
+        yield started
+
+
 @pytest.fixture(params=["sqlite", "postgresql"])
 def new_location(request: pytest.FixtureRequest, tmp_path: Path) -> str:
     """Where there is no catalogue yet, in each of the stores of pcretrieve."""
     if request.param == "sqlite":
         return str(tmp_path / "new.sqlite")
     return f"{request.getfixturevalue('postgresql')}?schema=new{uuid4().hex}"
+
+
+def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
+    """Print the findings of longer runs: `scripts/benchmark_fuzzing` and `scripts/benchmark_crashes`."""
+    heads: tuple[str, ...]
+    if "PCRETRIEVE_SEEDS" in os.environ:
+        heads = ("inputs", "named errors", "over 5 s", "over 1 GB", "other errors")
+    elif "PCRETRIEVE_KILLS" in os.environ:
+        heads = ("kills", "nothing new", "some stored", "after the end")
+    else:
+        return
+    reports = [report for outcome in ("passed", "failed") for report in terminalreporter.getreports(outcome)]
+    rows = dict(row for report in reports if report.when == "call" for row in report.user_properties)
+    rows["all"] = tuple(sum(column) for column in zip(*rows.values(), strict=True)) or (0,) * len(heads)
+    terminalreporter.write_line(" " * 30 + "".join(f"{head:>14}" for head in heads))
+    for name, counts in rows.items():
+        terminalreporter.write_line(f"{name:30}" + "".join(f"{count:>14,}" for count in counts))

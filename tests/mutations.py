@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-__all__ = ["mutated"]
+__all__ = ["altered", "mutated"]
 
 MOST_MUTATIONS = 4
 MOST_BYTES = 64  # inserted, removed, or repeated at once
@@ -100,4 +100,23 @@ def mutated(data: bytes, seed: int) -> bytes:
     rng = np.random.default_rng(seed)
     for _ in range(int(rng.integers(1, MOST_MUTATIONS + 1))):
         data = MUTATIONS[int(rng.integers(len(MUTATIONS)))](data, rng)
+    return data
+
+
+def altered(data: bytes, seed: int) -> bytes:
+    """A file with one to four bits or words changed, as a disk or a memory does it: nothing moves.
+
+    Parameters
+    ----------
+    data : bytes
+    seed : int
+
+    Returns
+    -------
+    bytes
+        As many as before; the same for the same file and seed.
+    """
+    rng = np.random.default_rng(seed)
+    for _ in range(int(rng.integers(1, MOST_MUTATIONS + 1))):
+        data = (flipped, overwritten)[int(rng.integers(2))](data, rng)[: len(data)]
     return data

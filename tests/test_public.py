@@ -47,12 +47,13 @@ def test_every_command_has_a_function() -> None:
         "list": "Catalogue",
         "show": "Catalogue",
         "remove": "Catalogue",
+        "catalogue": "merge_catalogues",
         "export": "write_mesh",
         "options": "PipelineOptions",
         "demo": "ingest",
     }
     for command in COMMANDS:
-        assert functions.get(command, command) in pcretrieve.__all__, command
+        assert functions.get(command, command.replace("-", "_")) in pcretrieve.__all__, command
 
 
 @pytest.mark.parametrize("name", sorted(set(pcretrieve.__all__) - {"__version__"}))

@@ -113,7 +113,7 @@ def test_of_a_catalogue_whose_index_is_kept_only_that_shape_is_looked_up(
     assert found == expected
     assert len(statements) == 2
     assert statements[1].startswith("SELECT key, value FROM meta")
-    column = {"id": "id = 'egg2'", "file": "content_hash = '"}[query]
+    column = {"id": "id IN ('egg2')", "file": "content_hash IN ('"}[query]
     assert f"LEFT JOIN provenance ON shape = number WHERE {column}" in statements[0]
 
 

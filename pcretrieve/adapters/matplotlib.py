@@ -9,7 +9,7 @@ from __future__ import annotations
 import io
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -209,20 +209,29 @@ def plot_ranking(names: Sequence[str], distances: FloatArray, axes: Any = None) 
 
 
 def draw_curves(
-    path: Path, x: Sequence[float], curves: Mapping[str, FloatArray], *, x_label: str, y_label: str
+    path: Path,
+    x: Sequence[float] | FloatArray,
+    curves: Mapping[str, FloatArray],
+    *,
+    x_label: str,
+    y_label: str,
+    scale: Literal["log", "linear"] = "log",
 ) -> None:
-    """Write a picture of curves with logarithmic axes.
+    """Write a picture of curves.
 
     Parameters
     ----------
     path : Path
         The file, of any format that matplotlib knows by its suffix.
-    x : sequence of float, length n
-        Positive.
+    x : (n,) sequence of float
+        Positive, if the axes are logarithmic.
     curves : mapping of str to (n,) float64
-        Positive values by the name of the curve, which may hold mathematical text.
+        Values by the name of the curve, which may hold mathematical text; positive, if the axes are
+        logarithmic.
     x_label, y_label : str
         Names of the axes.
+    scale : {"log", "linear"}, default "log"
+        The scale of both axes.
 
     Raises
     ------
@@ -235,7 +244,9 @@ def draw_curves(
     figure = Figure(figsize=(6, 4), layout="constrained")
     axes = figure.subplots()
     for name, curve in curves.items():
-        axes.loglog(x, curve, "o-", label=name)
+        axes.plot(x, curve, "o-", markersize=4, label=name)
+    axes.set_xscale(scale)
+    axes.set_yscale(scale)
     axes.set_xlabel(x_label)
     axes.set_ylabel(y_label)
     axes.legend()

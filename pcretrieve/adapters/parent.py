@@ -1,12 +1,14 @@
-"""The end of a worker process when its parent process ends."""
+"""The end of a worker process when its parent process ends, and instead of its parent process."""
 
 from __future__ import annotations
 
 import ctypes
 import signal
 import sys
+from contextlib import suppress
+from pathlib import Path
 
-__all__ = ["end_with_parent"]
+__all__ = ["end_instead_of_parent", "end_with_parent"]
 
 # <sys/prctl.h>
 PR_SET_PDEATHSIG = 1
@@ -20,3 +22,16 @@ def end_with_parent() -> None:
     """
     if sys.platform == "linux":
         ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
+
+
+# What the kernel adds to the memory of a process before it compares processes; thousandths of all memory.
+OOM_SCORE = 500
+
+
+def end_instead_of_parent() -> None:
+    """Ask the kernel to kill this process rather than its parent when the computer lacks memory.
+
+    Linux only: other systems, and a Linux without ``/proc``, choose as they do.
+    """
+    with suppress(OSError):
+        Path("/proc/self/oom_score_adj").write_text(f"{OOM_SCORE}\n", encoding="ascii")

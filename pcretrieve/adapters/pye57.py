@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -97,7 +98,8 @@ def _opened(path: Path) -> Iterator[Any]:
     import pye57
 
     try:
-        with pye57.E57(str(path)) as file:
+        # As bytes, because a name need not be UTF-8.
+        with pye57.E57(os.fsencode(path)) as file:
             yield file
     except MemoryError:
         raise

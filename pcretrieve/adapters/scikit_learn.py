@@ -1,13 +1,19 @@
-"""Clusters and maps by scikit-learn: points in, numbers of clusters or places in the plane out."""
+"""Clusters, maps, ball trees and dictionaries by scikit-learn.
+
+Points are the input; numbers of clusters, places in the plane, nearest neighbours, or atoms of a dictionary
+are the output.
+"""
 
 from __future__ import annotations
+
+import warnings
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pcretrieve.arrays import FloatArray
 
-__all__ = ["density_clusters", "neighbour_embedding"]
+__all__ = ["BallTreeSearch", "density_clusters", "neighbour_embedding", "sparse_dictionary"]
 
 # Effective number of neighbours of a point of t-SNE. See docs/decisions.md, PERPLEXITY.
 PERPLEXITY = 30.0
@@ -15,8 +21,68 @@ PERPLEXITY = 30.0
 # Least number of points of t-SNE; fewer are projected on their principal components.
 FEWEST = 5
 
-# Seed of t-SNE, which starts at the principal components.
+# Seed of t-SNE, which starts at the principal components, and of dictionaries, which start at random.
 SEED = 0
+
+# Points in each step of dictionary learning, and the passes over all points.
+BATCH_SIZE = 256
+N_PASSES = 100
+
+
+class BallTreeSearch:
+    """Euclidean nearest neighbours by a ball tree (Omohundro, 1989), in double precision.
+
+    Parameters
+    ----------
+    points : (N, L) float64
+        The points, at least one. The squares of their distances do not overflow.
+    """
+
+    def __init__(self, points: FloatArray) -> None:
+        from sklearn.neighbors import BallTree
+
+        self._tree = BallTree(points)
+
+    def __str__(self) -> str:
+        return "ball tree of scikit-learn"
+
+    def nearest(self, point: FloatArray, k: int) -> tuple[NDArray[np.intp], float]:
+        """Points that are the nearest, apart from rounding errors.
+
+        Parameters
+        ----------
+        point : (1, L) float64
+            The query.
+        k : int
+            Between 1 and N.
+
+        Returns
+        -------
+        rows : (k,) intp
+            The points.
+        bound : float
+            The largest of their distances, which no other point is nearer than, apart from rounding errors.
+        """
+        distances, rows = self._tree.query(point, k)
+        return rows[0], float(distances[0, -1])
+
+    def within(self, point: FloatArray, radius: float) -> NDArray[np.intp]:
+        """The points within a radius, apart from rounding errors.
+
+        Parameters
+        ----------
+        point : (1, L) float64
+            The query.
+        radius : float
+            Largest distance.
+
+        Returns
+        -------
+        (n,) intp
+            The points.
+        """
+        (rows,) = self._tree.query_radius(point, radius)
+        return np.asarray(rows, dtype=np.intp)
 
 
 def density_clusters(points: FloatArray, min_size: int) -> NDArray[np.intp]:
@@ -67,3 +133,39 @@ def neighbour_embedding(points: FloatArray) -> FloatArray:
     start = (1e-4 * principal / principal.std()).astype(np.float32)
     places = TSNE(perplexity=perplexity, init=start, random_state=SEED).fit_transform(points)
     return np.asarray(places - places.mean(axis=0), dtype=np.float64)
+
+
+def sparse_dictionary(points: FloatArray, n_atoms: int, penalty: float) -> FloatArray:
+    """A dictionary in which points have sparse codes, by online learning (Mairal et al., 2010).
+
+    Parameters
+    ----------
+    points : (N, d) float64
+        The points.
+    n_atoms : int
+        L, the number of atoms.
+    penalty : float
+        λ in ½ ‖x − zᵀ D‖² + λ ‖z‖₁, the mean of which over the points is minimised.
+
+    Returns
+    -------
+    (L, d) float64
+        The atoms, of unit length. Equal for equal points, number and penalty.
+    """
+    from sklearn.decomposition import MiniBatchDictionaryLearning
+    from sklearn.exceptions import ConvergenceWarning
+
+    learning = MiniBatchDictionaryLearning(
+        n_atoms,
+        alpha=penalty,
+        max_iter=N_PASSES,
+        batch_size=BATCH_SIZE,
+        fit_algorithm="cd",
+        random_state=SEED,
+    )
+    with warnings.catch_warnings():
+        # Codes of a duality gap of 1e-4 are exact enough: the next step changes the atoms.
+        warnings.simplefilter("ignore", ConvergenceWarning)
+        atoms = np.asarray(learning.fit(points).components_, dtype=np.float64)
+    unit: FloatArray = atoms / np.linalg.norm(atoms, axis=1, keepdims=True)
+    return unit

@@ -81,7 +81,9 @@ def mesh_arrays(path: Path, file_type: str) -> tuple[NDArray[np.float64], NDArra
     import trimesh
 
     try:
-        mesh: Any = trimesh.load(path, file_type=file_type, process=False, force="mesh")
+        # An open file, because trimesh takes names in UTF-8 only.
+        with path.open("rb") as file:
+            mesh: Any = trimesh.load(file, file_type=file_type, process=False, force="mesh")
         vertices = np.asarray(mesh.vertices, dtype=np.float64).reshape(-1, 3)
         return vertices, np.asarray(mesh.faces, dtype=np.int64).reshape(-1, 3)
     except (OSError, MemoryError):
@@ -138,7 +140,8 @@ def scene_bodies(path: Path, file_type: str) -> tuple[list[Body], str | None]:
     import trimesh
 
     try:
-        scene: Any = trimesh.load_scene(path, file_type=file_type, process=False)
+        with path.open("rb") as file:
+            scene: Any = trimesh.load_scene(file, file_type=file_type, process=False)
         bodies, unit = [], None
         for node in scene.graph.nodes_geometry:
             motion, name = scene.graph[node]

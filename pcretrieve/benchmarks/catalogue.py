@@ -5,8 +5,11 @@
 Catalogues of 100,000 and of a million shapes are made in a temporary folder from the seed 0: records and
 signatures of 45 values, by `r-bihdm`, relative, but neither spectra nor meshes. Queries ask for ten shapes;
 those of the command line are PCA whitened. Queries of an index alternate with flat scans of faiss, which are
-in single precision and on one thread, if faiss is installed (the extra `benchmark`). Times of both are
+in single precision, if faiss is installed (the extra `benchmark`). Times of both are
 processor times, which other load on the machine changes less than wall-clock times.
+
+Ten parts of a job array, each a tenth of `--merged` shapes, are merged into one catalogue. With the option
+`--postgresql URL`, small meshes are ingested into a new schema of that database too, which stays there.
 
 The temporary folder needs 3.5 GB (`TMPDIR` names its parent). About 12 minutes on two cores of a 2.5 GHz
 Xeon, of which 5 are the ingestion; `--shapes 100000 --meshes 200` takes one.
@@ -23,9 +26,11 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from pathlib import Path
+from uuid import uuid4
 
 import numpy as np
 
+from pcretrieve.adapters.faiss import FlatScan
 from pcretrieve.benchmarks.arguments import argument_parser, positive
 from pcretrieve.benchmarks.commands import run_command
 from pcretrieve.benchmarks.memory import MIB
@@ -33,8 +38,10 @@ from pcretrieve.benchmarks.surfaces import bumpy_sphere
 from pcretrieve.benchmarks.synthetic import CLASS_SIZE, synthetic_catalogue, synthetic_id, write_small_meshes
 from pcretrieve.benchmarks.tables import Column, Table, print_lines
 from pcretrieve.benchmarks.timing import timed, timed_by_turns
+from pcretrieve.benchmarks.writing import merged_in, written_in
 from pcretrieve.catalogue import Catalogue
-from pcretrieve.errors import PcretrieveError
+from pcretrieve.errors import InputError, PcretrieveError
+from pcretrieve.interface import status
 from pcretrieve.options import PipelineOptions
 from pcretrieve.retrieval import DISTANCES, SignatureIndex
 from pcretrieve.simulation import UniformOptions, scan_uniformly, write_ply
@@ -60,6 +67,11 @@ WHITENINGS_OF_QUERIES = ("none", "pca", "within-class")
 # Number of answers that are compared with those of brute force.
 N_COMPARED = 5
 
+# Number of shapes that are added to a large catalogue, how often, and number of catalogues that are merged.
+N_ADDED = 1000
+N_WRITTEN = 3
+N_PARTS = 10
+
 N_VERTICES = 252
 N_WORKERS = 2
 
@@ -80,25 +92,33 @@ def main(arguments: Sequence[str] | None = None) -> None:
         "--shapes", type=positive, nargs="*", default=[100_000, 1_000_000], help="sizes of the catalogues"
     )
     parser.add_argument("--meshes", type=int, default=5000, help="meshes that are ingested; 0 for none")
+    parser.add_argument("--merged", type=int, default=100_000, help="shapes that are merged; 0 for none")
+    parser.add_argument(
+        "--postgresql", metavar="URL", help="a database into which the meshes are ingested too"
+    )
     given = parser.parse_args(arguments)
     if wrong := [n for n in given.shapes if n % CLASS_SIZE]:
         parser.error(f"--shapes must be multiples of {CLASS_SIZE}, got {wrong[0]}")
     try:
-        print_lines(_lines(given.shapes, given.meshes))
+        print_lines(_lines(given.shapes, given.merged, given.meshes, given.postgresql))
     except PcretrieveError as error:
         sys.exit(str(error))
 
 
-def _lines(sizes: Sequence[int], n_meshes: int) -> Iterator[str]:
+def _lines(sizes: Sequence[int], n_merged: int, n_meshes: int, database: str | None) -> Iterator[str]:
     yield TABLE.head
     for n_shapes in sizes:
         yield f"{n_shapes:,} shapes"
         with tempfile.TemporaryDirectory() as folder:
             yield from _catalogue(Path(folder) / "large.sqlite", n_shapes)
+    if n_merged:
+        with tempfile.TemporaryDirectory() as folder:
+            seconds = merged_in(Path(folder), OPTIONS, n_merged, N_PARTS, SEED)
+            yield TABLE.row(f"{N_PARTS} parts of {n_merged // N_PARTS:,} shapes merged", f"{seconds:.1f} s")
     if n_meshes:
         yield f"{n_meshes:,} meshes of {N_VERTICES} vertices"
         with tempfile.TemporaryDirectory() as folder:
-            yield from _ingestion(Path(folder), n_meshes)
+            yield from _ingestion(Path(folder), n_meshes, database)
 
 
 def _catalogue(path: Path, n_shapes: int) -> Iterator[str]:
@@ -107,6 +127,14 @@ def _catalogue(path: Path, n_shapes: int) -> Iterator[str]:
     yield TABLE.row("  written", f"{seconds:.0f} s, {path.stat().st_size / MIB:.0f} MiB")
     ((opening, _),) = timed_by_turns([lambda: Catalogue(path).close()], N_REPEATS)
     yield TABLE.row("  Catalogue(...)", f"{opening.median * 1e3:.1f} ms")
+    ((looking, _),) = timed_by_turns([lambda: status(path)], N_REPEATS)
+    yield TABLE.row("  pcretrieve.status", f"{looking.median * 1e3:.0f} ms")
+    written = written_in(path, N_ADDED, N_WRITTEN)
+    yield TABLE.row(
+        f"  {N_ADDED:,} shapes more",
+        f"{written.together:.2f} s in one transaction, {written.single:.2f} s one by one; "
+        f"removed in {written.removal:.2f} s",
+    )
     with Catalogue(path) as catalogue:
         seconds, _ = timed(catalogue.signatures)
     yield TABLE.row("  Catalogue.signatures", f"{seconds:.2f} s, {seconds / n_shapes * 1e6:.1f} µs a shape")
@@ -174,13 +202,10 @@ def _thread_seconds(function: Callable[[], object]) -> float:
 def _flat_scan(points: FloatArray) -> Callable[[FloatArray], object] | None:
     """The exact search of faiss in single precision, if it is installed."""
     try:
-        import faiss
-    except ImportError:
+        flat = FlatScan(points)
+    except InputError:
         return None
-    faiss.omp_set_num_threads(1)
-    flat = faiss.IndexFlatL2(points.shape[1])
-    flat.add(points.astype(np.float32))
-    return lambda point: flat.search(point[np.newaxis].astype(np.float32), K)
+    return lambda point: flat.nearest(point[np.newaxis], K)
 
 
 def _agrees(index: SignatureIndex, row: int) -> bool:
@@ -205,25 +230,33 @@ def _first_line(*arguments: str) -> float:
     return seconds
 
 
-def _ingestion(folder: Path, n_meshes: int) -> Iterator[str]:
+def _ingestion(folder: Path, n_meshes: int, database: str | None) -> Iterator[str]:
     """Figures of the ingestion of small meshes, and what shapes cost."""
     scans, path = folder / "scans", folder / "small.sqlite"
     scans.mkdir()
     write_small_meshes(scans, n_meshes, N_VERTICES, SEED)
-    before = _processor_seconds()
-    seconds, peak = run_command("ingest", str(scans), "-c", str(path), "--workers", str(N_WORKERS))
-    # Unlike the rate, the processor time is hardly slowed by other load on the machine.
-    each = (_processor_seconds() - before) / n_meshes
-    yield TABLE.row(
-        f"  pcretrieve ingest, {N_WORKERS} workers",
-        f"{seconds:.0f} s, {n_meshes / seconds:.1f} shapes/s, {each * 1e3:.0f} ms of processor time a shape, "
-        f"peak {peak:.0f} MiB",
-    )
+    yield TABLE.row(f"  pcretrieve ingest, {N_WORKERS} workers", _rate(scans, str(path), n_meshes))
+    if database is not None:
+        sign = "&" if "?" in database else "?"
+        location = f"{database}{sign}schema=benchmark{uuid4().hex}"
+        yield TABLE.row("  the same into PostgreSQL", _rate(scans, location, n_meshes))
     yield _cost(path, "body-00000", "one surface")
     cloud = scan_uniformly(bumpy_sphere(N_SCANNED), UniformOptions(), np.random.default_rng(SEED))
     write_ply(folder / "scan.ply", cloud.points)
     run_command("ingest", str(folder / "scan.ply"), "-c", str(path))
     yield _cost(path, "scan", "two surfaces")
+
+
+def _rate(scans: Path, location: str, n_meshes: int) -> str:
+    """The rate of an ingest."""
+    before = _processor_seconds()
+    seconds, peak = run_command("ingest", str(scans), "-c", location, "--workers", str(N_WORKERS), "--quiet")
+    # Unlike the rate, the processor time is hardly slowed by other load on the machine.
+    each = (_processor_seconds() - before) / n_meshes
+    return (
+        f"{seconds:.0f} s, {n_meshes / seconds:.1f} shapes/s, {each * 1e3:.0f} ms of processor time a shape, "
+        f"peak {peak:.0f} MiB"
+    )
 
 
 def _processor_seconds() -> float:

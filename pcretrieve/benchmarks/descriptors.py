@@ -1,11 +1,13 @@
-"""Print the retrieval measures of every descriptor for clean meshes, by scale, distance and whitening.
+"""Print the retrieval measures of every descriptor and matcher for clean meshes.
 
     .venv/bin/python scripts/benchmark_descriptors --data FOLDER
 
 needs the sets `shrec11` and `tosca` in the folder; a set that is missing is left out, with a line of output.
-Seconds are the median time of the descriptor for one shape, from the stored spectrum and surface, on one
-core. Shapes without a signature count as misses. With `--n-values 23 45 --scale relative` it takes 15 minutes
-on a 2.5 GHz Xeon.
+A descriptor has a row for each scale, distance and whitening; a matcher, which compares pairs of shapes, has
+one row. Seconds are the median time of one shape, from the stored spectrum and surface, on one core; a
+matcher also has the mean time of a pair. Shapes without a signature count as misses; those that a matcher
+fails on are printed with the reason. With `--n-values 23 45 --scale relative` it takes an hour on a 2.5 GHz
+Xeon; without the matchers 15 minutes.
 """
 
 from __future__ import annotations
@@ -14,21 +16,21 @@ import argparse
 import statistics
 import tempfile
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from functools import partial
 from itertools import product
 from pathlib import Path
-from typing import NamedTuple
-
-import numpy as np
+from typing import Any
 
 from pcretrieve.benchmarks.arguments import add_data, argument_parser
+from pcretrieve.benchmarks.described import described
 from pcretrieve.benchmarks.sets import ingested, left_out
 from pcretrieve.benchmarks.tables import MEASURES, Column, Table, measure_values, print_lines
 from pcretrieve.benchmarks.timing import timed, use_one_core
 from pcretrieve.catalogue import Catalogue
-from pcretrieve.descriptors import DESCRIPTORS, describe
-from pcretrieve.errors import OptionError, ShapeError
-from pcretrieve.evaluation import evaluate_table
+from pcretrieve.errors import OptionError
+from pcretrieve.evaluation import evaluate_rankings, evaluate_table, rank
+from pcretrieve.matching import MATCHERS, Matcher, PairwiseIndex, distance_matrix
 from pcretrieve.names import METHODS, NAMES
 from pcretrieve.options import (
     PipelineOptions,
@@ -43,7 +45,7 @@ from pcretrieve.retrieval import (
     table_whitening,
 )
 from pcretrieve.retrieval.resolution import is_measured
-from pcretrieve.types import FloatArray, Signature, SignatureTable
+from pcretrieve.types import Shape
 
 __all__ = ["main"]
 
@@ -64,26 +66,9 @@ TABLE = Table(
     Column("whitening", 12, align="<"),
     *(Column(name, 6, ".4f") for name in MEASURES),
     Column("s a shape", 9, ".4f"),
+    Column("ms a pair", 9, ".3f"),
     Column("failed", 6),
 )
-
-
-class Described(NamedTuple):
-    """The signatures of a catalogue's shapes by one descriptor.
-
-    Attributes
-    ----------
-    table : SignatureTable
-        The signatures.
-    failed : dict of str to (str or None)
-        Classes of the shapes without such a signature.
-    seconds : float
-        Median time of a signature.
-    """
-
-    table: SignatureTable
-    failed: dict[str, str | None]
-    seconds: float
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -98,7 +83,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
     add_data(parser)
     parser.add_argument("--only", choices=DATA_SETS, help="one set only")
     parser.add_argument(
-        "--methods", nargs="+", default=NAMES["descriptor"].all(), help="some descriptors only"
+        "--methods",
+        nargs="+",
+        default=[*NAMES["descriptor"].all(), "hapt+r-bihdm", *NAMES["matcher"].all()],
+        help="some descriptors and matchers only",
     )
     parser.add_argument("--n-values", type=int, nargs="+", default=[23, 45, 60], help="lengths")
     parser.add_argument(
@@ -126,7 +114,11 @@ def _lines(given: argparse.Namespace) -> Iterator[str]:
             tempfile.TemporaryDirectory() as temporary,
             ingested(folder, Path(temporary) / "shapes.sqlite", options) as (catalogue, _),
         ):
-            for method, n_values, scale in product(given.methods, given.n_values, given.scale):
+            matchers = [method for method in given.methods if method in NAMES["matcher"].all()]
+            descriptors = [method for method in given.methods if method not in matchers]
+            for matcher in matchers:
+                yield from _matched(name, catalogue, MATCHERS[matcher])
+            for method, n_values, scale in product(descriptors, given.n_values, given.scale):
                 if scale == "area" and "relative" in given.scale and method in SAME_BY_AREA:
                     continue
                 try:
@@ -138,17 +130,19 @@ def _lines(given: argparse.Namespace) -> Iterator[str]:
 
 def _rows(name: str, catalogue: Catalogue, options: SignatureOptions) -> Iterator[str]:
     """One line for each distance and whitening."""
-    described = _described(catalogue, options)
+    shapes = described(catalogue, options)
     for whitening in WHITENINGS:
         if whitening == "resolution" and not is_measured(options):
             continue
         made = resolution_whitening(options) if whitening == "resolution" else None
         if whitening == "neighbours":
             neighbours = RetrievalOptions(whitening=whitening)
-            made = table_whitening(described.table, neighbours, prior=resolution_covariance(options))
-        for distance in DISTANCES.own:
+            made = table_whitening(shapes.table, neighbours, prior=resolution_covariance(options))
+        for distance, record in DISTANCES.own.items():
+            if shapes.table.metric not in record.metrics:
+                continue
             retrieval = RetrievalOptions(distance=distance, whitening=whitening)
-            measures = evaluate_table(described.table, retrieval, whitening=made, failed=described.failed)
+            measures = evaluate_table(shapes.table, retrieval, whitening=made, failed=shapes.failed)
             yield TABLE.row(
                 name,
                 options.method,
@@ -157,27 +151,35 @@ def _rows(name: str, catalogue: Catalogue, options: SignatureOptions) -> Iterato
                 distance,
                 whitening,
                 *measure_values(measures),
-                described.seconds,
-                len(described.failed),
+                shapes.seconds,
+                None,
+                len(shapes.failed),
             )
 
 
-def _described(catalogue: Catalogue, options: SignatureOptions) -> Described:
-    values: dict[str, FloatArray] = {}
+def _matched(name: str, catalogue: Catalogue, matcher: Matcher) -> Iterator[str]:
+    """The line of a matcher, and one for each shape that it fails on."""
     times = []
-    labels = {record.id: record.label for record in catalogue.records()}
 
-    def described(shape_id: str) -> Signature:
-        return describe(catalogue.shape(shape_id, DESCRIPTORS[options.method].needs), options)
-
-    for shape_id in catalogue.signatures().ids:
-        try:
-            seconds, signature = timed(partial(described, shape_id))
-        except ShapeError:
-            continue  # counts as a miss
-        values[shape_id] = signature.values
+    def prepared(shape: Shape) -> Any:
+        seconds, features = timed(partial(matcher.prepare, shape))
         times.append(seconds)
-    classes = tuple(labels[shape_id] for shape_id in values)
-    table = SignatureTable(tuple(values), np.array(list(values.values())), options.method, labels=classes)
-    failed = {shape_id: label for shape_id, label in labels.items() if shape_id not in values}
-    return Described(table, failed, statistics.median(times))
+        return features
+
+    classes = {record.id: record.label for record in catalogue.records()}
+    index = PairwiseIndex(
+        replace(matcher, prepare=prepared),
+        catalogue.signatures().ids,
+        lambda shape_id: catalogue.shape(shape_id, matcher.needs),
+    )
+    seconds, matrix = timed(partial(distance_matrix, index))
+    labels = [classes.pop(shape_id) for shape_id in matrix.ids]
+    measures = evaluate_rankings(rank(matrix, labels, failed=classes))
+    n = len(matrix)
+    n_pairs = n * (n + 1) / 2 if matcher.symmetric else n**2
+    yield TABLE.row(
+        *(name, matcher.name, None, None, None, None, *measure_values(measures)),
+        *(statistics.median(times), 1000 * seconds / n_pairs, len(classes)),
+    )
+    for failure in index.failures:
+        yield f"{name} {matcher.name} failed: {failure}"

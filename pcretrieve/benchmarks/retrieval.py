@@ -27,19 +27,15 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from itertools import product
 from pathlib import Path
 
-import numpy as np
-
 from pcretrieve.benchmarks.arguments import add_data, argument_parser
 from pcretrieve.benchmarks.calibration import calibrated_measures
-from pcretrieve.benchmarks.fidelity.conditions import write_scan
-from pcretrieve.benchmarks.progress import progress
 from pcretrieve.benchmarks.sets import SETS, ingested, left_out
 from pcretrieve.benchmarks.tables import MEASURES, Column, Table, measure_values, print_lines
 from pcretrieve.benchmarks.timing import use_one_core
+from pcretrieve.benchmarks.written import pooled_vectors, written_set
 from pcretrieve.errors import OptionError
 from pcretrieve.evaluation import evaluate_rankings, no_match_measures, rank_table, rerank_table
 from pcretrieve.evaluation.rankings import NO_FAILURES
-from pcretrieve.formats import write_mesh
 from pcretrieve.options import PipelineOptions, RetrievalOptions, SignatureOptions
 from pcretrieve.retrieval import RERANKINGS, resolution_covariance, table_whitening
 from pcretrieve.types import Metric, SignatureTable
@@ -123,7 +119,7 @@ def _lines(given: argparse.Namespace) -> Iterator[str]:
                 yield missing
             elif name in VECTORS:
                 file, metric = VECTORS[name]
-                yield from rows(name, _vectors(needed / file, metric), None)
+                yield from rows(name, pooled_vectors(needed / file, metric), None)
             else:
                 yield from _catalogue_rows(name, folder, given, rows)
 
@@ -166,29 +162,8 @@ def _files(name: str, folder: Path, given: argparse.Namespace) -> tuple[Path, di
     if name == "samples" or MESHES.get(name) in ("shrec11", "tosca"):
         return _needed(name, given), None
     files = folder / f"{name}-files"
-    files.mkdir(exist_ok=True)
-    labels = {}
-    for item in progress(SETS[(MESHES | SCANS)[name]](given.data, None), name):
-        written = next(iter(files.glob(f"{item.name}.*")), None)
-        if written is None and name in MESHES:
-            written = files / f"{item.name}.off"
-            write_mesh(item.mesh, written)
-        elif written is None:
-            rng = np.random.default_rng(item.number)
-            written = write_scan(files / item.name, item.mesh, CONDITIONS[name], rng)
-        labels[written.name] = item.label
-    return files, labels
-
-
-def _vectors(path: Path, metric: Metric) -> SignatureTable:
-    """The pooled WKS and SI-HKS values (N, 150) of a file of MATLAB, with the classes."""
-    from scipy.io import loadmat
-
-    arrays = loadmat(path)
-    values = np.hstack([arrays["WksPooledMat"], arrays["SihksPooledMat"]])
-    labels = tuple(str(number) for number in arrays["C"].ravel())
-    ids = tuple(f"{number:04}" for number in range(len(labels)))
-    return SignatureTable(ids, values, "csd", labels=labels, metric=metric)
+    items = SETS[(MESHES | SCANS)[name]](given.data, None)
+    return files, written_set(items, files, CONDITIONS.get(name))
 
 
 def _rows(

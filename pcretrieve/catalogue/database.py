@@ -106,7 +106,16 @@ class Transaction:
     def _executed(self, statement: str, values: Any, **options: object) -> Any:
         from sqlalchemy import text
 
-        return self._connection.execute(text(statement), values, execution_options=options)
+        return self._connection.execute(text(statement), _storable(values), execution_options=options)
+
+
+def _storable(value: Any) -> Any:
+    """Values whose texts have no character 0, which messages may have, and PostgreSQL cannot store."""
+    if isinstance(value, str):
+        return value.replace("\0", "\N{SYMBOL FOR NULL}")
+    if isinstance(value, Mapping):
+        return {name: _storable(one) for name, one in value.items()}
+    return [_storable(one) for one in value] if isinstance(value, list) else value
 
 
 class Database:

@@ -9,10 +9,12 @@ folder may be deleted.
 from __future__ import annotations
 
 import hashlib
+import json
 import logging
 import os
 import shutil
 import time
+import zlib
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from tempfile import mkdtemp
@@ -21,6 +23,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pcretrieve.catalogue.defects import Defect
 from pcretrieve.catalogue.rows import Revision
 from pcretrieve.retrieval import SignatureIndex
 
@@ -29,13 +32,20 @@ __all__ = ["Gallery"]
 logger = logging.getLogger(__name__)
 
 # Version of the arrays of an index, which is incremented when their meaning changes.
-FORMAT = 5
+FORMAT = 8
 
 # Smallest number of shapes for which an index is stored. See docs/decisions.md, SMALLEST_KEPT.
 SMALLEST_KEPT = 1_000
 
 # Smallest number of bytes of an array that is mapped into memory; smaller arrays are read.
 MAPPED = 2**16
+
+# The file with the checksum of each file of arrays.
+CHECKSUMS = "checksums.json"
+
+# Largest number of bytes of an array that is compared with its checksum whenever it is opened: 16 MiB are
+# read in about 10 ms.
+CHECKED = 2**24
 
 # Beginning of the name of a folder until it is complete, and the age in seconds after which such a folder is
 # removed, because the process that wrote it must have been killed.
@@ -94,6 +104,29 @@ class Gallery:
             self._last = name, index
         return self._last[1]
 
+    def defects(self, *, repair: bool) -> list[Defect]:
+        """Stored indexes whose bytes have changed since they were written.
+
+        Parameters
+        ----------
+        repair : bool
+            Whether these indexes are removed. An index that is needed is computed again.
+
+        Returns
+        -------
+        list of Defect
+            The defects.
+        """
+        found = []
+        for folder in self._folders:
+            for kept in sorted(folder.iterdir()) if folder.is_dir() else ():
+                if not kept.name.startswith(UNFINISHED) and (fault := _fault(kept)):
+                    if repair:
+                        shutil.rmtree(kept, ignore_errors=True)
+                    done = "removed, and made again when it is needed" if repair else None
+                    found.append(Defect("index", None, f"the stored index {kept} {fault}", done))
+        return found
+
     def _opened(self, name: str) -> SignatureIndex | None:
         for folder in self._folders:
             kept = folder / name
@@ -101,7 +134,8 @@ class Gallery:
                 return SignatureIndex.from_arrays(_arrays(kept))
             except FileNotFoundError:
                 continue  # there is none, or another process removes it at this moment
-            except (OSError, ValueError, EOFError) as error:
+            # NumPy reads the header of an array by parsers of Python, and lets their exceptions pass.
+            except Exception as error:  # noqa: BLE001
                 logger.warning("computed again, because it cannot be read: %s (%s)", kept, error)
                 shutil.rmtree(kept, ignore_errors=True)
         return None
@@ -138,11 +172,31 @@ def _cache_folder(location: str, folder: Path | None) -> Iterator[Path]:
 
 
 def _arrays(folder: Path) -> dict[str, NDArray[Any]]:
-    files = sorted(folder.iterdir())
-    return {
-        file.stem: np.load(file, mmap_mode="r" if file.stat().st_size >= MAPPED else None, allow_pickle=False)
-        for file in files
-    }
+    sums = json.loads((folder / CHECKSUMS).read_text("utf-8"))
+    arrays = {}
+    for name in sorted(sums):
+        file = folder / name
+        if not file.is_file():
+            raise ValueError(f"{name} is missing")
+        size = file.stat().st_size
+        if size <= CHECKED and zlib.crc32(file.read_bytes()) != sums[name]:
+            raise ValueError(f"{name} was changed")
+        arrays[file.stem] = np.load(file, mmap_mode="r" if size >= MAPPED else None, allow_pickle=False)
+    return arrays
+
+
+def _fault(folder: Path) -> str | None:
+    """How a stored index has changed; None if it has not, or another process removes it at this moment."""
+    try:
+        sums = json.loads((folder / CHECKSUMS).read_text("utf-8"))
+        changed = [name for name, given in sums.items() if zlib.crc32((folder / name).read_bytes()) != given]
+    except FileNotFoundError as error:
+        # Indexes of earlier versions have no checksums.
+        is_there = folder.is_dir() and (folder / CHECKSUMS).exists()
+        return f"lacks the file {Path(error.filename).name}" if is_there else None
+    except (OSError, ValueError, AttributeError) as error:
+        return f"cannot be read: {error}"
+    return f"has changed on the disk: {', '.join(changed)}" if changed else None
 
 
 def _write(folder: Path, name: str, arrays: Mapping[str, NDArray[Any]]) -> None:
@@ -154,6 +208,8 @@ def _write(folder: Path, name: str, arrays: Mapping[str, NDArray[Any]]) -> None:
                 np.save(file, array, allow_pickle=False)
                 file.flush()
                 os.fsync(file.fileno())
+        sums = {file.name: zlib.crc32(file.read_bytes()) for file in unfinished.iterdir()}
+        (unfinished / CHECKSUMS).write_text(json.dumps(sums), "utf-8")
         unfinished.chmod(0o755)
         unfinished.rename(folder / name)
     except FileExistsError:

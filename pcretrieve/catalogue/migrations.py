@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcretrieve.catalogue.arrays import packed, packed_symmetric, packed_values
+from pcretrieve.catalogue.filesystems import journal_of, mount_of
 from pcretrieve.catalogue.opening import damaged, is_writable
 from pcretrieve.catalogue.schema import SCHEMA_VERSION, create_tables, table_names, transaction
 from pcretrieve.catalogue.settings import stored_options
@@ -58,7 +59,7 @@ def prepare(connection: sqlite3.Connection, path: Path, settings: Mapping[str, s
     tables = table_names(connection)
     if not tables:
         # With a write-ahead log, other processes can read while one process writes.
-        connection.execute("PRAGMA journal_mode = WAL")
+        connection.execute(f"PRAGMA journal_mode = {journal_of(mount_of(path)) or 'DELETE'}")
         with transaction(connection, "IMMEDIATE"):
             if not table_names(connection):  # another process may have created them in the meantime
                 create_tables(connection, settings)

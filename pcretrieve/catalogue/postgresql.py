@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Collection, Mapping
+from contextlib import AbstractContextManager
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
 from pcretrieve.catalogue.database import Database, Transaction
+from pcretrieve.catalogue.defects import Defect
 from pcretrieve.catalogue.opening import damaged
-from pcretrieve.catalogue.postgresql_tables import changed, prepare_tables, read_settings
+from pcretrieve.catalogue.postgresql_statements import any_of, has_path, inserting
+from pcretrieve.catalogue.postgresql_tables import changed, orphans, prepare_tables, read_settings
 from pcretrieve.catalogue.record import Record, free_id
 from pcretrieve.catalogue.record_rows import (
     COLUMNS,
@@ -21,14 +22,14 @@ from pcretrieve.catalogue.record_rows import (
     record_of,
     row_of,
 )
-from pcretrieve.catalogue.rows import OWN, PAYLOADS, Listed, Payload, Revision, Rows, Status
+from pcretrieve.catalogue.rows import OWN, PAYLOADS, Entry, Listed, Origin, Payload, Revision, Rows, Status
 
 __all__ = ["PostgresqlRows"]
 
 # Number of signatures that are read at a time.
 READ_AT_ONCE = 1000
 
-# The row whose lock a process has while it writes.
+# Locks the row that a process has locked while it writes.
 LOCK = "SELECT value FROM meta WHERE key = 'revision' FOR UPDATE"
 
 LENGTH = " + ".join(f"coalesce(octet_length(CAST({name} AS text)), 0)" for name in COLUMNS)
@@ -84,6 +85,10 @@ class PostgresqlRows(Rows):
         with self._database.reading() as reading:
             return bool(reading.all(query)[0][0])
 
+    def defects(self, *, repair: bool) -> list[Defect]:
+        with self._writing() if repair else self._database.reading() as transaction:
+            return orphans(transaction, repair=repair)
+
     def settings(self) -> Mapping[str, str]:
         with self._database.reading() as reading:
             return read_settings(reading)
@@ -96,6 +101,11 @@ class PostgresqlRows(Rows):
         with self._database.reading() as reading:
             rows = reading.all("SELECT count(*) FROM shapes WHERE status = :status", status=status)
             return int(rows[0][0])
+
+    def failures(self) -> dict[tuple[str, str], int]:
+        query = "SELECT stage, error, count(*) FROM shapes WHERE status = 'failed' GROUP BY 1, 2"
+        with self._database.reading() as reading:
+            return {(stage, error): int(number) for stage, error, number in reading.all(query)}
 
     def areas(self) -> dict[float | None, tuple[float, float]]:
         query = "SELECT metres_per_unit, min(area), max(area) FROM shapes WHERE status = 'done' GROUP BY 1"
@@ -123,16 +133,21 @@ class PostgresqlRows(Rows):
 
     def by_id(self, shape_ids: Collection[str]) -> list[Record]:
         with self._database.reading() as reading:
-            return self._records(reading, f"{_any_of('id')} ORDER BY id", values=_texts(shape_ids))
+            return self._records(reading, f"{any_of('id')} ORDER BY id", values=list(shape_ids))
 
     def by_content(self, hashes: Collection[str]) -> list[Record]:
         with self._database.reading() as reading:
-            return self._records(reading, f"{_any_of('content_hash')} ORDER BY id", values=_texts(hashes))
+            return self._records(reading, f"{any_of('content_hash')} ORDER BY id", values=list(hashes))
+
+    def origins(self) -> list[Origin]:
+        with self._database.reading() as reading:
+            rows = reading.all("SELECT id, path, content_hash, label, status FROM shapes ORDER BY id")
+            return [Origin(*row) for row in rows]
 
     def labelled(self, labels: Collection[str]) -> list[str]:
-        query = f"SELECT id FROM shapes WHERE status = 'done' AND {_any_of('label')} ORDER BY id"
+        query = f"SELECT id FROM shapes WHERE status = 'done' AND {any_of('label')} ORDER BY id"
         with self._database.reading() as reading:
-            return [shape_id for (shape_id,) in reading.all(query, values=_texts(labels))]
+            return [shape_id for (shape_id,) in reading.all(query, values=list(labels))]
 
     def put(self, record: Record, signature: bytes | None, payloads: Mapping[Payload, bytes]) -> Record:
         with self._writing() as writing:
@@ -140,30 +155,41 @@ class PostgresqlRows(Rows):
             def is_taken(shape_id: str) -> bool:
                 return bool(writing.all("SELECT 1 FROM shapes WHERE id = :id", id=shape_id))
 
-            query = f"SELECT id, status FROM shapes WHERE {_path('path')}"
-            earlier = writing.all(query, path=_text(record.path))
+            query = f"SELECT id, status FROM shapes WHERE {has_path('path')}"
+            earlier = writing.all(query, path=record.path)
             shape_id, status = earlier[0] if earlier else (free_id(record, is_taken), None)
             if status == "done" and record.status == "failed":
                 return self._one(writing, shape_id)
-            if earlier:
-                writing.run("DELETE FROM shapes WHERE id = :id", id=shape_id)
-            row = {name: _stored(value) for name, value in row_of(replace(record, id=shape_id)).items()}
-            inserted = f"{_insert('shapes', SHAPE_COLUMNS)} RETURNING number"
-            ((number,),) = writing.all(inserted, **{name: row[name] for name in SHAPE_COLUMNS})
-            kept = {name: row[name] for name in PROVENANCE_COLUMNS}
-            writing.run(_insert("provenance", ("shape", *PROVENANCE_COLUMNS)), shape=number, **kept)
-            if signature is not None:
-                values = {"digest": OWN, "shape": number, "value": signature}
-                writing.run(_insert("signatures", tuple(values)), **values)
-            parts = [{"shape": number, "name": name, "arrays": part} for name, part in payloads.items()]
-            writing.run_each(_insert("payloads", ("shape", "name", "arrays")), parts)
+            signatures = {} if signature is None else {OWN: signature}
+            self._store(writing, Entry(replace(record, id=shape_id), signatures, payloads))
             if "done" in (status, record.status):
                 changed(writing, "revision")
             return self._one(writing, shape_id)
 
+    def entries(self, shape_ids: Collection[str]) -> list[Entry]:
+        parts = "SELECT id, {} FROM {} JOIN shapes ON shape = number WHERE " + any_of("id")
+        signatures: dict[str, dict[str, bytes]] = {}
+        payloads: dict[str, dict[Payload, bytes]] = {}
+        with self._database.reading() as reading:
+            ids = list(shape_ids)
+            for shape_id, digest, value in reading.all(
+                parts.format("digest, value", "signatures"), values=ids
+            ):
+                signatures.setdefault(shape_id, {})[digest] = bytes(value)
+            for shape_id, name, arrays in reading.all(parts.format("name, arrays", "payloads"), values=ids):
+                payloads.setdefault(shape_id, {})[name] = bytes(arrays)
+            records = self._records(reading, f"{any_of('id')} ORDER BY id", values=ids)
+        return [Entry(one, signatures.get(one.id, {}), payloads.get(one.id, {})) for one in records]
+
+    def add(self, entries: Collection[Entry]) -> None:
+        with self._writing() as writing:
+            for entry in entries:
+                self._store(writing, entry)
+            changed(writing, "revision")
+
     def remove(self, shape_ids: Collection[str]) -> None:
         with self._writing() as writing:
-            writing.run(f"DELETE FROM shapes WHERE {_any_of('id')}", values=_texts(shape_ids))
+            writing.run(f"DELETE FROM shapes WHERE {any_of('id')}", values=list(shape_ids))
             changed(writing, "revision")
 
     def revise(
@@ -171,18 +197,18 @@ class PostgresqlRows(Rows):
     ) -> None:
         with self._writing() as writing:
             writing.run_each(
-                f"UPDATE shapes SET path = :new WHERE {_path('old')} AND NOT EXISTS "
-                f"(SELECT 1 FROM shapes WHERE {_path('new')})",
-                [{"old": _text(old), "new": _text(new)} for old, new in moved.items()],
+                f"UPDATE shapes SET path = :new WHERE {has_path('old')} AND NOT EXISTS "
+                f"(SELECT 1 FROM shapes WHERE {has_path('new')})",
+                [{"old": old, "new": new} for old, new in moved.items()],
             )
             if removed:
-                paths = [{"path": _text(path)} for path in removed]
-                writing.run_each(f"DELETE FROM shapes WHERE {_path('path')}", paths)
+                paths = [{"path": path} for path in removed]
+                writing.run_each(f"DELETE FROM shapes WHERE {has_path('path')}", paths)
                 changed(writing, "revision")
             if labels:
                 writing.run_each(
-                    f"UPDATE shapes SET label = :label WHERE {_path('path')}",
-                    [{"label": _text(label), "path": _text(path)} for path, label in labels.items()],
+                    f"UPDATE shapes SET label = :label WHERE {has_path('path')}",
+                    [{"label": label, "path": path} for path, label in labels.items()],
                 )
                 changed(writing, "label_revision")
 
@@ -194,8 +220,8 @@ class PostgresqlRows(Rows):
             "WHERE id = :id AND name = ANY(CAST(:names AS text[]))"
         )
         with self._database.reading() as reading:
-            found = self._records(reading, "id = :id", id=_text(shape_id))
-            stored = reading.all(query, id=_text(shape_id), names=list(names))
+            found = self._records(reading, "id = :id", id=shape_id)
+            stored = reading.all(query, id=shape_id, names=list(names))
             return (found[0], {name: bytes(arrays) for name, arrays in stored}) if found else None
 
     def sizes(self, shape_id: str) -> dict[str, int]:
@@ -207,7 +233,7 @@ class PostgresqlRows(Rows):
                 query.format("'signatures', octet_length(value)", "signatures"),
                 query.format("name, octet_length(arrays)", "payloads"),
             ):
-                for name, size in reading.all(names, id=_text(shape_id)):
+                for name, size in reading.all(names, id=shape_id):
                     sizes[name] += size
             return sizes
 
@@ -250,11 +276,9 @@ class PostgresqlRows(Rows):
 
     # --- inside -----------------------------------------------------------------------------------------
 
-    @contextmanager
-    def _writing(self) -> Iterator[Transaction]:
+    def _writing(self) -> AbstractContextManager[Transaction]:
         """One transaction that locks the catalogue for writing."""
-        with self._database.writing(LOCK) as writing:
-            yield writing
+        return self._database.writing(LOCK)
 
     def _revision(self, reading: Transaction) -> Revision:
         settings = read_settings(reading)
@@ -263,6 +287,19 @@ class PostgresqlRows(Rows):
         except KeyError as error:
             raise damaged(self.location, f"it has no {error.args[0]}") from error
 
+    def _store(self, writing: Transaction, entry: Entry) -> None:
+        """Insert a shape, in the place of a shape of the same path."""
+        writing.run(f"DELETE FROM shapes WHERE {has_path('path')}", path=entry.record.path)
+        row = row_of(entry.record)
+        inserted = f"{inserting('shapes', SHAPE_COLUMNS)} RETURNING number"
+        ((number,),) = writing.all(inserted, **{name: row[name] for name in SHAPE_COLUMNS})
+        kept = {name: row[name] for name in PROVENANCE_COLUMNS}
+        writing.run(inserting("provenance", ("shape", *PROVENANCE_COLUMNS)), shape=number, **kept)
+        values = [{"digest": name, "shape": number, "value": one} for name, one in entry.signatures.items()]
+        writing.run_each(inserting("signatures", ("digest", "shape", "value")), values)
+        parts = [{"shape": number, "name": name, "arrays": part} for name, part in entry.payloads.items()]
+        writing.run_each(inserting("payloads", ("shape", "name", "arrays")), parts)
+
     def _one(self, transaction: Transaction, shape_id: str) -> Record:
         (record,) = self._records(transaction, "id = :id", id=shape_id)
         return record
@@ -270,31 +307,3 @@ class PostgresqlRows(Rows):
     def _records(self, transaction: Transaction, condition: str, **values: object) -> list[Record]:
         rows = transaction.all(f"{RECORDS} WHERE {condition}", **values)
         return [record_of(tuple(row), self.location) for row in rows]
-
-
-def _insert(table: str, columns: tuple[str, ...]) -> str:
-    marks = ", ".join(f":{name}" for name in columns)
-    return f"INSERT INTO {table} ({', '.join(columns)}) VALUES ({marks})"
-
-
-def _any_of(column: str) -> str:
-    """The condition that a column has one of the parameter `values`."""
-    return f"{column} = ANY(CAST(:values AS text[]))"
-
-
-def _path(parameter: str) -> str:
-    """The condition that a shape has a path, in the words of the index."""
-    return f"md5(path) = md5(:{parameter}) AND path = :{parameter}"
-
-
-def _texts(values: Collection[str]) -> list[str]:
-    return [_text(value) for value in values]
-
-
-def _text(value: str) -> str:
-    """A text without the character 0, which PostgreSQL cannot store and messages of errors may have."""
-    return value.replace("\0", "\N{SYMBOL FOR NULL}")
-
-
-def _stored(value: Any) -> Any:
-    return _text(value) if isinstance(value, str) else value

@@ -7,10 +7,11 @@ from importlib import resources
 from uuid import uuid4
 
 from pcretrieve.catalogue.database import Database, Transaction
+from pcretrieve.catalogue.defects import Defect
 from pcretrieve.catalogue.opening import damaged
 from pcretrieve.errors import CatalogueError
 
-__all__ = ["SCHEMA_VERSION", "changed", "prepare_tables", "read_settings"]
+__all__ = ["SCHEMA_VERSION", "changed", "orphans", "prepare_tables", "read_settings"]
 
 SCHEMA_VERSION = 3
 
@@ -83,6 +84,33 @@ def changed(writing: Transaction, revision: str) -> None:
         Which name.
     """
     writing.run("UPDATE meta SET value = :name WHERE key = :key", name=uuid4().hex, key=revision)
+
+
+def orphans(transaction: Transaction, *, repair: bool) -> list[Defect]:
+    """Rows of no shape, which foreign keys prevent unless they were switched off, as by some restorations.
+
+    Parameters
+    ----------
+    transaction : Transaction
+        A transaction; one that writes, for repairs.
+    repair : bool
+        Whether the rows are removed.
+
+    Returns
+    -------
+    list of Defect
+        One for each table with such rows.
+    """
+    found = []
+    for table in ("provenance", "signatures", "payloads"):
+        condition = f"FROM {table} WHERE NOT EXISTS (SELECT 1 FROM shapes WHERE number = shape)"
+        ((number,),) = transaction.all(f"SELECT count(*) {condition}")
+        if number and repair:
+            transaction.run(f"DELETE {condition}")
+        if number:
+            done = "removed" if repair else None
+            found.append(Defect("orphan", None, f"{number} rows of {table} are of no shape", done))
+    return found
 
 
 def _is_there(database: Database, transaction: Transaction) -> bool:

@@ -3,15 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator
+from contextlib import closing, contextmanager
+from pathlib import Path
 
+import numpy as np
+
+from pcretrieve.catalogue.arrays import unpacked_values
+from pcretrieve.catalogue.opening import intact
 from pcretrieve.catalogue.record import Record
-from pcretrieve.catalogue.rows import Rows, Status
-from pcretrieve.catalogue.surfaces import read_shape, unknown
+from pcretrieve.catalogue.rows import OWN, Origin, Rows, Status
+from pcretrieve.catalogue.settings import settings_of, stored_options
+from pcretrieve.catalogue.stores import open_rows
+from pcretrieve.catalogue.surfaces import read_shape, suggested_id, unknown
 from pcretrieve.errors import ShapeError
 from pcretrieve.options import PipelineOptions
-from pcretrieve.types import Need, Shape, TriangleMesh
+from pcretrieve.types import FloatArray, Need, Shape, TriangleMesh
 
-__all__ = ["StoredShapes"]
+__all__ = ["StoredShapes", "stored_shapes"]
 
 # Number of records that are read at a time.
 PAGE = 1000
@@ -83,6 +91,20 @@ class StoredShapes:
         """All records, or those of one status, in ascending order of id."""
         return [record for page in self.pages(status=status) for record in page]
 
+    def origins(self) -> list[Origin]:
+        """The id, the file, the class and the status of every shape, in ascending order of id."""
+        return self._rows.origins()
+
+    def outlines(self) -> list[Record]:
+        """All records with id, path, content hash, label and status alone, which are read much faster."""
+        return [
+            Record(row.id, row.path, row.content_hash, row.label, row.status) for row in self._rows.origins()
+        ]
+
+    def several(self, shape_ids: Collection[str]) -> list[Record]:
+        """The records of some ids, in ascending order of id; unknown ids are ignored."""
+        return self._rows.by_id(shape_ids)
+
     def record(self, shape_id: str) -> Record:
         """The record of a shape; InputError if there is no shape of this id."""
         record = self.get(shape_id)
@@ -94,6 +116,10 @@ class StoredShapes:
         """The record of a shape; None if there is no shape of this id."""
         return next(iter(self._rows.by_id([shape_id])), None)
 
+    def suggested(self, shape_id: str) -> str:
+        """The question whether the id of another shape was meant; empty if no id is similar."""
+        return suggested_id(self._rows, shape_id)
+
     def labelled(self, labels: Collection[str]) -> list[str]:
         """The ids of the shapes of some classes that did not fail, in ascending order."""
         return self._rows.labelled(labels)
@@ -101,6 +127,10 @@ class StoredShapes:
     def with_content(self, content_hash: str) -> list[Record]:
         """The records of files with this content, including failed ones, in ascending order of id."""
         return self._rows.by_content([content_hash])
+
+    def failures(self) -> dict[tuple[str, str], int]:
+        """The number of failed shapes by stage and kind of error: `Record.stage` and `Record.error`."""
+        return self._rows.failures()
 
     def areas(self) -> dict[float | None, tuple[float, float]]:
         """The smallest and the largest area of a shape, by `Record.metres_per_unit`."""
@@ -119,6 +149,34 @@ class StoredShapes:
         except ShapeError as error:
             error.shape_id = shape_id
             raise
+
+    def signature(self, shape_id: str) -> FloatArray:
+        """The signature of a shape by the options of the catalogue.
+
+        Parameters
+        ----------
+        shape_id : str
+            The id of a shape that did not fail.
+
+        Returns
+        -------
+        (L,) float64
+            The values, as they are stored.
+
+        Raises
+        ------
+        InputError
+            If there is no shape of this id, or the shape failed.
+        CatalogueError
+            If the stored signature is damaged.
+        """
+        for entry in self._rows.entries([shape_id]):
+            if OWN in entry.signatures:
+                value = np.frombuffer(entry.signatures[OWN], np.uint8)
+                with intact(self.location, f"the signature of {shape_id!r}"):
+                    values: FloatArray = unpacked_values(value[np.newaxis], len(value) // 8 - 1)[0]
+                    return values
+        raise unknown(self._rows, shape_id)
 
     def shape(self, shape_id: str, needs: tuple[Need, ...] = ("spectrum", "mesh")) -> Shape:
         """Read a shape with some of its parts.
@@ -145,3 +203,28 @@ class StoredShapes:
             If the stored arrays are damaged.
         """
         return read_shape(self._rows, self.options, shape_id, needs)[1]
+
+
+@contextmanager
+def stored_shapes(location: str | Path) -> Iterator[StoredShapes]:
+    """Open the records and meshes of a catalogue, also of a version with other numerical results.
+
+    Parameters
+    ----------
+    location : str or Path
+        The path or the URL of the catalogue.
+
+    Yields
+    ------
+    StoredShapes
+        What is stored. Nothing is computed from it, and nothing is compared with results of today's version.
+
+    Raises
+    ------
+    CatalogueError
+        If the catalogue does not exist, cannot be read, or was written by a newer pcretrieve.
+    OptionError
+        If there is no store with the scheme of the URL.
+    """
+    with closing(open_rows(location, settings_of(PipelineOptions()), create=False)) as rows:
+        yield StoredShapes(rows, stored_options(rows.location, rows.settings(), any_numbers=True))

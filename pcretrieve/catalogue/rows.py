@@ -14,9 +14,10 @@ from typing import Literal, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from pcretrieve.catalogue.defects import Defect
 from pcretrieve.catalogue.record import Record
 
-__all__ = ["OWN", "PAYLOADS", "Listed", "Payload", "Revision", "Rows", "Status"]
+__all__ = ["OWN", "PAYLOADS", "Entry", "Listed", "Origin", "Payload", "Revision", "Rows", "Status"]
 
 #: The parts that are stored of a shape besides its record and its signatures; each can be read separately.
 Payload = Literal["spectra", "moments", "overlaps", "meshes"]
@@ -73,6 +74,42 @@ class Listed:
     has: NDArray[np.bool_]
 
 
+@dataclass(frozen=True, slots=True)
+class Origin:
+    """Of which file a row is, without its provenance.
+
+    Attributes
+    ----------
+    id, path, content_hash, label, status
+        As in `Record`.
+    """
+
+    id: str
+    path: str
+    content_hash: str
+    label: str | None
+    status: Status
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Entry:
+    """Everything that a store has of one shape.
+
+    Attributes
+    ----------
+    record : Record
+        The record.
+    signatures : mapping of str to bytes
+        The signatures by digest.
+    payloads : mapping of str to bytes
+        Those of `PAYLOADS` that are stored.
+    """
+
+    record: Record
+    signatures: Mapping[str, bytes]
+    payloads: Mapping[Payload, bytes]
+
+
 class Rows(Protocol):
     """The operations of a store.
 
@@ -94,6 +131,20 @@ class Rows(Protocol):
     def close(self) -> None:
         """Release the store."""
 
+    def defects(self, *, repair: bool) -> list[Defect]:
+        """Defects of the database and rows of no shape; not those of single shapes.
+
+        Parameters
+        ----------
+        repair : bool
+            Whether the defects are repaired that can be repaired without a loss.
+
+        Returns
+        -------
+        list of Defect
+            The defects, and which of them were repaired.
+        """
+
     def settings(self) -> Mapping[str, str]:
         """The settings with which the store was created: ``options``, as JSON, and ``numbers_version``."""
 
@@ -102,6 +153,9 @@ class Rows(Protocol):
 
     def count(self, status: Status) -> int:
         """The number of shapes with a status."""
+
+    def failures(self) -> dict[tuple[str, str], int]:
+        """The number of failed shapes by stage and kind of error: `Record.stage` and `Record.error`."""
 
     def areas(self) -> dict[float | None, tuple[float, float]]:
         """The smallest and the largest area of the shapes that did not fail, by `Record.metres_per_unit`."""
@@ -142,6 +196,9 @@ class Rows(Protocol):
     def by_content(self, hashes: Collection[str]) -> list[Record]:
         """The records of some content hashes, by id; several files may have the same content."""
 
+    def origins(self) -> list[Origin]:
+        """The origins of all shapes, including failed ones, in ascending order of id."""
+
     def labelled(self, labels: Collection[str]) -> list[str]:
         """The ids of the shapes of some classes that did not fail, in ascending order."""
 
@@ -164,6 +221,18 @@ class Rows(Protocol):
         -------
         Record
             The record that the store now has for this path.
+        """
+
+    def entries(self, shape_ids: Collection[str]) -> list[Entry]:
+        """Everything that is stored of some shapes, in one state of the store, in ascending order of id."""
+
+    def add(self, entries: Collection[Entry]) -> None:
+        """Store shapes as they are, and replace earlier shapes of the same paths.
+
+        Parameters
+        ----------
+        entries : collection of Entry
+            The shapes. No other path of the store may have one of their ids.
         """
 
     def remove(self, shape_ids: Collection[str]) -> None:

@@ -30,7 +30,11 @@ def settings_of(options: PipelineOptions) -> dict[str, str]:
 
 
 def stored_options(
-    location: str | Path, settings: Mapping[str, str], given: PipelineOptions | None = None
+    location: str | Path,
+    settings: Mapping[str, str],
+    given: PipelineOptions | None = None,
+    *,
+    any_numbers: bool = False,
 ) -> PipelineOptions:
     """The options that a catalogue was built with.
 
@@ -42,6 +46,8 @@ def stored_options(
         The result of `settings_of`, also of a version without some of the options, which get their defaults.
     given : PipelineOptions, optional
         Options with which the catalogue must have been built.
+    any_numbers : bool, default False
+        Whether a version with other numerical results is accepted.
 
     Returns
     -------
@@ -63,10 +69,10 @@ def stored_options(
         ) from error
     except (KeyError, TypeError, ValueError) as error:
         raise damaged(location, "it has no readable options") from error
-    if numbers != NUMBERS_VERSION:
+    if numbers != NUMBERS_VERSION and not any_numbers:
         raise CatalogueError(
             f"{location} was built by a pcretrieve whose numbers differ (version {numbers} there, "
-            f"{NUMBERS_VERSION} here): ingest into a new catalogue"
+            f"{NUMBERS_VERSION} here): ingest into a new catalogue; `list`, `show` and `export` read this one"
         )
     same = given is None or (given.signature_digest, given.catalogue) == (own.signature_digest, own.catalogue)
     if given is not None and not same:

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import sqlite3
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
+from os.path import samestat
 from pathlib import Path
 from typing import Any
 
+from pcretrieve.catalogue.defects import Defect
+from pcretrieve.catalogue.entry_rows import entries_of
 from pcretrieve.catalogue.migrations import prepare
-from pcretrieve.catalogue.opening import connect, damaged, is_writable, translated
+from pcretrieve.catalogue.opening import connect, damaged, is_writable, shrink, translated
 from pcretrieve.catalogue.record import Record, free_id
 from pcretrieve.catalogue.record_rows import (
     LENGTHS,
@@ -20,11 +23,17 @@ from pcretrieve.catalogue.record_rows import (
     record_of,
     row_of,
 )
-from pcretrieve.catalogue.rows import OWN, PAYLOADS, Listed, Payload, Revision, Rows, Status
+from pcretrieve.catalogue.rows import OWN, PAYLOADS, Entry, Listed, Origin, Payload, Revision, Rows, Status
 from pcretrieve.catalogue.schema import NEW_NAME, transaction
 from pcretrieve.catalogue.signature_rows import listed
+from pcretrieve.catalogue.sqlite_defects import file_defects
+from pcretrieve.errors import CatalogueError
 
 __all__ = ["SqliteRows"]
+
+
+# Number of parameters of a query, of which SQLite allows 999 in early versions.
+PARAMETERS = 500
 
 
 class SqliteRows(Rows):
@@ -53,6 +62,7 @@ class SqliteRows(Rows):
         try:
             with translated(path):
                 prepare(self._connection, path, settings)
+            self._file = path.stat()
         except BaseException:
             self._connection.close()
             raise
@@ -74,6 +84,10 @@ class SqliteRows(Rows):
     def is_writable(self) -> bool:
         return is_writable(self._path)
 
+    def defects(self, *, repair: bool) -> list[Defect]:
+        with translated(self._path):
+            return file_defects(self._connection, repair=repair)
+
     def settings(self) -> Mapping[str, str]:
         return dict(self._all("SELECT key, value FROM meta"))
 
@@ -86,6 +100,10 @@ class SqliteRows(Rows):
 
     def count(self, status: Status) -> int:
         return int(self._all("SELECT count(*) FROM shapes WHERE status = ?", (status,))[0][0])
+
+    def failures(self) -> dict[tuple[str, str], int]:
+        query = "SELECT stage, error, count(*) FROM shapes WHERE status = 'failed' GROUP BY 1, 2"
+        return {(stage, error): number for stage, error, number in self._all(query)}
 
     def areas(self) -> dict[float | None, tuple[float, float]]:
         query = "SELECT metres_per_unit, min(area), max(area) FROM shapes WHERE status = 'done' GROUP BY 1"
@@ -115,6 +133,10 @@ class SqliteRows(Rows):
     def by_content(self, hashes: Collection[str]) -> list[Record]:
         return self._where("content_hash", hashes)
 
+    def origins(self) -> list[Origin]:
+        rows = self._all("SELECT id, path, content_hash, label, status FROM shapes ORDER BY id")
+        return [Origin(*row) for row in rows]
+
     def labelled(self, labels: Collection[str]) -> list[str]:
         # One class after the other, because there may be more classes than parameters of a query.
         query = "SELECT id FROM shapes NOT INDEXED WHERE status = 'done' AND label = ?"
@@ -122,29 +144,30 @@ class SqliteRows(Rows):
 
     def put(self, record: Record, signature: bytes | None, payloads: Mapping[Payload, bytes]) -> Record:
         with self._writing():
-            earlier = self._all("SELECT number, id, status FROM shapes WHERE path = ?", (record.path,))
-            number, shape_id, status = (
-                earlier[0] if earlier else (None, free_id(record, self._is_taken), None)
-            )
+            earlier = self._all("SELECT id, status FROM shapes WHERE path = ?", (record.path,))
+            shape_id, status = earlier[0] if earlier else (free_id(record, self._is_taken), None)
             if status == "done" and record.status == "failed":
                 return self._one(shape_id)
-            if number is not None:
-                self._forget([number])
-            row = row_of(replace(record, id=shape_id))
-            number = self._insert("shapes", {"number": number} | {name: row[name] for name in SHAPE_COLUMNS})
-            self._insert("provenance", {"shape": number} | {name: row[name] for name in PROVENANCE_COLUMNS})
-            if signature is not None:
-                self._keep(OWN, [(number, signature)])
-            for name, arrays in payloads.items():
-                self._insert(name, {"shape": number, "arrays": arrays})
+            signatures = {} if signature is None else {OWN: signature}
+            self._store([Entry(replace(record, id=shape_id), signatures, payloads)])
             if "done" in (status, record.status):
                 self._changed("revision")
             return self._one(shape_id)
+
+    def entries(self, shape_ids: Collection[str]) -> list[Entry]:
+        with self._reading():
+            return entries_of(self.by_id(shape_ids), self._each)
+
+    def add(self, entries: Collection[Entry]) -> None:
+        with self._writing():
+            self._store(entries)
+            self._changed("revision")
 
     def remove(self, shape_ids: Collection[str]) -> None:
         with self._writing():
             self._forget(self._numbers("id", shape_ids))
             self._changed("revision")
+        shrink(self._connection, self._path)
 
     def revise(
         self, *, moved: Mapping[str, str], removed: Collection[str], labels: Mapping[str, str]
@@ -167,14 +190,10 @@ class SqliteRows(Rows):
     # --- arrays -----------------------------------------------------------------------------------------
 
     def read(self, shape_id: str, names: Collection[Payload]) -> tuple[Record, dict[Payload, bytes]] | None:
-        stored: dict[Payload, bytes] = {}
         with self._reading():
-            found = self.by_id([shape_id])
             for number in self._numbers("id", [shape_id]):
-                for name in names:
-                    for (arrays,) in self._all(f"SELECT arrays FROM {name} WHERE shape = ?", (number,)):
-                        stored[name] = arrays
-        return (found[0], stored) if found else None
+                return self._one(shape_id), self._payloads(number, names)
+        return None
 
     def sizes(self, shape_id: str) -> dict[str, int]:
         ((record,),) = self._all(f"SELECT sum({LENGTHS}) FROM ({RECORDS}) WHERE id = ?", (shape_id,))
@@ -213,17 +232,54 @@ class SqliteRows(Rows):
     def _writing(self) -> Iterator[sqlite3.Connection]:
         """One transaction that locks the file for writing, so that what it has read does not change."""
         with translated(self._path), transaction(self._connection, "IMMEDIATE"):
+            self._check_place()
             yield self._connection
+
+    def _check_place(self) -> None:
+        """Check that the path has the file that is open still: SQLite writes to a removed file too."""
+        try:
+            is_here = samestat(self._file, self._path.stat())
+        except OSError:
+            is_here = False
+        if not is_here:
+            raise CatalogueError(
+                f"{self._path} was removed or replaced while it was in use: what would be written now would "
+                "be lost; put the file back, or run the same command again"
+            )
 
     def _changed(self, revision: str) -> None:
         """Give the new state a name that no earlier state had, not even before a copy was restored."""
         self._connection.execute(f"UPDATE meta SET value = {NEW_NAME} WHERE key = ?", (revision,))
 
-    def _insert(self, table: str, row: Mapping[str, Any]) -> int:
-        """Insert a row, and return its number."""
-        names, marks = ", ".join(row), ", ".join(f":{name}" for name in row)
-        inserted = self._connection.execute(f"INSERT INTO {table} ({names}) VALUES ({marks})", row)
-        return int(inserted.lastrowid or 0)
+    def _store(self, entries: Collection[Entry]) -> None:
+        """Insert shapes, each instead of the shape of its path, if there is one."""
+        paths = [entry.record.path for entry in entries]
+        self._forget([number for (number,) in self._each("SELECT number FROM shapes", paths, "path")])
+        ((last,),) = self._all("SELECT ifnull(max(number), 0) FROM shapes")
+        numbered = list(enumerate(entries, last + 1))
+        rows = [(number, row_of(entry.record)) for number, entry in numbered]
+        for table, key, columns in (
+            ("shapes", "number", SHAPE_COLUMNS),
+            ("provenance", "shape", PROVENANCE_COLUMNS),
+        ):
+            chosen = ((number, *(row[name] for name in columns)) for number, row in rows)
+            self._insert(table, (key, *columns), chosen)
+        for digest in {digest for entry in entries for digest in entry.signatures}:
+            self._keep(digest, [(n, e.signatures[digest]) for n, e in numbered if digest in e.signatures])
+        for name in PAYLOADS:
+            stored = ((number, entry.payloads[name]) for number, entry in numbered if name in entry.payloads)
+            self._insert(name, ("shape", "arrays"), stored)
+
+    def _payloads(self, number: int, names: Collection[Payload]) -> dict[Payload, bytes]:
+        stored: dict[Payload, bytes] = {}
+        for name in names:
+            for (arrays,) in self._all(f"SELECT arrays FROM {name} WHERE shape = ?", (number,)):
+                stored[name] = arrays
+        return stored
+
+    def _insert(self, table: str, columns: Sequence[str], rows: Iterable[Sequence[object]]) -> None:
+        marks = ", ".join("?" * len(columns))
+        self._connection.executemany(f"INSERT INTO {table} ({', '.join(columns)}) VALUES ({marks})", rows)
 
     def _keep(self, digest: str, rows: Collection[tuple[int, bytes]]) -> None:
         self._connection.execute("INSERT OR IGNORE INTO descriptors (digest) VALUES (?)", (digest,))
@@ -255,9 +311,15 @@ class SqliteRows(Rows):
         return record
 
     def _where(self, column: str, values: Collection[str]) -> list[Record]:
-        query = f"{RECORDS} WHERE {column} = ?"
-        rows = [row for value in dict.fromkeys(values) for row in self._all(query, (value,))]
-        return sorted((record_of(row, self.location) for row in rows), key=lambda record: record.id)
+        found = (record_of(row, self.location) for row in self._each(RECORDS, values, column))
+        return sorted(found, key=lambda record: record.id)
+
+    def _each(self, query: str, values: Collection[str], column: str = "id") -> Iterator[Any]:
+        """Yield the result of a query for rows whose column has one of some values, a few at a time."""
+        chosen = list(dict.fromkeys(values))
+        for start in range(0, len(chosen), PARAMETERS):
+            here = chosen[start : start + PARAMETERS]
+            yield from self._all(f"{query} WHERE {column} IN ({', '.join('?' * len(here))})", here)
 
     def _all(self, query: str, values: Sequence[object] | Mapping[str, object] = ()) -> list[Any]:
         with translated(self._path):

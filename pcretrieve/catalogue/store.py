@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Callable, Collection, Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
 
 from pcretrieve.catalogue.arrays import packed_values
+from pcretrieve.catalogue.checking import check_rows, set_to_be_ingested_again
+from pcretrieve.catalogue.defects import Defect
 from pcretrieve.catalogue.gallery import Gallery
+from pcretrieve.catalogue.merging import Merged, merge_rows
 from pcretrieve.catalogue.reading import StoredShapes
 from pcretrieve.catalogue.record import Content, Record, completed
+from pcretrieve.catalogue.rows import Origin
 from pcretrieve.catalogue.settings import fitting_options, settings_of, stored_options
 from pcretrieve.catalogue.stores import open_rows
 from pcretrieve.catalogue.surfaces import payloads_of
@@ -132,6 +136,73 @@ class Catalogue(StoredShapes):
             Class by path; by the new path, if a file was renamed.
         """
         self._rows.revise(moved=moved or {}, removed=removed, labels=labels or {})
+
+    def merge(self, parts: Sequence[Catalogue]) -> Merged:
+        """Store the shapes of other catalogues, which must have been built with the same options.
+
+        Of a path that several catalogues have, the first finished shape is kept. The merge is associative,
+        and continues after an interruption if it is started again.
+
+        Parameters
+        ----------
+        parts : sequence of Catalogue
+            The other catalogues.
+
+        Returns
+        -------
+        Merged
+            How many shapes were stored.
+
+        Raises
+        ------
+        CatalogueError
+            If options differ, or there is a conflict, before anything is written: a path has two contents or
+            two labels, or an id belongs to two paths.
+        """
+        for part in parts:
+            stored_options(part.location, settings_of(part.options), self.options)
+        return merge_rows(self._rows, [part._rows for part in parts])
+
+    def defects(
+        self, *, repair: bool = False, on_shapes: Callable[[int], None] = lambda number: None
+    ) -> list[Defect]:
+        """Check the store, everything that is stored of each shape, and the stored indexes.
+
+        Parameters
+        ----------
+        repair : bool, default False
+            Whether defects are repaired: rows of no shape and damaged indexes are removed, SQL indexes are
+            made again, and damaged shapes become failures in the stage ``check``, whose files the next ingest
+            processes again.
+        on_shapes : function of int, optional
+            Called with the number of shapes that have been checked, now and then.
+
+        Returns
+        -------
+        list of Defect
+            The defects.
+        """
+        found = check_rows(self._rows, self.options, repair=repair, on_shapes=on_shapes)
+        return [*found, *self._gallery.defects(repair=repair)]
+
+    def give_up(self, shape_id: str, message: str) -> str | None:
+        """Replace a shape by a failure in the stage ``check``, whose file the next ingest processes again.
+
+        Parameters
+        ----------
+        shape_id : str
+            The id of the shape.
+        message : str
+            What is wrong with it.
+
+        Returns
+        -------
+        str or None
+            What was done, in words; None if the catalogue cannot be written to.
+        """
+        record = self.record(shape_id)
+        origin = Origin(record.id, record.path, record.content_hash, record.label, "failed")
+        return set_to_be_ingested_again(self._rows, origin, message)
 
     def signatures(self, options: PipelineOptions | None = None) -> SignatureTable:
         """The signatures of all shapes that did not fail.

@@ -18,7 +18,7 @@ from pcretrieve.catalogue.sqlite import SqliteRows
 from pcretrieve.names import NAMES
 from pcretrieve.plugins import Registry
 
-__all__ = ["STORES", "OpenStore", "open_rows"]
+__all__ = ["STORES", "OpenStore", "file_of", "open_rows"]
 
 SCHEME = re.compile(r"([a-z][a-z0-9+.-]*)://")
 
@@ -81,8 +81,26 @@ def open_rows(location: str | Path, settings: Mapping[str, str], *, create: bool
     return STORES[scheme[1]](str(location), settings, create=create)
 
 
+def file_of(location: str | Path) -> Path | None:
+    """The SQLite file at a location.
+
+    Parameters
+    ----------
+    location : str or Path
+        A path, or a URL such as ``sqlite:///data/bodies.sqlite``.
+
+    Returns
+    -------
+    Path or None
+        The file; None if the URL is that of another store.
+    """
+    scheme = SCHEME.match(location) if isinstance(location, str) else None
+    if scheme is None:
+        return Path(location)
+    return Path(str(location).partition("://")[2]) if scheme[1] == "sqlite" else None
+
+
 def _sqlite(location: str, settings: Mapping[str, str], *, create: bool) -> Rows:
-    """The SQLite file of a URL such as ``sqlite:///data/bodies.sqlite``."""
     return SqliteRows(Path(location.partition("://")[2]), settings, create=create)
 
 

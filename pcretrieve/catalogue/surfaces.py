@@ -13,9 +13,13 @@ from pcretrieve.catalogue.record import Record
 from pcretrieve.catalogue.rows import Payload, Rows
 from pcretrieve.errors import InputError
 from pcretrieve.options import PipelineOptions
+from pcretrieve.suggestions import did_you_mean
 from pcretrieve.types import ModalSpectrum, Need, Shape, Step, Surface, TriangleMesh
 
-__all__ = ["payloads_of", "read_shape", "unknown"]
+__all__ = ["payloads_of", "read_shape", "stored_shape", "suggested_id", "unknown"]
+
+# Number of ids that are compared with an unknown one, which takes less than 0.1 s.
+N_COMPARED = 2000
 
 
 def payloads_of(shape: Shape, options: PipelineOptions) -> dict[Payload, bytes]:
@@ -97,7 +101,7 @@ def read_shape(
     if record.status != "done":
         raise InputError(f"shape {shape_id!r} has no surface: it failed in {record.stage}: {record.message}")
     with intact(rows.location, f"shape {shape_id!r}"):
-        shape = _shape(stored, record.steps)
+        shape = stored_shape(stored, record.steps)
     surfaces = shape.surfaces
     if overlaps and "overlaps" not in stored:
         surfaces = tuple(_with_overlaps(surface, own.spectral.element) for surface in surfaces)
@@ -135,11 +139,50 @@ def unknown(rows: Rows, shape_id: str) -> InputError:
     InputError
         The error to be raised.
     """
-    return InputError(f"{rows.location} holds no shape {shape_id!r}; `pcretrieve list` names them")
+    return InputError(
+        f"{rows.location} holds no shape {shape_id!r}; `pcretrieve list` names them"
+        f"{suggested_id(rows, shape_id)}"
+    )
 
 
-def _shape(payloads: Mapping[Payload, bytes], provenance: tuple[Step, ...]) -> Shape:
-    """The stored shape. Version 1 stored the mesh of the first surface only; other meshes are then None."""
+def suggested_id(rows: Rows, shape_id: str) -> str:
+    """The question whether the id of another shape was meant, as `did_you_mean` asks it.
+
+    Parameters
+    ----------
+    rows : Rows
+        The store, of which the first `N_COMPARED` ids are compared.
+    shape_id : str
+        The id that the store does not have.
+
+    Returns
+    -------
+    str
+        Empty, if no id is similar.
+    """
+    return did_you_mean(shape_id, (record.id for record in rows.page(limit=N_COMPARED)))
+
+
+def stored_shape(payloads: Mapping[Payload, bytes], provenance: tuple[Step, ...]) -> Shape:
+    """The shape whose arrays are stored.
+
+    Parameters
+    ----------
+    payloads : mapping of str to bytes
+        Some of the stored arrays, "spectra" among them.
+    provenance : tuple of Step
+        The steps of the record.
+
+    Returns
+    -------
+    Shape
+        The shape. Version 1 stored the mesh of the first surface only; other meshes are then None.
+
+    Raises
+    ------
+    ValueError, KeyError, struct.error, zlib.error
+        If bytes have changed.
+    """
     areas, eigenvalues = unpacked(payloads["spectra"])  # (s,), (s, k)
     n = len(areas)
     spectra: list[ModalSpectrum | None] = [None] * n

@@ -77,7 +77,7 @@ def index_name(options: PipelineOptions) -> str:
     Parameters
     ----------
     options : PipelineOptions
-        The options, of which the signature, the distance and the whitening are used.
+        The options, of which the signature, the distance, the whitening and the search are used.
 
     Returns
     -------
@@ -89,7 +89,9 @@ def index_name(options: PipelineOptions) -> str:
     calibrated = ""
     if retrieval.calibration is not None:
         calibrated = hashlib.sha256(read_whitening(Path(retrieval.calibration)).matrix.tobytes()).hexdigest()
-    return f"{_digest_of(options)} {distance} {retrieval.whitening} {retrieval.shrinkage} {calibrated}"
+    nearest = "scan" if retrieval.nearest == "auto" else retrieval.nearest
+    compared = f"{retrieval.whitening} {retrieval.shrinkage} {calibrated}"
+    return f"{_digest_of(options)} {distance} {nearest} {compared}"
 
 
 def _digest_of(options: PipelineOptions) -> str:

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import csv
-import io
 from pathlib import Path
 from typing import Any
 
 import click
 
 from pcretrieve.cli.comparison import compared, comparison_options
-from pcretrieve.cli.messages import say
+from pcretrieve.cli.messages import say, write_csv
 from pcretrieve.cli.parts import catalogue_option
+from pcretrieve.csv_text import csv_text
 
 __all__ = ["cluster_command"]
 
@@ -48,13 +47,10 @@ def cluster_command(catalogue: str, min_size: int, output: Path | None, **compar
 
     with Catalogue(catalogue) as store:
         labels = cluster(store, options=compared(store, **comparison), min_size=min_size)
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(["id", "label"])
-    writer.writerows(labels.items())
+    text = csv_text(("id", "label"), labels.items())
     if output is None:
-        click.echo(text.getvalue(), nl=False)
+        write_csv(text)
     else:
-        write_file(output, text.getvalue().encode())
+        write_file(output, text.encode())
     n_none = sum(label is None for label in labels.values())
     say(f"{len({*labels.values()} - {None})} clusters of {len(labels)} shapes, {n_none} of them in none")

@@ -9,7 +9,7 @@ import click
 
 from pcretrieve.cli.comparison import compared, comparison_options
 from pcretrieve.cli.evaluate import HEAD, numbers_line
-from pcretrieve.cli.messages import say, write_json
+from pcretrieve.cli.messages import say, write_json, write_line
 from pcretrieve.cli.parts import CATALOGUE, json_option, labels_option
 
 if TYPE_CHECKING:
@@ -77,15 +77,15 @@ def compare_command(
         }
         write_json(document)
         return
-    click.echo(HEAD)
-    click.echo(f"{numbers_line(found.first)}  A: {first}")
-    click.echo(f"{numbers_line(found.second)}  B: {second}")
-    click.echo(f"{numbers_line(found.difference, '+6.3f')}  B - A")
-    click.echo(f"{numbers_line(found.interval[0], '+6.3f')}    {found.level:.0%} interval from")
-    click.echo(f"{numbers_line(found.interval[1], '+6.3f')}    to")
+    write_line(HEAD)
+    write_line(f"{numbers_line(found.first)}  A: {first}")
+    write_line(f"{numbers_line(found.second)}  B: {second}")
+    write_line(f"{numbers_line(found.difference, '+6.3f')}  B - A")
+    write_line(f"{numbers_line(found.interval[0], '+6.3f')}    {found.level:.0%} interval from")
+    write_line(f"{numbers_line(found.interval[1], '+6.3f')}    to")
     for one in shown:
         if one.first != one.second:
-            click.echo(f"{one.shape_id} ({one.label}): average precision {one.first:.4f} to {one.second:.4f}")
+            write_line(f"{one.shape_id} ({one.label}): average precision {one.first:.4f} to {one.second:.4f}")
     left = len(found.only_first) + len(found.only_second)
     say(
         f"{len(found.changes)} queries in both"

@@ -7,7 +7,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
+from click.shell_completion import CompletionItem
 
+from pcretrieve.cli.completion import complete_presets
 from pcretrieve.cli.messages import say
 from pcretrieve.cli.parts import load_options
 
@@ -28,6 +30,9 @@ __all__ = [
     "scale_option",
     "size_weight_option",
 ]
+
+# The names of flags that are options of retrieval; others are options of signatures.
+RETRIEVAL_FLAGS = ("distance", "whitening", "rerank", "nearest")
 
 WHITENING_NAMES = ("auto", "none", "resolution", "neighbours", "pca", "within-class")
 
@@ -75,6 +80,29 @@ class RecordName(click.ParamType):  # type: ignore[type-arg]  # generic since cl
         from pcretrieve.names import NAMES
 
         return f"[{'|'.join(NAMES[self.name].all())}]"
+
+    def shell_complete(
+        self, ctx: click.Context, param: click.Parameter, incomplete: str
+    ) -> list[CompletionItem]:
+        """The names that begin with what is typed.
+
+        Parameters
+        ----------
+        ctx : click.Context
+            Not used.
+        param : click.Parameter
+            Not used.
+        incomplete : str
+            What is typed.
+
+        Returns
+        -------
+        list of CompletionItem
+            The names.
+        """
+        from pcretrieve.names import NAMES
+
+        return [CompletionItem(name) for name in NAMES[self.name].all() if name.startswith(incomplete)]
 
 
 class WhiteningName(click.ParamType):  # type: ignore[type-arg]  # generic since click 8.3 only
@@ -127,13 +155,16 @@ _overlay_option = click.option(
     "--config",
     type=click.Path(path_type=Path),
     metavar="TOML|PRESET",
+    shell_complete=complete_presets,
     help="Options that replace those of the catalogue: a file with the tables [signature] and [retrieval], "
     "or a preset.",
 )
 
 
 method_option = click.option(
-    "--method", type=RecordName("descriptor"), help="The descriptor.  [default: combined, or the catalogue's]"
+    "--method",
+    type=RecordName("descriptor"),
+    help="The descriptor, or several joined by +.  [default: combined, or the catalogue's]",
 )
 n_values_option = click.option(
     "--n-values",
@@ -199,7 +230,7 @@ def compared(store: Catalogue, config: Path | None, **flags: Any) -> PipelineOpt
     config : Path or None
         A file or a preset, whose options replace those of the catalogue.
     **flags : object
-        Values of `comparison_options`, which replace both; None: not given.
+        Values of `comparison_options` and of ``--nearest``, which replace both; None: not given.
 
     Returns
     -------
@@ -214,7 +245,7 @@ def compared(store: Catalogue, config: Path | None, **flags: Any) -> PipelineOpt
     given = {name: value for name, value in flags.items() if value is not None}
     tables: dict[str, dict[str, Any]] = {"signature": {}, "retrieval": {}}
     for name, value in given.items():
-        tables["retrieval" if name in ("distance", "whitening", "rerank") else "signature"][name] = value
+        tables["retrieval" if name in RETRIEVAL_FLAGS else "signature"][name] = value
     # A whitening by name replaces a file that the configuration names, and vice versa.
     if "whitening" in given:
         name = given["whitening"]

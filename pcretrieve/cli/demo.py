@@ -58,14 +58,16 @@ def demo_command(folder: Path) -> None:
     run_step(
         "The results with pictures, on an HTML page.", *("report", "--catalogue", catalogue, "--output", page)
     )
-    say(f"\nOpen this page in a browser: {page.resolve().as_uri()}")
+    say("")
+    say(f"Open this page in a browser: {page.resolve().as_uri()}")
 
 
 def run_step(purpose: str, *words: str | Path) -> None:
     """Print the purpose of a command and the command, and run it; end with its exit code unless it is 0."""
     context = click.get_current_context()
     arguments = [str(word) for word in words]
-    say(f"\n{purpose}\n$ {shlex.join(['pcretrieve', *arguments])}")
+    for line in ("", purpose, f"$ {shlex.join(['pcretrieve', *arguments])}"):
+        say(line)
     command = context.find_root().command
     if code := command.main(arguments, prog_name="pcretrieve", standalone_mode=False):
         context.exit(code)

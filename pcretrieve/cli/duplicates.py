@@ -7,7 +7,7 @@ from typing import Any
 import click
 
 from pcretrieve.cli.comparison import compared, comparison_options
-from pcretrieve.cli.messages import say, write_json
+from pcretrieve.cli.messages import say, write_json, write_line
 from pcretrieve.cli.parts import catalogue_option, json_option
 
 __all__ = ["duplicates_command"]
@@ -40,5 +40,5 @@ def duplicates_command(catalogue: str, threshold: float | None, as_json: bool, *
         write_json([pair._asdict() for pair in pairs])
         return
     for pair in pairs:
-        click.echo(f"{pair.distance:<10.4g}  {pair.limit:<10.4g}  {pair.first:<24}  {pair.second}")
+        write_line(f"{pair.distance:<10.4g}  {pair.limit:<10.4g}  {pair.first:<24}  {pair.second}")
     say(f"{len(pairs)} {'pair' if len(pairs) == 1 else 'pairs'}")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict
 from pathlib import Path
@@ -10,7 +11,8 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from pcretrieve.cli.comparison import compared, comparison_options, matrix_option, read_distances
-from pcretrieve.cli.messages import say, write_json
+from pcretrieve.cli.completion import CATALOGUE_VARIABLE
+from pcretrieve.cli.messages import say, write_json, write_line
 from pcretrieve.cli.parts import CATALOGUE, json_option, labels_option
 
 if TYPE_CHECKING:
@@ -30,7 +32,7 @@ HEAD = "  ".join(f"{name:>6}" for name in ("NN", "FT", "ST", "E", "DCG", "mAP"))
     "-c",
     type=CATALOGUE,
     metavar="FILE|URL",
-    help="The catalogue. Not needed with both --matrix and --labels.",
+    help=f"The catalogue. Not needed with both --matrix and --labels.  [env var: {CATALOGUE_VARIABLE}]",
 )
 @labels_option
 @matrix_option
@@ -95,6 +97,8 @@ def evaluate_command(
     distances = read_distances(matrix, comparison, reranks=True)
     rerank: RerankKind = comparison["rerank"] or "none"
     how: dict[str, object] = {"matrix": str(matrix)}
+    if catalogue is None and (distances is None or labels is None):
+        catalogue = os.environ.get(CATALOGUE_VARIABLE) or None
     if catalogue is None:
         if distances is None or labels is None:
             raise click.UsageError("give --catalogue, or both --matrix and --labels")
@@ -148,22 +152,22 @@ def evaluate_command(
             ]
         write_json(document)
         return
-    click.echo(HEAD)
+    write_line(HEAD)
     if rerank != "none":
         plain = asdict(evaluate_rankings(ranked.plain))
-        click.echo(f"{_row(plain, MEASURES)}  micro-average, plain")
-    click.echo(f"{_row(measures, MEASURES)}  micro-average" + (f", {rerank}" if rerank != "none" else ""))
-    click.echo(f"{numbers_line(low)}    {LEVEL:.0%} interval from")
-    click.echo(f"{numbers_line(high)}    to")
-    click.echo(f"{_row(macro, MEASURES)}  macro-average")
+        write_line(f"{_row(plain, MEASURES)}  micro-average, plain")
+    write_line(f"{_row(measures, MEASURES)}  micro-average" + (f", {rerank}" if rerank != "none" else ""))
+    write_line(f"{numbers_line(low)}    {LEVEL:.0%} interval from")
+    write_line(f"{numbers_line(high)}    to")
+    write_line(f"{_row(macro, MEASURES)}  macro-average")
     for one in classes:
         others = ", ".join(f"{label or 'no class'} {n}" for label, n in one.confused)
-        click.echo(
+        write_line(
             f"{numbers_line(one.means)}  {one.label}, {one.n_queries} queries"
             + (f"; nearest {others}" if others else "")
         )
     for row in published:
-        click.echo(f"{numbers_line(row.measures)}  published: {row.method} ({row.source})")
+        write_line(f"{numbers_line(row.measures)}  published: {row.method} ({row.source})")
     _say_how(ranked, how)
     if layout := LAYOUTS.get(labels or ""):
         say(f"{layout.name}: {layout.protocol}")

@@ -8,7 +8,7 @@ from typing import Any
 import click
 
 from pcretrieve.cli.comparison import compared, comparison_options
-from pcretrieve.cli.messages import say
+from pcretrieve.cli.messages import say, write_line
 from pcretrieve.cli.parts import catalogue_option
 
 __all__ = ["export_command"]
@@ -51,7 +51,7 @@ def export_command(
     pcretrieve export --signatures --catalogue bodies.sqlite -o bodies.parquet
     pcretrieve export --catalogue bodies.sqlite --to postgresql://localhost/bodies
     """
-    from pcretrieve.catalogue import Catalogue
+    from pcretrieve.catalogue import Catalogue, stored_shapes
     from pcretrieve.catalogue.vectors import export_vectors
     from pcretrieve.errors import InputError
     from pcretrieve.formats import write_mesh, write_signatures
@@ -63,19 +63,21 @@ def export_command(
         raise click.UsageError(
             f"{', '.join(given)} is for --signatures and --to: meshes have no such options"
         )
-    with Catalogue(catalogue) as store:
-        if output is None:
-            n = export_vectors(store, str(to), compared(store, **comparison), shape_ids=shape_ids)
-            say(f"wrote {n} signatures to the table pcretrieve_signatures")
-            return
-        if signatures:
-            table = store.signatures(compared(store, **comparison))
-            write_signatures(table.select(shape_ids) if shape_ids else table, output)
-            click.echo(str(output))
-            return
+    if output is None:
+        with Catalogue(catalogue) as whole:
+            n = export_vectors(whole, str(to), compared(whole, **comparison), shape_ids=shape_ids)
+        say(f"wrote {n} signatures to the table pcretrieve_signatures")
+        return
+    if signatures:
+        with Catalogue(catalogue) as whole:
+            table = whole.signatures(compared(whole, **comparison))
+        write_signatures(table.select(shape_ids) if shape_ids else table, output)
+        write_line(str(output))
+        return
+    with stored_shapes(catalogue) as store:
         if len(shape_ids) == 1 and output.suffix and not output.is_dir():
             write_mesh(store.mesh(shape_ids[0]), output)
-            click.echo(str(output))
+            write_line(str(output))
             return
         for shape_id in shape_ids:
             store.mesh(shape_id)  # raises, if one of the meshes is missing, before any file is written
@@ -85,7 +87,12 @@ def export_command(
             raise InputError(f"cannot make the folder {output}: {error.strerror}") from error
         chosen = shape_ids or [record.id for record in store.records(status="done")]
         for shape_id in chosen:
-            path = output / f"{shape_id}.ply"
+            path = output / _file_name(shape_id)
             write_mesh(store.mesh(shape_id), path)
-            click.echo(str(path))
+            write_line(str(path))
     say(f"wrote {len(chosen)} meshes to {output}")
+
+
+def _file_name(shape_id: str) -> str:
+    """The name of the file of a mesh. Ids are names of files, but a catalogue from elsewhere may have any."""
+    return shape_id.replace("/", "%2F").replace("\0", "%00") + ".ply"

@@ -64,6 +64,20 @@ __all__ = ["ingest_command"]
     show_default=True,
     help="What processes the scans.",
 )
+@click.option(
+    "--scheduler", metavar="ADDRESS", help="Process the scans by the Dask cluster of this scheduler."
+)
+@click.option(
+    "--scheduler-file",
+    type=click.Path(path_type=Path),
+    metavar="FILE",
+    help="The same, by the file that `dask scheduler --scheduler-file` writes.",
+)
+@click.option(
+    "--cluster",
+    type=click.Choice(["local"]),
+    help="Process the scans by a Dask cluster that is started on this computer, for trials.",
+)
 @click.option("--retry-failed", is_flag=True, help="Process scans again that failed before.")
 @click.option(
     "--retries",
@@ -90,6 +104,12 @@ __all__ = ["ingest_command"]
     metavar="FILE",
     help="Append each stage of each scan, with repairs and fallbacks, to a file.",
 )
+@click.option(
+    "--shard",
+    metavar="I/N",
+    help="Process the I-th of N parts of the scans only, as a task of a job array; `catalogue merge` makes "
+    "one catalogue of all parts.",
+)
 @json_option
 def ingest_command(
     paths: tuple[str, ...],
@@ -103,6 +123,9 @@ def ingest_command(
     timeout: float,
     memory: float | None,
     executor: str,
+    scheduler: str | None,
+    scheduler_file: Path | None,
+    cluster: str | None,
     retry_failed: bool,
     retries: int,
     max_failures: int | None,
@@ -110,6 +133,7 @@ def ingest_command(
     progress: str,
     quiet: bool,
     log_file: Path | None,
+    shard: str | None,
     as_json: bool,
 ) -> None:
     """Process scans, and store them in a catalogue.
@@ -122,9 +146,11 @@ def ingest_command(
     pcretrieve ingest 'tosca/*.off' --surface keep --catalogue tosca.sqlite
     """
     from pcretrieve.catalogue import Catalogue
+    from pcretrieve.ingestion.cluster import DaskExecutor
     from pcretrieve.ingestion.executors import EXECUTORS
     from pcretrieve.ingestion.layouts import discover_labelled
     from pcretrieve.ingestion.run import ingest_files, plan_files
+    from pcretrieve.ingestion.shards import scans_of
     from pcretrieve.interface.catalogues import stored_records
 
     if not paths:
@@ -132,7 +158,10 @@ def ingest_command(
     if log_file is not None:
         log_to(log_file)
     scans, names = discover_labelled(paths, labels, [catalogue])
+    part = scans_of(shard, scans)
     runs = EXECUTORS[executor]
+    if scheduler or scheduler_file or cluster:
+        runs = DaskExecutor(scheduler, scheduler_file, cluster == "local")
     # Without --config, --surface and --unit, the options of an existing catalogue are used.
     options = None
     if config or surface or unit or no_meshes:
@@ -141,7 +170,7 @@ def ingest_command(
         options = options.changed(scan={"unit": unit})
     if options and no_meshes:
         options = options.changed(catalogue={"keep": set(options.catalogue.keep) - {"meshes"}})
-    with Progress("ingest", len(scans), "none" if quiet and progress == "bar" else progress) as shown:
+    with Progress("ingest", len(part), "none" if quiet and progress == "bar" else progress) as shown:
 
         def advance(record: Record) -> None:
             failure = failure_line(record) if record.status == "failed" else None
@@ -154,6 +183,7 @@ def ingest_command(
                 labels=names,
                 timeout=timeout,
                 retry_failed=retry_failed,
+                only=part,
                 on_shape=advance,
             )
         else:
@@ -170,6 +200,7 @@ def ingest_command(
                         retry_failed=retry_failed,
                         retries=retries,
                         max_failures=max_failures,
+                        only=part,
                         on_shape=advance,
                     )
                 except (KeyboardInterrupt, SystemExit) as stop:

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
-from pcretrieve.cli.messages import say, write_json
+from pcretrieve.cli.messages import say, write_json, write_line
 from pcretrieve.cli.parts import (
     EXIT_SOME_FAILED,
     config_option,
@@ -17,8 +19,11 @@ from pcretrieve.cli.parts import (
     load_options,
     surface_option,
 )
+from pcretrieve.cli.progress import progress_option
+from pcretrieve.cli.scans import each_scan, failure_document, output_files, workers_option
 
 if TYPE_CHECKING:
+    from pcretrieve.catalogue import Record
     from pcretrieve.inspection.inspection import Inspection
     from pcretrieve.options import PipelineOptions
 
@@ -26,19 +31,20 @@ __all__ = ["inspect_command"]
 
 
 @click.command("inspect")
-@click.argument("scan", type=click.Path(path_type=Path))
+@click.argument("scan", type=click.Path(path_type=Path), metavar="SCAN|FOLDER")
 @click.option(
     "--output",
     "-o",
     type=click.Path(path_type=Path),
-    metavar="PAGE",
-    help="The HTML page to write.  [default: the name of the scan with .html, in the current folder]",
+    metavar="PAGE|FOLDER",
+    help="The HTML page to write, by default the name of the scan with .html, in the current folder. For a "
+    "folder of scans, the folder of the pages, which is made if there is none.",
 )
 @click.option(
     "--png",
     type=click.Path(path_type=Path),
     metavar="FILE",
-    help="Also write all pictures into one PNG file.",
+    help="Also write all pictures of a scan into one PNG file.",
 )
 @click.option(
     "--rescans",
@@ -50,7 +56,9 @@ __all__ = ["inspect_command"]
 )
 @config_option
 @surface_option
+@workers_option
 @limit_options("scan, and for each rescan")
+@progress_option
 @json_option
 def inspect_command(
     scan: Path,
@@ -59,34 +67,50 @@ def inspect_command(
     rescans: int,
     config: Path | None,
     surface: str | None,
+    workers: int | None,
     timeout: float,
     memory: float | None,
+    progress: str,
     as_json: bool,
 ) -> None:
     """Write an HTML page that shows what is wrong with a scan, and what to do about it.
 
     The page shows points, normals and surface from all sides and in a 3D viewer; which points were removed;
     where the surface was filled in, separated and connected; and the signature with its standard deviation.
-    If a stage fails, the page shows the results of the earlier stages, and the exit code is 3.
+    If a stage fails, the page shows the results of the earlier stages, and the exit code is 3. Of a folder,
+    each scan has a page, which is named like the scan, and a line: page, verdict and summary.
 
     \b
     pcretrieve inspect scan.ply
     pcretrieve inspect scan.ply -o page.html --png sheet.png --rescans 0
+    pcretrieve inspect scans/ -o pages/ --workers 2
     """
     from pcretrieve.errors import InputError
     from pcretrieve.formats import check_output, split_member
-    from pcretrieve.ingestion.discover import printable
+    from pcretrieve.ingestion.discover import discover, printable
     from pcretrieve.ingestion.isolation import Isolation
 
+    options = load_options(config, surface)
+    timeout *= 1 + rescans
+    if scan.is_dir():
+        if output is None or png is not None:
+            raise click.UsageError("name a folder for the pages of the scans with -o, and leave out --png")
+        scans = discover([scan])
+        inspect = partial(_inspected_to, output_files(output, scans, scan, ".html"), options, rescans)
+        _write_outcomes(
+            each_scan(
+                "inspect", inspect, scans, workers=workers, timeout=timeout, memory=memory, progress=progress
+            ),
+            as_json,
+        )
+        return
     if not split_member(scan)[0].is_file():
         raise InputError(f"there is no scan {printable(scan)}: name a file")
     page = output or Path(scan.stem + ".html")
     for target in (page, png):
         if target is not None:
             check_output(target, [scan])
-    options = load_options(config, surface)
-    isolation = Isolation(timeout * (1 + rescans), memory)
-    inspection, page = isolation.call(_inspected, scan, options, rescans, page, png)
+    inspection, page = Isolation(timeout, memory).call(_inspected, scan, options, rescans, page, png)
     for check in inspection.checks:
         advice = "" if check.verdict == "passed" else f": {check.words}"
         say(f"{check.verdict:<6}  {check.name:<16}  {check.shown}{advice}")
@@ -96,9 +120,30 @@ def inspect_command(
     if as_json:
         write_json(_document(inspection, page, png))
     else:
-        click.echo(printable(page))
+        write_line(printable(page))
     if inspection.failure is not None:
         click.get_current_context().exit(EXIT_SOME_FAILED)
+
+
+def _write_outcomes(outcomes: Iterable[tuple[Path, dict[str, object] | Record]], as_json: bool) -> None:
+    """Print page, verdict and summary of each inspection, or one JSON document, when all have ended."""
+    documents = [found if isinstance(found, dict) else failure_document(found) for _, found in outcomes]
+    if as_json:
+        write_json(documents)
+    else:
+        for found in documents:
+            if "page" in found:
+                write_line(f"{found['page']}  {found['verdict']}  {found['summary']}")
+    if any("page" not in found or found["failure"] is not None for found in documents):
+        click.get_current_context().exit(EXIT_SOME_FAILED)
+
+
+def _inspected_to(
+    pages: dict[Path, Path], options: PipelineOptions, n_rescans: int, scan: Path
+) -> dict[str, object]:
+    """The JSON document of an inspection, whose page is written, in a worker process."""
+    inspection, page = _inspected(scan, options, n_rescans, pages[scan], None)
+    return _document(inspection, page, None)
 
 
 def _inspected(

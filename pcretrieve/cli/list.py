@@ -6,7 +6,7 @@ from dataclasses import asdict
 
 import click
 
-from pcretrieve.cli.messages import write_json_list
+from pcretrieve.cli.messages import write_json_list, write_line
 from pcretrieve.cli.parts import catalogue_option, json_option
 
 __all__ = ["list_command"]
@@ -31,9 +31,9 @@ def list_command(
     \b
     pcretrieve list --catalogue bodies.sqlite --failed
     """
-    from pcretrieve.catalogue import Catalogue
+    from pcretrieve.catalogue import stored_shapes
 
-    with Catalogue(catalogue) as store:
+    with stored_shapes(catalogue) as store:
         pages = store.pages(
             status="failed" if failed else None, doubtful=doubtful, offset=offset, limit=limit
         )
@@ -46,7 +46,7 @@ def list_command(
             reason = f"  [{record.stage}] {record.message}" if record.status == "failed" else ""
             reason += f"  [{record.verdict}]" if record.verdict and record.is_doubtful else ""
             status = record.verdict.judgement if record.verdict else record.status
-            click.echo(
+            write_line(
                 f"{record.id:<24}  {status:<8}  {record.label or '-':<16}  {euler:>4}  "
                 f"{record.seconds:6.2f}  {record.path}{reason}"
             )

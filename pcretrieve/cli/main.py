@@ -7,8 +7,10 @@ usage; 3 finished, but some shapes failed; 130 interrupted by Ctrl-C; 143 by SIG
 from __future__ import annotations
 
 import logging
+import os
 import signal
 import sys
+from contextlib import suppress
 from importlib import import_module
 from types import FrameType
 from typing import NoReturn
@@ -16,8 +18,11 @@ from typing import NoReturn
 import click
 
 from pcretrieve import __version__
+from pcretrieve.cli.messages import say, silence
 from pcretrieve.cli.parts import EXIT_INTERRUPTED
+from pcretrieve.cli.patience import stop_waiting, tell_of_waiting
 from pcretrieve.errors import OptionError, PcretrieveError
+from pcretrieve.suggestions import did_you_mean
 
 __all__ = ["cli", "main"]
 
@@ -27,15 +32,21 @@ EXIT_USAGE = 2
 # Shells report a program that was ended by a signal with this number plus the number of the signal.
 EXIT_SIGNAL = 128
 
-# The names of the commands. A command is the function `NAME_command` of the module `NAME`, which is imported
-# when the command or its help is called.
+STANDARD_ERROR = 2
+
+# The names of the commands. A command is the function `NAME_command` of the module `NAME`, with underscores
+# for hyphens, which is imported when the command or its help is called.
 COMMANDS = (
     "demo",
     "merge",
     "reconstruct",
     "signature",
     "inspect",
+    "report-problem",
     "ingest",
+    "status",
+    "retry",
+    "watch",
     "query",
     "evaluate",
     "compare",
@@ -45,9 +56,13 @@ COMMANDS = (
     "cluster",
     "map",
     "report",
+    "serve",
     "list",
     "show",
     "remove",
+    "catalogue",
+    "check",
+    "backup",
     "export",
     "options",
 )
@@ -62,14 +77,24 @@ class _LazyGroup(click.Group):
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
         if cmd_name not in COMMANDS:
             return None
-        module = import_module(f"pcretrieve.cli.{cmd_name}")
-        command: click.Command = getattr(module, f"{cmd_name}_command")
+        name = cmd_name.replace("-", "_")
+        module = import_module(f"pcretrieve.cli.{name}")
+        command: click.Command = getattr(module, f"{name}_command")
         return command
+
+    def resolve_command(
+        self, ctx: click.Context, args: list[str]
+    ) -> tuple[str | None, click.Command | None, list[str]]:
+        name = args[0]
+        if name not in COMMANDS and not name.startswith("-") and not ctx.resilient_parsing:
+            raise click.UsageError(f"there is no command {name!r}{did_you_mean(name, COMMANDS)}", ctx)
+        return super().resolve_command(ctx, args)
 
 
 @click.group(cls=_LazyGroup, context_settings={"help_option_names": ["-h", "--help"]})
 @click.version_option(__version__, prog_name="pcretrieve")
-def cli() -> None:
+@click.pass_context
+def cli(context: click.Context) -> None:
     """Raw 3D scans of things that bend in, ranked shapes out.
 
     \b
@@ -79,6 +104,10 @@ def cli() -> None:
     logger = logging.getLogger("pcretrieve")
     if not any(isinstance(handler, _Printed) for handler in logger.handlers):
         logger.addHandler(_Printed(logging.WARNING))
+    # The options of the command are parsed later, after imports that may take long.
+    if context.invoked_subcommand is not None and not {"--quiet", "-q"} & {*sys.argv}:
+        tell_of_waiting(context.invoked_subcommand)
+        context.call_on_close(stop_waiting)
 
 
 class _Printed(logging.Handler):
@@ -86,7 +115,7 @@ class _Printed(logging.Handler):
 
     def emit(self, record: logging.LogRecord) -> None:
         if record.name != "pcretrieve.pipeline":
-            _say(record.getMessage())
+            say(record.getMessage())
 
 
 def main() -> NoReturn:
@@ -97,29 +126,49 @@ def main() -> NoReturn:
     NoReturn
         Never.
     """
+    _open_standard_streams()
     for number in (signal.SIGTERM, signal.SIGHUP):
         if signal.getsignal(number) is signal.SIG_DFL:  # not if the signal is ignored, as under nohup
             signal.signal(number, _stop)
+    if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
+        signal.signal(signal.SIGINT, _interrupt)
     try:
         code = cli.main(prog_name="pcretrieve", standalone_mode=False)
     except click.exceptions.Abort:
-        _say("stopped")
+        say("stopped")
         sys.exit(EXIT_INTERRUPTED)
     except click.ClickException as error:
         error.show()
         sys.exit(error.exit_code)
     except OptionError as error:
         # Without the stage, because options are not the fault of the stage that checks them.
-        _say(f"Error: {error.message}")
+        say(f"Error: {error.message}")
         sys.exit(EXIT_USAGE)
     except PcretrieveError as error:
-        _say(f"Error: {error}")
+        say(f"Error: {error}")
         sys.exit(EXIT_ERROR)
     except BrokenPipeError:
         # The program that reads the output has ended, as in `pcretrieve list | head`.
         sys.stderr.close()
         sys.exit(EXIT_ERROR)
+    except OSError as error:
+        # Of printing alone: the library raises errors of its own, and errors of files have their names.
+        if error.filename is not None:
+            raise
+        say(f"Error: cannot print the result: {error.strerror}; print it to another place")
+        silence(sys.stdout)
+        sys.exit(EXIT_ERROR)
     sys.exit(code if isinstance(code, int) else 0)
+
+
+def _open_standard_streams() -> None:
+    """Open the null device in place of standard streams that are closed, or files would get their numbers."""
+    for name in ("stdin", "stdout", "stderr"):
+        if getattr(sys, name) is None:
+            # It gets the smallest number that is free, which is that of the stream.
+            number = os.open(os.devnull, os.O_RDWR)
+            os.set_inheritable(number, True)  # by worker processes
+            setattr(sys, name, os.fdopen(number, "r" if name == "stdin" else "w"))
 
 
 def _stop(number: int, frame: FrameType | None) -> NoReturn:
@@ -127,5 +176,18 @@ def _stop(number: int, frame: FrameType | None) -> NoReturn:
     sys.exit(EXIT_SIGNAL + number)
 
 
-def _say(message: str) -> None:
-    click.echo(message, err=True)
+def _interrupt(number: int, frame: FrameType | None) -> NoReturn:
+    """End by KeyboardInterrupt at the first Ctrl-C, so that commands stop workers and say what is stored."""
+    signal.signal(number, _end_at_once)
+    raise KeyboardInterrupt
+
+
+def _end_at_once(number: int, frame: FrameType | None) -> NoReturn:
+    """End without a delay at the second Ctrl-C; Linux ends the worker processes too.
+
+    What is written stays whole: changes of catalogues are transactions, and files get their names last.
+    """
+    with suppress(OSError):
+        # Not by `say`, because the signal may have interrupted another message.
+        os.write(STANDARD_ERROR, b"\nstopped at once\n")
+    os._exit(EXIT_INTERRUPTED)

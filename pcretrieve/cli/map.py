@@ -8,6 +8,7 @@ from typing import Any
 import click
 
 from pcretrieve.cli.comparison import compared, comparison_options
+from pcretrieve.cli.messages import write_line
 from pcretrieve.cli.parts import catalogue_option
 
 __all__ = ["map_command"]
@@ -38,4 +39,4 @@ def map_command(catalogue: str, output: Path, **comparison: Any) -> None:
 
     with Catalogue(catalogue) as store:
         page = draw_map(store, output, options=compared(store, **comparison))
-    click.echo(str(page))
+    write_line(str(page))

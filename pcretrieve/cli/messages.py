@@ -4,31 +4,120 @@ from __future__ import annotations
 
 import json
 import logging
+import os
+import sys
 from collections.abc import Iterable
 from pathlib import Path
 from textwrap import indent
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TextIO
 
 import click
 
+from pcretrieve.cli.patience import stop_waiting
 from pcretrieve.errors import InputError
 
 if TYPE_CHECKING:
     from pcretrieve.catalogue import Record
     from pcretrieve.types import Step
 
-__all__ = ["failure_line", "log_to", "say", "step_lines", "write_json", "write_json_list"]
+__all__ = [
+    "escaped",
+    "failure_line",
+    "log_to",
+    "say",
+    "silence",
+    "step_lines",
+    "write_csv",
+    "write_json",
+    "write_json_list",
+    "write_line",
+    "write_row",
+]
+
+# Characters that are printed as JSON escapes them: control characters, on which terminals act; separators of
+# lines; characters that reverse the direction of the text that follows; and halves of characters. Names of
+# files and classes may have any of them.
+ESCAPES = {
+    code: f"\\u{code:04x}"
+    for first, last in (
+        (0x00, 0x1F),
+        (0x7F, 0x9F),
+        (0x2028, 0x202E),
+        (0x2066, 0x2069),
+        (0xD800, 0xDFFF),
+    )
+    for code in range(first, last + 1)
+} | {ord(sign): escape for sign, escape in (("\n", "\\n"), ("\r", "\\r"), ("\t", "\\t"))}
+
+# A JSON document has escaped those in its strings; others are between its values.
+ESCAPES_IN_JSON = {code: escape for code, escape in ESCAPES.items() if code != ord("\n")}
+
+
+def escaped(text: str) -> str:
+    """Escape the characters of a text that would change what a terminal shows around it.
+
+    Parameters
+    ----------
+    text : str
+        Text with names of files or classes.
+
+    Returns
+    -------
+    str
+        One line.
+    """
+    return text.translate(ESCAPES)
 
 
 def say(message: str) -> None:
-    """Print a message for users, on standard error.
+    """Print a message for users, on standard error. If that cannot be written, the command goes on silently.
 
     Parameters
     ----------
     message : str
-        The message.
+        The message, which is printed in one line.
     """
-    click.echo(message, err=True)
+    try:
+        click.echo(escaped(message), err=True)
+    except OSError:
+        silence(sys.stderr)
+
+
+def silence(stream: TextIO) -> None:
+    """Let a standard stream that cannot be written to lead nowhere.
+
+    Otherwise the text that it holds would be written, and fail, once more at the end of the command.
+
+    Parameters
+    ----------
+    stream : text file
+        Standard output or standard error.
+    """
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    os.dup2(nowhere, stream.fileno())
+    os.close(nowhere)
+
+
+def write_line(text: str) -> None:
+    """Print a line of a result, on standard output.
+
+    Parameters
+    ----------
+    text : str
+        The line.
+    """
+    _write(escaped(text))
+
+
+def write_row(cells: Iterable[str]) -> None:
+    """Print a row of a result, on standard output.
+
+    Parameters
+    ----------
+    cells : iterable of str
+        What the row has between its tabs.
+    """
+    _write("\t".join(map(escaped, cells)))
 
 
 def log_to(path: Path) -> None:
@@ -48,7 +137,7 @@ def log_to(path: Path) -> None:
         handler = logging.FileHandler(path, encoding="utf-8")
     except OSError as error:
         raise InputError(f"cannot write the log file {path}: {error.strerror}; name another") from error
-    handler.setFormatter(logging.Formatter("%(asctime)s %(levelname)s %(name)s: %(message)s"))
+    handler.setFormatter(_OneLine("%(asctime)s %(levelname)s %(name)s: %(message)s"))
     logger, level = logging.getLogger("pcretrieve"), logging.getLogger("pcretrieve").level
     logger.addHandler(handler)
     logger.setLevel(logging.INFO)
@@ -61,6 +150,13 @@ def log_to(path: Path) -> None:
     click.get_current_context().call_on_close(stop)
 
 
+class _OneLine(logging.Formatter):
+    """Formats the message of each record in one line."""
+
+    def formatMessage(self, record: logging.LogRecord) -> str:
+        return escaped(super().formatMessage(record))
+
+
 def write_json(document: object) -> None:
     """Print a JSON document for programs, on standard output.
 
@@ -69,7 +165,7 @@ def write_json(document: object) -> None:
     document : object
         What JSON can represent.
     """
-    click.echo(json.dumps(document, indent=2, ensure_ascii=False))
+    _write(_json_text(document))
 
 
 def write_json_list(documents: Iterable[object]) -> None:
@@ -82,10 +178,19 @@ def write_json_list(documents: Iterable[object]) -> None:
     """
     before = "["
     for document in documents:
-        click.echo(before)
-        click.echo(indent(json.dumps(document, indent=2, ensure_ascii=False), "  "), nl=False)
+        _write(before)
+        _write(indent(_json_text(document), "  "), nl=False)
         before = ","
-    click.echo("[]" if before == "[" else "\n]")
+    _write("[]" if before == "[" else "\n]")
+
+
+def _write(text: str, *, nl: bool = True, color: bool | None = None) -> None:
+    stop_waiting()
+    click.echo(text, nl=nl, color=color)
+
+
+def _json_text(document: object) -> str:
+    return json.dumps(document, indent=2, ensure_ascii=False).translate(ESCAPES_IN_JSON)
 
 
 def failure_line(record: Record) -> str:
@@ -103,6 +208,18 @@ def failure_line(record: Record) -> str:
     """
     file = "" if record.path in (record.message or "") else f" ({record.path})"
     return f"failed: [{record.id} / {record.stage}] {record.message}{file}"
+
+
+def write_csv(text: str) -> None:
+    """Print the text of a CSV file on standard output: as it is for a program, escaped for a terminal.
+
+    Parameters
+    ----------
+    text : str
+        The result of `pcretrieve.csv_text.csv_text`.
+    """
+    shown = text.translate(ESCAPES_IN_JSON) if sys.stdout.isatty() else text
+    _write(shown, nl=False, color=True)  # otherwise click removes what looks like codes of a terminal
 
 
 def step_lines(steps: tuple[Step, ...]) -> list[str]:

@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING
 
 import click
 
+from pcretrieve.cli.completion import CATALOGUE_VARIABLE, complete_presets
+
 if TYPE_CHECKING:
     from pcretrieve.options import PipelineOptions
 
@@ -31,7 +33,14 @@ EXIT_INTERRUPTED = 130
 #: The type of an option that names a catalogue: a string, because a path would lose a slash of a URL.
 CATALOGUE = click.Path()
 catalogue_option = click.option(
-    "--catalogue", "-c", type=CATALOGUE, required=True, metavar="FILE|URL", help="The catalogue."
+    "--catalogue",
+    "-c",
+    type=CATALOGUE,
+    required=True,
+    envvar=CATALOGUE_VARIABLE,
+    show_envvar=True,
+    metavar="FILE|URL",
+    help="The catalogue.",
 )
 #: A string, because the layouts of published sets have names.
 labels_option = click.option(
@@ -44,8 +53,9 @@ config_option = click.option(
     "--config",
     type=click.Path(path_type=Path),
     metavar="TOML|PRESET",
+    shell_complete=complete_presets,
     help="Pipeline options: a file such as `pcretrieve options` prints, or one of body-scanner, handheld, "
-    "depth-camera, clean-mesh, paper.",
+    "depth-camera, clean-mesh, paper, classic.",
 )
 surface_option = click.option(
     "--surface",

@@ -11,12 +11,13 @@ from typing import TYPE_CHECKING, NoReturn
 
 import click
 
-from pcretrieve.cli.messages import say
+from pcretrieve.cli.messages import escaped, say
+from pcretrieve.cli.patience import stop_waiting
 
 if TYPE_CHECKING:
     from tqdm import tqdm
 
-__all__ = ["Progress", "progress_option"]
+__all__ = ["Progress", "duration", "progress_option"]
 
 # Time between two lines where standard error is no terminal; seconds.
 LINE_INTERVAL = 60.0
@@ -55,6 +56,7 @@ class Progress:
         self._ended = Event()
 
     def __enter__(self) -> Progress:
+        stop_waiting()
         if self._mode == "bar" and sys.stderr.isatty():
             from tqdm import tqdm
 
@@ -91,7 +93,7 @@ class Progress:
             counts = {"finished": self._n_done, "failures": self._n_failed, "total": self._total}
             say(json.dumps(facts | counts, ensure_ascii=False))
         elif failure is not None and self._bar is not None:
-            self._bar.write(failure, file=sys.stderr)
+            self._bar.write(escaped(failure), file=sys.stderr)
         elif failure is not None:
             say(failure)
         if self._bar is not None:
@@ -101,10 +103,10 @@ class Progress:
     def _say_lines(self) -> None:
         while not self._ended.wait(LINE_INTERVAL):
             seconds = time.monotonic() - self._started
-            left = "" if not self._n_done else f", {_duration(seconds / self._n_done * self._n_left)} left"
+            left = "" if not self._n_done else f", {duration(seconds / self._n_done * self._n_left)} left"
             say(
                 f"{self._command}: {self._n_done} of {self._total} scans, {self._n_failed} failed, after "
-                f"{_duration(seconds)}{left}"
+                f"{duration(seconds)}{left}"
             )
 
     @property
@@ -112,8 +114,19 @@ class Progress:
         return self._total - self._n_done
 
 
-def _duration(seconds: float) -> str:
-    """Two digits or more, such as ``40 s``, ``12 min`` and ``2 h 05 min``."""
+def duration(seconds: float) -> str:
+    """A time in words, such as ``40 s``, ``12 min`` or ``2 h 05 min``.
+
+    Parameters
+    ----------
+    seconds : float
+        The time.
+
+    Returns
+    -------
+    str
+        The words.
+    """
     if seconds < 60:
         return f"{seconds:.0f} s"
     minutes = round(seconds / 60)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict
 from functools import partial
@@ -13,8 +11,10 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from pcretrieve.cli.comparison import compared, comparison_options, matrix_option, read_distances
-from pcretrieve.cli.messages import say, write_json_list
+from pcretrieve.cli.completion import complete_labels, complete_queries
+from pcretrieve.cli.messages import say, write_csv, write_json_list, write_line
 from pcretrieve.cli.parts import EXIT_SOME_FAILED, catalogue_option, json_option, limit_options, unit_option
+from pcretrieve.csv_text import csv_text
 
 if TYPE_CHECKING:
     from pcretrieve.errors import PcretrieveError, ShapeError
@@ -58,7 +58,9 @@ class LabelFilter(click.ParamType):  # type: ignore[type-arg]  # generic since c
 
 
 @click.command("query")
-@click.argument("queries", nargs=-1, required=True, metavar="SCAN|FOLDER|ID...")
+@click.argument(
+    "queries", nargs=-1, required=True, metavar="SCAN|FOLDER|ID...", shell_complete=complete_queries
+)
 @catalogue_option
 @click.option("-k", "k", type=click.IntRange(min=1), default=10, show_default=True, help="Number of results.")
 @click.option(
@@ -66,6 +68,7 @@ class LabelFilter(click.ParamType):  # type: ignore[type-arg]  # generic since c
     "labels",
     type=LabelFilter(),
     multiple=True,
+    shell_complete=complete_labels,
     help="Search only shapes of this class; several times: of these classes.",
 )
 @click.option(
@@ -76,6 +79,13 @@ class LabelFilter(click.ParamType):  # type: ignore[type-arg]  # generic since c
     type=click.FloatRange(0, 1),
     metavar="SHARE",
     help='Leave out results with a smaller score; "no match" if none is left.',
+)
+@click.option(
+    "--nearest",
+    type=click.Choice(["auto", "scan", "tree", "faiss"]),
+    help="How the nearest shapes are found, always exactly: by lower bounds of the distances to blocks of "
+    "shapes (scan), by a ball tree (tree), or by faiss (an extra); the last two for --distance log and d2. "
+    "auto is scan, the fastest for large catalogues.  [default: auto, or the catalogue's]",
 )
 @matrix_option
 @comparison_options
@@ -143,7 +153,10 @@ def query_command(
         else:
             _print_lines(outcomes, headed=not is_alone)
             if distances is None:
-                scores = store.index(options).scores
+                index = store.index(options)
+                scores = index.scores
+                how = "all shapes of the classes compared" if labels else str(index.contents.filter)
+                say(f"nearest: {how}")
                 say(f"whitening: {store.whitening(options).reason}")
                 say(f"score: {scores.reason if scores else 'none, because labels and shapes are too few'}")
     if failures:
@@ -165,67 +178,45 @@ def _with_messages(outcomes: Outcomes, failures: list[ShapeError], *, is_alone: 
 
 def _document(name: str, outcome: Answer | ShapeError) -> Row:
     """The outcome of one query, for JSON."""
-    from pcretrieve.searching import Answer
+    from pcretrieve.searching import Answer, result_rows
 
     if isinstance(outcome, Answer):
         vote = None if outcome.vote is None else asdict(outcome.vote)
-        return {"query": name, "results": _results(outcome), "vote": vote}
+        return {"query": name, "results": result_rows(outcome), "vote": vote}
     error = {"error": type(outcome).__name__, "stage": outcome.stage, "message": outcome.message}
     return {"query": name, **error}
 
 
-def _results(answer: Answer) -> list[Row]:
-    """The results of one query, one row each."""
-    known, ranges = answer.neighbors.scores, answer.rank_ranges
-    scores = [None] * len(answer.records) if known is None else known.tolist()
-    return [
-        {
-            "rank": rank,
-            "id": record.id,
-            "path": record.path,
-            "label": record.label,
-            "distance": gap,
-            "score": score,
-            "rank_range": None if ranges is None else ranges[rank - 1].tolist(),
-            "verdict": None if record.verdict is None else asdict(record.verdict),
-        }
-        for rank, (record, gap, score) in enumerate(
-            zip(answer.records, answer.neighbors.distances.tolist(), scores, strict=True), start=1
-        )
-    ]
-
-
 def _print_lines(outcomes: Outcomes, *, headed: bool) -> None:
     """One line for each result, below a line with the query if there are several."""
-    from pcretrieve.searching import Answer
+    from pcretrieve.searching import Answer, result_rows
 
     for name, answer in outcomes:
         if not isinstance(answer, Answer):
             continue
         if headed:
-            click.echo(name)
-        for row, record in zip(_results(answer), answer.records, strict=True):
+            write_line(name)
+        for row, record in zip(result_rows(answer), answer.records, strict=True):
             doubt = f"  [{record.verdict}]" if record.is_doubtful else ""
             score = "-" if row["score"] is None else f"{row['score']:.2f}"
-            click.echo(
+            write_line(
                 f"{row['rank']:>4}  {row['distance']:<10.4g}  {score:<4}  {row['label'] or '-':<16}  "
                 f"{row['id']:<24}  {row['path']}{doubt}"
             )
-        click.echo(str(answer))
+        write_line(str(answer))
 
 
 def _print_csv(outcomes: Outcomes) -> None:
     """One row for each result of each query."""
-    from pcretrieve.searching import Answer
+    from pcretrieve.searching import Answer, result_rows
 
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(CSV_COLUMNS)
-    for name, answer in outcomes:
-        if isinstance(answer, Answer):
-            rows = ({"query": name, **row} for row in _results(answer))
-            writer.writerows([row[column] for column in CSV_COLUMNS] for row in rows)
-    click.echo(text.getvalue(), nl=False)
+    rows = (
+        {"query": name, **row}
+        for name, answer in outcomes
+        if isinstance(answer, Answer)
+        for row in result_rows(answer)
+    )
+    write_csv(csv_text(CSV_COLUMNS, ([row[column] for column in CSV_COLUMNS] for row in rows)))
 
 
 def _described(

@@ -8,6 +8,7 @@ from typing import Any
 import click
 
 from pcretrieve.cli.comparison import compared, comparison_options, matrix_option, read_distances
+from pcretrieve.cli.messages import write_line
 from pcretrieve.cli.parts import catalogue_option
 
 __all__ = ["report_command"]
@@ -58,4 +59,4 @@ def report_command(
     with Catalogue(catalogue) as store:
         options = compared(store, **comparison)
         page = retrieval_page(store, output, n_queries=queries, k=k, options=options, matrix=distances)
-    click.echo(str(page))
+    write_line(str(page))

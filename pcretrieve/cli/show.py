@@ -6,14 +6,15 @@ from dataclasses import asdict
 
 import click
 
-from pcretrieve.cli.messages import step_lines, write_json
+from pcretrieve.cli.completion import complete_ids
+from pcretrieve.cli.messages import step_lines, write_json, write_line
 from pcretrieve.cli.parts import catalogue_option, json_option
 
 __all__ = ["show_command"]
 
 
 @click.command("show")
-@click.argument("shape_id", metavar="ID")
+@click.argument("shape_id", metavar="ID", shell_complete=complete_ids)
 @catalogue_option
 @json_option
 def show_command(shape_id: str, catalogue: str, as_json: bool) -> None:
@@ -22,9 +23,9 @@ def show_command(shape_id: str, catalogue: str, as_json: bool) -> None:
     \b
     pcretrieve show cat0 --catalogue bodies.sqlite
     """
-    from pcretrieve.catalogue import Catalogue
+    from pcretrieve.catalogue import stored_shapes
 
-    with Catalogue(catalogue) as store:
+    with stored_shapes(catalogue) as store:
         record, stored = store.record(shape_id), store.stored_bytes(shape_id)
     if as_json:
         write_json(asdict(record) | {"seconds": round(record.seconds, 3), "stored_bytes": stored})
@@ -35,7 +36,8 @@ def show_command(shape_id: str, catalogue: str, as_json: bool) -> None:
         if name == "verdict":
             value = None if record.status == "failed" else str(record.verdict or "not judged")
         if name != "steps" and value is not None:
-            click.echo(f"{name:<15} {value}")
+            write_line(f"{name:<15} {value}")
     parts = ", ".join(f"{name} {size / 1000:.1f}" for name, size in stored.items() if size)
-    click.echo(f"{'stored':<15} {sum(stored.values()) / 1000:.1f} kB" + (f": {parts}" if parts else ""))
-    click.echo("\n".join(step_lines(record.steps)))
+    write_line(f"{'stored':<15} {sum(stored.values()) / 1000:.1f} kB" + (f": {parts}" if parts else ""))
+    for line in step_lines(record.steps):
+        write_line(line)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
@@ -10,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from pcretrieve.cli.comparison import method_option, n_values_option, scale_option, size_weight_option
-from pcretrieve.cli.messages import failure_line, say, write_json
+from pcretrieve.cli.messages import failure_line, say, write_json, write_row
 from pcretrieve.cli.parts import (
     CATALOGUE,
     EXIT_SOME_FAILED,
@@ -21,11 +22,11 @@ from pcretrieve.cli.parts import (
     surface_option,
     unit_option,
 )
+from pcretrieve.cli.progress import progress_option
+from pcretrieve.cli.scans import each_scan, workers_option
 
 if TYPE_CHECKING:
     from pcretrieve.catalogue import Record
-    from pcretrieve.errors import PcretrieveError
-    from pcretrieve.ingestion.isolation import Isolation
     from pcretrieve.options import PipelineOptions
     from pcretrieve.types import Signature
 
@@ -56,7 +57,9 @@ __all__ = ["signature_command"]
 @config_option
 @surface_option
 @unit_option
+@workers_option
 @limit_options("scan")
+@progress_option
 @json_option
 def signature_command(
     paths: tuple[str, ...],
@@ -69,8 +72,10 @@ def signature_command(
     config: Path | None,
     surface: str | None,
     unit: str | None,
+    workers: int | None,
     timeout: float,
     memory: float | None,
+    progress: str,
     as_json: bool,
 ) -> None:
     """Print the signatures of scans, in one line each: path, then values.
@@ -79,10 +84,9 @@ def signature_command(
 
     \b
     pcretrieve signature body.obj
-    pcretrieve signature scans/ --method shape-dna --json
+    pcretrieve signature scans/ --workers 2 --method shape-dna --json
     pcretrieve signature --from-catalogue bodies.sqlite T12 T17 --method wks --n-values 40
     """
-    from pcretrieve.ingestion.isolation import Isolation
     from pcretrieve.types import Signature
 
     if from_catalogue is not None and (config or surface or unit):
@@ -103,7 +107,9 @@ def signature_command(
         options = load_options(config, surface).changed(signature=chosen)
         if unit is not None:
             options = options.changed(scan={"unit": unit})
-        rows = _of_scans(paths, options, Isolation(timeout, memory))
+        # On a terminal, the signatures themselves show the progress, and would break a bar.
+        shown = None if progress == "bar" and not as_json and sys.stdout.isatty() else progress
+        rows = _of_scans(paths, options, workers=workers, timeout=timeout, memory=memory, progress=shown)
     found: list[dict[str, object]] = []
     n_failed = 0
     for name, outcome, facts in rows:
@@ -112,10 +118,11 @@ def signature_command(
             if outcome.deviation is not None:
                 facts |= {"deviation": outcome.deviation.tolist()}
             if not as_json:
-                click.echo("\t".join([name, *(f"{value:.9g}" for value in outcome.values)]))
+                write_row([name, *(f"{value:.9g}" for value in outcome.values)])
         else:
             n_failed += 1
-            say(failure_line(outcome))
+            if from_catalogue is not None:
+                say(failure_line(outcome))
             facts |= {"error": outcome.error, "stage": outcome.stage, "message": outcome.message}
         found.append(facts)
     if as_json:
@@ -124,18 +131,17 @@ def signature_command(
         click.get_current_context().exit(EXIT_SOME_FAILED)
 
 
-def _of_scans(paths: tuple[str, ...], options: PipelineOptions, isolation: Isolation) -> Iterator[Row]:
+def _of_scans(paths: tuple[str, ...], options: PipelineOptions, **limits: Any) -> Iterator[Row]:
     """Signatures of scans, or the records of their failures."""
-    from pcretrieve.errors import PcretrieveError
     from pcretrieve.ingestion.discover import discover, printable
 
-    for path, outcome in isolation.each(partial(_described, options), discover(paths)):
+    for path, outcome in each_scan("signature", partial(_described, options), discover(paths), **limits):
         name = printable(path)
-        if isinstance(outcome, PcretrieveError):
-            yield name, _failure(name, outcome), {"path": name}
-        else:
+        if isinstance(outcome, tuple):
             signature, seconds = outcome
             yield name, signature, {"path": name, "seconds": round(seconds, 3)}
+        else:
+            yield name, outcome, {"path": name}
 
 
 def _described(options: PipelineOptions, path: Path) -> tuple[Signature, float]:
@@ -148,17 +154,6 @@ def _described(options: PipelineOptions, path: Path) -> tuple[Signature, float]:
     with in_stage(Stage.SIGNATURE):
         signature = describe(shape, options.signature)
     return signature, sum(step.seconds for step in shape.provenance)
-
-
-def _failure(name: str, error: PcretrieveError) -> Record:
-    """The record of a scan that failed; errors that are not failures of a scan are raised."""
-    from pcretrieve.catalogue import Record
-    from pcretrieve.errors import ShapeError
-    from pcretrieve.ingestion.plan import failed
-
-    if not isinstance(error, ShapeError):
-        raise error
-    return failed(Record(Path(name).stem, name, ""), error)
 
 
 def _of_catalogue(location: str, ids: tuple[str, ...], chosen: dict[str, Any]) -> Iterator[Row]:

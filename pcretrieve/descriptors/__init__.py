@@ -4,30 +4,38 @@ Each module declares a record `Descriptor` beside its function. `DESCRIPTORS` ho
 and of other packages by name, and `describe` applies the one that the options name.
 """
 
-from pcretrieve.descriptors.bihdm import bihdm, full_matrix
+from pcretrieve.descriptors.bihdm import bihdm, bihdm_sampled, full_matrix
 from pcretrieve.descriptors.combined import combined
 from pcretrieve.descriptors.csd import csd
 from pcretrieve.descriptors.describe import DESCRIPTORS, describe, signature_length
 from pcretrieve.descriptors.descriptor import Descriptor
+from pcretrieve.descriptors.dl import dl
+from pcretrieve.descriptors.hapt import hapt
 from pcretrieve.descriptors.hks_bow import hks_bow
+from pcretrieve.descriptors.ispm import ispm
 from pcretrieve.descriptors.r_bihdm import r_bihdm, reduced_matrix
 from pcretrieve.descriptors.sd_gdm import sd_gdm
-from pcretrieve.descriptors.shape_dna import shape_dna
+from pcretrieve.descriptors.shape_dna import shape_dna, shape_dna_values
 from pcretrieve.descriptors.wks import wks
 
 __all__ = [
     "DESCRIPTORS",
     "Descriptor",
     "bihdm",
+    "bihdm_sampled",
     "combined",
     "csd",
     "describe",
+    "dl",
     "full_matrix",
+    "hapt",
     "hks_bow",
+    "ispm",
     "r_bihdm",
     "reduced_matrix",
     "sd_gdm",
     "shape_dna",
+    "shape_dna_values",
     "signature_length",
     "wks",
 ]

@@ -5,14 +5,17 @@ Equation numbers and symbols are those of `pcretrieve.descriptors.r_bihdm`.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from pcretrieve.descriptors.descriptor import Descriptor, spectrum_of
 from pcretrieve.descriptors.r_bihdm import leading, reduced_matrix
-from pcretrieve.options import Scale
-from pcretrieve.types import Eigenpairs, FloatArray, ModalSpectrum, Signature
+from pcretrieve.errors import OptionError
+from pcretrieve.options import Scale, SignatureOptions
+from pcretrieve.types import Eigenpairs, FloatArray, ModalSpectrum, Shape, Signature
 
-__all__ = ["BIHDM", "bihdm", "full_matrix"]
+__all__ = ["BIHDM", "BIHDM_SAMPLED", "bihdm", "bihdm_sampled", "full_matrix", "sampled_matrix"]
 
 
 def bihdm(
@@ -60,7 +63,104 @@ BIHDM = Descriptor(
     name="bihdm",
     make=lambda shape, o: bihdm(spectrum_of(shape, o), o.n_values, o.n_modes, scale=o.measured_by),
     needs=("spectrum", "overlaps"),
+    spread=1.04,
 )
+
+
+def bihdm_sampled(
+    pairs: Eigenpairs,
+    n_values: int = 59,
+    n_modes: int = 60,
+    *,
+    scale: Scale = "area",
+) -> Signature:
+    """The BiHDM signature by the matrix of distances between sample points, without weights.
+
+    Equation (8) as the authors compute it, by the Nyström method: the operator is replaced by the matrix of
+    the squared biharmonic distances between sample points, here all vertices. Densely sampled parts of a
+    surface weigh more, for which rankings are worse. `bihdm` is the exact limit of infinitely many points,
+    evenly spread; its rankings are as good as those of R-BiHDM. See docs/decisions.md, bihdm_sampled.
+
+    Parameters
+    ----------
+    pairs : Eigenpairs
+        At least `n_modes` + 1 eigenpairs of a connected surface, by elements with nodes at the vertices.
+    n_values : int, default 59
+        L, the number of values, at most `n_modes`.
+    n_modes : int, default 60
+        m, the number of modes in the sum of the biharmonic distance, equation (4).
+    scale : {"area", "relative", "absolute"}, default "area"
+        What the eigenvalues are divided by, as in `r_bihdm`.
+
+    Returns
+    -------
+    Signature
+        values : (L,) float64, in the units of `r_bihdm`.
+
+    Raises
+    ------
+    OptionError
+        If `n_modes` is not between 1 and the number of eigenpairs − 1, or `n_values` not between 1 and
+        `n_modes`.
+    SpectrumError
+        If the matrix does not have a positive and m negative eigenvalues.
+    """
+    matrix = sampled_matrix(pairs, n_modes)
+    values = leading(matrix, n_values, n_modes, scale, pairs.area)
+    return Signature(values, kind="bihdm-sampled", digest=f"L={n_values} m={n_modes} {scale}")
+
+
+def _bihdm_sampled(shape: Shape, o: SignatureOptions) -> Signature:
+    made = bihdm_sampled(shape.eigenpairs, o.n_values, o.n_modes, scale=o.measured_by)
+    # The eigenpairs of a shape are those at unit area, and the matrix scales as length⁴.
+    return replace(made, values=made.values * shape.area**2) if o.measured_by == "absolute" else made
+
+
+BIHDM_SAMPLED = Descriptor(
+    name="bihdm-sampled",
+    make=_bihdm_sampled,
+    needs=("eigenvectors",),
+    spread=1.01,
+)
+
+
+def sampled_matrix(pairs: Eigenpairs, n_modes: int = 60) -> FloatArray:
+    """The matrix of the squared biharmonic distances between vertices, restricted to its range.
+
+    With the rows φ_i(x)/λ_i of V and g(x) = |V(x)|², the matrix is g 1ᵀ + 1 gᵀ − 2 V Vᵀ = B C Bᵀ, where B has
+    the columns 1, g and V. If B = Q R with orthonormal columns of Q, R C Rᵀ has its non-zero eigenvalues.
+
+    Parameters
+    ----------
+    pairs : Eigenpairs
+        At least `n_modes` + 1 eigenpairs of a connected surface, by elements with nodes at the vertices.
+    n_modes : int, default 60
+        m, the number of modes in the sum.
+
+    Returns
+    -------
+    (m + 2, m + 2) float64
+        Symmetric, unit length⁴: multiplied by A / n, the area for each of the n vertices.
+
+    Raises
+    ------
+    OptionError
+        If `n_modes` is not between 1 and the number of eigenpairs − 1.
+    """
+    n_pairs = len(pairs.eigenvalues)
+    if not 1 <= n_modes < n_pairs:
+        raise OptionError(
+            f"n_modes must be between 1 and {n_pairs - 1} for {n_pairs} eigenpairs, got {n_modes}"
+        )
+    inner = slice(1, n_modes + 1)
+    places = pairs.eigenvectors[:, inner] / pairs.eigenvalues[inner]  # (n, m): V
+    green = (places**2).sum(axis=1)  # (n,): g
+    _, factor = np.linalg.qr(np.column_stack([np.ones_like(green), green, places]))  # (m + 2, m + 2)
+    middle = np.diag([0.0, 0.0] + [-2.0] * n_modes)  # (m + 2, m + 2): C
+    middle[0, 1] = middle[1, 0] = 1
+    matrix = factor @ middle @ factor.T * (pairs.area / len(green))
+    symmetric: FloatArray = (matrix + matrix.T) / 2  # up to rounding errors the same
+    return symmetric
 
 
 def full_matrix(pairs: Eigenpairs | ModalSpectrum, n_modes: int = 60) -> FloatArray:

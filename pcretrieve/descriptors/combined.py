@@ -73,4 +73,5 @@ COMBINED = Descriptor(
     ),
     needs=("spectrum", "eigenvectors"),
     length=lambda o: 2 * o.n_values,
+    spread=0.83,
 )

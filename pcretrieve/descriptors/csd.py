@@ -78,4 +78,5 @@ CSD = Descriptor(
     make=lambda shape, o: csd(shape.eigenpairs, o.n_values, o.n_modes),
     needs=("eigenvectors",),
     has_size=False,
+    spread=0.18,
 )

@@ -12,6 +12,8 @@ The name of the entry point is then a value of the option `--method`. The names 
 descriptors are reserved. Instead of a record, the entry point may name a function of a shape and
 `SignatureOptions`, which is taken as a descriptor that needs the spectrum, its overlaps and the mesh, and
 returns `SignatureOptions.n_values` positive values.
+
+Names joined by ``+``, such as ``hapt+r-bihdm``, stand for the fusion of these descriptors.
 """
 
 from __future__ import annotations
@@ -20,17 +22,21 @@ from dataclasses import replace
 
 import numpy as np
 
-from pcretrieve.descriptors.bihdm import BIHDM
+from pcretrieve.descriptors.bihdm import BIHDM, BIHDM_SAMPLED
 from pcretrieve.descriptors.combined import COMBINED
 from pcretrieve.descriptors.csd import CSD
 from pcretrieve.descriptors.descriptor import Descriptor
+from pcretrieve.descriptors.dl import DL, DL_SUPERVISED
+from pcretrieve.descriptors.fusion import fused
+from pcretrieve.descriptors.hapt import HAPT
 from pcretrieve.descriptors.hks_bow import HEAT_KERNEL_BAGS
+from pcretrieve.descriptors.ispm import ISPM
 from pcretrieve.descriptors.r_bihdm import R_BIHDM
-from pcretrieve.descriptors.sd_gdm import SD_GDM
-from pcretrieve.descriptors.shape_dna import SHAPE_DNA, SHAPE_DNA_NORM1
+from pcretrieve.descriptors.sd_gdm import SD_GDM, SD_GDM_SAMPLED
+from pcretrieve.descriptors.shape_dna import SHAPE_DNA, SHAPE_DNA_NORM1, SHAPE_DNA_VALUES
 from pcretrieve.descriptors.wks import WKS
 from pcretrieve.errors import OptionError, ShapeError, Stage
-from pcretrieve.names import NAMES
+from pcretrieve.names import NAMES, fused_names
 from pcretrieve.options import SignatureOptions
 from pcretrieve.plugins import Registry, named
 from pcretrieve.spectral import unit_eigenpairs
@@ -46,19 +52,45 @@ def _checked(name: str, added: object) -> Descriptor:
     return named(Descriptor)(name, added)
 
 
-DESCRIPTORS: Registry[Descriptor] = Registry(
+class _Descriptors(Registry[Descriptor]):
+    """The descriptors by name, and their fusions by several names."""
+
+    def __getitem__(self, name: str) -> Descriptor:
+        """The record of a name, or of the fusion of several names; OptionError as by `Registry`."""
+        names = fused_names(name)
+        record = super().__getitem__
+        return record(name) if len(names) == 1 else fused([record(part) for part in names])
+
+    def called(self, name: str) -> str:
+        """The descriptor in a message; of a fusion, without the packages of its parts."""
+        return super().called(name) if len(fused_names(name)) == 1 else f"the descriptor {name!r}"
+
+    def version(self, name: str) -> str:
+        """The packages and the versions of all parts that other packages add."""
+        version = super().version
+        return "".join(version(part) for part in fused_names(name))
+
+
+DESCRIPTORS: Registry[Descriptor] = _Descriptors(
     NAMES["descriptor"],
     {
         record.name: record
         for record in (
             R_BIHDM,
             BIHDM,
+            BIHDM_SAMPLED,
             SHAPE_DNA,
             SHAPE_DNA_NORM1,
+            SHAPE_DNA_VALUES,
             SD_GDM,
+            SD_GDM_SAMPLED,
             *HEAT_KERNEL_BAGS,
+            DL,
+            DL_SUPERVISED,
             WKS,
             CSD,
+            ISPM,
+            HAPT,
             COMBINED,
         )
     },

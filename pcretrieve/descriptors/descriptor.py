@@ -40,11 +40,15 @@ class Descriptor:
         L, the number of values; by default `SignatureOptions.n_values`.
     metric : {"logarithms", "values", "histograms"}, default "logarithms"
         How the values are compared, as in `Signature`.
+    spread : float, default 1.0
+        What the coordinates of the descriptor are divided by where it is fused with others (`--method A+B`):
+        the square root of the total variance of the coordinates, which distances compare, over simulated
+        people, whose scans the benchmarks do not use. See docs/decisions.md, spread.
 
     Raises
     ------
     OptionError
-        If there is no such need or metric.
+        If there is no such need or metric, or the spread is not positive.
     """
 
     name: str
@@ -53,6 +57,7 @@ class Descriptor:
     has_size: bool = True
     length: Callable[[SignatureOptions], int] = _n_values
     metric: Metric = "logarithms"
+    spread: float = 1.0
 
     def __post_init__(self) -> None:
         for what, given, known in (
@@ -61,6 +66,8 @@ class Descriptor:
         ):
             if wrong := sorted(given.difference(known)):
                 raise OptionError(f"{what} of a descriptor must be of {', '.join(known)}, got {wrong[0]!r}")
+        if not self.spread > 0:
+            raise OptionError(f"spread of a descriptor must be positive, got {self.spread:g}")
 
 
 def spectrum_of(shape: Shape, options: SignatureOptions) -> ModalSpectrum:

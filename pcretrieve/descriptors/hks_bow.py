@@ -13,11 +13,9 @@ from functools import cache
 from importlib import resources
 
 import numpy as np
-from scipy.cluster.vq import kmeans2
-from scipy.spatial.distance import cdist
 
 from pcretrieve.descriptors.descriptor import Descriptor
-from pcretrieve.errors import OptionError
+from pcretrieve.descriptors.vocabulary import Vocabulary, clustered
 from pcretrieve.types import Eigenpairs, FloatArray, Signature
 
 __all__ = ["HEAT_KERNEL_BAGS", "heat_features", "hks_bow", "scale_invariant_heat"]
@@ -37,9 +35,6 @@ SPATIAL_TIME = 0.02
 # Added to the frequency of every word (additive smoothing): the distances compare logarithms of frequencies,
 # in which a frequency of zero is not defined, and a very small one would outweigh all others.
 SMALLEST_SHARE = 1e-3
-
-# Smallest mean number of sample points for each cluster of k-means: with fewer points clusters become empty.
-POINTS_PER_WORD = 8
 
 SAMPLE = "hks_sample.npy"
 
@@ -88,11 +83,9 @@ def hks_bow(
     .. [2] M. Bronstein and I. Kokkinos, "Scale-invariant heat kernel signatures for non-rigid shape
        recognition", CVPR 2010.
     """
-    words, width = _vocabulary(n_words, scale_invariant)
-    squared = cdist(heat_features(pairs, scale_invariant=scale_invariant), words, "sqeuclidean")  # (n, L)
-    # Subtracting the smallest distance keeps the sum from underflowing to zero far from all words.
-    nearness = np.exp(-(squared - squared.min(axis=1, keepdims=True)) / (2 * width**2))
-    belongs = nearness / nearness.sum(axis=1, keepdims=True)  # (n, L)
+    vocabulary = _vocabulary(n_words, scale_invariant)
+    features = heat_features(pairs, scale_invariant=scale_invariant)
+    belongs = vocabulary.weights(features, 2 * vocabulary.gap)  # (n, L)
     in_modes = (pairs.mass @ pairs.eigenvectors).T @ belongs  # (m + 1, L): ∫ φ_k θ_w
     if spatial:
         heat = np.exp(-SPATIAL_TIME * pairs.eigenvalues)  # (m + 1,)
@@ -153,20 +146,13 @@ def scale_invariant_heat(pairs: Eigenpairs, n_frequencies: int) -> FloatArray:
 
 
 @cache
-def _vocabulary(n_words: int, scale_invariant: bool) -> tuple[FloatArray, float]:
-    """The (L, 6) words of the vocabulary, and the width σ of soft quantisation."""
+def _vocabulary(n_words: int, scale_invariant: bool) -> Vocabulary:
+    """The vocabulary of the plain or of the scale-invariant heat kernel signatures of the sample."""
     sample = np.load(str(resources.files(__package__).joinpath(SAMPLE)))[int(scale_invariant)]  # (s, 6)
-    most = len(sample) // POINTS_PER_WORD
-    if not 2 <= n_words <= most:
-        raise OptionError(f"n_values must be between 2 and {most} for a bag of words, got {n_words}")
-    start = np.random.default_rng(0).choice(len(sample), n_words, replace=False)
-    words, _ = kmeans2(sample.astype(np.float64), sample[start].astype(np.float64), iter=50, minit="matrix")
-    gaps = cdist(words, words)
-    np.fill_diagonal(gaps, np.inf)
-    return words, 2 * float(np.median(gaps.min(axis=1)))
+    return clustered(sample.astype(np.float64), n_words)
 
 
-def _bag(name: str, *, spatial: bool = False, scale_invariant: bool = False) -> Descriptor:
+def _bag(name: str, spread: float, *, spatial: bool = False, scale_invariant: bool = False) -> Descriptor:
     return Descriptor(
         name=name,
         make=lambda shape, o: hks_bow(
@@ -175,12 +161,13 @@ def _bag(name: str, *, spatial: bool = False, scale_invariant: bool = False) -> 
         needs=("eigenvectors",),
         has_size=False,
         length=lambda o: o.n_values * (o.n_values + 1) // 2 if spatial else o.n_values,
+        spread=spread,
     )
 
 
 HEAT_KERNEL_BAGS = (
-    _bag("hks-bow"),
-    _bag("hks-bow-spatial", spatial=True),
-    _bag("si-hks-bow", scale_invariant=True),
-    _bag("si-hks-bow-spatial", spatial=True, scale_invariant=True),
+    _bag("hks-bow", 0.60),
+    _bag("hks-bow-spatial", 1.2, spatial=True),
+    _bag("si-hks-bow", 0.83, scale_invariant=True),
+    _bag("si-hks-bow-spatial", 1.3, spatial=True, scale_invariant=True),
 )

@@ -64,9 +64,9 @@ def r_bihdm(
     Returns
     -------
     Signature
-        values : (L,) float64, largest first. ``area``: |μ_j| / A² for j = 1 … L; ``relative``: |μ_j / μ_0|;
-        both dimensionless, invariant to isometry and scaling. ``absolute``: |μ_j|, unit length⁴, invariant
-        to isometry.
+        values : (L,) float64, largest first. ``area``: ``|μ_j|`` / A² for j = 1 … L; ``relative``:
+        ``|μ_j / μ_0|``; both dimensionless, invariant to isometry and scaling. ``absolute``: ``|μ_j|``,
+        unit length⁴, invariant to isometry.
 
     Raises
     ------
@@ -85,6 +85,7 @@ R_BIHDM = Descriptor(
     name="r-bihdm",
     make=lambda shape, o: r_bihdm(spectrum_of(shape, o), o.n_values, o.n_modes, scale=o.measured_by),
     needs=("spectrum",),
+    spread=1.04,
 )
 
 

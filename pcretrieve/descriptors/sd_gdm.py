@@ -9,14 +9,16 @@ from pcretrieve.errors import DegenerateMeshError, OptionError
 from pcretrieve.options import Scale
 from pcretrieve.types import FloatArray, Signature, TriangleMesh
 
-__all__ = ["SD_GDM", "geodesic_matrix", "sd_gdm"]
+__all__ = ["SD_GDM", "SD_GDM_SAMPLED", "geodesic_matrix", "sd_gdm"]
 
 # Number of faces to which a surface is simplified first, as Smeets et al. do: a closed surface of genus 0
 # then has 502 vertices, and the dense matrix 502 rows.
 N_FACES = 1000
 
 
-def sd_gdm(mesh: TriangleMesh, n_values: int = 59, *, scale: Scale = "area") -> Signature:
+def sd_gdm(
+    mesh: TriangleMesh, n_values: int = 59, *, scale: Scale = "area", weighted: bool = True
+) -> Signature:
     """The SD-GDM signature of a surface [1]_; requires the extra ``pcretrieve[geodesic]``.
 
     Parameters
@@ -28,13 +30,16 @@ def sd_gdm(mesh: TriangleMesh, n_values: int = 59, *, scale: Scale = "area") -> 
     scale : {"area", "relative", "absolute"}, default "area"
         What the eigenvalues are divided by: A^(3/2) with the area A, the eigenvalue μ_0 of largest
         magnitude, or nothing.
+    weighted : bool, default True
+        Weigh vertices by their areas. If not, each vertex has the same weight, as in the article: the values
+        then depend on where vertices are dense. The article compares values by D1, the distance ``d1``.
 
     Returns
     -------
     Signature
         values : (L,) float64, largest first, with μ_0, μ_1, … the eigenvalues of `geodesic_matrix` by
-        descending magnitude. ``area``: |μ_j| / A^(3/2) for j = 1 … L; ``relative``: |μ_j / μ_0|; both
-        dimensionless, invariant to isometry and scaling. ``absolute``: |μ_j|, unit length³.
+        descending magnitude. ``area``: ``|μ_j|`` / A^(3/2) for j = 1 … L; ``relative``: ``|μ_j / μ_0|``;
+        both dimensionless, invariant to isometry and scaling. ``absolute``: ``|μ_j|``, unit length³.
 
     Raises
     ------
@@ -48,7 +53,7 @@ def sd_gdm(mesh: TriangleMesh, n_values: int = 59, *, scale: Scale = "area") -> 
     .. [1] D. Smeets, J. Hermans, D. Vandermeulen and P. Suetens, "Isometric deformation invariant 3D shape
        recognition", Pattern Recognition 45 (2012).
     """
-    mu = np.sort(np.abs(np.linalg.eigvalsh(geodesic_matrix(mesh))))[::-1]
+    mu = np.sort(np.abs(np.linalg.eigvalsh(geodesic_matrix(mesh, weighted=weighted))))[::-1]
     if not 1 <= n_values < len(mu):
         raise DegenerateMeshError(
             f"{n_values} values need a surface of at least {n_values + 1} vertices, got {len(mu)}: "
@@ -56,21 +61,31 @@ def sd_gdm(mesh: TriangleMesh, n_values: int = 59, *, scale: Scale = "area") -> 
         )
     values: FloatArray = mu[1 : n_values + 1]  # (L,)
     unit = {"relative": mu[0], "area": mesh.area**1.5, "absolute": 1.0}[scale]
-    return Signature(values / unit, kind="sd-gdm", digest=f"L={n_values} {scale}")
+    kind = "sd-gdm" if weighted else "sd-gdm-sampled"
+    return Signature(values / unit, kind=kind, digest=f"L={n_values} {scale}")
 
 
 SD_GDM = Descriptor(
     name="sd-gdm",
     make=lambda shape, o: sd_gdm(shape.mesh, o.n_values, scale=o.measured_by),
     needs=("mesh",),
+    spread=0.48,
+)
+
+SD_GDM_SAMPLED = Descriptor(
+    name="sd-gdm-sampled",
+    make=lambda shape, o: sd_gdm(shape.mesh, o.n_values, scale=o.measured_by, weighted=False),
+    needs=("mesh",),
+    spread=0.45,
 )
 
 
-def geodesic_matrix(mesh: TriangleMesh) -> FloatArray:
+def geodesic_matrix(mesh: TriangleMesh, *, weighted: bool = True) -> FloatArray:
     """The matrix √M D √M of the integral operator whose kernel is the geodesic distance.
 
     D holds the geodesic distances between the vertices of the simplified surface, and M is its lumped mass
-    matrix. Smeets et al. take the eigenvalues of D, in which densely sampled parts of a surface weigh more.
+    matrix. Smeets et al. take the eigenvalues of D, in which densely sampled parts of a surface weigh more;
+    up to a factor they are those of the matrix with each of the n vertices weighing A / n (`weighted` false).
     The distances are computed by the heat method [1]_ and averaged over the two directions; see
     docs/decisions.md, geodesic_matrix, for other methods.
 
@@ -78,6 +93,8 @@ def geodesic_matrix(mesh: TriangleMesh) -> FloatArray:
     ----------
     mesh : TriangleMesh
         Connected; also closed if it has more than 1000 faces.
+    weighted : bool, default True
+        Weigh vertices by their areas; if not, all by the mean of the areas.
 
     Returns
     -------
@@ -114,6 +131,7 @@ def geodesic_matrix(mesh: TriangleMesh) -> FloatArray:
         [solver.compute_distance(vertex) for vertex in range(len(coarse.vertices))]
     )  # (n, n)
     corners = np.repeat(coarse.face_areas / 3, 3)  # (3m,)
-    weights = np.sqrt(np.bincount(coarse.faces.ravel(), corners, len(coarse.vertices)))  # (n,)
+    areas = np.bincount(coarse.faces.ravel(), corners, len(coarse.vertices))  # (n,)
+    weights = np.sqrt(areas if weighted else np.full_like(areas, areas.mean()))  # (n,)
     matrix: FloatArray = np.outer(weights, weights) * (distances + distances.T) / 2
     return matrix

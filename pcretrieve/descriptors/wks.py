@@ -98,4 +98,5 @@ WKS = Descriptor(
     make=lambda shape, o: wks(shape.spectrum, o.n_values, o.n_modes),
     needs=("spectrum", "overlaps"),
     has_size=False,
+    spread=0.44,
 )

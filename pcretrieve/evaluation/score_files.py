@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from pcretrieve.atomic import write_file
+from pcretrieve.csv_text import csv_text
 from pcretrieve.errors import InputError
 from pcretrieve.evaluation.classes import class_measures, confusion
 from pcretrieve.evaluation.measures import MEASURES, QueryScores, precision_recall, query_scores
@@ -82,12 +83,8 @@ def write_evaluation(ranked: Rankings, folder: str | Path) -> tuple[Path, ...]:
     }
     paths = []
     for name, (header, rows) in files.items():
-        text = io.StringIO(newline="")
-        writer = csv.writer(text, lineterminator="\n")
-        writer.writerow(header)
-        writer.writerows(rows)
         paths.append(folder / name)
-        write_file(folder / name, text.getvalue().encode("utf-8", errors="surrogateescape"))
+        write_file(folder / name, csv_text(header, rows).encode("utf-8", errors="surrogateescape"))
     return tuple(paths)
 
 

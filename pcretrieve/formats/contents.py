@@ -9,6 +9,7 @@ from pcretrieve.formats.files import check_file
 from pcretrieve.formats.format import Part
 from pcretrieve.formats.members import MARK
 from pcretrieve.formats.registry import FORMATS, format_of, missing_extra, reading, split_member
+from pcretrieve.formats.urls import url_of
 
 __all__ = ["is_scan", "members_of", "parts_of"]
 
@@ -26,7 +27,7 @@ def is_scan(path: Path) -> bool:
     bool
         True if the suffix is that of a format whose extra is installed, and which recognises the file, if
         other files may have the suffix too. A file that cannot be opened counts as a scan, so that reading it
-        reports the error.
+        reports the error; one at a URL counts as none, if other files may have the suffix too.
     """
     suffix = path.suffix.lower()
     if suffix not in FORMATS.names.all() or missing_extra(suffix):
@@ -35,6 +36,8 @@ def is_scan(path: Path) -> bool:
         recognise = FORMATS[suffix].recognise
         if recognise is None:
             return True
+        if url_of(path) is not None:
+            return False  # only a copy of the file could be looked into
         check_file(path)
         with FORMATS.blamed(suffix, Stage.READ):
             return recognise(path)

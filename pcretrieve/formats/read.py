@@ -10,6 +10,8 @@ import numpy as np
 from pcretrieve.errors import ScanReadError
 from pcretrieve.formats.raw import RawScan
 from pcretrieve.formats.registry import read_raw
+from pcretrieve.formats.remote import local_copy
+from pcretrieve.formats.urls import url_of
 from pcretrieve.types import METRES, UNIT, PointCloud, Step, TriangleMesh
 
 __all__ = ["read_scan"]
@@ -29,7 +31,8 @@ def read_scan(path: str | Path) -> PointCloud | TriangleMesh:
         ``.npy .npz``, laser scans ``.las``, and ``.laz .e57`` by the extras ``las`` and ``e57``, depth
         images ``.png .tif .npy``, or the posed range scans that a Stanford ``.conf`` merges.
         Meshes: ``.ply .obj .off .stl .glb .gltf .wrl``, and ``.3mf .dae`` by the extra ``meshes``.
-        ``file#name`` is one of several scans in a file; the file itself is all of them as one.
+        ``file#name`` is one of several scans in a file; the file itself is all of them as one. A path may be
+        a URL that fsspec knows, such as ``s3://bucket/scan.ply``, by the extra ``remote``.
 
     Returns
     -------
@@ -48,12 +51,13 @@ def read_scan(path: str | Path) -> PointCloud | TriangleMesh:
     started = time.perf_counter()
     try:
         # Invalid numbers may be signalling NaN, or overflow when squared; `_scan` removes non-finite points.
-        with np.errstate(all="ignore"):
-            return _scan(read_raw(path), started=started)
+        with np.errstate(all="ignore"), local_copy(path) as file:
+            return _scan(read_raw(file), started=started)
     except ScanReadError as error:
-        if str(path) in error.message:
+        name = url_of(path) or str(path)
+        if name in error.message:
             raise
-        raise ScanReadError(f"{path}: {error.message}") from error
+        raise ScanReadError(f"{name}: {error.message}") from error
 
 
 def _scan(raw: RawScan, *, started: float) -> PointCloud | TriangleMesh:

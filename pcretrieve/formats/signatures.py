@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import io
 from pathlib import Path
 
@@ -10,6 +9,7 @@ import numpy as np
 
 from pcretrieve.adapters.pandas import parquet_bytes
 from pcretrieve.atomic import write_file
+from pcretrieve.csv_text import csv_text
 from pcretrieve.errors import InputError
 from pcretrieve.types import SignatureTable
 
@@ -60,9 +60,5 @@ def write_signatures(table: SignatureTable, path: str | Path) -> None:
         data = file.getvalue()
     else:
         columns = table.columns()
-        text = io.StringIO(newline="")
-        writer = csv.writer(text, lineterminator="\n")
-        writer.writerow(columns)
-        writer.writerows(zip(*columns.values(), strict=True))
-        data = text.getvalue().encode("utf-8")
+        data = csv_text((*columns,), zip(*columns.values(), strict=True)).encode("utf-8")
     write_file(path, data)

@@ -4,7 +4,9 @@ In come files, folders, globs and manifests; out comes one row of a catalogue fo
 executor, by default in isolated worker processes.
 """
 
+from pcretrieve.ingestion.batch import BatchStatus
+from pcretrieve.ingestion.cluster import DaskExecutor
 from pcretrieve.ingestion.executors import EXECUTORS, Executor
 from pcretrieve.ingestion.isolation import Isolation
 
-__all__ = ["EXECUTORS", "Executor", "Isolation"]
+__all__ = ["EXECUTORS", "BatchStatus", "DaskExecutor", "Executor", "Isolation"]

@@ -10,7 +10,19 @@ from collections.abc import Collection, Iterable, Mapping, Sequence
 from pathlib import Path
 
 from pcretrieve.errors import InputError, ScanReadError
-from pcretrieve.formats import MARK, check_file, is_scan, members_of, parts_of, split_member, suffixes
+from pcretrieve.formats import (
+    MARK,
+    check_file,
+    is_scan,
+    local_copy,
+    members_of,
+    parts_of,
+    remote_files,
+    remote_version,
+    split_member,
+    suffixes,
+    url_of,
+)
 from pcretrieve.ingestion.manifests import MANIFESTS, read_manifest
 from pcretrieve.ingestion.unread import unread_files
 
@@ -29,9 +41,9 @@ def discover(arguments: Sequence[str | Path], beside: Iterable[str | Path] = ())
     Parameters
     ----------
     arguments : sequence of str or Path
-        Files; folders, which are searched recursively; glob patterns; or manifests. A manifest is a ``.txt``
-        or ``.csv`` file that is not a table of points. It has one path in each line, or a column ``path`` or
-        ``file``; its paths are relative to its folder.
+        Files; folders, which are searched recursively; glob patterns; URLs of these; or manifests. A manifest
+        is a ``.txt`` or ``.csv`` file that is not a table of points. It has one path in each line, or a
+        column ``path`` or ``file``; its paths are relative to its folder.
     beside : iterable of str or Path
         Files that may be in the same folders, such as label files. There is no warning of them.
 
@@ -80,6 +92,8 @@ def content_hash(path: Path) -> str:
 def file_hash(file: Path) -> str:
     """The SHA-256 hash of a file and of the parts that the file names.
 
+    That of a file at a URL is computed from what the store says of its content, if possible.
+
     Parameters
     ----------
     file : Path
@@ -95,6 +109,12 @@ def file_hash(file: Path) -> str:
     ScanReadError
         If one of the files cannot be read.
     """
+    if url_of(file) is not None:
+        version = remote_version(file)
+        if version is not None:
+            return hashlib.sha256(version.encode()).hexdigest()
+        with local_copy(file) as copied:
+            return file_hash(copied)
     digest = hashlib.sha256()
     part = file
     try:
@@ -148,7 +168,8 @@ def printable(text: str | Path) -> str:
     str
         Valid Unicode text.
     """
-    return os.fsencode(text).decode("utf-8", "backslashreplace")
+    url = url_of(text) if isinstance(text, Path) else None
+    return os.fsencode(url or text).decode("utf-8", "backslashreplace")
 
 
 def shape_ids(paths: Collection[str], taken: Mapping[str, str]) -> dict[str, str]:
@@ -193,6 +214,8 @@ def _expand(argument: str | Path, beside: Collection[Path]) -> list[Path]:
         raise InputError("a path must not be empty: name a file or a folder")
     path = Path(argument)
     try:
+        if url_of(path) is not None:
+            return _remote_scans(path)
         if path.is_dir():
             files = _files_below(path)
         elif path.exists():
@@ -223,6 +246,21 @@ def _expand(argument: str | Path, beside: Collection[Path]) -> list[Path]:
     return list(scans)
 
 
+def _remote_scans(path: Path) -> list[Path]:
+    """The file of a URL with the suffix of a format, whatever it has; else the scans in a folder."""
+    if split_member(path)[0].suffix.lower() in suffixes() and not glob.has_magic(path.name):
+        return [path]
+    files = remote_files(path)
+    scans = [file for file in files if is_scan(file)]
+    unread = unread_files(file for file in files if file not in set(scans))
+    if not scans:
+        left = f", but {unread}" if unread else ""
+        raise InputError(f"{url_of(path)} names no scans{left}; known are {' '.join(sorted(suffixes()))}")
+    if unread:
+        logger.warning("left unread in %s: %s", url_of(path), unread)
+    return scans
+
+
 def _is_manifest(path: Path) -> bool:
     return path.suffix.lower() in MANIFESTS and not is_scan(path)
 
@@ -247,7 +285,9 @@ def _files_below(path: Path) -> list[Path]:
 
 
 def _scans_in(path: Path) -> tuple[Path, ...]:
-    """The scans in a file of several, or the file itself."""
+    """The scans in a file of several, or the file itself; one at a URL is not copied to be looked into."""
+    if url_of(path) is not None:
+        return (path,)
     try:
         return members_of(path) or (path,)
     except (ScanReadError, OSError):
@@ -263,6 +303,8 @@ def _parts(paths: Iterable[Path]) -> set[Path]:
     """The files that belong to scans, by their absolute names."""
     parts: set[Path] = set()
     for path in paths:
+        if url_of(path) is not None:
+            continue
         try:
             parts.update(_absolute(part.path) for part in parts_of(path))
         except (ScanReadError, OSError):
@@ -271,5 +313,7 @@ def _parts(paths: Iterable[Path]) -> set[Path]:
 
 
 def _absolute(path: Path) -> Path:
-    """An absolute path without ``..``. Symbolic links to files are not resolved."""
+    """An absolute path without ``..``, or that of a URL. Symbolic links to files are not resolved."""
+    if url_of(path) is not None:
+        return path
     return path.parent.resolve() / path.name if ".." in path.parts else path.absolute()

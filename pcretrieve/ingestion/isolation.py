@@ -14,6 +14,7 @@ from functools import partial
 from typing import ParamSpec, TypeVar
 
 from pcretrieve.errors import PcretrieveError
+from pcretrieve.ingestion.worker import Worker
 from pcretrieve.ingestion.workers import outcomes
 
 __all__ = ["Isolation", "in_processes"]
@@ -76,7 +77,12 @@ class Isolation:
         return outcome
 
     def each(
-        self, function: Callable[[Item], Answer], items: Iterable[Item], *, workers: int = 1
+        self,
+        function: Callable[[Item], Answer],
+        items: Iterable[Item],
+        *,
+        workers: int = 1,
+        idle: list[Worker[Item, Answer]] | None = None,
     ) -> Generator[tuple[Item, Answer | PcretrieveError], None, None]:
         """Call a function with each of many items, and return each outcome as soon as it is known.
 
@@ -88,6 +94,9 @@ class Isolation:
             The items, which are read when processes are free.
         workers : int, default 1
             Largest number of processes. With one process, the outcomes are in the order of the items.
+        idle : list of Worker, optional
+            Processes that an earlier call with the same function has left, which are taken first; this call
+            leaves its processes there. They end with the list.
 
         Returns
         -------
@@ -95,7 +104,12 @@ class Isolation:
             The outcome is what the function returned, or the error that `call` would raise.
         """
         return outcomes(
-            function, items, prepare=partial(_prepare, self.memory), workers=workers, timeout=self.timeout
+            function,
+            items,
+            prepare=partial(_prepare, self.memory),
+            workers=workers,
+            timeout=self.timeout,
+            idle=idle,
         )
 
 
@@ -132,12 +146,9 @@ def in_processes(
 
 
 def _prepare(memory: float | None) -> None:
-    """Prepare a worker process: one thread, a memory limit (GiB), no Ctrl-C, no standard output."""
-    # What readers and native code print is redirected to standard error, because standard output has the
-    # results of the command.
+    """Prepare a worker process: one thread, a memory limit (GiB), no Ctrl-C."""
     from threadpoolctl import threadpool_limits
 
-    os.dup2(2, 1)
     # The terminal sends Ctrl-C to all processes; the parent process handles it.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     threadpool_limits(limits=1)

@@ -26,9 +26,9 @@ def read_labels(path: str | Path) -> dict[str, str]:
     Parameters
     ----------
     path : str or Path
-        A CSV file with a header, of which one column (such as ``file``, ``path``, ``name`` or ``id``) has the
-        name of the shape and one (such as ``class`` or ``label``) its class; or a ``.cla`` file of the
-        Princeton Shape Benchmark.
+        A CSV file, separated by commas or semicolons, with a header, of which one column (such as ``file``,
+        ``path``, ``name`` or ``id``) has the name of the shape and one (such as ``class`` or ``label``) its
+        class; or a ``.cla`` file of the Princeton Shape Benchmark.
 
     Returns
     -------
@@ -42,7 +42,7 @@ def read_labels(path: str | Path) -> dict[str, str]:
     """
     path = Path(path)
     try:
-        text = path.read_text(encoding="utf-8-sig")
+        text = path.read_bytes().decode("utf-8-sig")  # names may have the end of a line of any system
     except (OSError, UnicodeDecodeError) as error:
         reason = getattr(error, "strerror", None) or "it is not UTF-8 text"
         raise BenchmarkError(f"cannot read the label file {path}: {reason}") from error
@@ -124,7 +124,10 @@ def _several(name: str, shapes: Sequence[str]) -> str:
 def _table(path: Path, text: str) -> dict[str, str]:
     labels: dict[str, str] = {}
     try:
-        rows = csv.DictReader(io.StringIO(text, newline=""))
+        # Spreadsheets separate columns by semicolons where the comma is the decimal point.
+        head = text.partition("\n")[0]
+        separator = ";" if ";" in head and "," not in head else ","
+        rows = csv.DictReader(io.StringIO(text, newline=""), strict=True, delimiter=separator)
         header = {name.strip().lower(): name for name in rows.fieldnames or ()}
         name = next((header[column] for column in NAME_COLUMNS if column in header), None)
         label = next((header[column] for column in LABEL_COLUMNS if column in header), None)
@@ -141,7 +144,10 @@ def _table(path: Path, text: str) -> dict[str, str]:
                     f"{labels[shape]!r} and {its_class!r} (line {rows.line_num})"
                 )
     except csv.Error as error:
-        raise BenchmarkError(f"the label file {path} is not a CSV file: {error}") from error
+        raise BenchmarkError(
+            f"the label file {path} is not a CSV file ({error}): close each quotation mark, and write "
+            'one within quotes as ""'
+        ) from error
     return labels
 
 

@@ -7,6 +7,7 @@ import io
 from pathlib import Path
 
 from pcretrieve.errors import InputError
+from pcretrieve.formats import url_of
 
 __all__ = ["MANIFESTS", "read_manifest"]
 
@@ -27,7 +28,8 @@ def read_manifest(path: Path) -> list[Path]:
     Returns
     -------
     list of Path
-        Relative to the folder of the manifest, in its order; files that do not exist are among them.
+        In the order of the manifest; URLs, and paths relative to its folder. Files that do not exist are
+        among them.
 
     Raises
     ------
@@ -40,10 +42,11 @@ def read_manifest(path: Path) -> list[Path]:
             raise InputError(f"the manifest {path} must be a regular file, not a pipe or a device")
         text = path.read_text(encoding="utf-8-sig")
     except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"cannot read the manifest {path}: {error}") from error
+        reason = getattr(error, "strerror", None) or "it is not UTF-8 text"
+        raise InputError(f"cannot read the manifest {path}: {reason}") from error
     if path.suffix.lower() == ".csv":
         try:
-            rows = csv.DictReader(io.StringIO(text, newline=""))
+            rows = csv.DictReader(io.StringIO(text, newline=""), strict=True)
             header = {name.strip().lower(): name for name in rows.fieldnames or ()}
             column = next((header[name] for name in PATH_COLUMNS if name in header), None)
             if column is None:
@@ -52,9 +55,10 @@ def read_manifest(path: Path) -> list[Path]:
         except csv.Error as error:
             raise InputError(f"the manifest {path} is not a CSV file: {error}") from error
     else:
-        names = [line.strip() for line in text.splitlines() if not line.lstrip().startswith("#")]
+        # Not by splitlines: names may have its other separators, such as U+2028.
+        names = [line.strip() for line in text.split("\n") if not line.lstrip().startswith("#")]
     # Missing files are not an error here: reading them fails later, as a failure of one shape.
-    scans = [path.parent / name for name in names if name]
+    scans = [Path(name) if url_of(Path(name)) else path.parent / name for name in names if name]
     if not scans:
         raise InputError(f"the manifest {path} names no scans")
     return scans

@@ -7,13 +7,13 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from pcretrieve.catalogue import Catalogue, Record
-from pcretrieve.errors import PcretrieveError, ShapeError, Stage
-from pcretrieve.formats import split_member
-from pcretrieve.ingestion import work
+from pcretrieve.errors import InputError, PcretrieveError, ShapeError, Stage
+from pcretrieve.formats import split_member, url_of
 from pcretrieve.ingestion.discover import printable, shape_ids
 from pcretrieve.ingestion.labels import match_labels
+from pcretrieve.ingestion.versions import versions
 
-__all__ = ["Plan", "Planner", "apply", "failed"]
+__all__ = ["Plan", "Planner", "apply", "failed", "failed_paths"]
 
 Identity = tuple[str, str]  # suffix and SHA-256 of a file
 
@@ -155,7 +155,7 @@ class Planner:
         """The new record of a file, without its content hash."""
         earlier = self._held.get(name)
         label = self._labels.get(name) or (earlier.label if earlier else None)
-        return Record(self._ids[name], name, "", label, versions=work.versions())
+        return Record(self._ids[name], name, "", label, versions=versions())
 
     def _rename(self, old: Record, name: str) -> None:
         """Give a renamed file its old record, with the old id and the label of this id."""
@@ -214,6 +214,37 @@ def failed(record: Record, error: PcretrieveError) -> Record:
     )
 
 
+def failed_paths(catalogue: Catalogue, stage: str | None = None) -> list[Path]:
+    """The scans of a catalogue that failed.
+
+    Parameters
+    ----------
+    catalogue : Catalogue
+        The catalogue.
+    stage : str, optional
+        Only scans that failed in this stage.
+
+    Returns
+    -------
+    list of Path
+        The scans, in ascending order of id.
+
+    Raises
+    ------
+    InputError
+        If there are none.
+    """
+    failures = catalogue.records(status="failed")
+    paths = [Path(record.path) for record in failures if stage in (None, record.stage)]
+    if not paths:
+        stages = ", ".join(sorted({str(record.stage) for record in failures})) or "none"
+        raise InputError(
+            f"no shape of {catalogue.location} failed"
+            + (f" in the stage {stage}; stages with failures: {stages}" if stage else "")
+        )
+    return paths
+
+
 def _identity(path: str, content: str) -> Identity:
     """The identity of a scan: the suffix belongs to it, because it determines how the bytes are read."""
     file, _ = split_member(Path(path))
@@ -221,6 +252,8 @@ def _identity(path: str, content: str) -> Identity:
 
 
 def _is_gone(path: str) -> bool:
+    if url_of(Path(path)) is not None:
+        return False  # unknown
     try:
         split_member(Path(path))[0].stat()
     except (FileNotFoundError, NotADirectoryError):

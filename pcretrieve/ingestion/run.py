@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import os
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -14,11 +14,13 @@ from pcretrieve.catalogue import Catalogue, Content, Record
 from pcretrieve.errors import PcretrieveError
 from pcretrieve.ingestion import work
 from pcretrieve.ingestion.attempts import Attempt, next_attempt
+from pcretrieve.ingestion.batch import written_down
 from pcretrieve.ingestion.contents import Contents
 from pcretrieve.ingestion.discover import printable
 from pcretrieve.ingestion.executors import Executor
 from pcretrieve.ingestion.isolation import in_processes
 from pcretrieve.ingestion.plan import Plan, Planner, apply, failed
+from pcretrieve.ingestion.temporary import remove_abandoned
 from pcretrieve.options import PipelineOptions
 from pcretrieve.pipeline.progress import log_steps, scan_name
 
@@ -71,6 +73,7 @@ def ingest_files(
     retry_failed: bool = False,
     retries: int = 0,
     max_failures: int | None = None,
+    only: Collection[Path] | None = None,
     on_shape: Callable[[Record], None] = lambda record: None,
 ) -> Summary:
     """Process scans, and store the results, including failures.
@@ -102,6 +105,8 @@ def ingest_files(
         `pcretrieve.ingestion.attempts.next_attempt`. The provenance of the shape has the step ``retry``.
     max_failures : int, optional
         Number of scans that may fail in this run before it stops. By default all of them.
+    only : collection of Path, optional
+        Process these scans only, such as those of a shard. Their ids are those of an ingest of all `paths`.
     on_shape : callable, optional
         Called with each record, after it has been stored or skipped.
 
@@ -120,10 +125,19 @@ def ingest_files(
         If `max_failures` scans have failed; if the executor cannot work, or ends without an outcome for each
         scan.
     """
+    remove_abandoned()  # also where nothing is left to do after a kill
     summary = Summary()
     files = {printable(path): path for path in paths}
     contents = Contents(files, workers or len(os.sched_getaffinity(0)), timeout)
-    planner = Planner(files, catalogue.records(), labels or {}, contents.of, retry_failed=retry_failed)
+    records = catalogue.outlines()
+    planner = Planner(files, records, labels or {}, contents.of, retry_failed=retry_failed)
+    names = _names_of(only, files)
+    elsewhere = files.keys() - set(names)
+    # Shapes of other shards stay, unless their files have changed since, and belong to another shard now.
+    left = {record.path: record.content_hash for record in records if record.path in elsewhere}
+    now = {path: contents.of(path) for path in left}
+    if stale := {path for path, content in now.items() if content != left[path] and isinstance(content, str)}:
+        catalogue.revise(removed=stale)
 
     def store(record: Record, content: Content | None) -> None:
         stored = catalogue.put(record, content)
@@ -133,6 +147,8 @@ def ingest_files(
         log_steps(scan_name(stored.path), stored.steps)
         if content is None:
             logger.info("failed: [%s / %s] %s", stored.id, stored.stage, stored.message)
+        progress.batch.add(stored)
+        progress.write()
         on_shape(stored)
         if content is None and len(summary.failed) == max_failures:
             raise PcretrieveError(
@@ -142,9 +158,11 @@ def ingest_files(
 
     def queue() -> Iterator[Attempt]:
         """Yield the scans that must be processed; the results for other scans are stored."""
-        for made in _plans(planner, contents):
+        for made in _plans(names, planner, contents):
             apply(made, catalogue)
-            _note(summary, made, on_shape)
+            _note(summary, _completed(made, catalogue), on_shape)
+            progress.batch.n_skipped += len(made.held) + len(made.duplicates)
+            progress.write()
             for record in made.unreadable:
                 store(record, None)
             for path, record in made.process:
@@ -163,7 +181,7 @@ def ingest_files(
 
     later: list[Attempt] = []
     attempts: Iterable[Attempt] = queue()
-    with closing(contents):
+    with closing(contents), written_down(catalogue.location, len(names), workers) as progress:
         while True:
             in_work: set[Path] = set()
             running = executor(
@@ -197,6 +215,7 @@ def plan_files(
     labels: Mapping[str, str] | None = None,
     timeout: float = 600.0,
     retry_failed: bool = False,
+    only: Collection[Path] | None = None,
     on_shape: Callable[[Record], None] = lambda record: None,
 ) -> Summary:
     """Find what `ingest_files` would do, and write nothing.
@@ -213,6 +232,8 @@ def plan_files(
         Longest time to read one file; seconds.
     retry_failed : bool, default False
         As for `ingest_files`.
+    only : collection of Path, optional
+        As for `ingest_files`.
     on_shape : callable, optional
         Called with the record of each scan.
 
@@ -226,12 +247,14 @@ def plan_files(
     BenchmarkError
         If a label matches several scans, or a scan has two classes.
     """
+    remove_abandoned()  # also where nothing is left to do after a kill
     summary = Summary()
     files = {printable(path): path for path in paths}
+    names = _names_of(only, files)
     contents = Contents(files, len(os.sched_getaffinity(0)), timeout)
     planner = Planner(files, records, labels or {}, contents.of, retry_failed=retry_failed)
     with closing(contents):
-        for made in _plans(planner, contents):
+        for made in _plans(names, planner, contents):
             _note(summary, made, on_shape)
             summary.failed += made.unreadable
             summary.planned += (record for _, record in made.process)
@@ -239,6 +262,12 @@ def plan_files(
                 on_shape(record)
     summary.unknown_labels = planner.unknown_labels
     return summary
+
+
+def _names_of(only: Collection[Path] | None, files: Mapping[str, Path]) -> list[str]:
+    """The names of the files that are processed."""
+    chosen = {*files.values()} if only is None else {*only}
+    return [name for name, path in files.items() if path in chosen]
 
 
 def _note(summary: Summary, made: Plan, on_shape: Callable[[Record], None]) -> None:
@@ -249,6 +278,23 @@ def _note(summary: Summary, made: Plan, on_shape: Callable[[Record], None]) -> N
         on_shape(record)
 
 
+def _completed(made: Plan, catalogue: Catalogue) -> Plan:
+    """A plan that was applied, with the provenance of the records that the catalogue has."""
+    originals = [original for _, original in made.duplicates]
+    stored = catalogue.several({record.id for record in (*made.held, *originals)})
+    # An original that is still to be processed has a new content, and no provenance.
+    whole = {(record.path, record.content_hash): record for record in stored}
+
+    def completed(record: Record) -> Record:
+        return whole.get((record.path, record.content_hash), record)
+
+    return replace(
+        made,
+        held=tuple(map(completed, made.held)),
+        duplicates=tuple((path, completed(original)) for path, original in made.duplicates),
+    )
+
+
 def _counted(attempts: Iterable[Attempt], in_work: set[Path]) -> Iterator[Attempt]:
     """The attempts; the path of each one that has been read is added to `in_work`."""
     for attempt in attempts:
@@ -256,13 +302,11 @@ def _counted(attempts: Iterable[Attempt], in_work: set[Path]) -> Iterator[Attemp
         yield attempt
 
 
-def _plans(planner: Planner, contents: Contents) -> Iterator[Plan]:
+def _plans(names: Sequence[str], planner: Planner, contents: Contents) -> Iterator[Plan]:
     """Yield plans for some files at a time; meanwhile, the contents of the next files are hashed."""
-    names = list(planner.files)
-    chunks = [names[start : start + FILES_AT_ONCE] for start in range(0, len(names), FILES_AT_ONCE)]
-    for chunk, upcoming in zip(chunks, [*chunks[1:], []], strict=True):
-        contents.expect([*chunk, *upcoming])
-        yield planner.plan(chunk)
+    for start in range(0, len(names), FILES_AT_ONCE):
+        contents.expect(names[start : start + 2 * FILES_AT_ONCE])
+        yield planner.plan(names[start : start + FILES_AT_ONCE])
 
 
 def _reported(failure: Record, stored: Record) -> Record:

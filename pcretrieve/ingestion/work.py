@@ -3,18 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import cache
-from importlib.metadata import version
 from pathlib import Path
 
-from pcretrieve import __version__
 from pcretrieve.catalogue import Content
 from pcretrieve.descriptors import describe
 from pcretrieve.errors import Stage, in_stage
 from pcretrieve.options import PipelineOptions
 from pcretrieve.pipeline.process import process
 
-__all__ = ["content", "versions"]
+__all__ = ["content"]
 
 
 def content(path: Path, options: PipelineOptions) -> Content:
@@ -43,11 +40,3 @@ def content(path: Path, options: PipelineOptions) -> Content:
     # Points and eigenvectors are not stored, and are not sent to the process that stores the content.
     surfaces = tuple(replace(surface, eigenpairs=None) for surface in shape.surfaces)
     return Content(replace(shape, surfaces=surfaces, cloud=None), signature)
-
-
-@cache
-def versions() -> dict[str, str]:
-    """Versions of pcretrieve and of the libraries on which results depend, by package name."""
-    # Not from metadata: a source folder on the path has no metadata, or the metadata of another version.
-    others = ("open3d", "pytetwild", "numpy", "scipy")
-    return {"pcretrieve": __version__} | {name: version(name) for name in others}

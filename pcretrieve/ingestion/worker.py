@@ -1,7 +1,9 @@
-"""A worker process, which applies a function to one item after the other: its parent's side and its own.
+"""A worker process, which applies a function to one item after the other, seen from its parent.
 
-Each worker has its own two pipes, and workers do not share locks. A worker can therefore be killed at any
-moment, even while it sends an answer, without an effect on other workers.
+Each worker has pipes of its own, and workers do not share locks. A worker can therefore be killed at any
+moment, even while it sends an answer, without an effect on other workers. What the code in a worker prints,
+on standard output or standard error, goes through a third pipe and is kept with the item. Its temporary files
+are in a folder that is removed with the worker.
 """
 
 from __future__ import annotations
@@ -10,7 +12,6 @@ import multiprocessing
 import os
 import pickle
 import signal
-import struct
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
@@ -19,17 +20,32 @@ from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection
 from typing import Any, Generic, TypeVar
 
-from pcretrieve.adapters.parent import end_with_parent
-from pcretrieve.errors import MemoryExceeded, PcretrieveError, StageTimeout, WorkerDied, shape_error
+from pcretrieve.errors import (
+    MemoryExceeded,
+    PcretrieveError,
+    StageTimeout,
+    UnexpectedError,
+    WorkerDied,
+    shape_error,
+)
+from pcretrieve.ingestion.serving import LENGTH, serve
+from pcretrieve.ingestion.temporary import TemporaryFolder
 
 __all__ = ["Task", "Worker", "interrupts_blocked"]
 
 Item = TypeVar("Item")
 Answer = TypeVar("Answer")
 
-# An answer is its length, followed by a pickle. The first answer only says that the worker is ready.
-LENGTH = struct.Struct("<q")
 CHUNK = 1 << 20  # bytes read at once
+
+# Number of bytes that are kept of what is printed while a worker has an item: the last ones.
+PRINTED = 1000
+
+# Number of reads of the output at once: a pipe gives 64 KiB at most.
+READS = 16
+
+# Errors whose cause may be in what the code of other libraries has printed.
+OF_UNKNOWN_CAUSE = (StageTimeout, WorkerDied, MemoryExceeded, UnexpectedError)
 
 # Longest time until a worker is ready; seconds.
 START_TIMEOUT = 120.0
@@ -41,6 +57,10 @@ ANSWER_TIMEOUT = 10.0
 # Longest time for which a killed process is awaited; seconds. A process that waits for a disk or a network
 # cannot end.
 KILL_TIMEOUT = 5.0
+
+# Longest time for which a process that has closed its pipe is awaited, before it is killed; seconds. Most
+# processes close it by ending, and their own exit code says more than that of a kill.
+EXIT_TIMEOUT = 2.0
 
 
 @dataclass(slots=True, eq=False)
@@ -78,26 +98,41 @@ class Worker(Generic[Item, Answer]):
         context = multiprocessing.get_context("spawn")
         tasks, self._tasks = context.Pipe(duplex=False)
         self._answers, answers = context.Pipe(duplex=False)
-        os.set_blocking(self._answers.fileno(), False)
+        self._output, output = context.Pipe(duplex=False)
+        for connection in (self._answers, self._output):
+            os.set_blocking(connection.fileno(), False)
+        self._printed = bytearray()
         self._arrived = bytearray()
         self._limit = START_TIMEOUT
         self.deadline = time.monotonic() + START_TIMEOUT
         self.task: Task[Item] | None = None
         self.n_tasks = 0
         self.is_gone = False
-        self._is_at_end = False  # of the pipe
-        self._process = context.Process(target=_serve, args=(tasks, answers, function, prepare))
+        self._is_at_end = False  # of the pipe of answers
+        self._is_silent = False  # at the end of the pipe of output
+        self._folder = TemporaryFolder()
+        self._process = context.Process(
+            target=serve, args=(tasks, answers, output, self._folder.path, function, prepare)
+        )
         try:
             self._process.start()
         finally:
             # Only the worker has these ends open: after it has ended, reading and writing fail.
             tasks.close()
             answers.close()
+            output.close()
 
     @property
-    def events(self) -> tuple[Connection[Any, Any], int]:
-        """The handles to wait for: an answer, and the end of the process."""
-        return self._answers, self._process.sentinel
+    def events(self) -> tuple[Connection[Any, Any] | int, ...]:
+        """The handles to wait for: an answer, output, and the end of the process."""
+        return self._answers, self._process.sentinel, *([] if self._is_silent else [self._output])
+
+    @property
+    def printed(self) -> str:
+        """The end of what was printed since the task was taken, with `` | `` between lines; often empty."""
+        lines = self._printed.decode("utf-8", "replace").splitlines()
+        words = ("".join(sign for sign in line if sign.isprintable()).strip() for line in lines)
+        return " | ".join(word for word in words if word)
 
     def take(self, task: Task[Item], timeout: float) -> None:
         """Send a task to the worker, which must not have one.
@@ -112,6 +147,7 @@ class Worker(Generic[Item, Answer]):
         task.attempts += 1
         self.task = task
         self.n_tasks += 1
+        self._printed.clear()
         self._limit = timeout
         self.deadline = time.monotonic() + timeout
         with suppress(OSError):  # the worker has ended, which `news` will report
@@ -121,22 +157,25 @@ class Worker(Generic[Item, Answer]):
         """The outcome of the task, or of the start, in a tuple; None while the worker is busy."""
         has_ended = not self._process.is_alive()
         message = self._message()
+        self._listen()  # after the answer, before which the worker has printed
         if message is not None:
             try:
                 outcome: Answer | PcretrieveError = pickle.loads(message)
             except Exception as error:  # noqa: BLE001  a class of a plug-in may be picklable, but not unpicklable
                 outcome = shape_error(error)
-            return (outcome,)
+            return (self._with_output(outcome) if isinstance(outcome, OF_UNKNOWN_CAUSE) else outcome,)
         if has_ended or self._is_at_end:
+            self._process.join(EXIT_TIMEOUT)
             code = self.stop()
             died = WorkerDied(
                 f"the process that worked on it ended with {_exit_text(code)}, perhaps for lack of memory: "
                 "raise --memory if you gave it, or have fewer processes work at a time"
             )
-            return (died,)
+            return (self._with_output(died),)
         if time.monotonic() >= self.deadline:
             self.stop()
-            return (StageTimeout(f"not finished within {self._limit:g} s: raise --timeout"),)
+            late = StageTimeout(f"not finished within {self._limit:g} s: raise --timeout")
+            return (self._with_output(late),)
         return None
 
     def has_memory_to_blame(self, outcome: object) -> bool:
@@ -151,6 +190,10 @@ class Worker(Generic[Item, Answer]):
             self._process.join(KILL_TIMEOUT)
             self._tasks.close()
             self._answers.close()
+            self._listen()
+            self._output.close()
+            self._is_silent = True
+            self._folder.remove()
         return self._process.exitcode
 
     def _message(self) -> bytes | None:
@@ -168,6 +211,25 @@ class Worker(Generic[Item, Answer]):
         message = bytes(self._arrived[LENGTH.size :])
         self._arrived.clear()
         return message
+
+    def _listen(self) -> None:
+        """Read what has been printed, at most `CHUNK` bytes, because a worker may print without an end."""
+        if self._is_silent:
+            return
+        with suppress(BlockingIOError):
+            for _ in range(READS):
+                chunk = os.read(self._output.fileno(), CHUNK // READS)
+                if not chunk:
+                    self._is_silent = True
+                    return
+                self._printed += chunk
+                del self._printed[:-PRINTED]
+
+    def _with_output(self, error: PcretrieveError) -> PcretrieveError:
+        """An error, with the end of what was printed in its message."""
+        if self.printed:
+            error.message += f"; before this it printed: {self.printed}"
+        return error
 
 
 @contextmanager
@@ -196,39 +258,3 @@ def _exit_text(code: int | None) -> str:
         return "no exit code"
     names = {-number: number.name for number in signal.Signals}
     return names.get(code, f"exit code {code}")
-
-
-# --- in the worker --------------------------------------------------------------------------------------
-
-
-def _serve(
-    tasks: Connection[Any, Any],
-    answers: Connection[Any, Any],
-    function: Callable[[Item], Answer],
-    prepare: Callable[[], object],
-) -> None:
-    """Answer tasks until the parent process ends."""
-    end_with_parent()
-    parent = multiprocessing.parent_process()
-    if parent is None or os.getppid() != parent.pid:
-        return  # the parent has ended before `end_with_parent`
-    prepare()
-    with suppress(EOFError, BrokenPipeError):  # the parent has ended, on a system without `end_with_parent`
-        _send(answers, pickle.dumps(True))
-        while True:
-            answer = _answer(function, tasks.recv())
-            _send(answers, answer)
-
-
-def _answer(function: Callable[[Item], Answer], item: Item) -> bytes:
-    """What the function returned or raised, pickled. A plug-in may raise anything, also SystemExit."""
-    try:
-        return pickle.dumps(function(item))
-    except BaseException as error:  # noqa: BLE001
-        return pickle.dumps(shape_error(error))
-
-
-def _send(answers: Connection[Any, Any], message: bytes) -> None:
-    rest = memoryview(LENGTH.pack(len(message)) + message)
-    while rest:
-        rest = rest[os.write(answers.fileno(), rest) :]

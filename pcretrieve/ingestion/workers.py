@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+import logging
 import time
 from collections import deque
 from collections.abc import Callable, Generator, Iterable, Sequence
 from itertools import islice
 from multiprocessing import connection
+from pathlib import Path
 from typing import Any, Generic, TypeVar
 
 from pcretrieve.errors import PcretrieveError
 from pcretrieve.ingestion.worker import Task, Worker, interrupts_blocked
 
 __all__ = ["outcomes"]
+
+logger = logging.getLogger(__name__)
 
 Item = TypeVar("Item")
 Answer = TypeVar("Answer")
@@ -36,8 +40,12 @@ def outcomes(
     prepare: Callable[[], object],
     workers: int,
     timeout: float,
+    idle: list[Worker[Item, Answer]] | None = None,
 ) -> Generator[tuple[Item, Answer | PcretrieveError], None, None]:
     """Apply a function to items, and yield each item with its outcome as soon as the outcome is known.
+
+    What the libraries print that the function calls is not shown: its end is logged at the level INFO, and is
+    in the messages of errors whose cause is unknown.
 
     Parameters
     ----------
@@ -51,6 +59,9 @@ def outcomes(
         Largest number of processes.
     timeout : float
         Longest time for one item; seconds.
+    idle : list of Worker, optional
+        Workers that an earlier call with the same function and `prepare` has left, which are taken first;
+        this call leaves its workers there when there are no more items. By default it stops them.
 
     Yields
     ------
@@ -71,6 +82,10 @@ def outcomes(
     try:
         while True:
             while len(crew) < workers and queue.holds(1 + sum(worker.task is None for worker in crew)):
+                if idle and (upcoming := queue.next(idle[-1])) is not None:
+                    crew.append(idle.pop())
+                    crew[-1].take(upcoming, timeout)
+                    continue
                 with interrupts_blocked():
                     crew.append(Worker(function, prepare))
             if not crew:
@@ -89,15 +104,21 @@ def outcomes(
                             f"{failed_starts} worker processes in a row ended, or hung, before they could "
                             "take a shape, perhaps for lack of memory: raise --memory if you gave it, or "
                             "have fewer processes work at a time"
+                            + (f"; the last one printed: {worker.printed}" if worker.printed else "")
                         )
                 elif worker.has_memory_to_blame(outcome) and task.attempts < MAX_ATTEMPTS:
                     worker.stop()
                     queue.again.append(task)
                 else:
+                    if worker.printed:
+                        logger.info("%s: its libraries printed: %s", _name(task.item), worker.printed)
                     finished.append((task.item, outcome))
                 if worker.is_gone or (upcoming := queue.next(worker)) is None:
                     crew.remove(worker)
-                    worker.stop()
+                    if idle is None or worker.is_gone or worker.n_tasks >= MAX_ITEMS:
+                        worker.stop()
+                    else:
+                        idle.append(worker)
                 else:
                     worker.take(upcoming, timeout)
             yield from finished
@@ -137,6 +158,12 @@ class _Queue(Generic[Item]):
     def _read(self, n: int) -> None:
         missing = max(0, n - len(self._ahead))
         self._ahead.extend(Task(item) for item in islice(self._items, missing))
+
+
+def _name(item: object) -> str:
+    """The name of an item in the log: that of its scan, if it has or is the path of a scan."""
+    path = getattr(item, "path", item)
+    return path.name if isinstance(path, Path) else "a call"
 
 
 def _wait(crew: Sequence[Worker[Item, Answer]]) -> None:

@@ -6,5 +6,6 @@ each stage, checks with verdicts and advice, and the rescan deviation of the sig
 
 from pcretrieve.inspection.inspect import inspect_scan, signature_spread
 from pcretrieve.inspection.inspection import Inspection
+from pcretrieve.inspection.problems import report_problem
 
-__all__ = ["Inspection", "inspect_scan", "signature_spread"]
+__all__ = ["Inspection", "inspect_scan", "report_problem", "signature_spread"]

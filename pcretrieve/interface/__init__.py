@@ -4,15 +4,19 @@ A catalogue may be given as a `Catalogue` or as its path or URL, options as in `
 a scan as a path, an array, or geometry of this package or another.
 """
 
-from pcretrieve.interface.catalogues import CatalogueLike
+from pcretrieve.interface.batches import retry, status, watch
+from pcretrieve.interface.catalogues import CatalogueLike, merge_catalogues
 from pcretrieve.interface.collections import cluster, draw_map, duplicates
+from pcretrieve.interface.maintenance import backup, check
 from pcretrieve.interface.queries import search, search_many
 from pcretrieve.interface.retrieval import calibrate, compare, evaluate, matrix, report
 from pcretrieve.interface.scans import ingest, inspect, merge_views
 
 __all__ = [
     "CatalogueLike",
+    "backup",
     "calibrate",
+    "check",
     "cluster",
     "compare",
     "draw_map",
@@ -21,8 +25,12 @@ __all__ = [
     "ingest",
     "inspect",
     "matrix",
+    "merge_catalogues",
     "merge_views",
     "report",
+    "retry",
     "search",
     "search_many",
+    "status",
+    "watch",
 ]

@@ -11,6 +11,7 @@ from pcretrieve.formats.scans import ScanLike, as_scan
 from pcretrieve.ingestion import EXECUTORS, Executor
 from pcretrieve.ingestion.layouts import discover_labelled
 from pcretrieve.ingestion.run import Summary, ingest_files, plan_files
+from pcretrieve.ingestion.shards import scans_of
 from pcretrieve.ingestion.views import read_views
 from pcretrieve.inspection import Inspection, inspect_scan
 from pcretrieve.interface.catalogues import CatalogueLike, opened, stored_records
@@ -36,6 +37,7 @@ def ingest(
     retries: int = 0,
     max_failures: int | None = None,
     dry_run: bool = False,
+    shard: str | None = None,
     on_shape: Callable[[Record], None] = lambda record: None,
 ) -> Summary:
     """Process scans, and store them in a catalogue, failures included.
@@ -74,6 +76,9 @@ def ingest(
         Number of scans that may fail in this run before it stops. By default all of them.
     dry_run : bool, default False
         Whether nothing is processed and stored: the summary has what would be done.
+    shard : str, optional
+        ``I/N``: process the I-th of N parts of the scans only, each into a catalogue of its own, from which
+        `merge_catalogues` makes the catalogue of all. The part of a scan depends on its content.
     on_shape : function, optional
         Called with the record of each shape as soon as it is stored, or skipped.
 
@@ -103,10 +108,17 @@ def ingest(
     chosen = None if options is None else PipelineOptions.of(options)
     runs = EXECUTORS[executor] if isinstance(executor, str) else executor
     classes = labels if isinstance(labels, Mapping) else names
+    part = scans_of(shard, scans)
     if dry_run:
         records = stored_records(catalogue, chosen)
         return plan_files(
-            scans, records, labels=classes, timeout=timeout, retry_failed=retry_failed, on_shape=on_shape
+            scans,
+            records,
+            labels=classes,
+            timeout=timeout,
+            retry_failed=retry_failed,
+            only=part,
+            on_shape=on_shape,
         )
     with opened(catalogue, chosen, create=True) as store:
         return ingest_files(
@@ -120,6 +132,7 @@ def ingest(
             retry_failed=retry_failed,
             retries=retries,
             max_failures=max_failures,
+            only=part,
             on_shape=on_shape,
         )
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import warnings
 from pathlib import Path
+from tokenize import TokenError
 from typing import Any
 
 import numpy as np
@@ -97,7 +98,10 @@ def read_matrix(path: str | Path) -> DistanceMatrix:
         values = _npy(path) if path.suffix == ".npy" else _text(path)
     except OSError as error:
         raise InputError(f"cannot read the distance matrix {path}: {error.strerror or error}") from error
-    except (ValueError, EOFError) as error:
+    except UnicodeDecodeError as error:
+        raise InputError(f"{path} is not a distance matrix: it is not UTF-8 text") from error
+    # NumPy reads the header of a .npy file by parsers of Python, and lets their exceptions pass.
+    except (ValueError, EOFError, SyntaxError, TokenError, TypeError, MemoryError, OverflowError) as error:
         raise InputError(f"{path} is not a distance matrix: {error}") from error
     if values.ndim != 2 or values.shape[0] != values.shape[1]:
         size = " by ".join(str(length) for length in values.shape) or "a single number"

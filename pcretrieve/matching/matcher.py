@@ -7,12 +7,15 @@ own matchers are reserved.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, get_args
 
 from pcretrieve.errors import OptionError
+from pcretrieve.matching.clock import clock_distance, view_descriptors, view_words
+from pcretrieve.matching.gallery_words import heat_points, word_distance, word_frequencies
 from pcretrieve.matching.heat import heat_distance, heat_set
+from pcretrieve.matching.meshsift import match_distance, mesh_features
 from pcretrieve.names import NAMES
 from pcretrieve.plugins import Registry, named
 from pcretrieve.types import Need, Shape
@@ -38,6 +41,11 @@ class Matcher:
         its overlaps, `Shape.mesh`, or `Shape.points`, which the catalogue does not store.
     symmetric : bool, default True
         Whether the distance from a to b is that from b to a, so that half of the distances need computing.
+    learn : function of a sequence of features that returns a function of features, optional
+        What is learned from the features of the gallery, such as a vocabulary. It is called once, for a
+        gallery of at least one shape, and the function that it returns once for each shape of the gallery and
+        each query: `distance` is given what this function returns. If it can be pickled, so can the index. By
+        default the features as they are.
 
     Raises
     ------
@@ -50,6 +58,7 @@ class Matcher:
     distance: Callable[[Any, Any], float]
     needs: tuple[Need, ...]
     symmetric: bool = True
+    learn: Callable[[Sequence[Any]], Callable[[Any], Any]] | None = None
 
     def __post_init__(self) -> None:
         known = [need for need in get_args(Need) if need != "eigenvectors"]
@@ -58,8 +67,15 @@ class Matcher:
 
 
 HEAT_HAUSDORFF = Matcher("heat-hausdorff", heat_set, heat_distance, needs=("mesh",))
+HKS_BOW_GALLERY = Matcher(
+    "hks-bow-gallery", heat_points, word_distance, needs=("mesh",), learn=word_frequencies
+)
+MDS_CM_BOF = Matcher("mds-cm-bof", view_descriptors, clock_distance, needs=("mesh",), learn=view_words)
+MESHSIFT = Matcher("meshsift", mesh_features, match_distance, needs=("mesh",))
 
 
 MATCHERS: Registry[Matcher] = Registry(
-    NAMES["matcher"], {HEAT_HAUSDORFF.name: HEAT_HAUSDORFF}, named(Matcher)
+    NAMES["matcher"],
+    {matcher.name: matcher for matcher in (HEAT_HAUSDORFF, HKS_BOW_GALLERY, MDS_CM_BOF, MESHSIFT)},
+    named(Matcher),
 )

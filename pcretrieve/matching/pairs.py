@@ -36,7 +36,7 @@ class PairwiseIndex:
     ids : tuple of str, length N
         The shapes that have features, in the given order.
     features : tuple, length N
-        What `Matcher.prepare` made of each shape.
+        What `Matcher.prepare` made of each shape; with `Matcher.learn`, what the learned function made of it.
     failures : tuple of Failure
         The other shapes, which are left out.
 
@@ -60,7 +60,9 @@ class PairwiseIndex:
                     Failure(shape_id, str(error.stage or ""), type(error).__name__, error.message)
                 )
         self.ids = tuple(features)
-        self.features = tuple(features.values())
+        made = list(features.values())
+        self._learned = self._called(matcher.learn, made) if matcher.learn and made else None
+        self.features = tuple(map(self._after_learning, made))
         self.failures = tuple(failures)
 
     def __len__(self) -> int:
@@ -81,7 +83,8 @@ class PairwiseIndex:
         Neighbors
             Nearest first, equally near shapes in alphabetical order.
         """
-        return nearest_of(self.ids, self._row(self._called(self.matcher.prepare, shape)), k)
+        features = self._after_learning(self._called(self.matcher.prepare, shape))
+        return nearest_of(self.ids, self._row(features), k)
 
     def nearest(self, shape_id: str, k: int = 10) -> Neighbors:
         """The shapes nearest to a shape of the gallery, itself included.
@@ -126,6 +129,10 @@ class PairwiseIndex:
             if self.matcher.symmetric:
                 distances[start:, position] = distances[position, start:]
         yield DistanceBlock(np.arange(n), distances)
+
+    def _after_learning(self, features: Any) -> Any:
+        """What the distance is given for a shape."""
+        return features if self._learned is None else self._called(self._learned, features)
 
     def _row(self, query: Any, start: int = 0) -> FloatArray:
         """(N − start,) distances from the features of a query to those of the gallery."""

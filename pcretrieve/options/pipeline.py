@@ -22,6 +22,7 @@ from pcretrieve.options.scan import ScanOptions
 from pcretrieve.options.signature import Scale, SignatureOptions, SpectralOptions
 from pcretrieve.options.stages import StageOptions, check_chain, link_of, with_method
 from pcretrieve.options.surface import RemeshOptions, SurfaceOptions
+from pcretrieve.suggestions import did_you_mean
 
 if sys.version_info >= (3, 11):
     import tomllib
@@ -33,7 +34,7 @@ __all__ = ["NUMBERS_VERSION", "OptionsLike", "PipelineOptions"]
 # Version of the numerical results, part of the digest. It is incremented when a change of the code, not of an
 # option, changes a signature, because signatures of different versions must not be compared. The changes are
 # listed in CHANGELOG.md under "Changed numbers".
-NUMBERS_VERSION = 10
+NUMBERS_VERSION = 11
 
 #: What public functions take for options: see `PipelineOptions.of`.
 OptionsLike: TypeAlias = "PipelineOptions | Mapping[str, Any] | str | Path | None"
@@ -91,7 +92,9 @@ class PipelineOptions(Options):
             values = tomllib.loads(Path(path).read_text(encoding="utf-8"))
         except OSError as error:
             raise OptionError(f"cannot read the options file {path}: {error.strerror}") from error
-        except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        except UnicodeDecodeError as error:
+            raise OptionError(f"{path} is not valid TOML: it is not UTF-8 text") from error
+        except ValueError as error:  # also of an integer of thousands of digits
             raise OptionError(f"{path} is not valid TOML: {error}") from error
         try:
             return (base or cls()).changed(**values)
@@ -120,7 +123,10 @@ class PipelineOptions(Options):
             If there is no preset of this name.
         """
         if name not in PRESETS:
-            raise OptionError(f"there is no preset {name!r}; there are {', '.join(PRESETS)}")
+            raise OptionError(
+                f"there is no preset or file {name!r}; the presets are {', '.join(PRESETS)}"
+                f"{did_you_mean(name, PRESETS)}"
+            )
         return (base or cls()).changed(**PRESETS[name])
 
     @classmethod
@@ -144,7 +150,7 @@ class PipelineOptions(Options):
         OptionError
             If there is neither such a file nor such a preset, or the file cannot be read or is invalid.
         """
-        if str(name) in PRESETS and not Path(name).exists():
+        if not Path(name).exists() and not Path(name).suffix:
             return cls.preset(str(name), base)
         return cls.from_toml(name, base)
 

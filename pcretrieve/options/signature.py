@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 from pydantic import AfterValidator, Field, model_validator
 
-from pcretrieve.names import METHODS, NAMES
+from pcretrieve.names import METHODS, NAMES, has_size, known_method
 from pcretrieve.options.model import Count, Options
 
 __all__ = ["Scale", "SignatureOptions", "SpectralOptions"]
@@ -30,8 +30,8 @@ Scale = Literal["relative", "area", "absolute"]
 class SignatureOptions(Options):
     """Spectrum and surface → descriptor."""
 
-    method: Annotated[str, AfterValidator(NAMES["descriptor"].known)] = "combined"
-    """The descriptor; `pcretrieve signature --help` lists all of them."""
+    method: Annotated[str, AfterValidator(known_method)] = "combined"
+    """The descriptor; `pcretrieve signature --help` lists all of them. Names joined by + fuse descriptors."""
     n_values: Count = 59
     """Number L of values of the descriptor; by default the most that R-BiHDM and Shape-DNA have with 61
     eigenpairs. For combined, of each of its two parts; for bags of features, the number of words."""
@@ -59,9 +59,9 @@ class SignatureOptions(Options):
 
     @model_validator(mode="after")
     def _has_a_size(self) -> SignatureOptions:
-        if self.scale == "absolute" and not METHODS.get(self.method, True):
+        if self.scale == "absolute" and not has_size(self.method):
             raise ValueError(
                 f"scale: must be area or relative for {self.method}, which has no size to keep; absolute is "
-                "for " + ", ".join(name for name, has_size in METHODS.items() if has_size)
+                "for " + ", ".join(name for name, is_sized in METHODS.items() if is_sized)
             )
         return self

@@ -45,8 +45,9 @@ class SurfaceOptions(Options):
     """Number of surfaces that growth reconstructs from one scan, with voxels of the edge above, 4/3 of it,
     3/4 of it, and so on in turn. The signature is the geometric mean over the surfaces, and its error bar is
     the standard deviation over them."""
-    fill_depth: Annotated[int, Field(ge=4, le=12)] = 6
-    """Octree depth of the Poisson surface by which growth fills holes."""
+    fill_depth: Annotated[int, Field(ge=4, le=8)] = 6
+    """The coarse surface by which growth fills holes has 2^fill_depth voxels on its longest side; for a scan
+    with large holes it is a Poisson surface with an octree of this depth."""
     poisson_depth: Annotated[int, Field(ge=4, le=12)] = 7
     """Octree depth of the method poisson; its smallest cell is poisson_scale · longest side / 2^depth."""
     poisson_scale: Annotated[float, Field(ge=1)] = 1.1

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from base64 import b64encode
 from functools import cache
+from urllib.parse import quote
 
 from jinja2 import Environment, PackageLoader, StrictUndefined, Template
 
@@ -22,7 +23,8 @@ def page_template(name: str) -> Template:
     Returns
     -------
     jinja2.Template
-        The template, with the filters ``three_digits`` and ``data_uri``; all values are escaped.
+        The template, with the filters ``three_digits``, ``data_uri`` and ``in_address``; all values are
+        escaped.
     """
     environment = Environment(
         loader=PackageLoader("pcretrieve.pages", ""),
@@ -33,6 +35,7 @@ def page_template(name: str) -> Template:
     )
     environment.filters["three_digits"] = _three_digits
     environment.filters["data_uri"] = _data_uri
+    environment.filters["in_address"] = _in_address
     return environment.get_template(f"templates/{name}")
 
 
@@ -44,3 +47,8 @@ def _three_digits(value: float) -> str:
 
 def _data_uri(picture: bytes) -> str:
     return "data:image/png;base64," + b64encode(picture).decode("ascii")
+
+
+def _in_address(name: str) -> str:
+    """A name as one part of an address; slashes in it too are escaped."""
+    return quote(name, safe="")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 
@@ -14,12 +14,13 @@ from pcretrieve.errors import PcretrieveError, ShapeError, Stage, in_stage, shap
 from pcretrieve.formats.scans import ScanLike
 from pcretrieve.options import OptionsLike, PipelineOptions
 from pcretrieve.pipeline.progress import log_steps, scan_name
+from pcretrieve.pipeline.seen import Seen
 from pcretrieve.pipeline.spectra import shape_of
 from pcretrieve.pipeline.stages import stages
 from pcretrieve.quality import findings_of, verdict_of
-from pcretrieve.types import Shape, Signature, Step, TriangleMesh, Verdict
+from pcretrieve.types import FloatArray, Shape, Signature, Step, TriangleMesh, Verdict
 
-__all__ = ["judged_signature", "placed", "process", "reconstruct", "signature"]
+__all__ = ["judged_signature", "placed", "process", "reconstruct", "signature", "signature_of_surfaces"]
 
 
 def signature(scan: ScanLike, options: OptionsLike = None) -> Signature:
@@ -133,6 +134,32 @@ def process(scan: ScanLike, options: OptionsLike = None) -> Shape:
         If the scan cannot be read or has no usable surface.
     """
     return _judged(scan, PipelineOptions.of(options))[0]
+
+
+def signature_of_surfaces(meshes: Sequence[TriangleMesh], options: PipelineOptions) -> FloatArray:
+    """Compute the signature of a scan again from its surfaces, on one thread, as `process` does.
+
+    Parameters
+    ----------
+    meshes : sequence of TriangleMesh
+        The surfaces of the scan, as they were stored.
+    options : PipelineOptions
+        The options with which the surfaces were made, with an element that needs a mesh.
+
+    Returns
+    -------
+    (L,) float64
+        The values of the signature.
+
+    Raises
+    ------
+    ShapeError
+        If a spectrum cannot be computed.
+    """
+    with threadpool_limits(limits=1):
+        shape = shape_of(Seen(mesh=meshes[0], others=tuple(meshes[1:])), options)
+        with in_stage(Stage.SIGNATURE):
+            return describe(shape, options.signature).values
 
 
 def _judged(scan: ScanLike, options: PipelineOptions) -> tuple[Shape, Verdict]:

@@ -1,7 +1,8 @@
 """Points in blocks of neighbouring points, with eight bits for each coordinate.
 
 The leaves of a k-d tree [1]_ are the blocks. The bounding box of a block is divided into 256 cells along each
-axis, and a point is stored as the numbers of its cells, as in a VA-file [2]_. Of the distance between a query
+axis, or along its longest axis only, with cells of the same length along the others. A point is stored as the
+numbers of its cells, as in a VA-file [2]_. Of the distance between a query
 and a point, the box gives a lower bound that all points of the block share, and the cells give a larger lower
 bound for the point alone.
 
@@ -16,7 +17,7 @@ References
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
@@ -37,6 +38,9 @@ VECTOR = 64
 
 N_CELLS = 256
 
+# Smallest length of a cell if all have the same length, so that it is not zero where all points are equal.
+SHORTEST = float(np.finfo(np.float64).tiny)
+
 # Largest number of points from which the axis is chosen that a set of points is divided along.
 N_SAMPLED = 1000
 
@@ -52,8 +56,8 @@ class Blocks:
     ----------
     rows : (B, S) int32
         Rows of the points of each block in the table, and `NO_ROW` in the other places.
-    low : (B, D) float64
-        The smallest coordinates of each block.
+    low, high : (B, D) float64
+        The smallest and the largest coordinates of each block.
     step : (B, D) float64
         Lengths of the cells of each block.
     codes : (B, D, S) uint8
@@ -62,6 +66,7 @@ class Blocks:
 
     rows: Rows
     low: FloatArray
+    high: FloatArray
     step: FloatArray
     codes: Codes
 
@@ -71,6 +76,8 @@ class Blocks:
         leading: NDArray[np.float32],
         coordinates: Callable[[Rows], FloatArray],
         rows: Rows,
+        *,
+        cubic: bool,
         size: int | None = None,
     ) -> Blocks:
         """The blocks of some rows of a table.
@@ -83,6 +90,8 @@ class Blocks:
             Coordinates of rows of the table.
         rows : (n,) int32
             The rows, at least one.
+        cubic : bool
+            Whether the cells of a block have the same length along all axes.
         size : int, optional
             S; by default as large as the rows need, at most `BLOCK_SIZE`.
 
@@ -99,21 +108,24 @@ class Blocks:
             np.full((len(parts), size), NO_ROW, np.int32),
             np.empty((len(parts), n_axes)),
             np.empty((len(parts), n_axes)),
+            np.empty((len(parts), n_axes)),
             np.zeros((len(parts), n_axes, size), np.uint8),
         )
         for block, part in enumerate(parts):
             # In ascending order, because that is the order of the points in memory.
-            blocks._fill(block, members := np.sort(rows[part]), coordinates(members))
+            blocks._fill(block, members := np.sort(rows[part]), coordinates(members), cubic)
         return blocks
 
-    def _fill(self, block: int, rows: Rows, points: FloatArray) -> None:
+    def _fill(self, block: int, rows: Rows, points: FloatArray, cubic: bool) -> None:
         """Set one block of arrays that are not yet in use to the points (m, D) of some rows (m,)."""
         low, high = points.min(axis=0), points.max(axis=0)
         step = high / N_CELLS - low / N_CELLS  # the difference of the largest numbers is infinite
+        if cubic:
+            step = np.full_like(step, max(step.max(), SHORTEST))
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
             cells = np.nan_to_num((points - low) / step)  # 0 / 0 where all points are equal
         self.rows[block, : len(rows)] = rows
-        self.low[block], self.step[block] = low, step
+        self.low[block], self.high[block], self.step[block] = low, high, step
         self.codes[block, :, : len(rows)] = np.clip(cells, 0, N_CELLS - 1).T
 
     @property
@@ -134,8 +146,7 @@ class Blocks:
         (B, D) float64
             Zero where the query is between the ends of the box.
         """
-        below = self.low - query
-        return np.maximum(np.maximum(below, -below - N_CELLS * self.step), 0.0)
+        return np.maximum(np.maximum(self.low - query, query - self.high), 0.0)
 
     def renumbered(self, numbers: Rows) -> Blocks:
         """The blocks after rows of the table were moved or removed.
@@ -152,10 +163,10 @@ class Blocks:
         """
         rows = np.where(self.rows == NO_ROW, np.int32(NO_ROW), numbers[self.rows])
         if (used := (rows != NO_ROW).any(axis=1)).all():
-            return Blocks(rows, self.low, self.step, self.codes)
-        return Blocks(rows[used], self.low[used], self.step[used], self.codes[used])
+            return replace(self, rows=rows)
+        return Blocks(rows[used], self.low[used], self.high[used], self.step[used], self.codes[used])
 
-    def extended(self, coordinates: Callable[[Rows], FloatArray], rows: Rows) -> Blocks:
+    def extended(self, coordinates: Callable[[Rows], FloatArray], rows: Rows, *, cubic: bool) -> Blocks:
         """The blocks with further rows, which are stored in new blocks beside those of the last block.
 
         Parameters
@@ -164,6 +175,8 @@ class Blocks:
             Coordinates of rows of the table.
         rows : (n,) int32
             The further rows.
+        cubic : bool
+            As in `of`.
 
         Returns
         -------
@@ -174,14 +187,14 @@ class Blocks:
         rows = np.concatenate([last[last != NO_ROW], rows])
         with np.errstate(over="ignore"):
             leading = np.ascontiguousarray(coordinates(rows).T, np.float32)
-        new = Blocks.of(leading, coordinates, rows, len(last))
+        new = Blocks.of(leading, coordinates, rows, cubic=cubic, size=len(last))
         return Blocks(
             *(np.concatenate([old[:-1], new.to_arrays()[name]]) for name, old in self.to_arrays().items())
         )
 
     def to_arrays(self) -> dict[str, NDArray[Any]]:
         """The attributes as arrays by name: the input of `from_arrays`."""
-        return {"rows": self.rows, "low": self.low, "step": self.step, "codes": self.codes}
+        return {field.name: getattr(self, field.name) for field in fields(self)}
 
     @classmethod
     def from_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> Blocks:
@@ -202,7 +215,7 @@ class Blocks:
         KeyError
             If an array is missing.
         """
-        return cls(arrays["rows"], arrays["low"], arrays["step"], arrays["codes"])
+        return cls(**{field.name: arrays[field.name] for field in fields(cls)})
 
 
 def _leaves(leading: NDArray[np.float32], members: Rows, size: int) -> Iterator[Rows]:

@@ -9,6 +9,9 @@ first:
    smallest distance of the query, so that each of the k nearest neighbours is: it is the new τ.
 3. Stop when the lower bounds of all other blocks exceed the limit. Because a lower bound does not exceed the
    exact distance, the shapes with a bound within the limit include the k nearest neighbours.
+
+A search of `pcretrieve.retrieval.searches`, if one is asked for, replaces the lower bounds: the exact
+distances to the shapes that it finds first give the radius τ, within which it then has to find all shapes.
 """
 
 from __future__ import annotations
@@ -26,6 +29,7 @@ from pcretrieve.retrieval.blocks import NO_ROW, Rows
 from pcretrieve.retrieval.distances import DISTANCES, pairwise
 from pcretrieve.retrieval.interpreted import scan
 from pcretrieve.retrieval.lower_bounds import LowerBounds
+from pcretrieve.retrieval.searches import SEARCHES, EuclideanSearch, check_searchable
 from pcretrieve.types import FloatArray
 
 __all__ = ["Filter"]
@@ -37,6 +41,10 @@ N_ALL = 1000
 # Tolerance of the lower bound. The rounding error of a sum of L products of numbers of magnitude s is at most
 # a few L·s·ε, and that of a vector of up to L such sums √L times as large; this is the factor of L²·s.
 ROUNDING = 64 * float(np.finfo(np.float64).eps)
+
+# Largest magnitude of coordinates that a search of another package is asked for: squares of their distances
+# do not overflow in single precision, up to a million values.
+LARGEST = 1e15
 
 # Exact distances in the second step, relative to k. See docs/decisions.md, N_FIRST.
 N_FIRST = 4
@@ -63,16 +71,24 @@ class Filter:
     size : float
         Largest magnitude of a coordinate, at least 1.
     bounds : LowerBounds or None
-        None for few shapes, and for a distance without lower bounds: no shape is left out.
+        None for few shapes, for a distance without lower bounds, and with a search of another package.
+    nearest : {"scan", "tree", "faiss"}
+        How the nearest are found.
+    search : EuclideanSearch or None
+        The search of another package; None by default. Without it and without bounds, no shape is left out.
     """
 
     distance: str
     points: FloatArray
     size: float
     bounds: LowerBounds | None
+    nearest: str = "scan"
+    search: EuclideanSearch | None = None
 
     @classmethod
-    def of(cls, distance: str, points: FloatArray, n_leading: int | None = None) -> Filter:
+    def of(
+        cls, distance: str, points: FloatArray, n_leading: int | None = None, *, nearest: str = "auto"
+    ) -> Filter:
         """The filter for coordinates, which are not copied.
 
         Parameters
@@ -83,17 +99,31 @@ class Filter:
             Whitened coordinates, at least one shape.
         n_leading : int, optional
             As in `LowerBounds.of`.
+        nearest : {"auto", "scan", "tree", "faiss"}, default "auto"
+            As in `RetrievalOptions`.
 
         Returns
         -------
         Filter
-            With the bounds that the distance declares, if there are more than `N_ALL` shapes.
+            With the search that is asked for; else with the bounds that the distance declares, if there are
+            more than `N_ALL` shapes.
+
+        Raises
+        ------
+        OptionError
+            If the search does not find the neighbours by this distance.
         """
+        check_searchable(nearest, distance)
         size = max(1.0, float(points.max()), -float(points.min()))
+        if nearest in SEARCHES:
+            search = SEARCHES[nearest](points) if size < LARGEST else None
+            return cls(distance, points, size, None, nearest, search)
         bound = DISTANCES[distance].at_least if len(points) > N_ALL else None
         return cls(distance, points, size, LowerBounds.of(bound, points, n_leading) if bound else None)
 
     def __str__(self) -> str:
+        if self.search is not None:
+            return str(self.search)
         if self.bounds is None:
             return "all shapes compared"
         n_blocks, n_axes, size = self.bounds.blocks.codes.shape
@@ -118,7 +148,7 @@ class Filter:
             With bounds along the axes of the shapes before, if these have bounds.
         """
         if self.bounds is None:
-            return Filter.of(self.distance, points)
+            return Filter.of(self.distance, points, nearest=self.nearest)
         size = max(self.size, float(np.abs(points[rows]).max()))
         return Filter(self.distance, points, size, self.bounds.renumbered(numbers).extended(points, rows))
 
@@ -135,9 +165,11 @@ class Filter:
         Filter
             With the bounds of these shapes.
         """
+        if self.search is not None:
+            return Filter.of(self.distance, self.points[keep], nearest=self.nearest)
         numbers = np.where(keep, np.cumsum(keep) - 1, NO_ROW).astype(np.int32)
         bounds = None if self.bounds is None else self.bounds.renumbered(numbers)
-        return Filter(self.distance, self.points[keep], self.size, bounds)
+        return Filter(self.distance, self.points[keep], self.size, bounds, self.nearest)
 
     def candidates(self, point: FloatArray, k: int, scan: Callable[..., int] = scan) -> NDArray[np.intp]:
         """The shapes that can be among the k nearest.
@@ -156,6 +188,8 @@ class Filter:
         (n,) intp
             Rows of `points`, ascending, that include the `k` nearest and all rows at equal distance.
         """
+        if self.search is not None and k < len(self.points) and np.abs(point).max() < LARGEST:
+            return self._found(self.search, point, k)
         if self.bounds is None:
             return np.arange(len(self.points))
         query = self.bounds.query(point[0])
@@ -171,16 +205,26 @@ class Filter:
             is_last = start >= len(order) or to_blocks[order[start]] > limit
             if is_last and len(rows) <= N_LAST * k:
                 break
-            limit = min(limit, self.bounds.limit(self._radius(point, k, rows, to_rows)))
+            limit = min(limit, self.bounds.limit(self._radius(point, k, _first(rows, to_rows, N_FIRST * k))))
             near = ~(to_rows > limit)
             rows, to_rows = rows[near], to_rows[near]
         return np.sort(rows).astype(np.intp)
 
+    def _found(self, search: EuclideanSearch, point: FloatArray, k: int) -> NDArray[np.intp]:
+        """As `candidates`, by a search of another package."""
+        rows, others = search.nearest(point, min(N_FIRST * k, len(self.points)))
+        # No distance for which there are searches is less than the Euclidean one.
+        radius = self._radius(point, k, rows)
+        if not math.isfinite(radius):
+            return np.arange(len(self.points))
+        return np.sort(rows if radius < others else search.within(point, radius))
+
     def to_arrays(self) -> dict[str, NDArray[Any]]:
-        """The contents as arrays by name: the input of `from_arrays`."""
+        """The contents as arrays by name: the input of `from_arrays`. Searches are made again from them."""
         bounds = {} if self.bounds is None else self.bounds.to_arrays()
         return bounds | {
             "distance": np.array(self.distance),
+            "nearest": np.array(self.nearest),
             "gallery": self.points,
             "size": np.array(self.size),
         }
@@ -206,21 +250,26 @@ class Filter:
         KeyError
             If an array is missing.
         """
-        distance, points = str(arrays["distance"]), arrays["gallery"]
+        distance, points, nearest = str(arrays["distance"]), arrays["gallery"], str(arrays["nearest"])
+        if nearest in SEARCHES:
+            return cls.of(distance, points, nearest=nearest)
         bound = DISTANCES[distance].at_least
         bounds = LowerBounds.from_arrays(bound, arrays) if bound and "codes" in arrays else None
         if bounds is not None and not bounds.fits(points):
             raise InputError("the arrays of an index must be of one table, got several; build it again")
         return cls(distance, points, float(arrays["size"]), bounds)
 
-    def _radius(self, point: FloatArray, k: int, rows: Rows, bounds: NDArray[np.float32]) -> float:
+    def _radius(self, point: FloatArray, k: int, rows: NDArray[np.integer]) -> float:
         """A radius within which at least `k` of some rows lie, rounding errors included."""
         if len(rows) < k:
             return math.inf
-        n = min(N_FIRST * k, len(rows))
-        first = rows[np.argpartition(bounds, n - 1)[:n]]
-        exact = pairwise(self.distance, point, self.points[first])[0]
+        exact = pairwise(self.distance, point, self.points[rows])[0]
         farthest = float(np.partition(exact, k - 1)[k - 1])
         size = max(self.size, float(np.abs(point).max(initial=0)))
         radius: float = farthest + ROUNDING * (farthest + size * point.shape[1] ** 2)
         return radius
+
+
+def _first(rows: Rows, bounds: NDArray[np.float32], n: int) -> Rows:
+    """The `n` rows with the smallest bounds, or all rows if there are fewer."""
+    return rows[np.argpartition(bounds, n - 1)[:n]] if n < len(rows) else rows

@@ -57,7 +57,7 @@ class SignatureIndex:
     table : SignatureTable
         The gallery, at least one signature.
     options : RetrievalOptions, optional
-        The distance, and the whitening to fit on `table`.
+        The distance, the whitening to fit on `table`, and how the nearest are found.
     whitening : Whitening, optional
         A whitening made before, such as `resolution_whitening`, instead of the one that `options` name.
 
@@ -65,14 +65,16 @@ class SignatureIndex:
     ----------
     contents : WhitenedTable
         The whitened coordinates. Neighbours are found by blocks of neighbouring shapes, or, among few shapes
-        and for distances without lower bounds, by all distances: ``repr`` says which.
+        and for distances without lower bounds, by all distances, or as `options` say: ``repr`` says how.
 
     Raises
     ------
     OptionError
-        If the whitening ``resolution`` is asked for and was not made before.
+        If the whitening ``resolution`` is asked for and was not made before, or the search that `options`
+        name does not find neighbours by their distance.
     InputError
-        If the table is empty, or the whitening was fitted on signatures with other options.
+        If the table is empty, the whitening was fitted on signatures with other options, or a package that
+        `options` name is not installed.
     """
 
     # Counted without a lock: two threads that count the same query change no answer.
@@ -100,7 +102,9 @@ class SignatureIndex:
             options_digest=table.digest,
         )
         ids = Names.of(table.ids[row] for row in by_id)
-        self.contents = WhitenedTable.of(made_by, ids, points[by_id], options.distance, whitening)
+        self.contents = WhitenedTable.of(
+            made_by, ids, points[by_id], options.distance, whitening, options.nearest
+        )
 
     @classmethod
     def of_coordinates(
@@ -126,7 +130,7 @@ class SignatureIndex:
         made_by : MadeBy
             Kind, digest and metric of the signatures, and the unit of their sizes, as in `SignatureTable`.
         options : RetrievalOptions
-            The distance, and the whitening to fit on `points`.
+            The distance, the whitening to fit on `points`, and how the nearest are found.
         whitening : Whitening, optional
             A whitening made before, as in `SignatureIndex`.
 
@@ -150,7 +154,9 @@ class SignatureIndex:
             metric=made_by.metric,
             options_digest=made_by.digest,
         )
-        return cls.of_contents(WhitenedTable.of(made_by, ids, points, options.distance, whitening))
+        return cls.of_contents(
+            WhitenedTable.of(made_by, ids, points, options.distance, whitening, options.nearest)
+        )
 
     @classmethod
     def of_contents(cls, contents: WhitenedTable) -> SignatureIndex:

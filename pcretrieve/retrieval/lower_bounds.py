@@ -11,7 +11,8 @@ coordinates, for which `pcretrieve.retrieval.blocks` has lower bounds.
 ``d1``
     tanh(x / 2) is concave for x ≥ 0. It is therefore at least its chord, x tanh(c / 2) / c, for x ≤ c, and at
     least tanh(c / 2) for x > c. The sum of min(|p − q|, c) over some of the values, times tanh(c / 2) / c, is
-    a lower bound of ``d1``.
+    a lower bound of ``d1``. Its cells have the same length along all values, so that it is a sum of small
+    integers in units of that length.
 """
 
 from __future__ import annotations
@@ -35,7 +36,7 @@ __all__ = ["LowerBounds"]
 # the bounds are looser and more shapes need an exact distance; with more the bounds take longer. See
 # docs/decisions.md, N_LEADING.
 N_LEADING = 24
-N_LEADING_D1 = 128
+N_LEADING_D1 = 128  # a sum of so many numbers of eight bits has 16 bits
 
 # Largest number of the leading axes that the blocks are divided along. A million shapes are divided ten times
 # before they are in blocks.
@@ -107,7 +108,9 @@ class LowerBounds:
             for start in range(0, len(rows), CHUNK):
                 chunk = slice(start, start + CHUNK)
                 leading[:, chunk] = _coordinates(gallery, mean, axes[:, : len(leading)], chunk).T
-        return cls(distance != "d1", mean, axes, Blocks.of(leading, coordinates, rows))
+        return cls(
+            distance != "d1", mean, axes, Blocks.of(leading, coordinates, rows, cubic=distance == "d1")
+        )
 
     def renumbered(self, numbers: Rows) -> LowerBounds:
         """The bounds after rows of the table were moved or removed.
@@ -140,7 +143,7 @@ class LowerBounds:
             Bounds along the same axes.
         """
         coordinates = partial(_coordinates, gallery, self.mean, self.axes)
-        return replace(self, blocks=self.blocks.extended(coordinates, rows))
+        return replace(self, blocks=self.blocks.extended(coordinates, rows, cubic=not self.euclidean))
 
     def to_arrays(self) -> dict[str, NDArray[Any]]:
         """The arrays of the bounds, by name: the input of `from_arrays`."""
@@ -176,7 +179,7 @@ class LowerBounds:
         return (
             (blocks.n_rows, len(self.mean)) == gallery.shape
             and self.axes.shape[0] == len(self.mean)
-            and blocks.low.shape == blocks.step.shape == (n_blocks, n_axes)
+            and blocks.low.shape == blocks.high.shape == blocks.step.shape == (n_blocks, n_axes)
             and blocks.codes.shape == (n_blocks, n_axes, size)
         )
 
@@ -235,12 +238,12 @@ class LowerBounds:
             blocks.codes,
             blocks.rows,
             blocks.low,
+            blocks.high,
             blocks.step,
             chosen,
             query,
             0.5 + CELL_ROUNDING,
             0.0 if self.euclidean else CLIP,
-            self._rounding,
             np.float32(limit),
             rows,
             bounds,

@@ -94,7 +94,13 @@ class WhitenedTable:
 
     @classmethod
     def of(
-        cls, made_by: MadeBy, ids: Names, points: FloatArray, distance: str, whitening: Whitening
+        cls,
+        made_by: MadeBy,
+        ids: Names,
+        points: FloatArray,
+        distance: str,
+        whitening: Whitening,
+        nearest: str = "auto",
     ) -> WhitenedTable:
         """Whiten coordinates in place, and bound their distances.
 
@@ -110,6 +116,8 @@ class WhitenedTable:
             A name in `pcretrieve.retrieval.DISTANCES`.
         whitening : Whitening
             The whitening.
+        nearest : {"auto", "scan", "tree", "faiss"}, default "auto"
+            As in `RetrievalOptions`.
 
         Returns
         -------
@@ -120,12 +128,14 @@ class WhitenedTable:
         ------
         InputError
             If the whitening was fitted on signatures with other options.
+        OptionError
+            If the search does not find the neighbours by this distance.
         """
         whitening.check_made_for(made_by.digest)
         for start in range(0, len(ids), CHUNK):
             chunk = slice(start, start + CHUNK)
             points[chunk] = whitening.apply(points[chunk])
-        return cls(made_by, ids, whitening, Filter.of(distance, points))
+        return cls(made_by, ids, whitening, Filter.of(distance, points, nearest=nearest))
 
     def point_of(self, query: str | Signature | ArrayLike) -> FloatArray:
         """The whitened coordinates of a query, after checks that it is comparable with the table.

@@ -213,7 +213,8 @@ def read_whitening(path: Path) -> Whitening:
         If the file is missing, or holds no whitening.
     """
     try:
-        with np.load(path, allow_pickle=False) as arrays:
+        # NumPy leaves a file open that is no archive.
+        with path.open("rb") as file, np.load(file, allow_pickle=False) as arrays:
             whitening = Whitening.from_arrays(arrays)
     except (OSError, ValueError, EOFError, zipfile.BadZipFile, AttributeError, TypeError) as error:
         raise InputError(

@@ -18,7 +18,7 @@ from pcretrieve.types import Neighbors, Signature
 if TYPE_CHECKING:
     from pcretrieve.matching import DistanceMatrix
 
-__all__ = ["DescribeScans", "search", "search_many"]
+__all__ = ["DescribeScans", "answer_to", "search", "search_many"]
 
 DescribeScans = Callable[
     [Sequence[Path], PipelineOptions], Iterable["tuple[Path, Described | PcretrieveError]"]
@@ -151,6 +151,43 @@ def search_many(
             yield name, outcome
             continue
         yield name, terms.answer(outcome)
+
+
+def answer_to(
+    catalogue: Catalogue,
+    query: str | Described,
+    *,
+    k: int = 10,
+    options: PipelineOptions | None = None,
+    labels: Collection[str] | None = None,
+    exclude_self: bool = False,
+    min_score: float | None = None,
+) -> Answer:
+    """Answer one query that is known already. No file is read, whatever the query is called.
+
+    Parameters
+    ----------
+    catalogue : Catalogue
+        The catalogue that is searched.
+    query : str or Described
+        The id of a shape of the catalogue, or the signature of a scan with its verdict.
+    k, options, labels, exclude_self, min_score : object
+        As in `search`.
+
+    Returns
+    -------
+    Answer
+        The neighbours, their records, the vote and the ranges of ranks.
+
+    Raises
+    ------
+    CatalogueError, InputError
+        As by `search`.
+    """
+    terms = Terms(
+        catalogue, options or catalogue.options, checked_k(k), None, None, labels, exclude_self, min_score
+    )
+    return terms.answer(query)
 
 
 def _resolved(

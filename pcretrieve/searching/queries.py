@@ -144,7 +144,7 @@ def _stored(catalogue: Catalogue, shape_id: str) -> str:
     if record is None:
         raise InputError(
             f"a query must be the file of a scan or the id of a shape, {shape_id!r} is no file and no shape "
-            f"of {catalogue.location}; `pcretrieve list` names the shapes"
+            f"of {catalogue.location}; `pcretrieve list` names the shapes{catalogue.suggested(shape_id)}"
         )
     if record.status != "done":
         raise InputError(

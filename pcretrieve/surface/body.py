@@ -4,7 +4,7 @@ This is the surface method ``growth``. Its steps are:
 
 1. Flood fill finds the voxels outside the body (`flood`).
 2. Voxels near the points get a signed distance to the surface (`field`).
-3. Voxels far from the points, in holes of the scan, are classified by a coarse Poisson surface (`filled`).
+3. Voxels far from the points, in holes of the scan, are classified by a coarse surface (`coarse`, `filled`).
 4. Voxels between two parts of the body that touch are removed (`contacts`).
 5. Components that a hole of the scan has separated are connected (`pieces`).
 6. Topology-preserving region growing removes handles that the body does not have (`growth`, `handles`).
@@ -105,7 +105,7 @@ def body_surfaces(cloud: PointCloud, options: SurfaceOptions) -> Iterator[tuple[
 
     Where the points are sparse beside the voxels, points are interpolated first (see `scan.density`).
     Near the points a voxel is inside if the signed distance to the algebraic sphere fitted to the points is
-    negative. Elsewhere, in holes of the scan, it is inside if it is inside a coarse Poisson surface. A voxel
+    negative. Elsewhere, in holes of the scan, it is inside if it is inside a coarse surface. A voxel
     that the flood fill of the outside reaches is never inside. Components separated by holes are connected to
     the body. Unless the genus is ``free``, voxels between parts that touch are removed (see `contacts`), and
     topology-preserving region growing inside the remaining voxels gives the body its genus (see `growth`).

@@ -12,7 +12,7 @@ from pcretrieve.voxels.components import components
 from pcretrieve.voxels.distance import distances
 from pcretrieve.voxels.grid import Grid, Mask, Voxels
 
-__all__ = ["FARTHEST", "Outside", "flood"]
+__all__ = ["FARTHEST", "Outside", "flood", "sampled"]
 
 # Number of empty voxels around the points, in which finite differences are computed.
 MARGIN = 3
@@ -50,14 +50,14 @@ class Outside:
 
     def depth_at(self, points: FloatArray) -> FloatArray:
         """(n,) depths of points below the outside, by trilinear interpolation; in voxels."""
-        return _sampled(self.depth, self.grid.coordinates(points))
+        return sampled(self.depth, self.grid.coordinates(points))
 
     def direction_at(self, points: FloatArray) -> FloatArray:
         """(n, 3) unit vectors in the direction of steepest descent of the depth; zero if there is none."""
         at = self.grid.coordinates(points)
         slope = np.empty((len(points), 3))
         for axis, step in enumerate(np.eye(3)):
-            slope[:, axis] = _sampled(self.depth, at - step) - _sampled(self.depth, at + step)
+            slope[:, axis] = sampled(self.depth, at - step) - sampled(self.depth, at + step)
         length = np.linalg.norm(slope, axis=1, keepdims=True)
         return slope / np.where(length > 0, length, 1)
 
@@ -146,8 +146,21 @@ def _regrown(outside: Mask, distance: Voxels, n_steps: int, clearance: float) ->
 
 
 @njit(cache=True)
-def _sampled(values: Voxels, at: FloatArray) -> FloatArray:
-    """(n,) values at (n, 3) positions, by trilinear interpolation; positions are moved into the grid."""
+def sampled(values: Voxels, at: FloatArray) -> FloatArray:
+    """Values on a grid, interpolated between the centres of voxels by trilinear interpolation.
+
+    Parameters
+    ----------
+    values : (a, b, c) float32
+        A value in each voxel; each side has at least two voxels.
+    at : (n, 3) float64
+        Positions, in voxels. Positions outside the grid are moved to its border.
+
+    Returns
+    -------
+    (n,) float64
+        The values at the positions.
+    """
     found = np.empty(len(at))
     for i in range(len(at)):
         total = 0.0

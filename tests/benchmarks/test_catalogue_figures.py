@@ -19,6 +19,7 @@ SCRIPT = Path(__file__).parents[2] / "scripts" / "benchmark_catalogue"
 
 def test_figures_of_catalogues_and_of_ingestion() -> None:
     command: list[str | Path] = [sys.executable, SCRIPT, "--shapes", "10000", "--meshes", "2"]
+    command += ["--merged", "1000"]
     ended = subprocess.run(command, capture_output=True, text=True)
     assert ended.returncode == 0, ended.stderr
     head, *lines = ended.stdout.splitlines()
@@ -32,6 +33,11 @@ def test_figures_of_catalogues_and_of_ingestion() -> None:
     assert re.fullmatch(
         r"median [\d.]+ s, peak \d+ MiB", measured["pcretrieve query ID, whose index is kept"]
     )
+    assert re.fullmatch(
+        r"[\d.]+ s in one transaction, [\d.]+ s one by one; removed in [\d.]+ s",
+        measured["1,000 shapes more"],
+    )
+    assert re.fullmatch(r"[\d.]+ s", measured["10 parts of 100 shapes merged"])
     assert "shapes/s" in measured["pcretrieve ingest, 2 workers"]
     stored = measured["stored of a shape of two surfaces, beside its meshes"]
     assert float(stored.split()[0]) < 100

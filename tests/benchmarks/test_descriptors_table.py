@@ -1,4 +1,4 @@
-"""The table of descriptors has a row for each scale, distance and whitening, and says what it leaves out."""
+"""The table of descriptors and matchers has all rows, and says what it leaves out."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def test_a_set_of_five_classes(tmp_path: Path) -> None:
     ended = subprocess.run(
         [
             *(sys.executable, SCRIPT, "--data", tmp_path, "--n-values", "9", "99"),
-            *("--methods", "wks", "r-bihdm", "hks-bow"),
+            *("--methods", "wks", "r-bihdm", "hks-bow", "heat-hausdorff"),
         ],
         capture_output=True,
         text=True,
@@ -41,9 +41,13 @@ def test_a_set_of_five_classes(tmp_path: Path) -> None:
     longer = [row for row in rows if "left out: n_values must be between 1 and n_modes = 60" in row]
     assert [row.split()[1:4] for row in longer] == [["r-bihdm", "99", s] for s in ("relative", "area")]
     rows = [row for row in rows if row not in longer]
+    matched = rows.pop(0).split()
+    assert matched[:6] == ["tosca", "heat-hausdorff", "-", "-", "-", "-"]
+    assert float(matched[6]) == 1, "the moved copy of each egg is its nearest neighbour"
+    assert float(matched[-2]) > 0 and matched[-1] == "0"
     assert len(rows) == 5 * 12 + 2 * 3, "wks at two lengths, r-bihdm by two scales, hks-bow once"
     assert sum(row.split()[5] == "resolution" for row in rows) == 2 * 3, "r-bihdm only"
-    figures = np.array([row.split()[6:] for row in rows], dtype=float)
+    figures = np.array([[*row.split()[6:-2], row.split()[-1]] for row in rows], dtype=float)
     plain = [row.split()[5] == "none" for row in rows]
     assert (figures[plain, 0] == 1).all(), "the moved copy of each egg is its nearest neighbour"
     assert (figures[:, -1] == 0).all(), "nothing failed"

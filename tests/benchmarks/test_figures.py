@@ -35,7 +35,11 @@ def test_both_sets_are_evaluated_and_the_missing_one_is_said(tmp_path: Path) -> 
     write_set(tmp_path / "shrec11", eggs)
     bumpy = bumpy_sphere(2000)
     write_set(tmp_path / "tosca", {"bumpy": [bumpy, shapes.moved(bumpy, 1)]})
-    ended = subprocess.run([sys.executable, SCRIPT, "--data", tmp_path], capture_output=True, text=True)
+    ended = subprocess.run(
+        [sys.executable, SCRIPT, "--data", tmp_path, "--samples", tmp_path / "none"],
+        capture_output=True,
+        text=True,
+    )
     assert ended.returncode == 0, ended.stderr
     head, *lines = ended.stdout.splitlines()
     assert head.split() == ["figure", "measured"]

@@ -116,6 +116,16 @@ def test_each_request_has_an_index_of_its_own(catalogue: Catalogue) -> None:
     assert len(kept(catalogue)) == len(requests)
 
 
+def test_what_others_add_and_remove_is_noticed(catalogue: Catalogue) -> None:
+    before = catalogue.index()
+    with Catalogue(catalogue.location) as other:
+        put(other, N_SHAPES)
+        assert list(catalogue.index().ids) == [*before.ids, f"s{N_SHAPES:03}"]
+        other.remove("s003")
+        assert "s003" not in catalogue.index().ids
+    assert_same(catalogue.index(asked()), catalogue, asked())
+
+
 def test_a_change_of_shapes_makes_all_of_them_anew(catalogue: Catalogue) -> None:
     for whitening in WHITENINGS:
         catalogue.index(asked(whitening))
@@ -180,16 +190,17 @@ def test_a_copy_that_is_restored_has_not_the_index_of_the_state_after_it(
         assert_same(store.index(asked()), store, asked())
 
 
-@pytest.mark.parametrize("damage", ["truncated", "missing", "garbage"])
-def test_one_that_is_damaged_is_made_anew(damage: str, catalogue: Catalogue) -> None:
+@pytest.mark.parametrize("array", ["gallery", "id_text"])
+@pytest.mark.parametrize("damage", ["truncated", "missing", "garbage", "one bit"])
+def test_one_that_is_damaged_is_made_anew(damage: str, array: str, catalogue: Catalogue) -> None:
     catalogue.index(asked())
     (folder,) = kept(catalogue)
-    file = folder / "gallery.npy"
-    if damage == "missing":
-        file.unlink()
-    else:
-        data = file.read_bytes()
-        file.unlink()  # the index above has the old one mapped
+    (file,) = folder.glob(f"{array}.npy")
+    data = file.read_bytes()
+    file.unlink()  # the index above has the old one mapped
+    if damage == "one bit":
+        file.write_bytes(data[:-1] + bytes([data[-1] ^ 1]))
+    elif damage != "missing":
         file.write_bytes(data[: len(data) // 2] if damage == "truncated" else b"no array" * 100)
     with Catalogue(catalogue.location) as other:
         assert_same(other.index(asked()), catalogue, asked())

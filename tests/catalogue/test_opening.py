@@ -3,22 +3,33 @@
 from __future__ import annotations
 
 import json
+import os
+import shutil
 import sqlite3
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import pytest
 import shapes
+from click.testing import CliRunner
 
 from pcretrieve import Catalogue, PipelineOptions
-from pcretrieve.catalogue import Content, Record
+from pcretrieve.catalogue import Content, Record, stored_shapes
+from pcretrieve.cli.main import cli
 from pcretrieve.descriptors import describe
 from pcretrieve.errors import CatalogueError
+from pcretrieve.formats import read_scan
 from pcretrieve.pipeline.process import process
+from pcretrieve.types import TriangleMesh
 
 OPTIONS = PipelineOptions().changed(scan={"voxel": 0.005}, signature={"n_values": 15})
+
+
+# The user without rights, on Linux.
+NOBODY = 65534
 
 
 @pytest.fixture
@@ -99,9 +110,10 @@ def test_an_empty_file_is_none_yet(tmp_path: Path) -> None:
         assert len(store) == 0
 
 
+@pytest.mark.parametrize("content", [b"x", b"ply\nformat ascii 1.0\n" * 100], ids=["a byte", "a scan"])
 @pytest.mark.parametrize("create", [False, True])
-def test_a_file_of_another_kind_is_left_as_it_is(create: bool, tmp_path: Path) -> None:
-    (tmp_path / "scan.ply").write_bytes(b"ply\nformat ascii 1.0\n" * 100)
+def test_a_file_of_another_kind_is_left_as_it_is(create: bool, content: bytes, tmp_path: Path) -> None:
+    (tmp_path / "scan.ply").write_bytes(content)
     before = (tmp_path / "scan.ply").read_bytes()
     with pytest.raises(CatalogueError, match="is not a catalogue: give another --catalogue"):
         Catalogue(tmp_path / "scan.ply", create=create)
@@ -141,8 +153,58 @@ def test_options_of_a_version_that_had_more_of_them(path: Path) -> None:
 
 def test_numbers_of_another_version(path: Path) -> None:
     execute(path, "UPDATE meta SET value = '6' WHERE key = 'numbers_version'")
-    with pytest.raises(CatalogueError, match=r"whose numbers differ \(version 6 there, 10 here\)"):
+    with pytest.raises(CatalogueError, match=r"whose numbers differ \(version 6 there, 11 here\)"):
         Catalogue(path)
+    with stored_shapes(path) as stored:
+        assert [record.id for record in stored.records()] == ["ball"]
+        mesh = stored.mesh("ball")
+    copy = path.with_name("ball.off")
+    for arguments in (["list"], ["show", "ball"], ["export", "ball", "-o", str(copy)]):
+        done = CliRunner().invoke(cli, [*arguments, "-c", str(path)])
+        assert done.exit_code == 0, done.output
+        assert "ball" in done.output
+    exported = read_scan(copy)
+    assert isinstance(exported, TriangleMesh)
+    assert (exported.faces == mesh.faces).all()
+
+
+# --- files that are moved, removed or incomplete --------------------------------------------------------
+
+
+@pytest.mark.parametrize("how", ["removed", "replaced"])
+def test_nothing_is_written_to_a_file_that_is_not_there_any_more(how: str, path: Path) -> None:
+    with Catalogue(path) as store:
+        other = shutil.copy(path, path.with_name("copy.sqlite"))
+        path.unlink()
+        if how == "replaced":
+            Path(other).rename(path)
+        with pytest.raises(CatalogueError, match=r"was removed or replaced while it was in use: .* put the"):
+            store.put(Record("other", "/other.off", "hash", status="failed"))
+        with pytest.raises(CatalogueError, match="was removed or replaced while it was in use"):
+            store.remove("ball")
+
+
+def test_changes_that_are_in_the_log_alone_are_not_left_out() -> None:
+    """As a killed process leaves them, and where SQLite cannot apply them."""
+    with TemporaryDirectory(dir="/tmp") as place:  # that of pytest is closed to other users
+        folder = Path(place) / "folder"
+        folder.mkdir()
+        with Catalogue(Path(place) / "c.sqlite", create=True) as store:
+            store.put(Record("other", "/other.off", "hash", status="failed"))
+            for suffix in ("", "-wal"):
+                shutil.copy(f"{store.location}{suffix}", folder)
+        Path(place).chmod(0o755)
+        folder.chmod(0o555)
+        user = os.geteuid()
+        try:
+            if user == 0:
+                os.seteuid(NOBODY)
+            words = r"is incomplete without its last changes in c\.sqlite-wal, .*: copy both files elsewhere"
+            with pytest.raises(CatalogueError, match=words):
+                Catalogue(folder / "c.sqlite")
+        finally:
+            os.seteuid(user)
+            folder.chmod(0o755)
 
 
 # --- damage ---------------------------------------------------------------------------------------------
@@ -169,6 +231,11 @@ def flipped(column: str, position: int) -> str:
 DAMAGES: dict[str, Callable[[Path], None]] = {
     "truncated": truncated,
     "overwritten": overwritten,
+    "a name that SQLite quotes and that is not UTF-8": lambda path: execute(
+        path,
+        "PRAGMA writable_schema = ON",
+        "UPDATE sqlite_master SET name = CAST(x'ce41' AS TEXT), sql = 'x' WHERE name = 'shapes'",
+    ),
     "no options": lambda path: execute(path, "DELETE FROM meta"),
     "options that are no JSON": lambda path: execute(
         path, "UPDATE meta SET value = '{' WHERE key = 'options'"

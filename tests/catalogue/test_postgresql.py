@@ -16,7 +16,7 @@ from click.testing import CliRunner
 
 from pcretrieve import Catalogue
 from pcretrieve.benchmarks.catalogue import OPTIONS
-from pcretrieve.catalogue import Record, database, gallery
+from pcretrieve.catalogue import Record, database, gallery, postgresql_tables
 from pcretrieve.catalogue.arrays import packed_values
 from pcretrieve.catalogue.stores import open_rows
 from pcretrieve.cli.main import cli
@@ -152,6 +152,50 @@ def test_a_gallery_notices_what_others_added(
         assert len(before) == 3
         assert len(catalogue.index()) == 4
         assert len(list(tmp_path.glob("pcretrieve/*/*"))) == 1
+
+
+# --- migration ------------------------------------------------------------------------------------------
+
+LATER = postgresql_tables.SCHEMA_VERSION + 1
+# Fails if it is executed twice.
+NEW_COLUMN = "ALTER TABLE shapes ADD COLUMN colour text DEFAULT 'grey'"
+
+
+def later_version(monkeypatch: pytest.MonkeyPatch, *statements: str) -> None:
+    """Let pcretrieve be one whose schema has one more version."""
+    monkeypatch.setattr(postgresql_tables, "SCHEMA_VERSION", LATER)
+    monkeypatch.setattr(postgresql_tables, "MIGRATIONS", {LATER - 1: statements})
+
+
+def test_a_catalogue_of_an_earlier_version_is_migrated_once(
+    location: str, server: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with closing(open_rows(location, SETTINGS, create=True)) as rows:
+        rows.put(Record("a", "/a", "", status="failed"), None, {})
+    later_version(monkeypatch, NEW_COLUMN, "UPDATE shapes SET colour = 'blue'")
+
+    def opened(number: int) -> list[Record]:
+        with closing(open_rows(location, SETTINGS, create=False)) as rows:
+            return rows.page(limit=10)
+
+    with ThreadPoolExecutor(4) as several:
+        assert [[record.id for record in page] for page in several.map(opened, range(4))] == [["a"]] * 4
+    schema = location.partition("=")[2].replace('"', '""')
+    assert server.execute(f'SELECT colour FROM "{schema}".shapes').fetchall() == [("blue",)]
+    monkeypatch.undo()
+    with pytest.raises(CatalogueError, match=rf"by a newer pcretrieve \(schema {LATER}, this one knows"):
+        open_rows(location, SETTINGS, create=False)
+
+
+def test_a_migration_that_fails_changes_nothing(location: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    with closing(open_rows(location, SETTINGS, create=True)) as rows:
+        rows.put(Record("a", "/a", "", status="failed"), None, {})
+    later_version(monkeypatch, NEW_COLUMN, "UPDATE nothing SET colour = 'blue'")
+    with pytest.raises(CatalogueError, match=r'cannot be used: .*"nothing" does not exist'):
+        open_rows(location, SETTINGS, create=False)
+    later_version(monkeypatch, NEW_COLUMN)
+    with closing(open_rows(location, SETTINGS, create=False)) as rows:
+        assert rows.count("failed") == 1
 
 
 # --- what cannot be opened ------------------------------------------------------------------------------

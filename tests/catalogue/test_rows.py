@@ -16,7 +16,7 @@ from packages import install, install_contributed
 
 from pcretrieve import Catalogue, PipelineOptions, evaluate, ingest
 from pcretrieve.catalogue import STORES, Record, Rows
-from pcretrieve.catalogue.rows import OWN, PAYLOADS, Payload
+from pcretrieve.catalogue.rows import OWN, PAYLOADS, Entry, Origin, Payload
 from pcretrieve.catalogue.settings import settings_of
 from pcretrieve.catalogue.stores import open_rows
 from pcretrieve.cli.main import cli
@@ -85,6 +85,9 @@ def test_a_store_that_is_not_there(location: str) -> None:
 
 def test_numbers_and_areas(rows: Rows) -> None:
     assert (rows.count("done"), rows.count("failed")) == (4, 1)
+    rows.put(failure("f"), None, {})
+    rows.put(replace(failure("g"), stage="read"), None, {})
+    assert rows.failures() == {("clean", "Bad"): 2, ("read", "Bad"): 1}
     assert rows.areas() == {None: (1, 4)}
     for name in ("b", "c"):
         rows.put(record(name, steps=(Step("read", 0.5, {UNIT: 1.0}),)), signature(name), ARRAYS)
@@ -234,6 +237,37 @@ def test_states_have_names(rows: Rows) -> None:
     assert len({state.shapes for state in states}) == len(states)
     rows.revise(moved={}, removed=[], labels={"/b.ply": "x"})
     assert rows.revision().labels not in {state.labels for state in states}
+
+
+# --- entries --------------------------------------------------------------------------------------------
+
+
+def test_entries_have_all_that_is_stored(rows: Rows) -> None:
+    rows.keep("other", [(record("b"), b"12345678")])
+    first, second = rows.entries(["e", "b", "nobody", "b"])
+    assert (first.record, second.record) == (record("b"), failure("e"))
+    assert first.signatures == {OWN: signature("b"), "other": b"12345678"}
+    assert (first.payloads, second.signatures, second.payloads) == (ARRAYS, {}, {})
+
+
+def test_entries_are_stored_as_they_are(rows: Rows) -> None:
+    before = rows.revision()
+    changed = record("a", content_hash="new", label=None)
+    new = [Entry(changed, {"other": b"1"}, {}), Entry(record("f"), {OWN: signature("f")}, ARRAYS)]
+    rows.add(new)
+    assert rows.revision().shapes != before.shapes
+    assert ids(rows.page(limit=10)) == ["a", "b", "c", "d", "e", "f"]
+    assert rows.read("a", PAYLOADS) == (changed, {})
+    assert rows.signatures(OWN).has.tolist() == [False, True, True, True, True]
+    for given, stored in zip(new, rows.entries(["a", "f"]), strict=True):
+        assert (given.record, given.signatures) == (stored.record, stored.signatures)
+        assert given.payloads == stored.payloads
+
+
+def test_origins(rows: Rows) -> None:
+    assert [origin.id for origin in rows.origins()] == ["a", "b", "c", "d", "e"]
+    assert rows.origins()[1] == Origin("b", "/b.ply", "hash-b", "label", "done")
+    assert rows.origins()[4] == Origin("e", "/e.ply", "", None, "failed")
 
 
 # --- catalogues -----------------------------------------------------------------------------------------

@@ -146,6 +146,19 @@ def test_labels_moves_and_removals(catalogue: Catalogue) -> None:
             catalogue.remove(gone)
 
 
+def test_the_space_of_removed_shapes_is_given_back(in_file: Catalogue) -> None:
+    in_file.close()
+    path = Path(in_file.location)
+    before = path.stat().st_size
+    with Catalogue(path) as store:
+        left = store.mesh("egg0")
+        store.remove(*(f"egg{number}" for number in range(1, N_SHAPES)))
+    assert path.stat().st_size < before / 2
+    with Catalogue(path) as store:
+        assert store.mesh("egg0") == left
+        assert store.signatures().ids == ("egg0",)
+
+
 @pytest.mark.parametrize(
     "options",
     [

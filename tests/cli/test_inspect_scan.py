@@ -92,7 +92,7 @@ def test_a_scan_that_fails_gets_its_page(scan: str, stage: str, folder: Path) ->
     ("arguments", "code", "words"),
     [
         ("nowhere.ply", 1, "there is no scan nowhere.ply"),
-        ("folder.html", 1, "there is no scan folder.html"),
+        ("folder.html", 2, "name a folder for the pages of the scans"),
         ("few.ply -o nowhere/page.html", 1, "there is no folder nowhere"),
         ("few.ply -o folder.html", 1, "is a folder"),
         ("few.ply --png few.ply", 1, "is one of the files to be read"),

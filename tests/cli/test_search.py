@@ -236,6 +236,7 @@ def test_mixed_units_are_noticed_where_size_counts(tmp_path: Path) -> None:
     with Catalogue(path, PipelineOptions(), create=True) as store:
         ingest_files(scans, store)
     assert run("query", "-c", path, scans[0]).stderr == (
+        "nearest: all shapes compared\n"
         "whitening: none, because 2 shapes are too few to learn from neighbours (24)\n"
         "score: none, because labels and shapes are too few\n"
     )

@@ -157,7 +157,7 @@ def test_help_and_mistakes_name_all_descriptors(run: Run, scan: Path) -> None:
     assert "|".join((*METHODS, "clumsy", "girth", "hollow", "lost")) in text
     wrong = run("signature", scan, "--method", "girht")
     assert wrong.code == 2
-    assert "method: input should be one of r-bihdm, bihdm, shape-dna," in wrong.stderr
+    assert "method: input should be one of r-bihdm, bihdm, bihdm-sampled," in wrong.stderr
     assert "combined, clumsy, girth, hollow, lost, got 'girht'" in wrong.stderr
 
 

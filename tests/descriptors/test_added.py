@@ -11,7 +11,7 @@ import pytest
 import shapes
 from packages import install
 
-from pcretrieve.descriptors import Descriptor, describe, signature_length
+from pcretrieve.descriptors import DESCRIPTORS, Descriptor, describe, signature_length
 from pcretrieve.errors import OptionError, ShapeError
 from pcretrieve.options import PipelineOptions, SignatureOptions
 from pcretrieve.pipeline.process import process
@@ -175,6 +175,19 @@ def test_what_a_descriptor_may_not_do_fails_its_shape(method: str, message: str)
 def test_what_is_no_descriptor_is_a_mistake_of_its_package(method: str, message: str) -> None:
     with pytest.raises(OptionError, match=f"the descriptor '{method}' of the package theirs {message}"):
         describe(both(), options(method))
+
+
+def test_a_descriptor_of_another_package_is_fused_like_any_other() -> None:
+    part = both().apart()[0]
+    found = describe(part, options("lowest+bins+csd"))
+    lowest, bins, csd = (describe(part, options(name)).values for name in ("lowest", "bins", "csd"))
+    parts = [lowest, np.sqrt(bins), np.log(csd) / DESCRIPTORS["csd"].spread]
+    np.testing.assert_array_equal(found.values, np.concatenate(parts))
+    assert DESCRIPTORS.version("csd+lowest") == DESCRIPTORS.version("lowest") != ""
+    with pytest.raises(
+        ShapeError, match=r"the descriptor 'csd\+hollow' failed, InputError: signature values"
+    ):
+        describe(part, options("csd+hollow"))
 
 
 def test_the_length_is_known_without_a_shape() -> None:

@@ -1,4 +1,4 @@
-"""What the protocol `Executor` asks for, of that of pcretrieve and of the example in CONTRIBUTING.md."""
+"""What the protocol `Executor` asks for, of those of pcretrieve and of the example in CONTRIBUTING.md."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 import shapes
 from click.testing import CliRunner
+from dask_cluster import DaskCluster
 from packages import install, install_contributed
 
 from pcretrieve import Catalogue, ingest
@@ -28,13 +29,16 @@ from pcretrieve.errors import (
     in_stage,
 )
 from pcretrieve.formats import write_mesh
-from pcretrieve.ingestion import EXECUTORS, Executor
+from pcretrieve.ingestion import EXECUTORS, DaskExecutor, Executor
 
 LIMITS: dict[str, Any] = {"workers": 2, "timeout": 60.0, "memory": None}
 
 
-@pytest.fixture(params=["processes", "calling-process"])
+@pytest.fixture(params=["processes", "calling-process", "dask"])
 def executor(request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Executor:
+    if request.param == "dask":
+        cluster: DaskCluster = request.getfixturevalue("cluster")
+        return DaskExecutor(scheduler_file=cluster.file)
     install_contributed(tmp_path / "site", monkeypatch)
     return EXECUTORS[request.param]
 

@@ -22,6 +22,7 @@ CLA = "PSB 1\n2 3\n\ncat 0 2\n5\n12\n\ndog 0 1\n7\n"
         ("a.csv", "\ufeffLabel, Name ,x\r\ncat,a.ply,1\r\n", {"a.ply": "cat"}),
         ("a.csv", 'id,category\n" a ","Katze, groß"\nb,\n,c\n\nd\n', {"a": "Katze, groß"}),
         ("a.csv", "file,class\na,cat\na,cat\n", {"a": "cat"}),
+        ("a.csv", "file;class;kg\r\na.ply;cat, grey;3,5\r\n", {"a.ply": "cat, grey"}),
         ("a.cla", CLA, {"5": "cat", "12": "cat", "7": "dog"}),
         ("a.cla", "PSB 1\n3 1\n\nanimal 0 0\n\ncat animal 1\n5\n\nempty 0 0\n", {"5": "cat"}),
     ],
@@ -46,7 +47,8 @@ def test_reading(name: str, text: str, labels: dict[str, str] | None, tmp_path: 
         (CLA.removesuffix("7\n").encode(), "class dog declares 1 models, 0 follow"),
         (CLA.replace("2 3", "2 4").encode(), "its header declares 4 models, 3 follow"),
         (CLA.replace("cat 0 2", "cat 0 x").encode(), "invalid literal"),
-        (b"file,class\n" + b"x" * 200_000, "is not a CSV file: field larger than field limit"),
+        (b'file,class\n"a.ply,cat\nb.ply,dog\n', r"is not a CSV file \(unexpected end of data\): close each"),
+        (b"file,class\n" + b"x" * 200_000, "is not a CSV file .field larger than field limit"),
         (b"PSB", "not a complete .cla file"),
     ],
 )

@@ -7,14 +7,13 @@ import os
 import signal
 import subprocess
 import sys
-import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
 import shapes
-from processes import all_workers_ended
+from processes import all_workers_ended, wait_for
 
 from pcretrieve import Catalogue, __version__
 from pcretrieve.catalogue import Record
@@ -278,7 +277,7 @@ def test_two_processes_that_ingest_at_once_store_every_shape_once(
 # --- shapes that hang, die, fill the memory -----------------------------------------------------------
 
 VICIOUS = """
-import os, signal, sys, time
+import ctypes, os, signal, sys, time
 import numpy as np
 from pcretrieve.errors import InputError, ScanReadError
 
@@ -316,6 +315,14 @@ class Odd(ScanReadError):  # fit for pickling, but not for unpickling
 def be_odd():
     raise Odd
 
+def crash():
+    os.write(2, b"double \\033[31mfree\\n\\n")
+    ctypes.string_at(0)
+
+def flood():
+    while True:
+        os.write(1, b"water " * 10_000)
+
 def shout():
     print("from Python")
     os.write(1, b"from elsewhere")
@@ -328,6 +335,8 @@ CAUSES = {
     "hang": ("StageTimeout", "worker", "not finished within 5 s: raise --timeout"),
     "die": ("WorkerDied", "worker", "ended with SIGKILL"),
     "leave": ("WorkerDied", "worker", "ended with exit code 7"),
+    "crash": ("WorkerDied", "worker", "ended with SIGSEGV"),
+    "flood": ("StageTimeout", "worker", "before this it printed: "),
     "fill_the_memory": ("MemoryExceeded", "read", "raise that, or thin the scan"),
     "leave_in_peace": ("ScanReadError", "read", "SystemExit: 0"),
     "interrupt": ("UnexpectedError", "read", "KeyboardInterrupt: "),
@@ -368,6 +377,9 @@ def test_one_shape_takes_no_other_with_it(folder: Path, catalogue: Catalogue) ->
     for deed, (error, stage, words) in CAUSES.items():
         assert (failed[deed].error, failed[deed].stage) == (error, stage)
         assert words in str(failed[deed].message)
+    assert str(failed["crash"].message).endswith("; before this it printed: double [31mfree")
+    assert "water water" in str(failed["flood"].message)
+    assert len(str(failed["flood"].message)) < 1500
     assert all_workers_ended()
 
 
@@ -380,14 +392,21 @@ def test_json_is_all_that_standard_output_gets(folder: Path, tmp_path: Path) -> 
     command = [sys.executable, "-m", "pcretrieve", "ingest", folder, "-c", tmp_path / "c.sqlite", "--json"]
     path = os.pathsep.join([str(tmp_path / "site"), *filter(None, [os.environ.get("PYTHONPATH")])])
     ended = subprocess.run(
-        [*map(str, command)], capture_output=True, check=False, env=os.environ | {"PYTHONPATH": path}
+        [*map(str, command), "--log-file", str(tmp_path / "log")],
+        capture_output=True,
+        check=False,
+        env=os.environ | {"PYTHONPATH": path},
     )
     assert ended.returncode == 3
     answer = json.loads(ended.stdout)
     assert [failure["message"].split(": ")[-1] for failure in answer["failed"]] == ["hoarse"]
     assert {Path(copy["path"]).name for copy in answer["duplicates"]} == {"copy.off", "latin-\\xe9.off"}
-    assert b"from Python" in ended.stderr
-    assert b"from elsewhere" in ended.stderr
+    # What the reader of a scan prints is in the log, with the name of the scan.
+    (line,) = [line for line in (tmp_path / "log").read_text().splitlines() if "printed" in line]
+    assert "shout.vicious: its libraries printed: " in line
+    for words in ("from Python", "from elsewhere"):
+        assert words in line
+        assert words.encode() not in ended.stderr
 
 
 def test_an_interrupt_keeps_what_is_stored_and_ends_the_workers(folder: Path, catalogue: Catalogue) -> None:
@@ -423,13 +442,6 @@ def runs_tetwild(pid: int) -> bool:
         return b"tetwild" in Path(f"/proc/{pid}/cmdline").read_bytes()
     except OSError:
         return False
-
-
-def wait_for(condition: Callable[[], bool]) -> bool:
-    end = time.monotonic() + PATIENCE
-    while not condition() and time.monotonic() < end:
-        time.sleep(0.05)
-    return condition()
 
 
 @pytest.mark.skipif(not Path("/proc/self/environ").exists(), reason="needs /proc to see other processes")

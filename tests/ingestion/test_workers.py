@@ -24,11 +24,12 @@ from pcretrieve.errors import (
     WorkerDied,
     in_stage,
 )
-from pcretrieve.ingestion import worker, workers
+from pcretrieve.ingestion import serving, worker, workers
 from pcretrieve.ingestion.isolation import Isolation
 from pcretrieve.ingestion.workers import outcomes
 
 N_ITEMS = 6
+OOM_SCORE = Path("/proc/self/oom_score_adj")
 HALF_THE_MEMORY = 1 << 29  # bytes, of 1 GiB
 hoard: list[object] = []  # what a worker never gives back
 
@@ -58,12 +59,25 @@ def send_half(number: int, item: int) -> int:
     """An odd item is killed, or stopped, while it sends."""
 
     def half(answers: object, message: bytes) -> None:
-        os.write(answers.fileno(), worker.LENGTH.pack(len(message)) + message[:1])  # type: ignore[attr-defined]
+        os.write(answers.fileno(), serving.LENGTH.pack(len(message)) + message[:1])  # type: ignore[attr-defined]
         os.kill(os.getpid(), number)
 
     if item % 2:
-        worker._send = half
+        serving._send = half
     return item
+
+
+def fork_at_first(item: int) -> int:
+    """The child of the first item returns too, while the next item is worked on."""
+    if item == 0:
+        time.sleep(0.5 if os.fork() == 0 else 0)
+    else:
+        time.sleep(1.5)
+    return item
+
+
+def oom_score(item: int) -> int:
+    return int(OOM_SCORE.read_text())
 
 
 def keep_half_the_memory(item: int) -> int:
@@ -218,6 +232,11 @@ def test_every_exception_is_the_outcome_of_its_item(
         assert outcome.stage == (Stage.CLEAN if recorded is InputError else Stage.SPECTRUM)
 
 
+def test_a_child_that_a_function_forks_answers_for_no_other_item() -> None:
+    found = dict(outcomes(fork_at_first, range(3), prepare=nothing, workers=1, timeout=60))
+    assert found == {item: item for item in range(3)}
+
+
 # --- memory ---------------------------------------------------------------------------------------------
 
 
@@ -226,6 +245,13 @@ def test_what_lacks_memory_in_a_used_worker_is_tried_in_a_fresh_one() -> None:
     assert dict(limited.each(keep_half_the_memory, range(3))) == {0: 0, 1: 1, 2: 2}
     ((_, outcome),) = limited.each(take_all_the_memory, [0])
     assert isinstance(outcome, MemoryExceeded)
+
+
+@pytest.mark.skipif(not OOM_SCORE.exists(), reason="needs Linux, which says what it kills first")
+def test_a_worker_is_killed_before_its_parent_when_memory_ends() -> None:
+    ((_, score),) = outcomes(oom_score, [0], prepare=nothing, workers=1, timeout=60)
+    assert isinstance(score, int)
+    assert score > oom_score(0)
 
 
 # --- answers --------------------------------------------------------------------------------------------

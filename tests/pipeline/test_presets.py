@@ -8,6 +8,7 @@ import pytest
 import shapes
 
 from pcretrieve import PipelineOptions, signature
+from pcretrieve.descriptors import describe
 from pcretrieve.options import PRESETS, SurfaceOptions
 from pcretrieve.pipeline.process import process
 from pcretrieve.surface import defects
@@ -15,7 +16,7 @@ from pcretrieve.surface import defects
 SCAN = Path(__file__).parents[2] / "scans" / "hand-1" / "hand-1_fist.ply"
 
 
-@pytest.mark.parametrize("preset", sorted(set(PRESETS) - {"clean-mesh", "paper"}))
+@pytest.mark.parametrize("preset", sorted(set(PRESETS) - {"clean-mesh", "paper", "classic"}))
 def test_each_preset_makes_a_closed_surface_of_a_scan(preset: str) -> None:
     shape = process(SCAN, PipelineOptions.preset(preset))
     assert len(shape.surfaces) == 2
@@ -32,6 +33,17 @@ def test_the_preset_for_clean_meshes_keeps_the_surface() -> None:
     assert shape.mesh.area == pytest.approx(body.area, rel=1e-12)
     assert signature(body, "clean-mesh").values.shape == (118,)
     assert signature(body, "paper").values.shape == (23,)
+
+
+def test_the_classic_chain_runs_by_its_own_stages() -> None:
+    options = PipelineOptions.preset("classic")
+    shape = process(SCAN, options)
+    stages = {step.stage: step for step in shape.provenance}
+    assert {"remesh", "surface"} <= set(stages)
+    assert len(shape.surfaces) == 1
+    assert not defects(shape.mesh)
+    assert len(describe(shape, options.signature).values) == options.signature.n_values
+    assert (options.retrieval.whitening, options.retrieval.nearest) == ("pca", "tree")
 
 
 def test_poisson_makes_the_same_body_and_says_what_it_does_not_use() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from itertools import product
 
 import numpy as np
 import pytest
@@ -22,6 +23,7 @@ from pcretrieve.retrieval import (
 )
 from pcretrieve.retrieval.blocks import BLOCK_SIZE
 from pcretrieve.retrieval.filtering import Filter
+from pcretrieve.retrieval.searches import SEARCHES
 from pcretrieve.types import FloatArray, SignatureTable
 
 
@@ -129,12 +131,15 @@ def hard_galleries(rng: np.random.Generator) -> dict[str, FloatArray]:
     }
 
 
+WAYS = [*((distance, "scan") for distance in DISTANCES.own), *product(("log", "d2"), SEARCHES)]
+
+
 @pytest.mark.parametrize("name", hard_galleries(np.random.default_rng(0)))
-@pytest.mark.parametrize("distance", DISTANCES.own)
-def test_hard_cases_keep_all_neighbours(distance: str, name: str, few_compared: None) -> None:
+@pytest.mark.parametrize(("distance", "nearest"), WAYS)
+def test_hard_cases_keep_all_neighbours(distance: str, nearest: str, name: str, few_compared: None) -> None:
     rng = np.random.default_rng(1)
     points = hard_galleries(rng)[name]
-    found = Filter.of(distance, points)
+    found = Filter.of(distance, points, nearest=nearest)
     near = points[rng.integers(len(points), size=4)]
     queries = [*near, *(near[:2] + 1e-7), rng.normal(size=points.shape[1]) * 100]
     for query in queries:
@@ -164,11 +169,13 @@ def drawn_points(rng: np.random.Generator) -> FloatArray:
     return points
 
 
-@pytest.mark.parametrize("scan", [interpreted.scan, compiled.scan])
-@pytest.mark.parametrize("distance", DISTANCES.own)
+SCANS = [(*way, interpreted.scan) for way in WAYS] + [(*way, compiled.scan) for way in WAYS[:3]]
+
+
+@pytest.mark.parametrize(("distance", "nearest", "scan"), SCANS)
 @pytest.mark.parametrize("seed", range(40))
 def test_drawn_galleries_give_the_answers_of_all_distances(
-    seed: int, distance: str, scan: Callable[..., int], few_compared: None
+    seed: int, distance: str, nearest: str, scan: Callable[..., int], few_compared: None
 ) -> None:
     """To the last bit, and equal distances in the order of the rows, before and after changes."""
     rng = np.random.default_rng(1000 + seed)
@@ -178,8 +185,9 @@ def test_drawn_galleries_give_the_answers_of_all_distances(
     new = np.setdiff1d(np.arange(n, dtype=np.int32), old)
     keep = rng.random(size=(n,)) < 0.8
     keep[rng.integers(n)] = True
-    whole = Filter.of(distance, points, int(rng.integers(1, n_values + 1)))
-    grown = Filter.of(distance, points[old]).extended(points, old, new) if len(new) else whole
+    whole = Filter.of(distance, points, int(rng.integers(1, n_values + 1)), nearest=nearest)
+    half = Filter.of(distance, points[old], nearest=nearest)
+    grown = half.extended(points, old, new) if len(new) else whole
     filters = (whole, grown, grown.kept(keep))
     stored = points[rng.integers(n, size=1)]
     far = 10 ** rng.uniform(-3, 3) * rng.normal(size=(1, n_values))
@@ -190,8 +198,8 @@ def test_drawn_galleries_give_the_answers_of_all_distances(
             every = pairwise(distance, query, found.points)[0]
             candidates = found.candidates(query, k, scan)
             exact = pairwise(distance, query, found.points[candidates])[0]
-            nearest = candidates[np.argsort(exact, kind="stable")[:k]]
-            np.testing.assert_array_equal(nearest, np.argsort(every, kind="stable")[:k])
+            first = candidates[np.argsort(exact, kind="stable")[:k]]
+            np.testing.assert_array_equal(first, np.argsort(every, kind="stable")[:k])
             np.testing.assert_array_equal(exact, every[candidates])
 
 

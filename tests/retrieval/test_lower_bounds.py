@@ -76,7 +76,7 @@ def test_bounds_tell_near_from_far(distance: str, scan: Scan) -> None:
     radius = float(np.quantile(exact, 0.02))
     found, _ = bounds.to_rows(bounds.query(gallery[0]), np.array([0]), bounds.limit(radius), scan)
     assert set(np.flatnonzero(exact <= radius)) <= set(found.tolist())
-    assert len(found) < 0.1 * len(gallery)
+    assert len(found) < 0.2 * len(gallery)
 
 
 @pytest.mark.parametrize("distance", DISTANCES.own)

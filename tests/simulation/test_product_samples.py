@@ -18,8 +18,10 @@ def kept(package: str, name: str) -> FloatArray:
 
 def test_the_words_come_from_the_first_subject_too() -> None:
     made = next(features())
-    sample = kept("pcretrieve.descriptors", "hks_sample.npy")
-    np.testing.assert_allclose(made, sample[:, : made.shape[1]], atol=1e-3)
+    heat = kept("pcretrieve.descriptors", "hks_sample.npy")
+    np.testing.assert_allclose(made.heat, heat[:, : made.heat.shape[1]], atol=1e-3)
+    wavelets = kept("pcretrieve.descriptors", "wavelet_sample.npy")
+    np.testing.assert_allclose(made.wavelets, wavelets[: len(made.wavelets)], atol=1e-3)
 
 
 def test_a_hand_moves_with_the_resolution_as_was_measured() -> None:

@@ -17,7 +17,7 @@ from pcretrieve.surface.simplify import simplified
 from pcretrieve.surface.topology import compact
 from pcretrieve.types import FloatArray, Shape, Surface, TriangleMesh
 
-__all__ = ["drifts", "noisy", "perturbed", "section_4_4"]
+__all__ = ["NOISE", "REMOVED", "drifts", "noisy", "perturbed", "section_4_4", "without_faces"]
 
 N_MODES = 60
 N_VALUES = 23
@@ -34,12 +34,14 @@ METHODS = ("r-bihdm", "bihdm", "shape-dna", "wks", "hks-bow", "combined")
 Poses = Mapping[str, tuple[TriangleMesh, TriangleMesh]]
 
 
-def section_4_4(poses: Poses) -> Iterator[str]:
+def section_4_4(poses: Poses, *, remeshed: bool = True) -> Iterator[str]:
     """Median and largest drift of each descriptor.
 
     Parameters
     ----------
     poses : mapping of class to two meshes
+        As in `drifts`.
+    remeshed : bool, default True
         As in `drifts`.
 
     Yields
@@ -50,14 +52,16 @@ def section_4_4(poses: Poses) -> Iterator[str]:
     unit = "1 is the distance to the nearest other class"
     yield f"Section 4.4: drift of log-signatures, L = {N_VALUES}; {unit}"
     yield f"median/largest of {', '.join(poses)}; pose: the second mesh of each class"
-    table = drifts(poses)
+    table = drifts(poses, remeshed=remeshed)
     yield f"{'method':<11}" + "".join(f"{name:<12}" for name in table).rstrip()
     for column, method in enumerate(METHODS):
         cells = (f"{np.median(rows[:, column]):.2f}/{rows[:, column].max():.2f}" for rows in table.values())
         yield f"{method:<11}" + "".join(f"{cell:<12}" for cell in cells).rstrip()
 
 
-def drifts(poses: Poses, methods: tuple[str, ...] = METHODS) -> dict[str, FloatArray]:
+def drifts(
+    poses: Poses, methods: tuple[str, ...] = METHODS, *, remeshed: bool = True
+) -> dict[str, FloatArray]:
     """How far signatures move under each perturbation and, to compare, from one pose to another.
 
     Parameters
@@ -66,6 +70,8 @@ def drifts(poses: Poses, methods: tuple[str, ...] = METHODS) -> dict[str, FloatA
         The first mesh is perturbed by random numbers.
     methods : tuple of str
         Names of descriptors; by default `METHODS`.
+    remeshed : bool, default True
+        Whether the surface of fTetWild is among the perturbations, which takes a minute a mesh.
 
     Returns
     -------
@@ -78,7 +84,7 @@ def drifts(poses: Poses, methods: tuple[str, ...] = METHODS) -> dict[str, FloatA
     apart = np.array([np.sort(pairwise("log", table, table), axis=1)[:, 1] for table in stacked])
     moved: dict[str, list[FloatArray]] = {}
     for number, (mesh, other_pose) in enumerate(poses.values()):
-        changed = [*perturbed(mesh, np.random.default_rng(number)), ("pose", other_pose)]
+        changed = [*perturbed(mesh, np.random.default_rng(number), remeshed=remeshed), ("pose", other_pose)]
         for name, variant in changed:
             after = _signatures(variant, methods)
             distance = [np.linalg.norm(b - a) for a, b in zip(clean[number], after, strict=True)]
@@ -86,7 +92,9 @@ def drifts(poses: Poses, methods: tuple[str, ...] = METHODS) -> dict[str, FloatA
     return {name: np.array(rows) for name, rows in moved.items()}
 
 
-def perturbed(mesh: TriangleMesh, rng: np.random.Generator) -> Iterator[tuple[str, TriangleMesh]]:
+def perturbed(
+    mesh: TriangleMesh, rng: np.random.Generator, *, remeshed: bool = True
+) -> Iterator[tuple[str, TriangleMesh]]:
     """The perturbations of section 4.4 and two remeshings.
 
     Parameters
@@ -95,6 +103,8 @@ def perturbed(mesh: TriangleMesh, rng: np.random.Generator) -> Iterator[tuple[st
         Closed, oriented outwards.
     rng : numpy.random.Generator
         Of the noise and of the faces that are removed.
+    remeshed : bool, default True
+        Whether the surface of fTetWild is the last one.
 
     Yields
     ------
@@ -109,13 +119,14 @@ def perturbed(mesh: TriangleMesh, rng: np.random.Generator) -> Iterator[tuple[st
     for size in NOISE:
         yield f"noise {size}", noisy(mesh, size, rng)
     for share in REMOVED:
-        kept = np.sort(rng.permutation(len(mesh.faces))[round(share * len(mesh.faces)) :])
-        yield f"holes {share:.0%}", largest_component(compact(mesh.vertices, mesh.faces[kept]))[0]
+        yield f"holes {share:.0%}", without_faces(mesh, share, rng)
     yield "half faces", simplified(mesh, len(mesh.faces) // 2)
-    remeshed = remesh(mesh, REMESHING)
-    if np.array_equal(remeshed.faces, mesh.faces):
-        raise BenchmarkError(f"fTetWild's surface could not be used: {remeshed.provenance[-1].notes}")
-    yield "fTetWild", remeshed
+    if not remeshed:
+        return
+    surface = remesh(mesh, REMESHING)
+    if np.array_equal(surface.faces, mesh.faces):
+        raise BenchmarkError(f"fTetWild's surface could not be used: {surface.provenance[-1].notes}")
+    yield "fTetWild", surface
 
 
 def noisy(mesh: TriangleMesh, size: float, rng: np.random.Generator) -> TriangleMesh:
@@ -143,6 +154,27 @@ def noisy(mesh: TriangleMesh, size: float, rng: np.random.Generator) -> Triangle
     edge = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).mean()
     offsets = size * edge * rng.standard_normal(len(normals))
     return TriangleMesh(mesh.vertices + offsets[:, None] * normals, mesh.faces)
+
+
+def without_faces(mesh: TriangleMesh, share: float, rng: np.random.Generator) -> TriangleMesh:
+    """A mesh of which random faces were removed.
+
+    Parameters
+    ----------
+    mesh : TriangleMesh
+        Any.
+    share : float
+        Share of the faces that are removed.
+    rng : numpy.random.Generator
+        Of the faces.
+
+    Returns
+    -------
+    TriangleMesh
+        The largest connected component of what is left.
+    """
+    kept = np.sort(rng.permutation(len(mesh.faces))[round(share * len(mesh.faces)) :])
+    return largest_component(compact(mesh.vertices, mesh.faces[kept]))[0]
 
 
 def _signatures(mesh: TriangleMesh, methods: tuple[str, ...]) -> list[FloatArray]:

@@ -1,0 +1,29 @@
+"""
+Removing the floor
+==================
+
+A scan that shows the floor around the body. The stage ``crop`` removes the floor before anything
+else, and says by which rule.
+"""
+
+import matplotlib.pyplot as plt
+import numpy as np
+from sample import person
+
+import pcretrieve as pr
+from pcretrieve.simulation import UniformOptions, scan_uniformly
+
+rng = np.random.default_rng(0)
+body = scan_uniformly(person(1, "stand"), UniformOptions(n_points=9000), rng).points
+upright = body[:, np.argsort(np.ptp(body, axis=0))]  # the longest extent is up
+floor = np.column_stack([rng.uniform(-1, 1, (6000, 2)), np.zeros(6000)]) + upright.mean(axis=0) * [1, 1, 0]
+floor[:, 2] = upright[:, 2].min() + rng.normal(0, 0.002, len(floor))
+scan = pr.PointCloud(np.concatenate([upright, floor]))
+
+shape = pr.process(scan)
+for step in shape.provenance[:2]:
+    print(step.stage, *step.notes, sep="\n  ")
+
+figure = plt.figure(figsize=(9, 4.5))
+scan.plot(figure.add_subplot(121, projection="3d", title="scan"))
+shape.mesh.plot(figure.add_subplot(122, projection="3d", title="surface"))

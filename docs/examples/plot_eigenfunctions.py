@@ -1,0 +1,24 @@
+"""
+Eigenfunctions of a body
+========================
+
+The eigenfunctions of the Laplace–Beltrami operator are the standing waves of the surface: the first ones
+tell the head from the feet, and left from right; later ones are of single limbs.
+"""
+
+import matplotlib.pyplot as plt
+from sample import draw_function, person
+
+import pcretrieve as pr
+
+mesh = person(1, "stand")
+pairs = pr.eigenpairs(pr.laplace_beltrami(mesh), n_pairs=61)
+
+figure = plt.figure(figsize=(10, 4.5))
+for number in range(1, 5):
+    axes = figure.add_subplot(1, 4, number, projection="3d", title=f"number {number}")
+    draw_function(axes, mesh, pairs.eigenvectors[:, number])
+
+# %%
+# By Weyl's law, the eigenvalues grow by 4π for each, once the surface is scaled to unit area.
+pairs.plot()

@@ -1,0 +1,107 @@
+"""Files at URLs by fsspec: their names, what the store says of their contents, and copies of them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from pcretrieve.errors import InputError
+
+__all__ = ["copy_file", "files_below", "stored_version"]
+
+# What stores say of the content of a file, the best first: hashes, then the time of the last change.
+HASHES = ("ETag", "etag", "md5Hash", "Content-MD5", "Digest", "crc32c", "checksum")
+TIMES = ("LastModified", "Last-Modified", "updated", "mtime", "created")
+
+
+def files_below(url: str) -> list[str]:
+    """The files that a URL names.
+
+    Parameters
+    ----------
+    url : str
+        Of a file or a folder, or a glob pattern.
+
+    Returns
+    -------
+    list of str
+        URLs by name: of all files in a folder and below, or of all that match; empty if there are none.
+
+    Raises
+    ------
+    InputError
+        If fsspec does not know the protocol, or lacks the package for it.
+    OSError
+        If the store cannot be read.
+    """
+    system, path = _opened(url)
+    if any(sign in path for sign in "*?["):
+        found = [name for name in system.glob(path) if system.isfile(name)]
+    elif system.isdir(path):
+        found = system.find(path)
+    else:
+        found = [path] if system.exists(path) else []
+    return [str(system.unstrip_protocol(name)) for name in sorted(found)]
+
+
+def stored_version(url: str) -> str | None:
+    """What the store says of the content of a file, without reading it.
+
+    Parameters
+    ----------
+    url : str
+        The file.
+
+    Returns
+    -------
+    str or None
+        A hash that the store has computed, or the time of the last change, with the size; None if the store
+        says neither.
+
+    Raises
+    ------
+    InputError
+        If fsspec does not know the protocol, or lacks the package for it.
+    OSError
+        If the file does not exist, or the store cannot be read.
+    """
+    system, path = _opened(url)
+    about = system.info(path)
+    known = next((key for key in (*HASHES, *TIMES) if about.get(key)), None)
+    return None if known is None else f"{known} {about[known]} {about.get('size')}"
+
+
+def copy_file(url: str, file: Path) -> None:
+    """Copy a file to this computer.
+
+    Parameters
+    ----------
+    url : str
+        The file.
+    file : Path
+        The copy.
+
+    Raises
+    ------
+    InputError
+        If fsspec does not know the protocol, or lacks the package for it.
+    OSError
+        If the file does not exist, or the store cannot be read.
+    """
+    system, path = _opened(url)
+    system.get_file(path, str(file))
+
+
+def _opened(url: str) -> tuple[Any, str]:
+    """The file system of a URL, and the path in it."""
+    try:
+        from fsspec.core import url_to_fs
+    except ImportError as error:
+        raise InputError(f"reading {url} needs fsspec: pip install 'pcretrieve[remote]'") from error
+    try:
+        system, path = url_to_fs(url)
+    except ImportError as error:
+        raise InputError(f"cannot read {url}: {error}: pip install 'pcretrieve[remote]'") from error
+    except ValueError as error:
+        raise InputError(f"cannot read {url}: {error}") from error
+    return system, path

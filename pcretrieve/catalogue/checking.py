@@ -1,0 +1,102 @@
+"""Checks of a stored catalogue: the database, its rows and arrays; and repairs that lose nothing else."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection
+
+from pcretrieve.catalogue.defects import Defect
+from pcretrieve.catalogue.faults import faults_of
+from pcretrieve.catalogue.record import Record
+from pcretrieve.catalogue.rows import Entry, Origin, Rows
+from pcretrieve.errors import CatalogueError, Stage
+from pcretrieve.options import PipelineOptions
+
+__all__ = ["check_rows", "set_to_be_ingested_again"]
+
+# Number of shapes that are read together. Of a part with a defect, the shapes are read one by one.
+READ_AT_ONCE = 50
+
+AGAIN = "set to be ingested again"
+
+
+def check_rows(
+    rows: Rows, options: PipelineOptions, *, repair: bool, on_shapes: Callable[[int], None]
+) -> list[Defect]:
+    """Check a store and everything that is stored of each shape.
+
+    Parameters
+    ----------
+    rows : Rows
+        The store.
+    options : PipelineOptions
+        The options with which the catalogue was built.
+    repair : bool
+        Whether defects are repaired, so far as nothing else can be lost by it.
+    on_shapes : function of int
+        Called with the number of shapes that have been checked, now and then.
+
+    Returns
+    -------
+    list of Defect
+        The defects of the store, then those of the shapes in ascending order of id.
+    """
+    found = rows.defects(repair=repair)
+    try:
+        origins = rows.origins()
+    except CatalogueError as error:
+        return [*found, Defect("database", None, error.message)]
+    # A file with damaged pages is not changed, because that may damage it further.
+    repair = repair and not any(defect.repair is None for defect in found if defect.kind == "database")
+    for start in range(0, len(origins), READ_AT_ONCE):
+        part = origins[start : start + READ_AT_ONCE]
+        if _faults(rows, options, [origin.id for origin in part]):
+            for origin in part:
+                # Read again, because another process may have replaced the shape.
+                if faults := _faults(rows, options, [origin.id]):
+                    message = "; ".join(faults)
+                    done = set_to_be_ingested_again(rows, origin, message) if repair else None
+                    found.append(Defect("shape", origin.id, message, done))
+        on_shapes(len(part))
+    return found
+
+
+def set_to_be_ingested_again(rows: Rows, origin: Origin, message: str) -> str | None:
+    """Replace a shape by a failure in the stage ``check``, whose file the next ingest processes again.
+
+    Parameters
+    ----------
+    rows : Rows
+        The store.
+    origin : Origin
+        Id, path and label, which the shape keeps.
+    message : str
+        What was wrong.
+
+    Returns
+    -------
+    str or None
+        What was done, in words; None if the store cannot be written to.
+    """
+    failure = Record(
+        origin.id,
+        origin.path,
+        "",  # of no file, so that the next ingest of the path processes it
+        origin.label,
+        "failed",
+        str(Stage.CHECK),
+        CatalogueError.__name__,
+        f"what was stored of it was damaged: {message}",
+    )
+    try:
+        rows.add([Entry(failure, {}, {})])
+    except CatalogueError:
+        return None
+    return AGAIN
+
+
+def _faults(rows: Rows, options: PipelineOptions, shape_ids: Collection[str]) -> list[str]:
+    try:
+        entries = rows.entries(shape_ids)
+    except CatalogueError as error:
+        return [error.message]
+    return [fault for entry in entries for fault in faults_of(entry, options)]

@@ -1,0 +1,78 @@
+"""Defects of an SQLite file: of its pages and SQL indexes, and rows of no shape."""
+
+from __future__ import annotations
+
+import sqlite3
+
+from pcretrieve.catalogue.defects import Defect
+from pcretrieve.catalogue.rows import PAYLOADS
+from pcretrieve.catalogue.schema import transaction
+
+__all__ = ["file_defects"]
+
+# Largest number of defects of pages that are listed.
+LISTED = 20
+
+# Rows that belong to a shape, by table.
+OF_NO_SHAPE = {name: "shape NOT IN (SELECT number FROM shapes)" for name in ("provenance", *PAYLOADS)} | {
+    "signatures": "shape NOT IN (SELECT number FROM shapes) "
+    "OR descriptor NOT IN (SELECT number FROM descriptors)"
+}
+
+
+def file_defects(connection: sqlite3.Connection, *, repair: bool) -> list[Defect]:
+    """Defects of a file.
+
+    Parameters
+    ----------
+    connection : sqlite3.Connection
+        Connection to the file.
+    repair : bool
+        Whether SQL indexes are made again, if that repairs the file, and rows of no shape are removed. Pages
+        with other defects are left as they are.
+
+    Returns
+    -------
+    list of Defect
+        The defects.
+    """
+    # Outside of a transaction, because one that has met a damaged page cannot be ended without an error.
+    faults = _faults(connection)
+    again = "SQL indexes made again" if faults and repair and _is_reindexed(connection) else None
+    found = [Defect("database", None, fault, again) for fault in faults]
+    if faults and not again:
+        return found  # such a file is not changed, and not all of its rows can be read
+    with transaction(connection, "IMMEDIATE" if repair else "DEFERRED"):
+        for table, condition in OF_NO_SHAPE.items():
+            ((number,),) = connection.execute(f"SELECT count(*) FROM {table} WHERE {condition}")
+            if number and repair:
+                connection.execute(f"DELETE FROM {table} WHERE {condition}")
+            if number:
+                done = "removed" if repair else None
+                found.append(Defect("orphan", None, f"{number} rows of {table} are of no shape", done))
+    return found
+
+
+def _faults(connection: sqlite3.Connection) -> list[str]:
+    try:
+        rows = connection.execute(f"PRAGMA integrity_check({LISTED})").fetchall()
+    except sqlite3.DatabaseError as error:
+        return [str(error)]
+    lines = [line for (text,) in rows for line in text.splitlines() if not line.startswith("***")]
+    return [] if lines == ["ok"] else lines
+
+
+class _Unrepaired(sqlite3.DatabaseError):
+    """New SQL indexes have not repaired a file."""
+
+
+def _is_reindexed(connection: sqlite3.Connection) -> bool:
+    """Make the SQL indexes again; whether the file has no defect then. Otherwise it stays as it was."""
+    try:
+        with transaction(connection, "IMMEDIATE"):
+            connection.execute("REINDEX")
+            if _faults(connection):
+                raise _Unrepaired
+    except sqlite3.DatabaseError:
+        return False
+    return True

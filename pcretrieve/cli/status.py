@@ -1,0 +1,56 @@
+"""The command that says how far an ingest is: status."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from typing import TYPE_CHECKING
+
+import click
+
+from pcretrieve.cli.messages import write_json
+from pcretrieve.cli.parts import CATALOGUE, json_option
+from pcretrieve.cli.progress import duration
+
+if TYPE_CHECKING:
+    from pcretrieve.ingestion import BatchStatus
+
+__all__ = ["status_command"]
+
+
+@click.command("status")
+@click.argument("catalogue", type=CATALOGUE)
+@json_option
+def status_command(catalogue: str, as_json: bool) -> None:
+    """Say how far the last ingest into a catalogue is, while it runs and afterwards.
+
+    \b
+    pcretrieve status bodies.sqlite
+    """
+    from pcretrieve.interface.batches import status
+
+    found = status(catalogue)
+    if as_json:
+        write_json({"catalogue": catalogue} | asdict(found))
+        return
+    for line in _lines(found):
+        click.echo(line)
+    kinds = "".join(f"\n  {number} x {kind}" for kind, number in found.failures.items())
+    click.echo(f"{catalogue}: {found.n_shapes} shapes, {sum(found.failures.values())} failed{kinds}")
+
+
+def _lines(found: BatchStatus) -> list[str]:
+    if found.state == "none":
+        return ["no ingest into it is known on this computer"]
+    n_finished = found.n_done + found.n_failed + found.n_skipped
+    lines = [
+        f"ingest {found.state}: {n_finished} of {found.n_scans} scans: {found.n_done} done, "
+        f"{found.n_failed} failed, {found.n_skipped} held already or duplicates",
+        f"started {found.started}, last counted {found.updated}: {found.scans_per_second * 60:.3g} scans/min"
+        + ("" if found.seconds_left is None else f", about {duration(found.seconds_left)} left"),
+    ]
+    if found.stages:
+        shares = sorted(found.stages.items(), key=lambda stage: -stage[1])
+        lines.append("time: " + ", ".join(f"{name} {share:.0%}" for name, share in shares))
+    if found.state in ("stopped", "killed"):
+        lines.append("the same command of ingest goes on from there")
+    return lines

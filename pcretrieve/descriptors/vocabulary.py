@@ -1,0 +1,83 @@
+"""Vocabularies of bags of features: cluster centres of point descriptors, and soft assignment to them."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy.cluster.vq import kmeans2
+from scipy.spatial.distance import cdist
+
+from pcretrieve.errors import OptionError
+from pcretrieve.types import FloatArray
+
+__all__ = ["Vocabulary", "clustered"]
+
+# Smallest mean number of sample points for each cluster of k-means: with fewer points clusters become empty.
+POINTS_PER_WORD = 8
+
+
+class Vocabulary(NamedTuple):
+    """The words of a bag of features.
+
+    Attributes
+    ----------
+    words : (L, d) float64
+        The words, in the space of the point descriptors.
+    gap : float
+        Median distance from a word to the nearest other word.
+    """
+
+    words: FloatArray
+    gap: float
+
+    def weights(self, features: FloatArray, width: float) -> FloatArray:
+        """The soft assignment of point descriptors to the words.
+
+        Parameters
+        ----------
+        features : (n, d) float64
+            The point descriptors.
+        width : float
+            σ, in the unit of the point descriptors.
+
+        Returns
+        -------
+        (n, L) float64
+            Proportional to exp(−‖p − w‖² / 2σ²) for point descriptor p and word w; each row sums to 1.
+        """
+        squared = cdist(features, self.words, "sqeuclidean")  # (n, L)
+        # Subtracting the smallest distance keeps the sum from underflowing to zero far from all words.
+        nearness = np.exp(-(squared - squared.min(axis=1, keepdims=True)) / (2 * width**2))
+        belongs: FloatArray = nearness / nearness.sum(axis=1, keepdims=True)
+        return belongs
+
+
+def clustered(sample: FloatArray, n_words: int) -> Vocabulary:
+    """The vocabulary of a sample of point descriptors, by k-means from a fixed start.
+
+    Parameters
+    ----------
+    sample : (s, d) float64
+        Point descriptors.
+    n_words : int
+        L, the number of words.
+
+    Returns
+    -------
+    Vocabulary
+        The same for the same sample and number.
+
+    Raises
+    ------
+    OptionError
+        If `n_words` is not between 2 and an eighth of the size of the sample.
+    """
+    most = len(sample) // POINTS_PER_WORD
+    if not 2 <= n_words <= most:
+        raise OptionError(f"n_values must be between 2 and {most} for a bag of words, got {n_words}")
+    start = np.random.default_rng(0).choice(len(sample), n_words, replace=False)
+    words, _ = kmeans2(sample, sample[start], iter=50, minit="matrix")
+    gaps = cdist(words, words)
+    np.fill_diagonal(gaps, np.inf)
+    return Vocabulary(words, float(np.median(gaps.min(axis=1))))

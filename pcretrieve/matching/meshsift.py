@@ -1,0 +1,245 @@
+"""meshSIFT: local features of a surface at the extrema of its scale space, compared by matching them.
+
+A feature describes the neighbourhood of a keypoint, relative to its main direction. Two surfaces are near if
+many of their features have one clearly nearest partner: what matches depends on both surfaces.
+"""
+
+from __future__ import annotations
+
+import logging
+from functools import cache
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import csr_array
+from scipy.sparse.csgraph import dijkstra
+
+from pcretrieve.errors import DegenerateMeshError, Stage
+from pcretrieve.matching.canonical import coarser
+from pcretrieve.matching.scale_space import Level, adjacency, keypoints, levels
+from pcretrieve.types import FloatArray, Shape, TriangleMesh
+
+__all__ = ["MeshFeatures", "match_distance", "mesh_features"]
+
+_log = logging.getLogger(__name__)
+
+# Number of faces below which meshes are too coarse for local features.
+FEWEST_FACES = 5000
+
+# Number of faces to which finer surfaces are simplified, so that the scales of two surfaces are comparable.
+N_FACES = 10_000
+
+# Largest number of keypoints of a surface. See docs/decisions.md, RATIO.
+MOST_KEYPOINTS = 200
+
+# Largest ratio of the angle to the nearest feature to that to the second one. See docs/decisions.md, RATIO.
+RATIO = 0.85
+
+# Radii in units of 3σ: of the neighbourhood that gives the direction and of its weights, of a patch, and of
+# the circle on which patches lie.
+DISC, DISC_WEIGHT, PATCH, CIRCLE = 3.0, 1.5, 1.25, 1.5
+
+# Centres of the nine patches, in units of `CIRCLE`: the middle, four on the axes and four on the diagonals.
+CENTRES = np.array(
+    [(0, 0), (1, 0), (0, 1), (-1, 0), (0, -1), (1, 1), (-1, 1), (-1, -1), (1, -1)], dtype=np.float64
+)
+
+# Number of bins of the histograms of a patch, of the histogram of directions, and the width of the Gauss
+# filter that smooths the histogram of directions, in degrees; and how often.
+N_BINS = 8
+N_DIRECTIONS = 360
+SMOOTHING, N_SMOOTHINGS = 17, 3
+
+# Smallest ratio of a maximum of the histogram of directions to the largest one that gives a feature.
+HIGH = 0.8
+
+# Largest value of a descriptor of unit length, before it is scaled to unit length again.
+LARGEST = 0.25
+
+
+class MeshFeatures(NamedTuple):
+    """The local features of a surface.
+
+    Attributes
+    ----------
+    descriptors : (k, 144) float32
+        Unit vectors: for nine patches, 8 bins of the shape index and 8 bins of the slant of the normals.
+    """
+
+    descriptors: NDArray[np.float32]
+
+
+def mesh_features(shape: Shape) -> MeshFeatures:
+    """The meshSIFT features of the first surface of a shape [1]_.
+
+    Keypoints are extrema of the change of the mean curvature in a scale space of six smoothed surfaces. In a
+    geodesic disc of radius 9σ around each, a histogram of the directions of the projected normals gives one
+    or more main directions. For nine patches in the tangent plane there are histograms of the shape index and
+    of the direction of the projected normals, relative to the main direction.
+
+    Of the settings that the article leaves open: six levels, with scales of 1.2 to 6.5 mean lengths of edges;
+    curvatures by least squares; 200 keypoints at most; the position of a neighbour in the tangent plane by
+    its geodesic distance and its projected direction. See docs/decisions.md, RATIO. Finer surfaces are
+    simplified to 10,000 faces. Local features need a fine surface: with fewer than 5,000 faces a warning is
+    logged, once.
+
+    Parameters
+    ----------
+    shape : Shape
+        With its mesh.
+
+    Returns
+    -------
+    MeshFeatures
+        Invariant to scaling and rigid motion, and nearly to isometry.
+
+    Raises
+    ------
+    DegenerateMeshError
+        If the surface has no area, or no keypoints.
+
+    References
+    ----------
+    .. [1] C. Maes, T. Fabry, J. Keustermans, D. Smeets, P. Suetens and D. Vandermeulen, "Feature detection on
+       3D face surfaces for pose normalisation and recognition", BTAS 2010; and D. Smeets et al., "meshSIFT:
+       Local surface features for 3D face recognition under expression variations and partial data", Computer
+       Vision and Image Understanding 117 (2013).
+    """
+    if not shape.mesh.area > 0:
+        raise DegenerateMeshError(
+            f"no face of {len(shape.mesh.faces)} has an area: give a surface", stage=Stage.SIGNATURE
+        )
+    if len(shape.mesh.faces) < FEWEST_FACES:
+        _warn_once()
+    mesh = coarser(TriangleMesh(shape.mesh.vertices / np.sqrt(shape.mesh.area), shape.mesh.faces), N_FACES)
+    scale_space = levels(mesh)
+    points = keypoints(scale_space, mesh, MOST_KEYPOINTS)
+    if not len(points.vertices):
+        raise DegenerateMeshError(
+            f"the surface of {len(mesh.faces)} faces has no keypoints: give a finer or less regular one",
+            stage=Stage.SIGNATURE,
+        )
+    described: list[FloatArray] = []
+    graph = _graph(mesh)
+    areas = np.zeros(len(mesh.vertices))
+    np.add.at(areas, mesh.faces, mesh.face_areas[:, np.newaxis] / 3)
+    for number, level in enumerate(scale_space):
+        chosen = points.vertices[points.levels == number]
+        if len(chosen):
+            reach = (DISC + PATCH) * 3 * level.scale
+            apart = dijkstra(graph, directed=False, indices=chosen, limit=reach)  # (k, n)
+            for vertex, distances in zip(chosen, apart, strict=True):
+                near = np.flatnonzero(np.isfinite(distances))
+                described += _described(int(vertex), near, distances[near], level, areas[near])
+    return MeshFeatures(np.array(described, dtype=np.float32))
+
+
+def match_distance(query: MeshFeatures, other: MeshFeatures) -> float:
+    """One minus the share of features that match.
+
+    Two features match if each is the nearest of the other among the features of the other surface, and the
+    angle between them is at most .85 of the angle to the second nearest. The share is the mean number of
+    matches by the second nearest of both surfaces, divided by the larger number of features. The smaller
+    number lets surfaces with few features be near to all others. See docs/decisions.md, RATIO.
+
+    Parameters
+    ----------
+    query, other : MeshFeatures
+        The features; the distance is symmetric.
+
+    Returns
+    -------
+    float
+        Between 0 and 1; 0 for a surface and itself, if it has at least two features and no equal ones.
+    """
+    cosines = query.descriptors @ other.descriptors.T
+    nearest, is_clear = _nearest(cosines)
+    back, is_clear_back = _nearest(np.ascontiguousarray(cosines.T))
+    is_mutual = back[nearest] == np.arange(len(nearest))
+    clear = is_clear.astype(int) + is_clear_back[nearest]
+    return float(1 - clear[is_mutual].sum() / (2 * max(cosines.shape)))
+
+
+def _nearest(cosines: NDArray[np.float32]) -> tuple[NDArray[np.intp], NDArray[np.bool_]]:
+    """For each row the column of the largest cosine, and whether it is clearly the nearest."""
+    nearest = cosines.argmax(axis=1)
+    if cosines.shape[1] < 2:
+        return nearest, np.zeros(len(cosines), dtype=bool)
+    two = np.partition(cosines, -2, axis=1)[:, -2:]
+    angles = np.arccos(np.clip(two.astype(np.float64), -1, 1))
+    return nearest, angles[:, 1] < RATIO * angles[:, 0]
+
+
+@cache
+def _warn_once() -> None:
+    _log.warning(
+        "meshsift needs surfaces of at least %d faces, got coarser ones: use finer ones, or another method",
+        FEWEST_FACES,
+    )
+
+
+def _graph(mesh: TriangleMesh) -> csr_array:
+    """(n, n) lengths of the edges."""
+    links = adjacency(mesh).tocoo()
+    starts, ends = links.coords
+    lengths = np.linalg.norm(mesh.vertices[starts] - mesh.vertices[ends], axis=1)
+    # A link of length 0 would be none: scipy leaves zeros of sparse matrices out of a graph.
+    lengths = np.maximum(lengths, np.finfo(np.float64).eps * mesh.diagonal)
+    return csr_array((lengths, (starts, ends)), shape=links.shape)
+
+
+def _described(
+    vertex: int, near: NDArray[np.intp], distances: FloatArray, level: Level, areas: FloatArray
+) -> list[FloatArray]:
+    """The descriptors (144,) of a keypoint, one for each main direction."""
+    unit = 3 * level.scale
+    disc = distances <= DISC * unit
+    weights = areas * np.exp(-((distances / (DISC_WEIGHT * unit)) ** 2) / 2)
+    normal = (weights * disc) @ level.normals[near]
+    normal /= np.linalg.norm(normal) or 1.0
+    right = np.cross(normal, np.eye(3)[np.abs(normal).argmin()])
+    right /= np.linalg.norm(right) or 1.0
+    plane = np.stack([right, np.cross(normal, right)])  # (2, 3)
+    tilts = level.normals[near] @ plane.T  # (v, 2): normals in the tangent plane
+    tilt = np.linalg.norm(tilts, axis=1)
+    slants = np.arctan2(tilts[:, 1], tilts[:, 0])
+    offsets = (level.vertices[near] - level.vertices[vertex]) @ plane.T
+    offsets *= (distances / np.maximum(np.linalg.norm(offsets, axis=1), 1e-12))[:, np.newaxis] / (
+        CIRCLE * unit
+    )
+    large, small = level.curvatures[near].T
+    index = np.arctan2(large + small, np.maximum(large - small, 0)) / np.pi + 0.5  # from 0, a cup, to 1
+    made = []
+    for angle in _directions(slants[disc], (weights * tilt)[disc]):
+        cos, sin = np.cos(angle), np.sin(angle)
+        turned = offsets @ np.array([[cos, -sin], [sin, cos]])
+        gaps = np.linalg.norm(turned[:, np.newaxis] - CENTRES, axis=2) * CIRCLE / PATCH  # (v, 9)
+        share = np.where(gaps <= 1, np.exp(-(gaps**2) / 2), 0) * areas[:, np.newaxis]
+        bins = np.minimum((index * N_BINS).astype(int), N_BINS - 1)
+        by_slant = np.floor((slants - angle) / (2 * np.pi) * N_BINS).astype(int) % N_BINS
+        shapes = np.array([np.bincount(bins, column, N_BINS) for column in share.T])  # (9, 8)
+        turns = np.array([np.bincount(by_slant, column * tilt, N_BINS) for column in share.T])
+        parts = [part / (np.linalg.norm(part) or 1.0) for part in (shapes, turns)]
+        values = np.concatenate(parts, axis=1).ravel()
+        values = np.minimum(values / (np.linalg.norm(values) or 1.0), LARGEST)
+        made.append(values / (np.linalg.norm(values) or 1.0))
+    return made
+
+
+def _directions(angles: FloatArray, weights: FloatArray) -> FloatArray:
+    """(k,) main directions in radians: the high maxima of the smoothed histogram, refined by parabolas."""
+    degrees = np.degrees(angles) % N_DIRECTIONS
+    histogram = np.bincount(degrees.astype(int) % N_DIRECTIONS, weights, N_DIRECTIONS)
+    steps = np.arange(-(SMOOTHING // 2), SMOOTHING // 2 + 1)
+    kernel = np.exp(-((steps / SMOOTHING) ** 2) / 2)
+    padded = np.zeros(N_DIRECTIONS)
+    padded[steps] = kernel / kernel.sum()
+    transfer = np.fft.rfft(padded) ** N_SMOOTHINGS
+    smooth = np.fft.irfft(np.fft.rfft(histogram) * transfer, N_DIRECTIONS)
+    before, after = np.roll(smooth, 1), np.roll(smooth, -1)
+    top = np.flatnonzero((smooth > before) & (smooth >= after) & (smooth >= HIGH * smooth.max()))
+    bend = before[top] - 2 * smooth[top] + after[top]
+    shift = np.where(bend < 0, (before[top] - after[top]) / np.where(bend < 0, 2 * bend, 1), 0)
+    refined: FloatArray = np.radians(top + 0.5 + shift)
+    return refined

@@ -1,0 +1,223 @@
+"""Shapes and answers as JSON documents and CSV, without the folders of the server."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from pcretrieve import __version__
+from pcretrieve.catalogue import Catalogue, Record
+from pcretrieve.csv_text import csv_text
+from pcretrieve.options import PipelineOptions
+from pcretrieve.searching import Answer, Described, answer_to, result_rows
+from pcretrieve.web.jobs import Job
+from pcretrieve.web.listing import listed
+from pcretrieve.web.requests import PAGE, Listing, Similar
+
+__all__ = [
+    "job_document",
+    "listing_document",
+    "shape_document",
+    "similar_csv",
+    "similar_document",
+    "similar_to",
+    "without_folders",
+]
+
+Document = dict[str, Any]
+
+CSV_COLUMNS = ("query", "rank", "id", "label", "distance", "score", "file")
+
+
+def without_folders(text: str) -> str:
+    """A message without the folders of absolute paths in it: of ``/data/scans/a.ply`` the name remains.
+
+    Parameters
+    ----------
+    text : str
+        A message.
+
+    Returns
+    -------
+    str
+        The message.
+    """
+    return re.sub(r"(?<![\w.:/])(?:/[^/\s'\"]+)*/(?=[^/\s])", "", text)
+
+
+def shape_document(record: Record) -> Document:
+    """What a catalogue says of one shape.
+
+    Parameters
+    ----------
+    record : Record
+        The record.
+
+    Returns
+    -------
+    dict
+        The JSON document.
+    """
+    document: Document = {
+        "id": record.id,
+        "file": Path(record.path).name,
+        "label": record.label,
+        "status": record.status,
+        "verdict": None if record.verdict is None else asdict(record.verdict),
+        "added": record.added,
+        "area": record.area,
+        "n_vertices": record.n_vertices,
+        "n_faces": record.n_faces,
+        "euler": record.euler,
+    }
+    if record.status == "failed":
+        message = None if record.message is None else without_folders(record.message)
+        document |= {"stage": record.stage, "error": record.error, "message": message}
+    return document
+
+
+def listing_document(catalogue: Catalogue, listing: Listing) -> Document:
+    """A page of the collection.
+
+    Parameters
+    ----------
+    catalogue : Catalogue
+        The shapes.
+    listing : Listing
+        Which of them.
+
+    Returns
+    -------
+    dict
+        The JSON document.
+    """
+    found = listed(catalogue, listing)
+    return {
+        "total": found.total,
+        "page": listing.page,
+        "pages": -(-found.total // PAGE),
+        "shapes": [shape_document(record) for record in found.records],
+    }
+
+
+def job_document(job: Job) -> Document:
+    """How far the processing of an uploaded scan is.
+
+    Parameters
+    ----------
+    job : Job
+        The job.
+
+    Returns
+    -------
+    dict
+        The JSON document.
+    """
+    document: Document = {
+        "job": job.id,
+        "name": job.name,
+        "state": job.state,
+        "stages": [{"stage": stage, "seconds": seconds} for stage, seconds in job.stages],
+    }
+    if job.described is not None and job.described.verdict is not None:
+        document["verdict"] = asdict(job.described.verdict)
+    if job.error is not None:
+        kind = type(job.error).__name__
+        document |= {"stage": job.error.stage, "error": kind, "message": without_folders(job.error.message)}
+    return document
+
+
+def similar_to(
+    catalogue: Catalogue, query: str | Described, asked: Similar, options: PipelineOptions
+) -> Answer:
+    """The neighbours of a shape of the catalogue, without the shape, or of a scan.
+
+    Parameters
+    ----------
+    catalogue : Catalogue
+        The catalogue that is searched.
+    query : str or Described
+        The id of the shape, or the signature of the scan.
+    asked : Similar
+        What is asked.
+    options : PipelineOptions
+        How shapes are compared.
+
+    Returns
+    -------
+    Answer
+        The answer.
+    """
+    return answer_to(
+        catalogue,
+        query,
+        k=asked.k,
+        options=options,
+        labels=[asked.label] if asked.label else None,
+        exclude_self=True,
+        min_score=asked.min_score,
+    )
+
+
+def similar_document(
+    catalogue: Catalogue, name: str, asked: Similar, options: PipelineOptions, answer: Answer
+) -> Document:
+    """An answer with its query and the settings by which it was found.
+
+    Parameters
+    ----------
+    catalogue : Catalogue
+        The catalogue that was searched.
+    name : str
+        The query: the id of a shape, or the name of a scan.
+    asked : Similar
+        What was asked.
+    options : PipelineOptions
+        How shapes are compared.
+    answer : Answer
+        The answer.
+
+    Returns
+    -------
+    dict
+        The JSON document; ``results`` and ``vote`` as `pcretrieve query --json` prints them, with the names
+        of files in place of their paths.
+    """
+    return {
+        "query": name,
+        "asked": asdict(asked),
+        "results": [_without_path(row) for row in result_rows(answer)],
+        "vote": None if answer.vote is None else asdict(answer.vote),
+        "verdict": str(answer),
+        "distance": options.retrieval.distance,
+        "whitening": without_folders(catalogue.whitening(options).reason),
+        "version": __version__,
+    }
+
+
+def similar_csv(name: str, answer: Answer) -> str:
+    """An answer as a table.
+
+    Parameters
+    ----------
+    name : str
+        The query.
+    answer : Answer
+        The answer.
+
+    Returns
+    -------
+    str
+        The columns of `pcretrieve query --csv`, with the names of files in place of their paths.
+    """
+    rows = [{"query": name, **_without_path(row)} for row in result_rows(answer)]
+    return csv_text(CSV_COLUMNS, ([row[column] for column in CSV_COLUMNS] for row in rows))
+
+
+def _without_path(row: Document) -> Document:
+    return {
+        "file" if name == "path" else name: Path(value).name if name == "path" else value
+        for name, value in row.items()
+    }

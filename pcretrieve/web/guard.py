@@ -1,0 +1,168 @@
+"""What every request must satisfy before it is answered: its host, its origin, and the token.
+
+Other programs of this computer, and pages of other sites in the browser of the user, can reach a server on
+127.0.0.1. The token, which is printed once, keeps out those that were not given it. The names of the host are
+checked because a foreign site can let its own name mean 127.0.0.1 (DNS rebinding), and the origin because a
+browser sends the cookie with requests that pages of other ports of this computer make.
+"""
+
+from __future__ import annotations
+
+import hmac
+from collections.abc import Awaitable, Callable, MutableMapping
+from http.cookies import CookieError, SimpleCookie
+from typing import Any, NamedTuple
+from urllib.parse import parse_qsl, urlencode, urlsplit
+
+__all__ = ["COOKIE", "Guard"]
+
+Scope = MutableMapping[str, Any]
+Message = MutableMapping[str, Any]
+Receive = Callable[[], Awaitable[Message]]
+Send = Callable[[Message], Awaitable[None]]
+Application = Callable[[Scope, Receive, Send], Awaitable[None]]
+
+#: Beginning of the name of the cookie; the port follows, because servers of one computer share cookies.
+COOKIE = "pcretrieve-"
+
+# The names by which a browser on the same computer, or at the end of an SSH tunnel, calls the server.
+HOSTS = frozenset({"127.0.0.1", "localhost", "::1"})
+
+SAFE_METHODS = frozenset({"GET", "HEAD"})
+
+# Of all answers. Scripts, styles and pictures come from this server only, none is written in a page, and no
+# other page shows this one in a frame.
+HEADERS = {
+    "content-security-policy": "default-src 'none'; script-src 'self'; style-src 'self'; "
+    "img-src 'self' data:; connect-src 'self'; form-action 'self'; base-uri 'none'; frame-ancestors 'none'",
+    "x-content-type-options": "nosniff",
+    "x-frame-options": "DENY",
+    "referrer-policy": "no-referrer",
+    "cross-origin-opener-policy": "same-origin",
+    "cross-origin-resource-policy": "same-origin",
+}
+
+
+class _Refusal(NamedTuple):
+    """Why a request is not answered."""
+
+    status: int
+    words: str
+
+
+class Guard:
+    """An ASGI application that hands on requests with the right host, origin and token, and no others.
+
+    Parameters
+    ----------
+    application : ASGI application
+        What answers these requests. The path that it is given is percent-encoded still, so that names of
+        shapes may have any character.
+    token : str
+        The token: the value of ``token`` in an address, of the header ``Authorization: Bearer``, or of the
+        cookie that an address with the token sets.
+    """
+
+    def __init__(self, application: Application, token: str) -> None:
+        self._application = application
+        self._token = token.encode()
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Answer one request.
+
+        Parameters
+        ----------
+        scope : mapping
+            The request, as by the ASGI specification.
+        receive, send : callable
+            Ways of the parts of request and answer.
+        """
+        if scope["type"] == "lifespan":
+            await self._application(scope, receive, send)
+            return
+        if scope["type"] != "http":  # a WebSocket, of which there are none
+            await receive()
+            await send({"type": "websocket.close"})
+            return
+        headers = {name.decode("latin-1"): value.decode("latin-1") for name, value in scope["headers"]}
+        host = headers.get("host", "")
+        query = parse_qsl(scope["query_string"].decode("latin-1"), keep_blank_values=True)
+        given = dict(query).get("token")
+        refusal = self._refusal(scope["method"], host, headers, given)
+        if refusal is not None:
+            await _sent(send, refusal.status, {"content-type": "text/plain; charset=utf-8"}, refusal.words)
+        elif given is not None and scope["method"] in SAFE_METHODS:
+            rest = urlencode([pair for pair in query if pair[0] != "token"])
+            # With one slash at the beginning, because two would be followed by the name of another host.
+            path = "/" + scope["raw_path"].decode("latin-1").lstrip("/\\")
+            cookie = f"{COOKIE}{_port(host)}={given}; Path=/; HttpOnly; SameSite=Strict"
+            await _sent(send, 303, {"location": f"{path}?{rest}" if rest else path, "set-cookie": cookie}, "")
+        else:
+            raw = {**scope, "path": scope["raw_path"].decode("latin-1")}
+            await self._application(raw, receive, _with_headers(send))
+
+    def _refusal(self, method: str, host: str, headers: dict[str, str], given: str | None) -> _Refusal | None:
+        if _hostname(host) not in HOSTS:
+            return _Refusal(
+                400, "This server answers at 127.0.0.1 and localhost only: use the address it printed.\n"
+            )
+        origin = headers.get("origin")
+        if origin not in (None, f"http://{host}"):
+            return _Refusal(403, "Pages of other sites may not use this server.\n")
+        scheme, _, bearer = headers.get("authorization", "").partition(" ")
+        by_header = scheme.lower() == "bearer" and self._is_token(bearer)
+        if not (by_header or self._is_token(given) or self._is_token(_cookie(headers, _port(host)))):
+            return _Refusal(
+                403,
+                "The token is missing or wrong: open the address that `pcretrieve serve` printed, which "
+                "ends in ?token=..., or send the header Authorization: Bearer TOKEN.\n",
+            )
+        if method not in SAFE_METHODS and origin is None and not by_header:
+            return _Refusal(
+                403, "A request that changes something needs an Origin, or the token in Authorization.\n"
+            )
+        return None
+
+    def _is_token(self, given: str | None) -> bool:
+        return given is not None and hmac.compare_digest(given.encode("utf-8", "replace"), self._token)
+
+
+def _hostname(host: str) -> str | None:
+    try:
+        return urlsplit(f"//{host}").hostname
+    except ValueError:
+        return None
+
+
+def _port(host: str) -> int:
+    try:
+        return urlsplit(f"//{host}").port or 80
+    except ValueError:
+        return 80
+
+
+def _cookie(headers: dict[str, str], port: int) -> str | None:
+    try:
+        found = SimpleCookie(headers.get("cookie", "")).get(f"{COOKIE}{port}")
+    except CookieError:
+        return None
+    return None if found is None else found.value
+
+
+def _with_headers(send: Send) -> Send:
+    async def sending(message: Message) -> None:
+        if message["type"] == "http.response.start":
+            own = [(name.encode(), value.encode()) for name, value in HEADERS.items()]
+            message = {**message, "headers": [*message.get("headers", ()), *own]}
+        await send(message)
+
+    return sending
+
+
+async def _sent(send: Send, status: int, headers: dict[str, str], words: str) -> None:
+    body = words.encode()
+    both = {**headers, "content-length": str(len(body)), "cache-control": "no-store"}
+    raw = [(name.encode(), value.encode("latin-1")) for name, value in both.items()]
+    guarded = _with_headers(send)
+    await guarded({"type": "http.response.start", "status": status, "headers": raw})
+    await guarded({"type": "http.response.body", "body": body})

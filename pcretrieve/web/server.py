@@ -1,0 +1,135 @@
+"""The server of the search page, by uvicorn, which is installed by the extra ``web``."""
+
+from __future__ import annotations
+
+import os
+import secrets
+import socket
+from collections.abc import Callable
+from importlib.util import find_spec
+from pathlib import Path
+
+from pcretrieve.catalogue import Catalogue
+from pcretrieve.errors import InputError
+from pcretrieve.options import OptionsLike, PipelineOptions
+from pcretrieve.web.application import application
+from pcretrieve.web.guard import Guard
+from pcretrieve.web.jobs import Jobs
+from pcretrieve.web.readers import Readers
+from pcretrieve.web.site import Site
+
+__all__ = ["serve"]
+
+ADDRESS = "127.0.0.1"
+
+# Largest number of threads that answer; more would wait for each other, because Python runs one at a time.
+MOST_READERS = 4
+
+# Largest number of connections at a time, and the longest time for which an idle one is kept; seconds.
+MOST_CONNECTIONS = 200
+KEEP_ALIVE = 5
+
+
+def serve(
+    catalogue: str | Path,
+    *,
+    options: OptionsLike = None,
+    port: int = 8765,
+    token: str | None = None,
+    read_only: bool = False,
+    most_bytes: int = 200_000_000,
+    timeout: float = 300.0,
+    memory: float = 4.0,
+    on_start: Callable[[str], None] = lambda address: None,
+) -> None:
+    """Serve the search page of a catalogue to browsers of this computer, until Ctrl-C or SIGTERM.
+
+    Parameters
+    ----------
+    catalogue : str or Path
+        The path or the URL of the catalogue.
+    options : OptionsLike, optional
+        Signature, distance and whitening. By default the options of the catalogue.
+    port : int, default 8765
+        The port, at 127.0.0.1; 0 for any that is free.
+    token : str, optional
+        The token that requests must have; by default a new random one.
+    read_only : bool, default False
+        Whether no scans can be uploaded.
+    most_bytes : int, default 200 million
+        Largest size of an uploaded scan.
+    timeout : float, default 300
+        Longest time to process an uploaded scan; seconds.
+    memory : float, default 4
+        Largest heap of the process that processes uploaded scans; GiB.
+    on_start : function, optional
+        Called with the address that contains the token, as soon as the server accepts connections.
+
+    Raises
+    ------
+    InputError
+        If Starlette or uvicorn are not installed, the port is used by another program, or the catalogue has
+        no shapes that can be compared.
+    CatalogueError
+        If the catalogue cannot be opened, or the options require other spectra than it has.
+    """
+    missing = [name for name in ("starlette", "uvicorn") if find_spec(name) is None]
+    if missing:
+        raise InputError(f"the search page needs {' and '.join(missing)}: pip install 'pcretrieve[web]'")
+    with Catalogue(catalogue) as store:
+        chosen = PipelineOptions.of(options, store.options)
+        store.index(chosen)  # so that it is made, and what it lacks is said, before the first request
+        title = Path(store.location).name
+        scanned = store.options.model_copy(update={"signature": chosen.compared})
+    key = token or secrets.token_urlsafe(24)
+    readers = Readers(str(catalogue), min(MOST_READERS, len(os.sched_getaffinity(0)) + 1))
+    jobs = None if read_only else Jobs(scanned, timeout=timeout, memory=memory)
+    try:
+        guarded = Guard(application(Site(readers, title, chosen, jobs, most_bytes)), key)
+        with _listening(port) as listener:
+            address = f"http://{ADDRESS}:{listener.getsockname()[1]}/?token={key}"
+            _run(guarded, listener, lambda: on_start(address))
+    finally:
+        if jobs is not None:
+            jobs.close()
+        readers.close()
+
+
+def _listening(port: int) -> socket.socket:
+    listener = socket.socket()
+    try:
+        listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        listener.bind((ADDRESS, port))
+        listener.listen(128)
+    except (OSError, OverflowError) as error:
+        listener.close()
+        raise InputError(f"cannot serve at port {port}: {error}; give another --port, or 0") from error
+    return listener
+
+
+def _run(guarded: Guard, listener: socket.socket, on_start: Callable[[], None]) -> None:
+    import asyncio
+
+    import uvicorn
+
+    config = uvicorn.Config(
+        guarded,
+        log_config=None,
+        access_log=False,  # addresses may contain the token
+        server_header=False,
+        limit_concurrency=MOST_CONNECTIONS,
+        timeout_keep_alive=KEEP_ALIVE,
+        timeout_graceful_shutdown=KEEP_ALIVE,
+        lifespan="off",
+    )
+    server = uvicorn.Server(config)
+
+    async def run() -> None:
+        serving = asyncio.ensure_future(server.serve(sockets=[listener]))
+        while not (server.started or serving.done()):
+            await asyncio.sleep(0.01)
+        if not serving.done():
+            on_start()
+        await serving
+
+    asyncio.run(run())

@@ -1,0 +1,103 @@
+"""The body of a request → the file of a scan, of a known kind and a limited size."""
+
+from __future__ import annotations
+
+from collections.abc import AsyncIterable
+from pathlib import Path, PurePosixPath
+from tempfile import NamedTemporaryFile
+
+from pcretrieve.errors import InputError
+from pcretrieve.formats.registry import missing_extra, suffixes
+from pcretrieve.web.requests import TooLarge
+
+__all__ = ["checked_suffix", "received", "upload_suffixes"]
+
+# Formats with all of a scan in one file. Left out are archives (.npz .3mf), and formats that name other files
+# of the computer that reads them (.conf .gltf .glb .txt).
+ONE_FILE = (".ply", ".pcd", ".off", ".stl", ".obj", ".xyz", ".pts", ".ptx", ".las", ".laz", ".e57", ".npy")
+
+LONGEST_NAME = 200
+
+
+def upload_suffixes() -> tuple[str, ...]:
+    """The suffixes of files that can be uploaded, and that this installation can read.
+
+    Returns
+    -------
+    tuple of str
+        Lower case, with the dot.
+    """
+    known = suffixes()
+    return tuple(suffix for suffix in ONE_FILE if suffix in known and not missing_extra(suffix))
+
+
+def checked_suffix(name: str) -> str:
+    """The suffix of an uploaded file.
+
+    Parameters
+    ----------
+    name : str
+        The name of the file.
+
+    Returns
+    -------
+    str
+        One of `upload_suffixes`.
+
+    Raises
+    ------
+    InputError
+        If the name is too long or has another suffix.
+    """
+    suffix = PurePosixPath(name).suffix.lower()
+    if suffix not in upload_suffixes() or len(name) > LONGEST_NAME:
+        raise InputError(
+            f"a scan must be a file with one of the suffixes {' '.join(upload_suffixes())} and a name of at "
+            f"most {LONGEST_NAME} characters, got {name[-50:]!r}"
+        )
+    return suffix
+
+
+async def received(
+    chunks: AsyncIterable[bytes], folder: Path, suffix: str, *, most_bytes: int, announced: str | None
+) -> Path:
+    """Store the body of a request as a file.
+
+    Parameters
+    ----------
+    chunks : async iterable of bytes
+        The body.
+    folder : Path
+        Where the file is made, under a name of its own.
+    suffix : str
+        The suffix of the file.
+    most_bytes : int
+        The largest size.
+    announced : str or None
+        The header ``Content-Length``.
+
+    Returns
+    -------
+    Path
+        The file.
+
+    Raises
+    ------
+    TooLarge
+        If the announced or the received size is larger, as soon as that is known.
+    InputError
+        If nothing was received.
+    """
+    message = f"a scan may have at most {most_bytes} bytes: reduce it, or use `pcretrieve query`"
+    if announced is not None and announced.isdecimal() and int(announced[:20]) > most_bytes:
+        raise TooLarge(message)
+    size = 0
+    with NamedTemporaryFile(dir=folder, suffix=suffix, delete=False) as file:
+        async for chunk in chunks:
+            size += len(chunk)
+            if size > most_bytes:
+                raise TooLarge(message)
+            file.write(chunk)
+    if not size:
+        raise InputError("the file is empty: scan or export it again")
+    return Path(file.name)

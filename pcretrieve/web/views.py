@@ -1,0 +1,139 @@
+"""Pages of the search server: the collection, and a shape with its neighbours."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from pcretrieve.catalogue import Catalogue
+from pcretrieve.options import PipelineOptions
+from pcretrieve.pages.html import page_template
+from pcretrieve.web.documents import (
+    listing_document,
+    shape_document,
+    similar_document,
+    similar_to,
+)
+from pcretrieve.web.listing import class_names
+from pcretrieve.web.requests import Listing, NotFound, Similar
+from pcretrieve.web.uploads import upload_suffixes
+
+__all__ = ["collection_page", "refusal_page", "scan_page", "shape_page"]
+
+
+def collection_page(catalogue: Catalogue, title: str, listing: Listing, most_bytes: int) -> str:
+    """The shapes of the catalogue as thumbnails, with a form to search them by name and class.
+
+    Parameters
+    ----------
+    catalogue : Catalogue
+        The shapes.
+    title : str
+        Name of the collection.
+    listing : Listing
+        Which shapes are shown.
+    most_bytes : int
+        Largest size of a scan that may be uploaded; 0 if none may.
+
+    Returns
+    -------
+    str
+        The page.
+    """
+    return page_template("collection.html").render(
+        title=title,
+        listing=listing,
+        found=listing_document(catalogue, listing),
+        classes=class_names(catalogue),
+        suffixes=upload_suffixes() if most_bytes else (),
+        most_bytes=most_bytes,
+    )
+
+
+def shape_page(
+    catalogue: Catalogue, title: str, shape_id: str, asked: Similar, options: PipelineOptions
+) -> str:
+    """A shape and its nearest neighbours; of a failed shape, why it failed.
+
+    Parameters
+    ----------
+    catalogue : Catalogue
+        The catalogue.
+    title : str
+        Name of the collection.
+    shape_id : str
+        The id of the shape.
+    asked : Similar
+        What is asked of the neighbours.
+    options : PipelineOptions
+        How shapes are compared.
+
+    Returns
+    -------
+    str
+        The page.
+
+    Raises
+    ------
+    NotFound
+        If there is no such shape.
+    """
+    record = catalogue.get(shape_id)
+    if record is None:
+        raise NotFound(f"there is no shape {shape_id!r}")
+    found = None
+    if record.status == "done":
+        answer = similar_to(catalogue, shape_id, asked, options)
+        found = similar_document(catalogue, shape_id, asked, options, answer)
+    return page_template("shape.html").render(
+        title=title,
+        shape=shape_document(record),
+        asked=asked,
+        found=found,
+        classes=class_names(catalogue),
+    )
+
+
+def scan_page(
+    catalogue: Catalogue, title: str, job: dict[str, Any], asked: Similar, found: dict[str, Any] | None
+) -> str:
+    """An uploaded scan: how far it is, why it failed, or its nearest neighbours.
+
+    Parameters
+    ----------
+    catalogue : Catalogue
+        The catalogue.
+    title : str
+        Name of the collection.
+    job : dict
+        The document of the job.
+    asked : Similar
+        What is asked of the neighbours.
+    found : dict or None
+        The document of the answer; None while there is none.
+
+    Returns
+    -------
+    str
+        The page.
+    """
+    return page_template("scan.html").render(
+        title=title, job=job, asked=asked, found=found, classes=class_names(catalogue)
+    )
+
+
+def refusal_page(title: str, message: str) -> str:
+    """Why there is no page.
+
+    Parameters
+    ----------
+    title : str
+        Name of the collection.
+    message : str
+        What does not hold, and what to do.
+
+    Returns
+    -------
+    str
+        The page.
+    """
+    return page_template("refusal.html").render(title=title, message=message)

@@ -1,0 +1,163 @@
+"""A merge has each shape as its part has it, in any grouping, or names what contradicts."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from contextlib import closing
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner
+from numpy.random import default_rng
+
+from pcretrieve import Catalogue, merge_catalogues
+from pcretrieve.benchmarks.catalogue import OPTIONS
+from pcretrieve.catalogue import Merged, Record, merging
+from pcretrieve.catalogue.rows import OWN, PAYLOADS, Entry, Payload
+from pcretrieve.catalogue.settings import settings_of
+from pcretrieve.catalogue.stores import open_rows
+from pcretrieve.cli.main import cli
+from pcretrieve.errors import CatalogueError, InputError
+
+Content = list[tuple[Record, dict[str, bytes], dict[Payload, bytes]]]
+
+
+def done(name: str, **changes: object) -> Entry:
+    record = Record(name, f"/{name}.ply", f"hash-{name}", "label", area=1.0, added="2026-11-23")
+    bits = name.encode() * 8
+    payloads = {payload: bits * number for number, payload in enumerate(PAYLOADS, 1)}
+    return Entry(replace(record, **changes), {OWN: bits, "other": bits * 2}, payloads)  # type: ignore[arg-type]
+
+
+def failed(name: str, **changes: object) -> Entry:
+    record = Record(name, f"/{name}.ply", "", status="failed", stage="clean", error="Bad", message="why")
+    return Entry(replace(record, **changes), {}, {})  # type: ignore[arg-type]
+
+
+@pytest.fixture
+def part(tmp_path: Path) -> Callable[[Sequence[Entry]], Path]:
+    """Makes an SQLite file with some shapes."""
+    number = iter(range(100))
+
+    def make(entries: Sequence[Entry]) -> Path:
+        path = tmp_path / f"part-{next(number)}.sqlite"
+        with closing(open_rows(path, settings_of(OPTIONS), create=True)) as rows:
+            rows.add(entries)
+        return path
+
+    return make
+
+
+def content(location: str | Path) -> Content:
+    """Everything that a catalogue has, in ascending order of id."""
+    with closing(open_rows(location, {}, create=False)) as rows:
+        entries = rows.entries([origin.id for origin in rows.origins()])
+        return [(one.record, dict(one.signatures), {**one.payloads}) for one in entries]
+
+
+def test_a_merge_has_every_shape_as_its_part_has_it(
+    part: Callable[[Sequence[Entry]], Path], new_location: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(merging, "STORED_AT_ONCE", 3)
+    names = [f"shape{number}" for number in range(20)]
+    entries = [failed(name) if number % 7 == 0 else done(name) for number, name in enumerate(names)]
+    parts = [part(entries[start::3]) for start in range(3)]
+    assert merge_catalogues(parts, new_location) == Merged(20, 0)
+    assert content(new_location) == content(part(entries))
+    with Catalogue(new_location) as merged:
+        assert merged.options == OPTIONS
+        assert len(merged) == 17
+
+
+def test_a_merge_goes_on_after_an_interruption(
+    part: Callable[[Sequence[Entry]], Path], new_location: str
+) -> None:
+    """The catalogue that has some of the shapes gets the others, and a second merge changes nothing."""
+    entries = [done("a"), failed("b"), done("c"), done("d", label=None)]
+    whole = part(entries)
+    merge_catalogues([part(entries[:2])], new_location)
+    assert merge_catalogues([whole], new_location) == Merged(2, 2)
+    with Catalogue(new_location) as merged:
+        revision = merged._rows.revision()
+    assert merge_catalogues([whole, whole], new_location) == Merged(0, 4)
+    assert content(new_location) == content(whole)
+    with Catalogue(new_location) as merged:
+        assert merged._rows.revision() == revision
+
+
+def test_of_a_file_in_several_parts_the_first_finished_shape_stays(
+    part: Callable[[Sequence[Entry]], Path], tmp_path: Path
+) -> None:
+    late = done("a", label=None, added="2027")
+    parts = [part([failed("a")]), part([failed("b", message="first"), late]), part([done("a"), failed("b")])]
+    merge_catalogues(parts, tmp_path / "all.sqlite")
+    (a, signatures, payloads), (b, *_) = content(tmp_path / "all.sqlite")
+    assert a == replace(late.record, label="label")
+    assert (signatures, payloads) == (late.signatures, late.payloads)
+    assert b.message == "first"
+
+
+def test_parts_are_merged_in_any_grouping(part: Callable[[Sequence[Entry]], Path], tmp_path: Path) -> None:
+    """Parts with failures, repetitions and missing labels at random."""
+    rng = default_rng(7)
+    makers: list[Callable[..., Entry]] = [done, failed]
+    for trial in range(5):
+        parts = [
+            part(
+                [
+                    makers[rng.integers(2)](
+                        name, label=[None, name.upper()][rng.integers(2)], added=f"{place}"
+                    )
+                    for name in "abcdefgh"
+                    if rng.uniform() < 0.6
+                ]
+            )
+            for place in range(3)
+        ]
+        one, two, left, right = (tmp_path / f"{trial}-{name}.sqlite" for name in ("1", "2", "3", "4"))
+        merge_catalogues(parts[:2], left)
+        merge_catalogues([left, parts[2]], one)
+        merge_catalogues(parts[1:], right)
+        merge_catalogues([parts[0], right], two)
+        merge_catalogues(parts, whole := tmp_path / f"{trial}.sqlite")
+        assert content(one) == content(two) == content(whole)
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"content_hash": "new"}, r"/a.ply has different contents in .*part-0.sqlite and in .*part-1.sqlite"),
+        ({"label": "cat"}, r"/a.ply has the labels 'label' and 'cat' in .*part-0.sqlite and in .*part-1"),
+        ({"path": "/b.ply"}, r"'a' is /a.ply in .*part-0.sqlite and /b.ply in .*part-1.sqlite"),
+    ],
+)
+def test_conflicts_are_named_and_nothing_is_stored(
+    changes: dict[str, str], said: str, part: Callable[[Sequence[Entry]], Path], tmp_path: Path
+) -> None:
+    parts = [part([done("a"), done("c")]), part([done("a", **changes), done("d")])]
+    with pytest.raises(CatalogueError, match=f"with conflicts cannot be merged: {said}"):
+        merge_catalogues(parts, tmp_path / "all.sqlite")
+    assert content(tmp_path / "all.sqlite") == []
+    with pytest.raises(CatalogueError, match=said):
+        merge_catalogues(parts[1:], parts[0])
+    assert [record.id for record, *_ in content(parts[0])] == ["a", "c"]
+
+
+def test_what_cannot_be_merged(part: Callable[[Sequence[Entry]], Path], tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="at least one catalogue to merge, got none"):
+        merge_catalogues([], tmp_path / "all.sqlite")
+    with pytest.raises(CatalogueError, match="there is no catalogue"):
+        merge_catalogues([part([done("a")]), tmp_path / "nothing.sqlite"], tmp_path / "all.sqlite")
+    Catalogue(tmp_path / "others.sqlite", OPTIONS.changed(spectral={"n_pairs": 91}), create=True).close()
+    with pytest.raises(CatalogueError, match=r"spectral\.n_pairs"):
+        merge_catalogues([part([done("a")]), tmp_path / "others.sqlite"], tmp_path / "new.sqlite")
+
+
+def test_the_command_merges(part: Callable[[Sequence[Entry]], Path], tmp_path: Path) -> None:
+    parts = [str(part([done("a")])), str(part([done("b"), failed("c")]))]
+    output = str(tmp_path / "all.sqlite")
+    told = CliRunner().invoke(cli, ["catalogue", "merge", *parts, "-o", output])
+    assert told.exit_code == 0, told.output
+    assert told.stderr == f"3 stored, 0 held already: {output}\n"
+    assert [record.id for record, *_ in content(output)] == ["a", "b", "c"]

@@ -1,0 +1,132 @@
+"""`signature`, `reconstruct` and `inspect` of a folder of scans; and what commands say that take long."""
+
+from __future__ import annotations
+
+import json
+import os
+import pty
+import subprocess
+import sys
+from contextlib import suppress
+from pathlib import Path
+
+import numpy as np
+import pytest
+import shapes
+from click.testing import CliRunner, Result
+from packages import install
+
+from pcretrieve import read_scan
+from pcretrieve.cli.main import cli
+from pcretrieve.formats import write_mesh
+from pcretrieve.types import TriangleMesh
+
+PATIENCE = 100  # seconds
+LENGTHS = {"a": 1.5, "b": 2.0, "c": 3.0}
+
+SLOW = """
+import time
+from pcretrieve.errors import ScanReadError
+
+def read(path):
+    time.sleep(4)
+    raise ScanReadError("after a while")
+"""
+
+
+def run(*arguments: str | Path) -> Result:
+    return CliRunner().invoke(cli, [*map(str, arguments)])
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """Three eggs, of which the first takes longest, and a file that cannot be read."""
+    (tmp_path / "scans" / "more").mkdir(parents=True)
+    for name, length in LENGTHS.items():
+        egg = shapes.ellipsoid((1, 1, length), subdivisions=5 if name == "a" else 3)
+        write_mesh(egg, tmp_path / "scans" / ("more" if name == "c" else "") / f"{name}.off")
+    (tmp_path / "scans" / "bad.off").write_text("OFF\n")
+    return tmp_path / "scans"
+
+
+def test_signatures_are_those_of_the_single_scans_in_their_order(folder: Path) -> None:
+    done = run("signature", folder, "--workers", "2")
+    assert done.exit_code == 3
+    assert done.stderr.startswith("signature: 4 scans\n")
+    assert "failed: [bad / read]" in done.stderr
+    lines = [line.split("\t") for line in done.stdout.splitlines()]
+    assert [Path(line[0]).stem for line in lines] == ["a", "b", "c"]
+    for path, *values in lines:
+        assert run("signature", path).stdout.strip().split("\t")[1:] == values
+
+
+def test_progress_of_signatures_in_json(folder: Path) -> None:
+    done = run("signature", folder, "--progress", "json", "--json")
+    told = [json.loads(line) for line in done.stderr.splitlines()]
+    assert [line["finished"] for line in told] == [1, 2, 3, 4]
+    assert {Path(line["path"]).stem: line["status"] for line in told} == {
+        **dict.fromkeys(LENGTHS, "done"),
+        "bad": "failed",
+    }
+    assert [Path(found["path"]).stem for found in json.loads(done.stdout)] == ["a", "b", "bad", "c"]
+
+
+def test_each_scan_of_a_folder_is_reconstructed(folder: Path, tmp_path: Path) -> None:
+    done = run("reconstruct", folder, "-o", tmp_path / "meshes", "--suffix", ".obj", "--json")
+    assert done.exit_code == 3
+    assert {path.name for path in (tmp_path / "meshes").iterdir()} == {"a.obj", "b.obj", "c.obj"}
+    by_name = {Path(found["scan"]).stem: found for found in json.loads(done.stdout)}
+    assert by_name["bad"]["error"] == "ScanReadError"
+    for name, length in LENGTHS.items():
+        mesh = read_scan(tmp_path / "meshes" / f"{name}.obj")
+        assert isinstance(mesh, TriangleMesh)
+        assert np.ptp(mesh.vertices, axis=0)[2] == pytest.approx(2 * length, rel=0.01)
+        assert by_name[name]["faces"] == len(mesh.faces)
+    assert f"3 surfaces are in {tmp_path / 'meshes'}, 1 scans failed" in done.stderr
+
+
+def test_results_are_not_put_among_the_scans(folder: Path) -> None:
+    for command in ("reconstruct", "inspect"):
+        refused = run(command, folder, "-o", folder / "results")
+        assert "whose files are read: name another folder with -o" in str(refused.exception)
+    assert not (folder / "results").exists()
+    assert run("inspect", folder).exit_code == 2
+
+
+def test_each_scan_of_a_folder_has_a_page(folder: Path, tmp_path: Path) -> None:
+    done = run("inspect", folder, "-o", tmp_path / "pages", "--rescans", "0", "--workers", "2")
+    assert done.exit_code == 3
+    assert {path.name for path in (tmp_path / "pages").iterdir()} >= {"a.html", "b.html", "c.html"}
+    pages = [Path(line.split("  ")[0]) for line in done.stdout.splitlines()]
+    assert [page.stem for page in pages if page.stem != "bad"] == ["a", "b", "c"]
+    assert "<html" in pages[0].read_text(encoding="utf-8")
+
+
+@pytest.fixture
+def environment(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> dict[str, str]:
+    entry_points = "[pcretrieve.readers]\n.slow = slow:read\n"
+    install(tmp_path / "site", "slow", {"slow": SLOW}, entry_points, monkeypatch)
+    path = os.pathsep.join([str(tmp_path / "site"), *filter(None, sys.path)])
+    return {**os.environ, "PYTHONPATH": path}
+
+
+def test_a_command_that_takes_long_says_a_word(tmp_path: Path, environment: dict[str, str]) -> None:
+    (tmp_path / "scan.slow").write_text("slow")
+
+    def said(*arguments: str) -> str:
+        """What a command prints on the terminal that is its standard error."""
+        terminal, end = pty.openpty()
+        command = [sys.executable, "-m", "pcretrieve", *arguments]
+        with subprocess.Popen(command, cwd=tmp_path, env=environment, stderr=end) as running:
+            os.close(end)
+            text = b""
+            with suppress(OSError), os.fdopen(terminal, "rb", buffering=0) as screen:  # the end of a terminal
+                while part := screen.read(1000):
+                    text += part
+            running.wait(PATIENCE)
+        return text.decode()
+
+    first, failure, *_ = said("signature", "scan.slow").splitlines()
+    assert first == "signature: at work"
+    assert failure.startswith("failed: [scan / read]")
+    assert "at work" not in said("ingest", "scan.slow", "-c", "d.sqlite", "--quiet")

@@ -1,0 +1,211 @@
+"""Names and classes that mean something to a page, a terminal, a shell or a database are printed as text."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import os
+import sqlite3
+import subprocess
+import sys
+import unicodedata
+from contextlib import closing
+from html.parser import HTMLParser
+from pathlib import Path
+
+import pytest
+import shapes
+
+from pcretrieve.formats import write_mesh
+
+# Names of files without their suffix. With the suffix .off, the longest has 255 bytes.
+NAMES = (
+    "<script>alert(1)<!--",
+    "\"><img src=x onerror='alert(1)'>",
+    "<td><style>*{display:none}",
+    "two\nfailed: [lines",
+    "tab\tand\rreturn",
+    "\x1b[31mred\x1b]0;title\x07",
+    "\x9b31m\x7f",
+    "reversed\u202egnp.exe",
+    "separated\u2028lines",
+    "'; DROP TABLE shapes; --",
+    "-rf",
+    "--help",
+    "=HYPERLINK(1)",
+    "{{7*7}}%s%d\\",
+    "cat#1",
+    "n" * 251,
+    "\u00e4" * 125,
+    os.fsdecode(b"latin-\xe9"),
+)
+# The ids of the shapes: bytes that are not UTF-8 are escaped.
+IDS = {name: os.fsencode(name).decode("utf-8", "backslashreplace") for name in NAMES}
+
+
+def run(folder: Path, *arguments: str | Path, code: int = 0) -> str:
+    """What a command prints, in which a terminal finds nothing to act on."""
+    command = [sys.executable, "-m", "pcretrieve", *map(str, arguments)]
+    done = subprocess.run(command, cwd=folder, capture_output=True, check=False, timeout=300)
+    assert done.returncode == code, done.stderr.decode(errors="replace")
+    printed, said = done.stdout.decode(), done.stderr.decode()
+    if "--csv" not in arguments:
+        for sign in printed + said:
+            signature = arguments[0] == "signature" and sign == "\t"
+            assert sign == "\n" or signature or unicodedata.category(sign) not in {"Cc", "Zl", "Zp"}, said
+            assert sign != "\u202e"
+    assert "Traceback" not in said
+    return printed
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A catalogue with two shapes of each name, the class of which is the id of the first."""
+    place = tmp_path_factory.mktemp("hostile")
+    for start, part in enumerate(("one", "two")):
+        (place / part).mkdir()
+        for number, name in enumerate(NAMES):
+            egg = shapes.ellipsoid((1, 1 + number / 40, 1.3 + start / 100), subdivisions=2)
+            write_mesh(egg, place / part / f"{name}.off")
+    (place / "one" / "flat\x1b[31m\n.xyz").write_text("1 2 3\n" * 200)
+    with (place / "labels.csv").open("w", encoding="utf-8", newline="") as file:
+        writer = csv.writer(file)
+        writer.writerow(["id", "class"])
+        writer.writerows((shape_id + end, shape_id) for shape_id in IDS.values() for end in ("", "-2"))
+    command = ("ingest", "one", "two", "-c", "c.sqlite", "--labels", "labels.csv", "--json")
+    answer = json.loads(run(place, *command, code=3))
+    assert sorted(answer["done"]) == sorted(ids())
+    assert [failure["id"] for failure in answer["failed"]] == ["flat\x1b[31m\n"]
+    assert answer["unknown_labels"] == []
+    with (
+        closing(sqlite3.connect(place / "c.sqlite")) as whole,
+        closing(sqlite3.connect(place / "tame.sqlite")) as tame,
+    ):
+        whole.backup(tame)
+        tame.execute("UPDATE shapes SET id = 'tame' || number, path = '/tame' || number || '.off'")
+        tame.execute("UPDATE shapes SET label = 'class ' || length(label) WHERE label IS NOT NULL")
+        tame.execute("UPDATE shapes SET message = 'no body' WHERE status = 'failed'")
+        tame.commit()
+    return place
+
+
+def ids() -> list[str]:
+    return [shape_id + end for shape_id in IDS.values() for end in ("", "-2")]
+
+
+# --- tables ---------------------------------------------------------------------------------------------
+
+
+def test_a_list_has_one_line_for_each_shape(folder: Path) -> None:
+    assert len(run(folder, "list", "-c", "c.sqlite").splitlines()) == len(ids()) + 1
+    (line,) = run(folder, "list", "-c", "c.sqlite", "--failed").splitlines()
+    assert line.startswith("flat\\u001b[31m\\n ")
+
+
+@pytest.mark.parametrize("name", NAMES, ids=range(len(NAMES)))
+def test_every_shape_can_be_asked_for_by_its_id(name: str, folder: Path) -> None:
+    shown = json.loads(run(folder, "show", "-c", "c.sqlite", "--json", "--", IDS[name]))
+    assert (shown["id"], shown["label"]) == (IDS[name], IDS[name])
+    assert shown["path"] == f"{folder}/one/{IDS[name]}.off"
+
+
+def test_queries_print_names_as_text(folder: Path) -> None:
+    options = ("query", "-c", "c.sqlite", "-k", "3", "--whitening", "none")
+    several = ("--", IDS[NAMES[3]], IDS[NAMES[5]])
+    assert len(run(folder, *options, *several).splitlines()) == 2 * (1 + 3 + 1)
+    rows = list(csv.DictReader(io.StringIO(run(folder, *options, "--csv", *several), newline="")))
+    answers = json.loads(run(folder, *options, "--json", *several))
+    assert [row["query"] for row in rows[::3]] == [answer["query"] for answer in answers] == list(several[1:])
+    assert [row["id"] for row in rows] == [one["id"] for answer in answers for one in answer["results"]]
+    assert {row["label"] for row in rows} <= {*IDS.values()}
+
+
+def test_signatures_have_one_line_each(folder: Path) -> None:
+    lines = run(folder, "signature", "--from-catalogue", "c.sqlite").splitlines()
+    assert len(lines) == len(ids())
+    assert len({line.count("\t") for line in lines}) == 1
+
+
+def test_measures_of_classes_have_one_line_each(folder: Path) -> None:
+    options = ("evaluate", "-c", "c.sqlite", "--whitening", "none", "--per-class")
+    lines = run(folder, *options).splitlines()
+    assert sum(" 2 queries" in line for line in lines) == len(NAMES)
+    document = json.loads(run(folder, *options, "--json", "--csv", "tables"))
+    assert {one["label"] for one in document["classes"]} == {*IDS.values()}
+    with (folder / "tables" / "classes.csv").open(encoding="utf-8", newline="") as file:
+        assert {row["label"] for row in csv.DictReader(file)} == {*IDS.values()}
+
+
+# --- pages ----------------------------------------------------------------------------------------------
+
+
+class Page(HTMLParser):
+    """The elements of a page with their attributes, and its text."""
+
+    def __init__(self, path: Path) -> None:
+        super().__init__()
+        self.elements: set[str] = set()
+        self.attributes: set[str] = set()
+        self.text = ""
+        self.feed(path.read_text(encoding="utf-8"))
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.elements.add(tag)
+        self.attributes.update(name for name, _ in attrs)
+        self.text += " ".join(value or "" for _, value in attrs)
+
+    def handle_data(self, data: str) -> None:
+        self.text += data
+
+
+@pytest.mark.parametrize("command", ["report", "map"])
+def test_a_page_has_no_element_that_a_name_made(command: str, folder: Path) -> None:
+    for catalogue, page in (("tame.sqlite", "tame.html"), ("c.sqlite", "hostile.html")):
+        run(folder, command, "-c", catalogue, "--whitening", "none", "-o", f"{command}-{page}")
+    expected, found = (Page(folder / f"{command}-{page}") for page in ("tame.html", "hostile.html"))
+    assert found.elements <= expected.elements
+    assert found.attributes <= expected.attributes
+    text = " ".join(found.text.split())
+    for name in NAMES[:3]:
+        assert name in text
+
+
+# --- files ----------------------------------------------------------------------------------------------
+
+
+def test_meshes_are_written_into_their_folder_alone(folder: Path) -> None:
+    """Also if a catalogue from elsewhere has ids with slashes."""
+    source, copy = (folder / name for name in ("c.sqlite", "copy.sqlite"))
+    with closing(sqlite3.connect(source)) as whole, closing(sqlite3.connect(copy)) as other:
+        whole.backup(other)
+        other.execute("UPDATE shapes SET id = '../../outside' WHERE id = '-rf'")
+        other.execute("UPDATE shapes SET id = '/absolute/outside' WHERE id = '--help'")
+        other.commit()
+    before = sorted(folder.rglob("*outside*"))
+    printed = run(
+        folder, "export", "-c", copy, "-o", "meshes/inside", "--", "../../outside", "/absolute/outside"
+    )
+    assert printed.splitlines() == [
+        "meshes/inside/..%2F..%2Foutside.ply",
+        "meshes/inside/%2Fabsolute%2Foutside.ply",
+    ]
+    written = sorted(path for path in folder.rglob("*outside*") if path not in before)
+    assert {path.parent for path in written} == {folder / "meshes" / "inside"}
+
+
+def test_all_meshes_have_files_of_their_own(folder: Path) -> None:
+    chosen = [shape_id for shape_id in ids() if len(os.fsencode(f"{shape_id}.ply")) <= 255]
+    run(folder, "export", "-c", "c.sqlite", "-o", "meshes/all", "--", *chosen)
+    assert len(list((folder / "meshes" / "all").iterdir())) == len(chosen)
+
+
+def test_shapes_are_removed_by_their_ids(folder: Path) -> None:
+    copy = folder / "removed.sqlite"
+    with closing(sqlite3.connect(folder / "c.sqlite")) as whole, closing(sqlite3.connect(copy)) as other:
+        whole.backup(other)
+    run(folder, "remove", "-c", copy, "--", *IDS.values())
+    left = json.loads(run(folder, "list", "-c", copy, "--json"))
+    assert sorted(row["id"] for row in left) == sorted(
+        ["flat\x1b[31m\n", *(f"{name}-2" for name in IDS.values())]
+    )

@@ -1,0 +1,143 @@
+"""Histograms of the area projection transform."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import shapes
+
+from pcretrieve.descriptors import hapt
+from pcretrieve.descriptors.hapt import CELL, LEVELS, RADII, projected_areas
+from pcretrieve.errors import DegenerateMeshError
+from pcretrieve.types import FloatArray, TriangleMesh
+
+
+def tube(radius: float, length: float, *, bend: float = 0.0) -> TriangleMesh:
+    """A closed tube with round caps, bent by an angle along a circular arc."""
+    n_along, n_around = 121, 48
+    t = np.linspace(-1, 1, n_along)[1:-1]
+    # The ends of the profile are half circles, with as many rows as the middle has for that length.
+    along = t * (length / 2 + radius)
+    over = np.maximum(np.abs(along) - length / 2, 0)
+    profile = np.sqrt(np.maximum(radius**2 - over**2, 0))
+    angle = 2 * np.pi * np.arange(n_around) / n_around
+    x = profile[:, np.newaxis] * np.cos(angle)
+    y = profile[:, np.newaxis] * np.sin(angle)
+    z = np.broadcast_to(along[:, np.newaxis], x.shape)
+    tips = np.array([[0, 0, -length / 2 - radius], [0, 0, length / 2 + radius]])
+    vertices = np.concatenate([np.stack([x, y, z], axis=-1).reshape(-1, 3), tips])
+    if bend:
+        arc = (length + 2 * radius) / bend  # radius of the arc of the axis
+        turn = vertices[:, 2] / arc
+        vertices = np.column_stack(
+            [
+                arc - (arc - vertices[:, 0]) * np.cos(turn),
+                vertices[:, 1],
+                (arc - vertices[:, 0]) * np.sin(turn),
+            ]
+        )
+    n_rows = len(t)
+    here = np.arange(n_rows * n_around).reshape(n_rows, n_around)
+    beside = np.roll(here, -1, axis=1)
+    a, b, c, d = (corner.ravel() for corner in (here[:-1], beside[:-1], beside[1:], here[1:]))
+    first, last = n_rows * n_around, n_rows * n_around + 1
+    faces = np.concatenate(
+        [
+            np.column_stack([a, b, c]),
+            np.column_stack([a, c, d]),
+            np.column_stack([beside[0], here[0], np.full(n_around, first)]),
+            np.column_stack([here[-1], beside[-1], np.full(n_around, last)]),
+        ]
+    )
+    return TriangleMesh(vertices, faces)
+
+
+def roots(mesh: TriangleMesh) -> FloatArray:
+    return np.sqrt(hapt(mesh).values)
+
+
+def test_the_whole_area_of_a_sphere_arrives_at_its_centre() -> None:
+    """Unit area: R = 1 / √(4 π)."""
+    radius = 1 / np.sqrt(4 * np.pi)
+    transform = projected_areas(shapes.icosphere(4), np.array([radius]), 0.25)
+    assert transform.max() == pytest.approx(1, abs=0.01)
+    assert transform.shape[1] * CELL**3 == pytest.approx(4 / 3 * np.pi * radius**3, rel=0.01)
+
+
+def test_half_of_a_sphere_arrives_on_the_axis_of_a_tube() -> None:
+    """On the axis of a tube of radius R, a length 2 c R of it arrives: 2 π R · 2 c R of 4 π R²."""
+    thin = tube(0.05, 1.5)
+    radius = 0.05 / np.sqrt(thin.area)
+    transform = projected_areas(thin, np.array([radius / 2, radius, 2 * radius]), 0.5)
+    half, own, double = transform
+    # Where the ends of the tube do not contribute: the median of the voxels on its axis.
+    on_axis = own > np.quantile(own, 0.97)
+    assert np.median(own[on_axis]) == pytest.approx(0.5, rel=0.1)
+    assert np.median(half[on_axis]) < 0.1
+    assert np.median(double[on_axis]) < 0.1
+
+
+def test_bending_changes_less_than_girth() -> None:
+    straight = roots(tube(0.1, 2.0))
+    bent = np.linalg.norm(roots(tube(0.1, 2.0, bend=np.pi / 2)) - straight)
+    thicker = np.linalg.norm(roots(tube(0.12, 2.0)) - straight)
+    assert 4 * bent < thicker
+
+
+def test_volumes_are_cumulative_and_at_most_that_of_the_body() -> None:
+    body = shapes.body(3)
+    volumes = hapt(body).values.reshape(len(RADII), len(LEVELS))
+    assert (np.diff(volumes, axis=1) <= 0).all()
+    assert 0 < volumes.max() <= body.volume / body.area**1.5
+    assert np.array_equal(hapt(body).values, volumes.ravel()), "the same bits again"
+
+
+def test_rotation_reflection_scale_and_orientation_change_nothing() -> None:
+    body = shapes.body(3)
+    expected = hapt(body).values
+    turn = np.linalg.qr(np.random.default_rng(1).normal(size=(3, 3)))[0]
+    for moved in (turn, turn @ np.diag([1.0, 1.0, -1.0])):  # one of them is a reflection
+        found = hapt(TriangleMesh(3e-4 * body.vertices @ moved + [5, -7, 1], body.faces)).values
+        np.testing.assert_allclose(found, expected, atol=2e-6)
+    turned = TriangleMesh(body.vertices, body.faces[:, ::-1])
+    np.testing.assert_array_equal(hapt(turned).values, expected)
+
+
+def test_finer_triangles_of_the_same_body_change_little() -> None:
+    coarse, fine = (roots(shapes.ellipsoid((0.25, 0.25, 1.0), subdivisions=n)) for n in (3, 4))
+    assert np.linalg.norm(fine - coarse) < 0.1 * np.linalg.norm(fine)
+
+
+def needle(n_faces: int = 4) -> TriangleMesh:
+    """A flat tetrahedron, so long that most of its area is far from its middle."""
+    corners = np.array([[0.0, 0, 0], [1, 0, 0], [1, 1e-5, 0], [1, 0, 1e-5]])
+    return TriangleMesh(corners, np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])[:n_faces])
+
+
+@pytest.mark.parametrize(
+    ("mesh", "message"),
+    [
+        (TriangleMesh(np.zeros((3, 3)), np.array([[0, 1, 2]])), "a positive area, got an area of 0"),
+        (
+            shapes.square(8),
+            "an interior, got a surface that encloses no voxel of 0.01 √area: close its holes",
+        ),
+        (needle(), "at most 8,388,608 sample points, got .*: some triangles are too long; remesh it"),
+    ],
+)
+def test_surfaces_that_are_no_bodies(mesh: TriangleMesh, message: str) -> None:
+    with pytest.raises(DegenerateMeshError, match=message):
+        hapt(mesh)
+
+
+def test_a_body_that_is_all_length_needs_too_large_a_grid() -> None:
+    """A thin tube on three axes: its grid has as many voxels as the cube around it."""
+    arm = tube(0.004, 2.0)
+    arms = [arm.vertices @ np.roll(np.eye(3), turn, axis=1) for turn in range(3)]
+    star = TriangleMesh(
+        np.concatenate(arms), np.concatenate([arm.faces + k * len(arm.vertices) for k in range(3)])
+    )
+    with pytest.raises(
+        DegenerateMeshError, match=r"at most 16,777,216 voxels of 0.01 √area, got [\d,]+: the"
+    ):
+        hapt(star)

@@ -1,0 +1,160 @@
+"""An ingest that is killed again and again, at any moment, makes the catalogue of an undisturbed one.
+
+By default it is killed a few times; PCRETRIEVE_KILLS says how often, also with a Dask cluster of this
+computer (`scripts/benchmark_crashes`).
+"""
+
+from __future__ import annotations
+
+import os
+import random
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from contextlib import closing, suppress
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+import shapes
+from processes import PATIENCE, living, wait_for
+
+from pcretrieve import Catalogue, ingest
+from pcretrieve.catalogue.stores import open_rows
+from pcretrieve.errors import CatalogueError
+from pcretrieve.formats import write_mesh
+
+N_KILLS = int(os.environ.get("PCRETRIEVE_KILLS", "3"))
+
+# At most two shapes for each kill; when all are stored, they are removed, and stored again.
+N_SHAPES = 2 * N_KILLS + 2
+
+Everything = dict[str, tuple[Any, ...]]
+
+EXECUTORS: dict[str, tuple[str, ...]] = {"local": ()}
+if "PCRETRIEVE_KILLS" in os.environ:  # a cluster takes five seconds to start
+    EXECUTORS |= {"dask": ("--cluster", "local")}
+
+
+@pytest.fixture(scope="module")
+def scans(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder of eggs, all of them different."""
+    folder = tmp_path_factory.mktemp("crashes") / "scans"
+    folder.mkdir()
+    for number in range(N_SHAPES):
+        egg = shapes.ellipsoid((1, 1.2, 1.5 + number / N_SHAPES), subdivisions=2)
+        write_mesh(egg, folder / f"egg{number:03}.off")
+    return folder
+
+
+@pytest.fixture(scope="module")
+def undisturbed(scans: Path) -> Everything:
+    """What an ingest stores that nobody kills."""
+    location = scans.parent / "undisturbed.sqlite"
+    ingest(scans, location, workers=2)
+    return everything(str(location))
+
+
+def everything(location: str) -> Everything:
+    """The row, the signatures and the payloads of each shape, without times."""
+    with closing(open_rows(location, {}, create=False)) as rows:
+        found = {}
+        for entry in rows.entries([origin.id for origin in rows.origins()]):
+            steps = tuple(replace(step, seconds=0.0) for step in entry.record.steps)
+            record = replace(entry.record, steps=steps, added="")
+            found[record.id] = (record, dict(entry.signatures), dict(entry.payloads))
+        return found
+
+
+def stored(location: str) -> Everything:
+    """What is stored, none of which is damaged; nothing before there is a catalogue."""
+    try:
+        with Catalogue(location) as store:
+            assert store.defects() == []
+    except CatalogueError as error:
+        assert "there is no catalogue" in error.message
+        return {}
+    return everything(location)
+
+
+def n_stored(location: str) -> int:
+    try:
+        with Catalogue(location) as store:
+            return len(store)
+    except CatalogueError:
+        return 0
+
+
+@pytest.fixture
+def start(scans: Path, new_location: str, tmp_path: Path) -> Callable[..., subprocess.Popen[str]]:
+    """Starts an ingest in a process group of its own, with a folder of its own for temporary files."""
+    (tmp_path / "temporary").mkdir()
+
+    def started(*arguments: str) -> subprocess.Popen[str]:
+        return subprocess.Popen(
+            [
+                *(sys.executable, "-m", "pcretrieve", "ingest", str(scans), "-c", new_location),
+                *("--workers", "2", *arguments),
+            ],
+            cwd=tmp_path,
+            env=os.environ | {"TMPDIR": str(tmp_path / "temporary")},
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+            start_new_session=True,
+        )
+
+    return started
+
+
+@pytest.mark.parametrize("executor", EXECUTORS)
+def test_killed_at_any_moment(
+    executor: str,
+    new_location: str,
+    start: Callable[..., subprocess.Popen[str]],
+    undisturbed: Everything,
+    tmp_path: Path,
+    record_property: Callable[[str, object], None],
+) -> None:
+    if executor == "dask":
+        pytest.importorskip("distributed", reason="distributed is not installed (the extra cluster)")
+    rng = random.Random(executor)
+    there: Everything = {}
+    counts = [0] * 4  # kills: all, before a shape was stored, after some were stored, after the end
+    for kill in range(N_KILLS):
+        process = start(*EXECUTORS[executor])
+        # Every fourth one while processes start, the others after some shapes more, and a moment later.
+        if kill % 4 == 0:
+            time.sleep(rng.uniform(0, 3))
+        else:
+            wanted = min(len(there) + rng.randrange(1, 4), N_SHAPES)
+            assert wait_for(lambda: process.poll() is not None or n_stored(new_location) >= wanted)  # noqa: B023
+            time.sleep(rng.uniform(0, 0.02))
+        has_ended = process.poll() is not None
+        with suppress(ProcessLookupError):  # it has ended, and its child processes, too
+            os.killpg(process.pid, signal.SIGKILL)
+        said, _ = process.communicate(timeout=PATIENCE)
+        assert not has_ended or process.returncode == 0, said
+        assert wait_for(lambda: not living(process.pid))  # noqa: B023
+        before, there = there, stored(new_location)
+        n_new = len(there) - len(before)
+        assert before.items() <= there.items()  # nothing is lost
+        assert there.items() <= undisturbed.items()  # and nothing is stored that is not whole
+        counts[0] += 1
+        counts[3 if has_ended else 2 if n_new else 1] += 1
+        if len(there) == N_SHAPES and kill < N_KILLS - 1:  # the next kills find an ingest at work, too
+            with Catalogue(new_location) as catalogue:
+                catalogue.remove(*there)
+            there = {}
+    process = start(*EXECUTORS[executor])
+    said, _ = process.communicate(timeout=PATIENCE)
+    assert process.returncode == 0, said
+    assert stored(new_location) == undisturbed
+    assert [*(tmp_path / "temporary").glob("pcretrieve-*")] == []
+    # Beside the catalogue there is only what `pcretrieve status` reads.
+    assert {path.name for path in tmp_path.iterdir()} <= {"temporary", "new.sqlite", ".new.sqlite.batch"}
+    store = "sqlite" if new_location.endswith(".sqlite") else "postgresql"
+    record_property(f"{store}, {executor}", counts)

@@ -1,0 +1,144 @@
+"""meshSIFT: the scale space of a surface, and features that match those of the same surface elsewhere."""
+
+from __future__ import annotations
+
+import logging
+
+import numpy as np
+import pytest
+import shapes
+
+from pcretrieve.errors import DegenerateMeshError
+from pcretrieve.matching import MATCHERS
+from pcretrieve.matching import meshsift as module
+from pcretrieve.matching.meshsift import MeshFeatures, match_distance, mesh_features
+from pcretrieve.matching.scale_space import keypoints, levels
+from pcretrieve.types import Shape, Surface, TriangleMesh
+
+BALL = shapes.icosphere(4)
+MATCH = MATCHERS["meshsift"]
+
+
+def shape(mesh: TriangleMesh) -> Shape:
+    return Shape((Surface(mesh.area or 1.0, mesh=mesh),))
+
+
+def bumpy(seed: int) -> TriangleMesh:
+    """A ball with sixty bumps and pits at random places."""
+    rng = np.random.default_rng(seed)
+    centres = rng.normal(size=(60, 3))
+    centres /= np.linalg.norm(centres, axis=1, keepdims=True)
+    angles = np.arccos(np.clip(BALL.vertices @ centres.T, -1, 1))
+    radius = 1 + np.exp(-((angles / 0.13) ** 2) / 2) @ rng.uniform(-0.08, 0.12, 60)
+    return TriangleMesh(BALL.vertices * radius[:, np.newaxis], BALL.faces)
+
+
+BUMPY = bumpy(0)
+
+
+# --- scale space ----------------------------------------------------------------------------------------
+
+
+def test_curvatures_of_a_ball_and_of_a_ring() -> None:
+    ball = levels(shapes.icosphere(4, radius=2.0))[0]
+    # Smoothing moves the twelve vertices with five neighbours more than the others.
+    np.testing.assert_allclose(np.median(ball.curvatures, axis=0), 0.5, rtol=0.02)
+    ring = shapes.torus(96, 48)
+    made = levels(ring)[0].curvatures
+    np.testing.assert_allclose(made[:, 0], 1 / 0.4, rtol=0.05)  # around the tube
+    outside = np.linalg.norm(ring.vertices[:, :2], axis=1) > 1.39
+    np.testing.assert_allclose(made[outside, 1], 1 / 1.4, rtol=0.05)
+
+
+def test_levels_are_smoother_and_smoother() -> None:
+    rough = BALL.vertices + np.random.default_rng(0).normal(scale=0.01, size=BALL.vertices.shape)
+    made = levels(TriangleMesh(rough, BALL.faces))
+    scales = np.array([level.scale for level in made])
+    np.testing.assert_allclose(scales[1:] / scales[:-1], np.sqrt(2))
+    first, second, third = (np.std(level.mean_curvatures) for level in made[:3])
+    assert first > 1.5 * second > 1.5 * 1.3 * third
+
+
+def test_a_bump_on_a_ball_is_the_only_keypoint() -> None:
+    angles = np.arccos(np.clip(BALL.vertices @ BALL.vertices[200], -1, 1))
+    bump = 1 + 0.1 * np.exp(-((angles / 0.12) ** 2) / 2)
+    mesh = TriangleMesh(BALL.vertices * bump[:, np.newaxis], BALL.faces)
+    (vertex,) = keypoints(levels(mesh), mesh, 99).vertices
+    assert angles[vertex] < 0.1
+    assert not len(keypoints(levels(BALL), BALL, 99).vertices)
+
+
+# --- features -------------------------------------------------------------------------------------------
+
+
+def test_features_are_unit_vectors_without_negative_values() -> None:
+    made = mesh_features(shape(BUMPY)).descriptors
+    assert made.shape[1] == 144
+    assert len(made) >= 20
+    assert (made >= 0).all()
+    np.testing.assert_allclose(np.linalg.norm(made, axis=1), 1, rtol=1e-6)
+
+
+def test_moved_scaled_and_renumbered_surfaces_match() -> None:
+    made = MATCH.prepare(shape(BUMPY))
+    np.testing.assert_array_equal(made.descriptors, MATCH.prepare(shape(BUMPY)).descriptors)
+    assert MATCH.distance(made, made) < 0.1
+    moved = MATCH.prepare(shape(shapes.renumbered(shapes.moved(BUMPY, 1, scale=7), 2)))
+    assert MATCH.distance(made, moved) < 0.1
+    noise = np.random.default_rng(0).normal(scale=0.002, size=BUMPY.vertices.shape)
+    noisy = MATCH.prepare(shape(TriangleMesh(BUMPY.vertices + noise, BUMPY.faces)))
+    other = MATCH.prepare(shape(bumpy(1)))
+    assert MATCH.distance(made, noisy) < 0.3 < 0.7 < MATCH.distance(made, other)
+
+
+def test_a_match_is_clearly_nearer_than_the_second() -> None:
+    angles = np.array([0.0, 0.5, 2.0])
+    one = MeshFeatures(np.column_stack([np.cos(angles), np.sin(angles)]).astype(np.float32))
+    angles = np.array([0.1, 0.6, 1.25])
+    two = MeshFeatures(np.column_stack([np.cos(angles), np.sin(angles)]).astype(np.float32))
+    # From one: .1 of .6, .1 of .4, .75 of 1.4. From two: .1 of .4, .1 of .6; the nearest of the third, .65 of
+    # .75, is not mutual, nor clear.
+    assert match_distance(one, two) == pytest.approx(1 - (2 + 2) / 2 / 3)
+    assert match_distance(two, one) == match_distance(one, two)
+    few = MeshFeatures(two.descriptors[:2])
+    assert match_distance(one, few) == pytest.approx(1 - 2 / 3), "by the larger number of features"
+    assert match_distance(one, MeshFeatures(two.descriptors[:1])) == pytest.approx(1 - 1 / 2 / 3)
+
+
+def test_each_high_maximum_is_a_direction() -> None:
+    angles = np.radians([40.5, 40.5, 220.5, 220.5, 130.5])
+    found = module._directions(angles, np.array([1.0, 1.0, 1.0, 0.9, 0.5]))
+    np.testing.assert_allclose(np.degrees(found), [40.5, 220.5], atol=1)
+
+
+def test_coarse_surfaces_are_warned_of_once(caplog: pytest.LogCaptureFixture) -> None:
+    module._warn_once.cache_clear()
+    with caplog.at_level(logging.WARNING, logger="pcretrieve"):
+        mesh_features(shape(BUMPY))
+        assert not caplog.records
+        for _ in range(2):
+            mesh_features(shape(shapes.body(3)))
+    (record,) = caplog.records
+    assert "meshsift needs surfaces of at least 5000 faces" in record.getMessage()
+
+
+@pytest.mark.parametrize(
+    ("mesh", "message"),
+    [
+        (TriangleMesh(np.zeros((4, 3)), shapes.TETRAHEDRON_FACES), "no face of 4 has an area"),
+        (shapes.tetrahedron(), "no keypoints"),
+    ],
+    ids=["point", "tetrahedron"],
+)
+def test_surfaces_without_features_are_named(mesh: TriangleMesh, message: str) -> None:
+    with pytest.raises(DegenerateMeshError, match=message):
+        mesh_features(shape(mesh))
+
+
+def test_open_surfaces_and_several_components_have_features() -> None:
+    x, y = np.meshgrid(np.linspace(0, 1, 41), np.linspace(0, 1, 41), indexing="ij")
+    height = 0.1 * np.sin(9 * x + 3) * np.sin(7 * y + 1)
+    plate = shapes.square(40)
+    sheet = TriangleMesh(plate.vertices + np.array([0, 0, 1]) * height.reshape(-1, 1), plate.faces)
+    assert len(mesh_features(shape(sheet)).descriptors) > 4
+    assert len(mesh_features(shape(shapes.joined(BUMPY, shapes.moved(BUMPY, 1)))).descriptors) > 4

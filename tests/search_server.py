@@ -1,0 +1,101 @@
+"""A server of the search page in a process of its own, as users start it, and requests to it."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from http.client import HTTPConnection, HTTPResponse
+from pathlib import Path
+from typing import Any, NamedTuple
+from urllib.parse import urlsplit
+
+import shapes
+
+from pcretrieve import Catalogue, PipelineOptions, process
+from pcretrieve.catalogue import Content, Record
+from pcretrieve.descriptors import describe
+from pcretrieve.types import Verdict
+
+OPTIONS = PipelineOptions().changed(signature={"method": "r-bihdm", "n_values": 20})
+
+# A name that is no part of an address, and would be a tag of a page, as it is.
+NASTY = "a/<b> %2F?&#'\".."
+
+
+def write_eggs(path: Path) -> None:
+    """A catalogue of four eggs of each of three kinds, one of which is doubtful, and of a failure."""
+    with Catalogue(path, OPTIONS, create=True) as store:
+        for kind in range(3):
+            for number, width in enumerate((1, 1.04, 1.08, 1.12)):
+                shape = process(shapes.ellipsoid((width, 1, 1.3 + 0.5 * kind), 3), OPTIONS)
+                doubtful = (kind, number) == (2, 3)
+                verdict = Verdict("doubtful", 0.5, ("a large hole",)) if doubtful else Verdict("sound", 0.01)
+                name = NASTY if (kind, number) == (2, 2) else f"Egg{kind}{number}"
+                values = describe(shape, OPTIONS.signature).values
+                record = Record(name, f"/secret/folder/{kind}{number}.off", name, f"<kind {kind}>")
+                store.put(record, Content(replace(shape, verdict=verdict), values))
+        failed = Record("broken", "/secret/folder/broken.off", "", status="failed", stage="read")
+        store.put(replace(failed, error="ScanReadError", message="/secret/folder/broken.off is empty"))
+
+
+class Answer(NamedTuple):
+    status: int
+    headers: dict[str, str]
+    body: bytes
+
+    @property
+    def json(self) -> Any:
+        return json.loads(self.body)
+
+
+class Server(NamedTuple):
+    address: str
+    process: subprocess.Popen[str]
+
+    @property
+    def port(self) -> int:
+        port = urlsplit(self.address).port
+        assert port
+        return port
+
+    @property
+    def token(self) -> str:
+        return self.address.partition("token=")[2]
+
+    def ask(
+        self,
+        path: str,
+        *,
+        method: str = "GET",
+        headers: dict[str, str] | None = None,
+        body: bytes | Iterator[bytes] | None = None,
+        bearer: bool = True,
+    ) -> Answer:
+        """What the server answers to one request; redirections are not followed."""
+        sent = {"Authorization": f"Bearer {self.token}"} if bearer else {}
+        connection = HTTPConnection("127.0.0.1", self.port, timeout=60)
+        try:
+            connection.request(method, path, body, sent | (headers or {}))
+            answer: HTTPResponse = connection.getresponse()
+            return Answer(answer.status, {k.lower(): v for k, v in answer.getheaders()}, answer.read())
+        finally:
+            connection.close()
+
+
+@contextmanager
+def running(catalogue: Path, *options: str) -> Iterator[Server]:
+    """A server, from when it has printed its address; it must end by SIGTERM as told."""
+    command = [sys.executable, "-m", "pcretrieve", "serve", "-c", str(catalogue), "--port", "0", *options]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        try:
+            assert process.stdout is not None
+            address = process.stdout.readline().strip()
+            assert address, process.stderr and process.stderr.read()
+            yield Server(address, process)
+        finally:
+            process.terminate()
+            process.communicate(timeout=60)

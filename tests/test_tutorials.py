@@ -1,0 +1,105 @@
+"""The tutorials and the notebooks work: commands and Python run in order, on a few of the sample scans."""
+
+from __future__ import annotations
+
+import json
+import re
+import shlex
+import shutil
+import sys
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner
+from packages import install
+
+import pcretrieve as pr
+from pcretrieve.cli.main import cli
+
+if sys.version_info >= (3, 11):
+    import tomllib
+else:
+    import tomli as tomllib
+
+ROOT = Path(__file__).parents[1]
+TUTORIALS = sorted((ROOT / "docs" / "tutorials").glob("*.md"))
+NOTEBOOKS = sorted((ROOT / "docs" / "notebooks").glob("*.ipynb"))
+SAMPLES = [f"person-{name}.ply" for name in ("1/person-1_stand", "1/person-1_walk", "2/person-2_run")]
+
+
+def blocks(document: Path) -> list[tuple[str, str]]:
+    """The language and the text of each block of code."""
+    return re.findall(
+        r"^```(\w+)\n(.*?)^```$", document.read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL
+    )
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The files that the tutorials speak of, and the folder in which their commands run."""
+    for name in ("scans", "calibration"):
+        (tmp_path / name).mkdir()
+        shutil.copy(ROOT / "scans" / "labels.csv", tmp_path / name)
+        for sample in SAMPLES:
+            (tmp_path / name / sample).parent.mkdir(exist_ok=True)
+            shutil.copy(ROOT / "scans" / sample, tmp_path / name / sample)
+    shutil.copy(ROOT / "scans" / "person-1" / "person-1_reach_up.ply", tmp_path / "new_scan.ply")
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def named_file(text: str) -> Path | None:
+    """The file that a block is, if its first line is a comment with its name."""
+    found = re.match(r"# ([\w/]+\.(?:py|toml))\n", text)
+    return Path(found[1]) if found else None
+
+
+def install_plugin(site: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Install the package that the files of the folder make up, as pip would."""
+    lines = []
+    project = tomllib.loads(Path("pyproject.toml").read_text(encoding="utf-8"))["project"]
+    for group, points in project["entry-points"].items():
+        lines += [f"[{group}]", *(f"{name} = {value}" for name, value in points.items())]
+    modules = {path.stem: path.read_text(encoding="utf-8") for path in Path().glob("*.py")}
+    install(site, project["name"].replace("-", "_"), modules, "\n".join(lines), monkeypatch)
+
+
+@pytest.mark.parametrize("tutorial", TUTORIALS, ids=lambda path: path.stem)
+def test_the_blocks_run_in_order(tutorial: Path, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    text = tutorial.read_text(encoding="utf-8")
+    if "bodies.sqlite" in text and "ingest scans/" not in text:
+        pr.ingest("scans", "bodies.sqlite", labels="scans/labels.csv")
+    names: dict[str, object] = {}
+    ran = 0
+    for language, block in blocks(tutorial):
+        path = named_file(block)
+        if path is not None:
+            path.parent.mkdir(exist_ok=True)
+            path.write_text(block, encoding="utf-8")
+            if path.name == "pyproject.toml":
+                install_plugin(folder / "site", monkeypatch)
+        elif language == "python":
+            exec(compile(block, tutorial.name, "exec"), names)
+            ran += 1
+        elif language == "bash":
+            for line in block.splitlines():
+                program, *words = shlex.split(line)
+                assert program == "pcretrieve"
+                result = CliRunner().invoke(cli, words)
+                assert result.exit_code == 0, (line, result.output, result.exception)
+                ran += 1
+        else:
+            assert language == "slurm", f"{language}: tests/test_job_arrays.py runs such scripts"
+    assert ran > 0
+
+
+@pytest.mark.parametrize("notebook", NOTEBOOKS, ids=lambda path: path.stem)
+def test_the_cells_of_notebooks_run_in_order(notebook: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("MPLBACKEND", "agg")
+    monkeypatch.chdir(notebook.parent)
+    document = json.loads(notebook.read_text(encoding="utf-8"))
+    cells = ["".join(cell["source"]) for cell in document["cells"] if cell["cell_type"] == "code"]
+    assert cells
+    names: dict[str, object] = {}
+    for cell in cells:
+        exec(compile(cell, notebook.name, "exec"), names)
