@@ -1,0 +1,199 @@
+"""Scans at URLs: found, hashed by what their stores say, and read from copies that do not stay."""
+
+from __future__ import annotations
+
+import shutil
+import tempfile
+from collections.abc import Iterator
+from functools import partial
+from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
+from threading import Thread
+from typing import Any
+from uuid import uuid4
+
+import numpy as np
+import pytest
+import shapes
+from click.testing import CliRunner
+
+from pcretrieve import Catalogue, ingest, read_scan, write_mesh
+from pcretrieve.cli.main import cli
+from pcretrieve.errors import InputError, ScanReadError
+from pcretrieve.ingestion.discover import content_hash, discover, printable
+
+fsspec = pytest.importorskip("fsspec", reason="fsspec is not installed (the extra remote)")
+
+OPTIONS: dict[str, Any] = {"surface": {"mode": "keep"}}
+
+
+class Quiet(SimpleHTTPRequestHandler):
+    def log_message(self, *_: object) -> None:
+        pass
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two meshes, one of them in a subfolder; an array file, and files that are not scans."""
+    made = tmp_path_factory.mktemp("scans")
+    (made / "more").mkdir()
+    write_mesh(shapes.ellipsoid((1, 2, 3), subdivisions=3), made / "egg.ply")
+    write_mesh(shapes.ellipsoid((1, 1, 3), subdivisions=3), made / "more" / "cigar.off")
+    (made / "labels.csv").write_text("file,class\negg,round\n")
+    (made / "photo.jpg").write_bytes(b"jpg")
+    return made
+
+
+@pytest.fixture(scope="module")
+def http(folder: Path) -> Iterator[str]:
+    pytest.importorskip("aiohttp", reason="aiohttp is not installed (the extra remote)")
+    with ThreadingHTTPServer(("127.0.0.1", 0), partial(Quiet, directory=str(folder))) as server:
+        Thread(target=server.serve_forever, daemon=True).start()
+        yield f"http://127.0.0.1:{server.server_address[1]}"
+        server.shutdown()
+
+
+@pytest.fixture(scope="module")
+def s3(folder: Path) -> Iterator[str]:
+    """A bucket of a server that is written in Python; its address is told to clients by the environment."""
+    s3fs = pytest.importorskip("s3fs", reason="s3fs is not installed (the extra remote)")
+    server_module = pytest.importorskip("moto.server", reason="moto is not installed (the extra dev)")
+    server = server_module.ThreadedMotoServer(ip_address="127.0.0.1", port=0, verbose=False)
+    server.start()
+    told = {
+        "AWS_ENDPOINT_URL": "http://{}:{}".format(*server.get_host_and_port()),
+        "AWS_ACCESS_KEY_ID": "key",
+        "AWS_SECRET_ACCESS_KEY": "secret",
+        "AWS_DEFAULT_REGION": "us-east-1",
+    }
+    with pytest.MonkeyPatch.context() as patch:
+        for name, value in told.items():
+            patch.setenv(name, value)
+        # A worker of pytest-xdist may set this fixture up twice. Clients are kept, with the address of the server
+        # that they were made for, and the buckets of all servers of a process are the same.
+        s3fs.S3FileSystem.clear_instance_cache()
+        store, bucket = s3fs.S3FileSystem(), f"bucket-{uuid4().hex}"
+        store.mkdir(bucket)
+        for file in sorted(folder.rglob("*.*")):
+            store.put_file(str(file), f"{bucket}/{file.relative_to(folder)}")
+        yield f"s3://{bucket}"
+    s3fs.S3FileSystem.clear_instance_cache()
+    server.stop()
+
+
+@pytest.fixture
+def memory(folder: Path) -> Iterator[str]:
+    store = fsspec.filesystem("memory")
+    name = f"/{uuid4().hex}"
+    for file in sorted(folder.rglob("*.*")):
+        store.put_file(str(file), f"{name}/{file.relative_to(folder)}")
+    yield f"memory:/{name}"
+    store.rm(name, recursive=True)
+
+
+@pytest.fixture(params=["file", "memory", "http", "s3"])
+def url(request: pytest.FixtureRequest, folder: Path) -> str:
+    return f"file://{folder}" if request.param == "file" else str(request.getfixturevalue(request.param))
+
+
+def test_folders_and_patterns_are_listed(url: str, caplog: pytest.LogCaptureFixture) -> None:
+    found = [printable(path) for path in discover([f"{url}/"])]
+    assert found == [f"{url}/egg.ply", f"{url}/more/cigar.off"]
+    assert f"left unread in {url}: 1 .csv, 1 .jpg" in caplog.text
+    assert [printable(path) for path in discover([f"{url}/more/*.off"])] == [f"{url}/more/cigar.off"]
+    with pytest.raises(InputError, match=r"more/\*\.stl names no scans"):
+        discover([f"{url}/more/*.stl"])
+
+
+def test_a_scan_is_read_from_a_copy_that_does_not_stay(
+    url: str, folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    read, expected = read_scan(f"{url}/egg.ply"), read_scan(folder / "egg.ply")
+    np.testing.assert_array_equal(read.to_open3d().vertices, expected.to_open3d().vertices)
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_missing_file_is_an_error_of_this_scan(url: str) -> None:
+    with pytest.raises(ScanReadError, match=rf"{url}/more/none\.ply: there is no such file"):
+        read_scan(f"{url}/more/none.ply")
+    with pytest.raises(ScanReadError, match=rf"{url}/more/none\.ply: there is no such file"):
+        content_hash(Path(f"{url}/more/none.ply"))
+
+
+def test_ingest_skips_what_it_has_until_the_content_changes(memory: str, tmp_path: Path) -> None:
+    # A file system in memory is that of this process: the scans are processed here too.
+    def here(function: Any, items: Any, /, **_: object) -> Any:
+        return ((item, function(item)) for item in items)
+
+    catalogue = tmp_path / "c.sqlite"
+    first = ingest(memory, catalogue, options=OPTIONS, executor=here)
+    assert [record.path for record in first.done] == [f"{memory}/egg.ply", f"{memory}/more/cigar.off"]
+    assert len(ingest(memory, catalogue, executor=here).held) == 2
+    write_mesh(shapes.ellipsoid((2, 2, 3), subdivisions=3), tmp_path / "other.off")
+    fsspec.filesystem("memory").put_file(str(tmp_path / "other.off"), f"{memory}/more/cigar.off")
+    again = ingest(memory, catalogue, executor=here)
+    assert [record.path for record in again.held] == [f"{memory}/egg.ply"]
+    assert [record.path for record in again.done] == [f"{memory}/more/cigar.off"]
+
+
+def test_ingest_of_a_bucket_equals_that_of_a_folder(s3: str, folder: Path, tmp_path: Path) -> None:
+    """The worker processes make the copies."""
+    arguments = ("--surface", "keep", "--labels", str(folder / "labels.csv"), "--json")
+    ended = CliRunner().invoke(cli, ["ingest", s3, "-c", str(tmp_path / "s3.sqlite"), *arguments])
+    assert ended.exit_code == 0, ended.output
+    ingest(folder, tmp_path / "f.sqlite", options=OPTIONS, labels=folder / "labels.csv")
+    with Catalogue(tmp_path / "s3.sqlite") as made, Catalogue(tmp_path / "f.sqlite") as expected:
+        assert made.signatures() == expected.signatures()
+        assert sorted(record.path for record in made.records()) == [f"{s3}/egg.ply", f"{s3}/more/cigar.off"]
+    ended = CliRunner().invoke(cli, ["ingest", s3, "-c", str(tmp_path / "s3.sqlite")])
+    assert "2 held already" in ended.output, ended.output
+
+
+def test_a_manifest_may_name_urls(http: str, folder: Path, tmp_path: Path) -> None:
+    shutil.copy(folder / "egg.ply", tmp_path)
+    (tmp_path / "list.txt").write_text(f"egg.ply\n{http}/more/cigar.off\n")
+    found = [printable(path) for path in discover([tmp_path / "list.txt"])]
+    assert found == [str(tmp_path / "egg.ply"), f"{http}/more/cigar.off"]
+
+
+def test_files_that_a_scan_names_are_copied_too(http: str, folder: Path) -> None:
+    mesh = shapes.ellipsoid((1, 2, 3), subdivisions=3)
+    (folder / "views").mkdir(exist_ok=True)
+    write_mesh(mesh, folder / "views" / "one.ply")
+    (folder / "views" / "all.conf").write_text("bmesh one.ply 0 0 0 0 0 0 1\n")
+    try:
+        read, expected = read_scan(f"{http}/views/all.conf"), read_scan(folder / "views" / "all.conf")
+        np.testing.assert_array_equal(read.to_open3d().points, expected.to_open3d().points)
+    finally:
+        shutil.rmtree(folder / "views")
+
+
+def test_parts_outside_the_folder_of_a_scan_are_not_written(http: str, folder: Path) -> None:
+    (folder / "views").mkdir(exist_ok=True)
+    (folder / "views" / "all.conf").write_text("bmesh ../egg.ply 0 0 0 0 0 0 1\n")
+    try:
+        with pytest.raises(ScanReadError, match=r"egg\.ply"):
+            read_scan(f"{http}/views/all.conf")
+    finally:
+        shutil.rmtree(folder / "views")
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        ("nowhere://a/b/", "Protocol not known: nowhere"),
+        ("http://127.0.0.1:9/folder/", "cannot look into"),
+        ("file:///nowhere/at/all/", "names no scans"),
+    ],
+)
+def test_stores_that_are_not_there(name: str, words: str) -> None:
+    with pytest.raises(InputError, match=words):
+        discover([name])
+
+
+def test_folders_with_colons_are_no_urls(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "a:b").mkdir()
+    write_mesh(shapes.ellipsoid((1, 2, 3), subdivisions=2), tmp_path / "a:b" / "c.ply")
+    assert discover(["a:b/c.ply"]) == [tmp_path / "a:b" / "c.ply"]
