@@ -69,8 +69,8 @@ def s3(folder: Path) -> Iterator[str]:
     with pytest.MonkeyPatch.context() as patch:
         for name, value in told.items():
             patch.setenv(name, value)
-        # A worker of pytest-xdist may set this fixture up twice. Clients are kept, with the address of the server
-        # that they were made for, and the buckets of all servers of a process are the same.
+        # A worker of pytest-xdist may set this fixture up twice. Clients are kept, with the address of the
+        # server that they were made for, and the buckets of all servers of a process are the same.
         s3fs.S3FileSystem.clear_instance_cache()
         store, bucket = s3fs.S3FileSystem(), f"bucket-{uuid4().hex}"
         store.mkdir(bucket)
