@@ -152,7 +152,7 @@ def _inspected(
     """An inspection and its page, in a worker process, which imports the stages."""
     from pcretrieve.inspection.inspect import inspect_scan
     from pcretrieve.pages.inspection_page import write_inspection_page
-    from pcretrieve.pages.inspection_pictures import write_inspection_png
+    from pcretrieve.pages.inspection_sheet import write_inspection_png
 
     inspection = inspect_scan(scan, options, n_rescans=n_rescans)
     written = write_inspection_page(inspection, page)

@@ -7,8 +7,6 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from pcretrieve.descriptors import describe
 from pcretrieve.errors import OptionError, ShapeError
@@ -16,6 +14,7 @@ from pcretrieve.formats.scans import ScanLike, as_scan
 from pcretrieve.ingestion.discover import printable
 from pcretrieve.inspection.checks import failure_check, rescan_check, spread_check
 from pcretrieve.inspection.inspection import Inspection
+from pcretrieve.inspection.removed import Removed, median_spacing, removed_after
 from pcretrieve.options import OptionsLike, PipelineOptions
 from pcretrieve.pipeline.process import placed, signature
 from pcretrieve.pipeline.seen import Seen
@@ -26,10 +25,6 @@ from pcretrieve.surface import sampled, sound_mesh
 from pcretrieve.types import Failure, FloatArray, PointCloud, Shape, Signature, TriangleMesh
 
 __all__ = ["inspect_scan", "signature_spread"]
-
-# Distance to the nearest filtered point beyond which a raw point was removed, in median distances between
-# nearest neighbours. Points that were averaged in a voxel are nearer to their mean.
-DROPPED = 1.1
 
 # Number of points in each rescan, relative to all points.
 RESCAN_SHARE = 0.9
@@ -161,7 +156,7 @@ class _Described:
     """The results up to some stage; attributes as in `Inspection`."""
 
     seen: Seen = field(default_factory=Seen)
-    cut_away: NDArray[np.bool_] | None = None
+    removed: Removed = field(default_factory=lambda: Removed.none_of(None))
     shape: Shape | None = None
     signature: Signature | None = None
     rescan_deviation: FloatArray | None = None
@@ -171,17 +166,15 @@ class _Described:
 def _stages(scan: object, options: PipelineOptions, n_rescans: int) -> Iterator[_Described]:
     """The results of `pcretrieve.pipeline.process.signature` after each stage; then those of the rescans."""
     with placed(scan):
-        seen, cut_away = Seen(), None
+        so_far = _Described()
         for seen in stages(scan, options):
-            if seen.scan is not None and seen.cloud is not None and seen.steps[-1].stage == "crop":
-                # The stage does not change the points that it keeps.
-                cut_away = _nearest(seen.cloud.points, seen.scan.points)[:, 0] > 0
-            yield _Described(seen, cut_away)
+            so_far = _Described(seen, removed_after(so_far.removed, so_far.seen, seen, options))
+            yield so_far
+        seen = so_far.seen
         shape = shape_of(seen, options)
         described = describe(shape, options.signature)
-        yield (
-            so_far := _Described(seen, cut_away, shape, replace(described, digest=options.signature_digest))
-        )
+        so_far = replace(so_far, shape=shape, signature=replace(described, digest=options.signature_digest))
+        yield so_far
         if n_rescans and seen.scan is not None:
             rescans = _rescans(seen.scan, options, n=n_rescans, share=RESCAN_SHARE, seed=0)
             rescan_deviation, spread = _scatter(rescans)
@@ -193,12 +186,8 @@ def _inspection(name: str, path: str, reached: _Described, failure: Failure | No
     scan, cloud, mesh = seen.scan, seen.cloud, seen.mesh
     found = findings_of(cloud, mesh, seen.marks, reached.shape)
     checks, spacing = list(found.checks), found.spacing
-    dropped = np.zeros(0 if scan is None else len(scan.points), dtype=np.bool_)
-    cut_away = dropped if reached.cut_away is None else reached.cut_away
-    if cloud is None and scan is not None and len(scan.points) > 1:
-        spacing = float(np.median(_nearest(scan.points, scan.points, k=2)[:, 1]))
-    if scan is not None and cloud is not None:
-        dropped = (_nearest(cloud.points, scan.points)[:, 0] > DROPPED * spacing) & ~cut_away
+    if cloud is None and scan is not None:
+        spacing = median_spacing(scan.points)
     if reached.spread is not None:
         checks.append(spread_check(reached.spread))
     if failure is not None and reached.signature is not None:
@@ -212,8 +201,8 @@ def _inspection(name: str, path: str, reached: _Described, failure: Failure | No
         path=path,
         checks=tuple(sorted(checks, key=lambda check: OUTCOMES.index(check.verdict))),
         scan=scan,
-        cut_away=cut_away,
-        dropped=dropped,
+        cut_away=reached.removed.cut_away,
+        dropped=reached.removed.dropped,
         cloud=cloud,
         spacing=spacing,
         mesh=mesh,
@@ -226,8 +215,3 @@ def _inspection(name: str, path: str, reached: _Described, failure: Failure | No
         failure=failure,
         steps=steps,
     )
-
-
-def _nearest(points: FloatArray, places: FloatArray, k: int = 1) -> FloatArray:
-    """Distances from each place to its k nearest points, (p, k)."""
-    return np.asarray(cKDTree(points).query(places, k=np.arange(1, k + 1))[0])

@@ -31,7 +31,7 @@ class Inspection:
     cut_away : (n,) bool
         Points of `scan` that the stage `crop` removed: background, ground and strays.
     dropped : (n,) bool
-        Other points of `scan` that were removed: outliers.
+        Other points of `scan` that were removed: outliers. As many as the checks and the steps count.
     cloud : PointCloud or None
         The filtered points; with normals, if the stage `orient` did not fail.
     spacing : float

@@ -21,6 +21,7 @@ from pcretrieve.pages.inspection_pictures import (
     AWAY,
     BRIDGE,
     CUT,
+    CUT_AWAY,
     DROPPED,
     FACING,
     FILLED,
@@ -38,6 +39,9 @@ __all__ = ["write_inspection_page"]
 # Half of the side of the cube that the 3D viewer can show, with room for outliers near the body; farther
 # outliers are left out. Relative to the radius of the bounding ball of the body.
 VIEWER_SIZE = 1.25
+
+# Number of points that were removed, side by side, across half of the 3D viewer.
+REMOVED_IN_VIEW = 90
 
 # Largest 16-bit integer, in which the 3D viewer stores coordinates.
 FULL_SCALE = 2**16 - 1
@@ -97,10 +101,18 @@ def _scene(it: Inspection) -> dict[str, Any] | None:
 
     layers = []
     if it.scan is not None:
-        kept = thinned(it.scan.points[~(it.dropped | it.cut_away)])
-        dropped = thinned(it.scan.points[it.dropped])
-        layers.append(layer_of("points", "points", kept, KEPT, width=SKIN_WIDTH / 2 * it.spacing))
-        layers.append(layer_of("dropped", "dropped", dropped, DROPPED, width=half / 60, over=True))
+        skin, removed = SKIN_WIDTH / 2 * it.spacing, half / REMOVED_IN_VIEW
+        inside = (abs(it.scan.points - centre) <= half).all(axis=1)
+        for name, words, chosen, colour, width in (
+            ("points", "points", ~(it.dropped | it.cut_away), KEPT, skin),
+            ("dropped", "dropped as outliers", it.dropped, DROPPED, max(skin, removed)),
+            ("cut", "cut away", it.cut_away, CUT_AWAY, max(skin, removed)),
+        ):
+            n_far = int((chosen & ~inside).sum())
+            label = f"{int(chosen.sum()):,} {words}" + (f", {n_far:,} of them too far away" if n_far else "")
+            layers.append(
+                layer_of(name, label, thinned(it.scan.points[chosen & inside]), colour, width=width)
+            )
     if it.cloud is not None and it.cloud.normals is not None:
         normals = np.round(127 * thinned(it.cloud.normals)).astype(np.int8)
         points, width = thinned(it.cloud.points), SKIN_WIDTH * it.spacing

@@ -2,20 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from io import BytesIO
-from pathlib import Path
 
 import numpy as np
-from PIL import Image, ImageDraw, ImageFont
+from numpy.typing import NDArray
+from PIL import Image, ImageDraw
 
-from pcretrieve.atomic import write_file
 from pcretrieve.inspection.inspection import Inspection
 from pcretrieve.rendering import (
     CLAY,
     Camera,
     Colour,
     cameras_around,
+    cameras_framing,
     css,
     point_picture,
     rgb,
@@ -37,7 +38,6 @@ __all__ = [
     "inspection_cameras",
     "rows_of",
     "thinned",
-    "write_inspection_png",
 ]
 
 PICTURE_PIXELS = 280
@@ -61,11 +61,15 @@ FILLED = (0.95, 0.52, 0.10)
 CUT = (0.80, 0.05, 0.15)
 BRIDGE = (0.45, 0.15, 0.75)
 
-# Width of the squares of dropped points, relative to the squares of other points. There are few of them, and
-# they should be visible.
-DROPPED_WIDTH = 2.5
+# The outline, in pictures of all points, of what the other pictures show.
+FRAME = (0.50, 0.50, 0.50)
 
-# Largest distance from the body of points that were cut away and are shown, in diagonals of the body.
+# Opacity of points that were removed, and least width of their squares, in fields of view. There are few of
+# them, which should be seen, and what is behind them too.
+REMOVED_OPACITY = 0.6
+REMOVED_WIDTH = 0.007
+
+# Largest distance from the body at which removed points are shown where they are, in diagonals of the body.
 # Background may be so far away that the body would be a dot.
 AROUND = 1.0
 
@@ -140,13 +144,13 @@ def rows_of(it: Inspection) -> list[Row]:
     Returns
     -------
     list of Row
-        Points that were cut away, if any were; raw points, normals, surface, and changes of the surface, as
-        far as the stages did not fail.
+        All points, if some were removed far from the body; points of the body with outliers, normals,
+        surface, and changes of the surface, as far as the stages did not fail.
     """
     rows = []
-    if it.scan is not None and it.cut_away.any():
-        rows.append(_cut_row(it.scan, it))
     if it.scan is not None and inspection_cameras(it):
+        if it.cut_away.any() or _outside(it.scan.points[it.dropped], inspection_cameras(it)).any():
+            rows.append(_overview_row(it.scan, it))
         rows.append(_raw_row(it.scan, it))
     if it.cloud is not None and it.cloud.normals is not None:
         rows.append(_normals_row(it.cloud, it.cloud.normals, it))
@@ -156,49 +160,83 @@ def rows_of(it: Inspection) -> list[Row]:
             surface_picture(it.mesh.vertices, it.mesh.faces, clay, camera, size=PICTURE_PIXELS)
             for camera in inspection_cameras(it)
         ]
-        rows.append(Row("Surface", [(CLAY, f"{len(it.mesh.faces)} faces")], plain))
+        rows.append(Row("Surface", [(CLAY, f"{len(it.mesh.faces):,} faces")], plain))
     if it.mesh is not None and it.cloud is not None:
         rows.append(_marks_row(it.mesh, it))
     return rows
 
 
-def _cut_row(scan: PointCloud, it: Inspection) -> Row:
+def _overview_row(scan: PointCloud, it: Inspection) -> Row:
+    """All points; those too far away are at the edge of each picture, in their direction."""
     low, high = it.body.min(axis=0), it.body.max(axis=0)
     margin = AROUND * np.linalg.norm(high - low)
     near = ((scan.points >= low - margin) & (scan.points <= high + margin)).all(axis=1)
-    points, cut = scan.points[near], it.cut_away[near]
-    points, colours = thinned(points), thinned(np.where(cut[:, None], CUT_AWAY, KEPT))
+    close = inspection_cameras(it)
+    kept = thinned(scan.points[~(it.dropped | it.cut_away)])
     pictures = []
-    for camera in cameras_around(points):
-        depth = camera.seen(points)[:, 2:]
-        bright = DARKEST + (1 - DARKEST) * (np.clip(depth, -1, 1) + 1) / 2  # (k, 1)
-        width = max(SKIN_WIDTH / 2 * it.spacing, camera.half / 150)
-        pictures.append(point_picture(points, bright * colours, camera, width=width, size=PICTURE_PIXELS))
-    n, n_far = int(it.cut_away.sum()), int((it.cut_away & ~near).sum())
-    words = f"{n} cut away" + (f", {n_far} of them too far away to be shown" if n_far else "")
-    return Row("What was cut away", [(KEPT, f"{len(scan.points) - n} points"), (CUT_AWAY, words)], pictures)
+    for camera, body in zip(cameras_framing(scan.points[near], close), close, strict=True):
+        picture = Image.new("RGBA", (PICTURE_PIXELS, PICTURE_PIXELS))
+        for points, colour in ((scan.points[it.cut_away], CUT_AWAY), (scan.points[it.dropped], DROPPED)):
+            seen = camera.seen(thinned(points))[:, :2]  # (k, 2)
+            seen /= np.maximum(abs(seen).max(axis=1, keepdims=True) / (1 - REMOVED_WIDTH), 1)
+            at_edge = camera.centre + camera.half * seen @ camera.axes[:2]
+            picture.alpha_composite(_removed(at_edge, colour, camera, it))
+        picture.alpha_composite(_shaded(kept, KEPT, camera, it))
+        pen = ImageDraw.Draw(picture)
+        across, up = camera.seen(body.centre[None])[0, :2]
+        x, y, half = across + 1, 1 - up, body.half / camera.half
+        box = [PICTURE_PIXELS / 2 * part for part in (x - half, y - half, x + half, y + half)]
+        pen.rectangle(box, outline=rgb(FRAME))
+        pictures.append(picture)
+    n, n_cut, n_far = int(it.dropped.sum()), int(it.cut_away.sum()), int((~near).sum())
+    key = [
+        (KEPT, f"{len(scan.points) - n - n_cut:,} points"),
+        (CUT_AWAY, f"{n_cut:,} cut away"),
+        (DROPPED, f"{n:,} dropped as outliers"),
+        (FRAME, "frame of the pictures below"),
+    ]
+    far = f", {n_far:,} of them at the edge, because they are too far away" if n_far else ""
+    return Row(f"All points that were read{far}", key, pictures)
 
 
 def _raw_row(scan: PointCloud, it: Inspection) -> Row:
-    kept = thinned(scan.points[~(it.dropped | it.cut_away)])
-    dropped = thinned(scan.points[it.dropped])
-    width = SKIN_WIDTH / 2 * it.spacing
+    kept, dropped = thinned(scan.points[~(it.dropped | it.cut_away)]), scan.points[it.dropped]
     pictures = []
     for camera in inspection_cameras(it):
-        depth = camera.seen(kept)[:, 2:]
-        bright = DARKEST + (1 - DARKEST) * (np.clip(depth, -1, 1) + 1) / 2  # (n, 1)
-        picture = point_picture(kept, bright * KEPT, camera, width=width, size=PICTURE_PIXELS)
-        over = point_picture(
-            dropped,
-            np.tile(DROPPED, (len(dropped), 1)),
-            camera,
-            width=max(DROPPED_WIDTH * width, camera.half / 60),
-            size=PICTURE_PIXELS,
-        )
-        pictures.append(Image.alpha_composite(picture, over))
-    n, n_cut = int(it.dropped.sum()), int(it.cut_away.sum())
-    key = [(KEPT, f"{len(scan.points) - n - n_cut} points"), (DROPPED, f"{n} dropped as outliers")]
-    return Row("Points as they were read", key, pictures)
+        picture = _shaded(kept, KEPT, camera, it)
+        picture.alpha_composite(_removed(thinned(dropped), DROPPED, camera, it))
+        pictures.append(picture)
+    n, n_cut = len(dropped), int(it.cut_away.sum())
+    n_outside = int(_outside(dropped, inspection_cameras(it)).sum())
+    words = f"{n:,} dropped as outliers" + (f", {n_outside:,} of them beyond the edges" if n_outside else "")
+    key = [(KEPT, f"{len(scan.points) - n - n_cut:,} points"), (DROPPED, words)]
+    return Row("Points of the body", key, pictures)
+
+
+def _outside(points: FloatArray, cameras: Sequence[Camera]) -> NDArray[np.bool_]:
+    """Whether each point is not in the field of view of one of the cameras, (n,)."""
+    outside = np.zeros(len(points), dtype=np.bool_)
+    for camera in cameras:
+        outside |= (abs(camera.seen(points)[:, :2]) > 1).any(axis=1)
+    return outside
+
+
+def _shaded(points: FloatArray, colour: Colour, camera: Camera, it: Inspection) -> Image.Image:
+    """Points that are darker at the far end."""
+    depth = camera.seen(points)[:, 2:]
+    bright = DARKEST + (1 - DARKEST) * (np.clip(depth, -1, 1) + 1) / 2  # (n, 1)
+    return point_picture(
+        points, bright * colour, camera, width=SKIN_WIDTH / 2 * it.spacing, size=PICTURE_PIXELS
+    )
+
+
+def _removed(points: FloatArray, colour: Colour, camera: Camera, it: Inspection) -> Image.Image:
+    """Small translucent points."""
+    width = max(SKIN_WIDTH / 2 * it.spacing, 2 * REMOVED_WIDTH * camera.half)
+    colours = np.tile(colour, (len(points), 1))
+    picture = point_picture(points, colours, camera, width=width, size=PICTURE_PIXELS)
+    picture.putalpha(picture.getchannel("A").point(lambda opacity: round(REMOVED_OPACITY * opacity)))
+    return picture
 
 
 def _normals_row(cloud: PointCloud, normals: FloatArray, it: Inspection) -> Row:
@@ -223,8 +261,13 @@ def _marks_row(mesh: TriangleMesh, it: Inspection) -> Row:
         surface_picture(mesh.vertices, mesh.faces, colours, camera, size=PICTURE_PIXELS, rings=rings)
         for camera in inspection_cameras(it)
     ]
+    shares = [
+        f"{check.name.lower()} {check.shown}"
+        for check in it.checks
+        if check.name in ("Filled in", "Closed base")
+    ]
     key = [
-        (FILLED, "filled in, no point nearby"),
+        (FILLED, f"no point nearby: {', '.join(shares)}"),
         (CUT, f"cuts: {len(it.cuts)}"),
         (BRIDGE, f"bridges: {len(it.bridges)}"),
     ]
@@ -245,63 +288,3 @@ def thinned(points: FloatArray) -> FloatArray:
         All rows, if there are no more than `MOST_POINTS`.
     """
     return points[np.linspace(0, len(points) - 1, min(len(points), MOST_POINTS)).astype(np.intp)]
-
-
-def write_inspection_png(inspection: Inspection, path: str | Path) -> Path:
-    """Write the verdict and all pictures into one picture. An existing file is replaced in one step.
-
-    Parameters
-    ----------
-    inspection : Inspection
-        The result of `inspect_scan`.
-    path : str or Path
-        The PNG file, in a folder that exists.
-
-    Returns
-    -------
-    Path
-        Absolute path of the file.
-
-    Raises
-    ------
-    InputError
-        If the file cannot be written.
-    """
-    target = Path(path).absolute()
-    rows = rows_of(inspection)
-    margin, line, title = 16, 22, 34
-    width = 2 * margin + len(inspection_cameras(inspection) or [0] * 4) * PICTURE_PIXELS
-    lines = [check for check in inspection.checks if check.verdict != "passed"]
-    height = 3 * margin + title + line * (1 + len(lines))
-    height += sum(row.pictures[0].height + 2 * line + margin for row in rows)
-    sheet = Image.new("RGB", (width, height), "white")
-    pen = ImageDraw.Draw(sheet)
-
-    def write(text: str, x: int, y: int, size: int, colour: Colour = (0.1, 0.1, 0.1)) -> None:
-        font = ImageFont.load_default(size)
-        while text and pen.textlength(text, font) > width - margin - x:
-            text = text[:-2].rstrip("…") + "…" if len(text) > 2 else ""
-        pen.text((x, y), text, rgb(colour), font)
-
-    write(inspection.name, margin, margin, 24)
-    y = margin + title
-    write(inspection.summary, margin, y, 16, CUT if inspection.verdict == "failed" else (0.1, 0.1, 0.1))
-    for check in lines:
-        y += line
-        write(f"{check.verdict}: {check.name}: {check.shown}. {check.words}", margin, y, 14, (0.3, 0.3, 0.3))
-    y += line + margin
-    for row in rows:
-        write(row.title, margin, y, 16)
-        x = margin
-        for colour, words in row.key:
-            pen.rectangle((x, y + line + 4, x + 10, y + line + 14), rgb(colour))
-            write(words, x + 16, y + line, 13, (0.3, 0.3, 0.3))
-            x += 36 + round(pen.textlength(words, ImageFont.load_default(13)))
-        y += 2 * line
-        for column, picture in enumerate(row.pictures):
-            sheet.paste(picture, (margin + column * PICTURE_PIXELS, y), picture)
-        y += row.pictures[0].height + margin
-    file = BytesIO()
-    sheet.save(file, "PNG")
-    write_file(target, file.getvalue())
-    return target

@@ -30,33 +30,38 @@ def point_checks(cloud: PointCloud, *, spacing: float) -> list[Check]:
     Returns
     -------
     list of Check
-        "Points": spacing relative to the diagonal. "Outliers": fraction of the points of the voxel grid that
-        were removed as statistical outliers. "Background", passed, if the stage `crop` removed any points:
-        their fraction. "Outside": no value.
+        "Points": spacing relative to the diagonal. "Outliers": fraction of the voxels with points that were
+        removed as statistical outliers. "Background", passed, if the stage `crop` removed any points: their
+        fraction. "Outside": no value. Numbers of points are those of the scan.
     """
     share = spacing / cloud.diagonal
+    cleanings = [step.sizes for step in cloud.provenance if step.stage == "clean"]
+    n_kept = int(cleanings[-1]["points_in"] - cleanings[-1]["outliers"]) if cleanings else len(cloud.points)
+    averaged = "" if n_kept == len(cloud.points) else f", averaged to {len(cloud.points):,}"
     checks = [
         graded(
             "Points",
             share,
             SPACING,
-            f"{len(cloud.points):,} points, {percent(share)} of the diagonal apart",
+            f"{n_kept:,} points{averaged}, {percent(share)} of the diagonal apart",
             passed="Dense enough for limbs and fingers.",
             poor="Thin parts may be lost: scan more densely, or from nearer.",
         )
     ]
     for cropped in [step for step in cloud.provenance if step.stage == "crop" and step.notes]:
-        share = 1 - cropped.sizes["points"] / cropped.sizes["points_in"]
+        n_in, n_cut = cropped.sizes["points_in"], cropped.sizes["points_in"] - cropped.sizes["points"]
+        shown = f"{n_cut:,.0f} of {n_in:,.0f} points cut away, {percent(n_cut / n_in)}"
         removed = f"{'; '.join(cropped.notes)}."
-        checks.append(Check("Background", "passed", share, f"{percent(share)} cut away", removed))
-    for cleaned in [step.sizes for step in cloud.provenance if step.stage == "clean"]:
+        checks.append(Check("Background", "passed", n_cut / n_in, shown, removed))
+    for cleaned in cleanings:
         outliers = 1 - cleaned["points"] / cleaned["points_thinned"]
         checks.append(
             graded(
                 "Outliers",
                 outliers,
                 OUTLIERS,
-                f"{percent(outliers)} dropped",
+                f"{cleaned['outliers']:,.0f} of {cleaned['points_in']:,.0f} points dropped, "
+                f"{percent(outliers)} of the voxels",
                 passed="Single points off the surface were removed.",
                 poor="Look at the points in red: if they belong to the body, raise scan.outlier_std; "
                 "else scan again.",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -15,6 +16,7 @@ __all__ = [
     "Camera",
     "body_axes",
     "cameras_around",
+    "cameras_framing",
     "pooled",
     "principal_axes",
     "rotation",
@@ -77,19 +79,36 @@ def cameras_around(points: FloatArray) -> list[Camera]:
     list of Camera
         One camera for each of `AZIMUTHS`; unit of the points.
     """
+    axes = principal_axes(points, np.full(len(points), 1 / len(points)))
+    turned = [rotation(azimuth, ELEVATION) @ axes for azimuth in AZIMUTHS]
+    return cameras_framing(points, [Camera(axes, np.zeros(3), 1.0) for axes in turned])
+
+
+def cameras_framing(points: FloatArray, cameras: Sequence[Camera]) -> list[Camera]:
+    """Cameras in given directions, with one scale.
+
+    Parameters
+    ----------
+    points : (n, 3) float64
+        Points, all of which are in the field of view.
+    cameras : sequence of Camera
+        The directions; at least one.
+
+    Returns
+    -------
+    list of Camera
+        Cameras with the axes of the given ones; unit of the points.
+    """
     low, high = points.min(axis=0), points.max(axis=0)
     size = float(np.linalg.norm(high - low)) or 1.0  # the size of equal points
-    axes = principal_axes(points, np.full(len(points), 1 / len(points)))
-    cameras = []
-    for azimuth in AZIMUTHS:
-        camera = Camera(rotation(azimuth, ELEVATION) @ axes, np.zeros(3), 1.0)
-        seen = camera.seen(points)  # (n, 3)
+    framed = []
+    for camera in cameras:
+        seen = points @ camera.axes.T  # (n, 3)
         middle = (seen.min(axis=0) + seen.max(axis=0)) / 2
-        cameras.append(
-            replace(camera, centre=middle @ camera.axes, half=np.ptp(seen[:, :2], axis=0).max() / 2)
-        )
-    widest = max(SMALL * size, *(camera.half for camera in cameras)) / (1 - 2 * MARGIN)
-    return [replace(camera, half=widest) for camera in cameras]
+        half = np.ptp(seen[:, :2], axis=0).max() / 2
+        framed.append(replace(camera, centre=middle @ camera.axes, half=half))
+    widest = max(SMALL * size, *(camera.half for camera in framed)) / (1 - 2 * MARGIN)
+    return [replace(camera, half=widest) for camera in framed]
 
 
 def body_axes(vertices: FloatArray, faces: IntArray) -> FloatArray:

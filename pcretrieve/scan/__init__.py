@@ -5,7 +5,7 @@ point outwards.
 """
 
 from pcretrieve.options import PointFilter
-from pcretrieve.scan.clean import check_extent, clean
+from pcretrieve.scan.clean import check_extent, clean, outliers
 from pcretrieve.scan.crop import crop, kept_points
 from pcretrieve.scan.filters import POINT_FILTERS
 from pcretrieve.scan.ground import ground_normal
@@ -20,4 +20,5 @@ __all__ = [
     "ground_normal",
     "kept_points",
     "oriented_normals",
+    "outliers",
 ]

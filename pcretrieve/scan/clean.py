@@ -14,7 +14,7 @@ from pcretrieve.scan.density import FARTHER, is_of_surface
 from pcretrieve.scan.sampling import neighborhoods, voxel_numbers
 from pcretrieve.types import FloatArray, PointCloud, Step
 
-__all__ = ["CLEAN", "FEWEST_POINTS", "averaged", "check_extent", "clean"]
+__all__ = ["CLEAN", "FEWEST_POINTS", "averaged", "check_extent", "clean", "outliers"]
 
 # Smallest number of points of a scan. With fewer points, limbs cannot be resolved.
 FEWEST_POINTS = 100
@@ -43,8 +43,9 @@ def clean(cloud: PointCloud, options: ScanOptions) -> PointCloud:
     Returns
     -------
     PointCloud
-        The filtered points, with normals and viewpoints if there were any, and a step ``clean`` in the
-        provenance; unit of the file.
+        The filtered points, with normals and viewpoints if there were any; unit of the file. The step
+        ``clean`` in the provenance has the numbers of points that were given, of voxels that have any, of
+        voxels that are kept, and of given points in voxels that are outliers.
 
     Raises
     ------
@@ -53,44 +54,66 @@ def clean(cloud: PointCloud, options: ScanOptions) -> PointCloud:
     """
     started = time.perf_counter()
     check_extent(cloud.points, Stage.CLEAN)
-    thinned = _thinned(cloud, options.voxel)
+    thinned, voxel = _thinned(cloud, options.voxel)
     check_extent(thinned.points, Stage.CLEAN)
-    inliers = _inliers(thinned, options)
-    kept = thinned.select(inliers)
+    is_inlier = _inliers(thinned, options)
+    kept = thinned.select(np.flatnonzero(is_inlier))
     check_extent(kept.points, Stage.CLEAN)
-    n_outliers = len(thinned.points) - len(inliers)
-    notes = (f"dropped {n_outliers} of {len(thinned.points)} points as outliers",) if n_outliers else ()
-    step = Step(
-        "clean",
-        time.perf_counter() - started,
-        {"points_in": len(cloud.points), "points_thinned": len(thinned.points), "points": len(inliers)},
-        notes,
-    )
-    return kept.after(step)
+    n_outliers = len(voxel) - int(is_inlier[voxel].sum())
+    notes = (f"dropped {n_outliers} of {len(voxel)} points as outliers",) if n_outliers else ()
+    sizes: dict[str, float] = {
+        "points_in": len(voxel),
+        "points_thinned": len(is_inlier),
+        "points": len(kept.points),
+        "outliers": n_outliers,
+    }
+    return kept.after(Step("clean", time.perf_counter() - started, sizes, notes))
 
 
 CLEAN = PointFilter("clean", clean, ScanOptions)
 
 
-def _inliers(cloud: PointCloud, options: ScanOptions) -> NDArray[np.intp]:
-    """Positions of the points whose mean distance to their neighbours is not exceptional, (k,)."""
+def outliers(cloud: PointCloud, options: ScanOptions) -> NDArray[np.bool_]:
+    """Find the points that `clean` removes: those in voxels that are outliers.
+
+    Parameters
+    ----------
+    cloud : PointCloud
+        As given to `clean`.
+    options : ScanOptions
+        As given to `clean`.
+
+    Returns
+    -------
+    (n,) bool
+        As many points as the step ``clean`` counts.
+    """
+    thinned, voxel = _thinned(cloud, options.voxel)
+    found: NDArray[np.bool_] = ~_inliers(thinned, options)[voxel]
+    return found
+
+
+def _inliers(cloud: PointCloud, options: ScanOptions) -> NDArray[np.bool_]:
+    """Whether the mean distance of each point to its neighbours is not exceptional, (n,)."""
     k = options.outlier_neighbors
     neighbors = neighborhoods(cloud.points, max(k, FARTHER + 1))
     distance = neighbors.distance[:, :k].mean(axis=1)  # (n,)
     apart = distance[distance > 0]  # not of points that coincide with all their neighbours
     if len(apart) < 2:
-        return np.arange(len(distance))
+        return np.ones(len(distance), dtype=np.bool_)
     limit = apart.mean() + options.outlier_std * apart.std(ddof=1)
     # Where the points are sparse, distances are exceptional, and no points are outliers for that reason.
     sparse = is_of_surface(neighbors, cell=DENSE_VOXEL * cloud.diagonal)
-    return np.flatnonzero((distance > 0) & ((distance < limit) | sparse))
+    inliers: NDArray[np.bool_] = (distance > 0) & ((distance < limit) | sparse)
+    return inliers
 
 
-def _thinned(cloud: PointCloud, voxel: float | str) -> PointCloud:
+def _thinned(cloud: PointCloud, voxel: float | str) -> tuple[PointCloud, NDArray[np.intp]]:
+    """The mean of the points in each voxel, and the voxel of each point, (n,)."""
     if isinstance(voxel, str):
         n_voxels = len(np.unique(voxel_numbers(cloud.points, DENSE_VOXEL * cloud.diagonal)))
         voxel = DENSE_VOXEL if len(cloud.points) >= DENSE * n_voxels else VOXEL
-    return averaged(cloud, voxel * cloud.diagonal) if voxel else cloud
+    return _averaged(cloud, voxel * cloud.diagonal) if voxel else (cloud, np.arange(len(cloud.points)))
 
 
 def averaged(cloud: PointCloud, edge: float) -> PointCloud:
@@ -108,6 +131,11 @@ def averaged(cloud: PointCloud, edge: float) -> PointCloud:
     PointCloud
         One point for each voxel, with the mean normal, and with one of the sensor positions.
     """
+    return _averaged(cloud, edge)[0]
+
+
+def _averaged(cloud: PointCloud, edge: float) -> tuple[PointCloud, NDArray[np.intp]]:
+    """As `averaged`, and the voxel of each point, (n,)."""
     _, first, group, counts = np.unique(
         voxel_numbers(cloud.points, edge), return_index=True, return_inverse=True, return_counts=True
     )
@@ -123,13 +151,14 @@ def averaged(cloud: PointCloud, edge: float) -> PointCloud:
         # Opposite normals in one voxel cancel (both sides of a thin sheet): the first normal is kept.
         cancelled = length[:, 0] < SMALLEST_THICKNESS
         normals = np.where(cancelled[:, None], cloud.normals[first], normals / np.maximum(length, 1e-300))  # type: ignore[index]
-    return replace(
+    means = replace(
         cloud,
         points=average(cloud.points),
         normals=normals,
         # A mean of sensor positions is not a sensor position: the first position in the voxel is kept.
         viewpoints=None if cloud.viewpoints is None else cloud.viewpoints[first],
     )
+    return means, group
 
 
 def check_extent(points: FloatArray, stage: str) -> None:

@@ -54,6 +54,25 @@ def test_outliers_are_what_was_dropped(good: Inspection) -> None:
     assert good.dropped.mean() < 0.02
 
 
+def test_points_checks_and_steps_count_the_same_points() -> None:
+    """Ten points for each voxel, far from the origin, with strays, outliers, a patch of noise and a floor."""
+    rng = np.random.default_rng(0)
+    points = shapes.points_on(BODY, 60_000)
+    patch = points[rng.choice(60_000, 300)] + rng.normal(0, 0.1, (300, 3))
+    strays = 0.6 * BODY.diagonal * shapes.points_on(shapes.icosphere(2), 12, seed=7)
+    floor = np.column_stack([rng.uniform(-2, 2, (8000, 2)), np.full(8000, points[:, 2].min())])
+    scan = 1000 * np.concatenate([points, patch, strays, floor]) + [4e5, 5e6, 100]
+    seen = inspect_scan(scan, OPTIONS, n_rescans=0)
+    n, n_cut, n_dropped = len(scan), int(seen.cut_away.sum()), int(seen.dropped.sum())
+    assert n_cut > 7900 and n_dropped > 30
+    assert seen.cloud is not None and len(seen.cloud.points) < 0.7 * n
+    assert check(seen, "Points").shown.startswith(f"{n - n_cut - n_dropped:,} points, averaged to")
+    assert check(seen, "Background").shown.startswith(f"{n_cut:,} of {n:,} points cut away, ")
+    assert check(seen, "Outliers").shown.startswith(f"{n_dropped:,} of {n - n_cut:,} points dropped, ")
+    notes = [note for step in seen.steps if step.stage == "clean" for note in step.notes]
+    assert notes == [f"dropped {n_dropped} of {n - n_cut} points as outliers"]
+
+
 def test_background_is_what_was_cut_away() -> None:
     """A floor beneath the body, and a reading without an answer for each tenth of its points."""
     points = shapes.points_on(BODY, 12_000)
@@ -66,7 +85,8 @@ def test_background_is_what_was_cut_away() -> None:
     assert seen.cut_away[2000:14_000].mean() < 0.02
     assert not (seen.cut_away & seen.dropped).any()
     background = check(seen, "Background")
-    assert (background.verdict, background.shown) == ("passed", "46 % cut away")
+    assert background.verdict == "passed"
+    assert background.shown == f"{seen.cut_away.sum():,} of 22,000 points cut away, 46 %"
     assert "readings without an answer; " in background.words
     assert "of the ground on which the body stands" in background.words
 

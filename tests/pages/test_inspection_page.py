@@ -29,9 +29,10 @@ from pcretrieve.pages.inspection_pictures import (
     FACING,
     FILLED,
     KEPT,
+    inspection_cameras,
     rows_of,
-    write_inspection_png,
 )
+from pcretrieve.pages.inspection_sheet import write_inspection_png
 from pcretrieve.quality import Check, fit_checks, normal_checks, surface_checks
 from pcretrieve.rendering import CLAY, Colour
 from pcretrieve.types import Failure, PointCloud, Signature, TriangleMesh
@@ -90,8 +91,8 @@ def pictures(seen: Inspection, title: str) -> list[NDArray[np.float64]]:
 
 
 def share_of(colour: Colour, picture: NDArray[np.float64]) -> float:
-    """Share of the opaque pixels that have this colour, however dark."""
-    pixels = picture[picture[..., 3] == 1][:, :3]
+    """Share of the pixels that have this colour, however dark; pixels at an edge do not count."""
+    pixels = picture[picture[..., 3] > 0.5][:, :3]
     directions = pixels / np.maximum(np.linalg.norm(pixels, axis=1, keepdims=True), 1e-9)
     return float((directions @ np.array(colour) / np.linalg.norm(colour) > 0.995).mean())
 
@@ -109,8 +110,10 @@ def test_a_patch_turned_over_is_orange_on_its_side_only() -> None:
 
 
 def test_outliers_are_seen_beside_the_body() -> None:
-    for picture in pictures(inspection(), "Points as they were read"):
-        assert share_of(DROPPED, picture) > 0
+    """They are translucent: before the body, they are mixed with its blue, which has less red than blue."""
+    for picture in pictures(inspection(), "Points of the body"):
+        seen = picture[picture[..., 3] > 0.5]
+        assert 4 < (seen[:, 0] > 1.1 * seen[:, 2]).sum() < 100
 
 
 def test_half_of_the_surface_is_filled_and_the_cut_has_a_ring() -> None:
@@ -138,7 +141,7 @@ def test_the_viewer_gets_points_normals_and_faces(tmp_path: Path) -> None:
     seen = inspection()
     scene = scene_of(write_inspection_page(seen, tmp_path / "page.html"))
     layers = {layer["name"]: layer for layer in scene["layers"]}
-    assert list(layers) == ["points", "dropped", "normals", "surface", "filled", "cuts", "bridges"]
+    assert list(layers) == ["points", "dropped", "cut", "normals", "surface", "filled", "cuts", "bridges"]
 
     def places(name: str) -> NDArray[np.float64]:
         grid = np.frombuffer(b64decode(layers[name]["at"]), "<u2").reshape(-1, 3).astype(np.float64)
@@ -169,20 +172,66 @@ def test_what_was_cut_away_is_shown_around_the_body() -> None:
         dropped=np.append(plain.dropped, np.zeros(18_000, dtype=bool)),
         cut_away=np.append(plain.cut_away, np.ones(18_000, dtype=bool)),
     )
-    assert "What was cut away" not in [row.title for row in rows_of(plain)]
     row = rows_of(seen)[0]
-    n = len(plain.scan.points)
-    assert [words for _, words in row.key] == [
-        f"{n} points",
-        "18000 cut away, 9000 of them too far away to be shown",
+    n = len(plain.scan.points) - 2
+    assert row.title.startswith("All points that were read, 9,000 of them at the edge")
+    assert [words for _, words in row.key[:3]] == [
+        f"{n:,} points",
+        "18,000 cut away",
+        "2 dropped as outliers",
     ]
-    for picture in pictures(seen, "What was cut away"):
+    for picture in pictures(seen, row.title):
         assert share_of(CUT_AWAY, picture) > 0.2
         assert share_of(KEPT, picture) > 0.01
     (before,), (after,) = (
-        [row for row in rows_of(it) if row.title == "Points as they were read"] for it in (plain, seen)
+        [row for row in rows_of(it) if row.title == "Points of the body"] for it in (plain, seen)
     )
     assert [words for _, words in before.key] == [words for _, words in after.key]
+
+
+def test_outliers_far_away_do_not_shrink_the_body_and_are_at_the_edge() -> None:
+    """Two outliers far to the right of the first camera, the only points beyond the body there."""
+    plain = inspection()
+    assert plain.scan is not None
+    right = inspection_cameras(plain)[0].axes[0]
+    away = PointCloud(np.concatenate([plain.scan.points[:-2], [1000 * right, 1001 * right]]))
+    seen = replace(plain, scan=away)
+    overview, body = rows_of(seen)[:2]
+    assert overview.title.startswith("All points that were read, 2 of them at the edge")
+    assert [words for _, words in body.key] == [
+        f"{len(away.points) - 2:,} points",
+        "2 dropped as outliers, 2 of them beyond the edges",
+    ]
+    for before, after in zip(rows_of(plain)[0].pictures, body.pictures, strict=True):
+        assert abs(before.width - after.width) <= 1 and abs(before.height - after.height) <= 40
+    first = pictures(seen, overview.title)[0]
+    assert share_of(KEPT, first) > 0.5
+    edge = first[:, -4:]
+    strong = edge[edge[..., 3] > 0.5]
+    assert len(strong) > 0
+    directions = strong[:, :3] / np.linalg.norm(strong[:, :3], axis=1, keepdims=True)
+    assert (directions @ np.array(DROPPED) / np.linalg.norm(DROPPED) > 0.99).any()
+
+
+def test_what_is_behind_outliers_is_seen() -> None:
+    """As many outliers as points of the body, just outside of it."""
+    plain = inspection()
+    assert plain.scan is not None
+    points = plain.scan.points[:-2]
+    rng = np.random.default_rng(0)
+    both = np.concatenate([points, points * rng.uniform(1.02, 1.3, (len(points), 1))])
+    seen = replace(
+        plain,
+        scan=PointCloud(both),
+        cut_away=np.zeros(len(both), dtype=bool),
+        dropped=np.arange(len(both)) >= len(points),
+    )
+    for picture in pictures(seen, "Points of the body"):
+        solid = picture[picture[..., 3] == 1]  # where there is a point of the body
+        assert len(solid) > 0.4 * (picture[..., 3] > 0).sum()
+        assert share_of(DROPPED, solid[None]) < 0.02
+        assert share_of(KEPT, solid[None]) < 0.2
+    assert len(rows_of(seen)) == 5, "all but one row, because no outlier is far away"
 
 
 def test_the_page_needs_nothing_else_and_stays_small(tmp_path: Path) -> None:
