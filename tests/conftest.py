@@ -14,6 +14,7 @@ import pytest
 
 if TYPE_CHECKING:
     from dask_cluster import DaskCluster
+    from playwright.sync_api import Browser
     from search_server import Server
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
@@ -64,6 +65,15 @@ def server(eggs: Path) -> "Iterator[Server]":
     from search_server import running
 
     with running(eggs) as started:
+        yield started
+
+
+@pytest.fixture(scope="module")
+def browser() -> "Iterator[Browser]":
+    """A browser for the tests of one module; see `browsers.chromium`."""
+    from browsers import chromium
+
+    with chromium() as started:
         yield started
 
 

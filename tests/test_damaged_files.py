@@ -160,7 +160,6 @@ def test_a_damaged_file_is_read_or_named(
     found = findings(kind, targets[kind], targets[kind].damage, n_seeds)
     record_property(kind, found.counts())
     assert not found.faults
-    assert found.n_errors < n_seeds
 
 
 @pytest.mark.parametrize("path", FOUND, ids=lambda path: path.stem)

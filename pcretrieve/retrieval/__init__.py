@@ -11,7 +11,7 @@ from pcretrieve.retrieval.distances import (
     table_coordinates,
 )
 from pcretrieve.retrieval.fitting import fit_whitening, table_whitening
-from pcretrieve.retrieval.index import SignatureIndex
+from pcretrieve.retrieval.index import N_INTERPRETED, SignatureIndex
 from pcretrieve.retrieval.near_pairs import NearPair, near_pairs
 from pcretrieve.retrieval.rank_errors import rank_ranges, swapping_ranks
 from pcretrieve.retrieval.ranking import (
@@ -51,6 +51,7 @@ __all__ = [
     "CALIBRATED",
     "DEFAULT_SHRINKAGE",
     "DISTANCES",
+    "N_INTERPRETED",
     "N_NEAR",
     "N_RERANKED",
     "RERANKINGS",

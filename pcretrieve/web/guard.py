@@ -9,6 +9,7 @@ browser sends the cookie with requests that pages of other ports of this compute
 from __future__ import annotations
 
 import hmac
+import time
 from collections.abc import Awaitable, Callable, MutableMapping
 from http.cookies import CookieError, SimpleCookie
 from typing import Any, NamedTuple
@@ -84,6 +85,7 @@ class Guard:
             await receive()
             await send({"type": "websocket.close"})
             return
+        send = _with_headers(send, time.perf_counter())
         headers = {name.decode("latin-1"): value.decode("latin-1") for name, value in scope["headers"]}
         host = headers.get("host", "")
         query = parse_qsl(scope["query_string"].decode("latin-1"), keep_blank_values=True)
@@ -99,7 +101,7 @@ class Guard:
             await _sent(send, 303, {"location": f"{path}?{rest}" if rest else path, "set-cookie": cookie}, "")
         else:
             raw = {**scope, "path": scope["raw_path"].decode("latin-1")}
-            await self._application(raw, receive, _with_headers(send))
+            await self._application(raw, receive, send)
 
     def _refusal(self, method: str, host: str, headers: dict[str, str], given: str | None) -> _Refusal | None:
         if _hostname(host) not in HOSTS:
@@ -149,10 +151,13 @@ def _cookie(headers: dict[str, str], port: int) -> str | None:
     return None if found is None else found.value
 
 
-def _with_headers(send: Send) -> Send:
+def _with_headers(send: Send, started: float) -> Send:
+    """Send answers with the headers of all answers, and with the time since the request was received (ms)."""
+
     async def sending(message: Message) -> None:
         if message["type"] == "http.response.start":
-            own = [(name.encode(), value.encode()) for name, value in HEADERS.items()]
+            timing = {"server-timing": f"total;dur={(time.perf_counter() - started) * 1e3:.1f}"}
+            own = [(name.encode(), value.encode()) for name, value in (HEADERS | timing).items()]
             message = {**message, "headers": [*message.get("headers", ()), *own]}
         await send(message)
 
@@ -163,6 +168,5 @@ async def _sent(send: Send, status: int, headers: dict[str, str], words: str) ->
     body = words.encode()
     both = {**headers, "content-length": str(len(body)), "cache-control": "no-store"}
     raw = [(name.encode(), value.encode("latin-1")) for name, value in both.items()]
-    guarded = _with_headers(send)
-    await guarded({"type": "http.response.start", "status": status, "headers": raw})
-    await guarded({"type": "http.response.body", "body": body})
+    await send({"type": "http.response.start", "status": status, "headers": raw})
+    await send({"type": "http.response.body", "body": body})

@@ -47,6 +47,16 @@ class Readers:
         """
         return await asyncio.wrap_future(self._threads.submit(self._applied, function))
 
+    def prepare(self, function: Callable[[Catalogue], object]) -> None:
+        """Apply a function to the catalogue in one of the threads, without waiting for it.
+
+        Parameters
+        ----------
+        function : callable
+            A function of the open catalogue.
+        """
+        self._threads.submit(self._applied, function)
+
     def close(self) -> None:
         """Close the catalogue in all threads, and end them."""
         # As many tasks as threads that wait for each other, so that each thread has one of them.

@@ -6,12 +6,14 @@ import os
 import secrets
 import socket
 from collections.abc import Callable
+from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
 
 from pcretrieve.catalogue import Catalogue
 from pcretrieve.errors import InputError
 from pcretrieve.options import OptionsLike, PipelineOptions
+from pcretrieve.retrieval import N_INTERPRETED
 from pcretrieve.web.application import application
 from pcretrieve.web.guard import Guard
 from pcretrieve.web.jobs import Jobs
@@ -88,6 +90,7 @@ def serve(
         guarded = Guard(application(Site(readers, title, chosen, jobs, most_bytes)), key)
         with _listening(port) as listener:
             address = f"http://{ADDRESS}:{listener.getsockname()[1]}/?token={key}"
+            readers.prepare(partial(_warmed, chosen))
             _run(guarded, listener, lambda: on_start(address))
     finally:
         if jobs is not None:
@@ -95,8 +98,16 @@ def serve(
         readers.close()
 
 
+def _warmed(options: PipelineOptions, catalogue: Catalogue) -> None:
+    """Ask an index as often as it takes to load its compiled code, so that no user waits for that."""
+    index = catalogue.index(options)
+    for _ in range(N_INTERPRETED + 1):
+        index.nearest(index.ids[0], 1)
+
+
 def _listening(port: int) -> socket.socket:
-    listener = socket.socket()
+    # With the protocol said, because asyncio sends small answers at once (TCP_NODELAY) only then.
+    listener = socket.socket(proto=socket.IPPROTO_TCP)
     try:
         listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         listener.bind((ADDRESS, port))

@@ -69,6 +69,7 @@ def test_pages_may_use_this_server_alone(server: Server) -> None:
         assert headers["x-content-type-options"] == "nosniff"
         assert headers["referrer-policy"] == "no-referrer"
         assert "server" not in headers
+        assert headers["server-timing"].startswith("total;dur=")
     page = server.ask("/shape/Egg00").body
     assert b"http://" not in page
     assert b"https://" not in page

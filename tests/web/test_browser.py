@@ -1,0 +1,210 @@
+"""The search page in a real browser: by mouse, by keys alone, on a phone, in the dark, and by axe-core."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import pytest
+import shapes
+from browsers import DESKTOP, PHONE, opened, origin, overflow, violations
+from search_server import Server, running
+
+from pcretrieve import search, write_mesh
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Browser, Page
+
+# Every kind of page, and what is opened to see it.
+PAGES = {
+    "collection": "/",
+    "nothing found": "/?q=none",
+    "shape": "/shape/Egg00",
+    "doubtful shape": "/shape/Egg23",
+    "failed shape": "/shape/broken",
+    "no match": "/shape/Egg00?min_score=1&label=%3Ckind+2%3E",
+    "refusal": "/shape/nowhere",
+}
+
+
+@pytest.fixture
+def page(browser: Browser, server: Server) -> Iterator[Page]:
+    with opened(browser, server.address) as page:
+        yield page
+
+
+@pytest.fixture(scope="module")
+def scan(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("scans") / "egg.off"
+    write_mesh(shapes.ellipsoid((1.06, 1, 1.8), 3), path)
+    return path
+
+
+def names(page: Page) -> list[str]:
+    """The names on the cards, without the ranks."""
+    return [re.sub(r"^\d+ ", "", text) for text in page.locator("#results .shapes li a b").all_inner_texts()]
+
+
+def test_the_address_that_was_printed_leaves_no_token_in_the_browser(page: Page, server: Server) -> None:
+    assert page.url == f"{origin(server.address)}/"
+    assert page.evaluate("document.cookie") == ""
+    assert len(names(page)) == 13
+
+
+def test_shapes_are_found_by_name_class_and_state_at_a_permalink(
+    page: Page, browser: Browser, server: Server
+) -> None:
+    page.get_by_label("Name", exact=True).press_sequentially("egg1")
+    page.get_by_text("4 shapes").wait_for()
+    assert names(page) == ["Egg10", "Egg11", "Egg12", "Egg13"]
+    page.get_by_label("Order").select_option(label="name, z to a")
+    page.wait_for_url("**sort=-id**")
+    page.locator("#results li").first.get_by_text("Egg13").wait_for()
+    assert names(page) == ["Egg13", "Egg12", "Egg11", "Egg10"]
+    with opened(browser, f"{page.url}&token={server.token}") as other:
+        assert names(other) == ["Egg13", "Egg12", "Egg11", "Egg10"]
+        assert other.get_by_label("Name", exact=True).input_value() == "egg1"
+    page.get_by_label("Name", exact=True).fill("")
+    page.locator("select[name=label]").select_option("<kind 2>")
+    page.get_by_label("State").select_option(label="doubtful")
+    page.get_by_text("1 shape", exact=True).wait_for()
+    assert names(page) == ["Egg23"]
+    assert page.get_by_text("a large hole").is_visible()
+
+
+def test_from_a_shape_to_its_nearest_and_on(page: Page, eggs: Path) -> None:
+    page.locator("#results").get_by_text("Egg11", exact=True).click()
+    page.get_by_role("heading", name="Egg11").wait_for()
+    expected = [name for name in search(eggs, "Egg11", k=12).ids if name != "Egg11"]
+    assert names(page) == expected
+    page.get_by_label("Results").fill("3")
+    page.get_by_label("Results").press("Enter")
+    page.wait_for_url("**k=3**")
+    page.wait_for_function("document.querySelectorAll('#results .shapes li').length === 3")
+    first = names(page)[0]
+    page.locator("#results .shapes li a").first.click()
+    page.get_by_role("heading", name=first).wait_for()
+    assert len(names(page)) == 3, "the settings go with the next query"
+    page.go_back()
+    page.get_by_role("heading", name="Egg11").wait_for()
+    page.locator("select[name=label]").select_option("<kind 2>")
+    page.get_by_label("Least score").fill("1")
+    page.get_by_label("Least score").press("Enter")
+    page.get_by_text(re.compile("no match", re.IGNORECASE)).wait_for()
+    assert names(page) == []
+
+
+def test_answers_are_downloaded(page: Page, server: Server) -> None:
+    page.goto(f"{origin(server.address)}/shape/Egg11?k=2")
+    with page.expect_download() as table:
+        page.get_by_role("link", name="CSV").click()
+    lines = table.value.path().read_text().splitlines()
+    assert lines[0].startswith("query,rank,id")
+    assert len(lines) == 3
+    with page.expect_download() as document:
+        page.get_by_role("link", name="JSON").click()
+    assert [row["id"] for row in json.loads(document.value.path().read_text())["results"]] == names(page)
+
+
+def test_a_chosen_scan_is_processed_and_answered(page: Page, eggs: Path, scan: Path) -> None:
+    page.locator("input[type=file]").set_input_files(scan)
+    page.wait_for_url("**/scan/*")
+    page.get_by_role("heading", name="Nearest shapes").wait_for()
+    assert page.get_by_role("heading", name="egg.off").is_visible()
+    assert page.locator("#stages").get_by_text("spectrum").is_visible()
+    assert names(page) == list(search(eggs, scan, k=12).ids)
+    page.locator("#results .shapes li a").first.click()
+    page.wait_for_url("**/shape/*")
+
+
+def test_a_dropped_scan_is_processed_and_fails_in_words(page: Page) -> None:
+    page.evaluate(
+        """() => {
+          const given = new DataTransfer();
+          given.items.add(new File(["OFF\\n1 1 1\\nnothing"], "bad.off"));
+          const options = {dataTransfer: given, bubbles: true, cancelable: true};
+          document.body.dispatchEvent(new DragEvent("drop", options));
+        }"""
+    )
+    page.wait_for_url("**/scan/*")
+    page.get_by_text("failed in the stage read").wait_for()
+    assert not page.get_by_role("heading", name="Nearest shapes").is_visible()
+
+
+def test_files_that_are_no_scans_are_refused_before_they_are_read(
+    browser: Browser, server: Server, tmp_path: Path
+) -> None:
+    (tmp_path / "scans.zip").write_bytes(b"PK")
+    with pytest.raises(AssertionError, match="status of 400"), opened(browser, server.address) as page:
+        page.locator("input[type=file]").set_input_files(tmp_path / "scans.zip")
+        page.get_by_role("status").get_by_text("zip").wait_for()
+        assert page.url == f"{origin(server.address)}/"
+
+
+def test_keys_suffice(page: Page) -> None:
+    page.keyboard.press("Tab")
+    assert focused(page) == "Skip to the shapes"
+    page.keyboard.press("Enter")
+    reached(page, "input[type=file]")
+    with page.expect_file_chooser() as chooser:
+        page.keyboard.press("Space")
+    assert chooser.value.element.get_attribute("name") == "scan"
+    reached(page, "input[type=search]")
+    page.keyboard.type("egg2")
+    page.get_by_text("3 shapes").wait_for()
+    reached(page, "#results .shapes a")
+    page.keyboard.press("Enter")
+    page.get_by_role("heading", name="Nearest shapes").wait_for()
+    reached(page, "#results .shapes a")
+    page.keyboard.press("Enter")
+    page.get_by_role("heading", name="Nearest shapes").wait_for()
+    assert page.evaluate("history.length") >= 3
+
+
+def focused(page: Page) -> str:
+    """The text of the element that has the focus."""
+    text: str = page.evaluate("document.activeElement.innerText")
+    return text
+
+
+def reached(page: Page, selector: str) -> None:
+    """Press Tab until an element has the focus, and see that the focus is drawn."""
+    for _ in range(40):
+        page.keyboard.press("Tab")
+        if page.evaluate("selector => document.activeElement.matches(selector)", selector):
+            style = page.evaluate("getComputedStyle(document.activeElement).outlineStyle")
+            assert style != "none", f"{selector} does not show that it has the focus"
+            return
+    raise AssertionError(f"{selector} is not reached by the key Tab")
+
+
+@pytest.mark.parametrize("dark", [False, True], ids=["light", "dark"])
+@pytest.mark.parametrize("size", [DESKTOP, PHONE], ids=["desktop", "phone"])
+def test_pages_are_accessible_and_fit(
+    browser: Browser, server: Server, size: tuple[int, int], dark: bool
+) -> None:
+    found: dict[str, object] = {}
+    with opened(browser, server.address, size, dark=dark) as page:
+        for name, address in PAGES.items():
+            if name != "refusal":
+                page.goto(f"{origin(server.address)}{address}")
+                found |= {f"{name}: {violation}": None for violation in violations(page)}
+                found |= {f"{name} is {wide} pixels too wide": None for wide in [overflow(page)] if wide > 0}
+    assert not found, "\n".join(found)
+
+
+def test_refusals_are_accessible(browser: Browser, server: Server) -> None:
+    with pytest.raises(AssertionError, match="status of 404"), opened(browser, server.address, PHONE) as page:
+        page.goto(f"{origin(server.address)}{PAGES['refusal']}")
+        assert page.get_by_text("there is no shape").is_visible()
+        assert not violations(page)
+        assert overflow(page) <= 0
+
+
+def test_a_server_that_only_reads_takes_no_scans(browser: Browser, eggs: Path) -> None:
+    with running(eggs, "--read-only") as server, opened(browser, server.address) as page:
+        assert len(names(page)) == 13
+        assert page.locator("input[type=file]").count() == 0
