@@ -6,6 +6,7 @@ from pathlib import Path
 
 import click
 
+from pcretrieve.cli.commands import command
 from pcretrieve.cli.messages import say
 from pcretrieve.cli.parts import CATALOGUE
 
@@ -14,7 +15,7 @@ __all__ = ["backup_command"]
 MIB = 1 << 20
 
 
-@click.command("backup")
+@command("backup")
 @click.argument("catalogue", type=CATALOGUE)
 @click.argument("file", type=click.Path(dir_okay=False, path_type=Path))
 def backup_command(catalogue: str, file: Path) -> None:

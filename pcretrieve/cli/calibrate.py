@@ -7,6 +7,7 @@ from typing import Any
 
 import click
 
+from pcretrieve.cli.commands import command
 from pcretrieve.cli.comparison import compared, comparison_options
 from pcretrieve.cli.messages import say
 from pcretrieve.cli.parts import catalogue_option
@@ -14,7 +15,7 @@ from pcretrieve.cli.parts import catalogue_option
 __all__ = ["calibrate_command"]
 
 
-@click.command("calibrate")
+@command("calibrate")
 @catalogue_option
 @click.option(
     "--output",

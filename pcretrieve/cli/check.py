@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from pcretrieve.cli.commands import command
 from pcretrieve.cli.messages import say, write_json, write_line
 from pcretrieve.cli.parts import CATALOGUE, json_option
 from pcretrieve.cli.progress import Progress
@@ -21,7 +22,7 @@ __all__ = ["check_command"]
 EXIT_DEFECTS = 1
 
 
-@click.command("check")
+@command("check")
 @click.argument("catalogue", type=CATALOGUE)
 @click.option(
     "--sample",

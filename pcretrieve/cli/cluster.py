@@ -7,6 +7,7 @@ from typing import Any
 
 import click
 
+from pcretrieve.cli.commands import command
 from pcretrieve.cli.comparison import compared, comparison_options
 from pcretrieve.cli.messages import say, write_csv
 from pcretrieve.cli.parts import catalogue_option
@@ -15,13 +16,14 @@ from pcretrieve.csv_text import csv_text
 __all__ = ["cluster_command"]
 
 
-@click.command("cluster")
+@command("cluster")
 @catalogue_option
 @click.option(
     "--min-size",
     type=click.IntRange(min=2),
     default=3,
     show_default=True,
+    metavar="N",
     help="Least number of shapes of a cluster.",
 )
 @click.option(

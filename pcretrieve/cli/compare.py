@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from pcretrieve.cli.commands import command
 from pcretrieve.cli.comparison import compared, comparison_options
 from pcretrieve.cli.evaluate import HEAD, numbers_line
 from pcretrieve.cli.messages import say, write_json, write_line
@@ -19,7 +20,7 @@ if TYPE_CHECKING:
 __all__ = ["compare_command"]
 
 
-@click.command("compare")
+@command("compare")
 @click.argument("first", type=CATALOGUE, metavar="A")
 @click.argument("second", type=CATALOGUE, metavar="B")
 @labels_option
@@ -29,7 +30,7 @@ __all__ = ["compare_command"]
     default=5,
     show_default=True,
     metavar="N",
-    help="Number of shapes that are listed, those whose average precision differs most.",
+    help="Number of the most changed shapes to list.",
 )
 @comparison_options
 @json_option
@@ -39,12 +40,11 @@ def compare_command(
     """Compare two results for the same shapes, query by query.
 
     A and B are catalogues, distance matrices, or files queries.csv of `evaluate --csv`. Printed are the
-    measures of both, and the differences B minus A with 95 % confidence intervals by the bootstrap over
-    queries, which are paired. Options of the comparison of shapes, such as --whitening, are for both
-    catalogues; given twice, they are for A and for B.
+    measures of both, and the differences B minus A with 95 % confidence intervals. Options such as
+    --whitening are for both catalogues; given twice, they are for A and for B.
 
     \b
-    pcretrieve compare bodies.sqlite bodies.sqlite --whitening none --whitening neighbours
+    pcretrieve compare A.sqlite A.sqlite --whitening none --whitening pca
     pcretrieve compare run1.txt run2.txt --labels shrec11.cla
     """
     from pcretrieve.evaluation import MEASURES, compare_scores, result_scores

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 from click.shell_completion import CompletionItem
 
+from pcretrieve.cli.commands import option
 from pcretrieve.cli.completion import complete_presets
 from pcretrieve.cli.messages import say
 from pcretrieve.cli.parts import load_options
@@ -26,6 +28,7 @@ __all__ = [
     "matrix_option",
     "method_option",
     "n_values_option",
+    "names_of",
     "read_distances",
     "scale_option",
     "size_weight_option",
@@ -40,12 +43,12 @@ WHITENING_NAMES = ("auto", "none", "resolution", "neighbours", "pca", "within-cl
 # horse and a mouse have a smaller ratio, those of one body in centimetres and in metres a larger one (1e4).
 MIXED_UNITS = 3000
 
-matrix_option = click.option(
+matrix_option = option(
     "--matrix",
     type=click.Path(path_type=Path),
     metavar="FILE",
-    help="Rank by the distances in a file, such as `pcretrieve matrix` writes, instead of the distances of "
-    "signatures: a square matrix, plain text or .npy. A file with the same name that ends in .ids has the "
+    help="Rank by the distances in a file, as `pcretrieve matrix` writes it.",
+    details="It is a square matrix, plain text or .npy. A file with the same name that ends in .ids has the "
     "ids of its rows, one in each line.",
 )
 
@@ -63,7 +66,7 @@ class RecordName(click.ParamType):  # type: ignore[type-arg]  # generic since cl
         self.name = kind
 
     def get_metavar(self, param: click.Parameter, ctx: click.Context | None = None) -> str:
-        """The names, as the help shows them.
+        """What the help shows in place of the names, of which there may be many.
 
         Parameters
         ----------
@@ -75,11 +78,9 @@ class RecordName(click.ParamType):  # type: ignore[type-arg]  # generic since cl
         Returns
         -------
         str
-            The names in brackets.
+            One word.
         """
-        from pcretrieve.names import NAMES
-
-        return f"[{'|'.join(NAMES[self.name].all())}]"
+        return "NAME"
 
     def shell_complete(
         self, ctx: click.Context, param: click.Parameter, incomplete: str
@@ -105,91 +106,95 @@ class RecordName(click.ParamType):  # type: ignore[type-arg]  # generic since cl
         return [CompletionItem(name) for name in NAMES[self.name].all() if name.startswith(incomplete)]
 
 
-class WhiteningName(click.ParamType):  # type: ignore[type-arg]  # generic since click 8.3 only
-    """The name of a whitening, or a file of `pcretrieve calibrate`."""
+def names_of(kind: str) -> str:
+    """The names of all records of a kind, for the help.
 
-    name = "whitening"
+    Parameters
+    ----------
+    kind : str
+        A key of `pcretrieve.names.NAMES`.
 
-    def get_metavar(self, param: click.Parameter, ctx: click.Context | None = None) -> str:
-        """The names, as the help shows them.
+    Returns
+    -------
+    str
+        The names, separated by commas.
+    """
+    from pcretrieve.names import NAMES
 
-        Parameters
-        ----------
-        param : click.Parameter
-            Not used.
-        ctx : click.Context, optional
-            Not used.
-
-        Returns
-        -------
-        str
-            The names in brackets.
-        """
-        return f"[{'|'.join(WHITENING_NAMES)}|FILE]"
+    return f"Names: {', '.join(NAMES[kind].all())}."
 
 
-_distance_option = click.option(
+_distance_option = option(
     "--distance",
     type=RecordName("distance"),
-    help="Euclidean distance of log-signatures (log), or the distances D1 and D2 of the paper.  [default: "
-    "log, or the catalogue's]",
+    rare=True,
+    help="Euclidean distance of log-signatures (log), or D1 or D2 of the paper.  [default: log, or the "
+    "catalogue's]",
+    details=partial(names_of, "distance"),
 )
-_whitening_option = click.option(
+_whitening_option = option(
     "--whitening",
-    type=WhiteningName(),
-    help="Whiten log-signatures by a covariance matrix: of the differences of near shapes (neighbours); of "
-    "the variation within the classes of the catalogue (within-class); of all its shapes (pca); or of the "
-    "errors that the resolution of a surface causes, estimated from simulated bodies (resolution, for "
-    "r-bihdm). auto is within-class if there are enough labels, else neighbours; `evaluate` does not fit "
-    "auto to labels. FILE is a whitening that `calibrate` has fitted to other scans.  [default: auto, or "
-    "the catalogue's]",
+    metavar="NAME|FILE",
+    rare=True,
+    help="Which differences of signatures count less: those of near shapes (neighbours), within classes "
+    "(within-class), between all shapes (pca), by the resolution of surfaces (resolution), as in a FILE of "
+    "`calibrate`; or none.  [default: auto, or the catalogue's]",
+    details="auto is within-class if there are enough labels, else neighbours; `evaluate` does not fit auto "
+    "to labels. See docs/guide.md, Distances and whitening.",
 )
-_rerank_option = click.option(
+_rerank_option = option(
     "--rerank",
     type=click.Choice(["none", "local", "k-reciprocal"]),
+    rare=True,
     help="Sort the first hundred results again, of which the first stays: by distances relative to those of "
     "near shapes (local), or by how many neighbours two shapes share (k-reciprocal).  [default: none, or "
     "the catalogue's]",
 )
-_overlay_option = click.option(
+_overlay_option = option(
     "--config",
     type=click.Path(path_type=Path),
     metavar="TOML|PRESET",
     shell_complete=complete_presets,
+    rare=True,
     help="Options that replace those of the catalogue: a file with the tables [signature] and [retrieval], "
     "or a preset.",
 )
 
 
-method_option = click.option(
+method_option = option(
     "--method",
     type=RecordName("descriptor"),
+    rare=True,
     help="The descriptor, or several joined by +.  [default: combined, or the catalogue's]",
+    details=partial(names_of, "descriptor"),
 )
-n_values_option = click.option(
+n_values_option = option(
     "--n-values",
     type=click.IntRange(min=1),
     metavar="L",
+    rare=True,
     help="Number of values of the descriptor.  [default: 59, or the catalogue's]",
 )
 
 
-scale_option = click.option(
+scale_option = option(
     "--scale",
     type=click.Choice(["auto", "area", "relative", "absolute"]),
+    rare=True,
     help="How values are normalised: by the area of the surface (area), by the first value (relative), or "
-    "not (absolute), so that they depend on the size of bodies. auto is relative "
-    "with --whitening pca, else area.  [default: auto, or the catalogue's]",
+    "not (absolute), so that they depend on the size of bodies.  [default: auto, or the catalogue's]",
+    details="auto is relative with --whitening pca, else area.",
 )
 
 
-size_weight_option = click.option(
+size_weight_option = option(
     "--size-weight",
     type=click.FloatRange(min=0, max=20),
     metavar="W",
-    help="Weight of the size of bodies beside their form, if all files have one unit or known ones (see "
-    "--unit): adds a value, the area to the power of W. 6 is best for people.  [default: 0, or the "
+    rare=True,
+    help="Weight of the size of bodies beside their form; 6 is best for people.  [default: 0, or the "
     "catalogue's]",
+    details="It adds a value, the area to the power of W; all files must have one unit or known ones.",
 )
 
 
@@ -206,7 +211,7 @@ def comparison_options(command: Callable[..., None]) -> Callable[..., None]:
     callable
         The command with the options.
     """
-    for option in (
+    for added in (
         _overlay_option,
         size_weight_option,
         scale_option,
@@ -216,7 +221,7 @@ def comparison_options(command: Callable[..., None]) -> Callable[..., None]:
         _whitening_option,
         _distance_option,
     ):
-        command = option(command)
+        command = added(command)
     return command
 
 

@@ -7,12 +7,13 @@ from pathlib import Path
 
 import click
 
+from pcretrieve.cli.commands import command
 from pcretrieve.cli.messages import say
 
 __all__ = ["demo_command"]
 
 
-@click.command("demo")
+@command("demo")
 @click.argument(
     "folder", type=click.Path(path_type=Path), default=Path("pcretrieve-demo"), metavar="[FOLDER]"
 )

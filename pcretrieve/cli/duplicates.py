@@ -6,6 +6,7 @@ from typing import Any
 
 import click
 
+from pcretrieve.cli.commands import command
 from pcretrieve.cli.comparison import compared, comparison_options
 from pcretrieve.cli.messages import say, write_json, write_line
 from pcretrieve.cli.parts import catalogue_option, json_option
@@ -13,12 +14,13 @@ from pcretrieve.cli.parts import catalogue_option, json_option
 __all__ = ["duplicates_command"]
 
 
-@click.command("duplicates")
+@command("duplicates")
 @catalogue_option
 @click.option(
     "--threshold",
     type=click.FloatRange(min=0),
-    help="Largest distance of a pair.  [default: what the uncertainties of both shapes let expect]",
+    metavar="DISTANCE",
+    help="Largest distance of a pair.  [default: by both uncertainties]",
 )
 @comparison_options
 @json_option

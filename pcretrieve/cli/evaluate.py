@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from pcretrieve.cli.commands import command, option
 from pcretrieve.cli.comparison import compared, comparison_options, matrix_option, read_distances
 from pcretrieve.cli.completion import CATALOGUE_VARIABLE
 from pcretrieve.cli.messages import say, write_json, write_line
@@ -26,31 +27,31 @@ __all__ = ["HEAD", "evaluate_command", "numbers_line"]
 HEAD = "  ".join(f"{name:>6}" for name in ("NN", "FT", "ST", "E", "DCG", "mAP"))
 
 
-@click.command("evaluate")
+@command("evaluate")
 @click.option(
     "--catalogue",
     "-c",
     type=CATALOGUE,
     metavar="FILE|URL",
-    help=f"The catalogue. Not needed with both --matrix and --labels.  [env var: {CATALOGUE_VARIABLE}]",
+    help=f"The catalogue; not with --matrix and --labels.  [env var: {CATALOGUE_VARIABLE}]",
 )
 @labels_option
 @matrix_option
-@click.option(
-    "--sound-only", is_flag=True, help="Leave out shapes of the catalogue that are doubtful or unusable."
-)
-@click.option(
+@click.option("--sound-only", is_flag=True, help="Leave out shapes that are doubtful or unusable.")
+@option(
     "--per-class",
     is_flag=True,
-    help="Add the means of each class, and of which other classes the nearest shapes of its queries are.",
+    help="Add the means of each class.",
+    details="And of which other classes the nearest shapes of its queries are.",
 )
-@click.option(
+@option(
     "--csv",
     "folder",
     type=click.Path(path_type=Path),
     metavar="FOLDER",
-    help="Write queries.csv, classes.csv, confusion.csv (of the nearest shape) and precision_recall.csv to "
-    "this folder.",
+    help="Write the measures to CSV files in a folder.",
+    details="They are queries.csv, classes.csv, confusion.csv (of the nearest shape) and "
+    "precision_recall.csv.",
 )
 @comparison_options
 @json_option
@@ -64,18 +65,15 @@ def evaluate_command(
     as_json: bool,
     **comparison: Any,
 ) -> None:
-    """Retrieval measures of a labelled catalogue.
+    """Compute retrieval measures of a labelled catalogue.
 
-    Printed are nearest neighbour (NN), first and second tier (FT, ST), E-measure (E), discounted cumulative
-    gain (DCG) and mean average precision (mAP): micro-averages, which are means over the queries, with 95 %
-    confidence intervals by the bootstrap over queries; and macro-averages, which are means over the classes.
-    Each shape is a query in all other shapes; shapes that failed count as misses. The default whitening does
-    not use the labels. Within-class whitening is cross-validated by folds of classes: it is evaluated on
-    classes to which it was not fitted.
+    Nearest neighbour (NN), first and second tier (FT, ST), E-measure (E), discounted cumulative gain (DCG)
+    and mean average precision (mAP): means over the queries, with 95 % confidence intervals, and over the
+    classes. Each shape is a query in all others; shapes that failed count as misses. Labels are not used for
+    the whitening, or by cross-validation.
 
     \b
-    pcretrieve evaluate --catalogue shrec11.sqlite --n-values 45 --whitening pca
-    pcretrieve evaluate --catalogue shrec11.sqlite --per-class --csv shrec11/
+    pcretrieve evaluate --catalogue bodies.sqlite --per-class --csv bodies/
     pcretrieve evaluate --catalogue shrec11.sqlite --labels shrec11
     pcretrieve evaluate --matrix run1.txt --labels shrec11.cla
     """

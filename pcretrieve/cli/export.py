@@ -7,6 +7,7 @@ from typing import Any
 
 import click
 
+from pcretrieve.cli.commands import command, option
 from pcretrieve.cli.comparison import compared, comparison_options
 from pcretrieve.cli.messages import say, write_line
 from pcretrieve.cli.parts import catalogue_option
@@ -14,25 +15,23 @@ from pcretrieve.cli.parts import catalogue_option
 __all__ = ["export_command"]
 
 
-@click.command("export")
+@command("export")
 @click.argument("shape_ids", nargs=-1, metavar="[ID]...")
 @catalogue_option
-@click.option(
+@option(
     "--output",
     "-o",
     type=click.Path(path_type=Path),
     metavar="PATH",
-    help="A mesh file for one shape (.ply .obj .off .stl .glb), or a folder for .ply files; a file of "
-    "signatures (.npz .parquet .csv) with --signatures.",
+    help="A mesh file for one shape (.ply .obj .off .stl .glb); a folder for several; a file of signatures "
+    "(.npz .parquet .csv).",
 )
-@click.option(
-    "--signatures", is_flag=True, help="Write signatures with their ids and classes, instead of meshes."
-)
-@click.option(
+@option("--signatures", is_flag=True, help="Write signatures, ids and classes, not meshes.")
+@option(
     "--to",
     metavar="URL",
-    help="A PostgreSQL database with pgvector, postgresql://user@host/name: write whitened signatures to its "
-    "new table pcretrieve_signatures.",
+    help="Write whitened signatures to a PostgreSQL database.",
+    details="postgresql://user@host/name, with pgvector; the new table is pcretrieve_signatures.",
 )
 @comparison_options
 def export_command(

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import sys
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
-from pcretrieve.cli.comparison import RecordName
+from pcretrieve.cli.commands import command, option
+from pcretrieve.cli.comparison import RecordName, names_of
 from pcretrieve.cli.messages import failure_line, log_to, say, write_json
 from pcretrieve.cli.parts import (
     EXIT_INTERRUPTED,
@@ -22,6 +24,7 @@ from pcretrieve.cli.parts import (
     unit_option,
 )
 from pcretrieve.cli.progress import Progress, progress_option
+from pcretrieve.cli.scans import workers_option
 from pcretrieve.cli.summary import record_facts, say_summary, summary_document
 
 if TYPE_CHECKING:
@@ -30,83 +33,88 @@ if TYPE_CHECKING:
 __all__ = ["ingest_command"]
 
 
-@click.command("ingest")
+@command("ingest")
 @click.argument("paths", nargs=-1, metavar="PATH...")
 @catalogue_option
-@click.option(
+@option(
     "--labels",
     metavar="CSV|LAYOUT",
-    help="Classes: a CSV file with the columns file and class; a .cla file of the Princeton Shape Benchmark; "
-    "or a layout: shrec11, shrec14-real, shrec14-synthetic, faust, tosca and psb are published sets; folders "
-    "are named like their class; csv is labels.csv beside the scans.",
+    help="Classes: a CSV file (columns file, class), a .cla file, or folders (named like classes), csv "
+    "(labels.csv beside scans), shrec11, shrec14-real, shrec14-synthetic, faust, tosca, psb.",
 )
 @config_option
 @surface_option
 @unit_option
-@click.option(
+@option(
     "--no-meshes",
     is_flag=True,
+    rare=True,
     help="Leave meshes out of a new catalogue: a scan then takes some 60 kB, and not some 350 kB. Pages have "
     "no pictures, nothing can be exported, and descriptors of surfaces other than those of the spectrum "
     "cannot be computed.",
 )
-@click.option(
-    "--workers",
-    type=click.IntRange(min=1),
-    show_default="one per core",
-    metavar="N",
-)
+@workers_option
 @limit_options("scan")
-@click.option(
+@option(
     "--executor",
     type=RecordName("executor"),
+    rare=True,
     default="processes",
     show_default=True,
     help="What processes the scans.",
+    details=partial(names_of, "executor"),
 )
-@click.option(
-    "--scheduler", metavar="ADDRESS", help="Process the scans by the Dask cluster of this scheduler."
+@option(
+    "--scheduler",
+    metavar="ADDRESS",
+    rare=True,
+    help="Process the scans by the Dask cluster of this scheduler.",
 )
-@click.option(
+@option(
     "--scheduler-file",
     type=click.Path(path_type=Path),
     metavar="FILE",
+    rare=True,
     help="The same, by the file that `dask scheduler --scheduler-file` writes.",
 )
-@click.option(
+@option(
     "--cluster",
     type=click.Choice(["local"]),
+    rare=True,
     help="Process the scans by a Dask cluster that is started on this computer, for trials.",
 )
-@click.option("--retry-failed", is_flag=True, help="Process scans again that failed before.")
-@click.option(
+@option("--retry-failed", is_flag=True, help="Process scans again that failed before.")
+@option(
     "--retries",
     type=click.IntRange(min=0),
     default=0,
     show_default=True,
     metavar="N",
-    help="Try a scan that fails again, N times at most, after all other scans: in a new process, then with "
-    "cheaper settings, then by the other method of surface reconstruction. `pcretrieve show` says what was "
-    "changed.",
+    help="Try failing scans again, with changes.",
+    details="N times at most, after all other scans: in a new process, then with cheaper settings, then by "
+    "the other method of surface reconstruction. `pcretrieve show` says what was changed.",
 )
-@click.option(
+@option(
     "--max-failures",
     type=click.IntRange(min=1),
     metavar="N",
+    rare=True,
     help="Stop after N scans have failed. The same command goes on from there.",
 )
-@click.option("--dry-run", is_flag=True, help="Say what would be done, and do nothing.")
+@option("--dry-run", is_flag=True, help="Say what would be done, and do nothing.")
 @progress_option
-@click.option("--quiet", "-q", is_flag=True, help="Print warnings and failures only.")
-@click.option(
+@option("--quiet", "-q", is_flag=True, help="Print warnings and failures only.")
+@option(
     "--log-file",
     type=click.Path(path_type=Path),
     metavar="FILE",
-    help="Append each stage of each scan, with repairs and fallbacks, to a file.",
+    help="Append each stage of each scan to a file.",
+    details="With repairs and fallbacks.",
 )
-@click.option(
+@option(
     "--shard",
     metavar="I/N",
+    rare=True,
     help="Process the I-th of N parts of the scans only, as a task of a job array; `catalogue merge` makes "
     "one catalogue of all parts.",
 )

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from pcretrieve.cli.commands import command, option
 from pcretrieve.cli.messages import say, write_json, write_line
 from pcretrieve.cli.parts import (
     EXIT_SOME_FAILED,
@@ -30,29 +31,32 @@ if TYPE_CHECKING:
 __all__ = ["inspect_command"]
 
 
-@click.command("inspect")
+@command("inspect")
 @click.argument("scan", type=click.Path(path_type=Path), metavar="SCAN|FOLDER")
-@click.option(
+@option(
     "--output",
     "-o",
     type=click.Path(path_type=Path),
     metavar="PAGE|FOLDER",
-    help="The HTML page to write, by default the name of the scan with .html, in the current folder. For a "
-    "folder of scans, the folder of the pages, which is made if there is none.",
+    help="The HTML page, or for a folder of scans a folder.",
+    details="By default the name of the scan with .html, in the current folder. A folder is made if there is "
+    "none.",
 )
-@click.option(
+@option(
     "--png",
     type=click.Path(path_type=Path),
     metavar="FILE",
-    help="Also write all pictures of a scan into one PNG file.",
+    help="Also write all pictures into one PNG file.",
 )
-@click.option(
+@option(
     "--rescans",
     type=click.IntRange(min=0),
     default=4,
     show_default=True,
-    help="Number of surfaces that are reconstructed from nine tenths of the points, for the standard "
-    "deviation of the signature; 0 for none.",
+    metavar="N",
+    help="Number of rescans, for the error of the signature.",
+    details="Each is reconstructed from nine tenths of the points; the standard deviation of their "
+    "signatures is shown. 0 for none.",
 )
 @config_option
 @surface_option

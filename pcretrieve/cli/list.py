@@ -6,13 +6,14 @@ from dataclasses import asdict
 
 import click
 
+from pcretrieve.cli.commands import command
 from pcretrieve.cli.messages import write_json_list, write_line
 from pcretrieve.cli.parts import catalogue_option, json_option
 
 __all__ = ["list_command"]
 
 
-@click.command("list")
+@command("list")
 @catalogue_option
 @click.option("--failed", is_flag=True, help="Only shapes that failed, with the reason.")
 @click.option("--doubtful", is_flag=True, help="Only shapes that are doubtful or unusable, with the reasons.")

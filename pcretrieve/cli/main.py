@@ -34,38 +34,38 @@ EXIT_SIGNAL = 128
 
 STANDARD_ERROR = 2
 
-# The names of the commands. A command is the function `NAME_command` of the module `NAME`, with underscores
-# for hyphens, which is imported when the command or its help is called.
-COMMANDS = (
-    "demo",
-    "merge",
-    "reconstruct",
-    "signature",
-    "inspect",
-    "report-problem",
-    "ingest",
-    "status",
-    "retry",
-    "watch",
-    "query",
-    "evaluate",
-    "compare",
-    "calibrate",
-    "matrix",
-    "duplicates",
-    "cluster",
-    "map",
-    "report",
-    "serve",
-    "list",
-    "show",
-    "remove",
-    "catalogue",
-    "check",
-    "backup",
-    "export",
-    "options",
-)
+# The commands, each with its line in the list of commands. A command is the function `NAME_command` of the
+# module `NAME`, with underscores for hyphens, which is imported when the command or its help is called.
+COMMANDS = {
+    "demo": "Simulate scans, ingest them, query and evaluate",
+    "merge": "Register range scans of one body, and merge them",
+    "reconstruct": "Write the closed surface of a scan",
+    "signature": "Print the signatures of scans",
+    "inspect": "Write a page that shows what is wrong with a scan",
+    "report-problem": "Pack what is needed to report a scan that fails",
+    "ingest": "Process scans, and store them in a catalogue",
+    "status": "Say how far the last ingest is",
+    "retry": "Process failed scans again",
+    "watch": "Ingest scans that arrive in a folder",
+    "query": "Find the shapes most similar to scans",
+    "evaluate": "Compute retrieval measures of a labelled catalogue",
+    "compare": "Compare the measures of two results",
+    "calibrate": "Learn from labelled scans what to ignore",
+    "matrix": "Write the distances of all pairs of shapes",
+    "duplicates": "Find shapes that nothing distinguishes",
+    "cluster": "Group shapes without labels",
+    "map": "Draw the shapes in the plane, similar ones near",
+    "report": "Write a page of queries, results and measures",
+    "serve": "Show a catalogue in the browser",
+    "list": "List the shapes of a catalogue",
+    "show": "Show how a shape was made",
+    "remove": "Remove shapes from a catalogue",
+    "catalogue": "Make one catalogue of several",
+    "check": "Check whether a catalogue is whole",
+    "backup": "Copy a catalogue to one file",
+    "export": "Write meshes or signatures of a catalogue",
+    "options": "Print all options with their units",
+}
 
 
 class _LazyGroup(click.Group):
@@ -81,6 +81,10 @@ class _LazyGroup(click.Group):
         module = import_module(f"pcretrieve.cli.{name}")
         command: click.Command = getattr(module, f"{name}_command")
         return command
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        with formatter.section("Commands"):
+            formatter.write_dl([*COMMANDS.items()])
 
     def resolve_command(
         self, ctx: click.Context, args: list[str]

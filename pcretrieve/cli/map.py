@@ -7,6 +7,7 @@ from typing import Any
 
 import click
 
+from pcretrieve.cli.commands import command
 from pcretrieve.cli.comparison import compared, comparison_options
 from pcretrieve.cli.messages import write_line
 from pcretrieve.cli.parts import catalogue_option
@@ -14,7 +15,7 @@ from pcretrieve.cli.parts import catalogue_option
 __all__ = ["map_command"]
 
 
-@click.command("map")
+@command("map")
 @catalogue_option
 @click.option(
     "--output",

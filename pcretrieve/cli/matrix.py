@@ -2,33 +2,36 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import click
 
-from pcretrieve.cli.comparison import RecordName, compared, comparison_options, given_flags
+from pcretrieve.cli.commands import command, option
+from pcretrieve.cli.comparison import RecordName, compared, comparison_options, given_flags, names_of
 from pcretrieve.cli.messages import say
 from pcretrieve.cli.parts import EXIT_SOME_FAILED, catalogue_option
 
 __all__ = ["matrix_command"]
 
 
-@click.command("matrix")
+@command("matrix")
 @catalogue_option
-@click.option(
+@option(
     "--output",
     "-o",
     type=click.Path(path_type=Path),
     required=True,
     metavar="FILE",
-    help="The matrix: .npy, or any other suffix for plain text. The ids of its rows are written to a file "
-    "beside it, one in each line.",
+    help="The matrix: .npy, or plain text.",
+    details="The ids of its rows are written to a file beside it, one in each line.",
 )
-@click.option(
+@option(
     "--matcher",
     type=RecordName("matcher"),
-    help="Compare pairs of surfaces by this method, instead of signatures.",
+    help="Compare pairs of surfaces instead of signatures.",
+    details=partial(names_of, "matcher"),
 )
 @comparison_options
 def matrix_command(catalogue: str, output: Path, matcher: str | None, **comparison: Any) -> None:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from pcretrieve.cli.commands import command, option
 from pcretrieve.cli.messages import say, write_json
 from pcretrieve.cli.parts import EXIT_SOME_FAILED, config_option, json_option, limit_options, load_options
 
@@ -21,47 +22,51 @@ if TYPE_CHECKING:
 __all__ = ["merge_command"]
 
 
-@click.command("merge")
+@command("merge")
 @click.argument("paths", nargs=-1, metavar="VIEWS...")
-@click.option(
+@option(
     "--output",
     "-o",
     type=click.Path(path_type=Path),
     required=True,
     metavar="CLOUD",
-    help="The point cloud: .ply or .pcd, which have the sensor position of each point, or .xyzn, which has "
-    "normals only.",
+    help="The point cloud: .ply, .pcd or .xyzn.",
+    details=".ply and .pcd have the sensor position of each point, .xyzn has normals only.",
 )
-@click.option("--refine/--no-refine", default=None, help="Refine given poses, or use them as they are.")
-@click.option(
+@option("--refine/--no-refine", default=None, help="Refine given poses, or use them as they are.")
+@option(
     "--sensor",
     type=click.Choice(["front", "origin"]),
-    help="Position of the sensor of files that have none: far away in the direction +z (front), as of range "
-    "scanners, or at the origin, as of frames of a depth camera.  "
-    "[default: front]",
+    help="Where the sensor is, if files do not say.  [default: front]",
+    details="Far away in the direction +z (front), as of range scanners, or at the origin, as of frames of a "
+    "depth camera.",
 )
-@click.option("--max-range", type=float, metavar="LENGTH", help="Remove points farther from the sensor.")
-@click.option(
+@option("--max-range", type=float, metavar="LENGTH", help="Remove points farther from the sensor.")
+@option(
     "--background",
     type=click.Choice(["none", "planes"]),
-    help="Remove the planes of floors and walls (planes), or nothing.  [default: none]",
+    help="Remove floors and walls (planes).  [default: none]",
 )
-@click.option(
-    "--keep-largest", is_flag=True, default=None, help="Keep only the largest connected piece of each view."
-)
-@click.option(
+@option("--keep-largest", is_flag=True, default=None, help="Keep the largest piece of each view.")
+@option(
     "--voxel",
     type=float,
     metavar="SHARE",
+    rare=True,
     help="Average the points in each voxel of this size, 0 to keep all points.  [default: 0]",
 )
-@click.option(
-    "--reach", type=float, metavar="SHARE", help="Largest distance of corresponding points.  [default: 0.01]"
+@option(
+    "--reach",
+    type=float,
+    metavar="SHARE",
+    rare=True,
+    help="Largest distance of corresponding points.  [default: 0.01]",
 )
-@click.option(
+@option(
     "--min-overlap",
     type=float,
     metavar="SHARE",
+    rare=True,
     help="Smallest fraction of the points of a view that another view must have measured too.  "
     "[default: 0.1]",
 )
@@ -86,16 +91,15 @@ def merge_command(
 ) -> None:
     """Register range scans (views) of one body, and merge them into one point cloud.
 
-    VIEWS are files, folders, glob patterns, one Stanford .conf file, or a folder in the layout of TUM's RGB-D
-    benchmark; the poses of the last two are the initial ones. Views without poses may be in any order and in
-    any pose; frames of a depth camera are fastest in the order of their names. Views that cannot be
+    VIEWS are files, folders, glob patterns, a Stanford .conf file, or a folder of the TUM RGB-D benchmark,
+    whose poses are the initial ones. Views without poses may be in any order and pose. Views that cannot be
     registered are left out, and the exit code is 3. Voxel and reach are relative to the median diagonal of
     the views; the range is in the unit of the files.
 
     \b
     pcretrieve merge bunny/*.ply -o bunny.ply
     pcretrieve merge frames/ --config depth-camera -o body.ply
-    pcretrieve merge frames/ --sensor origin --max-range 1.5 --keep-largest -o body.ply
+    pcretrieve merge frames/ --sensor origin --max-range 1.5 -o body.ply
     """
     from pcretrieve.formats import check_output, write_cloud
     from pcretrieve.ingestion.discover import printable

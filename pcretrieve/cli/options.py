@@ -6,12 +6,13 @@ from pathlib import Path
 
 import click
 
+from pcretrieve.cli.commands import command
 from pcretrieve.cli.parts import config_option, load_options
 
 __all__ = ["options_command"]
 
 
-@click.command("options")
+@command("options")
 @config_option
 def options_command(config: Path | None) -> None:
     """Print all options of the pipeline with their units, as TOML for --config.

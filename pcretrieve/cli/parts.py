@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from pcretrieve.cli.commands import option
 from pcretrieve.cli.completion import CATALOGUE_VARIABLE, complete_presets
 
 if TYPE_CHECKING:
@@ -43,30 +44,33 @@ catalogue_option = click.option(
     help="The catalogue.",
 )
 #: A string, because the layouts of published sets have names.
-labels_option = click.option(
+labels_option = option(
     "--labels",
     metavar="CSV|LAYOUT",
-    help="Classes that replace the stored ones: a file, or a layout, both as for `ingest`.",
+    help="Classes in place of the stored ones, as for `ingest`.",
 )
 json_option = click.option("--json", "as_json", is_flag=True, help="Print one JSON document.")
-config_option = click.option(
+config_option = option(
     "--config",
     type=click.Path(path_type=Path),
     metavar="TOML|PRESET",
     shell_complete=complete_presets,
-    help="Pipeline options: a file such as `pcretrieve options` prints, or one of body-scanner, handheld, "
-    "depth-camera, clean-mesh, paper, classic.",
+    help="Options as by `pcretrieve options`, or body-scanner, handheld, depth-camera, clean-mesh, paper, "
+    "classic.",
 )
-surface_option = click.option(
+surface_option = option(
     "--surface",
     type=click.Choice(["auto", "reconstruct", "keep"]),
-    help="Which meshes to reconstruct: all that are not closed manifolds (auto, the default), all, or none "
-    "(keep).",
+    metavar="WHICH",
+    help="Meshes to rebuild: auto (open ones), reconstruct (all), keep (none).",
+    details="auto, the default, reconstructs meshes that are not closed manifolds.",
 )
-unit_option = click.option(
+unit_option = option(
     "--unit",
     type=click.Choice(["um", "mm", "cm", "dm", "m", "km", "in", "ft"]),
-    help="Unit of the files whose format does not have one. All scans are converted to metres.",
+    metavar="UNIT",
+    help="Unit of files without one: um mm cm dm m km in ft.",
+    details="All scans are converted to metres.",
 )
 
 
@@ -83,15 +87,21 @@ def limit_options(unit: str) -> Callable[[Callable[..., None]], Callable[..., No
     callable
         A decorator of commands, which adds ``--timeout`` and ``--memory``.
     """
-    timeout = click.option(
+    timeout = option(
         "--timeout",
         type=click.FloatRange(min=1),
+        metavar="SECONDS",
+        rare=True,
         default=600,
         show_default=True,
-        help=f"Longest time for a {unit}, seconds.",
+        help=f"Longest time for a {unit}.",
     )
-    memory = click.option(
-        "--memory", type=click.FloatRange(min=0.5), metavar="GIB", help="Largest heap of a worker process."
+    memory = option(
+        "--memory",
+        type=click.FloatRange(min=0.5),
+        metavar="GIB",
+        rare=True,
+        help="Largest heap of a worker process.",
     )
     return lambda command: timeout(memory(command))
 

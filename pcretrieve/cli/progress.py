@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, NoReturn
 
 import click
 
+from pcretrieve.cli.commands import option
 from pcretrieve.cli.messages import escaped, say
 from pcretrieve.cli.patience import stop_waiting
 
@@ -22,9 +23,10 @@ __all__ = ["Progress", "duration", "progress_option"]
 # Time between two lines where standard error is no terminal; seconds.
 LINE_INTERVAL = 60.0
 
-progress_option = click.option(
+progress_option = option(
     "--progress",
     type=click.Choice(["bar", "json", "none"]),
+    rare=True,
     default="bar",
     show_default=True,
     help="How to show progress, on standard error: a bar, or a line a minute if that is no terminal; "

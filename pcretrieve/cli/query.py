@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from pcretrieve.cli.commands import command, option
 from pcretrieve.cli.comparison import compared, comparison_options, matrix_option, read_distances
 from pcretrieve.cli.completion import complete_labels, complete_queries
 from pcretrieve.cli.messages import say, write_csv, write_json_list, write_line
@@ -57,35 +58,42 @@ class LabelFilter(click.ParamType):  # type: ignore[type-arg]  # generic since c
         return label
 
 
-@click.command("query")
+@command("query")
 @click.argument(
     "queries", nargs=-1, required=True, metavar="SCAN|FOLDER|ID...", shell_complete=complete_queries
 )
 @catalogue_option
-@click.option("-k", "k", type=click.IntRange(min=1), default=10, show_default=True, help="Number of results.")
+@click.option(
+    "-k",
+    "k",
+    type=click.IntRange(min=1),
+    default=10,
+    show_default=True,
+    metavar="N",
+    help="Number of results.",
+)
 @click.option(
     "--filter",
     "labels",
     type=LabelFilter(),
     multiple=True,
     shell_complete=complete_labels,
-    help="Search only shapes of this class; several times: of these classes.",
+    help="Search this class only; several times: these classes.",
 )
-@click.option(
-    "--exclude-self", is_flag=True, help="Leave a query that is in the catalogue out of its results."
-)
+@click.option("--exclude-self", is_flag=True, help="Leave stored queries out of their results.")
 @click.option(
     "--min-score",
     type=click.FloatRange(0, 1),
     metavar="SHARE",
-    help='Leave out results with a smaller score; "no match" if none is left.',
+    help='Least score of a result; "no match" if none has it.',
 )
-@click.option(
+@option(
     "--nearest",
     type=click.Choice(["auto", "scan", "tree", "faiss"]),
+    rare=True,
     help="How the nearest shapes are found, always exactly: by lower bounds of the distances to blocks of "
-    "shapes (scan), by a ball tree (tree), or by faiss (an extra); the last two for --distance log and d2. "
-    "auto is scan, the fastest for large catalogues.  [default: auto, or the catalogue's]",
+    "shapes (scan), by a ball tree (tree), or by faiss (an extra).  [default: auto, or the catalogue's]",
+    details="tree and faiss are for --distance log and d2. auto is scan, the fastest for large catalogues.",
 )
 @matrix_option
 @comparison_options
@@ -110,17 +118,14 @@ def query_command(
 ) -> None:
     """Find the shapes most similar to scans, or to shapes of the catalogue, nearest first.
 
-    A scan is processed with the options of the catalogue, unless the catalogue has it already. A folder
-    stands for all scans in it. An argument that is neither a file nor a folder is the id of a shape.
-
-    Printed are rank, distance, score, class, id and file, and a verdict. The score is the share of pairs of
-    one class among all pairs of shapes of the catalogue that are as near, from its labels, or else from
-    mutual neighbours. The verdict is the class that the results vote for by their scores, its margin over the
-    next class, and which ranks could swap within the error bar of the query.
+    A folder stands for all scans in it; what is neither a file nor a folder is the id of a shape. The score
+    is the share of pairs of one class among all pairs of the catalogue that are as near. The last line is a
+    verdict: the class that the results vote for, its margin, and which ranks could swap within the error bar
+    of the query.
 
     \b
-    pcretrieve query --catalogue bodies.sqlite scan.ply -k 5 --whitening pca
-    pcretrieve query --catalogue bodies.sqlite cat0 dog1 --exclude-self --filter label=cat
+    pcretrieve query --catalogue bodies.sqlite scan.ply -k 5
+    pcretrieve query --catalogue bodies.sqlite cat0 dog1 --filter label=cat
     pcretrieve query --catalogue bodies.sqlite new_scans/ --min-score 0.9 --csv
     """
     from pcretrieve.catalogue import Catalogue

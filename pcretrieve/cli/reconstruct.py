@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import click
 
+from pcretrieve.cli.commands import command, option
 from pcretrieve.cli.messages import say, step_lines, write_json, write_line
 from pcretrieve.cli.parts import (
     EXIT_SOME_FAILED,
@@ -28,22 +29,24 @@ if TYPE_CHECKING:
 __all__ = ["reconstruct_command"]
 
 
-@click.command("reconstruct")
+@command("reconstruct")
 @click.argument("scan", type=click.Path(path_type=Path), metavar="SCAN|FOLDER")
-@click.option(
+@option(
     "--output",
     "-o",
     type=click.Path(path_type=Path),
     required=True,
     metavar="MESH|FOLDER",
-    help=".ply .obj .off .stl .glb; for a folder of scans, a folder, which is made if there is none.",
+    help=".ply .obj .off .stl .glb; for a folder, a folder.",
+    details="A folder is made if there is none.",
 )
-@click.option(
+@option(
     "--suffix",
     type=click.Choice([".ply", ".obj", ".off", ".stl", ".glb"]),
+    metavar="SUFFIX",
     help="Format of the meshes of a folder of scans.  [default: .ply]",
 )
-@click.option("--report", is_flag=True, help="Print the steps, with repairs and fallbacks.")
+@option("--report", is_flag=True, help="Print the steps, with repairs and fallbacks.")
 @config_option
 @surface_option
 @workers_option

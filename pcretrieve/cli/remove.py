@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import click
 
+from pcretrieve.cli.commands import command
 from pcretrieve.cli.completion import complete_ids
 from pcretrieve.cli.messages import say
 from pcretrieve.cli.parts import catalogue_option
@@ -11,7 +12,7 @@ from pcretrieve.cli.parts import catalogue_option
 __all__ = ["remove_command"]
 
 
-@click.command("remove")
+@command("remove")
 @click.argument("shape_ids", nargs=-1, required=True, metavar="ID...", shell_complete=complete_ids)
 @catalogue_option
 def remove_command(shape_ids: tuple[str, ...], catalogue: str) -> None:

@@ -7,6 +7,7 @@ from typing import Any
 
 import click
 
+from pcretrieve.cli.commands import command
 from pcretrieve.cli.comparison import compared, comparison_options, matrix_option, read_distances
 from pcretrieve.cli.messages import write_line
 from pcretrieve.cli.parts import catalogue_option
@@ -14,7 +15,7 @@ from pcretrieve.cli.parts import catalogue_option
 __all__ = ["report_command"]
 
 
-@click.command("report")
+@command("report")
 @catalogue_option
 @click.option(
     "--output",
@@ -25,7 +26,12 @@ __all__ = ["report_command"]
     help="The HTML page to write.",
 )
 @click.option(
-    "--queries", type=click.IntRange(min=1), default=8, show_default=True, help="Largest number of queries."
+    "--queries",
+    type=click.IntRange(min=1),
+    default=8,
+    show_default=True,
+    metavar="N",
+    help="Largest number of queries.",
 )
 @click.option(
     "-k",
@@ -33,6 +39,7 @@ __all__ = ["report_command"]
     type=click.IntRange(min=1),
     default=5,
     show_default=True,
+    metavar="N",
     help="Number of results of each query.",
 )
 @matrix_option

@@ -6,20 +6,21 @@ from pathlib import Path
 
 import click
 
+from pcretrieve.cli.commands import command
 from pcretrieve.cli.messages import say, write_line
 from pcretrieve.cli.parts import config_option, limit_options, load_options, surface_option, unit_option
 
 __all__ = ["report_problem_command"]
 
 
-@click.command("report-problem")
+@command("report-problem")
 @click.argument("scan", type=click.Path(path_type=Path), metavar="SCAN")
 @click.option(
     "--output",
     "-o",
     type=click.Path(path_type=Path),
     metavar="ZIP",
-    help="The file to write, by default the name of the scan with -problem.zip, in the current folder.",
+    help="The file to write.  [default: SCAN-problem.zip]",
 )
 @click.option("--with-scan", is_flag=True, help="Pack the scan too.")
 @config_option

@@ -6,9 +6,11 @@ from typing import TYPE_CHECKING
 
 import click
 
+from pcretrieve.cli.commands import command
 from pcretrieve.cli.messages import failure_line, write_json
 from pcretrieve.cli.parts import CATALOGUE, EXIT_SOME_FAILED, json_option, limit_options
 from pcretrieve.cli.progress import Progress, progress_option
+from pcretrieve.cli.scans import workers_option
 from pcretrieve.cli.summary import record_facts, say_summary, summary_document
 
 if TYPE_CHECKING:
@@ -17,13 +19,13 @@ if TYPE_CHECKING:
 __all__ = ["retry_command"]
 
 
-@click.command("retry")
+@command("retry")
 @click.argument("catalogue", type=CATALOGUE)
 @click.option(
     "--stage",
     metavar="STAGE",
-    help="Only scans that failed in this stage, such as surface, or worker for those whose process ended or "
-    "took too long. `pcretrieve status` has the stages.",
+    help="Only scans that failed in this stage, which `pcretrieve status` names; worker: whose process "
+    "ended, or took too long.",
 )
 @click.option(
     "--retries",
@@ -33,7 +35,7 @@ __all__ = ["retry_command"]
     metavar="N",
     help="Try a scan that fails again, N times at most, with changes as for `ingest`.",
 )
-@click.option("--workers", type=click.IntRange(min=1), show_default="one per core", metavar="N")
+@workers_option
 @limit_options("scan")
 @progress_option
 @json_option

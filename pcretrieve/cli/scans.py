@@ -26,7 +26,7 @@ workers_option = click.option(
     type=click.IntRange(min=1),
     show_default="one per core",
     metavar="N",
-    help="Number of scans that are processed at a time.",
+    help="Scans at a time.",
 )
 
 

@@ -6,6 +6,7 @@ from typing import Any
 
 import click
 
+from pcretrieve.cli.commands import command, option
 from pcretrieve.cli.comparison import compared, comparison_options
 from pcretrieve.cli.messages import say, write_line
 from pcretrieve.cli.parts import catalogue_option
@@ -13,14 +14,15 @@ from pcretrieve.cli.parts import catalogue_option
 __all__ = ["serve_command"]
 
 
-@click.command("serve")
+@command("serve")
 @catalogue_option
 @click.option(
     "--port",
     type=click.IntRange(0, 65535),
     default=8765,
     show_default=True,
-    help="The port at 127.0.0.1; 0 for any that is free.",
+    metavar="N",
+    help="The port at 127.0.0.1; 0 for any free one.",
 )
 @click.option("--read-only", is_flag=True, help="Take no scans from browsers.")
 @click.option(
@@ -31,19 +33,22 @@ __all__ = ["serve_command"]
     metavar="MB",
     help="Largest size of a scan from a browser.",
 )
-@click.option(
+@option(
     "--timeout",
     type=click.FloatRange(min=1),
     default=300,
     show_default=True,
-    help="Longest time for a scan from a browser, seconds.",
+    metavar="SECONDS",
+    rare=True,
+    help="Longest time for a scan from a browser.",
 )
-@click.option(
+@option(
     "--memory",
     type=click.FloatRange(min=0.5),
     default=4,
     show_default=True,
     metavar="GIB",
+    rare=True,
     help="Largest heap of the process for scans from browsers.",
 )
 @comparison_options
@@ -65,7 +70,7 @@ def serve_command(
 
     \b
     pcretrieve serve --catalogue bodies.sqlite
-    pcretrieve serve --catalogue bodies.sqlite --port 0 --whitening pca
+    pcretrieve serve --catalogue bodies.sqlite --port 0
     """
     from pcretrieve.catalogue import Catalogue
     from pcretrieve.web import serve

@@ -6,6 +6,7 @@ from dataclasses import asdict
 
 import click
 
+from pcretrieve.cli.commands import command
 from pcretrieve.cli.completion import complete_ids
 from pcretrieve.cli.messages import step_lines, write_json, write_line
 from pcretrieve.cli.parts import catalogue_option, json_option
@@ -13,7 +14,7 @@ from pcretrieve.cli.parts import catalogue_option, json_option
 __all__ = ["show_command"]
 
 
-@click.command("show")
+@command("show")
 @click.argument("shape_id", metavar="ID", shell_complete=complete_ids)
 @catalogue_option
 @json_option

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from pcretrieve.cli.commands import command, option
 from pcretrieve.cli.comparison import method_option, n_values_option, scale_option, size_weight_option
 from pcretrieve.cli.messages import failure_line, say, write_json, write_row
 from pcretrieve.cli.parts import (
@@ -36,20 +37,21 @@ if TYPE_CHECKING:
 __all__ = ["signature_command"]
 
 
-@click.command("signature")
+@command("signature")
 @click.argument("paths", nargs=-1, metavar="[PATH|ID]...")
 @click.option(
     "--from-catalogue",
     type=CATALOGUE,
     metavar="FILE|URL",
-    help="Use shapes of a catalogue, by id, or all shapes, instead of scans.",
+    help="Use shapes of a catalogue, by id, or all, not scans.",
 )
 @method_option
 @n_values_option
-@click.option(
+@option(
     "--n-modes",
     type=click.IntRange(min=2),
     metavar="M",
+    rare=True,
     help="Number of modes of the surface.  [default: 60]",
 )
 @scale_option
@@ -84,8 +86,8 @@ def signature_command(
 
     \b
     pcretrieve signature body.obj
-    pcretrieve signature scans/ --workers 2 --method shape-dna --json
-    pcretrieve signature --from-catalogue bodies.sqlite T12 T17 --method wks --n-values 40
+    pcretrieve signature scans/ --method shape-dna --json
+    pcretrieve signature --from-catalogue bodies.sqlite T12 T17 --method wks
     """
     from pcretrieve.types import Signature
 

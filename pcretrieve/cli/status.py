@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from pcretrieve.cli.commands import command
 from pcretrieve.cli.messages import write_json
 from pcretrieve.cli.parts import CATALOGUE, json_option
 from pcretrieve.cli.progress import duration
@@ -17,7 +18,7 @@ if TYPE_CHECKING:
 __all__ = ["status_command"]
 
 
-@click.command("status")
+@command("status")
 @click.argument("catalogue", type=CATALOGUE)
 @json_option
 def status_command(catalogue: str, as_json: bool) -> None:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from pcretrieve.cli.commands import command
 from pcretrieve.cli.messages import failure_line, say
 from pcretrieve.cli.parts import (
     EXIT_INTERRUPTED,
@@ -19,6 +20,7 @@ from pcretrieve.cli.parts import (
     unit_option,
 )
 from pcretrieve.cli.patience import stop_waiting
+from pcretrieve.cli.scans import workers_option
 from pcretrieve.cli.summary import say_summary
 
 if TYPE_CHECKING:
@@ -27,7 +29,7 @@ if TYPE_CHECKING:
 __all__ = ["watch_command"]
 
 
-@click.command("watch")
+@command("watch")
 @click.argument("folder", type=click.Path(path_type=Path))
 @catalogue_option
 @config_option
@@ -38,9 +40,10 @@ __all__ = ["watch_command"]
     type=click.FloatRange(min=0.1),
     default=5,
     show_default=True,
-    help="Seconds between two looks; a file that is the same in both has stopped growing.",
+    metavar="SECONDS",
+    help="Time between two looks, in which files must stay the same.",
 )
-@click.option("--workers", type=click.IntRange(min=1), show_default="one per core", metavar="N")
+@workers_option
 @limit_options("scan")
 def watch_command(
     folder: Path,

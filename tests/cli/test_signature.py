@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import subprocess
 import sys
 from collections.abc import Callable
@@ -153,8 +154,8 @@ def test_a_descriptor_of_another_package_is_used_like_any_other(
 
 @pytest.mark.usefixtures("installed")
 def test_help_and_mistakes_name_all_descriptors(run: Run, scan: Path) -> None:
-    text = run("signature", "--help").stdout
-    assert "|".join((*METHODS, "clumsy", "girth", "hollow", "lost")) in text
+    text = re.sub(r"(-?)\n *", r"\1", run("signature", "--help-all").stdout)
+    assert ",".join((*METHODS, "clumsy", "girth", "hollow", "lost")) in text.replace(", ", ",")
     wrong = run("signature", scan, "--method", "girht")
     assert wrong.code == 2
     assert "method: input should be one of r-bihdm, bihdm, bihdm-sampled," in wrong.stderr
