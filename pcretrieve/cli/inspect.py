@@ -13,6 +13,7 @@ import click
 from pcretrieve.cli.commands import command, option
 from pcretrieve.cli.messages import say, write_json, write_line
 from pcretrieve.cli.parts import (
+    CATALOGUE,
     EXIT_SOME_FAILED,
     config_option,
     json_option,
@@ -58,6 +59,14 @@ __all__ = ["inspect_command"]
     details="Each is reconstructed from nine tenths of the points; the standard deviation of their "
     "signatures is shown. 0 for none.",
 )
+@click.option(
+    "--catalogue",
+    "-c",
+    type=CATALOGUE,
+    metavar="FILE|URL",
+    help="Compare the error bar of the signature with the distance to the next body in this catalogue; the "
+    "scan is processed with its options. By default this distance is that of people.",
+)
 @config_option
 @surface_option
 @workers_option
@@ -69,6 +78,7 @@ def inspect_command(
     output: Path | None,
     png: Path | None,
     rescans: int,
+    catalogue: str | None,
     config: Path | None,
     surface: str | None,
     workers: int | None,
@@ -80,7 +90,8 @@ def inspect_command(
     """Write an HTML page that shows what is wrong with a scan, and what to do about it.
 
     The page shows points, normals and surface from all sides and in a 3D viewer; which points were removed;
-    where the surface was filled in, separated and connected; and the signature with its standard deviation.
+    where the surface was filled in, separated and connected; and the signature with its error bar, which the
+    verdict compares with the distance to the next body.
     If a stage fails, the page shows the results of the earlier stages, and the exit code is 3. Of a folder,
     each scan has a page, which is named like the scan, and a line: page, verdict and summary.
 
@@ -89,18 +100,24 @@ def inspect_command(
     pcretrieve inspect scan.ply -o page.html --png sheet.png --rescans 0
     pcretrieve inspect scans/ -o pages/ --workers 2
     """
+    from pcretrieve.catalogue import Catalogue
     from pcretrieve.errors import InputError
     from pcretrieve.formats import check_output, split_member
     from pcretrieve.ingestion.discover import discover, printable
     from pcretrieve.ingestion.isolation import Isolation
 
-    options = load_options(config, surface)
+    base = None
+    if catalogue is not None:
+        with Catalogue(catalogue) as store:
+            base = store.options
+    options = load_options(config, surface, base=base)
     timeout *= 1 + rescans
     if scan.is_dir():
         if output is None or png is not None:
             raise click.UsageError("name a folder for the pages of the scans with -o, and leave out --png")
         scans = discover([scan])
-        inspect = partial(_inspected_to, output_files(output, scans, scan, ".html"), options, rescans)
+        pages = output_files(output, scans, scan, ".html")
+        inspect = partial(_inspected_to, pages, options, rescans, catalogue)
         _write_outcomes(
             each_scan(
                 "inspect", inspect, scans, workers=workers, timeout=timeout, memory=memory, progress=progress
@@ -114,12 +131,15 @@ def inspect_command(
     for target in (page, png):
         if target is not None:
             check_output(target, [scan])
-    inspection, page = Isolation(timeout, memory).call(_inspected, scan, options, rescans, page, png)
+    inspection, page = Isolation(timeout, memory).call(
+        _inspected, scan, options, rescans, catalogue, page, png
+    )
     for check in inspection.checks:
         advice = "" if check.verdict == "passed" else f": {check.words}"
         say(f"{check.verdict:<6}  {check.name:<16}  {check.shown}{advice}")
     if inspection.shape_verdict is not None:
         say(f"The shape is {inspection.shape_verdict}.")
+        say(inspection.next_body.source)
     say(inspection.summary)
     if as_json:
         write_json(_document(inspection, page, png))
@@ -143,23 +163,27 @@ def _write_outcomes(outcomes: Iterable[tuple[Path, dict[str, object] | Record]],
 
 
 def _inspected_to(
-    pages: dict[Path, Path], options: PipelineOptions, n_rescans: int, scan: Path
+    pages: dict[Path, Path], options: PipelineOptions, n_rescans: int, catalogue: str | None, scan: Path
 ) -> dict[str, object]:
     """The JSON document of an inspection, whose page is written, in a worker process."""
-    inspection, page = _inspected(scan, options, n_rescans, pages[scan], None)
+    inspection, page = _inspected(scan, options, n_rescans, catalogue, pages[scan], None)
     return _document(inspection, page, None)
 
 
 def _inspected(
-    scan: Path, options: PipelineOptions, n_rescans: int, page: Path, png: Path | None
+    scan: Path,
+    options: PipelineOptions,
+    n_rescans: int,
+    catalogue: str | None,
+    page: Path,
+    png: Path | None,
 ) -> tuple[Inspection, Path]:
     """An inspection and its page, in a worker process, which imports the stages."""
-    from pcretrieve.inspection.inspect import inspect_scan
-    from pcretrieve.pages.inspection_page import write_inspection_page
+    from pcretrieve.interface.scans import inspect
     from pcretrieve.pages.inspection_sheet import write_inspection_png
 
-    inspection = inspect_scan(scan, options, n_rescans=n_rescans)
-    written = write_inspection_page(inspection, page)
+    inspection = inspect(scan, options, n_rescans=n_rescans, page=page, catalogue=catalogue)
+    written = page.absolute()
     if png is not None:
         write_inspection_png(inspection, png)
     return inspection, written
@@ -176,6 +200,7 @@ def _document(inspection: Inspection, page: Path, png: Path | None) -> dict[str,
         "verdict": inspection.verdict,
         "summary": inspection.summary,
         "shape_verdict": None if judged is None else asdict(judged),
+        "next_body": asdict(inspection.next_body),
         "checks": [asdict(check) for check in inspection.checks],
         "cuts": inspection.cuts.tolist(),
         "bridges": inspection.bridges.tolist(),

@@ -8,12 +8,14 @@ from pathlib import Path
 
 import numpy as np
 
+from pcretrieve.catalogue import Catalogue
 from pcretrieve.descriptors import describe
 from pcretrieve.errors import OptionError, ShapeError
 from pcretrieve.formats.scans import ScanLike, as_scan
 from pcretrieve.ingestion.discover import printable
 from pcretrieve.inspection.checks import failure_check, rescan_check, spread_check
 from pcretrieve.inspection.inspection import Inspection
+from pcretrieve.inspection.next_body import next_body_in
 from pcretrieve.inspection.removed import Removed, median_spacing, removed_after
 from pcretrieve.options import OptionsLike, PipelineOptions
 from pcretrieve.pipeline.process import placed, signature
@@ -30,7 +32,13 @@ __all__ = ["inspect_scan", "signature_spread"]
 RESCAN_SHARE = 0.9
 
 
-def inspect_scan(scan: ScanLike, options: OptionsLike = None, *, n_rescans: int = 4) -> Inspection:
+def inspect_scan(
+    scan: ScanLike,
+    options: OptionsLike = None,
+    *,
+    n_rescans: int = 4,
+    catalogue: Catalogue | None = None,
+) -> Inspection:
     """Process a scan, and check the result of each stage.
 
     If a stage fails, the results of the earlier stages are checked. Rescans are simulated by reconstructing
@@ -41,9 +49,13 @@ def inspect_scan(scan: ScanLike, options: OptionsLike = None, *, n_rescans: int 
     scan : ScanLike
         A path, an array, or geometry of this package, Open3D, trimesh or PyVista; see `as_geometry`.
     options : OptionsLike, optional
-        Options, a preset's name, a TOML file, or a mapping; see `PipelineOptions.of`.
+        Options, a preset's name, a TOML file, or a mapping; see `PipelineOptions.of`. By default those of the
+        catalogue, if there is one.
     n_rescans : int, default 4
         Number of rescans. With 0, there is no rescan deviation and no spread.
+    catalogue : Catalogue, optional
+        Where the next body is looked for, with whose distance the error bar of the signature is compared. By
+        default this distance is that of people.
 
     Returns
     -------
@@ -53,13 +65,18 @@ def inspect_scan(scan: ScanLike, options: OptionsLike = None, *, n_rescans: int 
     Raises
     ------
     InputError
-        If `scan` cannot be converted to a cloud or a mesh, or `n_rescans` is 1 or negative.
+        If `scan` cannot be converted to a cloud or a mesh, `n_rescans` is 1 or negative, or signatures that
+        are not compared by logarithms are compared with a catalogue.
+    CatalogueError
+        If the options require other spectra than the catalogue has.
     """
     # Without the size: in the plot, it would be orders of magnitude larger than the other values.
-    options = PipelineOptions.of(options).changed(signature={"size_weight": 0})
+    options = PipelineOptions.of(options, None if catalogue is None else catalogue.options)
+    options = options.changed(signature={"size_weight": 0})
     if n_rescans:
         _check_rescans(n_rescans, RESCAN_SHARE)
-    path = printable(scan) if isinstance(scan, (str, Path)) else ""
+    file = Path(scan) if isinstance(scan, (str, Path)) else None
+    path = "" if file is None else printable(file)
     name = Path(path).name or "scan"
     reached, failure = _Described(), None
     try:
@@ -67,7 +84,10 @@ def inspect_scan(scan: ScanLike, options: OptionsLike = None, *, n_rescans: int 
             reached = described
     except ShapeError as error:
         failure = Failure(name, error.stage or "worker", type(error).__name__, error.message)
-    return _inspection(name, path, reached, failure)
+    found = _inspection(name, path, reached, failure)
+    if catalogue is None or found.signature is None:
+        return found
+    return replace(found, next_body=next_body_in(catalogue, found.signature, options, path=file))
 
 
 def signature_spread(

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pcretrieve.quality import OUTCOMES, Check, Outcome, verdict_of
+from pcretrieve.inspection.next_body import NextBody, ratio_words
+from pcretrieve.quality import Check, Outcome, verdict_of
 from pcretrieve.types import Failure, FloatArray, PointCloud, Signature, Step, TriangleMesh, Verdict
 
 __all__ = ["Inspection"]
@@ -53,6 +54,8 @@ class Inspection:
         The stage that failed, and its error; None if there is a signature.
     steps : tuple of Step
         The provenance of the last result.
+    next_body : NextBody
+        The distance with which the error bar of the signature is compared.
     """
 
     name: str
@@ -72,34 +75,47 @@ class Inspection:
     spread: float | None
     failure: Failure | None
     steps: tuple[Step, ...]
+    next_body: NextBody = field(default_factory=NextBody)
 
     @property
     def verdict(self) -> Outcome:
-        """The most severe verdict of the checks."""
-        given = {check.verdict for check in self.checks}
-        return next((verdict for verdict in OUTCOMES if verdict in given), "passed")
+        """That of the shape: "passed" if it is sound, "look" if doubtful, "failed" if unusable or none."""
+        judged = self.shape_verdict
+        if judged is None:
+            return "failed"
+        return "passed" if judged.is_sound else "look" if judged.judgement == "doubtful" else "failed"
 
     @property
     def shape_verdict(self) -> Verdict | None:
-        """The verdict on the shape by all checks, rescans included; None if there is no signature."""
-        return None if self.signature is None else verdict_of(self.checks)
+        """The verdict on the shape by all checks, the rescans and the next body; None without a signature.
+
+        Its uncertainty is the error bar of the signature.
+        """
+        if self.signature is None:
+            return None
+        return verdict_of(self.checks, spread=self.spread, next_body=self.next_body.distance)
 
     @property
     def summary(self) -> str:
-        """The verdict in one line."""
+        """The verdict in one or two sentences: the error bar of the signature, and what to look at."""
         failed, look = (
             [check.name.lower() for check in self.checks if check.verdict == verdict]
             for verdict in ("failed", "look")
         )
-        if self.failure is not None:
-            causes = [name for name in failed if self.failure.stage not in name] or look
+        judged = self.shape_verdict
+        if judged is None:
+            stage = "" if self.failure is None else self.failure.stage
+            causes = [name for name in failed if stage not in name] or look
             because = f"; look at: {', '.join(causes)}" if causes else ""
-            return f"No signature, the {self.failure.stage} stage failed{because}."
-        if failed:
-            return f"Do not trust this scan: {', '.join(failed)}."
-        if look:
-            return f"Usable, but look at: {', '.join(look)}."
-        return "A good scan: all checks passed."
+            return f"No signature, the {stage} stage failed{because}."
+        words = {"sound": "A good scan", "doubtful": "A doubtful scan", "unusable": "Do not trust this scan"}
+        ratio = judged.uncertainty / self.next_body.distance if self.next_body.distance else np.inf
+        is_least = "at least " if failed else ""
+        error = f"its error bar, {is_least}± {judged.uncertainty:.2g}, is {ratio_words(ratio)} the distance"
+        causes = failed + look
+        return f"{words[judged.judgement]}: {error} to the next body." + (
+            f" Look at: {', '.join(causes)}." if causes else ""
+        )
 
     @cached_property
     def body(self) -> FloatArray:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import nullcontext
 from pathlib import Path
 
 from pcretrieve.catalogue import Record
@@ -138,7 +139,12 @@ def ingest(
 
 
 def inspect(
-    scan: ScanLike, options: OptionsLike = None, *, n_rescans: int = 4, page: str | Path | None = None
+    scan: ScanLike,
+    options: OptionsLike = None,
+    *,
+    n_rescans: int = 4,
+    page: str | Path | None = None,
+    catalogue: CatalogueLike | None = None,
 ) -> Inspection:
     """Process a scan, and check the result of each stage.
 
@@ -153,6 +159,9 @@ def inspect(
         the signature; 0 for none.
     page : str or Path, optional
         An HTML file to which a page with the results is written.
+    catalogue : Catalogue, str or Path, optional
+        Where the next body is looked for, with whose distance the error bar of the signature is compared; its
+        options are then the defaults. Without a catalogue, this distance is that of people.
 
     Returns
     -------
@@ -163,8 +172,11 @@ def inspect(
     ------
     InputError
         If `scan` cannot be converted to a cloud or a mesh, or the page cannot be written.
+    CatalogueError
+        If the options require other spectra than the catalogue has.
     """
-    found = inspect_scan(scan, options, n_rescans=n_rescans)
+    with nullcontext() if catalogue is None else opened(catalogue) as store:
+        found = inspect_scan(scan, options, n_rescans=n_rescans, catalogue=store)
     if page is not None:
         write_inspection_page(found, page)
     return found

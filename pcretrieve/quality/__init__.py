@@ -9,9 +9,10 @@ from pcretrieve.quality.check import OUTCOMES, Check, Limits, Outcome, graded
 from pcretrieve.quality.findings import Findings, findings_of
 from pcretrieve.quality.points import normal_checks, point_checks
 from pcretrieve.quality.surfaces import base_check, fit_checks, marks_check, mesh_check, surface_checks
-from pcretrieve.quality.verdict import verdict_of
+from pcretrieve.quality.verdict import NEXT_BODY, verdict_of
 
 __all__ = [
+    "NEXT_BODY",
     "OUTCOMES",
     "Check",
     "Findings",

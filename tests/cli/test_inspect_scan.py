@@ -44,7 +44,12 @@ def test_the_page_goes_where_one_stands_and_its_path_to_standard_output(folder: 
     assert result.returncode == 0
     assert result.stdout == f"{(folder / 'mesh.html').resolve()}\n"
     assert "mesh.off" in (folder / "mesh.html").read_text(encoding="utf-8")
-    assert result.stderr.splitlines()[-2:] == ["The shape is sound, ± 0.", "A good scan: all checks passed."]
+    shape, source, summary = result.stderr.splitlines()[-3:]
+    assert shape == "The shape is sound, ± 0."
+    assert source.startswith("The distance to the next body, 0.5, is that of people")
+    assert summary == (
+        "A good scan: its error bar, ± 0, is less than a twentieth of the distance to the next body."
+    )
 
 
 def test_json_holds_checks_and_numbers(folder: Path) -> None:
@@ -64,8 +69,10 @@ def test_json_holds_checks_and_numbers(folder: Path) -> None:
     answer = json.loads(result.stdout)
     assert answer["page"] == str((folder / "page.html").resolve())
     assert answer["failure"] is None
-    assert answer["verdict"] in ("passed", "look")
-    assert answer["shape_verdict"]["judgement"] in ("sound", "doubtful")
+    judgement = answer["shape_verdict"]["judgement"]
+    assert (answer["verdict"], judgement) in (("passed", "sound"), ("look", "doubtful"))
+    assert answer["shape_verdict"]["uncertainty"] >= answer["spread"]
+    assert answer["next_body"]["distance"] == 0.5
     assert {"Points", "Normals", "Handles", "Signature"} <= {check["name"] for check in answer["checks"]}
     for check in answer["checks"]:
         assert f"{check['verdict']:<6}  {check['name']}" in result.stderr

@@ -20,6 +20,7 @@ from PIL import Image
 from pcretrieve.errors import InputError
 from pcretrieve.inspection.checks import spread_check
 from pcretrieve.inspection.inspection import Inspection
+from pcretrieve.inspection.next_body import NextBody, ratio_words
 from pcretrieve.pages.inspection_page import write_inspection_page
 from pcretrieve.pages.inspection_pictures import (
     AWAY,
@@ -276,15 +277,48 @@ def test_pages_that_cannot_be_written(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == []
 
 
-def test_the_summary_names_the_worst() -> None:
-    seen = inspection()
-    assert (seen.verdict, seen.summary) == ("look", "Usable, but look at: outliers.")
-    passed = replace(seen, checks=seen.checks[1:])
-    assert (passed.verdict, passed.summary) == ("passed", "A good scan: all checks passed.")
+def test_the_summary_compares_the_error_bar_with_the_next_body() -> None:
+    seen = inspection()  # with a spread of .2
+    error = "its error bar, ± 0.2, is two fifths of the distance to the next body."
+    assert (seen.verdict, seen.summary) == ("passed", f"A good scan: {error} Look at: outliers.")
+    passed = replace(seen, checks=seen.checks[1:], spread=0.0)
+    least = "its error bar, ± 0, is less than a twentieth of the distance to the next body."
+    assert (passed.verdict, passed.summary) == ("passed", f"A good scan: {least}")
+    doubtful = replace(passed, spread=0.6)
+    assert doubtful.verdict == "look"
+    assert doubtful.summary.startswith("A doubtful scan: its error bar, ± 0.6, is 1.2 times the distance")
+    noisy = replace(seen, checks=(Check("Noise", "look", 1.0, "much", "Hold still.", 1.5), *seen.checks))
+    assert noisy.verdict == "failed"
+    assert noisy.summary == (
+        "Do not trust this scan: its error bar, ± 1.5, is 3 times the distance to the next body. "
+        "Look at: noise, outliers."
+    )
     failed = replace(seen, checks=(Check("Noise", "failed", 1.0, "much", "Hold still."), *seen.checks))
-    assert (failed.verdict, failed.summary) == ("failed", "Do not trust this scan: noise.")
-    stopped = replace(failed, failure=Failure("ball.ply", "surface", "ReconstructionError", "no"))
+    assert failed.verdict == "failed"
+    assert failed.summary.startswith(
+        "Do not trust this scan: its error bar, at least ± 0.2, is two fifths of"
+    )
+    stopped = replace(
+        failed, signature=None, failure=Failure("b.ply", "surface", "ReconstructionError", "no")
+    )
     assert stopped.summary == "No signature, the surface stage failed; look at: noise."
+
+
+def test_the_verdict_is_by_the_distance_in_a_catalogue() -> None:
+    seen = inspection()
+    near = replace(seen, next_body=NextBody(0.25, "dog0", "dog", "The next body is dog0."))
+    assert (near.verdict, near.shape_verdict and near.shape_verdict.judgement) == ("look", "doubtful")
+    assert "is three quarters of the distance" in near.summary
+    assert replace(near, next_body=NextBody(0.1)).verdict == "failed"
+
+
+@pytest.mark.parametrize(
+    ("ratio", "words"),
+    [(0, "less than a twentieth of"), (0.1, "a tenth of"), (0.34, "a third of"), (0.5, "half of"),
+     (0.66, "two thirds of"), (1.0, "as large as"), (1.5, "1.5 times"), (1e9, "more than 100 times")],
+)  # fmt: skip
+def test_ratios_have_words(ratio: float, words: str) -> None:
+    assert ratio_words(ratio) == words
 
 
 # --- the checks ---------------------------------------------------------------------------------------
