@@ -17,6 +17,7 @@ from numpy.random import Generator
 from pcretrieve.benchmarks.surfaces import bumpy_sphere
 from pcretrieve.catalogue import Catalogue
 from pcretrieve.catalogue.arrays import packed_values
+from pcretrieve.catalogue.record_rows import CHECKSUMS, NUMBERED, with_checksums
 from pcretrieve.formats import write_mesh
 from pcretrieve.options import PipelineOptions
 from pcretrieve.types import FloatArray
@@ -109,6 +110,8 @@ def synthetic_catalogue(path: Path, options: PipelineOptions, n_shapes: int, see
             "INSERT INTO provenance (shape, steps, options_digest, versions, added) VALUES (?, ?, ?, ?, ?)",
             ((number, *provenance) for number in range(n_shapes)),
         )
+        rows = connection.execute(NUMBERED, {"last": -1, "limit": n_shapes})
+        connection.executemany(CHECKSUMS, [with_checksums(row) for row in rows])
         connection.executemany(
             "INSERT INTO signatures (descriptor, shape, value) VALUES (0, ?, ?)",
             ((number, packed_values(values)) for number, values in enumerate(signatures)),

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Literal
 
-__all__ = ["Defect"]
+from pcretrieve.errors import CatalogueError
+
+__all__ = ["ChangedRow", "Defect"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,3 +33,34 @@ class Defect:
     shape_id: str | None
     message: str
     repair: str | None = None
+
+
+class ChangedRow(CatalogueError):
+    """Texts or numbers of a row that are not those that were stored, as by a flipped bit on the disk.
+
+    Parameters
+    ----------
+    location : str
+        The catalogue, as the message names it.
+    row : mapping of str to value
+        The row as it is now, with `id`, `path` and `label`.
+    parts : tuple of str
+        What has changed: "id", "path", "label" or "record", which is everything else.
+
+    Attributes
+    ----------
+    parts : tuple of str
+        What has changed.
+    fault : str
+        The same in words.
+    """
+
+    def __init__(self, location: str, row: Mapping[str, object], parts: tuple[str, ...]) -> None:
+        self.parts = parts
+        named = [f"{name} {row[name]!r}" if name in row else name for name in parts]
+        have = "has" if len(parts) == 1 else "have"
+        self.fault = f"its {' and its '.join(named)} {have} changed since it was stored"
+        super().__init__(
+            f"{location} is damaged (shape {row['id']!r}: {self.fault}): restore a copy, or repair it with "
+            "`pcretrieve check --repair`"
+        )

@@ -98,7 +98,7 @@ def merge_rows(target: Rows, parts: Sequence[Rows]) -> Merged:
     held = {path: origin for path, (place, origin) in chosen.items() if place == 0}
     new_labels = {path: labels[path] for path, origin in held.items() if labels[path] != (origin.label or "")}
     if new_labels:
-        target.revise(moved={}, removed=(), labels=new_labels)
+        target.revise(moved={}, removed=(), labels=new_labels, stamps={})
     return Merged(sum(map(len, added.values())), n_held)
 
 

@@ -17,8 +17,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcretrieve.catalogue.arrays import packed, packed_symmetric, packed_values
+from pcretrieve.catalogue.checksums import CHECKSUM_COLUMNS
 from pcretrieve.catalogue.filesystems import journal_of, mount_of
 from pcretrieve.catalogue.opening import damaged, is_writable
+from pcretrieve.catalogue.record_rows import CHECKSUMS, NUMBERED, with_checksums
 from pcretrieve.catalogue.schema import SCHEMA_VERSION, create_tables, table_names, transaction
 from pcretrieve.catalogue.settings import stored_options
 from pcretrieve.errors import CatalogueError
@@ -34,8 +36,16 @@ Arrays = dict[str, NDArray[Any]]
 # Tables that every version has.
 TABLES = {"meta", "shapes"}
 
+# Columns of the table `shapes` of version 1 that the present table has too.
+COLUMNS_OF_1 = (
+    "id, path, content_hash, label, status, stage, error, message, area, n_vertices, n_faces, euler"
+)
+
 # Number of shapes after which progress is logged.
 REPORTED = 100
+
+# Number of rows that get their checksums together.
+ROWS_AT_ONCE = 1000
 
 
 def prepare(connection: sqlite3.Connection, path: Path, settings: Mapping[str, str]) -> None:
@@ -82,13 +92,14 @@ def prepare(connection: sqlite3.Connection, path: Path, settings: Mapping[str, s
 
 
 def _migrate(connection: sqlite3.Connection, path: Path) -> None:
-    """Rewrite a file of version 1, or add to one of version 2 what it lacks, in one transaction."""
+    """Rewrite a file of version 1, or add to a later one what it lacks, in one transaction."""
     with transaction(connection, "IMMEDIATE"):
         (version,) = connection.execute("PRAGMA user_version").fetchone()
         if version == SCHEMA_VERSION:
             return  # another process has migrated the file in the meantime
-        if version == 2:
-            _add_columns(connection)
+        if version > 1:
+            _add_columns(connection, version)
+            _add_checksums(connection)
             return
         settings = _settings_of_1(path, dict(connection.execute("SELECT key, value FROM meta")))
         stored_options(path, settings)  # raises, before the file is changed, if it could not be used
@@ -108,19 +119,37 @@ def _migrate(connection: sqlite3.Connection, path: Path) -> None:
             if done % REPORTED == 0:
                 logger.info("rewritten: %d of %d shapes", done, total)
         connection.execute("DROP TABLE shapes_1")
+        _add_checksums(connection)
 
 
-def _add_columns(connection: sqlite3.Connection) -> None:
-    """Add the columns of verdicts and of units, which are empty: neither was known of the shapes."""
-    for table, column in (
-        ("shapes", "judgement TEXT"),
-        ("shapes", "uncertainty REAL"),
-        ("shapes", "metres_per_unit REAL"),
-        ("provenance", "reasons TEXT"),
+def _add_columns(connection: sqlite3.Connection, version: int) -> None:
+    """Add the columns of later versions, which are empty: none of this was known of the shapes."""
+    for since, table, column in (
+        (3, "shapes", "judgement TEXT"),
+        (3, "shapes", "uncertainty REAL"),
+        (3, "shapes", "metres_per_unit REAL"),
+        (3, "provenance", "reasons TEXT"),
+        (4, "shapes", "stamp TEXT"),
+        *((4, "shapes", f"{name} INTEGER") for name in CHECKSUM_COLUMNS.values()),
     ):
-        connection.execute(f"ALTER TABLE {table} ADD COLUMN {column}")
-    connection.execute("CREATE INDEX doubtful_shapes ON shapes (id) WHERE judgement <> 'sound'")
+        if version < since:
+            connection.execute(f"ALTER TABLE {table} ADD COLUMN {column}")
+    if version < 3:
+        connection.execute("CREATE INDEX doubtful_shapes ON shapes (id) WHERE judgement <> 'sound'")
     connection.execute(f"PRAGMA user_version = {SCHEMA_VERSION}")
+
+
+def _add_checksums(connection: sqlite3.Connection) -> None:
+    """Store the checksums of all rows as they are now."""
+    last = 0
+    # A text that is damaged already can be migrated too, and is found by the next check.
+    connection.text_factory = lambda text: text.decode("utf-8", "replace")
+    try:
+        while rows := connection.execute(NUMBERED, {"last": last, "limit": ROWS_AT_ONCE}).fetchall():
+            connection.executemany(CHECKSUMS, [with_checksums(row) for row in rows])
+            last = rows[-1][0]
+    finally:
+        connection.text_factory = str
 
 
 def _settings_of_1(path: Path, meta: Mapping[str, str]) -> dict[str, str]:
@@ -146,8 +175,7 @@ def _move_shape_of_1(connection: sqlite3.Connection, path: Path, shape_id: str) 
     """Move a shape from the table of version 1 to the new tables, so that its pages can be used again."""
     chosen = (shape_id,)
     number = connection.execute(
-        "INSERT INTO shapes SELECT NULL, id, path, content_hash, label, status, stage, error, message, area, "
-        "n_vertices, n_faces, euler, NULL, NULL, NULL FROM shapes_1 WHERE id = ?",
+        f"INSERT INTO shapes ({COLUMNS_OF_1}) SELECT {COLUMNS_OF_1} FROM shapes_1 WHERE id = ?",
         chosen,
     ).lastrowid
     connection.execute(
@@ -179,7 +207,7 @@ def _archive(blob: bytes) -> Arrays:
 def _packages_of_1(
     area: float, signature: Arrays, eigenvalues: Arrays, moments: Arrays, mesh: Arrays
 ) -> dict[str, bytes]:
-    """The arrays of version 1 as versions 2 and 3 store them, by table."""
+    """The arrays of version 1 as later versions store them, by table."""
     # In version 1 all surfaces of a scan were scaled by the factor that gave the first surface unit area.
     stored = zip(
         eigenvalues["values"], moments["values"], eigenvalues["areas"], moments["overlaps"], strict=True

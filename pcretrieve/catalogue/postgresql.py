@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from pcretrieve.catalogue.checksums import checksum
 from pcretrieve.catalogue.database import Database, Transaction
 from pcretrieve.catalogue.defects import Defect
 from pcretrieve.catalogue.opening import damaged
@@ -141,7 +142,7 @@ class PostgresqlRows(Rows):
 
     def origins(self) -> list[Origin]:
         with self._database.reading() as reading:
-            rows = reading.all("SELECT id, path, content_hash, label, status FROM shapes ORDER BY id")
+            rows = reading.all("SELECT id, path, content_hash, label, status, stamp FROM shapes ORDER BY id")
             return [Origin(*row) for row in rows]
 
     def labelled(self, labels: Collection[str]) -> list[str]:
@@ -193,13 +194,18 @@ class PostgresqlRows(Rows):
             changed(writing, "revision")
 
     def revise(
-        self, *, moved: Mapping[str, str], removed: Collection[str], labels: Mapping[str, str]
+        self,
+        *,
+        moved: Mapping[str, str],
+        removed: Collection[str],
+        labels: Mapping[str, str | None],
+        stamps: Mapping[str, str],
     ) -> None:
         with self._writing() as writing:
             writing.run_each(
-                f"UPDATE shapes SET path = :new WHERE {has_path('old')} AND NOT EXISTS "
-                f"(SELECT 1 FROM shapes WHERE {has_path('new')})",
-                [{"old": old, "new": new} for old, new in moved.items()],
+                f"UPDATE shapes SET path = :new, path_checksum = :checksum WHERE {has_path('old')} "
+                f"AND NOT EXISTS (SELECT 1 FROM shapes WHERE {has_path('new')})",
+                [{"old": old, "new": new, "checksum": checksum(new)} for old, new in moved.items()],
             )
             if removed:
                 paths = [{"path": path} for path in removed]
@@ -207,10 +213,17 @@ class PostgresqlRows(Rows):
                 changed(writing, "revision")
             if labels:
                 writing.run_each(
-                    f"UPDATE shapes SET label = :label WHERE {has_path('path')}",
-                    [{"label": label, "path": path} for path, label in labels.items()],
+                    f"UPDATE shapes SET label = :label, label_checksum = :checksum WHERE {has_path('path')}",
+                    [
+                        {"label": label, "checksum": checksum(label), "path": path}
+                        for path, label in labels.items()
+                    ],
                 )
                 changed(writing, "label_revision")
+            writing.run_each(
+                f"UPDATE shapes SET stamp = :stamp WHERE {has_path('path')}",
+                [{"stamp": stamp, "path": path} for path, stamp in stamps.items()],
+            )
 
     # --- arrays -----------------------------------------------------------------------------------------
 

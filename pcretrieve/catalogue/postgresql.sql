@@ -1,4 +1,4 @@
--- Version 3: what schema.sql has, in a schema of a PostgreSQL database. Texts are compared by code point, as in Python
+-- Version 4: what schema.sql has, in a schema of a PostgreSQL database. Texts are compared by code point, as in Python
 -- and in SQLite (the collation "C").
 CREATE TABLE meta (
     key   text PRIMARY KEY,         -- options (JSON), numbers_version, schema_version, revision, label_revision
@@ -20,7 +20,12 @@ CREATE TABLE shapes (
     euler        bigint,
     judgement    text,
     uncertainty  double precision,
-    metres_per_unit double precision
+    metres_per_unit double precision,
+    stamp        text,
+    id_checksum     bigint,
+    path_checksum   bigint,
+    label_checksum  bigint,
+    record_checksum bigint
 );
 -- By a hash, because an entry of an index must be shorter than a path may be.
 CREATE UNIQUE INDEX shapes_by_path ON shapes (md5(path));

@@ -6,17 +6,27 @@ from collections.abc import Mapping
 from importlib import resources
 from uuid import uuid4
 
+from pcretrieve.catalogue.checksums import CHECKSUM_COLUMNS
 from pcretrieve.catalogue.database import Database, Transaction
 from pcretrieve.catalogue.defects import Defect
 from pcretrieve.catalogue.opening import damaged
+from pcretrieve.catalogue.record_rows import CHECKSUMS, NUMBERED, with_checksums
 from pcretrieve.errors import CatalogueError
 
 __all__ = ["SCHEMA_VERSION", "changed", "orphans", "prepare_tables", "read_settings"]
 
-SCHEMA_VERSION = 3
+SCHEMA_VERSION = 4
 
 # Statements that turn a version into the next one, by the earlier version.
-MIGRATIONS: dict[int, tuple[str, ...]] = {}
+MIGRATIONS: dict[int, tuple[str, ...]] = {
+    3: (
+        "ALTER TABLE shapes ADD COLUMN stamp text",
+        *(f"ALTER TABLE shapes ADD COLUMN {name} bigint" for name in CHECKSUM_COLUMNS.values()),
+    )
+}
+
+# Number of rows that get their checksums together.
+AT_ONCE = 1000
 
 # The lock while there is no table to lock: a number that no other program is likely to use.
 CREATION_LOCK = "SELECT pg_advisory_xact_lock(7205759403792794)"
@@ -49,9 +59,12 @@ def prepare_tables(database: Database, settings: Mapping[str, str], *, create: b
             # Another process may have created or migrated the tables in the meantime.
             if not _is_there(database, writing):
                 _create(database, writing, settings)
-            for earlier in range(_version(database, writing), SCHEMA_VERSION):
+            before = _version(database, writing)
+            for earlier in range(before, SCHEMA_VERSION):
                 for statement in MIGRATIONS[earlier]:
                     writing.run(statement)
+            if before < 4:
+                _add_checksums(writing)
             writing.run(
                 "UPDATE meta SET value = :version WHERE key = 'schema_version'", version=str(SCHEMA_VERSION)
             )
@@ -132,6 +145,14 @@ def _version(database: Database, transaction: Transaction) -> int:
             f"{SCHEMA_VERSION}): upgrade pcretrieve"
         )
     return int(version)
+
+
+def _add_checksums(writing: Transaction) -> None:
+    """Store the checksums of rows of version 3, as they are now."""
+    last = 0
+    while rows := writing.all(NUMBERED, last=last, limit=AT_ONCE):
+        writing.run_each(CHECKSUMS, [with_checksums(row) for row in rows])
+        last = rows[-1][0]
 
 
 def _create(database: Database, writing: Transaction, settings: Mapping[str, str]) -> None:

@@ -96,9 +96,10 @@ class StoredShapes:
         return self._rows.origins()
 
     def outlines(self) -> list[Record]:
-        """All records with id, path, content hash, label and status alone, which are read much faster."""
+        """All records as `origins` has them, without their provenance, which are read much faster."""
         return [
-            Record(row.id, row.path, row.content_hash, row.label, row.status) for row in self._rows.origins()
+            Record(row.id, row.path, row.content_hash, row.label, row.status, stamp=row.stamp)
+            for row in self._rows.origins()
         ]
 
     def several(self, shape_ids: Collection[str]) -> list[Record]:

@@ -61,6 +61,9 @@ class Record:
     verdict : Verdict or None
         Whether the signature can be relied on; None for a shape that failed, or was stored before there were
         verdicts.
+    stamp : str or None
+        Size, times of the last changes and inode of the file when it was hashed; None if they do not suffice
+        to know that the file is unchanged: see `pcretrieve.ingestion.stamps`.
     """
 
     id: str
@@ -80,6 +83,7 @@ class Record:
     versions: dict[str, str] = field(default_factory=dict)
     added: str = ""
     verdict: Verdict | None = None
+    stamp: str | None = None
 
     @property
     def is_doubtful(self) -> bool:

@@ -80,7 +80,7 @@ class Origin:
 
     Attributes
     ----------
-    id, path, content_hash, label, status
+    id, path, content_hash, label, status, stamp
         As in `Record`.
     """
 
@@ -89,6 +89,7 @@ class Origin:
     content_hash: str
     label: str | None
     status: Status
+    stamp: str | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -239,9 +240,14 @@ class Rows(Protocol):
         """Remove shapes; ids that the store does not have are ignored."""
 
     def revise(
-        self, *, moved: Mapping[str, str], removed: Collection[str], labels: Mapping[str, str]
+        self,
+        *,
+        moved: Mapping[str, str],
+        removed: Collection[str],
+        labels: Mapping[str, str | None],
+        stamps: Mapping[str, str],
     ) -> None:
-        """Rename, remove and label shapes by path, in this order; unknown paths are ignored.
+        """Rename, remove, label and stamp shapes by path, in this order; unknown paths are ignored.
 
         Parameters
         ----------
@@ -249,8 +255,10 @@ class Rows(Protocol):
             New path by old path. If the store has the new path already, nothing is renamed.
         removed : collection of str
             Paths of the shapes that are removed.
-        labels : mapping of str to str
-            Class by path; by the new path, if a shape was renamed.
+        labels : mapping of str to str or None
+            Class by path; by the new path, if a shape was renamed. None removes a class.
+        stamps : mapping of str to str
+            `Record.stamp` by path; by the new path, if a shape was renamed.
         """
 
     def read(self, shape_id: str, names: Collection[Payload]) -> tuple[Record, dict[Payload, bytes]] | None:

@@ -1,4 +1,4 @@
--- Version 3. The table shapes has the small columns that are searched and listed. Everything that is read for single
+-- Version 4. The table shapes has the small columns that are searched and listed. Everything that is read for single
 -- shapes only is in further tables, by the number of the shape.
 CREATE TABLE meta (
     key   TEXT PRIMARY KEY,         -- options (JSON), numbers_version, revision, label_revision
@@ -20,7 +20,12 @@ CREATE TABLE shapes (
     euler        INTEGER,
     judgement    TEXT,              -- sound, doubtful or unusable; NULL: not judged
     uncertainty  REAL,              -- log-signature error that the checks let expect
-    metres_per_unit REAL            -- length of the unit of the area; NULL: unknown
+    metres_per_unit REAL,           -- length of the unit of the area; NULL: unknown
+    stamp        TEXT,              -- by which an unchanged file is known without reading it; NULL: unknown
+    id_checksum     INTEGER,        -- CRC-32 of the id, the path and the label, and of all other columns of the
+    path_checksum   INTEGER,        -- shape and its provenance except stamp
+    label_checksum  INTEGER,
+    record_checksum INTEGER
 );
 CREATE INDEX shapes_by_content ON shapes (content_hash);
 CREATE INDEX shapes_by_status ON shapes (status, id);

@@ -10,6 +10,7 @@ from os.path import samestat
 from pathlib import Path
 from typing import Any
 
+from pcretrieve.catalogue.checksums import checksum
 from pcretrieve.catalogue.defects import Defect
 from pcretrieve.catalogue.entry_rows import entries_of
 from pcretrieve.catalogue.migrations import prepare
@@ -134,7 +135,7 @@ class SqliteRows(Rows):
         return self._where("content_hash", hashes)
 
     def origins(self) -> list[Origin]:
-        rows = self._all("SELECT id, path, content_hash, label, status FROM shapes ORDER BY id")
+        rows = self._all("SELECT id, path, content_hash, label, status, stamp FROM shapes ORDER BY id")
         return [Origin(*row) for row in rows]
 
     def labelled(self, labels: Collection[str]) -> list[str]:
@@ -170,22 +171,31 @@ class SqliteRows(Rows):
         shrink(self._connection, self._path)
 
     def revise(
-        self, *, moved: Mapping[str, str], removed: Collection[str], labels: Mapping[str, str]
+        self,
+        *,
+        moved: Mapping[str, str],
+        removed: Collection[str],
+        labels: Mapping[str, str | None],
+        stamps: Mapping[str, str],
     ) -> None:
         with self._writing() as connection:
             connection.executemany(
-                "UPDATE OR IGNORE shapes SET path = ? WHERE path = ?",
-                [(new, old) for old, new in moved.items()],
+                "UPDATE OR IGNORE shapes SET path = ?, path_checksum = ? WHERE path = ?",
+                [(new, checksum(new), old) for old, new in moved.items()],
             )
             if removed:
                 self._forget(self._numbers("path", removed))
                 self._changed("revision")
             if labels:
                 connection.executemany(
-                    "UPDATE shapes SET label = ? WHERE path = ?",
-                    [(label, path) for path, label in labels.items()],
+                    "UPDATE shapes SET label = ?, label_checksum = ? WHERE path = ?",
+                    [(label, checksum(label), path) for path, label in labels.items()],
                 )
                 self._changed("label_revision")
+            connection.executemany(
+                "UPDATE shapes SET stamp = ? WHERE path = ?",
+                [(stamp, path) for path, stamp in stamps.items()],
+            )
 
     # --- arrays -----------------------------------------------------------------------------------------
 

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import sqlite3
+from collections.abc import Iterator, Sequence
 
 from pcretrieve.catalogue.defects import Defect
+from pcretrieve.catalogue.record_rows import PROVENANCE_COLUMNS, SHAPE_COLUMNS
 from pcretrieve.catalogue.rows import PAYLOADS
 from pcretrieve.catalogue.schema import transaction
 
@@ -19,6 +21,12 @@ OF_NO_SHAPE = {name: "shape NOT IN (SELECT number FROM shapes)" for name in ("pr
     "OR descriptor NOT IN (SELECT number FROM descriptors)"
 }
 
+# Columns, some of them of texts, by table, with the key of the table.
+TEXTS = {
+    "shapes": ("number", SHAPE_COLUMNS),
+    "provenance": ("shape", PROVENANCE_COLUMNS),
+}
+
 
 def file_defects(connection: sqlite3.Connection, *, repair: bool) -> list[Defect]:
     """Defects of a file.
@@ -29,13 +37,23 @@ def file_defects(connection: sqlite3.Connection, *, repair: bool) -> list[Defect
         Connection to the file.
     repair : bool
         Whether SQL indexes are made again, if that repairs the file, and rows of no shape are removed. Pages
-        with other defects are left as they are.
+        with other defects are left as they are. Bytes of texts that are not UTF-8 are escaped, so that the
+        row can be read, and repaired by its checksums.
 
     Returns
     -------
     list of Defect
         The defects.
     """
+    # A value that no status may have is a defect of one row, which its checksum shows.
+    connection.execute("PRAGMA ignore_check_constraints = ON")
+    try:
+        return _file_defects(connection, repair=repair)
+    finally:
+        connection.execute("PRAGMA ignore_check_constraints = OFF")
+
+
+def _file_defects(connection: sqlite3.Connection, *, repair: bool) -> list[Defect]:
     # Outside of a transaction, because one that has met a damaged page cannot be ended without an error.
     faults = _faults(connection)
     again = "SQL indexes made again" if faults and repair and _is_reindexed(connection) else None
@@ -50,7 +68,28 @@ def file_defects(connection: sqlite3.Connection, *, repair: bool) -> list[Defect
             if number:
                 done = "removed" if repair else None
                 found.append(Defect("orphan", None, f"{number} rows of {table} are of no shape", done))
+        for table, (key, columns) in TEXTS.items():
+            for number, column, text in list(_unreadable(connection, table, key, columns)):
+                if repair:
+                    connection.execute(f"UPDATE {table} SET {column} = ? WHERE {key} = ?", (text, number))
+                done = "bytes escaped" if repair else None
+                found.append(Defect("database", None, f"the {column} {text!r} is not UTF-8 text", done))
     return found
+
+
+def _unreadable(
+    connection: sqlite3.Connection, table: str, key: str, columns: Sequence[str]
+) -> Iterator[tuple[int, str, str]]:
+    """Yield texts that cannot be read: the number of the shape, the column, the text with escaped bytes."""
+    connection.text_factory = bytes
+    try:
+        for number, *values in connection.execute(f"SELECT {key}, {', '.join(columns)} FROM {table}"):
+            for column, value in zip(columns, values, strict=True):
+                text = value.decode("utf-8", "backslashreplace") if isinstance(value, bytes) else ""
+                if text and text.encode() != value:
+                    yield number, column, text
+    finally:
+        connection.text_factory = str
 
 
 def _faults(connection: sqlite3.Connection) -> list[str]:

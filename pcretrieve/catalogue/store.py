@@ -121,8 +121,9 @@ class Catalogue(StoredShapes):
         moved: Mapping[str, str] | None = None,
         removed: Collection[str] = (),
         labels: Mapping[str, str] | None = None,
+        stamps: Mapping[str, str] | None = None,
     ) -> None:
-        """Rename, remove and label shapes by path, in one transaction.
+        """Rename, remove, label and stamp shapes by path, in one transaction.
 
         Unknown paths are ignored, because another process may have renamed or removed the same shapes.
 
@@ -134,8 +135,10 @@ class Catalogue(StoredShapes):
             Paths of the shapes that are removed.
         labels : mapping of str to str, optional
             Class by path; by the new path, if a file was renamed.
+        stamps : mapping of str to str, optional
+            `Record.stamp` by path; by the new path, if a file was renamed.
         """
-        self._rows.revise(moved=moved or {}, removed=removed, labels=labels or {})
+        self._rows.revise(moved=moved or {}, removed=removed, labels=labels or {}, stamps=stamps or {})
 
     def merge(self, parts: Sequence[Catalogue]) -> Merged:
         """Store the shapes of other catalogues, which must have been built with the same options.

@@ -30,6 +30,8 @@ class Plan:
         Paths of shapes in the catalogue whose files have become duplicates of other scans.
     labels : dict of str to str
         Class of each shape in the catalogue that has a label, by its new path.
+    stamps : dict of str to str
+        New stamp of each shape whose file was hashed and has the same content, by its new path.
     held : tuple of Record
         Records with the same content that the catalogue has already, done or failed, with the same path or
         with the path of a file that does not exist any more.
@@ -44,6 +46,7 @@ class Plan:
     moved: dict[str, str]
     removed: tuple[str, ...]
     labels: dict[str, str]
+    stamps: dict[str, str]
     held: tuple[Record, ...]
     duplicates: tuple[tuple[Path, Record], ...]
     process: tuple[tuple[Path, Record], ...]
@@ -67,6 +70,8 @@ class Planner:
     content : callable
         Returns the content hash of a file by its key in `files`, or the error of reading it; the same result
         in each call.
+    stamp : callable, optional
+        Returns the stamp of a file whose content was returned, or None.
     retry_failed : bool, default False
         Process scans with the same content again that failed before.
 
@@ -83,9 +88,11 @@ class Planner:
         labels: Mapping[str, str],
         content: Callable[[str], str | ShapeError],
         *,
+        stamp: Callable[[str], str | None] = lambda name: None,
         retry_failed: bool = False,
     ) -> None:
         self.files = files
+        self._stamp = stamp
         self._content = content
         self._retry_failed = retry_failed
         self._held = {record.path: record for record in records}
@@ -121,7 +128,7 @@ class Planner:
         Plan
             The plan for these files.
         """
-        moved, labels = {}, {}
+        moved, labels, stamps = {}, {}, {}
         removed, held, duplicates, process, unreadable = [], [], [], [], []
         for name in names:
             content = self._content(name)
@@ -137,6 +144,8 @@ class Planner:
                 labels[name] = self._labels[name]
             if earlier is not None and earlier.content_hash == content:
                 if earlier.status == "done" or not self._retry_failed:
+                    if stamp := self._stamp(name):
+                        stamps[name] = stamp
                     held.append(replace(earlier, label=self._labels.get(name, earlier.label)))
                     continue
             elif original := self._queued.get(identity) or self._original(identity):
@@ -145,10 +154,19 @@ class Planner:
                     removed.append(name)
                 duplicates.append((self.files[name], original))
                 continue
-            self._queued[identity] = record = replace(self._record(name), content_hash=content)
+            self._queued[identity] = record = replace(
+                self._record(name), content_hash=content, stamp=self._stamp(name)
+            )
             process.append((self.files[name], record))
         return Plan(
-            moved, tuple(removed), labels, tuple(held), tuple(duplicates), tuple(process), tuple(unreadable)
+            moved,
+            tuple(removed),
+            labels,
+            stamps,
+            tuple(held),
+            tuple(duplicates),
+            tuple(process),
+            tuple(unreadable),
         )
 
     def _record(self, name: str) -> Record:
@@ -182,12 +200,12 @@ def apply(made: Plan, catalogue: Catalogue) -> None:
     Parameters
     ----------
     made : Plan
-        Of which `moved`, `removed` and `labels` are used.
+        Of which `moved`, `removed`, `labels` and `stamps` are used.
     catalogue : Catalogue
         The catalogue whose records were given to the planner.
     """
-    if made.moved or made.removed or made.labels:
-        catalogue.revise(moved=made.moved, removed=made.removed, labels=made.labels)
+    if made.moved or made.removed or made.labels or made.stamps:
+        catalogue.revise(moved=made.moved, removed=made.removed, labels=made.labels, stamps=made.stamps)
 
 
 def failed(record: Record, error: PcretrieveError) -> Record:

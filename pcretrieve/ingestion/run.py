@@ -128,9 +128,11 @@ def ingest_files(
     remove_abandoned()  # also where nothing is left to do after a kill
     summary = Summary()
     files = {printable(path): path for path in paths}
-    contents = Contents(files, workers or len(os.sched_getaffinity(0)), timeout)
     records = catalogue.outlines()
-    planner = Planner(files, records, labels or {}, contents.of, retry_failed=retry_failed)
+    contents = Contents(files, workers or len(os.sched_getaffinity(0)), timeout, records)
+    planner = Planner(
+        files, records, labels or {}, contents.of, stamp=contents.stamp, retry_failed=retry_failed
+    )
     names = _names_of(only, files)
     elsewhere = files.keys() - set(names)
     # Shapes of other shards stay, unless their files have changed since, and belong to another shard now.
@@ -251,7 +253,7 @@ def plan_files(
     summary = Summary()
     files = {printable(path): path for path in paths}
     names = _names_of(only, files)
-    contents = Contents(files, len(os.sched_getaffinity(0)), timeout)
+    contents = Contents(files, len(os.sched_getaffinity(0)), timeout, records)
     planner = Planner(files, records, labels or {}, contents.of, retry_failed=retry_failed)
     with closing(contents):
         for made in _plans(names, planner, contents):

@@ -8,6 +8,7 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from contextlib import closing
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 from uuid import uuid4
@@ -21,6 +22,7 @@ from processes import in_this_process, wait_for
 import pcretrieve as pr
 from pcretrieve.catalogue import Catalogue, gallery
 from pcretrieve.catalogue.arrays import packed_values
+from pcretrieve.catalogue.record_rows import CHECKSUMS, NUMBERED, with_checksums
 from pcretrieve.cli.main import cli
 from pcretrieve.formats import write_mesh
 
@@ -65,6 +67,13 @@ def execute(path: Path, *statements: str) -> None:
     with closing(sqlite3.connect(path)) as connection, connection:
         for statement in statements:
             connection.execute(statement)
+
+
+def store_checksums(path: Path) -> None:
+    """Let the present values be those that were stored."""
+    with closing(sqlite3.connect(path)) as connection, connection:
+        rows = connection.execute(NUMBERED, {"last": 0, "limit": 99}).fetchall()
+        connection.executemany(CHECKSUMS, [with_checksums(row) for row in rows])
 
 
 def run(*arguments: str | Path) -> Result:
@@ -137,6 +146,7 @@ OF_SHAPES = {
 def test_a_damaged_shape_is_named_and_set_to_be_ingested_again(damage: str, path: Path) -> None:
     statement, words = OF_SHAPES[damage]
     execute(path, statement)
+    store_checksums(path)
     (found,) = pr.check(path, sample=0).defects
     assert (found.kind, found.shape_id, found.repair) == ("shape", "2", None)
     assert words in found.message
@@ -146,6 +156,76 @@ def test_a_damaged_shape_is_named_and_set_to_be_ingested_again(damage: str, path
         record = store.record("2")
     assert (record.status, record.stage, record.error) == ("failed", "check", "CatalogueError")
     assert pr.check(path, sample=0).is_whole
+
+
+def flip(path: Path, text: str, bit: int) -> None:
+    """Flip one bit of the last character of a text in the file, wherever it is stored."""
+    data = bytearray(path.read_bytes())
+    place = data.find(text.encode())
+    assert place > 0
+    while place > 0:
+        data[place + len(text) - 1] ^= 1 << bit
+        place = data.find(text.encode(), place)
+    path.write_bytes(data)
+
+
+LABEL = "a class that no other shape has"
+
+# By what was flipped: the text of it in the file, what has changed, and what the repair does.
+FLIPPED = {
+    "label": (LABEL, f"its label '{LABEL[:-1]}", "class removed: give it again (ingest --labels)"),
+    "path": ("/scans/2.off", "its path '", "removed: ingest its file again"),
+    "provenance": ('"versions of shape 2"', "its record has changed", "set to be ingested again"),
+    "status": ("bdone", "its record has changed", "set to be ingested again"),
+}
+
+
+@pytest.mark.parametrize("bit", [0, 7])  # the second one leaves bytes that are not UTF-8
+@pytest.mark.parametrize("what", FLIPPED)
+def test_a_flipped_bit_of_a_text(what: str, bit: int, path: Path, folder: Path, original: Path) -> None:
+    text, words, done = FLIPPED[what]
+    with Catalogue(path) as store:
+        store.revise(labels={str(folder / "2.off"): LABEL})
+    execute(path, f"UPDATE provenance SET options_digest = '\"versions of shape 2\"' {THIRD}")
+    # The last letter of its class is directly before its status.
+    execute(path, f"UPDATE shapes SET label = '{LABEL[:-1]}b' WHERE id = '2'") if what == "status" else None
+    store_checksums(path)
+    before = rows_of(path)
+    flip(path, text, bit)
+    found = pr.check(path, sample=0)
+    assert not found.is_whole
+    repaired = pr.check(path, sample=0, repair=True)
+    last = repaired.defects[-1]
+    assert (last.kind, last.repair) == ("shape", done)
+    assert words in last.message
+    assert repaired.is_whole
+    assert pr.check(path, sample=0).is_whole
+    if what == "label":
+        (record, *arrays), *_ = (row for row in before if row[0].id == "2")
+        assert [replace(record, label=None), *arrays] in [list(row) for row in rows_of(path)]
+    again = pr.ingest(folder, path, executor=in_this_process)
+    assert [record.id for record in again.done] == ([] if what == "label" else ["2"])
+    for mended, whole in zip(rows_of(path), rows_of(original), strict=True):
+        assert (mended[0].id, mended[0].path, *mended[1:]) == (whole[0].id, whole[0].path, *whole[1:])
+
+
+def test_a_changed_text_of_a_database(schema: str, tmp_path: Path) -> None:
+    psycopg = pytest.importorskip("psycopg")
+    url, _, name = schema.partition("?schema=")
+    with psycopg.connect(url, autocommit=True) as connection:
+        connection.execute(f'SET search_path = "{name}"')
+        connection.execute("UPDATE shapes SET label = 'round', message = 'x' WHERE id = '2'")
+        connection.execute("UPDATE shapes SET id = '10' WHERE id = '1'")
+    with pytest.raises(pr.CatalogueError, match=r"\(shape '10': its id '10' has changed since .*--repair"):
+        pr.merge_catalogues([schema], tmp_path / "all.sqlite")
+    assert [(one.shape_id, one.repair) for one in pr.check(schema, sample=0, repair=True).defects] == [
+        ("10", "removed: ingest its file again"),
+        ("2", "class removed: give it again (ingest --labels)"),
+        ("2", "set to be ingested again"),
+    ]
+    with Catalogue(schema) as store:
+        assert store.record("2").label is None
+    assert pr.check(schema, sample=0).is_whole
 
 
 @pytest.mark.parametrize("command", ["ingest", "retry"])

@@ -27,6 +27,8 @@ import shapes
 
 from pcretrieve import Catalogue
 from pcretrieve.catalogue import Content, Record
+from pcretrieve.catalogue.checksums import CHECKSUM_COLUMNS
+from pcretrieve.catalogue.schema import SCHEMA_VERSION
 from pcretrieve.descriptors import describe
 from pcretrieve.errors import CatalogueError, ShapeError
 from pcretrieve.options import NUMBERS_VERSION
@@ -79,8 +81,29 @@ def test_records_and_labels_are_those_of_before(path: Path) -> None:
     assert version(path) == 1
     with Catalogue(path) as store:
         records = json.loads(json.dumps([asdict(record) for record in store.records()]))
-    assert records == [record | {"verdict": None} for record in EXPECTED["records"]]
-    assert version(path) == 3
+    assert records == [record | {"verdict": None, "stamp": None} for record in EXPECTED["records"]]
+    assert version(path) == SCHEMA_VERSION
+
+
+def drop(connection: sqlite3.Connection, *columns: str) -> None:
+    for column in columns:
+        connection.execute(f"ALTER TABLE shapes DROP COLUMN {column}")
+
+
+def test_a_catalogue_of_version_3_gets_checksums(path: Path) -> None:
+    with Catalogue(path) as store:
+        before = store.records()
+    with closing(sqlite3.connect(path)) as connection, connection:
+        drop(connection, "stamp", *CHECKSUM_COLUMNS.values())
+        connection.execute("PRAGMA user_version = 3")
+    with Catalogue(path) as store:
+        assert store.records() == before
+        assert store.defects() == []
+    with closing(sqlite3.connect(path)) as connection, connection:
+        connection.execute("UPDATE provenance SET added = added || ' ' WHERE shape = 1")
+    with Catalogue(path) as store:
+        (found,) = store.defects()
+        assert found.message == "its record has changed since it was stored"
 
 
 def test_a_catalogue_of_version_2_gets_verdicts(path: Path) -> None:
@@ -88,8 +111,7 @@ def test_a_catalogue_of_version_2_gets_verdicts(path: Path) -> None:
         before = store.records()
     with closing(sqlite3.connect(path)) as connection, connection:
         connection.execute("DROP INDEX doubtful_shapes")
-        for column in ("judgement", "uncertainty", "metres_per_unit"):
-            connection.execute(f"ALTER TABLE shapes DROP COLUMN {column}")
+        drop(connection, "judgement", "uncertainty", "metres_per_unit", "stamp", *CHECKSUM_COLUMNS.values())
         columns = "shape, steps, options_digest, versions, added"
         connection.execute(f"CREATE TABLE earlier AS SELECT {columns} FROM provenance")
         connection.execute("DROP TABLE provenance")
@@ -103,7 +125,7 @@ def test_a_catalogue_of_version_2_gets_verdicts(path: Path) -> None:
         stored = store.put(Record("new", "/new.ply", "hash"), Content(judged, np.ones(59)))
         assert stored.verdict == judged.verdict
         assert [record.id for page in store.pages(doubtful=True) for record in page] == ["new"]
-    assert version(path) == 3
+    assert version(path) == SCHEMA_VERSION
 
 
 def test_signatures_are_those_of_before_to_the_bit(path: Path) -> None:
@@ -235,7 +257,7 @@ def test_killed_halfway_nothing_is_lost(path: Path) -> None:
     with Catalogue(path) as store:
         assert len(store.records()) == MANY
         table = store.signatures()
-    assert version(path) == 3
+    assert version(path) == SCHEMA_VERSION
     for shape_id, values in zip(table.ids, table.values.tolist(), strict=True):
         assert values == EXPECTED["signatures"][shape_id.partition(".")[0]]
 

@@ -18,6 +18,7 @@ from click.testing import CliRunner
 
 from pcretrieve import Catalogue, PipelineOptions
 from pcretrieve.catalogue import Content, Record, stored_shapes
+from pcretrieve.catalogue.schema import SCHEMA_VERSION
 from pcretrieve.cli.main import cli
 from pcretrieve.descriptors import describe
 from pcretrieve.errors import CatalogueError
@@ -131,8 +132,9 @@ def test_a_database_of_another_program_is_left_as_it_is(create: bool, version: i
 
 
 def test_a_newer_catalogue(path: Path) -> None:
-    execute(path, "PRAGMA user_version = 4")
-    with pytest.raises(CatalogueError, match=r"newer pcretrieve \(schema 4, this one knows 3\): upgrade"):
+    execute(path, f"PRAGMA user_version = {SCHEMA_VERSION + 1}")
+    said = rf"newer pcretrieve \(schema {SCHEMA_VERSION + 1}, this one knows {SCHEMA_VERSION}\): upgrade"
+    with pytest.raises(CatalogueError, match=said):
         Catalogue(path)
 
 

@@ -18,6 +18,7 @@ from pcretrieve import Catalogue
 from pcretrieve.benchmarks.catalogue import OPTIONS
 from pcretrieve.catalogue import Record, database, gallery, postgresql_tables
 from pcretrieve.catalogue.arrays import packed_values
+from pcretrieve.catalogue.checksums import CHECKSUM_COLUMNS
 from pcretrieve.catalogue.stores import open_rows
 from pcretrieve.cli.main import cli
 from pcretrieve.errors import CatalogueError
@@ -80,7 +81,7 @@ def test_what_no_text_of_a_database_may_hold(location: str) -> None:
         stored = rows.put(Record("a", path, "", "la\0bel", status="failed", message="what\0said"), None, {})
         assert rows.page(limit=9) == [stored]
         assert (stored.path, stored.message, stored.label) == (path, "what␀said", "la␀bel")
-        rows.revise(moved={path: "/b"}, removed=[], labels={"/b": "new\0"})
+        rows.revise(moved={path: "/b"}, removed=[], labels={"/b": "new\0"}, stamps={})
         assert [(record.path, record.label) for record in rows.page(limit=9)] == [("/b", "new␀")]
 
 
@@ -196,6 +197,22 @@ def test_a_migration_that_fails_changes_nothing(location: str, monkeypatch: pyte
     later_version(monkeypatch, NEW_COLUMN)
     with closing(open_rows(location, SETTINGS, create=False)) as rows:
         assert rows.count("failed") == 1
+
+
+def test_a_catalogue_of_version_3_gets_checksums(location: str, server: Any) -> None:
+    with closing(open_rows(location, SETTINGS, create=True)) as rows:
+        rows.put(Record("a", "/a", "", "label", status="failed", message="what\0said"), None, {})
+        before = rows.page(limit=10)
+    schema = location.partition("=")[2].replace('"', '""')
+    server.execute(f'SET search_path = "{schema}"')
+    for column in ("stamp", *CHECKSUM_COLUMNS.values()):
+        server.execute(f"ALTER TABLE shapes DROP COLUMN {column}")
+    server.execute("UPDATE meta SET value = '3' WHERE key = 'schema_version'")
+    with closing(open_rows(location, SETTINGS, create=False)) as rows:
+        assert rows.page(limit=10) == before
+        server.execute("UPDATE shapes SET label = 'labem'")
+        with pytest.raises(CatalogueError, match="its label 'labem' has changed since it was stored"):
+            rows.page(limit=10)
 
 
 # --- what cannot be opened ------------------------------------------------------------------------------

@@ -171,15 +171,17 @@ def test_revision_by_path(rows: Rows) -> None:
     rows.revise(
         moved={"/a.ply": "/new.ply", "/b.ply": "/c.ply", "/nobody": "/somebody"},
         removed=["/d.ply", "/nobody"],
-        labels={"/new.ply": "round", "/a.ply": "lost", "/nobody": "lost"},
+        labels={"/new.ply": "round", "/a.ply": "lost", "/nobody": "lost", "/c.ply": None},
+        stamps={"/new.ply": "7 1 2 3", "/d.ply": "lost"},
     )
-    found = {one.id: (one.path, one.label) for one in rows.page(limit=10)}
+    found = {one.id: (one.path, one.label, one.stamp) for one in rows.page(limit=10)}
     assert found == {
-        "a": ("/new.ply", "round"),
-        "b": ("/b.ply", "label"),
-        "c": ("/c.ply", "label"),
-        "e": ("/e.ply", None),
+        "a": ("/new.ply", "round", "7 1 2 3"),
+        "b": ("/b.ply", "label", None),
+        "c": ("/c.ply", None, None),
+        "e": ("/e.ply", None, None),
     }
+    assert [(origin.id, origin.stamp) for origin in rows.origins()][:2] == [("a", "7 1 2 3"), ("b", None)]
 
 
 # --- bytes ----------------------------------------------------------------------------------------------
@@ -201,7 +203,7 @@ def test_sizes(rows: Rows) -> None:
 
 
 def test_signatures_in_the_order_of_ids(rows: Rows) -> None:
-    rows.revise(moved={}, removed=[], labels={"/b.ply": "other"})
+    rows.revise(moved={}, removed=[], labels={"/b.ply": "other"}, stamps={})
     listed = rows.signatures(OWN)
     assert listed.revision == rows.revision()
     assert (listed.ids, listed.labels) == (["a", "b", "c", "d"], ["label", "other", "label", "label"])
@@ -230,12 +232,12 @@ def test_states_have_names(rows: Rows) -> None:
         lambda: rows.put(record("f"), signature("f"), {}),
         lambda: rows.put(record("f"), signature("f"), {}),
         lambda: rows.remove(["f"]),
-        lambda: rows.revise(moved={}, removed=["/a.ply"], labels={}),
+        lambda: rows.revise(moved={}, removed=["/a.ply"], labels={}, stamps={}),
     ):
         change()
         states.append(rows.revision())
     assert len({state.shapes for state in states}) == len(states)
-    rows.revise(moved={}, removed=[], labels={"/b.ply": "x"})
+    rows.revise(moved={}, removed=[], labels={"/b.ply": "x"}, stamps={})
     assert rows.revision().labels not in {state.labels for state in states}
 
 
@@ -289,8 +291,8 @@ def test_a_catalogue_of_any_store(location: str, eggs: list[Path]) -> None:
         assert len(ingest(eggs, place, labels=labels, workers=1).done) == 4
         assert len(ingest(eggs, place, workers=1).held) == 4
     with Catalogue(location) as store, Catalogue(plain) as expected:
-        assert [replace(one, steps=(), added="") for one in store.records()] == [
-            replace(one, steps=(), added="") for one in expected.records()
+        assert [replace(one, steps=(), added="", stamp=None) for one in store.records()] == [
+            replace(one, steps=(), added="", stamp=None) for one in expected.records()
         ]
         other = store.options.changed(signature={"method": "wks"}, retrieval={"whitening": "within-class"})
         for options in (None, other, other):

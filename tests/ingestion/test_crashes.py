@@ -64,7 +64,7 @@ def everything(location: str) -> Everything:
         found = {}
         for entry in rows.entries([origin.id for origin in rows.origins()]):
             steps = tuple(replace(step, seconds=0.0) for step in entry.record.steps)
-            record = replace(entry.record, steps=steps, added="")
+            record = replace(entry.record, steps=steps, added="", stamp=None)
             found[record.id] = (record, dict(entry.signatures), dict(entry.payloads))
         return found
 

@@ -110,7 +110,7 @@ def stored():
         assert store.defects() == [], store.defects()
         entries = store._rows.entries([record.id for record in store.records()])
         return [
-            (replace(e.record, added=""), dict(e.signatures), dict(e.payloads)) for e in entries
+            (replace(e.record, added="", stamp=None), dict(e.signatures), dict(e.payloads)) for e in entries
         ]
 
 def fresh():

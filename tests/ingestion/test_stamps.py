@@ -1,0 +1,166 @@
+"""Files that have not changed since they were hashed are not read again, and changed files are."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+import shapes
+from processes import in_this_process
+from scene_files import write_gltf
+
+import pcretrieve as pr
+from pcretrieve.benchmarks.resuming import resumed_in
+from pcretrieve.formats import write_mesh
+from pcretrieve.ingestion import contents, discover
+from pcretrieve.ingestion.stamps import stamp_of
+from pcretrieve.simulation import write_ply
+
+Ingested = Callable[..., tuple[list[str], list[str]]]
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    scans = tmp_path / "scans"
+    scans.mkdir()
+    for number in range(3):
+        write_mesh(shapes.ellipsoid((1, 1, 1.5 + number), subdivisions=2), scans / f"{number}.off")
+    return scans
+
+
+@pytest.fixture
+def ingested(folder: Path, monkeypatch: pytest.MonkeyPatch) -> Ingested:
+    """Ingests the folder, and gives the names of the files that were hashed, and the ids of the processed."""
+    hashed: list[str] = []
+
+    def noted(file: Path) -> str:
+        hashed.append(file.name)
+        return discover.file_hash(file)
+
+    monkeypatch.setattr(contents, "file_hash", noted)
+    # Files of this test are as good as old ones, unless they are dated into the future.
+    monkeypatch.setattr(contents, "SETTLED", 0.0)
+
+    def ingest(*, settle: bool = True, **options: object) -> tuple[list[str], list[str]]:
+        if settle:
+            time.sleep(0.05)  # times of files are those of the last tick of the clock
+        hashed.clear()
+        path = folder.with_name("c.sqlite")
+        done = pr.ingest(folder, path, executor=in_this_process, **options).done  # type: ignore[arg-type]
+        return sorted(hashed), sorted(record.id for record in done)
+
+    return ingest
+
+
+def test_what_has_not_changed_is_hashed_once(folder: Path, ingested: Ingested) -> None:
+    assert ingested() == (["0.off", "1.off", "2.off"], ["0", "1", "2"])
+    assert ingested() == ([], [])
+    write_mesh(shapes.icosphere(2), folder / "new.off")
+    assert ingested() == (["new.off"], ["new"])
+    assert ingested() == ([], [])
+    assert ingested(dry_run=True) == ([], [])
+
+
+def test_a_change_is_noticed_though_size_and_time_are_put_back(folder: Path, ingested: Ingested) -> None:
+    ingested()
+    path = folder / "1.off"
+    before = path.stat()
+    text = path.read_text()
+    path.write_text(text[:-2] + ("1" if text[-2] != "1" else "2") + "\n")
+    os.utime(path, ns=(before.st_atime_ns, before.st_mtime_ns))
+    after = path.stat()
+    assert (after.st_size, after.st_mtime_ns, after.st_ino) == (
+        before.st_size,
+        before.st_mtime_ns,
+        before.st_ino,
+    )
+    assert ingested()[0] == ["1.off"]
+
+
+def test_a_file_that_was_touched_or_renamed_is_hashed_once_more(folder: Path, ingested: Ingested) -> None:
+    ingested()
+    (folder / "1.off").touch()
+    (folder / "2.off").rename(folder / "other.off")
+    assert ingested() == (["1.off", "other.off"], [])
+    assert ingested() == ([], [])
+    with pr.Catalogue(folder.with_name("c.sqlite")) as store:
+        assert store.record("2").path == str(folder / "other.off")
+
+
+def test_a_file_that_may_change_again_at_the_same_time_has_no_stamp(
+    folder: Path, ingested: Ingested, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(contents, "SETTLED", 3600.0)
+    for _ in range(2):
+        assert ingested(settle=False)[0] == ["0.off", "1.off", "2.off"]
+    with pr.Catalogue(folder.with_name("c.sqlite")) as store:
+        assert {record.stamp for record in store.records()} == {None}
+    monkeypatch.setattr(contents, "SETTLED", 0.0)
+    later = time.time() + 3600
+    os.utime(folder / "0.off", (later, later))
+    assert ingested() == (["0.off", "1.off", "2.off"], [])
+    assert ingested() == (["0.off"], [])
+
+
+def test_a_file_that_is_written_while_it_is_hashed_has_no_stamp(
+    folder: Path, ingested: Ingested, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def written_meanwhile(file: Path) -> str:
+        found = discover.file_hash(file)
+        with file.open("a") as opened:
+            opened.write("# written meanwhile\n")
+        return found
+
+    with monkeypatch.context() as changed:
+        changed.setattr(contents, "file_hash", written_meanwhile)
+        ingested()
+    assert ingested() == (["0.off", "1.off", "2.off"], ["0", "1", "2"])
+
+
+def test_a_view_of_a_conf_file_is_a_part_of_it(tmp_path: Path) -> None:
+    """The stamp of a file has those of the files that it names."""
+    for name in ("a", "b"):
+        write_ply(tmp_path / f"{name}.ply", np.eye(3))
+    conf = tmp_path / "two.conf"
+    conf.write_text("bmesh a.ply 0 0 0 0 0 0 1\nbmesh b.ply 0 0 0 0 0 0 1\n")
+    before, again = stamp_of(conf), stamp_of(conf)
+    assert before is not None
+    assert before == again
+    assert before.text.count(";") == 2
+    (tmp_path / "b.ply").touch()
+    assert stamp_of(conf) != before
+    (tmp_path / "b.ply").unlink()
+    assert stamp_of(conf) is None
+
+
+def test_a_scan_of_several_in_a_file_that_has_no_row(folder: Path, ingested: Ingested) -> None:
+    for path in folder.iterdir():
+        path.unlink()
+    file = folder / "two.gltf"
+    write_gltf(file, shapes.icosphere(2), [{"mesh": 0}, {"mesh": 0, "scale": [1, 1, 2]}])
+    hashed, first = ingested()
+    assert (set(hashed), len(first)) == ({"two.gltf"}, 2)
+    assert ingested() == ([], [])
+    with pr.Catalogue(folder.with_name("c.sqlite")) as store:
+        store.remove(first[0])
+    assert ingested() == (["two.gltf"], [first[0]])
+
+
+def test_a_failure_is_known_too_and_an_unreadable_file_is_not(folder: Path, ingested: Ingested) -> None:
+    (folder / "0.off").write_text("OFF\n")
+    (folder / "1.off").write_text("")
+    assert ingested()[1] == ["2"]
+    assert ingested() == (["1.off"], [])
+
+
+def test_what_starting_again_costs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(contents, "SETTLED", 0.0)
+    by_hashes, by_stamps = resumed_in(tmp_path, 10, 20_000, wait=-0.9)
+    size = sum(path.stat().st_size for path in (tmp_path / "scans").iterdir()) / 2**20
+    assert by_hashes.mebibytes > size > 2
+    assert by_stamps.mebibytes < by_hashes.mebibytes - 0.9 * size
+    assert by_stamps.seconds > 0
