@@ -85,7 +85,7 @@ def test_filters_of_the_command_line(tmp_path: Path) -> None:
         assert done.returncode == 0, done.stderr
         return done.stdout
 
-    answer = json.loads(run("reconstruct", "scan.xyz", "-o", "body.ply", "--json"))
+    answer = json.loads(run("reconstruct", "scan.xyz", "-o", "body.ply", "--json"))["result"]
     stages = [step["stage"] for step in answer["steps"]]
     assert stages == ["read", "cut", "clean", "orient", "surface", "stretch"]
     surface = reconstruct(tmp_path / "scan.xyz", tmp_path / "chain.toml")

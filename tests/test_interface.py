@@ -51,7 +51,7 @@ def test_a_search_is_a_query(catalogue: Path, whitening: str) -> None:
     scan = catalogue.with_name("egg-0.off")
     (answer,) = json.loads(
         command("query", scan, "-c", catalogue, "-k", 3, "--whitening", whitening, "--json")
-    )
+    )["result"]
     found = answer["results"]
     neighbors = pr.search(catalogue, scan, k=3, options={"retrieval": {"whitening": whitening}})
     assert [row["id"] for row in found] == list(neighbors.ids)
@@ -81,13 +81,14 @@ def test_a_metric_of_labelled_scans_is_used_in_another_catalogue(catalogue: Path
         used = store.whitening(store.options.changed(**chosen))
     np.testing.assert_array_equal(used.matrix, expected.matrix)
     assert (used.kind, used.reason) == ("calibrated", f"within-class: 2 classes of 4 shapes, from {metric}")
-    (found,) = json.loads(command("query", "egg-0", "-c", other, "--whitening", metric, "--json"))
+    (found,) = json.loads(command("query", "egg-0", "-c", other, "--whitening", metric, "--json"))["result"]
     neighbors = pr.search(other, "egg-0", options=chosen)
     assert [row["distance"] for row in found["results"]] == neighbors.distances.tolist()
-    assert [found] != json.loads(command("query", "egg-0", "-c", other, "--whitening", "none", "--json"))
+    plain = json.loads(command("query", "egg-0", "-c", other, "--whitening", "none", "--json"))["result"]
+    assert found["results"] != plain[0]["results"]
     again = pr.calibrate(catalogue, tmp_path / "again.npz")
     assert again.read_bytes() == metric.read_bytes()
-    evaluated = json.loads(command("evaluate", "-c", catalogue, "--whitening", metric, "--json"))
+    evaluated = json.loads(command("evaluate", "-c", catalogue, "--whitening", metric, "--json"))["result"]
     assert evaluated["whitening_used"] == f"within-class: 2 classes of 4 shapes, from {metric}"
 
 
@@ -115,7 +116,7 @@ def test_what_is_no_file_is_searched_for_too(catalogue: Path) -> None:
 
 @pytest.mark.parametrize("whitening", ["none", "pca"])
 def test_evaluate_is_evaluate(catalogue: Path, whitening: str) -> None:
-    printed = json.loads(command("evaluate", "-c", catalogue, "--whitening", whitening, "--json"))
+    printed = json.loads(command("evaluate", "-c", catalogue, "--whitening", whitening, "--json"))["result"]
     measures = pr.evaluate(catalogue, options={"retrieval": {"whitening": whitening}})
     for name, value in asdict(measures).items():
         assert printed[name] == value

@@ -129,7 +129,7 @@ def test_what_is_printed_of_many(catalogue: Path, folder: Path) -> None:
     ]
     answers = pr.search_many(catalogue, names, k=2)
     assert lines[3::4] == [str(answer) for _, answer in answers]
-    documents = json.loads(run(*asked, "--json").stdout)
+    documents = json.loads(run(*asked, "--json").stdout)["result"]
     assert [document["query"] for document in documents] == names
     for document, found in zip(documents, expected, strict=True):
         assert [row["distance"] for row in document["results"]] == found.distances.tolist()
@@ -158,7 +158,7 @@ def test_a_scan_that_fails_does_not_stop_the_others(catalogue: Path, folder: Pat
     broken.write_text("OFF\n1 1 0\n")
     queries = (folder / "new" / "new0.off", broken, "11")
     done = run("query", *queries, "-c", catalogue, "-k", 1, "--json", code=3)
-    documents = json.loads(done.stdout)
+    documents = json.loads(done.stdout)["result"]
     assert ["results" in document for document in documents] == [True, False, True]
     assert (documents[1]["error"], documents[1]["stage"]) == ("ScanReadError", "read")
     assert f"failed: [broken.off / read] {documents[1]['message']}" in done.stderr
@@ -245,7 +245,7 @@ def test_neighbours_vote_and_the_error_bar_is_carried_into_ranks(catalogue: Path
         assert ("no ranks could swap" in str(answer)) == certain
     ((_, answer),) = pr.search_many(catalogue, [dataclasses.replace(signature, deviation=None)], k=4)
     assert isinstance(answer, pr.Answer) and answer.rank_ranges is None
-    (document,) = json.loads(run("query", "11", "-c", catalogue, "-k", 4, "--json").stdout)
+    (document,) = json.loads(run("query", "11", "-c", catalogue, "-k", 4, "--json").stdout)["result"]
     assert document["vote"] == dataclasses.asdict(stored.vote)
     assert [row["rank_range"] for row in document["results"]] == stored.rank_ranges.tolist()
     ((_, by_matrix),) = pr.search_many(catalogue, ["11"], k=4, matrix=pr.matrix(catalogue))

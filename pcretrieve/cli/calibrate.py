@@ -9,8 +9,9 @@ import click
 
 from pcretrieve.cli.commands import command
 from pcretrieve.cli.comparison import compared, comparison_options
+from pcretrieve.cli.documents import write_document
 from pcretrieve.cli.messages import say
-from pcretrieve.cli.parts import catalogue_option
+from pcretrieve.cli.parts import catalogue_option, json_option
 
 __all__ = ["calibrate_command"]
 
@@ -26,7 +27,8 @@ __all__ = ["calibrate_command"]
     help="The file to write, such as metric.npz.",
 )
 @comparison_options
-def calibrate_command(catalogue: str, output: Path, **comparison: Any) -> None:
+@json_option
+def calibrate_command(catalogue: str, output: Path, as_json: bool, **comparison: Any) -> None:
     """Learn from labelled scans what to ignore, for other catalogues.
 
     Scan some bodies several times as they will be scanned later, such as three people in ten poses. The
@@ -42,5 +44,8 @@ def calibrate_command(catalogue: str, output: Path, **comparison: Any) -> None:
     from pcretrieve.evaluation import calibrate
 
     with Catalogue(catalogue) as store:
-        whitening = calibrate(store, output, compared(store, **comparison))
+        options = compared(store, **comparison)
+        whitening = calibrate(store, output, options)
     say(f"{output}: {whitening.reason}")
+    if as_json:
+        write_document({"whitening": str(output), "reason": whitening.reason}, options=options)

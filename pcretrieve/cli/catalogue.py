@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
+
 import click
 
+from pcretrieve.cli.commands import command
+from pcretrieve.cli.documents import write_document
 from pcretrieve.cli.messages import say
-from pcretrieve.cli.parts import CATALOGUE
+from pcretrieve.cli.parts import CATALOGUE, json_option
 
 __all__ = ["catalogue_command"]
 
@@ -19,7 +23,7 @@ def catalogue_command() -> None:
     """
 
 
-@catalogue_command.command("merge")
+@command("merge")
 @click.argument("parts", nargs=-1, required=True, type=CATALOGUE, metavar="PART...")
 @click.option(
     "--output",
@@ -29,7 +33,8 @@ def catalogue_command() -> None:
     metavar="FILE|URL",
     help="The catalogue in which the shapes are stored; it may have shapes already.",
 )
-def merge_command(parts: tuple[str, ...], output: str) -> None:
+@json_option
+def merge_command(parts: tuple[str, ...], output: str, as_json: bool) -> None:
     """Store the shapes of several catalogues in one.
 
     PART is a file or a URL, such as the catalogue of a task of a job array (`ingest --shard`). All parts were
@@ -43,3 +48,8 @@ def merge_command(parts: tuple[str, ...], output: str) -> None:
 
     merged = merge_catalogues(parts, output)
     say(f"{merged.n_added} stored, {merged.n_held} held already: {output}")
+    if as_json:
+        write_document(asdict(merged))
+
+
+catalogue_command.add_command(merge_command)

@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING
 import click
 
 from pcretrieve.cli.commands import command
-from pcretrieve.cli.messages import say, write_json, write_line
+from pcretrieve.cli.documents import write_document
+from pcretrieve.cli.messages import say, write_line
 from pcretrieve.cli.parts import CATALOGUE, json_option
 from pcretrieve.cli.progress import Progress
 
@@ -55,7 +56,8 @@ def check_command(catalogue: str, sample: int, repair: bool, as_json: bool) -> N
         with Progress("check", n_rows, "bar") as progress:
             result = check(store, sample=sample, repair=repair, on_shapes=partial(_advance, progress))
     if as_json:
-        write_json({"catalogue": catalogue, "is_whole": result.is_whole} | asdict(result))
+        document = {"catalogue": catalogue, "is_whole": result.is_whole} | asdict(result)
+        write_document(document, options=store.options)
     else:
         _write(catalogue, result)
     if not result.is_whole:

@@ -9,8 +9,9 @@ import click
 
 from pcretrieve.cli.commands import command
 from pcretrieve.cli.comparison import compared, comparison_options
+from pcretrieve.cli.documents import write_document
 from pcretrieve.cli.messages import say, write_csv
-from pcretrieve.cli.parts import catalogue_option
+from pcretrieve.cli.parts import catalogue_option, json_option
 from pcretrieve.csv_text import csv_text
 
 __all__ = ["cluster_command"]
@@ -34,7 +35,10 @@ __all__ = ["cluster_command"]
     help="The file to write.  [default: standard output]",
 )
 @comparison_options
-def cluster_command(catalogue: str, min_size: int, output: Path | None, **comparison: Any) -> None:
+@json_option
+def cluster_command(
+    catalogue: str, min_size: int, output: Path | None, as_json: bool, **comparison: Any
+) -> None:
     """Group the shapes of a catalogue without labels, by the density of their signatures (HDBSCAN).
 
     The default whitening does not use labels. The table has the columns id and label; shapes in no cluster
@@ -48,11 +52,15 @@ def cluster_command(catalogue: str, min_size: int, output: Path | None, **compar
     from pcretrieve.interface import cluster
 
     with Catalogue(catalogue) as store:
-        labels = cluster(store, options=compared(store, **comparison), min_size=min_size)
+        options = compared(store, **comparison)
+        labels = cluster(store, options=options, min_size=min_size)
     text = csv_text(("id", "label"), labels.items())
-    if output is None:
-        write_csv(text)
-    else:
+    if output is not None:
         write_file(output, text.encode())
+    if as_json:
+        rows = [{"id": shape_id, "label": label} for shape_id, label in labels.items()]
+        write_document(rows, options=options)
+    elif output is None:
+        write_csv(text)
     n_none = sum(label is None for label in labels.values())
     say(f"{len({*labels.values()} - {None})} clusters of {len(labels)} shapes, {n_none} of them in none")

@@ -8,9 +8,15 @@ from typing import Any, TypeVar
 
 import click
 
-__all__ = ["command", "option"]
+from pcretrieve.cli.documents import JSON_FLAG, write_error
+from pcretrieve.errors import OptionError, PcretrieveError
+
+__all__ = ["EXIT_ERROR", "EXIT_USAGE", "command", "exit_code", "option"]
 
 Decorated = TypeVar("Decorated", bound=Callable[..., Any])
+
+EXIT_ERROR = 1
+EXIT_USAGE = 2
 
 # Whether all options are shown, in the state of a command.
 ALL = "pcretrieve.help_all"
@@ -57,8 +63,43 @@ class _Command(click.Command):
                 for line in textwrap.wrap(names, width, break_on_hyphens=False):
                     formatter.write(f"{'':{formatter.current_indent}}{line}\n")
 
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        is_json = JSON_FLAG in args
+        try:
+            return super().parse_args(ctx, args)
+        except click.UsageError as error:
+            if is_json:
+                write_error(ctx, error, error.exit_code)
+            raise
+
+    def invoke(self, ctx: click.Context) -> Any:
+        try:
+            return super().invoke(ctx)
+        except (PcretrieveError, click.ClickException) as error:
+            if ctx.params.get("as_json"):
+                write_error(ctx, error, exit_code(error))
+            raise
+
     def _rare(self) -> list[_Option]:
         return [one for one in self.params if isinstance(one, _Option) and one.is_rare]
+
+
+def exit_code(error: PcretrieveError | click.ClickException) -> int:
+    """The code with which a command ends after an error.
+
+    Parameters
+    ----------
+    error : PcretrieveError or click.ClickException
+        The error.
+
+    Returns
+    -------
+    int
+        2 if the command was used in a wrong way, else 1.
+    """
+    if isinstance(error, click.ClickException):
+        return error.exit_code
+    return EXIT_USAGE if isinstance(error, OptionError) else EXIT_ERROR
 
 
 def _show_all(context: click.Context, parameter: click.Parameter, is_asked: bool) -> None:

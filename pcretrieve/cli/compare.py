@@ -9,8 +9,9 @@ import click
 
 from pcretrieve.cli.commands import command
 from pcretrieve.cli.comparison import compared, comparison_options
+from pcretrieve.cli.documents import write_document
 from pcretrieve.cli.evaluate import HEAD, numbers_line
-from pcretrieve.cli.messages import say, write_json, write_line
+from pcretrieve.cli.messages import say, write_line
 from pcretrieve.cli.parts import CATALOGUE, json_option, labels_option
 
 if TYPE_CHECKING:
@@ -75,7 +76,7 @@ def compare_command(
                 for one in shown
             ],
         }
-        write_json(document)
+        write_document(document)
         return
     write_line(HEAD)
     write_line(f"{numbers_line(found.first)}  A: {first}")

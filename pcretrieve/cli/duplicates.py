@@ -8,7 +8,8 @@ import click
 
 from pcretrieve.cli.commands import command
 from pcretrieve.cli.comparison import compared, comparison_options
-from pcretrieve.cli.messages import say, write_json, write_line
+from pcretrieve.cli.documents import write_document
+from pcretrieve.cli.messages import say, write_line
 from pcretrieve.cli.parts import catalogue_option, json_option
 
 __all__ = ["duplicates_command"]
@@ -37,9 +38,10 @@ def duplicates_command(catalogue: str, threshold: float | None, as_json: bool, *
     from pcretrieve.searching import duplicates
 
     with Catalogue(catalogue) as store:
-        pairs = duplicates(store, options=compared(store, **comparison), threshold=threshold)
+        options = compared(store, **comparison)
+        pairs = duplicates(store, options=options, threshold=threshold)
     if as_json:
-        write_json([pair._asdict() for pair in pairs])
+        write_document([pair._asdict() for pair in pairs], options=options)
         return
     for pair in pairs:
         write_line(f"{pair.distance:<10.4g}  {pair.limit:<10.4g}  {pair.first:<24}  {pair.second}")

@@ -13,7 +13,8 @@ import click
 from pcretrieve.cli.commands import command, option
 from pcretrieve.cli.comparison import compared, comparison_options, matrix_option, read_distances
 from pcretrieve.cli.completion import CATALOGUE_VARIABLE
-from pcretrieve.cli.messages import say, write_json, write_line
+from pcretrieve.cli.documents import write_document
+from pcretrieve.cli.messages import say, write_line
 from pcretrieve.cli.parts import CATALOGUE, json_option, labels_option
 
 if TYPE_CHECKING:
@@ -95,6 +96,7 @@ def evaluate_command(
     distances = read_distances(matrix, comparison, reranks=True)
     rerank: RerankKind = comparison["rerank"] or "none"
     how: dict[str, object] = {"matrix": str(matrix)}
+    options = None
     if catalogue is None and (distances is None or labels is None):
         catalogue = os.environ.get(CATALOGUE_VARIABLE) or None
     if catalogue is None:
@@ -148,7 +150,7 @@ def evaluate_command(
                 {"method": one.method, "source": one.source} | dict(zip(MEASURES, one.measures, strict=True))
                 for one in published
             ]
-        write_json(document)
+        write_document(document, options=options)
         return
     write_line(HEAD)
     if rerank != "none":

@@ -11,7 +11,8 @@ import click
 
 from pcretrieve.cli.commands import command, option
 from pcretrieve.cli.comparison import RecordName, names_of
-from pcretrieve.cli.messages import failure_line, log_to, say, write_json
+from pcretrieve.cli.documents import write_document
+from pcretrieve.cli.messages import failure_line, log_to, say
 from pcretrieve.cli.parts import (
     EXIT_INTERRUPTED,
     EXIT_SOME_FAILED,
@@ -184,6 +185,7 @@ def ingest_command(
             failure = failure_line(record) if record.status == "failed" else None
             shown.advance(record_facts(record), failure)
 
+        used = options
         if dry_run:
             summary = plan_files(
                 scans,
@@ -196,6 +198,7 @@ def ingest_command(
             )
         else:
             with Catalogue(catalogue, options, create=True) as store:
+                used = store.options
                 try:
                     summary = ingest_files(
                         scans,
@@ -219,6 +222,6 @@ def ingest_command(
     if not quiet:
         say_summary(summary, catalogue, labels)
     if as_json:
-        write_json(summary_document(summary, catalogue))
+        write_document(summary_document(summary, catalogue), options=used)
     if any(record.status == "failed" for record in (*summary.failed, *summary.held)):
         click.get_current_context().exit(EXIT_SOME_FAILED)

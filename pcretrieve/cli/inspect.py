@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING
 import click
 
 from pcretrieve.cli.commands import command, option
-from pcretrieve.cli.messages import say, write_json, write_line
+from pcretrieve.cli.documents import write_document
+from pcretrieve.cli.messages import say, write_line
 from pcretrieve.cli.parts import (
     CATALOGUE,
     EXIT_SOME_FAILED,
@@ -122,7 +123,7 @@ def inspect_command(
             each_scan(
                 "inspect", inspect, scans, workers=workers, timeout=timeout, memory=memory, progress=progress
             ),
-            as_json,
+            options if as_json else None,
         )
         return
     if not split_member(scan)[0].is_file():
@@ -142,18 +143,20 @@ def inspect_command(
         say(inspection.next_body.source)
     say(inspection.summary)
     if as_json:
-        write_json(_document(inspection, page, png))
+        write_document(_document(inspection, page, png), options=options)
     else:
         write_line(printable(page))
     if inspection.failure is not None:
         click.get_current_context().exit(EXIT_SOME_FAILED)
 
 
-def _write_outcomes(outcomes: Iterable[tuple[Path, dict[str, object] | Record]], as_json: bool) -> None:
-    """Print page, verdict and summary of each inspection, or one JSON document, when all have ended."""
+def _write_outcomes(
+    outcomes: Iterable[tuple[Path, dict[str, object] | Record]], options: PipelineOptions | None
+) -> None:
+    """Print page, verdict and summary of each inspection, or a document with options, when all have ended."""
     documents = [found if isinstance(found, dict) else failure_document(found) for _, found in outcomes]
-    if as_json:
-        write_json(documents)
+    if options is not None:
+        write_document(documents, options=options)
     else:
         for found in documents:
             if "page" in found:

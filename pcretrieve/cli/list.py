@@ -7,7 +7,8 @@ from dataclasses import asdict
 import click
 
 from pcretrieve.cli.commands import command
-from pcretrieve.cli.messages import write_json_list, write_line
+from pcretrieve.cli.documents import write_documents
+from pcretrieve.cli.messages import write_line
 from pcretrieve.cli.parts import catalogue_option, json_option
 
 __all__ = ["list_command"]
@@ -40,7 +41,7 @@ def list_command(
         )
         records = (record for page in pages for record in page)
         if as_json:
-            write_json_list(asdict(record) | {"seconds": round(record.seconds, 3)} for record in records)
+            write_documents(asdict(record) | {"seconds": round(record.seconds, 3)} for record in records)
             return
         for record in records:
             euler = "-" if record.euler is None else str(record.euler)

@@ -18,6 +18,8 @@ from typing import NoReturn
 import click
 
 from pcretrieve import __version__
+from pcretrieve.cli.commands import EXIT_ERROR, exit_code
+from pcretrieve.cli.documents import JSON_FLAG, write_error
 from pcretrieve.cli.messages import say, silence
 from pcretrieve.cli.parts import EXIT_INTERRUPTED
 from pcretrieve.cli.patience import stop_waiting, tell_of_waiting
@@ -25,9 +27,6 @@ from pcretrieve.errors import OptionError, PcretrieveError
 from pcretrieve.suggestions import did_you_mean
 
 __all__ = ["cli", "main"]
-
-EXIT_ERROR = 1
-EXIT_USAGE = 2
 
 # Shells report a program that was ended by a signal with this number plus the number of the signal.
 EXIT_SIGNAL = 128
@@ -91,7 +90,10 @@ class _LazyGroup(click.Group):
     ) -> tuple[str | None, click.Command | None, list[str]]:
         name = args[0]
         if name not in COMMANDS and not name.startswith("-") and not ctx.resilient_parsing:
-            raise click.UsageError(f"there is no command {name!r}{did_you_mean(name, COMMANDS)}", ctx)
+            error = click.UsageError(f"there is no command {name!r}{did_you_mean(name, COMMANDS)}", ctx)
+            if JSON_FLAG in args:
+                write_error(ctx, error, error.exit_code)
+            raise error
         return super().resolve_command(ctx, args)
 
 
@@ -147,10 +149,10 @@ def main() -> NoReturn:
     except OptionError as error:
         # Without the stage, because options are not the fault of the stage that checks them.
         say(f"Error: {error.message}")
-        sys.exit(EXIT_USAGE)
+        sys.exit(exit_code(error))
     except PcretrieveError as error:
         say(f"Error: {error}")
-        sys.exit(EXIT_ERROR)
+        sys.exit(exit_code(error))
     except BrokenPipeError:
         # The program that reads the output has ended, as in `pcretrieve list | head`.
         sys.stderr.close()

@@ -9,8 +9,9 @@ import click
 
 from pcretrieve.cli.commands import command
 from pcretrieve.cli.comparison import compared, comparison_options
+from pcretrieve.cli.documents import write_document
 from pcretrieve.cli.messages import write_line
-from pcretrieve.cli.parts import catalogue_option
+from pcretrieve.cli.parts import catalogue_option, json_option
 
 __all__ = ["map_command"]
 
@@ -26,7 +27,8 @@ __all__ = ["map_command"]
     help="The picture or the page to write.",
 )
 @comparison_options
-def map_command(catalogue: str, output: Path, **comparison: Any) -> None:
+@json_option
+def map_command(catalogue: str, output: Path, as_json: bool, **comparison: Any) -> None:
     """Draw the shapes of a catalogue in the plane, shapes with similar signatures near each other.
 
     The default whitening does not use labels. A page (.html) shows the name and a thumbnail of the shape
@@ -39,5 +41,9 @@ def map_command(catalogue: str, output: Path, **comparison: Any) -> None:
     from pcretrieve.interface import draw_map
 
     with Catalogue(catalogue) as store:
-        page = draw_map(store, output, options=compared(store, **comparison))
-    write_line(str(page))
+        options = compared(store, **comparison)
+        page = draw_map(store, output, options=options)
+    if as_json:
+        write_document({"page": str(page)}, options=options)
+    else:
+        write_line(str(page))

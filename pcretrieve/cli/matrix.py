@@ -10,8 +10,9 @@ import click
 
 from pcretrieve.cli.commands import command, option
 from pcretrieve.cli.comparison import RecordName, compared, comparison_options, given_flags, names_of
+from pcretrieve.cli.documents import write_document
 from pcretrieve.cli.messages import say
-from pcretrieve.cli.parts import EXIT_SOME_FAILED, catalogue_option
+from pcretrieve.cli.parts import EXIT_SOME_FAILED, catalogue_option, json_option
 
 __all__ = ["matrix_command"]
 
@@ -34,7 +35,10 @@ __all__ = ["matrix_command"]
     details=partial(names_of, "matcher"),
 )
 @comparison_options
-def matrix_command(catalogue: str, output: Path, matcher: str | None, **comparison: Any) -> None:
+@json_option
+def matrix_command(
+    catalogue: str, output: Path, matcher: str | None, as_json: bool, **comparison: Any
+) -> None:
     """Write the distance matrix of a catalogue, in the format of the SHREC (Shape Retrieval Contest) tracks.
 
     The value in row i and column j is the distance from the query i to the shape j. Shapes that the matcher
@@ -54,10 +58,18 @@ def matrix_command(catalogue: str, output: Path, matcher: str | None, **comparis
     if comparison["rerank"] is not None:
         raise click.UsageError("distances are not re-ranked: leave out --rerank, and give it to `evaluate`")
     with Catalogue(catalogue) as store:
-        matrix, failures = catalogue_distances(store, compared(store, **comparison), matcher=matcher)
+        options = compared(store, **comparison)
+        matrix, failures = catalogue_distances(store, options, matcher=matcher)
     write_matrix(matrix, output)
     for failure in failures:
         say(f"failed: [{failure.shape_id} / {failure.stage}] {failure.message}")
     say(f"{len(matrix)} shapes: distances in {output}, ids in {ids_path(output)}")
+    if as_json:
+        failed = [
+            {"id": one.shape_id, "error": type(one).__name__, "stage": one.stage, "message": one.message}
+            for one in failures
+        ]
+        files = {"matrix": str(output), "ids": str(ids_path(output))}
+        write_document(files | {"n_shapes": len(matrix), "failed": failed}, options=options)
     if failures:
         click.get_current_context().exit(EXIT_SOME_FAILED)

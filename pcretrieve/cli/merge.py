@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING
 import click
 
 from pcretrieve.cli.commands import command, option
-from pcretrieve.cli.messages import say, write_json
+from pcretrieve.cli.documents import write_document
+from pcretrieve.cli.messages import say
 from pcretrieve.cli.parts import EXIT_SOME_FAILED, config_option, json_option, limit_options, load_options
 
 if TYPE_CHECKING:
@@ -119,15 +120,15 @@ def merge_command(
         "min_overlap": min_overlap,
     }
     given = {name: value for name, value in chosen.items() if value is not None}
-    options = load_options(config).changed(merge=given).merge
+    options = load_options(config).changed(merge=given)
     files, _ = view_files(paths)
     check_output(output, files, "point")
-    merged = Isolation(timeout * len(files), memory).call(_merged, paths, options)
+    merged = Isolation(timeout * len(files), memory).call(_merged, paths, options.merge)
     write_cloud(merged.cloud, output)
     names = [printable(file) for file in files]
     _say_residuals(merged, names, output)
     if as_json:
-        write_json(_document(merged, names, output))
+        write_document(_document(merged, names, output), options=options)
     if merged.left_out:
         click.get_current_context().exit(EXIT_SOME_FAILED)
 

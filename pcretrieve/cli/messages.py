@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import json
 import logging
 import os
 import sys
 from collections.abc import Iterable
 from pathlib import Path
-from textwrap import indent
 from typing import TYPE_CHECKING, TextIO
 
 import click
@@ -21,15 +19,15 @@ if TYPE_CHECKING:
     from pcretrieve.types import Step
 
 __all__ = [
+    "ESCAPES_IN_JSON",
     "escaped",
     "failure_line",
     "log_to",
+    "print_text",
     "say",
     "silence",
     "step_lines",
     "write_csv",
-    "write_json",
-    "write_json_list",
     "write_line",
     "write_row",
 ]
@@ -49,7 +47,7 @@ ESCAPES = {
     for code in range(first, last + 1)
 } | {ord(sign): escape for sign, escape in (("\n", "\\n"), ("\r", "\\r"), ("\t", "\\t"))}
 
-# A JSON document has escaped those in its strings; others are between its values.
+#: A JSON document has escaped those in its strings; others are between its values.
 ESCAPES_IN_JSON = {code: escape for code, escape in ESCAPES.items() if code != ord("\n")}
 
 
@@ -106,7 +104,7 @@ def write_line(text: str) -> None:
     text : str
         The line.
     """
-    _write(escaped(text))
+    print_text(escaped(text))
 
 
 def write_row(cells: Iterable[str]) -> None:
@@ -117,7 +115,7 @@ def write_row(cells: Iterable[str]) -> None:
     cells : iterable of str
         What the row has between its tabs.
     """
-    _write("\t".join(map(escaped, cells)))
+    print_text("\t".join(map(escaped, cells)))
 
 
 def log_to(path: Path) -> None:
@@ -157,40 +155,20 @@ class _OneLine(logging.Formatter):
         return escaped(super().formatMessage(record))
 
 
-def write_json(document: object) -> None:
-    """Print a JSON document for programs, on standard output.
+def print_text(text: str, *, nl: bool = True, color: bool | None = None) -> None:
+    """Print the text of a result, on standard output.
 
     Parameters
     ----------
-    document : object
-        What JSON can represent.
+    text : str
+        The text, in which `ESCAPES` or `ESCAPES_IN_JSON` are escaped.
+    nl : bool, default True
+        Whether a line ends.
+    color : bool, optional
+        Whether codes of a terminal are printed; by default, if standard output is one.
     """
-    _write(_json_text(document))
-
-
-def write_json_list(documents: Iterable[object]) -> None:
-    """Print a list as a JSON document on standard output, each element as soon as it is computed.
-
-    Parameters
-    ----------
-    documents : iterable of object
-        What JSON can represent.
-    """
-    before = "["
-    for document in documents:
-        _write(before)
-        _write(indent(_json_text(document), "  "), nl=False)
-        before = ","
-    _write("[]" if before == "[" else "\n]")
-
-
-def _write(text: str, *, nl: bool = True, color: bool | None = None) -> None:
     stop_waiting()
     click.echo(text, nl=nl, color=color)
-
-
-def _json_text(document: object) -> str:
-    return json.dumps(document, indent=2, ensure_ascii=False).translate(ESCAPES_IN_JSON)
 
 
 def failure_line(record: Record) -> str:
@@ -219,7 +197,7 @@ def write_csv(text: str) -> None:
         The result of `pcretrieve.csv_text.csv_text`.
     """
     shown = text.translate(ESCAPES_IN_JSON) if sys.stdout.isatty() else text
-    _write(shown, nl=False, color=True)  # otherwise click removes what looks like codes of a terminal
+    print_text(shown, nl=False, color=True)  # otherwise click removes what looks like codes of a terminal
 
 
 def step_lines(steps: tuple[Step, ...]) -> list[str]:

@@ -13,7 +13,8 @@ import click
 from pcretrieve.cli.commands import command, option
 from pcretrieve.cli.comparison import compared, comparison_options, matrix_option, read_distances
 from pcretrieve.cli.completion import complete_labels, complete_queries
-from pcretrieve.cli.messages import say, write_csv, write_json_list, write_line
+from pcretrieve.cli.documents import write_documents
+from pcretrieve.cli.messages import say, write_csv, write_line
 from pcretrieve.cli.parts import EXIT_SOME_FAILED, catalogue_option, json_option, limit_options, unit_option
 from pcretrieve.csv_text import csv_text
 
@@ -152,7 +153,13 @@ def query_command(
         is_alone = len(queries) == 1 and not Path(queries[0]).is_dir()
         outcomes = _with_messages(answers, failures, is_alone=is_alone)
         if as_json:
-            write_json_list(_document(name, outcome) for name, outcome in outcomes)
+            distance = whitening = None
+            if distances is None:
+                distance, whitening = options.retrieval.distance, store.whitening(options).reason
+            write_documents(
+                (_document(name, outcome, distance, whitening) for name, outcome in outcomes),
+                options=options,
+            )
         elif as_csv:
             _print_csv(outcomes)
         else:
@@ -181,13 +188,14 @@ def _with_messages(outcomes: Outcomes, failures: list[ShapeError], *, is_alone: 
         yield name, outcome
 
 
-def _document(name: str, outcome: Answer | ShapeError) -> Row:
-    """The outcome of one query, for JSON."""
+def _document(name: str, outcome: Answer | ShapeError, distance: str | None, whitening: str | None) -> Row:
+    """The outcome of one query, for JSON; with a matrix, there is no distance and no whitening."""
     from pcretrieve.searching import Answer, result_rows
 
     if isinstance(outcome, Answer):
         vote = None if outcome.vote is None else asdict(outcome.vote)
-        return {"query": name, "results": result_rows(outcome), "vote": vote}
+        how = {"distance": distance, "whitening": whitening}
+        return {"query": name, "results": result_rows(outcome), "vote": vote, "verdict": str(outcome)} | how
     error = {"error": type(outcome).__name__, "stage": outcome.stage, "message": outcome.message}
     return {"query": name, **error}
 

@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, NamedTuple
 import click
 
 from pcretrieve.cli.commands import command, option
-from pcretrieve.cli.messages import say, step_lines, write_json, write_line
+from pcretrieve.cli.documents import write_document
+from pcretrieve.cli.messages import say, step_lines, write_line
 from pcretrieve.cli.parts import (
     EXIT_SOME_FAILED,
     config_option,
@@ -85,7 +86,7 @@ def reconstruct_command(
         check_output(output, [scan], "mesh")
         made = Isolation(timeout, memory).call(_reconstructed, options, {scan: output}, scan)
         if as_json:
-            write_json(made.document())
+            write_document(made.document(), options=options)
             return
         if report:
             for line in step_lines(made.steps):
@@ -114,7 +115,7 @@ def reconstruct_command(
             n_failed += 1
             documents.append(failure_document(outcome))
     if as_json:
-        write_json(documents)
+        write_document(documents, options=options)
     elif report:
         for line in lines:
             write_line(line)

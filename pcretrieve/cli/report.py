@@ -9,8 +9,9 @@ import click
 
 from pcretrieve.cli.commands import command
 from pcretrieve.cli.comparison import compared, comparison_options, matrix_option, read_distances
+from pcretrieve.cli.documents import write_document
 from pcretrieve.cli.messages import write_line
-from pcretrieve.cli.parts import catalogue_option
+from pcretrieve.cli.parts import catalogue_option, json_option
 
 __all__ = ["report_command"]
 
@@ -44,12 +45,14 @@ __all__ = ["report_command"]
 )
 @matrix_option
 @comparison_options
+@json_option
 def report_command(
     catalogue: str,
     output: Path,
     queries: int,
     k: int,
     matrix: Path | None,
+    as_json: bool,
     **comparison: Any,
 ) -> None:
     """Write an HTML page with retrieval measures, and with pictures of queries and their ranked results.
@@ -66,4 +69,7 @@ def report_command(
     with Catalogue(catalogue) as store:
         options = compared(store, **comparison)
         page = retrieval_page(store, output, n_queries=queries, k=k, options=options, matrix=distances)
-    write_line(str(page))
+    if as_json:
+        write_document({"page": str(page)}, options=options)
+    else:
+        write_line(str(page))

@@ -7,8 +7,16 @@ from pathlib import Path
 import click
 
 from pcretrieve.cli.commands import command
+from pcretrieve.cli.documents import write_document
 from pcretrieve.cli.messages import say, write_line
-from pcretrieve.cli.parts import config_option, limit_options, load_options, surface_option, unit_option
+from pcretrieve.cli.parts import (
+    config_option,
+    json_option,
+    limit_options,
+    load_options,
+    surface_option,
+    unit_option,
+)
 
 __all__ = ["report_problem_command"]
 
@@ -27,6 +35,7 @@ __all__ = ["report_problem_command"]
 @surface_option
 @unit_option
 @limit_options("scan")
+@json_option
 def report_problem_command(
     scan: Path,
     output: Path | None,
@@ -36,6 +45,7 @@ def report_problem_command(
     unit: str | None,
     timeout: float,
     memory: float | None,
+    as_json: bool,
 ) -> None:
     """Pack what is needed to report a scan that fails into one file, without the scan itself.
 
@@ -61,4 +71,7 @@ def report_problem_command(
     else:
         say("the scan does not fail with these options; give those with which it failed")
     say(f"attach this file to your report; it has {'the' if with_scan else 'no'} points of the scan")
-    write_line(printable(output))
+    if as_json:
+        write_document({"file": printable(output), "failure": failure}, options=options)
+    else:
+        write_line(printable(output))

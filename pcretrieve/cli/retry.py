@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING
 import click
 
 from pcretrieve.cli.commands import command
-from pcretrieve.cli.messages import failure_line, write_json
+from pcretrieve.cli.documents import write_document
+from pcretrieve.cli.messages import failure_line
 from pcretrieve.cli.parts import CATALOGUE, EXIT_SOME_FAILED, json_option, limit_options
 from pcretrieve.cli.progress import Progress, progress_option
 from pcretrieve.cli.scans import workers_option
@@ -76,6 +77,6 @@ def retry_command(
             )
     say_summary(summary, catalogue, None)
     if as_json:
-        write_json(summary_document(summary, catalogue))
+        write_document(summary_document(summary, catalogue), options=store.options)
     if summary.failed:
         click.get_current_context().exit(EXIT_SOME_FAILED)

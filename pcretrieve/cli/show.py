@@ -8,7 +8,8 @@ import click
 
 from pcretrieve.cli.commands import command
 from pcretrieve.cli.completion import complete_ids
-from pcretrieve.cli.messages import step_lines, write_json, write_line
+from pcretrieve.cli.documents import write_document
+from pcretrieve.cli.messages import step_lines, write_line
 from pcretrieve.cli.parts import catalogue_option, json_option
 
 __all__ = ["show_command"]
@@ -29,7 +30,7 @@ def show_command(shape_id: str, catalogue: str, as_json: bool) -> None:
     with stored_shapes(catalogue) as store:
         record, stored = store.record(shape_id), store.stored_bytes(shape_id)
     if as_json:
-        write_json(asdict(record) | {"seconds": round(record.seconds, 3), "stored_bytes": stored})
+        write_document(asdict(record) | {"seconds": round(record.seconds, 3), "stored_bytes": stored})
         return
     for name, value in asdict(record).items():
         if name == "versions":

@@ -12,7 +12,8 @@ import click
 
 from pcretrieve.cli.commands import command, option
 from pcretrieve.cli.comparison import method_option, n_values_option, scale_option, size_weight_option
-from pcretrieve.cli.messages import failure_line, say, write_json, write_row
+from pcretrieve.cli.documents import write_document
+from pcretrieve.cli.messages import failure_line, say, write_row
 from pcretrieve.cli.parts import (
     CATALOGUE,
     EXIT_SOME_FAILED,
@@ -89,6 +90,7 @@ def signature_command(
     pcretrieve signature scans/ --method shape-dna --json
     pcretrieve signature --from-catalogue bodies.sqlite T12 T17 --method wks
     """
+    from pcretrieve.catalogue import Catalogue
     from pcretrieve.types import Signature
 
     if from_catalogue is not None and (config or surface or unit):
@@ -104,7 +106,9 @@ def signature_command(
     }
     chosen = {name: value for name, value in given.items() if value is not None}
     if from_catalogue is not None:
-        rows = _of_catalogue(from_catalogue, paths, chosen)
+        with Catalogue(from_catalogue) as store:
+            options = store.options.changed(signature=chosen)
+        rows = _of_catalogue(from_catalogue, paths, options)
     else:
         options = load_options(config, surface).changed(signature=chosen)
         if unit is not None:
@@ -128,7 +132,7 @@ def signature_command(
             facts |= {"error": outcome.error, "stage": outcome.stage, "message": outcome.message}
         found.append(facts)
     if as_json:
-        write_json(found)
+        write_document(found, options=options)
     if n_failed:
         click.get_current_context().exit(EXIT_SOME_FAILED)
 
@@ -158,7 +162,7 @@ def _described(options: PipelineOptions, path: Path) -> tuple[Signature, float]:
     return signature, sum(step.seconds for step in shape.provenance)
 
 
-def _of_catalogue(location: str, ids: tuple[str, ...], chosen: dict[str, Any]) -> Iterator[Row]:
+def _of_catalogue(location: str, ids: tuple[str, ...], options: PipelineOptions) -> Iterator[Row]:
     """Signatures of shapes of a catalogue, or the records of their failures."""
     from pcretrieve.catalogue import Catalogue
     from pcretrieve.descriptors import DESCRIPTORS, describe
@@ -166,8 +170,7 @@ def _of_catalogue(location: str, ids: tuple[str, ...], chosen: dict[str, Any]) -
     from pcretrieve.ingestion.plan import failed
 
     with Catalogue(location) as store:
-        options = store.options.changed(signature=chosen).signature
-        needs = DESCRIPTORS[options.method].needs
+        needs = DESCRIPTORS[options.signature.method].needs
         records = [store.record(shape_id) for shape_id in ids] or store.records()
         for record in records:
             facts: dict[str, object] = {"id": record.id, "path": record.path}
@@ -176,6 +179,6 @@ def _of_catalogue(location: str, ids: tuple[str, ...], chosen: dict[str, Any]) -
                     yield record.id, record, facts
                 continue
             try:
-                yield record.id, describe(store.shape(record.id, needs), options), facts
+                yield record.id, describe(store.shape(record.id, needs), options.signature), facts
             except ShapeError as error:
                 yield record.id, failed(record, error), facts

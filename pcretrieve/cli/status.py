@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import click
 
 from pcretrieve.cli.commands import command
-from pcretrieve.cli.messages import write_json
+from pcretrieve.cli.documents import write_document
 from pcretrieve.cli.parts import CATALOGUE, json_option
 from pcretrieve.cli.progress import duration
 
@@ -31,7 +31,7 @@ def status_command(catalogue: str, as_json: bool) -> None:
 
     found = status(catalogue)
     if as_json:
-        write_json({"catalogue": catalogue} | asdict(found))
+        write_document({"catalogue": catalogue} | asdict(found))
         return
     for line in _lines(found):
         click.echo(line)

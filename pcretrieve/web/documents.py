@@ -187,7 +187,7 @@ def similar_document(
     """
     return {
         "query": name,
-        "asked": asdict(asked),
+        "arguments": asdict(asked),
         "results": [_without_path(row) for row in result_rows(answer)],
         "vote": None if answer.vote is None else asdict(answer.vote),
         "verdict": str(answer),

@@ -246,7 +246,7 @@ def test_rows_of_no_shape_are_removed(path: Path) -> None:
     before = rows_of(path)
     found = run("check", path, "--sample", "0", "--json")
     assert found.exit_code == 1
-    answer = json.loads(found.stdout)
+    answer = json.loads(found.stdout)["result"]
     assert not answer["is_whole"]
     assert [defect["kind"] for defect in answer["defects"]] == ["orphan", "orphan"]
     said = run("check", path, "--sample", "0", "--repair")

@@ -127,7 +127,7 @@ def test_meshes_are_left_out_at_the_command_line(tmp_path: Path) -> None:
     path = tmp_path / "c.sqlite"
     ingested = run("ingest", *tmp_path.glob("*.off"), "-c", path, "--no-meshes", "--workers", 1)
     assert ingested.exit_code == 0, ingested.output
-    stored = json.loads(run("show", "egg0", "-c", path, "--json").output)["stored_bytes"]
+    stored = json.loads(run("show", "egg0", "-c", path, "--json").output)["result"]["stored_bytes"]
     assert (stored["meshes"], stored["overlaps"]) == (0, 0)
     assert sum(stored.values()) < 30_000
     assert "egg0" in run("query", "egg0", "-c", path).stdout.splitlines()[0]

@@ -105,7 +105,7 @@ def batch(
         folder / "labels.csv",
         "--json",
     )
-    return result, json.loads(result.stdout)
+    return result, json.loads(result.stdout)["result"]
 
 
 def test_the_good_ones_are_kept(batch: tuple[subprocess.CompletedProcess[str], dict[str, Any]]) -> None:

@@ -59,7 +59,7 @@ def test_duplicates_are_nearer_than_the_noise(catalogue: Path) -> None:
         [pair.first, pair.second] for pair in pairs
     ]
     assert done.stderr == "2 pairs\n"
-    printed = json.loads(run("duplicates", "-c", catalogue, "--json").stdout)
+    printed = json.loads(run("duplicates", "-c", catalogue, "--json").stdout)["result"]
     assert printed == [pair._asdict() for pair in pairs]
 
 

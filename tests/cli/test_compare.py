@@ -22,7 +22,7 @@ def run(*arguments: object, code: int = 0) -> Result:
 
 
 def document(*arguments: object) -> dict[str, object]:
-    found: dict[str, object] = json.loads(run(*arguments, "--json").stdout)
+    found: dict[str, object] = json.loads(run(*arguments, "--json").stdout)["result"]
     return found
 
 

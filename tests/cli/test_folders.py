@@ -68,14 +68,14 @@ def test_progress_of_signatures_in_json(folder: Path) -> None:
         **dict.fromkeys(LENGTHS, "done"),
         "bad": "failed",
     }
-    assert [Path(found["path"]).stem for found in json.loads(done.stdout)] == ["a", "b", "bad", "c"]
+    assert [Path(found["path"]).stem for found in json.loads(done.stdout)["result"]] == ["a", "b", "bad", "c"]
 
 
 def test_each_scan_of_a_folder_is_reconstructed(folder: Path, tmp_path: Path) -> None:
     done = run("reconstruct", folder, "-o", tmp_path / "meshes", "--suffix", ".obj", "--json")
     assert done.exit_code == 3
     assert {path.name for path in (tmp_path / "meshes").iterdir()} == {"a.obj", "b.obj", "c.obj"}
-    by_name = {Path(found["scan"]).stem: found for found in json.loads(done.stdout)}
+    by_name = {Path(found["scan"]).stem: found for found in json.loads(done.stdout)["result"]}
     assert by_name["bad"]["error"] == "ScanReadError"
     for name, length in LENGTHS.items():
         mesh = read_scan(tmp_path / "meshes" / f"{name}.obj")

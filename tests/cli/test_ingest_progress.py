@@ -42,7 +42,7 @@ def test_a_dry_run_says_what_would_be_done_and_writes_nothing(folder: Path) -> N
     before = files(folder)
     done = ingest(folder, "--dry-run", "--json")
     assert files(folder) == before
-    answer = json.loads(done.stdout)
+    answer = json.loads(done.stdout)["result"]
     assert answer["planned"] == ["a", "b", *(f"bad-{number}" for number in range(N_BAD))]
     assert [Path(duplicate["path"]).name for duplicate in answer["duplicates"]] == ["copy.off"]
     assert (done.exit_code, answer["done"]) == (0, [])
@@ -52,16 +52,16 @@ def test_a_dry_run_says_what_would_be_done_and_writes_nothing(folder: Path) -> N
 def test_a_dry_run_knows_what_the_catalogue_has(folder: Path) -> None:
     ingest(folder)
     before = files(folder)
-    answer = json.loads(ingest(folder, "--dry-run", "--json").stdout)
+    answer = json.loads(ingest(folder, "--dry-run", "--json").stdout)["result"]
     assert (answer["planned"], answer["held"]) == ([], ["a", "b"])
     again = ingest(folder, "--dry-run", "--json", "--retry-failed")
-    assert json.loads(again.stdout)["planned"] == [f"bad-{number}" for number in range(N_BAD)]
+    assert json.loads(again.stdout)["result"]["planned"] == [f"bad-{number}" for number in range(N_BAD)]
     assert files(folder) == before
     write_mesh(shapes.icosphere(2), folder / "scans" / "new.off")
     (folder / "scans" / "a.off").unlink()
     (folder / "scans" / "a.off").symlink_to(folder / "nowhere.off")
     unreadable = ingest(folder, "--dry-run", "--json")
-    answer = json.loads(unreadable.stdout)
+    answer = json.loads(unreadable.stdout)["result"]
     assert (unreadable.exit_code, answer["planned"]) == (3, ["new"])
     assert answer["failed"][0]["id"] == "a"
 

@@ -66,7 +66,7 @@ def test_json_holds_checks_and_numbers(folder: Path) -> None:
     )
     result = run(*arguments, "--json", cwd=folder)
     assert result.returncode == 0
-    answer = json.loads(result.stdout)
+    answer = json.loads(result.stdout)["result"]
     assert answer["page"] == str((folder / "page.html").resolve())
     assert answer["failure"] is None
     judgement = answer["shape_verdict"]["judgement"]
@@ -88,7 +88,7 @@ def test_json_holds_checks_and_numbers(folder: Path) -> None:
 def test_a_scan_that_fails_gets_its_page(scan: str, stage: str, folder: Path) -> None:
     result = run(scan, "--json", cwd=folder)
     assert result.returncode == 3
-    answer = json.loads(result.stdout)
+    answer = json.loads(result.stdout)["result"]
     assert answer["failure"]["stage"] == stage
     assert answer["signature"] is answer["rescan_deviation"] is answer["spread"] is None
     assert f"the {stage} stage failed" in Path(answer["page"]).read_text(encoding="utf-8")

@@ -53,7 +53,7 @@ def test_published_measures_are_below_ours(eggs: Path) -> None:
         "1.0000  0.9710  0.9830  0.7300  0.9940       -  published: R-BiHDM, L = 23 (Ye and Yu, table 3)"
     )
     assert result.stderr.endswith(f"shrec11: {LAYOUTS['shrec11'].protocol}\n")
-    found = json.loads(run(*asked, "--labels", "shrec11", "--json").stdout)
+    found = json.loads(run(*asked, "--labels", "shrec11", "--json").stdout)["result"]
     assert [row["method"] for row in found["published"]] == [row.method for row in PUBLISHED["shrec11"]]
     assert found["published"][0]["map"] is None
 

@@ -53,7 +53,7 @@ def run(*arguments: object, code: int = 0) -> Result:
 
 
 def document(*arguments: object) -> dict[str, object]:
-    found: dict[str, object] = json.loads(run(*arguments, "--json").stdout)
+    found: dict[str, object] = json.loads(run(*arguments, "--json").stdout)["result"]
     return found
 
 
@@ -82,7 +82,7 @@ def test_a_matrix_is_evaluated_as_its_signatures_are(folder: Path, matrix: Path)
 def test_a_matrix_and_labels_are_enough(folder: Path, matrix: Path) -> None:
     result = run("evaluate", "--matrix", matrix, "--labels", folder / "labels.csv", "--json")
     assert "names 1 shapes that are not among those ranked, such as broken.off" in result.stderr
-    found = json.loads(result.stdout)
+    found = json.loads(result.stdout)["result"]
     assert (found["n_queries"], found["n_failed"], found["n_shapes"]) == (9, 0, 9)
     assert run("evaluate", "--matrix", matrix, code=2).stderr.endswith(
         "give --catalogue, or both --matrix and --labels\n"
@@ -153,7 +153,7 @@ def test_a_matcher_makes_a_matrix_that_ranks(folder: Path, tmp_path: Path) -> No
     found = document("evaluate", "-c", folder / "c.sqlite", "--matrix", path)
     assert (found["n_queries"], found["n_failed"]) == (10, 1)
     query = ("query", "-c", folder / "c.sqlite", folder / "10.off", "--matrix", path, "--json")
-    assert json.loads(run(*query).stdout)[0]["results"][0]["id"] == "10"
+    assert json.loads(run(*query).stdout)["result"][0]["results"][0]["id"] == "10"
 
 
 def test_shapes_that_a_matcher_fails_on_are_named_and_left_out(

@@ -64,7 +64,7 @@ def searched(folder: Path) -> tuple[subprocess.CompletedProcess[str], dict[str, 
     """All views of a folder and the foreign one, without poses."""
     (folder / "searched.ply").write_text("what stood there before")
     result = run("views", "torus.pcd", "-o", "searched.ply", "--json", cwd=folder)
-    return result, json.loads(result.stdout)
+    return result, json.loads(result.stdout)["result"]
 
 
 def test_a_view_that_is_left_out_shows_in_words_in_json_and_in_the_exit_code(
@@ -128,7 +128,7 @@ def test_options_reach_the_merge(folder: Path) -> None:
     }.items():
         result = run("body.conf", "-o", "some.ply", "--json", *extra, cwd=folder)
         assert result.returncode == 0
-        counts[name] = json.loads(result.stdout)["points"]
+        counts[name] = json.loads(result.stdout)["result"]["points"]
     assert counts["near"] == pytest.approx(0.75 * counts["all"], rel=0.01)
     assert counts["thin"] < 0.5 * counts["all"]
     assert 0.98 * counts["all"] < counts["piece"] < counts["all"]  # the rig's outliers are gone

@@ -60,7 +60,7 @@ def run(*arguments: object, code: int = 0) -> Result:
 
 def results(done: Result) -> list[dict[str, Any]]:
     """The results of the only query."""
-    (answer,) = json.loads(done.stdout)
+    (answer,) = json.loads(done.stdout)["result"]
     found: list[dict[str, Any]] = answer["results"]
     return found
 
@@ -81,7 +81,9 @@ def test_pca_whitening_takes_values_relative_unless_a_scale_is_named(
 ) -> None:
     expected = scale or ("relative" if given == "pca" else own(catalogue))
     chosen = ("--scale", scale) if scale else ()
-    found = json.loads(run("evaluate", "-c", catalogue, "--whitening", given, *chosen, "--json").stdout)
+    found = json.loads(run("evaluate", "-c", catalogue, "--whitening", given, *chosen, "--json").stdout)[
+        "result"
+    ]
     assert found["scale"] == expected
     with Catalogue(catalogue) as store:
         tables = {s: store.signatures(by(store, s)) for s in ("area", "relative")}
@@ -95,7 +97,8 @@ def test_pca_whitening_takes_values_relative_unless_a_scale_is_named(
 def test_resolution_is_for_the_descriptor_that_it_was_measured_for(catalogue: Path, tmp_path: Path) -> None:
     asked = ("--whitening", "resolution")
     plain, found = (
-        json.loads(run("evaluate", "-c", catalogue, *chosen, "--json").stdout) for chosen in ((), asked)
+        json.loads(run("evaluate", "-c", catalogue, *chosen, "--json").stdout)["result"]
+        for chosen in ((), asked)
     )
     assert found["whitening"] == "resolution"
     assert found["map"] != plain["map"]
@@ -149,17 +152,17 @@ def test_a_file_gives_commands_their_options_and_flags_override_it(
     mine = tmp_path / "mine.toml"
     mine.write_text("[signature]\nn_values = 9\n[retrieval]\nwhitening = 'pca'\ndistance = 'd1'\n")
     asked = ("evaluate", "-c", catalogue, "--json")
-    by_file = json.loads(run(*asked, "--config", mine).stdout)
+    by_file = json.loads(run(*asked, "--config", mine).stdout)["result"]
     assert (by_file["n_values"], by_file["whitening"], by_file["distance"]) == (9, "pca", "d1")
-    assert by_file == json.loads(run(*asked, *PCA, "--distance", "d1", "--n-values", 9).stdout)
+    assert by_file == json.loads(run(*asked, *PCA, "--distance", "d1", "--n-values", 9).stdout)["result"]
     overridden = run(*asked, "--config", mine, "--whitening", "auto", "--distance", "log", "--n-values", 59)
-    assert overridden.stdout == run(*asked).stdout
+    assert json.loads(overridden.stdout)["result"] == json.loads(run(*asked).stdout)["result"]
     query = ("query", "-c", catalogue, files[0], "--json")
-    assert (
-        run(*query, "--config", mine).stdout
-        == run(*query, *PCA, "--distance", "d1", "--n-values", 9).stdout
-        != run(*query).stdout
+    by_file, by_flags, plain = (
+        json.loads(run(*query, *chosen).stdout)["result"]
+        for chosen in (("--config", mine), (*PCA, "--distance", "d1", "--n-values", 9), ())
     )
+    assert by_file == by_flags != plain
     run("report", "-c", catalogue, "-o", tmp_path / "page.html", "--queries", 1, "--config", mine)
     page = (tmp_path / "page.html").read_text(encoding="utf-8")
     for name, value in (
@@ -183,13 +186,14 @@ def test_a_catalogue_compares_as_the_options_that_it_was_made_with_say(
     (tmp_path / "mine.toml").write_text(describe_options(options))
     run("ingest", files[0].parent, "-c", tmp_path / "c.sqlite", "--config", tmp_path / "mine.toml")
     run("ingest", files[0].parent, "-c", tmp_path / "plain.sqlite")
-    query = ("query", files[0], "--json")
-    own = run(*query, "-c", tmp_path / "c.sqlite").stdout
-    assert own == run(*query, "-c", tmp_path / "plain.sqlite", *PCA, "--distance", "d1").stdout
-    plain = run(*query, "-c", tmp_path / "plain.sqlite").stdout
-    assert (
-        plain == run(*query, "-c", tmp_path / "c.sqlite", "--whitening", "none", "--distance", "log").stdout
-    )
+
+    def found(name: str, *chosen: object) -> object:
+        done = run("query", files[0], "--json", "-c", tmp_path / name, *chosen)
+        return json.loads(done.stdout)["result"][0]["results"]
+
+    assert found("c.sqlite") == found("plain.sqlite", *PCA, "--distance", "d1")
+    as_plain = found("c.sqlite", "--whitening", "none", "--distance", "log")
+    assert found("plain.sqlite") == as_plain != found("c.sqlite")
     # Stored results do not depend on these options, so that a catalogue can be used with other values.
     run("ingest", files[0].parent, "-c", tmp_path / "plain.sqlite", "--config", tmp_path / "mine.toml")
 

@@ -149,7 +149,9 @@ def test_a_descriptor_of_another_package_is_used_like_any_other(
     assert len(stored["body"]) == 59
     np.testing.assert_allclose(stored["body"][[0, -1]], found[[0, -1]], rtol=1e-6)
     asked = run("query", "-c", catalogue, scan, "--method", "girth", "--json")
-    assert [row["id"] for row in json.loads(asked.stdout)[0]["results"]] == ["body", "egg"], asked.stderr
+    assert [row["id"] for row in json.loads(asked.stdout)["result"][0]["results"]] == ["body", "egg"], (
+        asked.stderr
+    )
 
 
 @pytest.mark.usefixtures("installed")
@@ -217,7 +219,7 @@ def test_shapes_of_a_catalogue_that_have_no_signature(run: Run, catalogue: Path)
     failed = run("signature", "--from-catalogue", catalogue, "nothing", "egg", "--json")
     assert failed.code == 3
     assert failed.stderr.startswith("failed: [nothing / read] ")
-    assert [row["id"] for row in json.loads(failed.stdout)] == ["nothing", "egg"]
+    assert [row["id"] for row in json.loads(failed.stdout)["result"]] == ["nothing", "egg"]
     unknown = run("signature", "--from-catalogue", catalogue, "ogre")
     assert unknown.code == 1
     assert "holds no shape 'ogre'; `pcretrieve list` names them" in unknown.stderr
@@ -232,8 +234,8 @@ def test_the_error_bar_of_a_scan_made_into_two_surfaces(run: Run, tmp_path: Path
     np.savetxt(cloud, shapes.points_on(shapes.body(), 6000))
     config = tmp_path / "one.toml"
     config.write_text("[surface]\nreconstructions = 1\n", encoding="utf-8")
-    (alone,) = json.loads(run("signature", cloud, "--config", config, "--json").stdout)
-    (both,) = json.loads(run("signature", cloud, "--json").stdout)
+    (alone,) = json.loads(run("signature", cloud, "--config", config, "--json").stdout)["result"]
+    (both,) = json.loads(run("signature", cloud, "--json").stdout)["result"]
     assert "deviation" not in alone
     assert len(both["deviation"]) == len(both["values"])
     # The first surface is the same, so the mean is off it by the error bar, over the root of 2.

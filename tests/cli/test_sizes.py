@@ -69,7 +69,7 @@ def centimetres(tmp_path: Path) -> Path:
 def test_a_query_in_another_unit_is_converted(in_metres: Path, centimetres: Path) -> None:
     result = run("query", centimetres, "-c", in_metres, *SIZED, "--unit", "cm", "--json")
     assert result.exit_code == 0, result.output
-    first, second = json.loads(result.stdout)[0]["results"]
+    first, second = json.loads(result.stdout)["result"][0]["results"]
     assert (first["id"], second["id"]) == ("large", "small")
     assert first["distance"] < 0.05
     assert second["distance"] == pytest.approx(6 * np.log(1.2**2), rel=0.01)
@@ -105,20 +105,23 @@ def test_a_query_in_metres_is_refused_by_shapes_of_unknown_unit(of_files: Path, 
     files = [of_files.parent / f"{name}.off" for name in HEIGHTS]
     assert run("ingest", *files, "-c", again, "--unit", "m", "--workers", "1").exit_code == 0
     result = run("query", glb, "-c", again, *SIZED, "--json")
-    assert [row["id"] for row in json.loads(result.stdout)[0]["results"]] == ["large", "small"]
+    assert [row["id"] for row in json.loads(result.stdout)["result"][0]["results"]] == ["large", "small"]
 
 
 def test_the_form_is_compared_whatever_the_units(of_files: Path, in_metres: Path, centimetres: Path) -> None:
     for catalogue in (of_files, in_metres):
         result = run("query", centimetres, "-c", catalogue, "--json")
         assert result.exit_code == 0, result.output
-        assert [row["distance"] < 0.05 for row in json.loads(result.stdout)[0]["results"]] == [True, True]
+        assert [row["distance"] < 0.05 for row in json.loads(result.stdout)["result"][0]["results"]] == [
+            True,
+            True,
+        ]
 
 
 def test_sizes_of_files_without_a_unit_are_compared_with_each_other(of_files: Path) -> None:
     query = body(of_files.with_name("query.obj"), HEIGHTS["small"])
     result = run("query", query, "-c", of_files, *SIZED, "--json")
-    assert [row["id"] for row in json.loads(result.stdout)[0]["results"]] == ["small", "large"]
+    assert [row["id"] for row in json.loads(result.stdout)["result"][0]["results"]] == ["small", "large"]
 
 
 def test_a_stored_file_in_another_unit_is_processed_again(of_files: Path, in_metres: Path) -> None:
@@ -127,7 +130,7 @@ def test_a_stored_file_in_another_unit_is_processed_again(of_files: Path, in_met
     assert run("ingest", small, "-c", of_files.with_name("one.sqlite"), "--unit", "m").exit_code == 0
     for unit, near in (("m", True), ("cm", False)):
         result = run("query", small, "-c", of_files.with_name("one.sqlite"), *SIZED, "--unit", unit, "--json")
-        assert (json.loads(result.stdout)[0]["results"][0]["distance"] < 0.05) == near
+        assert (json.loads(result.stdout)["result"][0]["results"][0]["distance"] < 0.05) == near
 
 
 def test_a_catalogue_of_some_known_units_compares_no_sizes(in_metres: Path, centimetres: Path) -> None:
@@ -157,5 +160,5 @@ def test_files_of_signatures_have_the_unit(in_metres: Path, centimetres: Path) -
         with np.load(in_metres.with_name("signatures.npz")) as written:
             assert str(written["unit"]) == unit
     for flags, expected in ((SIZED, "unknown"), ((*SIZED, "--unit", "cm"), "m"), ((), None)):
-        (printed,) = json.loads(run("signature", centimetres, "--json", *flags).stdout)
+        (printed,) = json.loads(run("signature", centimetres, "--json", *flags).stdout)["result"]
         assert printed["unit"] == expected

@@ -42,7 +42,7 @@ def ingest(folder: Path) -> list[str]:
 
 
 def document(folder: Path) -> dict[str, Any]:
-    answer: dict[str, Any] = json.loads(run("status", folder / "c.sqlite", "--json").stdout)
+    answer: dict[str, Any] = json.loads(run("status", folder / "c.sqlite", "--json").stdout)["result"]
     return answer
 
 
@@ -121,9 +121,9 @@ def test_failures_of_a_stage_are_processed_again(folder: Path) -> None:
     refused = run("retry", folder / "c.sqlite", "--stage", "surface")
     assert "failed in the stage surface; stages with failures: read" in str(refused.exception)
     again = run("retry", folder / "c.sqlite", "--stage", "read", "--json")
-    assert (again.exit_code, json.loads(again.stdout)["failed"][0]["id"]) == (3, "bad")
+    assert (again.exit_code, json.loads(again.stdout)["result"]["failed"][0]["id"]) == (3, "bad")
     write_mesh(shapes.ellipsoid((1, 2, 3), subdivisions=3), folder / "scans" / "bad.off")
     mended = run("retry", folder / "c.sqlite", "--json")
-    assert (mended.exit_code, json.loads(mended.stdout)["done"]) == (0, ["bad"])
+    assert (mended.exit_code, json.loads(mended.stdout)["result"]["done"]) == (0, ["bad"])
     with pytest.raises(pr.InputError, match=r"no shape of .* failed"):
         pr.retry(folder / "c.sqlite")

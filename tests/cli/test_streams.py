@@ -37,7 +37,7 @@ def run(folder: Path, command: str) -> subprocess.CompletedProcess[str]:
 def test_messages_that_cannot_be_printed_end_no_batch(redirection: str, folder: Path) -> None:
     done = run(folder, f"ingest scans -c c.sqlite --json {redirection}")
     assert done.returncode == 3, done
-    answer = json.loads(done.stdout)
+    answer = json.loads(done.stdout)["result"]
     assert answer["done"] == ["egg"]
     assert [failure["id"] for failure in answer["failed"]] == ["flat"]
 

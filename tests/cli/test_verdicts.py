@@ -51,7 +51,7 @@ def test_doubtful_shapes_are_listed_with_their_reasons(path: Path) -> None:
     doubtful = run("list", "-c", path, "--doubtful").stdout.splitlines()
     assert [line.split()[:2] for line in doubtful] == [["a2", "doubtful"], ["b3", "unusable"]]
     assert doubtful[0].endswith("[doubtful, ± 0.4: gaps: wide]")
-    everything = json.loads(run("list", "-c", path, "--json").stdout)
+    everything = json.loads(run("list", "-c", path, "--json").stdout)["result"]
     assert [row["verdict"] and row["verdict"]["judgement"] for row in everything] == [
         verdict and verdict.judgement for verdict in VERDICTS.values()
     ]
@@ -63,7 +63,7 @@ def test_a_result_comes_with_its_verdict(path: Path) -> None:
     found = {line.split()[4]: line for line in run("query", "-c", path, "a1").stdout.splitlines()}
     assert found["b3"].endswith("[unusable, ± 2: closed ends: many]")
     assert found["a3"].endswith(".off") and found["b1"].endswith(".off")
-    (answer,) = json.loads(run("query", "-c", path, "a1", "--json").stdout)
+    (answer,) = json.loads(run("query", "-c", path, "a1", "--json").stdout)["result"]
     (row,) = [row for row in answer["results"] if row["id"] == "a2"]
     assert row["verdict"] == {"judgement": "doubtful", "uncertainty": 0.4, "reasons": ["gaps: wide"]}
 
@@ -79,7 +79,7 @@ def test_evaluation_can_leave_doubtful_shapes_out(path: Path, tmp_path: Path) ->
     assert evaluate(path).n_queries == len(VERDICTS)
     write_matrix(distances, tmp_path / "distances.npy")
     for more in ([], ["--matrix", tmp_path / "distances.npy"]):
-        counted = json.loads(run("evaluate", "-c", path, "--sound-only", "--json", *more).stdout)
+        counted = json.loads(run("evaluate", "-c", path, "--sound-only", "--json", *more).stdout)["result"]
         assert (counted["n_queries"], counted["n_shapes"]) == (4, 4)
 
 
@@ -106,7 +106,7 @@ def test_ingest_sums_them_up_and_a_query_says_so(tmp_path: Path) -> None:
     scans = tmp_path / "open.off", tmp_path / "whole.off"
     done = run("ingest", *scans, "-c", catalogue, "--surface", "keep", "--workers", 1, "--json")
     assert "1 doubtful, 0 unusable by the checks of their scans: `pcretrieve list --doubtful`" in done.stderr
-    assert json.loads(done.stdout)["doubtful"] == ["open"]
+    assert json.loads(done.stdout)["result"]["doubtful"] == ["open"]
     write_mesh(TriangleMesh(body.vertices, body.faces[12:]), tmp_path / "other.off")
     asked = run("query", "-c", catalogue, tmp_path / "other.off")
     assert "other.off is doubtful, ± 0.3: closed surface: " in asked.stderr

@@ -318,7 +318,7 @@ def test_ingest_gives_the_same_catalogue_as_on_one_computer(cluster: DaskCluster
         check=False,
     )
     assert ended.returncode == 3, ended.stderr
-    assert [row["id"] for row in json.loads(ended.stdout)["failed"]] == ["flat"]
+    assert [row["id"] for row in json.loads(ended.stdout)["result"]["failed"]] == ["flat"]
     ingest(paths, tmp_path / "other.sqlite")
     with Catalogue(tmp_path / "c.sqlite") as made, Catalogue(tmp_path / "other.sqlite") as expected:
         assert made.signatures() == expected.signatures()

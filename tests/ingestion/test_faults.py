@@ -126,7 +126,7 @@ def ingested(folder: Path, environment: Mapping[str, str]) -> dict[str, Any]:
         check=False,
     )
     assert done.returncode == 3, done.stderr[-3000:].decode(errors="replace")
-    answer: dict[str, Any] = json.loads(done.stdout)
+    answer: dict[str, Any] = json.loads(done.stdout)["result"]
     return answer
 
 

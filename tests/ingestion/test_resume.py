@@ -51,10 +51,10 @@ def test_ctrl_c_keeps_what_is_finished_and_the_same_command_goes_on(tmp_path: Pa
         kept = {record.id for record in catalogue.records()}
     assert 0 < len(kept) < N_SHAPES
 
-    answer = json.loads(subprocess.run(command(tmp_path), capture_output=True, check=True).stdout)
+    answer = json.loads(subprocess.run(command(tmp_path), capture_output=True, check=True).stdout)["result"]
     assert set(answer["held"]) == kept
     assert len(answer["done"]) == N_SHAPES - len(kept)
-    again = json.loads(subprocess.run(command(tmp_path), capture_output=True, check=True).stdout)
+    again = json.loads(subprocess.run(command(tmp_path), capture_output=True, check=True).stdout)["result"]
     assert (len(again["held"]), again["done"]) == (N_SHAPES, [])
 
 
@@ -68,7 +68,7 @@ def test_a_shape_that_takes_too_long_is_given_up_and_the_others_are_not(tmp_path
     )
     limited = [*command(tmp_path), "--config", str(tmp_path / "fine.toml"), "--timeout", "20"]
     ended = subprocess.run(limited, capture_output=True, check=False)
-    answer = json.loads(ended.stdout)
+    answer = json.loads(ended.stdout)["result"]
     assert ended.returncode == 3
     assert answer["done"] == ["quick"]
     assert [failure["error"] for failure in answer["failed"]] == ["StageTimeout"]

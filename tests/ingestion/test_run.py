@@ -263,7 +263,7 @@ def test_two_processes_that_ingest_at_once_store_every_shape_once(
     for process in running:
         said, errors = process.communicate(timeout=PATIENCE)
         assert process.returncode == 0, errors.decode()
-        answer = json.loads(said)
+        answer = json.loads(said)["result"]
         assert len(answer["done"]) + len(answer["held"]) == 4
     with Catalogue(new_location) as catalogue:
         records = catalogue.records()
@@ -398,7 +398,7 @@ def test_json_is_all_that_standard_output_gets(folder: Path, tmp_path: Path) -> 
         env=os.environ | {"PYTHONPATH": path},
     )
     assert ended.returncode == 3
-    answer = json.loads(ended.stdout)
+    answer = json.loads(ended.stdout)["result"]
     assert [failure["message"].split(": ")[-1] for failure in answer["failed"]] == ["hoarse"]
     assert {Path(copy["path"]).name for copy in answer["duplicates"]} == {"copy.off", "latin-\\xe9.off"}
     # What the reader of a scan prints is in the log, with the name of the scan.

@@ -55,7 +55,7 @@ def test_neighbours_are_those_of_the_command_line(server: Server, eggs: Path) ->
     document = server.ask("/shapes/Egg01/similar?k=3").json
     words = ["query", "-c", str(eggs), "Egg01", "-k", "3", "--exclude-self", "--json"]
     done = CliRunner().invoke(cli, words)
-    ((expected,),) = [json.loads(done.stdout)]
+    ((expected,),) = [json.loads(done.stdout)["result"]]
     for row in expected["results"]:
         row["file"] = Path(row.pop("path")).name
     assert document["results"] == expected["results"]

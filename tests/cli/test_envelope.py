@@ -1,0 +1,184 @@
+"""`--json` of each command: one document with what was asked, and the result or the error."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+import shapes
+from click.testing import CliRunner, Result
+
+from pcretrieve import __version__
+from pcretrieve.cli.commands import command
+from pcretrieve.cli.documents import write_documents
+from pcretrieve.cli.main import COMMANDS, cli
+from pcretrieve.cli.parts import json_option
+from pcretrieve.errors import CatalogueError
+from pcretrieve.formats import write_mesh
+from pcretrieve.options import PipelineOptions
+
+HEAD = ["command", "version", "arguments", "options"]
+ERROR = ["error", "stage", "message", "exit_code"]
+
+# Commands that run until they are stopped, or run other commands.
+WITHOUT = {"demo", "serve", "watch", "catalogue"}
+
+N_EGGS = 4
+
+
+def run(*words: object) -> Result:
+    return CliRunner().invoke(cli, [str(word) for word in words], prog_name="pcretrieve")
+
+
+def document(*words: object, code: int = 0) -> dict[str, Any]:
+    done = run(*words, "--json")
+    assert done.exit_code == code, done.output
+    found: dict[str, Any] = json.loads(done.stdout)
+    return found
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A catalogue of eggs of two classes, and of a file that is no scan, which failed."""
+    place = tmp_path_factory.mktemp("documents")
+    (place / "scans").mkdir()
+    for number in range(N_EGGS):
+        egg = shapes.ellipsoid((1, 1, 1.2 + 0.1 * number), subdivisions=3)
+        write_mesh(egg, place / "scans" / f"e{number}.off")
+    (place / "scans" / "flat.xyz").write_text("1 2 3\n" * 200)
+    rows = [f"e{number}.off,{'small' if number < 2 else 'large'}" for number in range(N_EGGS)]
+    (place / "labels.csv").write_text("\n".join(["file,class", *rows]))
+    labels = "--labels", place / "labels.csv"
+    done = run("ingest", place / "scans", *labels, "-c", place / "c.sqlite", "--workers", 1, "--quiet")
+    assert done.exit_code == 3, done.output
+    return place
+
+
+# The words of each command in the folder, its exit code, what its result has, and whether it has options.
+ASKED: dict[str, tuple[str, int, set[str], bool]] = {
+    "reconstruct": ("scans/e0.off -o body.off", 0, {"mesh", "faces", "steps"}, True),
+    "signature": ("scans/e0.off", 0, {"path", "kind", "values"}, True),
+    "inspect": ("scans/e0.off -o page.html --rescans 0", 0, {"page", "verdict", "checks"}, True),
+    "report-problem": ("scans/flat.xyz -o problem.zip", 0, {"file", "failure"}, True),
+    "ingest": ("scans -c new.sqlite --workers 1 --quiet", 3, {"done", "failed", "held"}, True),
+    "status": ("c.sqlite", 0, {"state", "n_shapes"}, False),
+    "retry": ("c.sqlite --workers 1", 3, {"done", "failed"}, True),
+    "query": ("e0 -c c.sqlite -k 2", 0, {"query", "results", "vote", "verdict", "distance"}, True),
+    "evaluate": ("-c c.sqlite", 0, {"map", "n_queries"}, True),
+    "compare": ("c.sqlite c.sqlite", 0, {"first", "second", "difference"}, False),
+    "matrix": ("-c c.sqlite -o run.txt", 0, {"matrix", "ids", "n_shapes", "failed"}, True),
+    "duplicates": ("-c c.sqlite", 0, set(), True),
+    "cluster": ("-c c.sqlite --min-size 2", 0, {"id", "label"}, True),
+    "map": ("-c c.sqlite -o map.html", 0, {"page"}, True),
+    "report": ("-c c.sqlite -o report.html", 0, {"page"}, True),
+    "list": ("-c c.sqlite --limit 2", 0, {"id", "path", "status", "verdict"}, False),
+    "show": ("e1 -c c.sqlite", 0, {"id", "steps", "stored_bytes"}, False),
+    "remove": ("e3 -c fewer.sqlite", 0, {"removed"}, False),
+    "catalogue merge": ("c.sqlite -o all.sqlite", 0, {"n_added", "n_held"}, False),
+    "check": ("c.sqlite --sample 1", 0, {"is_whole", "defects"}, True),
+    "backup": ("c.sqlite copy.sqlite", 0, {"file", "bytes"}, False),
+    "export": ("e0 -c c.sqlite -o mesh.off", 0, {"files"}, False),
+    "options": ("--config handheld", 0, set(), True),
+}
+# These need more than the folder has, and have tests of their own.
+ELSEWHERE = {"merge", "calibrate"}
+
+
+def test_all_commands_are_asked() -> None:
+    single = {name.split()[0] for name in ASKED}
+    assert single | ELSEWHERE | WITHOUT == {*COMMANDS}
+    assert "--json" not in "".join(run(name, "--help").output for name in WITHOUT)
+
+
+@pytest.mark.parametrize("name", ASKED)
+def test_every_document_has_one_head(name: str, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    words, code, keys, has_options = ASKED[name]
+    monkeypatch.chdir(folder)
+    if name == "remove":
+        assert run("backup", "c.sqlite", "fewer.sqlite").exit_code == 0
+    found = document(*name.split(), *words.split(), code=code)
+    assert [*found] == [*HEAD, "result"]
+    assert (found["command"], found["version"]) == (name, __version__)
+    if has_options:
+        PipelineOptions.model_validate(found["options"])
+    else:
+        assert found["options"] is None
+    result = found["result"]
+    first = result[0] if isinstance(result, list) and result else result
+    assert keys <= set(first or ())
+    assert "json" not in found["arguments"]
+
+
+def test_arguments_have_the_names_that_are_typed(folder: Path) -> None:
+    asked = ("query", "e0", "-c", folder / "c.sqlite", "-k", 2, "--filter", "label=small", "--n-values", 9)
+    found = document(*asked)
+    assert found["arguments"] == {
+        "queries": ["e0"],
+        "catalogue": str(folder / "c.sqlite"),
+        "k": 2,
+        "filter": ["small"],
+        "exclude_self": False,
+        "n_values": 9,
+        "timeout": 600,
+        "csv": False,
+    }
+    assert found["options"]["signature"]["n_values"] == 9
+
+
+def test_a_password_is_not_repeated() -> None:
+    found = document("status", "postgresql://ann:secret@localhost:1/none", code=1)
+    assert found["arguments"] == {"catalogue": "postgresql://ann@localhost:1/none"}
+    assert "secret" not in json.dumps(found)
+
+
+@pytest.mark.parametrize(
+    ("words", "code", "error", "part"),
+    [
+        ("list -c none.sqlite", 1, "CatalogueError", "none.sqlite"),
+        ("query none -c c.sqlite", 1, "InputError", "none"),
+        ("query scans/flat.xyz -c c.sqlite", 1, "ReconstructionError", "points"),
+        ("query e0 -c c.sqlite --csv", 2, "UsageError", "choose one of --json and --csv"),
+        ("query e0 -c c.sqlite --method nothing", 2, "OptionError", "nothing"),
+        ("query", 2, "MissingParameter", ""),
+        ("list -c c.sqlite --limit 0", 2, "BadParameter", "0"),
+        ("lisst", 2, "UsageError", "list"),
+    ],
+)
+def test_errors_are_documents_too(words: str, code: int, error: str, part: str, folder: Path) -> None:
+    command = [sys.executable, "-m", "pcretrieve", *words.split(), "--json"]
+    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=120, check=False)
+    assert done.returncode == code, done.stderr
+    found = json.loads(done.stdout)
+    assert [*found] == [*HEAD, *ERROR]
+    assert (found["error"], found["exit_code"]) == (error, code)
+    assert part in found["message"]
+    assert "Error: " in done.stderr  # the message for people is where it always is
+    plain = subprocess.run(command[:-1], cwd=folder, capture_output=True, text=True, timeout=120, check=False)
+    if "--csv" not in words:
+        assert (plain.returncode, plain.stdout) == (code, "")
+
+
+@command("numbers")
+@json_option
+def numbers_command(as_json: bool) -> None:
+    """A command that fails after its first result."""
+    write_documents(one_number())
+
+
+def one_number() -> Iterator[int]:
+    yield 1
+    raise CatalogueError("the second is damaged")
+
+
+def test_an_error_after_some_results_ends_the_list() -> None:
+    done = CliRunner().invoke(numbers_command, ["--json"], prog_name="pcretrieve numbers")
+    found = json.loads(done.stdout)
+    assert [*found] == [*HEAD, "result", *ERROR]
+    assert (found["result"], found["error"]) == ([1], "CatalogueError")
+    assert found["message"] == "the second is damaged"
+    assert isinstance(done.exception, CatalogueError)
