@@ -158,11 +158,11 @@ def test_a_file_gives_commands_their_options_and_flags_override_it(
     overridden = run(*asked, "--config", mine, "--whitening", "auto", "--distance", "log", "--n-values", 59)
     assert json.loads(overridden.stdout)["result"] == json.loads(run(*asked).stdout)["result"]
     query = ("query", "-c", catalogue, files[0], "--json")
-    by_file, by_flags, plain = (
+    with_file, by_flags, plain = (
         json.loads(run(*query, *chosen).stdout)["result"]
         for chosen in (("--config", mine), (*PCA, "--distance", "d1", "--n-values", 9), ())
     )
-    assert by_file == by_flags != plain
+    assert with_file == by_flags != plain
     run("report", "-c", catalogue, "-o", tmp_path / "page.html", "--queries", 1, "--config", mine)
     page = (tmp_path / "page.html").read_text(encoding="utf-8")
     for name, value in (
