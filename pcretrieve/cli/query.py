@@ -102,6 +102,13 @@ class LabelFilter(click.ParamType):  # type: ignore[type-arg]  # generic since c
 @limit_options("scan")
 @json_option
 @click.option("--csv", "as_csv", is_flag=True, help="Print one table of all results, as CSV.")
+@click.option(
+    "--html",
+    "page",
+    type=click.Path(path_type=Path),
+    metavar="PAGE",
+    help="Also write an HTML page of all queries, with pictures.",
+)
 def query_command(
     queries: tuple[str, ...],
     catalogue: str,
@@ -115,6 +122,7 @@ def query_command(
     memory: float | None,
     as_json: bool,
     as_csv: bool,
+    page: Path | None,
     **comparison: Any,
 ) -> None:
     """Find the shapes most similar to scans, or to shapes of the catalogue, nearest first.
@@ -127,13 +135,19 @@ def query_command(
     \b
     pcretrieve query --catalogue bodies.sqlite scan.ply -k 5
     pcretrieve query --catalogue bodies.sqlite cat0 dog1 --filter label=cat
-    pcretrieve query --catalogue bodies.sqlite new_scans/ --min-score 0.9 --csv
+    pcretrieve query --catalogue bodies.sqlite new_scan.ply --html page.html
     """
     from pcretrieve.catalogue import Catalogue
     from pcretrieve.searching import search_many
 
     if as_json and as_csv:
         raise click.UsageError("choose one of --json and --csv")
+    if page is not None:
+        from pcretrieve.formats import check_output
+        from pcretrieve.ingestion.discover import printable
+        from pcretrieve.pages.query_page import write_query_page
+
+        check_output(page, [Path(name) for name in (*queries, catalogue)])
     distances = read_distances(matrix, comparison)
     failures: list[ShapeError] = []
     with Catalogue(catalogue) as store:
@@ -148,8 +162,15 @@ def query_command(
             labels=labels or None,
             exclude_self=exclude_self,
             min_score=min_score,
-            describe_scans=partial(_described, timeout, memory),
+            describe_scans=partial(_described, timeout, memory, page is not None),
         )
+        if page is not None:
+            known = list(answers)  # of all queries, before the first is printed
+            written = write_query_page(
+                page, store, known, options=options, matrix=distances, labels=labels, min_score=min_score
+            )
+            say(f"page: {printable(written)}")
+            answers = iter(known)
         is_alone = len(queries) == 1 and not Path(queries[0]).is_dir()
         outcomes = _with_messages(answers, failures, is_alone=is_alone)
         if as_json:
@@ -233,7 +254,11 @@ def _print_csv(outcomes: Outcomes) -> None:
 
 
 def _described(
-    timeout: float, memory: float | None, scans: Sequence[Path], options: PipelineOptions
+    timeout: float,
+    memory: float | None,
+    with_pictures: bool,
+    scans: Sequence[Path],
+    options: PipelineOptions,
 ) -> Iterator[tuple[Path, Described | PcretrieveError]]:
     """The signatures of scans, each computed in a worker process."""
     # Imported here, because it is not needed for shapes that the catalogue has.
@@ -241,15 +266,18 @@ def _described(
     from pcretrieve.ingestion.discover import printable
     from pcretrieve.ingestion.isolation import Isolation
 
-    for scan, outcome in Isolation(timeout, memory).each(partial(_isolated, options), scans):
+    isolated = partial(_isolated, options, with_pictures)
+    for scan, outcome in Isolation(timeout, memory).each(isolated, scans):
         if not isinstance(outcome, PcretrieveError) and outcome.verdict and not outcome.verdict.is_sound:
             say(f"{printable(scan)} is {outcome.verdict}")
         yield scan, outcome
 
 
-def _isolated(options: PipelineOptions, scan: Path) -> Described:
+def _isolated(options: PipelineOptions, with_picture: bool, scan: Path) -> Described:
     """The signature of a scan and the verdict on it, in a worker process, which imports the stages."""
     from pcretrieve.pipeline.process import judged_signature
-    from pcretrieve.searching import Described
+    from pcretrieve.searching import Described, pictured
 
+    if with_picture:
+        return pictured(scan, options)
     return Described(*judged_signature(scan, options))

@@ -8,7 +8,7 @@ from pcretrieve.interface.batches import retry, status, watch
 from pcretrieve.interface.catalogues import CatalogueLike, merge_catalogues
 from pcretrieve.interface.collections import cluster, draw_map, duplicates
 from pcretrieve.interface.maintenance import backup, check
-from pcretrieve.interface.queries import search, search_many
+from pcretrieve.interface.queries import query_page, search, search_many
 from pcretrieve.interface.retrieval import calibrate, compare, evaluate, matrix, report
 from pcretrieve.interface.scans import ingest, inspect, merge_views
 
@@ -27,6 +27,7 @@ __all__ = [
     "matrix",
     "merge_catalogues",
     "merge_views",
+    "query_page",
     "report",
     "retry",
     "search",

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,11 +13,12 @@ from pcretrieve.formats.scans import ScanLike
 from pcretrieve.interface.catalogues import CatalogueLike, opened
 from pcretrieve.matching import DistanceMatrix
 from pcretrieve.options import OptionsLike, PipelineOptions
+from pcretrieve.pages.query_page import write_query_page
 from pcretrieve.pipeline.process import process
-from pcretrieve.searching import Answer
+from pcretrieve.searching import Answer, Described
 from pcretrieve.types import Neighbors, Signature
 
-__all__ = ["search", "search_many"]
+__all__ = ["query_page", "search", "search_many"]
 
 
 def search(
@@ -158,3 +159,84 @@ def search_many(
             exclude_self=exclude_self,
             min_score=min_score,
         )
+
+
+def query_page(
+    catalogue: CatalogueLike,
+    queries: str | Path | Iterable[str | Path | Signature],
+    path: str | Path,
+    *,
+    k: int = 10,
+    options: OptionsLike = None,
+    matrix: DistanceMatrix | None = None,
+    unit: str | None = None,
+    labels: Collection[str] | None = None,
+    exclude_self: bool = False,
+    min_score: float | None = None,
+) -> Path:
+    """Answer one or more queries on an HTML page, with pictures.
+
+    Parameters
+    ----------
+    catalogue : Catalogue, str or Path
+        The catalogue that is searched.
+    queries : str, Path, or iterable of str, Path or Signature
+        As for `search_many`. Scans that fail are listed on the page, with the reasons.
+    path : str or Path
+        The HTML file. It needs no other file.
+    k : int, default 10
+        Number of shapes for each query. If the catalogue has fewer, all of them are returned.
+    options : OptionsLike, optional
+        Signature, distance and whitening. By default the options of the catalogue.
+    matrix : DistanceMatrix, optional
+        Distances that replace the distances of signatures, for queries that the catalogue has.
+    unit : str, optional
+        Unit of the files of the queries, as in `search`.
+    labels : collection of str, optional
+        The classes whose shapes are searched; by default all shapes.
+    exclude_self : bool, default False
+        Whether a query that is a shape of the catalogue is left out of its own results.
+    min_score : float, optional
+        Least score of a result, between 0 and 1; no results then mean "no match". By default results have any
+        score.
+
+    Returns
+    -------
+    Path
+        Absolute path of the page.
+
+    Raises
+    ------
+    CatalogueError
+        If the options require other spectra than the catalogue has.
+    InputError
+        As by `search`, or if the page cannot be written.
+    """
+    with opened(catalogue) as store:
+        chosen = PipelineOptions.of(options, store.options)
+        outcomes = searching.search_many(
+            store,
+            [queries] if isinstance(queries, (str, Path)) else queries,
+            k=k,
+            options=chosen,
+            matrix=matrix,
+            unit=unit,
+            labels=labels,
+            exclude_self=exclude_self,
+            min_score=min_score,
+            describe_scans=_pictured,
+        )
+        return write_query_page(
+            path, store, outcomes, options=chosen, matrix=matrix, labels=labels, min_score=min_score
+        )
+
+
+def _pictured(
+    scans: Sequence[Path], options: PipelineOptions
+) -> Iterator[tuple[Path, Described | ShapeError]]:
+    """The signatures and the pictures of scans, computed in this process."""
+    for scan in scans:
+        try:
+            yield scan, searching.pictured(scan, options)
+        except ShapeError as error:
+            yield scan, error

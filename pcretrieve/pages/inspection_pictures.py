@@ -189,12 +189,10 @@ def _overview_row(scan: PointCloud, it: Inspection) -> Row:
         pen.rectangle(box, outline=rgb(FRAME))
         pictures.append(picture)
     n, n_cut, n_far = int(it.dropped.sum()), int(it.cut_away.sum()), int((~near).sum())
-    key = [
-        (KEPT, f"{len(scan.points) - n - n_cut:,} points"),
-        (CUT_AWAY, f"{n_cut:,} cut away"),
-        (DROPPED, f"{n:,} dropped as outliers"),
-        (FRAME, "frame of the pictures below"),
-    ]
+    key = [(KEPT, f"{len(scan.points) - n - n_cut:,} points")]
+    key += [(CUT_AWAY, f"{n_cut:,} cut away")] if n_cut else []
+    key += [(DROPPED, f"{n:,} dropped as outliers")] if n else []
+    key.append((FRAME, "frame of the pictures below"))
     far = f", {n_far:,} of them at the edge, because they are too far away" if n_far else ""
     return Row(f"All points that were read{far}", key, pictures)
 

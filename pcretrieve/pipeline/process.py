@@ -20,7 +20,15 @@ from pcretrieve.pipeline.stages import stages
 from pcretrieve.quality import findings_of, verdict_of
 from pcretrieve.types import FloatArray, Shape, Signature, Step, TriangleMesh, Verdict
 
-__all__ = ["judged_signature", "placed", "process", "reconstruct", "signature", "signature_of_surfaces"]
+__all__ = [
+    "described_shape",
+    "judged_signature",
+    "placed",
+    "process",
+    "reconstruct",
+    "signature",
+    "signature_of_surfaces",
+]
 
 
 def signature(scan: ScanLike, options: OptionsLike = None) -> Signature:
@@ -68,11 +76,39 @@ def judged_signature(scan: ScanLike, options: OptionsLike = None) -> tuple[Signa
     ShapeError
         If the scan cannot be read or has no usable surface.
     """
+    described, verdict, _ = described_shape(scan, options)
+    return described, verdict
+
+
+def described_shape(scan: ScanLike, options: OptionsLike = None) -> tuple[Signature, Verdict, Shape]:
+    """The signature of one scan, whether it can be relied on, and the shape that it describes.
+
+    Parameters
+    ----------
+    scan : ScanLike
+        As for `signature`.
+    options : OptionsLike, optional
+        As for `signature`.
+
+    Returns
+    -------
+    signature : Signature
+        As `signature` returns it.
+    verdict : Verdict
+        That of the shape.
+    shape : Shape
+        As `process` returns it.
+
+    Raises
+    ------
+    ShapeError
+        If the scan cannot be read or has no usable surface.
+    """
     options = PipelineOptions.of(options)
     shape, verdict = _judged(scan, options)
     with placed(scan), in_stage(Stage.SIGNATURE):
         described = describe(shape, options.signature)
-    return replace(described, digest=options.signature_digest), verdict
+    return replace(described, digest=options.signature_digest), verdict, shape
 
 
 def reconstruct(scan: ScanLike, options: OptionsLike = None) -> TriangleMesh:

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from pcretrieve.catalogue import Record
 from pcretrieve.retrieval import Vote, swapping_ranks
+from pcretrieve.searching.queries import Described
 from pcretrieve.types import Neighbors
 from pcretrieve.values import Value
 
@@ -32,12 +33,15 @@ class Answer(Value):
         The lowest and the highest rank that each neighbour has within the error bar of the query, as by
         `pcretrieve.retrieval.rank_ranges`. None if the error bar is not known, and for ranks of a distance
         matrix or of re-ranked lists.
+    query : str, Described or None
+        The query: its id in the catalogue, or its signature.
     """
 
     neighbors: Neighbors
     records: tuple[Record, ...]
     vote: Vote | None = None
     rank_ranges: NDArray[np.intp] | None = None
+    query: str | Described | None = None
 
     @property
     def labels(self) -> tuple[str | None, ...]:

@@ -3,14 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
 from pcretrieve.catalogue import Catalogue
-from pcretrieve.errors import InputError, ScanReadError
+from pcretrieve.errors import DegenerateMeshError, InputError, ScanReadError
+from pcretrieve.options import PipelineOptions
 from pcretrieve.types import Signature, Verdict
 
-__all__ = ["Described", "Query", "queries_of", "query_of"]
+__all__ = ["Described", "Query", "pictured", "queries_of", "query_of"]
+
+# Side of the thumbnail of a query.
+PIXELS = 240
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -23,10 +28,13 @@ class Described:
         The signature, by the options of the search.
     verdict : Verdict or None
         Whether it can be relied on; None if the scan was not judged.
+    picture : bytes or None
+        A thumbnail of the surface, PNG; None if none was made.
     """
 
     signature: Signature
     verdict: Verdict | None = None
+    picture: bytes | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -44,6 +52,38 @@ class Query:
 
     name: str
     of: str | Path | Signature
+
+
+def pictured(scan: Path, options: PipelineOptions) -> Described:
+    """Process a scan, and draw a thumbnail of its surface.
+
+    Parameters
+    ----------
+    scan : Path
+        The file of the scan.
+    options : PipelineOptions
+        The options by which it is processed.
+
+    Returns
+    -------
+    Described
+        With a picture, unless the scan has no surface that can be drawn.
+
+    Raises
+    ------
+    ShapeError
+        If the scan cannot be read or has no usable surface.
+    """
+    # Imported here, because shapes of the catalogue are found without the stages.
+    from pcretrieve.pipeline.process import described_shape
+    from pcretrieve.rendering import thumbnail
+
+    described, verdict, shape = described_shape(scan, options)
+    mesh, picture = shape.surfaces[0].mesh, None
+    if mesh is not None:
+        with suppress(DegenerateMeshError):
+            picture = thumbnail(mesh.vertices, mesh.faces, size=PIXELS)
+    return Described(described, verdict, picture)
 
 
 def query_of(catalogue: Catalogue, query: str | Path | Signature, *, is_converted: bool) -> Query:

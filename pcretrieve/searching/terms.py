@@ -89,7 +89,7 @@ class Terms:
             deviation = self._deviation(query, len(index.whitening.mean))
             if deviation is not None:
                 ranges = rank_ranges(index, signature, deviation, wide.ids)[: len(found)]
-        return Answer(found, records, class_vote(voters, weights), ranges)
+        return Answer(found, records, class_vote(voters, weights), ranges, query)
 
     def _deviation(self, query: str | Described, n_values: int) -> FloatArray | None:
         """(L,) error bar over the surfaces of a scan, or its uncertainty in equal parts; None if unknown."""

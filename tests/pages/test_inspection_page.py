@@ -11,6 +11,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import browsers
 import numpy as np
 import pytest
 import shapes
@@ -403,3 +404,12 @@ def test_the_viewer_shows_the_layers_that_the_address_names(tmp_path: Path) -> N
         changed = shown[(shown != nothing).any(axis=2)]
         assert len(changed) > 100
         assert share_of(colour, changed[None]) > 0.1, preset
+
+
+def test_in_a_browser_it_is_accessible_and_fits_a_phone(tmp_path: Path) -> None:
+    page = write_inspection_page(inspection(), tmp_path / "page.html")
+    with browsers.chromium() as browser:
+        for size, dark in ((browsers.DESKTOP, False), (browsers.PHONE, True)):
+            with browsers.opened(browser, page.as_uri(), size, dark=dark) as shown:
+                assert browsers.overflow(shown) <= 0
+                assert browsers.violations(shown) == []

@@ -1,0 +1,168 @@
+"""The page of one search: each query with its picture, its verdict and its nearest shapes.
+
+It is one self-contained HTML file: pictures are inlined, and the page makes no requests.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterable
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+from pcretrieve.atomic import write_file
+from pcretrieve.catalogue import Catalogue, Record
+from pcretrieve.errors import ShapeError
+from pcretrieve.ingestion.versions import versions
+from pcretrieve.matching import DistanceMatrix
+from pcretrieve.options import PipelineOptions
+from pcretrieve.pages.html import page_template
+from pcretrieve.rendering import thumbnail
+from pcretrieve.retrieval import swapping_ranks
+from pcretrieve.searching import Answer, Described, result_rows
+from pcretrieve.types import Verdict
+
+__all__ = ["write_query_page"]
+
+QUERY_PIXELS = 240
+RESULT_PIXELS = 160
+
+DISTANCES = {
+    "log": "log, the Euclidean distance of the logarithms of the values",
+    "d1": "d1, the dissimilarity D1 of Ye and Yu",
+    "d2": "d2, the dissimilarity D2 of Ye and Yu",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class _Panel:
+    """One query as the template shows it.
+
+    Attributes
+    ----------
+    name : str
+        The path or the id of the query.
+    record : Record or None
+        What the catalogue knows of it.
+    picture : bytes or None
+        PNG.
+    verdict : Verdict or None
+        Whether its signature can be relied on.
+    answer : Answer
+        The answer.
+    results : list of dict
+        As by `result_rows`, each with its ``picture``.
+    swaps : list of (int, int)
+        First and last rank of each run of ranks that could swap.
+    """
+
+    name: str
+    record: Record | None
+    picture: bytes | None
+    verdict: Verdict | None
+    answer: Answer
+    results: list[dict[str, Any]]
+    swaps: list[tuple[int, int]]
+
+
+def write_query_page(
+    path: str | Path,
+    catalogue: Catalogue,
+    outcomes: Iterable[tuple[str, Answer | ShapeError]],
+    *,
+    options: PipelineOptions | None = None,
+    matrix: DistanceMatrix | None = None,
+    labels: Collection[str] | None = None,
+    min_score: float | None = None,
+) -> Path:
+    """Write the answers to queries on a page. An existing file is replaced in one step, or left unchanged.
+
+    Parameters
+    ----------
+    path : str or Path
+        The HTML file, in a folder that exists.
+    catalogue : Catalogue
+        The catalogue that was searched.
+    outcomes : iterable of (str, Answer or ShapeError)
+        The queries, as `pcretrieve.searching.search_many` answers them. All are on one page; those that
+        failed are listed at the end, with the reasons.
+    options, matrix, labels, min_score : object
+        As they were given to `search_many`.
+
+    Returns
+    -------
+    Path
+        Absolute path of the page.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be written.
+    """
+    target = Path(path).absolute()
+    panels: list[_Panel] = []
+    failures: list[tuple[str, ShapeError]] = []
+
+    @cache
+    def picture(shape_id: str, pixels: int) -> bytes | None:
+        mesh = catalogue.shape(shape_id, ("mesh",)).surfaces[0].mesh
+        if mesh is None:
+            return None
+        try:
+            return thumbnail(mesh.vertices, mesh.faces, size=pixels)
+        except ShapeError:
+            return None
+
+    for name, outcome in outcomes:
+        if isinstance(outcome, ShapeError):
+            failures.append((name, outcome))
+            continue
+        query, record = outcome.query, None
+        if isinstance(query, str):
+            record = catalogue.record(query)
+            described = (picture(query, QUERY_PIXELS), record.verdict)
+        else:
+            described = (query.picture, query.verdict) if isinstance(query, Described) else (None, None)
+        results = [row | {"picture": picture(row["id"], RESULT_PIXELS)} for row in result_rows(outcome)]
+        swaps = [] if outcome.rank_ranges is None else swapping_ranks(outcome.rank_ranges)
+        panels.append(_Panel(name, record, *described, outcome, results, swaps))
+    names = [panel.name for panel in panels] + [name for name, _ in failures]
+    page = page_template("query.html").render(
+        title=Path(names[0]).name if len(names) == 1 else f"{len(names)} queries",
+        catalogue=Path(catalogue.location).name,
+        panels=panels,
+        failures=failures,
+        min_score=min_score,
+        settings=_settings(catalogue, options or catalogue.options, matrix, labels, min_score),
+        version=versions()["pcretrieve"],
+    )
+    # Bytes of file names that are not UTF-8 are replaced by question marks.
+    write_file(target, page.encode("utf-8", errors="replace"))
+    return target
+
+
+def _settings(
+    catalogue: Catalogue,
+    options: PipelineOptions,
+    matrix: DistanceMatrix | None,
+    labels: Collection[str] | None,
+    min_score: float | None,
+) -> dict[str, str]:
+    """How the shapes were compared, in words."""
+    classes = f"the class {' or '.join(sorted(labels))} of " if labels else ""
+    least = {} if min_score is None else {"least score": f"{min_score:g}"}
+    if matrix is not None:
+        return {"searched": f"{classes}{len(matrix)} shapes", "distance": "that of a matrix"} | least
+    index = catalogue.index(options)
+    compared, retrieval, scores = options.compared, options.retrieval, index.scores
+    size = compared.size_weight
+    return {
+        "searched": f"{classes}{len(index)} shapes",
+        "signature": f"{compared.method}, {len(index.whitening.mean)} values, "
+        + (f"with the size, weighted by {size:g}" if size else "of the form alone"),
+        "distance": DISTANCES.get(retrieval.distance, retrieval.distance),
+        "whitening": catalogue.whitening(options).reason,
+        "re-ranking": "none" if retrieval.rerank == "none" else f"by {retrieval.rerank} neighbours",
+        "score": scores.reason if scores else "none, because labels and shapes are too few",
+    } | least
