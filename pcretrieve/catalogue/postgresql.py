@@ -145,6 +145,11 @@ class PostgresqlRows(Rows):
             rows = reading.all("SELECT id, path, content_hash, label, status, stamp FROM shapes ORDER BY id")
             return [Origin(*row) for row in rows]
 
+    def times(self) -> dict[str, str]:
+        with self._database.reading() as reading:
+            rows = reading.all("SELECT id, added FROM shapes JOIN provenance ON shape = number")
+            return {shape_id: added for shape_id, added in rows}
+
     def labelled(self, labels: Collection[str]) -> list[str]:
         query = f"SELECT id FROM shapes WHERE status = 'done' AND {any_of('label')} ORDER BY id"
         with self._database.reading() as reading:

@@ -95,6 +95,10 @@ class StoredShapes:
         """The id, the file, the class and the status of every shape, in ascending order of id."""
         return self._rows.origins()
 
+    def times(self) -> dict[str, str]:
+        """When each shape, or its failure, was stored, by id: UTC, as 2026-01-31T12:00:00+00:00."""
+        return self._rows.times()
+
     def outlines(self) -> list[Record]:
         """All records as `origins` has them, without their provenance, which are read much faster."""
         return [

@@ -200,6 +200,9 @@ class Rows(Protocol):
     def origins(self) -> list[Origin]:
         """The origins of all shapes, including failed ones, in ascending order of id."""
 
+    def times(self) -> dict[str, str]:
+        """When each shape, or its failure, was stored, by id: UTC, as 2026-01-31T12:00:00+00:00."""
+
     def labelled(self, labels: Collection[str]) -> list[str]:
         """The ids of the shapes of some classes that did not fail, in ascending order."""
 

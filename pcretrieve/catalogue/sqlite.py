@@ -138,6 +138,9 @@ class SqliteRows(Rows):
         rows = self._all("SELECT id, path, content_hash, label, status, stamp FROM shapes ORDER BY id")
         return [Origin(*row) for row in rows]
 
+    def times(self) -> dict[str, str]:
+        return dict(self._all("SELECT id, added FROM shapes JOIN provenance ON shape = number"))
+
     def labelled(self, labels: Collection[str]) -> list[str]:
         # One class after the other, because there may be more classes than parameters of a query.
         query = "SELECT id FROM shapes NOT INDEXED WHERE status = 'done' AND label = ?"

@@ -6,13 +6,11 @@ makes no requests.
 
 from __future__ import annotations
 
-from base64 import b64encode
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pcretrieve.atomic import write_file
 from pcretrieve.inspection.inspection import Inspection
@@ -31,20 +29,14 @@ from pcretrieve.pages.inspection_pictures import (
     rows_of,
     thinned,
 )
-from pcretrieve.rendering import CLAY, Colour, css
+from pcretrieve.pages.scene import VIEWER_SIZE, Cube, encoded
+from pcretrieve.rendering import CLAY
 from pcretrieve.types import FloatArray
 
 __all__ = ["write_inspection_page"]
 
-# Half of the side of the cube that the 3D viewer can show, with room for outliers near the body; farther
-# outliers are left out. Relative to the radius of the bounding ball of the body.
-VIEWER_SIZE = 1.25
-
 # Number of points that were removed, side by side, across half of the 3D viewer.
 REMOVED_IN_VIEW = 90
-
-# Largest 16-bit integer, in which the 3D viewer stores coordinates.
-FULL_SCALE = 2**16 - 1
 
 
 def write_inspection_page(inspection: Inspection, path: str | Path) -> Path:
@@ -86,23 +78,11 @@ def _scene(it: Inspection) -> dict[str, Any] | None:
     cameras = inspection_cameras(it)
     if not cameras:
         return None
-    low, high = it.body.min(axis=0), it.body.max(axis=0)
-    centre = (low + high) / 2
-    reach = float(np.linalg.norm(it.body - centre, axis=1).max()) or 1.0  # if all points are equal
-    half = VIEWER_SIZE * reach
-
-    def layer_of(
-        name: str, label: str, points: FloatArray, colour: Colour, *, width: float, **more: Any
-    ) -> dict[str, Any]:
-        inside = (abs(points - centre) <= half).all(axis=1)
-        grid = np.round((points[inside] - centre + half) / (2 * half) * FULL_SCALE)
-        facts = {"name": name, "label": label, "colour": colour, "css": css(colour), "width": width / half}
-        return facts | {"at": _base64(grid.astype("<u2"))} | more
-
+    cube = Cube.around(it.body)
     layers = []
     if it.scan is not None:
-        skin, removed = SKIN_WIDTH / 2 * it.spacing, half / REMOVED_IN_VIEW
-        inside = (abs(it.scan.points - centre) <= half).all(axis=1)
+        skin, removed = SKIN_WIDTH / 2 * it.spacing, cube.half / REMOVED_IN_VIEW
+        inside = cube.holds(it.scan.points)
         for name, words, chosen, colour, width in (
             ("points", "points", ~(it.dropped | it.cut_away), KEPT, skin),
             ("dropped", "dropped as outliers", it.dropped, DROPPED, max(skin, removed)),
@@ -111,29 +91,25 @@ def _scene(it: Inspection) -> dict[str, Any] | None:
             n_far = int((chosen & ~inside).sum())
             label = f"{int(chosen.sum()):,} {words}" + (f", {n_far:,} of them too far away" if n_far else "")
             layers.append(
-                layer_of(name, label, thinned(it.scan.points[chosen & inside]), colour, width=width)
+                cube.layer(name, label, thinned(it.scan.points[chosen & inside]), colour, width=width)
             )
     if it.cloud is not None and it.cloud.normals is not None:
         normals = np.round(127 * thinned(it.cloud.normals)).astype(np.int8)
         points, width = thinned(it.cloud.points), SKIN_WIDTH * it.spacing
-        more = {"back": AWAY, "normal": _base64(normals)}
-        layers.append(layer_of("normals", "which side is outside", points, FACING, width=width, **more))
+        more = {"back": AWAY, "normal": encoded(normals)}
+        layers.append(cube.layer("normals", "which side is outside", points, FACING, width=width, **more))
     if it.mesh is not None:
         vertices = it.mesh.vertices
         for name, label, faces, colour in (
             ("surface", "surface", it.mesh.faces, CLAY),
             ("filled", "filled in", it.mesh.faces[it.filled], FILLED),
         ):
-            corners = _base64(faces.astype("<u4"))
-            layers.append(layer_of(name, label, vertices, colour, width=0, faces=corners))
+            corners = encoded(faces.astype("<u4"))
+            layers.append(cube.layer(name, label, vertices, colour, width=0, faces=corners))
         for name, places, colour in (("cuts", it.cuts, CUT), ("bridges", it.bridges, BRIDGE)):
-            layers.append(layer_of(name, name, places, colour, width=half / 30, over=True))
+            layers.append(cube.layer(name, name, places, colour, width=cube.half / 30, over=True))
     on = {"surface", "filled", "cuts", "bridges"} if it.mesh is not None else {"points", "dropped"}
     return {"layers": layers, "on": sorted(on), "axes": cameras[0].axes.tolist(), "zoom": VIEWER_SIZE}
-
-
-def _base64(values: NDArray[Any]) -> str:
-    return b64encode(np.ascontiguousarray(values).tobytes()).decode("ascii")
 
 
 # --- the signature ------------------------------------------------------------------------------------

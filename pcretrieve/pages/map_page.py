@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from base64 import b64encode
+from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -18,7 +19,7 @@ from pcretrieve.rendering import thumbnail
 from pcretrieve.retrieval import plane_map
 from pcretrieve.types import FloatArray
 
-__all__ = ["write_map"]
+__all__ = ["ClassGroup", "class_groups", "map_drawing", "write_map"]
 
 # Colours that colour-blind readers can distinguish, after Okabe and Ito, and darker ones for lines of print.
 # Classes have a colour and a marker; of more classes than pairs of both, some look alike.
@@ -44,8 +45,18 @@ MOST_PICTURES = 300
 PICTURE_PIXELS = 128
 
 
-class _Group(NamedTuple):
-    """The shapes of one class, and how they are drawn."""
+class ClassGroup(NamedTuple):
+    """The shapes of one class, and how they are drawn.
+
+    Attributes
+    ----------
+    label : str or None
+        The class.
+    rows : (m,) int
+        Numbers of its shapes.
+    colour, marker : str
+        How they are drawn.
+    """
 
     label: str | None
     rows: NDArray[np.intp]
@@ -83,7 +94,7 @@ def write_map(catalogue: Catalogue, path: str | Path, options: PipelineOptions |
         raise InputError(f"a map is a picture .png or a page .html, got {target.name}")
     index = catalogue.index(options)
     labels = [record.label for record in catalogue.records(status="done") if record.id in index.ids]
-    groups = _groups(labels)
+    groups = class_groups(labels)
     title = f"Map of {Path(catalogue.location).name}"
     places = plane_map(index)
     if target.suffix.lower() == ".png":
@@ -94,18 +105,7 @@ def write_map(catalogue: Catalogue, path: str | Path, options: PipelineOptions |
         return target
     page = page_template("map.html").render(
         title=title,
-        side=SIDE,
-        top=SIDE - float(places[:, 1].max()) * (SIDE - 2 * MARGIN) - 2 * MARGIN,
-        height=float(np.ptp(places[:, 1])) * (SIDE - 2 * MARGIN) + 2 * MARGIN,
-        groups=[
-            {
-                "label": group.label,
-                "colour": group.colour,
-                "path": PATHS[group.marker],
-                "shapes": [_shape(row, index.ids[row], places[row]) for row in group.rows.tolist()],
-            }
-            for group in groups
-        ],
+        drawing=map_drawing(list(index.ids), groups, places),
         pictures=_pictures(catalogue, list(index.ids)),
         n_shapes=len(index),
         whitening=index.whitening.reason,
@@ -114,16 +114,60 @@ def write_map(catalogue: Catalogue, path: str | Path, options: PipelineOptions |
     return target
 
 
-def _groups(labels: list[str | None]) -> list[_Group]:
-    """The classes in alphabetical order, then the shapes of unknown class."""
+def map_drawing(ids: Sequence[str], groups: Sequence[ClassGroup], places: FloatArray) -> dict[str, object]:
+    """What the templates draw of a map.
+
+    Parameters
+    ----------
+    ids : sequence of str, length n
+        The shapes.
+    groups : sequence of ClassGroup
+        Their classes.
+    places : (n, 2) float64
+        The place of each, within [0, 1]².
+
+    Returns
+    -------
+    dict
+        The frame, and the marker and the place of each shape of each class.
+    """
+    return {
+        "side": SIDE,
+        "top": SIDE - float(places[:, 1].max()) * (SIDE - 2 * MARGIN) - 2 * MARGIN,
+        "height": float(np.ptp(places[:, 1])) * (SIDE - 2 * MARGIN) + 2 * MARGIN,
+        "groups": [
+            {
+                "label": group.label,
+                "colour": group.colour,
+                "path": PATHS[group.marker],
+                "shapes": [_shape(row, ids[row], places[row]) for row in group.rows.tolist()],
+            }
+            for group in groups
+        ],
+    }
+
+
+def class_groups(labels: Sequence[str | None]) -> list[ClassGroup]:
+    """The classes in alphabetical order, then the shapes of unknown class.
+
+    Parameters
+    ----------
+    labels : sequence of str or None
+        The class of each shape.
+
+    Returns
+    -------
+    list of ClassGroup
+        The shapes of each class, with a colour and a marker.
+    """
     names = sorted({label for label in labels if label is not None})
     groups = []
     for number, name in enumerate(names):
         rows = np.flatnonzero([label == name for label in labels])
         marker = MARKERS[number // len(COLOURS) % len(MARKERS)]
-        groups.append(_Group(name, rows, COLOURS[number % len(COLOURS)], marker))
+        groups.append(ClassGroup(name, rows, COLOURS[number % len(COLOURS)], marker))
     unknown = np.flatnonzero([label is None for label in labels])
-    return groups + ([_Group(None, unknown, UNKNOWN, "o")] if len(unknown) else [])
+    return groups + ([ClassGroup(None, unknown, UNKNOWN, "o")] if len(unknown) else [])
 
 
 def _shape(row: int, shape_id: str, place: FloatArray) -> dict[str, object]:

@@ -53,20 +53,23 @@ def cluster_numbers(index: SignatureIndex, *, min_size: int = 3) -> NDArray[np.i
     return numbers[found]
 
 
-def plane_map(index: SignatureIndex) -> FloatArray:
+def plane_map(index: SignatureIndex, rows: NDArray[np.intp] | None = None) -> FloatArray:
     """Places in the plane at which shapes with near whitened signatures are near (t-SNE).
 
     Parameters
     ----------
     index : SignatureIndex
         The shapes.
+    rows : (n,) int, optional
+        Rows of the index: only these shapes are placed.
 
     Returns
     -------
     (N, 2) float64
-        The place of each shape of the index, within [0, 1]²; its axes have no meaning.
+        The place of each shape of the index, or of each row, within [0, 1]²; its axes have no meaning.
     """
-    places = neighbour_embedding(index.contents.filter.points)
+    points = index.contents.filter.points
+    places = neighbour_embedding(points if rows is None else points[rows])
     # The direction of the largest extent is across, as on screens.
     places = places @ np.linalg.svd(places - places.mean(axis=0), full_matrices=False)[2].T
     return _framed(_apart(_framed(places), min(GAP, SHARE / np.sqrt(len(places)))))

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from datetime import date
 from urllib.parse import urlencode
 
 from pcretrieve.errors import InputError, OptionError
 
-__all__ = ["PAGE", "Busy", "Listing", "NotFound", "Similar", "TooLarge"]
+__all__ = ["PAGE", "SORTS", "STATES", "Busy", "Listing", "NotFound", "Similar", "TooLarge"]
 
 #: Number of shapes on a page of the collection.
 PAGE = 60
@@ -16,7 +17,7 @@ PAGE = 60
 # Largest number of results of one query, so that a request cannot ask for a catalogue with all provenance.
 MOST_RESULTS = 1000
 
-SORTS = ("id", "-id", "label", "-label")
+SORTS = ("id", "-id", "label", "-label", "added", "-added")
 STATES = ("", "done", "doubtful", "failed")
 
 
@@ -44,8 +45,10 @@ class Listing:
         A class; the empty string for all.
     state : {"", "done", "doubtful", "failed"}
         Which shapes: all, those with a signature, those whose verdict is not "sound", those without.
-    sort : {"id", "-id", "label", "-label"}
+    sort : {"id", "-id", "label", "-label", "added", "-added"}
         The order; ``-`` for descending.
+    since, until : str
+        First and last day on which shapes were added, such as ``2026-01-31``; the empty string for any.
     page : int
         Number of the page, from 1.
     """
@@ -54,11 +57,13 @@ class Listing:
     label: str = ""
     state: str = ""
     sort: str = "id"
+    since: str = ""
+    until: str = ""
     page: int = 1
 
     @classmethod
     def of(cls, fields: Mapping[str, str]) -> Listing:
-        """Read the fields ``q label state sort page`` of an address.
+        """Read the fields ``q label state sort since until page`` of an address.
 
         Parameters
         ----------
@@ -80,12 +85,14 @@ class Listing:
             raise OptionError(f"state must be one of {', '.join(STATES[1:])}, or empty, got {state!r}")
         if sort not in SORTS:
             raise OptionError(f"sort must be one of {', '.join(SORTS)}, got {sort!r}")
+        since, until = _day(fields, "since"), _day(fields, "until")
         page = _whole(fields, "page", 1, 1, 10**9)
-        return cls(fields.get("q", ""), fields.get("label", ""), state, sort, page)
+        return cls(fields.get("q", ""), fields.get("label", ""), state, sort, since, until, page)
 
     def address(self, page: int) -> str:
         """The fields of another page of the same listing, as the end of an address."""
         fields = {"q": self.words, "label": self.label, "state": self.state, "sort": self.sort}
+        fields |= {"since": self.since, "until": self.until}
         chosen = {name: value for name, value in fields.items() if value and (name, value) != ("sort", "id")}
         return "?" + urlencode(chosen | ({"page": str(page)} if page > 1 else {}))
 
@@ -142,6 +149,14 @@ class Similar:
         fields |= {"label": self.label} if self.label else {}
         fields |= {"min_score": f"{self.min_score:g}"} if self.min_score is not None else {}
         return f"?{urlencode(fields)}" if fields else ""
+
+
+def _day(fields: Mapping[str, str], name: str) -> str:
+    text = fields.get(name, "").strip()
+    try:
+        return text and date.fromisoformat(text).isoformat()
+    except ValueError:
+        raise OptionError(f"{name} must be a day such as 2026-01-31, got {text[:20]!r}") from None
 
 
 def _whole(fields: Mapping[str, str], name: str, default: int, least: int, most: int) -> int:

@@ -86,8 +86,9 @@ def serve(
     key = token or secrets.token_urlsafe(24)
     readers = Readers(str(catalogue), min(MOST_READERS, len(os.sched_getaffinity(0)) + 1))
     jobs = None if read_only else Jobs(scanned, timeout=timeout, memory=memory)
+    site = Site(readers, title, chosen, jobs, most_bytes)
     try:
-        guarded = Guard(application(Site(readers, title, chosen, jobs, most_bytes)), key)
+        guarded = Guard(application(site), key)
         with _listening(port) as listener:
             address = f"http://{ADDRESS}:{listener.getsockname()[1]}/?token={key}"
             readers.prepare(partial(_warmed, chosen))
@@ -95,6 +96,7 @@ def serve(
     finally:
         if jobs is not None:
             jobs.close()
+        site.maps.close()
         readers.close()
 
 

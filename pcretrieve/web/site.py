@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 
 from pcretrieve.options import PipelineOptions
 from pcretrieve.web.jobs import Jobs
+from pcretrieve.web.maps import Maps
 from pcretrieve.web.pictures import Thumbnails
 from pcretrieve.web.readers import Readers
 
@@ -30,6 +31,8 @@ class Site:
         Largest size of an uploaded scan.
     thumbnails : Thumbnails
         The thumbnails that were drawn.
+    maps : Maps
+        The map of the collection.
     """
 
     readers: Readers
@@ -38,3 +41,4 @@ class Site:
     jobs: Jobs | None
     most_bytes: int
     thumbnails: Thumbnails = field(default_factory=Thumbnails)
+    maps: Maps = field(default_factory=Maps)

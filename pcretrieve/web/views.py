@@ -7,17 +7,20 @@ from typing import Any
 from pcretrieve.catalogue import Catalogue
 from pcretrieve.options import PipelineOptions
 from pcretrieve.pages.html import page_template
+from pcretrieve.pages.map_page import class_groups, map_drawing
 from pcretrieve.web.documents import (
     listing_document,
     shape_document,
     similar_document,
     similar_to,
+    without_folders,
 )
 from pcretrieve.web.listing import class_names
+from pcretrieve.web.maps import Maps
 from pcretrieve.web.requests import Listing, NotFound, Similar
 from pcretrieve.web.uploads import upload_suffixes
 
-__all__ = ["collection_page", "refusal_page", "scan_page", "shape_page"]
+__all__ = ["collection_page", "map_page", "refusal_page", "scan_page", "shape_page"]
 
 
 def collection_page(catalogue: Catalogue, title: str, listing: Listing, most_bytes: int) -> str:
@@ -46,6 +49,41 @@ def collection_page(catalogue: Catalogue, title: str, listing: Listing, most_byt
         classes=class_names(catalogue),
         suffixes=upload_suffixes() if most_bytes else (),
         most_bytes=most_bytes,
+    )
+
+
+def map_page(catalogue: Catalogue, title: str, maps: Maps, options: PipelineOptions) -> str:
+    """The shapes of the catalogue in the plane, similar ones near each other.
+
+    Parameters
+    ----------
+    catalogue : Catalogue
+        The shapes.
+    title : str
+        Name of the collection.
+    maps : Maps
+        Where the places are kept.
+    options : PipelineOptions
+        How shapes are compared.
+
+    Returns
+    -------
+    str
+        The page; as long as the places are computed, one that loads itself again.
+    """
+    index = catalogue.index(options)
+    layout = maps.of(index)
+    drawing, ids = None, []
+    if layout is not None:
+        ids = [index.ids[row] for row in layout.rows.tolist()]
+        labels = {origin.id: origin.label for origin in catalogue.origins()}
+        drawing = map_drawing(ids, class_groups([labels.get(name) for name in ids]), layout.places)
+    return page_template("search_map.html").render(
+        title=title,
+        drawing=drawing,
+        n_shown=len(ids),
+        n_shapes=len(index),
+        whitening=without_folders(index.whitening.reason),
     )
 
 

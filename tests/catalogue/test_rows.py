@@ -272,6 +272,12 @@ def test_origins(rows: Rows) -> None:
     assert rows.origins()[4] == Origin("e", "/e.ply", "", None, "failed")
 
 
+def test_times(rows: Rows) -> None:
+    expected = {record.id: record.added for record in rows.page(limit=10)}
+    assert rows.times() == expected
+    assert len(expected) == 5
+
+
 # --- catalogues -----------------------------------------------------------------------------------------
 
 

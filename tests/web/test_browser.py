@@ -26,6 +26,8 @@ PAGES = {
     "doubtful shape": "/shape/Egg23",
     "failed shape": "/shape/broken",
     "no match": "/shape/Egg00?min_score=1&label=%3Ckind+2%3E",
+    "comparison": "/compare?a=Egg00&b=Egg23",
+    "map": "/map",
     "refusal": "/shape/nowhere",
 }
 
@@ -83,7 +85,7 @@ def test_from_a_shape_to_its_nearest_and_on(page: Page, eggs: Path) -> None:
     page.get_by_label("Results").fill("3")
     page.get_by_label("Results").press("Enter")
     page.wait_for_url("**k=3**")
-    page.wait_for_function("document.querySelectorAll('#results .shapes li').length === 3")
+    page.locator("#results .shapes li").nth(3).wait_for(state="detached")
     first = names(page)[0]
     page.locator("#results .shapes li a").first.click()
     page.get_by_role("heading", name=first).wait_for()
@@ -107,6 +109,35 @@ def test_answers_are_downloaded(page: Page, server: Server) -> None:
     with page.expect_download() as document:
         page.get_by_role("link", name="JSON").click()
     assert [row["id"] for row in json.loads(document.value.path().read_text())["results"]] == names(page)
+
+
+def test_two_shapes_turn_together(page: Page) -> None:
+    page.locator("#results").get_by_text("Egg11", exact=True).click()
+    page.get_by_role("link", name="Compare with Egg13").click()
+    page.get_by_role("heading", name="Egg11 and Egg13").wait_for()
+    page.locator("canvas[data-drawn]").nth(1).wait_for()
+    before = [canvas.screenshot() for canvas in page.locator("canvas").all()]
+    page.locator("canvas").first.focus()
+    page.keyboard.press("ArrowUp")
+    page.keyboard.press("ArrowLeft")
+    after = [canvas.screenshot() for canvas in page.locator("canvas").all()]
+    assert all(one != other for one, other in zip(before, after, strict=True))
+    assert page.get_by_text("Signatures").count() > 0
+    with page.expect_download() as mesh:
+        page.get_by_role("link", name="GLB of Egg13").click()
+    assert mesh.value.path().read_bytes().startswith(b"glTF")
+
+
+def test_the_map_leads_to_shapes(page: Page) -> None:
+    page.get_by_role("link", name="Map").click()
+    mark = page.get_by_role("link", name="Egg21 <kind 2>")
+    mark.wait_for()
+    mark.focus()
+    tip = page.locator(".tip")
+    assert tip.get_by_text("Egg21").is_visible()
+    tip.locator("img").evaluate("image => image.decode()")
+    page.keyboard.press("Enter")
+    page.get_by_role("heading", name="Egg21").wait_for()
 
 
 def test_a_chosen_scan_is_processed_and_answered(page: Page, eggs: Path, scan: Path) -> None:

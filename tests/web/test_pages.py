@@ -41,6 +41,10 @@ def test_the_collection_has_every_shape(server: Server) -> None:
         ("sort=-label&q=0", ["Egg20", "Egg10", "Egg03", "Egg02", "Egg01", "Egg00"]),
         ("q=nothing", []),
         ("page=2", []),
+        ("since=2999-01-01", []),
+        ("until=2000-01-01", []),
+        ("q=egg0&since=2000-01-01&until=2999-01-01", ["Egg00", "Egg01", "Egg02", "Egg03"]),
+        ("q=egg0&sort=-added", ["Egg03", "Egg02", "Egg01", "Egg00"]),
     ],
 )
 def test_the_collection_is_searched_filtered_and_sorted(

@@ -1,14 +1,16 @@
 // The shape under the pointer or the focus: thumbnail, name and class. A class of the key: the others fade.
 "use strict";
-const pictures = JSON.parse(document.getElementById("pictures").textContent);
-const map = document.querySelector(".map");
+const inlined = document.getElementById("pictures");
+const pictures = inlined && JSON.parse(inlined.textContent);
+const map = document.querySelector(".map") || document.createElement("div");
 const tip = document.querySelector(".tip");
 
 function show(shape) {
-  const picture = pictures[Number(shape.dataset.number)];
+  const inline = pictures && pictures[Number(shape.dataset.number)];
+  const picture = inline ? "data:image/png;base64," + inline : shape.dataset.picture;
   const image = tip.querySelector("img");
   image.hidden = !picture;
-  if (picture) image.src = "data:image/png;base64," + picture;
+  if (picture) image.src = picture;
   tip.querySelector("b").textContent = shape.dataset.id;
   tip.querySelector("span").textContent = shape.dataset.label;
   tip.hidden = false;
@@ -22,9 +24,10 @@ function show(shape) {
 for (const shape of map.querySelectorAll("path[data-number]")) {
   // Where this script runs, the box takes the place of the title.
   shape.querySelector("title").remove();
-  shape.setAttribute("aria-label", shape.dataset.id + " " + shape.dataset.label);
-  for (const event of ["pointerenter", "focus"]) shape.addEventListener(event, () => show(shape));
-  for (const event of ["pointerleave", "blur"]) shape.addEventListener(event, () => { tip.hidden = true; });
+  const link = shape.closest("a") || shape;
+  link.setAttribute("aria-label", shape.dataset.id + " " + shape.dataset.label);
+  for (const event of ["pointerenter", "focus"]) link.addEventListener(event, () => show(shape));
+  for (const event of ["pointerleave", "blur"]) link.addEventListener(event, () => { tip.hidden = true; });
 }
 
 for (const entry of map.querySelectorAll(".key li")) {
@@ -33,3 +36,6 @@ for (const entry of map.querySelectorAll(".key li")) {
   entry.addEventListener("pointerenter", () => choose(true));
   entry.addEventListener("pointerleave", () => choose(false));
 }
+
+// A map that a server still computes.
+if (document.getElementById("waiting")) setTimeout(() => location.reload(), 1000);

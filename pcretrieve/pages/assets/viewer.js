@@ -1,189 +1,25 @@
 "use strict";
-// Layers of points and faces, seen from far away; drag turns, the wheel zooms. The address may preset it:
+// The viewer of one scan: layers that can be switched on and off. The address may preset it:
 // #points,dropped@40,15 shows these layers from 40 degrees to the right and 15 above.
-const scene = JSON.parse(document.getElementById("scene").textContent);
 const canvas = document.getElementById("canvas"), boxes = document.getElementById("layers").elements;
-const gl = canvas.getContext("webgl", {antialias: true});
-const start = {right: 0, up: 0, zoom: 1};
-const camera = {...start};
-
-const VERTEX = `
-attribute vec3 at; attribute vec3 normal;
-uniform mat3 turn; uniform vec2 scale; uniform float width; uniform float lit; uniform float over;
-uniform vec3 colour; uniform vec3 back;
-varying vec3 shown;
-void main() {
-  vec3 seen = turn * (2.0 * at - 1.0);
-  gl_Position = vec4(seen.xy * scale, over > 0.5 ? -0.99 : -0.5 * seen.z, 1.0);
-  gl_PointSize = width;
-  float facing = lit > 0.5 ? dot(turn * normal, vec3(0, 0, 1)) : 1.0;
-  shown = (facing < 0.0 ? back : colour) * (0.35 + 0.65 * abs(facing));
-  if (lit < 0.5 && over < 0.5) shown *= 0.7 + 0.3 * seen.z;
-}`;
-const FRAGMENT = `
-precision mediump float;
-varying vec3 shown;
-uniform float round;
-void main() {
-  if (round > 0.5 && length(gl_PointCoord - 0.5) > 0.5) discard;
-  gl_FragColor = vec4(shown, 1.0);
-}`;
-
-function decode(text, Kind) {
-  const bytes = Uint8Array.from(atob(text), (character) => character.charCodeAt(0));
-  return new Kind(bytes.buffer);
-}
-
-// Each face with corners of its own, so that it is flat; its normal at each of them.
-function faceted(at, corners) {
-  const places = new Uint16Array(3 * corners.length), normals = new Int8Array(3 * corners.length);
-  for (let face = 0; face < corners.length; face += 3) {
-    const [a, b, c] = [0, 1, 2].map((k) => at.subarray(3 * corners[face + k], 3 * corners[face + k] + 3));
-    const u = [0, 1, 2].map((k) => b[k] - a[k]), v = [0, 1, 2].map((k) => c[k] - a[k]);
-    const n = [0, 1, 2].map((k) => u[(k + 1) % 3] * v[(k + 2) % 3] - u[(k + 2) % 3] * v[(k + 1) % 3]);
-    const length = Math.hypot(...n) || 1;
-    [a, b, c].forEach((corner, k) => {
-      places.set(corner, 3 * (face + k));
-      normals.set(n.map((part) => Math.round(127 * part / length)), 3 * (face + k));
-    });
-  }
-  return [places, normals];
-}
-
-function shader(program, type, source) {
-  const part = gl.createShader(type);
-  gl.shaderSource(part, source);
-  gl.compileShader(part);
-  if (!gl.getShaderParameter(part, gl.COMPILE_STATUS)) throw new Error(gl.getShaderInfoLog(part));
-  gl.attachShader(program, part);
-}
-
-function buffer(values) {
-  const made = gl.createBuffer();
-  gl.bindBuffer(gl.ARRAY_BUFFER, made);
-  gl.bufferData(gl.ARRAY_BUFFER, values, gl.STATIC_DRAW);
-  return made;
-}
-
-// Rows right, up and towards the viewer, turned by two angles; as WebGL wants it, column by column.
-function turned() {
-  const [a, e] = [camera.right, camera.up].map((degrees) => degrees * Math.PI / 180);
-  const [x, y, z] = scene.axes;
-  const mix = (p, u, q, v) => u.map((part, k) => p * part + q * v[k]);
-  const right = mix(Math.cos(a), x, -Math.sin(a), z), ahead = mix(Math.sin(a), x, Math.cos(a), z);
-  const up = mix(Math.cos(e), y, -Math.sin(e), ahead), towards = mix(Math.sin(e), y, Math.cos(e), ahead);
-  return [0, 1, 2].flatMap((k) => [right[k], up[k], towards[k]]);
-}
-
-let program, place;
-function prepare() {
-  program = gl.createProgram();
-  shader(program, gl.VERTEX_SHADER, VERTEX);
-  shader(program, gl.FRAGMENT_SHADER, FRAGMENT);
-  gl.bindAttribLocation(program, 0, "at");
-  gl.linkProgram(program);
-  gl.useProgram(program);
-  place = (name) => gl.getUniformLocation(program, name);
-  gl.enable(gl.DEPTH_TEST);
-  gl.depthFunc(gl.LEQUAL);
-  for (const layer of scene.layers) {
-    let at = decode(layer.at, Uint16Array), normals = layer.normal && decode(layer.normal, Int8Array);
-    if (layer.faces !== undefined) [at, normals] = faceted(at, decode(layer.faces, Uint32Array));
-    layer.count = at.length / 3;
-    layer.places = buffer(at);
-    layer.normals = normals && buffer(normals);
-  }
-}
-
-function draw() {
-  const [w, h] = [canvas.clientWidth, canvas.clientHeight].map((side) => Math.round(side * devicePixelRatio));
-  if (canvas.width !== w || canvas.height !== h) [canvas.width, canvas.height] = [w, h];
-  gl.viewport(0, 0, w, h);
-  gl.clearColor(0, 0, 0, 0);
-  gl.clear(gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT);
-  const side = Math.min(w, h), scale = scene.zoom * camera.zoom;
-  gl.uniformMatrix3fv(place("turn"), false, turned());
-  gl.uniform2f(place("scale"), scale * side / w, scale * side / h);
-  for (const layer of scene.layers) {
-    if (!boxes[layer.name].checked || !layer.count) continue;
-    const points = layer.faces === undefined;
-    gl.bindBuffer(gl.ARRAY_BUFFER, layer.places);
-    gl.enableVertexAttribArray(0);
-    gl.vertexAttribPointer(0, 3, gl.UNSIGNED_SHORT, true, 0, 0);
-    const normal = gl.getAttribLocation(program, "normal");
-    if (layer.normals) {
-      gl.bindBuffer(gl.ARRAY_BUFFER, layer.normals);
-      gl.enableVertexAttribArray(normal);
-      gl.vertexAttribPointer(normal, 3, gl.BYTE, true, 0, 0);
-    } else {
-      gl.disableVertexAttribArray(normal);
-    }
-    gl.uniform1f(place("lit"), layer.normals ? 1 : 0);
-    gl.uniform1f(place("over"), layer.over ? 1 : 0);
-    gl.uniform1f(place("round"), points ? 1 : 0);
-    gl.uniform1f(place("width"), Math.max(layer.width * scale * side / 2, 1.5));
-    gl.uniform3fv(place("colour"), layer.colour);
-    gl.uniform3fv(place("back"), layer.back || layer.colour.map((part) => 0.5 * part));
-    gl.drawArrays(points ? gl.POINTS : gl.TRIANGLES, 0, layer.count);
-  }
-}
+const camera = {right: 0, up: 0, zoom: 1};
+const scene = JSON.parse(document.getElementById("scene").textContent);
+const view = new View(canvas, scene, camera, (layer) => boxes[layer.name].checked);
 
 function preset() {
   const [names, angles] = decodeURIComponent(location.hash.slice(1)).split("@");
   const on = names ? names.split(",") : scene.on;
   for (const layer of scene.layers) boxes[layer.name].checked = on.includes(layer.name);
   const [right, up] = (angles || "").split(",").map(Number);
-  Object.assign(camera, start, {right: right || 0, up: up || 0});
-  draw();
+  Object.assign(camera, {right: right || 0, up: up || 0, zoom: 1});
+  view.draw();
 }
 
-function turn(across, down) {
-  camera.right += across;
-  camera.up = Math.max(-105, Math.min(75, camera.up + down));
-  draw();
-}
-
-function zoom(by) {
-  camera.zoom = Math.max(0.3, Math.min(40, camera.zoom * by));
-  draw();
-}
-
-if (gl) {
-  const fingers = new Map();
-  const apart = () => {
-    const [a, b] = [...fingers.values()];
-    return Math.hypot(a.x - b.x, a.y - b.y);
-  };
-  canvas.addEventListener("pointerdown", (event) => {
-    canvas.setPointerCapture(event.pointerId);
-    fingers.set(event.pointerId, {x: event.clientX, y: event.clientY});
-  });
-  canvas.addEventListener("pointermove", (event) => {
-    const finger = fingers.get(event.pointerId);
-    if (!finger) return;
-    const before = fingers.size === 2 ? apart() : 0;
-    const [across, down] = [event.clientX - finger.x, event.clientY - finger.y];
-    [finger.x, finger.y] = [event.clientX, event.clientY];
-    if (fingers.size === 2) zoom(apart() / before);
-    else turn(-0.4 * across, 0.4 * down);
-  });
-  for (const end of ["pointerup", "pointercancel"])
-    canvas.addEventListener(end, (event) => fingers.delete(event.pointerId));
-  canvas.addEventListener("wheel", (event) => {
-    event.preventDefault();
-    zoom(Math.exp(-0.001 * event.deltaY));
-  }, {passive: false});
-  canvas.addEventListener("dblclick", () => { Object.assign(camera, start); draw(); });
-  canvas.addEventListener("keydown", (event) => {
-    const step = {ArrowLeft: [10, 0], ArrowRight: [-10, 0], ArrowUp: [0, 10], ArrowDown: [0, -10]}[event.key];
-    if (step) { event.preventDefault(); turn(...step); }
-  });
-  canvas.addEventListener("webglcontextlost", (event) => event.preventDefault());
-  canvas.addEventListener("webglcontextrestored", () => { prepare(); draw(); });
-  document.getElementById("layers").addEventListener("change", draw);
+if (view.gl) {
+  steer(canvas, camera, () => view.draw());
+  document.getElementById("layers").addEventListener("change", () => view.draw());
   addEventListener("hashchange", preset);
-  addEventListener("resize", draw);
-  prepare();
+  addEventListener("resize", () => view.draw());
   preset();
 } else {
   document.getElementById("hint").textContent = "This browser has no WebGL: the pictures above show the same.";

@@ -1,0 +1,99 @@
+"""Points and faces → the layers that the 3-D viewer in a browser draws, as base64 of little-endian arrays."""
+
+from __future__ import annotations
+
+from base64 import b64encode
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pcretrieve.rendering import CLAY, Colour, body_axes, css
+from pcretrieve.types import FloatArray, TriangleMesh
+
+__all__ = ["VIEWER_SIZE", "Cube", "encoded", "surface_scene"]
+
+#: Half of the side of the cube that the viewer can show, with room for outliers near the body; farther
+#: outliers are left out. Relative to the radius of the bounding ball of the body.
+VIEWER_SIZE = 1.25
+
+# Largest 16-bit integer, in which the viewer stores coordinates.
+FULL_SCALE = 2**16 - 1
+
+
+class Cube(NamedTuple):
+    """The cube that a viewer can show.
+
+    Attributes
+    ----------
+    centre : (3,) float64
+        Its centre; unit of the scan.
+    half : float
+        Half of its side; unit of the scan.
+    """
+
+    centre: FloatArray
+    half: float
+
+    @classmethod
+    def around(cls, body: FloatArray) -> Cube:
+        """The cube around the (n, 3) points of a body."""
+        centre = (body.min(axis=0) + body.max(axis=0)) / 2
+        reach = float(np.linalg.norm(body - centre, axis=1).max()) or 1.0  # if all points are equal
+        return cls(centre, VIEWER_SIZE * reach)
+
+    def holds(self, points: FloatArray) -> NDArray[np.bool_]:
+        """Which of (n, 3) points are in the cube."""
+        return np.asarray((abs(points - self.centre) <= self.half).all(axis=1))
+
+    def layer(
+        self, name: str, label: str, points: FloatArray, colour: Colour, *, width: float, **more: Any
+    ) -> dict[str, Any]:
+        """A layer of the points that are in the cube.
+
+        Parameters
+        ----------
+        name, label : str
+            What scripts and readers call it.
+        points : (n, 3) float64
+            The points; unit of the scan.
+        colour : Colour
+            Their colour.
+        width : float
+            Width of a point; unit of the scan.
+        **more
+            Further values, such as ``faces``, for the script of the viewer.
+
+        Returns
+        -------
+        dict
+            The layer, for a JSON document.
+        """
+        grid = (points[self.holds(points)] - self.centre + self.half) / (2 * self.half) * FULL_SCALE
+        at = encoded(np.round(grid).astype("<u2"))
+        facts = {"name": name, "label": label, "colour": colour, "css": css(colour)}
+        return facts | {"width": width / self.half, "at": at} | more
+
+
+def surface_scene(mesh: TriangleMesh) -> dict[str, Any]:
+    """A surface as the only layer, seen from its front.
+
+    Parameters
+    ----------
+    mesh : TriangleMesh
+        The surface.
+
+    Returns
+    -------
+    dict
+        The scene, for a JSON document.
+    """
+    cube, faces = Cube.around(mesh.vertices), encoded(mesh.faces.astype("<u4"))
+    layer = cube.layer("surface", "surface", mesh.vertices, CLAY, width=0, faces=faces)
+    axes = body_axes(mesh.vertices, mesh.faces).tolist()
+    return {"layers": [layer], "on": ["surface"], "axes": axes, "zoom": VIEWER_SIZE}
+
+
+def encoded(values: NDArray[Any]) -> str:
+    """The bytes of an array as base64."""
+    return b64encode(np.ascontiguousarray(values).tobytes()).decode("ascii")
