@@ -123,12 +123,13 @@ def test_what_is_printed_of_many(catalogue: Path, folder: Path) -> None:
     names = ["11", *(str(folder / "new" / f"new{kind}.off") for kind in range(2))]
     expected = [pr.search(catalogue, name, k=2) for name in names]
     lines = run(*asked).stdout.splitlines()
-    assert lines[::4] == names
+    assert lines[::5] == names
+    assert {line.split()[4] for line in lines[1::5]} == {"ID"}
     assert [line.split()[4] for line in lines if line.startswith("   ")] == [
         name for found in expected for name in found.ids
     ]
     answers = pr.search_many(catalogue, names, k=2)
-    assert lines[3::4] == [str(answer) for _, answer in answers]
+    assert lines[4::5] == [str(answer) for _, answer in answers]
     documents = json.loads(run(*asked, "--json").stdout)["result"]
     assert [document["query"] for document in documents] == names
     for document, found in zip(documents, expected, strict=True):
@@ -144,7 +145,7 @@ def test_what_is_printed_of_many(catalogue: Path, folder: Path) -> None:
 def test_conditions_on_the_command_line(catalogue: Path) -> None:
     asked = ("query", "11", "-c", catalogue, "-k", 20)
     filters = ("--filter", "label=kind0", "--filter", "label=kind1", "--exclude-self")
-    *rows, verdict = run(*asked, *filters).stdout.splitlines()
+    _, *rows, verdict = run(*asked, *filters).stdout.splitlines()
     found = [row.split()[4] for row in rows]
     assert verdict.startswith("class kind1 by ")
     assert found == list(pr.search(catalogue, "11", k=20, labels=["kind0", "kind1"], exclude_self=True).ids)

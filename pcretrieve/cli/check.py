@@ -14,6 +14,7 @@ from pcretrieve.cli.documents import write_document
 from pcretrieve.cli.messages import say, write_line
 from pcretrieve.cli.parts import CATALOGUE, json_option
 from pcretrieve.cli.progress import Progress
+from pcretrieve.cli.tables import Column, write_table
 
 if TYPE_CHECKING:
     from pcretrieve.interface.maintenance import Check
@@ -70,9 +71,10 @@ def _advance(progress: Progress, n_shapes: int) -> None:
 
 
 def _write(catalogue: str, result: Check) -> None:
-    for defect in result.defects:
-        place = f"[{defect.shape_id}] " if defect.shape_id else ""
-        write_line(f"{place}{defect.message}: {defect.repair or 'not repaired'}")
+    write_table(
+        (Column("SHAPE"), Column("DEFECT", "words"), Column("REPAIR", "words")),
+        ((one.shape_id or "-", one.message, one.repair or "not repaired") for one in result.defects),
+    )
     if any(defect.kind == "database" and not defect.repair for defect in result.defects):
         say(
             "the file is damaged in a way that cannot be repaired: restore a backup, or ingest into a new one"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +13,7 @@ from pcretrieve.cli.comparison import compared, comparison_options
 from pcretrieve.cli.documents import write_document
 from pcretrieve.cli.messages import say, write_csv
 from pcretrieve.cli.parts import catalogue_option, json_option
+from pcretrieve.cli.tables import Column, write_table
 from pcretrieve.csv_text import csv_text
 
 __all__ = ["cluster_command"]
@@ -32,7 +34,7 @@ __all__ = ["cluster_command"]
     "-o",
     type=click.Path(path_type=Path),
     metavar="CSV",
-    help="The file to write.  [default: standard output]",
+    help="The file to write.  [default: standard output; a terminal shows a table]",
 )
 @comparison_options
 @json_option
@@ -58,8 +60,12 @@ def cluster_command(
     if output is not None:
         write_file(output, text.encode())
     if as_json:
-        rows = [{"id": shape_id, "label": label} for shape_id, label in labels.items()]
-        write_document(rows, options=options)
+        document = [{"id": shape_id, "label": label} for shape_id, label in labels.items()]
+        write_document(document, options=options)
+    elif output is None and sys.stdout.isatty():
+        write_table(
+            (Column("ID"), Column("CLUSTER")), ((name, label or "-") for name, label in labels.items())
+        )
     elif output is None:
         write_csv(text)
     n_none = sum(label is None for label in labels.values())

@@ -57,7 +57,7 @@ class _Command(click.Command):
         super().format_options(ctx, formatter)
         if self._rare() and not ctx.meta.get(ALL):
             with formatter.section("More options, which --help-all explains"):
-                # Not by `write_text`, which breaks lines at the hyphens of names.
+                # Not by `print_text`, which breaks lines at the hyphens of names.
                 names = " ".join(one.opts[0] for one in self._rare())
                 width = formatter.width - formatter.current_indent
                 for line in textwrap.wrap(names, width, break_on_hyphens=False):

@@ -10,9 +10,10 @@ import click
 from pcretrieve.cli.commands import command
 from pcretrieve.cli.comparison import compared, comparison_options
 from pcretrieve.cli.documents import write_document
-from pcretrieve.cli.evaluate import HEAD, numbers_line
+from pcretrieve.cli.evaluate import COLUMNS, numbers
 from pcretrieve.cli.messages import say, write_line
 from pcretrieve.cli.parts import CATALOGUE, json_option, labels_option
+from pcretrieve.cli.tables import Column, write_table
 
 if TYPE_CHECKING:
     from pcretrieve.catalogue import Catalogue
@@ -78,15 +79,19 @@ def compare_command(
         }
         write_document(document)
         return
-    write_line(HEAD)
-    write_line(f"{numbers_line(found.first)}  A: {first}")
-    write_line(f"{numbers_line(found.second)}  B: {second}")
-    write_line(f"{numbers_line(found.difference, '+6.3f')}  B - A")
-    write_line(f"{numbers_line(found.interval[0], '+6.3f')}    {found.level:.0%} interval from")
-    write_line(f"{numbers_line(found.interval[1], '+6.3f')}    to")
-    for one in shown:
-        if one.first != one.second:
-            write_line(f"{one.shape_id} ({one.label}): average precision {one.first:.4f} to {one.second:.4f}")
+    table = [
+        (*numbers(found.first), f"A: {first}"),
+        (*numbers(found.second), f"B: {second}"),
+        (*numbers(found.difference, "+.3f"), "B - A"),
+        (*numbers(found.interval[0], "+.3f"), f"  {found.level:.0%} interval from"),
+        (*numbers(found.interval[1], "+.3f"), "  to"),
+    ]
+    write_table(COLUMNS, table)
+    changed = [one for one in shown if one.first != one.second]
+    if changed:
+        write_line("average precision of the most changed shapes:")
+        precisions = ((one.shape_id, one.label, f"{one.first:.4f}", f"{one.second:.4f}") for one in changed)
+        write_table((Column("ID"), Column("CLASS"), Column("A", "number"), Column("B", "number")), precisions)
     left = len(found.only_first) + len(found.only_second)
     say(
         f"{len(found.changes)} queries in both"

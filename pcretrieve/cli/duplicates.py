@@ -9,8 +9,9 @@ import click
 from pcretrieve.cli.commands import command
 from pcretrieve.cli.comparison import compared, comparison_options
 from pcretrieve.cli.documents import write_document
-from pcretrieve.cli.messages import say, write_line
+from pcretrieve.cli.messages import say
 from pcretrieve.cli.parts import catalogue_option, json_option
+from pcretrieve.cli.tables import Column, write_table
 
 __all__ = ["duplicates_command"]
 
@@ -43,6 +44,8 @@ def duplicates_command(catalogue: str, threshold: float | None, as_json: bool, *
     if as_json:
         write_document([pair._asdict() for pair in pairs], options=options)
         return
-    for pair in pairs:
-        write_line(f"{pair.distance:<10.4g}  {pair.limit:<10.4g}  {pair.first:<24}  {pair.second}")
+    write_table(
+        (Column("DISTANCE", "number"), Column("LIMIT", "number"), Column("FIRST"), Column("SECOND")),
+        ((f"{one.distance:#.4g}", f"{one.limit:#.4g}", one.first, one.second) for one in pairs),
+    )
     say(f"{len(pairs)} {'pair' if len(pairs) == 1 else 'pairs'}")

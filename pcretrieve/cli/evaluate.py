@@ -14,18 +14,22 @@ from pcretrieve.cli.commands import command, option
 from pcretrieve.cli.comparison import compared, comparison_options, matrix_option, read_distances
 from pcretrieve.cli.completion import CATALOGUE_VARIABLE
 from pcretrieve.cli.documents import write_document
-from pcretrieve.cli.messages import say, write_line
+from pcretrieve.cli.messages import say
 from pcretrieve.cli.parts import CATALOGUE, json_option, labels_option
+from pcretrieve.cli.tables import Column, write_table
 
 if TYPE_CHECKING:
     from pcretrieve.evaluation import RankedCatalogue
     from pcretrieve.options import RerankKind
     from pcretrieve.types import FloatArray
 
-__all__ = ["HEAD", "evaluate_command", "numbers_line"]
+__all__ = ["COLUMNS", "evaluate_command", "numbers"]
 
-#: The line above rows of measures.
-HEAD = "  ".join(f"{name:>6}" for name in ("NN", "FT", "ST", "E", "DCG", "mAP"))
+#: The columns of rows of measures, and of what they are the measures of.
+COLUMNS = (
+    *(Column(name, "number") for name in ("NN", "FT", "ST", "E", "DCG", "mAP")),
+    Column("", "words"),
+)
 
 
 @command("evaluate")
@@ -152,22 +156,23 @@ def evaluate_command(
             ]
         write_document(document, options=options)
         return
-    write_line(HEAD)
+    rows = []
     if rerank != "none":
         plain = asdict(evaluate_rankings(ranked.plain))
-        write_line(f"{_row(plain, MEASURES)}  micro-average, plain")
-    write_line(f"{_row(measures, MEASURES)}  micro-average" + (f", {rerank}" if rerank != "none" else ""))
-    write_line(f"{numbers_line(low)}    {LEVEL:.0%} interval from")
-    write_line(f"{numbers_line(high)}    to")
-    write_line(f"{_row(macro, MEASURES)}  macro-average")
+        rows.append((*numbers(plain[name] for name in MEASURES), "micro-average, plain"))
+    micro = "micro-average" + (f", {rerank}" if rerank != "none" else "")
+    rows += [
+        (*numbers(measures[name] for name in MEASURES), micro),
+        (*numbers(low), f"  {LEVEL:.0%} interval from"),
+        (*numbers(high), "  to"),
+        (*numbers(macro[name] for name in MEASURES), "macro-average"),
+    ]
     for one in classes:
         others = ", ".join(f"{label or 'no class'} {n}" for label, n in one.confused)
-        write_line(
-            f"{numbers_line(one.means)}  {one.label}, {one.n_queries} queries"
-            + (f"; nearest {others}" if others else "")
-        )
-    for row in published:
-        write_line(f"{numbers_line(row.measures)}  published: {row.method} ({row.source})")
+        nearest = f"; nearest {others}" if others else ""
+        rows.append((*numbers(one.means), f"{one.label}, {one.n_queries} queries{nearest}"))
+    rows += [(*numbers(row.measures), f"published: {row.method} ({row.source})") for row in published]
+    write_table(COLUMNS, rows)
     _say_how(ranked, how)
     if layout := LAYOUTS.get(labels or ""):
         say(f"{layout.name}: {layout.protocol}")
@@ -185,26 +190,22 @@ def _say_how(ranked: RankedCatalogue, how: Mapping[str, object]) -> None:
         say(f"whitening: {ranked.whitening}")
 
 
-def numbers_line(values: Iterable[float | None], form: str = "6.4f") -> str:
-    """A row of measures below `HEAD`.
+def numbers(values: Iterable[float | None], form: str = ".4f") -> list[str]:
+    """The measures of a row below `COLUMNS`.
 
     Parameters
     ----------
     values : iterable of (float or None)
         The measures; None is printed as "-".
-    form : str, default "6.4f"
-        Format of a number of six characters or more.
+    form : str, default ".4f"
+        Format of a number.
 
     Returns
     -------
-    str
-        The line.
+    list of str
+        The cells.
     """
-    return "  ".join(f"{'-':>6}" if value is None else format(value, form) for value in values)
-
-
-def _row(measures: Mapping[str, float], names: Iterable[str]) -> str:
-    return numbers_line(measures[name] for name in names)
+    return ["-" if value is None else format(value, form) for value in values]
 
 
 def _named(names: Iterable[str], values: FloatArray) -> dict[str, float]:

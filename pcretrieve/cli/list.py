@@ -2,16 +2,27 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import asdict
+from typing import TYPE_CHECKING
 
 import click
 
 from pcretrieve.cli.commands import command
 from pcretrieve.cli.documents import write_documents
-from pcretrieve.cli.messages import write_line
+from pcretrieve.cli.messages import say, shown_path
 from pcretrieve.cli.parts import catalogue_option, json_option
+from pcretrieve.cli.tables import Column, write_table
+
+if TYPE_CHECKING:
+    from pcretrieve.catalogue import Record
 
 __all__ = ["list_command"]
+
+ID, CLASS, FILE = Column("ID"), Column("CLASS"), Column("FILE", "path")
+ALL = (ID, Column("VERDICT"), CLASS, Column("EULER", "number"), Column("SECONDS", "number"), FILE)
+FAILED = (ID, Column("STAGE"), CLASS, FILE, Column("REASON", "words"))
+DOUBTFUL = (ID, Column("VERDICT"), CLASS, FILE, Column("REASON", "words"))
 
 
 @command("list")
@@ -28,7 +39,7 @@ def list_command(
 ) -> None:
     """List the shapes of a catalogue: id, verdict, class, Euler characteristic, seconds, path.
 
-    The verdict is sound, doubtful or unusable, or done for a shape that was not judged.
+    The verdict is sound, doubtful, unusable or failed, or done for a shape that was not judged.
 
     \b
     pcretrieve list --catalogue bodies.sqlite --failed
@@ -43,12 +54,37 @@ def list_command(
         if as_json:
             write_documents(asdict(record) | {"seconds": round(record.seconds, 3)} for record in records)
             return
-        for record in records:
-            euler = "-" if record.euler is None else str(record.euler)
-            reason = f"  [{record.stage}] {record.message}" if record.status == "failed" else ""
-            reason += f"  [{record.verdict}]" if record.verdict and record.is_doubtful else ""
-            status = record.verdict.judgement if record.verdict else record.status
-            write_line(
-                f"{record.id:<24}  {status:<8}  {record.label or '-':<16}  {euler:>4}  "
-                f"{record.seconds:6.2f}  {record.path}{reason}"
-            )
+        counts: Counter[str] = Counter()
+        if failed:
+            write_table(FAILED, (_failed(record) for record in records))
+        elif doubtful:
+            write_table(DOUBTFUL, (_doubtful(record) for record in records))
+        else:
+            write_table(ALL, (_row(record, counts) for record in records))
+    hints = [f"{n} {name} (--{name})" for name, n in sorted(counts.items())]
+    if hints:
+        say(f"{', '.join(hints)}: the options list the reasons")
+
+
+def _row(record: Record, counts: Counter[str]) -> tuple[str, ...]:
+    """A row of all shapes; those that have reasons are counted by the option that lists them."""
+    if record.status == "failed":
+        counts["failed"] += 1
+    elif record.is_doubtful:
+        counts["doubtful"] += 1
+    euler = "-" if record.euler is None else str(record.euler)
+    label, file = record.label or "-", shown_path(record.path)
+    return record.id, _verdict(record), label, euler, f"{record.seconds:.2f}", file
+
+
+def _failed(record: Record) -> tuple[str, ...]:
+    return record.id, record.stage or "-", record.label or "-", shown_path(record.path), record.message or ""
+
+
+def _doubtful(record: Record) -> tuple[str, ...]:
+    label, file = record.label or "-", shown_path(record.path)
+    return record.id, _verdict(record), label, file, str(record.verdict or "")
+
+
+def _verdict(record: Record) -> str:
+    return record.verdict.judgement if record.verdict else record.status

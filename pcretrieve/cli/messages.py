@@ -16,7 +16,6 @@ from pcretrieve.errors import InputError
 
 if TYPE_CHECKING:
     from pcretrieve.catalogue import Record
-    from pcretrieve.types import Step
 
 __all__ = [
     "ESCAPES_IN_JSON",
@@ -25,12 +24,15 @@ __all__ = [
     "log_to",
     "print_text",
     "say",
+    "shown_path",
     "silence",
-    "step_lines",
     "write_csv",
     "write_line",
     "write_row",
 ]
+
+# What messages begin with that are red on a terminal.
+WARNING_WORDS = ("Error:", "failed:")
 
 # Characters that are printed as JSON escapes them: control characters, on which terminals act; separators of
 # lines; characters that reverse the direction of the text that follows; and halves of characters. Names of
@@ -75,8 +77,12 @@ def say(message: str) -> None:
     message : str
         The message, which is printed in one line.
     """
+    text = escaped(message)
+    for word in WARNING_WORDS:
+        if text.startswith(word) and not os.environ.get("NO_COLOR"):
+            text = click.style(word, fg="red") + text.removeprefix(word)
     try:
-        click.echo(escaped(message), err=True)
+        click.echo(text, err=True)  # without colours, if that is no terminal
     except OSError:
         silence(sys.stderr)
 
@@ -171,6 +177,22 @@ def print_text(text: str, *, nl: bool = True, color: bool | None = None) -> None
     click.echo(text, nl=nl, color=color)
 
 
+def shown_path(path: str) -> str:
+    """A path as people read it: relative to the current folder, if it is in this folder.
+
+    Parameters
+    ----------
+    path : str
+        The path, or a URL.
+
+    Returns
+    -------
+    str
+        The same file.
+    """
+    return path.removeprefix(f"{Path.cwd()}{os.sep}")
+
+
 def failure_line(record: Record) -> str:
     """The message about a shape that failed.
 
@@ -184,7 +206,7 @@ def failure_line(record: Record) -> str:
     str
         Id, stage and message; and the file, if the message does not name it.
     """
-    file = "" if record.path in (record.message or "") else f" ({record.path})"
+    file = "" if record.path in (record.message or "") else f" ({shown_path(record.path)})"
     return f"failed: [{record.id} / {record.stage}] {record.message}{file}"
 
 
@@ -198,27 +220,3 @@ def write_csv(text: str) -> None:
     """
     shown = text.translate(ESCAPES_IN_JSON) if sys.stdout.isatty() else text
     print_text(shown, nl=False, color=True)  # otherwise click removes what looks like codes of a terminal
-
-
-def step_lines(steps: tuple[Step, ...]) -> list[str]:
-    """Provenance as text.
-
-    Parameters
-    ----------
-    steps : tuple of Step
-        The steps.
-
-    Returns
-    -------
-    list of str
-        One line for each step (stage, seconds, sizes), and one for each note.
-    """
-    lines = []
-    for step in steps:
-        sizes = ", ".join(
-            f"{name} {value:.3g}" if value % 1 else f"{name} {value:.0f}"
-            for name, value in step.sizes.items()
-        )
-        lines.append(f"{step.stage:<9} {step.seconds:7.3f} s  {sizes}")
-        lines += [f"{'':<9}            {note}" for note in step.notes]
-    return lines

@@ -14,8 +14,9 @@ from pcretrieve.cli.commands import command, option
 from pcretrieve.cli.comparison import compared, comparison_options, matrix_option, read_distances
 from pcretrieve.cli.completion import complete_labels, complete_queries
 from pcretrieve.cli.documents import write_documents
-from pcretrieve.cli.messages import say, write_csv, write_line
+from pcretrieve.cli.messages import say, shown_path, write_csv, write_line
 from pcretrieve.cli.parts import EXIT_SOME_FAILED, catalogue_option, json_option, limit_options, unit_option
+from pcretrieve.cli.tables import Column, write_table
 from pcretrieve.csv_text import csv_text
 
 if TYPE_CHECKING:
@@ -26,6 +27,13 @@ if TYPE_CHECKING:
 __all__ = ["query_command"]
 
 CSV_COLUMNS = ("query", "rank", "id", "label", "distance", "score", "path")
+
+COLUMNS = (
+    *(Column(heading, "number") for heading in ("RANK", "DISTANCE", "SCORE")),
+    *(Column("CLASS"), Column("ID"), Column("FILE", "path")),
+)
+# Of a result whose signature is doubtful or unusable.
+DOUBT = Column("VERDICT", "words")
 
 Row = dict[str, Any]
 Outcomes = Iterator[tuple[str, "Answer | ShapeError"]]
@@ -222,21 +230,28 @@ def _document(name: str, outcome: Answer | ShapeError, distance: str | None, whi
 
 
 def _print_lines(outcomes: Outcomes, *, headed: bool) -> None:
-    """One line for each result, below a line with the query if there are several."""
+    """A table of the results, below a line with the query if there are several, and the verdict."""
     from pcretrieve.searching import Answer, result_rows
 
     for name, answer in outcomes:
         if not isinstance(answer, Answer):
             continue
         if headed:
-            write_line(name)
-        for row, record in zip(result_rows(answer), answer.records, strict=True):
-            doubt = f"  [{record.verdict}]" if record.is_doubtful else ""
-            score = "-" if row["score"] is None else f"{row['score']:.2f}"
-            write_line(
-                f"{row['rank']:>4}  {row['distance']:<10.4g}  {score:<4}  {row['label'] or '-':<16}  "
-                f"{row['id']:<24}  {row['path']}{doubt}"
+            write_line(shown_path(name))
+        columns = COLUMNS + ((DOUBT,) if any(record.is_doubtful for record in answer.records) else ())
+        rows = (
+            (
+                str(row["rank"]),
+                f"{row['distance']:#.4g}",
+                "-" if row["score"] is None else f"{row['score']:.2f}",
+                row["label"] or "-",
+                row["id"],
+                shown_path(row["path"]),
+                str(record.verdict) if record.is_doubtful else "",
             )
+            for row, record in zip(result_rows(answer), answer.records, strict=True)
+        )
+        write_table(columns, (cells[: len(columns)] for cells in rows))
         write_line(str(answer))
 
 

@@ -11,7 +11,7 @@ import click
 
 from pcretrieve.cli.commands import command, option
 from pcretrieve.cli.documents import write_document
-from pcretrieve.cli.messages import say, step_lines, write_line
+from pcretrieve.cli.messages import say, shown_path, write_line
 from pcretrieve.cli.parts import (
     EXIT_SOME_FAILED,
     config_option,
@@ -22,6 +22,7 @@ from pcretrieve.cli.parts import (
 )
 from pcretrieve.cli.progress import progress_option
 from pcretrieve.cli.scans import each_scan, failure_document, output_files, workers_option
+from pcretrieve.cli.tables import write_steps
 
 if TYPE_CHECKING:
     from pcretrieve.options import PipelineOptions
@@ -89,8 +90,7 @@ def reconstruct_command(
             write_document(made.document(), options=options)
             return
         if report:
-            for line in step_lines(made.steps):
-                write_line(line)
+            write_steps(made.steps)
         say(made.summary())
         return
     scans = discover([scan])
@@ -106,19 +106,20 @@ def reconstruct_command(
         memory=memory,
         progress=progress,
     )
-    lines: list[str] = []  # printed at the end, because they would break a bar
+    found: list[tuple[str, _Made]] = []  # printed at the end, because they would break a bar
     for path, outcome in outcomes:
         if isinstance(outcome, _Made):
             documents.append({"scan": printable(path)} | outcome.document())
-            lines += [printable(path), *step_lines(outcome.steps)]
+            found.append((printable(path), outcome))
         else:
             n_failed += 1
             documents.append(failure_document(outcome))
     if as_json:
         write_document(documents, options=options)
     elif report:
-        for line in lines:
-            write_line(line)
+        for name, made in found:
+            write_line(shown_path(name))
+            write_steps(made.steps)
     say(f"{len(scans) - n_failed} surfaces are in {output}, {n_failed} scans failed")
     if n_failed:
         click.get_current_context().exit(EXIT_SOME_FAILED)

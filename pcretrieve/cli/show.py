@@ -9,8 +9,9 @@ import click
 from pcretrieve.cli.commands import command
 from pcretrieve.cli.completion import complete_ids
 from pcretrieve.cli.documents import write_document
-from pcretrieve.cli.messages import step_lines, write_line
+from pcretrieve.cli.messages import print_text, shown_path
 from pcretrieve.cli.parts import catalogue_option, json_option
+from pcretrieve.cli.tables import Column, write_steps, write_table
 
 __all__ = ["show_command"]
 
@@ -32,14 +33,18 @@ def show_command(shape_id: str, catalogue: str, as_json: bool) -> None:
     if as_json:
         write_document(asdict(record) | {"seconds": round(record.seconds, 3), "stored_bytes": stored})
         return
+    rows = []
     for name, value in asdict(record).items():
         if name == "versions":
             value = ", ".join(f"{package} {version}" for package, version in record.versions.items())
         if name == "verdict":
             value = None if record.status == "failed" else str(record.verdict or "not judged")
+        if name == "path":
+            value = shown_path(record.path)
         if name != "steps" and value is not None:
-            write_line(f"{name:<15} {value}")
+            rows.append((name, str(value)))
     parts = ", ".join(f"{name} {size / 1000:.1f}" for name, size in stored.items() if size)
-    write_line(f"{'stored':<15} {sum(stored.values()) / 1000:.1f} kB" + (f": {parts}" if parts else ""))
-    for line in step_lines(record.steps):
-        write_line(line)
+    rows.append(("stored", f"{sum(stored.values()) / 1000:.1f} kB" + (f": {parts}" if parts else "")))
+    write_table((Column(""), Column("", "words")), rows)
+    print_text("")
+    write_steps(record.steps)

@@ -9,8 +9,10 @@ import click
 
 from pcretrieve.cli.commands import command
 from pcretrieve.cli.documents import write_document
+from pcretrieve.cli.messages import write_line
 from pcretrieve.cli.parts import CATALOGUE, json_option
 from pcretrieve.cli.progress import duration
+from pcretrieve.cli.tables import Column, write_table
 
 if TYPE_CHECKING:
     from pcretrieve.ingestion import BatchStatus
@@ -34,9 +36,10 @@ def status_command(catalogue: str, as_json: bool) -> None:
         write_document({"catalogue": catalogue} | asdict(found))
         return
     for line in _lines(found):
-        click.echo(line)
-    kinds = "".join(f"\n  {number} x {kind}" for kind, number in found.failures.items())
-    click.echo(f"{catalogue}: {found.n_shapes} shapes, {sum(found.failures.values())} failed{kinds}")
+        write_line(line)
+    write_line(f"{catalogue}: {found.n_shapes} shapes, {sum(found.failures.values())} failed")
+    rows = ((str(number), kind) for kind, number in found.failures.items())
+    write_table((Column("NUMBER", "number"), Column("FAILURE")), rows)
 
 
 def _lines(found: BatchStatus) -> list[str]:

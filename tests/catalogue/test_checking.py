@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import sqlite3
 import subprocess
 import sys
@@ -251,7 +252,7 @@ def test_rows_of_no_shape_are_removed(path: Path) -> None:
     assert [defect["kind"] for defect in answer["defects"]] == ["orphan", "orphan"]
     said = run("check", path, "--sample", "0", "--repair")
     assert said.exit_code == 0
-    assert "1 rows of meshes are of no shape: removed" in said.stdout
+    assert re.search("1 rows of meshes are of no shape  +removed\n", said.stdout)
     assert pr.check(path, sample=0).defects == ()
     assert rows_of(path) == before
 

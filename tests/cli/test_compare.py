@@ -125,9 +125,11 @@ def test_two_settings_matrices_and_files_give_one_comparison(eggs: Path, tmp_pat
     assert printed[3].split()[:6] == [f"{value:+.3f}" for value in expected.difference]
     assert printed[1].endswith(f"  A: {files[0]}")
     change = expected.changes[0]
-    assert printed[6] == (
-        f"{change.shape_id} ({change.label}): average precision {change.first:.4f} to {change.second:.4f}"
-    )
+    assert printed[6:8] == ["average precision of the most changed shapes:", "ID  CLASS       A       B"]
+    assert printed[8].split() == [
+        *(change.shape_id, change.label),
+        *(f"{change.first:.4f}", f"{change.second:.4f}"),
+    ]
 
 
 def test_what_cannot_be_compared(eggs: Path, tmp_path: Path) -> None:

@@ -31,7 +31,8 @@ def test_the_demonstration_finds_whose_the_new_scan_is(tmp_path: Path) -> None:
         [sys.executable, "-m", "pcretrieve", "demo", folder], capture_output=True, text=True, cwd=tmp_path
     )
     assert ended.returncode == 0, ended.stderr
-    first, *_ = ended.stdout.splitlines()
+    head, first, *_ = ended.stdout.splitlines()
+    assert head.split()[:4] == ["RANK", "DISTANCE", "SCORE", "CLASS"]
     assert first.split()[0] == "1"
     assert first.split()[3] == DEMO_QUERY.split("_")[0], "the nearest scan is one of the same person"
     assert "NN" in ended.stdout

@@ -128,5 +128,5 @@ def test_a_command_that_takes_long_says_a_word(tmp_path: Path, environment: dict
 
     first, failure, *_ = said("signature", "scan.slow").splitlines()
     assert first == "signature: at work"
-    assert failure.startswith("failed: [scan / read]")
+    assert failure.startswith("\x1b[31mfailed:\x1b[0m [scan / read]")
     assert "at work" not in said("ingest", "scan.slow", "-c", "d.sqlite", "--quiet")

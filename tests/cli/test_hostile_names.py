@@ -98,8 +98,8 @@ def ids() -> list[str]:
 
 
 def test_a_list_has_one_line_for_each_shape(folder: Path) -> None:
-    assert len(run(folder, "list", "-c", "c.sqlite").splitlines()) == len(ids()) + 1
-    (line,) = run(folder, "list", "-c", "c.sqlite", "--failed").splitlines()
+    assert len(run(folder, "list", "-c", "c.sqlite").splitlines()) == 1 + len(ids()) + 1
+    (_, line) = run(folder, "list", "-c", "c.sqlite", "--failed").splitlines()
     assert line.startswith("flat\\u001b[31m\\n ")
 
 
@@ -113,7 +113,7 @@ def test_every_shape_can_be_asked_for_by_its_id(name: str, folder: Path) -> None
 def test_queries_print_names_as_text(folder: Path) -> None:
     options = ("query", "-c", "c.sqlite", "-k", "3", "--whitening", "none")
     several = ("--", IDS[NAMES[3]], IDS[NAMES[5]])
-    assert len(run(folder, *options, *several).splitlines()) == 2 * (1 + 3 + 1)
+    assert len(run(folder, *options, *several).splitlines()) == 2 * (1 + 1 + 3 + 1)
     rows = list(csv.DictReader(io.StringIO(run(folder, *options, "--csv", *several), newline="")))
     answers = json.loads(run(folder, *options, "--json", *several))["result"]
     assert [row["query"] for row in rows[::3]] == [answer["query"] for answer in answers] == list(several[1:])

@@ -41,7 +41,7 @@ def run(*arguments: object) -> str:
 
 def listed(path: Path, *arguments: object) -> list[str]:
     """The ids that are listed, which are the same in text and in JSON."""
-    ids = [line.split()[0] for line in run("list", "-c", path, *arguments).splitlines()]
+    ids = [line.split()[0] for line in run("list", "-c", path, *arguments).splitlines()[1:]]
     document = run("list", "-c", path, *arguments, "--json")
     assert [row["id"] for row in json.loads(document)["result"]] == ids
     assert document == json.dumps(json.loads(document), indent=2) + "\n"
@@ -82,7 +82,7 @@ def test_a_page_is_read_when_it_is_asked_for(path: Path) -> None:
 def test_show_says_what_a_shape_costs(path: Path) -> None:
     stored = json.loads(run("show", "ball", "-c", path, "--json"))["result"]["stored_bytes"]
     said = run("show", "ball", "-c", path)
-    assert f"{'stored':<15} {sum(stored.values()) / 1000:.1f} kB: record " in said
+    assert f"\nstored          {sum(stored.values()) / 1000:.1f} kB: record " in said
     assert set(stored) == {"record", "signatures", "spectra", "moments", "overlaps", "meshes"}
     assert stored["signatures"] == 8 * (118 + 1)
     failed = json.loads(run("show", "r0000", "-c", path, "--json"))["result"]["stored_bytes"]
