@@ -108,14 +108,12 @@ class Inspection:
             causes = [name for name in failed if stage not in name] or look
             because = f"; look at: {', '.join(causes)}" if causes else ""
             return f"No signature, the {stage} stage failed{because}."
-        words = {"sound": "A good scan", "doubtful": "A doubtful scan", "unusable": "Do not trust this scan"}
         ratio = judged.uncertainty / self.next_body.distance if self.next_body.distance else np.inf
-        is_least = "at least " if failed else ""
-        error = f"its error bar, {is_least}± {judged.uncertainty:.2g}, is {ratio_words(ratio)} the distance"
-        causes = failed + look
-        return f"{words[judged.judgement]}: {error} to the next body." + (
-            f" Look at: {', '.join(causes)}." if causes else ""
-        )
+        size = f"± {judged.uncertainty:.2g}, is {ratio_words(ratio)} the distance to the next body."
+        words = {"sound": "A good scan", "doubtful": "A doubtful scan", "unusable": "Do not trust this scan"}
+        before = f"{', '.join(failed)} failed; by the other checks, " if failed else ""
+        after = f" Look at: {', '.join(look)}." if look else ""
+        return f"{words[judged.judgement]}: {before}its error bar, {size}{after}"
 
     @cached_property
     def body(self) -> FloatArray:

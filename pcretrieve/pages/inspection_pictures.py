@@ -173,8 +173,14 @@ def _overview_row(scan: PointCloud, it: Inspection) -> Row:
     near = ((scan.points >= low - margin) & (scan.points <= high + margin)).all(axis=1)
     close = inspection_cameras(it)
     kept = thinned(scan.points[~(it.dropped | it.cut_away)])
+    corners = [
+        body.centre + body.half * np.array(corner) @ body.axes[:2]
+        for body in close
+        for corner in ((-1, -1), (-1, 1), (1, -1), (1, 1))
+    ]
     pictures = []
-    for camera, body in zip(cameras_framing(scan.points[near], close), close, strict=True):
+    cameras = cameras_framing(np.concatenate([scan.points[near], corners]), close)
+    for camera, body in zip(cameras, close, strict=True):
         picture = Image.new("RGBA", (PICTURE_PIXELS, PICTURE_PIXELS))
         for points, colour in ((scan.points[it.cut_away], CUT_AWAY), (scan.points[it.dropped], DROPPED)):
             seen = camera.seen(thinned(points))[:, :2]  # (k, 2)
@@ -206,7 +212,8 @@ def _raw_row(scan: PointCloud, it: Inspection) -> Row:
         pictures.append(picture)
     n, n_cut = len(dropped), int(it.cut_away.sum())
     n_outside = int(_outside(dropped, inspection_cameras(it)).sum())
-    words = f"{n:,} dropped as outliers" + (f", {n_outside:,} of them beyond the edges" if n_outside else "")
+    beyond = f", {n_outside:,} of them beyond an edge in some pictures" if n_outside else ""
+    words = f"{n:,} dropped as outliers{beyond}"
     key = [(KEPT, f"{len(scan.points) - n - n_cut:,} points"), (DROPPED, words)]
     return Row("Points of the body", key, pictures)
 

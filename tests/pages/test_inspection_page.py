@@ -202,7 +202,7 @@ def test_outliers_far_away_do_not_shrink_the_body_and_are_at_the_edge() -> None:
     assert overview.title.startswith("All points that were read, 2 of them at the edge")
     assert [words for _, words in body.key] == [
         f"{len(away.points) - 2:,} points",
-        "2 dropped as outliers, 2 of them beyond the edges",
+        "2 dropped as outliers, 2 of them beyond an edge in some pictures",
     ]
     for before, after in zip(rows_of(plain)[0].pictures, body.pictures, strict=True):
         assert abs(before.width - after.width) <= 1 and abs(before.height - after.height) <= 40
@@ -296,8 +296,9 @@ def test_the_summary_compares_the_error_bar_with_the_next_body() -> None:
     )
     failed = replace(seen, checks=(Check("Noise", "failed", 1.0, "much", "Hold still."), *seen.checks))
     assert failed.verdict == "failed"
-    assert failed.summary.startswith(
-        "Do not trust this scan: its error bar, at least ± 0.2, is two fifths of"
+    assert failed.summary == (
+        "Do not trust this scan: noise failed; by the other checks, its error bar, ± 0.2, is two fifths of "
+        "the distance to the next body. Look at: outliers."
     )
     stopped = replace(
         failed, signature=None, failure=Failure("b.ply", "surface", "ReconstructionError", "no")
