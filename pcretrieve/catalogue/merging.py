@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -9,6 +10,8 @@ from pcretrieve.catalogue.rows import Entry, Origin, Rows
 from pcretrieve.errors import CatalogueError
 
 __all__ = ["Merged", "merge_rows"]
+
+logger = logging.getLogger(__name__)
 
 # Number of shapes that are stored in one transaction.
 STORED_AT_ONCE = 500
@@ -91,15 +94,18 @@ def merge_rows(target: Rows, parts: Sequence[Rows]) -> Merged:
     for number, origin in chosen.values():
         added[number].append(origin.id)
     n_held = len(added.pop(0))
+    n_added, n_stored = sum(map(len, added.values())), 0
     for number, ids in added.items():
         for start in range(0, len(ids), STORED_AT_ONCE):
             entries = stores[number].entries(ids[start : start + STORED_AT_ONCE])
             target.add([_labelled(entry, labels[entry.record.path] or None) for entry in entries])
+            n_stored += len(entries)
+            logger.info("stored: %d of %d shapes", n_stored, n_added)
     held = {path: origin for path, (place, origin) in chosen.items() if place == 0}
     new_labels = {path: labels[path] for path, origin in held.items() if labels[path] != (origin.label or "")}
     if new_labels:
         target.revise(moved={}, removed=(), labels=new_labels, stamps={})
-    return Merged(sum(map(len, added.values())), n_held)
+    return Merged(n_added, n_held)
 
 
 def _labelled(entry: Entry, label: str | None) -> Entry:

@@ -9,6 +9,7 @@ import click
 
 from pcretrieve.cli.commands import command
 from pcretrieve.cli.messages import say
+from pcretrieve.cli.patience import stop_waiting
 
 __all__ = ["demo_command"]
 
@@ -36,6 +37,7 @@ def demo_command(folder: Path) -> None:
     scans, catalogue, page = folder / "scans", folder / "bodies.sqlite", folder / "index.html"
     n = len(DEMO_SAMPLES)
     say(f"Simulating {n} scans of five bodies in {scans}, and a new scan of one of the bodies.")
+    stop_waiting()
     with tqdm(total=n + 1, unit="scan", desc="simulate", disable=None, leave=False) as bar:
         try:
             write_samples(scans, DEMO_SAMPLES, on_scan=lambda path: bar.update())

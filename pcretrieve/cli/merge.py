@@ -13,6 +13,7 @@ from pcretrieve.cli.commands import command, option
 from pcretrieve.cli.documents import write_document
 from pcretrieve.cli.messages import say
 from pcretrieve.cli.parts import EXIT_SOME_FAILED, config_option, json_option, limit_options, load_options
+from pcretrieve.cli.patience import stop_waiting
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -123,6 +124,7 @@ def merge_command(
     options = load_options(config).changed(merge=given)
     files, _ = view_files(paths)
     check_output(output, files, "point")
+    stop_waiting()  # the process of the registration shows a bar
     merged = Isolation(timeout * len(files), memory).call(_merged, paths, options.merge)
     write_cloud(merged.cloud, output)
     names = [printable(file) for file in files]

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, TextIO
 
 import click
 
-from pcretrieve.cli.patience import stop_waiting
+from pcretrieve.cli.patience import clear_line, stop_waiting
 from pcretrieve.errors import InputError
 
 if TYPE_CHECKING:
@@ -81,6 +81,7 @@ def say(message: str) -> None:
     for word in WARNING_WORDS:
         if text.startswith(word) and not os.environ.get("NO_COLOR"):
             text = click.style(word, fg="red") + text.removeprefix(word)
+    clear_line()
     try:
         click.echo(text, err=True)  # without colours, if that is no terminal
     except OSError:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable, Iterable, Iterator
 from typing import Any, TypeVar
 
@@ -13,6 +14,8 @@ from pcretrieve.retrieval import DistanceBlock, Positions, nearest_of, position_
 from pcretrieve.types import Failure, FloatArray, Neighbors, Shape
 
 __all__ = ["PairwiseIndex"]
+
+logger = logging.getLogger(__name__)
 
 _Result = TypeVar("_Result")
 
@@ -55,6 +58,7 @@ class PairwiseIndex:
                 raise InputError(f"ids must be distinct, {shape_id!r} comes twice")
             try:
                 features[shape_id] = self._called(matcher.prepare, shape_of(shape_id))
+                logger.info("prepared: %d shapes", len(features))
             except ShapeError as error:
                 failures.append(
                     Failure(shape_id, str(error.stage or ""), type(error).__name__, error.message)
@@ -128,6 +132,7 @@ class PairwiseIndex:
             distances[position, start:] = self._row(features, start)
             if self.matcher.symmetric:
                 distances[start:, position] = distances[position, start:]
+            logger.info("compared with all: %d of %d shapes", position + 1, n)
         yield DistanceBlock(np.arange(n), distances)
 
     def _after_learning(self, features: Any) -> Any:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import pty
+import re
 import subprocess
 import sys
 from contextlib import suppress
@@ -126,7 +127,9 @@ def test_a_command_that_takes_long_says_a_word(tmp_path: Path, environment: dict
             running.wait(PATIENCE)
         return text.decode()
 
-    first, failure, *_ = said("signature", "scan.slow").splitlines()
-    assert first == "signature: at work"
+    # A line that is written anew each second, and cleared before the message.
+    *words, failure = said("signature", "scan.slow").rstrip().split("\r\x1b[K")
+    assert re.fullmatch("signature: at work, [0-9]+ s", words[1])
+    assert len(words) >= 3
     assert failure.startswith("\x1b[31mfailed:\x1b[0m [scan / read]")
     assert "at work" not in said("ingest", "scan.slow", "-c", "d.sqlite", "--quiet")
