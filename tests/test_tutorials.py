@@ -10,11 +10,14 @@ import sys
 from pathlib import Path
 
 import pytest
+import shapes
 from click.testing import CliRunner
 from packages import install
+from processes import in_this_process
 
 import pcretrieve as pr
 from pcretrieve.cli.main import cli
+from pcretrieve.formats import write_mesh
 
 if sys.version_info >= (3, 11):
     import tomllib
@@ -24,6 +27,7 @@ else:
 ROOT = Path(__file__).parents[1]
 TUTORIALS = sorted((ROOT / "docs" / "tutorials").glob("*.md"))
 NOTEBOOKS = sorted((ROOT / "docs" / "notebooks").glob("*.ipynb"))
+OTHERS = sorted((ROOT / "docs").glob("*.md"))
 SAMPLES = [f"person-{name}.ply" for name in ("1/person-1_stand", "1/person-1_walk", "2/person-2_run")]
 
 
@@ -64,11 +68,24 @@ def install_plugin(site: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     install(site, project["name"].replace("-", "_"), modules, "\n".join(lines), monkeypatch)
 
 
+@pytest.fixture(scope="module")
+def bodies(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The catalogue of the first tutorial, with which others begin."""
+    folder = tmp_path_factory.mktemp("bodies")
+    for sample in SAMPLES:
+        (folder / "scans" / sample).parent.mkdir(parents=True, exist_ok=True)
+        shutil.copy(ROOT / "scans" / sample, folder / "scans" / sample)
+    pr.ingest(folder / "scans", folder / "bodies.sqlite", labels=ROOT / "scans" / "labels.csv")
+    return folder / "bodies.sqlite"
+
+
 @pytest.mark.parametrize("tutorial", TUTORIALS, ids=lambda path: path.stem)
-def test_the_blocks_run_in_order(tutorial: Path, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_blocks_run_in_order(
+    tutorial: Path, folder: Path, monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest
+) -> None:
     text = tutorial.read_text(encoding="utf-8")
     if "bodies.sqlite" in text and "ingest scans/" not in text:
-        pr.ingest("scans", "bodies.sqlite", labels="scans/labels.csv")
+        pr.backup(request.getfixturevalue("bodies"), folder / "bodies.sqlite")
     names: dict[str, object] = {}
     ran = 0
     for language, block in blocks(tutorial):
@@ -91,6 +108,27 @@ def test_the_blocks_run_in_order(tutorial: Path, folder: Path, monkeypatch: pyte
         else:
             assert language == "slurm", f"{language}: tests/test_job_arrays.py runs such scripts"
     assert ran > 0
+
+
+def test_blocks_of_the_other_documents_work(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Python runs, and files of options have options of these names with such values."""
+    monkeypatch.chdir(tmp_path)
+    write_mesh(shapes.ellipsoid((1, 1.2, 1.5), subdivisions=3), tmp_path / "egg.off")
+    pr.ingest("egg.off", "a.sqlite", executor=in_this_process)  # which docs/scale.md copies
+    ran = set()
+    for document in OTHERS:
+        names: dict[str, object] = {}
+        for language, block in blocks(document):
+            if language == "python":
+                exec(compile(block, document.name, "exec"), names)
+            elif language == "toml" and (path := named_file(block)):
+                path.write_text(block, encoding="utf-8")
+                options = pr.PipelineOptions.of(path)
+                for table, values in tomllib.loads(block).items():
+                    kept = getattr(options, table).model_dump(mode="json")
+                    assert {name: kept[name] for name in values} == values
+            ran.add((document.name, language))
+    assert {("guide.md", "python"), ("scale.md", "python"), ("scanners.md", "toml")} <= ran
 
 
 @pytest.mark.parametrize("notebook", NOTEBOOKS, ids=lambda path: path.stem)

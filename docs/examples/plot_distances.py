@@ -23,4 +23,4 @@ axes = plt.figure(figsize=(7, 6)).add_subplot(title="distances of log-signatures
 plt.colorbar(axes.imshow(distances))
 axes.set_xticks(range(len(names)), names, rotation=90)
 axes.set_yticks(range(len(names)), names)
-axes.figure.tight_layout()
+plt.tight_layout()

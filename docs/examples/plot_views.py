@@ -6,13 +6,15 @@ A file in the format of Stanford lists the views of a turntable with their poses
 are in one frame, each with the position of its sensor, from which the normals are oriented.
 """
 
+from typing import Any
+
 import matplotlib.pyplot as plt
 import numpy as np
 from sample import SCANS
 
 import pcretrieve as pr
 
-cloud = pr.read_scan(SCANS / "person-4" / "person-4_stand.conf")
+cloud: Any = pr.read_scan(SCANS / "person-4" / "person-4_stand.conf")  # points, not a mesh
 sensors, view = np.unique(cloud.viewpoints, axis=0, return_inverse=True)
 
 axes = plt.figure(figsize=(7, 6)).add_subplot(projection="3d")

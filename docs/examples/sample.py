@@ -32,7 +32,7 @@ def sphere(rounds: int) -> TriangleMesh:
     _, first, vertex = np.unique(
         triangles.reshape(-1, 3).round(9), axis=0, return_index=True, return_inverse=True
     )
-    return TriangleMesh(triangles.reshape(-1, 3)[first], vertex.reshape(-1, 3))
+    return TriangleMesh(triangles.reshape(-1, 3)[first], vertex.reshape(-1, 3).astype(np.int32))
 
 
 def draw_function(axes: Any, mesh: TriangleMesh, values: FloatArray) -> None:
