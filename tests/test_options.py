@@ -38,6 +38,7 @@ OTHER: dict[str, dict[str, Any]] = {
     },
     "surface": {
         "mode": "keep",
+        "max_faces": 5000,
         "method": "poisson",
         "genus": 1,
         "cell": 0.005,
@@ -196,6 +197,7 @@ def test_a_missing_file(tmp_path: Path) -> None:
         ("scan", "flood_gap", 1.0),
         ("scan", "flood_retries", -1),
         ("surface", "mode", "Auto"),
+        ("surface", "max_faces", 100),
         ("surface", "method", "marching"),
         ("surface", "cell", 0.0),
         ("surface", "gap", -0.1),

@@ -250,9 +250,11 @@ class PipelineOptions(Options):
         # Without the default chain, so that digests of catalogues of versions without chains do not change.
         if self.pipeline == StageOptions():
             del values["pipeline"]
-        # Without the default unit, for the same reason.
+        # Without the default unit and the default limit of faces, for the same reason.
         if self.scan.unit == "none":
             del values["scan"]["unit"]
+        if self.surface.max_faces == SurfaceOptions().max_faces:
+            del values["surface"]["max_faces"]
         values["numbers_version"] = NUMBERS_VERSION
         return hashlib.sha256(json.dumps(values, sort_keys=True).encode()).hexdigest()[:16]
 

@@ -25,6 +25,9 @@ class SurfaceOptions(Options):
     mode: Literal["auto", "reconstruct", "keep"] = "auto"
     """What is done if the input is a mesh. auto: reconstruct it unless it is closed and manifold;
     reconstruct: always; keep: never."""
+    max_faces: Annotated[int, Field(ge=200)] = 200_000
+    """Largest number of faces of a mesh that is used without reconstruction; a finer one is simplified to so
+    many faces."""
     method: Annotated[str, AfterValidator(NAMES["surface method"].known)] = "growth"
     """The method of surface reconstruction. growth: topology-preserving region growing on a voxel grid, which
     gives a closed manifold surface of the genus below; poisson: screened Poisson reconstruction by Open3D.

@@ -22,7 +22,7 @@ from pcretrieve.pipeline.seen import Seen
 from pcretrieve.plugins import Registry
 from pcretrieve.scan import POINT_FILTERS, check_extent
 from pcretrieve.spectral import ELEMENTS
-from pcretrieve.surface import SURFACE_FILTERS, defects, sampled, sound_mesh, surfaces
+from pcretrieve.surface import SURFACE_FILTERS, defects, reduced, sampled, sound_mesh, surfaces
 from pcretrieve.types import PointCloud, Step, TriangleMesh
 
 __all__ = ["stages"]
@@ -145,7 +145,12 @@ def _of_kept(
             note = "not applied to a mesh that is used without reconstruction (surface.mode)"
             mesh = mesh.after(Step(name, 0.0, notes=(note,)))
     filters = [name for name in filters if SURFACE_FILTERS[name].of_kept]
-    for surface in _filtered_surfaces(Framed(mesh), filters, options):
+    framed = Framed(mesh)
+    if len(mesh.faces) > options.surface.max_faces:
+        framed = framed.near_origin()
+        with in_stage(Stage.SURFACE):
+            framed = replace(framed, value=reduced(framed.value, options.surface))
+    for surface in _filtered_surfaces(framed, filters, options):
         yield Seen(mesh=surface.in_scan())
 
 

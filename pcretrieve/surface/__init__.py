@@ -5,6 +5,7 @@ from pcretrieve.surface.body import SurfaceMarks, body_surfaces
 from pcretrieve.surface.filters import SURFACE_FILTERS
 from pcretrieve.surface.methods import SURFACE_METHODS, SurfaceMethod, surfaces
 from pcretrieve.surface.reconstruct import poisson_surface, sampled, sound_mesh
+from pcretrieve.surface.reduced import reduced
 from pcretrieve.surface.remesh import remesh
 from pcretrieve.surface.repair import repaired
 from pcretrieve.surface.topology import Defects, defects
@@ -19,6 +20,7 @@ __all__ = [
     "body_surfaces",
     "defects",
     "poisson_surface",
+    "reduced",
     "remesh",
     "repaired",
     "sampled",

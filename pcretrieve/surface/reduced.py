@@ -1,0 +1,53 @@
+"""Very fine mesh that is used without reconstruction → the same surface with fewer faces."""
+
+from __future__ import annotations
+
+import time
+
+from pcretrieve.adapters import open3d
+from pcretrieve.errors import DegenerateMeshError
+from pcretrieve.options import SurfaceOptions
+from pcretrieve.surface.repair import repaired
+from pcretrieve.types import Step, TriangleMesh
+
+__all__ = ["reduced"]
+
+
+def reduced(mesh: TriangleMesh, options: SurfaceOptions) -> TriangleMesh:
+    """A surface with at most `max_faces` faces.
+
+    The time and memory of a spectrum grow faster than the number of faces, while its error is small already:
+    see docs/decisions.md, max_faces.
+
+    Parameters
+    ----------
+    mesh : TriangleMesh
+        Near the origin; as `sound_mesh` returns it.
+    options : SurfaceOptions
+        Of which `max_faces` is used.
+
+    Returns
+    -------
+    TriangleMesh
+        The mesh itself, if it has no more faces. Otherwise a simplified one, with a step ``simplify`` in its
+        provenance: of a closed manifold, which stays one, by `pcretrieve.surface.simplify`; of a mesh with
+        holes by Open3D, and repaired.
+    """
+    if len(mesh.faces) <= options.max_faces:
+        return mesh
+    started = time.perf_counter()
+    # Imported here because the module's numba functions are compiled on import.
+    from pcretrieve.surface.simplify import simplified
+
+    n = options.max_faces
+    notes: tuple[str, ...] = ("simplified, because it had more faces than surface.max_faces",)
+    try:
+        coarse = simplified(mesh, n)
+    except DegenerateMeshError:  # open, or not a manifold
+        vertices, faces = open3d.simplify(mesh.vertices, mesh.faces, n_faces=n)
+        coarse, repairs = repaired(TriangleMesh(vertices, faces))
+        notes = (*notes, *repairs)
+    sizes: dict[str, float] = {"faces_in": len(mesh.faces), "faces": len(coarse.faces)}
+    sizes["euler"] = coarse.euler_characteristic
+    step = Step("simplify", time.perf_counter() - started, sizes, notes)
+    return TriangleMesh(coarse.vertices, coarse.faces, (*mesh.provenance, step))
