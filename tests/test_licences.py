@@ -1,83 +1,59 @@
-"""The licences of all hard dependencies are as permissive as the MIT licence of pcretrieve."""
+"""The licences of all dependencies are as permissive as the MIT licence of pcretrieve, and on one page."""
 
 from __future__ import annotations
 
 import re
-import sys
-from collections.abc import Iterable
-from importlib.metadata import Distribution, distribution
+from importlib.metadata import PackageNotFoundError
 from pathlib import Path
 
 import pytest
-from packaging.requirements import Requirement
+from licences import PROJECT, groups, kind, licence, page, required
 
-if sys.version_info >= (3, 11):
-    import tomllib
-else:
-    import tomli as tomllib
-
-PROJECT = Path(__file__).parents[1] / "pyproject.toml"
-
-# Copyleft licences that apply to programs that are distributed with the library.
-STRONG = re.compile(r"\bA?GPL|GNU (Affero )?General Public", re.IGNORECASE)
-# The lesser licence leaves a program free that imports the library.
-LESSER = re.compile(r"\bLGPL[\w.+-]*|GNU (Library or )?Lesser General Public[\w ]*", re.IGNORECASE)
-
-
-def required(requirements: Iterable[str]) -> dict[str, Distribution]:
-    """What pip installs for these requirements, by name."""
-    found: dict[str, Distribution] = {}
-    waiting = [(text, "") for text in requirements]
-    seen = set()
-    while waiting:
-        text, extra = waiting.pop()
-        needed = Requirement(text)
-        if needed.marker is not None and not needed.marker.evaluate({"extra": extra}):
-            continue
-        for own in ("", *needed.extras):
-            if (needed.name, own) not in seen:
-                seen.add((needed.name, own))
-                found[needed.name] = distribution(needed.name)
-                waiting += [(further, own) for further in found[needed.name].requires or ()]
-    return found
-
-
-def licence(package: Distribution) -> str:
-    """What a package says of its licence: an expression, or classifiers and the first line of a text."""
-    said = {
-        field: package.metadata.get_all(field, [])
-        for field in ("License-Expression", "Classifier", "License")
-    }
-    classifiers = [line for line in said["Classifier"] if line.startswith("License ::")]
-    text = [line for text in said["License"] for line in text.strip().splitlines()[:1]]
-    return "; ".join(said["License-Expression"] or [*classifiers, *text])
-
-
-def is_strong(words: str) -> bool:
-    return STRONG.search(LESSER.sub("", words)) is not None
+PAGE = Path(__file__).parents[1] / "docs" / "licences.md"
 
 
 def test_no_dependency_has_a_stricter_licence() -> None:
-    project = tomllib.loads(PROJECT.read_text(encoding="utf-8"))["project"]
-    packages = required(project["dependencies"])
+    packages = required(PROJECT["dependencies"])
     assert {"numpy", "open3d", "pyvista"} <= packages.keys()  # with the extra of pytetwild, too
-    licences = {name: licence(package) for name, package in packages.items()}
-    assert [name for name, words in licences.items() if not words] == []
-    assert {name: words for name, words in licences.items() if is_strong(words)} == {}
+    kinds = {name: kind(licence(package)) for name, package in packages.items()}
+    assert {name: found for name, found in kinds.items() if found in ("copyleft", "unknown")} == {}
 
 
 @pytest.mark.parametrize(
-    ("words", "strong"),
+    ("words", "found"),
     [
-        ("License :: OSI Approved :: GNU General Public License v3 or later (GPLv3+)", True),
-        ("AGPL-3.0-only", True),
-        ("GPL-2.0-or-later", True),
-        ("GNU AFFERO GENERAL PUBLIC LICENSE", True),
-        ("LGPL-2.1-or-later", False),
-        ("License :: OSI Approved :: GNU Library or Lesser General Public License (LGPL)", False),
-        ("GNU Lesser General Public License v3 (LGPLv3)", False),
-        ("MPL-2.0 AND MIT", False),
+        ("GNU General Public License v3 or later (GPLv3+)", "copyleft"),
+        ("AGPL-3.0-only", "copyleft"),
+        ("GPL-2.0-or-later", "copyleft"),
+        ("GNU AFFERO GENERAL PUBLIC LICENSE", "copyleft"),
+        ("MPL-2.0 AND GPL-2.0-only", "copyleft"),
+        ("LGPL-2.1-or-later", "weak copyleft"),
+        ("GNU Library or Lesser General Public License (LGPL)", "weak copyleft"),
+        ("GNU Lesser General Public License v3 (LGPLv3)", "weak copyleft"),
+        ("MPL-2.0 AND MIT", "weak copyleft"),
+        ("MIT-CMU", "permissive"),
+        ("3-Clause BSD License", "permissive"),
+        ("Apache-2.0 WITH LLVM-exception", "permissive"),
+        ("Other/Proprietary License", "unknown"),
+        ("", "unknown"),
     ],
 )
-def test_licences_are_distinguished(words: str, strong: bool) -> None:
-    assert is_strong(words) == strong
+def test_licences_are_distinguished(words: str, found: str) -> None:
+    assert kind(words) == found
+
+
+def test_the_page_has_every_package_that_a_user_installs() -> None:
+    """With the extras, all of which must be installed."""
+    try:
+        packages = {name: package for group in groups().values() for name, package in group.items()}
+    except PackageNotFoundError as error:
+        pytest.skip(f"not all extras are installed: {error}")
+    rows = re.findall(
+        r"^\| ([\w.-]+) \| (.*) \| ([a-z ]+) \|$", PAGE.read_text(encoding="utf-8"), re.MULTILINE
+    )
+    stated = {name: found for name, _, found in rows}
+    missing = {name: kind(licence(package)) for name, package in packages.items()}.items() - stated.items()
+    assert sorted(missing) == [], "run scripts/licences"
+    assert not {"copyleft", "unknown"} & set(stated.values())
+    assert all(kind(words) == found for _, words, found in rows)
+    assert page().startswith("# Licences\n")
