@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import os
+import socket
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -38,8 +40,8 @@ def write_eggs(path: Path) -> None:
                 values = describe(shape, OPTIONS.signature).values
                 record = Record(name, f"/secret/folder/{kind}{number}.off", name, f"<kind {kind}>")
                 store.put(record, Content(replace(shape, verdict=verdict), values))
-        failed = Record("broken", "/secret/folder/broken.off", "", status="failed", stage="read")
-        store.put(replace(failed, error="ScanReadError", message="/secret/folder/broken.off is empty"))
+        failed = Record("broken", "/secret/own folder/broken.off", "", status="failed", stage="read")
+        store.put(replace(failed, error="ScanReadError", message="/secret/own folder/broken.off is empty"))
 
 
 class Answer(NamedTuple):
@@ -87,10 +89,22 @@ class Server(NamedTuple):
 
 
 @contextmanager
-def running(catalogue: Path, *options: str) -> Iterator[Server]:
-    """A server, from when it has printed its address; it must end by SIGTERM as told."""
-    command = [sys.executable, "-m", "pcretrieve", "serve", "-c", str(catalogue), "--port", "0", *options]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+def running(
+    catalogue: Path, *options: str, first: str = "", temporary: Path | None = None
+) -> Iterator[Server]:
+    """A server, from when it has printed its address; it must end by SIGTERM as told.
+
+    `first` is code that its process runs first, such as a shorter limit of time; `temporary` is its folder of
+    temporary files.
+    """
+    program = (
+        ["-c", f"{first}; from pcretrieve.cli.main import cli; cli()"] if first else ["-m", "pcretrieve"]
+    )
+    command = [sys.executable, *program, "serve", "-c", str(catalogue), "--port", "0", *options]
+    place = os.environ | ({} if temporary is None else {"TMPDIR": str(temporary)})
+    with subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=place
+    ) as process:
         try:
             assert process.stdout is not None
             address = process.stdout.readline().strip()
@@ -99,3 +113,16 @@ def running(catalogue: Path, *options: str) -> Iterator[Server]:
         finally:
             process.terminate()
             process.communicate(timeout=60)
+
+
+def raw(server: Server, request: str, body: bytes = b"") -> socket.socket:
+    """A connection on which a request with the token, or its beginning, was sent."""
+    connection = socket.create_connection(("127.0.0.1", server.port), timeout=60)
+    known = f"Host: 127.0.0.1\r\nAuthorization: Bearer {server.token}\r\n"
+    connection.sendall(request.replace("KNOWN\r\n", known).encode() + body)
+    return connection
+
+
+def status(connection: socket.socket) -> int:
+    with connection, connection.makefile("rb") as file:
+        return int(file.readline().split()[1])

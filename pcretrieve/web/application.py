@@ -17,7 +17,7 @@ from pcretrieve.web.endpoints import ENDPOINTS, Endpoint, Question, jobs_of
 from pcretrieve.web.guard import Application
 from pcretrieve.web.openapi import openapi_document
 from pcretrieve.web.replies import FRESH, KEPT
-from pcretrieve.web.requests import Busy, NotFound, TooLarge
+from pcretrieve.web.requests import Busy, NotFound, TooLarge, TooSlow
 from pcretrieve.web.site import Site
 from pcretrieve.web.uploads import checked_suffix, received
 from pcretrieve.web.views import refusal_page
@@ -43,9 +43,10 @@ ASSETS = {
     "view.js": "text/javascript",
 }
 
-# Longest time in which a scan must have been received, and the time between two looks at a job; seconds.
-RECEIVING_TIMEOUT = 600.0
+# Time between two looks at a job, and the longest time until the connection of a refused scan is closed, as
+# browsers may read the answer after they have sent the rest, which is not kept; seconds.
 LOOK = 0.25
+LINGER = 5.0
 
 
 def application(site: Site) -> Application:
@@ -82,14 +83,13 @@ def application(site: Site) -> Application:
         suffix = checked_suffix(name)
         upload = jobs.begin(name)
         try:
-            body = received(
+            scan = await received(
                 request.stream(),
                 Path(upload.folder.name),
                 suffix,
                 most_bytes=site.most_bytes,
                 announced=request.headers.get("content-length"),
             )
-            scan = await asyncio.wait_for(body, RECEIVING_TIMEOUT)
         except BaseException as error:
             jobs.abandon(upload)
             if isinstance(error, ClientDisconnect):
@@ -116,8 +116,11 @@ def application(site: Site) -> Application:
     async def refused(request: Request, error: Exception) -> Response:
         status, message = _status(error)
         if request.scope["path"].startswith(("/shapes", "/scans", "/openapi.json")):
-            kind = type(error).__name__
-            return JSONResponse({"error": kind, "message": message}, status, headers=FRESH)
+            told = JSONResponse({"error": type(error).__name__, "message": message}, status, headers=FRESH)
+            if request.method in ("GET", "HEAD"):
+                return told
+            closed = {**told.headers, "connection": "close"}
+            return StreamingResponse(_then_silent(bytes(told.body)), status, closed)
         return HTMLResponse(refusal_page(site.title, message), status, headers=FRESH)
 
     async def nowhere(request: Request, error: Exception) -> Response:
@@ -149,12 +152,19 @@ def _status(error: Exception) -> tuple[int, str]:
         return 404, error.message
     if isinstance(error, TooLarge):
         return 413, error.message
+    if isinstance(error, TooSlow):
+        return 408, error.message
     if isinstance(error, Busy):
         return 503, error.message
     if isinstance(error, InputError) and not isinstance(error, CatalogueError):
         return 400, without_folders(error.message)
     logger.error("a request failed: %s", error, exc_info=error)
     return 500, "the server failed to answer; its log says why"
+
+
+async def _then_silent(body: bytes) -> AsyncIterator[bytes]:
+    yield body
+    await asyncio.sleep(LINGER)
 
 
 async def _events(site: Site, job_id: str) -> AsyncIterator[str]:

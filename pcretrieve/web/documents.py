@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from dataclasses import asdict
 from pathlib import Path
+from tempfile import gettempdir
 from typing import Any
 
 from pcretrieve import __version__
@@ -31,20 +32,25 @@ Document = dict[str, Any]
 CSV_COLUMNS = ("query", "rank", "id", "label", "distance", "score", "file")
 
 
-def without_folders(text: str) -> str:
+def without_folders(text: str, folder: Path | None = None) -> str:
     """A message without the folders of absolute paths in it: of ``/data/scans/a.ply`` the name remains.
 
     Parameters
     ----------
     text : str
         A message.
+    folder : Path, optional
+        A folder that the message may name, which is removed even if it is relative or has blanks.
 
     Returns
     -------
     str
         The message.
     """
-    return re.sub(r"(?<![\w.:/])(?:/[^/\s'\"]+)*/(?=[^/\s])", "", text)
+    for known in (folder, Path(gettempdir())):
+        if known is not None and known.name:
+            text = text.replace(f"{known}/", "/")
+    return re.sub(r"(?<![\w./])(?:/[^/\s'\"]+)*/(?=[^/\s])", "", text)
 
 
 def shape_document(record: Record) -> Document:
@@ -73,7 +79,9 @@ def shape_document(record: Record) -> Document:
         "euler": record.euler,
     }
     if record.status == "failed":
-        message = None if record.message is None else without_folders(record.message)
+        message = (
+            None if record.message is None else without_folders(record.message, Path(record.path).parent)
+        )
         document |= {"stage": record.stage, "error": record.error, "message": message}
     return document
 

@@ -11,7 +11,6 @@ from __future__ import annotations
 import hmac
 import time
 from collections.abc import Awaitable, Callable, MutableMapping
-from http.cookies import CookieError, SimpleCookie
 from typing import Any, NamedTuple
 from urllib.parse import parse_qsl, urlencode, urlsplit
 
@@ -92,12 +91,15 @@ class Guard:
         given = dict(query).get("token")
         refusal = self._refusal(scope["method"], host, headers, given)
         if refusal is not None:
-            await _sent(send, refusal.status, {"content-type": "text/plain; charset=utf-8"}, refusal.words)
+            # Refused connections are closed, so that nobody without the token keeps one open.
+            refused = {"content-type": "text/plain; charset=utf-8", "connection": "close"}
+            await _sent(send, refusal.status, refused, refusal.words)
         elif given is not None and scope["method"] in SAFE_METHODS:
             rest = urlencode([pair for pair in query if pair[0] != "token"])
             # With one slash at the beginning, because two would be followed by the name of another host.
             path = "/" + scope["raw_path"].decode("latin-1").lstrip("/\\")
-            cookie = f"{COOKIE}{_port(host)}={given}; Path=/; HttpOnly; SameSite=Strict"
+            # Not the token of the address, which may be wrong if the request has another that is right.
+            cookie = f"{COOKIE}{_port(host)}={self._token.decode()}; Path=/; HttpOnly; SameSite=Strict"
             await _sent(send, 303, {"location": f"{path}?{rest}" if rest else path, "set-cookie": cookie}, "")
         else:
             raw = {**scope, "path": scope["raw_path"].decode("latin-1")}
@@ -113,7 +115,8 @@ class Guard:
             return _Refusal(403, "Pages of other sites may not use this server.\n")
         scheme, _, bearer = headers.get("authorization", "").partition(" ")
         by_header = scheme.lower() == "bearer" and self._is_token(bearer)
-        if not (by_header or self._is_token(given) or self._is_token(_cookie(headers, _port(host)))):
+        by_cookie = any(map(self._is_token, _cookies(headers, _port(host))))
+        if not (by_header or by_cookie or self._is_token(given)):
             return _Refusal(
                 403,
                 "The token is missing or wrong: open the address that `pcretrieve serve` printed, which "
@@ -143,12 +146,11 @@ def _port(host: str) -> int:
         return 80
 
 
-def _cookie(headers: dict[str, str], port: int) -> str | None:
-    try:
-        found = SimpleCookie(headers.get("cookie", "")).get(f"{COOKIE}{port}")
-    except CookieError:
-        return None
-    return None if found is None else found.value
+def _cookies(headers: dict[str, str], port: int) -> list[str]:
+    """The values of the cookie; several, if another program of this computer has set one of the same name."""
+    # Not `SimpleCookie`, which finds nothing if the cookie of any other program is not as it expects.
+    pairs = (part.strip().partition("=") for part in headers.get("cookie", "").split(";"))
+    return [value for name, _, value in pairs if name == f"{COOKIE}{port}"]
 
 
 def _with_headers(send: Send, started: float) -> Send:

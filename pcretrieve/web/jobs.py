@@ -14,7 +14,7 @@ from tempfile import TemporaryDirectory
 from threading import Lock
 from typing import Literal, TypeAlias
 
-from pcretrieve.errors import PcretrieveError
+from pcretrieve.errors import PcretrieveError, shape_error
 from pcretrieve.ingestion import Isolation
 from pcretrieve.ingestion.worker import Worker
 from pcretrieve.options import PipelineOptions
@@ -31,7 +31,7 @@ MOST_KEPT = 200
 
 # The name of the log file of a job, beside the scan, and its lines: of a stage that has ended.
 LOG = "stages.log"
-STAGE = re.compile(r"^\S+: ([\w-]+) in ([\d.]+) s", re.MULTILINE)
+STAGE = re.compile(r"^\S+: ([\w-]+) in ([0-9]+\.?[0-9]*) s", re.MULTILINE)
 
 State = Literal["waiting", "running", "done", "failed"]
 _Crew: TypeAlias = "list[Worker[Path, Described]]"
@@ -176,11 +176,12 @@ class Jobs:
     def _process(self, upload: Upload, scan: Path) -> None:
         job = upload.job
         job.state = "running"
+        outcome: Described | PcretrieveError
         try:
             ((_, outcome),) = self._isolation.each(self._function, [scan], idle=self._idle)
-        except PcretrieveError as error:  # processes cannot be started
-            outcome = error
-        job.stages = _stages(scan.parent)
+            job.stages = _stages(scan.parent)
+        except Exception as error:  # noqa: BLE001  processes cannot be started, or the disk is full
+            outcome = shape_error(error)
         self.abandon(upload)
         if isinstance(outcome, PcretrieveError):
             job.error, job.state = outcome, "failed"

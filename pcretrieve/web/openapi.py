@@ -78,7 +78,7 @@ def _operation(path: str, words: str, media_type: str, fields: tuple[Field, ...]
 
 def _upload() -> dict[str, Any]:
     name = Field("name", "name of its file, whose suffix says its format", required=True)
-    more = {"413": "the scan is too large", "503": "too many scans wait"}
+    more = {"408": "it arrives too slowly", "413": "it is too large", "503": "too many scans wait"}
     accepted = {
         "description": "the scan waits; the header Location is the address of its job",
         "content": {"application/json": {"schema": {"type": "object"}}},

@@ -9,7 +9,7 @@ from urllib.parse import urlencode
 
 from pcretrieve.errors import InputError, OptionError
 
-__all__ = ["PAGE", "SORTS", "STATES", "Busy", "Listing", "NotFound", "Similar", "TooLarge"]
+__all__ = ["PAGE", "SORTS", "STATES", "Busy", "Listing", "NotFound", "Similar", "TooLarge", "TooSlow"]
 
 #: Number of shapes on a page of the collection.
 PAGE = 60
@@ -27,6 +27,10 @@ class NotFound(InputError):
 
 class TooLarge(InputError):
     """The body of a request has too many bytes."""
+
+
+class TooSlow(InputError):
+    """The body of a request has not arrived in time."""
 
 
 class Busy(InputError):

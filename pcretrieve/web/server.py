@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import secrets
 import socket
 from collections.abc import Callable
@@ -24,12 +25,16 @@ __all__ = ["serve"]
 
 ADDRESS = "127.0.0.1"
 
+TOKEN = re.compile(r"[A-Za-z0-9_-]+")
+
 # Largest number of threads that answer; more would wait for each other, because Python runs one at a time.
 MOST_READERS = 4
 
-# Largest number of connections at a time, and the longest time for which an idle one is kept; seconds.
+# Largest number of connections at a time, the longest time for which an idle one is kept, and the longest
+# time until the first request of a connection has arrived, without its body; seconds.
 MOST_CONNECTIONS = 200
 KEEP_ALIVE = 5
+FIRST_REQUEST = 10
 
 
 def serve(
@@ -70,8 +75,8 @@ def serve(
     Raises
     ------
     InputError
-        If Starlette or uvicorn are not installed, the port is used by another program, or the catalogue has
-        no shapes that can be compared.
+        If Starlette or uvicorn are not installed, the token has other characters than letters, digits, ``-``
+        and ``_``, the port is used by another program, or the catalogue has no shapes that can be compared.
     CatalogueError
         If the catalogue cannot be opened, or the options require other spectra than it has.
     """
@@ -84,6 +89,8 @@ def serve(
         title = Path(store.location).name
         scanned = store.options.model_copy(update={"signature": chosen.compared})
     key = token or secrets.token_urlsafe(24)
+    if not TOKEN.fullmatch(key):
+        raise InputError("the token must be ASCII letters, digits, - and _ only, as it is part of an address")
     readers = Readers(str(catalogue), min(MOST_READERS, len(os.sched_getaffinity(0)) + 1))
     jobs = None if read_only else Jobs(scanned, timeout=timeout, memory=memory)
     site = Site(readers, title, chosen, jobs, most_bytes)
@@ -124,9 +131,22 @@ def _run(guarded: Guard, listener: socket.socket, on_start: Callable[[], None]) 
     import asyncio
 
     import uvicorn
+    from uvicorn.protocols.http.h11_impl import H11Protocol
+
+    class Connection(H11Protocol):
+        def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
+            super().connection_made(transport)
+            self.loop.call_later(FIRST_REQUEST, self._close_unless_used)
+
+        def _close_unless_used(self) -> None:
+            if self.cycle is None:
+                self.transport.close()
 
     config = uvicorn.Config(
         guarded,
+        http=Connection,
+        ws="none",
+        proxy_headers=False,
         log_config=None,
         access_log=False,  # addresses may contain the token
         server_header=False,

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
+import asyncio
 from collections.abc import AsyncIterable
 from pathlib import Path, PurePosixPath
-from tempfile import NamedTemporaryFile
 
 from pcretrieve.errors import InputError
 from pcretrieve.formats.registry import missing_extra, suffixes
-from pcretrieve.web.requests import TooLarge
+from pcretrieve.web.requests import TooLarge, TooSlow
 
 __all__ = ["checked_suffix", "received", "upload_suffixes"]
 
@@ -17,6 +17,9 @@ __all__ = ["checked_suffix", "received", "upload_suffixes"]
 ONE_FILE = (".ply", ".pcd", ".off", ".stl", ".obj", ".xyz", ".pts", ".ptx", ".las", ".laz", ".e57", ".npy")
 
 LONGEST_NAME = 200
+
+# Longest time in which a scan must have been received; seconds.
+RECEIVING_TIMEOUT = 600.0
 
 
 def upload_suffixes() -> tuple[str, ...]:
@@ -68,7 +71,7 @@ async def received(
     chunks : async iterable of bytes
         The body.
     folder : Path
-        Where the file is made, under a name of its own.
+        Where the file is made, which must be empty. Its name is not that which the browser gave.
     suffix : str
         The suffix of the file.
     most_bytes : int
@@ -85,19 +88,35 @@ async def received(
     ------
     TooLarge
         If the announced or the received size is larger, as soon as that is known.
+    TooSlow
+        If it has not arrived in time.
     InputError
         If nothing was received.
     """
     message = f"a scan may have at most {most_bytes} bytes: reduce it, or use `pcretrieve query`"
     if announced is not None and announced.isdecimal() and int(announced[:20]) > most_bytes:
         raise TooLarge(message)
+    path = folder / f"scan{suffix}"
+    try:
+        size = await asyncio.wait_for(_stored(chunks, path, most_bytes), RECEIVING_TIMEOUT)
+    except asyncio.TimeoutError as error:
+        raise TooSlow(
+            f"the scan has not arrived within {RECEIVING_TIMEOUT:g} s: reduce it, or use `pcretrieve query`"
+        ) from error
+    if size > most_bytes:
+        raise TooLarge(message)
+    if not size:
+        raise InputError("the file is empty: scan or export it again")
+    return path
+
+
+async def _stored(chunks: AsyncIterable[bytes], path: Path, most_bytes: int) -> int:
+    """The number of bytes that were received: all, which are in the file, or the first that are too many."""
     size = 0
-    with NamedTemporaryFile(dir=folder, suffix=suffix, delete=False) as file:
+    with path.open("xb") as file:
         async for chunk in chunks:
             size += len(chunk)
             if size > most_bytes:
-                raise TooLarge(message)
+                break
             file.write(chunk)
-    if not size:
-        raise InputError("the file is empty: scan or export it again")
-    return Path(file.name)
+    return size

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from search_server import Server, running
+from search_server import Server, raw, running, status
 
 from pcretrieve import serve
 from pcretrieve.errors import InputError
@@ -96,3 +96,76 @@ def test_the_server_listens_at_this_computer_only_and_tokens_are_new(server: Ser
 def test_a_used_port_is_said(server: Server, eggs: Path) -> None:
     with pytest.raises(InputError, match=f"cannot serve at port {server.port}: .* give another --port"):
         serve(eggs, port=server.port)
+
+
+def test_no_wrong_token_is_nearer_than_another(server: Server) -> None:
+    right = server.token
+    near = [right[:-1], right + "x", right[:-1] + chr(ord(right[-1]) ^ 1), right.swapcase(), "", "x" * 9000]
+    answers = [
+        answer
+        for token in near
+        for answer in (
+            server.ask(f"/?token={token}", bearer=False),
+            server.ask("/", headers={"Authorization": f"Bearer {token}"}, bearer=False),
+            server.ask("/", headers={"Cookie": f"pcretrieve-{server.port}={token}"}, bearer=False),
+            server.ask("/", headers={"Authorization": f"Basic {right}"}, bearer=False),
+        )
+    ]
+    assert {(answer.status, answer.body) for answer in answers} == {(403, answers[0].body)}
+    assert {answer.headers["connection"] for answer in answers} == {"close"}
+
+
+@pytest.mark.parametrize("given", ["x%0d%0aX-Evil:%201", "%E2%82%AC", "x;%20Path=/shape", "wrong", ""])
+def test_an_address_changes_no_cookie(server: Server, given: str) -> None:
+    own = f"pcretrieve-{server.port}={server.token}"
+    answer = server.ask(f"/?token={given}", headers={"Cookie": own}, bearer=False)
+    assert answer.status == 303
+    assert answer.headers["location"] == "/"
+    assert answer.headers["set-cookie"] == f"{own}; Path=/; HttpOnly; SameSite=Strict"
+    assert "x-evil" not in answer.headers
+
+
+@pytest.mark.parametrize(
+    "cookies",
+    ['a={"b": [1, 2]}; NAME=TOKEN', "NAME=TOKEN; a=[;]", "NAME=evil; NAME=TOKEN", ";;=;NAME=TOKEN; é"],
+)
+def test_cookies_of_other_programs_lock_nobody_out(server: Server, cookies: str) -> None:
+    own = {"NAME": f"pcretrieve-{server.port}", "TOKEN": server.token}
+    sent = cookies.replace("NAME", own["NAME"]).replace("TOKEN", own["TOKEN"])
+    assert server.ask("/", headers={"Cookie": sent}, bearer=False).status == 200
+
+
+@pytest.mark.parametrize("token", ["a b", "a;b", "a\nb", "é", "a/b"])
+def test_a_token_is_part_of_an_address(eggs: Path, token: str) -> None:
+    with pytest.raises(InputError, match="the token must be ASCII letters"):
+        serve(eggs, token=token, port=0)
+
+
+@pytest.mark.parametrize(
+    "head",
+    [
+        "Host: evil.example\r\nHost: 127.0.0.1",
+        "Host: 127.0.0.1@evil.example",
+        "Host: 127.0.0.1.nip.io",
+        "Host: 2130706433",
+        "Host: 0.0.0.0",
+        "X-Forwarded-Host: 127.0.0.1\r\nHost: evil.example",
+        "Origin: http://127.0.0.1\r\nHost: evil.example",
+    ],
+)
+def test_names_that_are_made_to_mean_this_computer(server: Server, head: str) -> None:
+    token = f"Authorization: Bearer {server.token}"
+    assert status(raw(server, f"GET / HTTP/1.1\r\n{head}\r\n{token}\r\n\r\n")) == 400
+
+
+def test_a_method_is_not_replaced_by_a_header(server: Server) -> None:
+    own = {"Cookie": f"pcretrieve-{server.port}={server.token}"}
+    for name in ("X-HTTP-Method-Override", "X-HTTP-Method", "X-Method-Override"):
+        assert server.ask("/scans?name=a.off", headers={name: "POST"}).status == 405
+    for method in ("post", "Get", "CONNECT", "PATCH", "GETX"):
+        answer = server.ask("/shapes", method=method, headers=own, bearer=False)
+        assert answer.status == 403
+    for path in ("/scans?name=a.off", f"/scans?name=a.off&token={server.token}"):
+        assert server.ask(path, method="POST", body=b"OFF", headers=own, bearer=False).status == 403
+    upgrade = {"Connection": "Upgrade", "Upgrade": "websocket", "Sec-WebSocket-Version": "13"}
+    assert server.ask("/", headers={**upgrade, "Sec-WebSocket-Key": 16 * "x"}, bearer=False).status == 403

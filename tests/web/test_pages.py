@@ -13,6 +13,7 @@ from click.testing import CliRunner
 from search_server import NASTY, Server
 
 from pcretrieve.cli.main import cli
+from pcretrieve.web.documents import without_folders
 
 
 def ids(page: bytes) -> list[str]:
@@ -136,4 +137,20 @@ def test_no_answer_has_a_folder_of_the_server(server: Server, eggs: Path) -> Non
     for path in paths:
         body = server.ask(path).body
         assert b"/secret" not in body
+        assert b"own folder" not in body
         assert str(eggs.parent).encode() not in body
+
+
+@pytest.mark.parametrize(
+    ("message", "told"),
+    [
+        ("/data/scans/a.ply is empty", "a.ply is empty"),
+        ("/own folder/of scans/a.ply is empty", "a.ply is empty"),
+        ("cannot read:/own folder/of scans/a.ply", "cannot read:a.ply"),
+        ("error:/srv/x/a.ply", "error:a.ply"),
+        ("open('/srv/x/a.ply', \"/srv/y\") or file:/srv/z/b", "open('a.ply', \"y\") or file:b"),
+        ("see https://example.org/a/b, 3/4 and and/or", "see https://example.org/a/b, 3/4 and and/or"),
+    ],
+)
+def test_messages_name_no_folder(message: str, told: str) -> None:
+    assert without_folders(message, Path("/own folder/of scans")) == told
