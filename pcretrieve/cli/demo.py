@@ -50,8 +50,7 @@ def demo_command(folder: Path) -> None:
         *("ingest", scans, "--labels", scans / "labels.csv", "--catalogue", catalogue),
     )
     run_step(
-        "The scans most similar to the new scan, nearest first: rank, distance, score, class, id, file; and "
-        "the class that they vote for.",
+        "The scans most similar to the new scan, nearest first, and the class that they vote for.",
         *("query", "--catalogue", catalogue, folder / "new" / new, "-k", "5"),
     )
     run_step(

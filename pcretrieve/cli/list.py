@@ -56,14 +56,17 @@ def list_command(
             return
         counts: Counter[str] = Counter()
         if failed:
-            write_table(FAILED, (_failed(record) for record in records))
+            n_rows = write_table(FAILED, (_failed(record) for record in records))
         elif doubtful:
-            write_table(DOUBTFUL, (_doubtful(record) for record in records))
+            n_rows = write_table(DOUBTFUL, (_doubtful(record) for record in records))
         else:
-            write_table(ALL, (_row(record, counts) for record in records))
-    hints = [f"{n} {name} (--{name})" for name, n in sorted(counts.items())]
-    if hints:
-        say(f"{', '.join(hints)}: the options list the reasons")
+            n_rows = write_table(ALL, (_row(record, counts) for record in records))
+    if counts:
+        found = ", ".join(f"{n} {name}" for name, n in sorted(counts.items()))
+        say(f"{found}; for reasons: {', '.join(f'--{name}' for name in sorted(counts))}")
+    if not n_rows:
+        which = "failed" if failed else "doubtful" if doubtful else "stored"
+        say(f"no shape is listed: none is {which} in {catalogue}, or all are before --offset")
 
 
 def _row(record: Record, counts: Counter[str]) -> tuple[str, ...]:
@@ -78,7 +81,8 @@ def _row(record: Record, counts: Counter[str]) -> tuple[str, ...]:
 
 
 def _failed(record: Record) -> tuple[str, ...]:
-    return record.id, record.stage or "-", record.label or "-", shown_path(record.path), record.message or ""
+    reason = (record.message or "").removeprefix(f"{record.path}: ")
+    return record.id, record.stage or "-", record.label or "-", shown_path(record.path), reason
 
 
 def _doubtful(record: Record) -> tuple[str, ...]:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, TextIO
 
 import click
 
-from pcretrieve.cli.patience import clear_line, stop_waiting
+from pcretrieve.cli.patience import cleared_line, stop_waiting
 from pcretrieve.errors import InputError
 
 if TYPE_CHECKING:
@@ -81,9 +81,9 @@ def say(message: str) -> None:
     for word in WARNING_WORDS:
         if text.startswith(word) and not os.environ.get("NO_COLOR"):
             text = click.style(word, fg="red") + text.removeprefix(word)
-    clear_line()
     try:
-        click.echo(text, err=True)  # without colours, if that is no terminal
+        with cleared_line():
+            click.echo(text, err=True)  # without colours, if that is no terminal
     except OSError:
         silence(sys.stderr)
 
@@ -207,8 +207,9 @@ def failure_line(record: Record) -> str:
     str
         Id, stage and message; and the file, if the message does not name it.
     """
-    file = "" if record.path in (record.message or "") else f" ({shown_path(record.path)})"
-    return f"failed: [{record.id} / {record.stage}] {record.message}{file}"
+    message, path = record.message or "", shown_path(record.path)
+    file = "" if record.path in message else f" ({path})"
+    return f"failed: [{record.id} / {record.stage}] {message.replace(record.path, path)}{file}"
 
 
 def write_csv(text: str) -> None:

@@ -6,12 +6,13 @@ import logging
 import shutil
 import sys
 import time
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from threading import Event, Lock, Thread
 
 import click
 
-__all__ = ["clear_line", "stop_waiting", "tell_of_waiting"]
+__all__ = ["cleared_line", "stop_waiting", "tell_of_waiting"]
 
 # Time until the line is shown, and between two of its states; seconds.
 FIRST_WORD = 1.5
@@ -50,17 +51,26 @@ def tell_of_waiting(command: str) -> None:
 def stop_waiting() -> None:
     """Say nothing more: the command shows results or progress, or has ended."""
     _stopped.set()
-    clear_line()
+    with cleared_line():
+        pass
 
 
-def clear_line() -> None:
-    """Make place for a message; the line comes back below it."""
+@contextmanager
+def cleared_line() -> Iterator[None]:
+    """Make place for a message; the line comes back below it.
+
+    Yields
+    ------
+    None
+        While the line is not shown.
+    """
     global _is_shown
     with _writing:
         if _is_shown:
             _is_shown = False
             with suppress(OSError):
                 click.echo(CLEAR, nl=False, err=True)
+        yield
 
 
 def _printable(text: str) -> str:

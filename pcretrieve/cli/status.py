@@ -49,7 +49,8 @@ def _lines(found: BatchStatus) -> list[str]:
     lines = [
         f"ingest {found.state}: {n_finished} of {found.n_scans} scans: {found.n_done} done, "
         f"{found.n_failed} failed, {found.n_skipped} held already or duplicates",
-        f"started {found.started}, last counted {found.updated}: {found.scans_per_second * 60:.3g} scans/min"
+        f"started {found.started}, last counted {found.updated}",
+        f"rate: {found.scans_per_second * 60:.3g} scans/min"
         + ("" if found.seconds_left is None else f", about {duration(found.seconds_left)} left"),
     ]
     if found.stages:

@@ -48,7 +48,7 @@ class Column(NamedTuple):
     kind: str = "text"
 
 
-def write_table(columns: Sequence[Column], rows: Iterable[Sequence[str]]) -> None:
+def write_table(columns: Sequence[Column], rows: Iterable[Sequence[str]]) -> int:
     """Print a table, on standard output; nothing, if there are no rows.
 
     Parameters
@@ -57,11 +57,16 @@ def write_table(columns: Sequence[Column], rows: Iterable[Sequence[str]]) -> Non
         The columns. The line of headings is left out, if all of them are empty.
     rows : iterable of sequence of str
         The cells of each row.
+
+    Returns
+    -------
+    int
+        The number of rows.
     """
     limit = shutil.get_terminal_size().columns if sys.stdout.isatty() else None
     headings = [column.heading for column in columns]
     widths = [0] * len(columns)
-    remaining, is_first = iter(rows), True
+    remaining, n_rows = iter(rows), 0
     while block := list(islice(remaining, BLOCK)):
         cells = [[escaped(cell) for cell in row] for row in block]
         # Later rows of long tables are at least as wide as the first ones.
@@ -70,11 +75,12 @@ def write_table(columns: Sequence[Column], rows: Iterable[Sequence[str]]) -> Non
             for widest, column in zip(widths, zip(headings, *cells, strict=True), strict=True)
         ]
         shown = widths if limit is None else _fitted(columns, widths, limit)
-        if is_first and any(headings):
+        if not n_rows and any(headings):
             _write_row(columns, headings, shown, is_heading=True)
         for row in cells:
             _write_row(columns, row, shown)
-        is_first = False
+        n_rows += len(block)
+    return n_rows
 
 
 def write_steps(steps: Iterable[Step]) -> None:

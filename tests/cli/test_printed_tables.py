@@ -129,7 +129,10 @@ def test_colours_are_for_terminals_that_want_them(folder: Path) -> None:
 def test_a_list_says_how_to_get_the_reasons(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(folder)
     said = CliRunner().invoke(cli, ["list", "-c", "c.sqlite"]).stderr
-    assert said == "1 doubtful (--doubtful), 1 failed (--failed): the options list the reasons\n"
+    assert said == "1 doubtful, 1 failed; for reasons: --doubtful, --failed\n"
+    empty = CliRunner().invoke(cli, ["list", "-c", "c.sqlite", "--offset", "9"])
+    assert (empty.exit_code, empty.stdout) == (0, "")
+    assert empty.stderr.startswith("no shape is listed: none is stored in c.sqlite, or all are before")
     assert CliRunner().invoke(cli, ["list", "-c", "c.sqlite", "--failed"]).stderr == ""
 
 
