@@ -6,7 +6,7 @@ import struct
 from pathlib import Path
 
 import shapes
-from laser_files import CHECKSUM, PAGE, with_checksums, without_checksums, write_e57, write_las
+from laser_files import with_other_xml, write_e57, write_las
 
 HUGE = 999_999_999_999
 
@@ -81,14 +81,8 @@ def laser_scan(folder: Path, suffix: str) -> bytes:
     points = shapes.points_on(shapes.body(), 100)
     if suffix == ".e57":
         write_e57(path, [{"points": points}])
-        content = without_checksums(path.read_bytes())
-        more = bytearray(content.replace(b'recordCount="100"', b'recordCount="%d"' % HUGE))
-        assert len(more) > len(content)
-        size = PAGE * -(-len(more) // (PAGE - CHECKSUM))
-        (n_xml,) = struct.unpack_from("<Q", more, 32)
-        struct.pack_into("<Q", more, 16, size)
-        struct.pack_into("<Q", more, 32, n_xml + len(more) - len(content))
-        return with_checksums(bytes(more), size)
+        count = b'recordCount="%d"'
+        return with_other_xml(path.read_bytes(), lambda xml: xml.replace(count % 100, count % HUGE))
     write_las(path, points, point_format=6)
     data = bytearray(path.read_bytes())
     struct.pack_into("<Q", data, 247, HUGE)

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import importlib.util
-from collections.abc import Sequence
+import struct
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -56,6 +57,19 @@ def with_checksums(content: bytes, n_bytes: int) -> bytes:
     whole = content[: n_bytes // PAGE * size].ljust(n_bytes // PAGE * size, b"\0")
     pages = (whole[k : k + size] for k in range(0, len(whole), size))
     return b"".join(page + _crc32c(page).to_bytes(CHECKSUM, "big") for page in pages)
+
+
+def with_other_xml(data: bytes, change: Callable[[bytes], bytes]) -> bytes:
+    """An E57 file, which must end with its XML part, with that part changed."""
+    content = without_checksums(data)
+    place, n_xml = struct.unpack_from("<QQ", content, 24)
+    start = place // PAGE * (PAGE - CHECKSUM) + place % PAGE
+    xml = change(content[start : start + n_xml])
+    whole = bytearray(content[:start] + xml)
+    size = PAGE * -(-len(whole) // (PAGE - CHECKSUM))
+    struct.pack_into("<Q", whole, 16, size)
+    struct.pack_into("<Q", whole, 32, len(xml))
+    return with_checksums(bytes(whole), size)
 
 
 def _crc32c(data: bytes) -> int:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import socket
 import struct
 import subprocess
 import sys
@@ -10,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import shapes
-from laser_files import CAN_WRITE, write_e57, write_las
+from laser_files import CAN_WRITE, with_other_xml, write_e57, write_las
 from scipy.spatial.transform import Rotation
 
 from pcretrieve import PointCloud, read_scan
@@ -168,6 +169,35 @@ def test_what_is_no_e57(content: bytes, words: str, tmp_path: Path) -> None:
     with pytest.raises(ScanReadError, match=words):
         read_scan(tmp_path / "a.e57")
     assert (tmp_path / "a.e57").read_bytes() == content  # pye57 removes files that it cannot write
+
+
+@needs(".e57")
+@pytest.mark.parametrize(
+    ("head", "words"),
+    [
+        ('<!DOCTYPE e57Root [<!ENTITY a SYSTEM "file:///etc/passwd">]>', "has a document type"),
+        ('<!DOCTYPE e57Root SYSTEM "http://127.0.0.1:{port}/a.dtd">', "has a document type"),
+        ("<?xml version='1.0' encoding='UTF-16'?>", "its XML part is not UTF-8"),
+        ("+ADw-!DOCTYPE", "its XML part is not UTF-8"),
+    ],
+)
+def test_what_the_xml_of_an_e57_file_refers_to_is_not_opened(head: str, words: str, tmp_path: Path) -> None:
+    path = tmp_path / "a.e57"
+    write_e57(path, [{"points": POINTS}])
+    whole = path.read_bytes()
+    path.write_bytes(with_other_xml(whole, lambda xml: xml[xml.index(b"<e57Root") :]))
+    assert len(cloud(path).points) == len(POINTS)
+    with socket.create_server(("127.0.0.1", 0)) as elsewhere:
+        dtd = head.format(port=elsewhere.getsockname()[1]).encode()
+        path.write_bytes(with_other_xml(whole, lambda xml: dtd + xml[xml.index(b"<e57Root") :]))
+        with pytest.raises(ScanReadError, match=words):
+            read_scan(path)
+        elsewhere.setblocking(False)
+        with pytest.raises(BlockingIOError):
+            elsewhere.accept()
+    path.write_bytes(with_other_xml(whole, lambda xml: xml.decode().encode("utf-16")))
+    with pytest.raises(ScanReadError, match="its XML part is not UTF-8"):
+        read_scan(path)
 
 
 # --- packages that are missing ----------------------------------------------------------------------------

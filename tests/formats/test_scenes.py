@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -228,6 +229,28 @@ def test_damaged_archives(content: bytes, words: str, tmp_path: Path) -> None:
     (tmp_path / "a.3mf").write_bytes(content)
     with pytest.raises(ScanReadError, match=words):
         read_scan(tmp_path / "a.3mf")
+
+
+@needs(".dae")
+@pytest.mark.parametrize(
+    "declared",
+    [
+        '<!ENTITY a "9 9 9">'
+        + "".join(f'<!ENTITY {b} "{10 * f"&{a};"}">' for a, b in pairwise("abcdefghijz")),
+        '<!ENTITY z SYSTEM "{secret}">',
+        '<!ENTITY z SYSTEM "http://127.0.0.1:1/">',
+    ],
+    ids=["bomb", "file", "address"],
+)
+def test_entities_of_xml_neither_grow_nor_open_files(declared: str, tmp_path: Path) -> None:
+    (tmp_path / "secret.txt").write_text("9 9 9")
+    head = f"<!DOCTYPE COLLADA [{declared}]>\n<COLLADA".replace(
+        "{secret}", (tmp_path / "secret.txt").as_uri()
+    )
+    hostile = collada(BALL).replace("<COLLADA", head, 1).replace("<float_array", "&z;<float_array")
+    (tmp_path / "a.dae").write_text(hostile)
+    with pytest.raises(ScanReadError, match=r"[Ee]ntity"):
+        read_scan(tmp_path / "a.dae")
 
 
 # --- VRML -------------------------------------------------------------------------------------------------
