@@ -11,7 +11,7 @@ from pcretrieve.cli.commands import command
 from pcretrieve.cli.comparison import compared, comparison_options, matrix_option, read_distances
 from pcretrieve.cli.documents import write_document
 from pcretrieve.cli.messages import write_line
-from pcretrieve.cli.parts import catalogue_option, json_option
+from pcretrieve.cli.parts import CATALOGUE, catalogue_option, json_option
 
 __all__ = ["report_command"]
 
@@ -29,10 +29,8 @@ __all__ = ["report_command"]
 @click.option(
     "--queries",
     type=click.IntRange(min=1),
-    default=8,
-    show_default=True,
     metavar="N",
-    help="Largest number of queries.",
+    help="Largest number of queries, the worst first.  [default: 1000]",
 )
 @click.option(
     "-k",
@@ -43,32 +41,52 @@ __all__ = ["report_command"]
     metavar="N",
     help="Number of results of each query.",
 )
+@click.option(
+    "--versus",
+    type=CATALOGUE,
+    metavar="RESULT",
+    help="Compare with another result, query by query: queries.csv of `evaluate --csv`, or a catalogue.",
+)
 @matrix_option
 @comparison_options
 @json_option
 def report_command(
     catalogue: str,
     output: Path,
-    queries: int,
+    queries: int | None,
     k: int,
+    versus: str | None,
     matrix: Path | None,
     as_json: bool,
     **comparison: Any,
 ) -> None:
-    """Write an HTML page with retrieval measures, and with pictures of queries and their ranked results.
+    """Write an HTML page with retrieval measures, and all queries with their nearest shapes, the worst first.
 
-    Queries are the first shape of each class, or the first shapes if there are no classes.
+    The page has bars of the classes, confusion, a map, and the scans that failed. Queries are searched and
+    sorted in it without a server.
 
     \b
     pcretrieve report --catalogue bodies.sqlite -o bodies.html
+    pcretrieve evaluate --catalogue bodies.sqlite --whitening none --csv none/
+    pcretrieve report --catalogue bodies.sqlite --versus none/queries.csv -o bodies.html
     """
     from pcretrieve.catalogue import Catalogue
-    from pcretrieve.pages.retrieval_page import retrieval_page
+    from pcretrieve.evaluation import result_scores
+    from pcretrieve.pages.retrieval_page import MOST_QUERIES, retrieval_page
 
     distances = read_distances(matrix, comparison)
     with Catalogue(catalogue) as store:
         options = compared(store, **comparison)
-        page = retrieval_page(store, output, n_queries=queries, k=k, options=options, matrix=distances)
+        page = retrieval_page(
+            store,
+            output,
+            n_queries=queries or MOST_QUERIES,
+            k=k,
+            options=options,
+            matrix=distances,
+            other=None if versus is None else result_scores(versus, lambda other: other.options),
+            other_name=versus or "",
+        )
     if as_json:
         write_document({"page": str(page)}, options=options)
     else:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from pcretrieve.catalogue import Catalogue
 from pcretrieve.evaluation import (
     Comparison,
     QueryScores,
@@ -19,7 +20,7 @@ from pcretrieve.evaluation import calibrate as calibrate_catalogue
 from pcretrieve.interface.catalogues import CatalogueLike, opened
 from pcretrieve.matching import DistanceMatrix
 from pcretrieve.options import OptionsLike, PipelineOptions
-from pcretrieve.pages.retrieval_page import retrieval_page
+from pcretrieve.pages.retrieval_page import MOST_QUERIES, retrieval_page
 from pcretrieve.types import SignatureTable
 
 __all__ = ["calibrate", "compare", "evaluate", "matrix", "report"]
@@ -184,10 +185,11 @@ def report(
     catalogue: CatalogueLike,
     path: str | Path,
     *,
-    n_queries: int = 8,
+    n_queries: int = MOST_QUERIES,
     k: int = 5,
     options: OptionsLike = None,
     matrix: DistanceMatrix | None = None,
+    versus: str | Path | Catalogue | None = None,
 ) -> Path:
     """Write a page with retrieval measures, and with pictures of queries and their ranked results.
 
@@ -197,14 +199,17 @@ def report(
         The shapes.
     path : str or Path
         The HTML file.
-    n_queries : int, default 8
-        Largest number of queries: the first shape of each class, or the first shapes if there are no classes.
+    n_queries : int, default 1000
+        Largest number of queries, those with the lowest average precision first.
     k : int, default 5
         Number of results of each query, without the query itself.
     options : OptionsLike, optional
         Signature, distance and whitening. By default the options of the catalogue.
     matrix : DistanceMatrix, optional
         Distances that replace the distances of signatures.
+    versus : str, Path or Catalogue, optional
+        Another result for the same shapes, with which the page compares query by query: a catalogue, or a
+        file ``queries.csv`` of `pcretrieve.evaluation.write_evaluation`.
 
     Returns
     -------
@@ -220,4 +225,13 @@ def report(
     """
     with opened(catalogue) as store:
         chosen = PipelineOptions.of(options, store.options)
-        return retrieval_page(store, path, n_queries=n_queries, k=k, options=chosen, matrix=matrix)
+        return retrieval_page(
+            store,
+            path,
+            n_queries=n_queries,
+            k=k,
+            options=chosen,
+            matrix=matrix,
+            other=None if versus is None else result_scores(versus, lambda other: other.options),
+            other_name=versus.location if isinstance(versus, Catalogue) else str(versus),
+        )

@@ -18,6 +18,7 @@ from pcretrieve.ingestion.versions import versions
 from pcretrieve.matching import DistanceMatrix
 from pcretrieve.options import PipelineOptions
 from pcretrieve.pages.html import page_template
+from pcretrieve.pages.settings import settings_in_words
 from pcretrieve.rendering import thumbnail
 from pcretrieve.retrieval import swapping_ranks
 from pcretrieve.searching import Answer, Described, result_rows
@@ -27,12 +28,6 @@ __all__ = ["write_query_page"]
 
 QUERY_PIXELS = 240
 RESULT_PIXELS = 160
-
-DISTANCES = {
-    "log": "log, the Euclidean distance of the logarithms of the values",
-    "d1": "d1, the dissimilarity D1 of Ye and Yu",
-    "d2": "d2, the dissimilarity D2 of Ye and Yu",
-}
 
 
 @dataclass(frozen=True, slots=True)
@@ -134,35 +129,9 @@ def write_query_page(
         panels=panels,
         failures=failures,
         min_score=min_score,
-        settings=_settings(catalogue, options or catalogue.options, matrix, labels, min_score),
+        settings=settings_in_words(catalogue, options or catalogue.options, matrix, labels, min_score),
         version=versions()["pcretrieve"],
     )
     # Bytes of file names that are not UTF-8 are replaced by question marks.
     write_file(target, page.encode("utf-8", errors="replace"))
     return target
-
-
-def _settings(
-    catalogue: Catalogue,
-    options: PipelineOptions,
-    matrix: DistanceMatrix | None,
-    labels: Collection[str] | None,
-    min_score: float | None,
-) -> dict[str, str]:
-    """How the shapes were compared, in words."""
-    classes = f"the class {' or '.join(sorted(labels))} of " if labels else ""
-    least = {} if min_score is None else {"least score": f"{min_score:g}"}
-    if matrix is not None:
-        return {"searched": f"{classes}{len(matrix)} shapes", "distance": "that of a matrix"} | least
-    index = catalogue.index(options)
-    compared, retrieval, scores = options.compared, options.retrieval, index.scores
-    size = compared.size_weight
-    return {
-        "searched": f"{classes}{len(index)} shapes",
-        "signature": f"{compared.method}, {len(index.whitening.mean)} values, "
-        + (f"with the size, weighted by {size:g}" if size else "of the form alone"),
-        "distance": DISTANCES.get(retrieval.distance, retrieval.distance),
-        "whitening": catalogue.whitening(options).reason,
-        "re-ranking": "none" if retrieval.rerank == "none" else f"by {retrieval.rerank} neighbours",
-        "score": scores.reason if scores else "none, because labels and shapes are too few",
-    } | least

@@ -1,27 +1,29 @@
-"""The retrieval page: queries with their ranked results, and retrieval measures.
+"""The retrieval page: retrieval measures, and queries with their ranked results.
 
-It is one self-contained HTML file: pictures are inlined, and the page makes no requests.
+It is one self-contained HTML file that makes no requests: each picture is inlined once, however often it is
+shown. A script sorts and searches the queries; without it, the page shows the same.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from itertools import pairwise
-from math import isfinite
 from pathlib import Path
 from types import MappingProxyType
 from typing import NamedTuple
 
+import numpy as np
+
 from pcretrieve.atomic import write_file
-from pcretrieve.errors import InputError
-from pcretrieve.evaluation import PrecisionRecall, RetrievalMeasures
+from pcretrieve.evaluation import ClassMeasures, Comparison, Confusion, PrecisionRecall, RetrievalMeasures
+from pcretrieve.pages.cards import Panel
+from pcretrieve.pages.confusion_picture import confusion_picture
 from pcretrieve.pages.html import page_template
-from pcretrieve.types import Failure, Verdict
+from pcretrieve.types import Failure, FloatArray
 
-__all__ = ["Card", "Panel", "write_report"]
+__all__ = ["write_report"]
 
-PNG_MAGIC = b"\x89PNG\r\n\x1a\n"
+# Number of queries that a comparison lists.
+N_CHANGES = 10
 
 # The measures, explained for readers who do not know retrieval benchmarks.
 MEASURES = (
@@ -54,93 +56,6 @@ MEASURES = (
 )
 
 
-@dataclass(frozen=True, slots=True)
-class Card:
-    """One shape on the page.
-
-    Attributes
-    ----------
-    id : str
-        Identifier of the shape.
-    label : str or None
-        Class of the shape, if known.
-    path : str
-        File of the scan; may be empty.
-    distance : float or None
-        Distance to the query; None for the query itself.
-    picture : bytes or None
-        PNG with a transparent background. The page shows a query with a width of 13 rem (about 210 pixels)
-        and a result with 8 rem (about 130 pixels); screens of high resolution show up to twice as many.
-    relevant : bool or None
-        Whether the shape has the class of the query; None if one of both has no label, and for the query.
-    verdict : Verdict or None
-        Whether the signature can be relied on. The page says so if it cannot.
-
-    Raises
-    ------
-    InputError
-        If the picture is not a PNG, or the distance is negative or not finite.
-    """
-
-    id: str
-    label: str | None = None
-    path: str = ""
-    distance: float | None = None
-    picture: bytes | None = None
-    relevant: bool | None = None
-    verdict: Verdict | None = None
-
-    def __post_init__(self) -> None:
-        if self.picture is not None and not self.picture.startswith(PNG_MAGIC):
-            raise InputError(
-                f"the picture of {self.id} must be a PNG, got {len(self.picture)} bytes that start with "
-                f"{self.picture[: len(PNG_MAGIC)]!r}; use pcretrieve.rendering.thumbnail, or None"
-            )
-        if self.distance is not None and not (isfinite(self.distance) and self.distance >= 0):
-            raise InputError(f"the distance of {self.id} must be at least 0 and finite, got {self.distance}")
-
-
-@dataclass(frozen=True, slots=True)
-class Panel:
-    """A query and its results.
-
-    Attributes
-    ----------
-    query : Card
-        The query.
-    results : tuple of Card
-        The results, in ascending order of distance.
-
-    Raises
-    ------
-    InputError
-        If the distances are not in ascending order.
-    """
-
-    query: Card
-    results: tuple[Card, ...]
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "results", tuple(self.results))
-        measured = [card for card in self.results if card.distance is not None]
-        for nearer, card in pairwise(measured):
-            if (nearer.distance or 0) > (card.distance or 0):
-                raise InputError(
-                    f"results of {self.query.id} must ascend in distance, got {card.id} at {card.distance} "
-                    f"after {nearer.id} at {nearer.distance}; sort them"
-                )
-
-    @property
-    def n_judged(self) -> int:
-        """Number of results that are known to be relevant or not."""
-        return sum(card.relevant is not None for card in self.results)
-
-    @property
-    def n_right(self) -> int:
-        """Number of results with the class of the query."""
-        return sum(card.relevant is True for card in self.results)
-
-
 def write_report(
     path: str | Path,
     *,
@@ -150,6 +65,12 @@ def write_report(
     failures: Sequence[Failure] = (),
     facts: Mapping[str, str] = MappingProxyType({}),
     precision_recall: PrecisionRecall | None = None,
+    intervals: FloatArray | None = None,
+    classes: Sequence[ClassMeasures] = (),
+    confusion: Confusion | None = None,
+    comparison: Comparison | None = None,
+    compared_with: str = "",
+    drawing: Mapping[str, object] | None = None,
 ) -> Path:
     """Write the retrieval page. An existing file is replaced in one step, or left unchanged.
 
@@ -169,6 +90,18 @@ def write_report(
         What is stated at the top, such as the number of shapes and the distance.
     precision_recall : PrecisionRecall, optional
         Precision–recall curve over all queries.
+    intervals : (2, 6) float64, optional
+        Lower and upper ends of the confidence intervals of the measures, as by `bootstrap_interval`.
+    classes : sequence of ClassMeasures, optional
+        The measures of each class; the page has the worst first.
+    confusion : Confusion, optional
+        Of which class the nearest shapes are.
+    comparison : Comparison, optional
+        Of another result with this one, which is the second.
+    compared_with : str, optional
+        What the other result is, in words.
+    drawing : mapping, optional
+        The map of the shapes, as by `map_drawing`.
 
     Returns
     -------
@@ -181,14 +114,31 @@ def write_report(
         If the file cannot be written.
     """
     target = Path(path).absolute()
+    cards = [card for panel in panels for card in (panel.query, *panel.results)]
+    pictures: dict[bytes, int] = {}
+    for card in cards:
+        if card.picture is not None:
+            pictures.setdefault(card.picture, len(pictures))
     page = page_template("report.html").render(
         title=title,
         facts=facts,
         panels=panels,
         judged=any(panel.n_judged for panel in panels),
-        measures=[] if measures is None else _measure_rows(measures),
+        scored=any(panel.score is not None for panel in panels),
+        anchors={panel.query.id: f"q{number}" for number, panel in enumerate(panels)},
+        pictures=pictures,
+        measures=[] if measures is None else _measure_rows(measures, intervals),
         counts=measures,
         curve=None if precision_recall is None else _curve(precision_recall),
+        classes=sorted(classes, key=lambda one: (one.means[-1], one.label)),
+        confusion=None if confusion is None else confusion_picture(confusion),
+        differences=[] if comparison is None else _difference_rows(comparison),
+        comparison=comparison,
+        changes=[]
+        if comparison is None
+        else [c for c in comparison.changes if c.first != c.second][:N_CHANGES],
+        compared_with=compared_with,
+        drawing=drawing,
         failures=failures,
     )
     # Bytes of file names that are not UTF-8 are replaced by question marks.
@@ -201,6 +151,21 @@ class _MeasureRow(NamedTuple):
     name: str
     value: float
     meaning: str
+    low: float | None
+    high: float | None
+
+
+class _DifferenceRow(NamedTuple):
+    """A measure of the other result and of this one, and this minus the other with its interval."""
+
+    short: str
+    name: str
+    other: float
+    this: float
+    difference: float
+    low: float
+    high: float
+    verdict: str
 
 
 class _Curve(NamedTuple):
@@ -211,11 +176,22 @@ class _Curve(NamedTuple):
     last: float
 
 
-def _measure_rows(measures: RetrievalMeasures) -> list[_MeasureRow]:
+def _measure_rows(measures: RetrievalMeasures, intervals: FloatArray | None) -> list[_MeasureRow]:
+    ends = [(None, None)] * len(MEASURES) if intervals is None else intervals.T.tolist()
     return [
-        _MeasureRow(short, name, getattr(measures, field), meaning)
-        for field, short, name, meaning in MEASURES
+        _MeasureRow(short, name, getattr(measures, field), meaning, low, high)
+        for (field, short, name, meaning), (low, high) in zip(MEASURES, ends, strict=True)
     ]
+
+
+def _difference_rows(comparison: Comparison) -> list[_DifferenceRow]:
+    columns = (comparison.first, comparison.second, comparison.difference, *comparison.interval)
+    rows = []
+    for (_, short, name, _), numbers in zip(MEASURES, np.transpose(columns).tolist(), strict=True):
+        other, this, difference, low, high = numbers
+        verdict = "better" if low > 0 else "worse" if high < 0 else "no difference shown"
+        rows.append(_DifferenceRow(short, name, other, this, difference, low, high, verdict))
+    return rows
 
 
 def _curve(curve: PrecisionRecall) -> _Curve:

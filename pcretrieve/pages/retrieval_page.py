@@ -2,33 +2,57 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping
+from functools import cache
 from pathlib import Path
 
 from pcretrieve.catalogue import Catalogue, Record
-from pcretrieve.errors import InputError
-from pcretrieve.evaluation import check_known, evaluate_rankings, precision_recall, rank_catalogue
+from pcretrieve.errors import InputError, ShapeError
+from pcretrieve.evaluation import (
+    QueryScores,
+    bootstrap_interval,
+    check_known,
+    class_measures,
+    compare_scores,
+    confusion,
+    evaluate_rankings,
+    precision_recall,
+    query_scores,
+    rank_catalogue,
+)
 from pcretrieve.matching import DistanceMatrix
 from pcretrieve.options import PipelineOptions
-from pcretrieve.pages.report import Card, Panel, write_report
+from pcretrieve.pages.cards import Card, Panel
+from pcretrieve.pages.map_page import class_groups, map_drawing
+from pcretrieve.pages.report import write_report
+from pcretrieve.pages.settings import settings_in_words
 from pcretrieve.rendering import thumbnail
-from pcretrieve.retrieval import N_NEAR, Ranking, SignatureIndex, reranked_neighbors
-from pcretrieve.types import Failure, SignatureTable
+from pcretrieve.retrieval import N_NEAR, Ranking, SignatureIndex, plane_map, reranked_neighbors
+from pcretrieve.types import Failure
 
-__all__ = ["retrieval_page"]
+__all__ = ["MOST_QUERIES", "retrieval_page"]
 
-QUERY_PIXELS = 240
-RESULT_PIXELS = 160
+#: Largest number of queries on a page, unless another one is given; of about 4 kB each.
+MOST_QUERIES = 1000
+
+# Side of the pictures, so that a page of 600 shapes stays below 3 MB.
+PIXELS = 88
+
+# Largest number of shapes on the map of a page, of about 200 bytes each.
+MOST_MAPPED = 2000
 
 
 def retrieval_page(
     catalogue: Catalogue,
     path: str | Path,
     *,
-    n_queries: int = 8,
+    n_queries: int = MOST_QUERIES,
     k: int = 5,
     options: PipelineOptions | None = None,
     matrix: DistanceMatrix | None = None,
+    other: QueryScores | None = None,
+    other_name: str = "another result",
 ) -> Path:
     """Write a page with retrieval measures, and with pictures of queries and their ranked results.
 
@@ -38,17 +62,21 @@ def retrieval_page(
         The shapes, with their classes if known.
     path : str or Path
         The HTML file.
-    n_queries : int, default 8
-        Largest number of queries on the page: the first shape of each class, or the first shapes if there are
-        no classes.
+    n_queries : int, default 1000
+        Largest number of queries on the page, those with the lowest average precision first.
     k : int, default 5
-        Number of results of each query, without the query itself.
+        Number of results of each query, without the query itself. Shapes of other classes are wrong only
+        among as many results as the class of the query has other shapes.
     options : PipelineOptions, optional
         Options with a descriptor, a distance or a whitening other than the catalogue's own. With the
         whitening ``within-class``, the measures are computed by grouped folds, and the results on the page
         with the whitening that is fitted to all labelled shapes.
     matrix : DistanceMatrix, optional
         Distances that replace the distances of signatures. Shapes that the matrix does not have are misses.
+    other : QueryScores, optional
+        Measures of the same queries with other settings, with which the page compares its own.
+    other_name : str, default "another result"
+        What they are, in words.
 
     Returns
     -------
@@ -60,87 +88,110 @@ def retrieval_page(
     CatalogueError
         If `options` require other spectra than the catalogue has.
     InputError
-        If the catalogue holds no shapes, the matrix has a shape that the catalogue does not have, or the page
-        cannot be written.
+        If the catalogue holds no shapes, the matrix has a shape that the catalogue does not have, `other` has
+        no query in common with the catalogue, or the page cannot be written.
     """
     options = options or catalogue.options
     records = {record.id: record for record in catalogue.records()}
-    failed = [record for record in records.values() if record.status == "failed"]
     ranking: Ranking
-    index = None
+    index = drawing = None
     if matrix is None:
         table = catalogue.signatures(options)
         if not len(table):
             raise InputError(f"{catalogue.location} holds no shapes: ingest some first")
-        whitening = catalogue.whitening(options)
-        ranking = index = SignatureIndex(table, options.retrieval, whitening=whitening)
-        facts = _signature_facts(table, options) | {"whitening": whitening.reason}
+        ranking = index = SignatureIndex(table, options.retrieval, whitening=catalogue.whitening(options))
+        if len(index) <= MOST_MAPPED:
+            groups = class_groups([records[shape_id].label for shape_id in index.ids])
+            drawing = map_drawing(list(index.ids), groups, plane_map(index))
     else:
         check_known(matrix, catalogue)
         ranking = matrix
-        facts = {"distances": f"a matrix of {len(matrix)} shapes"}
     method = options.retrieval.rerank if matrix is None else "none"
     classes = {shape_id: records[shape_id].label for shape_id in ranking.ids}
+    sizes = Counter(label for label in classes.values() if label is not None)
+    facts = {"shapes": str(len(classes)), "classes": str(len(sizes))}
+    facts |= settings_in_words(catalogue, options, matrix)
+    for left_out in ("searched", "score"):
+        facts.pop(left_out, None)
+    if matrix is None:
+        facts["scale"] = options.compared.scale
+    else:
+        facts["distance"] = f"that of a matrix of {len(matrix)} shapes"
 
-    def card(record: Record, pixels: int, gap: float | None = None, relevant: bool | None = None) -> Card:
-        mesh = catalogue.shape(record.id, ("mesh",)).surfaces[0].mesh
-        picture = None if mesh is None else thumbnail(mesh.vertices, mesh.faces, size=pixels)
-        return Card(record.id, record.label, record.path, gap, picture, relevant, record.verdict)
+    ranked = scores = None
+    if any(size > 1 for size in sizes.values()):
+        found = rank_catalogue(catalogue, options.changed(retrieval={"rerank": method}), matrix=matrix)
+        ranked, scores = found.rankings, query_scores(found.rankings)
+        if found.whitening:
+            # One that is fitted without labels is the same for the measures.
+            is_same = found.whitening.startswith(facts["whitening"])
+            facts["whitening" if is_same else "whitening of the measures"] = found.whitening
+    elif other is not None:
+        raise InputError(f"no class in {catalogue.location} has two shapes: there are no measures to compare")
+
+    precision = {} if scores is None else dict(zip(scores.ids, scores.ap.tolist(), strict=True))
+    queries = _worst_first(classes, precision)
+    if len(queries) > n_queries:
+        facts["queries"] = f"the {n_queries} with the lowest average precision of {len(queries)}"
+
+    @cache
+    def picture(shape_id: str) -> bytes | None:
+        mesh = catalogue.shape(shape_id, ("mesh",)).surfaces[0].mesh
+        try:
+            return None if mesh is None else thumbnail(mesh.vertices, mesh.faces, size=PIXELS)
+        except ShapeError:
+            return None
+
+    def card(record: Record, gap: float | None = None, relevant: bool | None = None) -> Card:
+        return Card(record.id, record.label, record.path, gap, picture(record.id), relevant, record.verdict)
 
     panels = []
-    for shape_id in _queries(classes, n_queries):
+    for shape_id in queries[:n_queries]:
         query = records[shape_id]
-        found = ranking.nearest(shape_id, k + 1 if method == "none" else max(k + 1, N_NEAR))
+        near = ranking.nearest(shape_id, k + 1 if method == "none" else max(k + 1, N_NEAR))
         if index is not None:
-            found = reranked_neighbors(index, found, method, shape_id=shape_id)
-        results = [
-            card(
-                records[found_id],
-                RESULT_PIXELS,
-                float(gap),
-                None if query.label is None else records[found_id].label == query.label,
-            )
-            for found_id, gap in list(zip(found.ids, found.distances, strict=True))[: k + 1]
-            if found_id != query.id
+            near = reranked_neighbors(index, near, method, shape_id=shape_id)
+        hits = [
+            (records[hit], float(gap))
+            for hit, gap in zip(near.ids, near.distances, strict=True)
+            if hit != shape_id
         ]
-        panels.append(Panel(card(query, QUERY_PIXELS), tuple(results[:k])))
+        n_others = 0 if query.label is None else sizes[query.label] - 1
+        results = tuple(
+            card(record, gap, _relevant(query, record, rank <= n_others))
+            for rank, (record, gap) in enumerate(hits[:k], start=1)
+        )
+        panels.append(Panel(card(query), results, precision.get(shape_id)))
 
-    measures = curve = None
-    known = [label for label in classes.values() if label is not None]
-    if len(set(known)) < len(known):
-        shown = options.changed(retrieval={"rerank": method})
-        ranked = rank_catalogue(catalogue, shown, matrix=matrix)
-        measures, curve = evaluate_rankings(ranked.rankings), precision_recall(ranked.rankings)
-        if ranked.whitening:
-            facts["whitening of the measures"] = ranked.whitening
+    comparison = None if scores is None or other is None else compare_scores(other, scores)
     return write_report(
         path,
         title=f"Retrieval in {Path(catalogue.location).name}",
         panels=panels,
-        measures=measures,
+        measures=None if ranked is None else evaluate_rankings(ranked),
         failures=[
             Failure(record.id, record.stage or "", record.error or "", record.message or "")
-            for record in failed
+            for record in records.values()
+            if record.status == "failed"
         ],
-        facts={"shapes": str(len(classes)), "classes": str(len(set(known)))} | facts,
-        precision_recall=curve,
+        facts=facts,
+        precision_recall=None if ranked is None else precision_recall(ranked),
+        intervals=None if scores is None else bootstrap_interval(scores.columns),
+        classes=() if ranked is None else class_measures(ranked),
+        confusion=None if ranked is None else confusion(ranked),
+        comparison=comparison,
+        compared_with=other_name,
+        drawing=drawing,
     )
 
 
-def _signature_facts(table: SignatureTable, options: PipelineOptions) -> dict[str, str]:
-    return {
-        "signature": f"{table.kind}, {table.values.shape[1]} values",
-        "scale": options.compared.scale,
-        "weight of size": f"{options.signature.size_weight:g}",
-        "distance": options.retrieval.distance,
-        "re-ranking": options.retrieval.rerank,
-    }
+def _worst_first(classes: Mapping[str, str | None], precision: Mapping[str, float]) -> list[str]:
+    """The queries in ascending order of their average precision, then those that have none."""
+    return sorted(classes, key=lambda shape_id: precision.get(shape_id, 2.0))
 
 
-def _queries(classes: Mapping[str, str | None], most: int) -> list[str]:
-    """The first shape of each class; the first shapes, if there are no classes."""
-    first: dict[str, str] = {}
-    for shape_id, label in classes.items():
-        if label is not None:
-            first.setdefault(label, shape_id)
-    return (list(first.values()) or list(classes))[:most]
+def _relevant(query: Record, hit: Record, in_class_size: bool) -> bool | None:
+    """As `Card.relevant`."""
+    if query.label is None or hit.label is None:
+        return None
+    return hit.label == query.label or (False if in_class_size else None)
