@@ -66,7 +66,7 @@ def list_command(
         say(f"{found}; for reasons: {', '.join(f'--{name}' for name in sorted(counts))}")
     if not n_rows:
         which = "failed" if failed else "doubtful" if doubtful else "stored"
-        say(f"no shape is listed: none is {which} in {catalogue}, or all are before --offset")
+        say(f"no shape is {which} in {catalogue}" + (f" after the first {offset}" if offset else ""))
 
 
 def _row(record: Record, counts: Counter[str]) -> tuple[str, ...]:

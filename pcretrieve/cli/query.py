@@ -284,7 +284,7 @@ def _described(
     isolated = partial(_isolated, options, with_pictures)
     for scan, outcome in Isolation(timeout, memory).each(isolated, scans):
         if not isinstance(outcome, PcretrieveError) and outcome.verdict and not outcome.verdict.is_sound:
-            say(f"{printable(scan)} is {outcome.verdict}")
+            say(f"{shown_path(printable(scan))} is {outcome.verdict}")
         yield scan, outcome
 
 
