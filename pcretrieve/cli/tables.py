@@ -6,7 +6,7 @@ import os
 import shutil
 import sys
 import textwrap
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from itertools import islice, zip_longest
 from typing import TYPE_CHECKING, NamedTuple
 from unicodedata import combining, east_asian_width
@@ -75,10 +75,11 @@ def write_table(columns: Sequence[Column], rows: Iterable[Sequence[str]]) -> int
             for widest, column in zip(widths, zip(headings, *cells, strict=True), strict=True)
         ]
         shown = widths if limit is None else _fitted(columns, widths, limit)
-        if not n_rows and any(headings):
-            _write_row(columns, headings, shown, is_heading=True)
+        has_heading = not n_rows and any(headings)
+        lines = list(_lines(columns, headings, shown, is_heading=True)) if has_heading else []
         for row in cells:
-            _write_row(columns, row, shown)
+            lines += _lines(columns, row, shown)
+        print_text("\n".join(lines))
         n_rows += len(block)
     return n_rows
 
@@ -102,9 +103,10 @@ def write_steps(steps: Iterable[Step]) -> None:
     write_table((Column("STAGE"), Column("SECONDS", "number"), Column("SIZES AND NOTES", "words")), rows)
 
 
-def _write_row(
+def _lines(
     columns: Sequence[Column], cells: Sequence[str], widths: Sequence[int], *, is_heading: bool = False
-) -> None:
+) -> Iterator[str]:
+    """The line of a row, or several lines, if words are broken."""
     parts = [
         textwrap.wrap(cell, width, break_on_hyphens=False)
         if column.kind == "words" and _width(cell) > width
@@ -116,12 +118,12 @@ def _write_row(
             _padded(text, width, column.kind, is_heading=is_heading)
             for column, text, width in zip(columns, line, widths, strict=True)
         ]
-        print_text(GAP.join(padded).rstrip())
+        yield GAP.join(padded).rstrip()
 
 
 def _styled(text: str, colour: str | None, is_heading: bool) -> str:
     """A cell with codes of a terminal, which are not printed elsewhere."""
-    if os.environ.get("NO_COLOR") or not text or not (colour or is_heading):
+    if not text or not (colour or is_heading) or os.environ.get("NO_COLOR"):
         return text
     return click.style(text, fg=colour, bold=is_heading or None)
 
