@@ -184,7 +184,7 @@ def _pictures(catalogue: Catalogue, ids: list[str]) -> list[str | None]:
     for shape_id in ids:
         try:
             mesh = catalogue.mesh(shape_id)
-            drawn = thumbnail(mesh.vertices, mesh.faces, size=PICTURE_PIXELS)
+            drawn = thumbnail(mesh.vertices, mesh.faces, up=mesh.up, size=PICTURE_PIXELS)
             pictures.append(b64encode(drawn).decode("ascii"))
         except ShapeError:
             pictures.append(None)

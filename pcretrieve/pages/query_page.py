@@ -105,7 +105,7 @@ def write_query_page(
         if mesh is None:
             return None
         try:
-            return thumbnail(mesh.vertices, mesh.faces, size=pixels)
+            return thumbnail(mesh.vertices, mesh.faces, up=mesh.up, size=pixels)
         except ShapeError:
             return None
 

@@ -138,7 +138,7 @@ def retrieval_page(
     def picture(shape_id: str) -> bytes | None:
         mesh = catalogue.shape(shape_id, ("mesh",)).surfaces[0].mesh
         try:
-            return None if mesh is None else thumbnail(mesh.vertices, mesh.faces, size=PIXELS)
+            return None if mesh is None else thumbnail(mesh.vertices, mesh.faces, up=mesh.up, size=PIXELS)
         except ShapeError:
             return None
 

@@ -90,7 +90,7 @@ def surface_scene(mesh: TriangleMesh) -> dict[str, Any]:
     """
     cube, faces = Cube.around(mesh.vertices), encoded(mesh.faces.astype("<u4"))
     layer = cube.layer("surface", "surface", mesh.vertices, CLAY, width=0, faces=faces)
-    axes = body_axes(mesh.vertices, mesh.faces).tolist()
+    axes = body_axes(mesh.vertices, mesh.faces, mesh.up).tolist()
     return {"layers": [layer], "on": ["surface"], "axes": axes, "zoom": VIEWER_SIZE}
 
 

@@ -15,7 +15,6 @@ from pcretrieve.quality.check import Check
 from pcretrieve.quality.points import normal_checks, point_checks
 from pcretrieve.quality.spectra import spectrum_checks
 from pcretrieve.quality.surfaces import base_check, fit_checks, marks_check, mesh_check, surface_checks
-from pcretrieve.scan import ground_normal
 from pcretrieve.scan.density import local_spacings
 from pcretrieve.scan.nearest import nearest
 from pcretrieve.scan.sampling import SPACING_NEIGHBORS, Neighborhoods
@@ -142,7 +141,7 @@ def _fit(
     if len(base):
         on_base = filled.copy()
         on_base[filled] = nearest(base, middles[filled], 1)[0][:, 0] < apart[filled]
-        checks.append(base_check(float(areas[on_base].sum() / area), ground_normal(cloud) is not None))
+        checks.append(base_check(float(areas[on_base].sum() / area), cloud.up is not None))
         apart, areas = np.where(on_base, 0, apart), np.where(on_base, 0, areas)
     ends = 0.0
     if cloud.normals is not None:

@@ -4,7 +4,8 @@ In come arrays of vertices and faces, or of points; out come shaded pictures, ma
 display. The virtual camera, the lamps and the ray casting of all pictures are here.
 """
 
-from pcretrieve.rendering.camera import MARGIN, Camera, body_axes, cameras_around, cameras_framing
+from pcretrieve.rendering.axes import body_axes
+from pcretrieve.rendering.camera import MARGIN, Camera, cameras_around, cameras_framing
 from pcretrieve.rendering.pictures import Colour, css, point_picture, rgb, surface_picture
 from pcretrieve.rendering.shading import CLAY
 from pcretrieve.rendering.thumbnail import cloud_thumbnail, picture_html, thumbnail

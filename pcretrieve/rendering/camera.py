@@ -9,16 +9,15 @@ import numpy as np
 
 from pcretrieve.adapters.rays import RayScene
 from pcretrieve.arrays import FloatArray, IntArray
+from pcretrieve.rendering.axes import principal_axes
 
 __all__ = [
     "MARGIN",
     "SUPERSAMPLING",
     "Camera",
-    "body_axes",
     "cameras_around",
     "cameras_framing",
     "pooled",
-    "principal_axes",
     "rotation",
     "visible_faces",
 ]
@@ -28,11 +27,6 @@ MARGIN = 0.04
 
 #: Number of rays along each side of a pixel, for antialiasing: four rays give five levels of coverage.
 SUPERSAMPLING = 2
-
-# Tie-breaker for shapes whose principal axes are not unique, such as a sphere: a
-# bias towards the axes of the file. As a fraction of the total variance, and as a
-# skewness, it is far above rounding errors and not visible.
-TIE = 1e-6
 
 # Azimuths of the cameras around a body, to the right of its front, and their elevation; degrees.
 AZIMUTHS = (20, 110, 200, 290)
@@ -109,68 +103,6 @@ def cameras_framing(points: FloatArray, cameras: Sequence[Camera]) -> list[Camer
         framed.append(replace(camera, centre=middle @ camera.axes, half=half))
     widest = max(SMALL * size, *(camera.half for camera in framed)) / (1 - 2 * MARGIN)
     return [replace(camera, half=widest) for camera in framed]
-
-
-def body_axes(vertices: FloatArray, faces: IntArray) -> FloatArray:
-    """The axes of a camera in front of a body, by the principal axes of its surface.
-
-    Parameters
-    ----------
-    vertices : (n, 3) float64
-        Vertices of the surface, in any unit.
-    faces : (m, 3) int32
-        Of positive total area.
-
-    Returns
-    -------
-    (3, 3) float64
-        Orthonormal rows, as from `principal_axes`.
-    """
-    a, b, c = (vertices[faces[:, k]] for k in range(3))
-    areas = np.linalg.norm(np.cross(b - a, c - a), axis=1) / 2  # (m,)
-    # The midpoints of the edges, each with a third of the area, integrate quadratics over a triangle exactly.
-    points = np.concatenate([(c + a) / 2, (a + b) / 2, (b + c) / 2])  # (3m, 3)
-    return principal_axes(points, np.tile(areas, 3) / (3 * areas.sum()))
-
-
-def principal_axes(points: FloatArray, weights: FloatArray) -> FloatArray:
-    """The axes of a camera in front of a body, by the principal axes of weighted points.
-
-    The direction of view is the axis of least variance. Up is the more skewed of the other two axes, against
-    its skewness, so that a body with a head and legs stands on its legs.
-
-    Parameters
-    ----------
-    points : (n, 3) float64
-        Coordinates, in any unit.
-    weights : (n,) float64
-        Weights of the points, with the sum 1.
-
-    Returns
-    -------
-    (3, 3) float64
-        Orthonormal, right-handed rows: the directions to the right, upwards, and towards the camera. If the
-        principal axes are not unique, the rows are as near as possible to the axes x, y and z.
-    """
-    points = points - weights @ points
-    variance = weights @ (points**2).sum(axis=1)
-    points = points / np.sqrt(variance if variance > 0 else 1.0)  # total variance 1
-    covariance = (weights[:, np.newaxis] * points).T @ points  # (3, 3)
-
-    def skewness(axis: FloatArray) -> float:
-        along = points @ axis
-        squares = along * along
-        return float(weights @ (squares * along) / np.maximum(weights @ squares, TIE) ** 1.5)
-
-    towards, middle, longest = np.linalg.eigh(covariance + TIE * np.diag([1.0, 2.0, 0.0]))[1].T
-    up = longest if abs(skewness(longest)) + TIE >= abs(skewness(middle)) else middle
-    if skewness(up) > TIE * up[1]:
-        up = -up
-    right = np.cross(up, towards)
-    sides = skewness(right) + TIE * right[0], skewness(towards) + TIE * towards[2]
-    if max(sides, key=abs) < 0:
-        right, towards = -right, -towards
-    return np.stack([right, up, towards])
 
 
 def rotation(azimuth: float, elevation: float) -> FloatArray:

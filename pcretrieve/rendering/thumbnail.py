@@ -11,10 +11,10 @@ from PIL import Image
 
 from pcretrieve.arrays import FloatArray, IntArray
 from pcretrieve.errors import DegenerateMeshError, OptionError, Stage
+from pcretrieve.rendering.axes import body_axes
 from pcretrieve.rendering.camera import (
     MARGIN,
     SUPERSAMPLING,
-    body_axes,
     cameras_around,
     pooled,
     rotation,
@@ -41,6 +41,7 @@ def thumbnail(
     vertices: FloatArray,
     faces: IntArray,
     *,
+    up: FloatArray | None = None,
     size: int = 160,
     azimuth: float = 20.0,
     elevation: float = 10.0,
@@ -57,6 +58,8 @@ def thumbnail(
         Vertices of the surface, in any unit.
     faces : (m, 3) int32
         Vertex numbers of the triangles.
+    up : (3,) float64, optional
+        The direction upwards, such as `TriangleMesh.up`, of length 1; by default found by `body_axes`.
     size : int, default 160
         Side of the square picture; pixels.
     azimuth, elevation : float, default 20 and 10
@@ -88,7 +91,7 @@ def thumbnail(
             "its picture out",
             stage=Stage.THUMBNAIL,
         )
-    framed = _framed(vertices @ (rotation(azimuth, elevation) @ body_axes(vertices, faces)).T, faces)
+    framed = _framed(vertices @ (rotation(azimuth, elevation) @ body_axes(vertices, faces, up)).T, faces)
     face = visible_faces(framed, faces, size)
     covered = (face >= 0).astype(np.float64)
     return _png(np.append(face_brightness(framed, faces), 0.0)[face], covered)

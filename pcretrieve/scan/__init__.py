@@ -8,7 +8,6 @@ from pcretrieve.options import PointFilter
 from pcretrieve.scan.clean import check_extent, clean, outliers
 from pcretrieve.scan.crop import crop, kept_points
 from pcretrieve.scan.filters import POINT_FILTERS
-from pcretrieve.scan.ground import ground_normal
 from pcretrieve.scan.normals import oriented_normals
 
 __all__ = [
@@ -17,7 +16,6 @@ __all__ = [
     "check_extent",
     "clean",
     "crop",
-    "ground_normal",
     "kept_points",
     "oriented_normals",
     "outliers",

@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcretrieve.scan.sampling import PLANE_NEIGHBORS, neighborhoods, noise
-from pcretrieve.types import FloatArray, PointCloud, bounding_diagonal
+from pcretrieve.types import FloatArray, bounding_diagonal
 
-__all__ = ["Ground", "fitted_plane", "ground_normal", "ground_of", "planes_of"]
+__all__ = ["Ground", "fitted_plane", "ground_of", "planes_of"]
 
 # Number of points by which planes are compared, and from which the three points of each plane are chosen;
 # number of planes; number of neighbours of the first point among which the second and the third are.
@@ -118,25 +118,6 @@ def ground_of(points: FloatArray, viewpoints: FloatArray | None = None) -> Groun
     centre = np.median(points[body], axis=0)
     place = centre - (height[body][0] + (centre - points[body][0]) @ up) * up
     return Ground(place, up, height <= removed)
-
-
-def ground_normal(cloud: PointCloud) -> FloatArray | None:
-    """The direction of the ground that the stage `crop` has removed.
-
-    Parameters
-    ----------
-    cloud : PointCloud
-        With its provenance.
-
-    Returns
-    -------
-    (3,) float64 or None
-        The unit normal of the ground, towards the body; None if no ground was removed.
-    """
-    for step in cloud.provenance:
-        if step.stage == "crop" and "up_x" in step.sizes:
-            return np.array([step.sizes[f"up_{axis}"] for axis in "xyz"])
-    return None
 
 
 def planes_of(points: FloatArray, rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:

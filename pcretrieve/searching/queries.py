@@ -82,7 +82,7 @@ def pictured(scan: Path, options: PipelineOptions) -> Described:
     mesh, picture = shape.surfaces[0].mesh, None
     if mesh is not None:
         with suppress(DegenerateMeshError):
-            picture = thumbnail(mesh.vertices, mesh.faces, size=PIXELS)
+            picture = thumbnail(mesh.vertices, mesh.faces, up=mesh.up, size=PIXELS)
     return Described(described, verdict, picture)
 
 

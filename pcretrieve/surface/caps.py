@@ -7,7 +7,6 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pcretrieve.scan import ground_normal
 from pcretrieve.surface.edges import edges_of, joined_by
 from pcretrieve.types import FloatArray, PointCloud, TriangleMesh
 from pcretrieve.voxels import Mask
@@ -124,7 +123,7 @@ def base_of(capped: Capped, cloud: PointCloud) -> Mask:
     size = np.linalg.norm(sums, axis=1)
     flat = size >= FLAT * areas  # (c,)
     normals = sums / np.where(size > 0, size, 1)[:, None]
-    up = ground_normal(cloud)
+    up = cloud.up
     downs = [-up] if up is not None else normals[flat][np.argsort(-areas[flat])]
     for down in downs:
         facing = numbers[flat & (normals @ down >= PARALLEL)]

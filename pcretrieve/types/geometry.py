@@ -86,6 +86,11 @@ class PointCloud(Value):
             object.__setattr__(self, "viewpoints", locked("viewpoints", viewpoints, (n, 3)))
 
     @property
+    def up(self) -> FloatArray | None:
+        """(3,) unit normal of the ground that `crop` removed, towards the body; None if it removed none."""
+        return _ground_normal(self.provenance)
+
+    @property
     def diagonal(self) -> float:
         """Diagonal of the axis-aligned bounding box, to which relative lengths in options refer."""
         return bounding_diagonal(self.points)
@@ -167,6 +172,11 @@ class TriangleMesh(Value):
         return bounding_diagonal(self.vertices)
 
     @property
+    def up(self) -> FloatArray | None:
+        """(3,) unit normal of the ground that `crop` removed, towards the body; None if it removed none."""
+        return _ground_normal(self.provenance)
+
+    @property
     def area_vectors(self) -> FloatArray:
         """(m, 3) area vectors: outward normals of the faces, with the area as their length; unit length².
 
@@ -240,7 +250,7 @@ class TriangleMesh(Value):
         from pcretrieve.rendering import picture_html, thumbnail
 
         try:
-            picture = thumbnail(self.vertices, self.faces)
+            picture = thumbnail(self.vertices, self.faces, up=self.up)
         except DegenerateMeshError:  # no area to draw
             picture = None
         return picture_html(picture, repr(self))
@@ -265,3 +275,10 @@ def bounding_diagonal(points: FloatArray) -> float:
     """
     # Column by column: along the first axis of short rows, NumPy takes twenty times as long.
     return float(np.linalg.norm([np.ptp(column) for column in points.T])) if len(points) else 0.0
+
+
+def _ground_normal(provenance: tuple[Step, ...]) -> FloatArray | None:
+    for step in provenance:
+        if step.stage == "crop" and "up_x" in step.sizes:
+            return np.array([step.sizes[f"up_{axis}"] for axis in "xyz"])
+    return None

@@ -68,6 +68,6 @@ class Thumbnails:
 def _drawn(catalogue: Catalogue, shape_id: str) -> bytes | None:
     try:
         mesh = catalogue.mesh(shape_id)
-        return thumbnail(mesh.vertices, mesh.faces, size=PIXELS)
+        return thumbnail(mesh.vertices, mesh.faces, up=mesh.up, size=PIXELS)
     except ShapeError:
         return None

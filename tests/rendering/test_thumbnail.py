@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from pcretrieve import rendering
 from pcretrieve.errors import DegenerateMeshError, OptionError
 from pcretrieve.rendering import MARGIN
-from pcretrieve.types import FloatArray, TriangleMesh
+from pcretrieve.types import FloatArray, Step, TriangleMesh
 
 
 def thumbnail(mesh: TriangleMesh, **more: float) -> bytes:
@@ -197,6 +197,37 @@ def test_the_viewer_looks_at_the_broad_side() -> None:
 def test_bodies_stand_on_their_legs(mesh: TriangleMesh) -> None:
     rotation = any_turn(1)
     assert body_axes(turned(mesh, rotation))[1] @ rotation.apply([0, 1, 0]) > np.cos(np.radians(20))
+
+
+def test_people_with_raised_arms_of_unlike_lengths_stand() -> None:
+    """Left and right differ by the arms, but less than top and bottom, and front and back."""
+    feet, arms = box((0, -1.9, 0.2), (0.5, 0.2, 0.6)), box((0.1, 1.2, 0), (1.6, 0.3, 0.3))
+    rotation = any_turn(4)
+    axes = body_axes(turned(joined(box((0, 0, 0), (0.4, 4, 0.3)), feet, arms), rotation))
+    assert axes[1] @ rotation.apply([0, 1, 0]) > np.cos(np.radians(20))
+
+
+def test_what_is_up_can_be_said() -> None:
+    rotation = any_turn(2)
+    mesh, up = turned(person(), rotation), rotation.apply([1.0, 0.0, 0.0])
+    axes = rendering.body_axes(mesh.vertices, mesh.faces, up)
+    np.testing.assert_allclose(axes[1], up)
+    np.testing.assert_allclose(axes @ axes.T, np.eye(3), atol=1e-12)
+    assert np.linalg.det(axes) == pytest.approx(1)
+    np.testing.assert_allclose(np.abs(axes[2] @ rotation.as_matrix()), [0, 0, 1], atol=1e-3)  # the broad side
+    lying = pixels(rendering.thumbnail(mesh.vertices, mesh.faces, up=up))[:, :, 3] > 0
+    rows, columns = np.flatnonzero(lying.any(axis=1)), np.flatnonzero(lying.any(axis=0))
+    assert np.ptp(columns) > 1.5 * np.ptp(rows)
+
+
+def test_a_scan_stands_on_the_ground_that_was_removed() -> None:
+    mesh = person()
+    assert mesh.up is None
+    sizes = {"up_x": 0.0, "up_y": 0.0, "up_z": -1.0}
+    scanned = replace(
+        mesh, provenance=(Step("read", 0.1), Step("crop", 0.1, sizes), Step("reconstruct", 0.1))
+    )
+    np.testing.assert_array_equal(scanned.up, [0, 0, -1])
 
 
 def test_without_a_preference_the_axes_are_those_of_the_file() -> None:

@@ -10,7 +10,7 @@ import shapes
 
 from pcretrieve import process
 from pcretrieve.options import ScanOptions, SurfaceOptions
-from pcretrieve.scan import crop, ground_normal
+from pcretrieve.scan import crop
 from pcretrieve.simulation import POSES, RigOptions, body, make_subject, on_support, scan
 from pcretrieve.surface import SurfaceMarks, body_surfaces
 from pcretrieve.types import FloatArray, PointCloud, TriangleMesh
@@ -85,10 +85,10 @@ def test_on_a_scanned_ground_a_base_is_no_fault() -> None:
     points = np.concatenate([egg.points, floor])
     eye = points * [10, 10, 0] + np.array([0, 0, 2.0])
     scanned = PointCloud(points, viewpoints=eye)
-    up = ground_normal(crop(scanned, ScanOptions()))
+    up = crop(scanned, ScanOptions()).up
     assert up is not None
     np.testing.assert_allclose(up, [0, 0, 1], atol=0.01)
-    assert ground_normal(replace(scanned, provenance=())) is None
+    assert replace(scanned, provenance=()).up is None
     shape = process(scanned, {"surface": {"reconstructions": 1}})
     alone = process(PointCloud(egg.points), {"surface": {"reconstructions": 1}})
     assert shape.verdict is not None and alone.verdict is not None
