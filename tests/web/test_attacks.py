@@ -193,14 +193,18 @@ def test_addresses_lead_to_no_file(target: Target, place: str, up: str) -> None:
     for end in ("etc/passwd", "etc%2Fpasswd", "pyproject.toml"):
         assert target.ask(f"/{place}/{6 * up}{end}").status == 404
         assert target.ask(f"/{place}/{6 * up}{end}/similar").status == 404
+        assert target.ask(f"/compare?a=Egg00&b={6 * up}{end}").status == 404
 
 
-@pytest.mark.parametrize("field", ["q", "label", "state", "sort", "page", "k", "min_score"])
+FIELDS = ["q", "label", "state", "since", "until", "sort", "page", "k", "min_score", "a", "b"]
+
+
+@pytest.mark.parametrize("field", FIELDS)
 def test_fields_are_no_markup(target: Target, field: str) -> None:
     given = quote("\"'><script>alert(1)</script>")
-    for path in ("/", "/shape/Egg00", "/shapes", "/shapes/Egg00/similar"):
-        answer = target.ask(f"{path}?{field}={given}")
-        assert answer.status in (200, 400)
+    for path in ("/?", "/map?", "/shape/Egg00?", "/compare?a=Egg00&", "/shapes?", "/shapes/Egg00/similar?"):
+        answer = target.ask(f"{path}{field}={given}")
+        assert answer.status in (200, 400, 404)
         assert answer.headers["content-type"].startswith(("text/html", "application/json"))
         if answer.headers["content-type"].startswith("text/html"):
             assert b"<script>alert" not in answer.body

@@ -133,6 +133,8 @@ def test_no_answer_has_a_folder_of_the_server(server: Server, eggs: Path) -> Non
     paths = [
         *("/", "/shapes", "/shape/Egg00", "/shapes/Egg00/similar", "/shapes/broken", "/shape/broken"),
         *("/shapes/Egg00/similar.csv", "/shapes/none", "/shapes/Egg00/similar?label=none"),
+        *("/map", "/compare?a=Egg00&b=Egg01", "/compare?a=Egg00&b=broken", "/openapi.json"),
+        *("/shapes/Egg00/scene", "/shapes/Egg00/mesh.glb", "/shapes/broken/mesh.glb"),
     ]
     for path in paths:
         body = server.ask(path).body
