@@ -68,7 +68,7 @@ def report_command(
     \b
     pcretrieve report --catalogue bodies.sqlite -o bodies.html
     pcretrieve evaluate --catalogue bodies.sqlite --whitening none --csv none/
-    pcretrieve report --catalogue bodies.sqlite --versus none/queries.csv -o bodies.html
+    pcretrieve report -c bodies.sqlite --versus none/queries.csv -o bodies.html
     """
     from pcretrieve.catalogue import Catalogue
     from pcretrieve.evaluation import result_scores
