@@ -14,6 +14,7 @@ import sys
 from collections.abc import Callable
 from functools import cache
 from importlib import import_module
+from threading import RLock
 from types import ModuleType
 from typing import Any
 
@@ -49,7 +50,10 @@ VIEWER = "open3d.visualization.draw_plotly"
 ORDINARY = 1e-6, 1e6
 
 
-@cache
+# A search page imports Open3D in several threads at a time.
+IMPORTING = RLock()
+
+
 def library() -> Any:
     """Import Open3D.
 
@@ -58,6 +62,12 @@ def library() -> Any:
     module
         The module open3d, with messages disabled and on one thread.
     """
+    with IMPORTING:
+        return _quiet_library()
+
+
+@cache
+def _quiet_library() -> Any:
     open3d = _imported()
     open3d.utility.set_verbosity_level(open3d.utility.VerbosityLevel.Error)
     # OMP_NUM_THREADS has no effect from 0.20 on; older versions have no set_max_threads.
