@@ -21,6 +21,7 @@ from pcretrieve.evaluation import (
     query_scores,
     rank_catalogue,
 )
+from pcretrieve.evaluation.tables import unsupervised
 from pcretrieve.matching import DistanceMatrix
 from pcretrieve.options import PipelineOptions
 from pcretrieve.pages.cards import Card, Panel
@@ -92,6 +93,9 @@ def retrieval_page(
         no query in common with the catalogue, or the page cannot be written.
     """
     options = options or catalogue.options
+    if matrix is None:
+        # As the measures: with a whitening fitted to labels, the queries that they call bad would look good.
+        options = options.changed(retrieval={"whitening": unsupervised(options.retrieval).whitening})
     records = {record.id: record for record in catalogue.records()}
     ranking: Ranking
     index = drawing = None
