@@ -51,6 +51,11 @@ __all__ = ["serve_command"]
     rare=True,
     help="Largest heap of the process for scans from browsers.",
 )
+@click.option(
+    "--up",
+    type=click.Choice(["x", "-x", "y", "-y", "z", "-z"]),
+    help="The axis of the files that points upwards; by default found for each shape.",
+)
 @comparison_options
 def serve_command(
     catalogue: str,
@@ -59,6 +64,7 @@ def serve_command(
     max_upload: int,
     timeout: float,
     memory: float,
+    up: str | None,
     **comparison: Any,
 ) -> None:
     """Serve the search page of a catalogue to browsers of this computer, until Ctrl-C.
@@ -86,5 +92,6 @@ def serve_command(
         most_bytes=max_upload * 1_000_000,
         timeout=timeout,
         memory=memory,
+        up=up,
         on_start=write_line,
     )

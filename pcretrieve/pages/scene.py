@@ -61,7 +61,7 @@ class Cube(NamedTuple):
             Their colour.
         width : float
             Width of a point; unit of the scan.
-        **more
+        **more : value
             Further values, such as ``faces``, for the script of the viewer.
 
         Returns
@@ -75,13 +75,15 @@ class Cube(NamedTuple):
         return facts | {"width": width / self.half, "at": at} | more
 
 
-def surface_scene(mesh: TriangleMesh) -> dict[str, Any]:
+def surface_scene(mesh: TriangleMesh, up: FloatArray | None) -> dict[str, Any]:
     """A surface as the only layer, seen from its front.
 
     Parameters
     ----------
     mesh : TriangleMesh
         The surface.
+    up : (3,) float64 or None
+        The direction upwards; None: found from the surface.
 
     Returns
     -------
@@ -90,10 +92,21 @@ def surface_scene(mesh: TriangleMesh) -> dict[str, Any]:
     """
     cube, faces = Cube.around(mesh.vertices), encoded(mesh.faces.astype("<u4"))
     layer = cube.layer("surface", "surface", mesh.vertices, CLAY, width=0, faces=faces)
-    axes = body_axes(mesh.vertices, mesh.faces, mesh.up).tolist()
+    axes = body_axes(mesh.vertices, mesh.faces, up).tolist()
     return {"layers": [layer], "on": ["surface"], "axes": axes, "zoom": VIEWER_SIZE}
 
 
 def encoded(values: NDArray[Any]) -> str:
-    """The bytes of an array as base64."""
+    """The bytes of an array as base64.
+
+    Parameters
+    ----------
+    values : array
+        The array.
+
+    Returns
+    -------
+    str
+        Its bytes.
+    """
     return b64encode(np.ascontiguousarray(values).tobytes()).decode("ascii")

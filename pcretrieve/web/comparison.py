@@ -79,7 +79,7 @@ def compare_page(catalogue: Catalogue, title: str, a: str, b: str, options: Pipe
     )
 
 
-def scene_document(catalogue: Catalogue, shape_id: str) -> dict[str, Any]:
+def scene_document(catalogue: Catalogue, shape_id: str, up: FloatArray | None = None) -> dict[str, Any]:
     """The surface of a shape for the viewer of a browser, simplified if it has too many faces.
 
     Parameters
@@ -88,6 +88,8 @@ def scene_document(catalogue: Catalogue, shape_id: str) -> dict[str, Any]:
         The catalogue.
     shape_id : str
         The id of the shape.
+    up : (3,) float64, optional
+        The direction upwards; by default that of the mesh, or found from its surface.
 
     Returns
     -------
@@ -100,9 +102,10 @@ def scene_document(catalogue: Catalogue, shape_id: str) -> dict[str, Any]:
         If there is no such shape, or its mesh is not stored.
     """
     mesh = _mesh(catalogue, shape_id)
+    up = mesh.up if up is None else up
     if len(mesh.faces) > MOST_FACES:
         mesh = TriangleMesh(*simplify(mesh.vertices, mesh.faces, n_faces=MOST_FACES))
-    return surface_scene(mesh)
+    return surface_scene(mesh, up)
 
 
 def glb_of(catalogue: Catalogue, shape_id: str) -> bytes:

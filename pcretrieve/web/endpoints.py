@@ -99,7 +99,23 @@ class Endpoint(NamedTuple):
 
 
 def jobs_of(site: Site) -> Jobs:
-    """The uploaded scans of a server; NotFound if it takes none."""
+    """The uploaded scans of a server.
+
+    Parameters
+    ----------
+    site : Site
+        What the server has.
+
+    Returns
+    -------
+    Jobs
+        The scans.
+
+    Raises
+    ------
+    NotFound
+        If the server takes no scans.
+    """
     if site.jobs is None:
         raise NotFound("this server takes no scans: it was started with --read-only")
     return site.jobs
@@ -156,7 +172,7 @@ def _thumbnail(asked: Question) -> Reply:
 
 
 def _scene(asked: Question) -> Reply:
-    return json_reply(scene_document(asked.catalogue, asked.name))
+    return json_reply(scene_document(asked.catalogue, asked.name, asked.site.up))
 
 
 def _glb(asked: Question) -> Reply:

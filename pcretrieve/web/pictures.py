@@ -8,6 +8,7 @@ from threading import Lock
 from pcretrieve.catalogue import Catalogue
 from pcretrieve.errors import ShapeError
 from pcretrieve.rendering import thumbnail
+from pcretrieve.types import FloatArray
 from pcretrieve.web.requests import NotFound
 
 __all__ = ["Thumbnails"]
@@ -19,9 +20,16 @@ PIXELS = 200
 
 
 class Thumbnails:
-    """The thumbnails that were drawn last; any thread may ask for one."""
+    """The thumbnails that were drawn last; any thread may ask for one.
 
-    def __init__(self) -> None:
+    Parameters
+    ----------
+    up : (3,) float64, optional
+        The direction upwards of all shapes; by default found for each of them.
+    """
+
+    def __init__(self, up: FloatArray | None = None) -> None:
+        self._up = up
         self._kept: OrderedDict[tuple[str, str], bytes | None] = OrderedDict()
         self._lock = Lock()
 
@@ -55,7 +63,7 @@ class Thumbnails:
             if known:
                 self._kept.move_to_end(key)
         if not known:
-            picture = _drawn(catalogue, shape_id) if record.status == "done" else None
+            picture = _drawn(catalogue, shape_id, self._up) if record.status == "done" else None
             with self._lock:
                 self._kept[key] = picture
                 if len(self._kept) > MOST_KEPT:
@@ -65,9 +73,9 @@ class Thumbnails:
         return picture
 
 
-def _drawn(catalogue: Catalogue, shape_id: str) -> bytes | None:
+def _drawn(catalogue: Catalogue, shape_id: str, up: FloatArray | None) -> bytes | None:
     try:
         mesh = catalogue.mesh(shape_id)
-        return thumbnail(mesh.vertices, mesh.faces, up=mesh.up, size=PIXELS)
+        return thumbnail(mesh.vertices, mesh.faces, up=mesh.up if up is None else up, size=PIXELS)
     except ShapeError:
         return None

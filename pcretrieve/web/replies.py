@@ -32,17 +32,50 @@ class Reply(NamedTuple):
 
 
 def html_reply(page: str) -> Reply:
-    """A page, which is asked for again each time."""
+    """A page, which is asked for again each time.
+
+    Parameters
+    ----------
+    page : str
+        The page.
+
+    Returns
+    -------
+    Reply
+        The answer.
+    """
     return Reply(_encoded(page), "text/html")
 
 
 def json_reply(document: dict[str, Any]) -> Reply:
-    """A JSON document, which is asked for again each time."""
+    """A JSON document, which is asked for again each time.
+
+    Parameters
+    ----------
+    document : dict
+        The document.
+
+    Returns
+    -------
+    Reply
+        The answer.
+    """
     return Reply(json.dumps(document, separators=(",", ":")), "application/json")
 
 
 def csv_reply(table: str) -> Reply:
-    """A table, which browsers store as a file."""
+    """A table, which browsers store as a file.
+
+    Parameters
+    ----------
+    table : str
+        The table.
+
+    Returns
+    -------
+    Reply
+        The answer.
+    """
     headers = FRESH | {"content-disposition": 'attachment; filename="similar.csv"'}
     return Reply(_encoded(table), "text/csv", headers)
 

@@ -11,8 +11,10 @@ from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
 
+import numpy as np
+
 from pcretrieve.catalogue import Catalogue
-from pcretrieve.errors import InputError
+from pcretrieve.errors import InputError, OptionError
 from pcretrieve.options import OptionsLike, PipelineOptions
 from pcretrieve.retrieval import N_INTERPRETED
 from pcretrieve.web.application import application
@@ -26,6 +28,11 @@ __all__ = ["serve"]
 ADDRESS = "127.0.0.1"
 
 TOKEN = re.compile(r"[A-Za-z0-9_-]+")
+
+# The directions upwards that pictures may have.
+AXES = {
+    sign + axis: float(f"{sign}1") * np.eye(3)[row] for row, axis in enumerate("xyz") for sign in ("", "-")
+}
 
 # Largest number of threads that answer; more would wait for each other, because Python runs one at a time.
 MOST_READERS = 4
@@ -47,6 +54,7 @@ def serve(
     most_bytes: int = 200_000_000,
     timeout: float = 300.0,
     memory: float = 4.0,
+    up: str | None = None,
     on_start: Callable[[str], None] = lambda address: None,
 ) -> None:
     """Serve the search page of a catalogue to browsers of this computer, until Ctrl-C or SIGTERM.
@@ -69,6 +77,9 @@ def serve(
         Longest time to process an uploaded scan; seconds.
     memory : float, default 4
         Largest heap of the process that processes uploaded scans; GiB.
+    up : {"x", "-x", "y", "-y", "z", "-z"}, optional
+        The axis of the files that points upwards, for the pictures of all shapes. By default it is found for
+        each: by the ground that was removed from its scan, or from the surface.
     on_start : function, optional
         Called with the address that contains the token, as soon as the server accepts connections.
 
@@ -77,9 +88,13 @@ def serve(
     InputError
         If Starlette or uvicorn are not installed, the token has other characters than letters, digits, ``-``
         and ``_``, the port is used by another program, or the catalogue has no shapes that can be compared.
+    OptionError
+        If `up` is no axis.
     CatalogueError
         If the catalogue cannot be opened, or the options require other spectra than it has.
     """
+    if up is not None and up not in AXES:
+        raise OptionError(f"up must be one of {', '.join(AXES)}, got {up!r}")
     missing = [name for name in ("starlette", "uvicorn") if find_spec(name) is None]
     if missing:
         raise InputError(f"the search page needs {' and '.join(missing)}: pip install 'pcretrieve[web]'")
@@ -93,7 +108,7 @@ def serve(
         raise InputError("the token must be ASCII letters, digits, - and _ only, as it is part of an address")
     readers = Readers(str(catalogue), min(MOST_READERS, len(os.sched_getaffinity(0)) + 1))
     jobs = None if read_only else Jobs(scanned, timeout=timeout, memory=memory)
-    site = Site(readers, title, chosen, jobs, most_bytes)
+    site = Site(readers, title, chosen, jobs, most_bytes, None if up is None else AXES[up])
     try:
         guarded = Guard(application(site), key)
         with _listening(port) as listener:

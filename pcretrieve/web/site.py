@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from pcretrieve.options import PipelineOptions
+from pcretrieve.types import FloatArray
 from pcretrieve.web.jobs import Jobs
 from pcretrieve.web.maps import Maps
 from pcretrieve.web.pictures import Thumbnails
@@ -33,6 +34,8 @@ class Site:
         The thumbnails that were drawn.
     maps : Maps
         The map of the collection.
+    up : (3,) float64 or None
+        The direction upwards of all shapes; None if it is found for each of them.
     """
 
     readers: Readers
@@ -40,5 +43,9 @@ class Site:
     options: PipelineOptions
     jobs: Jobs | None
     most_bytes: int
-    thumbnails: Thumbnails = field(default_factory=Thumbnails)
+    up: FloatArray | None = None
+    thumbnails: Thumbnails = field(init=False)
     maps: Maps = field(default_factory=Maps)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "thumbnails", Thumbnails(self.up))

@@ -5,12 +5,14 @@ from __future__ import annotations
 import json
 import re
 from html import unescape
+from io import BytesIO
 from pathlib import Path
 from urllib.parse import quote
 
 import pytest
 from click.testing import CliRunner
-from search_server import NASTY, Server
+from PIL import Image
+from search_server import NASTY, Server, running
 
 from pcretrieve.cli.main import cli
 from pcretrieve.web.documents import without_folders
@@ -54,6 +56,17 @@ def test_the_collection_is_searched_filtered_and_sorted(
     found = ids(server.ask(f"/?{query}").body)
     assert found == [shape["id"] for shape in server.ask(f"/shapes?{query}").json["shapes"]]
     assert found == expected
+
+
+def test_shapes_stand_on_the_axis_that_is_given(eggs: Path) -> None:
+    upright, lying = ([0.0, 0.0, 1.0], [1.0, 0.0, 0.0])
+    for name, up in (("z", upright), ("x", lying)):
+        with running(eggs, "--up", name, "--read-only") as server:
+            assert server.ask("/shapes/Egg20/scene").json["axes"][1] == pytest.approx(up, abs=1e-6)
+            picture = server.ask("/shapes/Egg20/thumbnail.png").body
+            with Image.open(BytesIO(picture)) as drawn:
+                left, top, right, bottom = drawn.convert("RGBA").getchannel("A").getbbox()
+            assert (bottom - top > right - left) == (name == "z")
 
 
 def test_neighbours_are_those_of_the_command_line(server: Server, eggs: Path) -> None:
