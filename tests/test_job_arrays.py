@@ -101,7 +101,15 @@ def test_slurm(folder: Path, expected: Rows) -> None:
     assert rows(folder / "all.sqlite") == expected
 
 
-@pytest.mark.skipif(shutil.which("parallel") is None, reason="GNU parallel is not installed")
+def is_gnu_parallel() -> bool:
+    """Whether the program `parallel` is that of GNU: moreutils has another one of this name."""
+    if shutil.which("parallel") is None:
+        return False
+    said = subprocess.run(["parallel", "--version"], capture_output=True, text=True)
+    return said.stdout.startswith("GNU parallel")
+
+
+@pytest.mark.skipif(not is_gnu_parallel(), reason="GNU parallel is not installed")
 def test_gnu_parallel(folder: Path, expected: Rows) -> None:
     run(["bash", "-e", "-c", example("bash")], folder)
     assert rows(folder / "all.sqlite") == expected

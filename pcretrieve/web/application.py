@@ -71,7 +71,8 @@ def application(site: Site) -> Application:
     def answered(endpoint: Endpoint) -> Callable[[Request], Awaitable[Response]]:
         async def handler(request: Request) -> Response:
             name, fields = _name(request), request.query_params
-            reply = await site.readers.read(
+            readers = site.searching if endpoint.searches else site.drawing
+            reply = await readers.read(
                 lambda catalogue: endpoint.answer(Question(site, catalogue, name, fields))
             )
             return Response(reply.content, media_type=reply.media_type, headers=dict(reply.headers))

@@ -97,6 +97,11 @@ class Endpoint(NamedTuple):
     media_type: str = "text/html"
     fields: tuple[Field, ...] = ()
 
+    @property
+    def searches(self) -> bool:
+        """Whether the answer is one search, which takes milliseconds, or less."""
+        return self.fields == ASKED or self.path in ("/shapes/{id}", "/scans/{id}")
+
 
 def jobs_of(site: Site) -> Jobs:
     """The uploaded scans of a server.

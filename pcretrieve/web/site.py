@@ -20,8 +20,8 @@ class Site:
 
     Attributes
     ----------
-    readers : Readers
-        The threads that read the catalogue.
+    searching, drawing : Readers
+        The threads that read the catalogue: for searches, and for all that takes longer.
     title : str
         Name of the collection.
     options : PipelineOptions
@@ -38,7 +38,8 @@ class Site:
         The direction upwards of all shapes; None if it is found for each of them.
     """
 
-    readers: Readers
+    searching: Readers
+    drawing: Readers
     title: str
     options: PipelineOptions
     jobs: Jobs | None

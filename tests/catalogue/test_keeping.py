@@ -130,7 +130,7 @@ def test_meshes_are_left_out_at_the_command_line(tmp_path: Path) -> None:
     stored = json.loads(run("show", "egg0", "-c", path, "--json").output)["result"]["stored_bytes"]
     assert (stored["meshes"], stored["overlaps"]) == (0, 0)
     assert sum(stored.values()) < 30_000
-    assert "egg0" in run("query", "egg0", "-c", path).stdout.splitlines()[0]
+    assert "egg0" in run("query", "egg0", "-c", path).stdout.splitlines()[1]
     exported = run("export", "egg0", "-c", path, "-o", tmp_path / "egg0.ply")
     assert isinstance(exported.exception, ShapeError)
     assert str(exported.exception).startswith("[egg0 / signature] gone: the shape must hold its mesh")
