@@ -211,6 +211,19 @@ def test_a_query_says_how_its_results_were_found(nearest: str, how: str, catalog
     assert isinstance(refused.exception, OptionError)
 
 
+def test_an_answer_whose_best_score_is_small_is_probably_no_match(catalogue: Path) -> None:
+    ((_, near),) = pr.search_many(catalogue, ["11"], k=4)
+    assert isinstance(near, pr.Answer) and near.best_score is not None
+    assert near.best_score > 0.5 and not near.is_unlikely
+    assert str(near).startswith("class kind1 by ")
+    far_away = dataclasses.replace(near.neighbors, scores=np.array([0.2, 0.21, 0.1, 0.1]))
+    far = dataclasses.replace(near, neighbors=far_away)
+    assert far.is_unlikely
+    assert str(far).startswith("probably no match: the best score is 0.21; nearest class kind1 by ")
+    # Scores without classes are shares of mutual neighbours, which are not probabilities of a match.
+    assert not dataclasses.replace(far, vote=None).is_unlikely
+
+
 def test_other_labels_give_other_scores(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Also of an index that is kept, and whose whitening does not depend on labels."""
     monkeypatch.setattr(gallery, "SMALLEST_KEPT", 1)

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from pcretrieve.errors import PcretrieveError, ShapeError
     from pcretrieve.options import PipelineOptions
     from pcretrieve.searching import Answer, Described
+    from pcretrieve.types import Verdict
 
 __all__ = ["query_command"]
 
@@ -32,8 +33,8 @@ COLUMNS = (
     *(Column(heading, "number") for heading in ("RANK", "DISTANCE", "SCORE")),
     *(Column("CLASS"), Column("ID"), Column("FILE", "path")),
 )
-# Of a result whose signature is doubtful or unusable.
-DOUBT = Column("VERDICT", "words")
+# Of a result whose signature is doubtful or unusable; `show` and --json give the reasons.
+DOUBT = Column("VERDICT")
 
 Row = dict[str, Any]
 Outcomes = Iterator[tuple[str, "Answer | ShapeError"]]
@@ -247,12 +248,17 @@ def _print_lines(outcomes: Outcomes, *, headed: bool) -> None:
                 row["label"] or "-",
                 row["id"],
                 shown_path(row["path"]),
-                str(record.verdict) if record.is_doubtful else "",
+                _judged(record.verdict) if record.verdict and record.is_doubtful else "",
             )
             for row, record in zip(result_rows(answer), answer.records, strict=True)
         )
         write_table(columns, (cells[: len(columns)] for cells in rows))
         write_line(str(answer))
+
+
+def _judged(verdict: Verdict) -> str:
+    """A verdict without its reasons, which are longer than the other columns together."""
+    return f"{verdict.judgement}, ± {verdict.uncertainty:.2g}"
 
 
 def _print_csv(outcomes: Outcomes) -> None:

@@ -195,19 +195,22 @@ def fit_scores(
     classes = np.unique([label for label in sample.labels if label is not None])
     if labelled and whitening.kind != "within-class":
         pairs = _class_pairs(sample, np.arange(len(sample.labels)), whitening, distance)
-        reason = f"share of pairs of one class among {len(pairs.same)} pairs of {len(classes)} classes"
+        reason = (
+            f"share of pairs of one class among pairs as near, of {len(pairs.same)} pairs of {len(classes)} "
+            "classes"
+        )
     elif labelled and len(classes) >= 4:
         parts = list(_left_out(sample, classes, distance, shrinkage, metric))
         if not parts:
             return None
         pairs = _Pairs(*(np.concatenate(part) for part in zip(*parts, strict=True)))
         reason = (
-            f"share of pairs of one class among {len(pairs.same)} pairs of {len(classes)} classes, each left "
-            "out of the whitening"
+            f"share of pairs of one class among pairs as near, of {len(pairs.same)} pairs of {len(classes)} "
+            "classes, each left out of the whitening"
         )
     elif len(sample.logs) >= LEAST_SHAPES:
         pairs = _mutual_pairs(sample, whitening, distance)
-        reason = f"share of mutual neighbours among {len(pairs.same)} pairs, because there are no labels"
+        reason = f"share of mutual neighbours among pairs as near, of {len(pairs.same)} pairs without labels"
     else:
         return None
     if pairs.same.sum() < LEAST_PAIRS or pairs.same.all():

@@ -15,6 +15,9 @@ from pcretrieve.values import Value
 
 __all__ = ["Answer"]
 
+# Pairs with a smaller score are of two classes more often than of one (a convention).
+LIKELY_SCORE = 0.5
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Answer(Value):
@@ -48,14 +51,26 @@ class Answer(Value):
         """Class of each neighbour; None if unknown."""
         return tuple(record.label for record in self.records)
 
+    @property
+    def best_score(self) -> float | None:
+        """The greatest score of a neighbour, between 0 and 1; None if scores are not known."""
+        known = self.neighbors.scores
+        return None if known is None or not len(known) else float(known.max())
+
+    @property
+    def is_unlikely(self) -> bool:
+        """Whether classes are known, and each neighbour is probably of another class than the query."""
+        return self.vote is not None and self.best_score is not None and self.best_score < LIKELY_SCORE
+
     def __str__(self) -> str:
         """The verdict, in one line: the class, how sure it is, and which ranks could swap."""
         if not self.records:
             return "no match"
-        parts = []
+        parts = [f"probably no match: the best score is {self.best_score:.2f}"] if self.is_unlikely else []
         if self.vote is not None:
+            nearest = "nearest class" if self.is_unlikely else "class"
             parts.append(
-                f"class {self.vote.label} by {self.vote.share:.0%} of {self.vote.n_voters} votes, "
+                f"{nearest} {self.vote.label} by {self.vote.share:.0%} of {self.vote.n_voters} votes, "
                 f"margin {self.vote.margin:.0%}"
             )
         if self.rank_ranges is not None:

@@ -107,6 +107,7 @@ def test_programs_get_whole_values_under_headings(folder: Path, monkeypatch: pyt
     assert row.endswith(f"  doubtful, ± 0.4: {REASON}")
     rows = piped(folder, monkeypatch, "query", "-c", "c.sqlite", "egg0")
     assert rows[0].split() == ["RANK", "DISTANCE", "SCORE", "CLASS", "ID", "FILE", "VERDICT"]
+    assert [line[line.index("doubtful") :] for line in rows if "doubtful" in line] == ["doubtful, ± 0.4"]
     starts = {line.index(word) for line, word in zip(rows, ("FILE", *[DEEP] * 3), strict=False)}
     assert len(starts) == 1, "columns are aligned"
     assert not any("\x1b" in line for line in (*lines, *rows))

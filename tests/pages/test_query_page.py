@@ -114,6 +114,13 @@ def test_no_match_is_said_as_such(catalogue: Catalogue, folder: Path) -> None:
     assert '<ol class="results">' not in page.read_text("utf-8")
 
 
+def test_an_improbable_match_is_said_as_such(catalogue: Catalogue, folder: Path) -> None:
+    answer = answer_of(catalogue, folder / "new.off", 3)
+    far = replace(answer, neighbors=replace(answer.neighbors, scores=np.full(3, 0.25)))
+    page = write_query_page(folder / "far.html", catalogue, [("new.off", far)])
+    assert "Probably no match : the best score is 0.25. Nearest is kind1 , by " in words_of(page)
+
+
 def test_ranges_of_ranks_are_shown_where_ranks_could_swap(catalogue: Catalogue, folder: Path) -> None:
     answer = answer_of(catalogue, folder / "new.off", 4)
     assert answer.rank_ranges is not None and (answer.rank_ranges[:, 0] == answer.rank_ranges[:, 1]).all()

@@ -60,7 +60,7 @@ def test_pools_are_those_of_isotonic_regression(seed: int) -> None:
 
 def test_a_score_is_the_share_among_new_pairs_that_near() -> None:
     found, _ = fitted(*classes(120, 8, seed=0, spread=0.25))
-    assert found.reason == "share of pairs of one class among 460320 pairs of 120 classes"
+    assert found.reason == "share of pairs of one class among pairs as near, of 460320 pairs of 120 classes"
     distances, same = pairs_of(*classes(120, 8, seed=1, spread=0.25))
     given = found.of(distances)
     for low in (0.05, 0.2, 0.4):
@@ -92,7 +92,7 @@ def test_without_labels_mutual_neighbours_are_counted() -> None:
     whitening = fit_whitening("none", logs)
     found = fit_scores(pair_sample(logs, [None] * len(logs)), whitening)
     assert found is not None
-    assert found.reason == "share of mutual neighbours among 7140 pairs, because there are no labels"
+    assert found.reason == "share of mutual neighbours among pairs as near, of 7140 pairs without labels"
     distances, same = pairs_of(logs, labels)
     assert same[found.of(distances) > 0.5].mean() > 0.9
     assert same[found.of(distances) < 0.1].mean() < 0.1
