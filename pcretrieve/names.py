@@ -1,10 +1,13 @@
-"""The names of what other packages can add, without an import of the records."""
+"""Names that commands complete and check, without an import of what they name."""
 
 from __future__ import annotations
 
 from pcretrieve.plugins import Names
 
-__all__ = ["METHODS", "NAMES", "fused_names", "has_size", "known_method"]
+__all__ = ["METHODS", "NAMES", "UPWARD", "fused_names", "has_size", "known_method"]
+
+#: The axes of files that may point upwards on pictures.
+UPWARD = ("x", "-x", "y", "-y", "z", "-z")
 
 #: The descriptors of pcretrieve by name, and whether their values have a size, without which the scale
 #: "absolute" is not defined. The records in `pcretrieve.descriptors` say more.

@@ -19,7 +19,7 @@ from pcretrieve.types import FloatArray
 
 __all__ = ["packed", "packed_symmetric", "packed_values", "unpacked", "unpacked_symmetric", "unpacked_values"]
 
-DTYPES = tuple(np.dtype(name) for name in ("<f8", "<i4", "<i8", "|i1"))
+DTYPES = tuple(np.dtype(name) for name in ("<f8", "<i4", "<i8", "|i1", "|u1"))
 
 # Smallest number of bytes of an array that is compressed. Compression hardly reduces smaller arrays.
 SHORTEST_COMPRESSED = 4096
@@ -38,7 +38,7 @@ def packed(arrays: Sequence[NDArray[Any]]) -> bytes:
     Parameters
     ----------
     arrays : sequence of arrays
-        Arrays of float64, int32, int64 or int8.
+        Arrays of float64, int32, int64, int8 or uint8.
 
     Returns
     -------

@@ -9,7 +9,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from pcretrieve.catalogue.arrays import unpacked_values
+from pcretrieve.catalogue.arrays import unpacked, unpacked_values
 from pcretrieve.catalogue.rows import OWN, Entry, Payload
 from pcretrieve.catalogue.surfaces import stored_shape
 from pcretrieve.errors import ShapeError
@@ -52,6 +52,11 @@ def faults_of(entry: Entry, options: PipelineOptions) -> Iterator[str]:
         yield f"its {' and '.join(missing)} are missing"
     if "spectra" in entry.payloads:
         yield from _faults_of_arrays(entry)
+    if "thumbnails" in entry.payloads:
+        try:
+            unpacked(entry.payloads["thumbnails"])
+        except (ValueError, struct.error, zlib.error) as error:
+            yield f"its thumbnail cannot be read: {error}"
 
 
 def _faults_of_signatures(entry: Entry, options: PipelineOptions) -> Iterator[str]:

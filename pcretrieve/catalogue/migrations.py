@@ -123,7 +123,7 @@ def _migrate(connection: sqlite3.Connection, path: Path) -> None:
 
 
 def _add_columns(connection: sqlite3.Connection, version: int) -> None:
-    """Add the columns of later versions, which are empty: none of this was known of the shapes."""
+    """Add the columns and the table of later versions, which are empty: none of this was known before."""
     for since, table, column in (
         (3, "shapes", "judgement TEXT"),
         (3, "shapes", "uncertainty REAL"),
@@ -134,6 +134,8 @@ def _add_columns(connection: sqlite3.Connection, version: int) -> None:
     ):
         if version < since:
             connection.execute(f"ALTER TABLE {table} ADD COLUMN {column}")
+    # Thumbnails of earlier shapes are drawn when they are needed.
+    connection.execute("CREATE TABLE thumbnails (shape INTEGER PRIMARY KEY, arrays BLOB NOT NULL)")
     if version < 3:
         connection.execute("CREATE INDEX doubtful_shapes ON shapes (id) WHERE judgement <> 'sound'")
     connection.execute(f"PRAGMA user_version = {SCHEMA_VERSION}")

@@ -1,4 +1,4 @@
--- Version 4: what schema.sql has, in a schema of a PostgreSQL database. Texts are compared by code point, as in Python
+-- Version 5: what schema.sql has, in a schema of a PostgreSQL database. Texts are compared by code point, as in Python
 -- and in SQLite (the collation "C").
 CREATE TABLE meta (
     key   text PRIMARY KEY,         -- options (JSON), numbers_version, schema_version, revision, label_revision
@@ -49,7 +49,7 @@ CREATE TABLE signatures (
 CREATE INDEX signatures_by_shape ON signatures (shape);
 CREATE TABLE payloads (
     shape  bigint NOT NULL REFERENCES shapes ON DELETE CASCADE,
-    name   text COLLATE "C" NOT NULL,   -- spectra, moments, overlaps or meshes
+    name   text COLLATE "C" NOT NULL,   -- spectra, moments, overlaps, meshes or thumbnails
     arrays bytea NOT NULL,
     PRIMARY KEY (shape, name)
 );

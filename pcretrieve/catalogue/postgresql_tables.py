@@ -15,14 +15,15 @@ from pcretrieve.errors import CatalogueError
 
 __all__ = ["SCHEMA_VERSION", "changed", "orphans", "prepare_tables", "read_settings"]
 
-SCHEMA_VERSION = 4
+SCHEMA_VERSION = 5
 
 # Statements that turn a version into the next one, by the earlier version.
 MIGRATIONS: dict[int, tuple[str, ...]] = {
     3: (
         "ALTER TABLE shapes ADD COLUMN stamp text",
         *(f"ALTER TABLE shapes ADD COLUMN {name} bigint" for name in CHECKSUM_COLUMNS.values()),
-    )
+    ),
+    4: (),  # thumbnails are further payloads
 }
 
 # Number of rows that get their checksums together.

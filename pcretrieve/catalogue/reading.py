@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from pcretrieve.catalogue.arrays import unpacked_values
+from pcretrieve.catalogue.arrays import unpacked, unpacked_values
 from pcretrieve.catalogue.opening import intact
 from pcretrieve.catalogue.record import Record
 from pcretrieve.catalogue.rows import OWN, Origin, Rows, Status
@@ -154,6 +154,34 @@ class StoredShapes:
         except ShapeError as error:
             error.shape_id = shape_id
             raise
+
+    def thumbnail(self, shape_id: str) -> bytes | None:
+        """The picture of a shape that was stored with it.
+
+        Parameters
+        ----------
+        shape_id : str
+            The id of a shape.
+
+        Returns
+        -------
+        bytes or None
+            A PNG file by `pcretrieve.rendering.thumbnail`, perhaps of an earlier version; None if none was
+            stored.
+
+        Raises
+        ------
+        InputError
+            If there is no shape of this id.
+        CatalogueError
+            If the stored bytes are damaged.
+        """
+        found = self._rows.read(shape_id, ["thumbnails"])
+        if found is None:
+            raise unknown(self._rows, shape_id)
+        stored = found[1].get("thumbnails")
+        with intact(self.location, f"the thumbnail of {shape_id!r}"):
+            return None if stored is None else unpacked(stored)[0].tobytes()
 
     def signature(self, shape_id: str) -> FloatArray:
         """The signature of a shape by the options of the catalogue.

@@ -22,10 +22,13 @@ class Content:
         The shape; each of its surfaces has its mesh and its spectrum.
     signature : (L,) float64
         Values of the signature by the options of the catalogue.
+    thumbnail : bytes or None
+        Picture of the first surface, by `pcretrieve.rendering.thumbnail`; a PNG file.
     """
 
     shape: Shape
     signature: FloatArray
+    thumbnail: bytes | None = None
 
 
 @dataclass(frozen=True, slots=True)

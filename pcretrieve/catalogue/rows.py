@@ -20,8 +20,8 @@ from pcretrieve.catalogue.record import Record
 __all__ = ["OWN", "PAYLOADS", "Entry", "Listed", "Origin", "Payload", "Revision", "Rows", "Status"]
 
 #: The parts that are stored of a shape besides its record and its signatures; each can be read separately.
-Payload = Literal["spectra", "moments", "overlaps", "meshes"]
-PAYLOADS: tuple[Payload, ...] = ("spectra", "moments", "overlaps", "meshes")
+Payload = Literal["spectra", "moments", "overlaps", "meshes", "thumbnails"]
+PAYLOADS: tuple[Payload, ...] = ("spectra", "moments", "overlaps", "meshes", "thumbnails")
 
 Status = Literal["done", "failed"]
 

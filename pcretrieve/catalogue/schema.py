@@ -9,7 +9,7 @@ from importlib import resources
 
 __all__ = ["NEW_NAME", "SCHEMA_VERSION", "create_tables", "table_names", "transaction"]
 
-SCHEMA_VERSION = 4
+SCHEMA_VERSION = 5
 
 # SQL for the name of a state of the catalogue. It is random, because a counter would give two states the same
 # name if a copy of an earlier state is restored and then changed.

@@ -1,4 +1,4 @@
--- Version 4. The table shapes has the small columns that are searched and listed. Everything that is read for single
+-- Version 5. The table shapes has the small columns that are searched and listed. Everything that is read for single
 -- shapes only is in further tables, by the number of the shape.
 CREATE TABLE meta (
     key   TEXT PRIMARY KEY,         -- options (JSON), numbers_version, revision, label_revision
@@ -65,4 +65,8 @@ CREATE TABLE overlaps (
 CREATE TABLE meshes (
     shape  INTEGER PRIMARY KEY,
     arrays BLOB NOT NULL            -- vertices and faces of each surface in turn, unit length of the file
+);
+CREATE TABLE thumbnails (
+    shape  INTEGER PRIMARY KEY,
+    arrays BLOB NOT NULL            -- bytes of a PNG file: a picture of the first surface
 );

@@ -6,7 +6,9 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
 
-from pcretrieve.catalogue.arrays import packed_values
+import numpy as np
+
+from pcretrieve.catalogue.arrays import packed, packed_values
 from pcretrieve.catalogue.checking import check_rows, set_to_be_ingested_again
 from pcretrieve.catalogue.defects import Defect
 from pcretrieve.catalogue.gallery import Gallery
@@ -107,6 +109,8 @@ class Catalogue(StoredShapes):
         if content is None:
             return self._rows.put(record, None, {})
         payloads = payloads_of(content.shape, self.options)
+        if content.thumbnail is not None:
+            payloads["thumbnails"] = packed([np.frombuffer(content.thumbnail, np.uint8)])
         return self._rows.put(record, packed_values(content.signature), payloads)
 
     def remove(self, *shape_ids: str) -> None:

@@ -11,7 +11,7 @@ from pcretrieve.cli.commands import command
 from pcretrieve.cli.comparison import compared, comparison_options
 from pcretrieve.cli.documents import write_document
 from pcretrieve.cli.messages import write_line
-from pcretrieve.cli.parts import catalogue_option, json_option
+from pcretrieve.cli.parts import catalogue_option, json_option, up_option
 
 __all__ = ["map_command"]
 
@@ -26,9 +26,10 @@ __all__ = ["map_command"]
     metavar="PNG|HTML",
     help="The picture or the page to write.",
 )
+@up_option
 @comparison_options
 @json_option
-def map_command(catalogue: str, output: Path, as_json: bool, **comparison: Any) -> None:
+def map_command(catalogue: str, output: Path, up: str | None, as_json: bool, **comparison: Any) -> None:
     """Draw the shapes of a catalogue in the plane, shapes with similar signatures near each other.
 
     The default whitening does not use labels. A page (.html) shows the name and a thumbnail of the shape
@@ -42,7 +43,7 @@ def map_command(catalogue: str, output: Path, as_json: bool, **comparison: Any) 
 
     with Catalogue(catalogue) as store:
         options = compared(store, **comparison)
-        page = draw_map(store, output, options=options)
+        page = draw_map(store, output, options=options, up=up)
     if as_json:
         write_document({"page": str(page)}, options=options)
     else:

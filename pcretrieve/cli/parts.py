@@ -10,6 +10,7 @@ import click
 
 from pcretrieve.cli.commands import option
 from pcretrieve.cli.completion import CATALOGUE_VARIABLE, complete_presets
+from pcretrieve.names import UPWARD
 
 if TYPE_CHECKING:
     from pcretrieve.options import PipelineOptions
@@ -26,6 +27,7 @@ __all__ = [
     "load_options",
     "surface_option",
     "unit_option",
+    "up_option",
 ]
 
 EXIT_SOME_FAILED = 3
@@ -33,6 +35,12 @@ EXIT_INTERRUPTED = 130
 
 #: The type of an option that names a catalogue: a string, because a path would lose a slash of a URL.
 CATALOGUE = click.Path()
+up_option = option(
+    "--up",
+    type=click.Choice(UPWARD),
+    rare=True,
+    help="The axis of the files that points upwards on pictures; by default found for each shape.",
+)
 catalogue_option = click.option(
     "--catalogue",
     "-c",

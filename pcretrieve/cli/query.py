@@ -15,7 +15,14 @@ from pcretrieve.cli.comparison import compared, comparison_options, matrix_optio
 from pcretrieve.cli.completion import complete_labels, complete_queries
 from pcretrieve.cli.documents import write_documents
 from pcretrieve.cli.messages import say, shown_path, write_csv, write_line
-from pcretrieve.cli.parts import EXIT_SOME_FAILED, catalogue_option, json_option, limit_options, unit_option
+from pcretrieve.cli.parts import (
+    EXIT_SOME_FAILED,
+    catalogue_option,
+    json_option,
+    limit_options,
+    unit_option,
+    up_option,
+)
 from pcretrieve.cli.tables import Column, write_table
 from pcretrieve.csv_text import csv_text
 
@@ -118,6 +125,7 @@ class LabelFilter(click.ParamType):  # type: ignore[type-arg]  # generic since c
     metavar="PAGE",
     help="Also write an HTML page of all queries, with pictures.",
 )
+@up_option
 def query_command(
     queries: tuple[str, ...],
     catalogue: str,
@@ -132,6 +140,7 @@ def query_command(
     as_json: bool,
     as_csv: bool,
     page: Path | None,
+    up: str | None,
     **comparison: Any,
 ) -> None:
     """Find the shapes most similar to scans, or to shapes of the catalogue, nearest first.
@@ -171,12 +180,19 @@ def query_command(
             labels=labels or None,
             exclude_self=exclude_self,
             min_score=min_score,
-            describe_scans=partial(_described, timeout, memory, page is not None),
+            describe_scans=partial(_described, timeout, memory, page is not None, up),
         )
         if page is not None:
             known = list(answers)  # of all queries, before the first is printed
             written = write_query_page(
-                page, store, known, options=options, matrix=distances, labels=labels, min_score=min_score
+                page,
+                store,
+                known,
+                options=options,
+                matrix=distances,
+                labels=labels,
+                min_score=min_score,
+                up=up,
             )
             say(f"page: {printable(written)}")
             answers = iter(known)
@@ -278,6 +294,7 @@ def _described(
     timeout: float,
     memory: float | None,
     with_pictures: bool,
+    up: str | None,
     scans: Sequence[Path],
     options: PipelineOptions,
 ) -> Iterator[tuple[Path, Described | PcretrieveError]]:
@@ -287,18 +304,18 @@ def _described(
     from pcretrieve.ingestion.discover import printable
     from pcretrieve.ingestion.isolation import Isolation
 
-    isolated = partial(_isolated, options, with_pictures)
+    isolated = partial(_isolated, options, with_pictures, up)
     for scan, outcome in Isolation(timeout, memory).each(isolated, scans):
         if not isinstance(outcome, PcretrieveError) and outcome.verdict and not outcome.verdict.is_sound:
             say(f"{shown_path(printable(scan))} is {outcome.verdict}")
         yield scan, outcome
 
 
-def _isolated(options: PipelineOptions, with_picture: bool, scan: Path) -> Described:
+def _isolated(options: PipelineOptions, with_picture: bool, up: str | None, scan: Path) -> Described:
     """The signature of a scan and the verdict on it, in a worker process, which imports the stages."""
     from pcretrieve.pipeline.process import judged_signature
     from pcretrieve.searching import Described, pictured
 
     if with_picture:
-        return pictured(scan, options)
+        return pictured(scan, options, up)
     return Described(*judged_signature(scan, options))

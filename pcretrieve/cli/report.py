@@ -11,7 +11,7 @@ from pcretrieve.cli.commands import command
 from pcretrieve.cli.comparison import compared, comparison_options, matrix_option, read_distances
 from pcretrieve.cli.documents import write_document
 from pcretrieve.cli.messages import write_line
-from pcretrieve.cli.parts import CATALOGUE, catalogue_option, json_option
+from pcretrieve.cli.parts import CATALOGUE, catalogue_option, json_option, up_option
 
 __all__ = ["report_command"]
 
@@ -47,6 +47,7 @@ __all__ = ["report_command"]
     metavar="RESULT",
     help="Compare with another result, query by query: queries.csv of `evaluate --csv`, or a catalogue.",
 )
+@up_option
 @matrix_option
 @comparison_options
 @json_option
@@ -56,6 +57,7 @@ def report_command(
     queries: int | None,
     k: int,
     versus: str | None,
+    up: str | None,
     matrix: Path | None,
     as_json: bool,
     **comparison: Any,
@@ -86,6 +88,7 @@ def report_command(
             matrix=distances,
             other=None if versus is None else result_scores(versus, lambda other: other.options),
             other_name=versus or "",
+            up=up,
         )
     if as_json:
         write_document({"page": str(page)}, options=options)

@@ -9,7 +9,7 @@ import click
 from pcretrieve.cli.commands import command, option
 from pcretrieve.cli.comparison import compared, comparison_options
 from pcretrieve.cli.messages import say, write_line
-from pcretrieve.cli.parts import catalogue_option
+from pcretrieve.cli.parts import catalogue_option, up_option
 
 __all__ = ["serve_command"]
 
@@ -51,11 +51,7 @@ __all__ = ["serve_command"]
     rare=True,
     help="Largest heap of the process for scans from browsers.",
 )
-@click.option(
-    "--up",
-    type=click.Choice(["x", "-x", "y", "-y", "z", "-z"]),
-    help="The axis of the files that points upwards; by default found for each shape.",
-)
+@up_option
 @comparison_options
 def serve_command(
     catalogue: str,

@@ -85,7 +85,9 @@ def cluster(
         }
 
 
-def draw_map(catalogue: CatalogueLike, path: str | Path, *, options: OptionsLike = None) -> Path:
+def draw_map(
+    catalogue: CatalogueLike, path: str | Path, *, options: OptionsLike = None, up: str | None = None
+) -> Path:
     """Draw the shapes of a catalogue in the plane, near shapes near each other.
 
     Parameters
@@ -98,6 +100,8 @@ def draw_map(catalogue: CatalogueLike, path: str | Path, *, options: OptionsLike
     options : OptionsLike, optional
         Signature and whitening. By default the options of the catalogue; the whitening auto does not use
         labels.
+    up : {"x", "-x", "y", "-y", "z", "-z"}, optional
+        The axis of the files that points upwards on pictures; by default found for each shape.
 
     Returns
     -------
@@ -113,7 +117,7 @@ def draw_map(catalogue: CatalogueLike, path: str | Path, *, options: OptionsLike
         matplotlib.
     """
     with opened(catalogue) as store:
-        return write_map(store, path, _without_labels(PipelineOptions.of(options, store.options)))
+        return write_map(store, path, _without_labels(PipelineOptions.of(options, store.options)), up=up)
 
 
 def _without_labels(options: PipelineOptions) -> PipelineOptions:

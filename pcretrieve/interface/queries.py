@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 from pcretrieve import searching
@@ -173,6 +174,7 @@ def query_page(
     labels: Collection[str] | None = None,
     exclude_self: bool = False,
     min_score: float | None = None,
+    up: str | None = None,
 ) -> Path:
     """Answer one or more queries on an HTML page, with pictures.
 
@@ -199,6 +201,8 @@ def query_page(
     min_score : float, optional
         Least score of a result, between 0 and 1; no results then mean "no match". By default results have any
         score.
+    up : {"x", "-x", "y", "-y", "z", "-z"}, optional
+        The axis of the files that points upwards on pictures; by default found for each shape.
 
     Returns
     -------
@@ -224,19 +228,19 @@ def query_page(
             labels=labels,
             exclude_self=exclude_self,
             min_score=min_score,
-            describe_scans=_pictured,
+            describe_scans=partial(_pictured, up),
         )
         return write_query_page(
-            path, store, outcomes, options=chosen, matrix=matrix, labels=labels, min_score=min_score
+            path, store, outcomes, options=chosen, matrix=matrix, labels=labels, min_score=min_score, up=up
         )
 
 
 def _pictured(
-    scans: Sequence[Path], options: PipelineOptions
+    up: str | None, scans: Sequence[Path], options: PipelineOptions
 ) -> Iterator[tuple[Path, Described | ShapeError]]:
     """The signatures and the pictures of scans, computed in this process."""
     for scan in scans:
         try:
-            yield scan, searching.pictured(scan, options)
+            yield scan, searching.pictured(scan, options, up)
         except ShapeError as error:
             yield scan, error

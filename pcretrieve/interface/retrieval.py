@@ -190,6 +190,7 @@ def report(
     options: OptionsLike = None,
     matrix: DistanceMatrix | None = None,
     versus: str | Path | Catalogue | None = None,
+    up: str | None = None,
 ) -> Path:
     """Write a page with retrieval measures, and with pictures of queries and their ranked results.
 
@@ -210,6 +211,8 @@ def report(
     versus : str, Path or Catalogue, optional
         Another result for the same shapes, with which the page compares query by query: a catalogue, or a
         file ``queries.csv`` of `pcretrieve.evaluation.write_evaluation`.
+    up : {"x", "-x", "y", "-y", "z", "-z"}, optional
+        The axis of the files that points upwards on pictures; by default found for each shape.
 
     Returns
     -------
@@ -234,4 +237,5 @@ def report(
             matrix=matrix,
             other=None if versus is None else result_scores(versus, lambda other: other.options),
             other_name=versus.location if isinstance(versus, Catalogue) else str(versus),
+            up=up,
         )

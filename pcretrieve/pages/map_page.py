@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 
 from pcretrieve.atomic import write_file
 from pcretrieve.catalogue import Catalogue
-from pcretrieve.errors import InputError, ShapeError
+from pcretrieve.errors import InputError
 from pcretrieve.options import PipelineOptions
 from pcretrieve.pages.html import page_template
-from pcretrieve.rendering import thumbnail
+from pcretrieve.pages.thumbnails import Thumbnails
 from pcretrieve.retrieval import plane_map
 from pcretrieve.types import FloatArray
 
@@ -64,7 +64,13 @@ class ClassGroup(NamedTuple):
     marker: str
 
 
-def write_map(catalogue: Catalogue, path: str | Path, options: PipelineOptions | None = None) -> Path:
+def write_map(
+    catalogue: Catalogue,
+    path: str | Path,
+    options: PipelineOptions | None = None,
+    *,
+    up: str | None = None,
+) -> Path:
     """Draw the shapes of a catalogue in the plane. An existing file is replaced in one step.
 
     Parameters
@@ -75,6 +81,8 @@ def write_map(catalogue: Catalogue, path: str | Path, options: PipelineOptions |
         The file: a picture ``.png``, or a page ``.html``.
     options : PipelineOptions, optional
         The signatures and their whitening; by default those of the catalogue.
+    up : {"x", "-x", "y", "-y", "z", "-z"}, optional
+        The axis of the files that points upwards on thumbnails; by default found for each shape.
 
     Returns
     -------
@@ -106,7 +114,7 @@ def write_map(catalogue: Catalogue, path: str | Path, options: PipelineOptions |
     page = page_template("map.html").render(
         title=title,
         drawing=map_drawing(list(index.ids), groups, places),
-        pictures=_pictures(catalogue, list(index.ids)),
+        pictures=_pictures(catalogue, list(index.ids), up),
         n_shapes=len(index),
         whitening=index.whitening.reason,
     )
@@ -176,16 +184,10 @@ def _shape(row: int, shape_id: str, place: FloatArray) -> dict[str, object]:
     return {"number": row, "id": shape_id, "x": f"{x:.1f}", "y": f"{SIDE - y:.1f}"}
 
 
-def _pictures(catalogue: Catalogue, ids: list[str]) -> list[str | None]:
+def _pictures(catalogue: Catalogue, ids: list[str], up: str | None) -> list[str | None]:
     """The thumbnails as base64; None for a shape whose mesh is not stored or cannot be drawn."""
+    thumbnails = Thumbnails(up, PICTURE_PIXELS)
     if len(ids) > MOST_PICTURES:
         return []
-    pictures: list[str | None] = []
-    for shape_id in ids:
-        try:
-            mesh = catalogue.mesh(shape_id)
-            drawn = thumbnail(mesh.vertices, mesh.faces, up=mesh.up, size=PICTURE_PIXELS)
-            pictures.append(b64encode(drawn).decode("ascii"))
-        except ShapeError:
-            pictures.append(None)
-    return pictures
+    drawn = (thumbnails.of(catalogue, record) for record in catalogue.several(ids))
+    return [None if picture is None else b64encode(picture).decode("ascii") for picture in drawn]

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterable
 from dataclasses import dataclass
-from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -19,15 +18,12 @@ from pcretrieve.matching import DistanceMatrix
 from pcretrieve.options import PipelineOptions
 from pcretrieve.pages.html import page_template
 from pcretrieve.pages.settings import settings_in_words
-from pcretrieve.rendering import thumbnail
+from pcretrieve.pages.thumbnails import Thumbnails
 from pcretrieve.retrieval import swapping_ranks
 from pcretrieve.searching import Answer, Described, result_rows
 from pcretrieve.types import Verdict
 
 __all__ = ["write_query_page"]
-
-QUERY_PIXELS = 240
-RESULT_PIXELS = 160
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,6 +66,7 @@ def write_query_page(
     matrix: DistanceMatrix | None = None,
     labels: Collection[str] | None = None,
     min_score: float | None = None,
+    up: str | None = None,
 ) -> Path:
     """Write the answers to queries on a page. An existing file is replaced in one step, or left unchanged.
 
@@ -84,6 +81,8 @@ def write_query_page(
         failed are listed at the end, with the reasons.
     options, matrix, labels, min_score : object
         As they were given to `search_many`.
+    up : {"x", "-x", "y", "-y", "z", "-z"}, optional
+        The axis of the files that points upwards; by default found for each shape.
 
     Returns
     -------
@@ -99,16 +98,7 @@ def write_query_page(
     panels: list[_Panel] = []
     failures: list[tuple[str, ShapeError]] = []
 
-    @cache
-    def picture(shape_id: str, pixels: int) -> bytes | None:
-        mesh = catalogue.shape(shape_id, ("mesh",)).surfaces[0].mesh
-        if mesh is None:
-            return None
-        try:
-            return thumbnail(mesh.vertices, mesh.faces, up=mesh.up, size=pixels)
-        except ShapeError:
-            return None
-
+    thumbnails = Thumbnails(up)
     for name, outcome in outcomes:
         if isinstance(outcome, ShapeError):
             failures.append((name, outcome))
@@ -116,10 +106,13 @@ def write_query_page(
         query, record = outcome.query, None
         if isinstance(query, str):
             record = catalogue.record(query)
-            described = (picture(query, QUERY_PIXELS), record.verdict)
+            described = (thumbnails.of(catalogue, record), record.verdict)
         else:
             described = (query.picture, query.verdict) if isinstance(query, Described) else (None, None)
-        results = [row | {"picture": picture(row["id"], RESULT_PIXELS)} for row in result_rows(outcome)]
+        results = [
+            row | {"picture": thumbnails.of(catalogue, found)}
+            for row, found in zip(result_rows(outcome), outcome.records, strict=True)
+        ]
         swaps = [] if outcome.rank_ranges is None else swapping_ranks(outcome.rank_ranges)
         panels.append(_Panel(name, record, *described, outcome, results, swaps))
     names = [panel.name for panel in panels] + [name for name, _ in failures]

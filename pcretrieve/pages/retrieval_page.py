@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping
-from functools import cache
 from pathlib import Path
 
 from pcretrieve.catalogue import Catalogue, Record
-from pcretrieve.errors import InputError, ShapeError
+from pcretrieve.errors import InputError
 from pcretrieve.evaluation import (
     QueryScores,
     bootstrap_interval,
@@ -28,7 +27,7 @@ from pcretrieve.pages.cards import Card, Panel
 from pcretrieve.pages.map_page import class_groups, map_drawing
 from pcretrieve.pages.report import write_report
 from pcretrieve.pages.settings import settings_in_words
-from pcretrieve.rendering import thumbnail
+from pcretrieve.pages.thumbnails import Thumbnails
 from pcretrieve.retrieval import N_NEAR, Ranking, SignatureIndex, plane_map, reranked_neighbors
 from pcretrieve.types import Failure
 
@@ -54,6 +53,7 @@ def retrieval_page(
     matrix: DistanceMatrix | None = None,
     other: QueryScores | None = None,
     other_name: str = "another result",
+    up: str | None = None,
 ) -> Path:
     """Write a page with retrieval measures, and with pictures of queries and their ranked results.
 
@@ -78,6 +78,8 @@ def retrieval_page(
         Measures of the same queries with other settings, with which the page compares its own.
     other_name : str, default "another result"
         What they are, in words.
+    up : {"x", "-x", "y", "-y", "z", "-z"}, optional
+        The axis of the files that points upwards; by default found for each shape.
 
     Returns
     -------
@@ -138,16 +140,11 @@ def retrieval_page(
     if len(queries) > n_queries:
         facts["queries"] = f"the {n_queries} with the lowest average precision of {len(queries)}"
 
-    @cache
-    def picture(shape_id: str) -> bytes | None:
-        mesh = catalogue.shape(shape_id, ("mesh",)).surfaces[0].mesh
-        try:
-            return None if mesh is None else thumbnail(mesh.vertices, mesh.faces, up=mesh.up, size=PIXELS)
-        except ShapeError:
-            return None
+    thumbnails = Thumbnails(up, PIXELS)
 
     def card(record: Record, gap: float | None = None, relevant: bool | None = None) -> Card:
-        return Card(record.id, record.label, record.path, gap, picture(record.id), relevant, record.verdict)
+        picture = thumbnails.of(catalogue, record)
+        return Card(record.id, record.label, record.path, gap, picture, relevant, record.verdict)
 
     panels = []
     for shape_id in queries[:n_queries]:

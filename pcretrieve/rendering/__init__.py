@@ -4,15 +4,23 @@ In come arrays of vertices and faces, or of points; out come shaded pictures, ma
 display. The virtual camera, the lamps and the ray casting of all pictures are here.
 """
 
-from pcretrieve.rendering.axes import body_axes
+from pcretrieve.rendering.axes import body_axes, upward
 from pcretrieve.rendering.camera import MARGIN, Camera, cameras_around, cameras_framing
 from pcretrieve.rendering.pictures import Colour, css, point_picture, rgb, surface_picture
 from pcretrieve.rendering.shading import CLAY
-from pcretrieve.rendering.thumbnail import cloud_thumbnail, picture_html, thumbnail
+from pcretrieve.rendering.thumbnail import (
+    THUMBNAIL_PIXELS,
+    cloud_thumbnail,
+    is_current,
+    picture_html,
+    resized,
+    thumbnail,
+)
 
 __all__ = [
     "CLAY",
     "MARGIN",
+    "THUMBNAIL_PIXELS",
     "Camera",
     "Colour",
     "body_axes",
@@ -20,9 +28,12 @@ __all__ = [
     "cameras_framing",
     "cloud_thumbnail",
     "css",
+    "is_current",
     "picture_html",
     "point_picture",
+    "resized",
     "rgb",
     "surface_picture",
     "thumbnail",
+    "upward",
 ]

@@ -5,8 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from pcretrieve.arrays import FloatArray, IntArray
+from pcretrieve.errors import OptionError
+from pcretrieve.names import UPWARD
 
-__all__ = ["body_axes", "principal_axes"]
+__all__ = ["body_axes", "principal_axes", "upward"]
 
 # Tie-breaker for shapes whose principal axes are not unique, such as a sphere: a
 # bias towards the axes of the file. As a fraction of the total variance, and as a
@@ -17,6 +19,33 @@ TIE = 1e-6
 # because thin bodies are nearly symmetric from front to back. Of 1, 1.25, 1.5, 2 and 3, this one lets the
 # most bodies of TOSCA stand.
 THINNEST = 1.25
+
+
+def upward(axis: str | None) -> FloatArray | None:
+    """The direction of an axis of a file.
+
+    Parameters
+    ----------
+    axis : {"x", "-x", "y", "-y", "z", "-z"} or None
+        The axis.
+
+    Returns
+    -------
+    (3,) float64 or None
+        Its direction, of length 1; None for None.
+
+    Raises
+    ------
+    OptionError
+        If there is no such axis.
+    """
+    if axis is None:
+        return None
+    if axis not in UPWARD:
+        raise OptionError(f"up must be one of {', '.join(UPWARD)}, got {axis!r}")
+    direction = np.zeros(3)
+    direction["xyz".index(axis[-1])] = -1 if axis[0] == "-" else 1
+    return direction
 
 
 def body_axes(vertices: FloatArray, faces: IntArray, up: FloatArray | None = None) -> FloatArray:

@@ -143,11 +143,18 @@ def visible_faces(vertices: FloatArray, faces: IntArray, size: int) -> IntArray:
     """
     n = SUPERSAMPLING * size
     ticks = (2 * np.arange(n) + 1) / n - 1
-    x, y = np.meshgrid(ticks, -ticks)
-    top = vertices[:, 2].max(initial=0) + 1
-    origins = np.column_stack([x.ravel(), y.ravel(), np.full(n * n, top)])  # (n², 3)
+    seen = np.full((n, n), -1, np.int32)
+    if not len(vertices):
+        return seen
+    # Rays beside the bounding box of the surface, which hit nothing, are not cast.
+    (left, low, _), (right, high, top) = vertices.min(axis=0), vertices.max(axis=0)
+    columns = slice(*np.searchsorted(ticks, [left, right]))
+    rows = slice(*np.searchsorted(ticks, [-high, -low]))
+    x, y = np.meshgrid(ticks[columns], -ticks[rows])
+    origins = np.column_stack([x.ravel(), y.ravel(), np.full(x.size, max(top, 0) + 1)])  # (k, 3)
     _, _, face = RayScene(vertices, faces).cast(origins, np.broadcast_to([0.0, 0.0, -1.0], origins.shape))
-    return face.reshape(n, n)
+    seen[rows, columns] = face.reshape(x.shape)
+    return seen
 
 
 def pooled(rays: FloatArray) -> FloatArray:

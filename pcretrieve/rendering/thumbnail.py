@@ -8,6 +8,7 @@ from io import BytesIO
 
 import numpy as np
 from PIL import Image
+from PIL.PngImagePlugin import PngInfo
 
 from pcretrieve.arrays import FloatArray, IntArray
 from pcretrieve.errors import DegenerateMeshError, OptionError, Stage
@@ -23,7 +24,14 @@ from pcretrieve.rendering.camera import (
 from pcretrieve.rendering.pictures import point_picture
 from pcretrieve.rendering.shading import CLAY, face_brightness
 
-__all__ = ["cloud_thumbnail", "picture_html", "thumbnail"]
+__all__ = ["THUMBNAIL_PIXELS", "cloud_thumbnail", "is_current", "picture_html", "resized", "thumbnail"]
+
+# Side of the pictures that catalogues keep, and from which smaller ones are made; pixels.
+THUMBNAIL_PIXELS = 200
+
+# How a picture was drawn, which its PNG file says. To be changed when bodies are drawn differently, so that
+# pictures of earlier versions in catalogues are drawn again.
+DRAWN_BY = ("Comment", "pcretrieve drawing 1")
 
 # The palette has one entry for the background, and one for each brightness at each coverage, at most 256 in
 # all. It reduces the size of a file to a third.
@@ -42,7 +50,7 @@ def thumbnail(
     faces: IntArray,
     *,
     up: FloatArray | None = None,
-    size: int = 160,
+    size: int = THUMBNAIL_PIXELS,
     azimuth: float = 20.0,
     elevation: float = 10.0,
 ) -> bytes:
@@ -60,7 +68,7 @@ def thumbnail(
         Vertex numbers of the triangles.
     up : (3,) float64, optional
         The direction upwards, such as `TriangleMesh.up`, of length 1; by default found by `body_axes`.
-    size : int, default 160
+    size : int, default 200
         Side of the square picture; pixels.
     azimuth, elevation : float, default 20 and 10
         Angles of the camera to the right of the front of `body_axes`, and above it; degrees.
@@ -68,7 +76,7 @@ def thumbnail(
     Returns
     -------
     bytes
-        A PNG file with a palette and a transparent background; 4 to 7 kB at 160 pixels.
+        A PNG file with a palette and a transparent background; 6 to 10 kB at 200 pixels.
 
     Raises
     ------
@@ -94,7 +102,48 @@ def thumbnail(
     framed = _framed(vertices @ (rotation(azimuth, elevation) @ body_axes(vertices, faces, up)).T, faces)
     face = visible_faces(framed, faces, size)
     covered = (face >= 0).astype(np.float64)
-    return _png(np.append(face_brightness(framed, faces), 0.0)[face], covered)
+    return _png(pooled(np.append(face_brightness(framed, faces), 0.0)[face]), pooled(covered))
+
+
+def resized(picture: bytes, size: int) -> bytes:
+    """A smaller thumbnail.
+
+    Parameters
+    ----------
+    picture : bytes
+        A PNG file by `thumbnail`.
+    size : int
+        Side of the square picture; pixels.
+
+    Returns
+    -------
+    bytes
+        A PNG file with the same palette; the picture itself if it is not larger.
+    """
+    with Image.open(BytesIO(picture)) as image:
+        if image.width <= size:
+            return picture
+        pixels = np.asarray(image.convert("RGBA"), np.float64) / 255  # (n, n, 4)
+    coverage = pixels[:, :, 3]
+    shade = coverage * pixels[:, :, 0] / CLAY[0]
+    parts = (Image.fromarray(part.astype(np.float32)) for part in (shade, coverage))
+    return _png(*(np.asarray(part.resize((size, size), Image.Resampling.BOX), np.float64) for part in parts))
+
+
+def is_current(picture: bytes) -> bool:
+    """Whether a thumbnail was drawn as this version of pcretrieve draws.
+
+    Parameters
+    ----------
+    picture : bytes
+        A PNG file by `thumbnail`, perhaps of an earlier version.
+
+    Returns
+    -------
+    bool
+        False for pictures that should be drawn again.
+    """
+    return b"\0".join(text.encode() for text in DRAWN_BY) in picture[:2048]
 
 
 def cloud_thumbnail(points: FloatArray, *, size: int = 160) -> bytes:
@@ -152,11 +201,10 @@ def _framed(vertices: FloatArray, faces: IntArray) -> FloatArray:
     return framed
 
 
-def _png(shade: FloatArray, covered: FloatArray) -> bytes:
-    """A PNG file of the means over rays; `shade` is 0 where `covered` is 0."""
-    coverage = pooled(covered)
-    # The mean over the rays that hit a face, so that edges are not darker.
-    brightness = pooled(shade) / np.where(coverage > 0, coverage, 1)
+def _png(shade: FloatArray, coverage: FloatArray) -> bytes:
+    """A PNG file of means over the area of each pixel; `shade` is 0 where nothing is seen."""
+    # The mean over the part of the pixel that shows the body, so that edges are not darker.
+    brightness = shade / np.where(coverage > 0, coverage, 1)
     step = np.round(coverage * N_COVERAGES)
     level = np.round(brightness * (N_LEVELS - 1))
     number = np.where(step > 0, 1 + (step - 1) * N_LEVELS + level, 0)  # (size, size), row of the palette
@@ -167,5 +215,8 @@ def _png(shade: FloatArray, covered: FloatArray) -> bytes:
     picture = Image.fromarray(number.astype(np.uint8))
     picture.putpalette(np.round(colours).astype(np.uint8).tobytes())
     file = BytesIO()
-    picture.save(file, "PNG", transparency=np.round(alphas).astype(np.uint8).tobytes())
+    drawn_by = PngInfo()
+    drawn_by.add_text(*DRAWN_BY)
+    transparency = np.round(alphas).astype(np.uint8).tobytes()
+    picture.save(file, "PNG", transparency=transparency, pnginfo=drawn_by)
     return file.getvalue()

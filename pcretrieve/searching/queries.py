@@ -14,9 +14,6 @@ from pcretrieve.types import Signature, Verdict
 
 __all__ = ["Described", "Query", "pictured", "queries_of", "query_of"]
 
-# Side of the thumbnail of a query.
-PIXELS = 240
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Described:
@@ -54,7 +51,7 @@ class Query:
     of: str | Path | Signature
 
 
-def pictured(scan: Path, options: PipelineOptions) -> Described:
+def pictured(scan: Path, options: PipelineOptions, up: str | None = None) -> Described:
     """Process a scan, and draw a thumbnail of its surface.
 
     Parameters
@@ -63,6 +60,8 @@ def pictured(scan: Path, options: PipelineOptions) -> Described:
         The file of the scan.
     options : PipelineOptions
         The options by which it is processed.
+    up : {"x", "-x", "y", "-y", "z", "-z"}, optional
+        The axis of the file that points upwards; by default found from the surface.
 
     Returns
     -------
@@ -76,13 +75,13 @@ def pictured(scan: Path, options: PipelineOptions) -> Described:
     """
     # Imported here, because shapes of the catalogue are found without the stages.
     from pcretrieve.pipeline.process import described_shape
-    from pcretrieve.rendering import thumbnail
+    from pcretrieve.rendering import thumbnail, upward
 
     described, verdict, shape = described_shape(scan, options)
     mesh, picture = shape.surfaces[0].mesh, None
     if mesh is not None:
         with suppress(DegenerateMeshError):
-            picture = thumbnail(mesh.vertices, mesh.faces, up=mesh.up, size=PIXELS)
+            picture = thumbnail(mesh.vertices, mesh.faces, up=mesh.up if up is None else upward(up))
     return Described(described, verdict, picture)
 
 

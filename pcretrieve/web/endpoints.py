@@ -10,6 +10,7 @@ from typing import NamedTuple
 
 from pcretrieve.catalogue import Catalogue
 from pcretrieve.errors import InputError
+from pcretrieve.rendering import upward
 from pcretrieve.searching import Answer
 from pcretrieve.web.comparison import compare_page, glb_of, scene_document
 from pcretrieve.web.documents import (
@@ -173,11 +174,17 @@ def _similar_table(asked: Question) -> Reply:
 
 
 def _thumbnail(asked: Question) -> Reply:
-    return Reply(asked.site.thumbnails.of(asked.catalogue, asked.name), "image/png", KEPT)
+    record = asked.catalogue.get(asked.name)
+    if record is None:
+        raise NotFound(f"there is no shape {asked.name!r}")
+    picture = asked.site.thumbnails.of(asked.catalogue, record)
+    if picture is None:
+        raise NotFound(f"the shape {asked.name!r} has no picture, because its mesh is not stored")
+    return Reply(picture, "image/png", KEPT)
 
 
 def _scene(asked: Question) -> Reply:
-    return json_reply(scene_document(asked.catalogue, asked.name, asked.site.up))
+    return json_reply(scene_document(asked.catalogue, asked.name, upward(asked.site.up)))
 
 
 def _glb(asked: Question) -> Reply:

@@ -10,11 +10,10 @@ from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
 
-import numpy as np
-
 from pcretrieve.catalogue import Catalogue
-from pcretrieve.errors import InputError, OptionError
+from pcretrieve.errors import InputError
 from pcretrieve.options import OptionsLike, PipelineOptions
+from pcretrieve.rendering import upward
 from pcretrieve.retrieval import N_INTERPRETED
 from pcretrieve.web.application import application
 from pcretrieve.web.guard import Guard
@@ -27,11 +26,6 @@ __all__ = ["serve"]
 ADDRESS = "127.0.0.1"
 
 TOKEN = re.compile(r"[A-Za-z0-9_-]+")
-
-# The directions upwards that pictures may have.
-AXES = {
-    sign + axis: float(f"{sign}1") * np.eye(3)[row] for row, axis in enumerate("xyz") for sign in ("", "-")
-}
 
 # Number of threads that draw pictures and list shapes. Searches have one thread of their own: Python runs
 # one thread at a time, and of 50 queries at a time at 100,000 shapes, one thread answers 443 a second, two
@@ -94,8 +88,7 @@ def serve(
     CatalogueError
         If the catalogue cannot be opened, or the options require other spectra than it has.
     """
-    if up is not None and up not in AXES:
-        raise OptionError(f"up must be one of {', '.join(AXES)}, got {up!r}")
+    upward(up)  # raises, before anything is opened
     missing = [name for name in ("starlette", "uvicorn") if find_spec(name) is None]
     if missing:
         raise InputError(f"the search page needs {' and '.join(missing)}: pip install 'pcretrieve[web]'")
@@ -109,7 +102,7 @@ def serve(
         raise InputError("the token must be ASCII letters, digits, - and _ only, as it is part of an address")
     searching, drawing = Readers(str(catalogue), 1), Readers(str(catalogue), N_DRAWING)
     jobs = None if read_only else Jobs(scanned, timeout=timeout, memory=memory)
-    site = Site(searching, drawing, title, chosen, jobs, most_bytes, None if up is None else AXES[up])
+    site = Site(searching, drawing, title, chosen, jobs, most_bytes, up)
     try:
         guarded = Guard(application(site), key)
         with _listening(port) as listener:

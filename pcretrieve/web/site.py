@@ -5,10 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from pcretrieve.options import PipelineOptions
-from pcretrieve.types import FloatArray
+from pcretrieve.pages.thumbnails import Thumbnails
 from pcretrieve.web.jobs import Jobs
 from pcretrieve.web.maps import Maps
-from pcretrieve.web.pictures import Thumbnails
 from pcretrieve.web.readers import Readers
 
 __all__ = ["Site"]
@@ -34,8 +33,8 @@ class Site:
         The thumbnails that were drawn.
     maps : Maps
         The map of the collection.
-    up : (3,) float64 or None
-        The direction upwards of all shapes; None if it is found for each of them.
+    up : {"x", "-x", "y", "-y", "z", "-z"} or None
+        The axis of the files that points upwards; None if it is found for each shape.
     """
 
     searching: Readers
@@ -44,7 +43,7 @@ class Site:
     options: PipelineOptions
     jobs: Jobs | None
     most_bytes: int
-    up: FloatArray | None = None
+    up: str | None = None
     thumbnails: Thumbnails = field(init=False)
     maps: Maps = field(default_factory=Maps)
 

@@ -95,6 +95,7 @@ def test_a_catalogue_of_version_3_gets_checksums(path: Path) -> None:
         before = store.records()
     with closing(sqlite3.connect(path)) as connection, connection:
         drop(connection, "stamp", *CHECKSUM_COLUMNS.values())
+        connection.execute("DROP TABLE thumbnails")
         connection.execute("PRAGMA user_version = 3")
     with Catalogue(path) as store:
         assert store.records() == before
@@ -104,6 +105,21 @@ def test_a_catalogue_of_version_3_gets_checksums(path: Path) -> None:
     with Catalogue(path) as store:
         (found,) = store.defects()
         assert found.message == "its record has changed since it was stored"
+
+
+def test_a_catalogue_of_version_4_gets_thumbnails(path: Path) -> None:
+    with Catalogue(path) as store:
+        before = store.records()
+    with closing(sqlite3.connect(path)) as connection, connection:
+        connection.execute("DROP TABLE thumbnails")
+        connection.execute("PRAGMA user_version = 4")
+    with Catalogue(path) as store:
+        assert store.records() == before
+        assert store.defects() == []
+        store.put(Record("new", "/new.ply", "a" * 64), Content(process(shapes.body()), np.ones(59), b"PNG"))
+        assert store.thumbnail("new") == b"PNG"
+        assert {store.thumbnail(record.id) for record in before} == {None}
+    assert version(path) == SCHEMA_VERSION
 
 
 def test_a_catalogue_of_version_2_gets_verdicts(path: Path) -> None:
@@ -116,6 +132,7 @@ def test_a_catalogue_of_version_2_gets_verdicts(path: Path) -> None:
         connection.execute(f"CREATE TABLE earlier AS SELECT {columns} FROM provenance")
         connection.execute("DROP TABLE provenance")
         connection.execute("ALTER TABLE earlier RENAME TO provenance")
+        connection.execute("DROP TABLE thumbnails")
         connection.execute("PRAGMA user_version = 2")
     with Catalogue(path) as store:
         assert store.records() == before

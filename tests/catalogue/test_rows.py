@@ -198,7 +198,14 @@ def test_sizes(rows: Rows) -> None:
     rows.keep("other", [(record("b"), b"12345678")])
     sizes = rows.sizes("b")
     assert sizes.pop("record") > len("b/b.plyhash-blabel")
-    assert sizes == {"signatures": 24, "spectra": 11, "moments": 0, "overlaps": 0, "meshes": 5000}
+    assert sizes == {
+        "signatures": 24,
+        "spectra": 11,
+        "moments": 0,
+        "overlaps": 0,
+        "meshes": 5000,
+        "thumbnails": 0,
+    }
     assert sum(rows.sizes("e").values()) == rows.sizes("e")["record"]
 
 

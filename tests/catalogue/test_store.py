@@ -317,6 +317,29 @@ def test_every_surface_of_a_scan_is_kept(method: str, catalogue: Catalogue) -> N
     np.testing.assert_array_equal(again.deviation, signature.deviation)
 
 
+def test_a_picture_comes_back_to_the_byte(catalogue: Catalogue) -> None:
+    picture = bytes(range(256)) * 30
+    catalogue.put(record(2), replace(content(2), thumbnail=picture))
+    assert catalogue.thumbnail("egg2") == picture
+    assert catalogue.thumbnail("egg1") is None
+    assert catalogue.defects() == []
+    catalogue.put(record(2), content(2))
+    assert catalogue.thumbnail("egg2") is None
+    with pytest.raises(InputError, match="holds no shape 'egg9'"):
+        catalogue.thumbnail("egg9")
+
+
+def test_a_damaged_picture_is_noticed(in_file: Catalogue) -> None:
+    in_file.put(record(2), replace(content(2), thumbnail=bytes(5000)))
+    with closing(sqlite3.connect(in_file.location)) as other, other:
+        other.execute("UPDATE thumbnails SET arrays = substr(arrays, 1, 9)")
+    with pytest.raises(CatalogueError, match="the thumbnail of 'egg2'"):
+        in_file.thumbnail("egg2")
+    assert [(one.shape_id, one.message) for one in in_file.defects()] == [
+        ("egg2", "its thumbnail cannot be read: its checksum does not fit")
+    ]
+
+
 def test_of_a_shape_only_what_is_needed_is_read(in_file: Catalogue) -> None:
     with closing(sqlite3.connect(in_file.location)) as other, other:
         for table, shape_id in (("moments", "egg1"), ("meshes", "egg2")):

@@ -11,6 +11,7 @@ from click.testing import CliRunner
 
 from pcretrieve import Catalogue
 from pcretrieve.catalogue import Content, Record
+from pcretrieve.catalogue.rows import PAYLOADS
 from pcretrieve.cli.main import cli
 from pcretrieve.descriptors import describe
 from pcretrieve.options import PipelineOptions
@@ -83,7 +84,7 @@ def test_show_says_what_a_shape_costs(path: Path) -> None:
     stored = json.loads(run("show", "ball", "-c", path, "--json"))["result"]["stored_bytes"]
     said = run("show", "ball", "-c", path)
     assert f"\nstored          {sum(stored.values()) / 1000:.1f} kB: record " in said
-    assert set(stored) == {"record", "signatures", "spectra", "moments", "overlaps", "meshes"}
+    assert set(stored) == {"record", "signatures", *PAYLOADS}
     assert stored["signatures"] == 8 * (118 + 1)
     failed = json.loads(run("show", "r0000", "-c", path, "--json"))["result"]["stored_bytes"]
     assert sum(failed.values()) == failed["record"] < 1000

@@ -220,6 +220,31 @@ def test_what_is_up_can_be_said() -> None:
     assert np.ptp(columns) > 1.5 * np.ptp(rows)
 
 
+@pytest.mark.parametrize("size", [32, 88, 128])
+def test_a_smaller_picture_of_a_picture_is_about_that_which_is_drawn(size: int) -> None:
+    picture = thumbnail(person())
+    smaller, direct = rendering.resized(picture, size), thumbnail(person(), size=size)
+    assert pixels(smaller).shape == pixels(direct).shape == (size, size, 4)
+    alpha, expected = (pixels(one)[:, :, 3].astype(float) for one in (smaller, direct))
+    assert np.abs(alpha - expected).mean() < 255 * 0.01
+    inside = (alpha == 255) & (expected == 255)
+    colours = (pixels(one)[inside][:, :3].astype(float) for one in (smaller, direct))
+    assert np.abs(np.subtract(*colours)).mean() < 4
+    assert abs(len(smaller) - len(direct)) < 0.3 * len(direct)
+    assert rendering.is_current(smaller)
+
+
+def test_a_picture_is_not_made_larger() -> None:
+    picture = thumbnail(person(), size=50)
+    assert rendering.resized(picture, 50) == rendering.resized(picture, 51) == picture
+
+
+def test_a_picture_says_how_it_was_drawn() -> None:
+    picture = thumbnail(person())
+    assert rendering.is_current(picture)
+    assert not rendering.is_current(picture.replace(b"drawing 1", b"drawing 0"))
+
+
 def test_a_scan_stands_on_the_ground_that_was_removed() -> None:
     mesh = person()
     assert mesh.up is None

@@ -1,0 +1,154 @@
+"""Thumbnails are drawn once, when a scan is ingested, and pages use what the catalogue keeps."""
+
+from __future__ import annotations
+
+import base64
+import re
+from collections.abc import Iterator
+from io import BytesIO
+from pathlib import Path
+
+import numpy as np
+import pytest
+import shapes
+from click.testing import CliRunner
+from PIL import Image
+
+import pcretrieve as pr
+from pcretrieve import Catalogue, PipelineOptions
+from pcretrieve.cli.main import cli
+from pcretrieve.errors import OptionError
+from pcretrieve.formats import write_mesh
+from pcretrieve.ingestion.run import ingest_files
+from pcretrieve.pages import thumbnails
+from pcretrieve.pages.thumbnails import Thumbnails
+from pcretrieve.rendering import THUMBNAIL_PIXELS, thumbnail
+
+OPTIONS = PipelineOptions().changed(signature={"method": "r-bihdm", "n_values": 10}, spectral={"n_pairs": 61})
+
+
+def ingested(folder: Path, name: str, options: PipelineOptions = OPTIONS) -> Catalogue:
+    store = Catalogue(folder / name, options, create=True)
+    ingest_files(sorted(folder.glob("*.off")), store, labels={f"{n}.off": "egg" for n in range(3)})
+    return store
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Three eggs, which are longest along the axis z."""
+    place = tmp_path_factory.mktemp("thumbnails")
+    for number in range(3):
+        write_mesh(shapes.ellipsoid((1.0, 1.2, 2.0 + number / 5), subdivisions=3), place / f"{number}.off")
+    return place
+
+
+@pytest.fixture(scope="module")
+def catalogue(folder: Path) -> Iterator[Catalogue]:
+    with ingested(folder, "eggs.sqlite") as store:
+        yield store
+
+
+@pytest.fixture
+def drawn(monkeypatch: pytest.MonkeyPatch) -> list[object]:
+    """The directions upwards of the pictures that are drawn while pages are made."""
+    ups: list[object] = []
+
+    def counted(*mesh: object, **more: object) -> bytes:
+        ups.append(more["up"])
+        return thumbnail(*mesh, **more)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(thumbnails, "thumbnail", counted)
+    return ups
+
+
+def size_of(picture: bytes) -> tuple[int, int]:
+    with Image.open(BytesIO(picture)) as image:
+        return image.width, image.height
+
+
+def is_upright(picture: bytes) -> bool:
+    with Image.open(BytesIO(picture)) as image:
+        left, top, right, bottom = image.convert("RGBA").getchannel("A").getbbox()
+    return bool(bottom - top > right - left)
+
+
+def test_a_catalogue_keeps_the_pictures_that_would_be_drawn(
+    catalogue: Catalogue, drawn: list[object]
+) -> None:
+    pictures = Thumbnails()
+    for record in catalogue.records():
+        mesh = catalogue.mesh(record.id)
+        kept = catalogue.thumbnail(record.id)
+        assert kept == thumbnail(mesh.vertices, mesh.faces) == pictures.of(catalogue, record)
+        assert size_of(kept) == (THUMBNAIL_PIXELS, THUMBNAIL_PIXELS)
+    assert drawn == []
+    assert catalogue.stored_bytes("0")["thumbnails"] > 1000
+
+
+def test_pages_draw_nothing_that_is_kept(
+    catalogue: Catalogue, folder: Path, tmp_path: Path, drawn: list[object]
+) -> None:
+    pages = (
+        pr.report(catalogue, tmp_path / "report.html"),
+        pr.draw_map(catalogue, tmp_path / "map.html"),
+        pr.query_page(catalogue, ["0", folder / "1.off"], tmp_path / "query.html", k=2),
+    )
+    assert drawn == []
+    for page, pixels in zip(pages, (88, 128, 200), strict=True):
+        inlined = re.findall(r'(?:base64,|data-picture="|")(iVBORw0KGgo[\w+/=]+)', page.read_text("utf-8"))
+        assert {size_of(base64.b64decode(picture))[0] for picture in inlined} == {pixels}, page
+
+
+@pytest.mark.parametrize(("up", "stands"), [("z", True), ("-z", True), ("x", False)])
+def test_what_is_up_can_be_said_for_each_page(
+    up: str, stands: bool, catalogue: Catalogue, tmp_path: Path, drawn: list[object]
+) -> None:
+    direction = np.zeros(3)
+    direction["xyz".index(up[-1])] = -1 if up[0] == "-" else 1
+    pictures = Thumbnails(up)
+    assert [is_upright(pictures.of(catalogue, one) or b"") for one in catalogue.records()] == [stands] * 3
+    np.testing.assert_array_equal(drawn, [direction] * 3)
+    for words in (("report",), ("map",), ("query", "0", "-k", "3", "--html")):
+        drawn.clear()
+        output = () if "--html" in words else ("-o",)
+        page = tmp_path / f"{words[0]}.html"
+        done = CliRunner().invoke(
+            cli, [*words, *output, str(page), "--up", up, "-c", catalogue.location], catch_exceptions=False
+        )
+        assert done.exit_code == 0, done.output
+        np.testing.assert_array_equal(drawn, [direction] * 3, err_msg=words[0])
+
+
+def test_no_other_axes(catalogue: Catalogue, tmp_path: Path) -> None:
+    with pytest.raises(OptionError, match="up must be one of x, -x, y, -y, z, -z, got 'w'"):
+        pr.report(catalogue, tmp_path / "report.html", up="w")
+
+
+def test_pictures_of_earlier_versions_are_drawn_again(
+    catalogue: Catalogue, drawn: list[object], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    record = catalogue.record("1")
+    old = Image.new("RGBA", (200, 200), "red")
+    file = BytesIO()
+    old.save(file, "PNG")
+    monkeypatch.setattr(catalogue, "thumbnail", lambda shape_id: file.getvalue())
+    mesh = catalogue.mesh("1")
+    assert Thumbnails().of(catalogue, record) == thumbnail(mesh.vertices, mesh.faces)
+    assert len(drawn) == 1
+
+
+def test_without_meshes_there_are_no_pictures(folder: Path) -> None:
+    with ingested(folder, "small.sqlite", OPTIONS.changed(catalogue={"keep": ()})) as store:
+        assert [store.thumbnail(record.id) for record in store.records()] == [None] * 3
+        assert Thumbnails().of(store, store.record("0")) is None
+        assert store.defects() == []
+
+
+def test_a_shape_whose_picture_was_not_stored_is_drawn_once(
+    catalogue: Catalogue, drawn: list[object], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As of a catalogue that an earlier version made."""
+    monkeypatch.setattr(catalogue, "thumbnail", lambda shape_id: None)
+    pictures, record = Thumbnails(), catalogue.record("2")
+    assert pictures.of(catalogue, record) == pictures.of(catalogue, record) is not None
+    assert len(drawn) == 1
