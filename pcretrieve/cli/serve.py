@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import click
@@ -25,6 +26,12 @@ __all__ = ["serve_command"]
     help="The port at 127.0.0.1; 0 for any free one.",
 )
 @click.option("--read-only", is_flag=True, help="Take no scans from browsers.")
+@click.option(
+    "--keep",
+    type=click.Path(exists=True, file_okay=False, writable=True, path_type=Path),
+    metavar="FOLDER",
+    help="Let scans from browsers be kept when asked to: files here, shapes in the catalogue.",
+)
 @click.option(
     "--max-upload",
     type=click.IntRange(min=1),
@@ -57,6 +64,7 @@ def serve_command(
     catalogue: str,
     port: int,
     read_only: bool,
+    keep: Path | None,
     max_upload: int,
     timeout: float,
     memory: float,
@@ -66,17 +74,19 @@ def serve_command(
     """Serve the search page of a catalogue to browsers of this computer, until Ctrl-C.
 
     Printed is the address to open. It contains a random token, without which nothing is answered; whoever has
-    the address can see the shapes, and search by scans, which are processed in an isolated process and are
-    not kept. From another computer, use an SSH tunnel: ssh -L 8765:127.0.0.1:8765 HOST. Needs the extra web:
-    pip install 'pcretrieve[web]'.
+    the address can see the shapes, and search by scans, which are processed in an isolated process, and
+    removed unless --keep is given. From another computer, use an SSH tunnel:
+    ssh -L 8765:127.0.0.1:8765 HOST. Needs the extra web: pip install 'pcretrieve[web]'.
 
     \b
     pcretrieve serve --catalogue bodies.sqlite
-    pcretrieve serve --catalogue bodies.sqlite --port 0
+    pcretrieve serve --catalogue bodies.sqlite --port 0 --keep scans/
     """
     from pcretrieve.catalogue import Catalogue
     from pcretrieve.web import serve
 
+    if read_only and keep is not None:
+        raise click.UsageError("choose one of --read-only and --keep")
     with Catalogue(catalogue) as store:
         options = compared(store, **comparison)
     say("Open the address in a browser; end the server with Ctrl-C.")
@@ -89,5 +99,6 @@ def serve_command(
         timeout=timeout,
         memory=memory,
         up=up,
+        keep=keep,
         on_start=write_line,
     )

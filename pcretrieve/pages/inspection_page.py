@@ -1,7 +1,7 @@
 """The page of one inspected scan: the checks, the pictures, and an interactive 3D viewer.
 
-It is one self-contained HTML file: pictures, points and the script of the viewer are inlined, and the page
-makes no requests.
+As a file, it is self-contained: pictures, points, styles and scripts are inlined, and the page makes no
+requests. A server has styles and scripts at addresses of their own, because its pages have none inlined.
 """
 
 from __future__ import annotations
@@ -33,10 +33,49 @@ from pcretrieve.pages.scene import VIEWER_SIZE, Cube, encoded
 from pcretrieve.rendering import CLAY
 from pcretrieve.types import FloatArray
 
-__all__ = ["write_inspection_page"]
+__all__ = ["Served", "inspection_html", "write_inspection_page"]
 
 # Number of points that were removed, side by side, across half of the 3D viewer.
 REMOVED_IN_VIEW = 90
+
+
+class Served(NamedTuple):
+    """Where a page of a server leads to.
+
+    Attributes
+    ----------
+    title : str
+        Name of the collection.
+    back : str
+        Address of the page to which this one belongs.
+    """
+
+    title: str
+    back: str
+
+
+def inspection_html(inspection: Inspection, served: Served | None = None) -> str:
+    """The page of an inspection.
+
+    Parameters
+    ----------
+    inspection : Inspection
+        The result of `inspect_scan`.
+    served : Served, optional
+        For a page of a server, whose styles and scripts are at ``/assets/``; by default they are inlined.
+
+    Returns
+    -------
+    str
+        HTML.
+    """
+    return page_template("inspection.html").render(
+        it=inspection,
+        rows=[row.encoded() for row in rows_of(inspection)],
+        scene=_scene(inspection),
+        plot=_plot(inspection),
+        served=served,
+    )
 
 
 def write_inspection_page(inspection: Inspection, path: str | Path) -> Path:
@@ -60,13 +99,7 @@ def write_inspection_page(inspection: Inspection, path: str | Path) -> Path:
         If the file cannot be written.
     """
     target = Path(path).absolute()
-    page = page_template("inspection.html").render(
-        it=inspection,
-        rows=[row.encoded() for row in rows_of(inspection)],
-        scene=_scene(inspection),
-        plot=_plot(inspection),
-    )
-    write_file(target, page.encode("utf-8", errors="replace"))
+    write_file(target, inspection_html(inspection).encode("utf-8", errors="replace"))
     return target
 
 

@@ -5,15 +5,16 @@ from __future__ import annotations
 import asyncio
 import json
 import logging
-from collections.abc import AsyncIterator, Awaitable, Callable
+from collections.abc import AsyncIterator, Awaitable, Callable, Mapping
 from importlib.resources import files
-from pathlib import Path
 from typing import TYPE_CHECKING
-from urllib.parse import unquote
+from urllib.parse import parse_qsl, quote, unquote
 
+from pcretrieve.catalogue import Record
 from pcretrieve.errors import CatalogueError, InputError, PcretrieveError
-from pcretrieve.web.documents import job_document, without_folders
+from pcretrieve.web.documents import job_document, shape_document
 from pcretrieve.web.endpoints import ENDPOINTS, Endpoint, Question, jobs_of
+from pcretrieve.web.folders import without_folders
 from pcretrieve.web.guard import Application
 from pcretrieve.web.openapi import openapi_document
 from pcretrieve.web.replies import FRESH, KEPT
@@ -33,6 +34,7 @@ logger = logging.getLogger(__name__)
 # The files that pages refer to, and their types.
 ASSETS = {
     "page.css": "text/css",
+    "inspection.css": "text/css",
     "search.css": "text/css",
     "map.css": "text/css",
     "compare.js": "text/javascript",
@@ -41,12 +43,16 @@ ASSETS = {
     "progress.js": "text/javascript",
     "upload.js": "text/javascript",
     "view.js": "text/javascript",
+    "viewer.js": "text/javascript",
 }
 
 # Time between two looks at a job, and the longest time until the connection of a refused scan is closed, as
 # browsers may read the answer after they have sent the rest, which is not kept; seconds.
 LOOK = 0.25
 LINGER = 5.0
+
+# Largest size of a form; bytes.
+LONGEST_FORM = 10_000
 
 
 def application(site: Site) -> Application:
@@ -86,7 +92,7 @@ def application(site: Site) -> Application:
         try:
             scan = await received(
                 request.stream(),
-                Path(upload.folder.name),
+                upload.folder,
                 suffix,
                 most_bytes=site.most_bytes,
                 announced=request.headers.get("content-length"),
@@ -99,6 +105,28 @@ def application(site: Site) -> Application:
         document = job_document(upload.job)
         jobs.submit(upload, scan)
         return JSONResponse(document, 202, headers=FRESH | {"location": f"/scans/{upload.job.id}"})
+
+    async def keep_scan(request: Request) -> Response:
+        """For scripts: the fields are in the address, and the answer is JSON."""
+        record = await kept(request, request.query_params)
+        address = f"/shapes/{quote(record.id, safe='')}"
+        return JSONResponse(shape_document(record), 201, headers=FRESH | {"location": address})
+
+    async def keep_scan_by_form(request: Request) -> Response:
+        """For the form of the page: the fields are in the body, and the answer is the page of the shape."""
+        body = b""
+        async for chunk in request.stream():
+            body += chunk
+            if len(body) > LONGEST_FORM:
+                raise TooLarge(f"the form may have at most {LONGEST_FORM} bytes")
+        record = await kept(request, dict(parse_qsl(body.decode("utf-8", "replace"))))
+        address = f"/shape/{quote(record.id, safe='')}"
+        return Response(status_code=303, headers=FRESH | {"location": address})
+
+    async def kept(request: Request, fields: Mapping[str, str]) -> Record:
+        label = fields.get("label", "").strip()
+        future = jobs_of(site).keep(_name(request), fields.get("id", "").strip(), label or None)
+        return await asyncio.wrap_future(future)
 
     async def scan_events(request: Request) -> Response:
         job = jobs_of(site).job(_name(request))
@@ -133,6 +161,8 @@ def application(site: Site) -> Application:
         routes=[
             *(Route(endpoint.path, answered(endpoint)) for endpoint in ENDPOINTS),
             Route("/scans", new_scan, methods=["POST"]),
+            Route("/scans/{id}/keep", keep_scan, methods=["POST"]),
+            Route("/scan/{id}/keep", keep_scan_by_form, methods=["POST"]),
             Route("/scans/{id}/events", scan_events),
             Route("/openapi.json", openapi),
             Route("/assets/{name}", asset),
@@ -169,11 +199,11 @@ async def _then_silent(body: bytes) -> AsyncIterator[bytes]:
 
 
 async def _events(site: Site, job_id: str) -> AsyncIterator[str]:
-    """The document of a job at each change, as events that a server sends, until the job has ended."""
+    """The document of a job at each change, as events that a server sends, until the scan is inspected."""
     last = None
     while True:
         job = jobs_of(site).job(job_id)
-        has_ended = job.has_ended
+        has_ended = job.has_ended and job.inspection != "waiting"
         if (now := json.dumps(job_document(job))) != last:
             last = now
             yield f"data: {now}\n\n"

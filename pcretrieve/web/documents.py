@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import re
 from dataclasses import asdict
 from pathlib import Path
-from tempfile import gettempdir
 from typing import Any
 
 from pcretrieve import __version__
@@ -13,6 +11,7 @@ from pcretrieve.catalogue import Catalogue, Record
 from pcretrieve.csv_text import csv_text
 from pcretrieve.options import PipelineOptions
 from pcretrieve.searching import Answer, Described, answer_to, result_rows
+from pcretrieve.web.folders import without_folders
 from pcretrieve.web.jobs import Job
 from pcretrieve.web.listing import listed
 from pcretrieve.web.requests import PAGE, Listing, Similar
@@ -24,33 +23,11 @@ __all__ = [
     "similar_csv",
     "similar_document",
     "similar_to",
-    "without_folders",
 ]
 
 Document = dict[str, Any]
 
 CSV_COLUMNS = ("query", "rank", "id", "label", "distance", "score", "file")
-
-
-def without_folders(text: str, folder: Path | None = None) -> str:
-    """A message without the folders of absolute paths in it: of ``/data/scans/a.ply`` the name remains.
-
-    Parameters
-    ----------
-    text : str
-        A message.
-    folder : Path, optional
-        A folder that the message may name, which is removed even if it is relative or has blanks.
-
-    Returns
-    -------
-    str
-        The message.
-    """
-    for known in (folder, Path(gettempdir())):
-        if known is not None and known.name:
-            text = text.replace(f"{known}/", "/")
-    return re.sub(r"(?<![\w./])(?:/[^/\s'\"]+)*/(?=[^/\s])", "", text)
 
 
 def shape_document(record: Record) -> Document:
@@ -128,6 +105,8 @@ def job_document(job: Job) -> Document:
         "name": job.name,
         "state": job.state,
         "stages": [{"stage": stage, "seconds": seconds} for stage, seconds in job.stages],
+        "inspection": job.inspection,
+        "kept_as": job.kept_as,
     }
     if job.described is not None and job.described.verdict is not None:
         document["verdict"] = asdict(job.described.verdict)

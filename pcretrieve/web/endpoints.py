@@ -27,7 +27,7 @@ from pcretrieve.web.requests import SORTS, STATES, Listing, NotFound, Similar
 from pcretrieve.web.site import Site
 from pcretrieve.web.views import collection_page, map_page, scan_page, shape_page
 
-__all__ = ["ENDPOINTS", "Endpoint", "Field", "Question", "jobs_of"]
+__all__ = ["ENDPOINTS", "KEPT_AS", "Endpoint", "Field", "Question", "jobs_of"]
 
 
 class Question(NamedTuple):
@@ -128,9 +128,12 @@ def jobs_of(site: Site) -> Jobs:
 
 
 def _collection(asked: Question) -> Reply:
-    most_bytes = 0 if asked.site.jobs is None else asked.site.most_bytes
+    site, jobs = asked.site, asked.site.jobs
+    most_bytes = 0 if jobs is None else site.most_bytes
+    keeps_scans = jobs is not None and jobs.collection is not None
     listing = Listing.of(asked.fields)
-    return html_reply(collection_page(asked.catalogue, asked.site.title, listing, most_bytes))
+    page = collection_page(asked.catalogue, site.title, listing, most_bytes, keeps_scans=keeps_scans)
+    return html_reply(page)
 
 
 def _map(asked: Question) -> Reply:
@@ -150,7 +153,29 @@ def _compare(asked: Question) -> Reply:
 def _scan(asked: Question) -> Reply:
     job, similar = _job(asked), Similar.of(asked.fields)
     found = None if job.described is None else _scan_document(asked)
-    return html_reply(scan_page(asked.catalogue, asked.site.title, job_document(job), similar, found))
+    document = job_document(job)
+    return html_reply(
+        scan_page(
+            asked.catalogue,
+            asked.site.title,
+            document,
+            similar,
+            found,
+            has_picture=job.described is not None and job.described.picture is not None,
+            can_be_kept=job.scan is not None and jobs_of(asked.site).collection is not None,
+        )
+    )
+
+
+def _inspection(asked: Question) -> Reply:
+    job = _job(asked)
+    if job.page is None:
+        raise NotFound(
+            "the inspection of this scan is not ready: try again in a few seconds"
+            if job.inspection == "waiting"
+            else "the inspection of this scan failed, or is too long ago: use `pcretrieve inspect`"
+        )
+    return html_reply(job.page.decode())
 
 
 def _shapes(asked: Question) -> Reply:
@@ -194,6 +219,13 @@ def _glb(asked: Question) -> Reply:
 
 def _scan_job(asked: Question) -> Reply:
     return json_reply(job_document(_job(asked)))
+
+
+def _scan_thumbnail(asked: Question) -> Reply:
+    described = _job(asked).described
+    if described is None or described.picture is None:
+        raise NotFound("the scan has no picture, because it has no surface")
+    return Reply(described.picture, "image/png", FRESH)
 
 
 def _scan_similar(asked: Question) -> Reply:
@@ -244,6 +276,10 @@ ASKED = (
     Field("label", "search shapes of this class only"),
     Field("min_score", "least score of a result, from 0 to 1", "number"),
 )
+KEPT_AS = (
+    Field("id", "name of the shape, and of its file on the server", required=True),
+    Field("label", "its class"),
+)
 PAIR = (Field("a", "name of a shape", required=True), Field("b", "name of another shape", required=True))
 
 JSON, CSV = "application/json", "text/csv"
@@ -254,6 +290,7 @@ ENDPOINTS = (
     Endpoint("/shape/{id}", _shape, "the page of a shape and its nearest shapes", fields=ASKED),
     Endpoint("/compare", _compare, "the page of two shapes, and of what differs", fields=PAIR),
     Endpoint("/scan/{id}", _scan, "the page of an uploaded scan", fields=ASKED),
+    Endpoint("/scan/{id}/inspection", _inspection, "the page of the inspection of an uploaded scan"),
     Endpoint("/shapes", _shapes, "60 shapes a page", JSON, LISTED),
     Endpoint("/shapes/{id}", _one, "what the catalogue says of a shape", JSON),
     Endpoint("/shapes/{id}/similar", _similar, "the nearest shapes of a shape, without itself", JSON, ASKED),
@@ -262,6 +299,7 @@ ENDPOINTS = (
     Endpoint("/shapes/{id}/scene", _scene, "a shape for the 3-D viewer, of at most 20,000 faces", JSON),
     Endpoint("/shapes/{id}/mesh.glb", _glb, "the surface of a shape", "model/gltf-binary"),
     Endpoint("/scans/{id}", _scan_job, "how far the processing of an uploaded scan is", JSON),
+    Endpoint("/scans/{id}/thumbnail.png", _scan_thumbnail, "a picture of an uploaded scan", "image/png"),
     Endpoint("/scans/{id}/similar", _scan_similar, "the nearest shapes of an uploaded scan", JSON, ASKED),
     Endpoint("/scans/{id}/similar.csv", _scan_table, "the nearest shapes as a table", CSV, ASKED),
 )

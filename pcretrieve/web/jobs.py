@@ -1,40 +1,48 @@
-"""Uploaded scans, each processed in an isolated process with limits, a few at a time."""
+"""Uploaded scans, each processed in an isolated process with limits, one after the other."""
 
 from __future__ import annotations
 
 import logging
 import re
 import secrets
+import shutil
+import tempfile
 from collections import OrderedDict
-from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from threading import Lock
-from typing import Literal, TypeAlias
+from typing import Literal
 
-from pcretrieve.errors import PcretrieveError, shape_error
+from pcretrieve.catalogue import Record
+from pcretrieve.errors import MemoryExceeded, PcretrieveError, StageTimeout, WorkerDied, shape_error
 from pcretrieve.ingestion import Isolation
+from pcretrieve.ingestion.temporary import TemporaryFolder
 from pcretrieve.ingestion.worker import Worker
 from pcretrieve.options import PipelineOptions
 from pcretrieve.searching import Described
+from pcretrieve.web.inspections import inspection_page
+from pcretrieve.web.keeping import Collection
 from pcretrieve.web.requests import Busy, NotFound
 
 __all__ = ["Job", "Jobs", "Upload"]
 
+logger = logging.getLogger(__name__)
+
 # Largest number of scans that are received, wait or are processed at a time: more are refused.
 MOST_WAITING = 8
 
-# Number of scans whose signature is kept in memory until the server ends.
-MOST_KEPT = 200
+# Number of scans whose signature and picture are in memory until the server ends, and of the latest of them
+# whose inspection page, of 2 MB, and whose file, if it can be kept, are there too.
+MOST_KNOWN = 200
+MOST_WHOLE = 20
 
 # The name of the log file of a job, beside the scan, and its lines: of a stage that has ended.
 LOG = "stages.log"
 STAGE = re.compile(r"^\S+: ([\w-]+) in ([0-9]+\.?[0-9]*) s", re.MULTILINE)
 
 State = Literal["waiting", "running", "done", "failed"]
-_Crew: TypeAlias = "list[Worker[Path, Described]]"
 
 
 @dataclass(slots=True, eq=False)
@@ -48,13 +56,21 @@ class Job:
     name : str
         The name of the file, as the browser gave it; no file of the server has it.
     state : {"waiting", "running", "done", "failed"}
-        How far it is.
+        How far its signature is.
     stages : tuple of (str, float)
         The stages that have ended, and their times in seconds.
     described : Described or None
-        The signature and the verdict, if it is done.
+        The signature, the verdict and the picture, if it is done.
     error : PcretrieveError or None
         Why it failed.
+    inspection : {"waiting", "done", "failed"}
+        How far its inspection page is, which is made after the signature, also of a scan that failed.
+    page : bytes or None
+        The inspection page, if it is done, and not too long ago.
+    scan : Path or None
+        The file, if it is still there.
+    kept_as : str or None
+        The id of the shape, if the scan was kept.
     """
 
     id: str
@@ -63,6 +79,10 @@ class Job:
     stages: tuple[tuple[str, float], ...] = ()
     described: Described | None = None
     error: PcretrieveError | None = None
+    inspection: Literal["waiting", "done", "failed"] = "waiting"
+    page: bytes | None = None
+    scan: Path | None = None
+    kept_as: str | None = None
 
     @property
     def has_ended(self) -> bool:
@@ -72,40 +92,73 @@ class Job:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Upload:
-    """A folder for a scan that is received, which is removed when the scan has been processed, or refused.
+    """A scan that is received or processed.
 
     Attributes
     ----------
     job : Job
         The job of the scan.
-    folder : TemporaryDirectory
-        The folder.
+    folder : Path
+        A folder for its files alone.
     """
 
     job: Job
-    folder: TemporaryDirectory[str] = field(default_factory=lambda: TemporaryDirectory(prefix="pcretrieve-"))
+    folder: Path
+
+    def remove(self) -> None:
+        """Remove the folder."""
+        self.job.scan = None
+        shutil.rmtree(self.folder, ignore_errors=True)
 
 
 class Jobs:
     """The uploaded scans of a server.
 
+    Their files are removed when they have been inspected, and, if they can be kept, when they were, or are
+    too long ago; those of a server that was killed, when the next one starts.
+
     Parameters
     ----------
+    location : str
+        The path or the URL of the catalogue, for the inspection.
+    title : str
+        Name of the collection.
     options : PipelineOptions
         The options by which scans are processed.
     timeout : float
         Longest time for a scan; seconds.
     memory : float
         Largest heap of a process; GiB.
+    up : {"x", "-x", "y", "-y", "z", "-z"}, optional
+        The axis of the files that points upwards; by default found for each scan.
+    collection : Collection, optional
+        Where scans are kept, if they can be.
     """
 
-    def __init__(self, options: PipelineOptions, *, timeout: float, memory: float) -> None:
-        self._function = partial(_described, options)
+    def __init__(
+        self,
+        location: str,
+        title: str,
+        options: PipelineOptions,
+        *,
+        timeout: float,
+        memory: float,
+        up: str | None = None,
+        collection: Collection | None = None,
+    ) -> None:
+        self.collection = collection
+        self._described = partial(_described, options, up)
+        self._inspected = partial(inspection_page, location, title, options)
         self._isolation = Isolation(timeout, memory)
-        self._idle: _Crew = []
+        self._idle: list[Worker[Path, Described]] = []
+        self._idle_inspecting: list[Worker[tuple[str, str, Path], bytes]] = []
+        # Two threads, so that no answer waits for an inspection.
         self._thread = ThreadPoolExecutor(1, thread_name_prefix="pcretrieve-uploads")
+        self._inspecting = ThreadPoolExecutor(1, thread_name_prefix="pcretrieve-inspections")
+        self._uninspected: set[str] = set()
         self._lock = Lock()
-        self._jobs: OrderedDict[str, Job] = OrderedDict()
+        self._folder = TemporaryFolder()
+        self._jobs: OrderedDict[str, Upload] = OrderedDict()
         self._open: dict[str, Upload] = {}
 
     def begin(self, name: str) -> Upload:
@@ -129,15 +182,16 @@ class Jobs:
         with self._lock:
             if len(self._open) >= MOST_WAITING:
                 raise Busy(f"{MOST_WAITING} scans are waiting already: try again in a minute")
-            upload = Upload(Job(secrets.token_urlsafe(12), name))
+            folder = Path(tempfile.mkdtemp(prefix="upload-", dir=self._folder.path))
+            upload = Upload(Job(secrets.token_urlsafe(12), name), folder)
             self._open[upload.job.id] = upload
         return upload
 
     def abandon(self, upload: Upload) -> None:
-        """Remove a scan that was not received, or has been processed."""
+        """Remove a scan that was not received."""
         with self._lock:
             self._open.pop(upload.job.id, None)
-        upload.folder.cleanup()
+        upload.remove()
 
     def submit(self, upload: Upload, scan: Path) -> None:
         """Have a scan processed.
@@ -149,57 +203,134 @@ class Jobs:
         scan : Path
             The file, in the folder of the upload.
         """
+        upload.job.scan = scan
         with self._lock:
-            self._jobs[upload.job.id] = upload.job
-            if len(self._jobs) > MOST_KEPT:
+            self._jobs[upload.job.id] = upload
+            if len(self._jobs) > MOST_KNOWN:
                 self._jobs.popitem(last=False)
         self._thread.submit(self._process, upload, scan)
 
     def job(self, job_id: str) -> Job:
         """The job of a name, with the stages that have ended until now; NotFound if there is none."""
-        with self._lock:
-            job, upload = self._jobs.get(job_id), self._open.get(job_id)
-        if job is None:
-            raise NotFound("there is no such scan: it was uploaded to an earlier server, or is too long ago")
-        if upload is not None and job.state == "running":
-            job.stages = _stages(Path(upload.folder.name))
-        return job
+        upload = self._upload(job_id)
+        if upload.job.state == "running":
+            upload.job.stages = _stages(upload.folder)
+        return upload.job
+
+    def keep(self, job_id: str, shape_id: str, label: str | None) -> Future[Record]:
+        """Have a scan stored in the collection, after those that wait.
+
+        Parameters
+        ----------
+        job_id : str
+            The name of the job.
+        shape_id : str
+            The id of the shape.
+        label : str or None
+            Its class, if known.
+
+        Returns
+        -------
+        Future
+            The record of the shape, when it is stored. Its errors are those of `Collection.add`, and
+            NotFound if there is no such scan, its file is gone, or this server keeps none.
+        """
+        return self._thread.submit(self._keep, self._upload(job_id), shape_id, label)
 
     def close(self) -> None:
-        """Refuse the scans that wait, finish the present one, and end the process."""
-        self._thread.shutdown(cancel_futures=True)
-        for upload in list(self._open.values()):
-            self.abandon(upload)
-        for worker in self._idle:
-            worker.stop()
+        """Refuse the scans that wait, finish the present one, end the process, and remove all files."""
+        for thread in (self._thread, self._inspecting):
+            thread.shutdown(cancel_futures=True)
+        for crew in (self._idle, self._idle_inspecting):
+            for worker in crew:
+                worker.stop()
+        self._folder.remove()
+
+    def _upload(self, job_id: str) -> Upload:
+        with self._lock:
+            upload = self._jobs.get(job_id)
+        if upload is None:
+            raise NotFound("there is no such scan: it was uploaded to an earlier server, or is too long ago")
+        return upload
 
     def _process(self, upload: Upload, scan: Path) -> None:
         job = upload.job
         job.state = "running"
         outcome: Described | PcretrieveError
         try:
-            ((_, outcome),) = self._isolation.each(self._function, [scan], idle=self._idle)
-            job.stages = _stages(scan.parent)
+            ((_, outcome),) = self._isolation.each(self._described, [scan], idle=self._idle)
+            job.stages = _stages(upload.folder)
         except Exception as error:  # noqa: BLE001  processes cannot be started, or the disk is full
             outcome = shape_error(error)
-        self.abandon(upload)
         if isinstance(outcome, PcretrieveError):
             job.error, job.state = outcome, "failed"
         else:
             job.described, job.state = outcome, "done"
+        with self._lock:
+            self._open.pop(job.id, None)
+            # What has exceeded the limits once would do so again.
+            can_be_inspected = (
+                not isinstance(outcome, (StageTimeout, MemoryExceeded, WorkerDied))
+                and len(self._uninspected) < MOST_WAITING
+            )
+            if can_be_inspected:
+                self._uninspected.add(job.id)
+        if can_be_inspected:
+            self._inspecting.submit(self._inspect, upload, scan)
+        else:
+            self._end(upload, None)
+
+    def _inspect(self, upload: Upload, scan: Path) -> None:
+        job = upload.job
+        page = None
+        try:
+            items = [(job.name, f"/scan/{job.id}", scan)]
+            ((_, outcome),) = self._isolation.each(self._inspected, items, idle=self._idle_inspecting)
+            page = outcome if isinstance(outcome, bytes) else None
+        except Exception as error:  # noqa: BLE001  as above
+            outcome = shape_error(error)
+        if page is None:
+            logger.warning("a scan was not inspected: %s", outcome)
+        self._end(upload, page)
+
+    def _end(self, upload: Upload, page: bytes | None) -> None:
+        """Note the inspection page, None if there is none, and remove what is not needed any more."""
+        job = upload.job
+        job.page, job.inspection = page, "failed" if page is None else "done"
+        if self.collection is None or job.described is None:
+            upload.remove()
+        with self._lock:
+            self._uninspected.discard(job.id)
+            for earlier in list(self._jobs.values())[:-MOST_WHOLE]:
+                if earlier.job.inspection != "waiting":
+                    earlier.job.page = None
+                    earlier.remove()
+
+    def _keep(self, upload: Upload, shape_id: str, label: str | None) -> Record:
+        job = upload.job
+        if self.collection is None:
+            raise NotFound("this server keeps no scans: start it with --keep FOLDER")
+        if job.kept_as is not None:
+            raise NotFound(f"the scan is kept already, as {job.kept_as!r}")
+        if job.scan is None:
+            raise NotFound("the scan is gone, because it failed or is too long ago: upload it again")
+        record = self.collection.add(job.scan, shape_id, label)
+        job.kept_as = record.id
+        upload.remove()
+        return record
 
 
-def _described(options: PipelineOptions, scan: Path) -> Described:
-    """The signature of a scan, in a worker process, which logs its stages beside the scan."""
-    from pcretrieve.pipeline.process import judged_signature
+def _described(options: PipelineOptions, up: str | None, scan: Path) -> Described:
+    """The signature and the picture of a scan, in a worker process, which logs its stages beside the scan."""
+    from pcretrieve.searching import pictured
 
-    logger, handler = logging.getLogger("pcretrieve.pipeline"), logging.FileHandler(scan.parent / LOG)
-    logger.setLevel(logging.INFO)
-    logger.addHandler(handler)
+    stages, handler = logging.getLogger("pcretrieve.pipeline"), logging.FileHandler(scan.parent / LOG)
+    stages.setLevel(logging.INFO)
+    stages.addHandler(handler)
     try:
-        return Described(*judged_signature(scan, options))
+        return pictured(scan, options, up)
     finally:
-        logger.removeHandler(handler)
+        stages.removeHandler(handler)
         handler.close()
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from pcretrieve import __version__
-from pcretrieve.web.endpoints import ENDPOINTS, Field
+from pcretrieve.web.endpoints import ENDPOINTS, KEPT_AS, Field
 
 __all__ = ["openapi_document"]
 
@@ -51,6 +51,7 @@ def openapi_document() -> dict[str, Any]:
         for path, words, media_type, fields in [*operations, *OTHERS]
     }
     paths["/scans"] = {"post": _upload()}
+    paths["/scans/{id}/keep"] = {"post": _keeping()}
     return {
         "openapi": "3.1.0",
         "info": {
@@ -84,13 +85,28 @@ def _upload() -> dict[str, Any]:
         "content": {"application/json": {"schema": {"type": "object"}}},
     }
     return {
-        "summary": "upload a scan, which is processed and removed",
+        "summary": "upload a scan, which is processed, inspected, and removed unless it is kept",
         "parameters": [_parameter(name, "query")],
         "requestBody": {
             "required": True,
             "content": {"application/octet-stream": {"schema": {"type": "string", "format": "binary"}}},
         },
         "responses": {"202": accepted} | _errors(ERRORS | more),
+    }
+
+
+def _keeping() -> dict[str, Any]:
+    stored = {
+        "description": "what the catalogue says of the shape; the header Location is its address",
+        "content": {"application/json": {"schema": {"type": "object"}}},
+    }
+    return {
+        "summary": "keep an uploaded scan as a shape of the catalogue, if the server was started with --keep",
+        "parameters": [
+            _parameter(Field("id", "the job of the scan", required=True), "path"),
+            *(_parameter(field, "query") for field in KEPT_AS),
+        ],
+        "responses": {"201": stored} | _errors(ERRORS),
     }
 
 

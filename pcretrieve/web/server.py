@@ -18,6 +18,7 @@ from pcretrieve.retrieval import N_INTERPRETED
 from pcretrieve.web.application import application
 from pcretrieve.web.guard import Guard
 from pcretrieve.web.jobs import Jobs
+from pcretrieve.web.keeping import Collection
 from pcretrieve.web.readers import Readers
 from pcretrieve.web.site import Site
 
@@ -50,6 +51,7 @@ def serve(
     timeout: float = 300.0,
     memory: float = 4.0,
     up: str | None = None,
+    keep: str | Path | None = None,
     on_start: Callable[[str], None] = lambda address: None,
 ) -> None:
     """Serve the search page of a catalogue to browsers of this computer, until Ctrl-C or SIGTERM.
@@ -75,6 +77,9 @@ def serve(
     up : {"x", "-x", "y", "-y", "z", "-z"}, optional
         The axis of the files that points upwards, for the pictures of all shapes. By default it is found for
         each: by the ground that was removed from its scan, or from the surface.
+    keep : str or Path, optional
+        A folder, in which uploaded scans are stored if that is asked for, as shapes of the catalogue. By
+        default none can be kept.
     on_start : function, optional
         Called with the address that contains the token, as soon as the server accepts connections.
 
@@ -82,7 +87,8 @@ def serve(
     ------
     InputError
         If Starlette or uvicorn are not installed, the token has other characters than letters, digits, ``-``
-        and ``_``, the port is used by another program, or the catalogue has no shapes that can be compared.
+        and ``_``, `keep` is no folder, the port is used by another program, or the catalogue has no shapes
+        that can be compared.
     OptionError
         If `up` is no axis.
     CatalogueError
@@ -101,7 +107,12 @@ def serve(
     if not TOKEN.fullmatch(key):
         raise InputError("the token must be ASCII letters, digits, - and _ only, as it is part of an address")
     searching, drawing = Readers(str(catalogue), 1), Readers(str(catalogue), N_DRAWING)
-    jobs = None if read_only else Jobs(scanned, timeout=timeout, memory=memory)
+    if keep is not None and (read_only or not Path(keep).is_dir()):
+        raise InputError(f"scans are kept in a folder, by a server that is not read-only, got {keep}")
+    kept = None if keep is None else Collection(str(catalogue), Path(keep).absolute(), timeout, memory)
+    jobs = None
+    if not read_only:
+        jobs = Jobs(str(catalogue), title, scanned, timeout=timeout, memory=memory, up=up, collection=kept)
     site = Site(searching, drawing, title, chosen, jobs, most_bytes, up)
     try:
         guarded = Guard(application(site), key)

@@ -13,8 +13,8 @@ from pcretrieve.web.documents import (
     shape_document,
     similar_document,
     similar_to,
-    without_folders,
 )
+from pcretrieve.web.folders import without_folders
 from pcretrieve.web.listing import class_names
 from pcretrieve.web.maps import Maps
 from pcretrieve.web.requests import Listing, NotFound, Similar
@@ -23,7 +23,9 @@ from pcretrieve.web.uploads import upload_suffixes
 __all__ = ["collection_page", "map_page", "refusal_page", "scan_page", "shape_page"]
 
 
-def collection_page(catalogue: Catalogue, title: str, listing: Listing, most_bytes: int) -> str:
+def collection_page(
+    catalogue: Catalogue, title: str, listing: Listing, most_bytes: int, *, keeps_scans: bool
+) -> str:
     """The shapes of the catalogue as thumbnails, with a form to search them by name and class.
 
     Parameters
@@ -36,6 +38,8 @@ def collection_page(catalogue: Catalogue, title: str, listing: Listing, most_byt
         Which shapes are shown.
     most_bytes : int
         Largest size of a scan that may be uploaded; 0 if none may.
+    keeps_scans : bool
+        Whether an uploaded scan can be stored in the catalogue.
 
     Returns
     -------
@@ -49,6 +53,7 @@ def collection_page(catalogue: Catalogue, title: str, listing: Listing, most_byt
         classes=class_names(catalogue),
         suffixes=upload_suffixes() if most_bytes else (),
         most_bytes=most_bytes,
+        keeps_scans=keeps_scans,
     )
 
 
@@ -132,7 +137,14 @@ def shape_page(
 
 
 def scan_page(
-    catalogue: Catalogue, title: str, job: dict[str, Any], asked: Similar, found: dict[str, Any] | None
+    catalogue: Catalogue,
+    title: str,
+    job: dict[str, Any],
+    asked: Similar,
+    found: dict[str, Any] | None,
+    *,
+    has_picture: bool,
+    can_be_kept: bool,
 ) -> str:
     """An uploaded scan: how far it is, why it failed, or its nearest neighbours.
 
@@ -148,6 +160,10 @@ def scan_page(
         What is asked of the neighbours.
     found : dict or None
         The document of the answer; None while there is none.
+    has_picture : bool
+        Whether there is a picture of the scan.
+    can_be_kept : bool
+        Whether the scan can be stored in the catalogue.
 
     Returns
     -------
@@ -155,7 +171,13 @@ def scan_page(
         The page.
     """
     return page_template("scan.html").render(
-        title=title, job=job, asked=asked, found=found, classes=class_names(catalogue)
+        title=title,
+        job=job,
+        asked=asked,
+        found=found,
+        classes=class_names(catalogue),
+        has_picture=has_picture,
+        can_be_kept=can_be_kept,
     )
 
 

@@ -98,7 +98,7 @@ def unharmed(request: pytest.FixtureRequest) -> Iterator[None]:
 
 
 def scans_in(place: Path) -> list[Path]:
-    return [path for path in place.glob("*/*") if path.suffix.lower() in (".off", ".ply", ".obj")]
+    return [path for path in place.rglob("*") if path.suffix.lower() in (".off", ".ply", ".obj")]
 
 
 def sizes_in(place: Path) -> list[int]:

@@ -74,7 +74,9 @@ def test_shapes_are_found_by_name_class_and_state_at_a_permalink(
     page.get_by_label("State").select_option(label="doubtful")
     page.get_by_text("1 shape", exact=True).wait_for()
     assert names(page) == ["Egg23"]
-    assert page.get_by_text("a large hole").is_visible()
+    assert page.get_by_text("doubtful ± 0.500").is_visible()
+    page.get_by_role("link", name="Egg23").click()
+    page.get_by_text("a large hole").wait_for()
 
 
 def test_from_a_shape_to_its_nearest_and_on(page: Page, eggs: Path) -> None:

@@ -48,13 +48,14 @@ def test_a_scan_is_answered_as_by_the_library_and_removed(server: Server, scan: 
     assert server.ask(f"/scans/{job['job']}/similar.csv").body.startswith(b"query,rank,id")
     events = server.ask(f"/scans/{job['job']}/events")
     assert events.headers["content-type"].startswith("text/event-stream")
-    assert json.loads(events.body.decode().removeprefix("data: ")) == job
-    mine = {
-        folder
-        for folder in set(Path(gettempdir()).glob("pcretrieve-*")) - before
-        if any(folder.glob("*.off"))
-    }
-    assert mine == set()
+    *_, last = (json.loads(event) for event in events.body.decode().split("data: ") if event)
+    assert last == job | {"inspection": "done"}
+
+    def left() -> list[Path]:
+        new = set(Path(gettempdir()).glob("pcretrieve-*")) - before
+        return [path for folder in new for path in folder.rglob("*.off")]
+
+    assert wait_for(lambda: not left())
 
 
 def test_a_scan_that_cannot_be_read_fails_alone(server: Server) -> None:
