@@ -67,7 +67,7 @@ def test_pages_may_use_this_server_alone(server: Server) -> None:
         assert "default-src 'none'" in policy
         assert "unsafe" not in policy
         assert headers["x-content-type-options"] == "nosniff"
-        assert headers["referrer-policy"] == "no-referrer"
+        assert headers["referrer-policy"] == "same-origin"
         assert "server" not in headers
         assert headers["server-timing"].startswith("total;dur=")
     page = server.ask("/shape/Egg00").body
