@@ -51,9 +51,10 @@ def compare_command(
     """
     from pcretrieve.evaluation import MEASURES, compare_scores, result_scores
 
+    used: dict[str, PipelineOptions] = {}
     found = compare_scores(
-        result_scores(first, _options(comparison, 0), labels),
-        result_scores(second, _options(comparison, 1), labels),
+        result_scores(first, _options(comparison, 0, used), labels),
+        result_scores(second, _options(comparison, 1, used), labels),
     )
     rows = {
         "first": found.first,
@@ -68,6 +69,9 @@ def compare_command(
             name: dict(zip(MEASURES, row.tolist(), strict=True)) for name, row in rows.items()
         }
         document |= {
+            # The head of the document has the options of one computation, and here are two, or none of files.
+            "first_options": used["first"].model_dump(mode="json") if "first" in used else None,
+            "second_options": used["second"].model_dump(mode="json") if "second" in used else None,
             "level": found.level,
             "n_queries": len(found.changes),
             "only_first": found.only_first,
@@ -103,14 +107,21 @@ def compare_command(
     )
 
 
-def _options(comparison: dict[str, tuple[Any, ...]], number: int) -> Callable[[Catalogue], PipelineOptions]:
-    """The options of one of the results."""
+def _options(
+    comparison: dict[str, tuple[Any, ...]], number: int, used: dict[str, PipelineOptions]
+) -> Callable[[Catalogue], PipelineOptions]:
+    """The options of one of the results, which are noted in `used` if it is computed from a catalogue."""
     chosen = {}
     for name, values in comparison.items():
         if len(values) > 2:
             raise click.UsageError(f"--{name.replace('_', '-')} is given at most twice, got {len(values)}")
         chosen[name] = values[min(number, len(values) - 1)] if values else None
-    return lambda store: compared(store, **chosen)
+
+    def noted(store: Catalogue) -> PipelineOptions:
+        options = used[("first", "second")[number]] = compared(store, **chosen)
+        return options
+
+    return noted
 
 
 for _parameter in compare_command.params:

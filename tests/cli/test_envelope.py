@@ -70,11 +70,12 @@ ASKED: dict[str, tuple[str, int, set[str], bool]] = {
     "retry": ("c.sqlite --workers 1", 3, {"done", "failed"}, True),
     "query": ("e0 -c c.sqlite -k 2", 0, {"query", "results", "vote", "verdict", "distance"}, True),
     "evaluate": ("-c c.sqlite", 0, {"map", "n_queries"}, True),
-    "compare": ("c.sqlite c.sqlite", 0, {"first", "second", "difference"}, False),
+    "compare": ("c.sqlite c.sqlite", 0, {"first", "second", "difference", "second_options"}, False),
     "matrix": ("-c c.sqlite -o run.txt", 0, {"matrix", "ids", "n_shapes", "failed"}, True),
     "duplicates": ("-c c.sqlite", 0, set(), True),
     "cluster": ("-c c.sqlite --min-size 2", 0, {"id", "label"}, True),
     "map": ("-c c.sqlite -o map.html", 0, {"page"}, True),
+    "calibrate": ("-c c.sqlite -o metric.npz", 0, {"whitening", "reason"}, True),
     "report": ("-c c.sqlite -o report.html", 0, {"page"}, True),
     "list": ("-c c.sqlite --limit 2", 0, {"id", "path", "status", "verdict"}, False),
     "show": ("e1 -c c.sqlite", 0, {"id", "steps", "stored_bytes"}, False),
@@ -85,8 +86,8 @@ ASKED: dict[str, tuple[str, int, set[str], bool]] = {
     "export": ("e0 -c c.sqlite -o mesh.off", 0, {"files"}, False),
     "options": ("--config handheld", 0, set(), True),
 }
-# These need more than the folder has, and have tests of their own.
-ELSEWHERE = {"merge", "calibrate"}
+# This needs views, and has tests of its own.
+ELSEWHERE = {"merge"}
 
 
 def test_all_commands_are_asked() -> None:
@@ -112,6 +113,13 @@ def test_every_document_has_one_head(name: str, folder: Path, monkeypatch: pytes
     first = result[0] if isinstance(result, list) and result else result
     assert keys <= set(first or ())
     assert "json" not in found["arguments"]
+
+
+def test_a_comparison_has_the_options_of_both_results(folder: Path) -> None:
+    catalogue = folder / "c.sqlite"
+    found = document("compare", catalogue, catalogue, "--whitening", "none", "--whitening", "pca")["result"]
+    options = [PipelineOptions.model_validate(found[f"{name}_options"]) for name in ("first", "second")]
+    assert [one.retrieval.whitening for one in options] == ["none", "pca"]
 
 
 def test_arguments_have_the_names_that_are_typed(folder: Path) -> None:
