@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import zipfile
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -229,6 +230,31 @@ def test_damaged_archives(content: bytes, words: str, tmp_path: Path) -> None:
     (tmp_path / "a.3mf").write_bytes(content)
     with pytest.raises(ScanReadError, match=words):
         read_scan(tmp_path / "a.3mf")
+
+
+@needs(".3mf")
+def test_an_archive_that_expands_to_much_more_is_not_read(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    file = tmp_path / "a.3mf"
+    file.write_bytes(three_mf(BALL))
+    with zipfile.ZipFile(file, "a", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("3D/blanks.model", b" " * 20_000_000)
+    monkeypatch.setattr("pcretrieve.formats.scenes.scene_bodies", pytest.fail)
+    with pytest.raises(ScanReadError, match=r"its members declare 2\d+ bytes in \d+"):
+        read_scan(file)
+
+
+@needs(".3mf")
+def test_a_regular_mesh_which_is_compressed_best_is_read(tmp_path: Path) -> None:
+    n = 300
+    x, y = np.meshgrid(np.arange(n), np.arange(n))
+    corner = (np.arange(n - 1)[:, np.newaxis] * n + np.arange(n - 1)).ravel()
+    faces = np.concatenate([corner[:, np.newaxis] + side for side in ([0, 1, n], [1, n + 1, n])])
+    grid = TriangleMesh(np.stack([x, y, 0 * x], axis=-1).reshape(-1, 3).astype(float), faces.astype(np.int32))
+    (tmp_path / "grid.3mf").write_bytes(three_mf(grid))
+    found = read_scan(tmp_path / "grid.3mf")
+    assert isinstance(found, TriangleMesh) and len(found.faces) == len(faces)
 
 
 @needs(".dae")
