@@ -12,7 +12,7 @@ from pcretrieve.csv_text import csv_text
 from pcretrieve.options import PipelineOptions
 from pcretrieve.searching import Answer, Described, answer_to, result_rows
 from pcretrieve.web.folders import without_folders
-from pcretrieve.web.jobs import Job
+from pcretrieve.web.job import Job
 from pcretrieve.web.listing import listed
 from pcretrieve.web.requests import PAGE, Listing, Similar
 

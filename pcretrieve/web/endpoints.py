@@ -21,7 +21,8 @@ from pcretrieve.web.documents import (
     similar_document,
     similar_to,
 )
-from pcretrieve.web.jobs import Job, Jobs
+from pcretrieve.web.job import Job
+from pcretrieve.web.jobs import Jobs
 from pcretrieve.web.replies import FRESH, KEPT, Reply, csv_reply, html_reply, json_reply
 from pcretrieve.web.requests import SORTS, STATES, Listing, NotFound, Similar
 from pcretrieve.web.site import Site

@@ -5,15 +5,12 @@ from __future__ import annotations
 import logging
 import re
 import secrets
-import shutil
 import tempfile
 from collections import OrderedDict
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from threading import Lock
-from typing import Literal
 
 from pcretrieve.catalogue import Record
 from pcretrieve.errors import MemoryExceeded, PcretrieveError, StageTimeout, WorkerDied, shape_error
@@ -23,10 +20,11 @@ from pcretrieve.ingestion.worker import Worker
 from pcretrieve.options import PipelineOptions
 from pcretrieve.searching import Described
 from pcretrieve.web.inspections import inspection_page
+from pcretrieve.web.job import Job, Upload
 from pcretrieve.web.keeping import Collection
 from pcretrieve.web.requests import Busy, NotFound
 
-__all__ = ["Job", "Jobs", "Upload"]
+__all__ = ["Jobs"]
 
 logger = logging.getLogger(__name__)
 
@@ -41,74 +39,6 @@ MOST_WHOLE = 20
 # The name of the log file of a job, beside the scan, and its lines: of a stage that has ended.
 LOG = "stages.log"
 STAGE = re.compile(r"^\S+: ([\w-]+) in ([0-9]+\.?[0-9]*) s", re.MULTILINE)
-
-State = Literal["waiting", "running", "done", "failed"]
-
-
-@dataclass(slots=True, eq=False)
-class Job:
-    """One uploaded scan.
-
-    Attributes
-    ----------
-    id : str
-        A random name.
-    name : str
-        The name of the file, as the browser gave it; no file of the server has it.
-    state : {"waiting", "running", "done", "failed"}
-        How far its signature is.
-    stages : tuple of (str, float)
-        The stages that have ended, and their times in seconds.
-    described : Described or None
-        The signature, the verdict and the picture, if it is done.
-    error : PcretrieveError or None
-        Why it failed.
-    inspection : {"waiting", "done", "failed"}
-        How far its inspection page is, which is made after the signature, also of a scan that failed.
-    page : bytes or None
-        The inspection page, if it is done, and not too long ago.
-    scan : Path or None
-        The file, if it is still there.
-    kept_as : str or None
-        The id of the shape, if the scan was kept.
-    """
-
-    id: str
-    name: str
-    state: State = "waiting"
-    stages: tuple[tuple[str, float], ...] = ()
-    described: Described | None = None
-    error: PcretrieveError | None = None
-    inspection: Literal["waiting", "done", "failed"] = "waiting"
-    page: bytes | None = None
-    scan: Path | None = None
-    kept_as: str | None = None
-
-    @property
-    def has_ended(self) -> bool:
-        """Whether the job is done or has failed."""
-        return self.state in ("done", "failed")
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Upload:
-    """A scan that is received or processed.
-
-    Attributes
-    ----------
-    job : Job
-        The job of the scan.
-    folder : Path
-        A folder for its files alone.
-    """
-
-    job: Job
-    folder: Path
-
-    def remove(self) -> None:
-        """Remove the folder."""
-        self.job.scan = None
-        shutil.rmtree(self.folder, ignore_errors=True)
 
 
 class Jobs:
