@@ -11,8 +11,8 @@ import click
 
 from pcretrieve.cli.commands import command
 from pcretrieve.cli.documents import write_document
-from pcretrieve.cli.messages import say, write_line
-from pcretrieve.cli.parts import CATALOGUE, json_option
+from pcretrieve.cli.messages import say, write_words
+from pcretrieve.cli.parts import catalogue_argument, json_option
 from pcretrieve.cli.progress import Progress
 from pcretrieve.cli.tables import Column, write_table
 
@@ -25,7 +25,7 @@ EXIT_DEFECTS = 1
 
 
 @command("check")
-@click.argument("catalogue", type=CATALOGUE)
+@catalogue_argument
 @click.option(
     "--sample",
     type=click.IntRange(min=0),
@@ -80,7 +80,7 @@ def _write(catalogue: str, result: Check) -> None:
             "the file is damaged in a way that cannot be repaired: restore a backup, or ingest into a new one"
         )
     n_defects, n_left = len(result.defects), sum(defect.repair is None for defect in result.defects)
-    write_line(
+    write_words(
         f"{catalogue}: {result.n_shapes} shapes, {result.n_failed} failed, {result.n_recomputed} signatures "
         f"computed again, {n_defects} defects" + (f", {n_left} not repaired" if n_left else "")
     )

@@ -12,7 +12,7 @@ import click
 
 from pcretrieve.cli.commands import command, option
 from pcretrieve.cli.documents import write_document
-from pcretrieve.cli.messages import say, write_line
+from pcretrieve.cli.messages import say, shown_path, write_line
 from pcretrieve.cli.parts import (
     CATALOGUE,
     EXIT_SOME_FAILED,
@@ -137,7 +137,7 @@ def inspect_command(
     )
     for check in inspection.checks:
         advice = "" if check.verdict == "passed" else f": {check.words}"
-        say(f"{check.verdict:<6}  {check.name:<16}  {check.shown}{advice}")
+        say(f"{check.verdict:<6}  {check.name:<16}  {check.shown}{advice}", indent=26)
     if inspection.shape_verdict is not None:
         say(f"The shape is {inspection.shape_verdict}.")
         say(inspection.next_body.source)
@@ -145,7 +145,7 @@ def inspect_command(
     if as_json:
         write_document(_document(inspection, page, png), options=options)
     else:
-        write_line(printable(page))
+        write_line(shown_path(printable(page)))
     if inspection.failure is not None:
         click.get_current_context().exit(EXIT_SOME_FAILED)
 
@@ -160,7 +160,7 @@ def _write_outcomes(
     else:
         for found in documents:
             if "page" in found:
-                write_line(f"{found['page']}  {found['verdict']}  {found['summary']}")
+                write_line(f"{shown_path(str(found['page']))}  {found['verdict']}  {found['summary']}")
     if any("page" not in found or found["failure"] is not None for found in documents):
         click.get_current_context().exit(EXIT_SOME_FAILED)
 

@@ -10,7 +10,7 @@ import click
 from pcretrieve.cli.commands import command
 from pcretrieve.cli.comparison import compared, comparison_options
 from pcretrieve.cli.documents import write_document
-from pcretrieve.cli.messages import write_line
+from pcretrieve.cli.messages import shown_path, write_line
 from pcretrieve.cli.parts import catalogue_option, json_option, up_option
 
 __all__ = ["map_command"]
@@ -47,4 +47,4 @@ def map_command(catalogue: str, output: Path, up: str | None, as_json: bool, **c
     if as_json:
         write_document({"page": str(page)}, options=options)
     else:
-        write_line(str(page))
+        write_line(shown_path(str(page)))

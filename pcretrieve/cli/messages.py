@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import logging
 import os
+import shutil
 import sys
+import textwrap
 from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, TextIO
@@ -29,6 +31,7 @@ __all__ = [
     "write_csv",
     "write_line",
     "write_row",
+    "write_words",
 ]
 
 # What messages begin with that are red on a terminal.
@@ -69,15 +72,17 @@ def escaped(text: str) -> str:
     return text.translate(ESCAPES)
 
 
-def say(message: str) -> None:
+def say(message: str, *, indent: int | None = 0) -> None:
     """Print a message for users, on standard error. If that cannot be written, the command goes on silently.
 
     Parameters
     ----------
     message : str
-        The message, which is printed in one line.
+        The message, which is printed in one line; on a terminal, broken between words.
+    indent : int or None, default 0
+        The number of blanks before further lines of a terminal. None: the message is not broken.
     """
-    text = escaped(message)
+    text = escaped(message) if indent is None else _broken(escaped(message), sys.stderr, indent)
     for word in WARNING_WORDS:
         if text.startswith(word) and not os.environ.get("NO_COLOR"):
             text = click.style(word, fg="red") + text.removeprefix(word)
@@ -112,6 +117,28 @@ def write_line(text: str) -> None:
         The line.
     """
     print_text(escaped(text))
+
+
+def write_words(text: str) -> None:
+    """Print a sentence of a result, on standard output; on a terminal, broken between words.
+
+    Parameters
+    ----------
+    text : str
+        The sentence.
+    """
+    print_text(_broken(escaped(text), sys.stdout))
+
+
+def _broken(text: str, stream: TextIO, indent: int = 0) -> str:
+    """A line as a terminal shows it, or the line itself, if the stream is none."""
+    width = shutil.get_terminal_size().columns
+    if not stream.isatty() or len(text) <= width:
+        return text
+    # Paths and addresses stay whole, so that they can be copied.
+    return textwrap.fill(
+        text, width, subsequent_indent=" " * indent, break_long_words=False, break_on_hyphens=False
+    )
 
 
 def write_row(cells: Iterable[str]) -> None:

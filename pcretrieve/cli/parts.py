@@ -19,6 +19,7 @@ __all__ = [
     "CATALOGUE",
     "EXIT_INTERRUPTED",
     "EXIT_SOME_FAILED",
+    "catalogue_argument",
     "catalogue_option",
     "config_option",
     "json_option",
@@ -41,6 +42,8 @@ up_option = option(
     rare=True,
     help="The axis of the files that points upwards on pictures; by default found for each shape.",
 )
+#: Of commands whose only argument is a catalogue.
+catalogue_argument = click.argument("catalogue", type=CATALOGUE, envvar=CATALOGUE_VARIABLE)
 catalogue_option = click.option(
     "--catalogue",
     "-c",

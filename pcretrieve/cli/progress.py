@@ -93,7 +93,7 @@ class Progress:
         self._n_failed += failure is not None
         if self._mode == "json":
             counts = {"finished": self._n_done, "failures": self._n_failed, "total": self._total}
-            say(json.dumps(facts | counts, ensure_ascii=False))
+            say(json.dumps(facts | counts, ensure_ascii=False), indent=None)
         elif failure is not None and self._bar is not None:
             self._bar.write(escaped(failure), file=sys.stderr)
         elif failure is not None:

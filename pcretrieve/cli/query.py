@@ -14,7 +14,7 @@ from pcretrieve.cli.commands import command, option
 from pcretrieve.cli.comparison import compared, comparison_options, matrix_option, read_distances
 from pcretrieve.cli.completion import complete_labels, complete_queries
 from pcretrieve.cli.documents import write_documents
-from pcretrieve.cli.messages import say, shown_path, write_csv, write_line
+from pcretrieve.cli.messages import say, shown_path, write_csv, write_line, write_words
 from pcretrieve.cli.parts import (
     EXIT_SOME_FAILED,
     catalogue_option,
@@ -194,7 +194,7 @@ def query_command(
                 min_score=min_score,
                 up=up,
             )
-            say(f"page: {printable(written)}")
+            say(f"page: {shown_path(printable(written))}", indent=None)
             answers = iter(known)
         is_alone = len(queries) == 1 and not Path(queries[0]).is_dir()
         outcomes = _with_messages(answers, failures, is_alone=is_alone)
@@ -269,7 +269,7 @@ def _print_lines(outcomes: Outcomes, *, headed: bool) -> None:
             for row, record in zip(result_rows(answer), answer.records, strict=True)
         )
         write_table(columns, (cells[: len(columns)] for cells in rows))
-        write_line(str(answer))
+        write_words(str(answer))
 
 
 def _judged(verdict: Verdict) -> str:

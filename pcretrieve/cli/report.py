@@ -10,7 +10,7 @@ import click
 from pcretrieve.cli.commands import command
 from pcretrieve.cli.comparison import compared, comparison_options, matrix_option, read_distances
 from pcretrieve.cli.documents import write_document
-from pcretrieve.cli.messages import write_line
+from pcretrieve.cli.messages import shown_path, write_line
 from pcretrieve.cli.parts import CATALOGUE, catalogue_option, json_option, up_option
 
 __all__ = ["report_command"]
@@ -93,4 +93,4 @@ def report_command(
     if as_json:
         write_document({"page": str(page)}, options=options)
     else:
-        write_line(str(page))
+        write_line(shown_path(str(page)))

@@ -9,7 +9,7 @@ import click
 from pcretrieve.cli.commands import command
 from pcretrieve.cli.documents import write_document
 from pcretrieve.cli.messages import failure_line
-from pcretrieve.cli.parts import CATALOGUE, EXIT_SOME_FAILED, json_option, limit_options
+from pcretrieve.cli.parts import EXIT_SOME_FAILED, catalogue_argument, json_option, limit_options
 from pcretrieve.cli.progress import Progress, progress_option
 from pcretrieve.cli.scans import workers_option
 from pcretrieve.cli.summary import record_facts, say_summary, summary_document
@@ -21,7 +21,7 @@ __all__ = ["retry_command"]
 
 
 @command("retry")
-@click.argument("catalogue", type=CATALOGUE)
+@catalogue_argument
 @click.option(
     "--stage",
     metavar="STAGE",
@@ -60,7 +60,7 @@ def retry_command(
 
     with Catalogue(catalogue) as store:
         n_failed = sum(n for (place, _), n in store.failures().items() if stage in (None, place))
-        with Progress("retry", n_failed, progress) as shown:
+        with Progress("retry", n_failed, progress if n_failed else "none") as shown:
 
             def advance(record: Record) -> None:
                 failure = failure_line(record) if record.status == "failed" else None

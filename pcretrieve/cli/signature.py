@@ -13,7 +13,7 @@ import click
 from pcretrieve.cli.commands import command, option
 from pcretrieve.cli.comparison import method_option, n_values_option, scale_option, size_weight_option
 from pcretrieve.cli.documents import write_document
-from pcretrieve.cli.messages import failure_line, say, write_row
+from pcretrieve.cli.messages import failure_line, say, shown_path, write_row
 from pcretrieve.cli.parts import (
     CATALOGUE,
     EXIT_SOME_FAILED,
@@ -124,7 +124,7 @@ def signature_command(
             if outcome.deviation is not None:
                 facts |= {"deviation": outcome.deviation.tolist()}
             if not as_json:
-                write_row([name, *(f"{value:.9g}" for value in outcome.values)])
+                write_row([shown_path(name), *(f"{value:.9g}" for value in outcome.values)])
         else:
             n_failed += 1
             if from_catalogue is not None:

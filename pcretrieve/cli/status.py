@@ -5,12 +5,10 @@ from __future__ import annotations
 from dataclasses import asdict
 from typing import TYPE_CHECKING
 
-import click
-
 from pcretrieve.cli.commands import command
 from pcretrieve.cli.documents import write_document
-from pcretrieve.cli.messages import write_line
-from pcretrieve.cli.parts import CATALOGUE, json_option
+from pcretrieve.cli.messages import write_words
+from pcretrieve.cli.parts import catalogue_argument, json_option
 from pcretrieve.cli.progress import duration
 from pcretrieve.cli.tables import Column, write_table
 
@@ -21,7 +19,7 @@ __all__ = ["status_command"]
 
 
 @command("status")
-@click.argument("catalogue", type=CATALOGUE)
+@catalogue_argument
 @json_option
 def status_command(catalogue: str, as_json: bool) -> None:
     """Say how far the last ingest into a catalogue is, while it runs and afterwards.
@@ -36,8 +34,8 @@ def status_command(catalogue: str, as_json: bool) -> None:
         write_document({"catalogue": catalogue} | asdict(found))
         return
     for line in _lines(found):
-        write_line(line)
-    write_line(f"{catalogue}: {found.n_shapes} shapes, {sum(found.failures.values())} failed")
+        write_words(line)
+    write_words(f"{catalogue}: {found.n_shapes} shapes, {sum(found.failures.values())} failed")
     rows = ((str(number), kind) for kind, number in found.failures.items())
     write_table((Column("NUMBER", "number"), Column("FAILURE")), rows)
 

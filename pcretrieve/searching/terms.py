@@ -23,6 +23,7 @@ from pcretrieve.retrieval import (
 from pcretrieve.retrieval.neighbour_covariance import LEAST_SHAPES
 from pcretrieve.searching.answers import Answer
 from pcretrieve.searching.queries import Described, Query
+from pcretrieve.suggestions import did_you_mean
 from pcretrieve.types import FloatArray, Neighbors, Signature
 
 if TYPE_CHECKING:
@@ -149,9 +150,11 @@ class Terms:
     def _labelled(self, labels: Collection[str]) -> set[str]:
         among = set(self.catalogue.labelled(labels))
         if not among:
+            known = {one.label for one in self.catalogue.origins() if one.label is not None}
+            meant = did_you_mean(next(iter(labels)), known) if len(labels) == 1 else ""
             raise InputError(
                 f"no shape of {self.catalogue.location} is of the class {' or '.join(sorted(labels))}; "
-                "`pcretrieve list` shows the classes"
+                f"`pcretrieve list` shows the classes{meant}"
             )
         return among
 

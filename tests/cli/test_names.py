@@ -42,6 +42,10 @@ def test_the_environment_names_the_catalogue(path: Path, tmp_path: Path) -> None
     assert listed.exit_code == 0
     assert listed.stdout == run("list", "-c", path, catalogue=tmp_path / "absent.sqlite").stdout
     assert run("list").exit_code == 2
+    for command in ("status", "check"):
+        assert run(command, catalogue=path).stdout == run(command, path).stdout != ""
+        assert run(command).exit_code == 2
+    assert "failed" in str(run("retry", catalogue=path).exception)
 
 
 def test_evaluate_uses_the_environment_unless_a_matrix_and_labels_stand_for_it(
@@ -62,6 +66,7 @@ def test_evaluate_uses_the_environment_unless_a_matrix_and_labels_stand_for_it(
         ("qurey a", "there is no command 'qurey'; did you mean 'query'?"),
         ("list --faield", "did you mean '--failed'?"),
         ("show Cat1", "holds no shape 'Cat1'; `pcretrieve list` names them; did you mean 'cat1'?"),
+        ("query cat0 --filter label=ct", "`pcretrieve list` shows the classes; did you mean 'cat'?"),
         ("query dgo0", "no file and no shape of"),
         ("query dgo0", "did you mean 'dog0'?"),
         (

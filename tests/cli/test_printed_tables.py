@@ -48,14 +48,21 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return place
 
 
-def on_terminal(folder: Path, *words: str, **environment: str) -> list[str]:
-    """The lines that a terminal of 80 columns gets, with the codes that it gets."""
+def on_terminal(
+    folder: Path, *words: str, says: bool = False, code: int = 0, **environment: str
+) -> list[str]:
+    """The lines that a terminal of 80 columns gets, with their codes; messages too, if it `says` them."""
     ours, theirs = pty.openpty()
     fcntl.ioctl(theirs, termios.TIOCSWINSZ, struct.pack("HHHH", 24, COLUMNS, 0, 0))
     known = {name: value for name, value in os.environ.items() if name not in ("COLUMNS", "NO_COLOR")}
     command = [sys.executable, "-m", "pcretrieve", *words]
     with subprocess.Popen(
-        command, stdin=theirs, stdout=theirs, stderr=subprocess.DEVNULL, cwd=folder, env=known | environment
+        command,
+        stdin=theirs,
+        stdout=theirs,
+        stderr=theirs if says else subprocess.DEVNULL,
+        cwd=folder,
+        env=known | environment,
     ) as process:
         os.close(theirs)
         text = b""
@@ -68,7 +75,7 @@ def on_terminal(folder: Path, *words: str, **environment: str) -> list[str]:
                 break
             text += part
     os.close(ours)
-    assert process.returncode == 0
+    assert process.returncode == code
     return text.decode().splitlines()
 
 
@@ -97,6 +104,28 @@ def test_nothing_is_wider_than_the_terminal(folder: Path, words: Sequence[str]) 
         assert str(folder) not in shown
     if words == ("list", "--doubtful"):
         assert shown.count("wider") + shown.count("others") == 2 * REASON.count("wider")
+
+
+def test_messages_are_broken_between_words(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """On a terminal; elsewhere each is one line."""
+    asked = ("query", "-c", "c.sqlite", "egg0", "--filter", "label=eggs")
+    lines = on_terminal(folder, *asked, says=True, code=1, NO_COLOR="1")
+    monkeypatch.chdir(folder)
+    error = CliRunner().invoke(cli, asked).exception
+    assert len(lines) == 2
+    assert max(map(len, lines)) <= COLUMNS
+    assert " ".join(lines) == f"Error: {error}"
+    # The verdict of a query is on standard output.
+    verdict = CliRunner().invoke(cli, ["query", "-c", "c.sqlite", "egg0"]).stdout.splitlines()[-1]
+    shown = on_terminal(folder, "query", "-c", "c.sqlite", "egg0", COLUMNS="40")[-2:]
+    assert max(map(len, shown)) <= 40
+    assert " ".join(shown) == verdict
+
+
+def test_paths_are_not_broken(folder: Path) -> None:
+    """So that a page can be opened from the terminal."""
+    page = f"{'a page with blanks ' * 5}.html"
+    assert on_terminal(folder, "map", "-c", "c.sqlite", "-o", page)[-1] == page
 
 
 def test_programs_get_whole_values_under_headings(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
