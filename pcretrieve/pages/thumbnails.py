@@ -5,9 +5,20 @@ from __future__ import annotations
 from collections import OrderedDict
 from threading import Lock
 
+import numpy as np
+
 from pcretrieve.catalogue import Catalogue, Record
 from pcretrieve.errors import ShapeError
-from pcretrieve.rendering import THUMBNAIL_PIXELS, is_current, resized, thumbnail, upward
+from pcretrieve.rendering import (
+    NEAR_AXIS,
+    THUMBNAIL_PIXELS,
+    common_axis,
+    direction_upwards,
+    resized,
+    thumbnail,
+    upward,
+)
+from pcretrieve.types import FloatArray, TriangleMesh
 
 __all__ = ["Thumbnails"]
 
@@ -15,14 +26,18 @@ __all__ = ["Thumbnails"]
 MOST_KEPT = 5_000
 
 
+# Number of thumbnails that show along which axis the bodies of a catalogue stand.
+N_ASKED = 200
+
+
 class Thumbnails:
-    """The thumbnails that were used last; any thread may ask for one.
+    """The thumbnails of one catalogue that were used last; any thread may ask for one.
 
     Parameters
     ----------
     up : {"x", "-x", "y", "-y", "z", "-z"}, optional
-        The axis of the files that points upwards; bodies are then drawn anew. By default the direction is
-        found for each surface, and the thumbnails that were stored with the shapes are used.
+        The axis of the files that points upwards. By default it is `common_axis` of the thumbnails that the
+        catalogue keeps; if there is none, the direction is found for each surface.
     size : int, default 200
         Side of the square pictures, at most 200; pixels.
 
@@ -33,7 +48,9 @@ class Thumbnails:
     """
 
     def __init__(self, up: str | None = None, size: int = THUMBNAIL_PIXELS) -> None:
-        self._up, self._size = upward(up), size
+        self._given, self._size = upward(up), size
+        self._common: FloatArray | None = None
+        self._has_asked = False
         self._kept: OrderedDict[tuple[str, str], bytes | None] = OrderedDict()
         self._lock = Lock()
 
@@ -64,13 +81,48 @@ class Thumbnails:
                 self._kept.popitem(last=False)
         return picture
 
+    def up(self, catalogue: Catalogue, mesh: TriangleMesh) -> FloatArray | None:
+        """The direction upwards of a surface.
+
+        Parameters
+        ----------
+        catalogue : Catalogue
+            The catalogue.
+        mesh : TriangleMesh
+            The surface of one of its shapes.
+
+        Returns
+        -------
+        (3,) float64 or None
+            The axis that was given; else the direction that is known of the scan; else the common axis of
+            the catalogue; None if there is none, so that it is found from the surface.
+        """
+        if self._given is not None:
+            return self._given
+        return self._common_axis(catalogue) if mesh.up is None else mesh.up
+
     def _picture(self, catalogue: Catalogue, shape_id: str) -> bytes | None:
-        kept = None if self._up is not None else catalogue.thumbnail(shape_id)
-        if kept is not None and is_current(kept):
+        kept = None if self._given is not None else catalogue.thumbnail(shape_id)
+        drawn = None if kept is None else direction_upwards(kept)
+        common = self._common_axis(catalogue)
+        if kept is not None and drawn is not None and (common is None or drawn @ common > np.cos(NEAR_AXIS)):
             return resized(kept, self._size)
         try:
             mesh = catalogue.mesh(shape_id)
-            up = mesh.up if self._up is None else self._up
-            return thumbnail(mesh.vertices, mesh.faces, up=up, size=self._size)
+            if kept is not None and drawn is not None and mesh.up is not None:
+                return resized(kept, self._size)
+            return thumbnail(mesh.vertices, mesh.faces, up=self.up(catalogue, mesh), size=self._size)
         except ShapeError:
             return None
+
+    def _common_axis(self, catalogue: Catalogue) -> FloatArray | None:
+        if self._given is None and not self._has_asked:
+            found = []
+            records = next(catalogue.pages(status="done"), [])
+            for record in records[:: -(-len(records) // N_ASKED) or 1]:
+                kept = catalogue.thumbnail(record.id)
+                direction = None if kept is None else direction_upwards(kept)
+                found += [] if direction is None else [direction]
+            self._common = common_axis(np.reshape(found, (-1, 3)))
+            self._has_asked = True
+        return self._common

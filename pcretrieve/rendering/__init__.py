@@ -4,14 +4,14 @@ In come arrays of vertices and faces, or of points; out come shaded pictures, ma
 display. The virtual camera, the lamps and the ray casting of all pictures are here.
 """
 
-from pcretrieve.rendering.axes import body_axes, upward
+from pcretrieve.rendering.axes import NEAR_AXIS, body_axes, common_axis, upward
 from pcretrieve.rendering.camera import MARGIN, Camera, cameras_around, cameras_framing
 from pcretrieve.rendering.pictures import Colour, css, point_picture, rgb, surface_picture
 from pcretrieve.rendering.shading import CLAY
 from pcretrieve.rendering.thumbnail import (
     THUMBNAIL_PIXELS,
     cloud_thumbnail,
-    is_current,
+    direction_upwards,
     picture_html,
     resized,
     thumbnail,
@@ -20,6 +20,7 @@ from pcretrieve.rendering.thumbnail import (
 __all__ = [
     "CLAY",
     "MARGIN",
+    "NEAR_AXIS",
     "THUMBNAIL_PIXELS",
     "Camera",
     "Colour",
@@ -27,8 +28,9 @@ __all__ = [
     "cameras_around",
     "cameras_framing",
     "cloud_thumbnail",
+    "common_axis",
     "css",
-    "is_current",
+    "direction_upwards",
     "picture_html",
     "point_picture",
     "resized",

@@ -8,7 +8,7 @@ from pcretrieve.arrays import FloatArray, IntArray
 from pcretrieve.errors import OptionError
 from pcretrieve.names import UPWARD
 
-__all__ = ["body_axes", "principal_axes", "upward"]
+__all__ = ["body_axes", "common_axis", "principal_axes", "upward"]
 
 # Tie-breaker for shapes whose principal axes are not unique, such as a sphere: a
 # bias towards the axes of the file. As a fraction of the total variance, and as a
@@ -19,6 +19,13 @@ TIE = 1e-6
 # because thin bodies are nearly symmetric from front to back. Of 1, 1.25, 1.5, 2 and 3, this one lets the
 # most bodies of TOSCA stand.
 THINNEST = 1.25
+
+
+# Largest angle between an axis and the direction upwards of a body that stands along it.
+NEAR_AXIS = np.radians(30)
+
+# Least number of bodies that show along which axis all bodies of their collection stand.
+FEWEST_BODIES = 10
 
 
 def upward(axis: str | None) -> FloatArray | None:
@@ -46,6 +53,31 @@ def upward(axis: str | None) -> FloatArray | None:
     direction = np.zeros(3)
     direction["xyz".index(axis[-1])] = -1 if axis[0] == "-" else 1
     return direction
+
+
+def common_axis(directions: FloatArray) -> FloatArray | None:
+    """The axis of files along which bodies stand, if the directions that were found for them show one.
+
+    Directions are wrong for some bodies, but not all along one axis. Of 76 bodies of TOSCA, whose files have
+    the z axis upwards, 40 are found to stand along it, and at most 7 along each other one.
+
+    Parameters
+    ----------
+    directions : (n, 3) float64
+        The direction upwards of each body, of length 1.
+
+    Returns
+    -------
+    (3,) float64 or None
+        An axis x, y or z or its opposite, along which at least 4 of 10 bodies stand, and three times as many
+        as along each other one; None if there is none, or there are too few bodies.
+    """
+    axes = np.stack([direction for name in UPWARD if (direction := upward(name)) is not None])
+    along = (directions.reshape(-1, 3) @ axes.T > np.cos(NEAR_AXIS)).sum(axis=0)
+    second, first = np.sort(along)[-2:]
+    if len(directions) < FEWEST_BODIES or first < 0.4 * len(directions) or first < 3 * second:
+        return None
+    return np.asarray(axes[along.argmax()])
 
 
 def body_axes(vertices: FloatArray, faces: IntArray, up: FloatArray | None = None) -> FloatArray:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from base64 import b64encode
 from html import escape
 from io import BytesIO
@@ -24,14 +25,15 @@ from pcretrieve.rendering.camera import (
 from pcretrieve.rendering.pictures import point_picture
 from pcretrieve.rendering.shading import CLAY, face_brightness
 
-__all__ = ["THUMBNAIL_PIXELS", "cloud_thumbnail", "is_current", "picture_html", "resized", "thumbnail"]
+__all__ = ["THUMBNAIL_PIXELS", "cloud_thumbnail", "direction_upwards", "picture_html", "resized", "thumbnail"]
 
 # Side of the pictures that catalogues keep, and from which smaller ones are made; pixels.
 THUMBNAIL_PIXELS = 200
 
-# How a picture was drawn, which its PNG file says. To be changed when bodies are drawn differently, so that
-# pictures of earlier versions in catalogues are drawn again.
-DRAWN_BY = ("Comment", "pcretrieve drawing 1")
+# How a picture was drawn, and which direction is upwards in it, which its PNG file says. To be changed when
+# bodies are drawn differently, so that pictures of earlier versions in catalogues are drawn again.
+DRAWN_BY = "pcretrieve drawing 1, up"
+DIRECTION = re.compile(rb"Comment\0" + DRAWN_BY.encode() + rb"((?: -?[0-9]\.[0-9]{4}){3})")
 
 # The palette has one entry for the background, and one for each brightness at each coverage, at most 256 in
 # all. It reduces the size of a file to a third.
@@ -99,10 +101,11 @@ def thumbnail(
             "its picture out",
             stage=Stage.THUMBNAIL,
         )
-    framed = _framed(vertices @ (rotation(azimuth, elevation) @ body_axes(vertices, faces, up)).T, faces)
+    axes = body_axes(vertices, faces, up)
+    framed = _framed(vertices @ (rotation(azimuth, elevation) @ axes).T, faces)
     face = visible_faces(framed, faces, size)
     covered = (face >= 0).astype(np.float64)
-    return _png(pooled(np.append(face_brightness(framed, faces), 0.0)[face]), pooled(covered))
+    return _png(pooled(np.append(face_brightness(framed, faces), 0.0)[face]), pooled(covered), axes[1])
 
 
 def resized(picture: bytes, size: int) -> bytes:
@@ -126,12 +129,11 @@ def resized(picture: bytes, size: int) -> bytes:
         pixels = np.asarray(image.convert("RGBA"), np.float64) / 255  # (n, n, 4)
     coverage = pixels[:, :, 3]
     shade = coverage * pixels[:, :, 0] / CLAY[0]
-    parts = (Image.fromarray(part.astype(np.float32)) for part in (shade, coverage))
-    return _png(*(np.asarray(part.resize((size, size), Image.Resampling.BOX), np.float64) for part in parts))
+    return _png(_smaller(shade, size), _smaller(coverage, size), direction_upwards(picture))
 
 
-def is_current(picture: bytes) -> bool:
-    """Whether a thumbnail was drawn as this version of pcretrieve draws.
+def direction_upwards(picture: bytes) -> FloatArray | None:
+    """The direction that is upwards in a thumbnail.
 
     Parameters
     ----------
@@ -140,10 +142,12 @@ def is_current(picture: bytes) -> bool:
 
     Returns
     -------
-    bool
-        False for pictures that should be drawn again.
+    (3,) float64 or None
+        The direction in the file of the surface, of length 1 but for four decimals; None for a picture that
+        this version of pcretrieve would draw differently.
     """
-    return b"\0".join(text.encode() for text in DRAWN_BY) in picture[:2048]
+    found = DIRECTION.search(picture[:2048])
+    return None if found is None else np.array(found[1].split(), np.float64)
 
 
 def cloud_thumbnail(points: FloatArray, *, size: int = 160) -> bytes:
@@ -201,7 +205,13 @@ def _framed(vertices: FloatArray, faces: IntArray) -> FloatArray:
     return framed
 
 
-def _png(shade: FloatArray, coverage: FloatArray) -> bytes:
+def _smaller(values: FloatArray, size: int) -> FloatArray:
+    """The means of (n, n) values over the areas of (size, size) pixels."""
+    image = Image.fromarray(values.astype(np.float32)).resize((size, size), Image.Resampling.BOX)
+    return np.asarray(image, np.float64)
+
+
+def _png(shade: FloatArray, coverage: FloatArray, up: FloatArray | None) -> bytes:
     """A PNG file of means over the area of each pixel; `shade` is 0 where nothing is seen."""
     # The mean over the part of the pixel that shows the body, so that edges are not darker.
     brightness = shade / np.where(coverage > 0, coverage, 1)
@@ -216,7 +226,8 @@ def _png(shade: FloatArray, coverage: FloatArray) -> bytes:
     picture.putpalette(np.round(colours).astype(np.uint8).tobytes())
     file = BytesIO()
     drawn_by = PngInfo()
-    drawn_by.add_text(*DRAWN_BY)
+    if up is not None:
+        drawn_by.add_text("Comment", " ".join([DRAWN_BY, *(f"{value:.4f}" for value in up)]))
     transparency = np.round(alphas).astype(np.uint8).tobytes()
     picture.save(file, "PNG", transparency=transparency, pnginfo=drawn_by)
     return file.getvalue()

@@ -14,6 +14,7 @@ from pcretrieve.options import PipelineOptions
 from pcretrieve.pages.curves import Curves, curves
 from pcretrieve.pages.html import page_template
 from pcretrieve.pages.scene import surface_scene
+from pcretrieve.pages.thumbnails import Thumbnails
 from pcretrieve.types import FloatArray, TriangleMesh
 from pcretrieve.web.documents import shape_document
 from pcretrieve.web.requests import NotFound
@@ -79,7 +80,7 @@ def compare_page(catalogue: Catalogue, title: str, a: str, b: str, options: Pipe
     )
 
 
-def scene_document(catalogue: Catalogue, shape_id: str, up: FloatArray | None = None) -> dict[str, Any]:
+def scene_document(catalogue: Catalogue, shape_id: str, thumbnails: Thumbnails) -> dict[str, Any]:
     """The surface of a shape for the viewer of a browser, simplified if it has too many faces.
 
     Parameters
@@ -88,8 +89,8 @@ def scene_document(catalogue: Catalogue, shape_id: str, up: FloatArray | None = 
         The catalogue.
     shape_id : str
         The id of the shape.
-    up : (3,) float64, optional
-        The direction upwards; by default that of the mesh, or found from its surface.
+    thumbnails : Thumbnails
+        The pictures, on which the same direction is upwards.
 
     Returns
     -------
@@ -102,7 +103,7 @@ def scene_document(catalogue: Catalogue, shape_id: str, up: FloatArray | None = 
         If there is no such shape, or its mesh is not stored.
     """
     mesh = _mesh(catalogue, shape_id)
-    up = mesh.up if up is None else up
+    up = thumbnails.up(catalogue, mesh)
     if len(mesh.faces) > MOST_FACES:
         mesh = TriangleMesh(*simplify(mesh.vertices, mesh.faces, n_faces=MOST_FACES))
     return surface_scene(mesh, up)

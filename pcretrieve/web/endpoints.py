@@ -10,7 +10,6 @@ from typing import NamedTuple
 
 from pcretrieve.catalogue import Catalogue
 from pcretrieve.errors import InputError
-from pcretrieve.rendering import upward
 from pcretrieve.searching import Answer
 from pcretrieve.web.comparison import compare_page, glb_of, scene_document
 from pcretrieve.web.documents import (
@@ -210,7 +209,7 @@ def _thumbnail(asked: Question) -> Reply:
 
 
 def _scene(asked: Question) -> Reply:
-    return json_reply(scene_document(asked.catalogue, asked.name, upward(asked.site.up)))
+    return json_reply(scene_document(asked.catalogue, asked.name, asked.site.thumbnails))
 
 
 def _glb(asked: Question) -> Reply:

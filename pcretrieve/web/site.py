@@ -34,7 +34,7 @@ class Site:
     maps : Maps
         The map of the collection.
     up : {"x", "-x", "y", "-y", "z", "-z"} or None
-        The axis of the files that points upwards; None if it is found for each shape.
+        The axis of the files that points upwards; None if it is found from the shapes.
     """
 
     searching: Readers

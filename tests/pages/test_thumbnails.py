@@ -23,6 +23,7 @@ from pcretrieve.ingestion.run import ingest_files
 from pcretrieve.pages import thumbnails
 from pcretrieve.pages.thumbnails import Thumbnails
 from pcretrieve.rendering import THUMBNAIL_PIXELS, thumbnail
+from pcretrieve.types import TriangleMesh
 
 OPTIONS = PipelineOptions().changed(signature={"method": "r-bihdm", "n_values": 10}, spectral={"n_pairs": 61})
 
@@ -135,6 +136,25 @@ def test_pictures_of_earlier_versions_are_drawn_again(
     mesh = catalogue.mesh("1")
     assert Thumbnails().of(catalogue, record) == thumbnail(mesh.vertices, mesh.faces)
     assert len(drawn) == 1
+
+
+def test_bodies_of_one_collection_stand_along_one_axis(tmp_path: Path, drawn: list[object]) -> None:
+    """Bodies with the thin end below, along z, and two that lie, whose files have the z axis upwards too."""
+    for number in range(12):
+        egg = shapes.ellipsoid((1.0, 1.2, 2.0 + number / 20), subdivisions=3)
+        x, y, z = egg.vertices.T
+        narrower = 1 + z / 4
+        x, y = x * narrower, y * narrower
+        places = np.stack([x, y, z] if number > 1 else [x, z, y], axis=1)
+        write_mesh(TriangleMesh(places, egg.faces), tmp_path / f"{number:02}.off")
+    with ingested(tmp_path, "lying.sqlite") as store:
+        pictures, records = Thumbnails(), store.records()
+        assert [is_upright(pictures.of(store, one) or b"") for one in records] == [False] * 2 + [True] * 10
+        np.testing.assert_array_equal(drawn, [[0, 0, 1]] * 2)
+        np.testing.assert_array_equal(pictures.up(store, store.mesh("00")), [0, 0, 1])
+        # Of fewer shapes, each stands as its surface says.
+        store.remove(*(record.id for record in records[5:]))
+        assert all(is_upright(Thumbnails().of(store, one) or b"") for one in store.records())
 
 
 def test_without_meshes_there_are_no_pictures(folder: Path) -> None:

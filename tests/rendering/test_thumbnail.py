@@ -231,7 +231,9 @@ def test_a_smaller_picture_of_a_picture_is_about_that_which_is_drawn(size: int) 
     colours = (pixels(one)[inside][:, :3].astype(float) for one in (smaller, direct))
     assert np.abs(np.subtract(*colours)).mean() < 4
     assert abs(len(smaller) - len(direct)) < 0.3 * len(direct)
-    assert rendering.is_current(smaller)
+    np.testing.assert_array_equal(
+        rendering.direction_upwards(smaller), rendering.direction_upwards(thumbnail(person()))
+    )
 
 
 def test_a_picture_is_not_made_larger() -> None:
@@ -240,9 +242,28 @@ def test_a_picture_is_not_made_larger() -> None:
 
 
 def test_a_picture_says_how_it_was_drawn() -> None:
-    picture = thumbnail(person())
-    assert rendering.is_current(picture)
-    assert not rendering.is_current(picture.replace(b"drawing 1", b"drawing 0"))
+    rotation = any_turn(3)
+    mesh = turned(person(), rotation)
+    picture = thumbnail(mesh)
+    direction = rendering.direction_upwards(picture)
+    assert direction is not None
+    np.testing.assert_allclose(direction, body_axes(mesh)[1], atol=1e-4)
+    assert rendering.direction_upwards(picture.replace(b"drawing 1", b"drawing 0")) is None
+
+
+def test_the_axis_along_which_most_bodies_stand() -> None:
+    z, y = np.array([0, 0, 1.0]), np.array([0, 1.0, 0])
+    near_z = Rotation.from_rotvec([0.4, 0, 0]).apply(z)
+    rng = np.random.default_rng(0)
+    others = rng.normal(size=(40, 3))
+    others /= np.linalg.norm(others, axis=1, keepdims=True)
+    common_axis = rendering.common_axis
+    np.testing.assert_array_equal(common_axis(np.stack([*[near_z] * 30, *others])), z)
+    np.testing.assert_array_equal(common_axis(np.stack([-z] * 10)), -z)
+    assert common_axis(others) is None, "bodies in any direction"
+    assert common_axis(np.stack([z] * 20 + [y] * 10)) is None, "two axes"
+    assert common_axis(np.stack([z] * 9)) is None, "too few bodies"
+    assert common_axis(np.empty((0, 3))) is None
 
 
 def test_a_scan_stands_on_the_ground_that_was_removed() -> None:
