@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from shlex import quote
 from typing import TYPE_CHECKING
 
 from pcretrieve.cli.messages import say
@@ -53,7 +54,7 @@ def say_summary(summary: Summary, catalogue: str, labels: str | None) -> None:
         n_unusable = sum(record.verdict.judgement == "unusable" for record in doubts if record.verdict)
         say(
             f"{len(doubts) - n_unusable} doubtful, {n_unusable} unusable by the checks of their scans: "
-            "`pcretrieve list --doubtful` gives the reasons"
+            f"`pcretrieve list --doubtful -c {quote(catalogue)}` gives the reasons"
         )
 
 

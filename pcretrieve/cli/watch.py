@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import click
 
 from pcretrieve.cli.commands import command
-from pcretrieve.cli.messages import failure_line, say
+from pcretrieve.cli.messages import failure_line, say, shown_path
 from pcretrieve.cli.parts import (
     EXIT_INTERRUPTED,
     catalogue_option,
@@ -71,7 +71,11 @@ def watch_command(
         options = options.changed(scan={"unit": unit})
 
     def tell(record: Record) -> None:
-        say(failure_line(record) if record.status == "failed" else f"done: [{record.id}] {record.path}")
+        say(
+            failure_line(record)
+            if record.status == "failed"
+            else f"done: [{record.id}] {shown_path(record.path)}"
+        )
 
     with Catalogue(catalogue, options, create=True) as store:
         try:

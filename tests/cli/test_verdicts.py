@@ -105,7 +105,10 @@ def test_ingest_sums_them_up_and_a_query_says_so(tmp_path: Path) -> None:
     catalogue = tmp_path / "c.sqlite"
     scans = tmp_path / "open.off", tmp_path / "whole.off"
     done = run("ingest", *scans, "-c", catalogue, "--surface", "keep", "--workers", 1, "--json")
-    assert "1 doubtful, 0 unusable by the checks of their scans: `pcretrieve list --doubtful`" in done.stderr
+    assert "1 doubtful, 0 unusable by the checks of their scans: " in done.stderr
+    advice = done.stderr.split("`")[1].split()
+    assert advice == ["pcretrieve", "list", "--doubtful", "-c", str(catalogue)]
+    assert "closed surface: " in run(*advice[1:]).stdout
     assert json.loads(done.stdout)["result"]["doubtful"] == ["open"]
     write_mesh(TriangleMesh(body.vertices, body.faces[12:]), tmp_path / "other.off")
     asked = run("query", "-c", catalogue, tmp_path / "other.off")

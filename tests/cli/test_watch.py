@@ -94,7 +94,11 @@ def test_scans_that_arrive_are_ingested_until_ctrl_c(tmp_path: Path) -> None:
     command = [*(sys.executable, "-m", "pcretrieve", "watch", tmp_path / "scans", "-c", location)]
     options = [*("--interval", "0.5", "--workers", "1")]
     with subprocess.Popen(
-        [*map(str, command), *options], stderr=subprocess.PIPE, text=True, start_new_session=True
+        [*map(str, command), *options],
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+        cwd=tmp_path,
     ) as running:
         try:
             assert wait_for(lambda: done(location) == {"early"})
@@ -107,5 +111,6 @@ def test_scans_that_arrive_are_ingested_until_ctrl_c(tmp_path: Path) -> None:
             running.kill()
     assert running.returncode == 130
     assert "Traceback" not in said
+    assert f"done: [late] {Path('scans', 'late.off')}\n" in said
     assert f"stopped; 2 shapes are in {location}, and the same command goes on from there" in said
     assert wait_for(lambda: not living(running.pid))
