@@ -78,8 +78,8 @@ class Collection:
         with Catalogue(self.location) as store:
             if store.get(shape_id) is not None or any(self.folder.glob(f"{shape_id}.*")):
                 raise InputError(f"there is a shape {shape_id!r} already: choose another name")
-            shutil.copyfile(scan, target)
             try:
+                shutil.copyfile(scan, target)
                 return self._ingested(store, target, label)
             except BaseException:
                 with suppress(OSError):
