@@ -11,7 +11,7 @@ import click
 
 from pcretrieve.cli.commands import command
 from pcretrieve.cli.documents import write_document
-from pcretrieve.cli.messages import say, write_words
+from pcretrieve.cli.messages import say, without_password, write_words
 from pcretrieve.cli.parts import catalogue_argument, json_option
 from pcretrieve.cli.progress import Progress
 from pcretrieve.cli.tables import Column, write_table
@@ -57,7 +57,7 @@ def check_command(catalogue: str, sample: int, repair: bool, as_json: bool) -> N
         with Progress("check", n_rows, "bar") as progress:
             result = check(store, sample=sample, repair=repair, on_shapes=partial(_advance, progress))
     if as_json:
-        document = {"catalogue": catalogue, "is_whole": result.is_whole} | asdict(result)
+        document = {"catalogue": without_password(catalogue), "is_whole": result.is_whole} | asdict(result)
         write_document(document, options=store.options)
     else:
         _write(catalogue, result)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import re
 from collections.abc import Iterable
 from pathlib import Path
 from textwrap import indent
@@ -12,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from pcretrieve import __version__
-from pcretrieve.cli.messages import ESCAPES_IN_JSON, print_text
+from pcretrieve.cli.messages import ESCAPES_IN_JSON, print_text, without_password
 from pcretrieve.errors import PcretrieveError
 
 if TYPE_CHECKING:
@@ -91,7 +90,7 @@ def write_error(context: click.Context, error: PcretrieveError | click.ClickExce
 def _head(context: click.Context, options: PipelineOptions | None) -> dict[str, Any]:
     words = context.command_path.split()
     arguments = {
-        _name(parameter): _without_password(context.params[parameter.name])
+        _name(parameter): _shown(context.params[parameter.name])
         for parameter in context.command.params
         if parameter.name is not None and context.params.get(parameter.name) is not None
     }
@@ -104,9 +103,8 @@ def _head(context: click.Context, options: PipelineOptions | None) -> dict[str, 
     }
 
 
-def _without_password(value: object) -> object:
-    """The value of an argument, in which the URL of a database has no password."""
-    return re.sub(r"(://[^/:@]*):[^/@]*@", r"\1@", value) if isinstance(value, str) else value
+def _shown(value: object) -> object:
+    return without_password(value) if isinstance(value, str) else value
 
 
 def _name(parameter: click.Parameter) -> str:

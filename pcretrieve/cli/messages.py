@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import os
+import re
 import shutil
 import sys
 import textwrap
@@ -28,6 +29,7 @@ __all__ = [
     "say",
     "shown_path",
     "silence",
+    "without_password",
     "write_csv",
     "write_line",
     "write_row",
@@ -82,7 +84,9 @@ def say(message: str, *, indent: int | None = 0) -> None:
     indent : int or None, default 0
         The number of blanks before further lines of a terminal. None: the message is not broken.
     """
-    text = escaped(message) if indent is None else _broken(escaped(message), sys.stderr, indent)
+    text = escaped(without_password(message))
+    if indent is not None:
+        text = _broken(text, sys.stderr, indent)
     for word in WARNING_WORDS:
         if text.startswith(word) and not os.environ.get("NO_COLOR"):
             text = click.style(word, fg="red") + text.removeprefix(word)
@@ -91,6 +95,22 @@ def say(message: str, *, indent: int | None = 0) -> None:
             click.echo(text, err=True)  # without colours, if that is no terminal
     except OSError:
         silence(sys.stderr)
+
+
+def without_password(text: str) -> str:
+    """Remove passwords of URLs, such as those of databases, which terminals and logs would keep.
+
+    Parameters
+    ----------
+    text : str
+        Any text.
+
+    Returns
+    -------
+    str
+        The text, in which a URL has at most a user before its host.
+    """
+    return re.sub(r"(://[^/:@\s]*):[^/@\s]*@", r"\1@", text)
 
 
 def silence(stream: TextIO) -> None:
@@ -127,7 +147,7 @@ def write_words(text: str) -> None:
     text : str
         The sentence.
     """
-    print_text(_broken(escaped(text), sys.stdout))
+    print_text(_broken(escaped(without_password(text)), sys.stdout))
 
 
 def _broken(text: str, stream: TextIO, indent: int = 0) -> str:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, NoReturn
 import click
 
 from pcretrieve.cli.commands import option
-from pcretrieve.cli.messages import escaped, say
+from pcretrieve.cli.messages import escaped, say, without_password
 from pcretrieve.cli.patience import stop_waiting
 
 if TYPE_CHECKING:
@@ -95,7 +95,7 @@ class Progress:
             counts = {"finished": self._n_done, "failures": self._n_failed, "total": self._total}
             say(json.dumps(facts | counts, ensure_ascii=False), indent=None)
         elif failure is not None and self._bar is not None:
-            self._bar.write(escaped(failure), file=sys.stderr)
+            self._bar.write(escaped(without_password(failure)), file=sys.stderr)
         elif failure is not None:
             say(failure)
         if self._bar is not None:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from pcretrieve.cli.commands import command
 from pcretrieve.cli.documents import write_document
-from pcretrieve.cli.messages import write_words
+from pcretrieve.cli.messages import without_password, write_words
 from pcretrieve.cli.parts import catalogue_argument, json_option
 from pcretrieve.cli.progress import duration
 from pcretrieve.cli.tables import Column, write_table
@@ -31,7 +31,7 @@ def status_command(catalogue: str, as_json: bool) -> None:
 
     found = status(catalogue)
     if as_json:
-        write_document({"catalogue": catalogue} | asdict(found))
+        write_document({"catalogue": without_password(catalogue)} | asdict(found))
         return
     for line in _lines(found):
         write_words(line)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from shlex import quote
 from typing import TYPE_CHECKING
 
-from pcretrieve.cli.messages import say
+from pcretrieve.cli.messages import say, without_password
 
 if TYPE_CHECKING:
     from pcretrieve.catalogue import Record
@@ -74,7 +74,7 @@ def summary_document(summary: Summary, catalogue: str) -> dict[str, object]:
         What JSON can represent.
     """
     return {
-        "catalogue": catalogue,
+        "catalogue": without_password(catalogue),
         "planned": [record.id for record in summary.planned],
         "done": [record.id for record in summary.done],
         "held": [record.id for record in _held(summary)],

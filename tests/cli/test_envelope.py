@@ -17,9 +17,12 @@ from pcretrieve import __version__
 from pcretrieve.cli.commands import command
 from pcretrieve.cli.documents import write_documents
 from pcretrieve.cli.main import COMMANDS, cli
+from pcretrieve.cli.messages import write_words
 from pcretrieve.cli.parts import json_option
+from pcretrieve.cli.summary import say_summary
 from pcretrieve.errors import CatalogueError
 from pcretrieve.formats import write_mesh
+from pcretrieve.ingestion.run import Summary
 from pcretrieve.options import PipelineOptions
 
 HEAD = ["command", "version", "arguments", "options"]
@@ -142,6 +145,16 @@ def test_a_password_is_not_repeated() -> None:
     found = document("status", "postgresql://ann:secret@localhost:1/none", code=1)
     assert found["arguments"] == {"catalogue": "postgresql://ann@localhost:1/none"}
     assert "secret" not in json.dumps(found)
+
+
+def test_messages_have_no_passwords(capsys: pytest.CaptureFixture[str]) -> None:
+    """Neither those of an ingest, nor results in words; other texts stay as they are."""
+    say_summary(Summary(), "postgresql://ann:secret@localhost:1/none", None)
+    write_words("postgresql://ann:secret@localhost:1/none: 3 shapes; scans are at https://host:80/a@b:c")
+    shown = capsys.readouterr()
+    assert "secret" not in shown.err + shown.out
+    assert "postgresql://ann@localhost:1/none" in shown.err
+    assert shown.out == "postgresql://ann@localhost:1/none: 3 shapes; scans are at https://host:80/a@b:c\n"
 
 
 @pytest.mark.parametrize(
