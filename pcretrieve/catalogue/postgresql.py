@@ -292,6 +292,18 @@ class PostgresqlRows(Rows):
                 ],
             )
 
+    def keep_payload(self, name: Payload, record: Record, arrays: bytes) -> None:
+        with self._writing() as writing:
+            writing.run(
+                "INSERT INTO payloads SELECT number, :name, :arrays FROM shapes "
+                "WHERE id = :id AND content_hash = :content_hash AND status = 'done' "
+                "ON CONFLICT (shape, name) DO UPDATE SET arrays = excluded.arrays",
+                name=name,
+                arrays=arrays,
+                id=record.id,
+                content_hash=record.content_hash,
+            )
+
     # --- inside -----------------------------------------------------------------------------------------
 
     def _writing(self) -> AbstractContextManager[Transaction]:

@@ -297,3 +297,16 @@ class Rows(Protocol):
             The bytes of each signature, and the record of the shape of which it was computed. A shape has
             been replaced if the content hash of its record has changed.
         """
+
+    def keep_payload(self, name: Payload, record: Record, arrays: bytes) -> None:
+        """Store a payload of a shape, unless the shape has been replaced or removed since it was read.
+
+        Parameters
+        ----------
+        name : str
+            One of `PAYLOADS`; an earlier one of this name is replaced.
+        record : Record
+            The record of the shape. It has been replaced if the content hash of its record has changed.
+        arrays : bytes
+            The payload.
+        """

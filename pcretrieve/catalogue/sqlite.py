@@ -233,6 +233,14 @@ class SqliteRows(Rows):
             ]
             self._keep(digest, rows)
 
+    def keep_payload(self, name: Payload, record: Record, arrays: bytes) -> None:
+        with self._writing():
+            self._connection.execute(
+                f"INSERT OR REPLACE INTO {name} SELECT number, ? FROM shapes "
+                "WHERE id = ? AND content_hash = ? AND status = 'done'",
+                (arrays, record.id, record.content_hash),
+            )
+
     # --- inside -----------------------------------------------------------------------------------------
 
     @contextmanager

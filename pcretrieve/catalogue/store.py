@@ -20,6 +20,7 @@ from pcretrieve.catalogue.settings import fitting_options, settings_of, stored_o
 from pcretrieve.catalogue.stores import open_rows
 from pcretrieve.catalogue.surfaces import payloads_of
 from pcretrieve.catalogue.tables import index_name, made_before, made_index, signature_table
+from pcretrieve.errors import CatalogueError
 from pcretrieve.options import PipelineOptions
 from pcretrieve.retrieval import SignatureIndex, Whitening
 from pcretrieve.types import SignatureTable
@@ -112,6 +113,29 @@ class Catalogue(StoredShapes):
         if content.thumbnail is not None:
             payloads["thumbnails"] = packed([np.frombuffer(content.thumbnail, np.uint8)])
         return self._rows.put(record, packed_values(content.signature), payloads)
+
+    def keep_thumbnail(self, record: Record, picture: bytes) -> bool:
+        """Store the picture of a shape in the place of an earlier one, if the catalogue can be written.
+
+        Parameters
+        ----------
+        record : Record
+            The record of the shape, which may have been replaced or removed since.
+        picture : bytes
+            A PNG file by `pcretrieve.rendering.thumbnail`.
+
+        Returns
+        -------
+        bool
+            Whether it could be written. No error is raised, because a picture can be drawn again.
+        """
+        if not self._rows.is_writable:
+            return False
+        try:
+            self._rows.keep_payload("thumbnails", record, packed([np.frombuffer(picture, np.uint8)]))
+        except CatalogueError:  # another process has locked it, or the disk is full
+            return False
+        return True
 
     def remove(self, *shape_ids: str) -> None:
         """Remove shapes; InputError, without a change, if one of the ids does not exist."""

@@ -10,6 +10,7 @@ import numpy as np
 from pcretrieve.catalogue import Catalogue, Record
 from pcretrieve.errors import ShapeError
 from pcretrieve.rendering import (
+    FEWEST_BODIES,
     NEAR_AXIS,
     THUMBNAIL_PIXELS,
     common_axis,
@@ -37,7 +38,8 @@ class Thumbnails:
     ----------
     up : {"x", "-x", "y", "-y", "z", "-z"}, optional
         The axis of the files that points upwards. By default it is `common_axis` of the thumbnails that the
-        catalogue keeps; if there is none, the direction is found for each surface.
+        catalogue keeps; if there is none, the direction is found for each surface. Thumbnails that are drawn
+        by default are kept in the catalogue, if it can be written.
     size : int, default 200
         Side of the square pictures, at most 200; pixels.
 
@@ -51,6 +53,7 @@ class Thumbnails:
         self._given, self._size = upward(up), size
         self._common: FloatArray | None = None
         self._has_asked = False
+        self._keeps = up is None
         self._kept: OrderedDict[tuple[str, str], bytes | None] = OrderedDict()
         self._lock = Lock()
 
@@ -74,7 +77,7 @@ class Thumbnails:
             if key in self._kept:
                 self._kept.move_to_end(key)
                 return self._kept[key]
-        picture = self._picture(catalogue, record.id) if record.status == "done" else None
+        picture = self._picture(catalogue, record) if record.status == "done" else None
         with self._lock:
             self._kept[key] = picture
             if len(self._kept) > MOST_KEPT:
@@ -101,28 +104,39 @@ class Thumbnails:
             return self._given
         return self._common_axis(catalogue) if mesh.up is None else mesh.up
 
-    def _picture(self, catalogue: Catalogue, shape_id: str) -> bytes | None:
-        kept = None if self._given is not None else catalogue.thumbnail(shape_id)
+    def _picture(self, catalogue: Catalogue, record: Record) -> bytes | None:
+        kept = None if self._given is not None else catalogue.thumbnail(record.id)
         drawn = None if kept is None else direction_upwards(kept)
         common = self._common_axis(catalogue)
-        if kept is not None and drawn is not None and (common is None or drawn @ common > np.cos(NEAR_AXIS)):
+        is_upright = drawn is not None and (common is None or drawn @ common > np.cos(NEAR_AXIS))
+        if kept is not None and is_upright:
             return resized(kept, self._size)
         try:
-            mesh = catalogue.mesh(shape_id)
+            mesh = catalogue.mesh(record.id)
             if kept is not None and drawn is not None and mesh.up is not None:
                 return resized(kept, self._size)
-            return thumbnail(mesh.vertices, mesh.faces, up=self.up(catalogue, mesh), size=self._size)
+            picture = thumbnail(mesh.vertices, mesh.faces, up=self.up(catalogue, mesh))
         except ShapeError:
             return None
+        # Not again after a failure, because a lock of another process is waited for.
+        self._keeps = self._keeps and catalogue.keep_thumbnail(record, picture)
+        return resized(picture, self._size)
 
     def _common_axis(self, catalogue: Catalogue) -> FloatArray | None:
         if self._given is None and not self._has_asked:
-            found = []
             records = next(catalogue.pages(status="done"), [])
-            for record in records[:: -(-len(records) // N_ASKED) or 1]:
-                kept = catalogue.thumbnail(record.id)
-                direction = None if kept is None else direction_upwards(kept)
-                found += [] if direction is None else [direction]
+            asked = records[:: -(-len(records) // N_ASKED) or 1]
+            found = [direction for one in asked if (direction := _direction(catalogue, one)) is not None]
             self._common = common_axis(np.reshape(found, (-1, 3)))
-            self._has_asked = True
+            # Of fewer bodies the next answer may be another one.
+            self._has_asked = len(records) >= FEWEST_BODIES
+            if self._common is not None:
+                with self._lock:
+                    self._kept.clear()
         return self._common
+
+
+def _direction(catalogue: Catalogue, record: Record) -> FloatArray | None:
+    """The direction that is upwards in the picture that a catalogue keeps; None if it keeps none."""
+    kept = catalogue.thumbnail(record.id)
+    return None if kept is None else direction_upwards(kept)

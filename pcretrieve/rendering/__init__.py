@@ -4,7 +4,7 @@ In come arrays of vertices and faces, or of points; out come shaded pictures, ma
 display. The virtual camera, the lamps and the ray casting of all pictures are here.
 """
 
-from pcretrieve.rendering.axes import NEAR_AXIS, body_axes, common_axis, upward
+from pcretrieve.rendering.axes import FEWEST_BODIES, NEAR_AXIS, body_axes, common_axis, upward
 from pcretrieve.rendering.camera import MARGIN, Camera, cameras_around, cameras_framing
 from pcretrieve.rendering.pictures import Colour, css, point_picture, rgb, surface_picture
 from pcretrieve.rendering.shading import CLAY
@@ -19,6 +19,7 @@ from pcretrieve.rendering.thumbnail import (
 
 __all__ = [
     "CLAY",
+    "FEWEST_BODIES",
     "MARGIN",
     "NEAR_AXIS",
     "THUMBNAIL_PIXELS",

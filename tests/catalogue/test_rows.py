@@ -120,6 +120,18 @@ def test_doubtful_shapes(rows: Rows) -> None:
     assert ids(rows.page(after="b", limit=10, status="done", doubtful=True)) == ["d"]
 
 
+def test_a_payload_is_kept_of_a_shape_that_is_still_there(rows: Rows) -> None:
+    rows.put(record("a"), b"signature", ARRAYS)
+    for arrays in (b"first", b"second"):
+        rows.keep_payload("thumbnails", record("a"), arrays)
+        assert rows.read("a", ["thumbnails"]) == (record("a"), {"thumbnails": arrays})
+    before = rows.revision()
+    rows.keep_payload("thumbnails", replace(record("a"), content_hash="other"), b"third")
+    rows.keep_payload("thumbnails", record("gone"), b"third")
+    assert rows.read("a", PAYLOADS) == (record("a"), {**ARRAYS, "thumbnails": b"second"})
+    assert rows.revision() == before, "indexes do not depend on it"
+
+
 def test_shapes_of_some_classes(rows: Rows) -> None:
     rows.put(record("f", label="other"), signature("f"), {})
     rows.put(record("g", label=None), signature("g"), {})

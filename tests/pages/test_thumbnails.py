@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import base64
 import re
+import sqlite3
 from collections.abc import Iterator
+from contextlib import closing
 from io import BytesIO
 from pathlib import Path
 
@@ -152,9 +154,11 @@ def test_bodies_of_one_collection_stand_along_one_axis(tmp_path: Path, drawn: li
         assert [is_upright(pictures.of(store, one) or b"") for one in records] == [False] * 2 + [True] * 10
         np.testing.assert_array_equal(drawn, [[0, 0, 1]] * 2)
         np.testing.assert_array_equal(pictures.up(store, store.mesh("00")), [0, 0, 1])
-        # Of fewer shapes, each stands as its surface says.
-        store.remove(*(record.id for record in records[5:]))
-        assert all(is_upright(Thumbnails().of(store, one) or b"") for one in store.records())
+        again = Thumbnails()
+        assert [again.of(store, one) for one in records] == [pictures.of(store, one) for one in records]
+        assert len(drawn) == 2, "what was drawn is kept"
+        assert store.thumbnail("00") == pictures.of(store, records[0])
+        assert not {defect.message for defect in store.defects() if "thumbnail" in defect.message}
 
 
 def test_without_meshes_there_are_no_pictures(folder: Path) -> None:
@@ -164,11 +168,30 @@ def test_without_meshes_there_are_no_pictures(folder: Path) -> None:
         assert store.defects() == []
 
 
-def test_a_shape_whose_picture_was_not_stored_is_drawn_once(
-    catalogue: Catalogue, drawn: list[object], monkeypatch: pytest.MonkeyPatch
+def test_what_was_not_stored_is_drawn_once_and_kept(folder: Path, drawn: list[object]) -> None:
+    """As of a catalogue that an earlier version made; with a given axis, nothing is kept."""
+    with ingested(folder, "earlier.sqlite") as store:
+        before = [store.thumbnail(record.id) for record in store.records()]
+        with closing(sqlite3.connect(store.location)) as other, other:
+            other.execute("DELETE FROM thumbnails")
+        for up, number in (("x", 3), (None, 6), (None, 6)):
+            pictures = Thumbnails(up)
+            found = [pictures.of(store, record) for record in store.records()]
+            assert None not in found and len(drawn) == number
+            assert store.thumbnail("0") == (None if up else before[0])
+        assert found == before
+
+
+def test_what_cannot_be_written_is_drawn_all_the_same(
+    folder: Path, drawn: list[object], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """As of a catalogue that an earlier version made."""
-    monkeypatch.setattr(catalogue, "thumbnail", lambda shape_id: None)
-    pictures, record = Thumbnails(), catalogue.record("2")
-    assert pictures.of(catalogue, record) == pictures.of(catalogue, record) is not None
-    assert len(drawn) == 1
+    monkeypatch.setattr("pcretrieve.catalogue.opening.LOCK_TIMEOUT", 1.0)
+    with ingested(folder, "readable.sqlite") as store:
+        with closing(sqlite3.connect(store.location)) as other:
+            other.execute("DELETE FROM thumbnails")
+            other.commit()
+            other.execute("BEGIN IMMEDIATE")  # another process writes
+            pictures = Thumbnails()
+            assert all(pictures.of(store, record) for record in store.records())
+        assert len(drawn) == 3
+        assert {store.thumbnail(record.id) for record in store.records()} == {None}
