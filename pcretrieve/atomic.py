@@ -18,18 +18,6 @@ def write_file(path: Path, data: bytes) -> None:
     The data are written to a temporary file in the same directory, which is renamed when the data have
     reached the disk. The file gets the permissions of a new file. A symbolic link is followed. A path that is
     not a regular file, such as ``/dev/stdout``, cannot be replaced, and is written directly.
-
-    Parameters
-    ----------
-    path : Path
-        The file, which may exist.
-    data : bytes
-        Its new content.
-
-    Raises
-    ------
-    InputError
-        If the file cannot be written; no temporary file is left.
     """
     try:
         if path.exists() and not stat.S_ISREG(path.stat().st_mode):

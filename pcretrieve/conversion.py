@@ -55,22 +55,8 @@ GeometryLike: TypeAlias = "MeshLike | CloudLike | object"
 def as_geometry(geometry: GeometryLike) -> PointCloud | TriangleMesh:
     """Convert a value to a point cloud or a surface.
 
-    Parameters
-    ----------
-    geometry : PointCloud, TriangleMesh or GeometryLike
-        An (n, 3) array of points; a pair (vertices, faces) of arrays; an Open3D point cloud or triangle mesh,
-        legacy or tensor; a trimesh or PyVista object; any value with ``vertices`` and ``faces``, or with
-        ``points``.
-
-    Returns
-    -------
-    PointCloud or TriangleMesh
-        The value itself if it has one of these types, else a checked copy of its arrays; unit of the value.
-
-    Raises
-    ------
-    InputError
-        If the value cannot be converted, or its arrays have the wrong shape or are not finite.
+    Returns PointCloud or TriangleMesh: the value itself if it has one of these types, else a checked copy of
+        its arrays; unit of the value.
     """
     if isinstance(geometry, (PointCloud, TriangleMesh)):
         return geometry
@@ -88,20 +74,7 @@ def as_geometry(geometry: GeometryLike) -> PointCloud | TriangleMesh:
 def as_mesh(mesh: GeometryLike) -> TriangleMesh:
     """Convert a value to a surface.
 
-    Parameters
-    ----------
-    mesh : GeometryLike
-        As in `as_geometry`.
-
-    Returns
-    -------
-    TriangleMesh
-        The surface; unit of the value.
-
-    Raises
-    ------
-    InputError
-        If the value cannot be converted to a surface.
+    Returns TriangleMesh: the surface; unit of the value.
     """
     geometry = as_geometry(mesh)
     if not isinstance(geometry, TriangleMesh):
@@ -115,15 +88,7 @@ def as_mesh(mesh: GeometryLike) -> TriangleMesh:
 def as_cloud(cloud: GeometryLike) -> PointCloud:
     """Convert a value to a point cloud: a surface to its vertices.
 
-    Parameters
-    ----------
-    cloud : GeometryLike
-        As in `as_geometry`.
-
-    Returns
-    -------
-    PointCloud
-        The point cloud; unit of the value.
+    Returns PointCloud: the point cloud; unit of the value.
     """
     geometry = as_geometry(cloud)
     if isinstance(geometry, TriangleMesh):

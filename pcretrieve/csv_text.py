@@ -15,20 +15,7 @@ class _Lines(list[str]):
 
 
 def csv_text(header: Sequence[object], rows: Iterable[Sequence[object]]) -> str:
-    """Write rows as comma-separated values, from which any reader gets the same fields again.
-
-    Parameters
-    ----------
-    header : sequence
-        The names of the columns.
-    rows : iterable of sequence
-        The fields of each row; None is an empty field.
-
-    Returns
-    -------
-    str
-        Lines that end with a line feed.
-    """
+    """Write rows as comma-separated values, from which any reader gets the same fields again."""
     # With the line ends of RFC 4180, because a writer with other ends does not quote a carriage return.
     lines = _Lines()
     writer = csv.writer(lines)

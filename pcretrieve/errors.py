@@ -187,26 +187,7 @@ class CatalogueError(PcretrieveError):
 
 @contextmanager
 def in_stage(stage: str) -> Iterator[None]:
-    """Add the stage to the exceptions that are raised inside, and replace those of other libraries.
-
-    Parameters
-    ----------
-    stage : str
-        Stage of the exceptions that have none yet.
-
-    Yields
-    ------
-    None
-
-    Raises
-    ------
-    PcretrieveError
-        The exception that was raised inside, if it is one of this module.
-    MemoryExceeded
-        Instead of a `MemoryError`.
-    UnexpectedError
-        Instead of any other `Exception`.
-    """
+    """Add the stage to the exceptions that are raised inside, and replace those of other libraries."""
     try:
         yield
     except PcretrieveError as error:
@@ -222,21 +203,7 @@ def in_stage(stage: str) -> Iterator[None]:
 
 
 def shape_error(error: BaseException, stage: str | None = None) -> PcretrieveError:
-    """Convert any exception to one of this module, which can be pickled and unpickled in another process.
-
-    Parameters
-    ----------
-    error : BaseException
-        An exception of a subclass of a class of this module, which may be defined in another package, is
-        converted to the class of this module.
-    stage : str, optional
-        The stage that failed, if the exception does not have one.
-
-    Returns
-    -------
-    PcretrieveError
-        An exception of a class of this module, with the message of `error`.
-    """
+    """Convert any exception to one of this module, which can be pickled and unpickled in another process."""
     own = getattr(error, "stage", None)
     # In an exception of another library, the attribute may mean something else, unless `in_stage` has set it.
     kind = str if isinstance(error, PcretrieveError) else Stage

@@ -55,54 +55,18 @@ NAMES = {
 def fused_names(method: str) -> tuple[str, ...]:
     """The names of the descriptors that a method fuses.
 
-    Parameters
-    ----------
-    method : str
-        The name of a descriptor, or several names joined by ``+``.
-
-    Returns
-    -------
-    tuple of str
-        The names, in order.
+    Returns tuple of str: the names, in order.
     """
     return tuple(method.split("+"))
 
 
 def known_method(method: str) -> str:
-    """The method itself.
-
-    Parameters
-    ----------
-    method : str
-        The name of a descriptor, or several names joined by ``+``.
-
-    Returns
-    -------
-    str
-        The same method.
-
-    Raises
-    ------
-    ValueError
-        If there is no descriptor of one of the names.
-    """
+    """The method itself."""
     for name in fused_names(method):
         NAMES["descriptor"].known(name)
     return method
 
 
 def has_size(method: str) -> bool:
-    """Whether values of a method depend on the size of the body for the scale ``absolute``.
-
-    Parameters
-    ----------
-    method : str
-        As for `known_method`.
-
-    Returns
-    -------
-    bool
-        True for the fusion of descriptors, one of which has a size, and for descriptors of other packages,
-        whose records say more.
-    """
+    """Whether values of a method depend on the size of the body for the scale ``absolute``."""
     return any(METHODS.get(name, True) for name in fused_names(method))

@@ -31,17 +31,7 @@ ADVICE = "upgrade or uninstall that package"
 
 @dataclass(frozen=True)
 class Names:
-    """The names of the records of one kind, which options and help need without an import of the records.
-
-    Attributes
-    ----------
-    kind : str
-        The noun for such a record in messages, such as ``descriptor``.
-    group : str
-        The group of entry points by which other packages add records.
-    own : tuple of str
-        The names of the records of pcretrieve.
-    """
+    """The names of the records of one kind, which options and help need without an import of the records."""
 
     kind: str
     group: str
@@ -53,23 +43,7 @@ class Names:
         return (*self.own, *sorted(added.keys() - set(self.own)))
 
     def known(self, name: str) -> str:
-        """The name itself.
-
-        Parameters
-        ----------
-        name : str
-            A name.
-
-        Returns
-        -------
-        str
-            The same name.
-
-        Raises
-        ------
-        ValueError
-            If there is no record of that name.
-        """
+        """The name itself."""
         if name not in self.own and name not in self.all():
             names = self.all()
             raise ValueError(
@@ -92,15 +66,8 @@ NamedRecord = TypeVar("NamedRecord", bound=Named)
 def named(kind: type[NamedRecord]) -> Callable[[str, object], NamedRecord]:
     """The check of a `Registry` of records that state their own names.
 
-    Parameters
-    ----------
-    kind : type
-        The class of the records.
-
-    Returns
-    -------
-    function of (str, object) that returns a record
-        Raises TypeError if the object is not of that class, or has another name than its entry point.
+    Returns function of (str, object) that returns a record: raises TypeError if the object is not of that
+        class, or has another name than its entry point.
     """
 
     def checked(name: str, added: object) -> NamedRecord:
@@ -117,15 +84,9 @@ def named(kind: type[NamedRecord]) -> Callable[[str, object], NamedRecord]:
 class Registry(Generic[Record]):
     """The records of one kind by name: those of pcretrieve, and those that other packages add.
 
-    Attributes
-    ----------
-    names : Names
-        The kind, and the group of entry points by which other packages add records.
-    own : mapping of str to Record
-        The records of pcretrieve.
-    checked : function of (str, object) that returns a Record
-        Makes a record of the name of an entry point and the object that it leads to, or raises TypeError with
-        a message that begins with what the object must be. See `named`.
+    checked: function of (str, object) that returns a Record, makes a record of the name of an entry point and
+        the object that it leads to, or raises TypeError with a message that begins with what the object must
+        be. See `named`.
     """
 
     names: Names
@@ -133,23 +94,7 @@ class Registry(Generic[Record]):
     checked: Callable[[str, object], Record]
 
     def __getitem__(self, name: str) -> Record:
-        """The record of a name.
-
-        Parameters
-        ----------
-        name : str
-            One of `Names.all`.
-
-        Returns
-        -------
-        Record
-            The record; of another package, imported now.
-
-        Raises
-        ------
-        OptionError
-            If there is no such name, its package cannot be imported, or it does not lead to a record.
-        """
+        """The record of a name."""
         if name in self.own:
             return self.own[name]
         point, called = self._point(name), self.called(name)
@@ -189,23 +134,6 @@ class Registry(Generic[Record]):
         OptionError and MemoryError are not changed; a ShapeError gets the stage. Of the exceptions of
         pcretrieve's own records, only InputError is changed: there the shape has led to values that are not
         valid.
-
-        Parameters
-        ----------
-        name : str
-            Name of the record.
-        stage : str, optional
-            Stage of the ShapeError.
-
-        Yields
-        ------
-        None
-            Once, for the call of the function.
-
-        Raises
-        ------
-        ShapeError, OptionError
-            If the function raises another exception.
         """
         try:
             yield

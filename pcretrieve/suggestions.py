@@ -13,20 +13,7 @@ SIMILARITY = 0.7
 
 
 def did_you_mean(name: str, known: Iterable[str]) -> str:
-    """The question whether another name was meant.
-
-    Parameters
-    ----------
-    name : str
-        A name that is not known.
-    known : iterable of str
-        The names that are known.
-
-    Returns
-    -------
-    str
-        Such as ``"; did you mean 'cat0'?"``; empty, if no name is similar.
-    """
+    """The question whether another name was meant."""
     names = {other.casefold(): other for other in known}
     close = get_close_matches(name.casefold(), names, n=1, cutoff=SIMILARITY)
     return f"; did you mean {names[close[0]]!r}?" if close else ""

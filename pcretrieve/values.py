@@ -46,25 +46,7 @@ def _equal(one: Any, other: Any) -> bool:
 
 
 def numbers(name: str, values: ArrayLike) -> NDArray[Any]:
-    """Real numbers as an array of any shape and type.
-
-    Parameters
-    ----------
-    name : str
-        The name of the values in messages.
-    values : array_like
-        The numbers.
-
-    Returns
-    -------
-    ndarray
-        `values` itself, if it is an array.
-
-    Raises
-    ------
-    InputError
-        If the values are not an array of real numbers.
-    """
+    """Real numbers as an array of any shape and type."""
     try:
         array = np.asarray(values)
     except ValueError as error:  # rows of different lengths
@@ -82,31 +64,7 @@ def locked(
     *,
     finite: bool = True,
 ) -> NDArray[Any]:
-    """A read-only copy of an array, after a check of its shape and its values.
-
-    Parameters
-    ----------
-    name : str
-        The name of the array in messages.
-    values : array_like
-        Real numbers.
-    shape : tuple of (int or None)
-        The shape that the array must have; None: any length.
-    dtype : type, default float64
-        The type of the copy.
-    finite : bool, default True
-        Whether infinite values are refused. NaN is always refused.
-
-    Returns
-    -------
-    ndarray
-        In C order.
-
-    Raises
-    ------
-    InputError
-        If the array has another shape, NaN or infinite values, or values that do not fit the type.
-    """
+    """A read-only copy of an array, after a check of its shape and its values."""
     given = numbers(name, values)
     wanted = "(" + ", ".join("n" if length is None else str(length) for length in shape) + ")"
     if given.ndim != len(shape) or any(
@@ -128,27 +86,7 @@ def locked(
 
 
 def as_array(values: NDArray[Any], dtype: Any = None, copy: bool | None = None) -> NDArray[Any]:
-    """The result of the method ``__array__`` of a value, by the protocol of NumPy 1 and 2.
-
-    Parameters
-    ----------
-    values : ndarray
-        The array that represents the value.
-    dtype : dtype, optional
-        The type of the result; by default the type of the array.
-    copy : bool, optional
-        Whether a copy must (True) or must not (False) be made; by default only if the type requires it.
-
-    Returns
-    -------
-    ndarray
-        The array itself, read-only, or a writeable copy.
-
-    Raises
-    ------
-    ValueError
-        If `copy` is False and the type requires a copy.
-    """
+    """The result of the method ``__array__`` of a value, by the protocol of NumPy 1 and 2."""
     converts = dtype is not None and np.dtype(dtype) != values.dtype
     if copy is False and converts:
         raise ValueError(f"values of type {values.dtype} must be copied to become {np.dtype(dtype)}")

@@ -27,15 +27,8 @@ class FlatScan:
     of the points changes d by at most 2 √L s u, and the sum of L squares has a relative error of at most
     (L + 2) u. The distance that faiss finds is therefore within (L + 8) u (d + 2 √L s) of d.
 
-    Parameters
-    ----------
-    points : (N, L) float64
-        The points, at least one. The squares of their distances do not overflow single precision.
-
-    Raises
-    ------
-    InputError
-        If faiss is not installed.
+    points: (N, L) float64, the points, at least one. The squares of their distances do not overflow single
+        precision.
     """
 
     def __init__(self, points: FloatArray) -> None:
@@ -58,19 +51,8 @@ class FlatScan:
     def nearest(self, point: FloatArray, k: int) -> tuple[NDArray[np.intp], float]:
         """Points that are the nearest, apart from rounding errors.
 
-        Parameters
-        ----------
-        point : (1, L) float64
-            The query.
-        k : int
-            Between 1 and N.
-
-        Returns
-        -------
-        rows : (k,) intp
-            The points.
-        bound : float
-            A lower bound of the distances of all other points.
+        point: (1, L) float64, the query.
+        Returns rows : (k,) intp: the points.
         """
         squares, rows = self._flat.search(point.astype(np.float32), k)
         farthest = math.sqrt(squares[0, -1])
@@ -79,17 +61,8 @@ class FlatScan:
     def within(self, point: FloatArray, radius: float) -> NDArray[np.intp]:
         """Points near a query, all within a radius among them.
 
-        Parameters
-        ----------
-        point : (1, L) float64
-            The query.
-        radius : float
-            Largest distance.
-
-        Returns
-        -------
-        (n,) intp
-            The points.
+        point: (1, L) float64, the query.
+        Returns (n,) intp: the points.
         """
         reach = radius + self._error(point, radius)
         square = min(reach * reach, LARGEST_SINGLE)

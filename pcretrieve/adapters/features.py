@@ -14,17 +14,9 @@ __all__ = ["feature_histograms"]
 def feature_histograms(points: FloatArray, normals: FloatArray, *, radius: float) -> FloatArray:
     """Fast point feature histograms (FPFH) [1]_, invariant to rigid motion.
 
-    Parameters
-    ----------
-    points, normals : (n, 3) float64
-        Coordinates and unit normals.
-    radius : float
-        Radius of the neighbourhood of a point; unit of the points.
-
-    Returns
-    -------
-    (n, 33) float64
-        Histograms of the angles between the normals in the neighbourhood of each point.
+    points, normals: (n, 3) float64, coordinates and unit normals.
+    radius: radius of the neighbourhood of a point; unit of the points.
+    Returns (n, 33) float64: histograms of the angles between the normals in the neighbourhood of each point.
 
     References
     ----------

@@ -24,12 +24,7 @@ class Frame(NamedTuple):
     The size is a power of two, and the origin is a multiple of it. For points around the origin of the
     caller, the origin is zero, and both transformations are exact.
 
-    Attributes
-    ----------
-    origin : (3,) float64
-        Unit of the caller.
-    size : float
-        Unit of the caller.
+    origin: (3,) float64, unit of the caller.
     """
 
     origin: FloatArray
@@ -39,18 +34,8 @@ class Frame(NamedTuple):
     def around(cls, points: FloatArray, *, offset: float = SINGLE_OFFSET) -> Frame:
         """The frame of some points.
 
-        Parameters
-        ----------
-        points : (n, 3) float64
-            Coordinates; unit of the caller.
-        offset : float
-            Largest distance from the origin of the frame to the middle of the bounding box, on each axis;
-            sizes of the frame.
-
-        Returns
-        -------
-        Frame
-            The frame; of unit size if there are no points, or all points are equal.
+        points: (n, 3) float64, coordinates; unit of the caller.
+        Returns Frame: the frame; of unit size if there are no points, or all points are equal.
         """
         if not len(points):
             return cls(np.zeros(3), 1.0)
@@ -62,30 +47,16 @@ class Frame(NamedTuple):
     def inward(self, points: FloatArray) -> FloatArray:
         """Transform points to this frame.
 
-        Parameters
-        ----------
-        points : (n, 3) float64
-            Coordinates; unit of the caller.
-
-        Returns
-        -------
-        (n, 3) float64
-            Coordinates in this frame.
+        points: (n, 3) float64, coordinates; unit of the caller.
+        Returns (n, 3) float64: coordinates in this frame.
         """
         return np.asarray((points - self.origin) / self.size)
 
     def outward(self, points: FloatArray) -> FloatArray:
         """Transform points back from this frame.
 
-        Parameters
-        ----------
-        points : (n, 3) float64
-            Coordinates in this frame.
-
-        Returns
-        -------
-        (n, 3) float64
-            Coordinates; unit of the caller.
+        points: (n, 3) float64, coordinates in this frame.
+        Returns (n, 3) float64: coordinates; unit of the caller.
         """
         return np.asarray(points * self.size + self.origin)
 
@@ -93,30 +64,11 @@ class Frame(NamedTuple):
 def diagonal(points: FloatArray) -> float:
     """Diagonal of the axis-aligned bounding box.
 
-    Parameters
-    ----------
-    points : (n, 3) float64
-        At least one point.
-
-    Returns
-    -------
-    float
-        Unit of the points.
+    points: (n, 3) float64, at least one point.
     """
     return float(np.linalg.norm(np.ptp(points, axis=0)))
 
 
 def power_of_two(length: float) -> float:
-    """The least power of two above a length.
-
-    Parameters
-    ----------
-    length : float
-        Not negative.
-
-    Returns
-    -------
-    float
-        A power of two; 1 if the length is zero.
-    """
+    """The least power of two above a length."""
     return math.ldexp(1.0, math.frexp(length)[1])

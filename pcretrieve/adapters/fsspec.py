@@ -15,25 +15,7 @@ TIMES = ("LastModified", "Last-Modified", "updated", "mtime", "created")
 
 
 def files_below(url: str) -> list[str]:
-    """The files that a URL names.
-
-    Parameters
-    ----------
-    url : str
-        Of a file or a folder, or a glob pattern.
-
-    Returns
-    -------
-    list of str
-        URLs by name: of all files in a folder and below, or of all that match; empty if there are none.
-
-    Raises
-    ------
-    InputError
-        If fsspec does not know the protocol, or lacks the package for it.
-    OSError
-        If the store cannot be read.
-    """
+    """The files that a URL names."""
     system, path = _opened(url)
     if any(sign in path for sign in "*?["):
         found = [name for name in system.glob(path) if system.isfile(name)]
@@ -45,26 +27,7 @@ def files_below(url: str) -> list[str]:
 
 
 def stored_version(url: str) -> str | None:
-    """What the store says of the content of a file, without reading it.
-
-    Parameters
-    ----------
-    url : str
-        The file.
-
-    Returns
-    -------
-    str or None
-        A hash that the store has computed, or the time of the last change, with the size; None if the store
-        says neither.
-
-    Raises
-    ------
-    InputError
-        If fsspec does not know the protocol, or lacks the package for it.
-    OSError
-        If the file does not exist, or the store cannot be read.
-    """
+    """What the store says of the content of a file, without reading it."""
     system, path = _opened(url)
     about = system.info(path)
     known = next((key for key in (*HASHES, *TIMES) if about.get(key)), None)
@@ -72,22 +35,7 @@ def stored_version(url: str) -> str | None:
 
 
 def copy_file(url: str, file: Path) -> None:
-    """Copy a file to this computer.
-
-    Parameters
-    ----------
-    url : str
-        The file.
-    file : Path
-        The copy.
-
-    Raises
-    ------
-    InputError
-        If fsspec does not know the protocol, or lacks the package for it.
-    OSError
-        If the file does not exist, or the store cannot be read.
-    """
+    """Copy a file to this computer."""
     system, path = _opened(url)
     system.get_file(path, str(file))
 

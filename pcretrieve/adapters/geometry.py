@@ -20,14 +20,9 @@ N_CORNERS = 3
 class GeometryArrays(NamedTuple):
     """A point cloud or a triangle mesh as arrays, unchecked.
 
-    Attributes
-    ----------
-    points : (n, 3) array
-        Points of a cloud, vertices of a mesh; in the unit of the geometry.
-    faces : (m, 3) array or None
-        Vertex numbers; None for a point cloud.
-    normals : (n, 3) array or None
-        Unit normals of a point cloud, if it has normals.
+    points: (n, 3) array, points of a cloud, vertices of a mesh; in the unit of the geometry.
+    faces: (m, 3) array or None, vertex numbers; None for a point cloud.
+    normals: (n, 3) array or None, unit normals of a point cloud, if it has normals.
     """
 
     points: NDArray[Any]
@@ -36,25 +31,7 @@ class GeometryArrays(NamedTuple):
 
 
 def geometry_arrays(geometry: object) -> GeometryArrays:
-    """The arrays of a point cloud or a triangle mesh of any package.
-
-    Parameters
-    ----------
-    geometry : object
-        An (n, 3) array of points; a pair (vertices, faces) of arrays; an Open3D point cloud or triangle mesh,
-        legacy or tensor; a trimesh mesh or point cloud; a PyVista ``PolyData``; or any value with
-        ``vertices`` and ``faces``, or with ``points`` (and ``normals``).
-
-    Returns
-    -------
-    GeometryArrays
-        The arrays, which are not copied or checked.
-
-    Raises
-    ------
-    TypeError
-        If no points can be found in the value.
-    """
+    """The arrays of a point cloud or a triangle mesh of any package."""
     package = type(geometry).__module__.partition(".")[0]
     if package == "open3d":
         return _of_open3d(geometry)

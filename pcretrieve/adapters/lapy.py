@@ -12,37 +12,16 @@ __all__ = ["eigenvalues", "is_installed"]
 
 
 def is_installed() -> bool:
-    """Whether LaPy is installed, which the extra ``benchmark`` installs.
-
-    Returns
-    -------
-    bool
-        True if it can be imported.
-    """
+    """Whether LaPy is installed, which the extra ``benchmark`` installs."""
     return find_spec("lapy") is not None
 
 
 def eigenvalues(vertices: FloatArray, faces: IntArray, n_pairs: int) -> FloatArray:
     """The lowest eigenvalues of the Laplace–Beltrami operator by linear elements [1]_.
 
-    Parameters
-    ----------
-    vertices : (n, 3) float64
-        Coordinates.
-    faces : (m, 3) int32
-        Vertex numbers.
-    n_pairs : int
-        Number of eigenvalues.
-
-    Returns
-    -------
-    (n_pairs,) float64
-        Ascending; unit length⁻².
-
-    Raises
-    ------
-    ImportError
-        If LaPy is not installed.
+    vertices: (n, 3) float64, coordinates.
+    faces: (m, 3) int32, vertex numbers.
+    Returns (n_pairs,) float64: ascending; unit length⁻².
 
     References
     ----------

@@ -15,24 +15,8 @@ __all__ = ["chunk_sizes", "decompressed"]
 def chunk_sizes(data: bytes, start: int, record: bytes) -> list[int]:
     """The sizes of the chunks of a LAZ file.
 
-    Parameters
-    ----------
-    data : bytes
-        The file.
-    start : int
-        Position of the points; bytes.
-    record : bytes
-        The record of LASzip, which says how points are compressed.
-
-    Returns
-    -------
-    list of int
-        Of each chunk, in bytes.
-
-    Raises
-    ------
-    ValueError
-        If the table of the chunks is damaged.
+    start: position of the points; bytes.
+    Returns list of int: of each chunk, in bytes.
     """
     import lazrs
 
@@ -47,33 +31,8 @@ def decompressed(
 ) -> NDArray[np.uint8]:
     """Decompress the points of a LAZ file.
 
-    Parameters
-    ----------
-    data : bytes
-        The file.
-    start : int
-        Position of the points; bytes.
-    record : bytes
-        The record of LASzip, which says how points are compressed.
-    n_points : int
-        Number of points.
-    n_bytes : int
-        Size of a point.
-    at_once : int
-        Number of points for which memory is allocated at a time, so that a number of points that the file
-        does not hold takes no memory.
-
-    Returns
-    -------
-    (n, b) uint8
-        The bytes of the points.
-
-    Raises
-    ------
-    MemoryError
-        If the points are too large for the memory.
-    ValueError
-        If the file is damaged.
+    start: position of the points; bytes.
+    Returns (n, b) uint8: the bytes of the points.
     """
     import lazrs
 

@@ -60,22 +60,7 @@ def _equal_box(axes: Any, points: FloatArray) -> None:
 def plot_points(points: FloatArray, axes: Any = None) -> Any:
     """Draw a point cloud in three dimensions.
 
-    Parameters
-    ----------
-    points : (n, 3) float64
-        Coordinates. Of more than 20,000 points, points at regular steps are drawn.
-    axes : matplotlib axes with projection ``3d``, optional
-        The axes of the plot; by default new axes in a new figure.
-
-    Returns
-    -------
-    matplotlib axes
-        The axes with the plot.
-
-    Raises
-    ------
-    InputError
-        If matplotlib is not installed.
+    points: (n, 3) float64, coordinates. Of more than 20,000 points, points at regular steps are drawn.
     """
     axes = _axes(axes, projection="3d")
     shown = points[:: -(-len(points) // MOST_POINTS) or 1]
@@ -87,24 +72,8 @@ def plot_points(points: FloatArray, axes: Any = None) -> Any:
 def plot_surface(vertices: FloatArray, faces: IntArray, axes: Any = None) -> Any:
     """Draw a shaded surface in three dimensions.
 
-    Parameters
-    ----------
-    vertices : (n, 3) float64
-        Vertices of the surface, in any unit.
-    faces : (m, 3) int32
-        Vertex numbers of the triangles.
-    axes : matplotlib axes with projection ``3d``, optional
-        The axes of the plot; by default new axes in a new figure.
-
-    Returns
-    -------
-    matplotlib axes
-        The axes with the plot.
-
-    Raises
-    ------
-    InputError
-        If matplotlib is not installed.
+    vertices: (n, 3) float64, vertices of the surface, in any unit.
+    faces: (m, 3) int32, vertex numbers of the triangles.
     """
     axes = _axes(axes, projection="3d")
     axes.plot_trisurf(*vertices.T, triangles=faces, color=CLAY, linewidth=0)
@@ -117,26 +86,9 @@ def plot_signature(
 ) -> Any:
     """Draw the values of a signature by their number, on a logarithmic scale if all are positive.
 
-    Parameters
-    ----------
-    values : (L,) float64
-        The signature.
-    kind : str
-        The method, for the label.
-    deviation : (L,) float64, optional
-        Standard deviation of the logarithm of each value, drawn as an error bar.
-    axes : matplotlib axes, optional
-        The axes of the plot; by default new axes in a new figure.
-
-    Returns
-    -------
-    matplotlib axes
-        The axes with the plot.
-
-    Raises
-    ------
-    InputError
-        If matplotlib is not installed.
+    values: (L,) float64, the signature.
+    deviation: (L,) float64, optional, standard deviation of the logarithm of each value, drawn as an error
+        bar.
     """
     axes = _axes(axes)
     numbers = np.arange(1, len(values) + 1)
@@ -154,22 +106,7 @@ def plot_signature(
 def plot_spectrum(eigenvalues: FloatArray, axes: Any = None) -> Any:
     """Draw eigenvalues by their number, starting from 0.
 
-    Parameters
-    ----------
-    eigenvalues : (k,) float64
-        Ascending; unit length⁻².
-    axes : matplotlib axes, optional
-        The axes of the plot; by default new axes in a new figure.
-
-    Returns
-    -------
-    matplotlib axes
-        The axes with the plot.
-
-    Raises
-    ------
-    InputError
-        If matplotlib is not installed.
+    eigenvalues: (k,) float64, ascending; unit length⁻².
     """
     axes = _axes(axes)
     axes.plot(np.arange(len(eigenvalues)), eigenvalues, marker="o", markersize=3, linewidth=1)
@@ -181,24 +118,7 @@ def plot_spectrum(eigenvalues: FloatArray, axes: Any = None) -> Any:
 def plot_ranking(names: Sequence[str], distances: FloatArray, axes: Any = None) -> Any:
     """Draw the distances of neighbours as horizontal bars, the nearest at the top.
 
-    Parameters
-    ----------
-    names : sequence of str, length k
-        Names of the neighbours.
-    distances : (k,) float64
-        Dimensionless.
-    axes : matplotlib axes, optional
-        The axes of the plot; by default new axes in a new figure.
-
-    Returns
-    -------
-    matplotlib axes
-        The axes with the plot.
-
-    Raises
-    ------
-    InputError
-        If matplotlib is not installed.
+    distances: (k,) float64, dimensionless.
     """
     axes = _axes(axes)
     axes.barh(np.arange(len(names)), distances, color=CLAY)
@@ -219,24 +139,9 @@ def draw_curves(
 ) -> None:
     """Write a picture of curves.
 
-    Parameters
-    ----------
-    path : Path
-        The file, of any format that matplotlib knows by its suffix.
-    x : (n,) sequence of float
-        Positive, if the axes are logarithmic.
-    curves : mapping of str to (n,) float64
-        Values by the name of the curve, which may hold mathematical text; positive, if the axes are
-        logarithmic.
-    x_label, y_label : str
-        Names of the axes.
-    scale : {"log", "linear"}, default "log"
-        The scale of both axes.
-
-    Raises
-    ------
-    InputError
-        If matplotlib is not installed, or the file cannot be written.
+    x: (n,) sequence of float, positive, if the axes are logarithmic.
+    curves: mapping of str to (n,) float64, values by the name of the curve, which may hold mathematical text;
+        positive, if the axes are logarithmic.
     """
     _pyplot()  # raises an error if matplotlib is not installed
     from matplotlib.figure import Figure
@@ -258,19 +163,8 @@ def draw_curves(
 def draw_places(path: Path, groups: Sequence[tuple[str | None, FloatArray, str, str]], *, title: str) -> None:
     """Write a picture of places in the plane, with a key of the groups.
 
-    Parameters
-    ----------
-    path : Path
-        The file, of any format that matplotlib knows by its suffix.
-    groups : sequence of (str or None, (n, 2) float64, str, str)
-        For each group its name (None: unknown), the places, a colour, and a marker of matplotlib.
-    title : str
-        The title of the picture.
-
-    Raises
-    ------
-    InputError
-        If matplotlib is not installed, or the file cannot be written.
+    groups: sequence of (str or None, (n, 2) float64, str, str), for each group its name (None: unknown), the
+        places, a colour, and a marker of matplotlib.
     """
     _pyplot()  # raises an error if matplotlib is not installed
     from matplotlib.figure import Figure

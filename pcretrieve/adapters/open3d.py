@@ -55,13 +55,7 @@ IMPORTING = RLock()
 
 
 def library() -> Any:
-    """Import Open3D.
-
-    Returns
-    -------
-    module
-        The module open3d, with messages disabled and on one thread.
-    """
+    """Import Open3D."""
     with IMPORTING:
         return _quiet_library()
 
@@ -112,17 +106,8 @@ def _vectors(values: FloatArray) -> Any:
 def open3d_cloud(points: FloatArray, normals: FloatArray | None = None) -> Any:
     """A point cloud of Open3D.
 
-    Parameters
-    ----------
-    points : (n, 3) float64
-        In any unit.
-    normals : (n, 3) float64, optional
-        Normals of the points.
-
-    Returns
-    -------
-    open3d.geometry.PointCloud
-        With copies of the arrays.
+    points: (n, 3) float64, in any unit.
+    normals: (n, 3) float64, optional, normals of the points.
     """
     o3d = library()
     cloud = o3d.geometry.PointCloud(_vectors(points))
@@ -134,19 +119,8 @@ def open3d_cloud(points: FloatArray, normals: FloatArray | None = None) -> Any:
 def statistical_inliers(points: FloatArray, *, n_neighbors: int, std_ratio: float) -> NDArray[np.intp]:
     """Statistical outlier removal: the points whose mean distance to their neighbours is not exceptional.
 
-    Parameters
-    ----------
-    points : (n, 3) float64
-        Coordinates.
-    n_neighbors : int
-        Number of neighbours.
-    std_ratio : float
-        Largest mean distance, in standard deviations above the mean of all points.
-
-    Returns
-    -------
-    (k,) int
-        Positions of the points that are kept, ascending.
+    points: (n, 3) float64, coordinates.
+    Returns (k,) int: positions of the points that are kept, ascending.
     """
     cloud = open3d_cloud(Frame.around(points, offset=DOUBLE_OFFSET).inward(points))
     _, kept = cloud.remove_statistical_outlier(nb_neighbors=n_neighbors, std_ratio=std_ratio)
@@ -156,17 +130,8 @@ def statistical_inliers(points: FloatArray, *, n_neighbors: int, std_ratio: floa
 def estimate_normals(points: FloatArray, *, n_neighbors: int) -> FloatArray:
     """Normals of the least-squares planes of the neighbours of each point.
 
-    Parameters
-    ----------
-    points : (n, 3) float64
-        Coordinates.
-    n_neighbors : int
-        Number of neighbours, including the point.
-
-    Returns
-    -------
-    (n, 3) float64
-        Unit normals of arbitrary sign.
+    points: (n, 3) float64, coordinates.
+    Returns (n, 3) float64: unit normals of arbitrary sign.
     """
     o3d = library()
     cloud = open3d_cloud(Frame.around(points, offset=DOUBLE_OFFSET).inward(points))
@@ -177,22 +142,8 @@ def estimate_normals(points: FloatArray, *, n_neighbors: int) -> FloatArray:
 def orient_by_tangent_planes(points: FloatArray, normals: FloatArray, *, n_neighbors: int) -> FloatArray:
     """Orient normals consistently along a minimum spanning tree of the tangent planes [1]_.
 
-    Parameters
-    ----------
-    points, normals : (n, 3) float64
-        Coordinates and unit normals.
-    n_neighbors : int
-        Number of neighbours in the graph.
-
-    Returns
-    -------
-    (n, 3) float64
-        The normals or their opposites.
-
-    Raises
-    ------
-    ReconstructionError
-        If the points have no Delaunay triangulation, from whose edges the tree is taken.
+    points, normals: (n, 3) float64, coordinates and unit normals.
+    Returns (n, 3) float64: the normals or their opposites.
 
     References
     ----------
@@ -216,17 +167,8 @@ def orient_by_tangent_planes(points: FloatArray, normals: FloatArray, *, n_neigh
 def open3d_mesh(vertices: FloatArray, faces: IntArray) -> Any:
     """A triangle mesh of Open3D.
 
-    Parameters
-    ----------
-    vertices : (n, 3) float64
-        In any unit.
-    faces : (m, 3) int32
-        Vertex numbers.
-
-    Returns
-    -------
-    open3d.geometry.TriangleMesh
-        With copies of the arrays.
+    vertices: (n, 3) float64, in any unit.
+    faces: (m, 3) int32, vertex numbers.
     """
     o3d = library()
     return o3d.geometry.TriangleMesh(_vectors(vertices), o3d.utility.Vector3iVector(faces.copy()))
@@ -237,28 +179,10 @@ def poisson(
 ) -> tuple[FloatArray, IntArray, FloatArray]:
     """Screened Poisson reconstruction [1]_.
 
-    Parameters
-    ----------
-    points, normals : (p, 3) float64
-        Coordinates and unit normals that point outwards.
-    depth : int
-        Depth of the octree.
-    scale : float
-        Side of the cube of the reconstruction, relative to the longest side of the bounding box.
-
-    Returns
-    -------
-    vertices : (n, 3) float64
-        Coordinates.
-    faces : (m, 3) int32
-        Vertex numbers of each face, counter-clockwise seen from outside.
-    density : (n,) float64
-        Depth of the octree at each vertex; larger where there are more points.
-
-    Raises
-    ------
-    ReconstructionError
-        If single precision cannot tell the points apart, or gives a surface that is not finite.
+    points, normals: (p, 3) float64, coordinates and unit normals that point outwards.
+    Returns vertices : (n, 3) float64: coordinates.
+    Returns faces : (m, 3) int32: vertex numbers of each face, counter-clockwise seen from outside.
+    Returns density : (n,) float64: depth of the octree at each vertex; larger where there are more points.
 
     References
     ----------
@@ -298,21 +222,10 @@ def _check_resolved(framed: FloatArray) -> None:
 def simplify(vertices: FloatArray, faces: IntArray, *, n_faces: int) -> tuple[FloatArray, IntArray]:
     """Simplify a surface by edge collapse with quadric error metrics [1]_.
 
-    Parameters
-    ----------
-    vertices : (n, 3) float64
-        Coordinates.
-    faces : (m, 3) int32
-        Vertex numbers of each face.
-    n_faces : int
-        Number of faces after simplification, approximately.
-
-    Returns
-    -------
-    vertices : (p, 3) float64
-        Coordinates.
-    faces : (q, 3) int32
-        Vertex numbers of each face.
+    vertices: (n, 3) float64, coordinates.
+    faces: (m, 3) int32, vertex numbers of each face.
+    Returns vertices : (p, 3) float64: coordinates.
+    Returns faces : (q, 3) int32: vertex numbers of each face.
 
     References
     ----------

@@ -22,20 +22,9 @@ SIFT_LENGTH = 128
 def sift_descriptors(pictures: Iterable[FloatArray]) -> list[NDArray[np.uint8]]:
     """The SIFT descriptors of the keypoints of pictures [1]_, with OpenCV's default settings.
 
-    Parameters
-    ----------
-    pictures : iterable of (h, w) float64
-        Grey values between 0 and 1.
-
-    Returns
-    -------
-    list of (k, 128) uint8
-        The descriptors of each picture, dimensionless; k is 0 for a picture without keypoints.
-
-    Raises
-    ------
-    OptionError
-        If OpenCV is not installed.
+    pictures: iterable of (h, w) float64, grey values between 0 and 1.
+    Returns list of (k, 128) uint8: the descriptors of each picture, dimensionless; k is 0 for a picture
+        without keypoints.
 
     References
     ----------

@@ -15,22 +15,7 @@ ADVICE = "tables need pandas and pyarrow: pip install 'pcretrieve[tables]'"
 def data_frame(columns: Mapping[str, Sequence[object]], index: str | None = None) -> Any:
     """A table of named columns.
 
-    Parameters
-    ----------
-    columns : mapping of str to sequence
-        Columns of one length, in order.
-    index : str, optional
-        The column whose values are the index of the rows.
-
-    Returns
-    -------
-    pandas.DataFrame
-        One row for each entry of the columns.
-
-    Raises
-    ------
-    InputError
-        If pandas is not installed.
+    columns: columns of one length, in order.
     """
     try:
         import pandas
@@ -43,22 +28,7 @@ def data_frame(columns: Mapping[str, Sequence[object]], index: str | None = None
 def parquet_bytes(columns: Mapping[str, Sequence[object]], metadata: Mapping[str, str]) -> bytes:
     """A Parquet file of named columns.
 
-    Parameters
-    ----------
-    columns : mapping of str to sequence
-        Columns of one length, in order.
-    metadata : mapping of str to str
-        Key-value metadata of the schema of the file.
-
-    Returns
-    -------
-    bytes
-        The content of the file.
-
-    Raises
-    ------
-    InputError
-        If pyarrow is not installed.
+    columns: columns of one length, in order.
     """
     try:
         import pyarrow

@@ -23,24 +23,7 @@ def write_vectors(
 
     Ids are compared by code point (the collation ``C``), as in Python.
 
-    Parameters
-    ----------
-    url : str
-        The database, ``postgresql://user@host:port/name``.
-    table : str
-        Name of the table, which must be new.
-    ids : sequence of str, length N
-        The primary keys.
-    labels : sequence of (str or None), length N
-        Classes.
-    vectors : (N, L) float64
-        The vectors, which are stored in single precision.
-
-    Raises
-    ------
-    InputError
-        If psycopg is not installed, the server cannot be reached, it does not have pgvector, or it has such
-        a table already.
+    vectors: (N, L) float64, the vectors, which are stored in single precision.
     """
     try:
         import psycopg

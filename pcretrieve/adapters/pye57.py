@@ -18,16 +18,8 @@ __all__ = ["ScanHeader", "scan_headers", "scan_points"]
 class ScanHeader(NamedTuple):
     """What a file says of one of its scans.
 
-    Attributes
-    ----------
-    name : str
-        Its name; empty if it has none.
-    n_points : int
-        Number of points.
-    position : (3,) float64 or None
-        Position of the sensor in the frame of the file; None if the scan has no pose.
-    is_grid : bool
-        Whether the points have rows and columns, as the sensor measured them.
+    position: (3,) float64 or None, position of the sensor in the frame of the file; None if the scan has no
+        pose.
     """
 
     name: str
@@ -37,23 +29,7 @@ class ScanHeader(NamedTuple):
 
 
 def scan_headers(path: Path) -> list[ScanHeader]:
-    """The headers of the scans in a file.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-
-    Returns
-    -------
-    list of ScanHeader
-        In the order of the file.
-
-    Raises
-    ------
-    ValueError
-        If the file is damaged.
-    """
+    """The headers of the scans in a file."""
     with _opened(path) as file:
         headers = []
         for number in range(file.scan_count):
@@ -68,24 +44,7 @@ def scan_headers(path: Path) -> list[ScanHeader]:
 def scan_points(path: Path, number: int) -> FloatArray:
     """The points of a scan, without those that the file marks as invalid.
 
-    Parameters
-    ----------
-    path : Path
-        The file.
-    number : int
-        Number of the scan, from 0.
-
-    Returns
-    -------
-    (n, 3) float64
-        In the frame of the file; metres.
-
-    Raises
-    ------
-    MemoryError
-        If the scan is too large for the memory.
-    ValueError
-        If the file is damaged.
+    Returns (n, 3) float64: in the frame of the file; metres.
     """
     with _opened(path) as file:
         data = file.read_scan(number, ignore_missing_fields=True)

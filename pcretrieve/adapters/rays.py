@@ -14,12 +14,8 @@ __all__ = ["RayScene"]
 class RayScene:
     """A surface for ray casting and distance queries, in single precision.
 
-    Parameters
-    ----------
-    vertices : (n, 3) float64
-        Coordinates.
-    faces : (m, 3) int32
-        Vertex numbers of each face.
+    vertices: (n, 3) float64, coordinates.
+    faces: (m, 3) int32, vertex numbers of each face.
     """
 
     def __init__(self, vertices: FloatArray, faces: IntArray) -> None:
@@ -35,19 +31,12 @@ class RayScene:
     def cast(self, origins: FloatArray, directions: FloatArray) -> tuple[FloatArray, FloatArray, IntArray]:
         """The first intersection of each ray with the surface.
 
-        Parameters
-        ----------
-        origins, directions : (k, 3) float64
-            Origins and directions of the rays; the directions may have any length.
-
-        Returns
-        -------
-        distance : (k,) float64
-            Distance from the origin in units of the length of the direction; infinite if there is none.
-        normals : (k, 3) float64
-            Unit normals of the faces, by their orientation.
-        face : (k,) int32
-            Numbers of the faces; −1 if there is no intersection.
+        origins, directions: (k, 3) float64, origins and directions of the rays; the directions may have any
+            length.
+        Returns distance : (k,) float64: distance from the origin in units of the length of the direction;
+            infinite if there is none.
+        Returns normals : (k, 3) float64: unit normals of the faces, by their orientation.
+        Returns face : (k,) int32: numbers of the faces; −1 if there is no intersection.
         """
         length = power_of_two(float(np.abs(directions).max(initial=0)))
         rays = np.concatenate([self._frame.inward(origins), directions / length], axis=1)  # (k, 6)

@@ -12,24 +12,10 @@ __all__ = ["tufted_matrices"]
 def tufted_matrices(vertices: FloatArray, faces: IntArray) -> tuple[csc_array, csc_array]:
     """The tufted intrinsic Delaunay Laplacian [1]_ of any triangle mesh.
 
-    Parameters
-    ----------
-    vertices : (n, 3) float64
-        Coordinates.
-    faces : (m, 3) int32
-        Vertex numbers of each face; the mesh may have any connectivity.
-
-    Returns
-    -------
-    stiffness : (n, n) sparse
-        Symmetric positive semi-definite, dimensionless.
-    mass : (n, n) sparse
-        Diagonal, unit length².
-
-    Raises
-    ------
-    RuntimeError
-        If the library fails.
+    vertices: (n, 3) float64, coordinates.
+    faces: (m, 3) int32, vertex numbers of each face; the mesh may have any connectivity.
+    Returns stiffness : (n, n) sparse: symmetric positive semi-definite, dimensionless.
+    Returns mass : (n, n) sparse: diagonal, unit length².
 
     References
     ----------

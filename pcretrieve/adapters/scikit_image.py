@@ -14,17 +14,9 @@ __all__ = ["contours", "level_surface"]
 def contours(picture: FloatArray, level: float) -> Sequence[FloatArray]:
     """Level curves of a picture, by marching squares.
 
-    Parameters
-    ----------
-    picture : (h, w) float64
-        The samples, interpolated bilinearly.
-    level : float
-        The value on the curves.
-
-    Returns
-    -------
-    sequence of (n, 2) float64
-        The polygons, by row and column; the first and the last point of a closed one are equal.
+    picture: (h, w) float64, the samples, interpolated bilinearly.
+    Returns sequence of (n, 2) float64: the polygons, by row and column; the first and the last point of a
+        closed one are equal.
     """
     from skimage.measure import find_contours
 
@@ -34,19 +26,9 @@ def contours(picture: FloatArray, level: float) -> Sequence[FloatArray]:
 def level_surface(field: FloatArray, cell: float) -> tuple[FloatArray, IntArray]:
     """Zero level set of a field, by marching cubes.
 
-    Parameters
-    ----------
-    field : (x, y, z) float64
-        The samples, negative inside.
-    cell : float
-        Edge of the cells of the grid.
-
-    Returns
-    -------
-    vertices : (n, 3) float64
-        In the unit of `cell`, relative to the first sample.
-    faces : (m, 3) int32
-        Vertices of each triangle.
+    field: (x, y, z) float64, the samples, negative inside.
+    Returns vertices : (n, 3) float64: in the unit of `cell`, relative to the first sample.
+    Returns faces : (m, 3) int32: vertices of each triangle.
     """
     from skimage.measure import marching_cubes
 

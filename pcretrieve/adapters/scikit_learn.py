@@ -32,10 +32,7 @@ N_PASSES = 100
 class BallTreeSearch:
     """Euclidean nearest neighbours by a ball tree (Omohundro, 1989), in double precision.
 
-    Parameters
-    ----------
-    points : (N, L) float64
-        The points, at least one. The squares of their distances do not overflow.
+    points: (N, L) float64, the points, at least one. The squares of their distances do not overflow.
     """
 
     def __init__(self, points: FloatArray) -> None:
@@ -49,19 +46,8 @@ class BallTreeSearch:
     def nearest(self, point: FloatArray, k: int) -> tuple[NDArray[np.intp], float]:
         """Points that are the nearest, apart from rounding errors.
 
-        Parameters
-        ----------
-        point : (1, L) float64
-            The query.
-        k : int
-            Between 1 and N.
-
-        Returns
-        -------
-        rows : (k,) intp
-            The points.
-        bound : float
-            The largest of their distances, which no other point is nearer than, apart from rounding errors.
+        point: (1, L) float64, the query.
+        Returns rows : (k,) intp: the points.
         """
         distances, rows = self._tree.query(point, k)
         return rows[0], float(distances[0, -1])
@@ -69,17 +55,8 @@ class BallTreeSearch:
     def within(self, point: FloatArray, radius: float) -> NDArray[np.intp]:
         """The points within a radius, apart from rounding errors.
 
-        Parameters
-        ----------
-        point : (1, L) float64
-            The query.
-        radius : float
-            Largest distance.
-
-        Returns
-        -------
-        (n,) intp
-            The points.
+        point: (1, L) float64, the query.
+        Returns (n,) intp: the points.
         """
         (rows,) = self._tree.query_radius(point, radius)
         return np.asarray(rows, dtype=np.intp)
@@ -88,17 +65,8 @@ class BallTreeSearch:
 def density_clusters(points: FloatArray, min_size: int) -> NDArray[np.intp]:
     """Clusters of dense points by HDBSCAN, from the excess of mass (Campello, Moulavi and Sander, 2013).
 
-    Parameters
-    ----------
-    points : (N, d) float64
-        The points.
-    min_size : int
-        Least number of points of a cluster, at least 2.
-
-    Returns
-    -------
-    (N,) intp
-        The number of the cluster of each point, from 0; −1 for points between clusters.
+    points: (N, d) float64, the points.
+    Returns (N,) intp: the number of the cluster of each point, from 0; −1 for points between clusters.
     """
     if len(points) < min_size:
         return np.full(len(points), -1)
@@ -111,15 +79,9 @@ def density_clusters(points: FloatArray, min_size: int) -> NDArray[np.intp]:
 def neighbour_embedding(points: FloatArray) -> FloatArray:
     """Places in the plane at which near points are near, by t-SNE (van der Maaten and Hinton, 2008).
 
-    Parameters
-    ----------
-    points : (N, d) float64
-        The points.
-
-    Returns
-    -------
-    (N, 2) float64
-        The places, centred; only which are near each other has a meaning. Equal for equal points and order.
+    points: (N, d) float64, the points.
+    Returns (N, 2) float64: the places, centred; only which are near each other has a meaning. Equal for equal
+        points and order.
     """
     centred = points - points.mean(axis=0)
     directions, sizes, _ = np.linalg.svd(centred, full_matrices=False)
@@ -138,19 +100,8 @@ def neighbour_embedding(points: FloatArray) -> FloatArray:
 def sparse_dictionary(points: FloatArray, n_atoms: int, penalty: float) -> FloatArray:
     """A dictionary in which points have sparse codes, by online learning (Mairal et al., 2010).
 
-    Parameters
-    ----------
-    points : (N, d) float64
-        The points.
-    n_atoms : int
-        L, the number of atoms.
-    penalty : float
-        λ in ½ ‖x − zᵀ D‖² + λ ‖z‖₁, the mean of which over the points is minimised.
-
-    Returns
-    -------
-    (L, d) float64
-        The atoms, of unit length. Equal for equal points, number and penalty.
+    points: (N, d) float64, the points.
+    Returns (L, d) float64: the atoms, of unit length. Equal for equal points, number and penalty.
     """
     from sklearn.decomposition import MiniBatchDictionaryLearning
     from sklearn.exceptions import ConvergenceWarning

@@ -52,31 +52,12 @@ def tetrahedralize(
 
     The result is not deterministic, because fTetWild takes its seed from the operating system.
 
-    Parameters
-    ----------
-    vertices : (n, 3) float64
-        Coordinates.
-    faces : (m, 3) int32
-        Vertex numbers of each face, oriented outwards. For a surface that is oriented inwards the result is a
-        mesh of a few nodes, without an error.
-    edge_length, envelope : float
-        Ideal edge length, and largest distance from the surface; relative to the bounding-box diagonal.
-    optimize : bool
-        Optimise the quality of the tetrahedra.
-    timeout : float
-        Time limit; seconds.
-
-    Returns
-    -------
-    nodes : (p, 3) float64
-        Coordinates.
-    tetrahedra : (q, 4) int32
-        Node numbers of each tetrahedron.
-
-    Raises
-    ------
-    RemeshError
-        If the time limit was exceeded, the server ended, fTetWild failed, or the mesh is empty.
+    vertices: (n, 3) float64, coordinates.
+    faces: (m, 3) int32, vertex numbers of each face, oriented outwards. For a surface that is oriented
+        inwards the result is a mesh of a few nodes, without an error.
+    timeout: time limit; seconds.
+    Returns nodes : (p, 3) float64: coordinates.
+    Returns tetrahedra : (q, 4) int32: node numbers of each tetrahedron.
 
     References
     ----------

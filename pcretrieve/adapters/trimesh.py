@@ -17,15 +17,7 @@ __all__ = ["Body", "mesh_arrays", "mesh_bytes", "scene_bodies", "trimesh_cloud",
 def trimesh_cloud(points: FloatArray) -> Any:
     """A point cloud of trimesh.
 
-    Parameters
-    ----------
-    points : (n, 3) float64
-        In any unit.
-
-    Returns
-    -------
-    trimesh.PointCloud
-        With a copy of the points.
+    points: (n, 3) float64, in any unit.
     """
     import trimesh
 
@@ -35,17 +27,8 @@ def trimesh_cloud(points: FloatArray) -> Any:
 def trimesh_mesh(vertices: FloatArray, faces: IntArray) -> Any:
     """A mesh of trimesh, unprocessed: no vertex is merged or reordered.
 
-    Parameters
-    ----------
-    vertices : (n, 3) float64
-        In any unit.
-    faces : (m, 3) int32
-        Vertex numbers.
-
-    Returns
-    -------
-    trimesh.Trimesh
-        With copies of the arrays.
+    vertices: (n, 3) float64, in any unit.
+    faces: (m, 3) int32, vertex numbers.
     """
     import trimesh
 
@@ -55,28 +38,8 @@ def trimesh_mesh(vertices: FloatArray, faces: IntArray) -> Any:
 def mesh_arrays(path: Path, file_type: str) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
     """Read a mesh file; polygons are triangulated.
 
-    Parameters
-    ----------
-    path : Path
-        The file.
-    file_type : str
-        The format, as trimesh names it: a suffix without its dot.
-
-    Returns
-    -------
-    vertices : (n, 3) float64
-        Coordinates; unit of the file.
-    faces : (m, 3) int64
-        Vertex numbers of the triangles.
-
-    Raises
-    ------
-    OSError
-        If the file cannot be read.
-    MemoryError
-        If the file is too large for the memory.
-    ValueError
-        If the file is damaged.
+    Returns vertices : (n, 3) float64: coordinates; unit of the file.
+    Returns faces : (m, 3) int64: vertex numbers of the triangles.
     """
     import trimesh
 
@@ -96,14 +59,8 @@ def mesh_arrays(path: Path, file_type: str) -> tuple[NDArray[np.float64], NDArra
 class Body(NamedTuple):
     """A mesh of a scene.
 
-    Attributes
-    ----------
-    name : str
-        The name of its node.
-    vertices : (n, 3) float64
-        Coordinates in the frame of the scene; unit of the file.
-    faces : (m, 3) int64
-        Vertex numbers of the triangles.
+    vertices: (n, 3) float64, coordinates in the frame of the scene; unit of the file.
+    faces: (m, 3) int64, vertex numbers of the triangles.
     """
 
     name: str
@@ -114,28 +71,7 @@ class Body(NamedTuple):
 def scene_bodies(path: Path, file_type: str) -> tuple[list[Body], str | None]:
     """Read a file of several meshes, which the nodes of a scene place.
 
-    Parameters
-    ----------
-    path : Path
-        The file.
-    file_type : str
-        The format, as trimesh names it: a suffix without its dot.
-
-    Returns
-    -------
-    bodies : list of Body
-        The meshes with triangles, one for each node that places one.
-    unit : str or None
-        The unit of the file, as trimesh names it.
-
-    Raises
-    ------
-    OSError
-        If the file cannot be read.
-    MemoryError
-        If the file is too large for the memory.
-    ValueError
-        If the file is damaged.
+    Returns unit : str or None: the unit of the file, as trimesh names it.
     """
     import trimesh
 
@@ -165,17 +101,7 @@ def scene_bodies(path: Path, file_type: str) -> tuple[list[Body], str | None]:
 def mesh_bytes(mesh: TriangleMesh, file_type: str) -> bytes:
     """The content of a mesh file.
 
-    Parameters
-    ----------
-    mesh : TriangleMesh
-        The mesh; its unit is that of the file.
-    file_type : str
-        The format, as trimesh names it: a suffix without its dot.
-
-    Returns
-    -------
-    bytes
-        The content.
+    mesh: the mesh; its unit is that of the file.
     """
     data = trimesh_mesh(mesh.vertices, mesh.faces).export(file_type=file_type)
     return data.encode() if isinstance(data, str) else bytes(data)

@@ -33,18 +33,7 @@ CHECKSUM = struct.Struct("<I")
 
 
 def packed(arrays: Sequence[NDArray[Any]]) -> bytes:
-    """Convert arrays to bytes.
-
-    Parameters
-    ----------
-    arrays : sequence of arrays
-        Arrays of float64, int32, int64, int8 or uint8.
-
-    Returns
-    -------
-    bytes
-        The arrays, compressed if they are long, and a checksum.
-    """
+    """Convert arrays to bytes."""
     parts = []
     for array in arrays:
         stored = np.asarray(array, array.dtype.newbyteorder("<"), order="C")
@@ -60,23 +49,7 @@ def packed(arrays: Sequence[NDArray[Any]]) -> bytes:
 
 
 def unpacked(blob: bytes) -> list[NDArray[Any]]:
-    """The inverse of `packed`.
-
-    Parameters
-    ----------
-    blob : bytes
-        The result of `packed`.
-
-    Returns
-    -------
-    list of arrays
-        The same arrays, to the bit.
-
-    Raises
-    ------
-    ValueError
-        If the checksum shows that bytes have changed.
-    """
+    """The inverse of `packed`."""
     end = len(blob) - CHECKSUM.size
     view = memoryview(blob)
     if end < 0 or CHECKSUM.unpack_from(blob, end)[0] != zlib.crc32(view[:end]):
@@ -101,15 +74,7 @@ def unpacked(blob: bytes) -> list[NDArray[Any]]:
 def packed_symmetric(matrices: FloatArray) -> bytes:
     """Convert symmetric matrices to bytes, half as many as `packed` needs.
 
-    Parameters
-    ----------
-    matrices : (s, k, k) float64
-        Matrices that are symmetric except for rounding errors, which are stored too.
-
-    Returns
-    -------
-    bytes
-        The entries on and above the diagonal, and the rounding errors of the entries below.
+    matrices: (s, k, k) float64, matrices that are symmetric except for rounding errors, which are stored too.
     """
     bits = np.ascontiguousarray(matrices).view(np.int64)
     upper, lower = np.triu_indices(bits.shape[1]), np.tril_indices(bits.shape[1], -1)
@@ -122,20 +87,7 @@ def packed_symmetric(matrices: FloatArray) -> bytes:
 def unpacked_symmetric(blob: bytes) -> FloatArray:
     """The inverse of `packed_symmetric`.
 
-    Parameters
-    ----------
-    blob : bytes
-        The result of `packed_symmetric`.
-
-    Returns
-    -------
-    (s, k, k) float64
-        The same matrices, to the bit.
-
-    Raises
-    ------
-    ValueError
-        If the checksum shows that bytes have changed.
+    Returns (s, k, k) float64: the same matrices, to the bit.
     """
     above, moved = unpacked(blob)
     n, n_above = above.shape
@@ -150,15 +102,8 @@ def unpacked_symmetric(blob: bytes) -> FloatArray:
 def packed_values(values: FloatArray) -> bytes:
     """Convert the values of a signature to bytes that are fast to read.
 
-    Parameters
-    ----------
-    values : (L,) float64
-        The values.
-
-    Returns
-    -------
-    bytes
-        8 (L + 1) bytes: the values, and the exclusive or of their bits as a checksum.
+    values: (L,) float64, the values.
+    Returns bytes: 8 (L + 1) bytes: the values, and the exclusive or of their bits as a checksum.
     """
     words = np.ascontiguousarray(values, "<f8").view("<u8")
     return words.tobytes() + np.bitwise_xor.reduce(words, keepdims=True).tobytes()
@@ -167,22 +112,8 @@ def packed_values(values: FloatArray) -> bytes:
 def unpacked_values(rows: NDArray[np.uint8], n_values: int) -> FloatArray:
     """The inverse of `packed_values`, for many signatures.
 
-    Parameters
-    ----------
-    rows : (N, b) uint8
-        One result of `packed_values` in each row.
-    n_values : int
-        L, the number of values of a signature.
-
-    Returns
-    -------
-    (N, L) float64
-        The same values, to the bit.
-
-    Raises
-    ------
-    ValueError
-        If a checksum shows that bytes have changed, or the number of values is not L.
+    rows: (N, b) uint8, one result of `packed_values` in each row.
+    Returns (N, L) float64: the same values, to the bit.
     """
     if rows.size != 8 * len(rows) * (n_values + 1):
         raise ValueError(f"there must be {n_values} values")

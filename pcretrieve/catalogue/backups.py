@@ -27,22 +27,7 @@ PAGES_AT_ONCE = 1 << 18
 def write_backup(location: str | Path, target: Path) -> int:
     """Write a copy of a catalogue to one SQLite file.
 
-    Parameters
-    ----------
-    location : str or Path
-        The path or the URL of the catalogue.
-    target : Path
-        The file, which must not exist. It has its name when it is complete.
-
-    Returns
-    -------
-    int
-        The size of the file; bytes.
-
-    Raises
-    ------
-    CatalogueError
-        If the catalogue cannot be read, or the file exists or cannot be written.
+    Returns int: the size of the file; bytes.
     """
     if target.exists():
         raise CatalogueError(f"{target} exists: name a new file for the backup, or remove it first")

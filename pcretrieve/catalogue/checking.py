@@ -27,21 +27,7 @@ def check_rows(
 ) -> list[Defect]:
     """Check a store and everything that is stored of each shape.
 
-    Parameters
-    ----------
-    rows : Rows
-        The store.
-    options : PipelineOptions
-        The options with which the catalogue was built.
-    repair : bool
-        Whether defects are repaired, so far as nothing else can be lost by it.
-    on_shapes : function of int
-        Called with the number of shapes that have been checked, now and then.
-
-    Returns
-    -------
-    list of Defect
-        The defects of the store, then those of the shapes in ascending order of id.
+    Returns list of Defect: the defects of the store, then those of the shapes in ascending order of id.
     """
     found = rows.defects(repair=repair)
     try:
@@ -89,22 +75,7 @@ def _repaired(rows: Rows, origin: Origin, changed: Collection[str], message: str
 
 
 def set_to_be_ingested_again(rows: Rows, origin: Origin, message: str) -> str | None:
-    """Replace a shape by a failure in the stage ``check``, whose file the next ingest processes again.
-
-    Parameters
-    ----------
-    rows : Rows
-        The store.
-    origin : Origin
-        Id, path and label, which the shape keeps.
-    message : str
-        What was wrong.
-
-    Returns
-    -------
-    str or None
-        What was done, in words; None if the store cannot be written to.
-    """
+    """Replace a shape by a failure in the stage ``check``, whose file the next ingest processes again."""
     failure = Record(
         origin.id,
         origin.path,

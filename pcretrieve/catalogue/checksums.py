@@ -32,53 +32,20 @@ RECORD = (
 
 
 def checksum(value: object) -> int:
-    """The checksum of a value, or of a list of values.
-
-    Parameters
-    ----------
-    value : str, int, float, None or list of these
-        The value as a store returns it.
-
-    Returns
-    -------
-    int
-        CRC-32 of the value as JSON, from 0 to 2³² − 1, which every change of a single bit changes.
-    """
+    """The checksum of a value, or of a list of values."""
     # PostgreSQL cannot store the character 0, in the place of which it has the symbol for it.
     text = json.dumps(value).replace("\\u0000", "\\u2400")
     return zlib.crc32(text.encode())
 
 
 def checksums_of(row: Mapping[str, Any]) -> dict[str, int]:
-    """The checksums of a row.
-
-    Parameters
-    ----------
-    row : mapping of str to value
-        The columns `SHAPE_COLUMNS` and `PROVENANCE_COLUMNS` of a record.
-
-    Returns
-    -------
-    dict of str to int
-        The checksums by `CHECKSUM_COLUMNS`.
-    """
+    """The checksums of a row."""
     values = [float(row[name]) if name in REAL and row[name] is not None else row[name] for name in RECORD]
     parts = {**{name: row[name] for name in ("id", "path", "label")}, "record": values}
     return {CHECKSUM_COLUMNS[name]: checksum(value) for name, value in parts.items()}
 
 
 def changed_parts(row: Mapping[str, Any]) -> tuple[str, ...]:
-    """The parts of a row that differ from what was stored.
-
-    Parameters
-    ----------
-    row : mapping of str to value
-        The columns of `checksums_of`, and those of `CHECKSUM_COLUMNS`.
-
-    Returns
-    -------
-    tuple of str
-        Names of `CHECKSUM_COLUMNS`.
-    """
+    """The parts of a row that differ from what was stored."""
     found = checksums_of(row)
     return tuple(name for name, column in CHECKSUM_COLUMNS.items() if row[column] != found[column])

@@ -31,75 +31,25 @@ ADVICE = {
 
 
 class Transaction:
-    """A connection within a transaction.
-
-    Parameters
-    ----------
-    connection : sqlalchemy.Connection
-        The connection.
-    """
+    """A connection within a transaction."""
 
     def __init__(self, connection: Any) -> None:
         self._connection = connection
 
     def all(self, query: str, **values: object) -> list[Any]:
-        """Read the result of a query.
-
-        Parameters
-        ----------
-        query : str
-            The query, with the names of its parameters as ``:name``.
-        **values : value
-            The parameters.
-
-        Returns
-        -------
-        list of rows
-            The result.
-        """
+        """Read the result of a query."""
         return list(self._executed(query, values))
 
     def pages(self, query: str, size: int, **values: object) -> Iterator[list[Any]]:
-        """Read a large result, a part of which is in memory at a time.
-
-        Parameters
-        ----------
-        query : str
-            The query.
-        size : int
-            Number of rows of a part.
-        **values : value
-            The parameters.
-
-        Yields
-        ------
-        list of rows
-            The next rows of the result.
-        """
+        """Read a large result, a part of which is in memory at a time."""
         yield from self._executed(query, values, stream_results=True, max_row_buffer=size).partitions(size)
 
     def run(self, statement: str, **values: object) -> None:
-        """Execute a statement without a result.
-
-        Parameters
-        ----------
-        statement : str
-            The statement.
-        **values : value
-            The parameters.
-        """
+        """Execute a statement without a result."""
         self._executed(statement, values)
 
     def run_each(self, statement: str, rows: Sequence[Mapping[str, object]]) -> None:
-        """Execute a statement for each of several rows of parameters, in their order.
-
-        Parameters
-        ----------
-        statement : str
-            The statement.
-        rows : sequence of mapping of str to value
-            The parameters of each execution.
-        """
+        """Execute a statement for each of several rows of parameters, in their order."""
         if rows:
             self._executed(statement, list(rows))
 
@@ -119,26 +69,7 @@ def _storable(value: Any) -> Any:
 
 
 class Database:
-    """A schema of a PostgreSQL database.
-
-    Parameters
-    ----------
-    url : str
-        ``postgresql://user@host:port/name?schema=bodies``. The schema is "pcretrieve" by default; all other
-        parameters are those of libpq.
-
-    Attributes
-    ----------
-    location : str
-        The URL without the password.
-    schema : str
-        The schema.
-
-    Raises
-    ------
-    CatalogueError
-        If SQLAlchemy or psycopg is not installed, or the URL is not valid.
-    """
+    """A schema of a PostgreSQL database."""
 
     def __init__(self, url: str) -> None:
         try:
@@ -183,30 +114,13 @@ class Database:
 
     @contextmanager
     def reading(self) -> Iterator[Transaction]:
-        """One transaction, in which everything that is read belongs to one state.
-
-        Yields
-        ------
-        Transaction
-            The transaction.
-        """
+        """One transaction, in which everything that is read belongs to one state."""
         with self._transaction("REPEATABLE READ") as transaction:
             yield transaction
 
     @contextmanager
     def writing(self, lock: str) -> Iterator[Transaction]:
-        """One transaction that waits for a lock, after which no other process writes.
-
-        Parameters
-        ----------
-        lock : str
-            The query that takes the lock until the transaction ends.
-
-        Yields
-        ------
-        Transaction
-            The transaction, each query of which reads the last state.
-        """
+        """One transaction that waits for a lock, after which no other process writes."""
         with self._transaction("READ COMMITTED") as transaction:
             transaction.all(lock)
             yield transaction

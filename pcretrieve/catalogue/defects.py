@@ -13,21 +13,7 @@ __all__ = ["ChangedRow", "Defect"]
 
 @dataclass(frozen=True, slots=True)
 class Defect:
-    """Something that is wrong in a catalogue.
-
-    Attributes
-    ----------
-    kind : {"database", "orphan", "shape", "signature", "index"}
-        ``database``: a defect of the file or of its SQL indexes; ``orphan``: rows of no shape; ``shape``: a
-        record or arrays that cannot be read, or that contradict each other; ``signature``: one that differs
-        from what its surfaces give; ``index``: a stored index of nearest neighbours that cannot be read.
-    shape_id : str or None
-        Id of the shape.
-    message : str
-        What is wrong.
-    repair : str or None
-        What was done about it; None if nothing was done.
-    """
+    """Something that is wrong in a catalogue."""
 
     kind: Literal["database", "orphan", "shape", "signature", "index"]
     shape_id: str | None
@@ -36,24 +22,7 @@ class Defect:
 
 
 class ChangedRow(CatalogueError):
-    """Texts or numbers of a row that are not those that were stored, as by a flipped bit on the disk.
-
-    Parameters
-    ----------
-    location : str
-        The catalogue, as the message names it.
-    row : mapping of str to value
-        The row as it is now, with `id`, `path` and `label`.
-    parts : tuple of str
-        What has changed: "id", "path", "label" or "record", which is everything else.
-
-    Attributes
-    ----------
-    parts : tuple of str
-        What has changed.
-    fault : str
-        The same in words.
-    """
+    """Texts or numbers of a row that are not those that were stored, as by a flipped bit on the disk."""
 
     def __init__(self, location: str, row: Mapping[str, object], parts: tuple[str, ...]) -> None:
         self.parts = parts

@@ -18,20 +18,7 @@ SIGNATURES = (
 
 
 def entries_of(records: Sequence[Record], each: Callable[[str, Sequence[str]], Iterable[Any]]) -> list[Entry]:
-    """The signatures and the payloads of some records, within a transaction that has begun.
-
-    Parameters
-    ----------
-    records : sequence of Record
-        The records.
-    each : callable
-        Takes a query and ids, and returns the rows of the result of these ids.
-
-    Returns
-    -------
-    list of Entry
-        The entries in the order of the records.
-    """
+    """The signatures and the payloads of some records, within a transaction that has begun."""
     ids = [record.id for record in records]
     signatures: dict[str, dict[str, bytes]] = {}
     payloads: dict[str, dict[Payload, bytes]] = {}

@@ -21,20 +21,7 @@ DIGEST = re.compile("[0-9a-f]{64}")
 
 
 def faults_of(entry: Entry, options: PipelineOptions) -> Iterator[str]:
-    """What is wrong with everything that is stored of a shape.
-
-    Parameters
-    ----------
-    entry : Entry
-        The shape as it is stored.
-    options : PipelineOptions
-        The options with which the catalogue was built.
-
-    Yields
-    ------
-    str
-        A defect in words.
-    """
+    """What is wrong with everything that is stored of a shape."""
     record = entry.record
     if record.status == "failed":
         if not (record.stage and record.error and record.message):

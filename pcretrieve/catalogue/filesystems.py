@@ -57,33 +57,14 @@ LOCAL = {"fuse.fuse-overlayfs", "fuseblk"}
 
 @dataclass(frozen=True, slots=True)
 class Mount:
-    """A mounted file system.
-
-    Attributes
-    ----------
-    kind : str
-        The type, as in ``/proc/self/mountinfo``, such as ``ext4``; empty if it is not known.
-    options : frozenset of str
-        The options of the file system, such as ``local_lock=none``.
-    """
+    """A mounted file system."""
 
     kind: str
     options: frozenset[str] = frozenset()
 
 
 def mount_of(path: Path) -> Mount:
-    """The file system in which a file is, or would be made.
-
-    Parameters
-    ----------
-    path : Path
-        The file; its folder exists.
-
-    Returns
-    -------
-    Mount
-        The file system; of unknown type on systems other than Linux.
-    """
+    """The file system in which a file is, or would be made."""
     try:
         lines = MOUNTS.read_text("utf-8", "surrogateescape").splitlines()
     except OSError:
@@ -100,18 +81,7 @@ def mount_of(path: Path) -> Mount:
 
 
 def journal_of(mount: Mount) -> Literal["WAL", "DELETE"] | None:
-    """The journal mode of SQLite in a file system.
-
-    Parameters
-    ----------
-    mount : Mount
-        The file system.
-
-    Returns
-    -------
-    {"WAL", "DELETE"} or None
-        A write-ahead log, or a rollback journal; None if locks do not reach other computers that may write.
-    """
+    """The journal mode of SQLite in a file system."""
     if mount.kind in WITHOUT_LOCKS or mount.options.intersection(NETWORK.get(mount.kind, ())):
         return None
     if mount.kind == "lustre" and "flock" not in mount.options:

@@ -54,15 +54,7 @@ ABANDONED = 3600.0
 
 
 class Gallery:
-    """The stored indexes of one catalogue, which several processes may use at the same time.
-
-    Parameters
-    ----------
-    location : str
-        The path or the URL of the catalogue.
-    folder : Path, optional
-        The folder of the indexes. If it cannot be written, or is None, the cache folder of the user is used.
-    """
+    """The stored indexes of one catalogue, which several processes may use at the same time."""
 
     def __init__(self, location: str, folder: Path | None) -> None:
         self._folders = (*([folder] if folder else []), *_cache_folder(location, folder))
@@ -74,22 +66,7 @@ class Gallery:
         revision: Revision,
         make: Callable[[], tuple[SignatureIndex, Revision]],
     ) -> SignatureIndex:
-        """Open the stored index of a state of the catalogue, or compute and store it.
-
-        Parameters
-        ----------
-        request : str
-            A name of everything that the index depends on, apart from the shapes.
-        revision : Revision
-            The state of the catalogue.
-        make : function that returns an index and a Revision
-            Computes the index. The state that it returns may be a later one.
-
-        Returns
-        -------
-        SignatureIndex
-            The index. If it is stored, its arrays are mapped into memory.
-        """
+        """Open the stored index of a state of the catalogue, or compute and store it."""
         request = f"{FORMAT} {request}"
         name = _name(request, revision.state())
         if self._last is None or self._last[0] != name:
@@ -105,18 +82,7 @@ class Gallery:
         return self._last[1]
 
     def defects(self, *, repair: bool) -> list[Defect]:
-        """Stored indexes whose bytes have changed since they were written.
-
-        Parameters
-        ----------
-        repair : bool
-            Whether these indexes are removed. An index that is needed is computed again.
-
-        Returns
-        -------
-        list of Defect
-            The defects.
-        """
+        """Stored indexes whose bytes have changed since they were written."""
         found = []
         for folder in self._folders:
             for kept in sorted(folder.iterdir()) if folder.is_dir() else ():

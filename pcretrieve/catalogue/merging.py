@@ -22,15 +22,7 @@ NAMED = 5
 
 @dataclass(frozen=True, slots=True)
 class Merged:
-    """The result of a merge.
-
-    Attributes
-    ----------
-    n_added : int
-        Number of shapes, failed ones included, that were stored or replaced.
-    n_held : int
-        Number of shapes that needed no change.
-    """
+    """The result of a merge."""
 
     n_added: int
     n_held: int
@@ -42,24 +34,6 @@ def merge_rows(target: Rows, parts: Sequence[Rows]) -> Merged:
     Of a path that several stores have, the first finished shape is kept, or the first failure if none is
     finished, with the label that one of them has. The merge is associative: parts can be merged in groups,
     and the merged groups again. After an interruption the same call continues.
-
-    Parameters
-    ----------
-    target : Rows
-        The store, which may have shapes already.
-    parts : sequence of Rows
-        The other stores.
-
-    Returns
-    -------
-    Merged
-        How many shapes were stored.
-
-    Raises
-    ------
-    CatalogueError
-        If there is a conflict, before anything is written: a path has two contents or two labels, or an id
-        belongs to two paths.
     """
     stores = [target, *parts]
     chosen: dict[str, tuple[int, Origin]] = {}  # by path: the number of the store, and the row in it

@@ -49,23 +49,7 @@ ROWS_AT_ONCE = 1000
 
 
 def prepare(connection: sqlite3.Connection, path: Path, settings: Mapping[str, str]) -> None:
-    """Check that a file is a catalogue of the current schema; create the tables, or migrate it, if necessary.
-
-    Parameters
-    ----------
-    connection : sqlite3.Connection
-        Connection to the file.
-    path : Path
-        The file.
-    settings : mapping of str to str
-        Settings of a new catalogue: ``options`` and ``numbers_version``.
-
-    Raises
-    ------
-    CatalogueError
-        If the file is not a catalogue, was written by a newer pcretrieve, or was written by an older one and
-        cannot be written to.
-    """
+    """Check that a file is a catalogue of the current schema; create the tables, or migrate it, if necessary."""
     tables = table_names(connection)
     if not tables:
         # With a write-ahead log, other processes can read while one process writes.

@@ -26,25 +26,7 @@ UNUSED = 0.25
 
 
 def connect(path: Path, *, create: bool) -> sqlite3.Connection:
-    """Connect to a file.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-    create : bool
-        Whether the file is created if it does not exist.
-
-    Returns
-    -------
-    sqlite3.Connection
-        The connection; read-only, if the file cannot be written.
-
-    Raises
-    ------
-    CatalogueError
-        If the path is a folder, does not exist and `create` is false, or cannot be opened or created.
-    """
+    """Connect to a file."""
     try:
         if path.is_dir():
             raise CatalogueError(f"{path} is a folder: name a file for --catalogue")
@@ -83,18 +65,7 @@ def connect(path: Path, *, create: bool) -> sqlite3.Connection:
 
 
 def is_writable(path: Path) -> bool:
-    """Whether SQLite can write to a file, for which it creates further files in the same folder.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-
-    Returns
-    -------
-    bool
-        True if the file and its folder can be written, and locks reach all computers that may write.
-    """
+    """Whether SQLite can write to a file, for which it creates further files in the same folder."""
     if journal_of(mount_of(path)) is None:
         return False
     effective = os.access in os.supports_effective_ids  # the user by whose rights files are opened
@@ -102,15 +73,7 @@ def is_writable(path: Path) -> bool:
 
 
 def shrink(connection: sqlite3.Connection, path: Path) -> None:
-    """Give the space of removed rows back to the disk, if that is much of the file.
-
-    Parameters
-    ----------
-    connection : sqlite3.Connection
-        The open file, without a transaction.
-    path : Path
-        The file, as messages name it.
-    """
+    """Give the space of removed rows back to the disk, if that is much of the file."""
     try:
         (unused,) = connection.execute("PRAGMA freelist_count").fetchone()
         (pages,) = connection.execute("PRAGMA page_count").fetchone()
@@ -122,44 +85,13 @@ def shrink(connection: sqlite3.Connection, path: Path) -> None:
 
 
 def damaged(location: str | Path, how: str) -> CatalogueError:
-    """The error for a catalogue with invalid content.
-
-    Parameters
-    ----------
-    location : str or Path
-        The catalogue, as the message names it.
-    how : str
-        The defect of the content.
-
-    Returns
-    -------
-    CatalogueError
-        The error to be raised.
-    """
+    """The error for a catalogue with invalid content."""
     return CatalogueError(f"{location} is damaged ({how}): restore a copy, or ingest into a new catalogue")
 
 
 @contextmanager
 def intact(location: str | Path, what: str) -> Iterator[None]:
-    """Convert errors due to invalid bytes to the error for a damaged catalogue.
-
-    Parameters
-    ----------
-    location : str or Path
-        The catalogue, as the message names it.
-    what : str
-        What is read, for the message.
-
-    Yields
-    ------
-    None
-        Once, for the code that reads.
-
-    Raises
-    ------
-    CatalogueError
-        If the code raises an error that invalid bytes cause.
-    """
+    """Convert errors due to invalid bytes to the error for a damaged catalogue."""
     try:
         yield
     except (KeyError, ValueError, struct.error, zlib.error) as error:
@@ -193,23 +125,7 @@ def _use_rollback_journal(connection: sqlite3.Connection) -> None:
 
 @contextmanager
 def translated(path: Path) -> Iterator[None]:
-    """Convert errors of SQLite to errors with advice.
-
-    Parameters
-    ----------
-    path : Path
-        The file, as the message names it.
-
-    Yields
-    ------
-    None
-        Once, for the code that uses the file.
-
-    Raises
-    ------
-    CatalogueError
-        If the code raises an error of SQLite.
-    """
+    """Convert errors of SQLite to errors with advice."""
     try:
         yield
     except sqlite3.Error as error:

@@ -37,24 +37,7 @@ LENGTH = " + ".join(f"coalesce(octet_length(CAST({name} AS text)), 0)" for name 
 
 
 class PostgresqlRows(Rows):
-    """Rows in a schema of a PostgreSQL database. The methods are documented in `Rows`.
-
-    Parameters
-    ----------
-    location : str
-        ``postgresql://user@host:port/database``; ``?schema=NAME`` names a schema other than "pcretrieve".
-    settings : mapping of str to str
-        Settings of a new catalogue, as `settings` returns them.
-    create : bool
-        Whether the schema and its tables are created if they do not exist.
-
-    Raises
-    ------
-    CatalogueError
-        If the extra ``postgresql`` is not installed; if the server cannot be reached; if there is no
-        catalogue and `create` is false; if it was written by a newer pcretrieve. All methods raise it if the
-        database cannot be used.
-    """
+    """Rows in a schema of a PostgreSQL database. The methods are documented in `Rows`."""
 
     def __init__(self, location: str, settings: Mapping[str, str], *, create: bool) -> None:
         self._database = Database(location)

@@ -34,22 +34,7 @@ CREATION_LOCK = "SELECT pg_advisory_xact_lock(7205759403792794)"
 
 
 def prepare_tables(database: Database, settings: Mapping[str, str], *, create: bool) -> None:
-    """Check that a schema has a catalogue of the current version; create or migrate it, if necessary.
-
-    Parameters
-    ----------
-    database : Database
-        The schema.
-    settings : mapping of str to str
-        Settings of a new catalogue: ``options`` and ``numbers_version``.
-    create : bool
-        Whether the schema and its tables are created if they do not exist.
-
-    Raises
-    ------
-    CatalogueError
-        If there is no catalogue and `create` is false, or it was written by a newer pcretrieve.
-    """
+    """Check that a schema has a catalogue of the current version; create or migrate it, if necessary."""
     with database.reading() as reading:
         there = _is_there(database, reading)
         version = _version(database, reading) if there else None
@@ -72,49 +57,17 @@ def prepare_tables(database: Database, settings: Mapping[str, str], *, create: b
 
 
 def read_settings(transaction: Transaction) -> dict[str, str]:
-    """The settings of a catalogue, and the names of its state.
-
-    Parameters
-    ----------
-    transaction : Transaction
-        A transaction.
-
-    Returns
-    -------
-    dict of str to str
-        ``options``, ``numbers_version``, ``schema_version``, ``revision`` and ``label_revision``.
-    """
+    """The settings of a catalogue, and the names of its state."""
     return {key: value for key, value in transaction.all("SELECT key, value FROM meta")}
 
 
 def changed(writing: Transaction, revision: str) -> None:
-    """Give the new state a name that no earlier state had, not even before a copy was restored.
-
-    Parameters
-    ----------
-    writing : Transaction
-        A transaction that changes the catalogue.
-    revision : {"revision", "label_revision"}
-        Which name.
-    """
+    """Give the new state a name that no earlier state had, not even before a copy was restored."""
     writing.run("UPDATE meta SET value = :name WHERE key = :key", name=uuid4().hex, key=revision)
 
 
 def orphans(transaction: Transaction, *, repair: bool) -> list[Defect]:
-    """Rows of no shape, which foreign keys prevent unless they were switched off, as by some restorations.
-
-    Parameters
-    ----------
-    transaction : Transaction
-        A transaction; one that writes, for repairs.
-    repair : bool
-        Whether the rows are removed.
-
-    Returns
-    -------
-    list of Defect
-        One for each table with such rows.
-    """
+    """Rows of no shape, which foreign keys prevent unless they were switched off, as by some restorations."""
     found = []
     for table in ("provenance", "signatures", "payloads"):
         condition = f"FROM {table} WHERE NOT EXISTS (SELECT 1 FROM shapes WHERE number = shape)"

@@ -26,22 +26,7 @@ PAGE = 1000
 
 
 class StoredShapes:
-    """The shapes of a store, with the operations of a catalogue that only read.
-
-    Parameters
-    ----------
-    rows : Rows
-        The store.
-    options : PipelineOptions
-        The options with which the catalogue was built.
-
-    Attributes
-    ----------
-    location : str
-        The path or the URL of the store, as messages name it.
-    options : PipelineOptions
-        The options with which the catalogue was built.
-    """
+    """The shapes of a store, with the operations of a catalogue that only read."""
 
     def __init__(self, rows: Rows, options: PipelineOptions) -> None:
         self._rows = rows
@@ -58,24 +43,7 @@ class StoredShapes:
         offset: int = 0,
         limit: int | None = None,
     ) -> Iterator[list[Record]]:
-        """The records, including failed ones, in ascending order of id, in pages that are read one by one.
-
-        Parameters
-        ----------
-        status : {"done", "failed"}, optional
-            Only records of this status.
-        doubtful : bool, default False
-            Only records whose verdict is "doubtful" or "unusable".
-        offset : int, default 0
-            Number of records that are left out at the beginning.
-        limit : int, optional
-            Largest number of records in all pages together.
-
-        Yields
-        ------
-        list of Record
-            A page of at least one record.
-        """
+        """The records, including failed ones, in ascending order of id, in pages that are read one by one."""
         after, left = "", limit
         while left is None or left > 0:
             size = PAGE if left is None else min(PAGE, left)
@@ -156,26 +124,7 @@ class StoredShapes:
             raise
 
     def thumbnail(self, shape_id: str) -> bytes | None:
-        """The picture of a shape that was stored with it.
-
-        Parameters
-        ----------
-        shape_id : str
-            The id of a shape.
-
-        Returns
-        -------
-        bytes or None
-            A PNG file by `pcretrieve.rendering.thumbnail`, perhaps of an earlier version; None if none was
-            stored.
-
-        Raises
-        ------
-        InputError
-            If there is no shape of this id.
-        CatalogueError
-            If the stored bytes are damaged.
-        """
+        """The picture of a shape that was stored with it."""
         found = self._rows.read(shape_id, ["thumbnails"])
         if found is None:
             raise unknown(self._rows, shape_id)
@@ -186,22 +135,7 @@ class StoredShapes:
     def signature(self, shape_id: str) -> FloatArray:
         """The signature of a shape by the options of the catalogue.
 
-        Parameters
-        ----------
-        shape_id : str
-            The id of a shape that did not fail.
-
-        Returns
-        -------
-        (L,) float64
-            The values, as they are stored.
-
-        Raises
-        ------
-        InputError
-            If there is no shape of this id, or the shape failed.
-        CatalogueError
-            If the stored signature is damaged.
+        Returns (L,) float64: the values, as they are stored.
         """
         for entry in self._rows.entries([shape_id]):
             if OWN in entry.signatures:
@@ -212,52 +146,12 @@ class StoredShapes:
         raise unknown(self._rows, shape_id)
 
     def shape(self, shape_id: str, needs: tuple[Need, ...] = ("spectrum", "mesh")) -> Shape:
-        """Read a shape with some of its parts.
-
-        Parameters
-        ----------
-        shape_id : str
-            The id of a shape that did not fail.
-        needs : tuple of {"spectrum", "overlaps", "eigenvectors", "mesh", "points"}
-            The parts, as in `pcretrieve.descriptors.Descriptor`. Overlaps that were not stored are computed
-            from the mesh. For eigenvectors the mesh is read, from which `describe` computes them. Points are
-            never stored.
-
-        Returns
-        -------
-        Shape
-            The shape with these parts, except those that were not stored and cannot be computed.
-
-        Raises
-        ------
-        InputError
-            If there is no shape of this id, or the shape failed.
-        CatalogueError
-            If the stored arrays are damaged.
-        """
+        """Read a shape with some of its parts."""
         return read_shape(self._rows, self.options, shape_id, needs)[1]
 
 
 @contextmanager
 def stored_shapes(location: str | Path) -> Iterator[StoredShapes]:
-    """Open the records and meshes of a catalogue, also of a version with other numerical results.
-
-    Parameters
-    ----------
-    location : str or Path
-        The path or the URL of the catalogue.
-
-    Yields
-    ------
-    StoredShapes
-        What is stored. Nothing is computed from it, and nothing is compared with results of today's version.
-
-    Raises
-    ------
-    CatalogueError
-        If the catalogue does not exist, cannot be read, or was written by a newer pcretrieve.
-    OptionError
-        If there is no store with the scheme of the URL.
-    """
+    """Open the records and meshes of a catalogue, also of a version with other numerical results."""
     with closing(open_rows(location, settings_of(PipelineOptions()), create=False)) as rows:
         yield StoredShapes(rows, stored_options(rows.location, rows.settings(), any_numbers=True))

@@ -16,14 +16,7 @@ __all__ = ["Content", "Record", "completed", "free_id", "numbered_id"]
 class Content:
     """The result of processing a scan.
 
-    Attributes
-    ----------
-    shape : Shape
-        The shape; each of its surfaces has its mesh and its spectrum.
-    signature : (L,) float64
-        Values of the signature by the options of the catalogue.
-    thumbnail : bytes or None
-        Picture of the first surface, by `pcretrieve.rendering.thumbnail`; a PNG file.
+    signature: (L,) float64, values of the signature by the options of the catalogue.
     """
 
     shape: Shape
@@ -35,38 +28,7 @@ class Content:
 class Record:
     """The provenance of one shape: everything except its arrays.
 
-    Attributes
-    ----------
-    id : str
-        Unique in a catalogue: the name of the file without its suffix, with a number if another shape has it.
-    path : str
-        Absolute path of the file as it was read.
-    content_hash : str
-        SHA-256 of the file; of a ``.conf``, of the file and all its views.
-    label : str or None
-        Class of the shape.
-    status : {"done", "failed"}
-        Whether the shape has a signature.
-    stage, error, message : str or None
-        Of a failed shape: the stage that failed, the class of the exception, and its message.
-    steps : tuple of Step
-        The stages, with times, sizes, repairs and fallbacks.
-    area : float or None
-        Area of the first surface, in the square of the unit of the scan: see `metres_per_unit`.
-    n_vertices, n_faces, euler : int or None
-        Numbers of vertices and faces, and Euler characteristic, of the first surface.
-    options_digest : str
-        Digest of the options.
-    versions : dict of str to str
-        Versions of pcretrieve and of the libraries on which results depend.
-    added : str
-        Time at which the record was stored, UTC (coordinated universal time) in the format ISO 8601.
-    verdict : Verdict or None
-        Whether the signature can be relied on; None for a shape that failed, or was stored before there were
-        verdicts.
-    stamp : str or None
-        Size, times of the last changes and inode of the file when it was hashed; None if they do not suffice
-        to know that the file is unchanged: see `pcretrieve.ingestion.stamps`.
+    area: area of the first surface, in the square of the unit of the scan: see `metres_per_unit`.
     """
 
     id: str
@@ -105,22 +67,7 @@ class Record:
 
 
 def completed(record: Record, content: Content | None, options_digest: str) -> Record:
-    """Complete a record before it is stored.
-
-    Parameters
-    ----------
-    record : Record
-        The record of the file.
-    content : Content or None
-        The content; None for a shape that failed.
-    options_digest : str
-        Digest of the options of the catalogue.
-
-    Returns
-    -------
-    Record
-        The record with the present time, the digest, and the sizes of the content.
-    """
+    """Complete a record before it is stored."""
     added = datetime.now(timezone.utc).isoformat(timespec="seconds")
     record = replace(record, options_digest=options_digest, added=added)
     if content is None:
@@ -137,20 +84,7 @@ def completed(record: Record, content: Content | None, options_digest: str) -> R
 
 
 def numbered_id(stem: str, number: int) -> str:
-    """The id of one of several files of the same name: ``cat``, ``cat-2``, ``cat-3``.
-
-    Parameters
-    ----------
-    stem : str
-        The name of the file without its suffix.
-    number : int
-        The number, at least 1.
-
-    Returns
-    -------
-    str
-        The id; for the number 1, the stem.
-    """
+    """The id of one of several files of the same name: ``cat``, ``cat-2``, ``cat-3``."""
     return stem if number == 1 else f"{stem}-{number}"
 
 
@@ -158,18 +92,6 @@ def free_id(record: Record, is_taken: Callable[[str], bool]) -> str:
     """The id of a record, or the name of its file with a number if another path has this id.
 
     The number is doubled until it is free and then bisected, because one name may have many numbers.
-
-    Parameters
-    ----------
-    record : Record
-        A record whose path the store does not have.
-    is_taken : function of str that returns bool
-        Whether another path has an id.
-
-    Returns
-    -------
-    str
-        An id that is not taken.
     """
     if not is_taken(record.id):
         return record.id

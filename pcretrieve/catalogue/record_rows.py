@@ -66,18 +66,7 @@ CHECKSUMS = (
 
 
 def row_of(record: Record) -> dict[str, Any]:
-    """The values of a record, by column.
-
-    Parameters
-    ----------
-    record : Record
-        The record.
-
-    Returns
-    -------
-    dict of str to value
-        The columns of `SHAPE_COLUMNS` and `PROVENANCE_COLUMNS`.
-    """
+    """The values of a record, by column."""
     verdict = record.verdict
     # Not by asdict, which copies the steps and takes most of the time of a merge.
     row = {name: getattr(record, name) for name in FIELDS} | {
@@ -94,42 +83,13 @@ def row_of(record: Record) -> dict[str, Any]:
 
 
 def with_checksums(row: Sequence[Any]) -> dict[str, Any]:
-    """The parameters of the statement `CHECKSUMS`.
-
-    Parameters
-    ----------
-    row : sequence
-        A row of the result of the query `NUMBERED`.
-
-    Returns
-    -------
-    dict of str to int
-        The number of the shape, and the checksums of the present values.
-    """
+    """The parameters of the statement `CHECKSUMS`."""
     number, *values = row
     return {"number": number, **checksums_of(dict(zip(COLUMNS, values, strict=True)))}
 
 
 def record_of(row: Sequence[Any], location: str) -> Record:
-    """The record of a row of the result of the query `RECORDS`.
-
-    Parameters
-    ----------
-    row : sequence
-        The values of `SHAPE_COLUMNS` and `PROVENANCE_COLUMNS`.
-    location : str
-        The catalogue, as the message names it.
-
-    Returns
-    -------
-    Record
-        The record.
-
-    Raises
-    ------
-    CatalogueError
-        If the values are damaged; `ChangedRow`, if their checksums are not those that were stored.
-    """
+    """The record of a row of the result of the query `RECORDS`."""
     values = dict(zip(COLUMNS, row, strict=True))
     try:
         record = _record(values)

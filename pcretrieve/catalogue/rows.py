@@ -31,15 +31,7 @@ OWN = "own"
 
 @dataclass(frozen=True, slots=True)
 class Revision:
-    """Names of a state of a store. Two states have the same names only if they have the same shapes.
-
-    Attributes
-    ----------
-    shapes : str
-        Changes with every write that adds, replaces or removes a shape that did not fail.
-    labels : str
-        Changes with every write that labels shapes.
-    """
+    """Names of a state of a store. Two states have the same names only if they have the same shapes."""
 
     shapes: str
     labels: str
@@ -53,18 +45,11 @@ class Revision:
 class Listed:
     """Signatures of all shapes that did not fail, in one state of the store.
 
-    Attributes
-    ----------
-    revision : Revision
-        The state.
-    ids : list of str
-        Identifiers of the shapes, in ascending order.
-    labels : list of (str or None)
-        Classes of the shapes; None if unknown.
-    packed : (N, b) uint8
-        The bytes of each signature, in the order of the ids. The caller may overwrite the array.
-    has : (N,) bool
-        Whether a signature by these options is stored. The bytes of signatures that are not stored are zero.
+    ids: identifiers of the shapes, in ascending order.
+    packed: (N, b) uint8, the bytes of each signature, in the order of the ids. The caller may overwrite the
+        array.
+    has: (N,) bool, whether a signature by these options is stored. The bytes of signatures that are not
+        stored are zero.
     """
 
     revision: Revision
@@ -76,13 +61,7 @@ class Listed:
 
 @dataclass(frozen=True, slots=True)
 class Origin:
-    """Of which file a row is, without its provenance.
-
-    Attributes
-    ----------
-    id, path, content_hash, label, status, stamp
-        As in `Record`.
-    """
+    """Of which file a row is, without its provenance."""
 
     id: str
     path: str
@@ -94,17 +73,7 @@ class Origin:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Entry:
-    """Everything that a store has of one shape.
-
-    Attributes
-    ----------
-    record : Record
-        The record.
-    signatures : mapping of str to bytes
-        The signatures by digest.
-    payloads : mapping of str to bytes
-        Those of `PAYLOADS` that are stored.
-    """
+    """Everything that a store has of one shape."""
 
     record: Record
     signatures: Mapping[str, bytes]
@@ -133,18 +102,7 @@ class Rows(Protocol):
         """Release the store."""
 
     def defects(self, *, repair: bool) -> list[Defect]:
-        """Defects of the database and rows of no shape; not those of single shapes.
-
-        Parameters
-        ----------
-        repair : bool
-            Whether the defects are repaired that can be repaired without a loss.
-
-        Returns
-        -------
-        list of Defect
-            The defects, and which of them were repaired.
-        """
+        """Defects of the database and rows of no shape; not those of single shapes."""
 
     def settings(self) -> Mapping[str, str]:
         """The settings with which the store was created: ``options``, as JSON, and ``numbers_version``."""
@@ -170,26 +128,7 @@ class Rows(Protocol):
         status: Status | None = None,
         doubtful: bool = False,
     ) -> list[Record]:
-        """Some records in ascending order of id.
-
-        Parameters
-        ----------
-        after : str, default ""
-            An id; the record of this id, and records before it, are left out.
-        offset : int, default 0
-            Number of further records that are left out.
-        limit : int
-            Largest number of records.
-        status : {"done", "failed"}, optional
-            Only records of this status.
-        doubtful : bool, default False
-            Only records whose verdict is "doubtful" or "unusable".
-
-        Returns
-        -------
-        list of Record
-            The records.
-        """
+        """Some records in ascending order of id."""
 
     def by_id(self, shape_ids: Collection[str]) -> list[Record]:
         """The records of some ids, in ascending order of id; ids that the store does not have are ignored."""
@@ -211,33 +150,13 @@ class Rows(Protocol):
 
         A path that the store has keeps its id; an id that belongs to another path is replaced by one with the
         next free number, from `pcretrieve.catalogue.free_id`. A failure never replaces a finished shape.
-
-        Parameters
-        ----------
-        record : Record
-            The record.
-        signature : bytes or None
-            Stored under the digest `OWN`; None for a shape that failed.
-        payloads : mapping of str to bytes
-            Some of `PAYLOADS`; none for a shape that failed.
-
-        Returns
-        -------
-        Record
-            The record that the store now has for this path.
         """
 
     def entries(self, shape_ids: Collection[str]) -> list[Entry]:
         """Everything that is stored of some shapes, in one state of the store, in ascending order of id."""
 
     def add(self, entries: Collection[Entry]) -> None:
-        """Store shapes as they are, and replace earlier shapes of the same paths.
-
-        Parameters
-        ----------
-        entries : collection of Entry
-            The shapes. No other path of the store may have one of their ids.
-        """
+        """Store shapes as they are, and replace earlier shapes of the same paths."""
 
     def remove(self, shape_ids: Collection[str]) -> None:
         """Remove shapes; ids that the store does not have are ignored."""
@@ -250,34 +169,13 @@ class Rows(Protocol):
         labels: Mapping[str, str | None],
         stamps: Mapping[str, str],
     ) -> None:
-        """Rename, remove, label and stamp shapes by path, in this order; unknown paths are ignored.
-
-        Parameters
-        ----------
-        moved : mapping of str to str
-            New path by old path. If the store has the new path already, nothing is renamed.
-        removed : collection of str
-            Paths of the shapes that are removed.
-        labels : mapping of str to str or None
-            Class by path; by the new path, if a shape was renamed. None removes a class.
-        stamps : mapping of str to str
-            `Record.stamp` by path; by the new path, if a shape was renamed.
-        """
+        """Rename, remove, label and stamp shapes by path, in this order; unknown paths are ignored."""
 
     def read(self, shape_id: str, names: Collection[Payload]) -> tuple[Record, dict[Payload, bytes]] | None:
         """A record and some payloads, in one state of the store.
 
-        Parameters
-        ----------
-        shape_id : str
-            The id of the shape.
-        names : collection of str
-            Some of `PAYLOADS`.
-
-        Returns
-        -------
-        (Record, dict of str to bytes) or None
-            The record, and those of the payloads that are stored; None if there is no shape of this id.
+        Returns (Record, dict of str to bytes) or None: the record, and those of the payloads that are stored;
+            None if there is no shape of this id.
         """
 
     def sizes(self, shape_id: str) -> dict[str, int]:
@@ -289,24 +187,9 @@ class Rows(Protocol):
     def keep(self, digest: str, signatures: Collection[tuple[Record, bytes]]) -> None:
         """Store signatures, except of shapes that have been replaced or removed since they were read.
 
-        Parameters
-        ----------
-        digest : str
-            The digest under which the signatures are stored.
-        signatures : collection of (Record, bytes)
-            The bytes of each signature, and the record of the shape of which it was computed. A shape has
-            been replaced if the content hash of its record has changed.
+        signatures: collection of (Record, bytes), the bytes of each signature, and the record of the shape of
+            which it was computed. A shape has been replaced if the content hash of its record has changed.
         """
 
     def keep_payload(self, name: Payload, record: Record, arrays: bytes) -> None:
-        """Store a payload of a shape, unless the shape has been replaced or removed since it was read.
-
-        Parameters
-        ----------
-        name : str
-            One of `PAYLOADS`; an earlier one of this name is replaced.
-        record : Record
-            The record of the shape. It has been replaced if the content hash of its record has changed.
-        arrays : bytes
-            The payload.
-        """
+        """Store a payload of a shape, unless the shape has been replaced or removed since it was read."""

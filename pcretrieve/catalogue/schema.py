@@ -17,15 +17,7 @@ NEW_NAME = "lower(hex(randomblob(16)))"
 
 
 def create_tables(connection: sqlite3.Connection, settings: Mapping[str, str]) -> None:
-    """Create all tables and store the settings, in the transaction that has begun.
-
-    Parameters
-    ----------
-    connection : sqlite3.Connection
-        Connection to the file.
-    settings : mapping of str to str
-        ``options`` and ``numbers_version``.
-    """
+    """Create all tables and store the settings, in the transaction that has begun."""
     schema = resources.files(__package__).joinpath("schema.sql").read_text("utf-8")
     # Not by executescript, which would commit the transaction.
     for statement in schema.split(";\n"):
@@ -36,37 +28,13 @@ def create_tables(connection: sqlite3.Connection, settings: Mapping[str, str]) -
 
 
 def table_names(connection: sqlite3.Connection) -> set[str]:
-    """The tables of a file.
-
-    Parameters
-    ----------
-    connection : sqlite3.Connection
-        Connection to the file.
-
-    Returns
-    -------
-    set of str
-        Names of the tables.
-    """
+    """The tables of a file."""
     return {name for (name,) in connection.execute("SELECT name FROM sqlite_master WHERE type = 'table'")}
 
 
 @contextmanager
 def transaction(connection: sqlite3.Connection, kind: str) -> Iterator[None]:
-    """One transaction, which is rolled back if the code in it raises an exception.
-
-    Parameters
-    ----------
-    connection : sqlite3.Connection
-        Connection to the file.
-    kind : {"DEFERRED", "IMMEDIATE"}
-        DEFERRED for transactions that read, IMMEDIATE for transactions that write.
-
-    Yields
-    ------
-    None
-        Once, for the code of the transaction.
-    """
+    """One transaction, which is rolled back if the code in it raises an exception."""
     connection.execute(f"BEGIN {kind}")
     with connection:
         yield

@@ -14,18 +14,7 @@ __all__ = ["fitting_options", "settings_of", "stored_options"]
 
 
 def settings_of(options: PipelineOptions) -> dict[str, str]:
-    """The settings of a catalogue that is built with some options.
-
-    Parameters
-    ----------
-    options : PipelineOptions
-        The options.
-
-    Returns
-    -------
-    dict of str to str
-        ``options``, as JSON, and ``numbers_version``.
-    """
+    """The settings of a catalogue that is built with some options."""
     return {"options": options.model_dump_json(), "numbers_version": str(NUMBERS_VERSION)}
 
 
@@ -36,29 +25,7 @@ def stored_options(
     *,
     any_numbers: bool = False,
 ) -> PipelineOptions:
-    """The options that a catalogue was built with.
-
-    Parameters
-    ----------
-    location : str or Path
-        The catalogue, for messages.
-    settings : mapping of str to str
-        The result of `settings_of`, also of a version without some of the options, which get their defaults.
-    given : PipelineOptions, optional
-        Options with which the catalogue must have been built.
-    any_numbers : bool, default False
-        Whether a version with other numerical results is accepted.
-
-    Returns
-    -------
-    PipelineOptions
-        The options in the settings.
-
-    Raises
-    ------
-    CatalogueError
-        If the settings cannot be read, are of a version with other numerical results, or differ from `given`.
-    """
+    """The options that a catalogue was built with."""
     try:
         values, numbers = json.loads(settings["options"]), int(settings["numbers_version"])
         own = PipelineOptions(**values)
@@ -85,27 +52,7 @@ def stored_options(
 
 
 def fitting_options(location: str, own: PipelineOptions, given: PipelineOptions) -> PipelineOptions:
-    """Check that the options of a request need no other spectra than a catalogue stores.
-
-    Parameters
-    ----------
-    location : str
-        The catalogue, for messages.
-    own : PipelineOptions
-        The options with which the catalogue was built.
-    given : PipelineOptions
-        The options of the request, with any options of signatures and retrieval.
-
-    Returns
-    -------
-    PipelineOptions
-        `given`.
-
-    Raises
-    ------
-    CatalogueError
-        If the options require other spectra.
-    """
+    """Check that the options of a request need no other spectra than a catalogue stores."""
     if given.digest != own.digest:
         difference = "; ".join(options_difference(own, given))
         raise CatalogueError(

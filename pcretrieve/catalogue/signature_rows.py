@@ -23,26 +23,7 @@ READ_AT_ONCE = 1000
 def listed(connection: sqlite3.Connection, location: str, revision: Revision, digest: str) -> Listed:
     """The signatures of all shapes that did not fail, within a transaction that has begun.
 
-    Parameters
-    ----------
-    connection : sqlite3.Connection
-        Connection to the file.
-    location : str
-        The path of the file, for messages.
-    revision : Revision
-        The state of the file in the transaction.
-    digest : str
-        The digest under which the signatures are stored.
-
-    Returns
-    -------
-    Listed
-        The signatures, in ascending order of id.
-
-    Raises
-    ------
-    CatalogueError
-        If signatures have several lengths.
+    Returns Listed: the signatures, in ascending order of id.
     """
     numbers: list[int] = []
     ids: list[str] = []

@@ -38,24 +38,7 @@ PARAMETERS = 500
 
 
 class SqliteRows(Rows):
-    """Rows in an SQLite file. The methods are documented in `Rows`.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-    settings : mapping of str to str
-        Settings of a new file, as `settings` returns them.
-    create : bool
-        Whether the file is created if it does not exist.
-
-    Raises
-    ------
-    CatalogueError
-        If the file does not exist and `create` is false; if it is a folder or not a catalogue; if it was
-        written by a newer pcretrieve, or by an older one and cannot be written to; if another process has
-        locked it. All methods raise it if the file is locked or damaged.
-    """
+    """Rows in an SQLite file. The methods are documented in `Rows`."""
 
     def __init__(self, path: Path, settings: Mapping[str, str], *, create: bool) -> None:
         self._path = path

@@ -29,22 +29,7 @@ TEXTS = {
 
 
 def file_defects(connection: sqlite3.Connection, *, repair: bool) -> list[Defect]:
-    """Defects of a file.
-
-    Parameters
-    ----------
-    connection : sqlite3.Connection
-        Connection to the file.
-    repair : bool
-        Whether SQL indexes are made again, if that repairs the file, and rows of no shape are removed. Pages
-        with other defects are left as they are. Bytes of texts that are not UTF-8 are escaped, so that the
-        row can be read, and repaired by its checksums.
-
-    Returns
-    -------
-    list of Defect
-        The defects.
-    """
+    """Defects of a file."""
     # A value that no status may have is a defect of one row, which its checksum shows.
     connection.execute("PRAGMA ignore_check_constraints = ON")
     try:

@@ -27,54 +27,12 @@ class OpenStore(Protocol):
     """A callable that opens the store at a location."""
 
     def __call__(self, location: str, settings: Mapping[str, str], *, create: bool) -> Rows:
-        """Open a store.
-
-        Parameters
-        ----------
-        location : str
-            The URL, with its scheme.
-        settings : mapping of str to str
-            Settings of a new store, as `Rows.settings` returns them.
-        create : bool
-            Whether the store is created if it does not exist.
-
-        Returns
-        -------
-        Rows
-            The store. Its methods raise CatalogueError if they fail.
-
-        Raises
-        ------
-        CatalogueError
-            If the store does not exist and `create` is false, or it cannot be opened.
-        """
+        """Open a store."""
         ...
 
 
 def open_rows(location: str | Path, settings: Mapping[str, str], *, create: bool) -> Rows:
-    """Open the store at a location.
-
-    Parameters
-    ----------
-    location : str or Path
-        A URL whose scheme is the name of a store, or the path of an SQLite file.
-    settings : mapping of str to str
-        Settings of a new store, as `Rows.settings` returns them.
-    create : bool
-        Whether the store is created if it does not exist.
-
-    Returns
-    -------
-    Rows
-        The store.
-
-    Raises
-    ------
-    OptionError
-        If there is no store of that name, or its package cannot be loaded.
-    CatalogueError
-        If the store does not exist and `create` is false, or it cannot be opened.
-    """
+    """Open the store at a location."""
     scheme = SCHEME.match(location) if isinstance(location, str) else None
     if scheme is None:
         return SqliteRows(Path(location), settings, create=create)
@@ -82,18 +40,7 @@ def open_rows(location: str | Path, settings: Mapping[str, str], *, create: bool
 
 
 def file_of(location: str | Path) -> Path | None:
-    """The SQLite file at a location.
-
-    Parameters
-    ----------
-    location : str or Path
-        A path, or a URL such as ``sqlite:///data/bodies.sqlite``.
-
-    Returns
-    -------
-    Path or None
-        The file; None if the URL is that of another store.
-    """
+    """The SQLite file at a location."""
     scheme = SCHEME.match(location) if isinstance(location, str) else None
     if scheme is None:
         return Path(location)

@@ -23,20 +23,7 @@ N_COMPARED = 2000
 
 
 def payloads_of(shape: Shape, options: PipelineOptions) -> dict[Payload, bytes]:
-    """The arrays of all surfaces that a catalogue stores, by name.
-
-    Parameters
-    ----------
-    shape : Shape
-        The shape; each of its surfaces has its mesh and its spectrum.
-    options : PipelineOptions
-        The options of the catalogue, of which `CatalogueOptions.keep` names the arrays that are stored.
-
-    Returns
-    -------
-    dict of str to bytes
-        The packed arrays.
-    """
+    """The arrays of all surfaces that a catalogue stores, by name."""
     # Imported here, because queries do not need this slow import.
     from pcretrieve.spectral import ELEMENTS
 
@@ -63,31 +50,6 @@ def read_shape(
 
     Overlaps that were not stored are computed from the mesh. Parts that were not stored, and cannot be
     computed, are missing in the shape.
-
-    Parameters
-    ----------
-    rows : Rows
-        The store.
-    own : PipelineOptions
-        The options with which the catalogue was built.
-    shape_id : str
-        The id of the shape.
-    needs : collection of {"spectrum", "overlaps", "eigenvectors", "mesh", "points"}
-        As in `pcretrieve.descriptors.Descriptor`.
-
-    Returns
-    -------
-    record : Record
-        The record of the shape.
-    shape : Shape
-        The shape; for the need ``eigenvectors``, it has the mesh instead. Points are never stored.
-
-    Raises
-    ------
-    InputError
-        If there is no shape of this id, or the shape failed.
-    CatalogueError
-        If the stored bytes are damaged.
     """
     overlaps, with_mesh = "overlaps" in needs, bool({"mesh", "eigenvectors"} & set(needs))
     names: list[Payload] = ["spectra"]
@@ -125,20 +87,7 @@ def _with_overlaps(surface: Surface, element: str) -> Surface:
 
 
 def unknown(rows: Rows, shape_id: str) -> InputError:
-    """The error for an id that a store does not have.
-
-    Parameters
-    ----------
-    rows : Rows
-        The store.
-    shape_id : str
-        The id.
-
-    Returns
-    -------
-    InputError
-        The error to be raised.
-    """
+    """The error for an id that a store does not have."""
     return InputError(
         f"{rows.location} holds no shape {shape_id!r}; `pcretrieve list` names them"
         f"{suggested_id(rows, shape_id)}"
@@ -146,43 +95,12 @@ def unknown(rows: Rows, shape_id: str) -> InputError:
 
 
 def suggested_id(rows: Rows, shape_id: str) -> str:
-    """The question whether the id of another shape was meant, as `did_you_mean` asks it.
-
-    Parameters
-    ----------
-    rows : Rows
-        The store, of which the first `N_COMPARED` ids are compared.
-    shape_id : str
-        The id that the store does not have.
-
-    Returns
-    -------
-    str
-        Empty, if no id is similar.
-    """
+    """The question whether the id of another shape was meant, as `did_you_mean` asks it."""
     return did_you_mean(shape_id, (record.id for record in rows.page(limit=N_COMPARED)))
 
 
 def stored_shape(payloads: Mapping[Payload, bytes], provenance: tuple[Step, ...]) -> Shape:
-    """The shape whose arrays are stored.
-
-    Parameters
-    ----------
-    payloads : mapping of str to bytes
-        Some of the stored arrays, "spectra" among them.
-    provenance : tuple of Step
-        The steps of the record.
-
-    Returns
-    -------
-    Shape
-        The shape. Version 1 stored the mesh of the first surface only; other meshes are then None.
-
-    Raises
-    ------
-    ValueError, KeyError, struct.error, zlib.error
-        If bytes have changed.
-    """
+    """The shape whose arrays are stored."""
     areas, eigenvalues = unpacked(payloads["spectra"])  # (s,), (s, k)
     n = len(areas)
     spectra: list[ModalSpectrum | None] = [None] * n

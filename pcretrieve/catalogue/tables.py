@@ -44,23 +44,7 @@ KEPT_AT_ONCE = 100
 
 
 def made_before(options: PipelineOptions) -> Whitening | None:
-    """The whitening ``resolution``, or one of a file, which are not fitted to the shapes of the catalogue.
-
-    Parameters
-    ----------
-    options : PipelineOptions
-        The options.
-
-    Returns
-    -------
-    Whitening or None
-        The whitening; None if the options name another one.
-
-    Raises
-    ------
-    InputError
-        If the file holds no whitening, or one that was fitted to signatures with other options.
-    """
+    """The whitening ``resolution``, or one of a file, which are not fitted to the shapes of the catalogue."""
     if options.retrieval.calibration is not None:
         whitening = read_whitening(Path(options.retrieval.calibration))
         whitening.check_made_for(options.compared_digest)
@@ -72,18 +56,7 @@ def made_before(options: PipelineOptions) -> Whitening | None:
 
 
 def index_name(options: PipelineOptions) -> str:
-    """A name of everything that an index depends on, apart from the shapes.
-
-    Parameters
-    ----------
-    options : PipelineOptions
-        The options, of which the signature, the distance, the whitening and the search are used.
-
-    Returns
-    -------
-    str
-        The name, which is equal for equal indexes.
-    """
+    """A name of everything that an index depends on, apart from the shapes."""
     retrieval = options.retrieval
     distance = retrieval.distance + DISTANCES.version(retrieval.distance)
     calibrated = ""
@@ -108,16 +81,8 @@ def _digest_of(options: PipelineOptions) -> str:
 class Signatures(NamedTuple):
     """The signatures of all shapes that did not fail.
 
-    Attributes
-    ----------
-    revision : Revision
-        The state of the catalogue.
-    ids : list of str
-        Identifiers of the shapes, in ascending order.
-    labels : list of (str or None)
-        Classes of the shapes; None if unknown.
-    values : (N, L) float64
-        One signature in each row.
+    ids: identifiers of the shapes, in ascending order.
+    values: (N, L) float64, one signature in each row.
     """
 
     revision: Revision
@@ -150,26 +115,7 @@ def read_signatures(rows: Rows, own: PipelineOptions, options: PipelineOptions) 
 def signature_table(rows: Rows, own: PipelineOptions, options: PipelineOptions) -> SignatureTable:
     """The signatures by some options; signatures that are not stored are computed and stored.
 
-    Parameters
-    ----------
-    rows : Rows
-        The store.
-    own : PipelineOptions
-        The options with which the catalogue was built.
-    options : PipelineOptions
-        The options, with any options of signatures and retrieval.
-
-    Returns
-    -------
-    SignatureTable
-        The signatures of all shapes that did not fail, in ascending order of id.
-
-    Raises
-    ------
-    InputError
-        If the signatures depend on the sizes of the bodies, and the units of some files only are known.
-    ShapeError
-        If the signature of a shape cannot be computed.
+    Returns SignatureTable: the signatures of all shapes that did not fail, in ascending order of id.
     """
     from pcretrieve.descriptors import DESCRIPTORS
 
@@ -198,27 +144,6 @@ def made_index(rows: Rows, own: PipelineOptions, options: PipelineOptions) -> tu
     """Compute the index of the signatures by some options.
 
     Except for within-class whitening, at most two arrays of the size of the table are in memory at a time.
-
-    Parameters
-    ----------
-    rows : Rows
-        The store.
-    own : PipelineOptions
-        The options with which the catalogue was built.
-    options : PipelineOptions
-        The options, with any options of signatures and retrieval.
-
-    Returns
-    -------
-    index : SignatureIndex
-        The index, with the whitening of the options and the scores of distances.
-    revision : Revision
-        The state of the store to which the index belongs.
-
-    Raises
-    ------
-    InputError
-        As by `signature_table`.
     """
     from pcretrieve.descriptors import DESCRIPTORS
 

@@ -29,31 +29,6 @@ def export_vectors(
     Their Euclidean distance, the operator ``<->`` of pgvector, is the distance ``log`` of `SignatureIndex`:
     ``ORDER BY signature <-> query, id`` gives its order, except where distances are equal in single
     precision. A column without an index of pgvector is searched exactly.
-
-    Parameters
-    ----------
-    catalogue : Catalogue
-        The catalogue.
-    url : str
-        The database, ``postgresql://user@host:port/name``.
-    options : PipelineOptions, optional
-        As in `Catalogue.signatures`: the descriptor, and the whitening, which is applied.
-    shape_ids : sequence of str, optional
-        The shapes; by default all.
-    table : str, default "pcretrieve_signatures"
-        Name of the table, which must be new: columns ``id``, ``label`` and ``signature``.
-
-    Returns
-    -------
-    int
-        Number of shapes.
-
-    Raises
-    ------
-    OptionError
-        If the distance is not ``log``.
-    InputError
-        If the table cannot be written.
     """
     options = options or catalogue.options
     if (distance := options.retrieval.distance) != "log":

@@ -85,18 +85,7 @@ class _Command(click.Command):
 
 
 def exit_code(error: PcretrieveError | click.ClickException) -> int:
-    """The code with which a command ends after an error.
-
-    Parameters
-    ----------
-    error : PcretrieveError or click.ClickException
-        The error.
-
-    Returns
-    -------
-    int
-        2 if the command was used in a wrong way, else 1.
-    """
+    """The code with which a command ends after an error."""
     if isinstance(error, click.ClickException):
         return error.exit_code
     return EXIT_USAGE if isinstance(error, OptionError) else EXIT_ERROR
@@ -120,35 +109,10 @@ _HELP_ALL = click.Option(
 
 
 def command(name: str) -> Callable[[Callable[..., Any]], click.Command]:
-    """Make a command of a function, as `click.command` does.
-
-    Parameters
-    ----------
-    name : str
-        The name of the command.
-
-    Returns
-    -------
-    callable
-        A decorator.
-    """
+    """Make a command of a function, as `click.command` does."""
     return click.command(name, cls=_Command)
 
 
 def option(*names: str, **settings: Any) -> Callable[[Decorated], Decorated]:
-    """Add an option to a command, as `click.option` does.
-
-    Parameters
-    ----------
-    *names : str
-        As of `click.option`.
-    **settings : object
-        As of `click.option`; and ``rare``: whether ``--help`` only names the option; and ``details``: what
-        ``--help-all`` says beside ``help``, or a function that returns it.
-
-    Returns
-    -------
-    callable
-        A decorator.
-    """
+    """Add an option to a command, as `click.option` does."""
     return click.option(*names, cls=_Option, **settings)

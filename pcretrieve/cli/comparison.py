@@ -54,71 +54,26 @@ matrix_option = option(
 
 
 class RecordName(click.ParamType):  # type: ignore[type-arg]  # generic since click 8.3 only
-    """The name of a record such as a descriptor: the help lists the names, the library checks them.
-
-    Parameters
-    ----------
-    kind : str
-        A key of `pcretrieve.names.NAMES`, such as "descriptor".
-    """
+    """The name of a record such as a descriptor: the help lists the names, the library checks them."""
 
     def __init__(self, kind: str) -> None:
         self.name = kind
 
     def get_metavar(self, param: click.Parameter, ctx: click.Context | None = None) -> str:
-        """What the help shows in place of the names, of which there may be many.
-
-        Parameters
-        ----------
-        param : click.Parameter
-            Not used.
-        ctx : click.Context, optional
-            Not used.
-
-        Returns
-        -------
-        str
-            One word.
-        """
+        """What the help shows in place of the names, of which there may be many."""
         return "NAME"
 
     def shell_complete(
         self, ctx: click.Context, param: click.Parameter, incomplete: str
     ) -> list[CompletionItem]:
-        """The names that begin with what is typed.
-
-        Parameters
-        ----------
-        ctx : click.Context
-            Not used.
-        param : click.Parameter
-            Not used.
-        incomplete : str
-            What is typed.
-
-        Returns
-        -------
-        list of CompletionItem
-            The names.
-        """
+        """The names that begin with what is typed."""
         from pcretrieve.names import NAMES
 
         return [CompletionItem(name) for name in NAMES[self.name].all() if name.startswith(incomplete)]
 
 
 def names_of(kind: str) -> str:
-    """The names of all records of a kind, for the help.
-
-    Parameters
-    ----------
-    kind : str
-        A key of `pcretrieve.names.NAMES`.
-
-    Returns
-    -------
-    str
-        The names, separated by commas.
-    """
+    """The names of all records of a kind, for the help."""
     from pcretrieve.names import NAMES
 
     return f"Names: {', '.join(NAMES[kind].all())}."
@@ -199,18 +154,7 @@ size_weight_option = option(
 
 
 def comparison_options(command: Callable[..., None]) -> Callable[..., None]:
-    """Add the options that determine how shapes are compared; `compared` takes their values.
-
-    Parameters
-    ----------
-    command : callable
-        The command.
-
-    Returns
-    -------
-    callable
-        The command with the options.
-    """
+    """Add the options that determine how shapes are compared; `compared` takes their values."""
     for added in (
         _overlay_option,
         size_weight_option,
@@ -226,27 +170,7 @@ def comparison_options(command: Callable[..., None]) -> Callable[..., None]:
 
 
 def compared(store: Catalogue, config: Path | None, **flags: Any) -> PipelineOptions:
-    """The options with which a command compares the shapes of a catalogue.
-
-    Parameters
-    ----------
-    store : Catalogue
-        The catalogue, whose options are the defaults.
-    config : Path or None
-        A file or a preset, whose options replace those of the catalogue.
-    **flags : object
-        Values of `comparison_options` and of ``--nearest``, which replace both; None: not given.
-
-    Returns
-    -------
-    PipelineOptions
-        The options.
-
-    Raises
-    ------
-    OptionError
-        If the file cannot be read, or options are not valid.
-    """
+    """The options with which a command compares the shapes of a catalogue."""
     given = {name: value for name, value in flags.items() if value is not None}
     tables: dict[str, dict[str, Any]] = {"signature": {}, "retrieval": {}}
     for name, value in given.items():
@@ -266,27 +190,7 @@ def compared(store: Catalogue, config: Path | None, **flags: Any) -> PipelineOpt
 def read_distances(
     matrix: Path | None, comparison: dict[str, Any], *, reranks: bool = False
 ) -> DistanceMatrix | None:
-    """Read the distance matrix that ``--matrix`` names.
-
-    Parameters
-    ----------
-    matrix : Path or None
-        The file; None: not given.
-    comparison : dict of str to object
-        Values of `comparison_options`.
-    reranks : bool, default False
-        Whether the command can re-rank by a matrix.
-
-    Returns
-    -------
-    DistanceMatrix or None
-        The distances; None without a file.
-
-    Raises
-    ------
-    click.UsageError
-        If options of signatures are given too, which have no effect on a matrix.
-    """
+    """Read the distance matrix that ``--matrix`` names."""
     if matrix is None:
         return None
     without = {name: value for name, value in comparison.items() if name != "rerank" or not reranks}
@@ -298,18 +202,7 @@ def read_distances(
 
 
 def given_flags(comparison: dict[str, Any]) -> str:
-    """The options among `comparison_options` that a command was given.
-
-    Parameters
-    ----------
-    comparison : dict of str to object
-        Values of `comparison_options`; None: not given.
-
-    Returns
-    -------
-    str
-        The flags, as they are typed, separated by commas.
-    """
+    """The options among `comparison_options` that a command was given."""
     given = [name for name, value in comparison.items() if value is not None]
     return ", ".join(f"--{name.replace('_', '-')}" for name in given)
 

@@ -23,88 +23,28 @@ FILTER = "label="
 def complete_presets(
     context: click.Context, parameter: click.Parameter, incomplete: str
 ) -> list[CompletionItem]:
-    """The presets that begin with what is typed, and files.
-
-    Parameters
-    ----------
-    context : click.Context
-        The command.
-    parameter : click.Parameter
-        The option.
-    incomplete : str
-        What is typed.
-
-    Returns
-    -------
-    list of CompletionItem
-        The presets; if none begins so, the request that the shell completes the name of a file.
-    """
+    """The presets that begin with what is typed, and files."""
     from pcretrieve.options import PRESETS
 
     return _items(PRESETS, incomplete) or [CompletionItem(incomplete, type="file")]
 
 
 def complete_ids(context: click.Context, parameter: click.Parameter, incomplete: str) -> list[CompletionItem]:
-    """The ids that begin with what is typed, of the catalogue of the command.
-
-    Parameters
-    ----------
-    context : click.Context
-        The command, whose ``--catalogue`` comes before what is typed, or else is in the environment.
-    parameter : click.Parameter
-        The argument.
-    incomplete : str
-        What is typed.
-
-    Returns
-    -------
-    list of CompletionItem
-        The ids.
-    """
+    """The ids that begin with what is typed, of the catalogue of the command."""
     return _items((origin.id for origin in _origins(context)), incomplete)
 
 
 def complete_queries(
     context: click.Context, parameter: click.Parameter, incomplete: str
 ) -> list[CompletionItem]:
-    """The ids that begin with what is typed; if there are none, files.
-
-    Parameters
-    ----------
-    context : click.Context
-        The command.
-    parameter : click.Parameter
-        The argument.
-    incomplete : str
-        What is typed.
-
-    Returns
-    -------
-    list of CompletionItem
-        As of `complete_presets`.
-    """
+    """The ids that begin with what is typed; if there are none, files."""
     return complete_ids(context, parameter, incomplete) or [CompletionItem(incomplete, type="file")]
 
 
 def complete_labels(
     context: click.Context, parameter: click.Parameter, incomplete: str
 ) -> list[CompletionItem]:
-    """The conditions ``label=CLASS`` that begin with what is typed.
-
-    Parameters
-    ----------
-    context : click.Context
-        The command.
-    parameter : click.Parameter
-        The option.
-    incomplete : str
-        What is typed.
-
-    Returns
-    -------
-    list of CompletionItem
-        One for each class of the catalogue.
-    """
+    """The conditions ``label=CLASS`` that begin with what is typed."""
     labels = {origin.label for origin in _origins(context) if origin.label}
     return _items((FILTER + label for label in sorted(labels)), incomplete)
 

@@ -27,28 +27,12 @@ BEGUN = "pcretrieve.document"
 
 
 def write_document(result: object, *, options: PipelineOptions | None = None) -> None:
-    """Print the document of a command, on standard output.
-
-    Parameters
-    ----------
-    result : object
-        What JSON can represent.
-    options : PipelineOptions, optional
-        The options by which the result was computed; None if it depends on none.
-    """
+    """Print the document of a command, on standard output."""
     print_text(_text(_head(click.get_current_context(), options) | {"result": result}))
 
 
 def write_documents(results: Iterable[object], *, options: PipelineOptions | None = None) -> None:
-    """Print the document of a command whose result is a list, each element as soon as it is computed.
-
-    Parameters
-    ----------
-    results : iterable of object
-        What JSON can represent.
-    options : PipelineOptions, optional
-        As of `write_document`.
-    """
+    """Print the document of a command whose result is a list, each element as soon as it is computed."""
     context = click.get_current_context()
     for result in results:
         if BEGUN not in context.meta:
@@ -64,17 +48,7 @@ def write_documents(results: Iterable[object], *, options: PipelineOptions | Non
 
 
 def write_error(context: click.Context, error: PcretrieveError | click.ClickException, code: int) -> None:
-    """Print the document of a command that fails, on standard output.
-
-    Parameters
-    ----------
-    context : click.Context
-        The command.
-    error : PcretrieveError or click.ClickException
-        What it ends with.
-    code : int
-        Its exit code.
-    """
+    """Print the document of a command that fails, on standard output."""
     facts = {
         "error": type(error).__name__,
         "stage": error.stage if isinstance(error, PcretrieveError) else None,

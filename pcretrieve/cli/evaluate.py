@@ -191,20 +191,7 @@ def _say_how(ranked: RankedCatalogue, how: Mapping[str, object]) -> None:
 
 
 def numbers(values: Iterable[float | None], form: str = ".4f") -> list[str]:
-    """The measures of a row below `COLUMNS`.
-
-    Parameters
-    ----------
-    values : iterable of (float or None)
-        The measures; None is printed as "-".
-    form : str, default ".4f"
-        Format of a number.
-
-    Returns
-    -------
-    list of str
-        The cells.
-    """
+    """The measures of a row below `COLUMNS`."""
     return ["-" if value is None else format(value, form) for value in values]
 
 

@@ -125,13 +125,7 @@ class _Printed(logging.Handler):
 
 
 def main() -> NoReturn:
-    """Run the command line, and end with an exit code. Errors are printed as messages.
-
-    Returns
-    -------
-    NoReturn
-        Never.
-    """
+    """Run the command line, and end with an exit code. Errors are printed as messages."""
     _open_standard_streams()
     for number in (signal.SIGTERM, signal.SIGHUP):
         if signal.getsignal(number) is signal.SIG_DFL:  # not if the signal is ignored, as under nohup

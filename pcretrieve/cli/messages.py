@@ -59,31 +59,12 @@ ESCAPES_IN_JSON = {code: escape for code, escape in ESCAPES.items() if code != o
 
 
 def escaped(text: str) -> str:
-    """Escape the characters of a text that would change what a terminal shows around it.
-
-    Parameters
-    ----------
-    text : str
-        Text with names of files or classes.
-
-    Returns
-    -------
-    str
-        One line.
-    """
+    """Escape the characters of a text that would change what a terminal shows around it."""
     return text.translate(ESCAPES)
 
 
 def say(message: str, *, indent: int | None = 0) -> None:
-    """Print a message for users, on standard error. If that cannot be written, the command goes on silently.
-
-    Parameters
-    ----------
-    message : str
-        The message, which is printed in one line; on a terminal, broken between words.
-    indent : int or None, default 0
-        The number of blanks before further lines of a terminal. None: the message is not broken.
-    """
+    """Print a message for users, on standard error. If that cannot be written, the command goes on silently."""
     text = escaped(without_password(message))
     if indent is not None:
         text = _broken(text, sys.stderr, indent)
@@ -98,18 +79,7 @@ def say(message: str, *, indent: int | None = 0) -> None:
 
 
 def without_password(text: str) -> str:
-    """Remove passwords of URLs, such as those of databases, which terminals and logs would keep.
-
-    Parameters
-    ----------
-    text : str
-        Any text.
-
-    Returns
-    -------
-    str
-        The text, in which a URL has at most a user before its host.
-    """
+    """Remove passwords of URLs, such as those of databases, which terminals and logs would keep."""
     return re.sub(r"(://[^/:@\s]*):[^/@\s]*@", r"\1@", text)
 
 
@@ -117,11 +87,6 @@ def silence(stream: TextIO) -> None:
     """Let a standard stream that cannot be written to lead nowhere.
 
     Otherwise the text that it holds would be written, and fail, once more at the end of the command.
-
-    Parameters
-    ----------
-    stream : text file
-        Standard output or standard error.
     """
     nowhere = os.open(os.devnull, os.O_WRONLY)
     os.dup2(nowhere, stream.fileno())
@@ -129,24 +94,12 @@ def silence(stream: TextIO) -> None:
 
 
 def write_line(text: str) -> None:
-    """Print a line of a result, on standard output.
-
-    Parameters
-    ----------
-    text : str
-        The line.
-    """
+    """Print a line of a result, on standard output."""
     print_text(escaped(text))
 
 
 def write_words(text: str) -> None:
-    """Print a sentence of a result, on standard output; on a terminal, broken between words.
-
-    Parameters
-    ----------
-    text : str
-        The sentence.
-    """
+    """Print a sentence of a result, on standard output; on a terminal, broken between words."""
     print_text(_broken(escaped(without_password(text)), sys.stdout))
 
 
@@ -162,29 +115,12 @@ def _broken(text: str, stream: TextIO, indent: int = 0) -> str:
 
 
 def write_row(cells: Iterable[str]) -> None:
-    """Print a row of a result, on standard output.
-
-    Parameters
-    ----------
-    cells : iterable of str
-        What the row has between its tabs.
-    """
+    """Print a row of a result, on standard output."""
     print_text("\t".join(map(escaped, cells)))
 
 
 def log_to(path: Path) -> None:
-    """Append what the library logs, from the level INFO, to a file until the command ends.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-
-    Raises
-    ------
-    InputError
-        If the file cannot be written.
-    """
+    """Append what the library logs, from the level INFO, to a file until the command ends."""
     try:
         handler = logging.FileHandler(path, encoding="utf-8")
     except OSError as error:
@@ -210,62 +146,24 @@ class _OneLine(logging.Formatter):
 
 
 def print_text(text: str, *, nl: bool = True, color: bool | None = None) -> None:
-    """Print the text of a result, on standard output.
-
-    Parameters
-    ----------
-    text : str
-        The text, in which `ESCAPES` or `ESCAPES_IN_JSON` are escaped.
-    nl : bool, default True
-        Whether a line ends.
-    color : bool, optional
-        Whether codes of a terminal are printed; by default, if standard output is one.
-    """
+    """Print the text of a result, on standard output."""
     stop_waiting()
     click.echo(text, nl=nl, color=color)
 
 
 def shown_path(path: str) -> str:
-    """A path as people read it: relative to the current folder, if it is in this folder.
-
-    Parameters
-    ----------
-    path : str
-        The path, or a URL.
-
-    Returns
-    -------
-    str
-        The same file.
-    """
+    """A path as people read it: relative to the current folder, if it is in this folder."""
     return path.removeprefix(f"{Path.cwd()}{os.sep}")
 
 
 def failure_line(record: Record) -> str:
-    """The message about a shape that failed.
-
-    Parameters
-    ----------
-    record : Record
-        The record of the failure.
-
-    Returns
-    -------
-    str
-        Id, stage and message; and the file, if the message does not name it.
-    """
+    """The message about a shape that failed."""
     message, path = record.message or "", shown_path(record.path)
     file = "" if record.path in message else f" ({path})"
     return f"failed: [{record.id} / {record.stage}] {message.replace(record.path, path)}{file}"
 
 
 def write_csv(text: str) -> None:
-    """Print the text of a CSV file on standard output: as it is for a program, escaped for a terminal.
-
-    Parameters
-    ----------
-    text : str
-        The result of `pcretrieve.csv_text.csv_text`.
-    """
+    """Print the text of a CSV file on standard output: as it is for a program, escaped for a terminal."""
     shown = text.translate(ESCAPES_IN_JSON) if sys.stdout.isatty() else text
     print_text(shown, nl=False, color=True)  # otherwise click removes what looks like codes of a terminal

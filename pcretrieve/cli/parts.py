@@ -86,18 +86,7 @@ unit_option = option(
 
 
 def limit_options(unit: str) -> Callable[[Callable[..., None]], Callable[..., None]]:
-    """Options that limit time and memory of the processes in which a command works.
-
-    Parameters
-    ----------
-    unit : str
-        What the time limit is for, such as "scan".
-
-    Returns
-    -------
-    callable
-        A decorator of commands, which adds ``--timeout`` and ``--memory``.
-    """
+    """Options that limit time and memory of the processes in which a command works."""
     timeout = option(
         "--timeout",
         type=click.FloatRange(min=1),
@@ -120,27 +109,7 @@ def limit_options(unit: str) -> Callable[[Callable[..., None]], Callable[..., No
 def load_options(
     config: Path | None, surface: str | None = None, *, base: PipelineOptions | None = None
 ) -> PipelineOptions:
-    """The options of a command with ``--config`` and ``--surface``.
-
-    Parameters
-    ----------
-    config : Path or None
-        A file or a preset; None: not given.
-    surface : str or None
-        The mode of the surface stage; None: not given.
-    base : PipelineOptions, optional
-        The options that the others replace; the defaults of the pipeline if not given.
-
-    Returns
-    -------
-    PipelineOptions
-        The options.
-
-    Raises
-    ------
-    OptionError
-        If the file cannot be read, or options are not valid.
-    """
+    """The options of a command with ``--config`` and ``--surface``."""
     from pcretrieve.options import PipelineOptions
 
     options = base or PipelineOptions()

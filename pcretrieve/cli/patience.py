@@ -36,13 +36,7 @@ class _Latest(logging.Handler):
 
 
 def tell_of_waiting(command: str) -> None:
-    """Say what a command does, if standard error is a terminal, until `stop_waiting` is called.
-
-    Parameters
-    ----------
-    command : str
-        The name of the command.
-    """
+    """Say what a command does, if standard error is a terminal, until `stop_waiting` is called."""
     if sys.stderr.isatty():
         _stopped.clear()
         Thread(target=_tell, args=(command, _Latest(logging.INFO)), daemon=True).start()
@@ -57,13 +51,7 @@ def stop_waiting() -> None:
 
 @contextmanager
 def cleared_line() -> Iterator[None]:
-    """Make place for a message; the line comes back below it.
-
-    Yields
-    ------
-    None
-        While the line is not shown.
-    """
+    """Make place for a message; the line comes back below it."""
     global _is_shown
     with _writing:
         if _is_shown:

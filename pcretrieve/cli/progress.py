@@ -35,17 +35,7 @@ progress_option = option(
 
 
 class Progress:
-    """Shows how many scans are finished, and the failures among them. A context manager.
-
-    Parameters
-    ----------
-    command : str
-        The name of the command.
-    total : int
-        The number of scans.
-    mode : {"bar", "json", "none"}
-        How progress is shown. Failures are also shown in the mode ``none``.
-    """
+    """Shows how many scans are finished, and the failures among them. A context manager."""
 
     def __init__(self, command: str, total: int, mode: str) -> None:
         self._command = command
@@ -80,15 +70,7 @@ class Progress:
             self._bar.close()
 
     def advance(self, facts: dict[str, object], failure: str | None = None) -> None:
-        """Count a scan that is finished, and show it.
-
-        Parameters
-        ----------
-        facts : dict
-            The values of its line of JSON.
-        failure : str, optional
-            The message, if the scan failed.
-        """
+        """Count a scan that is finished, and show it."""
         self._n_done += 1
         self._n_failed += failure is not None
         if self._mode == "json":
@@ -117,18 +99,7 @@ class Progress:
 
 
 def duration(seconds: float) -> str:
-    """A time in words, such as ``40 s``, ``12 min`` or ``2 h 05 min``.
-
-    Parameters
-    ----------
-    seconds : float
-        The time.
-
-    Returns
-    -------
-    str
-        The words.
-    """
+    """A time in words, such as ``40 s``, ``12 min`` or ``2 h 05 min``."""
     if seconds < 60:
         return f"{seconds:.0f} s"
     minutes = round(seconds / 60)

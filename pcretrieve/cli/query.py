@@ -53,22 +53,7 @@ class LabelFilter(click.ParamType):  # type: ignore[type-arg]  # generic since c
     name = "label=CLASS"
 
     def convert(self, value: str, param: click.Parameter | None, ctx: click.Context | None) -> str:
-        """The class of a condition.
-
-        Parameters
-        ----------
-        value : str
-            The condition.
-        param : click.Parameter, optional
-            The option, for the message.
-        ctx : click.Context, optional
-            The command, for the message.
-
-        Returns
-        -------
-        str
-            The class.
-        """
+        """The class of a condition."""
         key, mark, label = value.partition("=")
         if key != "label" or not mark:
             self.fail(f"must be label=CLASS, got {value!r}", param, ctx)

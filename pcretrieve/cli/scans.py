@@ -42,34 +42,7 @@ def each_scan(
 ) -> Iterator[tuple[Path, Answer | Record]]:
     """Apply a function to scans by the default executor, and show progress if there are several.
 
-    Parameters
-    ----------
-    command : str
-        The name of the command.
-    function : callable
-        A function of a scan. It and what it returns can be pickled.
-    scans : sequence of Path
-        The scans.
-    workers : int, optional
-        Largest number of scans that are processed at a time. By default one for each core.
-    timeout : float
-        Longest time for one scan; seconds.
-    memory : float, optional
-        Largest heap of a worker; GiB.
-    progress : {"bar", "json", "none"} or None
-        How progress is shown; None, if what is done with the outcomes shows it.
-
-    Yields
-    ------
-    scan : Path
-        Each scan, in the order of `scans`.
-    outcome : object or Record
-        What the function returned, or the record of a failure.
-
-    Raises
-    ------
-    PcretrieveError
-        An error of a scan that is not a failure of this scan alone, such as an option that is not valid.
+    timeout: longest time for one scan; seconds.
     """
     from pcretrieve.errors import PcretrieveError
     from pcretrieve.ingestion.discover import printable
@@ -97,45 +70,12 @@ def each_scan(
 
 
 def failure_document(record: Record) -> dict[str, object]:
-    """The JSON document of a scan that failed, in place of that of its result.
-
-    Parameters
-    ----------
-    record : Record
-        The record of the failure.
-
-    Returns
-    -------
-    dict
-        What JSON can represent.
-    """
+    """The JSON document of a scan that failed, in place of that of its result."""
     return {"scan": record.path, "error": record.error, "stage": record.stage, "message": record.message}
 
 
 def output_files(folder: Path, scans: Sequence[Path], source: Path, suffix: str) -> dict[Path, Path]:
-    """Name a file for each scan of a folder, and make the folder in which the files are written.
-
-    Parameters
-    ----------
-    folder : Path
-        The folder of the files.
-    scans : sequence of Path
-        The scans.
-    source : Path
-        The folder of the scans.
-    suffix : str
-        The suffix of the files.
-
-    Returns
-    -------
-    dict of Path to Path
-        For each scan ``id.suffix``, with the id that it would have in a catalogue.
-
-    Raises
-    ------
-    InputError
-        If the folder cannot be made, or is in that of the scans.
-    """
+    """Name a file for each scan of a folder, and make the folder in which the files are written."""
     from pcretrieve.errors import InputError
     from pcretrieve.ingestion.discover import printable, shape_ids
 

@@ -18,17 +18,7 @@ QUOTED = 5
 
 
 def say_summary(summary: Summary, catalogue: str, labels: str | None) -> None:
-    """Print the summary of an ingest, or of what an ingest would do.
-
-    Parameters
-    ----------
-    summary : Summary
-        The summary.
-    catalogue : str
-        The catalogue.
-    labels : str or None
-        What was given as ``--labels``.
-    """
+    """Print the summary of an ingest, or of what an ingest would do."""
     for path, original in _duplicates(summary):
         say(f"skipped {path}: the same content as {original.id} ({original.path})")
     if summary.unknown_labels:
@@ -59,20 +49,7 @@ def say_summary(summary: Summary, catalogue: str, labels: str | None) -> None:
 
 
 def summary_document(summary: Summary, catalogue: str) -> dict[str, object]:
-    """The JSON document of an ingest, or of what an ingest would do.
-
-    Parameters
-    ----------
-    summary : Summary
-        The summary.
-    catalogue : str
-        The catalogue.
-
-    Returns
-    -------
-    dict
-        What JSON can represent.
-    """
+    """The JSON document of an ingest, or of what an ingest would do."""
     return {
         "catalogue": without_password(catalogue),
         "planned": [record.id for record in summary.planned],
@@ -88,15 +65,7 @@ def summary_document(summary: Summary, catalogue: str) -> dict[str, object]:
 def record_facts(record: Record) -> dict[str, object]:
     """The values of a record in a line of JSON.
 
-    Parameters
-    ----------
-    record : Record
-        The record of a shape.
-
-    Returns
-    -------
-    dict
-        Id, path, status and seconds; of a failure also stage, error and message.
+    Returns dict: id, path, status and seconds; of a failure also stage, error and message.
     """
     facts: dict[str, object] = {"status": record.status, "seconds": round(record.seconds, 3)}
     if record.status == "failed":

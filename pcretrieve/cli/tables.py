@@ -33,36 +33,14 @@ COLOURS = {"doubtful": "yellow", "unusable": "red", "failed": "red"}
 
 
 class Column(NamedTuple):
-    """A column of a table.
-
-    Attributes
-    ----------
-    heading : str
-        What is above it.
-    kind : {"text", "number", "path", "words"}
-        Numbers are at the right. Where a terminal is too narrow, paths are shortened in the middle first,
-        then words are broken into lines within the column, then texts are shortened.
-    """
+    """A column of a table."""
 
     heading: str
     kind: str = "text"
 
 
 def write_table(columns: Sequence[Column], rows: Iterable[Sequence[str]]) -> int:
-    """Print a table, on standard output; nothing, if there are no rows.
-
-    Parameters
-    ----------
-    columns : sequence of Column
-        The columns. The line of headings is left out, if all of them are empty.
-    rows : iterable of sequence of str
-        The cells of each row.
-
-    Returns
-    -------
-    int
-        The number of rows.
-    """
+    """Print a table, on standard output; nothing, if there are no rows."""
     limit = shutil.get_terminal_size().columns if sys.stdout.isatty() else None
     headings = [column.heading for column in columns]
     widths = [0] * len(columns)
@@ -85,13 +63,7 @@ def write_table(columns: Sequence[Column], rows: Iterable[Sequence[str]]) -> int
 
 
 def write_steps(steps: Iterable[Step]) -> None:
-    """Print provenance, on standard output: a row for each step, and one for each note.
-
-    Parameters
-    ----------
-    steps : iterable of Step
-        The steps.
-    """
+    """Print provenance, on standard output: a row for each step, and one for each note."""
     rows = []
     for step in steps:
         sizes = (

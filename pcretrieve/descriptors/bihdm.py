@@ -27,32 +27,9 @@ def bihdm(
 ) -> Signature:
     """The BiHDM signature of a surface: equation (8), with the sum over m modes.
 
-    Parameters
-    ----------
-    pairs : Eigenpairs or ModalSpectrum
-        At least `n_modes` + 1 eigenpairs of a connected surface.
-    n_values : int, default 59
-        L, the number of values, at most `n_modes`.
-    n_modes : int, default 60
-        m, the number of modes in the sum of the biharmonic distance, equation (4).
-    scale : {"area", "relative", "absolute"}, default "area"
-        What the eigenvalues are divided by, as in `r_bihdm`.
-
-    Returns
-    -------
-    Signature
-        values : (L,) float64, in the units of `r_bihdm`. BiHDM and R-BiHDM converge to each other as m
-        grows, since they differ by the part of g = Σ φ_i²/λ_i² outside the span of the first m modes.
-
-    Raises
-    ------
-    OptionError
-        If `n_modes` is not between 1 and the number of eigenpairs − 1, or `n_values` not between 1 and
-        `n_modes`.
-    ShapeError
-        If the spectrum was stored without overlaps.
-    SpectrumError
-        If the matrix does not have a positive and m negative eigenvalues.
+    Returns Signature: values : (L,) float64, in the units of `r_bihdm`. BiHDM and R-BiHDM converge to each
+        other as m grows, since they differ by the part of g = Σ φ_i²/λ_i² outside the span of the first m
+        modes.
     """
     matrix = full_matrix(pairs, n_modes)
     values = leading(matrix, n_values, n_modes, scale, pairs.area)
@@ -81,29 +58,7 @@ def bihdm_sampled(
     surface weigh more, for which rankings are worse. `bihdm` is the exact limit of infinitely many points,
     evenly spread; its rankings are as good as those of R-BiHDM. See docs/decisions.md, bihdm_sampled.
 
-    Parameters
-    ----------
-    pairs : Eigenpairs
-        At least `n_modes` + 1 eigenpairs of a connected surface, by elements with nodes at the vertices.
-    n_values : int, default 59
-        L, the number of values, at most `n_modes`.
-    n_modes : int, default 60
-        m, the number of modes in the sum of the biharmonic distance, equation (4).
-    scale : {"area", "relative", "absolute"}, default "area"
-        What the eigenvalues are divided by, as in `r_bihdm`.
-
-    Returns
-    -------
-    Signature
-        values : (L,) float64, in the units of `r_bihdm`.
-
-    Raises
-    ------
-    OptionError
-        If `n_modes` is not between 1 and the number of eigenpairs − 1, or `n_values` not between 1 and
-        `n_modes`.
-    SpectrumError
-        If the matrix does not have a positive and m negative eigenvalues.
+    Returns Signature: values : (L,) float64, in the units of `r_bihdm`.
     """
     matrix = sampled_matrix(pairs, n_modes)
     values = leading(matrix, n_values, n_modes, scale, pairs.area)
@@ -130,22 +85,8 @@ def sampled_matrix(pairs: Eigenpairs, n_modes: int = 60) -> FloatArray:
     With the rows φ_i(x)/λ_i of V and g(x) = |V(x)|², the matrix is g 1ᵀ + 1 gᵀ − 2 V Vᵀ = B C Bᵀ, where B has
     the columns 1, g and V. If B = Q R with orthonormal columns of Q, R C Rᵀ has its non-zero eigenvalues.
 
-    Parameters
-    ----------
-    pairs : Eigenpairs
-        At least `n_modes` + 1 eigenpairs of a connected surface, by elements with nodes at the vertices.
-    n_modes : int, default 60
-        m, the number of modes in the sum.
-
-    Returns
-    -------
-    (m + 2, m + 2) float64
-        Symmetric, unit length⁴: multiplied by A / n, the area for each of the n vertices.
-
-    Raises
-    ------
-    OptionError
-        If `n_modes` is not between 1 and the number of eigenpairs − 1.
+    Returns (m + 2, m + 2) float64: symmetric, unit length⁴: multiplied by A / n, the area for each of the n
+        vertices.
     """
     n_pairs = len(pairs.eigenvalues)
     if not 1 <= n_modes < n_pairs:
@@ -176,24 +117,7 @@ def full_matrix(pairs: Eigenpairs | ModalSpectrum, n_modes: int = 60) -> FloatAr
     The entry a_{m+1} is the norm of all a_j with j > m of equation (7). The eigenvalues of this finite matrix
     are exactly the non-zero eigenvalues of the operator.
 
-    Parameters
-    ----------
-    pairs : Eigenpairs or ModalSpectrum
-        At least `n_modes` + 1 eigenpairs of a connected surface.
-    n_modes : int, default 60
-        m, the number of modes in the sum.
-
-    Returns
-    -------
-    (m + 2, m + 2) float64
-        Symmetric, unit length⁴.
-
-    Raises
-    ------
-    OptionError
-        If `n_modes` is not between 1 and the number of eigenpairs − 1.
-    ShapeError
-        If the spectrum was stored without overlaps.
+    Returns (m + 2, m + 2) float64: symmetric, unit length⁴.
     """
     spectrum = pairs if isinstance(pairs, ModalSpectrum) else ModalSpectrum.of(pairs)
     matrix = np.pad(reduced_matrix(spectrum, n_modes), (0, 1))  # (m + 2, m + 2)

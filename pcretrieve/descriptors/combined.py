@@ -33,32 +33,9 @@ def combined(
     neighbourhood of a point is like on average. Their errors are only partly correlated, so that whitened
     retrieval by both is better than by either of them.
 
-    Parameters
-    ----------
-    spectrum : ModalSpectrum
-        At least `n_modes` + 1 modes of a connected surface.
-    pairs : Eigenpairs
-        At least `n_modes` + 1 eigenpairs of the surface on unit area.
-    n_values : int, default 59
-        L, the number of values of each descriptor, at most `n_modes`.
-    n_modes : int, default 60
-        m, the number of modes, as in `r_bihdm` and `csd`.
-    scale : {"area", "relative", "absolute"}, default "area"
-        Normalisation of R-BiHDM, as in `r_bihdm`.
-
-    Returns
-    -------
-    Signature
-        values : (2 L,) float64. Dimensionless; for ``absolute`` the first L are in unit length^2.4 of the
-        spectrum.
-
-    Raises
-    ------
-    OptionError
-        If `n_modes` is not between 2 and the number of eigenpairs − 1, or `n_values` not between 3 and
-        `n_modes`.
-    SpectrumError
-        If the matrix of R-BiHDM does not have a positive and m negative eigenvalues.
+    pairs: at least `n_modes` + 1 eigenpairs of the surface on unit area.
+    Returns Signature: values : (2 L,) float64. Dimensionless; for ``absolute`` the first L are in unit
+        length^2.4 of the spectrum.
     """
     interaction = r_bihdm(spectrum, n_values, n_modes, scale=scale).values
     average = csd(pairs, n_values, n_modes).values

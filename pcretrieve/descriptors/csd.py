@@ -26,25 +26,9 @@ def csd(pairs: Eigenpairs, n_values: int = 59, n_modes: int = 60) -> Signature:
     spaced from log λ_1 to log λ_m. The others are the lowest frequencies of the scale-invariant heat kernel
     signature [3]_, the zero frequency and the constant eigenfunction included.
 
-    Parameters
-    ----------
-    pairs : Eigenpairs
-        At least `n_modes` + 1 eigenpairs of a connected surface on unit area.
-    n_values : int, default 59
-        L; ⌊L/3⌋ of the values are frequencies of the heat kernel. 150 values are published, 100 and 50.
-    n_modes : int, default 60
-        m, the number of modes. 100 are published.
-
-    Returns
-    -------
-    Signature
-        values : (L,) float64: first the wave kernel by ascending energy, then the heat kernel by ascending
-        frequency; dimensionless, between 0 and 1. Invariant to isometry and scaling.
-
-    Raises
-    ------
-    OptionError
-        If `n_values` is not between 3 and 147, or `n_modes` not between 2 and the number of eigenpairs − 1.
+    pairs: at least `n_modes` + 1 eigenpairs of a connected surface on unit area.
+    Returns Signature: values : (L,) float64: first the wave kernel by ascending energy, then the heat kernel
+        by ascending frequency; dimensionless, between 0 and 1. Invariant to isometry and scaling.
 
     References
     ----------

@@ -143,23 +143,7 @@ def describe(shape: Shape, options: SignatureOptions) -> Signature:
 
 
 def signature_length(options: SignatureOptions) -> int:
-    """The number of values of the signatures that `describe` returns.
-
-    Parameters
-    ----------
-    options : SignatureOptions
-        The method, the number of values, and the weight of the size.
-
-    Returns
-    -------
-    int
-        L, including the size if it has a weight.
-
-    Raises
-    ------
-    OptionError
-        If the method does not exist, or its package cannot be loaded.
-    """
+    """The number of values of the signatures that `describe` returns."""
     return DESCRIPTORS[options.method].length(options) + bool(options.size_weight)
 
 

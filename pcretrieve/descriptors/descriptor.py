@@ -71,18 +71,5 @@ class Descriptor:
 
 
 def spectrum_of(shape: Shape, options: SignatureOptions) -> ModalSpectrum:
-    """The spectrum of the surface on unit area; for the scale ``absolute``, in the unit of the file.
-
-    Parameters
-    ----------
-    shape : Shape
-        With its spectrum.
-    options : SignatureOptions
-        The scale.
-
-    Returns
-    -------
-    ModalSpectrum
-        The spectrum of the first surface.
-    """
+    """The spectrum of the surface on unit area; for the scale ``absolute``, in the unit of the file."""
     return shape.spectrum.scaled(shape.area) if options.measured_by == "absolute" else shape.spectrum

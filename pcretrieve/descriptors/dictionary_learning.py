@@ -52,12 +52,7 @@ SMALLEST = 1e-4
 class Loss(NamedTuple):
     """The loss of a dictionary, and its derivative.
 
-    Attributes
-    ----------
-    value : float
-        The loss.
-    gradient : (L, d) float64
-        Its derivative by the atoms.
+    gradient: (L, d) float64, its derivative by the atoms.
     """
 
     value: float
@@ -74,28 +69,9 @@ def supervised_dictionary(
 ) -> FloatArray:
     """The atoms by which surfaces of one class are nearer to each other than to those of other classes.
 
-    Parameters
-    ----------
-    surfaces : sequence of SurfacePoints
-        The surfaces.
-    labels : sequence of str
-        Their classes.
-    atoms : (L, d) float64
-        The dictionary to begin with, of rows of unit length: as a rule one that was learned without labels.
-    rng : numpy.random.Generator
-        Source of the random choice of surfaces and points in each step.
-    n_steps : int, default 200
-        Number of steps of gradient descent.
-
-    Returns
-    -------
-    (L, d) float64
-        The dictionary, of rows of unit length.
-
-    Raises
-    ------
-    InputError
-        If there are not two classes of two surfaces.
+    atoms: (L, d) float64, the dictionary to begin with, of rows of unit length: as a rule one that was
+        learned without labels.
+    Returns (L, d) float64: the dictionary, of rows of unit length.
     """
     classes = [np.flatnonzero(np.array(labels) == label) for label in sorted(set(labels))]
     classes = [members for members in classes if len(members) > 1]
@@ -133,23 +109,7 @@ def triplet_loss(
     The mean of max(0, μ + ‖h_q − h_p‖² − ‖h_q − h_n‖²) over all surfaces q, p of the class of q, and n of
     another class, with h the square roots of the shares of the atoms.
 
-    Parameters
-    ----------
-    surfaces : sequence of SurfacePoints
-        The surfaces.
-    labels : sequence of str
-        Their classes.
-    atoms : (L, d) float64
-        The dictionary D.
-    margin : float
-        μ.
-    n_iterations : int, default 100
-        Steps of FISTA.
-
-    Returns
-    -------
-    Loss
-        The loss, and its derivative by D as if the codes were minimisers.
+    atoms: (L, d) float64, the dictionary D.
     """
     features = np.concatenate([surface.features for surface in surfaces])  # (n, d)
     shares = np.concatenate([surface.shares for surface in surfaces])  # (n,)

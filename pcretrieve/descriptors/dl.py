@@ -39,19 +39,7 @@ def dl(pairs: Eigenpairs, *, supervised: bool = False) -> Signature:
     of the shares of the atoms instead of the Euclidean distance of the means, in the loss of the supervised
     dictionary too.
 
-    Parameters
-    ----------
-    pairs : Eigenpairs
-        Of a connected surface on unit area, all of which are in the sum of the heat kernel.
-    supervised : bool, default False
-        Take the dictionary that was learned with labels.
-
-    Returns
-    -------
-    Signature
-        values : (32,) float64, to be compared as ``histograms``: ``∫ |z_k| / Σ_l ∫ |z_l|`` for each atom k,
-        with the codes z of `pcretrieve.descriptors.sparse_coding.sparse_codes`. Not negative, of sum 1,
-        dimensionless; invariant to isometry and scaling.
+    pairs: of a connected surface on unit area, all of which are in the sum of the heat kernel.
 
     References
     ----------
@@ -66,15 +54,9 @@ def dl(pairs: Eigenpairs, *, supervised: bool = False) -> Signature:
 def surface_points(pairs: Eigenpairs) -> SurfacePoints:
     """The point descriptors of all vertices of a surface.
 
-    Parameters
-    ----------
-    pairs : Eigenpairs
-        Of a connected surface on unit area.
-
-    Returns
-    -------
-    SurfacePoints
-        features : (n, 19) float64, scale-invariant heat kernel signatures, scaled to unit length.
+    pairs: of a connected surface on unit area.
+    Returns SurfacePoints: features : (n, 19) float64, scale-invariant heat kernel signatures, scaled to unit
+        length.
     """
     features = scale_invariant_heat(pairs, N_FREQUENCIES)  # (n, 19)
     areas = np.asarray(pairs.mass.sum(axis=0)).ravel()  # (n,)

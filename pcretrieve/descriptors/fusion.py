@@ -20,22 +20,7 @@ COORDINATES: Mapping[Metric, Callable[[FloatArray], FloatArray]] = MappingProxyT
 
 
 def fused(parts: Sequence[Descriptor]) -> Descriptor:
-    """The descriptor whose values are those of several descriptors.
-
-    Parameters
-    ----------
-    parts : sequence of Descriptor
-        The descriptors, which all get the same options.
-
-    Returns
-    -------
-    Descriptor
-        Its name is that of the parts, joined by ``+``, its needs are the needs of all of them. Its values are
-        what distances compare of each part, logarithms, values or square roots, divided by
-        `Descriptor.spread`: each part then contributes about the same to squared distances. The weights
-        depend neither on the gallery nor on classes; whitening adapts them to the gallery. Compared as
-        ``values``.
-    """
+    """The descriptor whose values are those of several descriptors."""
     name = "+".join(part.name for part in parts)
 
     def make(shape: Shape, options: SignatureOptions) -> Signature:

@@ -59,25 +59,6 @@ def hapt(mesh: TriangleMesh) -> Signature:
     the body; and the Hellinger distance in the place of the Jeffrey divergence, to which it is proportional
     for small differences, and which is no metric.
 
-    Parameters
-    ----------
-    mesh : TriangleMesh
-        A closed surface, in either orientation. Holes that are small relative to the body are closed.
-
-    Returns
-    -------
-    Signature
-        values : (45,) float64, to be compared as ``histograms``: the volume of the part of the body in which
-        the transform is at least .1, .2, … .9, divided by A^(3/2), for the smallest radius first. Not
-        negative, dimensionless; invariant to rotation, translation, reflection and scaling, except for
-        bodies of equal principal moments, whose grid is turned with them.
-
-    Raises
-    ------
-    DegenerateMeshError
-        If the surface has no area or no interior, or it is too thin or its triangles are too long for the
-        grid.
-
     References
     ----------
     .. [1] A. Giachetti and C. Lovato, "Radial symmetry detection and shape characterization with the
@@ -92,24 +73,8 @@ def hapt(mesh: TriangleMesh) -> Signature:
 def projected_areas(mesh: TriangleMesh, radii: FloatArray, spread: float) -> FloatArray:
     """The multiscale area projection transform in all voxels inside a body.
 
-    Parameters
-    ----------
-    mesh : TriangleMesh
-        A closed surface, in either orientation.
-    radii : (r,) float64
-        R; in units of √A with the area A.
-    spread : float
-        c, the ratio σ / R.
-
-    Returns
-    -------
-    (r, k) float64
-        The transform at the centres of k voxels, whose edge is .01 √A; dimensionless.
-
-    Raises
-    ------
-    DegenerateMeshError
-        As by `hapt`.
+    radii: (r,) float64, r; in units of √A with the area A.
+    Returns (r, k) float64: the transform at the centres of k voxels, whose edge is .01 √A; dimensionless.
     """
     framed = _framed(mesh)
     grid = _grid(framed, margin=int(np.ceil(spread * radii.max() / CELL)) + 1)

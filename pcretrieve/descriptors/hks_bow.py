@@ -51,30 +51,13 @@ def hks_bow(
     The weight θ_w(x) of word w at point x with descriptor p is proportional to exp(−‖p − w‖² / 2σ²), and
     Σ_w θ_w(x) = 1. σ is twice the median distance from a word to the nearest other word.
 
-    Parameters
-    ----------
-    pairs : Eigenpairs
-        Of a connected surface on unit area, all of which are in the sum of the heat kernel.
-    n_words : int, default 23
-        L, the number of words of the vocabulary.
-    spatial : bool, default False
-        Spatially sensitive bag of features: frequencies of pairs of words, weighted by the heat kernel
-        between their points, instead of frequencies of words.
-    scale_invariant : bool, default False
-        Take scale-invariant heat kernel signatures [2]_ as the point descriptor. Plain heat kernel signatures
-        on unit area are invariant to the scale of the whole surface, but not to a local scale.
-
-    Returns
-    -------
-    Signature
-        values : (L,) float64: ∫ θ_w / A + 0.001 for each word w, in the order of the vocabulary. With
-        `spatial` (L (L + 1) / 2,) float64: ∬ θ_v(x) k(x, y) θ_w(y) dx dy + 0.001 on unit area, with the heat
-        kernel k, for v ≤ w. Dimensionless, invariant to isometry and scaling.
-
-    Raises
-    ------
-    OptionError
-        If `n_words` is not between 2 and an eighth of the number of sample points.
+    pairs: of a connected surface on unit area, all of which are in the sum of the heat kernel.
+    scale_invariant: take scale-invariant heat kernel signatures [2]_ as the point descriptor. Plain heat
+        kernel signatures on unit area are invariant to the scale of the whole surface, but not to a local
+        scale.
+    Returns Signature: values : (L,) float64: ∫ θ_w / A + 0.001 for each word w, in the order of the
+        vocabulary. With `spatial` (L (L + 1) / 2,) float64: ∬ θ_v(x) k(x, y) θ_w(y) dx dy + 0.001 on unit
+        area, with the heat kernel k, for v ≤ w. Dimensionless, invariant to isometry and scaling.
 
     References
     ----------
@@ -104,20 +87,11 @@ def hks_bow(
 def heat_features(pairs: Eigenpairs, *, scale_invariant: bool = False) -> FloatArray:
     """Heat kernel signatures of all vertices, h_t(x) = Σ_k exp(−λ_k t) φ_k(x)².
 
-    Parameters
-    ----------
-    pairs : Eigenpairs
-        Eigenpairs of a surface of unit area with n vertices.
-    scale_invariant : bool, default False
-        Compute scale-invariant heat kernel signatures.
-
-    Returns
-    -------
-    (n, 6) float64
-        Dimensionless: log h_t(x) − log of the mean of h_t over the surface, at six diffusion times. With
-        `scale_invariant` the magnitudes of the six lowest frequencies of the Fourier transform of
-        ∂ log h / ∂ log t over log t: a scaling shifts this derivative along log t, which changes the phases
-        alone.
+    pairs: eigenpairs of a surface of unit area with n vertices.
+    Returns (n, 6) float64: dimensionless: log h_t(x) − log of the mean of h_t over the surface, at six
+        diffusion times. With `scale_invariant` the magnitudes of the six lowest frequencies of the Fourier
+        transform of ∂ log h / ∂ log t over log t: a scaling shifts this derivative along log t, which changes
+        the phases alone.
     """
     if scale_invariant:
         return scale_invariant_heat(pairs, N_FREQUENCIES)
@@ -128,17 +102,8 @@ def heat_features(pairs: Eigenpairs, *, scale_invariant: bool = False) -> FloatA
 def scale_invariant_heat(pairs: Eigenpairs, n_frequencies: int) -> FloatArray:
     """Scale-invariant heat kernel signatures of all vertices (Bronstein and Kokkinos, CVPR 2010).
 
-    Parameters
-    ----------
-    pairs : Eigenpairs
-        Eigenpairs of a surface of unit area with n vertices.
-    n_frequencies : int
-        f, the number of frequencies, at most 49.
-
-    Returns
-    -------
-    (n, f) float64
-        As `heat_features` returns them, the zero frequency first.
+    pairs: eigenpairs of a surface of unit area with n vertices.
+    Returns (n, f) float64: as `heat_features` returns them, the zero frequency first.
     """
     decay = np.exp(-np.outer(pairs.eigenvalues, np.exp(LOG_TIMES)))  # (k, t)
     slopes = np.diff(np.log(pairs.eigenvectors**2 @ decay), axis=1)  # (n, t - 1)

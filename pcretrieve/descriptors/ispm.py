@@ -47,27 +47,11 @@ def ispm(pairs: Eigenpairs, n_words: int = 59, n_modes: int = 60) -> Signature:
     equal weights; parts of equal area instead of equal numbers of vertices, so that they do not depend on the
     mesh; and the Hellinger distance, the distance of the square roots of the frequencies.
 
-    Parameters
-    ----------
-    pairs : Eigenpairs
-        At least `n_modes` + 1 eigenpairs of a connected surface on unit area.
-    n_words : int, default 59
-        W, the number of words of the vocabulary; 48 are published.
-    n_modes : int, default 60
-        m, the number of modes.
-
-    Returns
-    -------
-    Signature
-        values : (15 W,) float64, to be compared as ``histograms``: a quarter of the share of the area of the
-        surface that each word has in each part, the levels from coarse to fine. Of two parts that the other
-        sign of φ_1 would exchange, the larger share of each word is with the first part. Not negative, of sum
-        1, dimensionless; invariant to isometry and scaling if λ_1 is a simple eigenvalue.
-
-    Raises
-    ------
-    OptionError
-        If `n_modes` is not between 2 and the number of eigenpairs − 1, or `n_words` not between 2 and 90.
+    pairs: at least `n_modes` + 1 eigenpairs of a connected surface on unit area.
+    Returns Signature: values : (15 W,) float64, to be compared as ``histograms``: a quarter of the share of
+        the area of the surface that each word has in each part, the levels from coarse to fine. Of two parts
+        that the other sign of φ_1 would exchange, the larger share of each word is with the first part. Not
+        negative, of sum 1, dimensionless; invariant to isometry and scaling if λ_1 is a simple eigenvalue.
 
     References
     ----------
@@ -90,24 +74,10 @@ def ispm(pairs: Eigenpairs, n_words: int = 59, n_modes: int = 60) -> Signature:
 def wavelet_signatures(pairs: Eigenpairs, n_modes: int = 60) -> FloatArray:
     """Spectral graph wavelet signatures of all vertices, Σ_k g(t λ_k) φ_k(x)² [1]_.
 
-    Parameters
-    ----------
-    pairs : Eigenpairs
-        At least `n_modes` + 1 eigenpairs of a surface of unit area with n vertices.
-    n_modes : int, default 60
-        m, the number of modes.
-
-    Returns
-    -------
-    (n, 3) float64
-        One value for the scaling function and for each of two wavelets, with the cubic spline kernel of
-        Hammond et al. [2]_, section 8.1, and λ_m as the largest eigenvalue. Dimensionless, of unit length at
-        each vertex.
-
-    Raises
-    ------
-    OptionError
-        If `n_modes` is not between 2 and the number of eigenpairs − 1.
+    pairs: at least `n_modes` + 1 eigenpairs of a surface of unit area with n vertices.
+    Returns (n, 3) float64: one value for the scaling function and for each of two wavelets, with the cubic
+        spline kernel of Hammond et al. [2]_, section 8.1, and λ_m as the largest eigenvalue. Dimensionless,
+        of unit length at each vertex.
 
     References
     ----------

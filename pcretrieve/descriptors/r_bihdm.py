@@ -92,22 +92,8 @@ R_BIHDM = Descriptor(
 def reduced_matrix(pairs: Eigenpairs | ModalSpectrum, n_modes: int = 60) -> FloatArray:
     """The reduced biharmonic distance matrix K of a surface, equations (5) to (7).
 
-    Parameters
-    ----------
-    pairs : Eigenpairs or ModalSpectrum
-        At least `n_modes` + 1 eigenpairs of a connected surface.
-    n_modes : int, default 60
-        m, the number of modes at which the sums and the matrix are truncated.
-
-    Returns
-    -------
-    (m + 1, m + 1) float64
-        K, symmetric, unit length⁴. Non-zero in its first row, its first column and its diagonal only.
-
-    Raises
-    ------
-    OptionError
-        If `n_modes` is not between 1 and the number of eigenpairs − 1.
+    Returns (m + 1, m + 1) float64: k, symmetric, unit length⁴. Non-zero in its first row, its first column
+        and its diagonal only.
     """
     spectrum = pairs if isinstance(pairs, ModalSpectrum) else ModalSpectrum.of(pairs)
     m, n_pairs = n_modes, len(spectrum.eigenvalues)
@@ -123,30 +109,11 @@ def reduced_matrix(pairs: Eigenpairs | ModalSpectrum, n_modes: int = 60) -> Floa
 def leading(matrix: FloatArray, n_values: int, n_modes: int, scale: Scale, area: float) -> FloatArray:
     """The signature values of a biharmonic distance matrix, equation (10).
 
-    Parameters
-    ----------
-    matrix : (n, n) float64
-        The matrix of R-BiHDM (n = m + 1) or of BiHDM (n = m + 2), symmetric, unit length⁴.
-    n_values : int
-        L, the number of values.
-    n_modes : int
-        m, the number of negative eigenvalues that the matrix must have.
-    scale : {"area", "relative", "absolute"}
-        What the eigenvalues are divided by, as in `r_bihdm`.
-    area : float
-        A, unit length².
-
-    Returns
-    -------
-    (L,) float64
-        The L largest magnitudes of the negative eigenvalues, largest first, in the unit named by `scale`.
-
-    Raises
-    ------
-    OptionError
-        If `n_values` is not between 1 and `n_modes`.
-    SpectrumError
-        If the matrix does not have a positive and m negative eigenvalues.
+    matrix: (n, n) float64, the matrix of R-BiHDM (n = m + 1) or of BiHDM (n = m + 2), symmetric, unit
+        length⁴.
+    area: a, unit length².
+    Returns (L,) float64: the L largest magnitudes of the negative eigenvalues, largest first, in the unit
+        named by `scale`.
     """
     if not 1 <= n_values <= n_modes:
         raise OptionError(f"n_values must be between 1 and n_modes = {n_modes}, got {n_values}")

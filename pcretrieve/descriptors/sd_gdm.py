@@ -21,32 +21,10 @@ def sd_gdm(
 ) -> Signature:
     """The SD-GDM signature of a surface [1]_; requires the extra ``pcretrieve[geodesic]``.
 
-    Parameters
-    ----------
-    mesh : TriangleMesh
-        Connected; also closed if it has more than 1000 faces, because it is then simplified.
-    n_values : int, default 59
-        L, the number of values, less than the number of vertices.
-    scale : {"area", "relative", "absolute"}, default "area"
-        What the eigenvalues are divided by: A^(3/2) with the area A, the eigenvalue μ_0 of largest
-        magnitude, or nothing.
-    weighted : bool, default True
-        Weigh vertices by their areas. If not, each vertex has the same weight, as in the article: the values
-        then depend on where vertices are dense. The article compares values by D1, the distance ``d1``.
-
-    Returns
-    -------
-    Signature
-        values : (L,) float64, largest first, with μ_0, μ_1, … the eigenvalues of `geodesic_matrix` by
-        descending magnitude. ``area``: ``|μ_j|`` / A^(3/2) for j = 1 … L; ``relative``: ``|μ_j / μ_0|``;
-        both dimensionless, invariant to isometry and scaling. ``absolute``: ``|μ_j|``, unit length³.
-
-    Raises
-    ------
-    OptionError
-        If potpourri3d is not installed.
-    DegenerateMeshError
-        If the surface has at most L vertices, or has more than 1000 faces and is open.
+    Returns Signature: values : (L,) float64, largest first, with μ_0, μ_1, … the eigenvalues of
+        `geodesic_matrix` by descending magnitude. ``area``: ``|μ_j|`` / A^(3/2) for j = 1 … L; ``relative``:
+        ``|μ_j / μ_0|``; both dimensionless, invariant to isometry and scaling. ``absolute``: ``|μ_j|``, unit
+        length³.
 
     References
     ----------
@@ -89,25 +67,8 @@ def geodesic_matrix(mesh: TriangleMesh, *, weighted: bool = True) -> FloatArray:
     The distances are computed by the heat method [1]_ and averaged over the two directions; see
     docs/decisions.md, geodesic_matrix, for other methods.
 
-    Parameters
-    ----------
-    mesh : TriangleMesh
-        Connected; also closed if it has more than 1000 faces.
-    weighted : bool, default True
-        Weigh vertices by their areas; if not, all by the mean of the areas.
-
-    Returns
-    -------
-    (n, n) float64
-        Symmetric, zero on the diagonal, unit length³. n is the number of vertices after simplification to at
-        most 1000 faces.
-
-    Raises
-    ------
-    OptionError
-        If potpourri3d is not installed.
-    DegenerateMeshError
-        If the surface has more than 1000 faces and is open.
+    Returns (n, n) float64: symmetric, zero on the diagonal, unit length³. n is the number of vertices after
+        simplification to at most 1000 faces.
 
     References
     ----------

@@ -76,24 +76,6 @@ def shape_dna_values(pairs: Eigenpairs | ModalSpectrum, n_values: int = 59) -> S
     meshes, divided by the first of them. The factors 1/j, by Weyl's law, are what reproduces its published
     measures, see docs/decisions.md, normalized_by.
 
-    Parameters
-    ----------
-    pairs : Eigenpairs or ModalSpectrum
-        At least `n_values` + 2 eigenpairs of a connected surface.
-    n_values : int, default 59
-        L, the number of values.
-
-    Returns
-    -------
-    Signature
-        values : (L,) float64: λ_j / (j λ_1) for j = 2 … L + 1, dimensionless, invariant to isometry and
-        scaling; to be compared as ``values``.
-
-    Raises
-    ------
-    OptionError
-        If `n_values` is less than 1, or more than the eigenpairs allow.
-
     References
     ----------
     .. [1] Z. Lian et al., "SHREC'11 track: shape retrieval on non-rigid 3D watertight meshes", Eurographics

@@ -26,12 +26,8 @@ N_ITERATIONS = 100
 class SurfacePoints(NamedTuple):
     """Point descriptors of a surface.
 
-    Attributes
-    ----------
-    features : (n, d) float64
-        The point descriptors, of unit length.
-    shares : (n,) float64
-        The share of the area of the surface that each point represents; the sum is 1.
+    features: (n, d) float64, the point descriptors, of unit length.
+    shares: (n,) float64, the share of the area of the surface that each point represents; the sum is 1.
     """
 
     features: FloatArray
@@ -41,18 +37,9 @@ class SurfacePoints(NamedTuple):
 def atom_shares(points: SurfacePoints, atoms: FloatArray) -> FloatArray:
     """How much of a surface each atom describes.
 
-    Parameters
-    ----------
-    points : SurfacePoints
-        The surface.
-    atoms : (L, d) float64
-        The dictionary D.
-
-    Returns
-    -------
-    (L,) float64
-        ``∫ |z_k| / Σ_l ∫ |z_l|`` for each atom k; not negative, of sum 1, dimensionless. All equal if every
-        code is zero.
+    atoms: (L, d) float64, the dictionary D.
+    Returns (L,) float64: ``∫ |z_k| / Σ_l ∫ |z_l|`` for each atom k; not negative, of sum 1, dimensionless.
+        All equal if every code is zero.
     """
     pooled = points.shares @ np.abs(sparse_codes(points.features, atoms))  # (L,): ∫ |z| / A
     total = pooled.sum()
@@ -63,19 +50,9 @@ def atom_shares(points: SurfacePoints, atoms: FloatArray) -> FloatArray:
 def sparse_codes(features: FloatArray, atoms: FloatArray, n_iterations: int = N_ITERATIONS) -> FloatArray:
     """Codes z near the minimisers of ½ ‖x − zᵀ D‖² + λ ‖z‖₁ for point descriptors x, by FISTA [1]_.
 
-    Parameters
-    ----------
-    features : (n, d) float64
-        The point descriptors x, of unit length.
-    atoms : (L, d) float64
-        The dictionary D, of rows of unit length.
-    n_iterations : int, default 100
-        Steps of FISTA. The codes tend to the minimisers, the slower the nearer atoms are to being parallel.
-
-    Returns
-    -------
-    (n, L) float64
-        The codes z, for λ = 0.1; most entries are zero.
+    features: (n, d) float64, the point descriptors x, of unit length.
+    atoms: (L, d) float64, the dictionary D, of rows of unit length.
+    Returns (n, L) float64: the codes z, for λ = 0.1; most entries are zero.
 
     References
     ----------

@@ -20,12 +20,7 @@ POINTS_PER_WORD = 8
 class Vocabulary(NamedTuple):
     """The words of a bag of features.
 
-    Attributes
-    ----------
-    words : (L, d) float64
-        The words, in the space of the point descriptors.
-    gap : float
-        Median distance from a word to the nearest other word.
+    words: (L, d) float64, the words, in the space of the point descriptors.
     """
 
     words: FloatArray
@@ -34,17 +29,10 @@ class Vocabulary(NamedTuple):
     def weights(self, features: FloatArray, width: float) -> FloatArray:
         """The soft assignment of point descriptors to the words.
 
-        Parameters
-        ----------
-        features : (n, d) float64
-            The point descriptors.
-        width : float
-            σ, in the unit of the point descriptors.
-
-        Returns
-        -------
-        (n, L) float64
-            Proportional to exp(−‖p − w‖² / 2σ²) for point descriptor p and word w; each row sums to 1.
+        features: (n, d) float64, the point descriptors.
+        width: σ, in the unit of the point descriptors.
+        Returns (n, L) float64: proportional to exp(−‖p − w‖² / 2σ²) for point descriptor p and word w; each
+            row sums to 1.
         """
         squared = cdist(features, self.words, "sqeuclidean")  # (n, L)
         # Subtracting the smallest distance keeps the sum from underflowing to zero far from all words.
@@ -56,22 +44,7 @@ class Vocabulary(NamedTuple):
 def clustered(sample: FloatArray, n_words: int) -> Vocabulary:
     """The vocabulary of a sample of point descriptors, by k-means from a fixed start.
 
-    Parameters
-    ----------
-    sample : (s, d) float64
-        Point descriptors.
-    n_words : int
-        L, the number of words.
-
-    Returns
-    -------
-    Vocabulary
-        The same for the same sample and number.
-
-    Raises
-    ------
-    OptionError
-        If `n_words` is not between 2 and an eighth of the size of the sample.
+    sample: (s, d) float64, point descriptors.
     """
     most = len(sample) // POINTS_PER_WORD
     if not 2 <= n_words <= most:

@@ -24,27 +24,8 @@ def wks(pairs: Eigenpairs | ModalSpectrum, n_values: int = 59, n_modes: int = 60
     summed over m modes. Its mean over a surface of area A is 1 / A for every surface. The lowest moment that
     distinguishes surfaces is the second one, which is a sum of ⟨φ_i², φ_j²⟩.
 
-    Parameters
-    ----------
-    pairs : Eigenpairs or ModalSpectrum
-        At least `n_modes` + 1 eigenpairs of a connected surface.
-    n_values : int, default 59
-        L, the number of energies, evenly spaced from log λ_1 to log λ_m.
-    n_modes : int, default 60
-        m, the number of modes in the sum.
-
-    Returns
-    -------
-    Signature
-        values : (L,) float64: A ∫ w_e², in the order of ascending energies. Dimensionless, at least 1, and 1
-        if w_e is constant on the surface. Invariant to isometry and scaling.
-
-    Raises
-    ------
-    OptionError
-        If `n_modes` is not between 2 and the number of eigenpairs − 1.
-    ShapeError
-        If the spectrum was stored without overlaps.
+    Returns Signature: values : (L,) float64: A ∫ w_e², in the order of ascending energies. Dimensionless, at
+        least 1, and 1 if w_e is constant on the surface. Invariant to isometry and scaling.
 
     References
     ----------
@@ -61,24 +42,8 @@ def wks(pairs: Eigenpairs | ModalSpectrum, n_values: int = 59, n_modes: int = 60
 def wave_kernel_weights(eigenvalues: FloatArray, n_energies: int, n_modes: int) -> FloatArray:
     """The weights p_k(e) of the modes in the wave kernel signature, as in `wks`.
 
-    Parameters
-    ----------
-    eigenvalues : (k,) float64
-        Ascending, the zero eigenvalue first.
-    n_energies : int
-        Number of energies e, evenly spaced from log λ_1 to log λ_m.
-    n_modes : int
-        m, the number of modes.
-
-    Returns
-    -------
-    (n_energies, m) float64
-        Each row sums to 1.
-
-    Raises
-    ------
-    OptionError
-        If `n_modes` is not between 2 and k − 1.
+    eigenvalues: (k,) float64, ascending, the zero eigenvalue first.
+    Returns (n_energies, m) float64: each row sums to 1.
     """
     n_pairs = len(eigenvalues)
     if not 2 <= n_modes < n_pairs:

@@ -25,15 +25,8 @@ class _Whitener(OneToOneFeatureMixin, TransformerMixin, BaseEstimator):  # type:
     def transform(self, X: ArrayLike) -> FloatArray:
         """Whitened signatures.
 
-        Parameters
-        ----------
-        X : (n, L) array_like
-            Signatures as in `fit`.
-
-        Returns
-        -------
-        (n, L) float64
-            W (x − mean) for each row x.
+        X: (n, L) array_like, signatures as in `fit`.
+        Returns (n, L) float64: w (x − mean) for each row x.
         """
         check_is_fitted(self)
         return self.whitening_.apply(validate_data(self, X, dtype=np.float64, reset=False))

@@ -28,21 +28,7 @@ logger = logging.getLogger(__name__)
 
 
 class RankedCatalogue(NamedTuple):
-    """The rankings of the shapes of a catalogue, or of a distance matrix.
-
-    Attributes
-    ----------
-    rankings : Rankings
-        The ranks of the relevant shapes.
-    n_failed : int
-        Number of shapes that cannot be ranked, labelled or not.
-    table : SignatureTable or None
-        The signatures that were compared, with the classes; None for a distance matrix.
-    whitening : str
-        The whitening that was used, and why, in one line; empty for a distance matrix.
-    plain : Rankings
-        The rankings before re-ranking; those of `rankings` without it.
-    """
+    """The rankings of the shapes of a catalogue, or of a distance matrix."""
 
     rankings: Rankings
     n_failed: int
@@ -59,36 +45,7 @@ def rank_catalogue(
     matrix: DistanceMatrix | None = None,
     sound_only: bool = False,
 ) -> RankedCatalogue:
-    """Rank the shapes of a catalogue for each labelled shape.
-
-    Parameters
-    ----------
-    catalogue : Catalogue
-        The shapes. Shapes that failed are misses.
-    options : PipelineOptions, optional
-        The options of the signatures and of retrieval; by default those of the catalogue.
-    labels : str or Path, optional
-        A file of classes, or the name of a layout, which are used instead of the stored ones.
-    matrix : DistanceMatrix, optional
-        Distances that are used instead of those of the signatures, with the re-ranking of the options. Shapes
-        of the catalogue that the matrix does not have are misses.
-    sound_only : bool, default False
-        Leave out the shapes whose verdict is "doubtful" or "unusable", as queries and as results.
-
-    Returns
-    -------
-    RankedCatalogue
-        The rankings.
-
-    Raises
-    ------
-    BenchmarkError
-        If no class has two shapes, or the file of classes does not fit.
-    CatalogueError
-        If `options` require other spectra than the catalogue has.
-    InputError
-        If the matrix has a shape that the catalogue does not have, or infinite distances are re-ranked.
-    """
+    """Rank the shapes of a catalogue for each labelled shape."""
     options = options or catalogue.options
     everything = catalogue.records()
     left = {record.id for record in everything if sound_only and record.is_doubtful}
@@ -144,20 +101,7 @@ def rank_catalogue(
 
 
 def check_known(matrix: DistanceMatrix, catalogue: Catalogue) -> None:
-    """Check that a catalogue holds all shapes of a distance matrix.
-
-    Parameters
-    ----------
-    matrix : DistanceMatrix
-        The distances.
-    catalogue : Catalogue
-        The shapes.
-
-    Raises
-    ------
-    InputError
-        If the matrix has a shape that the catalogue does not have.
-    """
+    """Check that a catalogue holds all shapes of a distance matrix."""
     if unknown := sorted(set(matrix.ids).difference(record.id for record in catalogue.records())):
         raise InputError(
             f"a distance matrix must be of shapes in {catalogue.location}, got {len(unknown)} others, such "
@@ -168,30 +112,7 @@ def check_known(matrix: DistanceMatrix, catalogue: Catalogue) -> None:
 def rank_matrix(
     matrix: DistanceMatrix, labels: str | Path, *, rerank: RerankKind = "none"
 ) -> RankedCatalogue:
-    """Rank the shapes of a distance matrix for each labelled shape.
-
-    Parameters
-    ----------
-    matrix : DistanceMatrix
-        The distances.
-    labels : str or Path
-        A file of classes, whose names are the ids of the matrix, or files named like them; or the name of a
-        layout whose classes are in the names of files.
-    rerank : {"none", "local", "k-reciprocal"}, default "none"
-        The re-ranking.
-
-    Returns
-    -------
-    RankedCatalogue
-        The rankings.
-
-    Raises
-    ------
-    BenchmarkError
-        If no class has two shapes, or the file of classes does not fit.
-    InputError
-        If infinite distances are re-ranked.
-    """
+    """Rank the shapes of a distance matrix for each labelled shape."""
     ids = set(matrix.ids)
     named: dict[str, str] = {}
     for name, label in labels_of(labels, (f"/{shape_id}" for shape_id in matrix.ids)).items():

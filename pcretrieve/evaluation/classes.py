@@ -18,17 +18,7 @@ __all__ = ["ClassMeasures", "Confusion", "class_measures", "confusion"]
 class ClassMeasures(NamedTuple):
     """The queries of one class.
 
-    Attributes
-    ----------
-    label : str
-        The class.
-    n_queries : int
-        Number of its queries, including shapes that failed.
-    means : (6,) float64
-        Means of the measures over its queries, in the order of `MEASURES`.
-    confused : tuple of (str or None, int)
-        Other classes of which the nearest shape of a query is, and for how many queries, the most frequent
-        first; None stands for shapes without a class.
+    means: (6,) float64, means of the measures over its queries, in the order of `MEASURES`.
     """
 
     label: str
@@ -40,15 +30,8 @@ class ClassMeasures(NamedTuple):
 class Confusion(NamedTuple):
     """Of which class the nearest shape of each query is.
 
-    Attributes
-    ----------
-    labels : tuple of str, length n
-        Classes of queries, in alphabetical order.
-    nearest : tuple of (str or None), length m
-        Classes of nearest shapes, in alphabetical order; the last one is None, for shapes without a class.
-    counts : (n, m) intp
-        Number of queries of a class whose nearest shape is of another, or the same, class. Shapes that failed
-        are not counted.
+    counts: (n, m) intp, number of queries of a class whose nearest shape is of another, or the same, class.
+        Shapes that failed are not counted.
     """
 
     labels: tuple[str, ...]
@@ -57,18 +40,7 @@ class Confusion(NamedTuple):
 
 
 def class_measures(ranked: Rankings) -> tuple[ClassMeasures, ...]:
-    """The measures of each class.
-
-    Parameters
-    ----------
-    ranked : Rankings
-        The ranks of the relevant shapes.
-
-    Returns
-    -------
-    tuple of ClassMeasures
-        In alphabetical order.
-    """
+    """The measures of each class."""
     columns = query_scores(ranked).columns
     labels = np.array(ranked.labels)
     found = []
@@ -85,18 +57,7 @@ def class_measures(ranked: Rankings) -> tuple[ClassMeasures, ...]:
 
 
 def confusion(ranked: Rankings) -> Confusion:
-    """The confusion matrix of the nearest neighbour.
-
-    Parameters
-    ----------
-    ranked : Rankings
-        The rankings.
-
-    Returns
-    -------
-    Confusion
-        One row for each class of queries.
-    """
+    """The confusion matrix of the nearest neighbour."""
     labels = tuple(sorted(set(ranked.labels)))
     known = sorted({*labels, *(label for label in ranked.nearest_labels if label is not None)})
     row = {label: number for number, label in enumerate(labels)}

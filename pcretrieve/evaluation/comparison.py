@@ -24,17 +24,7 @@ QUOTED = 3
 
 
 class Change(NamedTuple):
-    """The average precision of one query in both results.
-
-    Attributes
-    ----------
-    shape_id : str
-        The query.
-    label : str
-        Its class.
-    first, second : float
-        Its average precision, between 0 and 1.
-    """
+    """The average precision of one query in both results."""
 
     shape_id: str
     label: str
@@ -46,20 +36,9 @@ class Change(NamedTuple):
 class Comparison(Value):
     """Two results for the same queries. The six measures are in the order of `MEASURES`.
 
-    Attributes
-    ----------
-    first, second : (6,) float64
-        Means over the queries that both results have.
-    difference : (6,) float64
-        Second minus first.
-    interval : (2, 6) float64
-        Lower and upper ends of the confidence intervals of the differences.
-    level : float
-        Confidence level.
-    changes : tuple of Change
-        All queries, the largest change of the average precision first, equal changes by id.
-    only_first, only_second : tuple of str
-        Queries that one result has, which are left out.
+    first, second: (6,) float64, means over the queries that both results have.
+    difference: (6,) float64, second minus first.
+    interval: (2, 6) float64, lower and upper ends of the confidence intervals of the differences.
     """
 
     first: FloatArray
@@ -79,29 +58,7 @@ def compare_scores(
     level: float = LEVEL,
     rng: np.random.Generator | None = None,
 ) -> Comparison:
-    """Compare two results query by query.
-
-    Parameters
-    ----------
-    first, second : QueryScores
-        The measures of each query.
-    level : float, default .95
-        Confidence level of the intervals.
-    rng : numpy.random.Generator, optional
-        Of the resamples, as in `bootstrap_interval`.
-
-    Returns
-    -------
-    Comparison
-        Differences, second minus first, of the queries that both results have.
-
-    Raises
-    ------
-    InputError
-        If the results have no query in common, or a query has different classes.
-    OptionError
-        If the level is not between 0 and 1.
-    """
+    """Compare two results query by query."""
     row = {shape_id: number for number, shape_id in enumerate(second.ids)}
     common = [number for number, shape_id in enumerate(first.ids) if shape_id in row]
     if not common:

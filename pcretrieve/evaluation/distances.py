@@ -15,15 +15,7 @@ __all__ = ["CatalogueDistances", "catalogue_distances"]
 
 
 class CatalogueDistances(NamedTuple):
-    """The distances between the shapes of a catalogue.
-
-    Attributes
-    ----------
-    matrix : DistanceMatrix
-        The distances, with the classes of the shapes.
-    failures : tuple of Failure
-        Shapes to which the matcher could not be applied, and which are left out.
-    """
+    """The distances between the shapes of a catalogue."""
 
     matrix: DistanceMatrix
     failures: tuple[Failure, ...]
@@ -32,31 +24,7 @@ class CatalogueDistances(NamedTuple):
 def catalogue_distances(
     catalogue: Catalogue, options: PipelineOptions | None = None, *, matcher: str | None = None
 ) -> CatalogueDistances:
-    """All distances between the shapes of a catalogue that did not fail.
-
-    Parameters
-    ----------
-    catalogue : Catalogue
-        The shapes.
-    options : PipelineOptions, optional
-        The options of the signatures and of retrieval; by default those of the catalogue.
-    matcher : str, optional
-        A name in `pcretrieve.matching.MATCHERS`: compare the shapes by this method, without signatures.
-
-    Returns
-    -------
-    CatalogueDistances
-        Row i has the distances from shape i, as a query, to all shapes.
-
-    Raises
-    ------
-    CatalogueError
-        If `options` require other spectra than the catalogue has.
-    InputError
-        If the catalogue holds no shapes.
-    OptionError
-        If there is no such matcher, or its package is at fault.
-    """
+    """All distances between the shapes of a catalogue that did not fail."""
     labels = {record.id: record.label for record in catalogue.records(status="done")}
     if not labels:
         raise InputError(f"{catalogue.location} holds no shapes: ingest some first")

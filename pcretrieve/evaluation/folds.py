@@ -40,12 +40,7 @@ __all__ = [
 class Fold(NamedTuple):
     """Queries, and a whitening that was fitted without the shapes of their classes.
 
-    Attributes
-    ----------
-    queries : (q,) intp
-        Positions in the table.
-    whitening : Whitening
-        The within-class whitening of the other folds.
+    queries: (q,) intp, positions in the table.
     """
 
     queries: Positions
@@ -55,26 +50,7 @@ class Fold(NamedTuple):
 def grouped_folds(
     labels: Iterable[str | None], options: RetrievalOptions | None = None
 ) -> tuple[tuple[str, ...], ...]:
-    """Assign classes, with all their shapes, to folds.
-
-    Parameters
-    ----------
-    labels : iterable of (str or None)
-        Class of each shape. None is ignored, and the order has no effect.
-    options : RetrievalOptions, optional
-        The number of folds, and the seed of the random assignment.
-
-    Returns
-    -------
-    tuple of tuples of str
-        The classes of each fold. The numbers of classes with two or more shapes differ by at most 1 between
-        folds, and so do those of classes with one.
-
-    Raises
-    ------
-    BenchmarkError
-        If fewer classes than folds have two shapes.
-    """
+    """Assign classes, with all their shapes, to folds."""
     options = options or RetrievalOptions()
     n_folds = options.n_folds
     sizes = Counter(label for label in labels if label is not None)
@@ -91,20 +67,7 @@ def grouped_folds(
 
 
 def within_class_folds(table: SignatureTable, options: RetrievalOptions | None = None) -> Iterator[Fold]:
-    """The labelled shapes of each fold, with the within-class whitening of the other folds.
-
-    Parameters
-    ----------
-    table : SignatureTable
-        Signatures with labels.
-    options : RetrievalOptions, optional
-        The shrinkage, the number of folds and the seed.
-
-    Yields
-    ------
-    Fold
-        In the order of `grouped_folds`.
-    """
+    """The labelled shapes of each fold, with the within-class whitening of the other folds."""
     options = options or RetrievalOptions()
     logs = table_coordinates(table, options.distance)
     for classes in grouped_folds(table.labels, options):
@@ -124,20 +87,7 @@ def within_class_folds(table: SignatureTable, options: RetrievalOptions | None =
 def within_class_distances(
     table: SignatureTable, options: RetrievalOptions | None = None
 ) -> Iterator[DistanceBlock]:
-    """Distances from each labelled shape to the whole table, after the whitening of its fold.
-
-    Parameters
-    ----------
-    table : SignatureTable
-        Signatures with labels.
-    options : RetrievalOptions, optional
-        The distance, the shrinkage, the number of folds and the seed.
-
-    Yields
-    ------
-    DistanceBlock
-        Queries of one fold.
-    """
+    """Distances from each labelled shape to the whole table, after the whitening of its fold."""
     options = options or RetrievalOptions()
     logs = table_coordinates(table, options.distance)
     for fold in within_class_folds(table, options):
@@ -149,18 +99,6 @@ def within_class_subsets(table: SignatureTable, options: RetrievalOptions | None
 
     Shapes of the fit are left out, because their classes are dense, since their labels were used, and would
     distort what re-ranking measures: neighbourhoods.
-
-    Parameters
-    ----------
-    table : SignatureTable
-        Signatures with labels.
-    options : RetrievalOptions, optional
-        The distance, the shrinkage, the number of folds and the seed.
-
-    Yields
-    ------
-    Subset
-        The labelled shapes of one fold.
     """
     options = options or RetrievalOptions()
     logs = table_coordinates(table, options.distance)

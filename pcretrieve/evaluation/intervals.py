@@ -32,25 +32,9 @@ def bootstrap_interval(
 ) -> FloatArray:
     """Confidence intervals of the means of columns, whose rows are drawn again together.
 
-    Parameters
-    ----------
-    values : (Q, m) float64
-        One row for each query, such as `QueryScores.columns`, or differences of such rows in a paired
-        comparison.
-    level : float, default .95
-        Confidence level, between 0 and 1.
-    rng : numpy.random.Generator, optional
-        Of the 2000 resamples. By default from the seed 0, so that the result is always the same.
-
-    Returns
-    -------
-    (2, m) float64
-        The lower and the upper ends.
-
-    Raises
-    ------
-    OptionError
-        If the level is not between 0 and 1.
+    values: (Q, m) float64, one row for each query, such as `QueryScores.columns`, or differences of such rows
+        in a paired comparison.
+    Returns (2, m) float64: the lower and the upper ends.
     """
     if not 0 < level < 1:
         raise OptionError(f"the level of an interval must lie between 0 and 1, got {level}")

@@ -64,14 +64,7 @@ E_CUTOFF = 32
 class QueryScores(Value):
     """The measures of each query.
 
-    Attributes
-    ----------
-    ids : tuple of str, length Q
-        The queries, as in `Rankings`.
-    labels : tuple of str, length Q
-        Class of each query.
-    nn, ft, st, e, dcg, ap : (Q,) float64
-        The measures, between 0 and 1.
+    nn, ft, st, e, dcg, ap: (Q,) float64, the measures, between 0 and 1.
     """
 
     ids: tuple[str, ...]
@@ -119,12 +112,8 @@ class RetrievalMeasures:
 class PrecisionRecall(NamedTuple):
     """A mean precision–recall curve.
 
-    Attributes
-    ----------
-    recall : (n,) float64
-        Equidistant levels from 0 to 1.
-    precision : (n,) float64
-        Mean interpolated precision at each level.
+    recall: (n,) float64, equidistant levels from 0 to 1.
+    precision: (n,) float64, mean interpolated precision at each level.
     """
 
     recall: FloatArray
@@ -132,18 +121,7 @@ class PrecisionRecall(NamedTuple):
 
 
 def query_scores(ranked: Rankings) -> QueryScores:
-    """The measures of each query, as defined at the top of this module.
-
-    Parameters
-    ----------
-    ranked : Rankings
-        The ranks of the relevant shapes.
-
-    Returns
-    -------
-    QueryScores
-        One value of each measure for each query.
-    """
+    """The measures of each query, as defined at the top of this module."""
     query, rank, n_relevant = ranked.hit_query, ranked.hit_rank, ranked.n_relevant
     n_shown = min(E_CUTOFF, ranked.n_ranked)
     ideal = np.cumsum(_gain(np.arange(1, n_relevant.max(initial=1) + 1)))
@@ -166,25 +144,7 @@ def query_scores(ranked: Rankings) -> QueryScores:
 
 
 def evaluate_rankings(ranked: Rankings, *, average: Average = "micro") -> RetrievalMeasures:
-    """The average of each measure.
-
-    Parameters
-    ----------
-    ranked : Rankings
-        The ranks of the relevant shapes.
-    average : {"micro", "macro"}, default "micro"
-        The mean over the queries, or the mean over the classes of the means of their queries.
-
-    Returns
-    -------
-    RetrievalMeasures
-        The averages.
-
-    Raises
-    ------
-    OptionError
-        If there is no such average.
-    """
+    """The average of each measure."""
     if average not in get_args(Average):
         raise OptionError(f"average must be one of {', '.join(get_args(Average))}, got {average!r}")
     columns = query_scores(ranked).columns
@@ -206,23 +166,6 @@ def precision_recall(ranked: Rankings, *, n_points: int = 11) -> PrecisionRecall
 
     The interpolated precision of a query at recall r is its largest precision at any recall of at least r; 0
     if it does not reach r.
-
-    Parameters
-    ----------
-    ranked : Rankings
-        The ranks of the relevant shapes.
-    n_points : int, default 11
-        Number of levels, from 0 to 1.
-
-    Returns
-    -------
-    PrecisionRecall
-        The mean over all queries.
-
-    Raises
-    ------
-    OptionError
-        If `n_points` is less than 2.
     """
     if n_points < 2:
         raise OptionError(f"n_points must be at least 2, got {n_points}")

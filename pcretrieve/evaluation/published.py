@@ -15,17 +15,7 @@ __all__ = ["PUBLISHED", "Published"]
 
 
 class Published(NamedTuple):
-    """The measures of one method.
-
-    Attributes
-    ----------
-    method : str
-        Name of the method; L is the number of values.
-    measures : tuple of (float or None), length 6
-        In the order of `MEASURES`; None if not published.
-    source : str
-        The table.
-    """
+    """The measures of one method."""
 
     method: str
     measures: tuple[float | None, ...]

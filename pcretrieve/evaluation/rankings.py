@@ -27,12 +27,8 @@ NO_FAILURES: Mapping[str, str | None] = MappingProxyType({})
 class SortedBlock(NamedTuple):
     """Some queries, and the gallery in the order of its distances from each of them.
 
-    Attributes
-    ----------
-    queries : (q,) intp
-        Positions of the queries in the gallery.
-    order : (q, m) intp
-        Positions of the shapes that are ranked: first the query itself, then the nearest.
+    queries: (q,) intp, positions of the queries in the gallery.
+    order: (q, m) intp, positions of the shapes that are ranked: first the query itself, then the nearest.
     """
 
     queries: Positions
@@ -43,27 +39,10 @@ class SortedBlock(NamedTuple):
 class Rankings(Value):
     """The ranks of the relevant shapes of each query, which is all that retrieval measures depend on.
 
-    Attributes
-    ----------
-    ids : tuple of str, length Q
-        The queries in the order of the gallery, then the shapes that failed.
-    labels : tuple of str, length Q
-        Class of each query.
-    n_relevant : (Q,) intp
-        R, the number of relevant shapes of each query, at least 1. Failed shapes are included.
-    hit_query, hit_rank : (H,) intp
-        One entry for each relevant shape in a ranked list: the number of the query, ascending, and the rank
-        of the shape, 1 for the nearest, ascending for each query.
-    nearest : tuple of (str or None), length Q
-        The nearest shape of each query; None for shapes that failed, and in a gallery of one.
-    nearest_labels : tuple of (str or None), length Q
-        Its class; None if unknown.
-    n_gallery : int
-        Number of shapes in the gallery.
-    n_failed : int
-        Number of queries that failed.
-    n_single : int
-        Number of shapes that are alone in their class and therefore no queries.
+    n_relevant: (Q,) intp, r, the number of relevant shapes of each query, at least 1. Failed shapes are
+        included.
+    hit_query, hit_rank: (H,) intp, one entry for each relevant shape in a ranked list: the number of the
+        query, ascending, and the rank of the shape, 1 for the nearest, ascending for each query.
     """
 
     ids: tuple[str, ...]
@@ -86,29 +65,7 @@ class Rankings(Value):
 def rank(
     ranking: Ranking, labels: Sequence[str | None], *, failed: Mapping[str, str | None] = NO_FAILURES
 ) -> Rankings:
-    """Rank a gallery for each labelled shape in it.
-
-    Parameters
-    ----------
-    ranking : Ranking
-        An index, a pairwise matcher or a distance matrix.
-    labels : sequence of (str or None), length N
-        Classes of the shapes `ranking.ids`.
-    failed : mapping of str to (str or None), optional
-        Classes by id of the shapes that are not in the gallery because they failed; they count as misses.
-
-    Returns
-    -------
-    Rankings
-        The ranks of the relevant shapes.
-
-    Raises
-    ------
-    BenchmarkError
-        If no class has two shapes.
-    InputError
-        If the labels are not as many as the shapes.
-    """
+    """Rank a gallery for each labelled shape in it."""
     labelled = np.flatnonzero([label is not None for label in labels])
     return rank_gallery(ranking.blocks(labelled), ranking.ids, labels, failed=failed)
 
@@ -120,32 +77,7 @@ def rank_gallery(
     *,
     failed: Mapping[str, str | None] = NO_FAILURES,
 ) -> Rankings:
-    """Rank a gallery for each labelled shape by blocks of distances.
-
-    Parameters
-    ----------
-    blocks : iterable of DistanceBlock
-        Distances, in any order. Each query must be in exactly one block; shapes that are no queries are
-        ignored.
-    ids : sequence of str, length N
-        The gallery.
-    labels : sequence of (str or None), length N
-        Class of each shape of the gallery; None if unknown.
-    failed : mapping of str to (str or None), optional
-        Classes by id of the shapes that are not in the gallery because they failed.
-
-    Returns
-    -------
-    Rankings
-        The ranks of the relevant shapes.
-
-    Raises
-    ------
-    BenchmarkError
-        If no class has two shapes.
-    InputError
-        If distances are negative, NaN or of the wrong shape, or queries are missing or repeated.
-    """
+    """Rank a gallery for each labelled shape by blocks of distances."""
     in_order = (SortedBlock(block.queries, by_distance(block, ids)) for block in blocks)
     return rank_sorted(in_order, ids, labels, failed=failed)
 
@@ -153,22 +85,7 @@ def rank_gallery(
 def by_distance(block: DistanceBlock, ids: Sequence[str]) -> Positions:
     """Sort a gallery by its distances from some queries.
 
-    Parameters
-    ----------
-    block : DistanceBlock
-        The queries, and their distances.
-    ids : sequence of str, length N
-        The gallery.
-
-    Returns
-    -------
-    (q, N) intp
-        Positions: first the query itself, then the nearest shapes, equal distances by id.
-
-    Raises
-    ------
-    InputError
-        If distances are negative, NaN or of the wrong shape.
+    Returns (q, N) intp: positions: first the query itself, then the nearest shapes, equal distances by id.
     """
     _check_block(block, len(ids))
     by_id = np.array(sorted(range(len(ids)), key=ids.__getitem__), dtype=np.intp)  # (N,)
@@ -185,31 +102,7 @@ def rank_sorted(
     *,
     failed: Mapping[str, str | None] = NO_FAILURES,
 ) -> Rankings:
-    """The ranks of the relevant shapes in a gallery that is sorted for each query.
-
-    Parameters
-    ----------
-    blocks : iterable of SortedBlock
-        As the blocks of `rank_gallery`. Relevant shapes that a list does not have are not ranked.
-    ids : sequence of str, length N
-        The gallery.
-    labels : sequence of (str or None), length N
-        Class of each shape of the gallery; None if unknown.
-    failed : mapping of str to (str or None), optional
-        Classes by id of the shapes that are not in the gallery because they failed.
-
-    Returns
-    -------
-    Rankings
-        The ranks of the relevant shapes.
-
-    Raises
-    ------
-    BenchmarkError
-        If no class has two shapes.
-    InputError
-        If queries are missing or repeated.
-    """
+    """The ranks of the relevant shapes in a gallery that is sorted for each query."""
     if len(ids) != len(labels):
         raise InputError(f"labels must be as many as ids ({len(ids)}), got {len(labels)}")
     sizes = Counter(label for label in (*labels, *failed.values()) if label is not None)

@@ -17,12 +17,7 @@ __all__ = ["Subset", "rank_subsets"]
 class Subset(NamedTuple):
     """Shapes of a gallery that are ranked among each other.
 
-    Attributes
-    ----------
-    members : (m,) intp
-        Positions of the shapes in the gallery.
-    blocks : iterable of DistanceBlock
-        All distances between them; queries are positions in `members`.
+    members: (m,) intp, positions of the shapes in the gallery.
     """
 
     members: Positions
@@ -39,30 +34,8 @@ def rank_subsets(
 ) -> dict[str, Rankings]:
     """Rank each labelled shape's subset of a gallery, by plain and by re-ranked lists.
 
-    Parameters
-    ----------
-    subsets : iterable of Subset
-        Such that each labelled shape is in exactly one of them, together with all shapes of its class.
-    ids : sequence of str, length N
-        The gallery.
-    labels : sequence of (str or None), length N
-        Class of each shape of the gallery; None if unknown.
-    methods : sequence of str
-        Names in `pcretrieve.retrieval.RERANKINGS`.
-    failed : mapping of str to (str or None), optional
-        Classes by id of the shapes that are not in the gallery because they failed.
-
-    Returns
-    -------
-    dict of str to Rankings
-        By the name of the method. Shapes behind the list that is sorted again keep their ranks.
-
-    Raises
-    ------
-    BenchmarkError
-        If no class has two shapes.
-    InputError
-        If distances are negative or NaN, or queries are missing or repeated.
+    Returns dict of str to Rankings: by the name of the method. Shapes behind the list that is sorted again
+        keep their ranks.
     """
     lists: list[tuple[Positions, NeighbourLists]] = []
 

@@ -24,31 +24,7 @@ def result_scores(
     options: Callable[[Catalogue], PipelineOptions],
     labels: str | Path | None = None,
 ) -> QueryScores:
-    """The measures of each query.
-
-    Parameters
-    ----------
-    result : str, Path, Catalogue or DistanceMatrix
-        A catalogue; a distance matrix, or its file; or a file ``queries.csv`` of `write_evaluation`.
-    options : function of a Catalogue that returns PipelineOptions
-        The options with which the shapes of a catalogue are compared.
-    labels : str or Path, optional
-        A file of classes, which a distance matrix needs, and which replace the classes of a catalogue.
-
-    Returns
-    -------
-    QueryScores
-        The measures.
-
-    Raises
-    ------
-    BenchmarkError
-        If no shape has a class, or no class two shapes.
-    CatalogueError
-        If the catalogue does not exist, or the options require other spectra than it has.
-    InputError
-        If a file cannot be read.
-    """
+    """The measures of each query."""
     if isinstance(result, (str, Path)) and Path(result).suffix.lower() == ".csv":
         return read_scores(result)
     if isinstance(result, (str, Path)) and _is_matrix(Path(result)):

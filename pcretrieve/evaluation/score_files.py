@@ -26,28 +26,7 @@ NO_CLASS = ""
 
 
 def write_evaluation(ranked: Rankings, folder: str | Path) -> tuple[Path, ...]:
-    """Write the measures of an evaluation as CSV files.
-
-    Parameters
-    ----------
-    ranked : Rankings
-        The rankings.
-    folder : str or Path
-        The folder, which is made if it does not exist. Existing files are replaced.
-
-    Returns
-    -------
-    tuple of Path
-        ``queries.csv``, the measures of each query with its nearest shape, which `read_scores` reads;
-        ``classes.csv``, their means for each class; ``confusion.csv``, the number of queries by class (rows)
-        and by the class of the nearest shape (columns; the last one for shapes without a class); and
-        ``precision_recall.csv``, the mean interpolated precision at levels of recall.
-
-    Raises
-    ------
-    InputError
-        If the folder or a file cannot be written.
-    """
+    """Write the measures of an evaluation as CSV files."""
     folder = Path(folder)
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -89,23 +68,7 @@ def write_evaluation(ranked: Rankings, folder: str | Path) -> tuple[Path, ...]:
 
 
 def read_scores(path: str | Path) -> QueryScores:
-    """Read the measures of each query.
-
-    Parameters
-    ----------
-    path : str or Path
-        A file ``queries.csv`` of `write_evaluation`.
-
-    Returns
-    -------
-    QueryScores
-        The measures.
-
-    Raises
-    ------
-    InputError
-        If the file cannot be read, has other columns, no or repeated queries, or measures outside of [0, 1].
-    """
+    """Read the measures of each query."""
     try:
         text = Path(path).read_bytes().decode("utf-8", errors="surrogateescape")
         rows = list(csv.DictReader(io.StringIO(text, newline=""), strict=True))

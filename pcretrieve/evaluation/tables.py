@@ -24,36 +24,7 @@ def rank_table(
     whitening: Whitening | None = None,
     failed: Mapping[str, str | None] = NO_FAILURES,
 ) -> Rankings:
-    """Rank a table of signatures for each labelled shape in it.
-
-    Parameters
-    ----------
-    table : SignatureTable
-        Signatures with labels. Shapes without a label are in the gallery, but no queries.
-    options : RetrievalOptions, optional
-        The distance, and the whitening: ``neighbours`` and ``pca`` are fitted to the whole table,
-        ``within-class`` by grouped folds. ``auto`` is ``neighbours``, because the labels are what the
-        rankings are compared with. With a re-ranking, as in `rerank_table`.
-    whitening : Whitening, optional
-        A whitening made before, such as `resolution_whitening`, instead of the one that `options` name. A
-        within-class whitening is not used, but is fitted by grouped folds instead.
-    failed : mapping of str to (str or None), optional
-        Classes by id of the shapes that failed, which count as misses.
-
-    Returns
-    -------
-    Rankings
-        The ranks of the relevant shapes.
-
-    Raises
-    ------
-    BenchmarkError
-        If too few classes have two shapes.
-    InputError
-        If the whitening was fitted on signatures with other options.
-    OptionError
-        If the whitening ``resolution`` is asked for and was not made before.
-    """
+    """Rank a table of signatures for each labelled shape in it."""
     options = unsupervised(options or RetrievalOptions())
     if options.rerank != "none":
         methods = (options.rerank,)
@@ -78,24 +49,6 @@ def rerank_table(
 
     Distances are computed once, and a within-class whitening is fitted once for each fold. The gallery of a
     query then has only classes to which the whitening was not fitted, which are its fold.
-
-    Parameters
-    ----------
-    table : SignatureTable
-        As for `rank_table`.
-    methods : sequence of str
-        Names in `pcretrieve.retrieval.RERANKINGS`; ``none`` for plain lists.
-    options : RetrievalOptions, optional
-        The distance and the whitening, as for `rank_table`.
-    whitening : Whitening, optional
-        A whitening made before.
-    failed : mapping of str to (str or None), optional
-        Classes by id of the shapes that failed.
-
-    Returns
-    -------
-    dict of str to Rankings
-        The ranks of the relevant shapes, by the name of the method.
     """
     options = unsupervised(options or RetrievalOptions())
     if _is_within_class(table, options, whitening):
@@ -124,18 +77,7 @@ def _labels(index: SignatureIndex, table: SignatureTable) -> list[str | None]:
 
 
 def unsupervised(options: RetrievalOptions) -> RetrievalOptions:
-    """The options of an evaluation: the whitening ``auto`` must not be fitted to the labels of the queries.
-
-    Parameters
-    ----------
-    options : RetrievalOptions
-        The options.
-
-    Returns
-    -------
-    RetrievalOptions
-        The same, with ``neighbours`` for ``auto``.
-    """
+    """The options of an evaluation: the whitening ``auto`` must not be fitted to the labels of the queries."""
     return options.model_copy(update={"whitening": "neighbours"}) if options.whitening == "auto" else options
 
 
@@ -146,22 +88,5 @@ def evaluate_table(
     whitening: Whitening | None = None,
     failed: Mapping[str, str | None] = NO_FAILURES,
 ) -> RetrievalMeasures:
-    """Retrieval measures of a table of signatures.
-
-    Parameters
-    ----------
-    table : SignatureTable
-        Signatures with labels.
-    options : RetrievalOptions, optional
-        The distance and the whitening.
-    whitening : Whitening, optional
-        A whitening made before.
-    failed : mapping of str to (str or None), optional
-        Classes by id of the shapes that failed.
-
-    Returns
-    -------
-    RetrievalMeasures
-        Of the rankings by `rank_table`, which explains the parameters and the errors.
-    """
+    """Retrieval measures of a table of signatures."""
     return evaluate_rankings(rank_table(table, options, whitening=whitening, failed=failed))

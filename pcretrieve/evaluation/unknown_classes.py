@@ -25,21 +25,7 @@ SMALLEST = 3
 class NoMatchMeasures:
     """How good the answer "no match" is.
 
-    Attributes
-    ----------
-    precision : float
-        Of the queries that are answered by "no match", the share whose class is not in the gallery; NaN if
-        there are none.
-    recall : float
-        Of the queries whose class is not in the gallery, the share that is answered by "no match".
-    matched : float
-        Of the queries whose class is in the gallery, the share that has a match.
-    right : float
-        Of these matches, the share of the class of the query; NaN if there are none.
-    whitening : str
-        The whitenings that were used.
-    n_queries : int
-        Number of queries, half of which are of classes in the gallery on average.
+    right: of these matches, the share of the class of the query; NaN if there are none.
     """
 
     precision: float
@@ -64,32 +50,7 @@ def no_match_measures(
 
     A third of the shapes of each class are queries, which neither the whitening nor the scores are fitted to.
 
-    Parameters
-    ----------
-    table : SignatureTable
-        Labelled signatures.
-    options : RetrievalOptions, optional
-        Distance and whitening, which are fitted to the gallery.
-    min_score : float, default 0.9
-        Least score of a match.
-    labelled : bool, default True
-        Whether the whitening and the scores may use the labels of the gallery.
-    prior : (L, L) float64, optional
-        As in `pcretrieve.retrieval.fit_whitening`.
-    n_draws : int, default 10
-        Number of random halves of the classes.
-    seed : int, default 0
-        Seed of the random choice of classes and queries.
-
-    Returns
-    -------
-    NoMatchMeasures
-        Over all queries of all draws.
-
-    Raises
-    ------
-    BenchmarkError
-        If there are fewer than two classes of three shapes.
+    prior: (L, L) float64, optional, as in `pcretrieve.retrieval.fit_whitening`.
     """
     options = options or RetrievalOptions()
     rng = np.random.default_rng(seed)

@@ -36,27 +36,11 @@ NORMAL_FIELDS = (("nx", "ny", "nz"), ("normal_x", "normal_y", "normal_z"))
 def read_npy(path: Path) -> RawScan:
     """Read a NumPy array of points.
 
-    Parameters
-    ----------
-    path : Path
-        The file: an array (n, c) of c ≥ 3 columns, of which the first three are coordinates, and the next
+    path: the file: an array (n, c) of c ≥ 3 columns, of which the first three are coordinates, and the next
         three the normals if all have unit length; an organised array (h, w, c); or an array of records with
         the fields ``x y z``, and ``nx ny nz`` or ``normal_x normal_y normal_z``. A larger array (h, w) is a
         depth image, if the file of its camera lies beside it: see `depth_scan`.
-
-    Returns
-    -------
-    RawScan
-        The points; unit of the file. Rows of zeros are dropped with a note.
-
-    Raises
-    ------
-    OSError
-        If the file cannot be read.
-    MemoryError
-        If the file is too large for the memory.
-    ScanReadError
-        If the file is damaged, or its array has another shape.
+    Returns RawScan: the points; unit of the file. Rows of zeros are dropped with a note.
     """
     with path.open("rb") as file:
         array = _array(path, file, path.stat().st_size)
@@ -68,26 +52,8 @@ def read_npy(path: Path) -> RawScan:
 def read_npz(path: Path) -> RawScan:
     """Read the arrays of a NumPy archive.
 
-    Parameters
-    ----------
-    path : Path
-        The file. Its arrays are named ``points`` (or ``xyz``, ``vertices``, ``pos``, ``coords``), and where
-        they exist ``faces`` (``triangles``), ``normals`` and ``viewpoints``; or it has one array, of which
-        `read_npy` says the shape.
-
-    Returns
-    -------
-    RawScan
-        The points or the mesh; unit of the file. Rows of zeros of a cloud are dropped with a note.
-
-    Raises
-    ------
-    OSError
-        If the file cannot be read.
-    MemoryError
-        If the file is too large for the memory.
-    ScanReadError
-        If the file is damaged, or has no such arrays.
+    Returns RawScan: the points or the mesh; unit of the file. Rows of zeros of a cloud are dropped with a
+        note.
     """
     try:
         with zipfile.ZipFile(path) as archive:

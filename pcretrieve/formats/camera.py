@@ -43,18 +43,9 @@ TUM_LIST = "depth.txt"
 class Camera(NamedTuple):
     """The parameters of a pinhole camera.
 
-    Attributes
-    ----------
-    focal : tuple of float
-        Focal lengths in x and in y; pixels.
-    center : tuple of float
-        Principal point, x and y; pixels, from the centre of the first pixel.
-    depth_scale : float or None
-        Depth values of one metre; None for the usual ones: 1000 of whole numbers, and 1 of others.
-    size : tuple of int or None
-        Width and height of the images; pixels.
-    note : str
-        A note for the provenance; empty for parameters from a file.
+    focal: focal lengths in x and in y; pixels.
+    center: principal point, x and y; pixels, from the centre of the first pixel.
+    size: width and height of the images; pixels.
     """
 
     focal: tuple[float, float]
@@ -80,21 +71,7 @@ TUM_DEFAULT = Camera((525.0, 525.0), (319.5, 239.5), TUM_SCALE, (640, 480))
 
 
 def camera_file(image: Path) -> Path | None:
-    """The file with the parameters of the camera of an image.
-
-    Parameters
-    ----------
-    image : Path
-        The image.
-
-    Returns
-    -------
-    Path or None
-        The file of the same name with the suffix ``.json`` or ``.toml``; or ``camera.json``,
-        ``camera_intrinsic.json``, ``intrinsic.json``, ``intrinsics.json``, or one of these with the suffix
-        ``.toml``, in the folder of the image or in the folder above; or the list ``depth.txt`` of the folder
-        above, if that has the layout of the TUM RGB-D benchmark. None if there is no such file.
-    """
+    """The file with the parameters of the camera of an image."""
     own = [image.with_suffix(suffix) for suffix in (".json", ".toml")]
     folder = image.absolute().parent
     near = [place / name for place in (folder, folder.parent) for name in NAMES]
@@ -103,27 +80,7 @@ def camera_file(image: Path) -> Path | None:
 
 
 def camera_of(file: Path) -> Camera:
-    """The parameters in a file.
-
-    Parameters
-    ----------
-    file : Path
-        JSON as Open3D writes it (``intrinsic_matrix``, by columns); JSON or TOML with the numbers ``fx fy cx
-        cy``, and optionally ``width``, ``height`` and ``depth_scale``; or the list of a folder in the layout
-        of TUM.
-
-    Returns
-    -------
-    Camera
-        The parameters.
-
-    Raises
-    ------
-    OSError
-        If the file cannot be read.
-    ScanReadError
-        If the file does not have the parameters.
-    """
+    """The parameters in a file."""
     if file.name == TUM_LIST:
         name = file.absolute().parent.name
         return next((camera for key, camera in TUM_CAMERAS.items() if key in name), TUM_DEFAULT)
@@ -144,15 +101,7 @@ def camera_of(file: Path) -> Camera:
 def known_camera(width: int, height: int) -> Camera | None:
     """The default parameters of a Kinect.
 
-    Parameters
-    ----------
-    width, height : int
-        Size of an image; pixels.
-
-    Returns
-    -------
-    Camera or None
-        With a note that they are assumed; None if the image has another size than those of a Kinect.
+    width, height: size of an image; pixels.
     """
     camera = KINECTS.get((width, height))
     if camera is None:

@@ -13,20 +13,7 @@ __all__ = ["columns_of"]
 def columns_of(cloud: PointCloud, points: str, normals: str, viewpoints: str) -> tuple[list[str], FloatArray]:
     """The arrays of a cloud as one table.
 
-    Parameters
-    ----------
-    cloud : PointCloud
-        The cloud.
-    points, normals, viewpoints : str
-        Three names each, separated by blanks: the columns of the coordinates, normals and positions of
-        sensors.
-
-    Returns
-    -------
-    names : list of str
-        The names of the columns, without those of arrays that the cloud lacks.
-    table : (n, c) float64
-        The columns; unit of the cloud.
+    Returns table : (n, c) float64: the columns; unit of the cloud.
     """
     arrays = ((points, cloud.points), (normals, cloud.normals), (viewpoints, cloud.viewpoints))
     held = [(names, array) for names, array in arrays if array is not None]

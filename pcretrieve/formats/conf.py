@@ -39,22 +39,8 @@ def read_poses(path: Path) -> list[tuple[Path, Rotation, np.ndarray]]:
     A point p of a view is at R p + t in the common frame. R is the inverse of the rotation of the quaternion
     in the file; with this convention the views of the Stanford scans are registered.
 
-    Parameters
-    ----------
-    path : Path
-        The file.
-
-    Returns
-    -------
-    list of (Path, Rotation, (3,) float64)
-        File, rotation R and translation t of each view, at most `MOST_VIEWS`; unit of the views.
-
-    Raises
-    ------
-    OSError
-        If the file does not exist.
-    ScanReadError
-        If the file is not a regular file, is invalid, has no views or too many, or has a view twice.
+    Returns list of (Path, Rotation, (3,) float64): file, rotation R and translation t of each view, at most
+        `MOST_VIEWS`; unit of the views.
     """
     from scipy.spatial.transform import Rotation
 
@@ -97,18 +83,7 @@ def read_poses(path: Path) -> list[tuple[Path, Rotation, np.ndarray]]:
 
 
 def conf_format(read_view: Callable[[Path], RawScan]) -> Format:
-    """The format of Stanford ``.conf`` files.
-
-    Parameters
-    ----------
-    read_view : function of Path that returns a RawScan
-        Reads a view, of any format.
-
-    Returns
-    -------
-    Format
-        The format; the parts of a file are its views.
-    """
+    """The format of Stanford ``.conf`` files."""
     return Format((".conf",), lambda path: _read_conf(path, read_view), _views)
 
 
@@ -141,16 +116,6 @@ def seen_from_front(scan: RawScan) -> RawScan:
 
     Range scanners, such as those of the Stanford repository, write heights over a plane: the sensor looks in
     the direction −z. It is placed far along the z axis. See docs/decisions.md, seen_from_front.
-
-    Parameters
-    ----------
-    scan : RawScan
-        A view in its own frame.
-
-    Returns
-    -------
-    RawScan
-        The view with the position of its sensor.
     """
     if scan.viewpoints is not None or not len(scan.points):
         return scan
@@ -162,15 +127,8 @@ def seen_from_front(scan: RawScan) -> RawScan:
 def merge(views: list[tuple[RawScan, Rotation, np.ndarray]]) -> RawScan:
     """Merge views with given poses.
 
-    Parameters
-    ----------
-    views : list of (RawScan, Rotation, (3,) float64)
-        The views, with rotation and translation of each into the common frame.
-
-    Returns
-    -------
-    RawScan
-        All points in the common frame; with normals and positions of sensors, if every view has them.
+    views: list of (RawScan, Rotation, (3,) float64), the views, with rotation and translation of each into
+        the common frame.
     """
     points, normals, viewpoints = [], [], []
     for scan, rotation, translation in views:

@@ -15,20 +15,7 @@ __all__ = ["is_scan", "members_of", "parts_of"]
 
 
 def is_scan(path: Path) -> bool:
-    """Whether a file of a folder is a scan that can be read.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-
-    Returns
-    -------
-    bool
-        True if the suffix is that of a format whose extra is installed, and which recognises the file, if
-        other files may have the suffix too. A file that cannot be opened counts as a scan, so that reading it
-        reports the error; one at a URL counts as none, if other files may have the suffix too.
-    """
+    """Whether a file of a folder is a scan that can be read."""
     suffix = path.suffix.lower()
     if suffix not in FORMATS.names.all() or missing_extra(suffix):
         return False
@@ -48,25 +35,7 @@ def is_scan(path: Path) -> bool:
 
 
 def members_of(path: Path) -> tuple[Path, ...]:
-    """The scans in a file.
-
-    Parameters
-    ----------
-    path : Path
-        The file, of any suffix.
-
-    Returns
-    -------
-    tuple of Path
-        The path ``file#name`` of each scan, if there are two or more; else empty.
-
-    Raises
-    ------
-    OSError
-        If the file cannot be read.
-    ScanReadError
-        If the file is damaged, or its reader cannot be loaded.
-    """
+    """The scans in a file."""
     suffix = path.suffix.lower()
     if suffix not in FORMATS.names.all() or missing_extra(suffix):
         return ()
@@ -80,25 +49,7 @@ def members_of(path: Path) -> tuple[Path, ...]:
 
 
 def parts_of(path: Path) -> tuple[Part, ...]:
-    """The other files that belong to a file.
-
-    Parameters
-    ----------
-    path : Path
-        The file, of any suffix.
-
-    Returns
-    -------
-    tuple of Part
-        Empty, if the file is a scan alone.
-
-    Raises
-    ------
-    OSError
-        If the file cannot be read.
-    ScanReadError
-        If the file does not name its parts, or its reader cannot be loaded.
-    """
+    """The other files that belong to a file."""
     file, _ = split_member(path)
     suffix = file.suffix.lower()
     if suffix not in FORMATS.names.all():

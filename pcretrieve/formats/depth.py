@@ -30,54 +30,14 @@ NO_ANSWER = 65535
 
 
 def read_depth(path: Path) -> RawScan:
-    """Read a depth image.
-
-    Parameters
-    ----------
-    path : Path
-        A PNG or TIFF file with one channel of 16 bits, or of 32 bits. See `camera_file` for the camera;
-        without one, an image of the size of a Kinect's has the parameters of that.
-
-    Returns
-    -------
-    RawScan
-        As from `depth_scan`.
-
-    Raises
-    ------
-    OSError
-        If the file cannot be read.
-    MemoryError
-        If the file is too large for the memory.
-    ScanReadError
-        If the file is damaged, is not a depth image, or its camera is not known.
-    """
+    """Read a depth image."""
     return depth_scan(path, _pixels(path))
 
 
 def depth_scan(path: Path, depth: NDArray[Any]) -> RawScan:
     """The points of a depth image.
 
-    Parameters
-    ----------
-    path : Path
-        The file of the image.
-    depth : (h, w) int or float
-        Depth of each pixel: the coordinate along the optical axis.
-
-    Returns
-    -------
-    RawScan
-        The points in the frame of the camera (x to the right, y down, z ahead), in metres, with normals and
-        with the position of the camera, the origin. Pixels without an answer (zero, 65535 of whole numbers,
-        not finite) are dropped with a note.
-
-    Raises
-    ------
-    OSError
-        If the file of the camera cannot be read.
-    ScanReadError
-        If the camera is not known, or no pixel is left.
+    depth: (h, w) int or float, depth of each pixel: the coordinate along the optical axis.
     """
     height, width = depth.shape
     file = camera_file(path)
@@ -102,34 +62,12 @@ def depth_scan(path: Path, depth: NDArray[Any]) -> RawScan:
 
 
 def has_camera(path: Path) -> bool:
-    """Whether the parameters of the camera of an image lie beside it.
-
-    Parameters
-    ----------
-    path : Path
-        The image.
-
-    Returns
-    -------
-    bool
-        Whether `camera_file` finds them.
-    """
+    """Whether the parameters of the camera of an image lie beside it."""
     return camera_file(path) is not None
 
 
 def camera_parts(path: Path) -> tuple[Part, ...]:
-    """The file of the camera, which belongs to an image.
-
-    Parameters
-    ----------
-    path : Path
-        The image.
-
-    Returns
-    -------
-    tuple of Part
-        Empty if there is none.
-    """
+    """The file of the camera, which belongs to an image."""
     file = camera_file(path)
     return () if file is None else (Part(file),)
 

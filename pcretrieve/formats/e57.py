@@ -38,31 +38,7 @@ UTF_8 = re.compile(
 
 
 def read_e57(path: Path, name: str | None = None) -> RawScan:
-    """Read an E57 file.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-    name : str, optional
-        The name of a scan; by default all of them are read as one.
-
-    Returns
-    -------
-    RawScan
-        The points in the common frame, in metres, without those that the file marks as invalid. The positions
-        of the sensors are those of the poses. A pose that is the identity, of points without a grid, is
-        written by programs that do not know the sensor, and is ignored.
-
-    Raises
-    ------
-    OSError
-        If the file cannot be read.
-    MemoryError
-        If the file is too large for the memory.
-    ScanReadError
-        If the file is not an E57 file, is damaged, or holds no scans.
-    """
+    """Read an E57 file."""
     headers = _headers(path)
     numbers = range(len(headers)) if name is None else [_names_of(headers).index(name)]
     try:

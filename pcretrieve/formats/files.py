@@ -24,18 +24,6 @@ def check_file(path: Path) -> None:
     """Check that a path is a regular file with content.
 
     Opening a pipe would wait for a writer, and reading a device may not end.
-
-    Parameters
-    ----------
-    path : Path
-        The path; symbolic links are followed.
-
-    Raises
-    ------
-    OSError
-        If the path does not exist.
-    ScanReadError
-        If it is not a regular file, or is empty.
     """
     status = path.stat()
     if stat.S_ISDIR(status.st_mode):
@@ -47,45 +35,14 @@ def check_file(path: Path) -> None:
 
 
 def member_bytes(archive: zipfile.ZipFile, name: str | zipfile.ZipInfo) -> bytes:
-    """The content of a member of an archive, whose size is checked before the member is read.
-
-    Parameters
-    ----------
-    archive : ZipFile
-        The archive.
-    name : str or ZipInfo
-        The member.
-
-    Returns
-    -------
-    bytes
-        The content.
-
-    Raises
-    ------
-    KeyError
-        If there is no such member.
-    ScanReadError
-        If the member declares more bytes than such an archive can hold.
-    """
+    """The content of a member of an archive, whose size is checked before the member is read."""
     info = archive.getinfo(name) if isinstance(name, str) else name
     _check_ratio(info)
     return archive.read(info)
 
 
 def check_archive(archive: zipfile.ZipFile) -> None:
-    """Check, before a library reads an archive of markup, that it does not expand to more than it can hold.
-
-    Parameters
-    ----------
-    archive : ZipFile
-        The archive.
-
-    Raises
-    ------
-    ScanReadError
-        If its members declare more bytes than such an archive can hold.
-    """
+    """Check, before a library reads an archive of markup, that it does not expand to more than it can hold."""
     members = archive.infolist()
     size, packed = sum(info.file_size for info in members), sum(info.compress_size for info in members)
     if size > max(ANY_MARKUP, MARKUP_RATIO * packed):

@@ -17,15 +17,7 @@ __all__ = ["Extra", "Format", "Part"]
 
 
 class Extra(NamedTuple):
-    """What must be installed for a format.
-
-    Attributes
-    ----------
-    name : str
-        The extra of pcretrieve that installs the modules.
-    modules : tuple of str
-        The modules that the format imports.
-    """
+    """What must be installed for a format."""
 
     name: str
     modules: tuple[str, ...]
@@ -44,13 +36,8 @@ class Extra(NamedTuple):
 class Part(NamedTuple):
     """A file that belongs to another file.
 
-    Attributes
-    ----------
-    path : Path
-        The file.
-    pose : (4, 4) float64 or None
-        Rigid motion from the frame of the part to the frame of the scan, if the part is a view; in the unit
-        of the file.
+    pose: (4, 4) float64 or None, rigid motion from the frame of the part to the frame of the scan, if the
+        part is a view; in the unit of the file.
     """
 
     path: Path

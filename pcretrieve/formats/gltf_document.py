@@ -41,25 +41,7 @@ class Document(NamedTuple):
 
 
 def read_glb_document(path: Path) -> Document:
-    """Read a GLB file: a header, a chunk of JSON, and a binary chunk, the buffer without an address.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-
-    Returns
-    -------
-    Document
-        The tree and all buffers.
-
-    Raises
-    ------
-    OSError
-        If the file cannot be read.
-    ScanReadError
-        If the file is not a GLB file, or is truncated.
-    """
+    """Read a GLB file: a header, a chunk of JSON, and a binary chunk, the buffer without an address."""
     data = path.read_bytes()
     if data[:4] != MAGIC or len(data) < 20:
         raise ScanReadError("its first bytes are not those of glTF")
@@ -84,25 +66,7 @@ def read_glb_document(path: Path) -> Document:
 
 
 def read_gltf_document(path: Path) -> Document:
-    """Read a glTF file and its buffers.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-
-    Returns
-    -------
-    Document
-        The tree and all buffers.
-
-    Raises
-    ------
-    OSError
-        If the file cannot be read.
-    ScanReadError
-        If the file is not a glTF 2.0 file, or a buffer cannot be read.
-    """
+    """Read a glTF file and its buffers."""
     data = path.read_bytes()
     tree = _tree(data)
     if not str(tree["asset"]["version"]).startswith(f"{VERSION}."):
@@ -112,25 +76,7 @@ def read_gltf_document(path: Path) -> Document:
 
 
 def buffer_files(path: Path) -> tuple[Path, ...]:
-    """The files that hold the buffers of a glTF file.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-
-    Returns
-    -------
-    tuple of Path
-        Each of them once.
-
-    Raises
-    ------
-    OSError
-        If the file cannot be read.
-    ScanReadError
-        If the file is not a glTF file, or a buffer lies outside its folder.
-    """
+    """The files that hold the buffers of a glTF file."""
     check_file(path)
     try:
         uris = [str(buffer["uri"]) for buffer in _tree(path.read_bytes()).get("buffers", [])]
@@ -142,24 +88,7 @@ def buffer_files(path: Path) -> tuple[Path, ...]:
 def values_of(document: Document, accessor: int, kind: str) -> NDArray[Any]:
     """The values of an accessor.
 
-    Parameters
-    ----------
-    document : Document
-        The tree and the buffers.
-    accessor : int
-        Its number.
-    kind : {"SCALAR", "VEC3"}
-        The type that it must have.
-
-    Returns
-    -------
-    (count, width) array
-        A view of the buffer; normalised integers as numbers from −1 to 1.
-
-    Raises
-    ------
-    ScanReadError
-        If the accessor has another type, is compressed, or the buffer is too short.
+    Returns (count, width) array: a view of the buffer; normalised integers as numbers from −1 to 1.
     """
     declared = document.tree["accessors"][accessor]
     if "sparse" in declared or "bufferView" not in declared:

@@ -54,27 +54,7 @@ class Header(NamedTuple):
 
 
 def read_las(path: Path) -> RawScan:
-    """Read a LAS or LAZ file.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-
-    Returns
-    -------
-    RawScan
-        The points, in metres. Points that the file classifies as noise are dropped with a note.
-
-    Raises
-    ------
-    OSError
-        If the file cannot be read.
-    MemoryError
-        If the file is too large for the memory.
-    ScanReadError
-        If the file is damaged, or its points are compressed and lazrs is not installed.
-    """
+    """Read a LAS or LAZ file."""
     data = path.read_bytes()
     try:
         header = _header(data)

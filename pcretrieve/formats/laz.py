@@ -31,27 +31,7 @@ AT_ONCE = 1 << 20
 
 
 def laszip_record(records: bytes, n_records: int) -> bytes:
-    """The variable length record that describes the compression of the points.
-
-    Parameters
-    ----------
-    records : bytes
-        All variable length records of a file.
-    n_records : int
-        Number of the records.
-
-    Returns
-    -------
-    bytes
-        The content of the record.
-
-    Raises
-    ------
-    ValueError
-        If there is no such record.
-    struct.error
-        If the records are cut short.
-    """
+    """The variable length record that describes the compression of the points."""
     at = 0
     for _ in range(n_records):
         user, number, size = RECORD.unpack_from(records, at)
@@ -65,30 +45,8 @@ def laszip_record(records: bytes, n_records: int) -> bytes:
 def unpacked(data: bytes, start: int, record: bytes, n_points: int, n_bytes: int) -> NDArray[np.uint8]:
     """Decompress the points of a file.
 
-    Parameters
-    ----------
-    data : bytes
-        The file.
-    start : int
-        Position of the points; bytes.
-    record : bytes
-        The result of `laszip_record`.
-    n_points : int
-        Number of points.
-    n_bytes : int
-        Size of a point.
-
-    Returns
-    -------
-    (n, b) uint8
-        The bytes of the points.
-
-    Raises
-    ------
-    ValueError
-        If the file is damaged.
-    struct.error
-        If the file is cut short.
+    start: position of the points; bytes.
+    Returns (n, b) uint8: the bytes of the points.
     """
     method, n_items = LASZIP.unpack_from(record)
     items = [ITEM.unpack_from(record, LASZIP.size + k * ITEM.size) for k in range(n_items)]

@@ -20,34 +20,14 @@ LONGEST = 80
 
 
 class Members(NamedTuple):
-    """Functions that read single scans of a file with several scans.
-
-    Attributes
-    ----------
-    names : function of Path that returns a tuple of str
-        The names of the scans in a file, as `distinct_names` makes them. Raises ScanReadError and OSError.
-    read : function of Path and str that returns a RawScan
-        Reads the scan of a name, in the frame that all scans of the file share. Raises ScanReadError and
-        OSError.
-    """
+    """Functions that read single scans of a file with several scans."""
 
     names: Callable[[Path], tuple[str, ...]]
     read: Callable[[Path, str], RawScan]
 
 
 def distinct_names(names: Iterable[str]) -> list[str]:
-    """Convert names to distinct names that can be parts of a path.
-
-    Parameters
-    ----------
-    names : iterable of str
-        The names in a file, which may be empty.
-
-    Returns
-    -------
-    list of str
-        The names without characters that a path must not have, with numbers if they are empty or equal.
-    """
+    """Convert names to distinct names that can be parts of a path."""
     found: dict[str, None] = {}
     counts: dict[str, int] = {}
     for number, name in enumerate(names, start=1):

@@ -23,25 +23,7 @@ LARGEST_NUMBER = 2**40
 
 
 def read_obj(path: Path) -> RawScan:
-    """Read the ``v`` and ``f`` lines of an OBJ file; other lines are ignored.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-
-    Returns
-    -------
-    RawScan
-        Vertices and triangles; polygons are triangulated. Unit of the file.
-
-    Raises
-    ------
-    OSError
-        If the file cannot be read.
-    ScanReadError
-        If the file is not text, a line is invalid, or there are no vertices.
-    """
+    """Read the ``v`` and ``f`` lines of an OBJ file; other lines are ignored."""
     vertices: list[list[float]] = []
     polygons: dict[int, list[list[int]]] = {}  # by their number of corners
     for number, line in enumerate(text_lines(path), start=1):

@@ -13,27 +13,7 @@ __all__ = ["OFF", "read_off"]
 
 
 def read_off(path: Path) -> RawScan:
-    """Read an OFF file.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-
-    Returns
-    -------
-    RawScan
-        Vertices and triangles; polygons are triangulated. Unit of the file.
-
-    Raises
-    ------
-    OSError
-        If the file cannot be read.
-    MemoryError
-        If the file is too large for the memory.
-    ScanReadError
-        If the file is not an OFF file, is truncated, or has no vertices.
-    """
+    """Read an OFF file."""
     try:
         vertices, faces = mesh_arrays(path, "off")
     except ValueError as error:

@@ -34,25 +34,9 @@ PAIRS = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
 def organised_scan(grid: FloatArray, measured: NDArray[np.bool_], sensor: FloatArray) -> RawScan:
     """Make a cloud of a grid of readings.
 
-    Parameters
-    ----------
-    grid : (h, w, 3) float64
-        The points; in the frame and the unit of the file.
-    measured : (h, w) bool
-        Readings that are answers. All others are dropped.
-    sensor : (3,) float64
-        Position of the sensor.
-
-    Returns
-    -------
-    RawScan
-        The points with normals towards the sensor, and its position. Readings without three neighbours on
-        the same surface, which lie between a body and its background, are dropped. Notes say how many.
-
-    Raises
-    ------
-    ScanReadError
-        If no reading is left.
+    grid: (h, w, 3) float64, the points; in the frame and the unit of the file.
+    measured: (h, w) bool, readings that are answers. All others are dropped.
+    sensor: (3,) float64, position of the sensor.
     """
     n_readings, n_measured = measured.size, int(measured.sum())
     if not n_measured:

@@ -35,27 +35,10 @@ MOST_VALUES = 4096
 def read_pcd(path: Path) -> RawScan:
     """Read a PCD file.
 
-    Parameters
-    ----------
-    path : Path
-        The file.
-
-    Returns
-    -------
-    RawScan
-        Points, and normals if there are any; unit of the file. The positions of the sensors are those of the
-        fields ``vp_x vp_y vp_z`` (PCL's PointWithViewpoint), or else VIEWPOINT of the header, which is in the
-        frame of the points. The default of VIEWPOINT, the origin without rotation, is written by programs
-        that do not know the sensor, and is ignored.
-
-    Raises
-    ------
-    OSError
-        If the file cannot be read.
-    MemoryError
-        If the file is too large for the memory.
-    ScanReadError
-        If the file is not a PCD file, is truncated, or has no fields ``x y z``.
+    Returns RawScan: points, and normals if there are any; unit of the file. The positions of the sensors are
+        those of the fields ``vp_x vp_y vp_z`` (PCL's PointWithViewpoint), or else VIEWPOINT of the header,
+        which is in the frame of the points. The default of VIEWPOINT, the origin without rotation, is written
+        by programs that do not know the sensor, and is ignored.
     """
     from pypcd4.pypcd4 import MetaData
     from pypcd4.pypcd4 import PointCloud as Pcd

@@ -28,26 +28,7 @@ LARGEST_INDEX = 2**32 - 1
 
 
 def read_ply(path: Path) -> RawScan:
-    """Read a PLY file.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-
-    Returns
-    -------
-    RawScan
-        The vertices ``x y z``, and their normals ``nx ny nz``, the positions of their sensors ``vp_x vp_y
-        vp_z`` and the faces, if there are any; polygons are triangulated. Unit of the file.
-
-    Raises
-    ------
-    OSError
-        If the file cannot be read.
-    ScanReadError
-        If the file is not a PLY file, is truncated, or has no vertices with coordinates.
-    """
+    """Read a PLY file."""
     data = path.read_bytes()
     header = read_header(path, data)
     # Elements after the vertices and the faces are not read, such as the sampling grid of range scanners.

@@ -43,17 +43,7 @@ LAST_LINE = {b"\n": rb"\nend_header[ \t]*\r?\n", b"\r": rb"\rend_header[ \t]*\r"
 
 
 class Property(NamedTuple):
-    """A column of an element: one number, or a list of numbers, in each row.
-
-    Attributes
-    ----------
-    name : str
-        Name of the column.
-    type : str
-        Type of a number, as a numpy type string: ``f4``.
-    length : str or None
-        Type of the length of a list; None for a single number.
-    """
+    """A column of an element: one number, or a list of numbers, in each row."""
 
     name: str
     type: str
@@ -76,14 +66,7 @@ class Element(NamedTuple):
 class Header(NamedTuple):
     """The declarations of a file.
 
-    Attributes
-    ----------
-    order : str
-        Byte order of a binary file, as in numpy: ``<`` or ``>``. Empty for a text file.
-    elements : tuple of Element
-        The elements, in the order of the file.
-    end : int
-        Position of the first row; bytes.
+    end: position of the first row; bytes.
     """
 
     order: str
@@ -97,25 +80,7 @@ class Header(NamedTuple):
 
 
 def read_header(path: Path, data: bytes) -> Header:
-    """Read the header of a PLY file.
-
-    Parameters
-    ----------
-    path : Path
-        The file, for messages.
-    data : bytes
-        The content of the file.
-
-    Returns
-    -------
-    Header
-        The declarations.
-
-    Raises
-    ------
-    ScanReadError
-        If the header is invalid, or the file is too short for the declared rows.
-    """
+    """Read the header of a PLY file."""
     first = FIRST_LINE.match(data)
     if first is None:
         raise incomplete(path, "its first line is not 'ply'")

@@ -28,14 +28,10 @@ CODES = {"i1": "b", "u1": "B", "i2": "h", "u2": "H", "i4": "i", "u4": "I", "f8":
 class Table(NamedTuple):
     """Rows of an element with equal lengths of lists.
 
-    Attributes
-    ----------
-    numbers : (p,) int
-        Numbers of the rows in the element.
-    values : dict of str to (p, k) array
-        The values of each property; k is 1 for a property that is not a list.
-    lengths : list of (p, 1) array
-        The lengths of each list, as stored in the file.
+    numbers: (p,) int, numbers of the rows in the element.
+    values: dict of str to (p, k) array, the values of each property; k is 1 for a property that is not a
+        list.
+    lengths: list of (p, 1) array, the lengths of each list, as stored in the file.
     """
 
     numbers: NDArray[np.intp]
@@ -54,28 +50,8 @@ class Row(NamedTuple):
 def tables(path: Path, body: NDArray[np.uint8], element: Element, order: str) -> tuple[list[Table], int]:
     """Read the rows of an element.
 
-    Parameters
-    ----------
-    path : Path
-        The file, for messages.
-    body : (b,) uint8
-        The content of the file, from the first row on.
-    element : Element
-        The element.
-    order : str
-        Byte order, as in numpy.
-
-    Returns
-    -------
-    tables : list of Table
-        The rows, in the order of the first row of each table.
-    stop : int
-        Position of the next element in `body`; bytes.
-
-    Raises
-    ------
-    ScanReadError
-        If `body` ends before the last row, or a length is invalid.
+    body: (b,) uint8, the content of the file, from the first row on.
+    Returns stop : int: position of the next element in `body`; bytes.
     """
     n = element.n_rows
     if not n:
@@ -101,15 +77,8 @@ def tables(path: Path, body: NDArray[np.uint8], element: Element, order: str) ->
 def in_order(parts: list[tuple[NDArray[np.intp], NDArray[Any]]]) -> NDArray[Any]:
     """Merge values of several tables in the order of the rows.
 
-    Parameters
-    ----------
-    parts : list of ((p,) int, (p, k) array)
-        Numbers of the rows, and their values, of each table.
-
-    Returns
-    -------
-    (n, k) array
-        The values of all rows.
+    parts: list of ((p,) int, (p, k) array), numbers of the rows, and their values, of each table.
+    Returns (n, k) array: the values of all rows.
     """
     if len(parts) == 1:
         return parts[0][1]

@@ -39,25 +39,8 @@ class Header(NamedTuple):
 def read_ptx(path: Path, name: str | None = None) -> RawScan:
     """Read a PTX file.
 
-    Parameters
-    ----------
-    path : Path
-        The file.
-    name : str, optional
-        The number of a scan, from 1; by default all of them are read as one.
-
-    Returns
-    -------
-    RawScan
-        The points in the common frame of the file, in its unit, with normals and the position of the sensor
-        of each point. Readings without an answer, which are zeros, are dropped with a note.
-
-    Raises
-    ------
-    OSError
-        If the file cannot be read.
-    ScanReadError
-        If the file is not a PTX file, or is truncated.
+    Returns RawScan: the points in the common frame of the file, in its unit, with normals and the position of
+        the sensor of each point. Readings without an answer, which are zeros, are dropped with a note.
     """
     scans = []
     # Bytes that are no text are no numbers either, and are reported as such.

@@ -47,15 +47,9 @@ class RawScan(NamedTuple):
 def fans(polygons: Sequence[NDArray[Any]]) -> NDArray[np.int64]:
     """Triangulate polygons as fans around their first corners.
 
-    Parameters
-    ----------
-    polygons : sequence of (p, k) int
-        Vertex numbers of polygons of k corners; polygons of fewer than three corners are ignored.
-
-    Returns
-    -------
-    (m, 3) int64
-        Vertex numbers of the triangles.
+    polygons: sequence of (p, k) int, vertex numbers of polygons of k corners; polygons of fewer than three
+        corners are ignored.
+    Returns (m, 3) int64: vertex numbers of the triangles.
     """
     triangles = [
         corners if corners.shape[1] == 3 else corners[:, [0, k, k + 1]]
@@ -72,19 +66,10 @@ def merged_vertices(
 ) -> tuple[NDArray[Any], NDArray[np.integer[Any]]]:
     """Merge vertices with equal coordinates.
 
-    Parameters
-    ----------
-    vertices : (n, 3) float
-        Coordinates.
-    faces : (m, 3) int
-        Vertex numbers of each face.
-
-    Returns
-    -------
-    vertices : (p, 3) float
-        Distinct coordinates, in lexicographic order.
-    faces : (m, 3) int
-        Numbers of the merged vertices of each face.
+    vertices: (n, 3) float, coordinates.
+    faces: (m, 3) int, vertex numbers of each face.
+    Returns vertices : (p, 3) float: distinct coordinates, in lexicographic order.
+    Returns faces : (m, 3) int: numbers of the merged vertices of each face.
     """
     vertices, inverse = np.unique(vertices, axis=0, return_inverse=True)
     return vertices, inverse.reshape(-1)[faces]
@@ -93,15 +78,8 @@ def merged_vertices(
 def are_normals(vectors: NDArray[Any]) -> bool:
     """Whether vectors are unit normals, and not colours.
 
-    Parameters
-    ----------
-    vectors : (n, 3) float
-        Columns of a table that does not name them.
-
-    Returns
-    -------
-    bool
-        Whether all finite ones have unit length, and some have negative components, unlike colours.
+    vectors: (n, 3) float, columns of a table that does not name them.
+    Returns bool: whether all finite ones have unit length, and some have negative components, unlike colours.
     """
     vectors = vectors[np.isfinite(vectors).all(axis=1)]
     return bool(
@@ -112,19 +90,7 @@ def are_normals(vectors: NDArray[Any]) -> bool:
 
 
 def without_zeros(scan: RawScan) -> RawScan:
-    """Drop the readings that a sensor without an answer has written as zeros.
-
-    Parameters
-    ----------
-    scan : RawScan
-        A cloud.
-
-    Returns
-    -------
-    RawScan
-        The cloud without the points at the origin, if there are two or more, and with a note of their number.
-        A sensor does not measure the same point twice, and a single one may be real.
-    """
+    """Drop the readings that a sensor without an answer has written as zeros."""
     missing = (scan.points == 0).all(axis=1)  # (n,)
     n_missing = int(missing.sum())
     if n_missing < 2 or n_missing == len(missing):
@@ -145,15 +111,7 @@ def without_zeros(scan: RawScan) -> RawScan:
 def joined(scans: Sequence[RawScan]) -> RawScan:
     """Join scans that have one frame.
 
-    Parameters
-    ----------
-    scans : sequence of RawScan
-        At least one, in one unit; all are clouds, or all are meshes.
-
-    Returns
-    -------
-    RawScan
-        All points and faces, with the normals and the positions of sensors if every scan has them.
+    scans: at least one, in one unit; all are clouds, or all are meshes.
     """
     if len(scans) == 1:
         return scans[0]
@@ -174,20 +132,7 @@ def joined(scans: Sequence[RawScan]) -> RawScan:
 
 
 def incomplete(path: Path, reason: object) -> ScanReadError:
-    """The error for a file that is truncated, damaged, or not of the format of its suffix.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-    reason : object
-        An exception or a text, of which the first line is used.
-
-    Returns
-    -------
-    ScanReadError
-        The error to be raised.
-    """
+    """The error for a file that is truncated, damaged, or not of the format of its suffix."""
     if isinstance(reason, UnicodeError):
         reason = "it holds bytes that are no text"  # instead of the message of the codec
     words = str(reason).splitlines() or [type(reason).__name__]

@@ -38,48 +38,18 @@ MOST_QUOTED = 5
 
 
 def suffixes() -> tuple[str, ...]:
-    """The suffixes of all files that can be read, including those of other packages.
-
-    Returns
-    -------
-    tuple of str
-        Including the dot, in lower case.
-    """
+    """The suffixes of all files that can be read, including those of other packages."""
     return FORMATS.names.all()
 
 
 def missing_extra(suffix: str) -> Extra | None:
-    """What must be installed, and is not, to read files of a suffix.
-
-    Parameters
-    ----------
-    suffix : str
-        Including the dot, in lower case.
-
-    Returns
-    -------
-    Extra or None
-        None if everything is installed, or the suffix is not one of pcretrieve's own formats.
-    """
+    """What must be installed, and is not, to read files of a suffix."""
     extra = FORMATS.own[suffix].extra if suffix in FORMATS.own else None
     return extra if extra is not None and extra.missing else None
 
 
 def split_member(path: Path) -> tuple[Path, str | None]:
-    """The file of a path, and the name of the scan in it, if the path names one of several.
-
-    Parameters
-    ----------
-    path : Path
-        ``file``, or ``file#name`` where the format of the file may have several scans.
-
-    Returns
-    -------
-    file : Path
-        The file.
-    name : str or None
-        The name of the scan; None for the whole file.
-    """
+    """The file of a path, and the name of the scan in it, if the path names one of several."""
     file, mark, name = path.name.partition(MARK)
     if mark and name:
         suffix = Path(file).suffix.lower()
@@ -91,23 +61,7 @@ def split_member(path: Path) -> tuple[Path, str | None]:
 def read_raw(path: Path) -> RawScan:
     """Read the arrays of a file.
 
-    Parameters
-    ----------
-    path : Path
-        The file.
-
-    Returns
-    -------
-    RawScan
-        The arrays; unit of the file.
-
-    Raises
-    ------
-    MemoryError
-        If the file is too large for the memory.
-    ScanReadError
-        If there is no format for the suffix, its reader cannot be loaded or fails, or the file cannot be
-        read.
+    Returns RawScan: the arrays; unit of the file.
     """
     file, name = split_member(path)
     suffix = file.suffix.lower()
@@ -138,23 +92,7 @@ def _member(found: Format, file: Path, name: str) -> RawScan:
 
 
 def format_of(suffix: str) -> Format:
-    """The format of a suffix.
-
-    Parameters
-    ----------
-    suffix : str
-        One of `suffixes`.
-
-    Returns
-    -------
-    Format
-        The format; of another package, imported now.
-
-    Raises
-    ------
-    ScanReadError
-        If there is no such format, or its package cannot be imported.
-    """
+    """The format of a suffix."""
     try:
         return FORMATS[suffix]
     except OptionError as error:
@@ -163,23 +101,7 @@ def format_of(suffix: str) -> Format:
 
 @contextmanager
 def reading(suffix: str) -> Iterator[None]:
-    """Turn the errors of a reader into errors of its file.
-
-    Parameters
-    ----------
-    suffix : str
-        That of the file; one of `suffixes`.
-
-    Yields
-    ------
-    None
-        Once, for the call of a function of the format.
-
-    Raises
-    ------
-    ScanReadError
-        If the function raises an error of a shape, or an exception that is not one of pcretrieve.
-    """
+    """Turn the errors of a reader into errors of its file."""
     try:
         with FORMATS.blamed(suffix, Stage.READ):
             yield

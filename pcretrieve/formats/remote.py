@@ -17,23 +17,7 @@ __all__ = ["local_copy", "remote_files", "remote_version"]
 
 
 def remote_files(path: Path) -> list[Path]:
-    """The files that a URL names.
-
-    Parameters
-    ----------
-    path : Path
-        That of the URL of a file or a folder, or of a glob pattern.
-
-    Returns
-    -------
-    list of Path
-        The paths of the URLs of the files, by name.
-
-    Raises
-    ------
-    InputError
-        If the store cannot be read.
-    """
+    """The files that a URL names."""
     url = _url(path)
     try:
         return [Path(found) for found in files_below(url)]
@@ -45,23 +29,7 @@ def remote_files(path: Path) -> list[Path]:
 
 
 def remote_version(path: Path) -> str | None:
-    """What the store says of the content of a file, without reading it.
-
-    Parameters
-    ----------
-    path : Path
-        That of the URL of the file.
-
-    Returns
-    -------
-    str or None
-        The URL, and a hash or the time of the last change; None if the store says neither.
-
-    Raises
-    ------
-    ScanReadError
-        If the file does not exist, or the store cannot be read.
-    """
+    """What the store says of the content of a file, without reading it."""
     url = _url(path)
     with _errors_of(url):
         version = stored_version(url)
@@ -71,23 +39,7 @@ def remote_version(path: Path) -> str | None:
 
 @contextmanager
 def local_copy(path: Path) -> Iterator[Path]:
-    """A file on this computer with the content of a scan.
-
-    Parameters
-    ----------
-    path : Path
-        That of a file, or of the URL of a file; or one of several scans in it, ``file#name``.
-
-    Yields
-    ------
-    Path
-        The path itself, or that of a copy in a temporary folder, together with the files that the scan names.
-
-    Raises
-    ------
-    ScanReadError
-        If the file does not exist, or the store cannot be read.
-    """
+    """A file on this computer with the content of a scan."""
     if url_of(path) is None:
         yield path
         return

@@ -19,24 +19,8 @@ ScanLike: TypeAlias = "str | Path | GeometryLike"
 def as_scan(scan: ScanLike, unit: str = "none") -> PointCloud | TriangleMesh:
     """Read a scan from a path, or convert a value to a scan.
 
-    Parameters
-    ----------
-    scan : ScanLike
-        A path as in `read_scan`, or a value as in `as_geometry`.
-    unit : str, default "none"
-        Unit of scans that do not have one themselves, a key of `METRES`; they are converted to metres.
-
-    Returns
-    -------
-    PointCloud or TriangleMesh
-        In metres if the unit is known, else in the unit of the file or of the value.
-
-    Raises
-    ------
-    InputError
-        If the value cannot be converted to a point cloud or a mesh.
-    ScanReadError
-        If the file cannot be read.
+    Returns PointCloud or TriangleMesh: in metres if the unit is known, else in the unit of the file or of the
+        value.
     """
     value = read_scan(scan) if isinstance(scan, (str, Path)) else as_geometry(scan)
     if unit == "none" or any(UNIT in step.sizes for step in value.provenance):

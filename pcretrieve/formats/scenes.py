@@ -35,14 +35,8 @@ UNITS = {
 class Scene(NamedTuple):
     """The bodies of a file, in its own unit or in parts of it.
 
-    Attributes
-    ----------
-    bodies : sequence of Body
-        The bodies.
-    unit : str or None
-        The unit of the scan, a key of `METRES`; None if the file does not say.
-    scale : float
-        The unit of the bodies, in units of the scan.
+    unit: the unit of the scan, a key of `METRES`; None if the file does not say.
+    scale: the unit of the bodies, in units of the scan.
     """
 
     bodies: Sequence[Body]

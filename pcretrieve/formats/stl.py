@@ -13,28 +13,7 @@ __all__ = ["STL", "read_stl"]
 
 
 def read_stl(path: Path) -> RawScan:
-    """Read an STL file, binary or text.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-
-    Returns
-    -------
-    RawScan
-        Triangles and vertices; corners of triangles at the same place are merged into one vertex. Unit of the
-        file.
-
-    Raises
-    ------
-    OSError
-        If the file cannot be read.
-    MemoryError
-        If the file is too large for the memory.
-    ScanReadError
-        If the file is not an STL file, is truncated, or has no triangles.
-    """
+    """Read an STL file, binary or text."""
     try:
         vertices, faces = mesh_arrays(path, "stl")
     except ValueError as error:

@@ -10,23 +10,7 @@ __all__ = ["text_lines"]
 
 
 def text_lines(path: Path) -> list[str]:
-    """The lines of a text file.
-
-    Parameters
-    ----------
-    path : Path
-        The file, in UTF-8.
-
-    Returns
-    -------
-    list of str
-        The lines, without their ends.
-
-    Raises
-    ------
-    ScanReadError
-        If the file is not a text file.
-    """
+    """The lines of a text file."""
     try:
         text = path.read_text(encoding="utf-8-sig")
     except UnicodeDecodeError as error:

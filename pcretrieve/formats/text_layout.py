@@ -43,29 +43,7 @@ RASTER = re.compile(r"\s*ncols\s+\d+\s*$", re.IGNORECASE)
 
 
 class Layout(NamedTuple):
-    """How a table of points is written.
-
-    Attributes
-    ----------
-    encoding : str
-        The encoding of the text.
-    separator : str or None
-        What stands between two cells; None for any number of blanks and tabs.
-    decimal : str
-        The decimal point of the numbers.
-    n_header_lines : int
-        Number of lines before the first row.
-    promised : float or None
-        Number of rows, if a line of the header is that number.
-    n_columns : int
-        Number of cells of the first row.
-    points : tuple of int
-        Columns of the coordinates, from 0: those that the header names, or the first three.
-    normals : tuple of int or None
-        Columns of the normals, if the header names them.
-    named : bool
-        Whether the header names the columns.
-    """
+    """How a table of points is written."""
 
     encoding: str
     separator: str | None
@@ -79,50 +57,13 @@ class Layout(NamedTuple):
 
 
 def find_layout(path: Path, *, n_numbers: int = 3) -> Layout:
-    """Find how a table of points is written.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-    n_numbers : int, default 3
-        Fewest numbers of a row.
-
-    Returns
-    -------
-    Layout
-        The layout.
-
-    Raises
-    ------
-    OSError
-        If the file cannot be read.
-    ScanReadError
-        If the file is not a text file, or none of its first lines is a row of numbers.
-    """
+    """Find how a table of points is written."""
     encoding, lines = _head(path)
     return _layout(lines, encoding, n_numbers)
 
 
 def looks_like_points(path: Path) -> bool:
-    """Whether a text file is a table of points, by its first rows.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-
-    Returns
-    -------
-    bool
-        Whether its header does not name the columns of another table, and all of its first rows, at least
-        four, have at least three numbers and as many cells as the first one.
-
-    Raises
-    ------
-    OSError
-        If the file cannot be read.
-    """
+    """Whether a text file is a table of points, by its first rows."""
     try:
         encoding, lines = _head(path)
         layout = _layout(lines, encoding, n_numbers=3)
@@ -140,18 +81,7 @@ def looks_like_points(path: Path) -> bool:
 
 
 def no_text(path: Path) -> ScanReadError:
-    """The error for a file that is not a text file, against its suffix.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-
-    Returns
-    -------
-    ScanReadError
-        The error to be raised.
-    """
+    """The error for a file that is not a text file, against its suffix."""
     return ScanReadError(f"not a text file, though its name ends in {path.suffix}")
 
 

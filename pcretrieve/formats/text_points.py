@@ -26,27 +26,10 @@ DIGITS = 9
 def read_text_points(path: Path, *, normals: bool | None = None) -> RawScan:
     """Read a table of points.
 
-    Parameters
-    ----------
-    path : Path
-        The file. See `find_layout` for the ways to write it.
-    normals : bool, optional
-        Whether the fourth to the sixth column, of a file whose header does not name its columns, hold the
-        normals. By default, if all of them have unit length.
-
-    Returns
-    -------
-    RawScan
-        The points, and their normals if there are any; unit of the file. Rows of zeros are dropped with a
-        note.
-
-    Raises
-    ------
-    OSError
-        If the file cannot be read.
-    ScanReadError
-        If the file is not a text file, a line has too few numbers, or the number of points is not the one
-        that the header declares.
+    normals: whether the fourth to the sixth column, of a file whose header does not name its columns, hold
+        the normals. By default, if all of them have unit length.
+    Returns RawScan: the points, and their normals if there are any; unit of the file. Rows of zeros are
+        dropped with a note.
     """
     layout = find_layout(path, n_numbers=6 if normals else 3)
     columns = layout.points + (layout.normals or ())
@@ -64,24 +47,7 @@ def number_rows(
 ) -> NDArray[np.float64]:
     """Columns of a table of numbers.
 
-    Parameters
-    ----------
-    lines : iterable of str
-        The rows; ``#`` begins a comment.
-    columns : tuple of int
-        Numbers of the columns, from 0; other columns are ignored.
-    separator : str, optional
-        What stands between two cells; by default any number of blanks and tabs.
-
-    Returns
-    -------
-    (n, c) float64
-        The numbers.
-
-    Raises
-    ------
-    ScanReadError
-        If a line has too few numbers, or holds something else.
+    Returns (n, c) float64: the numbers.
     """
     try:
         with warnings.catch_warnings():

@@ -37,26 +37,7 @@ MOST_SECONDS = 0.02
 
 
 def trajectory_file(images: Sequence[Path]) -> Path | None:
-    """The file with the poses of images.
-
-    Parameters
-    ----------
-    images : sequence of Path
-        The images.
-
-    Returns
-    -------
-    Path or None
-        The file ``groundtruth.txt``, or ``associations.txt`` if its lines have poses, beside the folder
-        ``depth`` that has all images; None if there is none.
-
-    Raises
-    ------
-    OSError
-        If a file cannot be read.
-    ScanReadError
-        If a file is not a text file.
-    """
+    """The file with the poses of images."""
     folders = {image.absolute().parent for image in images}
     if len(folders) != 1:
         return None
@@ -71,26 +52,8 @@ def trajectory_file(images: Sequence[Path]) -> Path | None:
 def image_poses(images: Sequence[Path], file: Path) -> list[FloatArray | None]:
     """The poses of images, from the frame of the camera to a common frame.
 
-    Parameters
-    ----------
-    images : sequence of Path
-        Images in one folder.
-    file : Path
-        The file of the poses, as from `trajectory_file`. The times of the images are in ``depth.txt`` or
-        ``associations.txt`` beside that file; the time of an image in neither is its name.
-
-    Returns
-    -------
-    list of ((4, 4) float64 or None)
-        The pose at the nearest time, for each image; m. None if that is more than `MOST_SECONDS` away, or the
-        time of the image is not known.
-
-    Raises
-    ------
-    OSError
-        If a file cannot be read.
-    ScanReadError
-        If a line of a file cannot be read.
+    Returns list of ((4, 4) float64 or None): the pose at the nearest time, for each image; m. None if that is
+        more than `MOST_SECONDS` away, or the time of the image is not known.
     """
     from scipy.spatial.transform import Rotation
 

@@ -19,18 +19,7 @@ LOCAL = frozenset({"file", "local"})
 
 
 def url_of(path: Path) -> str | None:
-    """The URL that a path was made of.
-
-    Parameters
-    ----------
-    path : Path
-        The path of a scan.
-
-    Returns
-    -------
-    str or None
-        With two slashes after the protocol; None for a file on this computer.
-    """
+    """The URL that a path was made of."""
     found = PROTOCOL.fullmatch(str(path))
     if found is None:
         return None

@@ -35,28 +35,7 @@ class Geometry(NamedTuple):
 
 
 def read_vrml(path: Path, name: str | None = None) -> RawScan:
-    """Read a VRML97 file.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-    name : str, optional
-        The name of a body; by default all of them are read as one.
-
-    Returns
-    -------
-    RawScan
-        Vertices and triangles of the scene; polygons are triangulated. Vertices at the same place are merged.
-        Unit of the file: the standard says metres, but few programs do.
-
-    Raises
-    ------
-    OSError
-        If the file cannot be read.
-    ScanReadError
-        If the file is not a VRML97 file, is damaged, or has no coordinates.
-    """
+    """Read a VRML97 file."""
     found = _geometries(path)
     if name is not None:
         found = [found[_names_of(found).index(name)]]

@@ -31,52 +31,20 @@ MOST_NESTED = 100
 
 @dataclass(slots=True)
 class Node:
-    """A node of the scene.
-
-    Attributes
-    ----------
-    kind : str
-        Its type, such as ``Transform``.
-    name : str
-        The name by which other nodes refer to it; empty if it has none.
-    fields : dict of str to array, Node, str, or list of Node
-        Its fields.
-    """
+    """A node of the scene."""
 
     kind: str
     name: str = ""
     fields: dict[str, Any] = field(default_factory=dict)
 
     def nodes(self) -> list[Node]:
-        """All nodes in its fields, in their order.
-
-        Returns
-        -------
-        list of Node
-            A node once for each reference to it.
-        """
+        """All nodes in its fields, in their order."""
         held = (value if isinstance(value, list) else [value] for value in self.fields.values())
         return [node for values in held for node in values if isinstance(node, Node)]
 
 
 def parse_nodes(text: str) -> list[Node]:
-    """Parse the statements of a file.
-
-    Parameters
-    ----------
-    text : str
-        The content of the file.
-
-    Returns
-    -------
-    list of Node
-        The nodes of the scene that are in no other.
-
-    Raises
-    ------
-    ScanReadError
-        If the text is not of this syntax, or declares prototypes.
-    """
+    """Parse the statements of a file."""
     parser = _Parser(text)
     nodes = []
     while (word := parser.word()) is not None:

@@ -57,22 +57,7 @@ def write_mesh(mesh: MeshLike, path: str | Path) -> None:
 
 
 def check_output(path: Path, sources: Sequence[Path] = (), kind: Kind | None = None) -> None:
-    """Check, before a long computation, that its result can be written.
-
-    Parameters
-    ----------
-    path : Path
-        The file that is to be written.
-    sources : sequence of Path
-        Files that the computation reads, which may not be replaced.
-    kind : {"point", "mesh"}, optional
-        What the file is to store, if it is a scan file.
-
-    Raises
-    ------
-    InputError
-        If the file cannot be written, or is one of the sources.
-    """
+    """Check, before a long computation, that its result can be written."""
     if kind is not None:
         _writer(path, kind)
     if not path.parent.is_dir():

@@ -23,16 +23,6 @@ class Arrivals:
     The folder is read at each look, instead of being watched by the kernel (inotify, kqueue): the kernel
     reports nothing that another computer writes to a network file system, loses events when a queue is full,
     and would need a package for each system; to read a folder of ten thousand files takes some 50 ms.
-
-    Parameters
-    ----------
-    folder : Path
-        The folder, with its subfolders. Hidden files are not scans.
-
-    Raises
-    ------
-    InputError
-        If there is no such folder.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -47,11 +37,6 @@ class Arrivals:
         """Find the scans whose files are unchanged since the last look, and changed since they were found.
 
         A scan of several files is found when all its views are there.
-
-        Returns
-        -------
-        list of Path
-            The scans by name, as from `discover`; none at the first look.
         """
         now = _states(self._folder)
         still = {path for path, state in now.items() if self._seen.get(path) == state}

@@ -33,22 +33,7 @@ PERHAPS_OF_THE_PROCESS = (StageTimeout, WorkerDied, MemoryExceeded, UnexpectedEr
 
 @dataclass(frozen=True, slots=True)
 class Attempt:
-    """A scan that is to be processed, and how its earlier attempts failed.
-
-    Attributes
-    ----------
-    path : Path
-        The scan.
-    record : Record
-        Its new record.
-    changes : dict of str to dict
-        The options that differ from those of the catalogue, by table, as `PipelineOptions.changed` takes
-        them.
-    n_taken : int
-        Number of changes of the list in `next_attempt` that were made, or left out as of no use.
-    notes : tuple of str
-        A sentence for each earlier attempt: its error, and what was changed afterwards.
-    """
+    """A scan that is to be processed, and how its earlier attempts failed."""
 
     path: Path
     record: Record
@@ -71,20 +56,6 @@ def next_attempt(attempt: Attempt, error: PcretrieveError, options: PipelineOpti
     (one surface, with larger voxels, and no optimisation of the remesher); the other method of surface
     reconstruction, instead of cheaper settings. A change that cannot help is left out: a new process if a
     stage has refused the scan, other settings if the scan cannot be read.
-
-    Parameters
-    ----------
-    attempt : Attempt
-        The attempt that failed.
-    error : PcretrieveError
-        Its error.
-    options : PipelineOptions
-        The options of the catalogue.
-
-    Returns
-    -------
-    Attempt or None
-        The attempt; None if there is nothing left to change, or the options are at fault.
     """
     if isinstance(error, InputError):
         return None

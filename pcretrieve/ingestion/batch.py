@@ -47,19 +47,8 @@ PAUSE = 0.05
 class Batch:
     """The counts of one ingest.
 
-    Attributes
-    ----------
-    state : str
-        ``running``, ``finished``, or ``stopped`` by an error or a signal.
-    started, updated : float
-        Times of the first and of the last count; seconds since 1970.
-    workers : int or None
-        Largest number of scans that are processed at a time, if it was given.
-    n_scans, n_done, n_failed, n_skipped : int
-        Numbers of all scans, and of those that were processed, that failed, and that were held already or are
-        duplicates.
-    stages : dict of str to float
-        Total time of each stage of the scans that were processed; seconds.
+    started, updated: times of the first and of the last count; seconds since 1970.
+    stages: total time of each stage of the scans that were processed; seconds.
     """
 
     state: State = "running"
@@ -84,29 +73,7 @@ class Batch:
 
 @dataclass(frozen=True, slots=True)
 class BatchStatus:
-    """How far the last ingest into a catalogue is, and what the catalogue has.
-
-    Attributes
-    ----------
-    state : {"none", "running", "finished", "stopped", "killed"}
-        ``stopped`` by an error or a signal that it could handle, ``killed`` without a warning; ``none`` if
-        there was no ingest on this computer, or by this user.
-    started, updated : str or None
-        Times of the first and of the last count, UTC in the format ISO 8601.
-    n_scans, n_done, n_failed, n_skipped : int
-        As of `Batch`.
-    scans_per_second : float
-        Scans that were processed or failed, divided by the time of the ingest.
-    seconds_left : float or None
-        Estimate of the remaining time of a running ingest.
-    stages : dict of str to float
-        Share of each stage in the time of all stages.
-    failures : dict of str to int
-        Number of failed shapes in the catalogue by kind, such as ``StageTimeout in worker``; most frequent
-        first.
-    n_shapes : int
-        Number of shapes in the catalogue that did not fail.
-    """
+    """How far the last ingest into a catalogue is, and what the catalogue has."""
 
     state: State
     started: str | None
@@ -124,22 +91,7 @@ class BatchStatus:
 
 @contextmanager
 def written_down(location: str, n_scans: int, workers: int | None) -> Iterator[_File]:
-    """Write down the counts of an ingest while it works.
-
-    Parameters
-    ----------
-    location : str
-        The path or URL of the catalogue.
-    n_scans : int
-        Number of scans.
-    workers : int or None
-        Largest number of scans that are processed at a time, if it was given.
-
-    Yields
-    ------
-    _File
-        Whose `batch` is to be changed, followed by a call of `write`.
-    """
+    """Write down the counts of an ingest while it works."""
     now = time.time()
     file = _File(_path(location), Batch(started=now, updated=now, workers=workers, n_scans=n_scans))
     try:
@@ -151,18 +103,7 @@ def written_down(location: str, n_scans: int, workers: int | None) -> Iterator[_
 
 
 def batch_status(catalogue: Catalogue) -> BatchStatus:
-    """How far the last ingest into a catalogue is.
-
-    Parameters
-    ----------
-    catalogue : Catalogue
-        The catalogue.
-
-    Returns
-    -------
-    BatchStatus
-        The status.
-    """
+    """How far the last ingest into a catalogue is."""
     batch = _read(_path(catalogue.location))
     n_finished = batch.n_done + batch.n_failed
     seconds = (time.time() if batch.state == "running" else batch.updated) - batch.started

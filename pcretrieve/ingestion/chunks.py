@@ -25,13 +25,7 @@ _ENDED: set[str] = set()
 
 
 def dismiss(ingest: str) -> None:
-    """Stop the processes of this Dask worker that wait for chunks of an ingest, which has ended.
-
-    Parameters
-    ----------
-    ingest : str
-        Which ingest it was.
-    """
+    """Stop the processes of this Dask worker that wait for chunks of an ingest, which has ended."""
     _ENDED.add(ingest)
     for key in [key for key in _IDLE if key[1] == ingest]:
         for worker in _IDLE.pop(key):
@@ -45,33 +39,7 @@ def outcomes_of(
     expected: dict[str, str],
     ingest: str,
 ) -> tuple[list[Answer | PcretrieveError], float]:
-    """Process a chunk in a child process.
-
-    Parameters
-    ----------
-    function : callable
-        A function of one item.
-    items : sequence
-        The items.
-    isolation : Isolation
-        The limits of each item.
-    expected : dict of str to str
-        The versions of pcretrieve and of the libraries on which its results depend.
-    ingest : str
-        Which ingest this is, whose child processes have the same function and limits.
-
-    Returns
-    -------
-    outcomes : list
-        The outcome of each item.
-    seconds : float
-        The time that the chunk took.
-
-    Raises
-    ------
-    InputError
-        If the versions here are others.
-    """
+    """Process a chunk in a child process."""
     here = versions()
     if here != expected:
         differing = ", ".join(

@@ -119,19 +119,7 @@ class DaskExecutor:
 
 
 class _Run(Generic[Item, Answer]):
-    """The chunks of one ingest.
-
-    Parameters
-    ----------
-    client : distributed.Client
-        The connection to the scheduler.
-    function : callable
-        A function of one item.
-    isolation : Isolation
-        The limits of each item.
-    workers : int or None
-        Largest number of chunks in work; None for no limit.
-    """
+    """The chunks of one ingest."""
 
     def __init__(
         self, client: Any, function: Callable[[Item], Answer], isolation: Isolation, workers: int | None

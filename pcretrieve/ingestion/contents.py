@@ -22,17 +22,8 @@ class Contents:
     Each file is read once, also if it holds several scans. A file whose stamp is that of its record is not
     read: its hash is that of the record.
 
-    Parameters
-    ----------
-    scans : mapping of str to Path
-        Scans by name.
-    n_threads : int
-        Number of files that are read at the same time. Hashing and reading release the interpreter lock.
-    timeout : float
-        Longest time to read one file; seconds. Reading a file on a network that is not connected may never
-        end: its thread then continues, is not counted, and does not prevent the program from ending.
-    records : iterable of Record
-        Records of earlier hashes, by path as `scans` have it.
+    timeout: longest time to read one file; seconds. Reading a file on a network that is not connected may
+        never end: its thread then continues, is not counted, and does not prevent the program from ending.
     """
 
     def __init__(

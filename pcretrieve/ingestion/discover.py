@@ -37,27 +37,6 @@ def discover(arguments: Sequence[str | Path], beside: Iterable[str | Path] = ())
     """Find the files of scans.
 
     A warning names the files in a folder that are not scans.
-
-    Parameters
-    ----------
-    arguments : sequence of str or Path
-        Files; folders, which are searched recursively; glob patterns; URLs of these; or manifests. A manifest
-        is a ``.txt`` or ``.csv`` file that is not a table of points. It has one path in each line, or a
-        column ``path`` or ``file``; its paths are relative to its folder.
-    beside : iterable of str or Path
-        Files that may be in the same folders, such as label files. There is no warning of them.
-
-    Returns
-    -------
-    list of Path
-        Absolute paths in the order of the arguments, within a folder by name, without repetitions. A file
-        that is part of another of these scans, such as a view of a ``.conf`` file, is left out; the scans in
-        a file that holds several are named ``file#name``.
-
-    Raises
-    ------
-    InputError
-        If a path does not exist, a glob or a folder holds no scans, or a manifest cannot be read.
     """
     known = {_absolute(Path(path)) for path in beside}
     found: dict[Path, None] = {}
@@ -68,23 +47,7 @@ def discover(arguments: Sequence[str | Path], beside: Iterable[str | Path] = ())
 
 
 def content_hash(path: Path) -> str:
-    """The SHA-256 hash of a scan.
-
-    Parameters
-    ----------
-    path : Path
-        The file, or ``file#name`` for one of several scans in a file.
-
-    Returns
-    -------
-    str
-        64 hexadecimal digits: those of `file_hash`, or of this hash and the name of the scan.
-
-    Raises
-    ------
-    ScanReadError
-        If one of the files cannot be read.
-    """
+    """The SHA-256 hash of a scan."""
     file, _ = split_member(path)
     return scan_hash(path, file_hash(file))
 
@@ -93,21 +56,6 @@ def file_hash(file: Path) -> str:
     """The SHA-256 hash of a file and of the parts that the file names.
 
     That of a file at a URL is computed from what the store says of its content, if possible.
-
-    Parameters
-    ----------
-    file : Path
-        The file.
-
-    Returns
-    -------
-    str
-        64 hexadecimal digits.
-
-    Raises
-    ------
-    ScanReadError
-        If one of the files cannot be read.
     """
     if url_of(file) is not None:
         version = remote_version(file)
@@ -135,20 +83,7 @@ def file_hash(file: Path) -> str:
 
 
 def scan_hash(path: Path, hash_of_file: str) -> str:
-    """The hash of a scan, given that of its file.
-
-    Parameters
-    ----------
-    path : Path
-        The file, or ``file#name`` for one of several scans in a file.
-    hash_of_file : str
-        The `file_hash` of the file.
-
-    Returns
-    -------
-    str
-        64 hexadecimal digits.
-    """
+    """The hash of a scan, given that of its file."""
     _, name = split_member(path)
     if name is None:
         return hash_of_file
@@ -156,18 +91,7 @@ def scan_hash(path: Path, hash_of_file: str) -> str:
 
 
 def printable(text: str | Path) -> str:
-    """Escape the bytes of a file name that are not UTF-8, so that it can be printed and stored.
-
-    Parameters
-    ----------
-    text : str or Path
-        A file name, or text that contains one.
-
-    Returns
-    -------
-    str
-        Valid Unicode text.
-    """
+    """Escape the bytes of a file name that are not UTF-8, so that it can be printed and stored."""
     url = url_of(text) if isinstance(text, Path) else None
     return os.fsencode(url or text).decode("utf-8", "backslashreplace")
 
@@ -176,18 +100,6 @@ def shape_ids(paths: Collection[str], taken: Mapping[str, str]) -> dict[str, str
     """Choose an id for each path: its name without suffix, with a number if another path has this id.
 
     That of a scan ``file.suffix#name`` is ``file#name``.
-
-    Parameters
-    ----------
-    paths : collection of str
-        Absolute paths.
-    taken : mapping of str to str
-        Path by id, of ids that are in use already. These paths keep their ids.
-
-    Returns
-    -------
-    dict of str to str
-        Id by path.
     """
     # Imported here, because commands that only look for scans should not wait for the import of descriptors.
     from pcretrieve.catalogue import numbered_id

@@ -41,36 +41,7 @@ class Executor(Protocol):
         Closing the generator cancels the work. When ``close`` returns, calls that have begun have ended, or
         their outcomes are discarded, and no further items are read.
 
-        Parameters
-        ----------
-        function : callable
-            The function, its argument and what it returns can be pickled.
-        items : iterable
-            The items. They must be read by the thread that iterates over the outcomes, because reading them
-            writes to the catalogue; and only when workers are free, because it also reads the files of later
-            items. Exceptions of reading them must be raised again.
-        workers : int, optional
-            Largest number of items that are processed at a time. By default the number of cores of the
-            executor.
-        timeout : float
-            Longest time for one item; seconds. An executor that cannot interrupt a function ignores it.
-        memory : float, optional
-            Largest heap of the process that processes an item; GiB. An executor without processes of its own
-            ignores it.
-
-        Yields
-        ------
-        item : object
-            Each item once, in any order.
-        outcome : object or PcretrieveError
-            What the function returned; what it raised, converted by `pcretrieve.errors.shape_error`; or a
-            `StageTimeout`, a `MemoryExceeded` or a `WorkerDied`, if the item exceeded a limit or ended its
-            process.
-
-        Raises
-        ------
-        PcretrieveError
-            If the executor does not work; the ingest stops, and can be started again.
+        timeout: longest time for one item; seconds. An executor that cannot interrupt a function ignores it.
         """
         ...
 

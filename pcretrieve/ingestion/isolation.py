@@ -33,12 +33,7 @@ class Isolation:
     Functions, arguments and answers must be picklable. A function that imports modules when it is called
     saves the calling process these imports.
 
-    Attributes
-    ----------
-    timeout : float, default 600
-        Longest time for one call; seconds.
-    memory : float, optional
-        Largest heap of a process; GiB.
+    timeout: longest time for one call; seconds.
     """
 
     timeout: float = 600.0
@@ -51,26 +46,7 @@ class Isolation:
         *arguments: Arguments.args,
         **named: Arguments.kwargs,
     ) -> Answer:
-        """Call a function once.
-
-        Parameters
-        ----------
-        function : callable
-            The function.
-        *arguments, **named : object
-            Arguments of the function.
-
-        Returns
-        -------
-        object
-            What the function returned.
-
-        Raises
-        ------
-        PcretrieveError
-            What the function raised, as an error of pcretrieve; `StageTimeout`, `MemoryExceeded` or
-            `WorkerDied`, if the process exceeded its limits, or ended without an answer.
-        """
+        """Call a function once."""
         ((_, outcome),) = self.each(_called, [partial(function, *arguments, **named)])
         if isinstance(outcome, PcretrieveError):
             raise outcome
@@ -86,22 +62,8 @@ class Isolation:
     ) -> Generator[tuple[Item, Answer | PcretrieveError], None, None]:
         """Call a function with each of many items, and return each outcome as soon as it is known.
 
-        Parameters
-        ----------
-        function : callable
-            A function of one item.
-        items : iterable
-            The items, which are read when processes are free.
-        workers : int, default 1
-            Largest number of processes. With one process, the outcomes are in the order of the items.
-        idle : list of Worker, optional
-            Processes that an earlier call with the same function has left, which are taken first; this call
-            leaves its processes there. They end with the list.
-
-        Returns
-        -------
-        generator of (item, outcome)
-            The outcome is what the function returned, or the error that `call` would raise.
+        Returns generator of (item, outcome): the outcome is what the function returned, or the error that
+            `call` would raise.
         """
         return outcomes(
             function,
@@ -124,23 +86,8 @@ def in_processes(
 ) -> Generator[tuple[Item, Answer | PcretrieveError], None, None]:
     """The default `Executor`: processes on this computer, so that items do not affect each other.
 
-    Parameters
-    ----------
-    function : callable
-        A function of one item.
-    items : iterable
-        The items, which are read when processes are free.
-    workers : int, optional
-        Largest number of processes. By default one for each core.
-    timeout : float
-        Longest time for one item; seconds.
-    memory : float, optional
-        Largest heap of a process; GiB. By default there is no limit.
-
-    Returns
-    -------
-    generator of (item, outcome)
-        The outcomes, as from `Isolation.each`.
+    timeout: longest time for one item; seconds.
+    Returns generator of (item, outcome): the outcomes, as from `Isolation.each`.
     """
     return Isolation(timeout, memory).each(function, items, workers=workers or len(os.sched_getaffinity(0)))
 

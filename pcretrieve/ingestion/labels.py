@@ -21,25 +21,7 @@ TRAILING_NUMBER = re.compile(r"(\d+)$")
 
 
 def read_labels(path: str | Path) -> dict[str, str]:
-    """Read a label file.
-
-    Parameters
-    ----------
-    path : str or Path
-        A CSV file, separated by commas or semicolons, with a header, of which one column (such as ``file``,
-        ``path``, ``name`` or ``id``) has the name of the shape and one (such as ``class`` or ``label``) its
-        class; or a ``.cla`` file of the Princeton Shape Benchmark.
-
-    Returns
-    -------
-    dict of str to str
-        Class by name, as the names are written in the file; see `match_labels`.
-
-    Raises
-    ------
-    BenchmarkError
-        If the file cannot be read, or has neither format.
-    """
+    """Read a label file."""
     path = Path(path)
     try:
         text = path.read_bytes().decode("utf-8-sig")  # names may have the end of a line of any system
@@ -56,25 +38,6 @@ def match_labels(labels: Mapping[str, str], paths: Mapping[str, str]) -> tuple[d
     name, with or without the suffix of the path. If there is none, a number, as in a ``.cla`` file, matches
     the shape whose name ends with the number (``5`` matches ``T5``). A number that is an id must not also be
     the name of another shape that has no label, as when one ``.cla`` file is given for two sets.
-
-    Parameters
-    ----------
-    labels : mapping of str to str
-        Class by name, from `read_labels`.
-    paths : mapping of str to str
-        Path by id.
-
-    Returns
-    -------
-    labels : dict of str to str
-        Class by id.
-    unknown : list of str
-        Names that match no shape.
-
-    Raises
-    ------
-    BenchmarkError
-        If a name matches several shapes, or a shape has two classes.
     """
     by_path: dict[str, set[str]] = {}
     by_number: dict[str, set[str]] = {}

@@ -31,23 +31,7 @@ POSES_OF_FAUST = 10
 
 @dataclass(frozen=True, slots=True)
 class Layout:
-    """How a set names the classes of its shapes.
-
-    Attributes
-    ----------
-    name : str
-        The value of the option `--labels`.
-    class_of : function of Path that returns (str or None), optional
-        The class by the path of a scan; None if the path is not of the set. By default, label files are read.
-    label_files : tuple of str
-        Glob patterns of the names of label files, the preferred one first.
-    n_shapes, n_classes : int
-        The numbers of the whole set; 0 if any.
-    protocol : str
-        What is a query, what is relevant to it, and how the set is used.
-    published : str
-        Where the set is published; empty for a set of one's own.
-    """
+    """How a set names the classes of its shapes."""
 
     name: str
     class_of: Callable[[Path], str | None] | None = None
@@ -143,31 +127,7 @@ LAYOUTS: Mapping[str, Layout] = MappingProxyType(
 def discover_labelled(
     arguments: Sequence[str | Path], labels: str | Path | None, beside: Iterable[str | Path] = ()
 ) -> tuple[list[Path], dict[str, str]]:
-    """Find the files of scans, and their classes.
-
-    Parameters
-    ----------
-    arguments : sequence of str or Path
-        Files, folders, globs or manifests, as for `discover`.
-    labels : str or Path, optional
-        A label file, or a name in `LAYOUTS`.
-    beside : iterable of str or Path
-        Other files in these folders, as for `discover`.
-
-    Returns
-    -------
-    scans : list of Path
-        Absolute paths.
-    labels : dict of str to str
-        Class by name, as by `labels_of`; empty without `labels`.
-
-    Raises
-    ------
-    InputError
-        If there are no scans. The message says where the set of a layout is published.
-    BenchmarkError
-        As by `labels_of`.
-    """
+    """Find the files of scans, and their classes."""
     layout = LAYOUTS.get(str(labels))
     files = [*beside]
     if layout is not None:
@@ -185,26 +145,7 @@ def discover_labelled(
 
 
 def labels_of(labels: str | Path, scans: Iterable[str | Path]) -> dict[str, str]:
-    """The classes that a label file, or the layout of a published set, gives.
-
-    Parameters
-    ----------
-    labels : str or Path
-        A name in `LAYOUTS`, or a label file as in `read_labels`. A file that is named like a layout is given
-        with its folder, as ``./tosca``.
-    scans : iterable of str or Path
-        The absolute paths of the scans, which a layout needs.
-
-    Returns
-    -------
-    dict of str to str
-        Class by name, as in the label file; by path for a layout. See `match_labels`.
-
-    Raises
-    ------
-    BenchmarkError
-        If a label file is missing, cannot be read or does not fit; or if no path is of the layout.
-    """
+    """The classes that a label file, or the layout of a published set, gives."""
     layout = LAYOUTS.get(str(labels))
     if layout is None:
         return read_labels(labels)

@@ -17,25 +17,7 @@ PATH_COLUMNS = ("path", "file", "filename", "name")
 
 
 def read_manifest(path: Path) -> list[Path]:
-    """The scans that a manifest names.
-
-    Parameters
-    ----------
-    path : Path
-        A ``.txt`` file with one path on each line, or a ``.csv`` file with one on each row, under ``path`` or
-        ``file``.
-
-    Returns
-    -------
-    list of Path
-        In the order of the manifest; URLs, and paths relative to its folder. Files that do not exist are
-        among them.
-
-    Raises
-    ------
-    InputError
-        If the manifest cannot be read, or names no scans.
-    """
+    """The scans that a manifest names."""
     try:
         # Reading a pipe or a device may never end.
         if path.exists() and not path.is_file():

@@ -22,25 +22,10 @@ Identity = tuple[str, str]  # suffix and SHA-256 of a file
 class Plan:
     """What an ingest does with some files. Paths are printable, as catalogues store them.
 
-    Attributes
-    ----------
-    moved : dict of str to str
-        New path of each file that was renamed, by its old path.
-    removed : tuple of str
-        Paths of shapes in the catalogue whose files have become duplicates of other scans.
-    labels : dict of str to str
-        Class of each shape in the catalogue that has a label, by its new path.
-    stamps : dict of str to str
-        New stamp of each shape whose file was hashed and has the same content, by its new path.
-    held : tuple of Record
-        Records with the same content that the catalogue has already, done or failed, with the same path or
-        with the path of a file that does not exist any more.
-    duplicates : tuple of (Path, Record)
-        Files with the same content as another file, and the record of the other file.
-    process : tuple of (Path, Record)
-        Scans that must be processed, and their new records; the id may still change.
-    unreadable : tuple of Record
-        Failed records of files that cannot be read.
+    duplicates: tuple of (Path, Record), files with the same content as another file, and the record of the
+        other file.
+    process: tuple of (Path, Record), scans that must be processed, and their new records; the id may still
+        change.
     """
 
     moved: dict[str, str]
@@ -58,27 +43,6 @@ class Planner:
 
     Files are identified by their content. A file that was renamed keeps its record. A file with new content
     is processed again. The planner writes nothing.
-
-    Parameters
-    ----------
-    files : mapping of str to Path
-        All scans by their printable paths.
-    records : sequence of Record
-        All records of the catalogue.
-    labels : mapping of str to str
-        Class by name, from `read_labels`.
-    content : callable
-        Returns the content hash of a file by its key in `files`, or the error of reading it; the same result
-        in each call.
-    stamp : callable, optional
-        Returns the stamp of a file whose content was returned, or None.
-    retry_failed : bool, default False
-        Process scans with the same content again that failed before.
-
-    Raises
-    ------
-    BenchmarkError
-        If a label matches several scans, or a scan has two classes.
     """
 
     def __init__(
@@ -116,18 +80,7 @@ class Planner:
         return list(self._labels_left)
 
     def plan(self, names: Iterable[str]) -> Plan:
-        """Decide what must be done with some of the files.
-
-        Parameters
-        ----------
-        names : iterable of str
-            Keys of `files`; each key in one call only. Files of earlier calls can be duplicated by these.
-
-        Returns
-        -------
-        Plan
-            The plan for these files.
-        """
+        """Decide what must be done with some of the files."""
         moved, labels, stamps = {}, {}, {}
         removed, held, duplicates, process, unreadable = [], [], [], [], []
         for name in names:
@@ -195,34 +148,13 @@ class Planner:
 
 
 def apply(made: Plan, catalogue: Catalogue) -> None:
-    """Write the changes of a plan to the records of a catalogue.
-
-    Parameters
-    ----------
-    made : Plan
-        Of which `moved`, `removed`, `labels` and `stamps` are used.
-    catalogue : Catalogue
-        The catalogue whose records were given to the planner.
-    """
+    """Write the changes of a plan to the records of a catalogue."""
     if made.moved or made.removed or made.labels or made.stamps:
         catalogue.revise(moved=made.moved, removed=made.removed, labels=made.labels, stamps=made.stamps)
 
 
 def failed(record: Record, error: PcretrieveError) -> Record:
-    """Make a record of a failure.
-
-    Parameters
-    ----------
-    record : Record
-        The record of the shape.
-    error : PcretrieveError
-        The error; without a stage, it is an error of the worker process.
-
-    Returns
-    -------
-    Record
-        The record with the status "failed", and the stage, class and message of the error.
-    """
+    """Make a record of a failure."""
     return replace(
         record,
         status="failed",
@@ -235,22 +167,7 @@ def failed(record: Record, error: PcretrieveError) -> Record:
 def failed_paths(catalogue: Catalogue, stage: str | None = None) -> list[Path]:
     """The scans of a catalogue that failed.
 
-    Parameters
-    ----------
-    catalogue : Catalogue
-        The catalogue.
-    stage : str, optional
-        Only scans that failed in this stage.
-
-    Returns
-    -------
-    list of Path
-        The scans, in ascending order of id.
-
-    Raises
-    ------
-    InputError
-        If there are none.
+    Returns list of Path: the scans, in ascending order of id.
     """
     failures = catalogue.records(status="failed")
     paths = [Path(record.path) for record in failures if stage in (None, record.stage)]

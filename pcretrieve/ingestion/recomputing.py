@@ -40,21 +40,7 @@ def recomputed(
     Shapes whose surfaces are not stored, and whose files have changed or are not there, are left out, and so
     are those of which a part is damaged.
 
-    Parameters
-    ----------
-    catalogue : Catalogue
-        The catalogue.
-    records : iterable of Record
-        Records of finished shapes.
-    timeout : float
-        Longest time for one shape; seconds.
-
-    Yields
-    ------
-    record : Record
-        The record of a shape whose signature was computed again.
-    fault : str or None
-        How the stored signature differs; None if it does not.
+    timeout: longest time for one shape; seconds.
     """
     isolation = Isolation(timeout=timeout)
     with closing(isolation.each(partial(_again, catalogue.options), _tasks(catalogue, records))) as outcomes:

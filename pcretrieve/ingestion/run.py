@@ -36,21 +36,8 @@ FILES_AT_ONCE = 32
 class Summary:
     """The result of an ingest.
 
-    Attributes
-    ----------
-    done : list of Record
-        Scans that were processed.
-    failed : list of Record
-        Scans that failed. The catalogue keeps the result of an earlier run, if there is one.
-    held : list of Record
-        Skipped scans: the catalogue has the same content already, done or failed, with the same path or with
-        the path of a file that does not exist any more.
-    duplicates : list of (Path, Record)
-        Skipped files with the same content as another file, and the record of the other file.
-    unknown_labels : list of str
-        Names in the label file that match no scan.
-    planned : list of Record
-        Scans that would be processed. Only `plan_files` has them.
+    duplicates: list of (Path, Record), skipped files with the same content as another file, and the record of
+        the other file.
     """
 
     done: list[Record] = field(default_factory=list)
@@ -81,49 +68,7 @@ def ingest_files(
     Each shape is stored as soon as it is finished, so that an interrupted run can be continued by starting it
     again.
 
-    Parameters
-    ----------
-    paths : sequence of Path
-        The scans, from `discover`.
-    catalogue : Catalogue
-        The catalogue, whose options are used.
-    labels : mapping of str to str, optional
-        Class by name, from `read_labels`. Labels are also applied to scans that the catalogue has already.
-    workers : int, optional
-        Largest number of scans that are processed at a time. By default one for each core.
-    timeout : float, default 600
-        Longest time for one shape; seconds.
-    memory : float, optional
-        Largest heap of one worker; GiB.
-    executor : Executor, optional
-        The executor that processes the scans. By default worker processes on this computer, so that a scan
-        that hangs, crashes or exhausts the memory does not affect others.
-    retry_failed : bool, default False
-        Process scans again that failed before, with the same content and options.
-    retries : int, default 0
-        Number of further attempts at a scan that fails, after all other scans, each with a change: see
-        `pcretrieve.ingestion.attempts.next_attempt`. The provenance of the shape has the step ``retry``.
-    max_failures : int, optional
-        Number of scans that may fail in this run before it stops. By default all of them.
-    only : collection of Path, optional
-        Process these scans only, such as those of a shard. Their ids are those of an ingest of all `paths`.
-    on_shape : callable, optional
-        Called with each record, after it has been stored or skipped.
-
-    Returns
-    -------
-    Summary
-        The records of all scans, by what was done with them.
-
-    Raises
-    ------
-    BenchmarkError
-        If a label matches several scans, or a scan has two classes.
-    CatalogueError
-        If the catalogue cannot be written.
-    PcretrieveError
-        If `max_failures` scans have failed; if the executor cannot work, or ends without an outcome for each
-        scan.
+    timeout: longest time for one shape; seconds.
     """
     remove_abandoned()  # also where nothing is left to do after a kill
     summary = Summary()
@@ -222,32 +167,7 @@ def plan_files(
 ) -> Summary:
     """Find what `ingest_files` would do, and write nothing.
 
-    Parameters
-    ----------
-    paths : sequence of Path
-        The scans, from `discover`.
-    records : sequence of Record
-        The records of the catalogue; none for a catalogue that does not exist.
-    labels : mapping of str to str, optional
-        As for `ingest_files`.
-    timeout : float, default 600
-        Longest time to read one file; seconds.
-    retry_failed : bool, default False
-        As for `ingest_files`.
-    only : collection of Path, optional
-        As for `ingest_files`.
-    on_shape : callable, optional
-        Called with the record of each scan.
-
-    Returns
-    -------
-    Summary
-        The scans that would be processed, the files that cannot be read, and those that would be skipped.
-
-    Raises
-    ------
-    BenchmarkError
-        If a label matches several scans, or a scan has two classes.
+    timeout: longest time to read one file; seconds.
     """
     remove_abandoned()  # also where nothing is left to do after a kill
     summary = Summary()

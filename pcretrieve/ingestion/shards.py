@@ -26,18 +26,6 @@ class Shard:
 
     The shard of a scan depends on its content only: new files change the shard of no other file, and copies
     of a file are in its shard, which skips them as duplicates.
-
-    Attributes
-    ----------
-    number : int
-        From 1 to `of`.
-    of : int
-        Number of shards.
-
-    Raises
-    ------
-    OptionError
-        If the number is not between 1 and `of`.
     """
 
     number: int
@@ -49,64 +37,19 @@ class Shard:
 
     @classmethod
     def parse(cls, text: str) -> Shard:
-        """Read a shard that is written as ``I/N``.
-
-        Parameters
-        ----------
-        text : str
-            Such as ``3/10``, the third of ten shards.
-
-        Returns
-        -------
-        Shard
-            The shard.
-
-        Raises
-        ------
-        OptionError
-            If the text is not of this form, or I is not from 1 to N.
-        """
+        """Read a shard that is written as ``I/N``."""
         match = re.fullmatch(r"([0-9]{1,9})/([0-9]{1,9})", text)
         if match is None:
             raise OptionError(f"a shard must be I/N, such as 3/10, got {text!r}")
         return cls(int(match[1]), int(match[2]))
 
     def holds(self, scan: Path) -> bool:
-        """Whether a scan is in this shard.
-
-        Parameters
-        ----------
-        scan : Path
-            The file, or ``file#name``.
-
-        Returns
-        -------
-        bool
-            True for one shard of the N shards.
-        """
+        """Whether a scan is in this shard."""
         return int.from_bytes(_key(scan), "big") % self.of == self.number - 1
 
 
 def scans_of(shard: str | None, scans: Sequence[Path]) -> Sequence[Path]:
-    """The scans that a task of a job array processes.
-
-    Parameters
-    ----------
-    shard : str or None
-        The shard, such as ``3/10``.
-    scans : sequence of Path
-        The scans of all shards.
-
-    Returns
-    -------
-    sequence of Path
-        The scans of the shard; all of them, if there is none.
-
-    Raises
-    ------
-    OptionError
-        If the shard is not I/N with I from 1 to N.
-    """
+    """The scans that a task of a job array processes."""
     if shard is None:
         return scans
     part = Shard.parse(shard)

@@ -21,13 +21,9 @@ SETTLED = 60.0
 class Stamp(NamedTuple):
     """What a file system says of a file and of the parts that the file names.
 
-    Attributes
-    ----------
-    text : str
-        Size in bytes, times of the last changes of the content (mtime) and of the inode (ctime) in
+    text: size in bytes, times of the last changes of the content (mtime) and of the inode (ctime) in
         nanoseconds, and number of the inode, of each file.
-    changed : float
-        The latest of these times; seconds since 1970.
+    changed: the latest of these times; seconds since 1970.
     """
 
     text: str
@@ -44,16 +40,6 @@ def stamp_of(file: Path) -> Stamp | None:
     without a ctime (FAT, some over a network or by FUSE), a change after which size and mtime were put
     back. The device is left out, because its number may change when the computer starts, and differs
     between the computers of a cluster.
-
-    Parameters
-    ----------
-    file : Path
-        The file.
-
-    Returns
-    -------
-    Stamp or None
-        The stamp; None for a file at a URL, and for a file that cannot be read, or does not name its parts.
     """
     if url_of(file) is not None:
         return None

@@ -29,11 +29,6 @@ class TemporaryFolder:
     """A folder for the temporary files of one worker, in the parent process.
 
     The first folder of a process also removes folders that processes of the same user have left behind.
-
-    Attributes
-    ----------
-    path : str or None
-        The folder; None if none can be made, as on a full disk.
     """
 
     def __init__(self) -> None:
@@ -60,13 +55,7 @@ class TemporaryFolder:
 
 
 def use_folder(path: str | None) -> None:
-    """Have Python and native code of this process, and of its children, write temporary files to a folder.
-
-    Parameters
-    ----------
-    path : str or None
-        The folder; None: that of the system.
-    """
+    """Have Python and native code of this process, and of its children, write temporary files to a folder."""
     if path is not None:
         os.environ["TMPDIR"] = path
         tempfile.tempdir = path

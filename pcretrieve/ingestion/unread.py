@@ -24,19 +24,7 @@ MOST_NAMED = 8
 
 
 def unread_files(paths: Iterable[Path]) -> str:
-    """Say how many files of which suffix are left unread, and what would read them.
-
-    Parameters
-    ----------
-    paths : iterable of Path
-        The files.
-
-    Returns
-    -------
-    str
-        ``3 .e57 (pip install 'pcretrieve[e57]'), 12 .jpg``: suffixes with advice first, and then the more
-        frequent ones; empty if there are no files.
-    """
+    """Say how many files of which suffix are left unread, and what would read them."""
     counts = Counter(path.suffix.lower() or "without a suffix" for path in paths)
     advice = {suffix: _advice(suffix) for suffix in counts}
     order = sorted(counts, key=lambda suffix: (not advice[suffix], -counts[suffix], suffix))

@@ -23,14 +23,8 @@ logger = logging.getLogger(__name__)
 class Views(NamedTuple):
     """Range scans of one body.
 
-    Attributes
-    ----------
-    files : tuple of Path
-        One file for each view.
-    clouds : tuple of PointCloud
-        The points of each view in its own frame; of a mesh, its vertices.
-    poses : (v, 4, 4) float64 or None
-        Rigid motions of the views into a common frame, where the files give them.
+    poses: (v, 4, 4) float64 or None, rigid motions of the views into a common frame, where the files give
+        them.
     """
 
     files: tuple[Path, ...]
@@ -41,26 +35,9 @@ class Views(NamedTuple):
 def view_files(paths: Sequence[str | Path]) -> tuple[list[Path], FloatArray | None]:
     """Find the files of views, and their poses.
 
-    Parameters
-    ----------
-    paths : sequence of str or Path
-        Files, folders or globs; or one file whose parts have poses, such as a Stanford ``.conf`` file, or
-        that holds several scans. A folder in the layout of the TUM RGB-D benchmark has poses too.
-
-    Returns
-    -------
-    files : list of Path
-        One file for each view, in the order of the paths.
-    poses : (v, 4, 4) float64 or None
-        Rigid motions of the views into a common frame; None if the files have no poses. If a trajectory does
-        not have the poses of all images, a warning says so, and there are none.
-
-    Raises
-    ------
-    InputError
-        If a path does not exist, or there are other files beside a file with poses.
-    ScanReadError
-        If a file with poses cannot be read.
+    Returns poses : (v, 4, 4) float64 or None: rigid motions of the views into a common frame; None if the
+        files have no poses. If a trajectory does not have the poses of all images, a warning says so, and
+        there are none.
     """
     files = discover(paths)
     for file in files:
@@ -100,22 +77,7 @@ def _along_trajectory(images: Sequence[Path]) -> FloatArray | None:
 def read_views(paths: Sequence[str | Path]) -> Views:
     """Read range scans.
 
-    Parameters
-    ----------
-    paths : sequence of str or Path
-        As in `view_files`.
-
-    Returns
-    -------
-    Views
-        The views; unit of the files.
-
-    Raises
-    ------
-    InputError
-        As in `view_files`.
-    ScanReadError
-        If a file cannot be read.
+    Returns Views: the views; unit of the files.
     """
     files, poses = view_files(paths)
     clouds = tuple(as_cloud(read_scan(file)) for file in files)

@@ -17,26 +17,7 @@ __all__ = ["content"]
 
 
 def content(path: Path, options: PipelineOptions) -> Content:
-    """Process one scan.
-
-    Parameters
-    ----------
-    path : Path
-        The file of the scan.
-    options : PipelineOptions
-        Options of the catalogue.
-
-    Returns
-    -------
-    Content
-        The shape, without its points and eigenvectors, the values of its signature, and, if meshes are
-        stored, its thumbnail.
-
-    Raises
-    ------
-    ShapeError
-        If a stage fails.
-    """
+    """Process one scan."""
     shape = process(path, options)
     with in_stage(Stage.SIGNATURE):
         signature = describe(shape, options.signature).values

@@ -74,23 +74,7 @@ class Task(Generic[Item]):
 class Worker(Generic[Item, Answer]):
     """A worker, in the parent process that has started it.
 
-    Parameters
-    ----------
-    function : callable
-        A function of one item.
-    prepare : callable
-        A function that the worker calls first.
-
-    Attributes
-    ----------
-    task : Task or None
-        The present task; None until the worker is ready.
-    n_tasks : int
-        Number of tasks that the worker has taken.
-    is_gone : bool
-        Whether the process has been stopped, or has ended.
-    deadline : float
-        Time at which the task, or the start, has exceeded its limit; seconds of the monotonic clock.
+    deadline: time at which the task, or the start, has exceeded its limit; seconds of the monotonic clock.
     """
 
     def __init__(self, function: Callable[[Item], Answer], prepare: Callable[[], object]) -> None:
@@ -137,12 +121,7 @@ class Worker(Generic[Item, Answer]):
     def take(self, task: Task[Item], timeout: float) -> None:
         """Send a task to the worker, which must not have one.
 
-        Parameters
-        ----------
-        task : Task
-            The task.
-        timeout : float
-            Longest time for the task; seconds.
+        timeout: longest time for the task; seconds.
         """
         task.attempts += 1
         self.task = task
@@ -237,11 +216,6 @@ def interrupts_blocked() -> Iterator[None]:
     """Block the signal of Ctrl-C in the processes that are started inside, also during their imports.
 
     The terminal sends the signal to all processes; the parent process handles it.
-
-    Yields
-    ------
-    None
-        Once, for the start of the processes.
     """
     # The resource tracker, which is started with the first worker, would unblock the signal.
     resource_tracker.ensure_running()

@@ -47,34 +47,7 @@ def outcomes(
     What the libraries print that the function calls is not shown: its end is logged at the level INFO, and is
     in the messages of errors whose cause is unknown.
 
-    Parameters
-    ----------
-    function : callable
-        A function of one item. The function, its argument and its result must be picklable.
-    items : iterable
-        The items, which are read when workers are free.
-    prepare : callable
-        A function that each worker calls first.
-    workers : int
-        Largest number of processes.
-    timeout : float
-        Longest time for one item; seconds.
-    idle : list of Worker, optional
-        Workers that an earlier call with the same function and `prepare` has left, which are taken first;
-        this call leaves its workers there when there are no more items. By default it stops them.
-
-    Yields
-    ------
-    item : object
-        The item.
-    outcome : object or PcretrieveError
-        What the function returned; what it raised, as an error of pcretrieve; or a `StageTimeout` or a
-        `WorkerDied`.
-
-    Raises
-    ------
-    PcretrieveError
-        If several workers, one after the other, end before they can take an item.
+    timeout: longest time for one item; seconds.
     """
     queue = _Queue(items)
     crew: list[Worker[Item, Answer]] = []
@@ -128,13 +101,7 @@ def outcomes(
 
 
 class _Queue(Generic[Item]):
-    """The items that no worker has taken yet.
-
-    Attributes
-    ----------
-    again : deque of Task
-        Tasks that only a new worker may take.
-    """
+    """The items that no worker has taken yet."""
 
     def __init__(self, items: Iterable[Item]) -> None:
         self.again: deque[Task[Item]] = deque()

@@ -12,18 +12,7 @@ SPREAD: Limits = (0.15, 0.5)
 
 
 def spread_check(spread: float) -> Check:
-    """Check the spread of the signature over simulated rescans.
-
-    Parameters
-    ----------
-    spread : float
-        As of `pcretrieve.inspection.signature_spread`; dimensionless.
-
-    Returns
-    -------
-    Check
-        "Signature": the spread.
-    """
+    """Check the spread of the signature over simulated rescans."""
     return graded(
         "Signature",
         spread,
@@ -36,32 +25,10 @@ def spread_check(spread: float) -> Check:
 
 
 def failure_check(failure: Failure) -> Check:
-    """Report the stage that failed.
-
-    Parameters
-    ----------
-    failure : Failure
-        The failure of the whole scan.
-
-    Returns
-    -------
-    Check
-        Failed, named after the stage; no value.
-    """
+    """Report the stage that failed."""
     return Check(f"The {failure.stage} stage", "failed", None, failure.error, failure.message)
 
 
 def rescan_check(failure: Failure) -> Check:
-    """Report a signature without an error bar, because a part of the points has no signature.
-
-    Parameters
-    ----------
-    failure : Failure
-        The failure of a rescan.
-
-    Returns
-    -------
-    Check
-        "Signature", failed; no value.
-    """
+    """Report a signature without an error bar, because a part of the points has no signature."""
     return Check("Signature", "failed", None, "none for nine tenths of the points", failure.message)

@@ -44,31 +44,7 @@ def inspect_scan(
     If a stage fails, the results of the earlier stages are checked. Rescans are simulated by reconstructing
     the surface from random parts of the points, as in `signature_spread`.
 
-    Parameters
-    ----------
-    scan : ScanLike
-        A path, an array, or geometry of this package, Open3D, trimesh or PyVista; see `as_geometry`.
-    options : OptionsLike, optional
-        Options, a preset's name, a TOML file, or a mapping; see `PipelineOptions.of`. By default those of the
-        catalogue, if there is one.
-    n_rescans : int, default 4
-        Number of rescans. With 0, there is no rescan deviation and no spread.
-    catalogue : Catalogue, optional
-        Where the next body is looked for, with whose distance the error bar of the signature is compared. By
-        default this distance is that of people.
-
-    Returns
-    -------
-    Inspection
-        Lengths are in the unit of the scan.
-
-    Raises
-    ------
-    InputError
-        If `scan` cannot be converted to a cloud or a mesh, `n_rescans` is 1 or negative, or signatures that
-        are not compared by logarithms are compared with a catalogue.
-    CatalogueError
-        If the options require other spectra than the catalogue has.
+    Returns Inspection: lengths are in the unit of the scan.
     """
     # Without the size: in the plot, it would be orders of magnitude larger than the other values.
     options = PipelineOptions.of(options, None if catalogue is None else catalogue.options)

@@ -37,18 +37,7 @@ LARGEST_PART = 1.15
 
 @dataclass(frozen=True, slots=True)
 class NextBody:
-    """The most similar other body.
-
-    Attributes
-    ----------
-    distance : float
-        Distance ``log`` of the signatures, without whitening, to which uncertainties are comparable.
-    id, label : str or None
-        The shape of this body in the catalogue, and its class. None without a catalogue, and if the class is
-        not known.
-    source : str
-        How the distance is known; a sentence.
-    """
+    """The most similar other body."""
 
     distance: float = NEXT_BODY
     id: str | None = None
@@ -60,18 +49,7 @@ class NextBody:
 
 
 def ratio_words(ratio: float) -> str:
-    """A ratio in words that stand before "the distance", such as "a third of" and "2.5 times".
-
-    Parameters
-    ----------
-    ratio : float
-        At least 0.
-
-    Returns
-    -------
-    str
-        The words.
-    """
+    """A ratio in words that stand before "the distance", such as "a third of" and "2.5 times"."""
     if ratio > LARGEST_PART:
         return f"{ratio:.2g} times" if ratio < 100 else "more than 100 times"
     return PARTS[bisect_right([least for least, _ in PARTS], ratio) - 1][1]
@@ -85,29 +63,6 @@ def next_body_in(
     The class of the scan is its class in the catalogue, if the catalogue has it, or else that of the nearest
     shape. The next body is the nearest shape of another class; if the classes are not known, the nearest
     shape.
-
-    Parameters
-    ----------
-    catalogue : Catalogue
-        The shapes.
-    signature : Signature
-        The signature of the scan.
-    options : PipelineOptions
-        The options of this signature.
-    path : Path, optional
-        The file of the scan.
-
-    Returns
-    -------
-    NextBody
-        The distance of people if the catalogue has no other body.
-
-    Raises
-    ------
-    CatalogueError
-        If the options require other spectra than the catalogue has.
-    InputError
-        If signatures are not compared by logarithms.
     """
     plain = options.changed(retrieval={"distance": "log", "whitening": "none", "calibration": None})
     table = catalogue.signatures(plain)

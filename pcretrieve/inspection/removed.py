@@ -23,12 +23,8 @@ DROPPED = 1.1
 class Removed(NamedTuple):
     """The points of a scan that were removed, (n,) bool each.
 
-    Attributes
-    ----------
-    cut_away : (n,) bool
-        Points that the stage `crop` removed.
-    dropped : (n,) bool
-        Points that another stage removed.
+    cut_away: (n,) bool, points that the stage `crop` removed.
+    dropped: (n,) bool, points that another stage removed.
     """
 
     cut_away: NDArray[np.bool_]
@@ -42,22 +38,7 @@ class Removed(NamedTuple):
 
 
 def removed_after(removed: Removed, before: Seen, seen: Seen, options: PipelineOptions) -> Removed:
-    """Find the points that have been removed after a stage.
-
-    Parameters
-    ----------
-    removed : Removed
-        The points that had been removed before the stage.
-    before, seen : Seen
-        The results before and after the stage.
-    options : PipelineOptions
-        Those of the stages.
-
-    Returns
-    -------
-    Removed
-        As many points as the stages count.
-    """
+    """Find the points that have been removed after a stage."""
     if seen.scan is not before.scan:
         return Removed.none_of(seen.scan)
     if seen.scan is None or seen.cloud is None or seen.cloud is before.cloud:
@@ -79,15 +60,8 @@ def removed_after(removed: Removed, before: Seen, seen: Seen, options: PipelineO
 def median_spacing(points: FloatArray) -> float:
     """The median distance of points to their nearest neighbours; 0 if there are fewer than two.
 
-    Parameters
-    ----------
-    points : (n, 3) float64
-        Coordinates.
-
-    Returns
-    -------
-    float
-        In the unit of the points.
+    points: (n, 3) float64, coordinates.
+    Returns float: in the unit of the points.
     """
     return float(np.median(cKDTree(points).query(points, k=[2])[0])) if len(points) > 1 else 0.0
 

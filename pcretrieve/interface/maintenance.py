@@ -18,17 +18,7 @@ __all__ = ["Check", "backup", "check"]
 
 @dataclass(frozen=True, slots=True)
 class Check:
-    """The result of a check of a catalogue.
-
-    Attributes
-    ----------
-    n_shapes, n_failed : int
-        Numbers of shapes, and of failed ones, after repairs.
-    n_recomputed : int
-        Number of signatures that were computed again.
-    defects : tuple of Defect
-        The defects.
-    """
+    """The result of a check of a catalogue."""
 
     n_shapes: int
     n_failed: int

@@ -28,23 +28,6 @@ def canonical_form(mesh: TriangleMesh) -> TriangleMesh:
     squares (`scaled_coordinates`). Distances do not tell a form from its mirror image: of the two, the one is
     taken whose enclosed volume is positive, as that of the surface is if its faces are oriented outwards.
 
-    Parameters
-    ----------
-    mesh : TriangleMesh
-        Connected.
-
-    Returns
-    -------
-    TriangleMesh
-        With about 1000 faces; centroid of area 0, principal axes along x, y and z from the largest variance
-        to the smallest, positive skewness along x and y, and the largest distance of a vertex from the
-        centroid 1. Invariant to isometry and scaling, but the axes of nearly symmetric forms are unstable.
-
-    Raises
-    ------
-    DegenerateMeshError
-        If the surface has fewer than 4 vertices or no area, or is not connected.
-
     References
     ----------
     .. [1] A. Elad and R. Kimmel, "On bending invariant signatures for surfaces", IEEE Transactions on Pattern
@@ -60,21 +43,7 @@ def canonical_form(mesh: TriangleMesh) -> TriangleMesh:
 
 
 def coarser(mesh: TriangleMesh, n_faces: int) -> TriangleMesh:
-    """A surface with about so many faces, or all of its faces if it has fewer.
-
-    Parameters
-    ----------
-    mesh : TriangleMesh
-        Also open.
-    n_faces : int
-        Number of faces.
-
-    Returns
-    -------
-    TriangleMesh
-        By `pcretrieve.surface.simplify`, which keeps the topology, or, for surfaces that are open or not
-        manifold, by Open3D; without vertices that are in no face.
-    """
+    """A surface with about so many faces, or all of its faces if it has fewer."""
     # Imported here because the modules' numba functions are compiled on import.
     from pcretrieve.surface.simplify import simplified
     from pcretrieve.surface.topology import compact
@@ -93,20 +62,7 @@ def geodesic_distances(mesh: TriangleMesh) -> FloatArray:
     The paths follow the edges, and the diagonals of each two adjacent faces, which are unfolded into one
     plane. They are longer than geodesics by 3 % in the mean on a sphere, and need no solver.
 
-    Parameters
-    ----------
-    mesh : TriangleMesh
-        Connected, with at least 4 vertices, each in a face.
-
-    Returns
-    -------
-    (n, n) float64
-        Symmetric; unit length.
-
-    Raises
-    ------
-    DegenerateMeshError
-        If the surface has fewer than 4 vertices or is not connected.
+    Returns (n, n) float64: symmetric; unit length.
     """
     n = len(mesh.vertices)
     if n < 4:
@@ -164,15 +120,9 @@ def scaled_coordinates(distances: FloatArray) -> FloatArray:
     Thirty iterations of SMACOF [1]_, which minimises the sum of the squared differences of all distances,
     from the solution of classical scaling.
 
-    Parameters
-    ----------
-    distances : (n, n) float64
-        Symmetric, finite, zero on the diagonal; n is at least 4.
-
-    Returns
-    -------
-    (n, 3) float64
-        The points, in the unit of the distances; determined up to rotations, reflections and translations.
+    distances: (n, n) float64, symmetric, finite, zero on the diagonal; n is at least 4.
+    Returns (n, 3) float64: the points, in the unit of the distances; determined up to rotations, reflections
+        and translations.
 
     References
     ----------

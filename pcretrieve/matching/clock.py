@@ -29,12 +29,8 @@ VOCABULARY = 1500
 class ViewDescriptors(NamedTuple):
     """The SIFT descriptors in the views of a canonical form.
 
-    Attributes
-    ----------
-    starts : (67,) int32
-        The descriptors of view k are the rows ``starts[k]`` to ``starts[k + 1]``.
-    descriptors : (p, 128) uint8
-        The descriptors.
+    starts: (67,) int32, the descriptors of view k are the rows ``starts[k]`` to ``starts[k + 1]``.
+    descriptors: (p, 128) uint8, the descriptors.
     """
 
     starts: IntArray
@@ -44,14 +40,10 @@ class ViewDescriptors(NamedTuple):
 class ViewWords(NamedTuple):
     """The frequencies of the visual words in the views of a canonical form, without zeros.
 
-    Attributes
-    ----------
-    starts : (67,) int32
-        The words of view k are at positions ``starts[k]`` to ``starts[k + 1]`` of the other arrays.
-    words : (w,) int32
-        Numbers of the words, ascending in each view.
-    counts : (w,) int32
-        Frequencies of the words.
+    starts: (67,) int32, the words of view k are at positions ``starts[k]`` to ``starts[k + 1]`` of the other
+        arrays.
+    words: (w,) int32, numbers of the words, ascending in each view.
+    counts: (w,) int32, frequencies of the words.
     """
 
     starts: IntArray
@@ -66,23 +58,6 @@ def view_descriptors(shape: Shape) -> ViewDescriptors:
     marching; forms of at most 1000 faces, which are drawn themselves; pictures of 128 × 128 pixels instead of
     256 × 256; principal axes without the measure of rectilinearity; and OpenCV's default settings of SIFT.
     See docs/decisions.md, VOCABULARY. Requires the extra ``pcretrieve[views]``.
-
-    Parameters
-    ----------
-    shape : Shape
-        With its mesh, as in `canonical_form`.
-
-    Returns
-    -------
-    ViewDescriptors
-        Invariant to isometry and scaling, up to the rotations of `clock_distance`.
-
-    Raises
-    ------
-    OptionError
-        If OpenCV is not installed.
-    DegenerateMeshError
-        If the surface has no canonical form.
 
     References
     ----------
@@ -99,19 +74,7 @@ def view_descriptors(shape: Shape) -> ViewDescriptors:
 
 
 def view_words(gallery: Sequence[ViewDescriptors]) -> Callable[[ViewDescriptors], ViewWords]:
-    """Draw the visual words from the descriptors of a gallery, at random, as published.
-
-    Parameters
-    ----------
-    gallery : sequence of ViewDescriptors
-        The shapes of the gallery.
-
-    Returns
-    -------
-    function of ViewDescriptors that returns ViewWords
-        Counts the words, of which there are 1500, or as many as the gallery has descriptors. The function can
-        be pickled.
-    """
+    """Draw the visual words from the descriptors of a gallery, at random, as published."""
     rng = np.random.default_rng(0)
     every = np.concatenate([shape.descriptors for shape in gallery])  # (p, 128)
     words = every[rng.choice(len(every), min(VOCABULARY, len(every)), replace=False)]
@@ -124,16 +87,6 @@ def clock_distance(query: ViewWords, other: ViewWords) -> float:
     For views with frequencies a and b, the distance is 1 − Σ min(a, b) / max(Σ a, Σ b), and 0 for two views
     without words. The distances of corresponding views are averaged, for each of the 24 rotations of an
     octahedron, and the smallest average is the distance.
-
-    Parameters
-    ----------
-    query, other : ViewWords
-        The frequencies of the words; the distance is symmetric.
-
-    Returns
-    -------
-    float
-        Between 0 and 1; 0 for a form and itself.
     """
     # Imported here because the module's numba functions are compiled on import.
     from pcretrieve.matching.overlaps import smallest_mean

@@ -22,18 +22,7 @@ DIGITS = 17
 
 
 def ids_path(path: str | Path) -> Path:
-    """The file with the ids of a distance matrix.
-
-    Parameters
-    ----------
-    path : str or Path
-        The file of the matrix.
-
-    Returns
-    -------
-    Path
-        ``bodies.ids`` for ``bodies.txt`` and ``bodies.npy``.
-    """
+    """The file with the ids of a distance matrix."""
     return Path(path).with_suffix(".ids")
 
 

@@ -32,12 +32,8 @@ N_POINTS = 100
 class HeatPoints(NamedTuple):
     """Heat kernel signatures of all vertices of a surface.
 
-    Attributes
-    ----------
-    features : (n, 6) float64
-        The signatures, as in `heat_features`; dimensionless.
-    shares : (n,) float64
-        The share of the area of the surface that each vertex represents; the sum is 1.
+    features: (n, 6) float64, the signatures, as in `heat_features`; dimensionless.
+    shares: (n,) float64, the share of the area of the surface that each vertex represents; the sum is 1.
     """
 
     features: FloatArray
@@ -45,23 +41,7 @@ class HeatPoints(NamedTuple):
 
 
 def heat_points(shape: Shape) -> HeatPoints:
-    """The heat kernel signatures of the first surface of a shape.
-
-    Parameters
-    ----------
-    shape : Shape
-        With its mesh.
-
-    Returns
-    -------
-    HeatPoints
-        Invariant to isometry and scaling.
-
-    Raises
-    ------
-    SpectrumError, DegenerateMeshError
-        If the surface has no such spectrum.
-    """
+    """The heat kernel signatures of the first surface of a shape."""
     pairs = unit_eigenpairs(shape.mesh, N_PAIRS)
     areas = np.asarray(pairs.mass.sum(axis=0)).ravel()  # (n,)
     return HeatPoints(heat_features(pairs), areas / areas.sum())
@@ -74,21 +54,8 @@ def word_frequencies(gallery: Sequence[HeatPoints]) -> Callable[[HeatPoints], Fl
     the cluster centres (k-means from a fixed start) of random points of the gallery, drawn in proportion to
     area; soft assignment with σ twice the median gap between neighbouring words.
 
-    Parameters
-    ----------
-    gallery : sequence of HeatPoints
-        The shapes of the gallery.
-
-    Returns
-    -------
-    function of HeatPoints that returns (48,) float64
-        The share of the area of a surface that each word has. Not negative, of sum 1, dimensionless. The
-        function can be pickled.
-
-    Raises
-    ------
-    InputError
-        If the gallery has fewer than 384 vertices.
+    Returns function of HeatPoints that returns (48,) float64: the share of the area of a surface that each
+        word has. Not negative, of sum 1, dimensionless. The function can be pickled.
 
     References
     ----------
@@ -117,15 +84,7 @@ def word_frequencies(gallery: Sequence[HeatPoints]) -> Callable[[HeatPoints], Fl
 def word_distance(query: FloatArray, other: FloatArray) -> float:
     """The sum of the absolute differences of the frequencies of words.
 
-    Parameters
-    ----------
-    query, other : (48,) float64
-        The frequencies by the same vocabulary.
-
-    Returns
-    -------
-    float
-        Between 0 and 2.
+    query, other: (48,) float64, the frequencies by the same vocabulary.
     """
     return float(cityblock(query, other))
 

@@ -33,12 +33,8 @@ N_SAMPLES = 300
 class HeatSet(NamedTuple):
     """Heat kernel signatures that represent those of all vertices of a surface.
 
-    Attributes
-    ----------
-    features : (s, 6) float64
-        The signatures, as in `heat_features`; dimensionless.
-    weights : (s,) float64
-        The share of the area of the surface that each of them represents; the sum is 1.
+    features: (s, 6) float64, the signatures, as in `heat_features`; dimensionless.
+    weights: (s,) float64, the share of the area of the surface that each of them represents; the sum is 1.
     """
 
     features: FloatArray
@@ -46,25 +42,7 @@ class HeatSet(NamedTuple):
 
 
 def heat_set(shape: Shape) -> HeatSet:
-    """The heat kernel signatures of the first surface of a shape.
-
-    Parameters
-    ----------
-    shape : Shape
-        With its mesh.
-
-    Returns
-    -------
-    HeatSet
-        Samples that are spread evenly over the signatures of all vertices (farthest point sampling), each
-        with the area of the vertices to whose signatures it is nearest. Invariant to isometry and scaling,
-        and to the order of the vertices.
-
-    Raises
-    ------
-    SpectrumError, DegenerateMeshError
-        If the surface has no such spectrum.
-    """
+    """The heat kernel signatures of the first surface of a shape."""
     pairs = unit_eigenpairs(shape.mesh, N_PAIRS)
     features = heat_features(pairs)  # (n, 6)
     areas = np.asarray(pairs.mass.sum(axis=0)).ravel()  # (n,)
@@ -82,17 +60,6 @@ def heat_set(shape: Shape) -> HeatSet:
 
 
 def heat_distance(query: HeatSet, other: HeatSet) -> float:
-    """The modified Hausdorff distance of two sets of heat kernel signatures.
-
-    Parameters
-    ----------
-    query, other : HeatSet
-        The sets; the distance is symmetric.
-
-    Returns
-    -------
-    float
-        Dimensionless; 0 for a surface and itself.
-    """
+    """The modified Hausdorff distance of two sets of heat kernel signatures."""
     apart = cdist(query.features, other.features)  # (s, t)
     return float(max(query.weights @ apart.min(axis=1), other.weights @ apart.min(axis=0)))

@@ -95,20 +95,7 @@ class DistanceMatrix(Value):
 
 
 def distance_matrix(ranking: Ranking, labels: tuple[str | None, ...] = ()) -> DistanceMatrix:
-    """Compute all distances of a gallery.
-
-    Parameters
-    ----------
-    ranking : Ranking
-        Such as a `SignatureIndex` or a `PairwiseIndex`.
-    labels : tuple of (str or None), length N
-        Class of each shape of the gallery, if known.
-
-    Returns
-    -------
-    DistanceMatrix
-        In the order of the gallery.
-    """
+    """Compute all distances of a gallery."""
     values = np.empty((len(ranking.ids), len(ranking.ids)))
     for block in ranking.blocks():
         values[block.queries] = block.distances

@@ -61,10 +61,8 @@ LARGEST = 0.25
 class MeshFeatures(NamedTuple):
     """The local features of a surface.
 
-    Attributes
-    ----------
-    descriptors : (k, 144) float32
-        Unit vectors: for nine patches, 8 bins of the shape index and 8 bins of the slant of the normals.
+    descriptors: (k, 144) float32, unit vectors: for nine patches, 8 bins of the shape index and 8 bins of the
+        slant of the normals.
     """
 
     descriptors: NDArray[np.float32]
@@ -83,21 +81,6 @@ def mesh_features(shape: Shape) -> MeshFeatures:
     its geodesic distance and its projected direction. See docs/decisions.md, RATIO. Finer surfaces are
     simplified to 10,000 faces. Local features need a fine surface: with fewer than 5,000 faces a warning is
     logged, once.
-
-    Parameters
-    ----------
-    shape : Shape
-        With its mesh.
-
-    Returns
-    -------
-    MeshFeatures
-        Invariant to scaling and rigid motion, and nearly to isometry.
-
-    Raises
-    ------
-    DegenerateMeshError
-        If the surface has no area, or no keypoints.
 
     References
     ----------
@@ -142,16 +125,6 @@ def match_distance(query: MeshFeatures, other: MeshFeatures) -> float:
     angle between them is at most .85 of the angle to the second nearest. The share is the mean number of
     matches by the second nearest of both surfaces, divided by the larger number of features. The smaller
     number lets surfaces with few features be near to all others. See docs/decisions.md, RATIO.
-
-    Parameters
-    ----------
-    query, other : MeshFeatures
-        The features; the distance is symmetric.
-
-    Returns
-    -------
-    float
-        Between 0 and 1; 0 for a surface and itself, if it has at least two features and no equal ones.
     """
     cosines = query.descriptors @ other.descriptors.T
     nearest, is_clear = _nearest(cosines)

@@ -22,19 +22,7 @@ def smallest_mean(
 ) -> float:
     """The smallest mean distance of the histograms of two forms.
 
-    Parameters
-    ----------
-    starts, words, counts : IntArray
-        The histograms of one form, as in `ViewWords`.
-    other_starts, other_words, other_counts : IntArray
-        The histograms of the other form.
-    exchanges : (r, k) int32
-        For each rotation and each view of the other form, the view of the first form.
-
-    Returns
-    -------
-    float
-        The smallest mean over the rotations.
+    exchanges: (r, k) int32, for each rotation and each view of the other form, the view of the first form.
     """
     n_views = len(starts) - 1
     # Several rotations compare the same two views, whose distance is computed once.

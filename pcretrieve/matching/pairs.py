@@ -21,33 +21,7 @@ _Result = TypeVar("_Result")
 
 
 class PairwiseIndex:
-    """The features of a gallery of shapes, which a matcher compares one by one: a `Ranking`.
-
-    Parameters
-    ----------
-    matcher : Matcher
-        The method.
-    ids : iterable of str
-        Identifiers of the shapes, distinct.
-    shape_of : function of str that returns a Shape
-        Gives the shape of an identifier, with the parts that the matcher needs.
-
-    Attributes
-    ----------
-    matcher : Matcher
-        The method.
-    ids : tuple of str, length N
-        The shapes that have features, in the given order.
-    features : tuple, length N
-        What `Matcher.prepare` made of each shape; with `Matcher.learn`, what the learned function made of it.
-    failures : tuple of Failure
-        The other shapes, which are left out.
-
-    Raises
-    ------
-    InputError
-        If an identifier comes twice.
-    """
+    """The features of a gallery of shapes, which a matcher compares one by one: a `Ranking`."""
 
     def __init__(self, matcher: Matcher, ids: Iterable[str], shape_of: Callable[[str], Shape]) -> None:
         self.matcher = matcher
@@ -73,52 +47,20 @@ class PairwiseIndex:
         return len(self.ids)
 
     def query(self, shape: Shape, k: int = 10) -> Neighbors:
-        """The shapes of the gallery nearest to any shape.
-
-        Parameters
-        ----------
-        shape : Shape
-            With the parts that the matcher needs.
-        k : int, default 10
-            Number of shapes, at least 1; all if there are fewer.
-
-        Returns
-        -------
-        Neighbors
-            Nearest first, equally near shapes in alphabetical order.
-        """
+        """The shapes of the gallery nearest to any shape."""
         features = self._after_learning(self._called(self.matcher.prepare, shape))
         return nearest_of(self.ids, self._row(features), k)
 
     def nearest(self, shape_id: str, k: int = 10) -> Neighbors:
-        """The shapes nearest to a shape of the gallery, itself included.
-
-        Parameters
-        ----------
-        shape_id : str
-            One of `ids`.
-        k : int, default 10
-            Number of shapes, at least 1; all if there are fewer.
-
-        Returns
-        -------
-        Neighbors
-            Nearest first, equally near shapes in alphabetical order.
-        """
+        """The shapes nearest to a shape of the gallery, itself included."""
         return nearest_of(self.ids, self._row(self.features[position_of(self.ids, shape_id)]), k)
 
     def blocks(self, queries: Positions | None = None) -> Iterator[DistanceBlock]:
         """Distances from shapes of the gallery to all of the gallery.
 
-        Parameters
-        ----------
-        queries : (Q,) intp, optional
-            Positions in `ids`. By default all; of a symmetric distance, half are then computed.
-
-        Yields
-        ------
-        DistanceBlock
-            One query; or all queries, by default.
+        queries: (Q,) intp, optional, positions in `ids`. By default all; of a symmetric distance, half are
+            then computed.
+        Yields DistanceBlock: one query; or all queries, by default.
         """
         if queries is not None:
             for position in queries:

@@ -21,16 +21,11 @@ MEAN_SQUARE = 2 / 3
 class Level(NamedTuple):
     """A smoothed surface.
 
-    Attributes
-    ----------
-    scale : float
-        σ, the width of the smoothing; unit length.
-    vertices : (n, 3) float64
-        The smoothed vertices; unit length.
-    normals : (n, 3) float64
-        Unit normals of the smoothed surface.
-    curvatures : (n, 2) float64
-        Principal curvatures, the larger one first; 1 / unit length, positive where the surface is convex.
+    scale: σ, the width of the smoothing; unit length.
+    vertices: (n, 3) float64, the smoothed vertices; unit length.
+    normals: (n, 3) float64, unit normals of the smoothed surface.
+    curvatures: (n, 2) float64, principal curvatures, the larger one first; 1 / unit length, positive where
+        the surface is convex.
     """
 
     scale: float
@@ -48,12 +43,8 @@ class Level(NamedTuple):
 class Keypoints(NamedTuple):
     """Extrema of the scale space.
 
-    Attributes
-    ----------
-    vertices : (k,) int32
-        Numbers of the vertices, the strongest extremum first.
-    levels : (k,) int32
-        Numbers of the levels.
+    vertices: (k,) int32, numbers of the vertices, the strongest extremum first.
+    levels: (k,) int32, numbers of the levels.
     """
 
     vertices: IntArray
@@ -61,18 +52,7 @@ class Keypoints(NamedTuple):
 
 
 def levels(mesh: TriangleMesh) -> list[Level]:
-    """Smooth a surface step by step, and compute the curvatures of each step.
-
-    Parameters
-    ----------
-    mesh : TriangleMesh
-        With an area; each vertex in a face.
-
-    Returns
-    -------
-    list of Level
-        Six levels, from fine to coarse.
-    """
+    """Smooth a surface step by step, and compute the curvatures of each step."""
     links = adjacency(mesh)
     average = links + diags_array(np.ones(len(mesh.vertices)))
     average = diags_array(1 / average.sum(axis=1)) @ average
@@ -91,15 +71,7 @@ def levels(mesh: TriangleMesh) -> list[Level]:
 def adjacency(mesh: TriangleMesh) -> csr_array:
     """The (n, n) matrix with 1 for each two vertices that share an edge.
 
-    Parameters
-    ----------
-    mesh : TriangleMesh
-        The surface.
-
-    Returns
-    -------
-    (n, n) csr_array of float64
-        Symmetric, 0 on the diagonal.
+    Returns (n, n) csr_array of float64: symmetric, 0 on the diagonal.
     """
     starts, ends = mesh.faces.ravel(), mesh.faces[:, [1, 2, 0]].ravel()
     n = len(mesh.vertices)
@@ -110,23 +82,7 @@ def adjacency(mesh: TriangleMesh) -> csr_array:
 
 
 def keypoints(scale_space: list[Level], mesh: TriangleMesh, most: int) -> Keypoints:
-    """The vertices at which the change of the mean curvature with the scale is an extremum.
-
-    Parameters
-    ----------
-    scale_space : list of Level
-        As from `levels`.
-    mesh : TriangleMesh
-        The surface.
-    most : int
-        Largest number of keypoints.
-
-    Returns
-    -------
-    Keypoints
-        Extrema of σ (H_{l+1} − H_l), with respect to adjacent vertices and to both adjacent differences, at
-        the inner differences; H_l is the mean curvature of level l. At most `most` of largest magnitude.
-    """
+    """The vertices at which the change of the mean curvature with the scale is an extremum."""
     curved = np.array([level.scale * level.mean_curvatures for level in scale_space])  # (s, n)
     change = np.diff(curved, axis=0)  # (s − 1, n)
     links = adjacency(mesh)

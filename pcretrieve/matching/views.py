@@ -47,10 +47,8 @@ def _subdivided(point: IntArray) -> FloatArray:
 def exchanges() -> IntArray:
     """What the 24 rotations of an octahedron do to the directions.
 
-    Returns
-    -------
-    (24, 66) int32
-        The number of the direction to which each rotation turns each direction. The identity is among them.
+    Returns (24, 66) int32: the number of the direction to which each rotation turns each direction. The
+        identity is among them.
     """
     views = directions()
     rows = []
@@ -66,16 +64,9 @@ def exchanges() -> IntArray:
 def depth_pictures(mesh: TriangleMesh) -> Iterator[FloatArray]:
     """Depth pictures of a surface from all directions, by orthographic projection.
 
-    Parameters
-    ----------
-    mesh : TriangleMesh
-        Within the unit sphere.
-
-    Yields
-    ------
-    (128, 128) float64
-        For each of `directions`: (1 + z) / 2 at the point nearest to the camera, with z the coordinate
-        towards the camera; 0 where there is no surface.
+    mesh: within the unit sphere.
+    Yields (128, 128) float64: for each of `directions`: (1 + z) / 2 at the point nearest to the camera, with
+        z the coordinate towards the camera; 0 where there is no surface.
     """
     scale = (1 - MARGIN) * (N_PIXELS - 1) / 2
     for towards in directions():

@@ -18,29 +18,7 @@ PNG_MAGIC = b"\x89PNG\r\n\x1a\n"
 class Card:
     """One shape on the page.
 
-    Attributes
-    ----------
-    id : str
-        Identifier of the shape.
-    label : str or None
-        Class of the shape, if known.
-    path : str
-        File of the scan; may be empty.
-    distance : float or None
-        Distance to the query; None for the query itself.
-    picture : bytes or None
-        PNG with a transparent background. The page shows it with a width of 6 rem, about 96 pixels.
-    relevant : bool or None
-        Whether the shape is right: it has the class of the query. None for the query, if one of both has no
-        label, and for a shape of another class after as many results as the class has other shapes: a perfect
-        ranking too has such shapes there.
-    verdict : Verdict or None
-        Whether the signature can be relied on. The page says so if it cannot.
-
-    Raises
-    ------
-    InputError
-        If the picture is not a PNG, or the distance is negative or not finite.
+    picture: PNG with a transparent background. The page shows it with a width of 6 rem, about 96 pixels.
     """
 
     id: str
@@ -65,19 +43,7 @@ class Card:
 class Panel:
     """A query and its results.
 
-    Attributes
-    ----------
-    query : Card
-        The query.
-    results : tuple of Card
-        The results, in ascending order of distance.
-    score : float or None
-        Average precision of the query, between 0 and 1; None if there is no other shape of its class.
-
-    Raises
-    ------
-    InputError
-        If the distances are not in ascending order.
+    results: the results, in ascending order of distance.
     """
 
     query: Card

@@ -26,19 +26,7 @@ class Cell(NamedTuple):
 
 
 class ConfusionPicture(NamedTuple):
-    """A confusion matrix whose cells have side 1.
-
-    Attributes
-    ----------
-    cells : list of Cell
-        The cells that are not empty.
-    rows, columns : list of str
-        The classes of queries, and of nearest shapes, shortened.
-    margin : float
-        Width of the longest of them.
-    n_right, n : int
-        Number of queries whose nearest shape is of their class, and of all.
-    """
+    """A confusion matrix whose cells have side 1."""
 
     cells: list[Cell]
     rows: list[str]
@@ -49,18 +37,7 @@ class ConfusionPicture(NamedTuple):
 
 
 def confusion_picture(confusion: Confusion) -> ConfusionPicture:
-    """Draw a confusion matrix.
-
-    Parameters
-    ----------
-    confusion : Confusion
-        The matrix. The column of shapes without a class is left out if it is empty.
-
-    Returns
-    -------
-    ConfusionPicture
-        What the template draws.
-    """
+    """Draw a confusion matrix."""
     counts = confusion.counts
     n_columns = len(confusion.nearest) - (not counts[:, -1].any())
     nearest = ["no class" if label is None else label for label in confusion.nearest[:n_columns]]

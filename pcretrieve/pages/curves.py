@@ -13,17 +13,7 @@ __all__ = ["Curves", "curves"]
 
 
 class Curves(NamedTuple):
-    """Curves with common axes.
-
-    Attributes
-    ----------
-    lines : list of str
-        The points of each curve, for a ``polyline``.
-    lowest, highest : float
-        The values at the bottom and at the top.
-    n : int
-        Number of values of the longest curve.
-    """
+    """Curves with common axes."""
 
     lines: list[str]
     lowest: float
@@ -34,15 +24,7 @@ class Curves(NamedTuple):
 def curves(rows: Sequence[FloatArray]) -> Curves:
     """Draw rows of numbers as curves with common axes.
 
-    Parameters
-    ----------
-    rows : sequence of (n,) float64
-        At least one row, of finite values; rows may have different lengths.
-
-    Returns
-    -------
-    Curves
-        The curves.
+    rows: sequence of (n,) float64, at least one row, of finite values; rows may have different lengths.
     """
     every = np.concatenate([np.asarray(row, dtype=np.float64) for row in rows])
     lowest, highest = float(every.min()), float(every.max())

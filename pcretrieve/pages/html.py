@@ -13,19 +13,7 @@ __all__ = ["page_template"]
 
 @cache
 def page_template(name: str) -> Template:
-    """Load a template from the folder ``templates``, which may include files of the folder ``assets``.
-
-    Parameters
-    ----------
-    name : str
-        File name, such as ``report.html``.
-
-    Returns
-    -------
-    jinja2.Template
-        The template, with the filters ``three_digits``, ``data_uri`` and ``in_address``; all values are
-        escaped.
-    """
+    """Load a template from the folder ``templates``, which may include files of the folder ``assets``."""
     environment = Environment(
         loader=PackageLoader("pcretrieve.pages", ""),
         autoescape=True,

@@ -40,35 +40,14 @@ REMOVED_IN_VIEW = 90
 
 
 class Served(NamedTuple):
-    """Where a page of a server leads to.
-
-    Attributes
-    ----------
-    title : str
-        Name of the collection.
-    back : str
-        Address of the page to which this one belongs.
-    """
+    """Where a page of a server leads to."""
 
     title: str
     back: str
 
 
 def inspection_html(inspection: Inspection, served: Served | None = None) -> str:
-    """The page of an inspection.
-
-    Parameters
-    ----------
-    inspection : Inspection
-        The result of `inspect_scan`.
-    served : Served, optional
-        For a page of a server, whose styles and scripts are at ``/assets/``; by default they are inlined.
-
-    Returns
-    -------
-    str
-        HTML.
-    """
+    """The page of an inspection."""
     return page_template("inspection.html").render(
         it=inspection,
         rows=[row.encoded() for row in rows_of(inspection)],
@@ -79,25 +58,7 @@ def inspection_html(inspection: Inspection, served: Served | None = None) -> str
 
 
 def write_inspection_page(inspection: Inspection, path: str | Path) -> Path:
-    """Write the page of an inspection. An existing file is replaced in one step, or left unchanged.
-
-    Parameters
-    ----------
-    inspection : Inspection
-        The result of `inspect_scan`.
-    path : str or Path
-        The HTML file, in a folder that exists.
-
-    Returns
-    -------
-    Path
-        Absolute path of the file.
-
-    Raises
-    ------
-    InputError
-        If the file cannot be written.
-    """
+    """Write the page of an inspection. An existing file is replaced in one step, or left unchanged."""
     target = Path(path).absolute()
     write_file(target, inspection_html(inspection).encode("utf-8", errors="replace"))
     return target

@@ -86,14 +86,7 @@ DARKEST = 0.35
 class Row:
     """Pictures of one layer from all sides, cropped above and below, and the meaning of their colours.
 
-    Attributes
-    ----------
-    title : str
-        What the pictures show.
-    key : list of (Colour, str)
-        The meaning of each colour.
-    pictures : list of PIL.Image.Image
-        One picture for each camera, with a transparent background.
+    key: list of (Colour, str), the meaning of each colour.
     """
 
     title: str
@@ -118,35 +111,12 @@ class Row:
 
 
 def inspection_cameras(it: Inspection) -> list[Camera]:
-    """The cameras of all pictures of an inspection.
-
-    Parameters
-    ----------
-    it : Inspection
-        The inspection.
-
-    Returns
-    -------
-    list of Camera
-        Cameras on four sides of the body; empty if there are no points.
-    """
+    """The cameras of all pictures of an inspection."""
     return cameras_around(it.body) if len(it.body) else []
 
 
 def rows_of(it: Inspection) -> list[Row]:
-    """The rows of pictures of an inspection.
-
-    Parameters
-    ----------
-    it : Inspection
-        The inspection.
-
-    Returns
-    -------
-    list of Row
-        All points, if some were removed far from the body; points of the body with outliers, normals,
-        surface, and changes of the surface, as far as the stages did not fail.
-    """
+    """The rows of pictures of an inspection."""
     rows = []
     if it.scan is not None and inspection_cameras(it):
         if it.cut_away.any() or _outside(it.scan.points[it.dropped], inspection_cameras(it)).any():
@@ -282,14 +252,7 @@ def _marks_row(mesh: TriangleMesh, it: Inspection) -> Row:
 def thinned(points: FloatArray) -> FloatArray:
     """Select `MOST_POINTS` points at equal intervals in the order of the file.
 
-    Parameters
-    ----------
-    points : (n, 3) float64
-        Points, or another value of each point.
-
-    Returns
-    -------
-    (k, 3) float64
-        All rows, if there are no more than `MOST_POINTS`.
+    points: (n, 3) float64, points, or another value of each point.
+    Returns (k, 3) float64: all rows, if there are no more than `MOST_POINTS`.
     """
     return points[np.linspace(0, len(points) - 1, min(len(points), MOST_POINTS)).astype(np.intp)]

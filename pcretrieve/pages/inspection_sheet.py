@@ -16,25 +16,7 @@ __all__ = ["write_inspection_png"]
 
 
 def write_inspection_png(inspection: Inspection, path: str | Path) -> Path:
-    """Write the verdict and all pictures into one picture. An existing file is replaced in one step.
-
-    Parameters
-    ----------
-    inspection : Inspection
-        The result of `inspect_scan`.
-    path : str or Path
-        The PNG file, in a folder that exists.
-
-    Returns
-    -------
-    Path
-        Absolute path of the file.
-
-    Raises
-    ------
-    InputError
-        If the file cannot be written.
-    """
+    """Write the verdict and all pictures into one picture. An existing file is replaced in one step."""
     target = Path(path).absolute()
     rows = rows_of(inspection)
     margin, line, title = 16, 22, 34

@@ -48,14 +48,7 @@ PICTURE_PIXELS = 128
 class ClassGroup(NamedTuple):
     """The shapes of one class, and how they are drawn.
 
-    Attributes
-    ----------
-    label : str or None
-        The class.
-    rows : (m,) int
-        Numbers of its shapes.
-    colour, marker : str
-        How they are drawn.
+    rows: (m,) int, numbers of its shapes.
     """
 
     label: str | None
@@ -71,32 +64,7 @@ def write_map(
     *,
     up: str | None = None,
 ) -> Path:
-    """Draw the shapes of a catalogue in the plane. An existing file is replaced in one step.
-
-    Parameters
-    ----------
-    catalogue : Catalogue
-        The shapes, with their classes if known.
-    path : str or Path
-        The file: a picture ``.png``, or a page ``.html``.
-    options : PipelineOptions, optional
-        The signatures and their whitening; by default those of the catalogue.
-    up : {"x", "-x", "y", "-y", "z", "-z"}, optional
-        The axis of the files that points upwards on thumbnails; by default found for each shape.
-
-    Returns
-    -------
-    Path
-        Absolute path of the file.
-
-    Raises
-    ------
-    CatalogueError
-        If `options` require other spectra than the catalogue has.
-    InputError
-        If the catalogue has no shapes, the file ends otherwise or cannot be written, or there is no
-        matplotlib.
-    """
+    """Draw the shapes of a catalogue in the plane. An existing file is replaced in one step."""
     target = Path(path).absolute()
     if target.suffix.lower() not in (".png", ".html"):
         raise InputError(f"a map is a picture .png or a page .html, got {target.name}")
@@ -125,19 +93,7 @@ def write_map(
 def map_drawing(ids: Sequence[str], groups: Sequence[ClassGroup], places: FloatArray) -> dict[str, object]:
     """What the templates draw of a map.
 
-    Parameters
-    ----------
-    ids : sequence of str, length n
-        The shapes.
-    groups : sequence of ClassGroup
-        Their classes.
-    places : (n, 2) float64
-        The place of each, within [0, 1]².
-
-    Returns
-    -------
-    dict
-        The frame, and the marker and the place of each shape of each class.
+    places: (n, 2) float64, the place of each, within [0, 1]².
     """
     return {
         "side": SIDE,
@@ -156,18 +112,7 @@ def map_drawing(ids: Sequence[str], groups: Sequence[ClassGroup], places: FloatA
 
 
 def class_groups(labels: Sequence[str | None]) -> list[ClassGroup]:
-    """The classes in alphabetical order, then the shapes of unknown class.
-
-    Parameters
-    ----------
-    labels : sequence of str or None
-        The class of each shape.
-
-    Returns
-    -------
-    list of ClassGroup
-        The shapes of each class, with a colour and a marker.
-    """
+    """The classes in alphabetical order, then the shapes of unknown class."""
     names = sorted({label for label in labels if label is not None})
     groups = []
     for number, name in enumerate(names):

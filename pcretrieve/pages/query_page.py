@@ -30,22 +30,7 @@ __all__ = ["write_query_page"]
 class _Panel:
     """One query as the template shows it.
 
-    Attributes
-    ----------
-    name : str
-        The path or the id of the query.
-    record : Record or None
-        What the catalogue knows of it.
-    picture : bytes or None
-        PNG.
-    verdict : Verdict or None
-        Whether its signature can be relied on.
-    answer : Answer
-        The answer.
-    results : list of dict
-        As by `result_rows`, each with its ``picture``.
-    swaps : list of (int, int)
-        First and last rank of each run of ranks that could swap.
+    swaps: list of (int, int), first and last rank of each run of ranks that could swap.
     """
 
     name: str
@@ -70,29 +55,8 @@ def write_query_page(
 ) -> Path:
     """Write the answers to queries on a page. An existing file is replaced in one step, or left unchanged.
 
-    Parameters
-    ----------
-    path : str or Path
-        The HTML file, in a folder that exists.
-    catalogue : Catalogue
-        The catalogue that was searched.
-    outcomes : iterable of (str, Answer or ShapeError)
-        The queries, as `pcretrieve.searching.search_many` answers them. All are on one page; those that
-        failed are listed at the end, with the reasons.
-    options, matrix, labels, min_score : object
-        As they were given to `search_many`.
-    up : {"x", "-x", "y", "-y", "z", "-z"}, optional
-        The axis of the files that points upwards; by default found for each shape.
-
-    Returns
-    -------
-    Path
-        Absolute path of the page.
-
-    Raises
-    ------
-    InputError
-        If the file cannot be written.
+    outcomes: iterable of (str, Answer or ShapeError), the queries, as `pcretrieve.searching.search_many`
+        answers them. All are on one page; those that failed are listed at the end, with the reasons.
     """
     target = Path(path).absolute()
     panels: list[_Panel] = []

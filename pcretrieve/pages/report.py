@@ -74,44 +74,8 @@ def write_report(
 ) -> Path:
     """Write the retrieval page. An existing file is replaced in one step, or left unchanged.
 
-    Parameters
-    ----------
-    path : str or Path
-        The HTML file, in a folder that exists.
-    title : str
-        Title of the page.
-    panels : sequence of Panel
-        Queries and results, in this order.
-    measures : RetrievalMeasures, optional
-        Measures over all queries, including queries that are not on the page.
-    failures : sequence of Failure
-        Shapes that are not in the rankings, with the reasons.
-    facts : mapping of str to str
-        What is stated at the top, such as the number of shapes and the distance.
-    precision_recall : PrecisionRecall, optional
-        Precision–recall curve over all queries.
-    intervals : (2, 6) float64, optional
-        Lower and upper ends of the confidence intervals of the measures, as by `bootstrap_interval`.
-    classes : sequence of ClassMeasures, optional
-        The measures of each class; the page has the worst first.
-    confusion : Confusion, optional
-        Of which class the nearest shapes are.
-    comparison : Comparison, optional
-        Of another result with this one, which is the second.
-    compared_with : str, optional
-        What the other result is, in words.
-    drawing : mapping, optional
-        The map of the shapes, as by `map_drawing`.
-
-    Returns
-    -------
-    Path
-        Absolute path of the file.
-
-    Raises
-    ------
-    InputError
-        If the file cannot be written.
+    intervals: (2, 6) float64, optional, lower and upper ends of the confidence intervals of the measures, as
+        by `bootstrap_interval`.
     """
     target = Path(path).absolute()
     cards = [card for panel in panels for card in (panel.query, *panel.results)]

@@ -55,45 +55,7 @@ def retrieval_page(
     other_name: str = "another result",
     up: str | None = None,
 ) -> Path:
-    """Write a page with retrieval measures, and with pictures of queries and their ranked results.
-
-    Parameters
-    ----------
-    catalogue : Catalogue
-        The shapes, with their classes if known.
-    path : str or Path
-        The HTML file.
-    n_queries : int, default 1000
-        Largest number of queries on the page, those with the lowest average precision first.
-    k : int, default 5
-        Number of results of each query, without the query itself. Shapes of other classes are wrong only
-        among as many results as the class of the query has other shapes.
-    options : PipelineOptions, optional
-        Options with a descriptor, a distance or a whitening other than the catalogue's own. With the
-        whitening ``within-class``, the measures are computed by grouped folds, and the results on the page
-        with the whitening that is fitted to all labelled shapes.
-    matrix : DistanceMatrix, optional
-        Distances that replace the distances of signatures. Shapes that the matrix does not have are misses.
-    other : QueryScores, optional
-        Measures of the same queries with other settings, with which the page compares its own.
-    other_name : str, default "another result"
-        What they are, in words.
-    up : {"x", "-x", "y", "-y", "z", "-z"}, optional
-        The axis of the files that points upwards; by default found for each shape.
-
-    Returns
-    -------
-    Path
-        Absolute path of the page.
-
-    Raises
-    ------
-    CatalogueError
-        If `options` require other spectra than the catalogue has.
-    InputError
-        If the catalogue holds no shapes, the matrix has a shape that the catalogue does not have, `other` has
-        no query in common with the catalogue, or the page cannot be written.
-    """
+    """Write a page with retrieval measures, and with pictures of queries and their ranked results."""
     options = options or catalogue.options
     if matrix is None:
         # As the measures: with a whitening fitted to labels, the queries that they call bad would look good.

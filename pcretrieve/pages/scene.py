@@ -24,12 +24,8 @@ FULL_SCALE = 2**16 - 1
 class Cube(NamedTuple):
     """The cube that a viewer can show.
 
-    Attributes
-    ----------
-    centre : (3,) float64
-        Its centre; unit of the scan.
-    half : float
-        Half of its side; unit of the scan.
+    centre: (3,) float64, its centre; unit of the scan.
+    half: half of its side; unit of the scan.
     """
 
     centre: FloatArray
@@ -51,23 +47,8 @@ class Cube(NamedTuple):
     ) -> dict[str, Any]:
         """A layer of the points that are in the cube.
 
-        Parameters
-        ----------
-        name, label : str
-            What scripts and readers call it.
-        points : (n, 3) float64
-            The points; unit of the scan.
-        colour : Colour
-            Their colour.
-        width : float
-            Width of a point; unit of the scan.
-        **more : value
-            Further values, such as ``faces``, for the script of the viewer.
-
-        Returns
-        -------
-        dict
-            The layer, for a JSON document.
+        points: (n, 3) float64, the points; unit of the scan.
+        width: width of a point; unit of the scan.
         """
         grid = (points[self.holds(points)] - self.centre + self.half) / (2 * self.half) * FULL_SCALE
         at = encoded(np.round(grid).astype("<u2"))
@@ -78,17 +59,7 @@ class Cube(NamedTuple):
 def surface_scene(mesh: TriangleMesh, up: FloatArray | None) -> dict[str, Any]:
     """A surface as the only layer, seen from its front.
 
-    Parameters
-    ----------
-    mesh : TriangleMesh
-        The surface.
-    up : (3,) float64 or None
-        The direction upwards; None: found from the surface.
-
-    Returns
-    -------
-    dict
-        The scene, for a JSON document.
+    up: (3,) float64 or None, the direction upwards; None: found from the surface.
     """
     cube, faces = Cube.around(mesh.vertices), encoded(mesh.faces.astype("<u4"))
     layer = cube.layer("surface", "surface", mesh.vertices, CLAY, width=0, faces=faces)
@@ -97,16 +68,5 @@ def surface_scene(mesh: TriangleMesh, up: FloatArray | None) -> dict[str, Any]:
 
 
 def encoded(values: NDArray[Any]) -> str:
-    """The bytes of an array as base64.
-
-    Parameters
-    ----------
-    values : array
-        The array.
-
-    Returns
-    -------
-    str
-        Its bytes.
-    """
+    """The bytes of an array as base64."""
     return b64encode(np.ascontiguousarray(values).tobytes()).decode("ascii")

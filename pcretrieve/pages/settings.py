@@ -24,31 +24,7 @@ def settings_in_words(
     labels: Collection[str] | None = None,
     min_score: float | None = None,
 ) -> dict[str, str]:
-    """How shapes are compared, in words.
-
-    Parameters
-    ----------
-    catalogue : Catalogue
-        The catalogue that is searched.
-    options : PipelineOptions
-        The options of signatures and retrieval.
-    matrix : DistanceMatrix, optional
-        Distances that replace those of signatures.
-    labels : collection of str, optional
-        The classes that are searched; by default all.
-    min_score : float, optional
-        The score below which there is no match.
-
-    Returns
-    -------
-    dict of str to str
-        A value in words for each setting.
-
-    Raises
-    ------
-    CatalogueError
-        If `options` require other spectra than the catalogue has.
-    """
+    """How shapes are compared, in words."""
     classes = f"the class {' or '.join(sorted(labels))} of " if labels else ""
     least = {} if min_score is None else {"least score": f"{min_score:g}"}
     if matrix is not None:

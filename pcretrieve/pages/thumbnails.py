@@ -34,19 +34,7 @@ N_ASKED = 200
 class Thumbnails:
     """The thumbnails of one catalogue that were used last; any thread may ask for one.
 
-    Parameters
-    ----------
-    up : {"x", "-x", "y", "-y", "z", "-z"}, optional
-        The axis of the files that points upwards. By default it is `common_axis` of the thumbnails that the
-        catalogue keeps; if there is none, the direction is found for each surface. Thumbnails that are drawn
-        by default are kept in the catalogue, if it can be written.
-    size : int, default 200
-        Side of the square pictures, at most 200; pixels.
-
-    Raises
-    ------
-    OptionError
-        If `up` is no axis.
+    size: side of the square pictures, at most 200; pixels.
     """
 
     def __init__(self, up: str | None = None, size: int = THUMBNAIL_PIXELS) -> None:
@@ -58,20 +46,7 @@ class Thumbnails:
         self._lock = Lock()
 
     def of(self, catalogue: Catalogue, record: Record) -> bytes | None:
-        """The thumbnail of a shape.
-
-        Parameters
-        ----------
-        catalogue : Catalogue
-            The catalogue.
-        record : Record
-            The record of a shape.
-
-        Returns
-        -------
-        bytes or None
-            A PNG file; None if the shape failed, its mesh is not stored, or cannot be drawn.
-        """
+        """The thumbnail of a shape."""
         key = record.id, record.content_hash
         with self._lock:
             if key in self._kept:
@@ -87,18 +62,9 @@ class Thumbnails:
     def up(self, catalogue: Catalogue, mesh: TriangleMesh) -> FloatArray | None:
         """The direction upwards of a surface.
 
-        Parameters
-        ----------
-        catalogue : Catalogue
-            The catalogue.
-        mesh : TriangleMesh
-            The surface of one of its shapes.
-
-        Returns
-        -------
-        (3,) float64 or None
-            The axis that was given; else the direction that is known of the scan; else the common axis of
-            the catalogue; None if there is none, so that it is found from the surface.
+        Returns (3,) float64 or None: the axis that was given; else the direction that is known of the scan;
+            else the common axis of the catalogue; None if there is none, so that it is found from the
+            surface.
         """
         if self._given is not None:
             return self._given

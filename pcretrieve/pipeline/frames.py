@@ -16,12 +16,9 @@ V = TypeVar("V", PointCloud, TriangleMesh)
 class Framed(Generic[V]):
     """Points or a surface, and the origin of their coordinates.
 
-    Attributes
-    ----------
-    value : PointCloud or TriangleMesh
-        The points or the surface; unit of the scan.
-    origin : (3,) float64 or None
-        The origin of the coordinates, in the frame of the scan; None if the coordinates are in this frame.
+    value: the points or the surface; unit of the scan.
+    origin: (3,) float64 or None, the origin of the coordinates, in the frame of the scan; None if the
+        coordinates are in this frame.
     """
 
     value: V
@@ -43,17 +40,7 @@ class Framed(Generic[V]):
 def moved(value: V, by: FloatArray) -> V:
     """Translate points or a surface.
 
-    Parameters
-    ----------
-    value : PointCloud or TriangleMesh
-        The points, with their sensor positions if there are any, or the surface.
-    by : (3,) float64
-        The translation.
-
-    Returns
-    -------
-    PointCloud or TriangleMesh
-        The translated value, of the same class.
+    by: (3,) float64, the translation.
     """
     if isinstance(value, TriangleMesh):
         return replace(value, vertices=value.vertices + by)

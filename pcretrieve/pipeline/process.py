@@ -55,55 +55,13 @@ def signature(scan: ScanLike, options: OptionsLike = None) -> Signature:
 
 
 def judged_signature(scan: ScanLike, options: OptionsLike = None) -> tuple[Signature, Verdict]:
-    """The signature of one scan, and whether it can be relied on.
-
-    Parameters
-    ----------
-    scan : ScanLike
-        As for `signature`.
-    options : OptionsLike, optional
-        As for `signature`.
-
-    Returns
-    -------
-    signature : Signature
-        As `signature` returns it.
-    verdict : Verdict
-        That of the shape.
-
-    Raises
-    ------
-    ShapeError
-        If the scan cannot be read or has no usable surface.
-    """
+    """The signature of one scan, and whether it can be relied on."""
     described, verdict, _ = described_shape(scan, options)
     return described, verdict
 
 
 def described_shape(scan: ScanLike, options: OptionsLike = None) -> tuple[Signature, Verdict, Shape]:
-    """The signature of one scan, whether it can be relied on, and the shape that it describes.
-
-    Parameters
-    ----------
-    scan : ScanLike
-        As for `signature`.
-    options : OptionsLike, optional
-        As for `signature`.
-
-    Returns
-    -------
-    signature : Signature
-        As `signature` returns it.
-    verdict : Verdict
-        That of the shape.
-    shape : Shape
-        As `process` returns it.
-
-    Raises
-    ------
-    ShapeError
-        If the scan cannot be read or has no usable surface.
-    """
+    """The signature of one scan, whether it can be relied on, and the shape that it describes."""
     options = PipelineOptions.of(options)
     shape, verdict = _judged(scan, options)
     with placed(scan), in_stage(Stage.SIGNATURE):
@@ -175,22 +133,7 @@ def process(scan: ScanLike, options: OptionsLike = None) -> Shape:
 def signature_of_surfaces(meshes: Sequence[TriangleMesh], options: PipelineOptions) -> FloatArray:
     """Compute the signature of a scan again from its surfaces, on one thread, as `process` does.
 
-    Parameters
-    ----------
-    meshes : sequence of TriangleMesh
-        The surfaces of the scan, as they were stored.
-    options : PipelineOptions
-        The options with which the surfaces were made, with an element that needs a mesh.
-
-    Returns
-    -------
-    (L,) float64
-        The values of the signature.
-
-    Raises
-    ------
-    ShapeError
-        If a spectrum cannot be computed.
+    Returns (L,) float64: the values of the signature.
     """
     with threadpool_limits(limits=1):
         shape = shape_of(Seen(mesh=meshes[0], others=tuple(meshes[1:])), options)
@@ -218,23 +161,7 @@ def _judged(scan: ScanLike, options: PipelineOptions) -> tuple[Shape, Verdict]:
 
 @contextmanager
 def placed(scan: object) -> Iterator[None]:
-    """Add the file name of the scan to the exceptions that are raised inside, and convert unexpected ones.
-
-    Parameters
-    ----------
-    scan : object
-        A path; for other values there is no name to add.
-
-    Yields
-    ------
-    None
-        Once.
-
-    Raises
-    ------
-    PcretrieveError
-        The exception that was raised inside; an `UnexpectedError` instead of one of another library.
-    """
+    """Add the file name of the scan to the exceptions that are raised inside, and convert unexpected ones."""
     name = scan_name(scan)
     try:
         yield

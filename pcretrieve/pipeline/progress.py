@@ -38,31 +38,12 @@ def announce_compilation() -> None:
 
 
 def scan_name(scan: object) -> str | None:
-    """The name of a scan in messages.
-
-    Parameters
-    ----------
-    scan : object
-        A path, arrays or geometry.
-
-    Returns
-    -------
-    str or None
-        The file name; None for anything but a path.
-    """
+    """The name of a scan in messages."""
     return Path(scan).name if isinstance(scan, (str, Path)) else None
 
 
 def log_steps(name: str | None, steps: Iterable[Step]) -> None:
-    """Log steps: each at the level INFO, and its notes on repairs and fallbacks at the level WARNING.
-
-    Parameters
-    ----------
-    name : str or None
-        Name of the scan, from `scan_name`.
-    steps : iterable of Step
-        The steps that have ended since the last call.
-    """
+    """Log steps: each at the level INFO, and its notes on repairs and fallbacks at the level WARNING."""
     scan = name or "scan"
     for step in steps:
         sizes = ", ".join(f"{what} {size:.6g}" for what, size in step.sizes.items())

@@ -12,21 +12,7 @@ __all__ = ["Seen"]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Seen:
-    """The results of the stages of a scan, up to some stage; lengths are in the unit of the scan.
-
-    Attributes
-    ----------
-    scan : PointCloud or None
-        The raw points; None if the scan is a mesh that is used without reconstruction.
-    cloud : PointCloud or None
-        The filtered points, with normals after the stage `orient`.
-    mesh : TriangleMesh or None
-        The first surface.
-    marks : SurfaceMarks or None
-        Where the topology of the first surface was changed.
-    others : tuple of TriangleMesh
-        Further surfaces of the same scan.
-    """
+    """The results of the stages of a scan, up to some stage; lengths are in the unit of the scan."""
 
     scan: PointCloud | None = None
     cloud: PointCloud | None = None

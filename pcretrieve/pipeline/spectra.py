@@ -29,28 +29,7 @@ __all__ = ["shape_of"]
 
 
 def shape_of(seen: Seen, options: PipelineOptions) -> Shape:
-    """Compute the spectra of the surfaces, or of the points, of one scan.
-
-    Parameters
-    ----------
-    seen : Seen
-        The result of the last stage of `pcretrieve.pipeline.stages.stages`. If it has no surface, the
-        spectrum of the points is computed.
-    options : PipelineOptions
-        Of which `spectral` is used, and for points `surface.max_discarded`.
-
-    Returns
-    -------
-    Shape
-        The shape, as from `pcretrieve.pipeline.process.process`.
-
-    Raises
-    ------
-    SpectrumError
-        If a spectrum cannot be computed.
-    ReconstructionError
-        If the points show two or more bodies.
-    """
+    """Compute the spectra of the surfaces, or of the points, of one scan."""
     with in_stage(Stage.SPECTRUM):
         if seen.mesh is None and seen.cloud is not None:
             return _of_points(seen.cloud, options)

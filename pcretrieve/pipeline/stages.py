@@ -31,28 +31,7 @@ V = TypeVar("V", PointCloud, TriangleMesh)
 
 
 def stages(scan: object, options: PipelineOptions) -> Iterator[Seen]:
-    """Run the stages before the stage ``spectrum``, and log each of them when it has ended.
-
-    Parameters
-    ----------
-    scan : object
-        A scan, as in `pcretrieve.reconstruct`.
-    options : PipelineOptions
-        The order of the stages, and their options.
-
-    Yields
-    ------
-    Seen
-        The results after each stage. The last results have the final surfaces or, if the element of the
-        spectrum needs points, the points with normals.
-
-    Raises
-    ------
-    OptionError
-        If the chain of stages does not give what the element needs.
-    ShapeError
-        If a stage fails, after the results of the stages before have been yielded.
-    """
+    """Run the stages before the stage ``spectrum``, and log each of them when it has ended."""
     announce_compilation()
     name, logged = scan_name(scan), 0
     for seen in _stages(scan, options):

@@ -23,27 +23,7 @@ Limits = tuple[float, float]
 class Check:
     """One check of a scan.
 
-    Attributes
-    ----------
-    name : str
-        What was checked, such as "Noise".
-    verdict : "passed", "look" or "failed"
-        "passed": nothing is wrong. "look": the signature may have a larger error. "failed": the signature is
-        not reliable.
-    value : float or None
-        The measurement that decides the verdict, mostly a fraction; None if the check has no measurement.
-    shown : str
-        The measurement with its unit, as text.
-    words : str
-        What a passed check means; what to do about one that is not passed.
-    error : float, default 0
-        The log-signature error that such a value causes; dimensionless. 0 if no effect on the signature is
-        known.
-
-    Raises
-    ------
-    InputError
-        If the verdict is unknown, or the value or the error is not finite.
+    shown: the measurement with its unit, as text.
     """
 
     name: str
@@ -66,25 +46,7 @@ def graded(
 ) -> Check:
     """A check of a measurement by its limits.
 
-    Parameters
-    ----------
-    name : str
-        What was checked.
-    value : float
-        The measurement.
-    limits : tuple of float, length 2
-        The largest value with which the check is passed, and the largest with which it is not failed.
-    shown : str
-        The measurement with its unit, as text.
-    passed, poor : str
-        The words for a check that is passed, and for one that is not.
-    error : float, default 0
-        As in `Check`.
-
-    Returns
-    -------
-    Check
-        The check with its verdict.
+    shown: the measurement with its unit, as text.
     """
     good, bad = limits
     verdict: Outcome = "passed" if value <= good else "look" if value <= bad else "failed"
@@ -92,36 +54,12 @@ def graded(
 
 
 def counted(n: int, name: str) -> str:
-    """A number with its noun, such as "1 cut" and "2 cuts".
-
-    Parameters
-    ----------
-    n : int
-        The number.
-    name : str
-        The noun in the singular.
-
-    Returns
-    -------
-    str
-        The text.
-    """
+    """A number with its noun, such as "1 cut" and "2 cuts"."""
     return f"{n} {name}" if n == 1 else f"{n} {name}s"
 
 
 def percent(share: float) -> str:
-    """A fraction in percent with two significant digits; fractions below 1 are not rounded to 100 %.
-
-    Parameters
-    ----------
-    share : float
-        The fraction.
-
-    Returns
-    -------
-    str
-        The text, with its unit.
-    """
+    """A fraction in percent with two significant digits; fractions below 1 are not rounded to 100 %."""
     if 0.995 < share < 1:
         return f"{math.floor(1000 * share) / 10:.1f} %"
     return f"{100 * share:.2g} %" if share < 0.995 else "100 %"

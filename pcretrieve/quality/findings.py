@@ -55,16 +55,10 @@ PLACE = 0.02
 class Findings:
     """The checks of one scan, and the places that they name.
 
-    Attributes
-    ----------
-    checks : tuple of Check
-        The checks for which there are data.
-    spacing : float
-        Median distance from a point to its nearest neighbour, unit of the file; 0 without points.
-    filled : (m,) bool
-        Faces of the surface without a point nearby.
-    cuts, bridges : (k, 3) float64
-        Places where parts of the surface that touch were separated, and where a loose part was connected.
+    spacing: median distance from a point to its nearest neighbour, unit of the file; 0 without points.
+    filled: (m,) bool, faces of the surface without a point nearby.
+    cuts, bridges: (k, 3) float64, places where parts of the surface that touch were separated, and where a
+        loose part was connected.
     """
 
     checks: tuple[Check, ...] = ()
@@ -79,21 +73,7 @@ def findings_of(
 ) -> Findings:
     """Check the results of the stages of a scan, up to some stage.
 
-    Parameters
-    ----------
-    cloud : PointCloud or None
-        The filtered points; None for a mesh that is used without reconstruction.
-    mesh : TriangleMesh or None
-        The first surface.
-    marks : SurfaceMarks or None
-        Where the topology of the first surface was changed.
-    shape : Shape or None
-        All surfaces with their spectra.
-
-    Returns
-    -------
-    Findings
-        Lengths are in the unit of the file.
+    Returns Findings: lengths are in the unit of the file.
     """
     checks: list[Check] = []
     spacing = 0.0

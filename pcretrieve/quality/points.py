@@ -20,19 +20,7 @@ UNBALANCED: Limits = (0.15, 0.25)
 def point_checks(cloud: PointCloud, *, spacing: float) -> list[Check]:
     """Check the density of a filtered cloud, what was removed of it, and how its outside was found.
 
-    Parameters
-    ----------
-    cloud : PointCloud
-        The check "Outliers" is left out if there is no step ``clean`` in the provenance.
-    spacing : float
-        Median distance from a point to its nearest neighbour; unit of the file.
-
-    Returns
-    -------
-    list of Check
-        "Points": spacing relative to the diagonal. "Outliers": fraction of the voxels with points that were
-        removed as statistical outliers. "Background", passed, if the stage `crop` removed any points: their
-        fraction. "Outside": no value. Numbers of points are those of the scan.
+    spacing: median distance from a point to its nearest neighbour; unit of the file.
     """
     share = spacing / cloud.diagonal
     cleanings = [step.sizes for step in cloud.provenance if step.stage == "clean"]
@@ -73,20 +61,11 @@ def point_checks(cloud: PointCloud, *, spacing: float) -> list[Check]:
 def normal_checks(normals: FloatArray, some: FloatArray, neighbors: NDArray[np.intp]) -> list[Check]:
     """Check the consistency of the normals of a cloud, and whether they point to all sides.
 
-    Parameters
-    ----------
-    normals : (n, 3) float64
-        Unit normals.
-    some : (m, 3) float64
-        Normals of the points that are compared with their neighbours.
-    neighbors : (m, k) int
-        Indices of the nearest neighbours of these points.
-
-    Returns
-    -------
-    list of Check
-        "Normals": fraction of pairs of neighbours whose normals are more than 90 degrees apart. "Sides seen":
-        length of the mean normal.
+    normals: (n, 3) float64, unit normals.
+    some: (m, 3) float64, normals of the points that are compared with their neighbours.
+    neighbors: (m, k) int, indices of the nearest neighbours of these points.
+    Returns list of Check: "Normals": fraction of pairs of neighbours whose normals are more than 90 degrees
+        apart. "Sides seen": length of the mean normal.
     """
     cosines = np.einsum("ij,ikj->ik", some, normals[neighbors])  # (m, k)
     disagreeing = float((cosines <= 0).mean())

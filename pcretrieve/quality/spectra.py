@@ -24,20 +24,7 @@ ERROR_OF_DISAGREEMENT = 2.0
 
 
 def spectrum_checks(shape: Shape) -> list[Check]:
-    """Check whether the surface is that of one body, and whether all surfaces of the scan agree.
-
-    Parameters
-    ----------
-    shape : Shape
-        With the spectrum of each surface.
-
-    Returns
-    -------
-    list of Check
-        "One body": ratio of the first two positive eigenvalues, which is small for two bodies of one size
-        that touch. "Surfaces": root sum of squares of the standard deviations (ddof 1) of the logarithms of
-        the eigenvalues over the surfaces, if there are two or more; dimensionless.
-    """
+    """Check whether the surface is that of one body, and whether all surfaces of the scan agree."""
     logs = np.log([surface.spectrum.eigenvalues[1:] for surface in shape.surfaces if surface.spectrum])
     checks = []
     if logs.size and logs.shape[1] > 1:

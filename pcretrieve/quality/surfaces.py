@@ -46,19 +46,7 @@ WELDS_OF_PARTS = 5
 
 
 def surface_checks(mesh: TriangleMesh) -> list[Check]:
-    """Check whether a surface is one closed manifold, and count its handles.
-
-    Parameters
-    ----------
-    mesh : TriangleMesh
-        The surface.
-
-    Returns
-    -------
-    list of Check
-        "Closed surface": number of boundary edges, non-manifold edges and inconsistently oriented edges. If
-        there are none, "Handles": the genus.
-    """
+    """Check whether a surface is one closed manifold, and count its handles."""
     found = defects(mesh)
     closed = Check(
         "Closed surface",
@@ -89,19 +77,7 @@ def surface_checks(mesh: TriangleMesh) -> list[Check]:
 
 
 def mesh_check(provenance: Sequence[Step]) -> list[Check]:
-    """Check whether a mesh that was repaired, or sampled for reconstruction, was a manifold.
-
-    Parameters
-    ----------
-    provenance : sequence of Step
-        The stages that made the surface.
-
-    Returns
-    -------
-    list of Check
-        "Welds": number of non-manifold vertices and edges. Empty for a cloud, and for a mesh that needed no
-        repair.
-    """
+    """Check whether a mesh that was repaired, or sampled for reconstruction, was a manifold."""
     return [
         Check(
             "Welds",
@@ -119,26 +95,7 @@ def mesh_check(provenance: Sequence[Step]) -> list[Check]:
 
 
 def fit_checks(*, filled: float, ends: float, gaps: float, lost: float, noise: float) -> list[Check]:
-    """Check how well points and surface fit each other.
-
-    Parameters
-    ----------
-    filled : float
-        Area of the surface without a point nearby; relative to the whole area.
-    ends : float
-        Part of this area that is turned away from the nearest points; relative to the whole area.
-    gaps : float
-        Distance to the nearest point that 5 % of the surface exceed; relative to the diagonal.
-    lost : float
-        Number of points without a surface nearby; relative to all points.
-    noise : float
-        Root mean square distance of the other points to the surface; relative to the diagonal.
-
-    Returns
-    -------
-    list of Check
-        "Filled in", "Closed ends", "Gaps", "Left out" and "Noise", with these values.
-    """
+    """Check how well points and surface fit each other."""
     return [
         graded(
             "Filled in",
@@ -190,20 +147,7 @@ def fit_checks(*, filled: float, ends: float, gaps: float, lost: float, noise: f
 
 
 def base_check(area: float, on_ground: bool) -> Check:
-    """Check how much of the surface is the base on which the body stood, which no sensor sees.
-
-    Parameters
-    ----------
-    area : float
-        Area of the base; relative to the whole area.
-    on_ground : bool
-        Whether the ground was scanned, so that it is known where the body ends.
-
-    Returns
-    -------
-    Check
-        "Closed base", with the area.
-    """
+    """Check how much of the surface is the base on which the body stood, which no sensor sees."""
     return Check(
         "Closed base",
         "passed" if on_ground else "look",
@@ -218,20 +162,7 @@ def base_check(area: float, on_ground: bool) -> Check:
 
 
 def marks_check(n_cuts: int, n_bridges: int) -> Check:
-    """Check how often the topology of the surface was changed.
-
-    Parameters
-    ----------
-    n_cuts : int
-        Number of places where parts that touch were separated.
-    n_bridges : int
-        Number of places where a loose part was connected.
-
-    Returns
-    -------
-    Check
-        "Cuts and bridges": the number of both.
-    """
+    """Check how often the topology of the surface was changed."""
     n = n_cuts + n_bridges
     return Check(
         "Cuts and bridges",

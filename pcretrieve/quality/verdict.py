@@ -30,21 +30,6 @@ def verdict_of(
 
     The errors of the checks are assumed to be independent, so that the uncertainty is the root of the sum of
     their squares, or the spread if that is larger.
-
-    Parameters
-    ----------
-    checks : sequence of Check
-        All checks of the shape.
-    spread : float, optional
-        The error over rescans, if there were any; dimensionless.
-    next_body : float, default 0.5
-        Distance ``log`` to the most similar other body.
-
-    Returns
-    -------
-    Verdict
-        "unusable" if a check failed or the uncertainty exceeds 1.5 times the distance to the next body,
-        "doubtful" if it exceeds half of this distance, otherwise "sound".
     """
     squared = float(sum(check.error**2 for check in checks))
     uncertainty = max(float(np.sqrt(squared)), spread or 0.0)

@@ -24,15 +24,7 @@ LEAST_SHARE = 0.02
 class Overlap:
     """The overlap of two registered views.
 
-    Attributes
-    ----------
-    first, second : int
-        Numbers of the views, ``first < second``.
-    share : float
-        Fraction of the points of one view with a correspondence in the other, for
-        the view with the larger one.
-    rms : float
-        Root mean square distance of the correspondences, point to plane; unit of the file.
+    rms: root mean square distance of the correspondences, point to plane; unit of the file.
     """
 
     first: int
@@ -42,15 +34,7 @@ class Overlap:
 
 
 class Verification(NamedTuple):
-    """The verification of two groups of views by their range images.
-
-    Attributes
-    ----------
-    share : float
-        Fraction of the points of a view that agree with the other group, for the view with the largest one.
-    contradiction : float
-        Number of points that contradict the other group, relative to the number of those that agree.
-    """
+    """The verification of two groups of views by their range images."""
 
     share: float
     contradiction: float
@@ -63,19 +47,9 @@ class Verification(NamedTuple):
 def verification(views: Sequence[View], group: Poses, other: Poses, reach: float) -> Verification:
     """Verify the poses of two groups of views by the range images of all of them.
 
-    Parameters
-    ----------
-    views : sequence of View
-        All views.
-    group, other : mapping of int to (4, 4) float64
-        The poses of the views of both groups in one frame, by number.
-    reach : float
-        Largest distance of points that agree; unit of the points.
-
-    Returns
-    -------
-    Verification
-        How many points agree, and how many contradict.
+    group, other: mapping of int to (4, 4) float64, the poses of the views of both groups in one frame, by
+        number.
+    reach: largest distance of points that agree; unit of the points.
     """
     said = _seen_by(views, group, other, reach) + _seen_by(views, other, group, reach)
     n_agreeing = sum(int(agrees.sum()) for agrees, _ in said)
@@ -108,21 +82,8 @@ def _seen_by(
 def shared(views: Sequence[View], poses: Poses, number: int, reach: float) -> float:
     """The fraction of the points of a view that agree with the other views.
 
-    Parameters
-    ----------
-    views : sequence of View
-        All views.
-    poses : mapping of int to (4, 4) float64
-        The poses of the registered views, by number.
-    number : int
-        The view.
-    reach : float
-        Largest distance of points that agree; unit of the points.
-
-    Returns
-    -------
-    float
-        Between 0 and 1.
+    poses: mapping of int to (4, 4) float64, the poses of the registered views, by number.
+    reach: largest distance of points that agree; unit of the points.
     """
     others = {other: pose for other, pose in poses.items() if other != number}
     return float(_seen_by(views, {number: poses[number]}, others, reach)[0][0].mean())
@@ -131,21 +92,8 @@ def shared(views: Sequence[View], poses: Poses, number: int, reach: float) -> fl
 def overlap(views: Sequence[View], poses: Poses, first: int, second: int, reach: float) -> Overlap:
     """The overlap of two views.
 
-    Parameters
-    ----------
-    views : sequence of View
-        All views.
-    poses : mapping of int to (4, 4) float64
-        The poses of the registered views, by number.
-    first, second : int
-        Numbers of the two views.
-    reach : float
-        Largest distance of correspondences; unit of the points.
-
-    Returns
-    -------
-    Overlap
-        Its rms is NaN if there are no correspondences.
+    poses: mapping of int to (4, 4) float64, the poses of the registered views, by number.
+    reach: largest distance of correspondences; unit of the points.
     """
     shares, distances = [], []
     for here, there in ((first, second), (second, first)):
@@ -161,21 +109,8 @@ def overlaps(
 ) -> tuple[Overlap, ...]:
     """The overlaps of the pairs of registered views that share at least `LEAST_SHARE`.
 
-    Parameters
-    ----------
-    views : sequence of View
-        All views.
-    poses : mapping of int to (4, 4) float64
-        The poses of the registered views, by number.
-    pairs : iterable of tuple of int
-        Numbers of two views each, in any order.
-    reach : float
-        Largest distance of correspondences; unit of the points.
-
-    Returns
-    -------
-    tuple of Overlap
-        In the order of the numbers of the views.
+    poses: mapping of int to (4, 4) float64, the poses of the registered views, by number.
+    reach: largest distance of correspondences; unit of the points.
     """
     ordered = sorted((min(pair), max(pair)) for pair in pairs)
     found = [overlap(views, poses, first, second, reach) for first, second in ordered]

@@ -25,23 +25,13 @@ def paired(
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Point-to-plane correspondences of two views: nearest neighbours with similar normals.
 
-    Parameters
-    ----------
-    first, second : View
-        The views.
-    first_pose, second_pose : (4, 4) float64
-        Their poses in the common frame.
-    reach : float
-        Largest distance between a point and the tangent plane of its nearest neighbour; unit of the points.
-
-    Returns
-    -------
-    points : (p, 3) float64
-        Points of the sample of `second`, in the common frame.
-    planes : (p, 3) float64
-        Unit normals of their nearest neighbours in `first`, in the common frame.
-    distance : (p,) float64
-        Signed distances from the tangent planes, positive on the side of the normal; unit of the points.
+    first_pose, second_pose: (4, 4) float64, their poses in the common frame.
+    reach: largest distance between a point and the tangent plane of its nearest neighbour; unit of the
+        points.
+    Returns points : (p, 3) float64: points of the sample of `second`, in the common frame.
+    Returns planes : (p, 3) float64: unit normals of their nearest neighbours in `first`, in the common frame.
+    Returns distance : (p,) float64: signed distances from the tangent planes, positive on the side of the
+        normal; unit of the points.
     """
     motion = np.linalg.inv(first_pose) @ second_pose  # from the frame of `second` to that of `first`
     points = moved(motion, second.points[second.sample])
@@ -69,21 +59,9 @@ def adjusted(
     moves its points by ω × x + v. The distance n · (x_j − x_i) therefore has the gradient g
     = (x × n, n) with respect to the twist of view j, and −g with respect to that of view i.
 
-    Parameters
-    ----------
-    views : sequence of View
-        All views.
-    poses : mapping of int to (4, 4) float64
-        Poses of the views to be registered, by number.
-    fixed : sequence of int
-        Numbers of the views whose poses do not change.
-    reaches : sequence of float
-        Largest distance of correspondences, one for each step; unit of the points.
-
-    Returns
-    -------
-    dict of int to (4, 4) float64
-        The refined poses.
+    poses: mapping of int to (4, 4) float64, poses of the views to be registered, by number.
+    reaches: largest distance of correspondences, one for each step; unit of the points.
+    Returns dict of int to (4, 4) float64: the refined poses.
 
     References
     ----------

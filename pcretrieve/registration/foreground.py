@@ -46,27 +46,9 @@ LEAST_CENTRAL = 0.9
 def foreground(cloud: PointCloud, sensor: FloatArray, number: int, options: MergeOptions) -> FloatArray:
     """The points of a view that are of the body.
 
-    Parameters
-    ----------
-    cloud : PointCloud
-        The points that one sensor measured.
-    sensor : (3,) float64
-        Its position.
-    number : int
-        Number of the view, for messages.
-    options : MergeOptions
-        Of which `background`, `keep_largest`, `max_range` and `piece_gap` are used.
-
-    Returns
-    -------
-    (n, 3) float64
-        The points within `max_range`, in front of the planes of the background, and of the largest component,
-        if these options are set.
-
-    Raises
-    ------
-    ReconstructionError
-        If too few points are left.
+    sensor: (3,) float64, its position.
+    Returns (n, 3) float64: the points within `max_range`, in front of the planes of the background, and of
+        the largest component, if these options are set.
     """
     near = ScanOptions(max_range="none" if options.max_range is None else options.max_range)
     kept = kept_points(PointCloud(cloud.points, viewpoints=sensor), near, of_view=True)

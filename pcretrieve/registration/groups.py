@@ -64,30 +64,11 @@ def largest_group(
 ) -> dict[int, FloatArray]:
     """Match all pairs of views of different groups, and merge the groups that fit each other.
 
-    Parameters
-    ----------
-    views : sequence of View
-        All views.
-    groups : sequence of mappings of int to (4, 4) float64
-        The poses of the views that are registered to each other already, by number; of a view alone, any.
-    scale : float
-        The length to which relative options refer; unit of the points.
-    options : MergeOptions
-        The parameters of the registration.
-    rng : numpy.random.Generator
-        For the search of motions.
-    on_pair : function or None
-        Called with the number of pairs of views that have been matched, and the number of all pairs.
-
-    Returns
-    -------
-    dict of int to (4, 4) float64
-        Poses of the views of the largest group, by number, in the frame of the first of them.
-
-    Raises
-    ------
-    ReconstructionError
-        If no two views overlap.
+    groups: sequence of mappings of int to (4, 4) float64, the poses of the views that are registered to each
+        other already, by number; of a view alone, any.
+    scale: the length to which relative options refer; unit of the points.
+    Returns dict of int to (4, 4) float64: poses of the views of the largest group, by number, in the frame of
+        the first of them.
     """
     reach = options.reach * scale
     joined = [dict(group) for group in groups]
@@ -177,20 +158,8 @@ def settled(
 ) -> dict[int, FloatArray]:
     """Refine the poses of all views except the first.
 
-    Parameters
-    ----------
-    views : sequence of View
-        All views.
-    poses : mapping of int to (4, 4) float64
-        The poses of the views of one group, by number.
-    reaches : sequence of float
-        Largest distance of correspondences in each step, in units of `reach`, such as `FINE`.
-    reach : float
-        Unit of the points.
-
-    Returns
-    -------
-    dict of int to (4, 4) float64
-        The refined poses.
+    poses: mapping of int to (4, 4) float64, the poses of the views of one group, by number.
+    reaches: largest distance of correspondences in each step, in units of `reach`, such as `FINE`.
+    Returns dict of int to (4, 4) float64: the refined poses.
     """
     return adjusted(views, poses, fixed=[min(poses)], reaches=np.multiply(reaches, reach).tolist())

@@ -48,23 +48,10 @@ def candidate_motions(
     normals. The resulting motions are scored by the range images of both views: by the points that agree,
     minus the points that contradict.
 
-    Parameters
-    ----------
-    first, second : View
-        The views.
-    features : tuple of (k, 33) float64
-        The features of their points.
-    scale : float
-        The length to which relative options refer; unit of the points.
-    options : MergeOptions
-        Of which `cell`, `n_tries`, `n_candidates` and `reach` are used.
-    rng : numpy.random.Generator
-        For the random pairs.
-
-    Returns
-    -------
-    (m, 4, 4) float64
-        At most `n_candidates` distinct motions of `second` into the frame of `first`, highest score first.
+    features: tuple of (k, 33) float64, the features of their points.
+    scale: the length to which relative options refer; unit of the points.
+    Returns (m, 4, 4) float64: at most `n_candidates` distinct motions of `second` into the frame of `first`,
+        highest score first.
     """
     cell = options.cell * scale
     here, there = _look_alikes(*features)  # (l,), (l,)
@@ -93,21 +80,8 @@ def candidate_motions(
 def distinct(motions: FloatArray, view: View, cell: float, *, most: int) -> list[int]:
     """Select distinct motions of a view.
 
-    Parameters
-    ----------
-    motions : (m, 4, 4) float64
-        Motions, best first.
-    view : View
-        The view that is moved.
-    cell : float
-        Edge of a voxel; unit of the points.
-    most : int
-        Largest number of motions.
-
-    Returns
-    -------
-    list of int
-        Positions of the motions that differ from all those before them.
+    motions: (m, 4, 4) float64, motions, best first.
+    cell: edge of a voxel; unit of the points.
     """
     kept: list[int] = []
     middles = moved(motions, view.points.mean(axis=0, keepdims=True))[:, 0]  # (m, 3)

@@ -18,17 +18,9 @@ Poses: TypeAlias = Mapping[int, FloatArray]
 def moved(motion: FloatArray, points: FloatArray) -> FloatArray:
     """Apply rigid motions to points.
 
-    Parameters
-    ----------
-    motion : (4, 4) or (m, 4, 4) float64
-        One motion, or m motions.
-    points : (n, 3) float64
-        Coordinates.
-
-    Returns
-    -------
-    (n, 3) or (m, n, 3) float64
-        Coordinates after the motion, or after each motion.
+    motion: (4, 4) or (m, 4, 4) float64, one motion, or m motions.
+    points: (n, 3) float64, coordinates.
+    Returns (n, 3) or (m, n, 3) float64: coordinates after the motion, or after each motion.
     """
     return np.asarray(turned(motion, points) + motion[..., None, :3, 3])
 
@@ -36,16 +28,8 @@ def moved(motion: FloatArray, points: FloatArray) -> FloatArray:
 def turned(motion: FloatArray, directions: FloatArray) -> FloatArray:
     """Apply the rotations of rigid motions to directions.
 
-    Parameters
-    ----------
-    motion : (4, 4) or (m, 4, 4) float64
-        One motion, or m motions.
-    directions : (n, 3) float64
-        Vectors.
-
-    Returns
-    -------
-    (n, 3) or (m, n, 3) float64
-        Vectors after the rotation, or after each rotation.
+    motion: (4, 4) or (m, 4, 4) float64, one motion, or m motions.
+    directions: (n, 3) float64, vectors.
+    Returns (n, 3) or (m, n, 3) float64: vectors after the rotation, or after each rotation.
     """
     return np.asarray(directions @ np.swapaxes(motion[..., :3, :3], -1, -2))

@@ -28,12 +28,9 @@ LEAST_COSINE = 0.5
 class Comparison(NamedTuple):
     """The comparison of points with a range image. A point that is occluded is in neither mask.
 
-    Attributes
-    ----------
-    agrees : (..., n) bool
-        Points on the measured surface, with a similar normal.
-    contradicts : (..., n) bool
-        Points in space that the sensor observed as empty: between the sensor and the measured surface.
+    agrees: (..., n) bool, points on the measured surface, with a similar normal.
+    contradicts: (..., n) bool, points in space that the sensor observed as empty: between the sensor and the
+        measured surface.
     """
 
     agrees: NDArray[np.bool_]
@@ -43,12 +40,8 @@ class Comparison(NamedTuple):
 class RangeImage:
     """The central projection of points onto an image plane of their sensor.
 
-    Parameters
-    ----------
-    points, normals : (n, 3) float64
-        Coordinates, and unit normals that point towards the sensor.
-    sensor : (3,) float64
-        Position of the sensor; unit of the points.
+    points, normals: (n, 3) float64, coordinates, and unit normals that point towards the sensor.
+    sensor: (3,) float64, position of the sensor; unit of the points.
     """
 
     def __init__(self, points: FloatArray, normals: FloatArray, sensor: FloatArray) -> None:
@@ -102,19 +95,10 @@ class RangeImage:
     def compare(self, points: FloatArray, normals: FloatArray, *, tolerance: float) -> Comparison:
         """Compare points with the image.
 
-        Parameters
-        ----------
-        points, normals : (..., n, 3) float64
-            Coordinates and unit normals, in the frame of the view.
-        tolerance : float
-            Largest distance of a point that agrees from the tangent plane of the measured point, and smallest
-            distance of a point that contradicts in front of the measured points around its ray; unit of the
-            points.
-
-        Returns
-        -------
-        Comparison
-            The points that agree, and the points that contradict.
+        points, normals: (..., n, 3) float64, coordinates and unit normals, in the frame of the view.
+        tolerance: largest distance of a point that agrees from the tangent plane of the measured point, and
+            smallest distance of a point that contradicts in front of the measured points around its ray; unit
+            of the points.
         """
         rays, depth = self._project(points)
         pixel = self._pixels(rays, depth)

@@ -26,20 +26,10 @@ __all__ = ["Merged", "merge_views"]
 class Merged:
     """Registered views.
 
-    Attributes
-    ----------
-    cloud : PointCloud
-        The points of all registered views, in the frame of the first of them, or of the given poses; with
-        normals towards the sensors, and the position of the sensor of each point.
-    poses : (v, 4, 4) float64
-        Rigid motion of each view into this frame; NaN if the view was left out.
-    shares : (v,) float64
-        Fraction of the points of each view that another registered view measured too; 0 if it was left out.
-    overlaps : tuple of Overlap
-        The overlaps of pairs of registered views; of the frames of a sequence, those of key frames, and of
-        each other frame with its key frame.
-    scale : float
-        Median diagonal of the views, to which relative options refer; unit of the file.
+    poses: (v, 4, 4) float64, rigid motion of each view into this frame; NaN if the view was left out.
+    shares: (v,) float64, fraction of the points of each view that another registered view measured too; 0 if
+        it was left out.
+    scale: median diagonal of the views, to which relative options refer; unit of the file.
     """
 
     cloud: PointCloud
@@ -54,18 +44,7 @@ class Merged:
         return tuple(np.flatnonzero(np.isnan(self.poses[:, 0, 0])).tolist())
 
     def rms(self, view: int | None = None) -> float:
-        """The root mean square distance of overlaps, weighted by their shares.
-
-        Parameters
-        ----------
-        view : int or None, default None
-            Number of a view, for its overlaps only. None: all overlaps.
-
-        Returns
-        -------
-        float
-            Unit of the file; NaN if there is no overlap.
-        """
+        """The root mean square distance of overlaps, weighted by their shares."""
         chosen = [pair for pair in self.overlaps if view in (None, pair.first, pair.second)]
         weight = sum(pair.share for pair in chosen)
         return float(np.sqrt(sum(pair.share * pair.rms**2 for pair in chosen) / weight)) if weight else np.nan

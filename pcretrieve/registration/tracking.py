@@ -36,12 +36,7 @@ NEAREST_KEYS = 3
 class Track(NamedTuple):
     """Views that were registered one after another.
 
-    Attributes
-    ----------
-    poses : dict of int to (4, 4) float64
-        Poses of the views by number, in the frame of the first of them.
-    keys : dict of int to int
-        The number of the key frame of each view; that of a key frame is its own.
+    poses: dict of int to (4, 4) float64, poses of the views by number, in the frame of the first of them.
     """
 
     poses: dict[int, FloatArray]
@@ -61,19 +56,7 @@ def tracks(views: Sequence[View], scale: float, options: MergeOptions) -> list[T
     images of both, as all matches are. Where this fails, the view before becomes a key frame; where that
     fails too, the view begins a track of its own. A view after an interruption may continue the last track.
 
-    Parameters
-    ----------
-    views : sequence of View
-        All views, in their order.
-    scale : float
-        The length to which relative options refer; unit of the points.
-    options : MergeOptions
-        Of which `max_contradiction` and `reach` are used.
-
-    Returns
-    -------
-    list of Track
-        Each view is in one track; views that cannot be registered to the views before are alone.
+    scale: the length to which relative options refer; unit of the points.
     """
     found: list[Track] = []
     for number in range(len(views)):
@@ -111,21 +94,8 @@ def _is_tracked(found: Verification, options: MergeOptions) -> bool:
 def posed_track(views: Sequence[View], poses: Poses, scale: float, options: MergeOptions) -> Track:
     """Choose the key frames of views with poses.
 
-    Parameters
-    ----------
-    views : sequence of View
-        All views, in their order.
-    poses : mapping of int to (4, 4) float64
-        Their poses, by number.
-    scale : float
-        The length to which relative options refer; unit of the points.
-    options : MergeOptions
-        Of which `max_contradiction` and `reach` are used.
-
-    Returns
-    -------
-    Track
-        A view is a key frame if it adds surface to the key frame before, or contradicts it.
+    poses: mapping of int to (4, 4) float64, their poses, by number.
+    scale: the length to which relative options refer; unit of the points.
     """
     track = Track(dict(poses), {})
     key = min(poses)
@@ -147,27 +117,10 @@ def followed(
 ) -> tuple[dict[int, FloatArray], Mapping[int, int]]:
     """Register the views of tracks to their key frames, which do not move.
 
-    Parameters
-    ----------
-    views : sequence of View
-        All views.
-    keys : mapping of int to (4, 4) float64
-        Poses of the key frames, by number, in the common frame.
-    tracked : sequence of Track
-        The tracks of all views.
-    scale : float
-        The length to which relative options refer; unit of the points.
-    options : MergeOptions
-        Of which `max_contradiction`, `min_overlap` and `reach` are used.
-    verified : bool, default True
-        Leave out the views whose poses the range images do not verify.
-
-    Returns
-    -------
-    poses : dict of int to (4, 4) float64
-        Poses of the key frames and of the views that could be registered to them, by number, ascending.
-    key_of : dict of int to int
-        The key frame of each of these views.
+    keys: mapping of int to (4, 4) float64, poses of the key frames, by number, in the common frame.
+    scale: the length to which relative options refer; unit of the points.
+    Returns poses : dict of int to (4, 4) float64: poses of the key frames and of the views that could be
+        registered to them, by number, ascending.
     """
     reach = options.reach * scale
     poses, key_of = dict(keys), {number: number for number in keys}

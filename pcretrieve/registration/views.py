@@ -29,23 +29,11 @@ SOME_POINTS = 1000
 class View(NamedTuple):
     """A range scan: the points that one sensor measured from one position, prepared for registration.
 
-    Attributes
-    ----------
-    cloud : PointCloud
-        The points in the frame of the view, with normals towards the sensor, and its position.
-    points, normals : (k, 3) float64
-        One point in each voxel.
-    sample : (s,) int
-        Positions of a random sample of these points.
-    image : RangeImage
-        The range image of the cloud.
-    tree : cKDTree
-        The k-d tree of all points of the cloud.
-    feet : (n, 3) float64
-        The points of the tangent planes: the foot of the perpendicular from each point of the cloud to the
-        least-squares plane of its neighbours.
-    spacing : float
-        Median distance from a point to its nearest neighbour; unit of the file.
+    points, normals: (k, 3) float64, one point in each voxel.
+    sample: (s,) int, positions of a random sample of these points.
+    feet: (n, 3) float64, the points of the tangent planes: the foot of the perpendicular from each point of
+        the cloud to the least-squares plane of its neighbours.
+    spacing: median distance from a point to its nearest neighbour; unit of the file.
     """
 
     cloud: PointCloud
@@ -63,29 +51,9 @@ def prepared(
 ) -> tuple[list[View], float]:
     """Prepare range scans for registration.
 
-    Parameters
-    ----------
-    clouds : sequence of PointCloud
-        The points that one sensor measured from one position, each in a frame of its own; all in one unit.
-    options : MergeOptions
-        Of which `cell`, `keep_largest`, `max_range`, `piece_gap`, `reach` and `sensor` are used.
-    rng : numpy.random.Generator
-        For the samples.
-
-    Returns
-    -------
-    views : list of View
-        Each in its own frame, without invalid readings, and the background that the options name.
-    scale : float
-        Median diagonal of the views, to which relative options refer; unit of the points.
-
-    Raises
-    ------
-    InputError
-        If a view has more than one sensor position, or ``max_range`` is given and the position of the sensor
-        is not known.
-    ReconstructionError
-        If a view has too few points.
+    clouds: the points that one sensor measured from one position, each in a frame of its own; all in one
+        unit.
+    Returns scale : float: median diagonal of the views, to which relative options refer; unit of the points.
     """
     sensors = [_sensor(cloud, number, options) for number, cloud in enumerate(clouds)]
     fronts = [
@@ -103,17 +71,9 @@ def prepared(
 def one_of_each_cell(points: FloatArray, cell: float) -> NDArray[np.intp]:
     """Voxel-grid subsampling: the first point in each voxel.
 
-    Parameters
-    ----------
-    points : (n, 3) float64
-        Coordinates.
-    cell : float
-        Edge of a voxel, unit of the points; 0 selects every point.
-
-    Returns
-    -------
-    (k,) int
-        Positions of the points, ascending.
+    points: (n, 3) float64, coordinates.
+    cell: edge of a voxel, unit of the points; 0 selects every point.
+    Returns (k,) int: positions of the points, ascending.
     """
     if not cell:
         return np.arange(len(points))
@@ -146,17 +106,8 @@ def _sensor(view: PointCloud, number: int, options: MergeOptions) -> FloatArray:
 def features_of(view: View, cell: float) -> FloatArray:
     """Features of the points of a view that are matched.
 
-    Parameters
-    ----------
-    view : View
-        The view.
-    cell : float
-        Edge of the voxels of which each gave one point; unit of the points.
-
-    Returns
-    -------
-    (k, 33) float64
-        Fast point feature histograms of `View.points`.
+    cell: edge of the voxels of which each gave one point; unit of the points.
+    Returns (k, 33) float64: fast point feature histograms of `View.points`.
     """
     return feature_histograms(view.points, view.normals, radius=FEATURE_RADIUS * cell)
 

@@ -31,20 +31,7 @@ FEWEST_BODIES = 10
 def upward(axis: str | None) -> FloatArray | None:
     """The direction of an axis of a file.
 
-    Parameters
-    ----------
-    axis : {"x", "-x", "y", "-y", "z", "-z"} or None
-        The axis.
-
-    Returns
-    -------
-    (3,) float64 or None
-        Its direction, of length 1; None for None.
-
-    Raises
-    ------
-    OptionError
-        If there is no such axis.
+    Returns (3,) float64 or None: its direction, of length 1; None for None.
     """
     if axis is None:
         return None
@@ -61,16 +48,10 @@ def common_axis(directions: FloatArray) -> FloatArray | None:
     Directions are wrong for some bodies, but not all along one axis. Of 76 bodies of TOSCA, whose files have
     the z axis upwards, 40 are found to stand along it, and at most 7 along each other one.
 
-    Parameters
-    ----------
-    directions : (n, 3) float64
-        The direction upwards of each body, of length 1.
-
-    Returns
-    -------
-    (3,) float64 or None
-        An axis x, y or z or its opposite, along which at least 4 of 10 bodies stand, and three times as many
-        as along each other one; None if there is none, or there are too few bodies.
+    directions: (n, 3) float64, the direction upwards of each body, of length 1.
+    Returns (3,) float64 or None: an axis x, y or z or its opposite, along which at least 4 of 10 bodies
+        stand, and three times as many as along each other one; None if there is none, or there are too few
+        bodies.
     """
     axes = np.stack([direction for name in UPWARD if (direction := upward(name)) is not None])
     along = (directions.reshape(-1, 3) @ axes.T > np.cos(NEAR_AXIS)).sum(axis=0)
@@ -83,19 +64,10 @@ def common_axis(directions: FloatArray) -> FloatArray | None:
 def body_axes(vertices: FloatArray, faces: IntArray, up: FloatArray | None = None) -> FloatArray:
     """The axes of a camera in front of a body, by the principal axes of its surface.
 
-    Parameters
-    ----------
-    vertices : (n, 3) float64
-        Vertices of the surface, in any unit.
-    faces : (m, 3) int32
-        Of positive total area.
-    up : (3,) float64, optional
-        The direction upwards, of length 1; by default found from the surface.
-
-    Returns
-    -------
-    (3, 3) float64
-        Orthonormal rows, as from `principal_axes`.
+    vertices: (n, 3) float64, vertices of the surface, in any unit.
+    faces: (m, 3) int32, of positive total area.
+    up: (3,) float64, optional, the direction upwards, of length 1; by default found from the surface.
+    Returns (3, 3) float64: orthonormal rows, as from `principal_axes`.
     """
     a, b, c = (vertices[faces[:, k]] for k in range(3))
     areas = np.linalg.norm(np.cross(b - a, c - a), axis=1) / 2  # (m,)
@@ -113,20 +85,12 @@ def principal_axes(points: FloatArray, weights: FloatArray, up: FloatArray | Non
     right: people stand, and arms that are stretched to the sides are level. If that axis is the direction of
     view, as of an animal with four legs, up is the more skewed of the other two.
 
-    Parameters
-    ----------
-    points : (n, 3) float64
-        Coordinates, in any unit.
-    weights : (n,) float64
-        Weights of the points, with the sum 1.
-    up : (3,) float64, optional
-        The direction upwards, of length 1.
-
-    Returns
-    -------
-    (3, 3) float64
-        Orthonormal, right-handed rows: the directions to the right, upwards, and towards the camera. If the
-        principal axes are not unique, the rows are as near as possible to the axes x, y and z.
+    points: (n, 3) float64, coordinates, in any unit.
+    weights: (n,) float64, weights of the points, with the sum 1.
+    up: (3,) float64, optional, the direction upwards, of length 1.
+    Returns (3, 3) float64: orthonormal, right-handed rows: the directions to the right, upwards, and towards
+        the camera. If the principal axes are not unique, the rows are as near as possible to the axes x, y
+        and z.
     """
     points = points - weights @ points
     variance = weights @ (points**2).sum(axis=1)

@@ -40,14 +40,9 @@ SMALL = 1e-3
 class Camera:
     """An orthographic camera.
 
-    Attributes
-    ----------
-    axes : (3, 3) float64
-        Orthonormal rows: the directions to the right, upwards, and towards the camera.
-    centre : (3,) float64
-        The point in the centre of the picture; unit of the scan.
-    half : float
-        Half of the side of the field of view; unit of the scan.
+    axes: (3, 3) float64, orthonormal rows: the directions to the right, upwards, and towards the camera.
+    centre: (3,) float64, the point in the centre of the picture; unit of the scan.
+    half: half of the side of the field of view; unit of the scan.
     """
 
     axes: FloatArray
@@ -63,15 +58,8 @@ class Camera:
 def cameras_around(points: FloatArray) -> list[Camera]:
     """Cameras on four sides of a body, with one scale.
 
-    Parameters
-    ----------
-    points : (n, 3) float64
-        Points of the body, all of which are in the field of view.
-
-    Returns
-    -------
-    list of Camera
-        One camera for each of `AZIMUTHS`; unit of the points.
+    points: (n, 3) float64, points of the body, all of which are in the field of view.
+    Returns list of Camera: one camera for each of `AZIMUTHS`; unit of the points.
     """
     axes = principal_axes(points, np.full(len(points), 1 / len(points)))
     turned = [rotation(azimuth, ELEVATION) @ axes for azimuth in AZIMUTHS]
@@ -81,17 +69,8 @@ def cameras_around(points: FloatArray) -> list[Camera]:
 def cameras_framing(points: FloatArray, cameras: Sequence[Camera]) -> list[Camera]:
     """Cameras in given directions, with one scale.
 
-    Parameters
-    ----------
-    points : (n, 3) float64
-        Points, all of which are in the field of view.
-    cameras : sequence of Camera
-        The directions; at least one.
-
-    Returns
-    -------
-    list of Camera
-        Cameras with the axes of the given ones; unit of the points.
+    points: (n, 3) float64, points, all of which are in the field of view.
+    Returns list of Camera: cameras with the axes of the given ones; unit of the points.
     """
     low, high = points.min(axis=0), points.max(axis=0)
     size = float(np.linalg.norm(high - low)) or 1.0  # the size of equal points
@@ -108,15 +87,8 @@ def cameras_framing(points: FloatArray, cameras: Sequence[Camera]) -> list[Camer
 def rotation(azimuth: float, elevation: float) -> FloatArray:
     """The rotation from the axes of a body to those of a camera.
 
-    Parameters
-    ----------
-    azimuth, elevation : float
-        Angles of the camera to the right of the front of the body, and above it; degrees.
-
-    Returns
-    -------
-    (3, 3) float64
-        Rotation matrix.
+    azimuth, elevation: angles of the camera to the right of the front of the body, and above it; degrees.
+    Returns (3, 3) float64: rotation matrix.
     """
     a, e = np.radians([azimuth, elevation])
     right = np.array([np.cos(a), 0.0, -np.sin(a)])
@@ -127,19 +99,11 @@ def rotation(azimuth: float, elevation: float) -> FloatArray:
 def visible_faces(vertices: FloatArray, faces: IntArray, size: int) -> IntArray:
     """The first face on each ray of a camera.
 
-    Parameters
-    ----------
-    vertices : (n, 3) float64
-        Image coordinates; the rays are parallel to −z, in the field of view [-1, 1]².
-    faces : (m, 3) int32
-        Vertex numbers of the triangles.
-    size : int
-        Side of the picture; pixels.
-
-    Returns
-    -------
-    (s, s) int32
-        Numbers of the faces, −1 for none; s is `size` times `SUPERSAMPLING`, with the top row first.
+    vertices: (n, 3) float64, image coordinates; the rays are parallel to −z, in the field of view [-1, 1]².
+    faces: (m, 3) int32, vertex numbers of the triangles.
+    size: side of the picture; pixels.
+    Returns (s, s) int32: numbers of the faces, −1 for none; s is `size` times `SUPERSAMPLING`, with the top
+        row first.
     """
     n = SUPERSAMPLING * size
     ticks = (2 * np.arange(n) + 1) / n - 1
@@ -160,15 +124,8 @@ def visible_faces(vertices: FloatArray, faces: IntArray, size: int) -> IntArray:
 def pooled(rays: FloatArray) -> FloatArray:
     """The mean over the rays of each pixel.
 
-    Parameters
-    ----------
-    rays : (s, s, ...) float64
-        One value for each ray, in the order of `visible_faces`.
-
-    Returns
-    -------
-    (s / `SUPERSAMPLING`, s / `SUPERSAMPLING`, ...) float64
-        One value for each pixel.
+    rays: (s, s, ...) float64, one value for each ray, in the order of `visible_faces`.
+    Returns (s / `SUPERSAMPLING`, s / `SUPERSAMPLING`, ...) float64: one value for each pixel.
     """
     size = len(rays) // SUPERSAMPLING
     blocks = rays.reshape(size, SUPERSAMPLING, size, SUPERSAMPLING, *rays.shape[2:])

@@ -26,23 +26,10 @@ def point_picture(
 ) -> Image.Image:
     """A picture of points, drawn as squares that face the camera.
 
-    Parameters
-    ----------
-    points : (n, 3) float64
-        Coordinates; unit of the camera.
-    colours : (n, 3) float64
-        Red, green and blue in [0, 1].
-    camera : Camera
-        The camera.
-    width : float
-        Side of a square, within limits; unit of the camera.
-    size : int
-        Side of the picture; pixels.
-
-    Returns
-    -------
-    PIL.Image.Image
-        RGBA, transparent where nothing is.
+    points: (n, 3) float64, coordinates; unit of the camera.
+    colours: (n, 3) float64, red, green and blue in [0, 1].
+    width: side of a square, within limits; unit of the camera.
+    size: side of the picture; pixels.
     """
     half = max(min(width / camera.half, LARGEST_WIDTH), 2 * LEAST_WIDTH / size) / 2
     corners = half * np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]])
@@ -65,25 +52,12 @@ def surface_picture(
 ) -> Image.Image:
     """A picture of a surface, lit by the lamps of `face_brightness`.
 
-    Parameters
-    ----------
-    vertices : (n, 3) float64
-        Vertices of the surface; unit of the camera.
-    faces : (m, 3) int32
-        Vertex numbers of the triangles.
-    colours : (m, 3) float64
-        Colours of the faces; red, green and blue in [0, 1].
-    camera : Camera
-        The camera.
-    size : int
-        Side of the picture; pixels.
-    rings : sequence of ((k, 3) positions, colour)
-        Positions around which rings are drawn, also behind the surface.
-
-    Returns
-    -------
-    PIL.Image.Image
-        RGBA, transparent where nothing is.
+    vertices: (n, 3) float64, vertices of the surface; unit of the camera.
+    faces: (m, 3) int32, vertex numbers of the triangles.
+    colours: (m, 3) float64, colours of the faces; red, green and blue in [0, 1].
+    size: side of the picture; pixels.
+    rings: sequence of ((k, 3) positions, colour), positions around which rings are drawn, also behind the
+        surface.
     """
     seen = camera.seen(vertices)
     picture = _picture(seen, faces, colours * face_brightness(seen, faces)[:, None], size)
@@ -99,15 +73,7 @@ def surface_picture(
 def rgb(colour: Colour) -> tuple[int, int, int]:
     """A colour as three integers.
 
-    Parameters
-    ----------
-    colour : (red, green, blue) in [0, 1]
-        Red, green and blue.
-
-    Returns
-    -------
-    tuple of 3 int
-        Red, green and blue in [0, 255].
+    colour: (red, green, blue) in [0, 1], red, green and blue.
     """
     red, green, blue = (round(255 * part) for part in colour)
     return red, green, blue
@@ -116,15 +82,7 @@ def rgb(colour: Colour) -> tuple[int, int, int]:
 def css(colour: Colour) -> str:
     """A colour as a hexadecimal value of CSS.
 
-    Parameters
-    ----------
-    colour : (red, green, blue) in [0, 1]
-        Red, green and blue.
-
-    Returns
-    -------
-    str
-        Such as ``#dbccbd``.
+    colour: (red, green, blue) in [0, 1], red, green and blue.
     """
     return "#" + bytes(rgb(colour)).hex()
 

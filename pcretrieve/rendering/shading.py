@@ -20,17 +20,9 @@ AMBIENT = 0.26
 def face_brightness(vertices: FloatArray, faces: IntArray) -> FloatArray:
     """The brightness of the faces of a matt surface by Lambert's law; both sides of a face look alike.
 
-    Parameters
-    ----------
-    vertices : (n, 3) float64
-        Coordinates in the frame of the camera: right, up, towards.
-    faces : (m, 3) int32
-        Vertex numbers of the triangles.
-
-    Returns
-    -------
-    (m,) float64
-        In [0, 1].
+    vertices: (n, 3) float64, coordinates in the frame of the camera: right, up, towards.
+    faces: (m, 3) int32, vertex numbers of the triangles.
+    Returns (m,) float64: in [0, 1].
     """
     a, b, c = (vertices[faces[:, k]] for k in range(3))
     normals = np.cross(b - a, c - a)  # (m, 3)

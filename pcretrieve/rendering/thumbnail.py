@@ -62,30 +62,13 @@ def thumbnail(
     relative to `body_axes`, and the body fills the picture up to `MARGIN`, so that the picture is invariant
     to rigid motion and scaling of the body.
 
-    Parameters
-    ----------
-    vertices : (n, 3) float64
-        Vertices of the surface, in any unit.
-    faces : (m, 3) int32
-        Vertex numbers of the triangles.
-    up : (3,) float64, optional
-        The direction upwards, such as `TriangleMesh.up`, of length 1; by default found by `body_axes`.
-    size : int, default 200
-        Side of the square picture; pixels.
-    azimuth, elevation : float, default 20 and 10
-        Angles of the camera to the right of the front of `body_axes`, and above it; degrees.
-
-    Returns
-    -------
-    bytes
-        A PNG file with a palette and a transparent background; 6 to 10 kB at 200 pixels.
-
-    Raises
-    ------
-    DegenerateMeshError
-        If the surface has no area.
-    OptionError
-        If the size is less than 1, or an angle is not finite.
+    vertices: (n, 3) float64, vertices of the surface, in any unit.
+    faces: (m, 3) int32, vertex numbers of the triangles.
+    up: (3,) float64, optional, the direction upwards, such as `TriangleMesh.up`, of length 1; by default
+        found by `body_axes`.
+    size: side of the square picture; pixels.
+    azimuth, elevation: angles of the camera to the right of the front of `body_axes`, and above it; degrees.
+    Returns bytes: a PNG file with a palette and a transparent background; 6 to 10 kB at 200 pixels.
     """
     if size < 1:
         raise OptionError(f"size must be at least 1 pixel, got {size}")
@@ -111,17 +94,7 @@ def thumbnail(
 def resized(picture: bytes, size: int) -> bytes:
     """A smaller thumbnail.
 
-    Parameters
-    ----------
-    picture : bytes
-        A PNG file by `thumbnail`.
-    size : int
-        Side of the square picture; pixels.
-
-    Returns
-    -------
-    bytes
-        A PNG file with the same palette; the picture itself if it is not larger.
+    size: side of the square picture; pixels.
     """
     with Image.open(BytesIO(picture)) as image:
         if image.width <= size:
@@ -135,16 +108,8 @@ def resized(picture: bytes, size: int) -> bytes:
 def direction_upwards(picture: bytes) -> FloatArray | None:
     """The direction that is upwards in a thumbnail.
 
-    Parameters
-    ----------
-    picture : bytes
-        A PNG file by `thumbnail`, perhaps of an earlier version.
-
-    Returns
-    -------
-    (3,) float64 or None
-        The direction in the file of the surface, of length 1 but for four decimals; None for a picture that
-        this version of pcretrieve would draw differently.
+    Returns (3,) float64 or None: the direction in the file of the surface, of length 1 but for four decimals;
+        None for a picture that this version of pcretrieve would draw differently.
     """
     found = DIRECTION.search(picture[:2048])
     return None if found is None else np.array(found[1].split(), np.float64)
@@ -153,17 +118,8 @@ def direction_upwards(picture: bytes) -> FloatArray | None:
 def cloud_thumbnail(points: FloatArray, *, size: int = 160) -> bytes:
     """A picture of a point cloud from its front; nearer points are brighter.
 
-    Parameters
-    ----------
-    points : (n, 3) float64
-        At least one point.
-    size : int, default 160
-        Side of the square picture; pixels.
-
-    Returns
-    -------
-    bytes
-        A PNG file with a transparent background.
+    points: (n, 3) float64, at least one point.
+    size: side of the square picture; pixels.
     """
     shown = points[:: -(-len(points) // MOST_POINTS)]
     camera = cameras_around(shown)[0]
@@ -176,20 +132,7 @@ def cloud_thumbnail(points: FloatArray, *, size: int = 160) -> bytes:
 
 
 def picture_html(picture: bytes | None, words: str) -> str:
-    """A picture with words below it, for notebooks.
-
-    Parameters
-    ----------
-    picture : bytes or None
-        PNG; None for words alone.
-    words : str
-        Plain text.
-
-    Returns
-    -------
-    str
-        HTML without links.
-    """
+    """A picture with words below it, for notebooks."""
     image = ""
     if picture is not None:
         image = f'<img alt="" src="data:image/png;base64,{b64encode(picture).decode("ascii")}"><br>'

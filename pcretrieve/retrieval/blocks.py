@@ -52,16 +52,10 @@ NO_ROW = -1
 class Blocks:
     """The blocks of a table of points with D coordinates.
 
-    Attributes
-    ----------
-    rows : (B, S) int32
-        Rows of the points of each block in the table, and `NO_ROW` in the other places.
-    low, high : (B, D) float64
-        The smallest and the largest coordinates of each block.
-    step : (B, D) float64
-        Lengths of the cells of each block.
-    codes : (B, D, S) uint8
-        Numbers of the cells of each point along each axis.
+    rows: (B, S) int32, rows of the points of each block in the table, and `NO_ROW` in the other places.
+    low, high: (B, D) float64, the smallest and the largest coordinates of each block.
+    step: (B, D) float64, lengths of the cells of each block.
+    codes: (B, D, S) uint8, numbers of the cells of each point along each axis.
     """
 
     rows: Rows
@@ -82,23 +76,9 @@ class Blocks:
     ) -> Blocks:
         """The blocks of some rows of a table.
 
-        Parameters
-        ----------
-        leading : (d, n) float32
-            Coordinates of the rows along the axes that may divide them.
-        coordinates : function of (m,) int32 that returns (m, D) float64
-            Coordinates of rows of the table.
-        rows : (n,) int32
-            The rows, at least one.
-        cubic : bool
-            Whether the cells of a block have the same length along all axes.
-        size : int, optional
-            S; by default as large as the rows need, at most `BLOCK_SIZE`.
-
-        Returns
-        -------
-        Blocks
-            Each row is in one block.
+        leading: (d, n) float32, coordinates of the rows along the axes that may divide them.
+        coordinates: function of (m,) int32 that returns (m, D) float64, coordinates of rows of the table.
+        rows: (n,) int32, the rows, at least one.
         """
         parts = list(_leaves(leading, np.arange(len(rows), dtype=np.int32), size or BLOCK_SIZE))
         if size is None:
@@ -136,30 +116,15 @@ class Blocks:
     def gaps(self, query: FloatArray) -> FloatArray:
         """Distances along each axis between a query and the bounding boxes.
 
-        Parameters
-        ----------
-        query : (D,) float64
-            Coordinates of the query.
-
-        Returns
-        -------
-        (B, D) float64
-            Zero where the query is between the ends of the box.
+        query: (D,) float64, coordinates of the query.
+        Returns (B, D) float64: zero where the query is between the ends of the box.
         """
         return np.maximum(np.maximum(self.low - query, query - self.high), 0.0)
 
     def renumbered(self, numbers: Rows) -> Blocks:
         """The blocks after rows of the table were moved or removed.
 
-        Parameters
-        ----------
-        numbers : (N,) int32
-            The new number of each row of the table, or `NO_ROW` if it was removed.
-
-        Returns
-        -------
-        Blocks
-            Blocks with the same boxes, without blocks that have no row any more.
+        numbers: (N,) int32, the new number of each row of the table, or `NO_ROW` if it was removed.
         """
         rows = np.where(self.rows == NO_ROW, np.int32(NO_ROW), numbers[self.rows])
         if (used := (rows != NO_ROW).any(axis=1)).all():
@@ -169,19 +134,8 @@ class Blocks:
     def extended(self, coordinates: Callable[[Rows], FloatArray], rows: Rows, *, cubic: bool) -> Blocks:
         """The blocks with further rows, which are stored in new blocks beside those of the last block.
 
-        Parameters
-        ----------
-        coordinates : function of (m,) int32 that returns (m, D) float64
-            Coordinates of rows of the table.
-        rows : (n,) int32
-            The further rows.
-        cubic : bool
-            As in `of`.
-
-        Returns
-        -------
-        Blocks
-            All blocks but the last one are unchanged.
+        coordinates: function of (m,) int32 that returns (m, D) float64, coordinates of rows of the table.
+        rows: (n,) int32, the further rows.
         """
         last = self.rows[-1]
         rows = np.concatenate([last[last != NO_ROW], rows])
@@ -198,23 +152,7 @@ class Blocks:
 
     @classmethod
     def from_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> Blocks:
-        """The blocks that `to_arrays` has written as arrays.
-
-        Parameters
-        ----------
-        arrays : mapping of str to array
-            The arrays, which are not copied.
-
-        Returns
-        -------
-        Blocks
-            The blocks before.
-
-        Raises
-        ------
-        KeyError
-            If an array is missing.
-        """
+        """The blocks that `to_arrays` has written as arrays."""
         return cls(**{field.name: arrays[field.name] for field in fields(cls)})
 
 

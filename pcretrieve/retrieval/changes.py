@@ -22,23 +22,6 @@ def with_shapes(index: SignatureIndex, table: SignatureTable) -> SignatureIndex:
     """An index with further shapes.
 
     The whitening and the scores remain those of the shapes for which they were fitted.
-
-    Parameters
-    ----------
-    index : SignatureIndex
-        The index, which does not change.
-    table : SignatureTable
-        Signatures of the further shapes.
-
-    Returns
-    -------
-    SignatureIndex
-        It gives the answers of an index of all shapes with this whitening.
-
-    Raises
-    ------
-    InputError
-        If the signatures are not comparable with those of the index, or it has one of the shapes already.
     """
     if not len(table):
         return index
@@ -71,23 +54,6 @@ def without_shapes(index: SignatureIndex, ids: Iterable[str]) -> SignatureIndex:
     """An index without some of its shapes.
 
     The whitening and the scores remain those of the shapes for which they were fitted.
-
-    Parameters
-    ----------
-    index : SignatureIndex
-        The index, which does not change.
-    ids : iterable of str
-        The shapes to leave out.
-
-    Returns
-    -------
-    SignatureIndex
-        It gives the answers of an index of the other shapes with this whitening.
-
-    Raises
-    ------
-    InputError
-        If the index does not have one of the shapes, or would have none left.
     """
     old = index.contents
     keep = np.ones(len(index), dtype=bool)

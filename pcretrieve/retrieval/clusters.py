@@ -24,23 +24,8 @@ GOLDEN_ANGLE = np.pi * (3 - np.sqrt(5))
 def cluster_numbers(index: SignatureIndex, *, min_size: int = 3) -> NDArray[np.intp]:
     """Cluster the shapes of an index by the density of their whitened signatures (HDBSCAN).
 
-    Parameters
-    ----------
-    index : SignatureIndex
-        The shapes.
-    min_size : int, default 3
-        Least number of shapes of a cluster. See docs/decisions.md, cluster_numbers.
-
-    Returns
-    -------
-    (N,) intp
-        The number of the cluster of each shape of the index, from 1 for the largest, of equal ones that with
-        the first shape; 0 for shapes in none.
-
-    Raises
-    ------
-    OptionError
-        If `min_size` is less than 2.
+    Returns (N,) intp: the number of the cluster of each shape of the index, from 1 for the largest, of equal
+        ones that with the first shape; 0 for shapes in none.
     """
     if min_size < 2:
         raise OptionError(f"min_size must be at least 2, got {min_size}")
@@ -56,17 +41,9 @@ def cluster_numbers(index: SignatureIndex, *, min_size: int = 3) -> NDArray[np.i
 def plane_map(index: SignatureIndex, rows: NDArray[np.intp] | None = None) -> FloatArray:
     """Places in the plane at which shapes with near whitened signatures are near (t-SNE).
 
-    Parameters
-    ----------
-    index : SignatureIndex
-        The shapes.
-    rows : (n,) int, optional
-        Rows of the index: only these shapes are placed.
-
-    Returns
-    -------
-    (N, 2) float64
-        The place of each shape of the index, or of each row, within [0, 1]²; its axes have no meaning.
+    rows: (n,) int, optional, rows of the index: only these shapes are placed.
+    Returns (N, 2) float64: the place of each shape of the index, or of each row, within [0, 1]²; its axes
+        have no meaning.
     """
     points = index.contents.filter.points
     places = neighbour_embedding(points if rows is None else points[rows])

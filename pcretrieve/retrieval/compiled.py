@@ -35,16 +35,6 @@ def scan(
     """Find the rows of some blocks that have a lower bound of at most a limit.
 
     The bounds are those of `pcretrieve.retrieval.interpreted.scan`.
-
-    Parameters
-    ----------
-    codes, rows, low, high, step, blocks, query, half, clip, limit, near, bounds : object
-        As in `pcretrieve.retrieval.interpreted.scan`.
-
-    Returns
-    -------
-    int
-        Number of rows that are found.
     """
     if clip == 0:
         return _squares(codes, rows, low, step, blocks, query, half, limit, near, bounds)

@@ -38,17 +38,9 @@ UNTESTED = 0.1
 def scatter_matrix(logs: FloatArray, mean: FloatArray) -> FloatArray:
     """The scatter matrix of many shapes, without a centred copy of the table.
 
-    Parameters
-    ----------
-    logs : (N, L) float64
-        Log-signatures, one in each row.
-    mean : (L,) float64
-        Their mean.
-
-    Returns
-    -------
-    (L, L) float64
-        The sum of the outer products of the centred rows: N − 1 times the covariance.
+    logs: (N, L) float64, log-signatures, one in each row.
+    mean: (L,) float64, their mean.
+    Returns (L, L) float64: the sum of the outer products of the centred rows: N − 1 times the covariance.
     """
     scatter = np.zeros((len(mean), len(mean)))
     for start in range(0, len(logs), CHUNK):
@@ -60,14 +52,9 @@ def scatter_matrix(logs: FloatArray, mean: FloatArray) -> FloatArray:
 class Residuals(NamedTuple):
     """The differences of shapes from the mean of their class.
 
-    Attributes
-    ----------
-    rows : (n,) intp
-        Positions of the shapes in classes of at least two shapes, class after class.
-    classes : (n,) intp
-        Number of the class of each of these shapes, ascending.
-    values : (n, L) float64
-        The residuals.
+    rows: (n,) intp, positions of the shapes in classes of at least two shapes, class after class.
+    classes: (n,) intp, number of the class of each of these shapes, ascending.
+    values: (n, L) float64, the residuals.
     """
 
     rows: Positions
@@ -88,22 +75,7 @@ class Residuals(NamedTuple):
 def within_class_residuals(logs: FloatArray, labels: Sequence[str | None] | None) -> Residuals:
     """Subtract the mean of its class from each labelled shape.
 
-    Parameters
-    ----------
-    logs : (N, L) float64
-        Log-signatures.
-    labels : sequence of (str or None), length N, optional
-        Classes. Shapes without a label, and classes of one shape, are left out.
-
-    Returns
-    -------
-    Residuals
-        The residuals, in alphabetical order of the classes.
-
-    Raises
-    ------
-    InputError
-        If there are not as many labels as shapes, or no class has two shapes.
+    logs: (N, L) float64, log-signatures.
     """
     if labels is None or len(labels) != len(logs):
         given = "none" if labels is None else str(len(labels))
@@ -126,18 +98,7 @@ def within_class_residuals(logs: FloatArray, labels: Sequence[str | None] | None
 def likeliest_shrinkage(residuals: Residuals, *, one_unit: bool = True) -> float:
     """The shrinkage at which the residuals of classes that are left out are most likely.
 
-    Parameters
-    ----------
-    residuals : Residuals
-        The residuals.
-    one_unit : bool, default True
-        Whether all values have one unit, as in `shrunk`.
-
-    Returns
-    -------
-    float
-        An intensity of `shrunk` between .0003 and .3, by grouped cross-validation of the Gaussian
-        log-likelihood; .1 if there is one class only.
+    one_unit: whether all values have one unit, as in `shrunk`.
     """
     n_groups = min(N_GROUPS, residuals.n_classes)
     if n_groups < 2:
@@ -161,19 +122,9 @@ def likeliest_shrinkage(residuals: Residuals, *, one_unit: bool = True) -> float
 def shrunk(covariance: FloatArray, intensity: float, *, one_unit: bool = True) -> FloatArray:
     """A covariance shrunk towards that of uncorrelated values.
 
-    Parameters
-    ----------
-    covariance : (L, L) float64
-        C.
-    intensity : float
-        s, in [0, 1].
-    one_unit : bool, default True
-        Whether all values have one unit. The target T is then tr(C)/L I, otherwise the diagonal of C.
-
-    Returns
-    -------
-    (L, L) float64
-        (1 − s) C + s T.
+    covariance: (L, L) float64, c.
+    one_unit: whether all values have one unit. The target T is then tr(C)/L I, otherwise the diagonal of C.
+    Returns (L, L) float64: (1 − s) C + s T.
     """
     variances = np.diag(covariance)
     mean = variances.mean()

@@ -119,22 +119,8 @@ DISTANCES: Registry[Distance] = Registry(
 def coordinates(values: ArrayLike, metric: Metric = "logarithms") -> FloatArray:
     """The coordinates of signatures, of whose differences the distances are functions.
 
-    Parameters
-    ----------
-    values : (…, L) array_like
-        Signature values.
-    metric : {"logarithms", "values", "histograms"}, default "logarithms"
-        The metric of the signatures.
-
-    Returns
-    -------
-    (…, L) float64
-        The logarithms, the values themselves, or the square roots.
-
-    Raises
-    ------
-    InputError
-        If a value is not finite, or the metric does not allow it.
+    values: (…, L) array_like, signature values.
+    Returns (…, L) float64: the logarithms, the values themselves, or the square roots.
     """
     if metric == "logarithms":
         return log_signatures(values)
@@ -148,44 +134,14 @@ def coordinates(values: ArrayLike, metric: Metric = "logarithms") -> FloatArray:
 def table_coordinates(table: SignatureTable, distance: str) -> FloatArray:
     """The coordinates of the signatures in a table, for a distance.
 
-    Parameters
-    ----------
-    table : SignatureTable
-        The signatures.
-    distance : str
-        A name in `DISTANCES`.
-
-    Returns
-    -------
-    (N, L) float64
-        As in `coordinates`.
-
-    Raises
-    ------
-    OptionError
-        If the distance does not exist, or is not meaningful for the metric of the signatures.
+    Returns (N, L) float64: as in `coordinates`.
     """
     check_comparable(table.kind, table.metric, distance)
     return coordinates(table.values, table.metric)
 
 
 def check_comparable(kind: str, metric: Metric, distance: str) -> None:
-    """Check that a distance is meaningful for signatures.
-
-    Parameters
-    ----------
-    kind : str
-        The method that made the signatures.
-    metric : {"logarithms", "values", "histograms"}
-        The metric of the signatures.
-    distance : str
-        A name in `DISTANCES`.
-
-    Raises
-    ------
-    OptionError
-        If the distance does not exist, or is not meaningful for the metric.
-    """
+    """Check that a distance is meaningful for signatures."""
     if metric not in DISTANCES[distance].metrics:
         meaningful = ", ".join(name for name, each in DISTANCES.own.items() if metric in each.metrics)
         raise OptionError(
@@ -196,20 +152,8 @@ def check_comparable(kind: str, metric: Metric, distance: str) -> None:
 def log_signatures(values: ArrayLike) -> FloatArray:
     """Natural logarithms of signature values.
 
-    Parameters
-    ----------
-    values : (…, L) array_like
-        Positive and finite; dimensionless.
-
-    Returns
-    -------
-    (…, L) float64
-        Log-signatures, dimensionless.
-
-    Raises
-    ------
-    InputError
-        If a value is not a positive finite number.
+    values: (…, L) array_like, positive and finite; dimensionless.
+    Returns (…, L) float64: log-signatures, dimensionless.
     """
     logs: FloatArray = np.log(_checked(values, "positive and finite", lambda x: np.isfinite(x) & (x > 0)))
     return logs
@@ -236,26 +180,9 @@ def pairwise(distance: str, queries: FloatArray, gallery: FloatArray) -> FloatAr
     The floating-point result for a pair depends on this pair alone: equal signatures have exactly equal
     distances, and d(a, b) = d(b, a) exactly.
 
-    Parameters
-    ----------
-    distance : str
-        A name in `DISTANCES`.
-    queries : (Q, L) float64
-        Coordinates, with or without whitening.
-    gallery : (N, L) float64
-        Coordinates with the same whitening.
-
-    Returns
-    -------
-    (Q, N) float64
-        Dimensionless.
-
-    Raises
-    ------
-    OptionError
-        If the distance does not exist, or its package is at fault.
-    InputError
-        If the two arrays do not have the same number of columns.
+    queries: (Q, L) float64, coordinates, with or without whitening.
+    gallery: (N, L) float64, coordinates with the same whitening.
+    Returns (Q, N) float64: dimensionless.
     """
     between = DISTANCES[distance].between
     if queries.ndim != 2 or gallery.ndim != 2 or queries.shape[1] != gallery.shape[1]:

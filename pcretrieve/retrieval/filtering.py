@@ -62,20 +62,7 @@ GROWTH = 16
 class Filter:
     """The whitened coordinates of a gallery, and the bounds of their distances.
 
-    Attributes
-    ----------
-    distance : str
-        A name in `pcretrieve.retrieval.DISTANCES`.
-    points : (N, L) float64
-        The coordinates, at least one shape.
-    size : float
-        Largest magnitude of a coordinate, at least 1.
-    bounds : LowerBounds or None
-        None for few shapes, for a distance without lower bounds, and with a search of another package.
-    nearest : {"scan", "tree", "faiss"}
-        How the nearest are found.
-    search : EuclideanSearch or None
-        The search of another package; None by default. Without it and without bounds, no shape is left out.
+    points: (N, L) float64, the coordinates, at least one shape.
     """
 
     distance: str
@@ -91,27 +78,7 @@ class Filter:
     ) -> Filter:
         """The filter for coordinates, which are not copied.
 
-        Parameters
-        ----------
-        distance : str
-            A name in `pcretrieve.retrieval.DISTANCES`.
-        points : (N, L) float64
-            Whitened coordinates, at least one shape.
-        n_leading : int, optional
-            As in `LowerBounds.of`.
-        nearest : {"auto", "scan", "tree", "faiss"}, default "auto"
-            As in `RetrievalOptions`.
-
-        Returns
-        -------
-        Filter
-            With the search that is asked for; else with the bounds that the distance declares, if there are
-            more than `N_ALL` shapes.
-
-        Raises
-        ------
-        OptionError
-            If the search does not find the neighbours by this distance.
+        points: (N, L) float64, whitened coordinates, at least one shape.
         """
         check_searchable(nearest, distance)
         size = max(1.0, float(points.max()), -float(points.min()))
@@ -133,19 +100,9 @@ class Filter:
     def extended(self, points: FloatArray, numbers: Rows, rows: Rows) -> Filter:
         """The filter with further shapes.
 
-        Parameters
-        ----------
-        points : (N + n, L) float64
-            The coordinates of all shapes.
-        numbers : (N,) int32
-            The row of `points` of each shape that the filter has.
-        rows : (n,) int32
-            The rows of the further shapes.
-
-        Returns
-        -------
-        Filter
-            With bounds along the axes of the shapes before, if these have bounds.
+        points: (N + n, L) float64, the coordinates of all shapes.
+        numbers: (N,) int32, the row of `points` of each shape that the filter has.
+        rows: (n,) int32, the rows of the further shapes.
         """
         if self.bounds is None:
             return Filter.of(self.distance, points, nearest=self.nearest)
@@ -155,15 +112,7 @@ class Filter:
     def kept(self, keep: NDArray[np.bool_]) -> Filter:
         """The filter of some of the shapes.
 
-        Parameters
-        ----------
-        keep : (N,) bool
-            Which ones; at least one.
-
-        Returns
-        -------
-        Filter
-            With the bounds of these shapes.
+        keep: (N,) bool, which ones; at least one.
         """
         if self.search is not None:
             return Filter.of(self.distance, self.points[keep], nearest=self.nearest)
@@ -174,19 +123,9 @@ class Filter:
     def candidates(self, point: FloatArray, k: int, scan: Callable[..., int] = scan) -> NDArray[np.intp]:
         """The shapes that can be among the k nearest.
 
-        Parameters
-        ----------
-        point : (1, L) float64
-            Whitened coordinates of the query.
-        k : int
-            Between 1 and N.
-        scan : function, optional
-            As in `LowerBounds.to_rows`, by default without compiled code.
-
-        Returns
-        -------
-        (n,) intp
-            Rows of `points`, ascending, that include the `k` nearest and all rows at equal distance.
+        point: (1, L) float64, whitened coordinates of the query.
+        Returns (n,) intp: rows of `points`, ascending, that include the `k` nearest and all rows at equal
+            distance.
         """
         if self.search is not None and k < len(self.points) and np.abs(point).max() < LARGEST:
             return self._found(self.search, point, k)
@@ -231,25 +170,7 @@ class Filter:
 
     @classmethod
     def from_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> Filter:
-        """The filter that `to_arrays` has written as arrays.
-
-        Parameters
-        ----------
-        arrays : mapping of str to array
-            The arrays, which are not copied.
-
-        Returns
-        -------
-        Filter
-            The filter before.
-
-        Raises
-        ------
-        InputError
-            If the arrays are not of one table.
-        KeyError
-            If an array is missing.
-        """
+        """The filter that `to_arrays` has written as arrays."""
         distance, points, nearest = str(arrays["distance"]), arrays["gallery"], str(arrays["nearest"])
         if nearest in SEARCHES:
             return cls.of(distance, points, nearest=nearest)

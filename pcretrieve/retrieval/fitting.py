@@ -72,51 +72,11 @@ def fit_whitening(
 ) -> Whitening:
     """Fit a whitening to log-signatures.
 
-    Parameters
-    ----------
-    kind : str
-        ``none``: W is the identity. ``neighbours``: C is the covariance of the differences of shapes that are
-        among each other's nearest, shrunk with intensity `shrinkage` towards its mean variance times the
-        identity; ``none`` if there are too few. ``pca``: C is the covariance of all shapes, labelled or not,
-        with `shrinkage` times its largest eigenvalue added to every eigenvalue (Tikhonov regularisation).
-        ``within-class``: C is the pooled within-class covariance, shrunk like that of neighbours, or towards
-        its diagonal with the metric ``values``. ``auto``: ``within-class`` if at least 5 classes have as many
-        shapes, less one for each class, as there are values, else ``neighbours``. ``resolution`` is not
-        fitted: see `resolution_whitening`.
-    logs : (N, L) float64
-        Log-signatures, one in each row.
-    labels : sequence of (str or None), length N, optional
-        Classes, for ``within-class`` and ``auto``. Shapes without a label, and classes of one shape, are
-        ignored.
-    shrinkage : float or "auto", default "auto"
-        In (0, 1]. auto: for ``within-class`` the intensity at which the differences within classes that are
-        left out are most likely; for others ``DEFAULT_SHRINKAGE[kind]``. Ignored for ``none``.
-    n_neighbors : int or "auto", default "auto"
-        Number of neighbours, for ``neighbours`` only, as in `neighbour_pairs`.
-    rounds : int, default 1
-        For ``neighbours`` only: how often the pairs are found, from the second time on among the shapes as
-        they are whitened by the pairs before. See docs/decisions.md, ROUNDS.
-    prior : (L, L) float64, optional
-        A covariance of trace 1 of what should be ignored in any gallery, such as `resolution_covariance`.
-        For ``neighbours`` only: 30 % of the covariance.
-    metric : {"logarithms", "values", "histograms"}, default "logarithms"
-        The metric of the signatures. The coordinates of the metric ``values`` may have different units. For
-        ``within-class`` only.
-    options_digest : str, default ""
-        Digest of the table of the signatures.
-
-    Returns
-    -------
-    Whitening
-        The mean and the matrix W = s C^(−1/2) of the map, and in one line what was used and why.
-
-    Raises
-    ------
-    OptionError
-        If the kind does not exist or is not fitted, or the shrinkage is not in (0, 1].
-    InputError
-        If a log-signature is not finite; if there are fewer than two distinct shapes, for ``pca``; or if no
-        class has two distinct shapes, for ``within-class``.
+    logs: (N, L) float64, log-signatures, one in each row.
+    prior: (L, L) float64, optional, a covariance of trace 1 of what should be ignored in any gallery, such as
+        `resolution_covariance`. For ``neighbours`` only: 30 % of the covariance.
+    metric: the metric of the signatures. The coordinates of the metric ``values`` may have different units.
+        For ``within-class`` only.
     """
     if kind not in (*WHITENINGS, "auto"):
         raise OptionError(f"whitening must be one of auto, {', '.join(WHITENINGS)}, got {kind!r}")
@@ -154,29 +114,7 @@ def table_whitening(
 ) -> Whitening:
     """The whitening of a table of signatures.
 
-    Parameters
-    ----------
-    table : SignatureTable
-        The signatures.
-    options : RetrievalOptions
-        The kind of whitening to fit on `table`, and its shrinkage.
-    whitening : Whitening, optional
-        A whitening made before, which is returned instead.
-    prior : (L, L) float64, optional
-        As in `fit_whitening`.
-
-    Returns
-    -------
-    Whitening
-        A whitening with the digest of `table`.
-
-    Raises
-    ------
-    InputError
-        If the whitening made before was fitted on signatures with other options, or `table` has too few
-        shapes for a fit.
-    OptionError
-        If the kind is ``resolution``, which is not fitted.
+    prior: (L, L) float64, optional, as in `fit_whitening`.
     """
     if whitening is None:
         logs = table_coordinates(table, options.distance)

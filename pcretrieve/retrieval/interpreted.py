@@ -42,33 +42,14 @@ def scan(
     For whole numbers m, the sum of min(|j − i|, m) is one of integers, of eight bits each. The sum of the
     other terms is the same for all points of a block.
 
-    Parameters
-    ----------
-    codes : (B, D, S) uint8
-        As in `Blocks`.
-    rows : (B, S) int32
-        As in `Blocks`.
-    low, high, step : (B, D) float64
-        As in `Blocks`; for a sum of magnitudes, the cells of a block have one length.
-    blocks : (b,) intp
-        The blocks.
-    query : (D,) float64
-        Coordinates of the query.
-    half : float
-        Half the length of a cell relative to its length, enlarged by the rounding error.
-    clip : float
-        c, the largest term of a sum of magnitudes; zero for a sum of squares.
-    limit : float32
-        The largest lower bound.
-    near : (b * S,) int32
-        Is overwritten by the rows that are found.
-    bounds : (b * S,) float32
-        Is overwritten by their lower bounds.
-
-    Returns
-    -------
-    int
-        Number of rows that are found.
+    codes: (B, D, S) uint8, as in `Blocks`.
+    rows: (B, S) int32, as in `Blocks`.
+    low, high, step: (B, D) float64, as in `Blocks`; for a sum of magnitudes, the cells of a block have one
+        length.
+    blocks: (b,) intp, the blocks.
+    query: (D,) float64, coordinates of the query.
+    near: (b * S,) int32, is overwritten by the rows that are found.
+    bounds: (b * S,) float32, is overwritten by their lower bounds.
     """
     found = 0
     for first in range(0, len(blocks), N_TOGETHER):

@@ -58,16 +58,9 @@ CELL_ROUNDING = 10 * 3 * 2 * N_CELLS * SINGLE
 class LowerBounds:
     """The coordinates of a table of signatures that lower bounds of distances are computed from.
 
-    Attributes
-    ----------
-    euclidean : bool
-        Whether the bounds are those of ``log`` and ``d2``; otherwise they are those of ``d1``.
-    mean : (L,) float64
-        Mean of the whitened log-signatures, which is subtracted from each.
-    axes : (L, D) float64
-        Orthonormal columns: the principal directions, or the unit vectors of the selected values.
-    blocks : Blocks
-        Coordinates of the signatures along the axes.
+    mean: (L,) float64, mean of the whitened log-signatures, which is subtracted from each.
+    axes: (L, D) float64, orthonormal columns: the principal directions, or the unit vectors of the selected
+        values.
     """
 
     euclidean: bool
@@ -79,19 +72,7 @@ class LowerBounds:
     def of(cls, distance: str, gallery: FloatArray, n_leading: int | None = None) -> LowerBounds:
         """The bounds of a distance for a table of whitened log-signatures.
 
-        Parameters
-        ----------
-        distance : {"log", "d1"}
-            The distance, or one that is never larger: the bounds of ``log`` are bounds of ``d2`` too.
-        gallery : (N, L) float64
-            Whitened log-signatures, at least one.
-        n_leading : int, optional
-            D; by default `N_LEADING`, for ``d1`` `N_LEADING_D1`.
-
-        Returns
-        -------
-        LowerBounds
-            With the principal directions, or the values, of largest variance.
+        gallery: (N, L) float64, whitened log-signatures, at least one.
         """
         mean = gallery.mean(axis=0)
         scatter = scatter_matrix(gallery, mean)
@@ -115,32 +96,15 @@ class LowerBounds:
     def renumbered(self, numbers: Rows) -> LowerBounds:
         """The bounds after rows of the table were moved or removed.
 
-        Parameters
-        ----------
-        numbers : (N,) int32
-            As in `Blocks.renumbered`.
-
-        Returns
-        -------
-        LowerBounds
-            Bounds along the same axes.
+        numbers: (N,) int32, as in `Blocks.renumbered`.
         """
         return replace(self, blocks=self.blocks.renumbered(numbers))
 
     def extended(self, gallery: FloatArray, rows: Rows) -> LowerBounds:
         """The bounds with further rows, as in `Blocks.extended`.
 
-        Parameters
-        ----------
-        gallery : (N, L) float64
-            All whitened log-signatures.
-        rows : (n,) int32
-            Those that have no bounds.
-
-        Returns
-        -------
-        LowerBounds
-            Bounds along the same axes.
+        gallery: (N, L) float64, all whitened log-signatures.
+        rows: (n,) int32, those that have no bounds.
         """
         coordinates = partial(_coordinates, gallery, self.mean, self.axes)
         return replace(self, blocks=self.blocks.extended(coordinates, rows, cubic=not self.euclidean))
@@ -151,25 +115,7 @@ class LowerBounds:
 
     @classmethod
     def from_arrays(cls, distance: str, arrays: Mapping[str, NDArray[Any]]) -> LowerBounds:
-        """The bounds of a distance as in `of`, from the arrays of `to_arrays`.
-
-        Parameters
-        ----------
-        distance : {"log", "d1"}
-            As in `of`.
-        arrays : mapping of str to array
-            The arrays, which are not copied.
-
-        Returns
-        -------
-        LowerBounds
-            The bounds before.
-
-        Raises
-        ------
-        KeyError
-            If an array is missing.
-        """
+        """The bounds of a distance as in `of`, from the arrays of `to_arrays`."""
         return cls(distance != "d1", arrays["mean"], arrays["axes"], Blocks.from_arrays(arrays))
 
     def fits(self, gallery: FloatArray) -> bool:
@@ -191,15 +137,8 @@ class LowerBounds:
     def to_blocks(self, query: FloatArray) -> FloatArray:
         """Values that increase with the lower bounds of the distances from a query to whole blocks.
 
-        Parameters
-        ----------
-        query : (D,) float64
-            The result of `query`.
-
-        Returns
-        -------
-        (B,) float64
-            To be compared with `limit`; zero where a number is too large for a bound.
+        query: (D,) float64, the result of `query`.
+        Returns (B,) float64: to be compared with `limit`; zero where a number is too large for a bound.
         """
         with np.errstate(over="ignore", invalid="ignore"):
             gaps = self.blocks.gaps(query)
@@ -213,23 +152,10 @@ class LowerBounds:
     ) -> tuple[Rows, NDArray[np.float32]]:
         """The rows in some blocks whose lower bound is at most a limit.
 
-        Parameters
-        ----------
-        query : (D,) float64
-            The result of `query`.
-        chosen : (b,) intp
-            The blocks.
-        limit : float
-            A result of `limit`.
-        scan : function
-            The function `scan` of `pcretrieve.retrieval.compiled` or of `pcretrieve.retrieval.interpreted`.
-
-        Returns
-        -------
-        rows : (n,) int32
-            The rows.
-        bounds : (n,) float32
-            Values that increase with the lower bounds of their distances.
+        query: (D,) float64, the result of `query`.
+        chosen: (b,) intp, the blocks.
+        Returns rows : (n,) int32: the rows.
+        Returns bounds : (n,) float32: values that increase with the lower bounds of their distances.
         """
         blocks = self.blocks
         rows = np.empty(len(chosen) * blocks.rows.shape[1], np.int32)
@@ -251,19 +177,7 @@ class LowerBounds:
         return rows[:n], bounds[:n]
 
     def limit(self, radius: float) -> float:
-        """The largest value of `to_blocks` or `to_rows` that a signature within a radius can have.
-
-        Parameters
-        ----------
-        radius : float
-            Distance from the query; not negative, may be infinite. It includes the rounding errors of the
-            coordinates in double precision.
-
-        Returns
-        -------
-        float
-            A signature with a larger value is outside the radius.
-        """
+        """The largest value of `to_blocks` or `to_rows` that a signature within a radius can have."""
         limit = (radius * radius if self.euclidean else radius / CHORD_SLOPE) * self._rounding
         return limit if limit < LARGEST_SINGLE else math.inf
 

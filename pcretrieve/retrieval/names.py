@@ -17,12 +17,8 @@ __all__ = ["Names"]
 class Names(Sequence[str]):
     """Strings in ascending order, each of which is decoded when it is asked for.
 
-    Attributes
-    ----------
-    text : (b,) uint8
-        All strings in UTF-8, one after the other.
-    ends : (n,) int64
-        The position behind the last byte of each string.
+    text: (b,) uint8, all strings in UTF-8, one after the other.
+    ends: (n,) int64, the position behind the last byte of each string.
     """
 
     text: NDArray[np.uint8]
@@ -32,15 +28,7 @@ class Names(Sequence[str]):
     def of(cls, names: Iterable[str]) -> Names:
         """The arrays of some strings.
 
-        Parameters
-        ----------
-        names : iterable of str
-            The strings, ascending.
-
-        Returns
-        -------
-        Names
-            The strings in the same order.
+        names: the strings, ascending.
         """
         encoded = [name.encode() for name in names]
         text = np.frombuffer(b"".join(encoded), np.uint8)
@@ -64,25 +52,7 @@ class Names(Sequence[str]):
         return isinstance(name, str) and self[(row := bisect_left(self, name)) : row + 1] == [name]
 
     def index(self, name: str, start: int = 0, stop: int | None = None) -> int:
-        """The position of a string.
-
-        Parameters
-        ----------
-        name : str
-            The string.
-        start, stop : int, optional
-            The part of the strings that is searched, by default all.
-
-        Returns
-        -------
-        int
-            Between `start` and `stop`.
-
-        Raises
-        ------
-        ValueError
-            If the string is not there.
-        """
+        """The position of a string."""
         first, last, _ = slice(start, stop).indices(len(self))
         row = bisect_left(self, name, first, last)
         if row >= last or self[row] != name:
@@ -92,17 +62,9 @@ class Names(Sequence[str]):
     def inserted(self, names: Names, places: NDArray[np.intp]) -> Names:
         """The strings with further ones among them.
 
-        Parameters
-        ----------
-        names : Names, length n
-            The further strings, ascending.
-        places : (n,) intp
-            The position before which each of them comes.
-
-        Returns
-        -------
-        Names
-            All strings, ascending if the places are the right ones.
+        names: the further strings, ascending.
+        places: (n,) intp, the position before which each of them comes.
+        Returns Names: all strings, ascending if the places are the right ones.
         """
         lengths, further = (np.diff(some.ends, prepend=0) for some in (self, names))
         starts = self.ends - lengths
@@ -113,15 +75,7 @@ class Names(Sequence[str]):
     def kept(self, keep: NDArray[np.bool_]) -> Names:
         """Some of the strings.
 
-        Parameters
-        ----------
-        keep : (n,) bool
-            Which ones.
-
-        Returns
-        -------
-        Names
-            These strings, in the same order.
+        keep: (n,) bool, which ones.
         """
         lengths = np.diff(self.ends, prepend=0)
         return Names(self.text[np.repeat(keep, lengths)], np.cumsum(lengths[keep]))

@@ -17,17 +17,7 @@ FIRST = 4
 
 
 class NearPair(NamedTuple):
-    """Two near shapes.
-
-    Attributes
-    ----------
-    first, second : str
-        Their ids, in alphabetical order.
-    distance : float
-        Their distance; dimensionless.
-    limit : float
-        The distance up to which they are near.
-    """
+    """Two near shapes."""
 
     first: str
     second: str
@@ -40,17 +30,7 @@ def near_pairs(index: SignatureIndex, errors: FloatArray) -> list[NearPair]:
 
     The errors of two shapes are independent, so that the limit is the root of the sum of their squares.
 
-    Parameters
-    ----------
-    index : SignatureIndex
-        The shapes.
-    errors : (N,) float64
-        The error of each shape of the index, comparable to its distance; not negative.
-
-    Returns
-    -------
-    list of NearPair
-        Nearest first; equal distances by ids.
+    errors: (N,) float64, the error of each shape of the index, comparable to its distance; not negative.
     """
     largest = float(errors.max(initial=0))
     found = [

@@ -34,28 +34,8 @@ def neighbour_covariance(
 ) -> CovarianceFit | str:
     """The covariance of the differences of neighbours.
 
-    Parameters
-    ----------
-    logs : (N, L) float64
-        Log-signatures.
-    shrinkage : float or "auto"
-        As in `fit_whitening`.
-    n_neighbors : int or "auto"
-        As in `fit_whitening`.
-    rounds : int
-        As in `fit_whitening`.
-    prior : (L, L) float64 or None
-        As in `fit_whitening`.
-
-    Returns
-    -------
-    CovarianceFit or str
-        Fitted to all shapes; a reason if there are too few shapes or pairs.
-
-    Raises
-    ------
-    OptionError
-        If there is no round.
+    logs: (N, L) float64, log-signatures.
+    prior: (L, L) float64 or None, as in `fit_whitening`.
     """
     if rounds < 1:
         raise OptionError(f"rounds must be at least 1, got {rounds}")

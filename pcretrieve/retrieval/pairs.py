@@ -54,14 +54,8 @@ SHORTEST = 1e-4
 class NeighbourPairs(NamedTuple):
     """Weighted pairs of near shapes.
 
-    Attributes
-    ----------
-    first, second : (P,) intp
-        Positions of the two shapes of each pair.
-    weights : (P,) float64
-        Positive; for squared differences of log-signatures.
-    n_neighbors : int
-        k, the number of neighbours of each shape.
+    first, second: (P,) intp, positions of the two shapes of each pair.
+    weights: (P,) float64, positive; for squared differences of log-signatures.
     """
 
     first: Positions
@@ -73,18 +67,7 @@ class NeighbourPairs(NamedTuple):
 def neighbour_pairs(logs: FloatArray, n_neighbors: int | Literal["auto"] = "auto") -> NeighbourPairs:
     """Find the pairs of shapes that are among each other's nearest.
 
-    Parameters
-    ----------
-    logs : (N, L) float64
-        Log-signatures, one in each row.
-    n_neighbors : int or "auto", default "auto"
-        k. auto: the number up to 12 at which the neighbourhoods of neighbouring shapes overlap most, if it
-        stands out, as with classes of equal size; else 5.
-
-    Returns
-    -------
-    NeighbourPairs
-        The pairs; equal shapes form none.
+    logs: (N, L) float64, log-signatures, one in each row.
     """
     from scipy.sparse import triu
 
@@ -137,17 +120,8 @@ def _blocks(points: FloatArray) -> Iterator[DistanceBlock]:
 def near_groups(logs: FloatArray, largest: int) -> Positions:
     """The shapes that are nearest to a few shapes chosen at random.
 
-    Parameters
-    ----------
-    logs : (N, L) float64
-        Log-signatures, one in each row.
-    largest : int
-        Largest number of shapes that are chosen, less than N.
-
-    Returns
-    -------
-    (n,) intp
-        Their rows, ascending.
+    logs: (N, L) float64, log-signatures, one in each row.
+    Returns (n,) intp: their rows, ascending.
     """
     seeds = np.random.default_rng(SEED).choice(len(logs), N_GROUPS, replace=False)
     size = largest // N_GROUPS

@@ -29,22 +29,10 @@ def rank_ranges(
 
     The coordinates of the query are drawn from independent normal distributions round the measured ones.
 
-    Parameters
-    ----------
-    index : SignatureIndex
-        The shapes.
-    query : str or Signature
-        The id of a shape of the index, or a signature.
-    deviation : (L,) float64
-        Standard deviation of each coordinate of the query before whitening, such as `Signature.deviation`.
-    ids : sequence of str, length m
-        The results, nearest first, and further near shapes that could come before them.
-
-    Returns
-    -------
-    (m, 2) intp
-        The lowest and the highest rank of each shape among `ids`, from 1, between which its rank lies in nine
-        of ten draws.
+    deviation: (L,) float64, standard deviation of each coordinate of the query before whitening, such as
+        `Signature.deviation`.
+    Returns (m, 2) intp: the lowest and the highest rank of each shape among `ids`, from 1, between which its
+        rank lies in nine of ten draws.
     """
     point = index.contents.point_of(query)
     drawn = deviation * np.random.default_rng(SEED).normal(size=(N_DRAWS, len(deviation)))
@@ -61,16 +49,9 @@ def rank_ranges(
 def swapping_ranks(ranges: NDArray[np.intp]) -> list[tuple[int, int]]:
     """The runs of ranks that could swap with each other.
 
-    Parameters
-    ----------
-    ranges : (k, 2) intp
-        The lowest and the highest rank of each result, in the order of the results.
-
-    Returns
-    -------
-    list of (int, int)
-        First and last rank of each run, from 1: results in a row, each of which has a range in common with
-        the next.
+    ranges: (k, 2) intp, the lowest and the highest rank of each result, in the order of the results.
+    Returns list of (int, int): first and last rank of each run, from 1: results in a row, each of which has a
+        range in common with the next.
     """
     runs: list[tuple[int, int]] = []
     for rank in range(1, len(ranges)):

@@ -33,13 +33,9 @@ BLOCK_DISTANCES = 2**22
 class DistanceBlock(NamedTuple):
     """Some rows of a distance matrix, so that the matrix need not be in memory as a whole.
 
-    Attributes
-    ----------
-    queries : (q,) intp
-        Positions of the queries in the gallery.
-    distances : (q, N) float64
-        Distances from each query to every shape of the gallery, in the order of the gallery, the query
-        itself included.
+    queries: (q,) intp, positions of the queries in the gallery.
+    distances: (q, N) float64, distances from each query to every shape of the gallery, in the order of the
+        gallery, the query itself included.
     """
 
     queries: Positions
@@ -47,13 +43,7 @@ class DistanceBlock(NamedTuple):
 
 
 class Ranking(Protocol):
-    """A gallery of shapes and a distance, which need not be symmetric, from each of them to all.
-
-    Attributes
-    ----------
-    ids : sequence of str, length N
-        The gallery; identifiers are distinct.
-    """
+    """A gallery of shapes and a distance, which need not be symmetric, from each of them to all."""
 
     @property
     def ids(self) -> Sequence[str]:
@@ -62,50 +52,19 @@ class Ranking(Protocol):
     def blocks(self, queries: Positions | None = None) -> Iterator[DistanceBlock]:
         """Distances from shapes of the gallery to all of the gallery.
 
-        Parameters
-        ----------
-        queries : (Q,) intp, optional
-            Positions in `ids`. By default all.
-
-        Yields
-        ------
-        DistanceBlock
-            Some of the queries; each query is in exactly one block.
+        queries: (Q,) intp, optional, positions in `ids`. By default all.
         """
 
     def nearest(self, shape_id: str, k: int = 10) -> Neighbors:
-        """The shapes nearest to a shape of the gallery, itself included.
-
-        Parameters
-        ----------
-        shape_id : str
-            One of `ids`.
-        k : int, default 10
-            Number of shapes, at least 1; all if there are fewer.
-
-        Returns
-        -------
-        Neighbors
-            Nearest first, equally near shapes in alphabetical order.
-        """
+        """The shapes nearest to a shape of the gallery, itself included."""
 
 
 def pairwise_blocks(distance: str, gallery: FloatArray, queries: Positions) -> Iterator[DistanceBlock]:
     """Distances from some signatures of a gallery to all of them, a few queries at a time.
 
-    Parameters
-    ----------
-    distance : str
-        A name in `pcretrieve.retrieval.DISTANCES`.
-    gallery : (N, L) float64
-        Log-signatures, whitened or not.
-    queries : (Q,) intp
-        Positions in the gallery.
-
-    Yields
-    ------
-    DistanceBlock
-        Some of the queries, in order.
+    gallery: (N, L) float64, log-signatures, whitened or not.
+    queries: (Q,) intp, positions in the gallery.
+    Yields DistanceBlock: some of the queries, in order.
     """
     rows = max(1, BLOCK_DISTANCES // max(1, len(gallery)))
     for start in range(0, len(queries), rows):
@@ -116,24 +75,7 @@ def pairwise_blocks(distance: str, gallery: FloatArray, queries: Positions) -> I
 def nearest_of(ids: Sequence[str], distances: FloatArray, k: int) -> Neighbors:
     """The nearest shapes by their distances.
 
-    Parameters
-    ----------
-    ids : sequence of str, length N
-        The shapes.
-    distances : (N,) float64
-        Distance of each shape; not NaN.
-    k : int
-        Number of shapes, at least 1; all if there are fewer.
-
-    Returns
-    -------
-    Neighbors
-        Nearest first, equally near shapes in alphabetical order.
-
-    Raises
-    ------
-    OptionError
-        If `k` is less than 1.
+    distances: (N,) float64, distance of each shape; not NaN.
     """
     k = checked_k(k)
     # Shapes as near as the k-th are candidates too: which of them come first is decided by their ids.
@@ -144,71 +86,19 @@ def nearest_of(ids: Sequence[str], distances: FloatArray, k: int) -> Neighbors:
 
 
 def checked_k(k: int) -> int:
-    """A number of neighbours, after a check.
-
-    Parameters
-    ----------
-    k : int
-        The number.
-
-    Returns
-    -------
-    int
-        At least 1.
-
-    Raises
-    ------
-    OptionError
-        If it is not a whole number of at least 1.
-    """
+    """A number of neighbours, after a check."""
     return checked_count("k", k)
 
 
 def checked_count(name: str, value: int) -> int:
-    """A number of things, after a check.
-
-    Parameters
-    ----------
-    name : str
-        The name of the parameter.
-    value : int
-        The number.
-
-    Returns
-    -------
-    int
-        At least 1.
-
-    Raises
-    ------
-    OptionError
-        If it is not a whole number of at least 1.
-    """
+    """A number of things, after a check."""
     if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < 1:
         raise OptionError(f"{name} must be a whole number of at least 1, got {value!r}")
     return int(value)
 
 
 def position_of(ids: Sequence[str], shape_id: str) -> int:
-    """The position of a shape in a gallery.
-
-    Parameters
-    ----------
-    ids : sequence of str
-        The gallery.
-    shape_id : str
-        The shape.
-
-    Returns
-    -------
-    int
-        ``ids[position]`` is `shape_id`.
-
-    Raises
-    ------
-    InputError
-        If the gallery has no such shape.
-    """
+    """The position of a shape in a gallery."""
     try:
         return ids.index(shape_id)
     except ValueError as error:

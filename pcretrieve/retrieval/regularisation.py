@@ -28,16 +28,8 @@ DEFAULT_SHRINKAGE: Mapping[str, float] = MappingProxyType(
 class CovarianceFit(NamedTuple):
     """What a whitening is made of.
 
-    Attributes
-    ----------
-    shapes : (n, L) float64
-        The shapes of the fit.
-    covariance : (L, L) float64
-        Regularised.
-    shrinkage : float
-        Of the regularisation.
-    reason : str
-        In one line what was used and why.
+    shapes: (n, L) float64, the shapes of the fit.
+    covariance: (L, L) float64, regularised.
     """
 
     shapes: FloatArray
@@ -47,25 +39,7 @@ class CovarianceFit(NamedTuple):
 
 
 def checked_shrinkage(kind: str, shrinkage: Shrinkage) -> float:
-    """The shrinkage of a whitening, or its default, after a check of its range.
-
-    Parameters
-    ----------
-    kind : str
-        The kind of the whitening.
-    shrinkage : float or "auto"
-        auto: that of `DEFAULT_SHRINKAGE`; 1 if the kind has none, because it is estimated.
-
-    Returns
-    -------
-    float
-        In (0, 1].
-
-    Raises
-    ------
-    OptionError
-        If the shrinkage is not in (0, 1].
-    """
+    """The shrinkage of a whitening, or its default, after a check of its range."""
     value = DEFAULT_SHRINKAGE.get(kind, 1.0) if shrinkage == "auto" else float(shrinkage)
     if not 0 < value <= 1:
         raise OptionError(f"shrinkage must lie in (0, 1], got {value}")
@@ -75,15 +49,8 @@ def checked_shrinkage(kind: str, shrinkage: Shrinkage) -> float:
 def inverse_square_root(covariance: FloatArray) -> FloatArray:
     """The symmetric inverse square root C^(−1/2) of a covariance.
 
-    Parameters
-    ----------
-    covariance : (L, L) float64
-        C, symmetric positive definite.
-
-    Returns
-    -------
-    (L, L) float64
-        Symmetric positive definite.
+    covariance: (L, L) float64, c, symmetric positive definite.
+    Returns (L, L) float64: symmetric positive definite.
     """
     variances, directions = np.linalg.eigh(covariance)
     root: FloatArray = (directions / np.sqrt(variances)) @ directions.T

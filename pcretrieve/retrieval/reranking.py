@@ -63,12 +63,8 @@ EXPANDED = 2 / 3
 class NeighbourLists(NamedTuple):
     """The nearest shapes of each of N shapes.
 
-    Attributes
-    ----------
-    order : (N, K) intp
-        Positions, nearest first. The first one is the shape itself.
-    distances : (N, K) float64
-        Their distances.
+    order: (N, K) intp, positions, nearest first. The first one is the shape itself.
+    distances: (N, K) float64, their distances.
     """
 
     order: Positions
@@ -76,22 +72,7 @@ class NeighbourLists(NamedTuple):
 
 
 def neighbour_lists(blocks: Iterable[DistanceBlock], n: int, k: int = N_RERANKED) -> NeighbourLists:
-    """The nearest shapes of all shapes of a gallery.
-
-    Parameters
-    ----------
-    blocks : iterable of DistanceBlock
-        All distances of the gallery.
-    n : int
-        N, the number of shapes.
-    k : int, default 100
-        Number of neighbours; N − 1 if that is less.
-
-    Returns
-    -------
-    NeighbourLists
-        min(k + 1, N) shapes for each shape; equal distances by position.
-    """
+    """The nearest shapes of all shapes of a gallery."""
     length = min(k + 1, n)
     order, distances = np.empty((n, length), dtype=np.intp), np.empty((n, length))
     for queries, block in blocks:
@@ -126,27 +107,10 @@ def rerank(
 ) -> Positions:
     """Sort the lists of some shapes again.
 
-    Parameters
-    ----------
-    method : str
-        ``none``, ``local`` or ``k-reciprocal``.
-    lists : NeighbourLists
-        The lists of all shapes of the gallery.
-    rows : (Q,) intp, optional
-        The queries, positions in the gallery. By default all.
-    parameters : (int, int, float), optional
-        k₁, k₂ and λ of ``k-reciprocal``, as in `k_reciprocal`.
-
-    Returns
-    -------
-    (Q, K) intp
-        The shapes of the lists of the queries in their new order; the first two, which are the query and the
-        shape nearest to it, keep their places.
-
-    Raises
-    ------
-    OptionError
-        If there is no such method.
+    rows: (Q,) intp, optional, the queries, positions in the gallery. By default all.
+    parameters: (int, int, float), optional, k₁, k₂ and λ of ``k-reciprocal``, as in `k_reciprocal`.
+    Returns (Q, K) intp: the shapes of the lists of the queries in their new order; the first two, which are
+        the query and the shape nearest to it, keep their places.
     """
     if method not in RERANKINGS:
         raise OptionError(f"rerank must be one of {', '.join(RERANKINGS)}, got {method!r}")
@@ -165,42 +129,14 @@ class Gallery(Protocol):
     def between(self, ids: Sequence[str]) -> FloatArray:
         """Distances between some shapes of the gallery.
 
-        Parameters
-        ----------
-        ids : sequence of str, length m
-            The shapes.
-
-        Returns
-        -------
-        (m, m) float64
-            The distance from each of them to each.
+        Returns (m, m) float64: the distance from each of them to each.
         """
 
 
 def reranked_neighbors(
     gallery: Gallery, found: Neighbors, method: str, *, shape_id: str | None = None
 ) -> Neighbors:
-    """Sort the results of one query again.
-
-    Parameters
-    ----------
-    gallery : Gallery
-        The shapes that were searched.
-    found : Neighbors
-        The results, nearest first: `N_NEAR` or more, or the whole gallery. Neighbourhoods are those among
-        these shapes.
-    method : str
-        ``none``, ``local`` or ``k-reciprocal``.
-    shape_id : str, optional
-        The query, if it is a shape of the gallery.
-
-    Returns
-    -------
-    Neighbors
-        The same shapes, the first `N_RERANKED` in their new order. Their distances are the new ones; the
-        nearest shape, which keeps its rank, has at most the smallest of them. Later results follow at the
-        last distance plus their original one.
-    """
+    """Sort the results of one query again."""
     if method == "none" or len(found) < 3:
         return found
     n = len(found)
@@ -228,17 +164,8 @@ def reranked_neighbors(
 def local_scaling(lists: NeighbourLists, rows: Positions) -> FloatArray:
     """Distances divided by the geometric mean of the radii of both shapes.
 
-    Parameters
-    ----------
-    lists : NeighbourLists
-        The lists of all shapes of the gallery.
-    rows : (Q,) intp
-        The queries.
-
-    Returns
-    -------
-    (Q, K) float64
-        The scaled distances of the shapes in the lists of the queries; dimensionless.
+    rows: (Q,) intp, the queries.
+    Returns (Q, K) float64: the scaled distances of the shapes in the lists of the queries; dimensionless.
     """
     radius = lists.distances[:, 1 : N_RADIUS + 1].mean(axis=1)  # (N,)
     root = np.sqrt(np.maximum(radius, np.finfo(np.float64).tiny))
@@ -251,21 +178,11 @@ def k_reciprocal(
 ) -> FloatArray:
     """Jaccard distances of the k-reciprocal neighbourhoods, plus a share of the original distances.
 
-    Parameters
-    ----------
-    lists : NeighbourLists
-        The lists of all shapes of the gallery.
-    rows : (Q,) intp
-        The queries.
-    parameters : (int, int, float), default (12, 4, .3)
-        k₁ and k₂, the sizes of the reciprocal sets and of the query expansion, and λ, the weight of the
-        original distance beside the Jaccard distance.
-
-    Returns
-    -------
-    (Q, K) float64
-        The distances of the shapes in the lists of the queries; dimensionless. The original distances are
-        divided by the mean distance in the list of the query.
+    rows: (Q,) intp, the queries.
+    parameters: (int, int, float), default (12, 4, .3), k₁ and k₂, the sizes of the reciprocal sets and of the
+        query expansion, and λ, the weight of the original distance beside the Jaccard distance.
+    Returns (Q, K) float64: the distances of the shapes in the lists of the queries; dimensionless. The
+        original distances are divided by the mean distance in the list of the query.
     """
     from scipy.sparse import csr_array  # imported here, because an index without whitening does not need it
 
@@ -308,17 +225,8 @@ def k_reciprocal(
 def nearest_matrix(order: Positions, k: int) -> csr_array:
     """The graph of the nearest neighbours, with an edge from each shape to itself.
 
-    Parameters
-    ----------
-    order : (N, K) intp
-        Positions, nearest first; the first one is the shape itself.
-    k : int
-        Number of neighbours, at most K − 1.
-
-    Returns
-    -------
-    (N, N) csr_array of float64
-        1 where the column is the row, or among its k nearest; else 0.
+    order: (N, K) intp, positions, nearest first; the first one is the shape itself.
+    Returns (N, N) csr_array of float64: 1 where the column is the row, or among its k nearest; else 0.
     """
     from scipy.sparse import csr_array
 

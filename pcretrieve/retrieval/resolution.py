@@ -44,18 +44,7 @@ N_MODES = 60
 
 
 def is_measured(options: SignatureOptions) -> bool:
-    """Whether `resolution_whitening` is defined for signatures with these options.
-
-    Parameters
-    ----------
-    options : SignatureOptions
-        The options of the signatures.
-
-    Returns
-    -------
-    bool
-        True for R-BiHDM with 60 modes, normalised by the area or relative.
-    """
+    """Whether `resolution_whitening` is defined for signatures with these options."""
     return options.method == METHOD and options.n_modes == N_MODES and options.measured_by != "absolute"
 
 
@@ -64,25 +53,7 @@ def resolution_whitening(
 ) -> Whitening:
     """The whitening W = s (C + d c I)^(−1/2), with C the second moment of the changes caused by resolution.
 
-    Parameters
-    ----------
-    options : SignatureOptions
-        The options of the signatures: R-BiHDM with 60 modes, normalised by the area or relative.
-    shrinkage : float or "auto", default "auto"
-        d, in (0, 1], in units of c, the largest eigenvalue of C. auto: that of `DEFAULT_SHRINKAGE`.
-    options_digest : str, default ""
-        Digest of the table to which the whitening is applied.
-
-    Returns
-    -------
-    Whitening
-        s is such that W preserves the expected squared length of isotropic vectors: tr(W²) = L. If the
-        options have a size weight, W is the identity on the last value, which is the size.
-
-    Raises
-    ------
-    OptionError
-        If the whitening is not defined for the options, or the shrinkage is not in (0, 1].
+    shrinkage: d, in (0, 1], in units of c, the largest eigenvalue of C. auto: that of `DEFAULT_SHRINKAGE`.
     """
     used = checked_shrinkage("resolution", shrinkage)
     mean, change = _changes(options)
@@ -100,15 +71,8 @@ def resolution_whitening(
 def resolution_covariance(options: SignatureOptions) -> FloatArray | None:
     """The covariance of the changes caused by resolution, for `fit_whitening`.
 
-    Parameters
-    ----------
-    options : SignatureOptions
-        The options of the signatures.
-
-    Returns
-    -------
-    (L, L) float64, or None
-        Of trace 1; zero in the row and the column of a size. None if it was not measured for the options.
+    Returns (L, L) float64, or None: of trace 1; zero in the row and the column of a size. None if it was not
+        measured for the options.
     """
     if not is_measured(options):
         return None

@@ -61,15 +61,9 @@ TINY = float(np.finfo(np.float64).tiny)
 class MatchScores(Value):
     """The score of a distance: the share of pairs of one class among pairs that near.
 
-    Attributes
-    ----------
-    distances : (m,) float64
-        Ascending.
-    scores : (m,) float64
-        The score at each of these distances, between 0 and 1, not ascending. It is interpolated between them,
-        and constant before the first and behind the last.
-    reason : str
-        From which pairs the scores were estimated, in one line.
+    distances: (m,) float64, ascending.
+    scores: (m,) float64, the score at each of these distances, between 0 and 1, not ascending. It is
+        interpolated between them, and constant before the first and behind the last.
     """
 
     distances: FloatArray
@@ -101,14 +95,7 @@ class MatchScores(Value):
 class PairSample(NamedTuple):
     """Shapes whose pairs are counted.
 
-    Attributes
-    ----------
-    logs : (n, L) float64
-        Their log-signatures.
-    labels : list of (str or None), length n
-        Their classes; all None if there are too few labels.
-    sizes : mapping of str to int
-        Number of shapes of each class in the whole table.
+    logs: (n, L) float64, their log-signatures.
     """
 
     logs: FloatArray
@@ -127,18 +114,7 @@ class _Pairs(NamedTuple):
 def pair_sample(logs: FloatArray, labels: Sequence[str | None]) -> PairSample:
     """Choose the shapes whose pairs are counted.
 
-    Parameters
-    ----------
-    logs : (N, L) float64
-        Log-signatures, one in each row.
-    labels : sequence of (str or None), length N
-        Classes.
-
-    Returns
-    -------
-    PairSample
-        Copies. Of more than a thousand labelled shapes, the shapes of classes that are chosen at random;
-        without labels, shapes near to a few that are chosen at random.
+    logs: (N, L) float64, log-signatures, one in each row.
     """
     sizes = Counter(label for label in labels if label is not None)
     n_same = sum(size * (size - 1) // 2 for size in sizes.values())
@@ -171,26 +147,7 @@ def fit_scores(
     shrinkage: Shrinkage = "auto",
     metric: Metric = "logarithms",
 ) -> MatchScores | None:
-    """Estimate the score of a distance from the pairs of some shapes.
-
-    Parameters
-    ----------
-    sample : PairSample
-        The shapes.
-    whitening : Whitening
-        The whitening of the index.
-    distance : str, default "log"
-        A name in `pcretrieve.retrieval.DISTANCES`.
-    shrinkage : float or "auto", default "auto"
-        That of the whitening, if it is ``within-class``.
-    metric : {"logarithms", "values", "histograms"}, default "logarithms"
-        The metric of the signatures.
-
-    Returns
-    -------
-    MatchScores or None
-        The scores; None if there are neither labels nor enough shapes for pairs of mutual neighbours.
-    """
+    """Estimate the score of a distance from the pairs of some shapes."""
     labelled = any(label is not None for label in sample.labels)
     classes = np.unique([label for label in sample.labels if label is not None])
     if labelled and whitening.kind != "within-class":
@@ -221,19 +178,11 @@ def fit_scores(
 def isotonic_shares(same: FloatArray, total: FloatArray) -> tuple[FloatArray, NDArray[np.intp]]:
     """Shares that do not ascend, by pool adjacent violators.
 
-    Parameters
-    ----------
-    same : (b,) float64
-        Number of pairs of one class in each interval of distances.
-    total : (b,) float64
-        Number of all pairs in it; positive.
-
-    Returns
-    -------
-    shares : (b,) float64
-        The shares that do not ascend and deviate least from ``same / total``, weighted by `total`.
-    blocks : (b,) intp
-        The number of the pool of each interval, ascending from 0.
+    same: (b,) float64, number of pairs of one class in each interval of distances.
+    total: (b,) float64, number of all pairs in it; positive.
+    Returns shares : (b,) float64: the shares that do not ascend and deviate least from ``same / total``,
+        weighted by `total`.
+    Returns blocks : (b,) intp: the number of the pool of each interval, ascending from 0.
     """
     # Not by scikit-learn, whose import takes longer: see docs/decisions.md, isotonic_shares.
     pools: list[tuple[float, float, int]] = []  # pairs of one class, all pairs, intervals

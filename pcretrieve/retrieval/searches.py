@@ -32,36 +32,16 @@ class EuclideanSearch(Protocol):
     def nearest(self, point: FloatArray, k: int) -> tuple[NDArray[np.intp], float]:
         """Near points, and how far all others are at least.
 
-        Parameters
-        ----------
-        point : (1, L) float64
-            The query.
-        k : int
-            Between 1 and N.
-
-        Returns
-        -------
-        rows : (k,) intp
-            The points that are found.
-        bound : float
-            A lower bound of the distances of all other points, but for rounding errors in double precision.
+        point: (1, L) float64, the query.
+        Returns rows : (k,) intp: the points that are found.
         """
         ...
 
     def within(self, point: FloatArray, radius: float) -> NDArray[np.intp]:
         """Points near a query, all within a radius among them.
 
-        Parameters
-        ----------
-        point : (1, L) float64
-            The query.
-        radius : float
-            Largest distance, enlarged by rounding errors in double precision.
-
-        Returns
-        -------
-        (n,) intp
-            The points.
+        point: (1, L) float64, the query.
+        Returns (n,) intp: the points.
         """
         ...
 
@@ -71,20 +51,7 @@ SEARCHES: dict[str, Callable[[FloatArray], EuclideanSearch]] = {"tree": BallTree
 
 
 def check_searchable(nearest: str, distance: str) -> None:
-    """Check that a search finds the neighbours by a distance.
-
-    Parameters
-    ----------
-    nearest : {"auto", "scan", "tree", "faiss"}
-        The search.
-    distance : str
-        A name in `pcretrieve.retrieval.DISTANCES`.
-
-    Raises
-    ------
-    OptionError
-        If the search is Euclidean, and the distance is not known to be at least the Euclidean one.
-    """
+    """Check that a search finds the neighbours by a distance."""
     if nearest in SEARCHES and DISTANCES[distance].at_least != "log":
         able = " or ".join(name for name, each in DISTANCES.own.items() if each.at_least == "log")
         raise OptionError(

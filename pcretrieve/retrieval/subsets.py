@@ -15,23 +15,7 @@ __all__ = ["nearest_among"]
 def nearest_among(index: SignatureIndex, point: FloatArray, ids: Sequence[str], k: int) -> Neighbors:
     """The nearest neighbours of a query among some shapes, all of which are compared.
 
-    Parameters
-    ----------
-    index : SignatureIndex
-        The shapes.
-    point : (1, L) float64
-        Whitened coordinates of the query.
-    ids : sequence of str
-        The shapes among which neighbours are searched; distinct. Shapes that the index does not have, because
-        they were stored after it was made, are ignored.
-    k : int
-        Number of neighbours, at least 1; all if there are fewer.
-
-    Returns
-    -------
-    Neighbors
-        Nearest first; equal distances by identifier. Distances are those that the index finds among all
-        shapes, bit for bit.
+    point: (1, L) float64, whitened coordinates of the query.
     """
     known = [shape_id for shape_id in ids if shape_id in index.ids]
     rows = [position_of(index.ids, shape_id) for shape_id in known]

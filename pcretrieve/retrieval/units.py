@@ -15,17 +15,8 @@ def check_unit(unit: SizeUnit | None, gallery: SizeUnit | None) -> None:
 
     Nothing is converted here, because scans whose unit is known are converted to metres when they are read.
 
-    Parameters
-    ----------
-    unit : {"m", "unknown"} or None
-        `Signature.unit` of the query.
-    gallery : {"m", "unknown"} or None
-        `SignatureTable.unit` of the gallery.
-
-    Raises
-    ------
-    InputError
-        If one of them is metres and the other is unknown.
+    unit: `Signature.unit` of the query.
+    gallery: `SignatureTable.unit` of the gallery.
     """
     if (unit, gallery) == ("unknown", "m"):
         raise InputError(

@@ -15,16 +15,7 @@ __all__ = ["Vote", "class_vote"]
 class Vote:
     """The result of a vote of neighbours.
 
-    Attributes
-    ----------
-    label : str
-        The class with the most weight; of equal ones, the first in alphabetical order.
-    share : float
-        Its share of the weight of all voters, between 0 and 1.
-    margin : float
-        By how much its share exceeds that of the next class; its share itself if there is no other.
-    n_voters : int
-        Number of neighbours whose class is known.
+    share: its share of the weight of all voters, between 0 and 1.
     """
 
     label: str
@@ -36,22 +27,7 @@ class Vote:
 def class_vote(labels: Sequence[str | None], weights: FloatArray) -> Vote | None:
     """Let the neighbours of a query vote for its class.
 
-    Parameters
-    ----------
-    labels : sequence of (str or None), length k
-        Class of each neighbour; neighbours of unknown class do not vote.
-    weights : (k,) float64
-        Weight of each vote, such as the score of the neighbour; not negative.
-
-    Returns
-    -------
-    Vote or None
-        The result; None if no class has weight.
-
-    Raises
-    ------
-    InputError
-        If there are not as many weights as labels, or one is negative.
+    weights: (k,) float64, weight of each vote, such as the score of the neighbour; not negative.
     """
     if len(labels) != len(weights) or (weights < 0).any():
         raise InputError(f"weights must be {len(labels)} numbers of 0 or more, got {weights}")

@@ -28,19 +28,7 @@ SCORES = "scores_"
 
 
 class MadeBy(NamedTuple):
-    """How the signatures of a table were made.
-
-    Attributes
-    ----------
-    kind : str
-        The method.
-    digest : str
-        Digest of its options.
-    metric : {"logarithms", "values", "histograms"}
-        How its signatures are compared.
-    unit : {"m", "unknown"} or None
-        Unit of their sizes, as in `SignatureTable`.
-    """
+    """How the signatures of a table were made."""
 
     kind: str
     digest: str
@@ -48,18 +36,7 @@ class MadeBy(NamedTuple):
     unit: SizeUnit | None
 
     def check(self, other: Signature | SignatureTable) -> None:
-        """Check that other signatures are comparable with those of the table.
-
-        Parameters
-        ----------
-        other : Signature or SignatureTable
-            A query, or further shapes.
-
-        Raises
-        ------
-        InputError
-            If it was made by another method or other options, or its size is in another unit.
-        """
+        """Check that other signatures are comparable with those of the table."""
         if (other.kind, other.digest) != (self.kind, self.digest):
             raise InputError(
                 f"signatures must be made by the same method and options as the table, "
@@ -70,21 +47,7 @@ class MadeBy(NamedTuple):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class WhitenedTable:
-    """Whitened coordinates of shapes, and the filter of their neighbours.
-
-    Attributes
-    ----------
-    made_by : MadeBy
-        How the signatures were made.
-    ids : Names, length N
-        The shapes, in alphabetical order.
-    whitening : Whitening
-        The whitening of the coordinates.
-    filter : Filter
-        The coordinates, in the order of the ids: equal distances are then in the order of the rows.
-    scores : MatchScores or None
-        The calibrated score of a distance; None if it was not estimated.
-    """
+    """Whitened coordinates of shapes, and the filter of their neighbours."""
 
     made_by: MadeBy
     ids: Names
@@ -104,32 +67,7 @@ class WhitenedTable:
     ) -> WhitenedTable:
         """Whiten coordinates in place, and bound their distances.
 
-        Parameters
-        ----------
-        made_by : MadeBy
-            How the signatures were made.
-        ids : Names, length N
-            The shapes, in alphabetical order; at least one.
-        points : (N, L) float64
-            Coordinates of the signatures, which are overwritten.
-        distance : str
-            A name in `pcretrieve.retrieval.DISTANCES`.
-        whitening : Whitening
-            The whitening.
-        nearest : {"auto", "scan", "tree", "faiss"}, default "auto"
-            As in `RetrievalOptions`.
-
-        Returns
-        -------
-        WhitenedTable
-            It holds the array `points`.
-
-        Raises
-        ------
-        InputError
-            If the whitening was fitted on signatures with other options.
-        OptionError
-            If the search does not find the neighbours by this distance.
+        points: (N, L) float64, coordinates of the signatures, which are overwritten.
         """
         whitening.check_made_for(made_by.digest)
         for start in range(0, len(ids), CHUNK):
@@ -140,21 +78,8 @@ class WhitenedTable:
     def point_of(self, query: str | Signature | ArrayLike) -> FloatArray:
         """The whitened coordinates of a query, after checks that it is comparable with the table.
 
-        Parameters
-        ----------
-        query : str, Signature or (L,) array_like
-            The id of a shape of the table, or a signature.
-
-        Returns
-        -------
-        (1, L) float64
-            The coordinates.
-
-        Raises
-        ------
-        InputError
-            If the table has no shape of this id; if the kind, the digest, the unit or the length of the
-            signature is not that of the table, or the metric does not allow a value.
+        query: str, Signature or (L,) array_like, the id of a shape of the table, or a signature.
+        Returns (1, L) float64: the coordinates.
         """
         if isinstance(query, str):
             place = position_of(self.ids, query)
@@ -180,23 +105,7 @@ class WhitenedTable:
 
     @classmethod
     def from_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> WhitenedTable:
-        """The table that `to_arrays` has written as arrays.
-
-        Parameters
-        ----------
-        arrays : mapping of str to array
-            The arrays, which are not copied.
-
-        Returns
-        -------
-        WhitenedTable
-            The table before.
-
-        Raises
-        ------
-        InputError
-            If an array is missing or has the wrong shape.
-        """
+        """The table that `to_arrays` has written as arrays."""
         fitted, scored = (
             {name.removeprefix(prefix): array for name, array in arrays.items() if name.startswith(prefix)}
             for prefix in (WHITENING, SCORES)

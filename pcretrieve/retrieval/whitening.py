@@ -174,20 +174,7 @@ class Whitening(Value):
 
 
 def write_whitening(whitening: Whitening, path: Path) -> None:
-    """Write a whitening that was fitted to labelled shapes, for shapes of other catalogues.
-
-    Parameters
-    ----------
-    whitening : Whitening
-        The whitening.
-    path : Path
-        The file, an archive of NumPy arrays. A file that is there is replaced.
-
-    Raises
-    ------
-    InputError
-        If the file cannot be written.
-    """
+    """Write a whitening that was fitted to labelled shapes, for shapes of other catalogues."""
     arrays = whitening.to_arrays() | {"kind": np.array(CALIBRATED)}
     packed = io.BytesIO()
     np.savez(packed, allow_pickle=False, **arrays)
@@ -195,23 +182,7 @@ def write_whitening(whitening: Whitening, path: Path) -> None:
 
 
 def read_whitening(path: Path) -> Whitening:
-    """Read a whitening of `write_whitening`.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-
-    Returns
-    -------
-    Whitening
-        The whitening, of the kind ``calibrated``.
-
-    Raises
-    ------
-    InputError
-        If the file is missing, or holds no whitening.
-    """
+    """Read a whitening of `write_whitening`."""
     try:
         # NumPy leaves a file open that is no archive.
         with path.open("rb") as file, np.load(file, allow_pickle=False) as arrays:
@@ -225,20 +196,5 @@ def read_whitening(path: Path) -> Whitening:
 
 
 def whitening_digest(kind: str, shrinkage: float, options_digest: str) -> str:
-    """Hash of what determines a whitening, apart from the shapes of the fit.
-
-    Parameters
-    ----------
-    kind : str
-        One of `WHITENINGS`.
-    shrinkage : float
-        Regularisation, as in `Whitening`.
-    options_digest : str
-        Digest of the signatures.
-
-    Returns
-    -------
-    str
-        64 hexadecimal digits.
-    """
+    """Hash of what determines a whitening, apart from the shapes of the fit."""
     return hashlib.sha256(json.dumps([kind, shrinkage, options_digest]).encode()).hexdigest()

@@ -33,24 +33,9 @@ VOXEL = 0.0015
 def clean(cloud: PointCloud, options: ScanOptions) -> PointCloud:
     """Filter a cloud: average the points in each voxel, and remove statistical outliers.
 
-    Parameters
-    ----------
-    cloud : PointCloud
-        The points; normals and viewpoints are optional.
-    options : ScanOptions
-        Of which `voxel`, `outlier_neighbors` and `outlier_std` are used.
-
-    Returns
-    -------
-    PointCloud
-        The filtered points, with normals and viewpoints if there were any; unit of the file. The step
-        ``clean`` in the provenance has the numbers of points that were given, of voxels that have any, of
-        voxels that are kept, and of given points in voxels that are outliers.
-
-    Raises
-    ------
-    ReconstructionError
-        If fewer than 100 points are left, or all points are equal, collinear or coplanar.
+    Returns PointCloud: the filtered points, with normals and viewpoints if there were any; unit of the file.
+        The step ``clean`` in the provenance has the numbers of points that were given, of voxels that have
+        any, of voxels that are kept, and of given points in voxels that are outliers.
     """
     started = time.perf_counter()
     check_extent(cloud.points, Stage.CLEAN)
@@ -76,17 +61,7 @@ CLEAN = PointFilter("clean", clean, ScanOptions)
 def outliers(cloud: PointCloud, options: ScanOptions) -> NDArray[np.bool_]:
     """Find the points that `clean` removes: those in voxels that are outliers.
 
-    Parameters
-    ----------
-    cloud : PointCloud
-        As given to `clean`.
-    options : ScanOptions
-        As given to `clean`.
-
-    Returns
-    -------
-    (n,) bool
-        As many points as the step ``clean`` counts.
+    Returns (n,) bool: as many points as the step ``clean`` counts.
     """
     thinned, voxel = _thinned(cloud, options.voxel)
     found: NDArray[np.bool_] = ~_inliers(thinned, options)[voxel]
@@ -119,17 +94,7 @@ def _thinned(cloud: PointCloud, voxel: float | str) -> tuple[PointCloud, NDArray
 def averaged(cloud: PointCloud, edge: float) -> PointCloud:
     """Voxel-grid filter: the mean of the points in each voxel.
 
-    Parameters
-    ----------
-    cloud : PointCloud
-        The points; normals and viewpoints are optional.
-    edge : float
-        Edge of a voxel; unit of the points.
-
-    Returns
-    -------
-    PointCloud
-        One point for each voxel, with the mean normal, and with one of the sensor positions.
+    edge: edge of a voxel; unit of the points.
     """
     return _averaged(cloud, edge)[0]
 
@@ -164,17 +129,7 @@ def _averaged(cloud: PointCloud, edge: float) -> tuple[PointCloud, NDArray[np.in
 def check_extent(points: FloatArray, stage: str) -> None:
     """Check that points can be those of a body.
 
-    Parameters
-    ----------
-    points : (n, 3) float64
-        Of a scan.
-    stage : str
-        The stage that gave the points.
-
-    Raises
-    ------
-    ReconstructionError
-        If there are fewer than 100 points, or all are equal, collinear or coplanar.
+    points: (n, 3) float64, of a scan.
     """
     if len(points) < FEWEST_POINTS:
         raise ReconstructionError(

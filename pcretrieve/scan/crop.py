@@ -41,14 +41,7 @@ TOUCHING = 1.8
 class Kept(NamedTuple):
     """What a crop keeps.
 
-    Attributes
-    ----------
-    points : (n,) bool
-        The points that are kept.
-    ground : Ground or None
-        The plane on which the body stands, if its points were removed.
-    notes : tuple of str
-        A sentence for each rule by which points were removed.
+    points: (n,) bool, the points that are kept.
     """
 
     points: NDArray[np.bool_]
@@ -63,25 +56,10 @@ def crop(cloud: PointCloud, options: ScanOptions) -> PointCloud:
     of other components, and strays. All lengths of later stages are relative to the diagonal of the bounding
     box of the points that are left, which strays therefore cannot stretch.
 
-    Parameters
-    ----------
-    cloud : PointCloud
-        The raw points; normals and viewpoints are optional.
-    options : ScanOptions
-        Of which `min_range`, `max_range`, `box`, `ground`, `keep_largest` and `piece_gap` are used.
-
-    Returns
-    -------
-    PointCloud
-        The points that are kept, with normals and viewpoints if there were any, and a step ``crop`` in the
-        provenance, which has a note for each rule that removed points. If the ground was removed, its sizes
-        include the point of the ground beneath the body, `ground_x` to `ground_z`, in the unit of the file,
-        and the unit normal of the ground, `up_x` to `up_z`.
-
-    Raises
-    ------
-    ReconstructionError
-        If fewer than 100 points are left, or all are equal, collinear or coplanar.
+    Returns PointCloud: the points that are kept, with normals and viewpoints if there were any, and a step
+        ``crop`` in the provenance, which has a note for each rule that removed points. If the ground was
+        removed, its sizes include the point of the ground beneath the body, `ground_x` to `ground_z`, in the
+        unit of the file, and the unit normal of the ground, `up_x` to `up_z`.
     """
     started = time.perf_counter()
     kept = kept_points(cloud, options)
@@ -105,23 +83,7 @@ CROP = PointFilter("crop", crop, ScanOptions)
 
 
 def kept_points(cloud: PointCloud, options: ScanOptions, *, of_view: bool = False) -> Kept:
-    """Find the points of a cloud that a crop keeps, as in `crop`.
-
-    Parameters
-    ----------
-    cloud : PointCloud
-        The raw points. Ranges are measured from the viewpoints; if there are none, from the origin.
-    options : ScanOptions
-        As of `crop`.
-    of_view : bool, default False
-        Whether the cloud is one of several views, of which far points, ground and strays are kept: they may
-        be a part of the body that the other views complete.
-
-    Returns
-    -------
-    Kept
-        All points, if no rule applies.
-    """
+    """Find the points of a cloud that a crop keeps, as in `crop`."""
     points, viewpoints = cloud.points, cloud.viewpoints
     kept, notes = np.ones(len(points), dtype=np.bool_), []
 

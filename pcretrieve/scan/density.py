@@ -63,15 +63,7 @@ GOLDEN = np.pi * (3 - np.sqrt(5))
 def local_spacings(neighbors: Neighborhoods) -> FloatArray:
     """The spacing at each point: the square root of the area of surface for one point near it.
 
-    Parameters
-    ----------
-    neighbors : Neighborhoods
-        Of m points, with at least `SPACING_NEIGHBORS` + 1 neighbours, or all points of a smaller cloud.
-
-    Returns
-    -------
-    (m,) float64
-        As in `pcretrieve.scan.sampling.spacing`, which is its median; unit of the file.
+    Returns (m,) float64: as in `pcretrieve.scan.sampling.spacing`, which is its median; unit of the file.
     """
     k = min(SPACING_NEIGHBORS, neighbors.distance.shape[1] - 1)
     return np.asarray(np.sqrt(np.pi / k) * neighbors.distance[:, k])
@@ -80,19 +72,10 @@ def local_spacings(neighbors: Neighborhoods) -> FloatArray:
 def sparse_points(neighbors: Neighborhoods, *, cell: float, diagonal: float) -> Mask:
     """The points whose spacing is so much larger than a voxel that points must be interpolated.
 
-    Parameters
-    ----------
-    neighbors : Neighborhoods
-        Of all points, with at least twice `SPACING_NEIGHBORS` neighbours, or all points of a smaller cloud.
-    cell : float
-        Edge of the voxels, not smaller than the median of the spacings; unit of the file.
-    diagonal : float
-        Of the scan; unit of the file.
-
-    Returns
-    -------
-    (n,) bool
-        The sparse points; none if they represent a small part of the surface, or are not on a surface.
+    cell: edge of the voxels, not smaller than the median of the spacings; unit of the file.
+    diagonal: of the scan; unit of the file.
+    Returns (n,) bool: the sparse points; none if they represent a small part of the surface, or are not on a
+        surface.
     """
     sparse = _many_sparse(local_spacings(neighbors), cell, diagonal)
     if sparse.any() and not _is_surface(neighbors, least=SPARSE * cell):
@@ -133,17 +116,9 @@ def is_of_surface(neighbors: Neighborhoods, *, cell: float) -> Mask:
     The number of points within a distance r of a point of a surface is proportional to r². Around outliers,
     which are in a volume, or isolated before a dense surface, it grows faster.
 
-    Parameters
-    ----------
-    neighbors : Neighborhoods
-        Of all points, with at least `FARTHER` + 1 neighbours, or all points of a smaller cloud.
-    cell : float
-        Smallest edge of later voxels; unit of the file.
-
-    Returns
-    -------
-    (n,) bool
-        Points that are not isolated; none, if the sparse points of the scan are not those of a surface.
+    cell: smallest edge of later voxels; unit of the file.
+    Returns (n,) bool: points that are not isolated; none, if the sparse points of the scan are not those of a
+        surface.
     """
     median = float(np.median(_wide_spacings(neighbors)))
     if not _is_surface(neighbors, least=UNCOMMON * max(cell, median)):
@@ -156,23 +131,12 @@ def disks(
 ) -> tuple[FloatArray, NDArray[np.intp]]:
     """Points on disks around sparse points, in their tangent planes.
 
-    Parameters
-    ----------
-    points, normals : (n, 3) float64
-        Coordinates, and unit normals of either sign.
-    spacings : (n,) float64
-        From `local_spacings`.
-    sparse : (n,) bool
-        From `sparse_points`.
-    step : float
-        Distance between the points on a disk; unit of the file.
-
-    Returns
-    -------
-    points : (k, 3) float64
-        One for each voxel of the edge `step`; unit of the file.
-    centres : (k,) int
-        The index of the sparse point of each disk.
+    points, normals: (n, 3) float64, coordinates, and unit normals of either sign.
+    spacings: (n,) float64, from `local_spacings`.
+    sparse: (n,) bool, from `sparse_points`.
+    step: distance between the points on a disk; unit of the file.
+    Returns points : (k, 3) float64: one for each voxel of the edge `step`; unit of the file.
+    Returns centres : (k,) int: the index of the sparse point of each disk.
     """
     centres = np.flatnonzero(sparse)
     radius = RADIUS * spacings[centres]
@@ -202,19 +166,7 @@ def interpolated(cloud: PointCloud, some: Neighborhoods, *, cell: float) -> Poin
     The points are on algebraic spheres that are fitted to the nearest points of the same side [1]_. Each has
     the position of the sensor of a sparse point nearby.
 
-    Parameters
-    ----------
-    cloud : PointCloud
-        Points with normals that point outwards.
-    some : Neighborhoods
-        Of some of the points, by which it is decided whether any are sparse.
-    cell : float
-        Edge of the voxels, and distance between the further points; unit of the file.
-
-    Returns
-    -------
-    PointCloud
-        The points of the cloud, and the further points after them. The cloud itself, if no points are sparse.
+    cell: edge of the voxels, and distance between the further points; unit of the file.
 
     References
     ----------

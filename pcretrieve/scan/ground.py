@@ -48,14 +48,9 @@ FEWEST_BEYOND = 3
 class Ground(NamedTuple):
     """A plane on which a body stands.
 
-    Attributes
-    ----------
-    place : (3,) float64
-        The point of the plane beneath the body; unit of the file.
-    up : (3,) float64
-        Unit normal of the plane on the side of the body.
-    points : (n,) bool
-        The points on the plane, and beneath it.
+    place: (3,) float64, the point of the plane beneath the body; unit of the file.
+    up: (3,) float64, unit normal of the plane on the side of the body.
+    points: (n,) bool, the points on the plane, and beneath it.
     """
 
     place: FloatArray
@@ -69,17 +64,8 @@ def ground_of(points: FloatArray, viewpoints: FloatArray | None = None) -> Groun
     All other points must be on one side of the plane, with the sensors; the lowest of them near the plane;
     and points of the plane must surround them.
 
-    Parameters
-    ----------
-    points : (n, 3) float64
-        Of a scan; unit of the file.
-    viewpoints : (n, 3) float64, optional
-        Positions of the sensors.
-
-    Returns
-    -------
-    Ground or None
-        None if there is no such plane. Equal points give equal planes.
+    points: (n, 3) float64, of a scan; unit of the file.
+    viewpoints: (n, 3) float64, optional, positions of the sensors.
 
     References
     ----------
@@ -123,19 +109,9 @@ def ground_of(points: FloatArray, viewpoints: FloatArray | None = None) -> Groun
 def planes_of(points: FloatArray, rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
     """Planes through three random points each, which are near each other.
 
-    Parameters
-    ----------
-    points : (n, 3) float64
-        Coordinates, about the origin.
-    rng : numpy.random.Generator
-        Source of the random numbers.
-
-    Returns
-    -------
-    normals : (p, 3) float64
-        Unit normals; zero if the three points are collinear.
-    offsets : (p,) float64
-        Products of the normals with the points of the planes; unit of the points.
+    points: (n, 3) float64, coordinates, about the origin.
+    Returns normals : (p, 3) float64: unit normals; zero if the three points are collinear.
+    Returns offsets : (p,) float64: products of the normals with the points of the planes; unit of the points.
     """
     from scipy.spatial import cKDTree
 
@@ -155,23 +131,12 @@ def fitted_plane(
 ) -> tuple[FloatArray, FloatArray]:
     """The least-squares plane of its inliers, which are selected again in each of three steps.
 
-    Parameters
-    ----------
-    points : (n, 3) float64
-        All points.
-    inliers : (k, 3) float64
-        The inliers of the first step, at least three.
-    up : (3,) float64
-        A vector on the side of the plane to which its normal shall point.
-    thickness : float
-        Largest distance of an inlier from the plane; unit of the points.
-
-    Returns
-    -------
-    normal : (3,) float64
-        Unit normal of the plane.
-    heights : (n,) float64
-        Signed distances of all points from the plane; unit of the points.
+    points: (n, 3) float64, all points.
+    inliers: (k, 3) float64, the inliers of the first step, at least three.
+    up: (3,) float64, a vector on the side of the plane to which its normal shall point.
+    thickness: largest distance of an inlier from the plane; unit of the points.
+    Returns normal : (3,) float64: unit normal of the plane.
+    Returns heights : (n,) float64: signed distances of all points from the plane; unit of the points.
     """
     height = np.zeros(len(points))
     for _ in range(3):

@@ -32,18 +32,9 @@ ROUNDING = 1e-9
 class Cells(NamedTuple):
     """The points of a cloud, sorted by the cells of a grid.
 
-    Attributes
-    ----------
-    low : (3,) float64
-        The corner of the grid.
-    edge : float
-        Edge of a cell.
-    shape : tuple of int, length 3
-        Number of cells along each axis.
-    order : (n,) int
-        Numbers of the points, grouped by cell.
-    starts : (cells + 1,) int
-        Position of the first point of each cell in `order`.
+    low: (3,) float64, the corner of the grid.
+    order: (n,) int, numbers of the points, grouped by cell.
+    starts: (cells + 1,) int, position of the first point of each cell in `order`.
     """
 
     low: FloatArray
@@ -56,21 +47,10 @@ class Cells(NamedTuple):
 def nearest(points: FloatArray, places: FloatArray, k: int) -> tuple[FloatArray, Index]:
     """Search for the points that are nearest to each place, by a grid of cells or a k-d tree.
 
-    Parameters
-    ----------
-    points : (n, 3) float64
-        The cloud; in any unit.
-    places : (m, 3) float64
-        The places, which may be points of the cloud; unit of the points.
-    k : int
-        Number of points for each place; at most n.
-
-    Returns
-    -------
-    distance : (m, k) float64
-        Distances, ascending; unit of the points.
-    near : (m, k) int
-        Numbers of the points.
+    points: (n, 3) float64, the cloud; in any unit.
+    places: (m, 3) float64, the places, which may be points of the cloud; unit of the points.
+    Returns distance : (m, k) float64: distances, ascending; unit of the points.
+    Returns near : (m, k) int: numbers of the points.
     """
     cells = _cells(points, k)
     if cells is not None:

@@ -54,22 +54,8 @@ N_COMPARED = 8
 def oriented_normals(cloud: PointCloud, options: ScanOptions) -> PointCloud:
     """Estimate normals, and orient them outwards.
 
-    Parameters
-    ----------
-    cloud : PointCloud
-        Filtered points; normals and viewpoints are optional.
-    options : ScanOptions
-        Of which `orientation`, `normal_neighbors` and the options of the flood fill are used.
-
-    Returns
-    -------
-    PointCloud
-        The points with unit normals that point out of the body, and a step ``orient`` in the provenance.
-
-    Raises
-    ------
-    ReconstructionError
-        If the orientation requires viewpoints or normals that the cloud does not have.
+    Returns PointCloud: the points with unit normals that point out of the body, and a step ``orient`` in the
+        provenance.
     """
     started = time.perf_counter()
     method = options.orientation
@@ -139,14 +125,8 @@ def _tight_flood(
 
     A leak is detected by the normals towards the outside, which are then inconsistent between neighbours.
 
-    Returns
-    -------
-    outside : Outside or None
-        The outside; None if every flood fill leaked.
-    normals : (n, 3) float64 or None
-        Unit normals towards the outside; None if every flood fill leaked.
-    notes : tuple of str
-        Notes for the provenance.
+    Returns normals : (n, 3) float64 or None: unit normals towards the outside; None if every flood fill
+        leaked.
     """
     cell = max(options.flood_cell * cloud.diagonal, FLOOD_CELL * spacing(neighbors.some()))
     gap = options.flood_gap
@@ -192,21 +172,9 @@ def _guided_normals(
     wrong. Neighbours are therefore weighted by the agreement of their guide
     directions with that of the point.
 
-    Parameters
-    ----------
-    points : (n, 3) float64
-        Coordinates.
-    guide : (n, 3) float64
-        Approximate unit direction to the outside at each point; zero if unknown.
-    neighbors : Neighborhoods
-        Of all points.
-    options : ScanOptions
-        Of which `normal_neighbors` is used.
-
-    Returns
-    -------
-    (n, 3) float64
-        Unit normals, with the orientation of the guide.
+    points: (n, 3) float64, coordinates.
+    guide: (n, 3) float64, approximate unit direction to the outside at each point; zero if unknown.
+    Returns (n, 3) float64: unit normals, with the orientation of the guide.
     """
     k = options.normal_neighbors
     near = np.ascontiguousarray(neighbors.near[:, :k])

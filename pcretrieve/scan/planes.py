@@ -24,18 +24,10 @@ Symmetric = tuple[float, float, float, float, float, float]
 def plane_deviations(points: FloatArray, near: NDArray[np.intp]) -> FloatArray:
     """Root mean square distances of neighbours from their least-squares planes.
 
-    Parameters
-    ----------
-    points : (n, 3) float64
-        Coordinates.
-    near : (m, k) int
-        Numbers of the neighbours of m points.
-
-    Returns
-    -------
-    (m,) float64
-        √(Σ d² / (k − 3)), since a plane has three degrees of freedom; with k ≤ 4, √(Σ d²). Unit of the
-        points.
+    points: (n, 3) float64, coordinates.
+    near: (m, k) int, numbers of the neighbours of m points.
+    Returns (m,) float64: √(Σ d² / (k − 3)), since a plane has three degrees of freedom; with k ≤ 4, √(Σ d²).
+        Unit of the points.
     """
     n, k = near.shape
     weight = np.ones(k)
@@ -67,25 +59,11 @@ def guided_planes(
     The weight of a neighbour is the product of a Gaussian of its distance and of the excess of the cosine
     between its guide and that of the point over a limit.
 
-    Parameters
-    ----------
-    points : (n, 3) float64
-        Coordinates.
-    guide : (n, 3) float64
-        Approximate unit direction to the outside at each point; zero if unknown.
-    near : (n, k) int
-        Numbers of the neighbours of each point, the nearest first.
-    distance : (n, k) float64
-        Their distances; unit of the points.
-    same_side : float
-        The limit of the cosine.
-    spread : float
-        Width of the Gaussian, relative to the distance of the farthest neighbour.
-
-    Returns
-    -------
-    (n, 3) float64
-        Unit normals.
+    points: (n, 3) float64, coordinates.
+    guide: (n, 3) float64, approximate unit direction to the outside at each point; zero if unknown.
+    near: (n, k) int, numbers of the neighbours of each point, the nearest first.
+    distance: (n, k) float64, their distances; unit of the points.
+    Returns (n, 3) float64: unit normals.
     """
     n, k = near.shape
     weight = np.empty(k)

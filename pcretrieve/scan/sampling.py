@@ -40,12 +40,9 @@ FLATTEST = 0.25
 class Neighborhoods:
     """The nearest neighbours of m points of a cloud.
 
-    Attributes
-    ----------
-    distance : (m, k) float64
-        Distances from the point, ascending; the first is that of the point itself, zero. Unit of the file.
-    near : (m, k) int
-        Numbers of the neighbours in the cloud.
+    distance: (m, k) float64, distances from the point, ascending; the first is that of the point itself,
+        zero. Unit of the file.
+    near: (m, k) int, numbers of the neighbours in the cloud.
     """
 
     distance: FloatArray
@@ -60,19 +57,8 @@ class Neighborhoods:
 def neighborhoods(points: FloatArray, k: int, *, of_some: bool = False) -> Neighborhoods:
     """Search for the nearest neighbours of points among themselves.
 
-    Parameters
-    ----------
-    points : (n, 3) float64
-        At least two points.
-    k : int
-        Number of neighbours, the point itself included; at most n are found.
-    of_some : bool, default False
-        Search only for the neighbours of the points of `Neighborhoods.some`.
-
-    Returns
-    -------
-    Neighborhoods
-        Of all points, or of some; unit of the file.
+    points: (n, 3) float64, at least two points.
+    Returns Neighborhoods: of all points, or of some; unit of the file.
     """
     asked = np.ascontiguousarray(points[:: _step(len(points))]) if of_some else points
     return Neighborhoods(*nearest(points, asked, min(k, len(points))))
@@ -83,16 +69,6 @@ def spacing(neighbors: Neighborhoods) -> float:
 
     It is estimated from the circle that contains the `SPACING_NEIGHBORS` nearest neighbours, so that it is
     the same for a regular and a random sampling of one density.
-
-    Parameters
-    ----------
-    neighbors : Neighborhoods
-        Of some points, with at least `SPACING_NEIGHBORS` + 1 neighbours, or all points of a smaller cloud.
-
-    Returns
-    -------
-    float
-        Unit of the file.
     """
     k = min(SPACING_NEIGHBORS, neighbors.distance.shape[1] - 1)
     return float(np.sqrt(np.pi / k) * np.median(neighbors.distance[:, k]))
@@ -103,18 +79,7 @@ def noise(points: FloatArray, neighbors: Neighborhoods) -> float:
 
     It is about 0.8 of the standard deviation of each coordinate, if the noise is isotropic.
 
-    Parameters
-    ----------
-    points : (n, 3) float64
-        Coordinates.
-    neighbors : Neighborhoods
-        Of some of the points, with at least `PLANE_NEIGHBORS` + 1 neighbours, or all points of a smaller
-        cloud.
-
-    Returns
-    -------
-    float
-        Unit of the file.
+    points: (n, 3) float64, coordinates.
     """
     near = np.ascontiguousarray(neighbors.near[:, : PLANE_NEIGHBORS + 1])
     deviations = plane_deviations(points, near)
@@ -124,17 +89,10 @@ def noise(points: FloatArray, neighbors: Neighborhoods) -> float:
 def voxel_numbers(points: FloatArray, edge: float) -> NDArray[np.int64]:
     """The number of the voxel that contains each point.
 
-    Parameters
-    ----------
-    points : (n, 3) float64
-        At least one point.
-    edge : float
-        Edge of the voxels; unit of the points.
-
-    Returns
-    -------
-    (n,) int64
-        Equal for points in one voxel; ascending by the first, the second and the third coordinate.
+    points: (n, 3) float64, at least one point.
+    edge: edge of the voxels; unit of the points.
+    Returns (n,) int64: equal for points in one voxel; ascending by the first, the second and the third
+        coordinate.
     """
     index = np.floor((points - points.min(axis=0)) / edge).astype(np.int64)  # (n, 3)
     sides = index.max(axis=0) + 1

@@ -163,27 +163,7 @@ def answer_to(
     exclude_self: bool = False,
     min_score: float | None = None,
 ) -> Answer:
-    """Answer one query that is known already. No file is read, whatever the query is called.
-
-    Parameters
-    ----------
-    catalogue : Catalogue
-        The catalogue that is searched.
-    query : str or Described
-        The id of a shape of the catalogue, or the signature of a scan with its verdict.
-    k, options, labels, exclude_self, min_score : object
-        As in `search`.
-
-    Returns
-    -------
-    Answer
-        The neighbours, their records, the vote and the ranges of ranks.
-
-    Raises
-    ------
-    CatalogueError, InputError
-        As by `search`.
-    """
+    """Answer one query that is known already. No file is read, whatever the query is called."""
     terms = Terms(
         catalogue, options or catalogue.options, checked_k(k), None, None, labels, exclude_self, min_score
     )

@@ -17,17 +17,7 @@ __all__ = ["Described", "Query", "pictured", "queries_of", "query_of"]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Described:
-    """The signature of a query.
-
-    Attributes
-    ----------
-    signature : Signature
-        The signature, by the options of the search.
-    verdict : Verdict or None
-        Whether it can be relied on; None if the scan was not judged.
-    picture : bytes or None
-        A thumbnail of the surface, PNG; None if none was made.
-    """
+    """The signature of a query."""
 
     signature: Signature
     verdict: Verdict | None = None
@@ -36,43 +26,14 @@ class Described:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Query:
-    """One query of a search.
-
-    Attributes
-    ----------
-    name : str
-        The path or the id, as it was given; the path of each scan of a folder; the kind of a signature.
-    of : str, Path or Signature
-        The id of a shape of the catalogue, the file of a scan that the catalogue does not have, or a
-        signature.
-    """
+    """One query of a search."""
 
     name: str
     of: str | Path | Signature
 
 
 def pictured(scan: Path, options: PipelineOptions, up: str | None = None) -> Described:
-    """Process a scan, and draw a thumbnail of its surface.
-
-    Parameters
-    ----------
-    scan : Path
-        The file of the scan.
-    options : PipelineOptions
-        The options by which it is processed.
-    up : {"x", "-x", "y", "-y", "z", "-z"}, optional
-        The axis of the file that points upwards; by default found from the surface.
-
-    Returns
-    -------
-    Described
-        With a picture, unless the scan has no surface that can be drawn.
-
-    Raises
-    ------
-    ShapeError
-        If the scan cannot be read or has no usable surface.
-    """
+    """Process a scan, and draw a thumbnail of its surface."""
     # Imported here, because shapes of the catalogue are found without the stages.
     from pcretrieve.pipeline.process import described_shape
     from pcretrieve.rendering import thumbnail, upward
@@ -88,28 +49,8 @@ def pictured(scan: Path, options: PipelineOptions, up: str | None = None) -> Des
 def query_of(catalogue: Catalogue, query: str | Path | Signature, *, is_converted: bool) -> Query:
     """Find what a query names.
 
-    Parameters
-    ----------
-    catalogue : Catalogue
-        The catalogue that is searched.
-    query : str, Path or Signature
-        The file of a scan; the id of a shape of the catalogue, as a str that is not the path of a file; or a
-        signature.
-    is_converted : bool
-        Whether files are read in another unit than those of the catalogue, so that a shape of the same
-        content does not stand for them.
-
-    Returns
-    -------
-    Query
-        The query; a file whose content the catalogue has is the shape of the catalogue.
-
-    Raises
-    ------
-    InputError
-        If the query is neither a file nor the id of a shape that has a signature.
-    ScanReadError
-        If a file cannot be read.
+    is_converted: whether files are read in another unit than those of the catalogue, so that a shape of the
+        same content does not stand for them.
     """
     if isinstance(query, Signature):
         return Query(query.kind, query)
@@ -128,28 +69,7 @@ def query_of(catalogue: Catalogue, query: str | Path | Signature, *, is_converte
 def queries_of(
     catalogue: Catalogue, queries: Iterable[str | Path | Signature], *, is_converted: bool
 ) -> list[Query]:
-    """Find what several queries name.
-
-    Parameters
-    ----------
-    catalogue : Catalogue
-        The catalogue that is searched.
-    queries : iterable of str, Path or Signature
-        Each as in `query_of`, or a folder, which stands for all scans in it. A str that is the id of a shape
-        is that shape, also if there is a folder of this name.
-    is_converted : bool
-        As in `query_of`.
-
-    Returns
-    -------
-    list of Query
-        At least one for each of `queries`, in their order. A file that cannot be read is a query of its path.
-
-    Raises
-    ------
-    InputError
-        If a query is neither a file, a folder of scans, nor the id of a shape that has a signature.
-    """
+    """Find what several queries name."""
     return [found for query in queries for found in _expanded(catalogue, query, is_converted=is_converted)]
 
 

@@ -11,18 +11,7 @@ __all__ = ["result_rows"]
 
 
 def result_rows(answer: Answer) -> list[dict[str, Any]]:
-    """The results of one query.
-
-    Parameters
-    ----------
-    answer : Answer
-        The answer.
-
-    Returns
-    -------
-    list of dict
-        For each result ``rank id path label distance score rank_range verdict``; None for what is not known.
-    """
+    """The results of one query."""
     known, ranges = answer.neighbors.scores, answer.rank_ranges
     scores = [None] * len(answer.records) if known is None else known.tolist()
     return [

@@ -49,18 +49,7 @@ TAIL_BONES = 4
 
 
 def skeleton(measures: Mapping[str, float]) -> tuple[Bone, ...]:
-    """Bones and flesh of an animal; the hip joints are at the height of the origin.
-
-    Parameters
-    ----------
-    measures : mapping of str to float
-        Values of `MEASURES`; m.
-
-    Returns
-    -------
-    tuple of Bone
-        Parents before children.
-    """
+    """Bones and flesh of an animal; the hip joints are at the height of the origin."""
     left = _hind_leg(measures) + _fore_leg(measures)
     return _trunk(measures) + _tail(measures) + left + tuple(mirrored(bone) for bone in left)
 

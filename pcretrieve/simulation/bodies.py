@@ -42,25 +42,7 @@ POSES: Mapping[str, Mapping[str, Pose]] = {name: family.poses for name, family i
 
 
 def make_subject(family: str, rng: np.random.Generator) -> Subject:
-    """An individual of a family, with lengths and girths drawn from normal distributions.
-
-    Parameters
-    ----------
-    family : {"person", "animal", "hand"}
-        The kind of body.
-    rng : numpy.random.Generator
-        Source of the random numbers.
-
-    Returns
-    -------
-    Subject
-        The individual.
-
-    Raises
-    ------
-    OptionError
-        If there is no such family.
-    """
+    """An individual of a family, with lengths and girths drawn from normal distributions."""
     if family not in FAMILIES:
         raise OptionError(f"family must be one of {', '.join(FAMILIES)}, got {family!r}")
     kind = FAMILIES[family]
@@ -80,27 +62,9 @@ def body(
     All poses of one subject have the same faces, so that each surface is a closed manifold of Euler
     characteristic 2, even where parts touch; there the surface may intersect itself slightly.
 
-    Parameters
-    ----------
-    subject : Subject
-        The individual.
-    pose : Pose
-        A pose of the family of the subject. Its contacts are closed for any proportions of the subject.
-    rng : numpy.random.Generator or None, default None
-        If given, a random number is added to every angle of every joint.
-    jitter : float, default 2
-        Standard deviation of these numbers; degrees.
-
-    Returns
-    -------
-    TriangleMesh
-        A surface of about 7000 vertices; m. The first call for a subject computes the skin, which takes some
-        seconds; further calls only deform it.
-
-    Raises
-    ------
-    InputError
-        If the pose turns joints that the subject does not have.
+    jitter: standard deviation of these numbers; degrees.
+    Returns TriangleMesh: a surface of about 7000 vertices; m. The first call for a subject computes the skin,
+        which takes some seconds; further calls only deform it.
     """
     strange = sorted(pose.joints - subject.joints)
     if strange:

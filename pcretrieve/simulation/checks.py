@@ -9,18 +9,7 @@ __all__ = ["check_at_least", "check_shares", "check_surface"]
 
 
 def check_surface(mesh: TriangleMesh) -> None:
-    """Check that there is a surface to scan.
-
-    Parameters
-    ----------
-    mesh : TriangleMesh
-        The mesh that is to be scanned.
-
-    Raises
-    ------
-    InputError
-        If the mesh has no area.
-    """
+    """Check that there is a surface to scan."""
     if not (len(mesh.faces) and mesh.area > 0):
         raise InputError(
             f"a scan needs a surface with area, got {len(mesh.faces)} faces without: take another mesh"
@@ -28,38 +17,14 @@ def check_surface(mesh: TriangleMesh) -> None:
 
 
 def check_at_least(bound: int, **options: float) -> None:
-    """Check that options are not too small.
-
-    Parameters
-    ----------
-    bound : int
-        Smallest allowed value.
-    **options : float
-        Values by the name of the option.
-
-    Raises
-    ------
-    OptionError
-        For the first option below the bound.
-    """
+    """Check that options are not too small."""
     for name, value in options.items():
         if not value >= bound:
             raise OptionError(f"{name} must be at least {bound}, got {value}")
 
 
 def check_shares(**options: float) -> None:
-    """Check that options are shares.
-
-    Parameters
-    ----------
-    **options : float
-        Values by the name of the option.
-
-    Raises
-    ------
-    OptionError
-        For the first option that is not between 0 and 1.
-    """
+    """Check that options are shares."""
     for name, value in options.items():
         if not 0 <= value <= 1:
             raise OptionError(f"{name} must be a share between 0 and 1, got {value}")

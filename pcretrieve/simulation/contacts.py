@@ -30,18 +30,6 @@ def close_contacts(skin: Skin, pose: Pose) -> Pose:
 
     The sum of squares of the gaps, in body sizes, and of `STIFFNESS` times the changes of the angles of the
     joints of the contacts, in radians, is minimised.
-
-    Parameters
-    ----------
-    skin : Skin
-        The skin of the subject.
-    pose : Pose
-        A pose with any number of contacts.
-
-    Returns
-    -------
-    Pose
-        The changed pose; the pose itself if it has no contacts.
     """
     joints = sorted({joint for contact in pose.contacts for joint in contact.by})
     if not joints:

@@ -17,31 +17,7 @@ __all__ = ["DamageOptions", "damaged"]
 
 @dataclass(frozen=True, slots=True)
 class DamageOptions:
-    """Defects of a mesh. A patch is the set of faces whose centroids lie in a ball round that of one face.
-
-    Attributes
-    ----------
-    n_holes : int, default 4
-        Number of patches that are removed.
-    n_flipped : int, default 4
-        Number of patches whose faces are flipped.
-    n_flaps : int, default 3
-        Number of copies of patches that are rotated at random about the mean of their vertices, so that the
-        copies intersect the surface.
-    radius : float, default 0.02
-        Radius of these patches; diagonals.
-    duplicated_share : float, default 0.01
-        Number of duplicate faces, half of which are flipped; relative to all faces.
-    shell_radius : float, default 0.15
-        Radius of a patch below which a second surface is added; diagonals. 0 for no second surface.
-    shell_depth : float, default 0.004
-        Distance of the second surface from the first; diagonals.
-
-    Raises
-    ------
-    OptionError
-        If a value is out of range.
-    """
+    """Defects of a mesh. A patch is the set of faces whose centroids lie in a ball round that of one face."""
 
     n_holes: int = 4
     n_flipped: int = 4
@@ -60,24 +36,7 @@ class DamageOptions:
 def damaged(mesh: TriangleMesh, options: DamageOptions, rng: np.random.Generator) -> TriangleMesh:
     """Add defects to a mesh at random places. Other parts of the surface do not change.
 
-    Parameters
-    ----------
-    mesh : TriangleMesh
-        Closed, oriented outwards.
-    options : DamageOptions
-        Numbers and sizes of the defects.
-    rng : numpy.random.Generator
-        Source of the random numbers.
-
-    Returns
-    -------
-    TriangleMesh
-        The damaged mesh, in the unit and the frame of `mesh`.
-
-    Raises
-    ------
-    InputError
-        If the mesh has no faces.
+    Returns TriangleMesh: the damaged mesh, in the unit and the frame of `mesh`.
     """
     if not len(mesh.faces):
         raise InputError("a mesh must have faces to be damaged, got none")

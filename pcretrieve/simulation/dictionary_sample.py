@@ -44,28 +44,14 @@ N_MODES = 60
 
 
 class LabelledSurface(NamedTuple):
-    """The point descriptors of a body.
-
-    Attributes
-    ----------
-    points : SurfacePoints
-        Those of all vertices.
-    label : str
-        The individual.
-    """
+    """The point descriptors of a body."""
 
     points: SurfacePoints
     label: str
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Learn the dictionaries, and write them into the package.
-
-    Parameters
-    ----------
-    arguments : sequence of str, optional
-        By default the arguments of the command line.
-    """
+    """Learn the dictionaries, and write them into the package."""
     argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     ).parse_args(arguments)
@@ -78,20 +64,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 
 def surfaces(n_subjects: int, n_poses: int) -> Iterator[LabelledSurface]:
-    """Simulated bodies of all families.
-
-    Parameters
-    ----------
-    n_subjects : int
-        Individuals of each family.
-    n_poses : int
-        Poses of each individual, which are spread over all poses of the family.
-
-    Yields
-    ------
-    LabelledSurface
-        One body.
-    """
+    """Simulated bodies of all families."""
     for family, (name, poses) in enumerate(POSES.items()):
         for number in range(n_subjects):
             subject = make_subject(name, np.random.default_rng((SEED, family, number)))
@@ -105,17 +78,8 @@ def surfaces(n_subjects: int, n_poses: int) -> Iterator[LabelledSurface]:
 def dictionaries(bodies: Sequence[LabelledSurface], *, n_steps: int = 200) -> FloatArray:
     """The dictionaries of surfaces.
 
-    Parameters
-    ----------
-    bodies : sequence of LabelledSurface
-        The surfaces.
-    n_steps : int, default 200
-        Steps of supervised learning.
-
-    Returns
-    -------
-    (2, 32, d) float64
-        The atoms that are learned without labels, and those that are learned from these with labels.
+    Returns (2, 32, d) float64: the atoms that are learned without labels, and those that are learned from
+        these with labels.
     """
     rng = np.random.default_rng(SEED)
     points = np.concatenate(

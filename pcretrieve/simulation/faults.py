@@ -16,19 +16,10 @@ OUTLIER_BOX = 1.2
 def outside_holes(points: FloatArray, centres: FloatArray, radius: float) -> NDArray[np.bool_]:
     """Find the points outside all holes of a scan.
 
-    Parameters
-    ----------
-    points : (n, 3) float64
-        Points of the surface.
-    centres : (h, 3) float64
-        Centres of the holes, which are balls.
-    radius : float
-        Radius of the holes; unit of the points.
-
-    Returns
-    -------
-    (n,) bool
-        Whether each point is in no hole.
+    points: (n, 3) float64, points of the surface.
+    centres: (h, 3) float64, centres of the holes, which are balls.
+    radius: radius of the holes; unit of the points.
+    Returns (n,) bool: whether each point is in no hole.
     """
     outside = np.ones(len(points), dtype=bool)
     for centre in centres:
@@ -39,19 +30,7 @@ def outside_holes(points: FloatArray, centres: FloatArray, radius: float) -> NDA
 def outliers(mesh: TriangleMesh, n: int, rng: np.random.Generator) -> FloatArray:
     """Random points in the bounding box of a surface, enlarged by a fifth.
 
-    Parameters
-    ----------
-    mesh : TriangleMesh
-        The surface.
-    n : int
-        Number of points.
-    rng : numpy.random.Generator
-        Source of the random numbers.
-
-    Returns
-    -------
-    (n, 3) float64
-        In the unit of the mesh.
+    Returns (n, 3) float64: in the unit of the mesh.
     """
     extent = np.ptp(mesh.vertices, axis=0)
     points: FloatArray = box_centre(mesh) + OUTLIER_BOX * extent * rng.uniform(-0.5, 0.5, (n, 3))
@@ -61,15 +40,7 @@ def outliers(mesh: TriangleMesh, n: int, rng: np.random.Generator) -> FloatArray
 def box_centre(mesh: TriangleMesh) -> FloatArray:
     """Centre of the bounding box of a surface.
 
-    Parameters
-    ----------
-    mesh : TriangleMesh
-        The surface.
-
-    Returns
-    -------
-    (3,) float64
-        In the unit of the mesh.
+    Returns (3,) float64: in the unit of the mesh.
     """
     centre: FloatArray = (mesh.vertices.min(axis=0) + mesh.vertices.max(axis=0)) / 2
     return centre

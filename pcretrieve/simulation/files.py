@@ -16,12 +16,7 @@ __all__ = ["write_conf", "write_pcd", "write_ply"]
 def write_ply(path: Path, points: FloatArray) -> None:
     """Write points as a PLY file.
 
-    Parameters
-    ----------
-    path : Path
-        The file, ``.ply``.
-    points : (n, 3) float64
-        In any unit.
+    points: (n, 3) float64, in any unit.
     """
     header = (
         "ply\nformat binary_little_endian 1.0\n"
@@ -34,16 +29,8 @@ def write_ply(path: Path, points: FloatArray) -> None:
 def write_pcd(path: Path, points: FloatArray, viewpoint: FloatArray, orientation: Rotation) -> None:
     """Write points as a PCD file, with the pose of the sensor.
 
-    Parameters
-    ----------
-    path : Path
-        The file, ``.pcd``.
-    points : (n, 3) float64
-        In any unit.
-    viewpoint : (3,) float64
-        Position of the sensor in the frame of the points.
-    orientation : scipy.spatial.transform.Rotation
-        From the axes of the sensor (x right, y down, z ahead) to those of the points.
+    points: (n, 3) float64, in any unit.
+    viewpoint: (3,) float64, position of the sensor in the frame of the points.
     """
     pose = [*viewpoint, *orientation.as_quat(canonical=True)[[3, 0, 1, 2]]]  # w first
     header = (
@@ -59,15 +46,9 @@ def write_pcd(path: Path, points: FloatArray, viewpoint: FloatArray, orientation
 def write_conf(path: Path, names: Sequence[str], motions: FloatArray) -> None:
     """Write a Stanford ``.conf`` file: the poses of the range scans of one body.
 
-    Parameters
-    ----------
-    path : Path
-        The file, ``.conf``.
-    names : sequence of str, length v
-        Scan files beside `path`.
-    motions : (v, 4, 4) float64
-        Rigid motion of each scan to the common frame. Its line ``bmesh name tx ty tz qx qy qz qw`` has the
-        translation, and the quaternion of the *inverse* of the rotation, as in the Stanford repository.
+    motions: (v, 4, 4) float64, rigid motion of each scan to the common frame. Its line ``bmesh name tx ty tz
+        qx qy qz qw`` has the translation, and the quaternion of the *inverse* of the rotation, as in the
+        Stanford repository.
     """
     lines = []
     for name, motion in zip(names, motions, strict=True):

@@ -15,17 +15,8 @@ def bone_distance(bone: Bone, points: FloatArray) -> FloatArray:
 
     Approximate for cones whose radii differ; a lower bound for flattened cones.
 
-    Parameters
-    ----------
-    bone : Bone
-        With or without flesh.
-    points : (…, 3) float64
-        In metres.
-
-    Returns
-    -------
-    (…,) float64
-        Negative inside, infinite without flesh; m.
+    points: (…, 3) float64, in metres.
+    Returns (…,) float64: negative inside, infinite without flesh; m.
     """
     if not bone.flesh:
         return np.full(points.shape[:-1], np.inf)
@@ -37,19 +28,8 @@ def bone_distance(bone: Bone, points: FloatArray) -> FloatArray:
 def cone_distance(cone: RoundCone, front: Vector, points: FloatArray) -> FloatArray:
     """Signed distance of points from one round cone at rest, as `bone_distance`.
 
-    Parameters
-    ----------
-    cone : RoundCone
-        Part of the flesh of a bone.
-    front : 3 floats
-        Front of the bone.
-    points : (…, 3) float64
-        In metres.
-
-    Returns
-    -------
-    (…,) float64
-        Negative inside; m.
+    points: (…, 3) float64, in metres.
+    Returns (…,) float64: negative inside; m.
     """
     offset, axis = points - np.array(cone.start), np.subtract(cone.end, cone.start)
     if cone.depth != 1:

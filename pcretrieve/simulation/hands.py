@@ -46,18 +46,7 @@ THUMB_BONES = (0.42, 0.32, 0.26)
 
 
 def skeleton(measures: Mapping[str, float]) -> tuple[Bone, ...]:
-    """Bones and flesh of a hand: fingers up, palm to the front, thumb to the left.
-
-    Parameters
-    ----------
-    measures : mapping of str to float
-        Values of `MEASURES`; m.
-
-    Returns
-    -------
-    tuple of Bone
-        Parents before children.
-    """
+    """Bones and flesh of a hand: fingers up, palm to the front, thumb to the left."""
     m = measures
     length, width, girth = m["palm_length"], m["palm_width"], m["palm_girth"]
     stump = RoundCone((0, -0.06, 0), (0, 0.005, 0), (1.08 * m["wrist_girth"], m["wrist_girth"]), 0.72)

@@ -38,12 +38,8 @@ POINTS_PER_SUBJECT = 60
 class PointFeatures(NamedTuple):
     """Point descriptors of the points of one subject.
 
-    Attributes
-    ----------
-    heat : (2, 60, 6) float64
-        Heat kernel signatures, plain and scale-invariant; dimensionless.
-    wavelets : (60, 3) float64
-        Spectral graph wavelet signatures; dimensionless.
+    heat: (2, 60, 6) float64, heat kernel signatures, plain and scale-invariant; dimensionless.
+    wavelets: (60, 3) float64, spectral graph wavelet signatures; dimensionless.
     """
 
     heat: FloatArray
@@ -51,13 +47,7 @@ class PointFeatures(NamedTuple):
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Compute the point descriptors, and write them into the package.
-
-    Parameters
-    ----------
-    arguments : sequence of str, optional
-        By default the arguments of the command line.
-    """
+    """Compute the point descriptors, and write them into the package."""
     argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     ).parse_args(arguments)
@@ -78,11 +68,6 @@ def features() -> Iterator[PointFeatures]:
     """Point descriptors of random points of simulated bodies.
 
     Points are drawn in proportion to area; the subjects of a family take poses in turn.
-
-    Yields
-    ------
-    PointFeatures
-        Of 60 points of one subject.
     """
     rng = np.random.default_rng(0)
     for family, poses in POSES.items():

@@ -17,18 +17,8 @@ __all__ = ["motions"]
 def motions(subject: Subject, pose: Pose) -> FloatArray:
     """The rigid motion of each bone, from the rest pose to another pose.
 
-    Parameters
-    ----------
-    subject : Subject
-        The subject with the bones.
-    pose : Pose
-        Angles of the joints.
-
-    Returns
-    -------
-    (b, 4, 4) float64
-        A bone rotates about its own head at rest, and then moves with its parent. The root rotates about its
-        head.
+    Returns (b, 4, 4) float64: a bone rotates about its own head at rest, and then moves with its parent. The
+        root rotates about its head.
     """
     turns = _turns(subject, pose)  # (b, 3, 3)
     heads = np.array([bone.head for bone in subject.bones])  # (b, 3)

@@ -26,19 +26,7 @@ def limb(
 ) -> tuple[Bone, ...]:
     """A straight chain of bones, with a link before each bone that takes half of the angles of its joint.
 
-    Parameters
-    ----------
-    parent : str
-        Bone that carries the limb.
-    start, along, front : 3 floats
-        Position of the first joint (m), direction and front of the limb at rest.
-    pieces : sequence of (joint, bone, length, radii)
-        From the trunk outwards; m.
-
-    Returns
-    -------
-    tuple of Bone
-        A link and a bone for each piece.
+    pieces: sequence of (joint, bone, length, radii), from the trunk outwards; m.
     """
     direction = np.asarray(along, dtype=np.float64) / np.linalg.norm(along)
     ends = np.cumsum([0.0, *(length for _, _, length, _ in pieces)])
@@ -63,18 +51,7 @@ def limb(
 
 
 def mirrored(bone: Bone) -> Bone:
-    """The right bone that is the mirror image of a left bone.
-
-    Parameters
-    ----------
-    bone : Bone
-        Its names begin with ``left_``.
-
-    Returns
-    -------
-    Bone
-        Its names begin with ``right_``.
-    """
+    """The right bone that is the mirror image of a left bone."""
 
     def across(point: Vector) -> Vector:
         return (-point[0], point[1], point[2])
@@ -95,15 +72,8 @@ def mirrored(bone: Bone) -> Bone:
 def both(**angles: Vector) -> dict[str, Vector]:
     """The same angles for the left and the right joint of each name.
 
-    Parameters
-    ----------
-    **angles : 3 floats
-        (bend, spread, twist) by the name of the joint without its side; degrees.
-
-    Returns
-    -------
-    dict of str to 3 floats
-        Angles by the name of the joint with its side; degrees.
+    **angles: (bend, spread, twist) by the name of the joint without its side; degrees.
+    Returns dict of str to 3 floats: angles by the name of the joint with its side; degrees.
     """
     return {f"{side}_{joint}": turn for joint, turn in angles.items() for side in ("left", "right")}
 

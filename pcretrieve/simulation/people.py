@@ -57,18 +57,7 @@ UP: Vector = (0.0, 1.0, 0.0)
 
 
 def skeleton(measures: Mapping[str, float]) -> tuple[Bone, ...]:
-    """Bones and flesh of a person.
-
-    Parameters
-    ----------
-    measures : mapping of str to float
-        Values of `MEASURES`; m, but for the factor "build".
-
-    Returns
-    -------
-    tuple of Bone
-        Parents before children.
-    """
+    """Bones and flesh of a person."""
     build = measures["build"]
     m = {name: value * build if name in GIRTHS else value for name, value in measures.items()}
     m["hip_height"] = m["thigh"] + m["calf"] + ANKLE

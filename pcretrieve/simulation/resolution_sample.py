@@ -45,13 +45,7 @@ SEED = 2016
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Compute the sample, and write it into the package.
-
-    Parameters
-    ----------
-    arguments : sequence of str, optional
-        By default the arguments of the command line.
-    """
+    """Compute the sample, and write it into the package."""
     argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     ).parse_args(arguments)
@@ -73,17 +67,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
 def log_eigenvalues(family: str, number: int) -> FloatArray:
     """Logarithms of the magnitudes of the eigenvalues of R-BiHDM, of one body with small and large voxels.
 
-    Parameters
-    ----------
-    family : str
-        A key of `POSES`.
-    number : int
-        Number of the body in the family.
-
-    Returns
-    -------
-    (2, 61) float64
-        Dimensionless: of the surface scaled to unit area.
+    Returns (2, 61) float64: dimensionless: of the surface scaled to unit area.
     """
     rng = np.random.default_rng((SEED, list(POSES).index(family), number))
     poses = list(POSES[family].values())

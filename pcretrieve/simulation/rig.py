@@ -24,42 +24,14 @@ __all__ = ["RigOptions", "camera_pose", "scan", "scan_views"]
 class RigOptions:
     """Cameras at equal angles round a body, all looking at the centre of its bounding box.
 
-    Attributes
-    ----------
-    n_views : int, default 9
-        Number of cameras.
-    distance : float, default 1.5
-        From the centre to the cameras; diagonals.
-    elevations : tuple of float, default (5, 50, -35)
-        Angles of the cameras above the horizon, in turn; degrees.
-    pixels : int, default 240
-        Side of the square images, which just hold the bounding sphere; pixels.
-    n_points : int or None, default 14_000
-        Number of points of all views together, without outliers, chosen at random from the visible points.
-        None: all visible points.
-    noise : float, default 0.001
-        Standard deviation of a depth at normal incidence, along the ray; diagonals. The standard deviation
-        is proportional to 1 / cos θ at the angle of incidence θ, because the depth error due to a small error
-        of the direction of the ray is larger on an inclined surface.
-    max_incidence : float, default 78
-        Angle between ray and normal beyond which there is no measurement; degrees.
-    flying_share : float, default 0.04
-        Number of flying pixels, which mix the depths before and behind a depth edge; relative to all pixels
-        on depth edges.
-    flying_reach : float, default 0.02
-        Smallest difference of depth at a depth edge, and largest distance of flying pixels behind the edge;
-        diagonals.
-    n_holes : int, default 4
-        Number of holes: parts of the surface that no camera measures, such as dark or reflecting ones.
-    hole_radius : float, default 0.015
-        Radius of the holes; diagonals.
-    outlier_share : float, default 0.003
-        Number of random points in the bounding box enlarged by a fifth; relative to all other points.
-
-    Raises
-    ------
-    OptionError
-        If a value is out of range.
+    elevations: tuple of float, default (5, 50, -35), angles of the cameras above the horizon, in turn;
+        degrees.
+    pixels: side of the square images, which just hold the bounding sphere; pixels.
+    max_incidence: angle between ray and normal beyond which there is no measurement; degrees.
+    flying_share: number of flying pixels, which mix the depths before and behind a depth edge; relative to
+        all pixels on depth edges.
+    flying_reach: smallest difference of depth at a depth edge, and largest distance of flying pixels behind
+        the edge; diagonals.
     """
 
     n_views: int = 9
@@ -95,25 +67,8 @@ class RigOptions:
 def scan_views(mesh: TriangleMesh, options: RigOptions, rng: np.random.Generator) -> list[PointCloud]:
     """Scan a surface with each camera.
 
-    Parameters
-    ----------
-    mesh : TriangleMesh
-        Oriented outwards.
-    options : RigOptions
-        Options of the rig.
-    rng : numpy.random.Generator
-        Source of the random numbers.
-
-    Returns
-    -------
-    list of PointCloud
-        One for each camera, with the position of the camera as viewpoint; in the unit and the frame of the
-        mesh.
-
-    Raises
-    ------
-    InputError
-        If no camera sees any of the surface.
+    Returns list of PointCloud: one for each camera, with the position of the camera as viewpoint; in the unit
+        and the frame of the mesh.
     """
     check_surface(mesh)
     scene = RayScene(mesh.vertices, mesh.faces)
@@ -140,27 +95,7 @@ def scan_views(mesh: TriangleMesh, options: RigOptions, rng: np.random.Generator
 
 
 def scan(mesh: TriangleMesh, options: RigOptions, rng: np.random.Generator) -> PointCloud:
-    """Scan a surface with all cameras.
-
-    Parameters
-    ----------
-    mesh : TriangleMesh
-        Oriented outwards.
-    options : RigOptions
-        Options of the rig.
-    rng : numpy.random.Generator
-        Source of the random numbers.
-
-    Returns
-    -------
-    PointCloud
-        The clouds of `scan_views`, one after another.
-
-    Raises
-    ------
-    InputError
-        If no camera sees any of the surface.
-    """
+    """Scan a surface with all cameras."""
     views = scan_views(mesh, options, rng)
     return PointCloud(
         np.concatenate([view.points for view in views]),
@@ -171,20 +106,8 @@ def scan(mesh: TriangleMesh, options: RigOptions, rng: np.random.Generator) -> P
 def camera_pose(mesh: TriangleMesh, options: RigOptions, view: int) -> FloatArray:
     """Position and orientation of a camera.
 
-    Parameters
-    ----------
-    mesh : TriangleMesh
-        The surface that the camera looks at.
-    options : RigOptions
-        Options of the rig.
-    view : int
-        Number of the camera: 0 stands in front (+z), the next ones follow towards +x.
-
-    Returns
-    -------
-    (4, 4) float64
-        Rigid motion from the axes of the camera (x right, y down, z ahead) to those of the surface; the last
-        column is the position of the camera.
+    Returns (4, 4) float64: rigid motion from the axes of the camera (x right, y down, z ahead) to those of
+        the surface; the last column is the position of the camera.
     """
     azimuth = 2 * np.pi * view / options.n_views
     elevation = np.radians(options.elevations[view % len(options.elevations)])

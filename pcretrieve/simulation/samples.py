@@ -41,19 +41,7 @@ ORIGIN = 1.0
 
 @dataclass(frozen=True)
 class SampleSubject:
-    """One individual of the sample set.
-
-    Attributes
-    ----------
-    name : str
-        The class of the scans.
-    family : str
-        ``person``, ``animal`` or ``hand``.
-    poses : tuple of str
-        Names of the poses, one for each scan.
-    views : bool, default False
-        Write each view to a file of its own, in its own frame, and their poses to a ``.conf`` file.
-    """
+    """One individual of the sample set."""
 
     name: str
     family: str
@@ -95,29 +83,7 @@ def write_samples(
     seed: int = SEED,
     on_scan: Callable[[Path], object] = lambda path: None,
 ) -> dict[str, str]:
-    """Simulate sample scans, and write the scans, and ``labels.csv`` with their classes.
-
-    Parameters
-    ----------
-    folder : Path
-        Folder of the files, which is created if it does not exist, with a subfolder for each subject.
-    names : collection of str, default `SAMPLES`
-        Names of the scans. A scan does not depend on which other scans are simulated.
-    seed : int, default 2016
-        Seed of all random numbers.
-    on_scan : callable, optional
-        Called with the path of each scan after it has been written.
-
-    Returns
-    -------
-    dict of str to str
-        Class of each scan, by its file relative to `folder`, as in ``labels.csv``.
-
-    Raises
-    ------
-    OptionError
-        If there is no sample scan of some name.
-    """
+    """Simulate sample scans, and write the scans, and ``labels.csv`` with their classes."""
     if unknown := sorted(set(names) - set(SAMPLES)):
         raise OptionError(
             f"sample scans must have names of the set, got {', '.join(unknown)}: known are "
@@ -138,13 +104,7 @@ def write_samples(
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Simulate all sample scans, or some of them.
-
-    Parameters
-    ----------
-    arguments : sequence of str, optional
-        By default the arguments of the command line.
-    """
+    """Simulate all sample scans, or some of them."""
     parser = argparse.ArgumentParser(
         description=__doc__, epilog=EPILOG, formatter_class=argparse.RawDescriptionHelpFormatter
     )
@@ -188,21 +148,7 @@ def _write_sample(folder: Path, subject: SampleSubject, pose: str, *, seeds: tup
 def write_views(path: Path, surface: TriangleMesh, placed: FloatArray, rng: np.random.Generator) -> Path:
     """Write the views of a body on a turntable, each in the frame of the scanner, and their poses.
 
-    Parameters
-    ----------
-    path : Path
-        Path of the ``.conf`` file without its suffix.
-    surface : TriangleMesh
-        The body; m.
-    placed : (4, 4) float64
-        Rigid motion from the frame of the body to the common frame of the views.
-    rng : numpy.random.Generator
-        Source of the random numbers, for the noise and the errors of the turntable.
-
-    Returns
-    -------
-    Path
-        The ``.conf`` file.
+    placed: (4, 4) float64, rigid motion from the frame of the body to the common frame of the views.
     """
     rig = RigOptions()
     names, motions = [], []

@@ -32,21 +32,7 @@ COLLINEAR = 0.2
 
 @dataclass(frozen=True, slots=True)
 class RoundCone:
-    """The union of balls whose centre and radius are linear functions of one parameter.
-
-    Attributes
-    ----------
-    start, end : 3 floats
-        Centres of the first and the last ball at rest; m.
-    radii : 2 floats
-        Radii of the first and the last ball; m.
-    depth : float, default 1
-        Thickness along the front of the bone, relative to the radius: below 1, the balls are ellipsoids.
-    fillet : float, default 0.7
-        Width of the fillet towards the flesh of the bones before, relative to the smaller radius: wide where
-        a limb begins at a trunk, narrow (`COLLINEAR`) between pieces of one limb, round which a wide fillet
-        would be a visible ring.
-    """
+    """The union of balls whose centre and radius are linear functions of one parameter."""
 
     start: Vector
     end: Vector
@@ -57,28 +43,7 @@ class RoundCone:
 
 @dataclass(frozen=True, slots=True)
 class Bone:
-    """A rigid part of a skeleton.
-
-    Attributes
-    ----------
-    name : str
-        Unique in the skeleton.
-    parent : str or None
-        Name of the bone that carries this bone; None for the root.
-    head, tail : 3 floats
-        Start of the bone, which is its centre of rotation, and end of the bone, at rest; m.
-    front : 3 floats
-        Direction to which the bone bends; its component perpendicular to the bone is used.
-    flesh : tuple of RoundCone
-        The flesh round the bone. Empty for a link, a bone that only makes a bent joint rounder.
-    joint : str
-        Name of the joint that rotates the bone. Several bones may share the angles of one joint, as in a
-        spine.
-    share : float, default 1
-        Fraction of the angles of the joint that this bone takes.
-    side : {1, -1}, default 1
-        -1 mirrors spread and twist, so that the same angles describe left and right limbs.
-    """
+    """A rigid part of a skeleton."""
 
     name: str
     parent: str | None
@@ -93,22 +58,7 @@ class Bone:
 
 @dataclass(frozen=True, slots=True)
 class Subject:
-    """One individual: a skeleton with its flesh. Hashable, so that the skin of a subject is made only once.
-
-    Attributes
-    ----------
-    family : str
-        ``person``, ``animal`` or ``hand``.
-    bones : tuple of Bone
-        Parents before children; the first is the root.
-    cell : float
-        Edge of the grid cells on which the skin is computed, about the length of the edges of the skin; m.
-
-    Raises
-    ------
-    InputError
-        If names repeat, a parent does not come first, a bone has no length, or a radius is not positive.
-    """
+    """One individual: a skeleton with its flesh. Hashable, so that the skin of a subject is made only once."""
 
     family: str
     bones: tuple[Bone, ...]
@@ -142,37 +92,13 @@ class Subject:
         return float(np.linalg.norm(np.ptp(ends, axis=0)))
 
     def number(self, name: str) -> int:
-        """Position of a bone in `bones`.
-
-        Parameters
-        ----------
-        name : str
-            Name of the bone.
-
-        Returns
-        -------
-        int
-            The position.
-
-        Raises
-        ------
-        ValueError
-            If there is no such bone.
-        """
+        """Position of a bone in `bones`."""
         return [bone.name for bone in self.bones].index(name)
 
 
 @dataclass(frozen=True, slots=True)
 class Contact:
-    """Two parts of a body that must touch.
-
-    Attributes
-    ----------
-    bones, onto : tuple of str
-        Names of the bones of one part, which moves, and of the other part, which it touches.
-    by : tuple of str
-        Names of the joints that are adjusted until the gap between the parts is closed.
-    """
+    """Two parts of a body that must touch."""
 
     bones: tuple[str, ...]
     onto: tuple[str, ...]
@@ -183,13 +109,9 @@ class Contact:
 class Pose:
     """Joint angles.
 
-    Attributes
-    ----------
-    angles : mapping of joint to (bend, spread, twist)
-        Degrees. A bone along d with front f first twists about d, then bends towards f, then spreads
-        towards f × d, which for a hanging left limb is away from the body. Other joints stay at rest.
-    contacts : tuple of Contact
-        Parts that must touch, for any proportions of the subject.
+    angles: mapping of joint to (bend, spread, twist), degrees. A bone along d with front f first twists about
+        d, then bends towards f, then spreads towards f × d, which for a hanging left limb is away from the
+        body. Other joints stay at rest.
     """
 
     angles: Mapping[str, Vector] = field(default_factory=dict)
@@ -208,19 +130,7 @@ class Pose:
     def jittered(self, joints: frozenset[str], spread: float, rng: np.random.Generator) -> Pose:
         """The pose with random changes of its angles.
 
-        Parameters
-        ----------
-        joints : frozenset of str
-            Names of the joints whose angles are changed.
-        spread : float
-            Standard deviation of the normal distribution of each angle; degrees.
-        rng : numpy.random.Generator
-            Source of the random numbers.
-
-        Returns
-        -------
-        Pose
-            The pose with changed angles.
+        spread: standard deviation of the normal distribution of each angle; degrees.
         """
         angles = {
             joint: np.add(self.angles.get(joint, (0.0, 0.0, 0.0)), rng.normal(0, spread, 3))
@@ -232,15 +142,7 @@ class Pose:
 def vector(array: FloatArray) -> Vector:
     """An array of three numbers as a hashable value.
 
-    Parameters
-    ----------
-    array : (3,) float64
-        The numbers.
-
-    Returns
-    -------
-    tuple of 3 floats
-        The numbers.
+    array: (3,) float64, the numbers.
     """
     x, y, z = array.tolist()
     return (x, y, z)

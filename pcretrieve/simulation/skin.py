@@ -34,16 +34,8 @@ ATTACHMENT = 2.0
 class Skin:
     """A surface in the rest pose, and how it follows the bones.
 
-    Attributes
-    ----------
-    subject : Subject
-        The subject.
-    rest : TriangleMesh
-        Closed, manifold, oriented outwards, of Euler characteristic 2; m.
-    weights : (n, b) float64
-        Skinning weight of each bone for each vertex; rows sum to 1.
-    owner : (n,) intp
-        Number of the bone whose flesh is nearest to each vertex at rest.
+    weights: (n, b) float64, skinning weight of each bone for each vertex; rows sum to 1.
+    owner: (n,) intp, number of the bone whose flesh is nearest to each vertex at rest.
     """
 
     subject: Subject
@@ -54,23 +46,7 @@ class Skin:
 
 @lru_cache(maxsize=16)
 def skin(subject: Subject) -> Skin:
-    """The skin of a subject.
-
-    Parameters
-    ----------
-    subject : Subject
-        Bones, flesh and grid cell.
-
-    Returns
-    -------
-    Skin
-        The skin at rest, with its skinning weights.
-
-    Raises
-    ------
-    InputError
-        If the flesh at rest is not a topological ball.
-    """
+    """The skin of a subject."""
     rest = _rest_surface(subject)
     owner = np.argmin([bone_distance(bone, rest.vertices) for bone in subject.bones], axis=0)  # (n,)
     return Skin(subject, rest, _weights(subject, rest, owner), owner)
@@ -79,17 +55,7 @@ def skin(subject: Subject) -> Skin:
 def follow(skin: Skin, moved: FloatArray) -> TriangleMesh:
     """The skin after its bones have moved.
 
-    Parameters
-    ----------
-    skin : Skin
-        Surface at rest and skinning weights.
-    moved : (b, 4, 4) float64
-        Rigid motion of each bone.
-
-    Returns
-    -------
-    TriangleMesh
-        With the faces of the surface at rest; m.
+    moved: (b, 4, 4) float64, rigid motion of each bone.
     """
     return TriangleMesh(blend(skin.weights, moved, skin.rest.vertices), skin.rest.faces)
 
@@ -97,19 +63,10 @@ def follow(skin: Skin, moved: FloatArray) -> TriangleMesh:
 def blend(weights: FloatArray, moved: FloatArray, points: FloatArray) -> FloatArray:
     """Linear blend skinning: points after the weighted mean of the motions of the bones.
 
-    Parameters
-    ----------
-    weights : (n, b) float64
-        Skinning weights; rows sum to 1.
-    moved : (b, 4, 4) float64
-        Rigid motion of each bone.
-    points : (n, 3) float64
-        Points at rest; m.
-
-    Returns
-    -------
-    (n, 3) float64
-        Moved points; m.
+    weights: (n, b) float64, skinning weights; rows sum to 1.
+    moved: (b, 4, 4) float64, rigid motion of each bone.
+    points: (n, 3) float64, points at rest; m.
+    Returns (n, 3) float64: moved points; m.
     """
     mean = np.tensordot(weights, moved, axes=1)  # (n, 4, 4)
     there: FloatArray = np.einsum("nij,nj->ni", mean[:, :3, :3], points) + mean[:, :3, 3]
@@ -174,17 +131,8 @@ def _flesh(subject: Subject, points: FloatArray) -> FloatArray:
 def _smooth_union(a: FloatArray, b: FloatArray, *, width: float) -> FloatArray:
     """Smooth minimum: min(a, b) with a quadratic fillet where |a − b| < width [1]_.
 
-    Parameters
-    ----------
-    a, b : (…,) float64
-        Implicit functions of two bodies.
-    width : float
-        Width of the fillet.
-
-    Returns
-    -------
-    (…,) float64
-        Implicit function of the union.
+    a, b: (…,) float64, implicit functions of two bodies.
+    Returns (…,) float64: implicit function of the union.
 
     References
     ----------
@@ -202,19 +150,8 @@ def _weights(subject: Subject, rest: TriangleMesh, owner: NDArray[np.intp]) -> F
     for others, and H = c / d² for its distance d, so that the weights change over about half of the
     thickness of a limb. Because S·1 = 0, the rows sum to 1.
 
-    Parameters
-    ----------
-    subject : Subject
-        The subject, with b bones.
-    rest : TriangleMesh
-        The surface at rest, n vertices.
-    owner : (n,) intp
-        Number of the bone whose flesh is nearest to each vertex.
-
-    Returns
-    -------
-    (n, b) float64
-        Between 0 and 1.
+    owner: (n,) intp, number of the bone whose flesh is nearest to each vertex.
+    Returns (n, b) float64: between 0 and 1.
 
     References
     ----------

@@ -25,19 +25,8 @@ DOWN = -0.5
 def on_support(mesh: TriangleMesh, points: FloatArray, *, seated: bool) -> NDArray[np.bool_]:
     """The points of a person at which the body touches the ground or a seat.
 
-    Parameters
-    ----------
-    mesh : TriangleMesh
-        A person, as `body` makes it: the y axis points up, and the hips are above the origin.
-    points : (n, 3) float64
-        Points on the surface, with noise; unit of the mesh.
-    seated : bool
-        Whether there is a seat under the hips.
-
-    Returns
-    -------
-    (n,) bool
-        Points of faces that face down, near the lowest point of the body or of the hips.
+    points: (n, 3) float64, points on the surface, with noise; unit of the mesh.
+    Returns (n,) bool: points of faces that face down, near the lowest point of the body or of the hips.
     """
     x, y, z = mesh.vertices.T
     supports = [y.min()]

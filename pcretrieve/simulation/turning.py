@@ -34,38 +34,12 @@ FRAME, CAMERA = "frame{:03d}.png", "camera.json"
 class TurningOptions:
     """A body that turns about a vertical axis before a depth camera.
 
-    Attributes
-    ----------
-    n_frames : int, default 100
-        Number of frames.
-    turn : float, default 360
-        Angle by which the body turns from the first frame to the one after the last; degrees.
-    unevenness : float, default 0.3
-        Standard deviation of the angle between two frames; relative to its mean.
-    width, height : int, default 240 and 320
-        Size of the images; pixels. A camera that stands upright sees more of a person.
-    focal : float, default 340
-        Focal length; pixels.
-    distance, wall : float, default 2.4 and 4
-        Distances of the axis, and of a wall behind it, from the camera; m.
-    camera_height : float, default 1.1
-        Height of the camera above the floor on which the body stands; m.
-    tilt : float, default 4
-        Angle by which the camera looks down; degrees.
-    eccentricity : float, default 0.03
-        Distance of the axis from the centre of the bounding box of the body; m.
-    noise : float, default 0.003
-        Standard deviation of a depth at the distance of the axis; relative to the diagonal of the body. It
-        grows with the square of the depth, as that of cameras that triangulate [1]_.
-    max_incidence : float, default 78
-        Angle between ray and normal beyond which there is no measurement; degrees.
-    flying_share : float, default 0.04
-        Fraction of the pixels on depth edges that mix the depths before and behind the edge.
-
-    Raises
-    ------
-    OptionError
-        If a value is out of range.
+    turn: angle by which the body turns from the first frame to the one after the last; degrees.
+    width, height: size of the images; pixels. A camera that stands upright sees more of a person.
+    focal: focal length; pixels.
+    tilt: angle by which the camera looks down; degrees.
+    max_incidence: angle between ray and normal beyond which there is no measurement; degrees.
+    flying_share: fraction of the pixels on depth edges that mix the depths before and behind the edge.
 
     References
     ----------
@@ -105,26 +79,10 @@ def turning_frames(
 ) -> tuple[FloatArray, FloatArray]:
     """Depth images of a turning body.
 
-    Parameters
-    ----------
-    mesh : TriangleMesh
-        The body, oriented outwards; m. The y axis points up, and its lowest point stands on the floor.
-    options : TurningOptions
-        The camera, and how the body turns.
-    rng : numpy.random.Generator
-        Source of the random numbers.
-
-    Returns
-    -------
-    images : (n_frames, height, width) float64
-        Depth of each pixel, the coordinate z; m, 0 where there is no measurement.
-    motions : (n_frames, 4, 4) float64
-        Rigid motion from the frame of the mesh to the frame of the camera, for each image.
-
-    Raises
-    ------
-    InputError
-        If the mesh has no faces, or no extent.
+    Returns images : (n_frames, height, width) float64: depth of each pixel, the coordinate z; m, 0 where
+        there is no measurement.
+    Returns motions : (n_frames, 4, 4) float64: rigid motion from the frame of the mesh to the frame of the
+        camera, for each image.
     """
     check_surface(mesh)
     scene = RayScene(mesh.vertices, mesh.faces)
@@ -138,19 +96,7 @@ def turning_frames(
 def write_frames(folder: Path, images: FloatArray, options: TurningOptions) -> list[Path]:
     """Write depth images as PNG files of 16 bits, in millimetres, and ``camera.json``, as Open3D writes it.
 
-    Parameters
-    ----------
-    folder : Path
-        Folder of the files, which is created if it does not exist.
-    images : (n, height, width) float64
-        Depths; m.
-    options : TurningOptions
-        Of which the camera is used.
-
-    Returns
-    -------
-    list of Path
-        The images.
+    images: (n, height, width) float64, depths; m.
     """
     from PIL import Image
 

@@ -27,29 +27,7 @@ SAME_PLACE = 1e-3
 
 @dataclass(frozen=True, slots=True)
 class UniformOptions:
-    """Options of a uniform scan. Lengths are relative to the diagonal of the surface.
-
-    Attributes
-    ----------
-    n_points : int, default 30_000
-        Number of points before holes are cut.
-    noise : float, default 0.001
-        Standard deviation of each coordinate; diagonals.
-    n_holes : int, default 6
-        Number of holes: balls round random points of the surface, in which there are no points.
-    hole_radius : float, default 0.02
-        Radius of the holes; diagonals.
-    outlier_share : float, default 0.003
-        Number of random points in the bounding box enlarged by a fifth; relative to `n_points`.
-    sensors : bool, default False
-        Give each point the position of a sensor that can see it, on a sphere round the surface with the
-        radius of `RigOptions`, and leave out the points that no sensor sees.
-
-    Raises
-    ------
-    OptionError
-        If a value is out of range.
-    """
+    """Options of a uniform scan. Lengths are relative to the diagonal of the surface."""
 
     n_points: int = 30_000
     noise: float = 0.001
@@ -67,24 +45,7 @@ class UniformOptions:
 def scan_uniformly(mesh: TriangleMesh, options: UniformOptions, rng: np.random.Generator) -> PointCloud:
     """Random points of a surface, uniform by area, with isotropic Gaussian noise, holes and outliers.
 
-    Parameters
-    ----------
-    mesh : TriangleMesh
-        Oriented outwards.
-    options : UniformOptions
-        Options of the scan.
-    rng : numpy.random.Generator
-        Source of the random numbers.
-
-    Returns
-    -------
-    PointCloud
-        The points; unit of the mesh. With viewpoints if ``options.sensors``.
-
-    Raises
-    ------
-    InputError
-        If the mesh has no area.
+    Returns PointCloud: the points; unit of the mesh. With viewpoints if ``options.sensors``.
     """
     check_surface(mesh)
     points, _ = uniform_points(mesh, options.n_points, rng)
@@ -110,21 +71,10 @@ def _sensors(
     A sensor measures a point with a probability equal to the cosine of the angle of incidence, because the
     density of pixels on an inclined surface is proportional to it.
 
-    Parameters
-    ----------
-    mesh : TriangleMesh
-        The surface.
-    points : (n, 3) float64
-        Points of the surface.
-    rng : numpy.random.Generator
-        Source of the random numbers.
-
-    Returns
-    -------
-    sensors : (n, 3) float64
-        Positions.
-    seen : (n,) bool
-        Whether the sensor measures the point; False if none of `SENSOR_TRIES` positions does.
+    points: (n, 3) float64, points of the surface.
+    Returns sensors : (n, 3) float64: positions.
+    Returns seen : (n,) bool: whether the sensor measures the point; False if none of `SENSOR_TRIES` positions
+        does.
     """
     scene = RayScene(mesh.vertices, mesh.faces)
     steepest = np.cos(np.radians(RigOptions().max_incidence))

@@ -55,22 +55,9 @@ def cubic(mesh: TriangleMesh) -> Assembled:
     The eigenvalues of a flat surface converge with order 6 in the edge length; with lumped mass, with order
     4. On a curved surface the flat faces limit the order to 2.
 
-    Parameters
-    ----------
-    mesh : TriangleMesh
-        A surface with n vertices, e edges and m faces.
-
-    Returns
-    -------
-    Assembled
-        Matrices of n + 2 e + m rows, about 9 n, in the order of `cubic_nodes`. S is symmetric positive
-        semi-definite, dimensionless, S·1 = 0, and its null space is spanned by the constants on the
+    Returns Assembled: matrices of n + 2 e + m rows, about 9 n, in the order of `cubic_nodes`. S is symmetric
+        positive semi-definite, dimensionless, S·1 = 0, and its null space is spanned by the constants on the
         components. M is symmetric positive definite, unit length², 1ᵀM·1 = area.
-
-    Raises
-    ------
-    DegenerateMeshError
-        If there are no faces, a vertex is in no face, or a face has no area.
 
     References
     ----------
@@ -91,17 +78,7 @@ def cubic_nodes(mesh: TriangleMesh, sides: Sides) -> Index:
     With n vertices and e edges, node i is vertex i; nodes n + 2 j and n + 2 j + 1 are on edge j, the first
     nearer to the vertex of lower number; node n + 2 e + f is the centre of face f.
 
-    Parameters
-    ----------
-    mesh : TriangleMesh
-        A surface of m faces.
-    sides : Sides
-        The edges of `mesh`.
-
-    Returns
-    -------
-    (m, 10) int32
-        Node numbers, in the order of the nodes of `CUBIC_REFERENCE`.
+    Returns (m, 10) int32: node numbers, in the order of the nodes of `CUBIC_REFERENCE`.
     """
     n, m = len(mesh.vertices), len(mesh.faces)
     first = n + 2 * sides.edge  # (m, 3)

@@ -22,23 +22,9 @@ def intrinsic_delaunay(mesh: TriangleMesh) -> Assembled:
     beginning, the stiffness matrix is that of `linear`. The flips are made in the tufted cover, which is a
     manifold for every mesh: also with non-manifold edges, inconsistent orientation or duplicate faces.
 
-    Parameters
-    ----------
-    mesh : TriangleMesh
-        A surface with n vertices. If it has degenerate faces, all edges are lengthened by up to 1e-5 of the
-        mean edge length, and a degenerate face has an area of about 1e-3 times its longest side squared.
-
-    Returns
-    -------
-    Assembled
-        Matrices of n rows, one for each vertex. S is symmetric positive semi-definite, dimensionless, S·1 =
-        0, and its null space is spanned by the constants on the components. M is diagonal and positive, unit
-        length²; 1ᵀM·1 = area, if there are no degenerate faces.
-
-    Raises
-    ------
-    DegenerateMeshError
-        If there are no faces, a vertex is in no face, a face has a vertex twice, or all faces have no area.
+    Returns Assembled: matrices of n rows, one for each vertex. S is symmetric positive semi-definite,
+        dimensionless, S·1 = 0, and its null space is spanned by the constants on the components. M is
+        diagonal and positive, unit length²; 1ᵀM·1 = area, if there are no degenerate faces.
 
     References
     ----------

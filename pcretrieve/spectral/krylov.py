@@ -62,18 +62,7 @@ CHUNK = 4096
 
 
 def basis_size(n_pairs: int) -> int:
-    """The largest number of vectors in the basis, at which the iteration is restarted.
-
-    Parameters
-    ----------
-    n_pairs : int
-        Number of eigenpairs.
-
-    Returns
-    -------
-    int
-        Number of vectors.
-    """
+    """The largest number of vectors in the basis, at which the iteration is restarted."""
     return VECTORS_PER_PAIR * n_pairs + SPARE_VECTORS
 
 
@@ -82,37 +71,11 @@ def block_krylov(
 ) -> tuple[FloatArray, FloatArray, int]:
     """Block Lanczos iteration [1]_ with partial reorthogonalisation [2]_ and thick restart [3]_.
 
-    Parameters
-    ----------
-    stiffness, mass : (n, n) sparse
-        S and M, symmetric, such that S − σM is positive definite; n at least `basis_size` + `BLOCK`.
-    n_pairs : int
-        Number of eigenpairs.
-    shift : float
-        σ, less than the smallest eigenvalue; unit length⁻².
-    tolerance : float
-        Largest residual ‖T φ − θ φ‖ / θ of the pairs, in the norm of M; dimensionless. The error of
-        eigenvalues is of the order of its square.
-
-    Returns
-    -------
-    eigenvalues : (n_pairs,) float64
-        Ascending; unit length⁻².
-    vectors : (n, n_pairs) float64
-        M-orthonormal up to `LARGEST_LOST`; unit length⁻¹.
-    n_blocks : int
-        Number of blocks to which T was applied.
-
-    Raises
-    ------
-    NegativeEigenvalues
-        If S − σM is not positive definite.
-    NonFiniteSpectrum
-        If a number overflows.
-    SpectrumNotConverged
-        If the residuals do not decrease below the tolerance.
-    LinAlgError
-        If the space has too few dimensions for another block.
+    stiffness, mass: (n, n) sparse, s and M, symmetric, such that S − σM is positive definite; n at least
+        `basis_size` + `BLOCK`.
+    shift: σ, less than the smallest eigenvalue; unit length⁻².
+    Returns eigenvalues : (n_pairs,) float64: ascending; unit length⁻².
+    Returns vectors : (n, n_pairs) float64: m-orthonormal up to `LARGEST_LOST`; unit length⁻¹.
 
     References
     ----------
@@ -204,36 +167,17 @@ def _orthonormal(
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """Orthogonalise a block against a basis, in the inner product of M.
 
-    Parameters
-    ----------
-    block : (n, BLOCK) float64
-        The block.
-    basis : (width, n) float64
-        The basis, one vector in each row; Qᵀ are its last rows, as many as `known` has.
-    mass : (n, n) sparse
-        M.
-    known : (k, BLOCK) float64
-        The component of the block along Q.
-    drift : (width, BLOCK) float64
-        Estimate of the component of the block along the basis, apart from `known`.
-
-    Returns
-    -------
-    block : (n, BLOCK) float64
-        X, M-orthonormal, with block = Q known + X left.
-    mapped : (n, BLOCK) float64
-        M X.
-    left : (BLOCK, BLOCK) float64
-        The coefficients of X.
-    lost : (width, BLOCK) float64
-        Estimate of the component of X along the basis, at most `LARGEST_LOST`.
-
-    Raises
-    ------
-    NonFiniteSpectrum
-        If a number overflows.
-    LinAlgError
-        If the vectors of the block are linearly dependent on the basis.
+    block: (n, BLOCK) float64, the block.
+    basis: (width, n) float64, the basis, one vector in each row; Qᵀ are its last rows, as many as `known`
+        has.
+    mass: (n, n) sparse, m.
+    known: (k, BLOCK) float64, the component of the block along Q.
+    drift: (width, BLOCK) float64, estimate of the component of the block along the basis, apart from `known`.
+    Returns block : (n, BLOCK) float64: x, M-orthonormal, with block = Q known + X left.
+    Returns mapped : (n, BLOCK) float64: m X.
+    Returns left : (BLOCK, BLOCK) float64: the coefficients of X.
+    Returns lost : (width, BLOCK) float64: estimate of the component of X along the basis, at most
+        `LARGEST_LOST`.
     """
     # Subtracted first: a later projection would multiply it by the loss of orthogonality of the basis.
     block = block - basis[len(basis) - len(known) :].T @ known  # (n, BLOCK)

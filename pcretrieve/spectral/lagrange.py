@@ -40,16 +40,11 @@ class ReferenceElement:
 
     Side k is from corner k to corner k + 1 (modulo 3).
 
-    Attributes
-    ----------
-    along : (q, q) float64
-        C_0 = (1/a) ∫ D_0 φ_i D_0 φ_j with the basis functions φ_i, dimensionless.
-    mass : (q, q) float64
-        (1/a) ∫ φ_i φ_j, dimensionless; J4 of Ye and Yu.
-    turn : (q,) int
-        The permutation of the nodes under the rotation of the triangle that maps corner k to corner k + 1.
-    side : (r,) int
-        The nodes on side 0, including its corners.
+    along: (q, q) float64, c_0 = (1/a) ∫ D_0 φ_i D_0 φ_j with the basis functions φ_i, dimensionless.
+    mass: (q, q) float64, (1/a) ∫ φ_i φ_j, dimensionless; J4 of Ye and Yu.
+    turn: (q,) int, the permutation of the nodes under the rotation of the triangle that maps corner k to
+        corner k + 1.
+    side: (r,) int, the nodes on side 0, including its corners.
     """
 
     along: FloatArray
@@ -66,18 +61,7 @@ class Sides(NamedTuple):
 
 
 def sides_of(mesh: TriangleMesh) -> Sides:
-    """The edges of a surface, in ascending order of the lower and then of the higher vertex number.
-
-    Parameters
-    ----------
-    mesh : TriangleMesh
-        A surface of m faces.
-
-    Returns
-    -------
-    Sides
-        The edge of each side, and the number of faces at each edge.
-    """
+    """The edges of a surface, in ascending order of the lower and then of the higher vertex number."""
     tail, head = mesh.faces.astype(np.int64), np.roll(mesh.faces, -1, axis=1)  # (m, 3) each
     key = np.minimum(tail, head) * len(mesh.vertices) + np.maximum(tail, head)
     _, edge, use = np.unique(key, return_inverse=True, return_counts=True)
@@ -87,21 +71,8 @@ def sides_of(mesh: TriangleMesh) -> Sides:
 def assembled(mesh: TriangleMesh, nodes: Index, element: ReferenceElement, sides: Sides) -> Assembled:
     """Assemble the stiffness matrix and the consistent mass matrix of an element.
 
-    Parameters
-    ----------
-    mesh : TriangleMesh
-        A surface of m faces that satisfies `check_faces`.
-    nodes : (m, q) int
-        Node numbers of each face. Every number from 0 to the largest occurs.
-    element : ReferenceElement
-        The reference matrices.
-    sides : Sides
-        The edges of `mesh`.
-
-    Returns
-    -------
-    Assembled
-        S, dimensionless, and M, unit length², with one row for each node.
+    nodes: (m, q) int, node numbers of each face. Every number from 0 to the largest occurs.
+    Returns Assembled: s, dimensionless, and M, unit length², with one row for each node.
     """
     corners = mesh.vertices[mesh.faces]  # (m, 3, 3)
     edges = np.roll(corners, -1, axis=1) - corners  # (m, 3, 3)
@@ -142,18 +113,7 @@ def _summed(one: FloatArray, other: FloatArray, nodes: Index, n: int) -> tuple[c
 
 
 def check_faces(mesh: TriangleMesh) -> None:
-    """Check that finite elements are defined on a mesh.
-
-    Parameters
-    ----------
-    mesh : TriangleMesh
-        The mesh.
-
-    Raises
-    ------
-    DegenerateMeshError
-        If there are no faces, a vertex is in no face, or a face has no area.
-    """
+    """Check that finite elements are defined on a mesh."""
     check_vertices(mesh)
     flat = int(mesh.flat_faces.sum())
     if flat:
@@ -161,18 +121,7 @@ def check_faces(mesh: TriangleMesh) -> None:
 
 
 def check_vertices(mesh: TriangleMesh) -> None:
-    """Check that a mesh has faces, and that every vertex is in a face.
-
-    Parameters
-    ----------
-    mesh : TriangleMesh
-        The mesh.
-
-    Raises
-    ------
-    DegenerateMeshError
-        If there are no faces, or a vertex is in no face.
-    """
+    """Check that a mesh has faces, and that every vertex is in a face."""
     if not len(mesh.faces):
         raise DegenerateMeshError("a surface must have faces, got none")
     unused = np.ones(len(mesh.vertices), dtype=bool)

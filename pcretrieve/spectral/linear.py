@@ -24,22 +24,9 @@ def linear(mesh: TriangleMesh) -> Assembled:
     The stiffness matrix is the cotangent matrix. The eigenvalues converge with order 2 in the edge length.
     With consistent mass on a flat surface they are upper bounds of the exact eigenvalues.
 
-    Parameters
-    ----------
-    mesh : TriangleMesh
-        A surface with n vertices.
-
-    Returns
-    -------
-    Assembled
-        Matrices of n rows, one for each vertex. S is symmetric positive semi-definite, dimensionless, S·1 =
-        0, and its null space is spanned by the constants on the components. M is symmetric positive definite,
-        unit length², 1ᵀM·1 = area.
-
-    Raises
-    ------
-    DegenerateMeshError
-        If there are no faces, a vertex is in no face, or a face has no area.
+    Returns Assembled: matrices of n rows, one for each vertex. S is symmetric positive semi-definite,
+        dimensionless, S·1 = 0, and its null space is spanned by the constants on the components. M is
+        symmetric positive definite, unit length², 1ᵀM·1 = area.
 
     References
     ----------

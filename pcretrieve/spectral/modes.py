@@ -16,24 +16,7 @@ def unit_eigenpairs(mesh: TriangleMesh, n_pairs: int, element: str = "linear") -
 
     At unit area tolerances mean the same for every surface: the matrix of R-BiHDM scales as length⁴.
 
-    Parameters
-    ----------
-    mesh : TriangleMesh
-        In any unit and place.
-    n_pairs : int
-        Eigenpairs, the constant one included.
-    element : str, default "linear"
-        As in `laplace_beltrami`.
-
-    Returns
-    -------
-    Eigenpairs
-        Eigenvalues dimensionless, multiplied by the area of the surface.
-
-    Raises
-    ------
-    DegenerateMeshError, SpectrumError
-        If the surface has no such operator, or the operator no such pairs.
+    mesh: in any unit and place.
     """
     vertices = (mesh.vertices - mesh.vertices.mean(axis=0)) / np.sqrt(mesh.area)
     return eigenpairs(laplace_beltrami(TriangleMesh(vertices, mesh.faces), element), n_pairs)

@@ -47,22 +47,9 @@ def points(cloud: PointCloud) -> Assembled:
     of the cloud, through the rounding by which the copies of a triangle are ordered around its sides, and
     their eigenvalues are too small on random points.
 
-    Parameters
-    ----------
-    cloud : PointCloud
-        At least 31 distinct points, in any order, with or without normals.
-
-    Returns
-    -------
-    Assembled
-        Matrices of one row for each point. S is symmetric positive semi-definite, dimensionless, S·1 = 0, and
-        its null space is spanned by the constants on the components. M is symmetric positive definite, unit
-        length²; 1ᵀM·1 approximates the area of the sampled surface.
-
-    Raises
-    ------
-    DegenerateMeshError
-        If there are too few points, two points are equal, or a point is in no triangle.
+    Returns Assembled: matrices of one row for each point. S is symmetric positive semi-definite,
+        dimensionless, S·1 = 0, and its null space is spanned by the constants on the components. M is
+        symmetric positive definite, unit length²; 1ᵀM·1 approximates the area of the sampled surface.
 
     References
     ----------
@@ -93,21 +80,8 @@ POINTS = Element("points", points, needs="points", masses=("lumped", "consistent
 def star_mesh(cloud: PointCloud) -> TriangleMesh:
     """A mesh of the Delaunay triangles that at least two of their corners generate, for display.
 
-    Parameters
-    ----------
-    cloud : PointCloud
-        At least 31 distinct points.
-
-    Returns
-    -------
-    TriangleMesh
-        A mesh with small holes, whose area is that of `points` within a few per cent. If the cloud has
-        normals, the faces are oriented by them.
-
-    Raises
-    ------
-    DegenerateMeshError
-        If two points are equal.
+    Returns TriangleMesh: a mesh with small holes, whose area is that of `points` within a few per cent. If
+        the cloud has normals, the faces are oriented by them.
     """
     faces = stars(cloud.points, cloud.normals)
     _, first, times = np.unique(np.sort(faces, axis=1), axis=0, return_index=True, return_counts=True)
@@ -127,22 +101,10 @@ def stars(positions: FloatArray, normals: FloatArray | None = None) -> IntArray:
     computed by gift wrapping for all points at once. If the point itself is a vertex of this hull, it is on a
     boundary, and the two sides at it give no triangles.
 
-    Parameters
-    ----------
-    positions : (n, 3) float64
-        Coordinates of the points.
-    normals : (n, 3) float64, optional
-        Unit normals. Neighbours with opposite normals are not used.
-
-    Returns
-    -------
-    (t, 3) int32
-        Numbers of the points of each triangle, of which the first has the triangle in its star.
-
-    Raises
-    ------
-    DegenerateMeshError
-        If two points are equal.
+    positions: (n, 3) float64, coordinates of the points.
+    normals: (n, 3) float64, optional, unit normals. Neighbours with opposite normals are not used.
+    Returns (t, 3) int32: numbers of the points of each triangle, of which the first has the triangle in its
+        star.
     """
     n = len(positions)
     # (n, 1 + k); the first column is the point itself

@@ -80,15 +80,12 @@ MARGIN = 0.02
 class SurfaceMarks:
     """Where the topology of a surface was changed.
 
-    Attributes
-    ----------
-    cuts : (k, 3) float64
-        Centres of the voxels that were removed to obtain the requested genus; unit of the file.
-    bridges : (j, 3) float64
-        Centres of the voxels that were added to connect a component to the body; unit of the file.
-    base : (p, 3) float64
-        Points of the caps of the base on which the body stands, where no points were measured; unit of the
+    cuts: (k, 3) float64, centres of the voxels that were removed to obtain the requested genus; unit of the
         file.
+    bridges: (j, 3) float64, centres of the voxels that were added to connect a component to the body; unit of
+        the file.
+    base: (p, 3) float64, points of the caps of the base on which the body stands, where no points were
+        measured; unit of the file.
     """
 
     cuts: FloatArray
@@ -113,24 +110,7 @@ def body_surfaces(cloud: PointCloud, options: SurfaceOptions) -> Iterator[tuple[
     Each surface is made on a grid of another voxel edge and another origin. The surfaces differ where the
     points do not determine the surface: where parts touch, and in thin parts.
 
-    Parameters
-    ----------
-    cloud : PointCloud
-        Points with normals.
-    options : SurfaceOptions
-        All options except `mode` and those of the method poisson are used.
-
-    Yields
-    ------
-    mesh : TriangleMesh
-        Closed, connected, manifold and oriented outwards; unit of the file.
-    marks : SurfaceMarks
-        Where voxels were removed and added.
-
-    Raises
-    ------
-    ReconstructionError
-        If the points do not surround a body, or surround two.
+    Yields mesh : TriangleMesh: closed, connected, manifold and oriented outwards; unit of the file.
     """
     started = time.perf_counter()
     neighbors = neighborhoods(cloud.points, PLANE_NEIGHBORS + 1, of_some=True)
@@ -249,28 +229,14 @@ def _surface(
     changes its sign as the body does, the vertex is at the linearly interpolated zero. Elsewhere it is at the
     crossing of the coarse surface, if there is one, else in the middle, and is smoothed afterwards.
 
-    Parameters
-    ----------
-    body : (a, b, c) bool
-        The body after region growing.
-    inside : (a, b, c) bool
-        The body before it.
-    parted : (a, b, c) bool
-        The voxels removed by `contact_layer`.
-    distance : (a, b, c) float32
-        Signed distance to the points; in voxels, NaN far from the points.
-    coarse_crossings : (3, a, b, c) float32
-        Where the coarse surface crosses the grid lines, from `filled`.
-    grid : Grid
-        The grid of the arrays.
-
-    Returns
-    -------
-    mesh : TriangleMesh
-        In the unit of the file.
-    invented : (n,) bool
-        Vertices that no points support. Vertices beside removed contact voxels do not count, because there
-        are points near them.
+    body: (a, b, c) bool, the body after region growing.
+    inside: (a, b, c) bool, the body before it.
+    parted: (a, b, c) bool, the voxels removed by `contact_layer`.
+    distance: (a, b, c) float32, signed distance to the points; in voxels, NaN far from the points.
+    coarse_crossings: (3, a, b, c) float32, where the coarse surface crosses the grid lines, from `filled`.
+    Returns mesh : TriangleMesh: in the unit of the file.
+    Returns invented : (n,) bool: vertices that no points support. Vertices beside removed contact voxels do
+        not count, because there are points near them.
     """
     crossings, invented, unseen = [], [], []
     for axis, here in enumerate(crossed(body)):

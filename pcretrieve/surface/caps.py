@@ -38,12 +38,7 @@ NEAR_PLANE = 0.02
 class Capped(NamedTuple):
     """A surface with caps.
 
-    Attributes
-    ----------
-    surface : TriangleMesh
-        The surface.
-    cap : (m,) int
-        Number of the cap of each face; −1 for a face that is not in a large hole.
+    cap: (m,) int, number of the cap of each face; −1 for a face that is not in a large hole.
     """
 
     surface: TriangleMesh
@@ -57,19 +52,8 @@ def capped(surface: TriangleMesh, cloud: PointCloud, *, spacing: float) -> Cappe
     its vertices is at the mean of its neighbours, so that the cap is in the convex hull of its rim, and flat
     if the rim is planar. The rim is moved to the points.
 
-    Parameters
-    ----------
-    surface : TriangleMesh
-        A closed surface.
-    cloud : PointCloud
-        The points; unit of the surface.
-    spacing : float
-        Of the points; unit of the surface.
-
-    Returns
-    -------
-    Capped
-        The surface with its caps; without large holes, it is not changed.
+    cloud: the points; unit of the surface.
+    spacing: of the points; unit of the surface.
     """
     from scipy.sparse import csr_array, diags_array
     from scipy.sparse.linalg import splu
@@ -103,18 +87,9 @@ def base_of(capped: Capped, cloud: PointCloud) -> Mask:
     largest cap on which the body can stand: few points are beneath its plane, and the mean of the points is
     above the convex hull of the caps that are parallel to it and of the points that touch its plane.
 
-    Parameters
-    ----------
-    capped : Capped
-        A surface with its caps.
-    cloud : PointCloud
-        The points; unit of the surface.
-
-    Returns
-    -------
-    (m,) bool
-        Also the caps of a seat and of hands that rest on something, if they face down; none, if the body
-        cannot stand.
+    cloud: the points; unit of the surface.
+    Returns (m,) bool: also the caps of a seat and of hands that rest on something, if they face down; none,
+        if the body cannot stand.
     """
     surface, cap = capped
     numbers = np.setdiff1d(cap, [NO_CAP])
@@ -154,19 +129,9 @@ def _stands(base: FloatArray, down: FloatArray, cloud: PointCloud) -> bool:
 def points_on(surface: TriangleMesh, faces: Mask, spacing: float) -> FloatArray:
     """Points on some faces of a surface, on a regular grid of each face.
 
-    Parameters
-    ----------
-    surface : TriangleMesh
-        Of m faces.
-    faces : (m,) bool
-        The faces that get points.
-    spacing : float
-        Largest distance between neighbouring points; unit of the surface.
-
-    Returns
-    -------
-    (p, 3) float64
-        The points.
+    faces: (m,) bool, the faces that get points.
+    spacing: largest distance between neighbouring points; unit of the surface.
+    Returns (p, 3) float64: the points.
     """
     corners = surface.vertices[surface.faces[faces]]  # (f, 3, 3)
     longest = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(initial=0.0)

@@ -53,24 +53,8 @@ def coarse_surface(cloud: PointCloud, options: SurfaceOptions, *, spacing: float
     which parts of the body were hidden, it is a screened Poisson surface instead, which bulges out of large
     holes and is replaced by flat caps there.
 
-    Parameters
-    ----------
-    cloud : PointCloud
-        Points with normals.
-    options : SurfaceOptions
-        Of which `fill_depth` is used.
-    spacing : float
-        Of the points; unit of the file.
-
-    Returns
-    -------
-    Capped
-        The surface, of which the largest component is closed, and its caps; unit of the file.
-
-    Raises
-    ------
-    ReconstructionError
-        If there is no surface, or it is not closed.
+    spacing: of the points; unit of the file.
+    Returns Capped: the surface, of which the largest component is closed, and its caps; unit of the file.
     """
     # See docs/decisions.md, LEVEL, for scans with sensor positions.
     surface = _level_set(cloud, 2**options.fill_depth) if cloud.viewpoints is None else None

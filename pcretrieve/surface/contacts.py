@@ -59,21 +59,10 @@ MOST_CONTACTS = 0.08
 def walls(at: FloatArray, normals: FloatArray, shape: tuple[int, int, int], radius: float = DISK) -> Mask:
     """The links between adjacent voxels that cross the surfel of a point.
 
-    Parameters
-    ----------
-    at : (n, 3) float64
-        Coordinates of the points, in voxels.
-    normals : (n, 3) float64
-        Unit normals of the points; their sign does not matter.
-    shape : tuple of int, length 3
-        (a, b, c), the shape of the grid.
-    radius : float, default `DISK`
-        Radius of the surfels; in voxels.
-
-    Returns
-    -------
-    (3, a, b, c) bool
-        For each axis and voxel, whether the link to the next voxel along the axis crosses a surfel.
+    at: (n, 3) float64, coordinates of the points, in voxels.
+    normals: (n, 3) float64, unit normals of the points; their sign does not matter.
+    Returns (3, a, b, c) bool: for each axis and voxel, whether the link to the next voxel along the axis
+        crosses a surfel.
     """
     walls = np.zeros((3, shape[0], shape[1], shape[2]), dtype=np.bool_)
     links = walls.reshape(3, -1)
@@ -102,20 +91,11 @@ def walls(at: FloatArray, normals: FloatArray, shape: tuple[int, int, int], radi
 def rims(at: FloatArray, normals: FloatArray, to_points: Voxels) -> tuple[FloatArray, FloatArray]:
     """Surfels half way between points that face each other across the narrow gap at the rim of a contact.
 
-    Parameters
-    ----------
-    at : (n, 3) float64
-        Coordinates of the points, in voxels.
-    normals : (n, 3) float64
-        Unit normals of the points, which point out of the body.
-    to_points : (a, b, c) float32
-        Distance to the nearest point; in voxels.
-
-    Returns
-    -------
-    middles, directions : (k, 3) float64
-        Centres, in voxels, and unit normals of the surfels; at most one in each voxel. They lie in the plane
-        of symmetry of the two points and their normals.
+    at: (n, 3) float64, coordinates of the points, in voxels.
+    normals: (n, 3) float64, unit normals of the points, which point out of the body.
+    to_points: (a, b, c) float32, distance to the nearest point; in voxels.
+    Returns middles, directions : (k, 3) float64: centres, in voxels, and unit normals of the surfels; at most
+        one in each voxel. They lie in the plane of symmetry of the two points and their normals.
     """
     from scipy.spatial import cKDTree
 
@@ -148,21 +128,11 @@ def contact_layer(inside: Mask, walls: Mask, continued: Mask, to_points: Voxels)
     differ as much in their distance. This is repeated with the surfels that continue the walls inwards from
     the rims of contacts, and with `LONG_DETOUR`.
 
-    Parameters
-    ----------
-    inside : (a, b, c) bool
-        Voxels that may belong to the body; False on the border of the grid.
-    walls : (3, a, b, c) bool
-        The links that cross a surfel, from `walls`.
-    continued : (3, a, b, c) bool
-        The links that cross a surfel from `rims`.
-    to_points : (a, b, c) float32
-        Distance to the nearest point; in voxels.
-
-    Returns
-    -------
-    (a, b, c) bool
-        The voxels of the layer. All False if there are so many that noise is the cause.
+    inside: (a, b, c) bool, voxels that may belong to the body; False on the border of the grid.
+    walls: (3, a, b, c) bool, the links that cross a surfel, from `walls`.
+    continued: (3, a, b, c) bool, the links that cross a surfel from `rims`.
+    to_points: (a, b, c) float32, distance to the nearest point; in voxels.
+    Returns (a, b, c) bool: the voxels of the layer. All False if there are so many that noise is the cause.
     """
     middle = int(np.where(inside, to_points, -1).argmax())
     found = _contacts(inside, _from_limb(inside, walls, middle), DETOUR)

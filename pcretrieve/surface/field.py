@@ -45,25 +45,6 @@ LEAST_OPEN = 0.135
 def distance_field(cloud: PointCloud, outside: Outside) -> tuple[Voxels, Voxels]:
     """Signed distance to the algebraic sphere that is fitted to the points near each voxel [1]_ [2]_.
 
-    Parameters
-    ----------
-    cloud : PointCloud
-        Points with normals.
-    outside : Outside
-        The outside of the body. Hidden points are not used.
-
-    Returns
-    -------
-    distance : float32 array of the shape of the grid
-        Negative inside; in voxels. 0 far from the points.
-    weight : float32 array of the shape of the grid
-        Sum of the Gaussian weights of the points near each voxel; at most 1 for each point.
-
-    Raises
-    ------
-    ReconstructionError
-        If the points have no normals.
-
     References
     ----------
     .. [1] G. Guennebaud and M. Gross, "Algebraic point set surfaces", ACM Transactions on Graphics 26 (2007).
@@ -78,20 +59,7 @@ def distance_field(cloud: PointCloud, outside: Outside) -> tuple[Voxels, Voxels]
 def normals_of(cloud: PointCloud) -> FloatArray:
     """The normals of a cloud, which must have normals.
 
-    Parameters
-    ----------
-    cloud : PointCloud
-        Points with normals.
-
-    Returns
-    -------
-    (n, 3) float64
-        Unit normals.
-
-    Raises
-    ------
-    ReconstructionError
-        If the cloud has no normals.
+    Returns (n, 3) float64: unit normals.
     """
     if cloud.normals is None:
         raise ReconstructionError("reconstruction needs points with normals, these have none")
@@ -101,19 +69,7 @@ def normals_of(cloud: PointCloud) -> FloatArray:
 def folded(cloud: PointCloud, outside: Outside, inside: Mask) -> Mask:
     """The points of folds, such as closed mouths: large components of hidden points that are hardly open.
 
-    Parameters
-    ----------
-    cloud : PointCloud
-        n points with normals.
-    outside : Outside
-        The outside of the body.
-    inside : bool array of the shape of the grid
-        The voxels inside the body.
-
-    Returns
-    -------
-    (n,) bool
-        The points of folds.
+    Returns (n,) bool: the points of folds.
     """
     from scipy import ndimage
 
@@ -152,17 +108,8 @@ def _hidden(cloud: PointCloud, outside: Outside) -> Mask:
 def hidden_below(diagonal: float, cell: float) -> float:
     """The depth below the outside from which points are hidden.
 
-    Parameters
-    ----------
-    diagonal : float
-        Diagonal of the bounding box; unit of the file.
-    cell : float
-        Edge of a voxel; unit of the file.
-
-    Returns
-    -------
-    float
-        In voxels.
+    diagonal: diagonal of the bounding box; unit of the file.
+    cell: edge of a voxel; unit of the file.
     """
     return max(HIDDEN_CELLS, HIDDEN * diagonal / cell)
 

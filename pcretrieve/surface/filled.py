@@ -23,20 +23,9 @@ def filled(mesh: TriangleMesh, grid: Grid) -> tuple[Mask, Voxels]:
     rule). The side of an edge on which a line passes is computed identically for both faces at the edge, so
     that the line crosses exactly one of them. Rays cast in single precision do not guarantee this.
 
-    Parameters
-    ----------
-    mesh : TriangleMesh
-        Closed.
-    grid : Grid
-        A grid of shape (a, b, c). Voxels on its border are never inside.
-
-    Returns
-    -------
-    inside : (a, b, c) bool
-        Voxels whose centre is inside the mesh.
-    crossings : (3, a, b, c) float32
-        For each axis and voxel, where the mesh crosses the line from the centre of the voxel to the next
-        centre: a fraction in [0, 1), NaN if it does not.
+    Returns inside : (a, b, c) bool: voxels whose centre is inside the mesh.
+    Returns crossings : (3, a, b, c) float32: for each axis and voxel, where the mesh crosses the line from
+        the centre of the voxel to the next centre: a fraction in [0, 1), NaN if it does not.
     """
     at = grid.coordinates(mesh.vertices)
     crossings = np.full((3, *grid.shape), np.nan, dtype=np.float32)

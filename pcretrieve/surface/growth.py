@@ -55,20 +55,12 @@ def grown(inside: Mask, priority: Voxels, walls: Mask) -> Mask:
 
     The region is 6-connected and its complement 26-connected.
 
-    Parameters
-    ----------
-    inside : (a, b, c) bool
-        Voxels that may be added; False on the border of the grid.
-    priority : (a, b, c) float32
-        Voxels of the front are added in order of descending priority.
-    walls : (3, a, b, c) bool
-        Whether the link from a voxel to the next along each axis crosses a surfel, from `contacts.walls`. The
-        region grows along such links only after all voxels that are reached by other links.
-
-    Returns
-    -------
-    (a, b, c) bool
-        The region, of genus 0.
+    inside: (a, b, c) bool, voxels that may be added; False on the border of the grid.
+    priority: (a, b, c) float32, voxels of the front are added in order of descending priority.
+    walls: (3, a, b, c) bool, whether the link from a voxel to the next along each axis crosses a surfel, from
+        `contacts.walls`. The region grows along such links only after all voxels that are reached by other
+        links.
+    Returns (a, b, c) bool: the region, of genus 0.
     """
     steps, seed = _steps(inside, priority)
     return _grown(steps, walls, seed)

@@ -33,25 +33,11 @@ def with_topology(
 ) -> tuple[Mask, NDArray[np.intp]]:
     """The body with the requested genus.
 
-    Parameters
-    ----------
-    inside : (a, b, c) bool
-        Voxels that may belong to the body; False on the border of the grid.
-    walls : (3, a, b, c) bool
-        Whether the link from a voxel to the next along each axis crosses a surfel, from `contacts.walls`.
-    outside : Outside
-        The outside of the body, on the same grid.
-    options : SurfaceOptions
-        Of which `genus` is used.
-    notes : list of str
-        Notes on the handles are appended.
-
-    Returns
-    -------
-    body : (a, b, c) bool
-        The voxels of the body.
-    cuts : (k, 3) int
-        The voxels that were removed.
+    inside: (a, b, c) bool, voxels that may belong to the body; False on the border of the grid.
+    walls: (3, a, b, c) bool, whether the link from a voxel to the next along each axis crosses a surfel, from
+        `contacts.walls`.
+    Returns body : (a, b, c) bool: the voxels of the body.
+    Returns cuts : (k, 3) int: the voxels that were removed.
     """
     if options.genus == "free":
         return inside, np.zeros((0, 3), dtype=np.intp)

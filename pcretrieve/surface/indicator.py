@@ -24,21 +24,11 @@ def indicator(points: FloatArray, normals: FloatArray, spacings: FloatArray, gri
     was not seen, χ is the solid angle of the other parts divided by 4π (generalized winding number [2]_):
     in a flat hole it is 1/2.
 
-    Parameters
-    ----------
-    points, normals : (n, 3) float64
-        Coordinates, inside the grid, and unit normals that point out of the body.
-    spacings : (n,) float64
-        The square root of the area of surface for each point. A point stands for an area of at most one face
-        of a voxel. Unit of the points.
-    grid : Grid
-        The grid of shape (a, b, c), on which the body is repeated periodically; there must be some distance
-        between the repetitions.
-
-    Returns
-    -------
-    (a, b, c) float32
-        About 1 inside and 0 outside. Exactly 0 at the corners of the grid.
+    points, normals: (n, 3) float64, coordinates, inside the grid, and unit normals that point out of the
+        body.
+    spacings: (n,) float64, the square root of the area of surface for each point. A point stands for an area
+        of at most one face of a voxel. Unit of the points.
+    Returns (a, b, c) float32: about 1 inside and 0 outside. Exactly 0 at the corners of the grid.
 
     References
     ----------

@@ -19,12 +19,8 @@ __all__ = ["Crossings", "crossed", "marched"]
 class Crossings(NamedTuple):
     """Where a surface crosses the links from a voxel to the next along one axis.
 
-    Attributes
-    ----------
-    at : (k, 3) intp
-        The voxels at which the links begin, from `crossed`.
-    share : (k,) float64, or float for all
-        Position of the crossing, as a fraction of the link.
+    at: (k, 3) intp, the voxels at which the links begin, from `crossed`.
+    share: (k,) float64, or float for all, position of the crossing, as a fraction of the link.
     """
 
     at: NDArray[np.intp]
@@ -63,20 +59,10 @@ def marched(body: Mask, crossings: Sequence[Crossings] = ()) -> tuple[FloatArray
     outside are connected through the cube. With these rules the surface is closed and manifold, and has the
     topology of the boundary, for every set of voxels.
 
-    Parameters
-    ----------
-    body : (a, b, c) bool
-        The set; False on the border of the grid.
-    crossings : sequence of Crossings, length 3, optional
-        Where the surface crosses the links of `crossed` along each axis, between 0 and 1. By default in the
-        middle.
-
-    Returns
-    -------
-    vertices : (n, 3) float64
-        Coordinates, in voxels. The vertices on links come first, in the order of `crossed`.
-    faces : (m, 3) int32
-        Vertex numbers, counter-clockwise seen from outside.
+    body: (a, b, c) bool, the set; False on the border of the grid.
+    Returns vertices : (n, 3) float64: coordinates, in voxels. The vertices on links come first, in the order
+        of `crossed`.
+    Returns faces : (m, 3) int32: vertex numbers, counter-clockwise seen from outside.
 
     References
     ----------
@@ -160,15 +146,8 @@ def _triangulated(
 def crossed(body: Mask) -> list[NDArray[np.intp]]:
     """The links between adjacent voxels of which one is in a set and the other is not.
 
-    Parameters
-    ----------
-    body : (a, b, c) bool
-        The set of voxels.
-
-    Returns
-    -------
-    list of (k, 3) int, length 3
-        For each axis, the voxels at which these links begin.
+    body: (a, b, c) bool, the set of voxels.
+    Returns list of (k, 3) int, length 3: for each axis, the voxels at which these links begin.
     """
     return [_crossed(body, int(x), int(y), int(z)) for x, y, z in np.eye(3)]
 

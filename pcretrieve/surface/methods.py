@@ -53,26 +53,7 @@ SURFACE_METHODS: Registry[SurfaceMethod] = Registry(
 def surfaces(cloud: PointCloud, options: SurfaceOptions) -> Iterator[Reconstructed]:
     """Reconstruct the surfaces of a cloud by the method of the options.
 
-    Parameters
-    ----------
-    cloud : PointCloud
-        Points with normals.
-    options : SurfaceOptions
-        The method, and its parameters.
-
-    Yields
-    ------
-    mesh : TriangleMesh
-        With the provenance of the cloud and a step ``surface``; unit of the file.
-    marks : SurfaceMarks or None
-        Where the topology of the surface was changed, if the method gives them.
-
-    Raises
-    ------
-    ReconstructionError
-        If the method makes no surface.
-    ShapeError
-        If the method fails.
+    Yields mesh : TriangleMesh: with the provenance of the cloud and a step ``surface``; unit of the file.
     """
     record, n = SURFACE_METHODS[options.method], 0
     started = time.perf_counter()

@@ -26,30 +26,10 @@ def joined(
     A component with at least `LEAST_PIECE` of the points is connected to the body by a cylinder of voxels if
     it is near enough; other components are removed.
 
-    Parameters
-    ----------
-    inside : (a, b, c) bool
-        The set of voxels; False on the border of the grid.
-    points : (n, 3) float64
-        The points of the scan; unit of the file.
-    grid : Grid
-        The grid of the voxels.
-    options : SurfaceOptions
-        Of which `bridge` and `max_discarded` are used.
-    notes : list of str
-        A note for each component that was connected or removed is appended.
-
-    Returns
-    -------
-    body : (a, b, c) bool
-        6-connected, without cavities.
-    bridges : (j, 3) int
-        The voxels that were added to connect components.
-
-    Raises
-    ------
-    ReconstructionError
-        If a component that is too far away has more than `max_discarded` of the points.
+    inside: (a, b, c) bool, the set of voxels; False on the border of the grid.
+    points: (n, 3) float64, the points of the scan; unit of the file.
+    Returns body : (a, b, c) bool: 6-connected, without cavities.
+    Returns bridges : (j, 3) int: the voxels that were added to connect components.
     """
     from scipy.ndimage import distance_transform_edt
 

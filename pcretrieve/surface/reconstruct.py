@@ -21,26 +21,7 @@ SAMPLE_SEED = 0
 
 
 def sound_mesh(mesh: TriangleMesh, options: SurfaceOptions) -> TriangleMesh | None:
-    """The mesh that is used without reconstruction, or None if it must be reconstructed.
-
-    Parameters
-    ----------
-    mesh : TriangleMesh
-        Any mesh.
-    options : SurfaceOptions
-        Of which `mode` is used. ``auto``: keep a closed, connected manifold, and orient it outwards.
-        ``keep``: keep the repaired mesh, see `repaired`, with its holes. ``reconstruct``: keep no mesh.
-
-    Returns
-    -------
-    TriangleMesh or None
-        The mesh, with a step ``topology`` in its provenance. None if it must be reconstructed.
-
-    Raises
-    ------
-    DegenerateMeshError
-        If the mode is ``keep`` and the mesh is one-sided, or has no face with an area.
-    """
+    """The mesh that is used without reconstruction, or None if it must be reconstructed."""
     started = time.perf_counter()
     if options.mode == "reconstruct":
         return None
@@ -60,25 +41,7 @@ def sound_mesh(mesh: TriangleMesh, options: SurfaceOptions) -> TriangleMesh | No
 
 
 def sampled(mesh: TriangleMesh, options: SurfaceOptions) -> PointCloud:
-    """Random points on a mesh, with uniform density by area.
-
-    Parameters
-    ----------
-    mesh : TriangleMesh
-        Any two-sided mesh.
-    options : SurfaceOptions
-        Of which `sample_points`, the number of points, is used.
-
-    Returns
-    -------
-    PointCloud
-        The points without normals, with a step ``sample`` in its provenance. Equal meshes give equal points.
-
-    Raises
-    ------
-    DegenerateMeshError
-        If no face has an area, or the surface is one-sided.
-    """
+    """Random points on a mesh, with uniform density by area."""
     started = time.perf_counter()
     if not mesh.area > 0:
         raise DegenerateMeshError(f"no face of {len(mesh.faces)} has an area", stage=Stage.SURFACE)
@@ -97,28 +60,7 @@ def sampled(mesh: TriangleMesh, options: SurfaceOptions) -> PointCloud:
 
 
 def poisson_surface(cloud: PointCloud, options: SurfaceOptions) -> TriangleMesh:
-    """Screened Poisson reconstruction of oriented points, simplified and repaired.
-
-    Parameters
-    ----------
-    cloud : PointCloud
-        Points with normals.
-    options : SurfaceOptions
-        Of which `poisson_depth`, `poisson_scale`, `density_trim`, `max_discarded` and `target_faces` are
-        used. If `reconstructions` is 2 or more, a note says that there is only one surface.
-
-    Returns
-    -------
-    TriangleMesh
-        A connected manifold, oriented outwards. Closed if `density_trim` is 0; otherwise it has holes where
-        vertices were removed, which the remesher closes.
-
-    Raises
-    ------
-    ReconstructionError
-        If the points have no normals, the reconstruction is empty, has two large components, or is not a
-        closed manifold.
-    """
+    """Screened Poisson reconstruction of oriented points, simplified and repaired."""
     if cloud.normals is None:
         raise ReconstructionError("reconstruction needs points with normals, these have none")
     started = time.perf_counter()

@@ -18,20 +18,6 @@ def reduced(mesh: TriangleMesh, options: SurfaceOptions) -> TriangleMesh:
 
     The time and memory of a spectrum grow faster than the number of faces, while its error is small already:
     see docs/decisions.md, max_faces.
-
-    Parameters
-    ----------
-    mesh : TriangleMesh
-        Near the origin; as `sound_mesh` returns it.
-    options : SurfaceOptions
-        Of which `max_faces` is used.
-
-    Returns
-    -------
-    TriangleMesh
-        The mesh itself, if it has no more faces. Otherwise a simplified one, with a step ``simplify`` in its
-        provenance: of a closed manifold, which stays one, by `pcretrieve.surface.simplify`; of a mesh with
-        holes by Open3D, and repaired.
     """
     if len(mesh.faces) <= options.max_faces:
         return mesh

@@ -26,23 +26,6 @@ def remesh(mesh: TriangleMesh, options: RemeshOptions) -> TriangleMesh:
     The boundary is used if, after repair, it is a closed manifold, and its area and volume differ by at most
     ``options.max_change`` from those of the input (if the input has holes, only the area is compared).
     Otherwise the input is returned, with the reason in its provenance.
-
-    Parameters
-    ----------
-    mesh : TriangleMesh
-        Oriented outwards (positive volume).
-    options : RemeshOptions
-        The method and its parameters. With the method ``none`` the input is returned.
-
-    Returns
-    -------
-    TriangleMesh
-        Closed, connected, manifold and oriented outwards.
-
-    Raises
-    ------
-    RemeshError
-        If the boundary cannot be used, and the input has defects.
     """
     if options.method == "none":
         return mesh
@@ -80,17 +63,9 @@ REMESH = SurfaceFilter("remesh", remesh, RemeshOptions, near_origin=True, of_kep
 def boundary_faces(nodes: FloatArray, tetrahedra: IntArray) -> IntArray:
     """The boundary of a tetrahedral mesh: the faces that belong to exactly one tetrahedron.
 
-    Parameters
-    ----------
-    nodes : (p, 3) float64
-        Coordinates of the nodes.
-    tetrahedra : (q, 4) int32
-        Node numbers of each tetrahedron, in any orientation.
-
-    Returns
-    -------
-    (m, 3) int32
-        Node numbers of each face, counter-clockwise seen from outside.
+    nodes: (p, 3) float64, coordinates of the nodes.
+    tetrahedra: (q, 4) int32, node numbers of each tetrahedron, in any orientation.
+    Returns (m, 3) int32: node numbers of each face, counter-clockwise seen from outside.
     """
     a, b, c, d = (nodes[tetrahedra[:, k]] for k in range(4))
     negative = np.einsum("ij,ij->i", np.cross(b - a, c - a), d - a) < 0  # (q,)

@@ -30,23 +30,6 @@ def repaired(mesh: TriangleMesh) -> tuple[TriangleMesh, Notes]:
 
     Non-manifold edges and vertices are split, all but the largest component are removed, and the faces are
     oriented outwards. A closed surface remains closed. Holes are not filled.
-
-    Parameters
-    ----------
-    mesh : TriangleMesh
-        Any mesh.
-
-    Returns
-    -------
-    mesh : TriangleMesh
-        The repaired mesh.
-    notes : tuple of str
-        A sentence for each kind of repair that was necessary.
-
-    Raises
-    ------
-    DegenerateMeshError
-        If no faces remain, or the surface is one-sided.
     """
     used, unused = used_vertices(mesh)
     thick, flat = collapse_flat_faces(used)
@@ -70,20 +53,7 @@ def repaired(mesh: TriangleMesh) -> tuple[TriangleMesh, Notes]:
 
 
 def used_vertices(mesh: TriangleMesh) -> tuple[TriangleMesh, Notes]:
-    """Remove unreferenced vertices.
-
-    Parameters
-    ----------
-    mesh : TriangleMesh
-        Any mesh.
-
-    Returns
-    -------
-    mesh : TriangleMesh
-        The mesh without the vertices that are in no face.
-    notes : tuple of str
-        Number of the vertices, if there were any.
-    """
+    """Remove unreferenced vertices."""
     used = compact(mesh.vertices, mesh.faces)
     n_unused = len(mesh.vertices) - len(used.vertices)
     return (used, (f"dropped {n_unused} vertices that are in no face",)) if n_unused else (mesh, ())
@@ -95,18 +65,6 @@ def collapse_flat_faces(mesh: TriangleMesh) -> tuple[TriangleMesh, Notes]:
     Removing the faces instead would leave slits between their neighbours. The side is collapsed to the
     end that it shares with the longest side of the face. The other end lies on the longest side too, so that
     the shape does not change.
-
-    Parameters
-    ----------
-    mesh : TriangleMesh
-        Any mesh.
-
-    Returns
-    -------
-    mesh : TriangleMesh
-        A mesh without degenerate faces.
-    notes : tuple of str
-        Number of the faces that were removed, if there were any.
     """
     n_faces, flat = len(mesh.faces), mesh.flat_faces
     while flat.any():  # terminates: each round removes faces
@@ -134,18 +92,6 @@ def drop_repeated_faces(mesh: TriangleMesh) -> tuple[TriangleMesh, Notes]:
     It is distinguished from a face that was stored twice by the number of faces at its sides, which is even
     for a pair. If most faces are in such pairs, the mesh is a deliberate two-sided sheet, and one face of
     each pair is kept.
-
-    Parameters
-    ----------
-    mesh : TriangleMesh
-        Any mesh.
-
-    Returns
-    -------
-    mesh : TriangleMesh
-        A mesh in which no two faces have the same corners.
-    notes : tuple of str
-        Number of the faces that were removed, if there were any.
     """
     group = face_groups(mesh.faces)  # (m,)
     _, first, count = np.unique(group, return_index=True, return_counts=True)
@@ -164,27 +110,7 @@ def drop_repeated_faces(mesh: TriangleMesh) -> tuple[TriangleMesh, Notes]:
 
 
 def largest_component(mesh: TriangleMesh, most: float = 1.0) -> tuple[TriangleMesh, Notes]:
-    """The connected component of largest area.
-
-    Parameters
-    ----------
-    mesh : TriangleMesh
-        Any mesh.
-    most : float, default 1.0
-        Largest area of the second component, relative to the whole area.
-
-    Returns
-    -------
-    mesh : TriangleMesh
-        The largest component.
-    notes : tuple of str
-        Number and area of the components that were removed, if there were any.
-
-    Raises
-    ------
-    ReconstructionError
-        If the second component has more than `most` of the area.
-    """
+    """The connected component of largest area."""
     piece = components(mesh)  # (m,)
     areas = np.bincount(piece, weights=mesh.face_areas)
     if len(areas) < 2:
@@ -200,20 +126,7 @@ def largest_component(mesh: TriangleMesh, most: float = 1.0) -> tuple[TriangleMe
 
 
 def outward(mesh: TriangleMesh) -> tuple[TriangleMesh, Notes]:
-    """Orient a closed mesh outwards.
-
-    Parameters
-    ----------
-    mesh : TriangleMesh
-        Closed and consistently oriented.
-
-    Returns
-    -------
-    mesh : TriangleMesh
-        The mesh with positive volume.
-    notes : tuple of str
-        A note, if the orientation was reversed.
-    """
+    """Orient a closed mesh outwards."""
     if mesh.volume >= 0:
         return mesh, ()
     turned = TriangleMesh(mesh.vertices, mesh.faces[:, ::-1], mesh.provenance)

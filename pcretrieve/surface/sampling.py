@@ -15,21 +15,8 @@ def uniform_points(
 ) -> tuple[FloatArray, NDArray[np.intp]]:
     """Random points of a surface, uniform by area [1]_.
 
-    Parameters
-    ----------
-    mesh : TriangleMesh
-        Of positive area.
-    n : int
-        Number of points.
-    rng : numpy.random.Generator
-        Source of the random numbers.
-
-    Returns
-    -------
-    points : (n, 3) float64
-        In the unit of the mesh.
-    faces : (n,) intp
-        Number of the face that each point lies on.
+    Returns points : (n, 3) float64: in the unit of the mesh.
+    Returns faces : (n,) intp: number of the face that each point lies on.
 
     References
     ----------

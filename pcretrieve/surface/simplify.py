@@ -48,23 +48,7 @@ def simplified(mesh: TriangleMesh, n_faces: int) -> TriangleMesh:
     over the original corners p_f, in faces f of normal n_f and area A_f, that have been collapsed into the
     vertex. The second term gives faces of even shape. The result does not depend on the unit of length.
 
-    Parameters
-    ----------
-    mesh : TriangleMesh
-        Closed, manifold and oriented; any number of components.
-    n_faces : int
-        Largest number of faces.
-
-    Returns
-    -------
-    TriangleMesh
-        Closed, manifold and oriented; unit of the input.
-
-    Raises
-    ------
-    DegenerateMeshError
-        If an edge is not in exactly two faces of consistent orientation, a vertex has more than one fan of
-        faces, or no face has an area.
+    Returns TriangleMesh: closed, manifold and oriented; unit of the input.
 
     References
     ----------

@@ -16,21 +16,10 @@ SHRINK, SWELL = 0.5, -0.53
 def smoothed(vertices: FloatArray, faces: IntArray, moving: NDArray[np.intp], n_rounds: int) -> FloatArray:
     """Smooth some vertices of a surface by Taubin's filter [1]_.
 
-    Parameters
-    ----------
-    vertices : (n, 3) float64
-        Coordinates of all vertices, in any unit.
-    faces : (m, 3) int32
-        Vertex numbers of each face.
-    moving : (k,) int
-        The vertices that are smoothed; the others are fixed.
-    n_rounds : int
-        Number of rounds, each with one step λ and one step μ.
-
-    Returns
-    -------
-    (n, 3) float64
-        Coordinates of all vertices, in the unit of the input.
+    vertices: (n, 3) float64, coordinates of all vertices, in any unit.
+    faces: (m, 3) int32, vertex numbers of each face.
+    moving: (k,) int, the vertices that are smoothed; the others are fixed.
+    Returns (n, 3) float64: coordinates of all vertices, in the unit of the input.
 
     References
     ----------

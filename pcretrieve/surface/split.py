@@ -18,16 +18,6 @@ def split_non_manifold(mesh: TriangleMesh) -> TriangleMesh:
     If the faces around an edge do not bound an interior, as where three sheets meet, they are separated and
     leave a boundary.
 
-    Parameters
-    ----------
-    mesh : TriangleMesh
-        Consistently oriented, without degenerate and duplicate faces.
-
-    Returns
-    -------
-    TriangleMesh
-        A manifold; closed, if the input is closed and oriented outwards.
-
     References
     ----------
     .. [1] A. Guéziec, G. Taubin, F. Lazarus and B. Horn, "Cutting and stitching: converting sets of polygons

@@ -15,23 +15,7 @@ __all__ = ["Defects", "compact", "components", "defects", "face_groups", "orient
 
 @dataclass(frozen=True, slots=True)
 class Defects:
-    """The number of each kind of defect of a triangulation.
-
-    Attributes
-    ----------
-    boundary_edges : int
-        Edges with one face.
-    non_manifold_edges : int
-        Edges with three or more faces.
-    non_manifold_vertices : int
-        Vertices with more than one fan of faces, except those of non-manifold edges.
-    inconsistent_edges : int
-        Edges with two faces of opposite orientation.
-    degenerate_faces : int
-        Faces without an area, and duplicates of an earlier face.
-    components : int
-        Connected components; 1 for a connected surface, which is no defect.
-    """
+    """The number of each kind of defect of a triangulation."""
 
     boundary_edges: int
     non_manifold_edges: int
@@ -65,16 +49,6 @@ def defects(mesh: TriangleMesh) -> Defects:
 
     Self-intersections are not counted: the Laplace–Beltrami operator does not depend on them, and their
     detection takes a hundred times longer than everything else (docs/decisions.md, defects).
-
-    Parameters
-    ----------
-    mesh : TriangleMesh
-        Any mesh.
-
-    Returns
-    -------
-    Defects
-        False as a truth value, if the mesh is a closed, oriented, connected manifold.
     """
     if _is_sound(mesh):
         return SOUND
@@ -106,15 +80,7 @@ def _is_sound(mesh: TriangleMesh) -> bool:
 def components(mesh: TriangleMesh) -> Index:
     """The connected components of a mesh.
 
-    Parameters
-    ----------
-    mesh : TriangleMesh
-        A mesh of m faces.
-
-    Returns
-    -------
-    (m,) int
-        Number of the component of each face, in order of descending area.
+    Returns (m,) int: number of the component of each face, in order of descending area.
     """
     a, b, c = mesh.faces.T
     of_vertex = joined_by(np.concatenate([a, b]), np.concatenate([b, c]), len(mesh.vertices))  # (n,)
@@ -126,17 +92,10 @@ def components(mesh: TriangleMesh) -> Index:
 def orient_faces(mesh: TriangleMesh) -> tuple[TriangleMesh, int] | None:
     """Reverse faces until the orientation is consistent at every edge with two faces.
 
-    Parameters
-    ----------
-    mesh : TriangleMesh
-        Any mesh.
-
-    Returns
-    -------
-    (TriangleMesh, int) or None
-        The consistently oriented mesh, and the number of reversed faces. In each patch of faces that are
-        connected at edges with two faces, the orientation of the majority is kept; if both are equally
-        frequent, that of the first face. None if the surface is not orientable (a Möbius strip).
+    Returns (TriangleMesh, int) or None: the consistently oriented mesh, and the number of reversed faces. In
+        each patch of faces that are connected at edges with two faces, the orientation of the majority is
+        kept; if both are equally frequent, that of the first face. None if the surface is not orientable (a
+        Möbius strip).
     """
     edges, m = edges_of(mesh.faces), len(mesh.faces)
     a, b = edges.pairs.T  # half-edges
@@ -163,17 +122,8 @@ def orient_faces(mesh: TriangleMesh) -> tuple[TriangleMesh, int] | None:
 def compact(vertices: FloatArray, faces: IntArray) -> TriangleMesh:
     """A mesh of the vertices that are referenced by faces.
 
-    Parameters
-    ----------
-    vertices : (n, 3) float64
-        Coordinates.
-    faces : (m, 3) int32
-        Vertex numbers of each face.
-
-    Returns
-    -------
-    TriangleMesh
-        The faces, with the referenced vertices renumbered in their order.
+    vertices: (n, 3) float64, coordinates.
+    faces: (m, 3) int32, vertex numbers of each face.
     """
     used = np.zeros(len(vertices), dtype=bool)
     used[faces] = True
@@ -184,15 +134,8 @@ def compact(vertices: FloatArray, faces: IntArray) -> TriangleMesh:
 def face_groups(faces: NDArray[np.integer]) -> Index:
     """Group faces that have the same three corners, in any order.
 
-    Parameters
-    ----------
-    faces : (m, 3) int
-        Vertex numbers of each face.
-
-    Returns
-    -------
-    (m,) int
-        Number of the group of each face.
+    faces: (m, 3) int, vertex numbers of each face.
+    Returns (m,) int: number of the group of each face.
     """
     corners = np.sort(faces, axis=1)  # (m, 3)
     order = np.lexsort(corners.T)

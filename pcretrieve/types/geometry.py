@@ -263,15 +263,8 @@ class TriangleMesh(Value):
 def bounding_diagonal(points: FloatArray) -> float:
     """Diagonal of the axis-aligned bounding box of points.
 
-    Parameters
-    ----------
-    points : (n, 3) float64
-        In any unit.
-
-    Returns
-    -------
-    float
-        The length; unit of the points. 0 if there are no points.
+    points: (n, 3) float64, in any unit.
+    Returns float: the length; unit of the points. 0 if there are no points.
     """
     # Column by column: along the first axis of short rows, NumPy takes twenty times as long.
     return float(np.linalg.norm([np.ptp(column) for column in points.T])) if len(points) else 0.0

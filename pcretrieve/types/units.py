@@ -21,14 +21,7 @@ SizeUnit = Literal["m", "unknown"]
 def unit_of(metres: float) -> str | None:
     """The unit of a length.
 
-    Parameters
-    ----------
-    metres : float
-        Length of the unit; metres.
-
-    Returns
-    -------
-    str or None
-        The symbol, a key of `METRES`; None if no unit has this length, to six digits.
+    metres: length of the unit; metres.
+    Returns str or None: the symbol, a key of `METRES`; None if no unit has this length, to six digits.
     """
     return next((unit for unit, length in METRES.items() if math.isclose(length, metres, rel_tol=1e-6)), None)

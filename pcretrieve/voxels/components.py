@@ -15,20 +15,9 @@ __all__ = ["components"]
 def components(voxels: Mask, corners: bool) -> tuple[NDArray[np.int32], NDArray[np.int64]]:
     """Label the connected components of a set of voxels, by runs along the last axis [1]_.
 
-    Parameters
-    ----------
-    voxels : (a, b, c) bool
-        The set.
-    corners : bool
-        Whether voxels are adjacent that have only an edge or a corner in common (26-connected), or voxels
-        with a common face alone (6-connected).
-
-    Returns
-    -------
-    labels : (a, b, c) int32
-        Number of the component of each voxel, from 1, in the order of their first voxels; 0 outside the set.
-    sizes : (n + 1,) int64
-        Number of voxels with each label.
+    voxels: (a, b, c) bool, the set.
+    Returns labels : (a, b, c) int32: number of the component of each voxel, from 1, in the order of their
+        first voxels; 0 outside the set.
 
     References
     ----------

@@ -24,17 +24,9 @@ def distances(sources: Mask, limit: float) -> Voxels:
     neighbours on its lines. All loops are over lines of the last axis, which are contiguous, so that they
     compute eight voxels at once; lines that are beyond the limit are skipped.
 
-    Parameters
-    ----------
-    sources : (a, b, c) bool
-        The source voxels.
-    limit : float
-        Largest distance; in voxels.
-
-    Returns
-    -------
-    (a, b, c) float32
-        Distances, at most `limit`; in voxels. `limit` everywhere if there are no sources.
+    sources: (a, b, c) bool, the source voxels.
+    Returns (a, b, c) float32: distances, at most `limit`; in voxels. `limit` everywhere if there are no
+        sources.
 
     References
     ----------

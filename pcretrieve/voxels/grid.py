@@ -23,14 +23,8 @@ Voxels: TypeAlias = NDArray[np.float32]
 class Grid:
     """A grid of cubic voxels. The coordinates of a voxel are those of its centre.
 
-    Attributes
-    ----------
-    origin : (3,) float64
-        Centre of voxel (0, 0, 0); unit of the file.
-    cell : float
-        Edge of a voxel; unit of the file.
-    shape : tuple of int, length 3
-        Number of voxels along each axis.
+    origin: (3,) float64, centre of voxel (0, 0, 0); unit of the file.
+    cell: edge of a voxel; unit of the file.
     """
 
     origin: FloatArray
@@ -41,21 +35,10 @@ class Grid:
     def around(cls, points: FloatArray, cell: float, margin: int, shift: FloatArray | float = 0.0) -> Grid:
         """The smallest grid that contains points and a margin.
 
-        Parameters
-        ----------
-        points : (n, 3) float64
-            Coordinates; unit of the file.
-        cell : float
-            Edge of a voxel; unit of the file.
-        margin : int
-            Number of additional voxels on every side.
-        shift : (3,) float64 or float, default 0.0
-            Displacement of the grid in the negative directions; in voxels.
-
-        Returns
-        -------
-        Grid
-            Every point is in a voxel of it.
+        points: (n, 3) float64, coordinates; unit of the file.
+        cell: edge of a voxel; unit of the file.
+        shift: (3,) float64 or float, default 0.0, displacement of the grid in the negative directions; in
+            voxels.
         """
         low, high = points.min(axis=0) - np.asarray(shift) * cell, points.max(axis=0)
         n_x, n_y, n_z = (np.ceil((high - low) / cell).astype(int) + 2 * margin + 1).tolist()

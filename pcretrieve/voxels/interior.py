@@ -23,18 +23,6 @@ def interior(mesh: TriangleMesh, grid: Grid) -> Mask:
     winding number is not zero along two axes or three, so that a hole of an open surface is closed where the
     lines along the two other axes do not pass through it.
 
-    Parameters
-    ----------
-    mesh : TriangleMesh
-        The surface, in either orientation.
-    grid : Grid
-        A grid around the surface.
-
-    Returns
-    -------
-    bool array of `grid.shape`
-        Voxels inside.
-
     References
     ----------
     .. [1] F. Nooruddin and G. Turk, "Simplification and repair of polygonal models using volumetric

@@ -28,20 +28,7 @@ CLEARANCE = 1.8
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Outside:
-    """The outside of a body.
-
-    Attributes
-    ----------
-    grid : Grid
-        The grid of the arrays.
-    reached : bool array of `grid.shape`
-        Voxels outside, which the flood fill has reached.
-    depth : float32 array of `grid.shape`
-        Distance to the nearest voxel outside; in voxels.
-    distance : float32 array of `grid.shape`
-        Distance to the nearest voxel with a point, at most `FARTHEST` or the thickness of the walls + 1; in
-        voxels.
-    """
+    """The outside of a body."""
 
     grid: Grid
     reached: Mask
@@ -76,23 +63,10 @@ def flood(
     flood fill continues from the voxels reached through those between walls and points, for as many steps as
     the walls are thick, so that it reaches the space between fingers too, which the walls had closed.
 
-    Parameters
-    ----------
-    points : (n, 3) float64
-        Coordinates; unit of the file.
-    cell : float
-        Edge of a voxel, about the spacing of the points; unit of the file.
-    gap : float
-        Radius of the largest hole that is closed; unit of the file.
-    shift : (3,) float64 or float, default 0.0
-        Displacement of the grid in the negative directions; in voxels.
-    deepest : float, default infinity
-        Largest depth that is measured; in voxels.
-
-    Returns
-    -------
-    Outside
-        The voxels outside, and the distances to them and to the points.
+    points: (n, 3) float64, coordinates; unit of the file.
+    cell: edge of a voxel, about the spacing of the points; unit of the file.
+    gap: radius of the largest hole that is closed; unit of the file.
+    shift: (3,) float64 or float, default 0.0, displacement of the grid in the negative directions; in voxels.
     """
     wall = gap / cell
     grid = Grid.around(points, cell, int(np.ceil(wall)) + MARGIN, shift)
@@ -149,17 +123,9 @@ def _regrown(outside: Mask, distance: Voxels, n_steps: int, clearance: float) ->
 def sampled(values: Voxels, at: FloatArray) -> FloatArray:
     """Values on a grid, interpolated between the centres of voxels by trilinear interpolation.
 
-    Parameters
-    ----------
-    values : (a, b, c) float32
-        A value in each voxel; each side has at least two voxels.
-    at : (n, 3) float64
-        Positions, in voxels. Positions outside the grid are moved to its border.
-
-    Returns
-    -------
-    (n,) float64
-        The values at the positions.
+    values: (a, b, c) float32, a value in each voxel; each side has at least two voxels.
+    at: (n, 3) float64, positions, in voxels. Positions outside the grid are moved to its border.
+    Returns (n,) float64: the values at the positions.
     """
     found = np.empty(len(at))
     for i in range(len(at)):

@@ -56,18 +56,7 @@ LONGEST_FORM = 10_000
 
 
 def application(site: Site) -> Application:
-    """The application that answers requests, without any check of who asks.
-
-    Parameters
-    ----------
-    site : Site
-        The catalogue.
-
-    Returns
-    -------
-    ASGI application
-        The application. Paths are given to it percent-encoded.
-    """
+    """The application that answers requests, without any check of who asks."""
     from starlette.applications import Starlette
     from starlette.exceptions import HTTPException
     from starlette.requests import ClientDisconnect

@@ -34,31 +34,7 @@ class _Row(NamedTuple):
 
 
 def compare_page(catalogue: Catalogue, title: str, a: str, b: str, options: PipelineOptions) -> str:
-    """Two shapes in 3-D, which turn together, and what differs.
-
-    Parameters
-    ----------
-    catalogue : Catalogue
-        The catalogue.
-    title : str
-        Name of the collection.
-    a, b : str
-        The ids of the shapes.
-    options : PipelineOptions
-        How shapes are compared.
-
-    Returns
-    -------
-    str
-        The page.
-
-    Raises
-    ------
-    NotFound
-        If there is no such shape.
-    InputError
-        If one of the shapes has no signature, because it failed.
-    """
+    """Two shapes in 3-D, which turn together, and what differs."""
     records = [catalogue.get(shape_id) for shape_id in (a, b)]
     for shape_id, record in zip((a, b), records, strict=True):
         if record is None:
@@ -81,27 +57,7 @@ def compare_page(catalogue: Catalogue, title: str, a: str, b: str, options: Pipe
 
 
 def scene_document(catalogue: Catalogue, shape_id: str, thumbnails: Thumbnails) -> dict[str, Any]:
-    """The surface of a shape for the viewer of a browser, simplified if it has too many faces.
-
-    Parameters
-    ----------
-    catalogue : Catalogue
-        The catalogue.
-    shape_id : str
-        The id of the shape.
-    thumbnails : Thumbnails
-        The pictures, on which the same direction is upwards.
-
-    Returns
-    -------
-    dict
-        The scene, for a JSON document.
-
-    Raises
-    ------
-    NotFound
-        If there is no such shape, or its mesh is not stored.
-    """
+    """The surface of a shape for the viewer of a browser, simplified if it has too many faces."""
     mesh = _mesh(catalogue, shape_id)
     up = thumbnails.up(catalogue, mesh)
     if len(mesh.faces) > MOST_FACES:
@@ -110,25 +66,7 @@ def scene_document(catalogue: Catalogue, shape_id: str, thumbnails: Thumbnails) 
 
 
 def glb_of(catalogue: Catalogue, shape_id: str) -> bytes:
-    """The surface of a shape as a binary glTF file, in the unit of the scan.
-
-    Parameters
-    ----------
-    catalogue : Catalogue
-        The catalogue.
-    shape_id : str
-        The id of the shape.
-
-    Returns
-    -------
-    bytes
-        The file.
-
-    Raises
-    ------
-    NotFound
-        If there is no such shape, or its mesh is not stored.
-    """
+    """The surface of a shape as a binary glTF file, in the unit of the scan."""
     return mesh_bytes(_mesh(catalogue, shape_id), "glb")
 
 

@@ -31,18 +31,7 @@ CSV_COLUMNS = ("query", "rank", "id", "label", "distance", "score", "file")
 
 
 def shape_document(record: Record) -> Document:
-    """What a catalogue says of one shape.
-
-    Parameters
-    ----------
-    record : Record
-        The record.
-
-    Returns
-    -------
-    dict
-        The JSON document.
-    """
+    """What a catalogue says of one shape."""
     document: Document = {
         "id": record.id,
         "file": Path(record.path).name,
@@ -64,20 +53,7 @@ def shape_document(record: Record) -> Document:
 
 
 def listing_document(catalogue: Catalogue, listing: Listing) -> Document:
-    """A page of the collection.
-
-    Parameters
-    ----------
-    catalogue : Catalogue
-        The shapes.
-    listing : Listing
-        Which of them.
-
-    Returns
-    -------
-    dict
-        The JSON document.
-    """
+    """A page of the collection."""
     found = listed(catalogue, listing)
     return {
         "total": found.total,
@@ -88,18 +64,7 @@ def listing_document(catalogue: Catalogue, listing: Listing) -> Document:
 
 
 def job_document(job: Job) -> Document:
-    """How far the processing of an uploaded scan is.
-
-    Parameters
-    ----------
-    job : Job
-        The job.
-
-    Returns
-    -------
-    dict
-        The JSON document.
-    """
+    """How far the processing of an uploaded scan is."""
     document: Document = {
         "job": job.id,
         "name": job.name,
@@ -119,24 +84,7 @@ def job_document(job: Job) -> Document:
 def similar_to(
     catalogue: Catalogue, query: str | Described, asked: Similar, options: PipelineOptions
 ) -> Answer:
-    """The neighbours of a shape of the catalogue, without the shape, or of a scan.
-
-    Parameters
-    ----------
-    catalogue : Catalogue
-        The catalogue that is searched.
-    query : str or Described
-        The id of the shape, or the signature of the scan.
-    asked : Similar
-        What is asked.
-    options : PipelineOptions
-        How shapes are compared.
-
-    Returns
-    -------
-    Answer
-        The answer.
-    """
+    """The neighbours of a shape of the catalogue, without the shape, or of a scan."""
     return answer_to(
         catalogue,
         query,
@@ -151,27 +99,7 @@ def similar_to(
 def similar_document(
     catalogue: Catalogue, name: str, asked: Similar, options: PipelineOptions, answer: Answer
 ) -> Document:
-    """An answer with its query and the settings by which it was found.
-
-    Parameters
-    ----------
-    catalogue : Catalogue
-        The catalogue that was searched.
-    name : str
-        The query: the id of a shape, or the name of a scan.
-    asked : Similar
-        What was asked.
-    options : PipelineOptions
-        How shapes are compared.
-    answer : Answer
-        The answer.
-
-    Returns
-    -------
-    dict
-        The JSON document; ``results`` and ``vote`` as `pcretrieve query --json` prints them, with the names
-        of files in place of their paths.
-    """
+    """An answer with its query and the settings by which it was found."""
     return {
         "query": name,
         "arguments": asdict(asked),
@@ -185,20 +113,7 @@ def similar_document(
 
 
 def similar_csv(name: str, answer: Answer) -> str:
-    """An answer as a table.
-
-    Parameters
-    ----------
-    name : str
-        The query.
-    answer : Answer
-        The answer.
-
-    Returns
-    -------
-    str
-        The columns of `pcretrieve query --csv`, with the names of files in place of their paths.
-    """
+    """An answer as a table."""
     rows = [{"query": name, **_without_path(row)} for row in result_rows(answer)]
     return csv_text(CSV_COLUMNS, ([row[column] for column in CSV_COLUMNS] for row in rows))
 

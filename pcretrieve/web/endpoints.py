@@ -31,19 +31,7 @@ __all__ = ["ENDPOINTS", "KEPT_AS", "Endpoint", "Field", "Question", "jobs_of"]
 
 
 class Question(NamedTuple):
-    """A request that a reader of the catalogue answers.
-
-    Attributes
-    ----------
-    site : Site
-        What the server has.
-    catalogue : Catalogue
-        The catalogue, open in this thread.
-    name : str
-        The name in the path: the id of a shape or of a job; empty if there is none.
-    fields : mapping of str to str
-        The fields of the address.
-    """
+    """A request that a reader of the catalogue answers."""
 
     site: Site
     catalogue: Catalogue
@@ -52,21 +40,7 @@ class Question(NamedTuple):
 
 
 class Field(NamedTuple):
-    """A field of an address.
-
-    Attributes
-    ----------
-    name : str
-        Its name.
-    words : str
-        What it says.
-    type : {"string", "integer", "number"}
-        Its type in JSON schema.
-    choices : tuple of str
-        All values that it may have; empty for any.
-    required : bool
-        Whether it must be given.
-    """
+    """A field of an address."""
 
     name: str
     words: str
@@ -76,21 +50,7 @@ class Field(NamedTuple):
 
 
 class Endpoint(NamedTuple):
-    """An address that is answered from the catalogue.
-
-    Attributes
-    ----------
-    path : str
-        The address; ``{id}`` stands for a name.
-    answer : callable
-        From the question to the answer.
-    words : str
-        What is answered.
-    media_type : str
-        The type of the answer.
-    fields : tuple of Field
-        The fields of the address.
-    """
+    """An address that is answered from the catalogue."""
 
     path: str
     answer: Callable[[Question], Reply]
@@ -105,23 +65,7 @@ class Endpoint(NamedTuple):
 
 
 def jobs_of(site: Site) -> Jobs:
-    """The uploaded scans of a server.
-
-    Parameters
-    ----------
-    site : Site
-        What the server has.
-
-    Returns
-    -------
-    Jobs
-        The scans.
-
-    Raises
-    ------
-    NotFound
-        If the server takes no scans.
-    """
+    """The uploaded scans of a server."""
     if site.jobs is None:
         raise NotFound("this server takes no scans: it was started with --read-only")
     return site.jobs

@@ -10,20 +10,7 @@ __all__ = ["without_folders"]
 
 
 def without_folders(text: str, folder: Path | None = None) -> str:
-    """A message without the folders of absolute paths in it: of ``/data/scans/a.ply`` the name remains.
-
-    Parameters
-    ----------
-    text : str
-        A message.
-    folder : Path, optional
-        A folder that the message may name, which is removed even if it is relative or has blanks.
-
-    Returns
-    -------
-    str
-        The message.
-    """
+    """A message without the folders of absolute paths in it: of ``/data/scans/a.ply`` the name remains."""
     for known in (folder, Path(gettempdir())):
         if known is not None and known.name:
             text = text.replace(f"{known}/", "/")

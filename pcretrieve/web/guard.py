@@ -52,32 +52,14 @@ class _Refusal(NamedTuple):
 
 
 class Guard:
-    """An ASGI application that hands on requests with the right host, origin and token, and no others.
-
-    Parameters
-    ----------
-    application : ASGI application
-        What answers these requests. The path that it is given is percent-encoded still, so that names of
-        shapes may have any character.
-    token : str
-        The token: the value of ``token`` in an address, of the header ``Authorization: Bearer``, or of the
-        cookie that an address with the token sets.
-    """
+    """An ASGI application that hands on requests with the right host, origin and token, and no others."""
 
     def __init__(self, application: Application, token: str) -> None:
         self._application = application
         self._token = token.encode()
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Answer one request.
-
-        Parameters
-        ----------
-        scope : mapping
-            The request, as by the ASGI specification.
-        receive, send : callable
-            Ways of the parts of request and answer.
-        """
+        """Answer one request."""
         if scope["type"] == "lifespan":
             await self._application(scope, receive, send)
             return

@@ -20,21 +20,8 @@ def inspection_page(
 ) -> bytes:
     """The page of a scan as by `pcretrieve inspect --rescans 0 --catalogue`; in a worker process.
 
-    Parameters
-    ----------
-    location : str
-        The path or the URL of the catalogue, in which the next body is looked for.
-    title : str
-        Name of the collection.
-    options : PipelineOptions
-        The options by which the scan is processed.
-    item : (str, str, Path)
-        The name of the file, as the browser gave it; the address of the page of the nearest shapes; the file.
-
-    Returns
-    -------
-    bytes
-        HTML, in UTF-8.
+    item: (str, str, Path), the name of the file, as the browser gave it; the address of the page of the
+        nearest shapes; the file.
     """
     # Imported here, because the server does not need the stages.
     from pcretrieve.interface.scans import inspect

@@ -19,28 +19,7 @@ State = Literal["waiting", "running", "done", "failed"]
 class Job:
     """One uploaded scan.
 
-    Attributes
-    ----------
-    id : str
-        A random name.
-    name : str
-        The name of the file, as the browser gave it; no file of the server has it.
-    state : {"waiting", "running", "done", "failed"}
-        How far its signature is.
-    stages : tuple of (str, float)
-        The stages that have ended, and their times in seconds.
-    described : Described or None
-        The signature, the verdict and the picture, if it is done.
-    error : PcretrieveError or None
-        Why it failed.
-    inspection : {"waiting", "done", "failed"}
-        How far its inspection page is, which is made after the signature, also of a scan that failed.
-    page : bytes or None
-        The inspection page, if it is done, and not too long ago.
-    scan : Path or None
-        The file, if it is still there.
-    kept_as : str or None
-        The id of the shape, if the scan was kept.
+    stages: tuple of (str, float), the stages that have ended, and their times in seconds.
     """
 
     id: str
@@ -62,15 +41,7 @@ class Job:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Upload:
-    """A scan that is received or processed.
-
-    Attributes
-    ----------
-    job : Job
-        The job of the scan.
-    folder : Path
-        A folder for its files alone.
-    """
+    """A scan that is received or processed."""
 
     job: Job
     folder: Path

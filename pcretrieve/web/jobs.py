@@ -47,22 +47,7 @@ class Jobs:
     Their files are removed when they have been inspected, and, if they can be kept, when they were, or are
     too long ago; those of a server that was killed, when the next one starts.
 
-    Parameters
-    ----------
-    location : str
-        The path or the URL of the catalogue, for the inspection.
-    title : str
-        Name of the collection.
-    options : PipelineOptions
-        The options by which scans are processed.
-    timeout : float
-        Longest time for a scan; seconds.
-    memory : float
-        Largest heap of a process; GiB.
-    up : {"x", "-x", "y", "-y", "z", "-z"}, optional
-        The axis of the files that points upwards; by default found for each scan.
-    collection : Collection, optional
-        Where scans are kept, if they can be.
+    timeout: longest time for a scan; seconds.
     """
 
     def __init__(
@@ -92,23 +77,7 @@ class Jobs:
         self._open: dict[str, Upload] = {}
 
     def begin(self, name: str) -> Upload:
-        """Make room for a scan before it is received.
-
-        Parameters
-        ----------
-        name : str
-            The name of its file.
-
-        Returns
-        -------
-        Upload
-            Where the scan is stored; `submit` or `abandon` ends it.
-
-        Raises
-        ------
-        Busy
-            If too many scans wait.
-        """
+        """Make room for a scan before it is received."""
         with self._lock:
             if len(self._open) >= MOST_WAITING:
                 raise Busy(f"{MOST_WAITING} scans are waiting already: try again in a minute")
@@ -124,15 +93,7 @@ class Jobs:
         upload.remove()
 
     def submit(self, upload: Upload, scan: Path) -> None:
-        """Have a scan processed.
-
-        Parameters
-        ----------
-        upload : Upload
-            From `begin`.
-        scan : Path
-            The file, in the folder of the upload.
-        """
+        """Have a scan processed."""
         upload.job.scan = scan
         with self._lock:
             self._jobs[upload.job.id] = upload
@@ -148,23 +109,7 @@ class Jobs:
         return upload.job
 
     def keep(self, job_id: str, shape_id: str, label: str | None) -> Future[Record]:
-        """Have a scan stored in the collection, after those that wait.
-
-        Parameters
-        ----------
-        job_id : str
-            The name of the job.
-        shape_id : str
-            The id of the shape.
-        label : str or None
-            Its class, if known.
-
-        Returns
-        -------
-        Future
-            The record of the shape, when it is stored. Its errors are those of `Collection.add`, and
-            NotFound if there is no such scan, its file is gone, or this server keeps none.
-        """
+        """Have a scan stored in the collection, after those that wait."""
         return self._thread.submit(self._keep, self._upload(job_id), shape_id, label)
 
     def close(self) -> None:

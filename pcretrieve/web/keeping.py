@@ -25,16 +25,7 @@ LONGEST_LABEL = 200
 class Collection:
     """Where scans are kept.
 
-    Attributes
-    ----------
-    location : str
-        The path or the URL of the catalogue.
-    folder : Path
-        The folder of the files.
-    timeout : float
-        Longest time for a scan; seconds.
-    memory : float
-        Largest heap of the process that processes it; GiB.
+    timeout: longest time for a scan; seconds.
     """
 
     location: str
@@ -43,28 +34,7 @@ class Collection:
     memory: float
 
     def add(self, scan: Path, shape_id: str, label: str | None) -> Record:
-        """Store a scan as `pcretrieve ingest` does, which processes it once more.
-
-        Parameters
-        ----------
-        scan : Path
-            The file, of which a copy is made.
-        shape_id : str
-            The id of the shape, and the name of the copy without its suffix.
-        label : str or None
-            The class, if known.
-
-        Returns
-        -------
-        Record
-            The record that the catalogue has now.
-
-        Raises
-        ------
-        InputError
-            If the id or the class cannot be, the id is taken, the catalogue has this content already, or the
-            scan fails; the catalogue and the folder are then as before.
-        """
+        """Store a scan as `pcretrieve ingest` does, which processes it once more."""
         label = label or None
         if not ID.fullmatch(shape_id):
             raise InputError(

@@ -17,35 +17,14 @@ LAST = "9999-12-31"
 
 
 class Found(NamedTuple):
-    """The shapes of one page.
-
-    Attributes
-    ----------
-    total : int
-        Number of shapes on all pages.
-    records : list of Record
-        The records of this page, in its order.
-    """
+    """The shapes of one page."""
 
     total: int
     records: list[Record]
 
 
 def listed(catalogue: Catalogue, listing: Listing) -> Found:
-    """Find the shapes of one page.
-
-    Parameters
-    ----------
-    catalogue : Catalogue
-        The shapes.
-    listing : Listing
-        Which of them, and which page.
-
-    Returns
-    -------
-    Found
-        Their number, and the records of the page.
-    """
+    """Find the shapes of one page."""
     words = listing.words.casefold().split()
     among = None
     if listing.state == "doubtful":
@@ -75,16 +54,5 @@ def listed(catalogue: Catalogue, listing: Listing) -> Found:
 
 
 def class_names(catalogue: Catalogue) -> list[str]:
-    """The classes of the shapes of a catalogue.
-
-    Parameters
-    ----------
-    catalogue : Catalogue
-        The shapes.
-
-    Returns
-    -------
-    list of str
-        Each class once, in alphabetical order.
-    """
+    """The classes of the shapes of a catalogue."""
     return sorted({origin.label for origin in catalogue.origins() if origin.label is not None})

@@ -27,12 +27,8 @@ PATIENCE = 1.0
 class Layout(NamedTuple):
     """Places of shapes.
 
-    Attributes
-    ----------
-    rows : (n,) int
-        The shapes, as rows of the index.
-    places : (n, 2) float64
-        The place of each, within [0, 1]².
+    rows: (n,) int, the shapes, as rows of the index.
+    places: (n, 2) float64, the place of each, within [0, 1]².
     """
 
     rows: NDArray[np.intp]
@@ -49,18 +45,7 @@ class Maps:
         self._layout: Future[Layout] | None = None
 
     def of(self, index: SignatureIndex) -> Layout | None:
-        """The map of an index, of a random sample if it is large.
-
-        Parameters
-        ----------
-        index : SignatureIndex
-            The shapes.
-
-        Returns
-        -------
-        Layout or None
-            The places; None as long as they are computed.
-        """
+        """The map of an index, of a random sample if it is large."""
         points = index.contents.filter.points
         key = len(index), hash(tuple(index.ids)), float(points.sum())
         with self._lock:

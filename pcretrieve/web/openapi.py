@@ -38,13 +38,7 @@ OTHERS: list[tuple[str, str, str, tuple[Field, ...]]] = [
 
 
 def openapi_document() -> dict[str, Any]:
-    """Describe the addresses for scripts, and for the generators of their clients.
-
-    Returns
-    -------
-    dict
-        The JSON document, as by the OpenAPI specification 3.1.
-    """
+    """Describe the addresses for scripts, and for the generators of their clients."""
     operations = [(it.path, it.words, it.media_type, it.fields) for it in ENDPOINTS]
     paths: dict[str, Any] = {
         path: {"get": _operation(path, words, media_type, fields)}

@@ -16,15 +16,7 @@ Answer = TypeVar("Answer")
 
 
 class Readers:
-    """A few threads, each with the catalogue open, because a connection belongs to the thread that made it.
-
-    Parameters
-    ----------
-    location : str
-        The path or the URL of the catalogue.
-    n : int
-        Number of threads.
-    """
+    """A few threads, each with the catalogue open, because a connection belongs to the thread that made it."""
 
     def __init__(self, location: str, n: int) -> None:
         self._location = location
@@ -33,28 +25,11 @@ class Readers:
         self._threads = ThreadPoolExecutor(n, thread_name_prefix="pcretrieve-reader")
 
     async def read(self, function: Callable[[Catalogue], Answer]) -> Answer:
-        """Apply a function to the catalogue in one of the threads.
-
-        Parameters
-        ----------
-        function : callable
-            A function of the open catalogue.
-
-        Returns
-        -------
-        object
-            What the function returned.
-        """
+        """Apply a function to the catalogue in one of the threads."""
         return await asyncio.wrap_future(self._threads.submit(self._applied, function))
 
     def prepare(self, function: Callable[[Catalogue], object]) -> None:
-        """Apply a function to the catalogue in one of the threads, without waiting for it.
-
-        Parameters
-        ----------
-        function : callable
-            A function of the open catalogue.
-        """
+        """Apply a function to the catalogue in one of the threads, without waiting for it."""
         self._threads.submit(self._applied, function)
 
     def close(self) -> None:

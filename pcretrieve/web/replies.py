@@ -14,17 +14,7 @@ KEPT = {"cache-control": "private, max-age=3600"}
 
 
 class Reply(NamedTuple):
-    """What is sent to a browser.
-
-    Attributes
-    ----------
-    content : str or bytes
-        The body.
-    media_type : str
-        What the body is.
-    headers : mapping of str to str
-        Further headers.
-    """
+    """What is sent to a browser."""
 
     content: str | bytes
     media_type: str
@@ -32,50 +22,17 @@ class Reply(NamedTuple):
 
 
 def html_reply(page: str) -> Reply:
-    """A page, which is asked for again each time.
-
-    Parameters
-    ----------
-    page : str
-        The page.
-
-    Returns
-    -------
-    Reply
-        The answer.
-    """
+    """A page, which is asked for again each time."""
     return Reply(_encoded(page), "text/html")
 
 
 def json_reply(document: dict[str, Any]) -> Reply:
-    """A JSON document, which is asked for again each time.
-
-    Parameters
-    ----------
-    document : dict
-        The document.
-
-    Returns
-    -------
-    Reply
-        The answer.
-    """
+    """A JSON document, which is asked for again each time."""
     return Reply(json.dumps(document, separators=(",", ":")), "application/json")
 
 
 def csv_reply(table: str) -> Reply:
-    """A table, which browsers store as a file.
-
-    Parameters
-    ----------
-    table : str
-        The table.
-
-    Returns
-    -------
-    Reply
-        The answer.
-    """
+    """A table, which browsers store as a file."""
     headers = FRESH | {"content-disposition": 'attachment; filename="similar.csv"'}
     return Reply(_encoded(table), "text/csv", headers)
 

@@ -41,20 +41,7 @@ class Busy(InputError):
 class Listing:
     """Which shapes are listed, and in which order.
 
-    Attributes
-    ----------
-    words : str
-        Parts of ids, in any case; all of them must occur.
-    label : str
-        A class; the empty string for all.
-    state : {"", "done", "doubtful", "failed"}
-        Which shapes: all, those with a signature, those whose verdict is not "sound", those without.
-    sort : {"id", "-id", "label", "-label", "added", "-added"}
-        The order; ``-`` for descending.
-    since, until : str
-        First and last day on which shapes were added, such as ``2026-01-31``; the empty string for any.
-    page : int
-        Number of the page, from 1.
+    sort: the order; ``-`` for descending.
     """
 
     words: str = ""
@@ -67,23 +54,7 @@ class Listing:
 
     @classmethod
     def of(cls, fields: Mapping[str, str]) -> Listing:
-        """Read the fields ``q label state sort since until page`` of an address.
-
-        Parameters
-        ----------
-        fields : mapping of str to str
-            The fields; others are ignored.
-
-        Returns
-        -------
-        Listing
-            What is listed.
-
-        Raises
-        ------
-        OptionError
-            If a field has a value that it cannot have.
-        """
+        """Read the fields ``q label state sort since until page`` of an address."""
         state, sort = fields.get("state", ""), fields.get("sort") or "id"
         if state not in STATES:
             raise OptionError(f"state must be one of {', '.join(STATES[1:])}, or empty, got {state!r}")
@@ -103,17 +74,7 @@ class Listing:
 
 @dataclass(frozen=True, slots=True)
 class Similar:
-    """What is asked of the neighbours of a shape.
-
-    Attributes
-    ----------
-    k : int
-        Number of results.
-    label : str
-        The class that is searched; the empty string for all.
-    min_score : float or None
-        Least score of a result.
-    """
+    """What is asked of the neighbours of a shape."""
 
     k: int = 12
     label: str = ""
@@ -121,23 +82,7 @@ class Similar:
 
     @classmethod
     def of(cls, fields: Mapping[str, str]) -> Similar:
-        """Read the fields ``k label min_score`` of an address.
-
-        Parameters
-        ----------
-        fields : mapping of str to str
-            The fields; others are ignored.
-
-        Returns
-        -------
-        Similar
-            What is asked.
-
-        Raises
-        ------
-        OptionError
-            If a field is no number, or outside its limits.
-        """
+        """Read the fields ``k label min_score`` of an address."""
         least = fields.get("min_score", "").strip()
         try:
             min_score = float(least) if least else None

@@ -15,27 +15,7 @@ __all__ = ["Site"]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Site:
-    """One catalogue and everything that is kept of it between requests.
-
-    Attributes
-    ----------
-    searching, drawing : Readers
-        The threads that read the catalogue: for searches, and for all that takes longer.
-    title : str
-        Name of the collection.
-    options : PipelineOptions
-        How shapes are compared.
-    jobs : Jobs or None
-        The uploaded scans; None if scans cannot be uploaded.
-    most_bytes : int
-        Largest size of an uploaded scan.
-    thumbnails : Thumbnails
-        The thumbnails that were drawn.
-    maps : Maps
-        The map of the collection.
-    up : {"x", "-x", "y", "-y", "z", "-z"} or None
-        The axis of the files that points upwards; None if it is found from the shapes.
-    """
+    """One catalogue and everything that is kept of it between requests."""
 
     searching: Readers
     drawing: Readers

@@ -23,35 +23,13 @@ RECEIVING_TIMEOUT = 600.0
 
 
 def upload_suffixes() -> tuple[str, ...]:
-    """The suffixes of files that can be uploaded, and that this installation can read.
-
-    Returns
-    -------
-    tuple of str
-        Lower case, with the dot.
-    """
+    """The suffixes of files that can be uploaded, and that this installation can read."""
     known = suffixes()
     return tuple(suffix for suffix in ONE_FILE if suffix in known and not missing_extra(suffix))
 
 
 def checked_suffix(name: str) -> str:
-    """The suffix of an uploaded file.
-
-    Parameters
-    ----------
-    name : str
-        The name of the file.
-
-    Returns
-    -------
-    str
-        One of `upload_suffixes`.
-
-    Raises
-    ------
-    InputError
-        If the name is too long or has another suffix.
-    """
+    """The suffix of an uploaded file."""
     suffix = PurePosixPath(name).suffix.lower()
     if suffix not in upload_suffixes() or len(name) > LONGEST_NAME:
         raise InputError(
@@ -64,35 +42,7 @@ def checked_suffix(name: str) -> str:
 async def received(
     chunks: AsyncIterable[bytes], folder: Path, suffix: str, *, most_bytes: int, announced: str | None
 ) -> Path:
-    """Store the body of a request as a file.
-
-    Parameters
-    ----------
-    chunks : async iterable of bytes
-        The body.
-    folder : Path
-        Where the file is made, which must be empty. Its name is not that which the browser gave.
-    suffix : str
-        The suffix of the file.
-    most_bytes : int
-        The largest size.
-    announced : str or None
-        The header ``Content-Length``.
-
-    Returns
-    -------
-    Path
-        The file.
-
-    Raises
-    ------
-    TooLarge
-        If the announced or the received size is larger, as soon as that is known.
-    TooSlow
-        If it has not arrived in time.
-    InputError
-        If nothing was received.
-    """
+    """Store the body of a request as a file."""
     message = f"a scan may have at most {most_bytes} bytes: reduce it, or use `pcretrieve query`"
     if announced is not None and announced.isdecimal() and int(announced[:20]) > most_bytes:
         raise TooLarge(message)

@@ -26,26 +26,7 @@ __all__ = ["collection_page", "map_page", "refusal_page", "scan_page", "shape_pa
 def collection_page(
     catalogue: Catalogue, title: str, listing: Listing, most_bytes: int, *, keeps_scans: bool
 ) -> str:
-    """The shapes of the catalogue as thumbnails, with a form to search them by name and class.
-
-    Parameters
-    ----------
-    catalogue : Catalogue
-        The shapes.
-    title : str
-        Name of the collection.
-    listing : Listing
-        Which shapes are shown.
-    most_bytes : int
-        Largest size of a scan that may be uploaded; 0 if none may.
-    keeps_scans : bool
-        Whether an uploaded scan can be stored in the catalogue.
-
-    Returns
-    -------
-    str
-        The page.
-    """
+    """The shapes of the catalogue as thumbnails, with a form to search them by name and class."""
     return page_template("collection.html").render(
         title=title,
         listing=listing,
@@ -58,24 +39,7 @@ def collection_page(
 
 
 def map_page(catalogue: Catalogue, title: str, maps: Maps, options: PipelineOptions) -> str:
-    """The shapes of the catalogue in the plane, similar ones near each other.
-
-    Parameters
-    ----------
-    catalogue : Catalogue
-        The shapes.
-    title : str
-        Name of the collection.
-    maps : Maps
-        Where the places are kept.
-    options : PipelineOptions
-        How shapes are compared.
-
-    Returns
-    -------
-    str
-        The page; as long as the places are computed, one that loads itself again.
-    """
+    """The shapes of the catalogue in the plane, similar ones near each other."""
     index = catalogue.index(options)
     layout = maps.of(index)
     drawing, ids = None, []
@@ -95,31 +59,7 @@ def map_page(catalogue: Catalogue, title: str, maps: Maps, options: PipelineOpti
 def shape_page(
     catalogue: Catalogue, title: str, shape_id: str, asked: Similar, options: PipelineOptions
 ) -> str:
-    """A shape and its nearest neighbours; of a failed shape, why it failed.
-
-    Parameters
-    ----------
-    catalogue : Catalogue
-        The catalogue.
-    title : str
-        Name of the collection.
-    shape_id : str
-        The id of the shape.
-    asked : Similar
-        What is asked of the neighbours.
-    options : PipelineOptions
-        How shapes are compared.
-
-    Returns
-    -------
-    str
-        The page.
-
-    Raises
-    ------
-    NotFound
-        If there is no such shape.
-    """
+    """A shape and its nearest neighbours; of a failed shape, why it failed."""
     record = catalogue.get(shape_id)
     if record is None:
         raise NotFound(f"there is no shape {shape_id!r}")
@@ -146,30 +86,7 @@ def scan_page(
     has_picture: bool,
     can_be_kept: bool,
 ) -> str:
-    """An uploaded scan: how far it is, why it failed, or its nearest neighbours.
-
-    Parameters
-    ----------
-    catalogue : Catalogue
-        The catalogue.
-    title : str
-        Name of the collection.
-    job : dict
-        The document of the job.
-    asked : Similar
-        What is asked of the neighbours.
-    found : dict or None
-        The document of the answer; None while there is none.
-    has_picture : bool
-        Whether there is a picture of the scan.
-    can_be_kept : bool
-        Whether the scan can be stored in the catalogue.
-
-    Returns
-    -------
-    str
-        The page.
-    """
+    """An uploaded scan: how far it is, why it failed, or its nearest neighbours."""
     return page_template("scan.html").render(
         title=title,
         job=job,
@@ -182,18 +99,5 @@ def scan_page(
 
 
 def refusal_page(title: str, message: str) -> str:
-    """Why there is no page.
-
-    Parameters
-    ----------
-    title : str
-        Name of the collection.
-    message : str
-        What does not hold, and what to do.
-
-    Returns
-    -------
-    str
-        The page.
-    """
+    """Why there is no page."""
     return page_template("refusal.html").render(title=title, message=message)
