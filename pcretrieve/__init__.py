@@ -69,7 +69,7 @@ if TYPE_CHECKING:
     from pcretrieve.retrieval import SignatureIndex, Whitening
     from pcretrieve.searching import Answer
     from pcretrieve.spectral import eigenpairs, laplace_beltrami
-    from pcretrieve.types import (
+    from pcretrieve.values import (
         Eigenpairs,
         LaplaceBeltrami,
         ModalSpectrum,
@@ -267,7 +267,7 @@ _HOMES = {
         "eigenpairs",
         "laplace_beltrami",
     ),
-    "pcretrieve.types": (
+    "pcretrieve.values": (
         "Eigenpairs",
         "LaplaceBeltrami",
         "ModalSpectrum",

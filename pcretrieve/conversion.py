@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike
 
 from pcretrieve.adapters.geometry import geometry_arrays
 from pcretrieve.errors import InputError
-from pcretrieve.types import PointCloud, TriangleMesh
+from pcretrieve.values import PointCloud, TriangleMesh
 
 __all__ = [
     "CloudLike",

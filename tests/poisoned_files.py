@@ -8,7 +8,7 @@ import numpy as np
 import shapes
 from numpy.typing import NDArray
 
-from pcretrieve.types import FloatArray
+from pcretrieve.values import FloatArray
 
 POINTS = shapes.points_on(shapes.body(), 6000)
 

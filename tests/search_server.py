@@ -20,7 +20,7 @@ import shapes
 from pcretrieve import Catalogue, PipelineOptions, process
 from pcretrieve.catalogue import Content, Record
 from pcretrieve.descriptors import describe
-from pcretrieve.types import Verdict
+from pcretrieve.values import Verdict
 
 OPTIONS = PipelineOptions().changed(signature={"method": "r-bihdm", "n_values": 20})
 

@@ -7,7 +7,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pcretrieve.types import FloatArray, IntArray, PointCloud, TriangleMesh
+from pcretrieve.values import FloatArray, IntArray, PointCloud, TriangleMesh
 
 # Faces of a tetrahedron whose corners 1, 2, 3 run anticlockwise seen from outside its corner 0.
 TETRAHEDRON_FACES = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])

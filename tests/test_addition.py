@@ -17,7 +17,7 @@ from scipy.spatial import ConvexHull
 from pcretrieve import PipelineOptions, SignatureIndex, laplace_beltrami, reconstruct, signature
 from pcretrieve.errors import OptionError
 from pcretrieve.options import RetrievalOptions
-from pcretrieve.types import SignatureTable
+from pcretrieve.values import SignatureTable
 
 MESH = shapes.body(3)
 

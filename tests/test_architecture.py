@@ -20,24 +20,21 @@ FOUNDATION = {
     "atomic",
     "csv_text",
     "values",
-    "types",
     "errors",
     "names",
     "options",
     "plugins",
     "adapters",
-    "rendering",
+    "draw",
     "suggestions",
 }
 
 # The order in which data flows: a package may import packages before it, not packages after it.
 STAGES = [
     "formats",
-    "voxels",
-    "scan",
-    "registration",
+    "points",
     "surface",
-    "quality",
+    "checks",
     "spectral",
     "descriptors",
     "retrieval",
@@ -80,7 +77,7 @@ DOORS = {
 }
 
 # Stages from a scan to a signature, which one module alone puts together.
-COMPOSED = {"scan", "surface", "spectral", "descriptors"}
+COMPOSED = {"points", "surface", "spectral", "descriptors"}
 
 
 class Import(NamedTuple):

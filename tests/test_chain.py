@@ -22,7 +22,7 @@ from pcretrieve.options import (
     options_difference,
 )
 from pcretrieve.options.stages import OWN_STAGES, StageOptions, link_of
-from pcretrieve.scan import POINT_FILTERS
+from pcretrieve.points import POINT_FILTERS
 from pcretrieve.surface import SURFACE_FILTERS
 
 DEFAULT = PipelineOptions()
@@ -130,7 +130,7 @@ def test_filters_of_surfaces_need_a_surface() -> None:
 
 
 MODULE = """
-from pcretrieve.scan import PointFilter
+from pcretrieve.points import PointFilter
 
 NUMBER = 7
 TWICE = PointFilter("twice", None)

@@ -11,7 +11,7 @@ from packages import SCRIPTS, install_contributed
 
 import pcretrieve as pr
 from pcretrieve.matching import MATCHERS, PairwiseIndex
-from pcretrieve.types import TriangleMesh
+from pcretrieve.values import TriangleMesh
 
 
 def write_tri(path: Path, mesh: TriangleMesh) -> None:

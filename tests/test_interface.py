@@ -13,7 +13,7 @@ import shapes
 
 import pcretrieve as pr
 from pcretrieve.errors import InputError
-from pcretrieve.types import TriangleMesh
+from pcretrieve.values import TriangleMesh
 
 LABELS = {"ball-0": "ball", "ball-1": "ball", "egg-0": "egg", "egg-1": "egg", "ring-0": "ring"}
 

@@ -19,7 +19,7 @@ from pcretrieve.catalogue import gallery
 from pcretrieve.cli.main import cli
 from pcretrieve.errors import InputError, OptionError, ScanReadError
 from pcretrieve.retrieval import class_vote
-from pcretrieve.types import Neighbors
+from pcretrieve.values import Neighbors
 
 N_KINDS, N_EACH = 3, 4
 RERANKINGS = ("none", "local", "k-reciprocal")

@@ -11,8 +11,8 @@ from pcretrieve.descriptors import DESCRIPTORS
 from pcretrieve.errors import InputError, OptionError, ShapeError, Stage
 from pcretrieve.matching import MATCHERS
 from pcretrieve.plugins import Named, Names, Registry
+from pcretrieve.points import POINT_FILTERS
 from pcretrieve.retrieval import DISTANCES
-from pcretrieve.scan import POINT_FILTERS
 from pcretrieve.spectral import ELEMENTS
 from pcretrieve.surface import SURFACE_FILTERS, SURFACE_METHODS
 

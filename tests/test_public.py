@@ -8,7 +8,7 @@ import re
 import subprocess
 import sys
 from pathlib import Path
-from types import FunctionType, ModuleType
+from types import ModuleType
 
 import pytest
 
@@ -82,45 +82,6 @@ def test_every_module_says_what_it_is_and_lists_what_it_offers(module: ModuleTyp
         value = getattr(module, name)
         if getattr(value, "__module__", None) == module.__name__:
             assert inspect.getdoc(value), f"{module.__name__}.{name} has no documentation"
-
-
-def public_functions() -> dict[str, FunctionType]:
-    """Functions, and public methods of classes, that a module lists in `__all__` and defines itself."""
-    found = {}
-    for module in modules():
-        for name in getattr(module, "__all__", ()):
-            value = getattr(module, name)
-            members = {name: value}
-            if inspect.isclass(value):
-                members |= {f"{name}.{key}": getattr(value, key) for key in vars(value) if key[0] != "_"}
-            for place, member in members.items():
-                # Functions compiled by numba keep their source, and methods of classes their function.
-                function = getattr(member, "py_func", getattr(member, "__func__", member))
-                if inspect.isfunction(function) and function.__module__ == module.__name__:
-                    found[f"{module.__name__}.{place}"] = function
-    return found
-
-
-def section(documentation: str, name: str) -> str:
-    """The lines of a section of a numpydoc docstring; empty if there is no such section."""
-    found = re.search(rf"^{name}\n-+\n(.*?)(?=^\w+\n-+\n|\Z)", documentation, re.MULTILINE | re.DOTALL)
-    return found[1] if found else ""
-
-
-@pytest.mark.parametrize("function", public_functions().values(), ids=public_functions().keys())
-def test_every_public_function_documents_its_parameters_and_its_result(function: FunctionType) -> None:
-    documentation = inspect.getdoc(function)
-    assert documentation
-    signature = inspect.signature(function)
-    parameters = [re.split("[:=]", str(parameter))[0] for parameter in signature.parameters.values()]
-    is_method = "." in function.__qualname__
-    parameters = parameters[1:] if parameters[:1] in (["self"], ["cls"]) else parameters
-    if is_method and len(parameters) < 2 and "\n" not in documentation:
-        return  # one line is enough
-    documented = re.findall(r"^(\S.*) : ", section(documentation, "Parameters"), re.MULTILINE)
-    assert ", ".join(documented).split(", ") == (parameters or [""])
-    if signature.return_annotation not in (None, "None"):
-        assert section(documentation, "Returns") or section(documentation, "Yields")
 
 
 def imported_by(*arguments: str) -> set[str]:

@@ -20,7 +20,7 @@ from pcretrieve.formats import write_mesh
 from pcretrieve.ingestion.discover import content_hash
 from pcretrieve.pipeline.process import process
 from pcretrieve.searching import search
-from pcretrieve.types import Shape, Signature
+from pcretrieve.values import Shape, Signature
 
 OPTIONS = PipelineOptions()
 N_SHAPES = 6

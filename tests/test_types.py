@@ -14,7 +14,7 @@ from pcretrieve import errors
 from pcretrieve.errors import InputError, PcretrieveError, Stage
 from pcretrieve.retrieval import fit_whitening
 from pcretrieve.spectral import eigenpairs, laplace_beltrami
-from pcretrieve.types import (
+from pcretrieve.values import (
     Eigenpairs,
     LaplaceBeltrami,
     ModalSpectrum,

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from pcretrieve.simulation import POSES, body, make_subject
-from pcretrieve.types import FloatArray, TriangleMesh
+from pcretrieve.values import FloatArray, TriangleMesh
 
 # `scripts/docs` says where the repository is, because it builds from a copy of these files.
 SCANS = Path(os.environ.get("PCRETRIEVE_ROOT", Path(__file__).parents[2])) / "scans"

@@ -6,7 +6,7 @@ from importlib.util import find_spec
 
 import numpy as np
 
-from pcretrieve.types import FloatArray, IntArray
+from pcretrieve.values import FloatArray, IntArray
 
 __all__ = ["eigenvalues", "is_installed"]
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from pcretrieve.errors import InputError
-from pcretrieve.types import FloatArray
+from pcretrieve.values import FloatArray
 
 __all__ = ["write_vectors"]
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcretrieve.arrays import FloatArray, IntArray
-from pcretrieve.types import TriangleMesh
+from pcretrieve.values import TriangleMesh
 
 __all__ = ["Body", "mesh_arrays", "mesh_bytes", "scene_bodies", "trimesh_cloud", "trimesh_mesh"]
 

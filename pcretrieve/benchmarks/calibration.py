@@ -16,7 +16,7 @@ from pcretrieve.evaluation import evaluate_table
 from pcretrieve.evaluation.rankings import NO_FAILURES
 from pcretrieve.options import RetrievalOptions
 from pcretrieve.retrieval import CALIBRATED, table_whitening
-from pcretrieve.types import FloatArray, SignatureTable
+from pcretrieve.values import FloatArray, SignatureTable
 
 __all__ = ["N_DRAWS", "calibrated_measures"]
 

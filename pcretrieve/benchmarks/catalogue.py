@@ -45,7 +45,7 @@ from pcretrieve.interface import status
 from pcretrieve.options import PipelineOptions
 from pcretrieve.retrieval import DISTANCES, SignatureIndex
 from pcretrieve.simulation import UniformOptions, scan_uniformly, write_ply
-from pcretrieve.types import FloatArray
+from pcretrieve.values import FloatArray
 
 __all__ = ["main"]
 

@@ -13,7 +13,7 @@ from pcretrieve.catalogue import Catalogue
 from pcretrieve.descriptors import DESCRIPTORS, describe
 from pcretrieve.errors import ShapeError
 from pcretrieve.options import SignatureOptions
-from pcretrieve.types import FloatArray, Signature, SignatureTable
+from pcretrieve.values import FloatArray, Signature, SignatureTable
 
 __all__ = ["Described", "described"]
 

@@ -45,7 +45,7 @@ from pcretrieve.retrieval import (
     table_whitening,
 )
 from pcretrieve.retrieval.resolution import is_measured
-from pcretrieve.types import Shape
+from pcretrieve.values import Shape
 
 __all__ = ["main"]
 

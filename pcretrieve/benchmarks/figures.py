@@ -27,7 +27,7 @@ from pcretrieve.ingestion.discover import discover
 from pcretrieve.ingestion.labels import read_labels
 from pcretrieve.options import PipelineOptions, RetrievalOptions
 from pcretrieve.simulation import UniformOptions, scan_uniformly, write_ply
-from pcretrieve.types import SignatureTable
+from pcretrieve.values import SignatureTable
 
 __all__ = ["main"]
 

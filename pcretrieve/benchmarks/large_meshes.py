@@ -31,7 +31,7 @@ from pcretrieve.interface import evaluate
 from pcretrieve.options import PipelineOptions
 from pcretrieve.pipeline.process import signature
 from pcretrieve.surface.smooth import smoothed
-from pcretrieve.types import FloatArray, TriangleMesh
+from pcretrieve.values import FloatArray, TriangleMesh
 
 __all__ = ["main"]
 

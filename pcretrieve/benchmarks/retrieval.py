@@ -38,7 +38,7 @@ from pcretrieve.evaluation import evaluate_rankings, no_match_measures, rank_tab
 from pcretrieve.evaluation.rankings import NO_FAILURES
 from pcretrieve.options import PipelineOptions, RetrievalOptions, SignatureOptions
 from pcretrieve.retrieval import RERANKINGS, resolution_covariance, table_whitening
-from pcretrieve.types import Metric, SignatureTable
+from pcretrieve.values import Metric, SignatureTable
 
 __all__ = ["main"]
 

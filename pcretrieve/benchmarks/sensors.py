@@ -22,6 +22,7 @@ from pcretrieve.benchmarks.progress import progress
 from pcretrieve.benchmarks.sets import left_out, spread
 from pcretrieve.benchmarks.tables import Column, Table, print_lines
 from pcretrieve.benchmarks.timing import use_one_core
+from pcretrieve.checks import Check, findings_of, verdict_of
 from pcretrieve.descriptors import describe
 from pcretrieve.errors import BenchmarkError, PcretrieveError
 from pcretrieve.evaluation.measures import evaluate_rankings
@@ -31,12 +32,11 @@ from pcretrieve.options import MergeOptions, PipelineOptions
 from pcretrieve.pipeline.seen import Seen
 from pcretrieve.pipeline.spectra import shape_of
 from pcretrieve.pipeline.stages import stages
-from pcretrieve.quality import Check, findings_of, verdict_of
-from pcretrieve.registration import merge_views
+from pcretrieve.points.register import merge_views
 from pcretrieve.retrieval.ranking import DistanceBlock
 from pcretrieve.simulation import POSES, SEATED, RigOptions, body, make_subject, on_support, scan
 from pcretrieve.surface.sampling import uniform_points
-from pcretrieve.types import FloatArray, PointCloud, Shape
+from pcretrieve.values import FloatArray, PointCloud, Shape
 
 __all__ = ["main"]
 

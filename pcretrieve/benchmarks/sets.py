@@ -19,7 +19,7 @@ from pcretrieve.ingestion.layouts import LAYOUTS
 from pcretrieve.ingestion.run import Summary, ingest_files
 from pcretrieve.options import PipelineOptions
 from pcretrieve.simulation import POSES, body, make_subject
-from pcretrieve.types import TriangleMesh
+from pcretrieve.values import TriangleMesh
 
 __all__ = ["SETS", "Item", "ingested", "left_out", "read_mesh", "spread"]
 

@@ -30,7 +30,7 @@ from pcretrieve.benchmarks.tables import Column, Table, print_lines
 from pcretrieve.benchmarks.timing import timed, timed_by_turns
 from pcretrieve.descriptors import r_bihdm
 from pcretrieve.spectral import eigenpairs, laplace_beltrami
-from pcretrieve.types import FloatArray, TriangleMesh
+from pcretrieve.values import FloatArray, TriangleMesh
 
 __all__ = ["main", "square_errors"]
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial import ConvexHull
 
-from pcretrieve.types import TriangleMesh
+from pcretrieve.values import TriangleMesh
 
 __all__ = ["bumpy_sphere", "quartered", "unit_square"]
 

@@ -20,7 +20,7 @@ from pcretrieve.catalogue.arrays import packed_values
 from pcretrieve.catalogue.record_rows import CHECKSUMS, NUMBERED, with_checksums
 from pcretrieve.formats import write_mesh
 from pcretrieve.options import PipelineOptions
-from pcretrieve.types import FloatArray
+from pcretrieve.values import FloatArray
 
 __all__ = ["CLASS_SIZE", "synthetic_catalogue", "synthetic_id", "write_small_meshes"]
 

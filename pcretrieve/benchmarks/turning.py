@@ -12,9 +12,9 @@ import numpy as np
 
 from pcretrieve.benchmarks.tables import print_lines
 from pcretrieve.interface import merge_views
-from pcretrieve.registration import Merged
+from pcretrieve.points.register import Merged
 from pcretrieve.simulation import POSES, TurningOptions, body, make_subject, turning_frames, write_frames
-from pcretrieve.types import FloatArray, TriangleMesh
+from pcretrieve.values import FloatArray, TriangleMesh
 
 __all__ = ["main", "turning_lines"]
 

@@ -11,7 +11,7 @@ from pcretrieve.benchmarks.fidelity.conditions import write_scan
 from pcretrieve.benchmarks.progress import progress
 from pcretrieve.benchmarks.sets import Item
 from pcretrieve.formats import write_mesh
-from pcretrieve.types import Metric, SignatureTable
+from pcretrieve.values import Metric, SignatureTable
 
 __all__ = ["pooled_vectors", "written_set"]
 

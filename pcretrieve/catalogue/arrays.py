@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pcretrieve.types import FloatArray
+from pcretrieve.values import FloatArray
 
 __all__ = ["packed", "packed_symmetric", "packed_values", "unpacked", "unpacked_symmetric", "unpacked_values"]
 

@@ -25,7 +25,7 @@ from pcretrieve.catalogue.schema import SCHEMA_VERSION, create_tables, table_nam
 from pcretrieve.catalogue.settings import stored_options
 from pcretrieve.errors import CatalogueError
 from pcretrieve.options import NUMBERS_VERSION
-from pcretrieve.types import ModalSpectrum
+from pcretrieve.values import ModalSpectrum
 
 __all__ = ["prepare"]
 
@@ -49,7 +49,7 @@ ROWS_AT_ONCE = 1000
 
 
 def prepare(connection: sqlite3.Connection, path: Path, settings: Mapping[str, str]) -> None:
-    """Check that a file is a catalogue of the current schema; create the tables, or migrate it, if necessary."""
+    """Check that a file has the current schema; create the tables, or migrate it, if necessary."""
     tables = table_names(connection)
     if not tables:
         # With a write-ahead log, other processes can read while one process writes.

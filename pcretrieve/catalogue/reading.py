@@ -17,7 +17,7 @@ from pcretrieve.catalogue.stores import open_rows
 from pcretrieve.catalogue.surfaces import read_shape, suggested_id, unknown
 from pcretrieve.errors import ShapeError
 from pcretrieve.options import PipelineOptions
-from pcretrieve.types import FloatArray, Need, Shape, TriangleMesh
+from pcretrieve.values import FloatArray, Need, Shape, TriangleMesh
 
 __all__ = ["StoredShapes", "stored_shapes"]
 

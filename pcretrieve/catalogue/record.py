@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 from datetime import datetime, timezone
 from pathlib import Path
 
-from pcretrieve.types import UNIT, FloatArray, Shape, Step, Verdict
+from pcretrieve.values import UNIT, FloatArray, Shape, Step, Verdict
 
 __all__ = ["Content", "Record", "completed", "free_id", "numbered_id"]
 

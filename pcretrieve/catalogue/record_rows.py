@@ -11,7 +11,7 @@ from pcretrieve.catalogue.checksums import CHECKSUM_COLUMNS, changed_parts, chec
 from pcretrieve.catalogue.defects import ChangedRow
 from pcretrieve.catalogue.opening import damaged
 from pcretrieve.catalogue.record import Record
-from pcretrieve.types import Step, Verdict
+from pcretrieve.values import Step, Verdict
 
 __all__ = [
     "CHECKSUMS",

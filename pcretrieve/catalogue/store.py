@@ -23,7 +23,7 @@ from pcretrieve.catalogue.tables import index_name, made_before, made_index, sig
 from pcretrieve.errors import CatalogueError
 from pcretrieve.options import PipelineOptions
 from pcretrieve.retrieval import SignatureIndex, Whitening
-from pcretrieve.types import SignatureTable
+from pcretrieve.values import SignatureTable
 
 __all__ = ["Catalogue"]
 
@@ -122,7 +122,7 @@ class Catalogue(StoredShapes):
         record : Record
             The record of the shape, which may have been replaced or removed since.
         picture : bytes
-            A PNG file by `pcretrieve.rendering.thumbnail`.
+            A PNG file by `pcretrieve.draw.thumbnail`.
 
         Returns
         -------

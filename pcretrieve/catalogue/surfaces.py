@@ -14,7 +14,7 @@ from pcretrieve.catalogue.rows import Payload, Rows
 from pcretrieve.errors import InputError
 from pcretrieve.options import PipelineOptions
 from pcretrieve.suggestions import did_you_mean
-from pcretrieve.types import ModalSpectrum, Need, Shape, Step, Surface, TriangleMesh
+from pcretrieve.values import ModalSpectrum, Need, Shape, Step, Surface, TriangleMesh
 
 __all__ = ["payloads_of", "read_shape", "stored_shape", "suggested_id", "unknown"]
 

@@ -33,7 +33,7 @@ from pcretrieve.retrieval.covariances import CHUNK
 from pcretrieve.retrieval.distances import check_comparable, coordinates
 from pcretrieve.retrieval.names import Names
 from pcretrieve.retrieval.whitened import MadeBy
-from pcretrieve.types import FloatArray, SignatureTable, SizeUnit
+from pcretrieve.values import FloatArray, SignatureTable, SizeUnit
 
 __all__ = ["index_name", "made_before", "made_index", "signature_table"]
 

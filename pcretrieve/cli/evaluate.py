@@ -21,7 +21,7 @@ from pcretrieve.cli.tables import Column, write_table
 if TYPE_CHECKING:
     from pcretrieve.evaluation import RankedCatalogue
     from pcretrieve.options import RerankKind
-    from pcretrieve.types import FloatArray
+    from pcretrieve.values import FloatArray
 
 __all__ = ["COLUMNS", "evaluate_command", "numbers"]
 

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from pcretrieve.options import MergeOptions
-    from pcretrieve.registration import Merged
+    from pcretrieve.points.register import Merged
 
 __all__ = ["merge_command"]
 
@@ -140,7 +140,7 @@ def _merged(paths: Sequence[str], options: MergeOptions) -> Merged:
     from tqdm import tqdm
 
     from pcretrieve.ingestion.views import read_views
-    from pcretrieve.registration import merge_views
+    from pcretrieve.points.register import merge_views
 
     views = read_views(paths)
     with tqdm(total=math.comb(len(views.clouds), 2), unit="pair", desc="merge", disable=None) as bar:

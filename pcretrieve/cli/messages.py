@@ -64,7 +64,7 @@ def escaped(text: str) -> str:
 
 
 def say(message: str, *, indent: int | None = 0) -> None:
-    """Print a message for users, on standard error. If that cannot be written, the command goes on silently."""
+    """Print a message for users on standard error; the command goes on if that cannot be written."""
     text = escaped(without_password(message))
     if indent is not None:
         text = _broken(text, sys.stderr, indent)

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from pcretrieve.errors import PcretrieveError, ShapeError
     from pcretrieve.options import PipelineOptions
     from pcretrieve.searching import Answer, Described
-    from pcretrieve.types import Verdict
+    from pcretrieve.values import Verdict
 
 __all__ = ["query_command"]
 

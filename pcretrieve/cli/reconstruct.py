@@ -26,7 +26,7 @@ from pcretrieve.cli.tables import write_steps
 
 if TYPE_CHECKING:
     from pcretrieve.options import PipelineOptions
-    from pcretrieve.types import Step
+    from pcretrieve.values import Step
 
 __all__ = ["reconstruct_command"]
 

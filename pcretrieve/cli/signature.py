@@ -30,7 +30,7 @@ from pcretrieve.cli.scans import each_scan, workers_option
 if TYPE_CHECKING:
     from pcretrieve.catalogue import Record
     from pcretrieve.options import PipelineOptions
-    from pcretrieve.types import Signature
+    from pcretrieve.values import Signature
 
     # A name; the signature, or the record of a failure; further values of the JSON document.
     Row = tuple[str, Signature | Record, dict[str, object]]
@@ -91,7 +91,7 @@ def signature_command(
     pcretrieve signature --from-catalogue bodies.sqlite T12 T17 --method wks
     """
     from pcretrieve.catalogue import Catalogue
-    from pcretrieve.types import Signature
+    from pcretrieve.values import Signature
 
     if from_catalogue is not None and (config or surface or unit):
         raise click.UsageError("a catalogue has options of its own: leave out --config, --surface and --unit")

@@ -16,7 +16,7 @@ import click
 from pcretrieve.cli.messages import escaped, print_text
 
 if TYPE_CHECKING:
-    from pcretrieve.types import Step
+    from pcretrieve.values import Step
 
 __all__ = ["Column", "write_steps", "write_table"]
 

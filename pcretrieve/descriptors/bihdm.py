@@ -13,7 +13,7 @@ from pcretrieve.descriptors.descriptor import Descriptor, spectrum_of
 from pcretrieve.descriptors.r_bihdm import leading, reduced_matrix
 from pcretrieve.errors import OptionError
 from pcretrieve.options import Scale, SignatureOptions
-from pcretrieve.types import Eigenpairs, FloatArray, ModalSpectrum, Shape, Signature
+from pcretrieve.values import Eigenpairs, FloatArray, ModalSpectrum, Shape, Signature
 
 __all__ = ["BIHDM", "BIHDM_SAMPLED", "bihdm", "bihdm_sampled", "full_matrix", "sampled_matrix"]
 

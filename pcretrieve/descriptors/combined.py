@@ -8,7 +8,7 @@ from pcretrieve.descriptors.csd import csd
 from pcretrieve.descriptors.descriptor import Descriptor, spectrum_of
 from pcretrieve.descriptors.r_bihdm import r_bihdm
 from pcretrieve.options import Scale
-from pcretrieve.types import Eigenpairs, ModalSpectrum, Signature
+from pcretrieve.values import Eigenpairs, ModalSpectrum, Signature
 
 __all__ = ["COMBINED", "combined"]
 

@@ -8,7 +8,7 @@ from pcretrieve.descriptors.descriptor import Descriptor
 from pcretrieve.descriptors.hks_bow import scale_invariant_heat
 from pcretrieve.descriptors.wks import wave_kernel_weights
 from pcretrieve.errors import OptionError
-from pcretrieve.types import Eigenpairs, FloatArray, Signature
+from pcretrieve.values import Eigenpairs, FloatArray, Signature
 
 __all__ = ["CSD", "csd"]
 

@@ -40,7 +40,7 @@ from pcretrieve.names import NAMES, fused_names
 from pcretrieve.options import SignatureOptions
 from pcretrieve.plugins import Registry, named
 from pcretrieve.spectral import unit_eigenpairs
-from pcretrieve.types import UNIT, Eigenpairs, Shape, Signature, SizeUnit, Surface
+from pcretrieve.values import UNIT, Eigenpairs, Shape, Signature, SizeUnit, Surface
 
 __all__ = ["DESCRIPTORS", "describe", "signature_length"]
 

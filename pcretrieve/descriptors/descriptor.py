@@ -8,7 +8,7 @@ from typing import get_args
 
 from pcretrieve.errors import OptionError
 from pcretrieve.options import SignatureOptions
-from pcretrieve.types import Metric, ModalSpectrum, Need, Shape, Signature
+from pcretrieve.values import Metric, ModalSpectrum, Need, Shape, Signature
 
 __all__ = ["Descriptor", "spectrum_of"]
 

@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 
 from pcretrieve.descriptors.sparse_coding import N_ITERATIONS, SurfacePoints, atom_shares, sparse_codes
 from pcretrieve.errors import InputError
-from pcretrieve.types import FloatArray
+from pcretrieve.values import FloatArray
 
 __all__ = ["Loss", "supervised_dictionary", "triplet_loss"]
 

@@ -18,7 +18,7 @@ import numpy as np
 from pcretrieve.descriptors.descriptor import Descriptor
 from pcretrieve.descriptors.hks_bow import scale_invariant_heat
 from pcretrieve.descriptors.sparse_coding import SurfacePoints, atom_shares
-from pcretrieve.types import Eigenpairs, FloatArray, Signature
+from pcretrieve.values import Eigenpairs, FloatArray, Signature
 
 __all__ = ["ATOMS", "DL", "DL_SUPERVISED", "N_ATOMS", "dl", "surface_points"]
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from pcretrieve.descriptors.descriptor import Descriptor
 from pcretrieve.options import SignatureOptions
-from pcretrieve.types import FloatArray, Metric, Shape, Signature
+from pcretrieve.values import FloatArray, Metric, Shape, Signature
 
 __all__ = ["fused"]
 

@@ -16,7 +16,7 @@ import numpy as np
 
 from pcretrieve.descriptors.descriptor import Descriptor
 from pcretrieve.descriptors.vocabulary import Vocabulary, clustered
-from pcretrieve.types import Eigenpairs, FloatArray, Signature
+from pcretrieve.values import Eigenpairs, FloatArray, Signature
 
 __all__ = ["HEAT_KERNEL_BAGS", "heat_features", "hks_bow", "scale_invariant_heat"]
 

@@ -22,7 +22,7 @@ import numpy as np
 from pcretrieve.descriptors.descriptor import Descriptor
 from pcretrieve.descriptors.vocabulary import Vocabulary, clustered
 from pcretrieve.errors import OptionError
-from pcretrieve.types import Eigenpairs, FloatArray, Signature
+from pcretrieve.values import Eigenpairs, FloatArray, Signature
 
 __all__ = ["ISPM", "ispm", "wavelet_signatures"]
 

@@ -34,7 +34,7 @@ import numpy as np
 from pcretrieve.descriptors.descriptor import Descriptor, spectrum_of
 from pcretrieve.errors import OptionError, SpectrumError
 from pcretrieve.options import Scale
-from pcretrieve.types import Eigenpairs, FloatArray, ModalSpectrum, Signature
+from pcretrieve.values import Eigenpairs, FloatArray, ModalSpectrum, Signature
 
 __all__ = ["R_BIHDM", "leading", "r_bihdm", "reduced_matrix"]
 

@@ -7,7 +7,7 @@ import numpy as np
 from pcretrieve.descriptors.descriptor import Descriptor
 from pcretrieve.errors import DegenerateMeshError, OptionError
 from pcretrieve.options import Scale
-from pcretrieve.types import FloatArray, Signature, TriangleMesh
+from pcretrieve.values import FloatArray, Signature, TriangleMesh
 
 __all__ = ["SD_GDM", "SD_GDM_SAMPLED", "geodesic_matrix", "sd_gdm"]
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from pcretrieve.descriptors.descriptor import Descriptor, spectrum_of
 from pcretrieve.errors import OptionError
-from pcretrieve.types import Eigenpairs, ModalSpectrum, Signature
+from pcretrieve.values import Eigenpairs, ModalSpectrum, Signature
 
 __all__ = ["BY", "SHAPE_DNA", "SHAPE_DNA_NORM1", "SHAPE_DNA_VALUES", "shape_dna", "shape_dna_values"]
 

@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pcretrieve.types import FloatArray
+from pcretrieve.values import FloatArray
 
 __all__ = ["N_ITERATIONS", "PENALTY", "SurfacePoints", "atom_shares", "sparse_codes"]
 

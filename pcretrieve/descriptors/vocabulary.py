@@ -9,7 +9,7 @@ from scipy.cluster.vq import kmeans2
 from scipy.spatial.distance import cdist
 
 from pcretrieve.errors import OptionError
-from pcretrieve.types import FloatArray
+from pcretrieve.values import FloatArray
 
 __all__ = ["Vocabulary", "clustered"]
 

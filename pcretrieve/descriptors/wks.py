@@ -6,7 +6,7 @@ import numpy as np
 
 from pcretrieve.descriptors.descriptor import Descriptor
 from pcretrieve.errors import OptionError
-from pcretrieve.types import Eigenpairs, FloatArray, ModalSpectrum, Signature
+from pcretrieve.values import Eigenpairs, FloatArray, ModalSpectrum, Signature
 
 __all__ = ["WKS", "wave_kernel_weights", "wks"]
 

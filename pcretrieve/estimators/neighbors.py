@@ -13,7 +13,7 @@ from sklearn.utils.validation import check_is_fitted, column_or_1d, validate_dat
 from pcretrieve.errors import InputError, OptionError
 from pcretrieve.evaluation import Rankings, evaluate_rankings
 from pcretrieve.retrieval import BLOCK_DISTANCES, DISTANCES, Positions, pairwise
-from pcretrieve.types import FloatArray
+from pcretrieve.values import FloatArray
 
 __all__ = ["SignatureNeighbors"]
 

@@ -15,7 +15,7 @@ from pcretrieve.formats.scans import ScanLike
 from pcretrieve.options import OptionsLike, PipelineOptions
 from pcretrieve.pipeline.process import process
 from pcretrieve.retrieval import coordinates
-from pcretrieve.types import FloatArray
+from pcretrieve.values import FloatArray
 
 __all__ = ["SignatureTransformer"]
 

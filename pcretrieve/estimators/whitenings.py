@@ -12,7 +12,7 @@ from sklearn.utils.validation import check_is_fitted, validate_data
 
 from pcretrieve.options import Scale, Shrinkage, SignatureOptions
 from pcretrieve.retrieval import Whitening, fit_whitening, resolution_whitening
-from pcretrieve.types import FloatArray
+from pcretrieve.values import FloatArray
 
 __all__ = ["NeighbourWhitening", "PCAWhitening", "ResolutionWhitening", "WithinClassWhitening"]
 

@@ -20,7 +20,7 @@ from pcretrieve.ingestion.layouts import labels_of
 from pcretrieve.matching import DistanceMatrix
 from pcretrieve.options import PipelineOptions, RerankKind
 from pcretrieve.retrieval import resolution_covariance, table_whitening
-from pcretrieve.types import SignatureTable
+from pcretrieve.values import SignatureTable
 
 __all__ = ["RankedCatalogue", "check_known", "rank_catalogue", "rank_matrix"]
 

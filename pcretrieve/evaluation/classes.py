@@ -10,7 +10,7 @@ import numpy as np
 from pcretrieve.evaluation.measures import query_scores
 from pcretrieve.evaluation.rankings import Rankings
 from pcretrieve.retrieval import Positions
-from pcretrieve.types import FloatArray
+from pcretrieve.values import FloatArray
 
 __all__ = ["ClassMeasures", "Confusion", "class_measures", "confusion"]
 

@@ -14,8 +14,8 @@ import numpy as np
 from pcretrieve.errors import InputError
 from pcretrieve.evaluation.intervals import LEVEL, bootstrap_interval
 from pcretrieve.evaluation.measures import QueryScores
-from pcretrieve.types import FloatArray
-from pcretrieve.values import Value
+from pcretrieve.values import FloatArray
+from pcretrieve.values.base import Value
 
 __all__ = ["Change", "Comparison", "compare_scores"]
 

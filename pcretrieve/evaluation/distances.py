@@ -9,7 +9,7 @@ from pcretrieve.errors import InputError
 from pcretrieve.matching import MATCHERS, DistanceMatrix, PairwiseIndex, distance_matrix
 from pcretrieve.options import PipelineOptions
 from pcretrieve.retrieval import Ranking, SignatureIndex
-from pcretrieve.types import Failure
+from pcretrieve.values import Failure
 
 __all__ = ["CatalogueDistances", "catalogue_distances"]
 

@@ -26,7 +26,7 @@ from pcretrieve.retrieval import (
     pairwise_blocks,
     table_coordinates,
 )
-from pcretrieve.types import SignatureTable
+from pcretrieve.values import SignatureTable
 
 __all__ = [
     "Fold",

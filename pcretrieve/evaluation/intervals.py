@@ -14,7 +14,7 @@ from __future__ import annotations
 import numpy as np
 
 from pcretrieve.errors import OptionError
-from pcretrieve.types import FloatArray
+from pcretrieve.values import FloatArray
 
 __all__ = ["LEVEL", "bootstrap_interval"]
 

@@ -37,8 +37,8 @@ from numpy.typing import NDArray
 from pcretrieve.errors import OptionError
 from pcretrieve.evaluation.rankings import Rankings
 from pcretrieve.retrieval import Positions
-from pcretrieve.types import FloatArray
-from pcretrieve.values import Value
+from pcretrieve.values import FloatArray
+from pcretrieve.values.base import Value
 
 __all__ = [
     "MEASURES",

@@ -16,7 +16,7 @@ import numpy as np
 
 from pcretrieve.errors import BenchmarkError, InputError
 from pcretrieve.retrieval import DistanceBlock, Positions, Ranking
-from pcretrieve.values import Value
+from pcretrieve.values.base import Value
 
 __all__ = ["NO_FAILURES", "Rankings", "SortedBlock", "by_distance", "rank", "rank_gallery", "rank_sorted"]
 

@@ -12,7 +12,7 @@ from pcretrieve.evaluation.rankings import NO_FAILURES, Rankings, rank, rank_gal
 from pcretrieve.evaluation.reranked import Subset, rank_subsets
 from pcretrieve.options import RetrievalOptions
 from pcretrieve.retrieval import SignatureIndex, Whitening
-from pcretrieve.types import SignatureTable
+from pcretrieve.values import SignatureTable
 
 __all__ = ["evaluate_table", "rank_table", "rerank_table", "unsupervised"]
 
@@ -77,7 +77,7 @@ def _labels(index: SignatureIndex, table: SignatureTable) -> list[str | None]:
 
 
 def unsupervised(options: RetrievalOptions) -> RetrievalOptions:
-    """The options of an evaluation: the whitening ``auto`` must not be fitted to the labels of the queries."""
+    """The options of an evaluation: whitening ``auto`` must not be fitted to the labels of the queries."""
     return options.model_copy(update={"whitening": "neighbours"}) if options.whitening == "auto" else options
 
 

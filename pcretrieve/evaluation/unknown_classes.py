@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from pcretrieve.errors import BenchmarkError
 from pcretrieve.options import RetrievalOptions
 from pcretrieve.retrieval import fit_scores, pair_sample, pairwise, table_coordinates, table_whitening
-from pcretrieve.types import FloatArray, SignatureTable
+from pcretrieve.values import FloatArray, SignatureTable
 
 __all__ = ["NoMatchMeasures", "no_match_measures"]
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from pcretrieve.arrays import FloatArray
-from pcretrieve.types import PointCloud
+from pcretrieve.values import PointCloud
 
 __all__ = ["columns_of"]
 

@@ -42,7 +42,7 @@ def member_bytes(archive: zipfile.ZipFile, name: str | zipfile.ZipInfo) -> bytes
 
 
 def check_archive(archive: zipfile.ZipFile) -> None:
-    """Check, before a library reads an archive of markup, that it does not expand to more than it can hold."""
+    """Check, before a library reads it, that an archive of markup does not expand to too much."""
     members = archive.infolist()
     size, packed = sum(info.file_size for info in members), sum(info.compress_size for info in members)
     if size > max(ANY_MARKUP, MARKUP_RATIO * packed):

@@ -11,7 +11,7 @@ from typing import NamedTuple
 from pcretrieve.arrays import FloatArray
 from pcretrieve.formats.members import Members
 from pcretrieve.formats.raw import RawScan
-from pcretrieve.types import PointCloud, TriangleMesh
+from pcretrieve.values import PointCloud, TriangleMesh
 
 __all__ = ["Extra", "Format", "Part"]
 

@@ -26,7 +26,7 @@ from pcretrieve.formats.gltf_document import (
 )
 from pcretrieve.formats.members import Members, distinct_names
 from pcretrieve.formats.raw import RawScan, incomplete, merged_vertices
-from pcretrieve.types import FloatArray
+from pcretrieve.values import FloatArray
 
 __all__ = ["GLB", "GLTF"]
 

@@ -15,7 +15,7 @@ from pcretrieve.errors import ScanReadError
 from pcretrieve.formats.columns import columns_of
 from pcretrieve.formats.format import Format
 from pcretrieve.formats.raw import RawScan, incomplete
-from pcretrieve.types import PointCloud
+from pcretrieve.values import PointCloud
 
 if TYPE_CHECKING:
     from pypcd4.pypcd4 import MetaData

@@ -17,7 +17,7 @@ from pcretrieve.formats.format import Format
 from pcretrieve.formats.ply_header import Element, read_header
 from pcretrieve.formats.ply_rows import Table, in_order, tables
 from pcretrieve.formats.raw import RawScan, fans, incomplete
-from pcretrieve.types import PointCloud
+from pcretrieve.values import PointCloud
 
 __all__ = ["PLY", "read_ply"]
 

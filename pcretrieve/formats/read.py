@@ -12,7 +12,7 @@ from pcretrieve.formats.raw import RawScan
 from pcretrieve.formats.registry import read_raw
 from pcretrieve.formats.remote import local_copy
 from pcretrieve.formats.urls import url_of
-from pcretrieve.types import METRES, UNIT, PointCloud, Step, TriangleMesh
+from pcretrieve.values import METRES, UNIT, PointCloud, Step, TriangleMesh
 
 __all__ = ["read_scan"]
 

@@ -8,7 +8,7 @@ from typing import TypeAlias
 
 from pcretrieve.conversion import GeometryLike, as_geometry
 from pcretrieve.formats.read import read_scan
-from pcretrieve.types import METRES, UNIT, PointCloud, Step, TriangleMesh
+from pcretrieve.values import METRES, UNIT, PointCloud, Step, TriangleMesh
 
 __all__ = ["ScanLike", "as_scan"]
 

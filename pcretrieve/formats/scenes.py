@@ -15,7 +15,7 @@ from pcretrieve.formats.files import check_archive
 from pcretrieve.formats.format import Extra, Format
 from pcretrieve.formats.members import Members, distinct_names
 from pcretrieve.formats.raw import RawScan, incomplete, joined, merged_vertices
-from pcretrieve.types import unit_of
+from pcretrieve.values import unit_of
 
 __all__ = ["COLLADA", "THREE_MF"]
 

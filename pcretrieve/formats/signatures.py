@@ -11,7 +11,7 @@ from pcretrieve.adapters.pandas import parquet_bytes
 from pcretrieve.atomic import write_file
 from pcretrieve.csv_text import csv_text
 from pcretrieve.errors import InputError
-from pcretrieve.types import SignatureTable
+from pcretrieve.values import SignatureTable
 
 __all__ = ["SIGNATURE_SUFFIXES", "write_signatures"]
 

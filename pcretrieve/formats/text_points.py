@@ -15,7 +15,7 @@ from pcretrieve.errors import InputError, ScanReadError
 from pcretrieve.formats.format import Format
 from pcretrieve.formats.raw import RawScan, are_normals, incomplete, without_zeros
 from pcretrieve.formats.text_layout import Layout, find_layout, looks_like_points
-from pcretrieve.types import PointCloud
+from pcretrieve.values import PointCloud
 
 __all__ = ["TEXT_FORMATS", "number_rows", "read_text_points"]
 

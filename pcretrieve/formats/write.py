@@ -10,7 +10,7 @@ from pcretrieve.atomic import write_file
 from pcretrieve.conversion import CloudLike, MeshLike, as_cloud, as_mesh
 from pcretrieve.errors import InputError
 from pcretrieve.formats.registry import FORMATS
-from pcretrieve.types import PointCloud, TriangleMesh
+from pcretrieve.values import PointCloud, TriangleMesh
 
 __all__ = ["check_output", "write_cloud", "write_mesh"]
 

@@ -17,7 +17,7 @@ from pcretrieve.errors import (
     WorkerDied,
 )
 from pcretrieve.options import PipelineOptions
-from pcretrieve.types import Step
+from pcretrieve.values import Step
 
 __all__ = ["Attempt", "next_attempt"]
 

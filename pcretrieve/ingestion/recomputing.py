@@ -17,7 +17,7 @@ from pcretrieve.ingestion.discover import content_hash
 from pcretrieve.ingestion.isolation import Isolation
 from pcretrieve.options import PipelineOptions
 from pcretrieve.pipeline.process import signature_of_surfaces
-from pcretrieve.types import FloatArray, TriangleMesh
+from pcretrieve.values import FloatArray, TriangleMesh
 
 __all__ = ["recomputed"]
 

@@ -13,7 +13,7 @@ from pcretrieve.conversion import as_cloud
 from pcretrieve.errors import InputError, ScanReadError
 from pcretrieve.formats import image_poses, parts_of, read_scan, split_member, trajectory_file
 from pcretrieve.ingestion.discover import discover
-from pcretrieve.types import FloatArray, PointCloud
+from pcretrieve.values import FloatArray, PointCloud
 
 __all__ = ["Views", "read_views", "view_files"]
 

@@ -8,10 +8,10 @@ from pathlib import Path
 
 from pcretrieve.catalogue import Content
 from pcretrieve.descriptors import describe
+from pcretrieve.draw import thumbnail
 from pcretrieve.errors import DegenerateMeshError, Stage, in_stage
 from pcretrieve.options import PipelineOptions
 from pcretrieve.pipeline.process import process
-from pcretrieve.rendering import thumbnail
 
 __all__ = ["content"]
 

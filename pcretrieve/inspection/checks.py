@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from pcretrieve.quality import Check, Limits, graded
-from pcretrieve.types import Failure
+from pcretrieve.checks import Check, Limits, graded
+from pcretrieve.values import Failure
 
 __all__ = ["failure_check", "rescan_check", "spread_check"]
 

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from pcretrieve.catalogue import Catalogue
+from pcretrieve.checks import OUTCOMES, findings_of
 from pcretrieve.descriptors import describe
 from pcretrieve.errors import OptionError, ShapeError
 from pcretrieve.formats.scans import ScanLike, as_scan
@@ -22,9 +23,8 @@ from pcretrieve.pipeline.process import placed, signature
 from pcretrieve.pipeline.seen import Seen
 from pcretrieve.pipeline.spectra import shape_of
 from pcretrieve.pipeline.stages import stages
-from pcretrieve.quality import OUTCOMES, findings_of
 from pcretrieve.surface import sampled, sound_mesh
-from pcretrieve.types import Failure, FloatArray, PointCloud, Shape, Signature, TriangleMesh
+from pcretrieve.values import Failure, FloatArray, PointCloud, Shape, Signature, TriangleMesh
 
 __all__ = ["inspect_scan", "signature_spread"]
 

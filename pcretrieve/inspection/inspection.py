@@ -8,9 +8,9 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from pcretrieve.checks import Check, Outcome, verdict_of
 from pcretrieve.inspection.next_body import NextBody, ratio_words
-from pcretrieve.quality import Check, Outcome, verdict_of
-from pcretrieve.types import Failure, FloatArray, PointCloud, Signature, Step, TriangleMesh, Verdict
+from pcretrieve.values import Failure, FloatArray, PointCloud, Signature, Step, TriangleMesh, Verdict
 
 __all__ = ["Inspection"]
 

@@ -9,11 +9,11 @@ from pathlib import Path
 import numpy as np
 
 from pcretrieve.catalogue import Catalogue
+from pcretrieve.checks import NEXT_BODY
 from pcretrieve.errors import InputError
 from pcretrieve.ingestion.discover import content_hash
 from pcretrieve.options import PipelineOptions
-from pcretrieve.quality import NEXT_BODY
-from pcretrieve.types import Signature
+from pcretrieve.values import Signature
 
 __all__ = ["NextBody", "next_body_in", "ratio_words"]
 

@@ -10,8 +10,8 @@ from scipy.spatial import cKDTree
 
 from pcretrieve.options import DEFAULT_STAGES, PipelineOptions
 from pcretrieve.pipeline.seen import Seen
-from pcretrieve.scan import outliers
-from pcretrieve.types import FloatArray, PointCloud
+from pcretrieve.points import outliers
+from pcretrieve.values import FloatArray, PointCloud
 
 __all__ = ["Removed", "median_spacing", "removed_after"]
 

@@ -17,7 +17,7 @@ from pcretrieve.options import OptionsLike, PipelineOptions
 from pcretrieve.pages.query_page import write_query_page
 from pcretrieve.pipeline.process import process
 from pcretrieve.searching import Answer, Described
-from pcretrieve.types import Neighbors, Signature
+from pcretrieve.values import Neighbors, Signature
 
 __all__ = ["query_page", "search", "search_many"]
 

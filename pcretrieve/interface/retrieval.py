@@ -21,7 +21,7 @@ from pcretrieve.interface.catalogues import CatalogueLike, opened
 from pcretrieve.matching import DistanceMatrix
 from pcretrieve.options import OptionsLike, PipelineOptions
 from pcretrieve.pages.retrieval_page import MOST_QUERIES, retrieval_page
-from pcretrieve.types import SignatureTable
+from pcretrieve.values import SignatureTable
 
 __all__ = ["calibrate", "compare", "evaluate", "matrix", "report"]
 

@@ -18,8 +18,8 @@ from pcretrieve.inspection import Inspection, inspect_scan
 from pcretrieve.interface.catalogues import CatalogueLike, opened, stored_records
 from pcretrieve.options import MergeOptions, OptionsLike, PipelineOptions
 from pcretrieve.pages.inspection_page import write_inspection_page
-from pcretrieve.registration import Merged
-from pcretrieve.registration import merge_views as merge_clouds
+from pcretrieve.points.register import Merged
+from pcretrieve.points.register import merge_views as merge_clouds
 
 __all__ = ["ingest", "inspect", "merge_views"]
 

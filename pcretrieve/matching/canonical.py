@@ -10,7 +10,7 @@ from scipy.spatial.distance import cdist
 
 from pcretrieve.adapters.open3d import simplify
 from pcretrieve.errors import DegenerateMeshError, Stage
-from pcretrieve.types import FloatArray, TriangleMesh
+from pcretrieve.values import FloatArray, TriangleMesh
 
 __all__ = ["canonical_form", "coarser", "geodesic_distances", "scaled_coordinates"]
 

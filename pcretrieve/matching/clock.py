@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from pcretrieve.adapters.opencv import sift_descriptors
 from pcretrieve.matching.canonical import canonical_form
-from pcretrieve.types import FloatArray, IntArray, Shape
+from pcretrieve.values import FloatArray, IntArray, Shape
 
 __all__ = ["ViewDescriptors", "ViewWords", "clock_distance", "view_descriptors", "view_words"]
 

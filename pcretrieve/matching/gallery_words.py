@@ -17,7 +17,7 @@ from pcretrieve.descriptors.hks_bow import heat_features
 from pcretrieve.descriptors.vocabulary import POINTS_PER_WORD, Vocabulary, clustered
 from pcretrieve.errors import InputError
 from pcretrieve.spectral import unit_eigenpairs
-from pcretrieve.types import FloatArray, Shape
+from pcretrieve.values import FloatArray, Shape
 
 __all__ = ["HeatPoints", "heat_points", "word_distance", "word_frequencies"]
 

@@ -19,7 +19,7 @@ from scipy.spatial.distance import cdist
 
 from pcretrieve.descriptors.hks_bow import heat_features
 from pcretrieve.spectral import unit_eigenpairs
-from pcretrieve.types import FloatArray, Shape
+from pcretrieve.values import FloatArray, Shape
 
 __all__ = ["HeatSet", "heat_distance", "heat_set"]
 

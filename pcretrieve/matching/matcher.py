@@ -18,7 +18,7 @@ from pcretrieve.matching.heat import heat_distance, heat_set
 from pcretrieve.matching.meshsift import match_distance, mesh_features
 from pcretrieve.names import NAMES
 from pcretrieve.plugins import Registry, named
-from pcretrieve.types import Need, Shape
+from pcretrieve.values import Need, Shape
 
 __all__ = ["MATCHERS", "Matcher"]
 

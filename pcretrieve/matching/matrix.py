@@ -9,8 +9,8 @@ import numpy as np
 
 from pcretrieve.errors import InputError
 from pcretrieve.retrieval import DistanceBlock, Positions, Ranking, nearest_of, position_of
-from pcretrieve.types import FloatArray, Neighbors
-from pcretrieve.values import Value, locked
+from pcretrieve.values import FloatArray, Neighbors
+from pcretrieve.values.base import Value, locked
 
 __all__ = ["DistanceMatrix", "distance_matrix"]
 

@@ -18,7 +18,7 @@ from scipy.sparse.csgraph import dijkstra
 from pcretrieve.errors import DegenerateMeshError, Stage
 from pcretrieve.matching.canonical import coarser
 from pcretrieve.matching.scale_space import Level, adjacency, keypoints, levels
-from pcretrieve.types import FloatArray, Shape, TriangleMesh
+from pcretrieve.values import FloatArray, Shape, TriangleMesh
 
 __all__ = ["MeshFeatures", "match_distance", "mesh_features"]
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from pcretrieve.types import IntArray
+from pcretrieve.values import IntArray
 
 __all__ = ["smallest_mean"]
 

@@ -11,7 +11,7 @@ import numpy as np
 from pcretrieve.errors import InputError, PcretrieveError, ShapeError, Stage
 from pcretrieve.matching.matcher import Matcher
 from pcretrieve.retrieval import DistanceBlock, Positions, nearest_of, position_of
-from pcretrieve.types import Failure, FloatArray, Neighbors, Shape
+from pcretrieve.values import Failure, FloatArray, Neighbors, Shape
 
 __all__ = ["PairwiseIndex"]
 

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.sparse import csr_array, diags_array
 
-from pcretrieve.types import FloatArray, IntArray, TriangleMesh
+from pcretrieve.values import FloatArray, IntArray, TriangleMesh
 
 __all__ = ["Keypoints", "Level", "keypoints", "levels"]
 

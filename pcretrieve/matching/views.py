@@ -9,7 +9,7 @@ from itertools import permutations, product
 import numpy as np
 from numba import njit
 
-from pcretrieve.types import FloatArray, IntArray, TriangleMesh
+from pcretrieve.values import FloatArray, IntArray, TriangleMesh
 
 __all__ = ["depth_pictures", "directions", "exchanges"]
 

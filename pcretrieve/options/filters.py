@@ -10,7 +10,7 @@ from pcretrieve.errors import OptionError
 from pcretrieve.options.model import Options
 
 if TYPE_CHECKING:
-    from pcretrieve.types import PointCloud, TriangleMesh
+    from pcretrieve.values import PointCloud, TriangleMesh
 
 __all__ = ["PointFilter", "SurfaceFilter", "Value"]
 

@@ -7,7 +7,7 @@ from itertools import pairwise
 from math import isfinite
 
 from pcretrieve.errors import InputError
-from pcretrieve.types import Verdict
+from pcretrieve.values import Verdict
 
 __all__ = ["Card", "Panel"]
 
@@ -33,7 +33,7 @@ class Card:
         if self.picture is not None and not self.picture.startswith(PNG_MAGIC):
             raise InputError(
                 f"the picture of {self.id} must be a PNG, got {len(self.picture)} bytes that start with "
-                f"{self.picture[: len(PNG_MAGIC)]!r}; use pcretrieve.rendering.thumbnail, or None"
+                f"{self.picture[: len(PNG_MAGIC)]!r}; use pcretrieve.draw.thumbnail, or None"
             )
         if self.distance is not None and not (isfinite(self.distance) and self.distance >= 0):
             raise InputError(f"the distance of {self.id} must be at least 0 and finite, got {self.distance}")

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pcretrieve.types import FloatArray
+from pcretrieve.values import FloatArray
 
 __all__ = ["Curves", "curves"]
 

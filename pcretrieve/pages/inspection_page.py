@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from pcretrieve.atomic import write_file
+from pcretrieve.draw import CLAY
 from pcretrieve.inspection.inspection import Inspection
 from pcretrieve.pages.html import page_template
 from pcretrieve.pages.inspection_pictures import (
@@ -30,8 +31,7 @@ from pcretrieve.pages.inspection_pictures import (
     thinned,
 )
 from pcretrieve.pages.scene import VIEWER_SIZE, Cube, encoded
-from pcretrieve.rendering import CLAY
-from pcretrieve.types import FloatArray
+from pcretrieve.values import FloatArray
 
 __all__ = ["Served", "inspection_html", "write_inspection_page"]
 

@@ -10,8 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 
-from pcretrieve.inspection.inspection import Inspection
-from pcretrieve.rendering import (
+from pcretrieve.draw import (
     CLAY,
     Camera,
     Colour,
@@ -22,7 +21,8 @@ from pcretrieve.rendering import (
     rgb,
     surface_picture,
 )
-from pcretrieve.types import FloatArray, PointCloud, TriangleMesh
+from pcretrieve.inspection.inspection import Inspection
+from pcretrieve.values import FloatArray, PointCloud, TriangleMesh
 
 __all__ = [
     "AWAY",

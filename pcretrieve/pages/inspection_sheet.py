@@ -8,9 +8,9 @@ from pathlib import Path
 from PIL import Image, ImageDraw, ImageFont
 
 from pcretrieve.atomic import write_file
+from pcretrieve.draw import Colour, rgb
 from pcretrieve.inspection.inspection import Inspection
 from pcretrieve.pages.inspection_pictures import CUT, PICTURE_PIXELS, inspection_cameras, rows_of
-from pcretrieve.rendering import Colour, rgb
 
 __all__ = ["write_inspection_png"]
 

@@ -17,7 +17,7 @@ from pcretrieve.options import PipelineOptions
 from pcretrieve.pages.html import page_template
 from pcretrieve.pages.thumbnails import Thumbnails
 from pcretrieve.retrieval import plane_map
-from pcretrieve.types import FloatArray
+from pcretrieve.values import FloatArray
 
 __all__ = ["ClassGroup", "class_groups", "map_drawing", "write_map"]
 

@@ -21,7 +21,7 @@ from pcretrieve.pages.settings import settings_in_words
 from pcretrieve.pages.thumbnails import Thumbnails
 from pcretrieve.retrieval import swapping_ranks
 from pcretrieve.searching import Answer, Described, result_rows
-from pcretrieve.types import Verdict
+from pcretrieve.values import Verdict
 
 __all__ = ["write_query_page"]
 

@@ -18,7 +18,7 @@ from pcretrieve.evaluation import ClassMeasures, Comparison, Confusion, Precisio
 from pcretrieve.pages.cards import Panel
 from pcretrieve.pages.confusion_picture import confusion_picture
 from pcretrieve.pages.html import page_template
-from pcretrieve.types import Failure, FloatArray
+from pcretrieve.values import Failure, FloatArray
 
 __all__ = ["write_report"]
 

@@ -29,7 +29,7 @@ from pcretrieve.pages.report import write_report
 from pcretrieve.pages.settings import settings_in_words
 from pcretrieve.pages.thumbnails import Thumbnails
 from pcretrieve.retrieval import N_NEAR, Ranking, SignatureIndex, plane_map, reranked_neighbors
-from pcretrieve.types import Failure
+from pcretrieve.values import Failure
 
 __all__ = ["MOST_QUERIES", "retrieval_page"]
 

@@ -8,8 +8,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pcretrieve.rendering import CLAY, Colour, body_axes, css
-from pcretrieve.types import FloatArray, TriangleMesh
+from pcretrieve.draw import CLAY, Colour, body_axes, css
+from pcretrieve.values import FloatArray, TriangleMesh
 
 __all__ = ["VIEWER_SIZE", "Cube", "encoded", "surface_scene"]
 

@@ -8,8 +8,7 @@ from threading import Lock
 import numpy as np
 
 from pcretrieve.catalogue import Catalogue, Record
-from pcretrieve.errors import ShapeError
-from pcretrieve.rendering import (
+from pcretrieve.draw import (
     FEWEST_BODIES,
     NEAR_AXIS,
     THUMBNAIL_PIXELS,
@@ -19,7 +18,8 @@ from pcretrieve.rendering import (
     thumbnail,
     upward,
 )
-from pcretrieve.types import FloatArray, TriangleMesh
+from pcretrieve.errors import ShapeError
+from pcretrieve.values import FloatArray, TriangleMesh
 
 __all__ = ["Thumbnails"]
 

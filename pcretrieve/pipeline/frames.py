@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import Generic, TypeVar
 
-from pcretrieve.types import FloatArray, PointCloud, TriangleMesh
+from pcretrieve.values import FloatArray, PointCloud, TriangleMesh
 
 __all__ = ["Framed", "moved"]
 

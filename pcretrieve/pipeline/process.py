@@ -9,6 +9,7 @@ from dataclasses import replace
 
 from threadpoolctl import threadpool_limits
 
+from pcretrieve.checks import findings_of, verdict_of
 from pcretrieve.descriptors import describe
 from pcretrieve.errors import PcretrieveError, ShapeError, Stage, in_stage, shape_error
 from pcretrieve.formats.scans import ScanLike
@@ -17,8 +18,7 @@ from pcretrieve.pipeline.progress import log_steps, scan_name
 from pcretrieve.pipeline.seen import Seen
 from pcretrieve.pipeline.spectra import shape_of
 from pcretrieve.pipeline.stages import stages
-from pcretrieve.quality import findings_of, verdict_of
-from pcretrieve.types import FloatArray, Shape, Signature, Step, TriangleMesh, Verdict
+from pcretrieve.values import FloatArray, Shape, Signature, Step, TriangleMesh, Verdict
 
 __all__ = [
     "described_shape",

@@ -7,7 +7,7 @@ from collections.abc import Iterable
 from functools import cache
 from pathlib import Path
 
-from pcretrieve.types import Step
+from pcretrieve.values import Step
 
 __all__ = ["announce_compilation", "log_steps", "scan_name"]
 

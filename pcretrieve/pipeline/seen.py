@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from pcretrieve.surface import SurfaceMarks
-from pcretrieve.types import PointCloud, Step, TriangleMesh
+from pcretrieve.values import PointCloud, Step, TriangleMesh
 
 __all__ = ["Seen"]
 

@@ -14,7 +14,7 @@ from pcretrieve.options import PipelineOptions
 from pcretrieve.pipeline.frames import moved
 from pcretrieve.pipeline.seen import Seen
 from pcretrieve.spectral import eigenpairs, laplace_beltrami, star_mesh, unit_eigenpairs
-from pcretrieve.types import (
+from pcretrieve.values import (
     Eigenpairs,
     LaplaceBeltrami,
     ModalSpectrum,

@@ -20,10 +20,10 @@ from pcretrieve.pipeline.frames import Framed
 from pcretrieve.pipeline.progress import announce_compilation, log_steps, scan_name
 from pcretrieve.pipeline.seen import Seen
 from pcretrieve.plugins import Registry
-from pcretrieve.scan import POINT_FILTERS, check_extent
+from pcretrieve.points import POINT_FILTERS, check_extent
 from pcretrieve.spectral import ELEMENTS
 from pcretrieve.surface import SURFACE_FILTERS, defects, reduced, sampled, sound_mesh, surfaces
-from pcretrieve.types import PointCloud, Step, TriangleMesh
+from pcretrieve.values import PointCloud, Step, TriangleMesh
 
 __all__ = ["stages"]
 

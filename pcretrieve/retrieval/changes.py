@@ -13,7 +13,7 @@ from pcretrieve.retrieval.index import NO_SHAPES, SignatureIndex
 from pcretrieve.retrieval.names import Names
 from pcretrieve.retrieval.ranking import position_of
 from pcretrieve.retrieval.whitened import WhitenedTable
-from pcretrieve.types import SignatureTable
+from pcretrieve.values import SignatureTable
 
 __all__ = ["with_shapes", "without_shapes"]
 

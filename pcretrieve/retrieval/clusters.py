@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from pcretrieve.adapters.scikit_learn import density_clusters, neighbour_embedding
 from pcretrieve.errors import OptionError
 from pcretrieve.retrieval.index import SignatureIndex
-from pcretrieve.types import FloatArray
+from pcretrieve.values import FloatArray
 
 __all__ = ["cluster_numbers", "plane_map"]
 

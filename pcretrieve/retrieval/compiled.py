@@ -7,7 +7,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from pcretrieve.retrieval.blocks import N_CELLS, Codes, Rows
-from pcretrieve.types import FloatArray
+from pcretrieve.values import FloatArray
 
 __all__ = ["scan"]
 

@@ -15,7 +15,7 @@ import numpy as np
 
 from pcretrieve.errors import InputError
 from pcretrieve.retrieval.ranking import Positions
-from pcretrieve.types import FloatArray
+from pcretrieve.values import FloatArray
 
 __all__ = ["CHUNK", "Residuals", "likeliest_shrinkage", "scatter_matrix", "shrunk", "within_class_residuals"]
 

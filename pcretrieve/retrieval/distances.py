@@ -35,7 +35,7 @@ from numpy.typing import ArrayLike, NDArray
 from pcretrieve.errors import InputError, OptionError
 from pcretrieve.names import NAMES
 from pcretrieve.plugins import Registry, named
-from pcretrieve.types import FloatArray, Metric, SignatureTable
+from pcretrieve.values import FloatArray, Metric, SignatureTable
 
 __all__ = [
     "DISTANCES",

@@ -30,7 +30,7 @@ from pcretrieve.retrieval.distances import DISTANCES, pairwise
 from pcretrieve.retrieval.interpreted import scan
 from pcretrieve.retrieval.lower_bounds import LowerBounds
 from pcretrieve.retrieval.searches import SEARCHES, EuclideanSearch, check_searchable
-from pcretrieve.types import FloatArray
+from pcretrieve.values import FloatArray
 
 __all__ = ["Filter"]
 

@@ -44,7 +44,7 @@ from pcretrieve.retrieval.neighbour_covariance import LEAST_SHAPES, neighbour_co
 from pcretrieve.retrieval.pairs import neighbour_pairs
 from pcretrieve.retrieval.regularisation import CovarianceFit, checked_shrinkage, inverse_square_root
 from pcretrieve.retrieval.whitening import WHITENINGS, Whitening
-from pcretrieve.types import FloatArray, Metric, SignatureTable
+from pcretrieve.values import FloatArray, Metric, SignatureTable
 
 __all__ = ["fit_whitening", "table_whitening"]
 

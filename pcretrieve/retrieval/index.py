@@ -38,7 +38,7 @@ from pcretrieve.retrieval.ranking import (
 from pcretrieve.retrieval.scores import MatchScores
 from pcretrieve.retrieval.whitened import MadeBy, WhitenedTable
 from pcretrieve.retrieval.whitening import Whitening
-from pcretrieve.types import FloatArray, Neighbors, Signature, SignatureTable
+from pcretrieve.values import FloatArray, Neighbors, Signature, SignatureTable
 
 __all__ = ["SignatureIndex"]
 

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcretrieve.retrieval.blocks import N_CELLS, NO_ROW, Codes, Rows
-from pcretrieve.types import FloatArray
+from pcretrieve.values import FloatArray
 
 __all__ = ["scan"]
 

@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 
 from pcretrieve.retrieval.blocks import N_CELLS, Blocks, Rows
 from pcretrieve.retrieval.covariances import CHUNK, scatter_matrix
-from pcretrieve.types import FloatArray
+from pcretrieve.values import FloatArray
 
 __all__ = ["LowerBounds"]
 

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from pcretrieve.retrieval.index import SignatureIndex
-from pcretrieve.types import FloatArray, Neighbors
+from pcretrieve.values import FloatArray, Neighbors
 
 __all__ = ["NearPair", "near_pairs"]
 

@@ -11,7 +11,7 @@ from pcretrieve.options import Shrinkage
 from pcretrieve.retrieval.covariances import shrunk
 from pcretrieve.retrieval.pairs import neighbour_pairs
 from pcretrieve.retrieval.regularisation import DEFAULT_SHRINKAGE, CovarianceFit, inverse_square_root
-from pcretrieve.types import FloatArray
+from pcretrieve.values import FloatArray
 
 __all__ = ["LEAST_SHAPES", "neighbour_covariance"]
 

@@ -20,7 +20,7 @@ import numpy as np
 
 from pcretrieve.retrieval.ranking import BLOCK_DISTANCES, DistanceBlock, Positions
 from pcretrieve.retrieval.reranking import nearest_matrix, neighbour_lists, rerank
-from pcretrieve.types import FloatArray
+from pcretrieve.values import FloatArray
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from pcretrieve.retrieval.distances import pairwise
 from pcretrieve.retrieval.index import SignatureIndex
 from pcretrieve.retrieval.ranking import position_of
-from pcretrieve.types import FloatArray, Signature
+from pcretrieve.values import FloatArray, Signature
 
 __all__ = ["rank_ranges", "swapping_ranks"]
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from pcretrieve.errors import InputError, OptionError
 from pcretrieve.retrieval.distances import pairwise
-from pcretrieve.types import FloatArray, Neighbors
+from pcretrieve.values import FloatArray, Neighbors
 
 __all__ = [
     "BLOCK_DISTANCES",

@@ -10,7 +10,7 @@ import numpy as np
 
 from pcretrieve.errors import OptionError
 from pcretrieve.options import Shrinkage
-from pcretrieve.types import FloatArray
+from pcretrieve.values import FloatArray
 
 __all__ = ["DEFAULT_SHRINKAGE", "CovarianceFit", "checked_shrinkage", "inverse_square_root"]
 

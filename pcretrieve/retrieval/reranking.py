@@ -24,7 +24,7 @@ import numpy as np
 from pcretrieve.errors import OptionError
 from pcretrieve.options import RerankKind
 from pcretrieve.retrieval.ranking import DistanceBlock, Positions
-from pcretrieve.types import FloatArray, Neighbors
+from pcretrieve.values import FloatArray, Neighbors
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array

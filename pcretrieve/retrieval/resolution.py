@@ -26,7 +26,7 @@ from pcretrieve.errors import OptionError
 from pcretrieve.options import Shrinkage, SignatureOptions
 from pcretrieve.retrieval.regularisation import checked_shrinkage, inverse_square_root
 from pcretrieve.retrieval.whitening import Whitening
-from pcretrieve.types import FloatArray
+from pcretrieve.values import FloatArray
 
 __all__ = ["is_measured", "resolution_covariance", "resolution_whitening"]
 

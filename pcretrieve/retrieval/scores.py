@@ -32,8 +32,8 @@ from pcretrieve.retrieval.fitting import fit_whitening
 from pcretrieve.retrieval.neighbour_covariance import LEAST_SHAPES
 from pcretrieve.retrieval.pairs import near_groups, neighbour_pairs
 from pcretrieve.retrieval.whitening import Whitening
-from pcretrieve.types import FloatArray, Metric
-from pcretrieve.values import Value, locked
+from pcretrieve.values import FloatArray, Metric
+from pcretrieve.values.base import Value, locked
 
 __all__ = ["MatchScores", "PairSample", "fit_scores", "isotonic_shares", "pair_sample"]
 

@@ -21,7 +21,7 @@ from pcretrieve.adapters.faiss import FlatScan
 from pcretrieve.adapters.scikit_learn import BallTreeSearch
 from pcretrieve.errors import OptionError
 from pcretrieve.retrieval.distances import DISTANCES
-from pcretrieve.types import FloatArray
+from pcretrieve.values import FloatArray
 
 __all__ = ["SEARCHES", "EuclideanSearch", "check_searchable"]
 

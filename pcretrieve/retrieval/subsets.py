@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from pcretrieve.retrieval.distances import pairwise
 from pcretrieve.retrieval.index import SignatureIndex
 from pcretrieve.retrieval.ranking import nearest_of, position_of
-from pcretrieve.types import FloatArray, Neighbors
+from pcretrieve.values import FloatArray, Neighbors
 
 __all__ = ["nearest_among"]
 

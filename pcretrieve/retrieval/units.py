@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pcretrieve.errors import InputError
-from pcretrieve.types import SizeUnit
+from pcretrieve.values import SizeUnit
 
 __all__ = ["check_unit"]
 

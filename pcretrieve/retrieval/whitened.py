@@ -18,7 +18,7 @@ from pcretrieve.retrieval.ranking import position_of
 from pcretrieve.retrieval.scores import MatchScores
 from pcretrieve.retrieval.units import check_unit
 from pcretrieve.retrieval.whitening import Whitening
-from pcretrieve.types import FloatArray, Metric, Signature, SignatureTable, SizeUnit
+from pcretrieve.values import FloatArray, Metric, Signature, SignatureTable, SizeUnit
 
 __all__ = ["MadeBy", "WhitenedTable"]
 

@@ -21,8 +21,8 @@ from numpy.typing import NDArray
 from pcretrieve.atomic import write_file
 from pcretrieve.errors import InputError, OptionError
 from pcretrieve.options import WhiteningKind
-from pcretrieve.types import FloatArray
-from pcretrieve.values import Value, locked
+from pcretrieve.values import FloatArray
+from pcretrieve.values.base import Value, locked
 
 __all__ = ["CALIBRATED", "WHITENINGS", "Whitening", "read_whitening", "whitening_digest", "write_whitening"]
 

@@ -13,7 +13,7 @@ from pcretrieve.retrieval.ranking import checked_k
 from pcretrieve.searching.answers import Answer
 from pcretrieve.searching.queries import Described, Query, queries_of, query_of
 from pcretrieve.searching.terms import Terms
-from pcretrieve.types import Neighbors, Signature
+from pcretrieve.values import Neighbors, Signature
 
 if TYPE_CHECKING:
     from pcretrieve.matching import DistanceMatrix

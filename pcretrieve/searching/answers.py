@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from pcretrieve.catalogue import Record
 from pcretrieve.retrieval import Vote, swapping_ranks
 from pcretrieve.searching.queries import Described
-from pcretrieve.types import Neighbors
-from pcretrieve.values import Value
+from pcretrieve.values import Neighbors
+from pcretrieve.values.base import Value
 
 __all__ = ["Answer"]
 

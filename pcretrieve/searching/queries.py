@@ -10,7 +10,7 @@ from pathlib import Path
 from pcretrieve.catalogue import Catalogue
 from pcretrieve.errors import DegenerateMeshError, InputError, ScanReadError
 from pcretrieve.options import PipelineOptions
-from pcretrieve.types import Signature, Verdict
+from pcretrieve.values import Signature, Verdict
 
 __all__ = ["Described", "Query", "pictured", "queries_of", "query_of"]
 
@@ -35,8 +35,8 @@ class Query:
 def pictured(scan: Path, options: PipelineOptions, up: str | None = None) -> Described:
     """Process a scan, and draw a thumbnail of its surface."""
     # Imported here, because shapes of the catalogue are found without the stages.
+    from pcretrieve.draw import thumbnail, upward
     from pcretrieve.pipeline.process import described_shape
-    from pcretrieve.rendering import thumbnail, upward
 
     described, verdict, shape = described_shape(scan, options)
     mesh, picture = shape.surfaces[0].mesh, None

@@ -24,7 +24,7 @@ from pcretrieve.retrieval.neighbour_covariance import LEAST_SHAPES
 from pcretrieve.searching.answers import Answer
 from pcretrieve.searching.queries import Described, Query
 from pcretrieve.suggestions import did_you_mean
-from pcretrieve.types import FloatArray, Neighbors, Signature
+from pcretrieve.values import FloatArray, Neighbors, Signature
 
 if TYPE_CHECKING:
     from pcretrieve.matching import DistanceMatrix

@@ -13,7 +13,7 @@ from pcretrieve.simulation.contacts import close_contacts
 from pcretrieve.simulation.kinematics import motions
 from pcretrieve.simulation.skeleton import Bone, Pose, Subject
 from pcretrieve.simulation.skin import follow, skin
-from pcretrieve.types import TriangleMesh
+from pcretrieve.values import TriangleMesh
 
 __all__ = ["POSES", "body", "make_subject"]
 

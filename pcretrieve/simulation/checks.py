@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pcretrieve.errors import InputError, OptionError
-from pcretrieve.types import TriangleMesh
+from pcretrieve.values import TriangleMesh
 
 __all__ = ["check_at_least", "check_shares", "check_surface"]
 

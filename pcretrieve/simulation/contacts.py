@@ -11,7 +11,7 @@ from pcretrieve.simulation.flesh import bone_distance
 from pcretrieve.simulation.kinematics import motions
 from pcretrieve.simulation.skeleton import Contact, Pose
 from pcretrieve.simulation.skin import Skin, blend
-from pcretrieve.types import FloatArray
+from pcretrieve.values import FloatArray
 
 __all__ = ["close_contacts"]
 

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from pcretrieve.errors import InputError
 from pcretrieve.simulation.checks import check_at_least, check_shares
-from pcretrieve.types import FloatArray, IntArray, TriangleMesh
+from pcretrieve.values import FloatArray, IntArray, TriangleMesh
 
 __all__ = ["DamageOptions", "damaged"]
 

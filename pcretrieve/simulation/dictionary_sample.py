@@ -26,7 +26,7 @@ from pcretrieve.descriptors.dl import ATOMS, N_ATOMS, surface_points
 from pcretrieve.descriptors.sparse_coding import PENALTY, SurfacePoints
 from pcretrieve.simulation.bodies import POSES, body, make_subject
 from pcretrieve.spectral import unit_eigenpairs
-from pcretrieve.types import FloatArray
+from pcretrieve.values import FloatArray
 
 __all__ = ["LabelledSurface", "dictionaries", "main", "surfaces"]
 

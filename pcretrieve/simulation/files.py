@@ -8,7 +8,7 @@ from pathlib import Path
 from scipy.spatial.transform import Rotation
 
 from pcretrieve.atomic import write_file
-from pcretrieve.types import FloatArray
+from pcretrieve.values import FloatArray
 
 __all__ = ["write_conf", "write_pcd", "write_ply"]
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from pcretrieve.simulation.skeleton import Bone, RoundCone, Vector
-from pcretrieve.types import FloatArray
+from pcretrieve.values import FloatArray
 
 __all__ = ["bone_distance", "cone_distance"]
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from pcretrieve.simulation.limbs import limb
 from pcretrieve.simulation.skeleton import Bone, Contact, Pose, RoundCone, Vector, vector
-from pcretrieve.types import FloatArray
+from pcretrieve.values import FloatArray
 
 __all__ = ["CELL", "MEASURES", "POSES", "skeleton"]
 

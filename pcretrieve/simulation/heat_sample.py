@@ -26,7 +26,7 @@ from pcretrieve.descriptors.ispm import SAMPLE as WAVELET_SAMPLE
 from pcretrieve.descriptors.ispm import wavelet_signatures
 from pcretrieve.simulation.bodies import POSES, body, make_subject
 from pcretrieve.spectral import unit_eigenpairs
-from pcretrieve.types import FloatArray
+from pcretrieve.values import FloatArray
 
 __all__ = ["PointFeatures", "features", "main"]
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from pcretrieve.simulation.limbs import limb, mirrored
 from pcretrieve.simulation.skeleton import COLLINEAR, Bone, RoundCone, Vector, vector
-from pcretrieve.types import FloatArray
+from pcretrieve.values import FloatArray
 
 __all__ = ["CELL", "MEASURES", "skeleton"]
 

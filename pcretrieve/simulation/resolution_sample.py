@@ -30,7 +30,7 @@ from pcretrieve.pipeline.process import process
 from pcretrieve.retrieval.resolution import N_MODES, SAMPLE
 from pcretrieve.simulation.bodies import POSES, body, make_subject
 from pcretrieve.simulation.uniform import UniformOptions, scan_uniformly
-from pcretrieve.types import FloatArray, Shape
+from pcretrieve.values import FloatArray, Shape
 
 __all__ = ["log_eigenvalues", "main"]
 

@@ -15,7 +15,7 @@ from pcretrieve.errors import InputError, OptionError
 from pcretrieve.simulation.checks import check_at_least, check_shares, check_surface
 from pcretrieve.simulation.faults import box_centre, outliers, outside_holes
 from pcretrieve.surface.sampling import uniform_points
-from pcretrieve.types import FloatArray, PointCloud, TriangleMesh
+from pcretrieve.values import FloatArray, PointCloud, TriangleMesh
 
 __all__ = ["RigOptions", "camera_pose", "scan", "scan_views"]
 

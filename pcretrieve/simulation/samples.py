@@ -22,7 +22,7 @@ from pcretrieve.errors import OptionError
 from pcretrieve.simulation.bodies import POSES, body, make_subject
 from pcretrieve.simulation.files import write_conf, write_pcd, write_ply
 from pcretrieve.simulation.rig import RigOptions, camera_pose, scan, scan_views
-from pcretrieve.types import FloatArray, TriangleMesh
+from pcretrieve.values import FloatArray, TriangleMesh
 
 __all__ = ["DEMO_QUERY", "DEMO_SAMPLES", "SAMPLES", "SUBJECTS", "SampleSubject", "main", "write_samples"]
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from pcretrieve.errors import InputError
-from pcretrieve.types import FloatArray
+from pcretrieve.values import FloatArray
 
 __all__ = [
     "COLLINEAR",
@@ -58,7 +58,7 @@ class Bone:
 
 @dataclass(frozen=True, slots=True)
 class Subject:
-    """One individual: a skeleton with its flesh. Hashable, so that the skin of a subject is made only once."""
+    """One individual: a skeleton with its flesh. Hashable, so that the skin of a subject is made once."""
 
     family: str
     bones: tuple[Bone, ...]

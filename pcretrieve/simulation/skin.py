@@ -15,7 +15,7 @@ from pcretrieve.errors import InputError
 from pcretrieve.simulation.flesh import bone_distance, cone_distance
 from pcretrieve.simulation.skeleton import Bone, Subject
 from pcretrieve.spectral import laplace_beltrami
-from pcretrieve.types import FloatArray, TriangleMesh
+from pcretrieve.values import FloatArray, TriangleMesh
 
 __all__ = ["Skin", "blend", "follow", "skin"]
 

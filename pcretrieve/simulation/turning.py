@@ -19,7 +19,7 @@ from pcretrieve.adapters.rays import RayScene
 from pcretrieve.atomic import write_file
 from pcretrieve.errors import OptionError
 from pcretrieve.simulation.checks import check_at_least, check_shares, check_surface
-from pcretrieve.types import FloatArray, TriangleMesh
+from pcretrieve.values import FloatArray, TriangleMesh
 
 __all__ = ["TurningOptions", "turning_frames", "write_frames"]
 

@@ -12,7 +12,7 @@ from pcretrieve.simulation.checks import check_at_least, check_shares, check_sur
 from pcretrieve.simulation.faults import box_centre, outliers, outside_holes
 from pcretrieve.simulation.rig import RigOptions
 from pcretrieve.surface.sampling import uniform_points
-from pcretrieve.types import FloatArray, PointCloud, TriangleMesh
+from pcretrieve.values import FloatArray, PointCloud, TriangleMesh
 
 __all__ = ["UniformOptions", "scan_uniformly"]
 

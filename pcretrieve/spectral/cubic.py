@@ -6,7 +6,7 @@ import numpy as np
 
 from pcretrieve.spectral.element import Assembled, Element
 from pcretrieve.spectral.lagrange import Index, ReferenceElement, Sides, assembled, check_faces, sides_of
-from pcretrieve.types import TriangleMesh
+from pcretrieve.values import TriangleMesh
 
 __all__ = ["CUBIC", "CUBIC_REFERENCE", "cubic", "cubic_nodes"]
 

@@ -18,7 +18,7 @@ from pcretrieve.errors import (
     SpectrumNotConverged,
 )
 from pcretrieve.spectral.krylov import BLOCK, basis_size, block_krylov
-from pcretrieve.types import Eigenpairs, FloatArray, LaplaceBeltrami
+from pcretrieve.values import Eigenpairs, FloatArray, LaplaceBeltrami
 
 __all__ = ["eigenpairs"]
 

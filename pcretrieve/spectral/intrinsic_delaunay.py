@@ -8,7 +8,7 @@ from pcretrieve.adapters.robust_laplacian import tufted_matrices
 from pcretrieve.errors import DegenerateMeshError
 from pcretrieve.spectral.element import Assembled, Element
 from pcretrieve.spectral.lagrange import check_vertices, sides_of
-from pcretrieve.types import TriangleMesh
+from pcretrieve.values import TriangleMesh
 
 __all__ = ["INTRINSIC_DELAUNAY", "intrinsic_delaunay"]
 

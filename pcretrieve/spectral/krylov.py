@@ -17,7 +17,7 @@ from scipy.linalg import LinAlgError, eigh
 from scipy.sparse import csc_array, csr_array
 
 from pcretrieve.errors import NegativeEigenvalues, NonFiniteSpectrum, SpectrumNotConverged
-from pcretrieve.types import FloatArray
+from pcretrieve.values import FloatArray
 
 __all__ = ["basis_size", "block_krylov"]
 

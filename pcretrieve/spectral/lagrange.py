@@ -27,7 +27,7 @@ from scipy.sparse import coo_array, csc_array
 
 from pcretrieve.errors import DegenerateMeshError
 from pcretrieve.spectral.element import Assembled
-from pcretrieve.types import FloatArray, TriangleMesh
+from pcretrieve.values import FloatArray, TriangleMesh
 
 __all__ = ["Index", "ReferenceElement", "Sides", "assembled", "check_faces", "check_vertices", "sides_of"]
 

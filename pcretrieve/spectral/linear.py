@@ -6,7 +6,7 @@ import numpy as np
 
 from pcretrieve.spectral.element import Assembled, Element
 from pcretrieve.spectral.lagrange import ReferenceElement, assembled, check_faces, sides_of
-from pcretrieve.types import TriangleMesh
+from pcretrieve.values import TriangleMesh
 
 __all__ = ["LINEAR", "LINEAR_REFERENCE", "linear"]
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from pcretrieve.spectral.eigen import eigenpairs
 from pcretrieve.spectral.operators import laplace_beltrami
-from pcretrieve.types import Eigenpairs, TriangleMesh
+from pcretrieve.values import Eigenpairs, TriangleMesh
 
 __all__ = ["unit_eigenpairs"]
 

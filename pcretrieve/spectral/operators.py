@@ -17,7 +17,7 @@ from pcretrieve.spectral.element import Assembled, Element, Mass
 from pcretrieve.spectral.intrinsic_delaunay import INTRINSIC_DELAUNAY
 from pcretrieve.spectral.linear import LINEAR
 from pcretrieve.spectral.points import POINTS
-from pcretrieve.types import LaplaceBeltrami, PointCloud, TriangleMesh
+from pcretrieve.values import LaplaceBeltrami, PointCloud, TriangleMesh
 
 __all__ = ["ELEMENTS", "laplace_beltrami"]
 

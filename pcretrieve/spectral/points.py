@@ -11,7 +11,7 @@ from pcretrieve.errors import DegenerateMeshError
 from pcretrieve.spectral.element import Assembled, Element
 from pcretrieve.spectral.lagrange import assembled, sides_of
 from pcretrieve.spectral.linear import LINEAR_REFERENCE
-from pcretrieve.types import FloatArray, IntArray, PointCloud, TriangleMesh
+from pcretrieve.values import FloatArray, IntArray, PointCloud, TriangleMesh
 
 __all__ = ["POINTS", "points", "star_mesh", "stars"]
 

@@ -22,8 +22,9 @@ from numpy.typing import NDArray
 
 from pcretrieve.errors import ReconstructionError
 from pcretrieve.options import SurfaceOptions
-from pcretrieve.scan.density import interpolated
-from pcretrieve.scan.sampling import PLANE_NEIGHBORS, Neighborhoods, neighborhoods, noise, spacing
+from pcretrieve.points.density import interpolated
+from pcretrieve.points.sampling import PLANE_NEIGHBORS, Neighborhoods, neighborhoods, noise, spacing
+from pcretrieve.points.voxels import Grid, Mask, Outside, Voxels, flood
 from pcretrieve.surface.caps import NO_CAP, Capped, base_of, points_on
 from pcretrieve.surface.coarse import coarse_surface
 from pcretrieve.surface.contacts import CONTINUED, contact_layer, rims, walls
@@ -34,8 +35,7 @@ from pcretrieve.surface.marching import Crossings, crossed, marched
 from pcretrieve.surface.pieces import joined
 from pcretrieve.surface.simplify import simplified
 from pcretrieve.surface.smooth import smoothed
-from pcretrieve.types import FloatArray, PointCloud, Step, TriangleMesh
-from pcretrieve.voxels import Grid, Mask, Outside, Voxels, flood
+from pcretrieve.values import FloatArray, PointCloud, Step, TriangleMesh
 
 __all__ = ["SurfaceMarks", "body_surfaces"]
 

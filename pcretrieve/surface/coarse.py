@@ -7,17 +7,17 @@ import numpy as np
 from pcretrieve.adapters import open3d
 from pcretrieve.errors import ReconstructionError
 from pcretrieve.options import SurfaceOptions
-from pcretrieve.scan.density import local_spacings
-from pcretrieve.scan.nearest import nearest
-from pcretrieve.scan.sampling import SPACING_NEIGHBORS, neighborhoods
+from pcretrieve.points.density import local_spacings
+from pcretrieve.points.nearest import nearest
+from pcretrieve.points.sampling import SPACING_NEIGHBORS, neighborhoods
+from pcretrieve.points.voxels import Grid, sampled
 from pcretrieve.surface.caps import NO_CAP, Capped, capped
 from pcretrieve.surface.field import normals_of
 from pcretrieve.surface.indicator import indicator
 from pcretrieve.surface.marching import Crossings, crossed, marched
 from pcretrieve.surface.repair import largest_component
 from pcretrieve.surface.topology import compact, defects
-from pcretrieve.types import FloatArray, PointCloud, TriangleMesh
-from pcretrieve.voxels import Grid, sampled
+from pcretrieve.values import FloatArray, PointCloud, TriangleMesh
 
 __all__ = ["coarse_surface"]
 

@@ -15,8 +15,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from pcretrieve.types import FloatArray
-from pcretrieve.voxels import Mask, Voxels
+from pcretrieve.points.voxels import Mask, Voxels
+from pcretrieve.values import FloatArray
 
 __all__ = ["CONTINUED", "contact_layer", "rims", "walls"]
 

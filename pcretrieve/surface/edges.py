@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from pcretrieve.types import IntArray
+from pcretrieve.values import IntArray
 
 __all__ = ["Edges", "edges_of", "fans", "is_connected", "joined_by", "twins"]
 

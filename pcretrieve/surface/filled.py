@@ -6,8 +6,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from pcretrieve.types import FloatArray, TriangleMesh
-from pcretrieve.voxels import Grid, Mask, Voxels
+from pcretrieve.points.voxels import Grid, Mask, Voxels
+from pcretrieve.values import FloatArray, TriangleMesh
 
 __all__ = ["filled"]
 

@@ -16,7 +16,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from pcretrieve.voxels import Mask, Voxels
+from pcretrieve.points.voxels import Mask, Voxels
 
 __all__ = ["grown"]
 

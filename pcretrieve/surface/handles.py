@@ -7,11 +7,11 @@ from numba import njit
 from numpy.typing import NDArray
 
 from pcretrieve.options import SurfaceOptions
+from pcretrieve.points.voxels import FARTHEST, Mask, Outside, Voxels, distances
 from pcretrieve.surface.edges import joined_by
 from pcretrieve.surface.growth import grown
 from pcretrieve.surface.marching import marched
-from pcretrieve.types import TriangleMesh
-from pcretrieve.voxels import FARTHEST, Mask, Outside, Voxels, distances
+from pcretrieve.values import TriangleMesh
 
 __all__ = ["with_topology"]
 

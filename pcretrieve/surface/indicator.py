@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from pcretrieve.types import FloatArray
-from pcretrieve.voxels import Grid, Voxels
+from pcretrieve.points.voxels import Grid, Voxels
+from pcretrieve.values import FloatArray
 
 __all__ = ["indicator"]
 

@@ -10,8 +10,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from pcretrieve.types import FloatArray, IntArray
-from pcretrieve.voxels import Mask
+from pcretrieve.points.voxels import Mask
+from pcretrieve.values import FloatArray, IntArray
 
 __all__ = ["Crossings", "crossed", "marched"]
 

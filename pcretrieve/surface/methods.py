@@ -12,7 +12,7 @@ from pcretrieve.options import SurfaceOptions
 from pcretrieve.plugins import Registry, named
 from pcretrieve.surface.body import SurfaceMarks, body_surfaces
 from pcretrieve.surface.reconstruct import poisson_surface
-from pcretrieve.types import PointCloud, Step, TriangleMesh
+from pcretrieve.values import PointCloud, Step, TriangleMesh
 
 __all__ = ["SURFACE_METHODS", "SurfaceMethod", "surfaces"]
 

@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 
 from pcretrieve.errors import ReconstructionError
 from pcretrieve.options import SurfaceOptions
-from pcretrieve.types import FloatArray
-from pcretrieve.voxels import Grid, Mask, components
+from pcretrieve.points.voxels import Grid, Mask, components
+from pcretrieve.values import FloatArray
 
 __all__ = ["joined"]
 

@@ -12,7 +12,7 @@ from pcretrieve.options import SurfaceOptions
 from pcretrieve.surface.repair import ONE_SIDED, largest_component, outward, repaired, used_vertices
 from pcretrieve.surface.sampling import uniform_points
 from pcretrieve.surface.topology import Defects, compact, defects, orient_faces
-from pcretrieve.types import FloatArray, IntArray, PointCloud, Step, TriangleMesh
+from pcretrieve.values import FloatArray, IntArray, PointCloud, Step, TriangleMesh
 
 __all__ = ["poisson_surface", "sampled", "sound_mesh"]
 

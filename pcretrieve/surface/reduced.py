@@ -8,7 +8,7 @@ from pcretrieve.adapters import open3d
 from pcretrieve.errors import DegenerateMeshError
 from pcretrieve.options import SurfaceOptions
 from pcretrieve.surface.repair import repaired
-from pcretrieve.types import Step, TriangleMesh
+from pcretrieve.values import Step, TriangleMesh
 
 __all__ = ["reduced"]
 

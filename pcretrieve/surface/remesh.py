@@ -12,7 +12,7 @@ from pcretrieve.options import RemeshOptions, SurfaceFilter
 from pcretrieve.surface.edges import edges_of
 from pcretrieve.surface.repair import repaired
 from pcretrieve.surface.topology import compact, defects, face_groups
-from pcretrieve.types import FloatArray, IntArray, Step, TriangleMesh
+from pcretrieve.values import FloatArray, IntArray, Step, TriangleMesh
 
 __all__ = ["REMESH", "remesh"]
 

@@ -8,7 +8,7 @@ from pcretrieve.errors import DegenerateMeshError, ReconstructionError
 from pcretrieve.surface.edges import edges_of, joined_by
 from pcretrieve.surface.split import split_non_manifold
 from pcretrieve.surface.topology import compact, components, face_groups, orient_faces
-from pcretrieve.types import TriangleMesh
+from pcretrieve.values import TriangleMesh
 
 __all__ = [
     "ONE_SIDED",

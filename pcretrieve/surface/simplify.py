@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from pcretrieve.errors import DegenerateMeshError
 from pcretrieve.surface.edges import twins
 from pcretrieve.surface.topology import compact
-from pcretrieve.types import FloatArray, IntArray, TriangleMesh
+from pcretrieve.values import FloatArray, IntArray, TriangleMesh
 
 __all__ = ["simplified"]
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from pcretrieve.types import FloatArray, IntArray
+from pcretrieve.values import FloatArray, IntArray
 
 __all__ = ["smoothed"]
 

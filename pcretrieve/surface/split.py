@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from pcretrieve.surface.edges import Edges, Index, edges_of, fans
-from pcretrieve.types import TriangleMesh
+from pcretrieve.values import TriangleMesh
 
 __all__ = ["split_non_manifold"]
 

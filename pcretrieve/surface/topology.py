@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcretrieve.surface.edges import Index, edges_of, fans, is_connected, joined_by, twins
-from pcretrieve.types import FloatArray, IntArray, TriangleMesh
+from pcretrieve.values import FloatArray, IntArray, TriangleMesh
 
 __all__ = ["Defects", "compact", "components", "defects", "face_groups", "orient_faces"]
 

@@ -15,7 +15,7 @@ from pcretrieve.pages.curves import Curves, curves
 from pcretrieve.pages.html import page_template
 from pcretrieve.pages.scene import surface_scene
 from pcretrieve.pages.thumbnails import Thumbnails
-from pcretrieve.types import FloatArray, TriangleMesh
+from pcretrieve.values import FloatArray, TriangleMesh
 from pcretrieve.web.documents import shape_document
 from pcretrieve.web.requests import NotFound
 

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcretrieve.retrieval import SignatureIndex, plane_map
-from pcretrieve.types import FloatArray
+from pcretrieve.values import FloatArray
 
 __all__ = ["Layout", "Maps"]
 

@@ -16,7 +16,7 @@ Answer = TypeVar("Answer")
 
 
 class Readers:
-    """A few threads, each with the catalogue open, because a connection belongs to the thread that made it."""
+    """A few threads, each with the catalogue open: a connection belongs to the thread that made it."""
 
     def __init__(self, location: str, n: int) -> None:
         self._location = location

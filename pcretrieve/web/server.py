@@ -11,9 +11,9 @@ from importlib.util import find_spec
 from pathlib import Path
 
 from pcretrieve.catalogue import Catalogue
+from pcretrieve.draw import upward
 from pcretrieve.errors import InputError
 from pcretrieve.options import OptionsLike, PipelineOptions
-from pcretrieve.rendering import upward
 from pcretrieve.retrieval import N_INTERPRETED
 from pcretrieve.web.application import application
 from pcretrieve.web.guard import Guard

@@ -15,7 +15,7 @@ from pcretrieve.adapters.features import feature_histograms
 from pcretrieve.adapters.geometry import geometry_arrays
 from pcretrieve.errors import ReconstructionError
 from pcretrieve.surface.topology import compact, defects
-from pcretrieve.types import FloatArray, TriangleMesh
+from pcretrieve.values import FloatArray, TriangleMesh
 
 BALL = shapes.icosphere(3)
 POINTS = shapes.points_on(BALL, 3000, seed=1)

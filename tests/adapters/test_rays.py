@@ -7,7 +7,7 @@ import pytest
 import shapes
 
 from pcretrieve.adapters.rays import RayScene
-from pcretrieve.types import FloatArray
+from pcretrieve.values import FloatArray
 
 BALL = shapes.icosphere(3)
 # A unit that is a power of two changes no digit, however far single precision is from bearing it.

@@ -20,7 +20,7 @@ import shapes
 from pcretrieve.adapters import tetwild
 from pcretrieve.adapters.tetwild import tetrahedralize
 from pcretrieve.errors import RemeshError
-from pcretrieve.types import FloatArray, IntArray
+from pcretrieve.values import FloatArray, IntArray
 
 BALL = shapes.icosphere(2)
 

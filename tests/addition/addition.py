@@ -12,11 +12,11 @@ from scipy.spatial import ConvexHull
 from pcretrieve.descriptors import Descriptor
 from pcretrieve.matching import Matcher
 from pcretrieve.options import Options, SignatureOptions, SurfaceOptions
+from pcretrieve.points import PointFilter
 from pcretrieve.retrieval import Distance
-from pcretrieve.scan import PointFilter
 from pcretrieve.spectral import ELEMENTS, Assembled, Element
 from pcretrieve.surface import SurfaceFilter, SurfaceMethod
-from pcretrieve.types import FloatArray, PointCloud, Shape, Signature, TriangleMesh
+from pcretrieve.values import FloatArray, PointCloud, Shape, Signature, TriangleMesh
 
 
 def girth(shape: Shape, options: SignatureOptions) -> Signature:

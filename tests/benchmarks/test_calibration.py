@@ -8,7 +8,7 @@ from pcretrieve.benchmarks.calibration import calibrated_measures
 from pcretrieve.benchmarks.tables import MEASURES
 from pcretrieve.evaluation import evaluate_table
 from pcretrieve.options import RetrievalOptions
-from pcretrieve.types import SignatureTable
+from pcretrieve.values import SignatureTable
 
 MAP = MEASURES.index("mAP")
 

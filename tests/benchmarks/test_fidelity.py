@@ -22,7 +22,7 @@ from pcretrieve.benchmarks.fidelity.textbook import textbook_seconds
 from pcretrieve.errors import BenchmarkError
 from pcretrieve.formats import read_scan
 from pcretrieve.options import PipelineOptions
-from pcretrieve.types import PointCloud, TriangleMesh
+from pcretrieve.values import PointCloud, TriangleMesh
 
 SCRIPT = Path(__file__).parents[2] / "scripts" / "benchmark_fidelity"
 

@@ -10,7 +10,7 @@ import shapes
 
 from pcretrieve.benchmarks.surfaces import bumpy_sphere
 from pcretrieve.formats import write_mesh
-from pcretrieve.types import TriangleMesh
+from pcretrieve.values import TriangleMesh
 
 SCRIPT = Path(__file__).parents[2] / "scripts" / "benchmark_figures"
 

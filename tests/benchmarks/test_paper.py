@@ -26,7 +26,7 @@ from pcretrieve.benchmarks.paper.table_5 import table_5, track
 from pcretrieve.errors import BenchmarkError
 from pcretrieve.formats import read_scan, write_mesh
 from pcretrieve.surface import defects
-from pcretrieve.types import ModalSpectrum, PointCloud, TriangleMesh
+from pcretrieve.values import ModalSpectrum, PointCloud, TriangleMesh
 
 SCRIPT = Path(__file__).parents[2] / "scripts" / "reproduce_paper"
 

@@ -22,7 +22,7 @@ from pcretrieve.descriptors import describe
 from pcretrieve.errors import InputError
 from pcretrieve.pipeline.process import process
 from pcretrieve.retrieval import DISTANCES, resolution_covariance, table_whitening
-from pcretrieve.types import Shape
+from pcretrieve.values import Shape
 
 OPTIONS = PipelineOptions().changed(signature={"method": "r-bihdm", "n_values": 59})
 WHITENINGS = ("none", "resolution", "neighbours", "pca", "within-class")

@@ -19,7 +19,7 @@ from pcretrieve.errors import CatalogueError, ShapeError
 from pcretrieve.formats import write_mesh
 from pcretrieve.pages.retrieval_page import retrieval_page
 from pcretrieve.pipeline.process import process
-from pcretrieve.types import Need, Shape
+from pcretrieve.values import Need, Shape
 
 NEEDS: tuple[Need, ...] = ("spectrum", "overlaps", "mesh")
 OVERLAP_METHODS = ("wks", "bihdm")

@@ -34,7 +34,7 @@ from pcretrieve.errors import CatalogueError, ShapeError
 from pcretrieve.options import NUMBERS_VERSION
 from pcretrieve.pipeline.process import process
 from pcretrieve.retrieval import SignatureIndex
-from pcretrieve.types import ModalSpectrum, Verdict
+from pcretrieve.values import ModalSpectrum, Verdict
 
 HERE = Path(__file__).parent
 EXPECTED: dict[str, Any] = json.loads((HERE / "version1.json").read_text("utf-8"))

@@ -24,7 +24,7 @@ from pcretrieve.descriptors import describe
 from pcretrieve.errors import CatalogueError
 from pcretrieve.formats import read_scan
 from pcretrieve.pipeline.process import process
-from pcretrieve.types import TriangleMesh
+from pcretrieve.values import TriangleMesh
 
 OPTIONS = PipelineOptions().changed(scan={"voxel": 0.005}, signature={"n_values": 15})
 

@@ -22,7 +22,7 @@ from pcretrieve.catalogue.stores import open_rows
 from pcretrieve.cli.main import cli
 from pcretrieve.errors import CatalogueError, OptionError
 from pcretrieve.formats import write_mesh
-from pcretrieve.types import UNIT, Step, Verdict
+from pcretrieve.values import UNIT, Step, Verdict
 
 SETTINGS = {"options": "{}", "numbers_version": "7"}
 IDS = ("b", "d", "a", "c")

@@ -14,7 +14,7 @@ from pcretrieve import Catalogue, PipelineOptions
 from pcretrieve.catalogue import Content, Record
 from pcretrieve.descriptors import describe
 from pcretrieve.pipeline.process import process
-from pcretrieve.types import FloatArray
+from pcretrieve.values import FloatArray
 
 PATIENCE = 120  # seconds
 N_SHAPES = 41  # the last one is not removed

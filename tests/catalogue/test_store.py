@@ -21,7 +21,7 @@ from pcretrieve.errors import CatalogueError, InputError, ShapeError, SpectrumEr
 from pcretrieve.options import SignatureOptions
 from pcretrieve.pipeline.process import process
 from pcretrieve.retrieval import SignatureIndex, fit_whitening, log_signatures
-from pcretrieve.types import Shape
+from pcretrieve.values import Shape
 
 OPTIONS = PipelineOptions()
 N_SHAPES = 6

@@ -13,7 +13,7 @@ import pytest
 import shapes
 
 from pcretrieve.formats import write_mesh
-from pcretrieve.types import FloatArray, TriangleMesh
+from pcretrieve.values import FloatArray, TriangleMesh
 
 GOOD = ("copy_of_good", "zwei-Körper-é", "inside_out", "some_nan")
 

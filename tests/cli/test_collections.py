@@ -21,7 +21,7 @@ from pcretrieve.cli.main import cli
 from pcretrieve.descriptors import describe
 from pcretrieve.errors import InputError, OptionError
 from pcretrieve.pipeline.process import process
-from pcretrieve.types import Verdict
+from pcretrieve.values import Verdict
 
 OPTIONS = pr.PipelineOptions()
 R_BIHDM = OPTIONS.changed(signature={"method": "r-bihdm", "n_values": 20})

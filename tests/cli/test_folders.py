@@ -20,7 +20,7 @@ from packages import install
 from pcretrieve import read_scan
 from pcretrieve.cli.main import cli
 from pcretrieve.formats import write_mesh
-from pcretrieve.types import TriangleMesh
+from pcretrieve.values import TriangleMesh
 
 PATIENCE = 100  # seconds
 LENGTHS = {"a": 1.5, "b": 2.0, "c": 3.0}

@@ -25,7 +25,7 @@ from pcretrieve.cli.tables import BLOCK, Column, write_table
 from pcretrieve.descriptors import describe
 from pcretrieve.options import PipelineOptions
 from pcretrieve.pipeline.process import process
-from pcretrieve.types import Verdict
+from pcretrieve.values import Verdict
 
 OPTIONS = PipelineOptions()
 COLUMNS = 80

@@ -39,7 +39,7 @@ lost = "girth_lost:girth"
 
 import numpy as np
 
-from pcretrieve.types import Signature
+from pcretrieve.values import Signature
 
 
 def girth(shape, options):

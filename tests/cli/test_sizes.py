@@ -16,7 +16,7 @@ import pcretrieve as pr
 from pcretrieve.cli.main import cli
 from pcretrieve.errors import InputError
 from pcretrieve.formats import write_mesh
-from pcretrieve.types import TriangleMesh
+from pcretrieve.values import TriangleMesh
 
 # Areas that differ by a factor of 1.44, of bodies of one form, which only their sizes tell apart.
 HEIGHTS = {"small": 1.0, "large": 1.2}

@@ -16,7 +16,7 @@ from pcretrieve.catalogue import Content, Record
 from pcretrieve.cli.main import cli
 from pcretrieve.descriptors import describe
 from pcretrieve.pipeline.process import process
-from pcretrieve.types import TriangleMesh, Verdict
+from pcretrieve.values import TriangleMesh, Verdict
 
 OPTIONS = PipelineOptions()
 VERDICTS = {

@@ -16,13 +16,13 @@ from pcretrieve.errors import OptionError, ShapeError
 from pcretrieve.options import PipelineOptions, SignatureOptions
 from pcretrieve.pipeline.process import process
 from pcretrieve.spectral import unit_eigenpairs
-from pcretrieve.types import PointCloud, Shape, Signature, Surface
+from pcretrieve.values import PointCloud, Shape, Signature, Surface
 
 MODULE = '''
 import numpy as np
 
 from pcretrieve.descriptors import Descriptor
-from pcretrieve.types import Signature
+from pcretrieve.values import Signature
 
 
 def three(options):

@@ -9,7 +9,7 @@ import shapes
 from pcretrieve import eigenpairs, laplace_beltrami, r_bihdm, shape_dna
 from pcretrieve.descriptors import reduced_matrix
 from pcretrieve.errors import OptionError
-from pcretrieve.types import FloatArray, TriangleMesh
+from pcretrieve.values import FloatArray, TriangleMesh
 
 N_MODES = 12
 

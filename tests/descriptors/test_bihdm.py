@@ -12,7 +12,7 @@ from pcretrieve import eigenpairs, laplace_beltrami, r_bihdm
 from pcretrieve.descriptors import bihdm, bihdm_sampled, full_matrix, reduced_matrix
 from pcretrieve.errors import OptionError, ShapeError
 from pcretrieve.spectral import unit_eigenpairs
-from pcretrieve.types import ModalSpectrum, TriangleMesh
+from pcretrieve.values import ModalSpectrum, TriangleMesh
 
 N_MODES = 12
 

@@ -31,7 +31,7 @@ from pcretrieve.options import PipelineOptions, SignatureOptions
 from pcretrieve.pipeline.process import process
 from pcretrieve.retrieval import coordinates
 from pcretrieve.spectral import unit_eigenpairs
-from pcretrieve.types import FloatArray, Shape, Signature, Surface, TriangleMesh
+from pcretrieve.values import FloatArray, Shape, Signature, Surface, TriangleMesh
 
 N_VALUES = 9
 SIZELESS = [name for name, has_size in METHODS.items() if not has_size]

@@ -14,7 +14,7 @@ from pcretrieve.descriptors.sparse_coding import PENALTY, SurfacePoints, atom_sh
 from pcretrieve.errors import InputError
 from pcretrieve.simulation.dictionary_sample import LabelledSurface, dictionaries, surfaces
 from pcretrieve.spectral import unit_eigenpairs
-from pcretrieve.types import FloatArray
+from pcretrieve.values import FloatArray
 
 LABELS = ("a", "a", "b", "b", "c", "c")
 

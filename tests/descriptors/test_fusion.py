@@ -14,7 +14,7 @@ from pcretrieve.errors import OptionError
 from pcretrieve.options import PipelineOptions, SignatureOptions
 from pcretrieve.pipeline.process import process
 from pcretrieve.retrieval import coordinates
-from pcretrieve.types import Shape, Signature
+from pcretrieve.values import Shape, Signature
 
 
 @cache

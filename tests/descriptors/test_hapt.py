@@ -9,7 +9,7 @@ import shapes
 from pcretrieve.descriptors import hapt
 from pcretrieve.descriptors.hapt import CELL, LEVELS, RADII, projected_areas
 from pcretrieve.errors import DegenerateMeshError
-from pcretrieve.types import FloatArray, TriangleMesh
+from pcretrieve.values import FloatArray, TriangleMesh
 
 
 def tube(radius: float, length: float, *, bend: float = 0.0) -> TriangleMesh:

@@ -13,7 +13,7 @@ from pcretrieve.descriptors import ispm
 from pcretrieve.descriptors.ispm import wavelet_signatures
 from pcretrieve.errors import OptionError
 from pcretrieve.spectral import unit_eigenpairs
-from pcretrieve.types import Eigenpairs, FloatArray
+from pcretrieve.values import Eigenpairs, FloatArray
 
 N_WORDS = 9
 N_MODES = 30

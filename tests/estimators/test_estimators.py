@@ -46,7 +46,7 @@ from pcretrieve.retrieval import (
     pairwise,
     resolution_whitening,
 )
-from pcretrieve.types import FloatArray, SignatureTable, TriangleMesh
+from pcretrieve.values import FloatArray, SignatureTable, TriangleMesh
 
 ESTIMATORS = [
     NeighbourWhitening(),

@@ -7,7 +7,7 @@ import pytest
 
 from pcretrieve.errors import InputError
 from pcretrieve.evaluation import QueryScores, bootstrap_interval, compare_scores
-from pcretrieve.types import FloatArray
+from pcretrieve.values import FloatArray
 
 
 def scores(ap: FloatArray, *, start: int = 0) -> QueryScores:

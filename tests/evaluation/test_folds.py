@@ -16,7 +16,7 @@ from pcretrieve.evaluation.rankings import rank_gallery
 from pcretrieve.evaluation.tables import evaluate_table, rank_table
 from pcretrieve.options import RetrievalOptions
 from pcretrieve.retrieval import DISTANCES, DistanceBlock, fit_whitening, log_signatures, pairwise
-from pcretrieve.types import FloatArray, SignatureTable
+from pcretrieve.values import FloatArray, SignatureTable
 
 WITHIN_CLASS = RetrievalOptions(whitening="within-class")
 PLAIN = RetrievalOptions(whitening="none")

@@ -16,7 +16,7 @@ from pcretrieve.evaluation.measures import (
 )
 from pcretrieve.evaluation.rankings import Rankings, rank_gallery
 from pcretrieve.retrieval import DistanceBlock
-from pcretrieve.types import FloatArray
+from pcretrieve.values import FloatArray
 
 MEASURES = ("nn", "ft", "st", "e", "dcg", "map")
 

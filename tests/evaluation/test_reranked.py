@@ -10,7 +10,7 @@ from pcretrieve.evaluation.folds import within_class_folds, within_class_subsets
 from pcretrieve.evaluation.reranked import Subset, rank_subsets
 from pcretrieve.options import RetrievalOptions
 from pcretrieve.retrieval import DistanceBlock, neighbour_lists, pairwise, rerank
-from pcretrieve.types import SignatureTable
+from pcretrieve.values import SignatureTable
 
 
 def a_table(n_classes: int = 20, per_class: int = 6, *, noise: float = 0.35) -> SignatureTable:

@@ -11,7 +11,7 @@ import pytest
 from pcretrieve.errors import BenchmarkError
 from pcretrieve.evaluation import no_match_measures
 from pcretrieve.options import RetrievalOptions
-from pcretrieve.types import SignatureTable
+from pcretrieve.values import SignatureTable
 
 
 def table(spread: float, n_classes: int = 12, n_each: int = 6) -> SignatureTable:

@@ -13,7 +13,7 @@ from scan_files import glb, gltf
 
 from pcretrieve.errors import ScanReadError
 from pcretrieve.formats.gltf import GLB
-from pcretrieve.types import FloatArray
+from pcretrieve.values import FloatArray
 
 SQUARE = [(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0)]
 HALVES = [0, 1, 2, 0, 2, 3]

@@ -14,7 +14,7 @@ from laser_files import CAN_WRITE
 import pcretrieve as pr
 from pcretrieve import PointCloud, TriangleMesh, read_scan
 from pcretrieve.formats import missing_extra
-from pcretrieve.types import FloatArray
+from pcretrieve.values import FloatArray
 
 BODY = shapes.body(3)
 POINTS = shapes.points_on(BODY, 6000)

@@ -21,7 +21,7 @@ from pcretrieve.formats.registry import read_raw
 from pcretrieve.ingestion.discover import content_hash, discover, shape_ids
 from pcretrieve.ingestion.views import read_views
 from pcretrieve.surface import defects
-from pcretrieve.types import METRES
+from pcretrieve.values import METRES
 
 BALL = shapes.icosphere(1)
 NODES: list[dict[str, Any]] = [{"mesh": 0, "name": "left"}, {"mesh": 0, "translation": [5, 0, 0]}]

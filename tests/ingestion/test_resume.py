@@ -16,7 +16,7 @@ import shapes
 from pcretrieve import Catalogue, signature
 from pcretrieve.formats import write_mesh
 from pcretrieve.simulation import write_ply
-from pcretrieve.types import TriangleMesh
+from pcretrieve.values import TriangleMesh
 
 N_SHAPES = 12
 PATIENCE = 60  # seconds

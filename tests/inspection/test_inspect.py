@@ -9,11 +9,11 @@ import pytest
 import shapes
 
 from pcretrieve import PipelineOptions, PointCloud, TriangleMesh, signature
+from pcretrieve.checks import Check
 from pcretrieve.errors import InputError, OptionError
 from pcretrieve.inspection.inspect import inspect_scan, signature_spread
 from pcretrieve.inspection.inspection import Inspection
-from pcretrieve.quality import Check
-from pcretrieve.types import FloatArray
+from pcretrieve.values import FloatArray
 
 BODY = shapes.body()
 

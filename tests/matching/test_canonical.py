@@ -9,7 +9,7 @@ from scipy.spatial.distance import cdist, pdist
 
 from pcretrieve.errors import DegenerateMeshError
 from pcretrieve.matching.canonical import N_FACES, canonical_form, geodesic_distances, scaled_coordinates
-from pcretrieve.types import TriangleMesh
+from pcretrieve.values import TriangleMesh
 
 
 def test_paths_on_a_sphere_are_near_the_great_circles() -> None:

@@ -15,7 +15,7 @@ from pcretrieve.errors import OptionError
 from pcretrieve.matching import MATCHERS
 from pcretrieve.matching.clock import ViewWords, clock_distance, view_descriptors, view_words
 from pcretrieve.matching.views import N_PIXELS, depth_pictures, directions, exchanges
-from pcretrieve.types import Shape, Surface, TriangleMesh
+from pcretrieve.values import Shape, Surface, TriangleMesh
 
 needs_opencv = pytest.mark.usefixtures("opencv")
 

@@ -14,7 +14,7 @@ from pcretrieve.evaluation import rank, rank_matrix
 from pcretrieve.matching import DistanceMatrix, distance_matrix, ids_path, read_matrix, write_matrix
 from pcretrieve.options import RetrievalOptions
 from pcretrieve.retrieval import DISTANCES, Ranking, SignatureIndex
-from pcretrieve.types import SignatureTable
+from pcretrieve.values import SignatureTable
 
 # Not symmetric: from d all others are equally far.
 VALUES = np.array([[0, 1, 2, 9], [1.5, 0, 1, 9], [2, 1, 0, 9], [4, 4, 4, 0]])

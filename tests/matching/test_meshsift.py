@@ -13,7 +13,7 @@ from pcretrieve.matching import MATCHERS
 from pcretrieve.matching import meshsift as module
 from pcretrieve.matching.meshsift import MeshFeatures, match_distance, mesh_features
 from pcretrieve.matching.scale_space import keypoints, levels
-from pcretrieve.types import Shape, Surface, TriangleMesh
+from pcretrieve.values import Shape, Surface, TriangleMesh
 
 BALL = shapes.icosphere(4)
 MATCH = MATCHERS["meshsift"]

@@ -15,7 +15,7 @@ from pcretrieve.errors import InputError, OptionError, ShapeError
 from pcretrieve.matching import MATCHERS, Matcher, PairwiseIndex, distance_matrix
 from pcretrieve.matching.heat import N_SAMPLES, HeatSet, heat_distance, heat_set
 from pcretrieve.retrieval import Ranking
-from pcretrieve.types import FloatArray, Shape, Surface, TriangleMesh
+from pcretrieve.values import FloatArray, Shape, Surface, TriangleMesh
 
 OWN = ("heat-hausdorff", "hks-bow-gallery", "mds-cm-bof", "meshsift")
 HEAT = MATCHERS["heat-hausdorff"]

@@ -18,6 +18,8 @@ import shapes
 from numpy.typing import NDArray
 from PIL import Image
 
+from pcretrieve.checks import Check, fit_checks, normal_checks, surface_checks
+from pcretrieve.draw import CLAY, Colour
 from pcretrieve.errors import InputError
 from pcretrieve.inspection.checks import spread_check
 from pcretrieve.inspection.inspection import Inspection
@@ -36,9 +38,7 @@ from pcretrieve.pages.inspection_pictures import (
     rows_of,
 )
 from pcretrieve.pages.inspection_sheet import write_inspection_png
-from pcretrieve.quality import Check, fit_checks, normal_checks, surface_checks
-from pcretrieve.rendering import CLAY, Colour
-from pcretrieve.types import Failure, PointCloud, Signature, TriangleMesh
+from pcretrieve.values import Failure, PointCloud, Signature, TriangleMesh
 
 CHROMIUM = shutil.which("chromium") or shutil.which("google-chrome")
 

@@ -15,7 +15,7 @@ from pcretrieve.errors import InputError
 from pcretrieve.evaluation import PrecisionRecall, RetrievalMeasures
 from pcretrieve.pages.cards import Card, Panel
 from pcretrieve.pages.report import write_report
-from pcretrieve.types import Failure
+from pcretrieve.values import Failure
 
 VOID = {"meta", "link", "img", "br", "input", "rect"}
 MEASURES = RetrievalMeasures(

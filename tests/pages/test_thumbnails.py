@@ -19,13 +19,13 @@ from PIL import Image
 import pcretrieve as pr
 from pcretrieve import Catalogue, PipelineOptions
 from pcretrieve.cli.main import cli
+from pcretrieve.draw import THUMBNAIL_PIXELS, thumbnail
 from pcretrieve.errors import OptionError
 from pcretrieve.formats import write_mesh
 from pcretrieve.ingestion.run import ingest_files
 from pcretrieve.pages import thumbnails
 from pcretrieve.pages.thumbnails import Thumbnails
-from pcretrieve.rendering import THUMBNAIL_PIXELS, thumbnail
-from pcretrieve.types import TriangleMesh
+from pcretrieve.values import TriangleMesh
 
 OPTIONS = PipelineOptions().changed(signature={"method": "r-bihdm", "n_values": 10}, spectral={"n_pairs": 61})
 

@@ -154,9 +154,9 @@ MODULE = """
 from dataclasses import replace
 
 from pcretrieve.errors import ReconstructionError
-from pcretrieve.scan import PointFilter
+from pcretrieve.points import PointFilter
 from pcretrieve.surface import SurfaceFilter
-from pcretrieve.types import PointCloud, Step, TriangleMesh
+from pcretrieve.values import PointCloud, Step, TriangleMesh
 
 def refuse(cloud, options):
     raise ReconstructionError("the points must be blue")

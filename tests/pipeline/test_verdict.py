@@ -11,13 +11,13 @@ import numpy as np
 import pytest
 
 from pcretrieve import PointCloud, TriangleMesh, process
+from pcretrieve.checks import Check, fit_checks, marks_check, mesh_check, verdict_of
 from pcretrieve.descriptors import describe
 from pcretrieve.errors import InputError, ReconstructionError
 from pcretrieve.options import SignatureOptions
-from pcretrieve.quality import Check, fit_checks, marks_check, mesh_check, verdict_of
 from pcretrieve.simulation import UniformOptions, scan_uniformly
 from pcretrieve.simulation.bodies import POSES, body, make_subject
-from pcretrieve.types import FloatArray, Shape, Step, Verdict
+from pcretrieve.values import FloatArray, Shape, Step, Verdict
 
 Fault = Callable[[TriangleMesh, FloatArray, np.random.Generator], PointCloud | TriangleMesh]
 

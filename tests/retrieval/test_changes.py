@@ -24,7 +24,7 @@ from pcretrieve.retrieval import (
 from pcretrieve.retrieval.blocks import BLOCK_SIZE
 from pcretrieve.retrieval.filtering import Filter
 from pcretrieve.retrieval.searches import SEARCHES
-from pcretrieve.types import FloatArray, SignatureTable
+from pcretrieve.values import FloatArray, SignatureTable
 
 
 def a_table(numbers: range, n_values: int = 9) -> SignatureTable:

@@ -10,7 +10,7 @@ from pcretrieve.errors import OptionError
 from pcretrieve.options import RetrievalOptions
 from pcretrieve.retrieval import SignatureIndex, cluster_numbers, near_pairs, pairwise, plane_map
 from pcretrieve.retrieval.clusters import GAP
-from pcretrieve.types import FloatArray, SignatureTable
+from pcretrieve.values import FloatArray, SignatureTable
 
 
 def index_of(logs: FloatArray) -> SignatureIndex:

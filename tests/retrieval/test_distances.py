@@ -9,7 +9,7 @@ import pytest
 
 from pcretrieve.errors import InputError, OptionError
 from pcretrieve.retrieval import DISTANCES, log_signatures, pairwise
-from pcretrieve.types import FloatArray
+from pcretrieve.values import FloatArray
 
 
 def some_values(n: int, *, seed: int = 0, n_values: int = 23, spread: float = 1.0) -> FloatArray:

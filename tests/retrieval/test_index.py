@@ -19,7 +19,7 @@ from pcretrieve.retrieval import (
 )
 from pcretrieve.retrieval.filtering import Filter
 from pcretrieve.retrieval.names import Names
-from pcretrieve.types import FloatArray, Signature, SignatureTable
+from pcretrieve.values import FloatArray, Signature, SignatureTable
 
 
 def a_table(n: int, *, seed: int = 0, n_values: int = 15, copies: int = 0) -> SignatureTable:

@@ -13,7 +13,7 @@ from pcretrieve.retrieval import DISTANCES, compiled, interpreted, pairwise
 from pcretrieve.retrieval.blocks import BLOCK_SIZE
 from pcretrieve.retrieval.filtering import ROUNDING
 from pcretrieve.retrieval.lower_bounds import LowerBounds
-from pcretrieve.types import FloatArray
+from pcretrieve.values import FloatArray
 
 N_VALUES = 12
 
@@ -121,7 +121,7 @@ def test_an_index_needs_no_scikit_learn() -> None:
     """Nor numba, which takes longer to load than a few queries."""
     code = (
         "import sys, numpy; from pcretrieve.retrieval import SignatureIndex; "
-        "from pcretrieve.types import SignatureTable; "
+        "from pcretrieve.values import SignatureTable; "
         "index = SignatureIndex(SignatureTable('ab', numpy.ones((2, 3)), 'k')); "
         "index.query(numpy.ones(3)); "
         "assert not {'sklearn', 'scipy', 'numba'} & set(sys.modules), sorted(sys.modules); "

@@ -12,7 +12,7 @@ from pcretrieve.errors import InputError, OptionError
 from pcretrieve.evaluation import evaluate_table
 from pcretrieve.options import RetrievalOptions
 from pcretrieve.retrieval import Distance, SignatureIndex, coordinates, pairwise, table_coordinates
-from pcretrieve.types import FloatArray, Metric, Signature, SignatureTable
+from pcretrieve.values import FloatArray, Metric, Signature, SignatureTable
 
 N, L = 200, 6
 

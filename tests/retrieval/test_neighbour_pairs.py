@@ -5,7 +5,7 @@ import pytest
 
 from pcretrieve.retrieval import Positions
 from pcretrieve.retrieval.pairs import LARGEST, MOST_NEIGHBORS, N_NEIGHBORS, neighbour_pairs
-from pcretrieve.types import FloatArray
+from pcretrieve.values import FloatArray
 
 
 def classes_of(size: int, n_classes: int, *, spread: float = 0.1) -> FloatArray:

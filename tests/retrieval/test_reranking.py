@@ -17,7 +17,7 @@ from pcretrieve.retrieval import (
     reranked_neighbors,
 )
 from pcretrieve.retrieval.reranking import EXPANDED, K_RECIPROCAL, k_reciprocal, local_scaling
-from pcretrieve.types import FloatArray, SignatureTable
+from pcretrieve.values import FloatArray, SignatureTable
 
 
 def some_points(n: int = 60, *, seed: int = 0) -> FloatArray:

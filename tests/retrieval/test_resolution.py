@@ -15,7 +15,7 @@ from pcretrieve.pipeline.process import process
 from pcretrieve.retrieval import resolution_whitening
 from pcretrieve.retrieval.resolution import N_MODES
 from pcretrieve.simulation.resolution_sample import N_BODIES, log_eigenvalues
-from pcretrieve.types import FloatArray
+from pcretrieve.values import FloatArray
 
 SAMPLE = np.load(Path(pcretrieve.retrieval.__file__).with_name("resolution.npy"))
 

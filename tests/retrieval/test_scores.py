@@ -18,7 +18,7 @@ from pcretrieve.retrieval import (
     scores,
 )
 from pcretrieve.retrieval.changes import without_shapes
-from pcretrieve.types import FloatArray, SignatureTable
+from pcretrieve.values import FloatArray, SignatureTable
 
 N_VALUES = 6
 

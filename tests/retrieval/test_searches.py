@@ -11,7 +11,7 @@ from pcretrieve.errors import InputError, OptionError
 from pcretrieve.options import RetrievalOptions
 from pcretrieve.retrieval import SignatureIndex, pairwise
 from pcretrieve.retrieval.filtering import LARGEST, Filter
-from pcretrieve.types import FloatArray, SignatureTable
+from pcretrieve.values import FloatArray, SignatureTable
 
 STATED = {"tree": "ball tree of scikit-learn", "faiss": "flat scan of faiss"}
 EUCLIDEAN = ("log", "d2")

@@ -8,7 +8,7 @@ import pytest
 from pcretrieve.errors import InputError
 from pcretrieve.options import RetrievalOptions
 from pcretrieve.retrieval import SignatureIndex, Vote, class_vote, rank_ranges, swapping_ranks
-from pcretrieve.types import Signature, SignatureTable
+from pcretrieve.values import Signature, SignatureTable
 
 PLAIN = RetrievalOptions(whitening="none")
 

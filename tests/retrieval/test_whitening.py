@@ -13,7 +13,7 @@ from pcretrieve.retrieval import DEFAULT_SHRINKAGE, Whitening, fit_whitening, pa
 from pcretrieve.retrieval.covariances import shrunk
 from pcretrieve.retrieval.pairs import neighbour_pairs
 from pcretrieve.retrieval.regularisation import inverse_square_root
-from pcretrieve.types import FloatArray, Metric, SignatureTable
+from pcretrieve.values import FloatArray, Metric, SignatureTable
 
 FITTED = ("neighbours", "pca", "within-class")
 

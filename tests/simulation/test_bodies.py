@@ -15,7 +15,7 @@ from pcretrieve.simulation.contacts import close_contacts
 from pcretrieve.simulation.flesh import bone_distance
 from pcretrieve.simulation.kinematics import motions
 from pcretrieve.simulation.skin import skin
-from pcretrieve.types import FloatArray, TriangleMesh
+from pcretrieve.values import FloatArray, TriangleMesh
 
 FAMILIES = sorted(POSES)
 

@@ -13,7 +13,7 @@ from pcretrieve.adapters.rays import RayScene
 from pcretrieve.errors import InputError, OptionError
 from pcretrieve.simulation import DamageOptions, damaged
 from pcretrieve.surface import defects
-from pcretrieve.types import TriangleMesh
+from pcretrieve.values import TriangleMesh
 
 NOTHING = DamageOptions(
     n_holes=0, n_flipped=0, n_flaps=0, radius=0.1, duplicated_share=0.0, shell_radius=0.0, shell_depth=0.02

@@ -8,7 +8,7 @@ import numpy as np
 
 from pcretrieve.simulation.heat_sample import features
 from pcretrieve.simulation.resolution_sample import log_eigenvalues
-from pcretrieve.types import FloatArray
+from pcretrieve.values import FloatArray
 
 
 def kept(package: str, name: str) -> FloatArray:

@@ -23,7 +23,7 @@ from pcretrieve.simulation import (
     scan_uniformly,
     scan_views,
 )
-from pcretrieve.types import FloatArray, PointCloud, TriangleMesh
+from pcretrieve.values import FloatArray, PointCloud, TriangleMesh
 
 # The ball is made of flat faces whose middles lie at most this much below it.
 SAG = 1.5e-3

@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 from pcretrieve.adapters.rays import RayScene
 from pcretrieve.simulation import POSES, RigOptions, body, camera_pose, make_subject, write_ply
 from pcretrieve.simulation.samples import SUBJECTS, main, moved, random_motion, write_samples, write_views
-from pcretrieve.types import FloatArray
+from pcretrieve.values import FloatArray
 
 ROOT = Path(__file__).parents[2]
 SCANS = ROOT / "scans"

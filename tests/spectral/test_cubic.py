@@ -15,7 +15,7 @@ from pcretrieve.spectral import eigenpairs, laplace_beltrami
 from pcretrieve.spectral.cubic import CUBIC_REFERENCE, cubic_nodes
 from pcretrieve.spectral.lagrange import ReferenceElement, sides_of
 from pcretrieve.spectral.linear import LINEAR_REFERENCE
-from pcretrieve.types import FloatArray, TriangleMesh
+from pcretrieve.values import FloatArray, TriangleMesh
 
 # --- the same matrices, from the basis functions ------------------------------------------------------
 

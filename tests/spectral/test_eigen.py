@@ -23,7 +23,7 @@ from pcretrieve.errors import (
     SpectrumNotConverged,
 )
 from pcretrieve.spectral import eigen, eigenpairs, krylov, laplace_beltrami
-from pcretrieve.types import Eigenpairs, FloatArray, LaplaceBeltrami, TriangleMesh
+from pcretrieve.values import Eigenpairs, FloatArray, LaplaceBeltrami, TriangleMesh
 
 Solver = Literal["krylov", "arpack"]
 

@@ -8,7 +8,7 @@ import shapes
 
 from pcretrieve.errors import DegenerateMeshError
 from pcretrieve.spectral import eigenpairs, laplace_beltrami
-from pcretrieve.types import FloatArray, LaplaceBeltrami, TriangleMesh
+from pcretrieve.values import FloatArray, LaplaceBeltrami, TriangleMesh
 
 
 def delaunay(mesh: TriangleMesh) -> LaplaceBeltrami:

@@ -9,7 +9,7 @@ import pytest
 import shapes
 
 from pcretrieve.spectral import eigenpairs, laplace_beltrami
-from pcretrieve.types import TriangleMesh
+from pcretrieve.values import TriangleMesh
 
 masses = pytest.mark.parametrize("mass", ["consistent", "lumped"])
 

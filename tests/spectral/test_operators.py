@@ -12,7 +12,7 @@ from scipy.linalg import eigh
 from pcretrieve.errors import DegenerateMeshError, InputError, OptionError
 from pcretrieve.spectral import eigenpairs, laplace_beltrami
 from pcretrieve.spectral.operators import ELEMENTS
-from pcretrieve.types import FloatArray, IntArray, LaplaceBeltrami, PointCloud, TriangleMesh
+from pcretrieve.values import FloatArray, IntArray, LaplaceBeltrami, PointCloud, TriangleMesh
 
 BOUNDED = {"square": shapes.square(5), "Möbius strip": shapes.mobius_strip(16, 3)}
 BOUNDARY_EDGES = {"square": 20, "Möbius strip": 32}

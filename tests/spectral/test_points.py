@@ -12,7 +12,7 @@ from pcretrieve.descriptors import r_bihdm
 from pcretrieve.errors import DegenerateMeshError
 from pcretrieve.spectral import eigenpairs, laplace_beltrami
 from pcretrieve.spectral.points import stars
-from pcretrieve.types import FloatArray, LaplaceBeltrami, PointCloud
+from pcretrieve.values import FloatArray, LaplaceBeltrami, PointCloud
 
 SPHERE = shapes.points_on(shapes.icosphere(6), 2000)
 BODY = shapes.points_on(shapes.body(5), 4000)

@@ -9,7 +9,7 @@ import pytest
 import shapes
 
 from pcretrieve import process, reconstruct
-from pcretrieve.types import PointCloud
+from pcretrieve.values import PointCloud
 
 BUNNY = Path(__file__).parents[3] / "shared" / "data" / "stanford_bunny"
 

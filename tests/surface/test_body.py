@@ -10,11 +10,11 @@ import shapes
 
 from pcretrieve.errors import ReconstructionError
 from pcretrieve.options import ScanOptions, SurfaceOptions
-from pcretrieve.scan import oriented_normals
-from pcretrieve.scan.sampling import neighborhoods, spacing
+from pcretrieve.points import oriented_normals
+from pcretrieve.points.sampling import neighborhoods, spacing
 from pcretrieve.simulation import POSES, UniformOptions, body, make_subject, scan_uniformly
 from pcretrieve.surface import SurfaceMarks, body_surfaces, defects
-from pcretrieve.types import PointCloud, TriangleMesh
+from pcretrieve.values import PointCloud, TriangleMesh
 
 # Edge of the voxels for the torus; relative to the diagonal.
 CELL = 0.0045

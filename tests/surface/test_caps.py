@@ -10,10 +10,10 @@ import shapes
 
 from pcretrieve import process
 from pcretrieve.options import ScanOptions, SurfaceOptions
-from pcretrieve.scan import crop
+from pcretrieve.points import crop
 from pcretrieve.simulation import POSES, RigOptions, body, make_subject, on_support, scan
 from pcretrieve.surface import SurfaceMarks, body_surfaces
-from pcretrieve.types import FloatArray, PointCloud, TriangleMesh
+from pcretrieve.values import FloatArray, PointCloud, TriangleMesh
 
 ONCE = SurfaceOptions(reconstructions=1)
 EGG = shapes.ellipsoid((0.6, 0.7, 1.0), subdivisions=4)

@@ -7,14 +7,14 @@ import pytest
 import shapes
 
 from pcretrieve.options import SurfaceOptions
-from pcretrieve.scan.density import local_spacings
-from pcretrieve.scan.sampling import SPACING_NEIGHBORS, neighborhoods, spacing
+from pcretrieve.points.density import local_spacings
+from pcretrieve.points.sampling import SPACING_NEIGHBORS, neighborhoods, spacing
+from pcretrieve.points.voxels import Grid, sampled
 from pcretrieve.surface.caps import NO_CAP
 from pcretrieve.surface.coarse import coarse_surface
 from pcretrieve.surface.indicator import indicator
 from pcretrieve.surface.topology import defects
-from pcretrieve.types import FloatArray, PointCloud
-from pcretrieve.voxels import Grid, sampled
+from pcretrieve.values import FloatArray, PointCloud
 
 EGG = shapes.ellipsoid((0.6, 0.7, 1.0), subdivisions=4)
 

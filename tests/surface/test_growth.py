@@ -10,7 +10,7 @@ from scipy.ndimage import distance_transform_edt, gaussian_filter, label
 from pcretrieve.surface import defects
 from pcretrieve.surface.growth import grown
 from pcretrieve.surface.marching import marched
-from pcretrieve.types import TriangleMesh
+from pcretrieve.values import TriangleMesh
 
 Mask = NDArray[np.bool_]
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from pcretrieve.surface import defects
 from pcretrieve.surface.marching import Crossings, crossed, marched
 from pcretrieve.surface.topology import Defects
-from pcretrieve.types import FloatArray, TriangleMesh
+from pcretrieve.values import FloatArray, TriangleMesh
 
 Mask = NDArray[np.bool_]
 

@@ -9,7 +9,7 @@ import shapes
 import pcretrieve as pr
 from pcretrieve.pipeline.process import process
 from pcretrieve.surface.topology import compact
-from pcretrieve.types import Step, TriangleMesh
+from pcretrieve.values import Step, TriangleMesh
 
 FINE = shapes.ellipsoid((1, 1.3, 1.9), subdivisions=5)  # 20,480 faces
 FEW = 5000

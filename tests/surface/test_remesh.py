@@ -12,7 +12,7 @@ from pcretrieve.errors import RemeshError
 from pcretrieve.options import RemeshOptions
 from pcretrieve.surface import defects, remesh
 from pcretrieve.surface.remesh import boundary_faces
-from pcretrieve.types import Step, TriangleMesh
+from pcretrieve.values import Step, TriangleMesh
 
 BODY = shapes.body(3)
 TETWILD = RemeshOptions(method="tetwild")

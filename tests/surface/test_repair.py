@@ -9,7 +9,7 @@ import shapes
 from pcretrieve.errors import DegenerateMeshError, ReconstructionError
 from pcretrieve.surface import defects, repaired
 from pcretrieve.surface.repair import collapse_flat_faces, drop_repeated_faces, largest_component
-from pcretrieve.types import IntArray, TriangleMesh
+from pcretrieve.values import IntArray, TriangleMesh
 
 BALL = shapes.icosphere(2)  # 162 vertices, 320 faces
 

@@ -18,7 +18,7 @@ from pcretrieve.surface import defects, repaired
 from pcretrieve.surface.edges import edges_of
 from pcretrieve.surface.simplify import simplified
 from pcretrieve.surface.topology import components
-from pcretrieve.types import FloatArray, TriangleMesh
+from pcretrieve.values import FloatArray, TriangleMesh
 
 DATA = Path(__file__).parents[3] / "shared" / "data" / "tosca"
 

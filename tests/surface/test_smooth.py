@@ -7,7 +7,7 @@ import pytest
 import shapes
 
 from pcretrieve.surface.smooth import smoothed
-from pcretrieve.types import FloatArray, TriangleMesh
+from pcretrieve.values import FloatArray, TriangleMesh
 
 BALL = shapes.icosphere(4)
 EVERYWHERE = np.arange(len(BALL.vertices))

@@ -11,7 +11,7 @@ from pcretrieve.surface.edges import edges_of
 from pcretrieve.surface.remesh import boundary_faces
 from pcretrieve.surface.split import split_non_manifold
 from pcretrieve.surface.topology import Defects, compact, components, defects, orient_faces
-from pcretrieve.types import TriangleMesh
+from pcretrieve.values import TriangleMesh
 
 SOUND = Defects(0, 0, 0, 0, 0, 1)
 

@@ -18,7 +18,7 @@ from pcretrieve.simulation import (
     scan_uniformly,
     write_ply,
 )
-from pcretrieve.types import TriangleMesh
+from pcretrieve.values import TriangleMesh
 
 __all__ = ["CONDITIONS", "DEFECTS", "write_scan"]
 

@@ -16,10 +16,10 @@ from pcretrieve.descriptors import describe
 from pcretrieve.formats import read_scan
 from pcretrieve.options import PipelineOptions
 from pcretrieve.pipeline.process import process
-from pcretrieve.scan import clean, oriented_normals
+from pcretrieve.points import clean, oriented_normals
 from pcretrieve.surface import defects
 from pcretrieve.surface.sampling import uniform_points
-from pcretrieve.types import FloatArray, PointCloud, Shape, TriangleMesh
+from pcretrieve.values import FloatArray, PointCloud, Shape, TriangleMesh
 
 __all__ = ["N_VALUES", "Examination", "Signatures", "clean_signatures", "examine", "stacked"]
 

@@ -22,7 +22,7 @@ from pcretrieve.evaluation import evaluate_table
 from pcretrieve.options import PipelineOptions, RetrievalOptions, WhiteningKind
 from pcretrieve.retrieval import log_signatures, resolution_whitening
 from pcretrieve.retrieval.resolution import is_measured
-from pcretrieve.types import FloatArray, SignatureTable
+from pcretrieve.values import FloatArray, SignatureTable
 
 __all__ = ["NAN", "TABLE", "Retrieval", "Row", "append", "mean", "median", "relative_spread", "retrieval"]
 

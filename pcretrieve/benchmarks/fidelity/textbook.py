@@ -17,7 +17,7 @@ from pcretrieve.formats import read_scan
 from pcretrieve.spectral import eigenpairs, laplace_beltrami
 from pcretrieve.surface.remesh import boundary_faces
 from pcretrieve.surface.topology import compact
-from pcretrieve.types import PointCloud
+from pcretrieve.values import PointCloud
 
 __all__ = ["textbook_seconds"]
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from pcretrieve.benchmarks.paper.spectra import reduced_eigenvalues, unit_area_spectrum
 from pcretrieve.benchmarks.tables import Column, Table
-from pcretrieve.types import FloatArray, TriangleMesh
+from pcretrieve.values import FloatArray, TriangleMesh
 
 __all__ = ["appendix_a", "deformed", "discrepancies"]
 

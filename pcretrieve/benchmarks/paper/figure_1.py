@@ -10,9 +10,9 @@ from PIL import Image, ImageDraw, ImageFont
 
 from pcretrieve.atomic import write_file
 from pcretrieve.benchmarks.sets import read_mesh
+from pcretrieve.draw import thumbnail
 from pcretrieve.ingestion.discover import discover
 from pcretrieve.ingestion.labels import read_labels
-from pcretrieve.rendering import thumbnail
 
 __all__ = ["figure_1"]
 

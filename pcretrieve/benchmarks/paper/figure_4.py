@@ -22,7 +22,7 @@ from pcretrieve.evaluation import evaluate_table
 from pcretrieve.ingestion.isolation import in_processes
 from pcretrieve.options import RetrievalOptions, SignatureOptions
 from pcretrieve.retrieval.distances import log_signatures, pairwise
-from pcretrieve.types import FloatArray, ModalSpectrum, Shape, SignatureTable, Surface
+from pcretrieve.values import FloatArray, ModalSpectrum, Shape, SignatureTable, Surface
 
 __all__ = ["figure_4", "ranked_strips", "silhouette_rows"]
 

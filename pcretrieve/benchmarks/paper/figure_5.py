@@ -21,7 +21,7 @@ from pcretrieve.ingestion.labels import read_labels
 from pcretrieve.options import Scale, SignatureOptions
 from pcretrieve.retrieval import DistanceBlock
 from pcretrieve.retrieval.distances import log_signatures, pairwise
-from pcretrieve.types import FloatArray, Shape, Surface
+from pcretrieve.values import FloatArray, Shape, Surface
 
 __all__ = ["figure_5"]
 

@@ -10,7 +10,7 @@ import numpy as np
 from pcretrieve.benchmarks.paper.drums import DRUM_CUTS, drums
 from pcretrieve.benchmarks.paper.spectra import reduced_eigenvalues
 from pcretrieve.spectral import eigenpairs, laplace_beltrami
-from pcretrieve.types import FloatArray, ModalSpectrum
+from pcretrieve.values import FloatArray, ModalSpectrum
 
 __all__ = ["FIGURE_6", "drum_spectra", "figure_6"]
 

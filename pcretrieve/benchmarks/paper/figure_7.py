@@ -10,7 +10,7 @@ from scipy.optimize import curve_fit
 
 from pcretrieve.adapters.matplotlib import draw_curves
 from pcretrieve.benchmarks.paper.spectra import reduced_eigenvalues, unit_area_spectrum
-from pcretrieve.types import FloatArray, ModalSpectrum, TriangleMesh
+from pcretrieve.values import FloatArray, ModalSpectrum, TriangleMesh
 
 __all__ = ["convergence_rate", "figure_7", "truncation_errors"]
 

@@ -40,7 +40,7 @@ from pcretrieve.benchmarks.paper.table_5 import table_5
 from pcretrieve.benchmarks.sets import left_out, read_mesh
 from pcretrieve.benchmarks.tables import print_lines
 from pcretrieve.errors import PcretrieveError
-from pcretrieve.types import TriangleMesh
+from pcretrieve.values import TriangleMesh
 
 __all__ = ["main"]
 

@@ -15,7 +15,7 @@ from pcretrieve.surface.remesh import remesh
 from pcretrieve.surface.repair import largest_component
 from pcretrieve.surface.simplify import simplified
 from pcretrieve.surface.topology import compact
-from pcretrieve.types import FloatArray, Shape, Surface, TriangleMesh
+from pcretrieve.values import FloatArray, Shape, Surface, TriangleMesh
 
 __all__ = ["NOISE", "REMOVED", "drifts", "noisy", "perturbed", "section_4_4", "without_faces"]
 

@@ -9,9 +9,9 @@ from PIL import Image
 
 from pcretrieve.adapters.scikit_image import contours
 from pcretrieve.errors import BenchmarkError
+from pcretrieve.points.voxels import Mask
 from pcretrieve.surface.topology import compact
-from pcretrieve.types import FloatArray, IntArray, TriangleMesh
-from pcretrieve.voxels import Mask
+from pcretrieve.values import FloatArray, IntArray, TriangleMesh
 
 __all__ = ["planar_mesh", "read_silhouette"]
 

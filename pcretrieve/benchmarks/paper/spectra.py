@@ -6,7 +6,7 @@ import numpy as np
 
 from pcretrieve.descriptors import reduced_matrix
 from pcretrieve.spectral import eigenpairs, laplace_beltrami
-from pcretrieve.types import FloatArray, ModalSpectrum, TriangleMesh
+from pcretrieve.values import FloatArray, ModalSpectrum, TriangleMesh
 
 __all__ = ["reduced_eigenvalues", "unit_area_spectrum"]
 

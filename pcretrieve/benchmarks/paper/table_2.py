@@ -19,7 +19,7 @@ from pcretrieve.options import PipelineOptions, SignatureOptions
 from pcretrieve.pipeline.process import process
 from pcretrieve.simulation import POSES, body, make_subject
 from pcretrieve.surface.simplify import simplified
-from pcretrieve.types import Shape, TriangleMesh
+from pcretrieve.values import Shape, TriangleMesh
 
 __all__ = ["table_2"]
 

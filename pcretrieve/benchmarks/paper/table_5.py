@@ -16,7 +16,7 @@ from pcretrieve.evaluation import PUBLISHED, evaluate_rankings, rank_table
 from pcretrieve.ingestion.layouts import discover_labelled
 from pcretrieve.options import PipelineOptions, RetrievalOptions, Scale, SignatureOptions
 from pcretrieve.retrieval import table_whitening
-from pcretrieve.types import Metric
+from pcretrieve.values import Metric
 
 __all__ = ["Track", "table_5", "track"]
 

@@ -1,0 +1,42 @@
+"""Pictures of surfaces and point clouds.
+
+In come arrays of vertices and faces, or of points; out come shaded pictures, made by ray casting without a
+display. The virtual camera, the lamps and the ray casting of all pictures are here.
+"""
+
+from pcretrieve.draw.axes import FEWEST_BODIES, NEAR_AXIS, body_axes, common_axis, upward
+from pcretrieve.draw.camera import MARGIN, Camera, cameras_around, cameras_framing
+from pcretrieve.draw.pictures import Colour, css, point_picture, rgb, surface_picture
+from pcretrieve.draw.shading import CLAY
+from pcretrieve.draw.thumbnail import (
+    THUMBNAIL_PIXELS,
+    cloud_thumbnail,
+    direction_upwards,
+    picture_html,
+    resized,
+    thumbnail,
+)
+
+__all__ = [
+    "CLAY",
+    "FEWEST_BODIES",
+    "MARGIN",
+    "NEAR_AXIS",
+    "THUMBNAIL_PIXELS",
+    "Camera",
+    "Colour",
+    "body_axes",
+    "cameras_around",
+    "cameras_framing",
+    "cloud_thumbnail",
+    "common_axis",
+    "css",
+    "direction_upwards",
+    "picture_html",
+    "point_picture",
+    "resized",
+    "rgb",
+    "surface_picture",
+    "thumbnail",
+    "upward",
+]

@@ -1,0 +1,176 @@
+"""Thumbnails: small pictures of a body from its front."""
+
+from __future__ import annotations
+
+import re
+from base64 import b64encode
+from html import escape
+from io import BytesIO
+
+import numpy as np
+from PIL import Image
+from PIL.PngImagePlugin import PngInfo
+
+from pcretrieve.arrays import FloatArray, IntArray
+from pcretrieve.draw.axes import body_axes
+from pcretrieve.draw.camera import (
+    MARGIN,
+    SUPERSAMPLING,
+    cameras_around,
+    pooled,
+    rotation,
+    visible_faces,
+)
+from pcretrieve.draw.pictures import point_picture
+from pcretrieve.draw.shading import CLAY, face_brightness
+from pcretrieve.errors import DegenerateMeshError, OptionError, Stage
+
+__all__ = ["THUMBNAIL_PIXELS", "cloud_thumbnail", "direction_upwards", "picture_html", "resized", "thumbnail"]
+
+# Side of the pictures that catalogues keep, and from which smaller ones are made; pixels.
+THUMBNAIL_PIXELS = 200
+
+# How a picture was drawn, and which direction is upwards in it, which its PNG file says. To be changed when
+# bodies are drawn differently, so that pictures of earlier versions in catalogues are drawn again.
+DRAWN_BY = "pcretrieve drawing 1, up"
+DIRECTION = re.compile(rb"Comment\0" + DRAWN_BY.encode() + rb"((?: -?[0-9]\.[0-9]{4}){3})")
+
+# The palette has one entry for the background, and one for each brightness at each coverage, at most 256 in
+# all. It reduces the size of a file to a third.
+N_COVERAGES = SUPERSAMPLING**2
+N_LEVELS = 255 // N_COVERAGES
+
+# Largest number of points that are drawn.
+MOST_POINTS = 20_000
+
+# Brightness of the points farthest from the camera; the nearest have 1.
+DARKEST = 0.35
+
+
+def thumbnail(
+    vertices: FloatArray,
+    faces: IntArray,
+    *,
+    up: FloatArray | None = None,
+    size: int = THUMBNAIL_PIXELS,
+    azimuth: float = 20.0,
+    elevation: float = 10.0,
+) -> bytes:
+    """A picture of a surface from its front.
+
+    The projection is orthographic, with two lamps, and both sides of a face look alike. The camera is
+    relative to `body_axes`, and the body fills the picture up to `MARGIN`, so that the picture is invariant
+    to rigid motion and scaling of the body.
+
+    vertices: (n, 3) float64, vertices of the surface, in any unit.
+    faces: (m, 3) int32, vertex numbers of the triangles.
+    up: (3,) float64, optional, the direction upwards, such as `TriangleMesh.up`, of length 1; by default
+        found by `body_axes`.
+    size: side of the square picture; pixels.
+    azimuth, elevation: angles of the camera to the right of the front of `body_axes`, and above it; degrees.
+    Returns bytes: a PNG file with a palette and a transparent background; 6 to 10 kB at 200 pixels.
+    """
+    if size < 1:
+        raise OptionError(f"size must be at least 1 pixel, got {size}")
+    if not np.isfinite([azimuth, elevation]).all():
+        raise OptionError(f"azimuth and elevation must be finite degrees, got {azimuth} and {elevation}")
+    a, b, c = (vertices[faces[:, k]] for k in range(3))
+    area = float(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum() / 2)
+    diagonal = float(np.linalg.norm(np.ptp(vertices, axis=0))) if len(vertices) else 0.0
+    # Rays are cast in single precision, and do not hit thinner surfaces.
+    if not area > np.finfo(np.float32).eps * diagonal**2:
+        raise DegenerateMeshError(
+            f"a surface must have area to be drawn, got {len(faces)} faces with an area of {area:.3g}; leave "
+            "its picture out",
+            stage=Stage.THUMBNAIL,
+        )
+    axes = body_axes(vertices, faces, up)
+    framed = _framed(vertices @ (rotation(azimuth, elevation) @ axes).T, faces)
+    face = visible_faces(framed, faces, size)
+    covered = (face >= 0).astype(np.float64)
+    return _png(pooled(np.append(face_brightness(framed, faces), 0.0)[face]), pooled(covered), axes[1])
+
+
+def resized(picture: bytes, size: int) -> bytes:
+    """A smaller thumbnail.
+
+    size: side of the square picture; pixels.
+    """
+    with Image.open(BytesIO(picture)) as image:
+        if image.width <= size:
+            return picture
+        pixels = np.asarray(image.convert("RGBA"), np.float64) / 255  # (n, n, 4)
+    coverage = pixels[:, :, 3]
+    shade = coverage * pixels[:, :, 0] / CLAY[0]
+    return _png(_smaller(shade, size), _smaller(coverage, size), direction_upwards(picture))
+
+
+def direction_upwards(picture: bytes) -> FloatArray | None:
+    """The direction that is upwards in a thumbnail.
+
+    Returns (3,) float64 or None: the direction in the file of the surface, of length 1 but for four decimals;
+        None for a picture that this version of pcretrieve would draw differently.
+    """
+    found = DIRECTION.search(picture[:2048])
+    return None if found is None else np.array(found[1].split(), np.float64)
+
+
+def cloud_thumbnail(points: FloatArray, *, size: int = 160) -> bytes:
+    """A picture of a point cloud from its front; nearer points are brighter.
+
+    points: (n, 3) float64, at least one point.
+    size: side of the square picture; pixels.
+    """
+    shown = points[:: -(-len(points) // MOST_POINTS)]
+    camera = cameras_around(shown)[0]
+    depth = camera.seen(shown)[:, 2:]  # (n, 1)
+    bright = DARKEST + (1 - DARKEST) * (np.clip(depth, -1, 1) + 1) / 2
+    spacing = 2 * camera.half / np.sqrt(len(shown))
+    file = BytesIO()
+    point_picture(shown, bright * CLAY, camera, width=spacing, size=size).save(file, "PNG", optimize=True)
+    return file.getvalue()
+
+
+def picture_html(picture: bytes | None, words: str) -> str:
+    """A picture with words below it, for notebooks."""
+    image = ""
+    if picture is not None:
+        image = f'<img alt="" src="data:image/png;base64,{b64encode(picture).decode("ascii")}"><br>'
+    return f"<div>{image}<code>{escape(words)}</code></div>"
+
+
+def _framed(vertices: FloatArray, faces: IntArray) -> FloatArray:
+    """(n, 3) image coordinates in which the surface fills [-1, 1]² up to the margin, and is below z = 0."""
+    used = vertices[faces.ravel()]
+    low, high = used.min(axis=0), used.max(axis=0)
+    centre = [(low[0] + high[0]) / 2, (low[1] + high[1]) / 2, high[2]]
+    framed: FloatArray = (vertices - centre) * (2 - 4 * MARGIN) / (high - low)[:2].max()
+    return framed
+
+
+def _smaller(values: FloatArray, size: int) -> FloatArray:
+    """The means of (n, n) values over the areas of (size, size) pixels."""
+    image = Image.fromarray(values.astype(np.float32)).resize((size, size), Image.Resampling.BOX)
+    return np.asarray(image, np.float64)
+
+
+def _png(shade: FloatArray, coverage: FloatArray, up: FloatArray | None) -> bytes:
+    """A PNG file of means over the area of each pixel; `shade` is 0 where nothing is seen."""
+    # The mean over the part of the pixel that shows the body, so that edges are not darker.
+    brightness = shade / np.where(coverage > 0, coverage, 1)
+    step = np.round(coverage * N_COVERAGES)
+    level = np.round(brightness * (N_LEVELS - 1))
+    number = np.where(step > 0, 1 + (step - 1) * N_LEVELS + level, 0)  # (size, size), row of the palette
+
+    levels = np.linspace(0, 255, N_LEVELS)[:, np.newaxis] * CLAY  # (N_LEVELS, 3)
+    colours = np.concatenate([np.zeros((1, 3)), np.tile(levels, (N_COVERAGES, 1))])
+    alphas = np.concatenate([[0], np.repeat(np.linspace(0, 255, N_COVERAGES + 1)[1:], N_LEVELS)])
+    picture = Image.fromarray(number.astype(np.uint8))
+    picture.putpalette(np.round(colours).astype(np.uint8).tobytes())
+    file = BytesIO()
+    drawn_by = PngInfo()
+    if up is not None:
+        drawn_by.add_text("Comment", " ".join([DRAWN_BY, *(f"{value:.4f}" for value in up)]))
+    transparency = np.round(alphas).astype(np.uint8).tobytes()
+    picture.save(file, "PNG", transparency=transparency, pnginfo=drawn_by)
+    return file.getvalue()

@@ -1,0 +1,147 @@
+"""Points of a body → filtered points: voxel-grid filter, statistical outlier removal."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pcretrieve.errors import ReconstructionError, Stage
+from pcretrieve.options import PointFilter, ScanOptions
+from pcretrieve.points.density import FARTHER, is_of_surface
+from pcretrieve.points.sampling import neighborhoods, voxel_numbers
+from pcretrieve.values import FloatArray, PointCloud, Step
+
+__all__ = ["CLEAN", "FEWEST_POINTS", "averaged", "check_extent", "clean", "outliers"]
+
+# Smallest number of points of a scan. With fewer points, limbs cannot be resolved.
+FEWEST_POINTS = 100
+
+# Smallest ratio of singular values of the centred points, below which the points are collinear or coplanar.
+# See docs/decisions.md, SMALLEST_THICKNESS.
+SMALLEST_THICKNESS = 1e-3
+
+# Edge of the voxels for averaging, relative to the diagonal: of dense clouds, which have at least DENSE
+# points for each occupied voxel of this edge, and of other clouds. See docs/decisions.md, DENSE_VOXEL.
+DENSE_VOXEL = 0.003
+DENSE = 1.6
+VOXEL = 0.0015
+
+
+def clean(cloud: PointCloud, options: ScanOptions) -> PointCloud:
+    """Filter a cloud: average the points in each voxel, and remove statistical outliers.
+
+    Returns PointCloud: the filtered points, with normals and viewpoints if there were any; unit of the file.
+        The step ``clean`` in the provenance has the numbers of points that were given, of voxels that have
+        any, of voxels that are kept, and of given points in voxels that are outliers.
+    """
+    started = time.perf_counter()
+    check_extent(cloud.points, Stage.CLEAN)
+    thinned, voxel = _thinned(cloud, options.voxel)
+    check_extent(thinned.points, Stage.CLEAN)
+    is_inlier = _inliers(thinned, options)
+    kept = thinned.select(np.flatnonzero(is_inlier))
+    check_extent(kept.points, Stage.CLEAN)
+    n_outliers = len(voxel) - int(is_inlier[voxel].sum())
+    notes = (f"dropped {n_outliers} of {len(voxel)} points as outliers",) if n_outliers else ()
+    sizes: dict[str, float] = {
+        "points_in": len(voxel),
+        "points_thinned": len(is_inlier),
+        "points": len(kept.points),
+        "outliers": n_outliers,
+    }
+    return kept.after(Step("clean", time.perf_counter() - started, sizes, notes))
+
+
+CLEAN = PointFilter("clean", clean, ScanOptions)
+
+
+def outliers(cloud: PointCloud, options: ScanOptions) -> NDArray[np.bool_]:
+    """Find the points that `clean` removes: those in voxels that are outliers.
+
+    Returns (n,) bool: as many points as the step ``clean`` counts.
+    """
+    thinned, voxel = _thinned(cloud, options.voxel)
+    found: NDArray[np.bool_] = ~_inliers(thinned, options)[voxel]
+    return found
+
+
+def _inliers(cloud: PointCloud, options: ScanOptions) -> NDArray[np.bool_]:
+    """Whether the mean distance of each point to its neighbours is not exceptional, (n,)."""
+    k = options.outlier_neighbors
+    neighbors = neighborhoods(cloud.points, max(k, FARTHER + 1))
+    distance = neighbors.distance[:, :k].mean(axis=1)  # (n,)
+    apart = distance[distance > 0]  # not of points that coincide with all their neighbours
+    if len(apart) < 2:
+        return np.ones(len(distance), dtype=np.bool_)
+    limit = apart.mean() + options.outlier_std * apart.std(ddof=1)
+    # Where the points are sparse, distances are exceptional, and no points are outliers for that reason.
+    sparse = is_of_surface(neighbors, cell=DENSE_VOXEL * cloud.diagonal)
+    inliers: NDArray[np.bool_] = (distance > 0) & ((distance < limit) | sparse)
+    return inliers
+
+
+def _thinned(cloud: PointCloud, voxel: float | str) -> tuple[PointCloud, NDArray[np.intp]]:
+    """The mean of the points in each voxel, and the voxel of each point, (n,)."""
+    if isinstance(voxel, str):
+        n_voxels = len(np.unique(voxel_numbers(cloud.points, DENSE_VOXEL * cloud.diagonal)))
+        voxel = DENSE_VOXEL if len(cloud.points) >= DENSE * n_voxels else VOXEL
+    return _averaged(cloud, voxel * cloud.diagonal) if voxel else (cloud, np.arange(len(cloud.points)))
+
+
+def averaged(cloud: PointCloud, edge: float) -> PointCloud:
+    """Voxel-grid filter: the mean of the points in each voxel.
+
+    edge: edge of a voxel; unit of the points.
+    """
+    return _averaged(cloud, edge)[0]
+
+
+def _averaged(cloud: PointCloud, edge: float) -> tuple[PointCloud, NDArray[np.intp]]:
+    """As `averaged`, and the voxel of each point, (n,)."""
+    _, first, group, counts = np.unique(
+        voxel_numbers(cloud.points, edge), return_index=True, return_inverse=True, return_counts=True
+    )
+
+    def average(values: FloatArray) -> FloatArray:
+        sums = [np.bincount(group, weights=values[:, axis]) for axis in range(3)]
+        return np.column_stack(sums) / counts[:, None]
+
+    normals = cloud.normals
+    if normals is not None:
+        normals = average(normals)
+        length = np.linalg.norm(normals, axis=1, keepdims=True)
+        # Opposite normals in one voxel cancel (both sides of a thin sheet): the first normal is kept.
+        cancelled = length[:, 0] < SMALLEST_THICKNESS
+        normals = np.where(cancelled[:, None], cloud.normals[first], normals / np.maximum(length, 1e-300))  # type: ignore[index]
+    means = replace(
+        cloud,
+        points=average(cloud.points),
+        normals=normals,
+        # A mean of sensor positions is not a sensor position: the first position in the voxel is kept.
+        viewpoints=None if cloud.viewpoints is None else cloud.viewpoints[first],
+    )
+    return means, group
+
+
+def check_extent(points: FloatArray, stage: str) -> None:
+    """Check that points can be those of a body.
+
+    points: (n, 3) float64, of a scan.
+    """
+    if len(points) < FEWEST_POINTS:
+        raise ReconstructionError(
+            f"a scan needs at least {FEWEST_POINTS} points, got {len(points)}: scan more densely, or lower "
+            "scan.voxel",
+            stage=stage,
+        )
+    spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False, full_matrices=False)  # (3,)
+    flat = spread < SMALLEST_THICKNESS * spread[0]
+    if spread[0] == 0 or flat[2]:
+        what = "are equal" if spread[0] == 0 else "lie on a line" if flat[1] else "lie in a plane"
+        raise ReconstructionError(
+            f"the points must span a body, all {len(points)} {what}: scan it from several sides",
+            stage=stage,
+        )

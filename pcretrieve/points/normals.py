@@ -1,0 +1,204 @@
+"""Normals of the points of a scan, and their orientation."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pcretrieve.adapters import open3d
+from pcretrieve.errors import ReconstructionError, Stage
+from pcretrieve.options import PointFilter, ScanOptions
+from pcretrieve.points.density import disks, local_spacings, sparse_points
+from pcretrieve.points.planes import guided_planes
+from pcretrieve.points.sampling import SPACING_NEIGHBORS, Neighborhoods, neighborhoods, spacing
+from pcretrieve.points.voxels import Outside, flood
+from pcretrieve.values import FloatArray, PointCloud, Step
+
+__all__ = ["ORIENT", "oriented_normals"]
+
+# Smallest cosine of the angle between the guide directions of two points on the same side of a thin part.
+SAME_SIDE = 0.2
+
+# Width of the Gaussian weight of neighbours, relative to the distance of the farthest one.
+NEIGHBOR_SPREAD = 0.7
+
+# Largest depth below the outside of the points by which a leak is detected; in voxels.
+SHALLOW = 4.0
+
+# Smallest edge of the voxels of the flood fill, in spacings of the points. Smaller ones would leave gaps.
+FLOOD_CELL = 1.3
+
+# Factor by which the radius of the holes that are closed grows at each attempt.
+WIDER = 1.4
+
+# Smallest fraction of pairs of neighbours with consistent normals, below which the flood fill has leaked into
+# the body: of the pairs whose normals are parallel up to this cosine, because noise turns the others. See
+# docs/decisions.md, LEAST_AGREEMENT.
+LEAST_AGREEMENT = 0.95
+PARALLEL = 0.7
+
+# The flood fill contradicts a sensor if the cosine between its direction and that to the sensor is below
+# −OPPOSED. It has leaked into the body if it contradicts more than a fraction of them: see
+# docs/decisions.md, MOST_OPPOSED.
+OPPOSED = 0.3
+MOST_OPPOSED = 0.05
+
+# Number of neighbours with which each point is compared.
+N_COMPARED = 8
+
+
+def oriented_normals(cloud: PointCloud, options: ScanOptions) -> PointCloud:
+    """Estimate normals, and orient them outwards.
+
+    Returns PointCloud: the points with unit normals that point out of the body, and a step ``orient`` in the
+        provenance.
+    """
+    started = time.perf_counter()
+    method = options.orientation
+    if method == "auto":
+        method = "flood" if cloud.normals is None else "given"
+        method = "viewpoint" if cloud.viewpoints is not None else method
+    if method == "given":
+        if cloud.normals is None:
+            raise ReconstructionError(
+                "scan.orientation 'given' needs a scan with normals, this one has none: take 'auto'",
+                stage=Stage.ORIENT,
+            )
+        return cloud.after(
+            Step("orient", time.perf_counter() - started, {}, ("used the file's own normals",))
+        )
+    oriented, notes = ORIENTATIONS[method](cloud, options)
+    step = Step("orient", time.perf_counter() - started, {"points": len(oriented)}, notes)
+    return replace(cloud, normals=oriented).after(step)
+
+
+# Open3D works in single precision: far from the origin it loses the shape, or crashes.
+ORIENT = PointFilter("orient", oriented_normals, ScanOptions, gives="normals", near_origin=True)
+
+
+def _by_viewpoint(cloud: PointCloud, options: ScanOptions) -> tuple[FloatArray, tuple[str, ...]]:
+    """Normals towards the sensors; at grazing incidence the flood fill decides."""
+    if cloud.viewpoints is None:
+        raise ReconstructionError(
+            "scan.orientation 'viewpoint' needs sensor positions, this scan has none: take 'auto'",
+            stage=Stage.ORIENT,
+        )
+    towards = _unit(cloud.viewpoints - cloud.points)
+    neighbors = _neighbors(cloud.points, options)
+    outside, _, notes = _tight_flood(cloud, neighbors, options)
+    if outside is not None:
+        direction = outside.direction_at(cloud.points)
+        opposed = float((np.einsum("ij,ij->i", towards, direction) < -OPPOSED).mean())
+        if opposed > MOST_OPPOSED:
+            notes = (*notes, f"the flood fill contradicted {opposed:.0%} of the sensors and was not used")
+        else:
+            towards = _unit(towards + direction)
+    return _guided_normals(cloud.points, towards, neighbors, options), notes
+
+
+def _by_tangent_planes(cloud: PointCloud, options: ScanOptions) -> tuple[FloatArray, tuple[str, ...]]:
+    normals = open3d.estimate_normals(cloud.points, n_neighbors=options.normal_neighbors)
+    oriented = open3d.orient_by_tangent_planes(cloud.points, normals, n_neighbors=options.normal_neighbors)
+    # The outward normal of the highest point points upwards.
+    top = cloud.points[:, 2].argmax()
+    return (-oriented if oriented[top, 2] < 0 else oriented), ()
+
+
+def _by_flood(cloud: PointCloud, options: ScanOptions) -> tuple[FloatArray, tuple[str, ...]]:
+    """Normals towards the nearest outside; by tangent planes, if every flood fill leaks."""
+    neighbors = _neighbors(cloud.points, options)
+    _, oriented, notes = _tight_flood(cloud, neighbors, options)
+    if oriented is None:
+        oriented, _ = _by_tangent_planes(cloud, options)
+        notes = (*notes, "tangent planes decided which side is outside")
+    return oriented, notes
+
+
+def _tight_flood(
+    cloud: PointCloud, neighbors: Neighborhoods, options: ScanOptions
+) -> tuple[Outside | None, FloatArray | None, tuple[str, ...]]:
+    """Repeat the flood fill with larger closed holes until it does not leak into the body.
+
+    A leak is detected by the normals towards the outside, which are then inconsistent between neighbours.
+
+    Returns normals : (n, 3) float64 or None: unit normals towards the outside; None if every flood fill
+        leaked.
+    """
+    cell = max(options.flood_cell * cloud.diagonal, FLOOD_CELL * spacing(neighbors.some()))
+    gap = options.flood_gap
+    walled = _with_disks(cloud, neighbors, cell / FLOOD_CELL)
+    for attempt in range(options.flood_retries + 1):
+        gap = options.flood_gap * WIDER**attempt
+        outside = flood(walled, cell=cell, gap=gap * cloud.diagonal)
+        towards = outside.direction_at(cloud.points)
+        oriented = _guided_normals(cloud.points, towards, neighbors, options)
+        shallow = outside.depth_at(cloud.points) < SHALLOW
+        if shallow.sum() > N_COMPARED and _agreement(oriented, neighbors, shallow) >= LEAST_AGREEMENT:
+            note = f"the flood fill leaked; holes with radii up to {gap:.3f} of the diagonal were closed"
+            return outside, oriented, (note,) if attempt else ()
+    return None, None, (f"the flood fill leaked with holes up to {gap:.3f} of the diagonal closed",)
+
+
+def _with_disks(cloud: PointCloud, neighbors: Neighborhoods, step: float) -> FloatArray:
+    """The points, and points on disks around those that are sparse, which close the surface between them."""
+    spacings = local_spacings(neighbors)
+    sparse = sparse_points(neighbors, cell=step, diagonal=cloud.diagonal)
+    if not sparse.any():
+        return cloud.points
+    around = cloud.points[neighbors.near[sparse, : N_COMPARED + 1]]  # (m, k, 3)
+    around -= around.mean(axis=1, keepdims=True)
+    normals = np.zeros_like(cloud.points)
+    normals[sparse] = np.linalg.eigh(np.einsum("nki,nkj->nij", around, around))[1][:, :, 0]
+    placed, _ = disks(cloud.points, normals, spacings, sparse, step=step)
+    return np.concatenate([cloud.points, placed])
+
+
+def _unit(vectors: FloatArray) -> FloatArray:
+    """(n, 3) unit vectors; a zero vector is not changed."""
+    length = np.linalg.norm(vectors, axis=1, keepdims=True)
+    return np.asarray(vectors / np.where(length > 0, length, 1))
+
+
+def _guided_normals(
+    points: FloatArray, guide: FloatArray, neighbors: Neighborhoods, options: ScanOptions
+) -> FloatArray:
+    """Normals of weighted least-squares planes of the neighbours on the same side of the body.
+
+    In ears, fingers and tails, a neighbourhood contains points of both sides, and its least-squares plane is
+    wrong. Neighbours are therefore weighted by the agreement of their guide
+    directions with that of the point.
+
+    points: (n, 3) float64, coordinates.
+    guide: (n, 3) float64, approximate unit direction to the outside at each point; zero if unknown.
+    Returns (n, 3) float64: unit normals, with the orientation of the guide.
+    """
+    k = options.normal_neighbors
+    near = np.ascontiguousarray(neighbors.near[:, :k])
+    distance = np.ascontiguousarray(neighbors.distance[:, :k])
+    return guided_planes(points, guide, near, distance, SAME_SIDE, NEIGHBOR_SPREAD)
+
+
+def _agreement(oriented: FloatArray, neighbors: Neighborhoods, shallow: NDArray[np.bool_]) -> float:
+    """The fraction of parallel pairs of neighbours, both in the mask `shallow`, with consistent normals."""
+    near = neighbors.near[shallow, 1 : N_COMPARED + 1]  # (m, k), without the point itself
+    cosines = np.einsum("ij,ikj->ik", oriented[shallow], oriented[near])
+    pairs = shallow[near] & (abs(cosines) > PARALLEL)
+    return float((pairs & (cosines > 0)).sum() / max(1, pairs.sum()))
+
+
+def _neighbors(points: FloatArray, options: ScanOptions) -> Neighborhoods:
+    """The neighbours that serve the normals, their agreement and the spacing."""
+    return neighborhoods(points, max(options.normal_neighbors, N_COMPARED + 1, SPACING_NEIGHBORS + 1))
+
+
+Orientation = Callable[[PointCloud, ScanOptions], tuple[FloatArray, tuple[str, ...]]]
+
+ORIENTATIONS: dict[str, Orientation] = {
+    "viewpoint": _by_viewpoint,
+    "flood": _by_flood,
+    "tangent-plane": _by_tangent_planes,
+}

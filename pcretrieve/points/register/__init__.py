@@ -1,0 +1,10 @@
+"""Registration of range scans whose poses are not known, or known roughly.
+
+In come views as point clouds, each in a frame of its own; out go their rigid motions into a common frame,
+and the cloud that they make together.
+"""
+
+from pcretrieve.points.register.agreement import Overlap
+from pcretrieve.points.register.register import Merged, merge_views
+
+__all__ = ["Merged", "Overlap", "merge_views"]

@@ -1,0 +1,149 @@
+"""Global registration: range scans (views) with unknown or rough poses → one cloud."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+
+from pcretrieve.errors import InputError
+from pcretrieve.options import MergeOptions
+from pcretrieve.points.clean import averaged
+from pcretrieve.points.register.agreement import Overlap, overlaps, shared
+from pcretrieve.points.register.groups import COARSE, FINE, largest_group, settled
+from pcretrieve.points.register.motions import moved, turned
+from pcretrieve.points.register.tracking import followed, posed_track, tracks
+from pcretrieve.points.register.views import prepared
+from pcretrieve.values import FloatArray, PointCloud, Step
+
+__all__ = ["Merged", "merge_views"]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Merged:
+    """Registered views.
+
+    poses: (v, 4, 4) float64, rigid motion of each view into this frame; NaN if the view was left out.
+    shares: (v,) float64, fraction of the points of each view that another registered view measured too; 0 if
+        it was left out.
+    scale: median diagonal of the views, to which relative options refer; unit of the file.
+    """
+
+    cloud: PointCloud
+    poses: FloatArray
+    shares: FloatArray
+    overlaps: tuple[Overlap, ...]
+    scale: float
+
+    @property
+    def left_out(self) -> tuple[int, ...]:
+        """Numbers of the views that could not be registered."""
+        return tuple(np.flatnonzero(np.isnan(self.poses[:, 0, 0])).tolist())
+
+    def rms(self, view: int | None = None) -> float:
+        """The root mean square distance of overlaps, weighted by their shares."""
+        chosen = [pair for pair in self.overlaps if view in (None, pair.first, pair.second)]
+        weight = sum(pair.share for pair in chosen)
+        return float(np.sqrt(sum(pair.share * pair.rms**2 for pair in chosen) / weight)) if weight else np.nan
+
+
+def merge_views(
+    views: Sequence[PointCloud],
+    options: MergeOptions,
+    *,
+    poses: FloatArray | None = None,
+    on_pair: Callable[[int, int], None] | None = None,
+) -> Merged:
+    """Register range scans, and merge them into one cloud.
+
+    Parameters
+    ----------
+    views : sequence of PointCloud, length v
+        The points that one sensor measured from one position, each view in a frame
+        of its own; all in one unit.
+    options : MergeOptions
+        The parameters of the registration.
+    poses : (v, 4, 4) float64, optional
+        Rigid motions of the views into a common frame. They are refined if ``options.refine`` is set, by key
+        frames if views hardly differ, and no view is left out. Without them all poses are searched, and views
+        that are not in the largest group are left out, with a note in the provenance.
+    on_pair : function, optional
+        Called with the number of pairs of views that have been matched, and the number of all pairs. Pairs of
+        views in different groups are matched twice.
+
+    Returns
+    -------
+    Merged
+        The merged cloud and the poses. Equal views and options give equal results, bit for bit.
+
+    Raises
+    ------
+    InputError
+        If there are fewer than two views, the poses are not one rigid motion for each view, a view has more
+        than one sensor position, or ``max_range`` is given and the position of the sensor is not known.
+    ReconstructionError
+        If a view has too few points, or no two views overlap.
+    """
+    started = time.perf_counter()
+    if len(views) < 2:
+        raise InputError(f"merging needs at least two views, got {len(views)}")
+    if poses is not None:
+        _check_poses(poses, len(views))
+    rng = np.random.default_rng(options.seed)
+    ready, scale = prepared(views, options, rng)
+    reach = options.reach * scale
+    notes = []
+    if poses is None:
+        found = tracks(ready, scale, options)
+        groups = [settled(ready, track.key_poses, COARSE, reach) for track in found]
+        keys = largest_group(ready, groups, scale, options, rng, on_pair)
+        placed, key_of = followed(ready, keys, found, scale, options)
+    else:
+        placed = dict(enumerate(np.array(poses, dtype=np.float64)))
+        keys, key_of = placed, {number: number for number in placed}
+        if options.refine:
+            track = posed_track(ready, placed, scale, options)
+            keys = settled(ready, track.key_poses, (*COARSE, *FINE), reach)
+            placed, key_of = followed(ready, keys, [track], scale, options, verified=False)
+    if len(keys) < len(placed):
+        notes.append(f"registered {len(placed)} views of a sequence by {len(keys)} key frames")
+
+    all_poses, shares = np.full((len(views), 4, 4), np.nan), np.zeros(len(views))
+    for number in range(len(views)):
+        if number not in placed:
+            notes.append(f"left out view {number}: it has no place where it shares a surface with the others")
+            continue
+        all_poses[number] = placed[number]
+        shares[number] = shared(ready, keys | {number: placed[number]}, number, reach)
+        if shares[number] < options.min_overlap:
+            notes.append(f"view {number} shares only {shares[number]:.1%} of its points with the others")
+    cloud = _joined([ready[number].cloud for number in sorted(placed)], all_poses[sorted(placed)])
+    if options.voxel:
+        cloud = averaged(cloud, options.voxel * scale)
+    sizes = {"views": float(len(views)), "placed": float(len(placed)), "points": float(len(cloud.points))}
+    step = Step("merge", time.perf_counter() - started, sizes, tuple(notes))
+    pairs = [*combinations(sorted(keys), 2), *((key, view) for view, key in key_of.items() if key != view)]
+    return Merged(cloud.after(step), all_poses, shares, overlaps(ready, placed, pairs, reach), scale)
+
+
+def _check_poses(poses: FloatArray, n_views: int) -> None:
+    if poses.shape != (n_views, 4, 4):
+        raise InputError(f"poses must have shape ({n_views}, 4, 4), one for each view, got {poses.shape}")
+    turns = poses[:, :3, :3]
+    rigid = np.allclose(turns @ turns.transpose(0, 2, 1), np.eye(3), atol=1e-4)
+    if not (rigid and (np.linalg.det(turns) > 0).all() and np.allclose(poses[:, 3], [0, 0, 0, 1])):
+        raise InputError("poses must be rigid motions: a rotation, a translation, and a last row 0 0 0 1")
+
+
+def _joined(clouds: Sequence[PointCloud], poses: FloatArray) -> PointCloud:
+    """The concatenation of all clouds, in the common frame."""
+    parts = [
+        (moved(pose, cloud.points), turned(pose, cloud.normals), moved(pose, cloud.viewpoints))
+        for cloud, pose in zip(clouds, poses, strict=True)
+        if cloud.normals is not None and cloud.viewpoints is not None
+    ]
+    points, normals, viewpoints = (np.concatenate(arrays) for arrays in zip(*parts, strict=True))
+    return PointCloud(points, normals, viewpoints)

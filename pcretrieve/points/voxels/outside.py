@@ -1,0 +1,145 @@
+"""The space outside a body, found by flood fill on a voxel grid."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+
+from pcretrieve.points.voxels.components import components
+from pcretrieve.points.voxels.distance import distances
+from pcretrieve.points.voxels.grid import Grid, Mask, Voxels
+from pcretrieve.values import FloatArray
+
+__all__ = ["FARTHEST", "Outside", "flood", "sampled"]
+
+# Number of empty voxels around the points, in which finite differences are computed.
+MARGIN = 3
+
+# Largest distance to the points that is measured; in voxels. No function uses larger ones.
+FARTHEST = 12.0
+
+# Smallest distance of the outside from every point; in voxels. Points that sample a
+# surface with about one point in each voxel leave gaps, which this distance closes.
+# It is small enough for the outside to reach between fingers.
+CLEARANCE = 1.8
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Outside:
+    """The outside of a body."""
+
+    grid: Grid
+    reached: Mask
+    depth: Voxels
+    distance: Voxels
+
+    def depth_at(self, points: FloatArray) -> FloatArray:
+        """(n,) depths of points below the outside, by trilinear interpolation; in voxels."""
+        return sampled(self.depth, self.grid.coordinates(points))
+
+    def direction_at(self, points: FloatArray) -> FloatArray:
+        """(n, 3) unit vectors in the direction of steepest descent of the depth; zero if there is none."""
+        at = self.grid.coordinates(points)
+        slope = np.empty((len(points), 3))
+        for axis, step in enumerate(np.eye(3)):
+            slope[:, axis] = sampled(self.depth, at - step) - sampled(self.depth, at + step)
+        length = np.linalg.norm(slope, axis=1, keepdims=True)
+        return slope / np.where(length > 0, length, 1)
+
+
+def flood(
+    points: FloatArray,
+    *,
+    cell: float,
+    gap: float,
+    shift: FloatArray | float = 0.0,
+    deepest: float = np.inf,
+) -> Outside:
+    """Find the outside of a body by flood fill from the border of a grid.
+
+    First, the voxels within the distance `gap` of a point are walls, which close holes of the scan. Then the
+    flood fill continues from the voxels reached through those between walls and points, for as many steps as
+    the walls are thick, so that it reaches the space between fingers too, which the walls had closed.
+
+    points: (n, 3) float64, coordinates; unit of the file.
+    cell: edge of a voxel, about the spacing of the points; unit of the file.
+    gap: radius of the largest hole that is closed; unit of the file.
+    shift: (3,) float64 or float, default 0.0, displacement of the grid in the negative directions; in voxels.
+    """
+    wall = gap / cell
+    grid = Grid.around(points, cell, int(np.ceil(wall)) + MARGIN, shift)
+    occupied = np.zeros(grid.shape, dtype=bool)
+    occupied[grid.index(points)] = True
+    distance = distances(occupied, max(FARTHEST, wall + 1))
+    labels, _ = components(distance > wall, corners=False)
+    reached = _regrown(labels == labels[0, 0, 0], distance, int(wall) + 1, CLEARANCE)
+    return Outside(grid, reached, distances(reached, deepest), distance)
+
+
+@njit(cache=True)
+def _regrown(outside: Mask, distance: Voxels, n_steps: int, clearance: float) -> Mask:
+    """The voxels outside the walls, and those that are reached from them by a number of steps."""
+    n_x, n_y, n_z = outside.shape
+    result: Mask = outside.copy()
+    reached, to_points = result.ravel(), distance.ravel()
+    step = (n_y * n_z, n_z, 1)
+    front = np.empty(distance.size, dtype=np.int32)
+    n = 0
+    for x in range(1, n_x - 1):
+        for y in range(1, n_y - 1):
+            for z in range(1, n_z - 1):
+                if outside[x, y, z] or distance[x, y, z] <= clearance:
+                    continue
+                if (
+                    outside[x - 1, y, z]
+                    or outside[x + 1, y, z]
+                    or outside[x, y - 1, z]
+                    or outside[x, y + 1, z]
+                    or outside[x, y, z - 1]
+                    or outside[x, y, z + 1]
+                ):
+                    front[n] = (x * n_y + y) * n_z + z
+                    n += 1
+    for i in range(n):
+        reached[front[i]] = True
+    # Breadth-first search, one step for all voxels of the front at a time.
+    begin = 0
+    for _ in range(n_steps - 1):
+        end = n
+        for i in range(begin, end):
+            for axis in range(3):
+                for other in (front[i] - step[axis], front[i] + step[axis]):
+                    if not reached[other] and to_points[other] > clearance:
+                        reached[other] = True
+                        front[n] = other
+                        n += 1
+        begin = end
+    return result
+
+
+@njit(cache=True)
+def sampled(values: Voxels, at: FloatArray) -> FloatArray:
+    """Values on a grid, interpolated between the centres of voxels by trilinear interpolation.
+
+    values: (a, b, c) float32, a value in each voxel; each side has at least two voxels.
+    at: (n, 3) float64, positions, in voxels. Positions outside the grid are moved to its border.
+    Returns (n,) float64: the values at the positions.
+    """
+    found = np.empty(len(at))
+    for i in range(len(at)):
+        total = 0.0
+        x = min(max(at[i, 0], 0.0), values.shape[0] - 1.0)
+        y = min(max(at[i, 1], 0.0), values.shape[1] - 1.0)
+        z = min(max(at[i, 2], 0.0), values.shape[2] - 1.0)
+        u = min(int(x), values.shape[0] - 2)
+        v = min(int(y), values.shape[1] - 2)
+        w = min(int(z), values.shape[2] - 2)
+        for a in range(2):
+            for b in range(2):
+                for c in range(2):
+                    share = abs(1 - a - (x - u)) * abs(1 - b - (y - v)) * abs(1 - c - (z - w))
+                    total += share * values[u + a, v + b, w + c]
+        found[i] = total
+    return found

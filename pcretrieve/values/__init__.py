@@ -1,0 +1,43 @@
+"""The immutable values that are passed from stage to stage.
+
+Arrays are copied, checked and made read-only when a value is made; functions that take such a value do not
+check it again. Two values are equal if their arrays are, whatever their provenance. Conventions:
+
+- lengths are in the unit of the file, coordinates are float64;
+- the vertices of a face are in counter-clockwise order, seen from outside;
+- the Laplace–Beltrami operator is positive semi-definite (−Δ u = λ u), eigenvalues ascend from λ_0 = 0.
+"""
+
+from pcretrieve.arrays import FloatArray, IntArray
+from pcretrieve.values.geometry import PointCloud, Step, TriangleMesh, bounding_diagonal
+from pcretrieve.values.shapes import Failure, Need, Shape, Surface
+from pcretrieve.values.signatures import Metric, Neighbors, Signature, SignatureTable
+from pcretrieve.values.spectra import Eigenpairs, LaplaceBeltrami, ModalSpectrum
+from pcretrieve.values.units import METRES, UNIT, SizeUnit, unit_of
+from pcretrieve.values.verdicts import Judgement, Verdict
+
+__all__ = [
+    "METRES",
+    "UNIT",
+    "Eigenpairs",
+    "Failure",
+    "FloatArray",
+    "IntArray",
+    "Judgement",
+    "LaplaceBeltrami",
+    "Metric",
+    "ModalSpectrum",
+    "Need",
+    "Neighbors",
+    "PointCloud",
+    "Shape",
+    "Signature",
+    "SignatureTable",
+    "SizeUnit",
+    "Step",
+    "Surface",
+    "TriangleMesh",
+    "Verdict",
+    "bounding_diagonal",
+    "unit_of",
+]

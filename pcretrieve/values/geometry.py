@@ -1,0 +1,277 @@
+"""Points and surfaces, with the record of their processing."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pcretrieve.arrays import FloatArray, IntArray
+from pcretrieve.errors import DegenerateMeshError, InputError
+from pcretrieve.values.base import Value, locked, numbers
+
+__all__ = ["PointCloud", "Step", "TriangleMesh", "bounding_diagonal"]
+
+# Smallest ratio of the area of a face to the square of its longest edge. Below it cotangents of the angles
+# exceed 1e8, and rounding errors of the stiffness matrix reach the size of its small eigenvalues.
+SMALLEST_ASPECT = 1e-9
+
+# Tolerance of the length of unit normals: files store them in single precision, and averages are not exact.
+UNIT_TOLERANCE = 1e-3
+
+
+@dataclass(frozen=True, slots=True)
+class Step:
+    """The record of one stage of the processing of one shape.
+
+    Attributes
+    ----------
+    stage : str
+        Name of the stage.
+    seconds : float
+        Wall-clock time.
+    sizes : dict of str to float
+        Counts, and lengths in the unit of the file.
+    notes : tuple of str
+        A sentence for each repair and each fallback, with its size. Empty if there was none.
+    """
+
+    stage: str
+    seconds: float
+    sizes: dict[str, float] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PointCloud(Value):
+    """A point cloud, in the unit of the file.
+
+    Parameters
+    ----------
+    points : (n, 3) float64
+        Coordinates.
+    normals : (n, 3) float64 or None
+        Unit normals that point out of the body.
+    viewpoints : (n, 3) float64 or None
+        Position of the sensor that measured each point, in the frame of the points. A (3,) array is the
+        position of one sensor for all points.
+    provenance : tuple of Step
+        The stages that made the cloud, in order.
+    """
+
+    points: FloatArray
+    normals: FloatArray | None = None
+    viewpoints: FloatArray | None = None
+    provenance: tuple[Step, ...] = field(default=(), compare=False)
+
+    def __post_init__(self) -> None:
+        points = locked("points", self.points, (None, 3))
+        object.__setattr__(self, "points", points)
+        n = len(points)
+        if self.normals is not None:
+            normals = locked("normals", self.normals, (n, 3))
+            off = np.abs(np.linalg.norm(normals, axis=1) - 1) > UNIT_TOLERANCE  # (n,)
+            if off.any():
+                raise InputError(
+                    f"normals must have unit length, got {off.sum()} of {n} that have not: "
+                    "divide them by their length, or leave them out"
+                )
+            object.__setattr__(self, "normals", normals)
+        if self.viewpoints is not None:
+            viewpoints = numbers("viewpoints", self.viewpoints)
+            if viewpoints.shape == (3,):
+                viewpoints = np.broadcast_to(viewpoints, (n, 3))
+            object.__setattr__(self, "viewpoints", locked("viewpoints", viewpoints, (n, 3)))
+
+    @property
+    def up(self) -> FloatArray | None:
+        """(3,) unit normal of the ground that `crop` removed, towards the body; None if it removed none."""
+        return _ground_normal(self.provenance)
+
+    @property
+    def diagonal(self) -> float:
+        """Diagonal of the axis-aligned bounding box, to which relative lengths in options refer."""
+        return bounding_diagonal(self.points)
+
+    def select(self, index: NDArray[Any]) -> PointCloud:
+        """The points at `index` (a mask or positions), with their normals and viewpoints."""
+        return replace(
+            self,
+            points=self.points[index],
+            normals=None if self.normals is None else self.normals[index],
+            viewpoints=None if self.viewpoints is None else self.viewpoints[index],
+        )
+
+    def to_open3d(self) -> Any:
+        """An ``open3d.geometry.PointCloud`` with the points and the normals, without sensor positions."""
+        from pcretrieve.adapters.open3d import open3d_cloud
+
+        return open3d_cloud(self.points, self.normals)
+
+    def to_trimesh(self) -> Any:
+        """A ``trimesh.PointCloud`` with the points; normals and sensor positions are left out."""
+        from pcretrieve.adapters.trimesh import trimesh_cloud
+
+        return trimesh_cloud(self.points)
+
+    def plot(self, axes: Any = None) -> Any:
+        """Draw the points by matplotlib (the extra ``plot``), into `axes` of a 3-D plot or a new figure."""
+        from pcretrieve.adapters.matplotlib import plot_points
+
+        return plot_points(self.points, axes)
+
+    def __repr__(self) -> str:
+        parts = [f"{len(self.points):,} points"]
+        parts += ["normals"] if self.normals is not None else []
+        parts += ["sensor positions"] if self.viewpoints is not None else []
+        return f"PointCloud({', '.join(parts)}; diagonal {self.diagonal:.4g} file units)"
+
+    def _repr_html_(self) -> str:
+        from pcretrieve.draw import cloud_thumbnail, picture_html
+
+        return picture_html(cloud_thumbnail(self.points) if len(self.points) else None, repr(self))
+
+    def after(self, step: Step) -> PointCloud:
+        """The same cloud with one more step in its provenance."""
+        return replace(self, provenance=(*self.provenance, step))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TriangleMesh(Value):
+    """A triangulated surface, in the unit of the file.
+
+    Parameters
+    ----------
+    vertices : (n, 3) float64
+        Coordinates.
+    faces : (m, 3) int32
+        Vertex numbers of each triangle, counter-clockwise seen from outside.
+    provenance : tuple of Step
+        The stages that made the surface, in order.
+    """
+
+    vertices: FloatArray
+    faces: IntArray
+    provenance: tuple[Step, ...] = field(default=(), compare=False)
+
+    def __post_init__(self) -> None:
+        vertices = locked("vertices", self.vertices, (None, 3))
+        faces = locked("faces", self.faces, (None, 3), np.int32)
+        if faces.size and not (faces.min() >= 0 and faces.max() < len(vertices)):
+            raise InputError(
+                f"faces must name vertices 0 to {len(vertices) - 1}, got {faces.min()} to {faces.max()}"
+            )
+        object.__setattr__(self, "vertices", vertices)
+        object.__setattr__(self, "faces", faces)
+
+    @property
+    def diagonal(self) -> float:
+        """Diagonal of the axis-aligned bounding box."""
+        return bounding_diagonal(self.vertices)
+
+    @property
+    def up(self) -> FloatArray | None:
+        """(3,) unit normal of the ground that `crop` removed, towards the body; None if it removed none."""
+        return _ground_normal(self.provenance)
+
+    @property
+    def area_vectors(self) -> FloatArray:
+        """(m, 3) area vectors: outward normals of the faces, with the area as their length; unit length².
+
+        The area vectors of a closed surface sum up to zero.
+        """
+        corners = self.vertices.T[:, self.faces.T]  # (3, 3, m): coordinate, corner, face
+        x, y, z = corners[:, 1] - corners[:, 0]
+        u, v, w = corners[:, 2] - corners[:, 0]
+        vectors: FloatArray = np.column_stack([y * w - z * v, z * u - x * w, x * v - y * u]) / 2
+        return vectors
+
+    @property
+    def face_areas(self) -> FloatArray:
+        """(m,) areas of the faces, unit length²."""
+        areas: FloatArray = np.linalg.norm(self.area_vectors, axis=1)
+        return areas
+
+    @property
+    def flat_faces(self) -> NDArray[np.bool_]:
+        """(m,) mask of degenerate faces, whose area is too small for the gradients of linear elements."""
+        corners = self.vertices.T[:, self.faces.T]  # (3, 3, m): coordinate, corner, face
+        squares = ((corners - corners[:, [2, 0, 1]]) ** 2).sum(axis=0)  # (3, m)
+        return np.asarray(self.face_areas <= SMALLEST_ASPECT * squares.max(axis=0))
+
+    @property
+    def area(self) -> float:
+        """Total area, unit length²."""
+        return float(self.face_areas.sum())
+
+    @property
+    def volume(self) -> float:
+        """Signed enclosed volume, unit length³; positive if the faces are oriented outwards.
+
+        Meaningful for closed surfaces only.
+        """
+        corner = self.vertices[self.faces[:, 0]] - self.vertices.mean(axis=0)
+        return float(np.einsum("ij,ij->", corner, self.area_vectors) / 3)
+
+    @property
+    def euler_characteristic(self) -> int:
+        """V − E + F, without unreferenced vertices: 2 for a sphere, 0 for a torus."""
+        ends = self.faces.astype(np.int64), self.faces[:, [1, 2, 0]]  # (m, 3) each
+        # One number for each unordered pair of vertices, sorted; (3m,).
+        edges = np.sort(np.minimum(*ends) * len(self.vertices) + np.maximum(*ends), axis=None)
+        n_edges = np.count_nonzero(np.diff(edges, prepend=-1))
+        return int(np.count_nonzero(np.bincount(self.faces.ravel())) - n_edges) + len(self.faces)
+
+    def to_open3d(self) -> Any:
+        """An ``open3d.geometry.TriangleMesh`` with the same vertices and faces."""
+        from pcretrieve.adapters.open3d import open3d_mesh
+
+        return open3d_mesh(self.vertices, self.faces)
+
+    def to_trimesh(self) -> Any:
+        """A ``trimesh.Trimesh`` with the same vertices and faces, in the same order."""
+        from pcretrieve.adapters.trimesh import trimesh_mesh
+
+        return trimesh_mesh(self.vertices, self.faces)
+
+    def plot(self, axes: Any = None) -> Any:
+        """Draw the surface by matplotlib (the extra ``plot``), into `axes` of a 3-D plot or a new figure."""
+        from pcretrieve.adapters.matplotlib import plot_surface
+
+        return plot_surface(self.vertices, self.faces, axes)
+
+    def __repr__(self) -> str:
+        size = f"{len(self.vertices):,} vertices, {len(self.faces):,} faces"
+        return f"TriangleMesh({size}; area {self.area:.4g} file units²)"
+
+    def _repr_html_(self) -> str:
+        from pcretrieve.draw import picture_html, thumbnail
+
+        try:
+            picture = thumbnail(self.vertices, self.faces, up=self.up)
+        except DegenerateMeshError:  # no area to draw
+            picture = None
+        return picture_html(picture, repr(self))
+
+    def after(self, step: Step) -> TriangleMesh:
+        """The same surface with one more step in its provenance."""
+        return replace(self, provenance=(*self.provenance, step))
+
+
+def bounding_diagonal(points: FloatArray) -> float:
+    """Diagonal of the axis-aligned bounding box of points.
+
+    points: (n, 3) float64, in any unit.
+    Returns float: the length; unit of the points. 0 if there are no points.
+    """
+    # Column by column: along the first axis of short rows, NumPy takes twenty times as long.
+    return float(np.linalg.norm([np.ptp(column) for column in points.T])) if len(points) else 0.0
+
+
+def _ground_normal(provenance: tuple[Step, ...]) -> FloatArray | None:
+    for step in provenance:
+        if step.stage == "crop" and "up_x" in step.sizes:
+            return np.array([step.sizes[f"up_{axis}"] for axis in "xyz"])
+    return None

@@ -1,0 +1,149 @@
+"""A processed scan: its surfaces with their spectra, or the failure of the processing."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from typing import Literal, TypeVar
+
+import numpy as np
+
+from pcretrieve.errors import InputError, ShapeError, Stage
+from pcretrieve.values.base import Value
+from pcretrieve.values.geometry import PointCloud, Step, TriangleMesh
+from pcretrieve.values.spectra import Eigenpairs, ModalSpectrum
+from pcretrieve.values.verdicts import Verdict
+
+__all__ = ["Failure", "Need", "Shape", "Surface"]
+
+# The parts of a shape that a descriptor may need.
+# A spectrum may lack its overlaps, which few descriptors need; with the need "overlaps" it has them.
+Need = Literal["spectrum", "overlaps", "eigenvectors", "mesh", "points"]
+
+_Part = TypeVar("_Part")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Surface(Value):
+    """One of the surfaces that were reconstructed from a scan, with the parts that were kept.
+
+    Attributes
+    ----------
+    area : float
+        Positive; unit length² of the file. For the element ``points``, the integral of 1 by the mass matrix.
+    spectrum : ModalSpectrum or None
+        The modal spectrum of the surface scaled to unit area.
+    mesh : TriangleMesh or None
+        The triangles, in the unit of the file.
+    eigenpairs : Eigenpairs or None
+        The smallest eigenpairs of the surface scaled to unit area.
+    """
+
+    area: float
+    spectrum: ModalSpectrum | None = None
+    mesh: TriangleMesh | None = None
+    eigenpairs: Eigenpairs | None = None
+
+    def __post_init__(self) -> None:
+        if not 0 < self.area < np.inf:
+            raise InputError(f"the area of a surface must be positive and finite, got {self.area}")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Shape(Value):
+    """A processed scan: the surfaces that were reconstructed from it, and its points.
+
+    The properties are those of the first surface. Descriptors are given one shape for each surface, as
+    `apart` makes them.
+
+    Attributes
+    ----------
+    surfaces : tuple of Surface
+        At least one surface; the first is exported and shown.
+    cloud : PointCloud or None
+        The filtered points with their normals, in the unit of the file. None for a mesh that was used without
+        reconstruction, and if the points were not kept.
+    provenance : tuple of Step
+        All stages from the file to the spectra, and the checks, in order.
+    verdict : Verdict or None
+        Whether the signature can be relied on; None if the shape was not judged.
+    """
+
+    surfaces: tuple[Surface, ...]
+    cloud: PointCloud | None = None
+    provenance: tuple[Step, ...] = field(default=(), compare=False)
+    verdict: Verdict | None = None
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "surfaces", tuple(self.surfaces))
+        if not self.surfaces:
+            raise InputError("a shape must have at least 1 surface, got none")
+
+    def __repr__(self) -> str:
+        n = len(self.surfaces)
+        held = [
+            word
+            for word, part in (
+                ("mesh", self.surfaces[0].mesh),
+                ("spectrum", self.surfaces[0].spectrum),
+                ("eigenpairs", self.surfaces[0].eigenpairs),
+                ("points", self.cloud),
+            )
+            if part is not None
+        ]
+        surfaces = "1 surface" if n == 1 else f"{n} surfaces"
+        return f"Shape({surfaces} with {', '.join(held) or 'nothing kept'}; area {self.area:.4g} file units²)"
+
+    def _repr_html_(self) -> str:
+        from pcretrieve.draw import picture_html
+
+        mesh = self.surfaces[0].mesh
+        return picture_html(None, repr(self)) if mesh is None else mesh._repr_html_()
+
+    @property
+    def area(self) -> float:
+        """The area of the first surface; unit length² of the file."""
+        return self.surfaces[0].area
+
+    @property
+    def spectrum(self) -> ModalSpectrum:
+        """The modal spectrum of the first surface, scaled to unit area. ShapeError if it was not kept."""
+        return _kept("spectrum", self.surfaces[0].spectrum)
+
+    @property
+    def eigenpairs(self) -> Eigenpairs:
+        """The eigenpairs of the first surface, scaled to unit area. ShapeError if they were not kept."""
+        return _kept("eigenvectors", self.surfaces[0].eigenpairs)
+
+    @property
+    def mesh(self) -> TriangleMesh:
+        """The first surface, in the unit of the file. ShapeError if it was not kept."""
+        return _kept("mesh", self.surfaces[0].mesh)
+
+    @property
+    def points(self) -> PointCloud:
+        """The filtered points, in the unit of the file. ShapeError if they were not kept."""
+        return _kept("points", self.cloud)
+
+    def apart(self) -> tuple[Shape, ...]:
+        """One shape for each surface, each with the points of the scan."""
+        return tuple(replace(self, surfaces=(surface,)) for surface in self.surfaces)
+
+
+def _kept(part: Need, value: _Part | None) -> _Part:
+    if value is None:
+        raise ShapeError(
+            f"gone: the shape must hold its {part}, but does not: not kept when it was stored, or not among "
+            "the needs that the descriptor declares; process the scan again, or choose another descriptor",
+            stage=Stage.SIGNATURE,
+        )
+    return value
+
+
+@dataclass(frozen=True, slots=True)
+class Failure:
+    """Why a shape has no signature: the stage that failed, the name of the exception and its message."""
+
+    shape_id: str
+    stage: str
+    error: str
+    message: str

@@ -1,0 +1,248 @@
+"""Signatures, tables of them, and the neighbours that a search finds."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any, Literal, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pcretrieve.arrays import FloatArray
+from pcretrieve.errors import InputError
+from pcretrieve.values.base import Value, as_array, locked
+from pcretrieve.values.units import SizeUnit
+
+__all__ = ["Metric", "Neighbors", "Signature", "SignatureTable"]
+
+# How the values of two signatures are compared: by their logarithms, for positive values; as they are, for
+# any; or as histograms, whose bins are not negative.
+Metric = Literal["logarithms", "values", "histograms"]
+
+# Values of a signature that its representation shows.
+N_SHOWN = 3
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Signature(Value):
+    """A global shape descriptor: a short vector, invariant to isometric deformation of the surface.
+
+    Attributes
+    ----------
+    values : (L,) float64
+        Dimensionless, except for the scale ``absolute``. In the order stated by the method; the size, if it
+        has a weight, is the last value.
+    kind : str
+        The method, such as ``r-bihdm``.
+    digest : str
+        Hash of the options; two signatures are comparable only if both their kinds and their digests are
+        equal.
+    deviation : (L,) float64 or None
+        Error bar: standard deviation (ddof = 1) of each value over the surfaces reconstructed from one scan;
+        for the metric ``logarithms``, of its logarithm. None if there is one surface only.
+    metric : {"logarithms", "values", "histograms"}, default "logarithms"
+        How two signatures of this kind are compared: by the logarithms of their values, which are positive;
+        by the values as they are; or as histograms, whose bins are not negative.
+    unit : {"m", "unknown"} or None
+        Unit of length of the values, if they depend on the size of the body (scale ``absolute``, or a weight
+        of the size): metres, or that of a file whose unit is unknown. None if no value depends on the size.
+        Signatures are comparable only if it is equal.
+    """
+
+    values: FloatArray
+    kind: str
+    digest: str = ""
+    deviation: FloatArray | None = None
+    metric: Metric = "logarithms"
+    unit: SizeUnit | None = None
+
+    def __post_init__(self) -> None:
+        _check_unit(self.unit)
+        object.__setattr__(self, "values", _suited(locked("values", self.values, (None,)), self.metric))
+        if self.deviation is not None:
+            deviation = locked("deviation", self.deviation, (len(self.values),))
+            object.__setattr__(self, "deviation", deviation)
+
+    def __len__(self) -> int:
+        return len(self.values)
+
+    def __array__(self, dtype: Any = None, copy: bool | None = None) -> NDArray[Any]:
+        return as_array(self.values, dtype, copy)
+
+    def __repr__(self) -> str:
+        error = "" if self.deviation is None else f", deviation up to {self.deviation.max(initial=0):.2g}"
+        shown = ", ".join(f"{value:.4g}" for value in self.values[:N_SHOWN])
+        more = ", ..." if len(self.values) > N_SHOWN else ""
+        return f"Signature({self.kind}, {len(self.values)} values [{shown}{more}]{error})"
+
+    def plot(self, axes: Any = None) -> Any:
+        """Draw values and error bars by matplotlib (the extra ``plot``), into `axes` or new ones."""
+        from pcretrieve.adapters.matplotlib import plot_signature
+
+        deviation = self.deviation if self.metric == "logarithms" else None
+        return plot_signature(self.values, self.kind, deviation, axes)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SignatureTable(Value):
+    """Signatures of many shapes, of one kind.
+
+    Attributes
+    ----------
+    ids : tuple of str, length N
+        Identifiers of the shapes, distinct.
+    values : (N, L) float64
+        One signature in each row, in the units of `Signature`.
+    kind, digest, metric, unit
+        Method, hash of the options, metric, and unit of the sizes, as in `Signature`.
+    labels : tuple of (str or None), length N
+        Class of each shape; None if unknown.
+    """
+
+    ids: tuple[str, ...]
+    values: FloatArray
+    kind: str
+    digest: str = ""
+    labels: tuple[str | None, ...] = ()
+    metric: Metric = "logarithms"
+    unit: SizeUnit | None = None
+
+    def __post_init__(self) -> None:
+        _check_unit(self.unit)
+        object.__setattr__(self, "ids", tuple(self.ids))
+        n = len(self.ids)
+        if len(set(self.ids)) != n:
+            raise InputError("ids must be distinct")
+        object.__setattr__(self, "values", _suited(locked("values", self.values, (n, None)), self.metric))
+        object.__setattr__(self, "labels", tuple(self.labels) or (None,) * n)
+        if len(self.labels) != n:
+            raise InputError(f"labels must be as many as ids ({n}), got {len(self.labels)}")
+
+    def __len__(self) -> int:
+        return len(self.ids)
+
+    def __array__(self, dtype: Any = None, copy: bool | None = None) -> NDArray[Any]:
+        return as_array(self.values, dtype, copy)
+
+    def __repr__(self) -> str:
+        n_classes = len({label for label in self.labels if label is not None})
+        return (
+            f"SignatureTable({self.kind}, {len(self):,} shapes of {n_classes:,} classes, "
+            f"{self.values.shape[1]} values each)"
+        )
+
+    def select(self, ids: Sequence[str]) -> SignatureTable:
+        """The signatures of some shapes, in the order of `ids`.
+
+        Parameters
+        ----------
+        ids : sequence of str
+            Identifiers of shapes of the table, distinct.
+
+        Returns
+        -------
+        SignatureTable
+            One row for each of `ids`.
+
+        Raises
+        ------
+        InputError
+            If the table has no shape of such an id.
+        """
+        rows = {shape_id: row for row, shape_id in enumerate(self.ids)}
+        if unknown := [shape_id for shape_id in ids if shape_id not in rows]:
+            raise InputError(f"there is no signature of the shape {unknown[0]!r}")
+        chosen = [rows[shape_id] for shape_id in ids]
+        labels = tuple(self.labels[row] for row in chosen)
+        return replace(self, ids=tuple(ids), values=self.values[chosen], labels=labels)
+
+    def columns(self) -> dict[str, list[Any]]:
+        """The table by columns: ``id``, ``label``, and one column ``v1``, ``v2``, ... for each value."""
+        values = {f"v{number}": column.tolist() for number, column in enumerate(self.values.T, start=1)}
+        return {"id": list(self.ids), "label": list(self.labels), **values}
+
+    def to_pandas(self) -> Any:
+        """A ``pandas.DataFrame`` (the extra ``tables``) with the columns of `columns`, indexed by id."""
+        from pcretrieve.adapters.pandas import data_frame
+
+        return data_frame(self.columns(), index="id")
+
+
+def _check_unit(unit: SizeUnit | None) -> None:
+    if unit not in (None, *get_args(SizeUnit)):
+        raise InputError(f"the unit of sizes must be None, 'm' or 'unknown', got {unit!r}")
+
+
+def _suited(values: FloatArray, metric: Metric) -> FloatArray:
+    """The values of signatures, if the metric can compare them."""
+    if metric not in get_args(Metric):
+        raise InputError(f"metric must be one of {', '.join(get_args(Metric))}, got {metric!r}")
+    smallest = values.min(initial=np.inf)
+    if metric == "logarithms" and smallest <= 0:
+        raise InputError(f"signature values must be positive, got {smallest}")
+    if metric == "histograms" and smallest < 0:
+        raise InputError(f"the bins of a histogram must not be negative, got {smallest}")
+    return values
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Neighbors(Value):
+    """The nearest neighbours of one query.
+
+    Attributes
+    ----------
+    ids : tuple of str, length k
+        Identifiers of the shapes, distinct, nearest first; equally near shapes in alphabetical order.
+    distances : (k,) float64
+        Distances to the query, not negative, ascending; dimensionless. May be infinite.
+    scores : (k,) float64 or None
+        Calibrated score of each distance: the share of pairs of one class among pairs that near, or of mutual
+        neighbours where there are no labels. After re-ranking, that of the original distance. None if it is
+        not known. Two lists are equal whatever their scores.
+    """
+
+    ids: tuple[str, ...]
+    distances: FloatArray
+    scores: FloatArray | None = field(default=None, compare=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "ids", tuple(self.ids))
+        distances = locked("distances", self.distances, (len(self.ids),), finite=False)
+        if len(set(self.ids)) != len(self.ids):
+            raise InputError("ids must be distinct")
+        if not ((distances >= 0).all() and (distances[:-1] <= distances[1:]).all()):
+            raise InputError("distances must ascend from 0 or more, got others; sort the shapes by distance")
+        tied = distances[:-1] == distances[1:]
+        if any(tie and self.ids[i] > self.ids[i + 1] for i, tie in enumerate(tied)):
+            raise InputError("ids of equally distant shapes must be in alphabetical order, got another one")
+        object.__setattr__(self, "distances", distances)
+        if self.scores is not None:
+            object.__setattr__(self, "scores", locked("scores", self.scores, (len(self.ids),)))
+
+    def __len__(self) -> int:
+        return len(self.ids)
+
+    def __repr__(self) -> str:
+        found = ", ".join(f"{name} {gap:.4g}" for name, gap in zip(self.ids, self.distances, strict=True))
+        return f"Neighbors({found})"
+
+    def to_pandas(self) -> Any:
+        """A ``pandas.DataFrame`` (extra ``tables``) indexed by rank: id, distance, and the score if known."""
+        from pcretrieve.adapters.pandas import data_frame
+
+        ranks = list(range(1, len(self) + 1))
+        columns: dict[str, list[Any]] = {
+            "rank": ranks,
+            "id": list(self.ids),
+            "distance": self.distances.tolist(),
+        }
+        if self.scores is not None:
+            columns["score"] = self.scores.tolist()
+        return data_frame(columns, index="rank")
+
+    def plot(self, axes: Any = None) -> Any:
+        """Draw the distances as bars by matplotlib (the extra ``plot``), into `axes` or new ones."""
+        from pcretrieve.adapters.matplotlib import plot_ranking
+
+        return plot_ranking(self.ids, self.distances, axes)

@@ -1,0 +1,224 @@
+"""Discrete Laplace–Beltrami operators and their spectra."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from pcretrieve.arrays import FloatArray, IntArray
+from pcretrieve.errors import InputError, ShapeError, Stage
+from pcretrieve.values.base import Value, locked
+
+if TYPE_CHECKING:
+    from scipy.sparse import csc_array
+
+__all__ = ["Eigenpairs", "LaplaceBeltrami", "ModalSpectrum"]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LaplaceBeltrami(Value):
+    """A discrete Laplace–Beltrami operator: the matrices of the generalised eigenvalue problem S u = λ M u.
+
+    Attributes
+    ----------
+    stiffness : (n, n) sparse
+        S, symmetric, dimensionless. With the natural (Neumann) boundary condition positive semi-definite,
+        with S·1 = 0 on every connected component; with the Dirichlet boundary condition positive definite.
+    mass : (n, n) sparse
+        M, symmetric positive definite, 1ᵀM·1 = area; unit length².
+    n_components : int
+        Dimension of the null space of S: the number of connected components, or 0 with the Dirichlet boundary
+        condition.
+    nodes : (n,) int32 or None
+        The nodes of the finite elements to which the rows belong, ascending: with the Dirichlet boundary
+        condition, the interior nodes. None: all nodes.
+    """
+
+    stiffness: csc_array
+    mass: csc_array
+    n_components: int = 1
+    nodes: IntArray | None = None
+
+    def __post_init__(self) -> None:
+        n = self.stiffness.shape[0]
+        if not self.stiffness.shape == self.mass.shape == (n, n):
+            raise InputError(
+                f"stiffness and mass must be square and of one size, got shapes {self.stiffness.shape} "
+                f"and {self.mass.shape}"
+            )
+        if not (np.isfinite(self.stiffness.data).all() and np.isfinite(self.mass.data).all()):
+            raise InputError("stiffness and mass must be finite, got NaN or infinite entries")
+        if not self.area > 0:
+            raise InputError(f"mass must sum up to a positive area, got {self.area:g}")
+        if self.nodes is not None:
+            object.__setattr__(self, "nodes", locked("nodes", self.nodes, (n,), np.int32))
+
+    @property
+    def area(self) -> float:
+        """1ᵀM·1, unit length²; with the Dirichlet boundary condition less than the area of the surface."""
+        return float(self.mass.sum())
+
+    def __repr__(self) -> str:
+        return f"LaplaceBeltrami({self.mass.shape[0]:,} nodes; area {self.area:.4g} units²)"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Eigenpairs(Value):
+    """The smallest eigenpairs of a Laplace–Beltrami operator.
+
+    Attributes
+    ----------
+    eigenvalues : (k,) float64
+        Ascending; λ_0 = 0 with the Neumann boundary condition; unit length⁻².
+    eigenvectors : (n, k) float64
+        One eigenvector φ_i in each column, ΦᵀMΦ = I; unit length⁻¹. The eigenvector of λ_0 = 0 is the
+        positive constant 1/√area.
+    mass : (n, n) sparse
+        M, the mass matrix of the inner product; unit length².
+    largest_residual : float
+        max ‖S φ − λ M φ‖ / (λ ‖M φ‖) over the pairs with λ > 0, dimensionless.
+    iterations : int
+        Number of solves with the shifted stiffness matrix: of a block of vectors (``krylov``), of one vector
+        (``arpack``); 0 for ``dense``.
+    solver : str
+        The eigenvalue solver: ``krylov``, ``arpack`` or ``dense``.
+    """
+
+    eigenvalues: FloatArray
+    eigenvectors: FloatArray
+    mass: csc_array
+    largest_residual: float = 0.0
+    iterations: int = 0
+    solver: str = ""
+
+    def __post_init__(self) -> None:
+        eigenvalues = locked("eigenvalues", self.eigenvalues, (None,))
+        object.__setattr__(self, "eigenvalues", eigenvalues)
+        eigenvectors = locked("eigenvectors", self.eigenvectors, (self.mass.shape[0], len(eigenvalues)))
+        object.__setattr__(self, "eigenvectors", eigenvectors)
+
+    @property
+    def area(self) -> float:
+        """1ᵀM·1, unit length²."""
+        return float(self.mass.sum())
+
+    def lowest(self, n: int) -> Eigenpairs:
+        """The first `n` eigenpairs, or all if there are fewer."""
+        return replace(self, eigenvalues=self.eigenvalues[:n], eigenvectors=self.eigenvectors[:, :n])
+
+    def __repr__(self) -> str:
+        return (
+            f"Eigenpairs({len(self.eigenvalues)} pairs on {len(self.eigenvectors):,} nodes, "
+            f"eigenvalues {self.eigenvalues[0]:.4g} to {self.eigenvalues[-1]:.4g} units⁻²)"
+        )
+
+    def plot(self, axes: Any = None) -> Any:
+        """Draw the eigenvalues by matplotlib (the extra ``plot``), into `axes` or new ones."""
+        from pcretrieve.adapters.matplotlib import plot_spectrum
+
+        return plot_spectrum(self.eigenvalues, axes)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ModalSpectrum(Value):
+    """The eigenvalues and the inner products of eigenfunctions that the spectral descriptors are made of.
+
+    The catalogue stores it in the place of the eigenvectors, which are larger by orders of magnitude.
+
+    Attributes
+    ----------
+    eigenvalues : (k,) float64
+        Ascending, λ_0 = 0; unit length⁻².
+    moments : (k, k) float64
+        ⟨φ_i², φ_j⟩ = ∫ φ_i² φ_j in row i and column j; unit length⁻¹.
+    area : float
+        Area of the surface, unit length².
+    overlaps : (k, k) float64 or None
+        ⟨φ_i², φ_j²⟩ = ∫ φ_i² φ_j²; unit length⁻². None if the spectrum was stored by an early version.
+    """
+
+    eigenvalues: FloatArray
+    moments: FloatArray
+    area: float
+    overlaps: FloatArray | None = None
+
+    def __post_init__(self) -> None:
+        eigenvalues = locked("eigenvalues", self.eigenvalues, (None,))
+        k = len(eigenvalues)
+        object.__setattr__(self, "eigenvalues", eigenvalues)
+        object.__setattr__(self, "moments", locked("moments", self.moments, (k, k)))
+        if self.overlaps is not None:
+            object.__setattr__(self, "overlaps", locked("overlaps", self.overlaps, (k, k)))
+
+    @classmethod
+    def of(cls, pairs: Eigenpairs) -> ModalSpectrum:
+        """The modal spectrum of eigenpairs.
+
+        The integral ∫ f²g is discretised as Σ f_i² M_ij g_j with the mass matrix M (Ye and Yu, "A fast modal
+        space transform for robust nonrigid shape retrieval", 2016, section 3), and ∫ f²g² as Σ f_i² M_ij
+        g_j².
+
+        Parameters
+        ----------
+        pairs : Eigenpairs
+            k eigenpairs of a connected surface, the constant eigenfunction first.
+
+        Returns
+        -------
+        ModalSpectrum
+            In the unit of the eigenpairs.
+        """
+        phi = pairs.eigenvectors  # (n, k)
+        squares = phi**2
+        return cls(
+            pairs.eigenvalues,
+            squares.T @ (pairs.mass @ phi),
+            pairs.area,
+            overlaps=squares.T @ (pairs.mass @ squares),
+        )
+
+    def known_overlaps(self) -> FloatArray:
+        """The overlaps, if they were stored.
+
+        Returns
+        -------
+        (k, k) float64
+            ⟨φ_i², φ_j²⟩; unit length⁻².
+
+        Raises
+        ------
+        ShapeError
+            If the spectrum was stored without overlaps.
+        """
+        if self.overlaps is None:
+            raise ShapeError(
+                "gone: this spectrum has no overlaps ⟨φ_i², φ_j²⟩: neither they nor the mesh were kept when "
+                "the shape was stored, or overlaps are not among the needs that the descriptor declares; "
+                'ingest again with catalogue.keep = ["overlaps"], or choose another descriptor',
+                stage=Stage.SIGNATURE,
+            )
+        return self.overlaps
+
+    def __repr__(self) -> str:
+        return (
+            f"ModalSpectrum({len(self.eigenvalues)} eigenvalues {self.eigenvalues[0]:.4g} to "
+            f"{self.eigenvalues[-1]:.4g} units⁻²; area {self.area:.4g} units²)"
+        )
+
+    def plot(self, axes: Any = None) -> Any:
+        """Draw the eigenvalues by matplotlib (the extra ``plot``), into `axes` or new ones."""
+        from pcretrieve.adapters.matplotlib import plot_spectrum
+
+        return plot_spectrum(self.eigenvalues, axes)
+
+    def scaled(self, area: float) -> ModalSpectrum:
+        """The modal spectrum of the same surface after uniform scaling to another area."""
+        factor = area / self.area
+        return ModalSpectrum(
+            self.eigenvalues / factor,
+            self.moments / np.sqrt(factor),
+            area,
+            None if self.overlaps is None else self.overlaps / factor,
+        )

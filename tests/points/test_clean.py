@@ -1,0 +1,112 @@
+"""Filters: averaging keeps the shape, outliers are removed, and invalid scans are refused."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import shapes
+from scipy.spatial import cKDTree
+
+from pcretrieve.errors import ReconstructionError
+from pcretrieve.options import ScanOptions
+from pcretrieve.points import clean
+from pcretrieve.values import FloatArray, PointCloud
+
+OPTIONS = ScanOptions()
+VOXEL = 0.02
+COARSE = ScanOptions(voxel=VOXEL)
+BODY = PointCloud(shapes.points_on(shapes.body(3), 6000))
+
+
+def gaps(gallery: FloatArray, points: FloatArray) -> FloatArray:
+    """(n,) distance of each point to the nearest of the gallery."""
+    distance, _ = cKDTree(gallery).query(points)
+    return np.asarray(distance)
+
+
+def notes(cloud: PointCloud) -> tuple[str, ...]:
+    return cloud.provenance[-1].notes
+
+
+def test_one_point_is_left_of_each_voxel_and_none_moves_beyond_it() -> None:
+    thinned = clean(BODY, COARSE)
+    cell = VOXEL * BODY.diagonal
+    assert gaps(BODY.points, thinned.points).max() <= np.sqrt(3) * cell
+    assert thinned.provenance[-1].sizes["points_thinned"] < 0.5 * len(BODY.points)
+    assert np.quantile(gaps(thinned.points, BODY.points), 0.99) <= np.sqrt(3) * cell
+
+
+def test_dense_clouds_are_averaged_and_others_keep_their_points() -> None:
+    few, many = (shapes.oriented_points_on(shapes.ellipsoid(), n, noise=0.001) for n in (10_000, 200_000))
+    assert len(clean(few, OPTIONS).points) > 0.9 * len(few.points)
+    assert len(clean(many, OPTIONS).points) < 0.6 * len(many.points)
+
+
+def test_without_a_voxel_every_inlier_is_kept_as_it_is() -> None:
+    kept = clean(BODY, ScanOptions(voxel=0, outlier_std=100))
+    np.testing.assert_array_equal(kept.points, BODY.points)
+    assert notes(kept) == ()
+
+
+@pytest.mark.parametrize("unit", [1e-3, 1e3])
+def test_the_unit_does_not_matter(unit: float) -> None:
+    metres, other = clean(BODY, COARSE), clean(PointCloud(unit * BODY.points), COARSE)
+    np.testing.assert_allclose(other.points, unit * metres.points, rtol=1e-9)
+
+
+def test_outliers_go_and_the_body_stays() -> None:
+    rng = np.random.default_rng(0)
+    outliers = 3 * BODY.diagonal * (rng.random((20, 3)) - 0.5)
+    far_from_body = gaps(BODY.points, outliers) > 0.1 * BODY.diagonal
+    cleaned = clean(PointCloud(np.concatenate([BODY.points, outliers[far_from_body]])), OPTIONS)
+    assert gaps(BODY.points, cleaned.points).max() < 0.02 * BODY.diagonal
+    assert gaps(cleaned.points, BODY.points).max() < 0.02 * BODY.diagonal
+    assert any("as outliers" in note for note in notes(cleaned))
+
+
+def test_each_point_keeps_a_sensor_that_saw_its_voxel() -> None:
+    left = BODY.points[:, 0] < 0
+    sensors = np.where(left[:, None], [-9.0, 0, 0], [9.0, 0, 0])
+    cleaned = clean(replace(BODY, viewpoints=sensors), COARSE)
+    cell = VOXEL * BODY.diagonal
+    clear = np.abs(cleaned.points[:, 0]) > cell
+    assert cleaned.viewpoints is not None
+    np.testing.assert_array_equal(cleaned.viewpoints[clear, 0], 9 * np.sign(cleaned.points[clear, 0]))
+
+
+def test_normals_are_averaged_and_opposite_ones_are_not() -> None:
+    ball = shapes.icosphere(5)
+    cleaned = clean(PointCloud(ball.vertices, normals=ball.vertices), COARSE)
+    assert cleaned.normals is not None
+    np.testing.assert_allclose(np.linalg.norm(cleaned.normals, axis=1), 1)
+    assert (np.einsum("ij,ij->i", cleaned.normals, cleaned.points) > 0.99).all()
+
+    sheet = np.concatenate([ball.vertices, ball.vertices])
+    both = clean(PointCloud(sheet, normals=np.concatenate([ball.vertices, -ball.vertices])), COARSE)
+    assert both.normals is not None
+    np.testing.assert_allclose(np.linalg.norm(both.normals, axis=1), 1)
+
+
+RANDOM = np.random.default_rng(0).random((500, 3))
+
+NO_BODIES: dict[str, tuple[FloatArray, str]] = {
+    "too few": (RANDOM[:99], "a scan needs at least 100 points, got 99: scan more densely"),
+    "equal": (np.ones((500, 3)), "all 500 are equal"),
+    "line": (np.outer(RANDOM[:, 0], [1, 2, 3]) + 5, "lie on a line"),
+    "plane": (RANDOM @ [[1, 0, 1], [0, 1, 1], [0, 0, 0]], "lie in a plane: scan it from several sides"),
+}
+
+
+@pytest.mark.parametrize("what", NO_BODIES)
+def test_what_is_no_body(what: str) -> None:
+    points, words = NO_BODIES[what]
+    with pytest.raises(ReconstructionError, match=words) as raised:
+        clean(PointCloud(points), OPTIONS)
+    assert raised.value.stage == "clean"
+
+
+def test_too_few_points_after_thinning() -> None:
+    with pytest.raises(ReconstructionError, match=r"got \d+: scan more densely, or lower scan\.voxel"):
+        clean(BODY, ScanOptions(voxel=0.3))

@@ -1,0 +1,120 @@
+"""Normals point out of the body, with every method of orientation."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import shapes
+from scipy.spatial import cKDTree
+
+from pcretrieve.errors import ReconstructionError
+from pcretrieve.options import ScanOptions
+from pcretrieve.points import clean, oriented_normals
+from pcretrieve.simulation import POSES, UniformOptions, body, make_subject, scan_uniformly
+from pcretrieve.values import FloatArray, PointCloud, TriangleMesh
+
+SURFACES = {"ball": shapes.icosphere(3), "torus": shapes.torus(), "body": shapes.body()}
+
+
+def scanned(mesh: TriangleMesh, n: int = 8000) -> tuple[PointCloud, FloatArray]:
+    """Points on a mesh, and the normals of the faces that they lie on."""
+    cloud = shapes.oriented_points_on(mesh, n)
+    assert cloud.normals is not None
+    return PointCloud(cloud.points), cloud.normals
+
+
+def share_right(cloud: PointCloud, true: FloatArray) -> float:
+    assert cloud.normals is not None
+    np.testing.assert_allclose(np.linalg.norm(cloud.normals, axis=1), 1)
+    return float((np.einsum("ij,ij->i", cloud.normals, true) > 0).mean())
+
+
+@pytest.mark.parametrize("name", SURFACES)
+@pytest.mark.parametrize("method", ["flood", "tangent-plane"])
+def test_normals_point_outwards(method: str, name: str) -> None:
+    cloud, true = scanned(SURFACES[name])
+    assert share_right(oriented_normals(cloud, ScanOptions(orientation=method)), true) > 0.99
+
+
+def test_a_sensor_sees_outsides_only() -> None:
+    """Each point of a torus, its inner side too, is given a sensor that sees it."""
+    cloud, true = scanned(SURFACES["torus"])
+    seen = replace(cloud, viewpoints=cloud.points + 0.1 * true)
+    assert share_right(oriented_normals(seen, ScanOptions(orientation="viewpoint")), true) == 1
+
+
+@pytest.mark.parametrize("thickness", [0.03, 0.04, 0.06])
+def test_the_two_sides_of_a_thin_plate_look_away_from_each_other(thickness: float) -> None:
+    """A sheet thinner than a neighbourhood: no plane may be fitted to points of both sides."""
+    side = shapes.points_on(shapes.square(1), 4000)
+    other = shapes.points_on(shapes.square(1), 4000, seed=1)
+    points = np.concatenate([side + np.array([0, 0, thickness]), other])
+    up = np.repeat([1, -1], 4000)
+    normals = oriented_normals(PointCloud(points), ScanOptions()).normals
+    assert normals is not None
+    inner = (np.abs(points[:, :2] - 0.5) < 0.45).all(axis=1)
+    assert (up * normals[:, 2] > 0.95)[inner].mean() > 0.99
+
+
+def test_noise_is_not_taken_for_a_leak() -> None:
+    """Normals of neighbours disagree where points scatter, however large the holes are that are closed."""
+    person = body(make_subject("person", np.random.default_rng(0)), POSES["person"]["reach_up"])
+    noisy = UniformOptions(n_points=40_000, noise=0.003, n_holes=0, outlier_share=0)
+    averaged = clean(scan_uniformly(person, noisy, np.random.default_rng(1)), ScanOptions())
+    found = oriented_normals(averaged, ScanOptions())
+    assert not found.provenance[-1].notes
+    _, nearest = cKDTree(person.vertices[person.faces].mean(axis=1)).query(averaged.points)
+    assert share_right(found, person.area_vectors[nearest]) > 0.95
+
+
+@pytest.mark.parametrize("unit", [1e-3, 1e3])
+def test_the_unit_does_not_matter(unit: float) -> None:
+    cloud, _ = scanned(SURFACES["body"])
+    ours = oriented_normals(cloud, ScanOptions()).normals
+    theirs = oriented_normals(PointCloud(unit * cloud.points), ScanOptions()).normals
+    assert ours is not None
+    assert theirs is not None
+    assert (np.einsum("ij,ij->i", ours, theirs) > 0).mean() > 0.999
+
+
+def test_auto_prefers_sensors_to_normals_and_normals_to_a_flood_fill() -> None:
+    cloud, true = scanned(SURFACES["ball"], 2000)
+    wrong = replace(cloud, normals=-true)
+    assert share_right(oriented_normals(cloud, ScanOptions()), true) > 0.99
+    given = oriented_normals(wrong, ScanOptions())
+    assert share_right(given, true) == 0
+    assert given.provenance[-1].notes == ("used the file's own normals",)
+    seen = replace(wrong, viewpoints=100 * cloud.points)
+    assert share_right(oriented_normals(seen, ScanOptions()), true) == 1
+
+
+def test_a_hole_in_the_scan_is_closed_by_thicker_walls() -> None:
+    cloud, true = scanned(SURFACES["ball"])
+    seen = cloud.points[:, 2] < 0.994  # a hole of radius 0.11, seven voxels wide
+    holed = oriented_normals(PointCloud(cloud.points[seen]), ScanOptions())
+    assert share_right(holed, true[seen]) > 0.99
+    assert "the flood fill leaked; holes with radii up to 0.0" in holed.provenance[-1].notes[0]
+
+
+def test_where_no_wall_holds_tangent_planes_decide() -> None:
+    cloud, true = scanned(SURFACES["ball"])
+    seen = cloud.points[:, 2] < 0.5
+    bowl = oriented_normals(PointCloud(cloud.points[seen]), ScanOptions(flood_retries=1))
+    assert share_right(bowl, true[seen]) > 0.99
+    assert bowl.provenance[-1].notes == (
+        "the flood fill leaked with holes up to 0.028 of the diagonal closed",
+        "tangent planes decided which side is outside",
+    )
+
+
+@pytest.mark.parametrize(
+    ("method", "words"),
+    [("given", "needs a scan with normals, this one has none"), ("viewpoint", "needs sensor positions")],
+)
+def test_what_a_scan_does_not_have(method: str, words: str) -> None:
+    cloud, _ = scanned(SURFACES["ball"], 500)
+    with pytest.raises(ReconstructionError, match=words) as raised:
+        oriented_normals(cloud, ScanOptions(orientation=method))
+    assert raised.value.stage == "orient"

@@ -1,0 +1,306 @@
+"""Registration of views with unknown poses: views of one body are registered, others are left out."""
+
+from __future__ import annotations
+
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import shapes
+from scipy.spatial.transform import Rotation
+
+from pcretrieve import PointCloud, TriangleMesh, read_scan
+from pcretrieve.errors import InputError, OptionError, ReconstructionError
+from pcretrieve.formats.conf import read_poses
+from pcretrieve.options import MergeOptions
+from pcretrieve.points.register import Merged, merge_views
+from pcretrieve.points.register.motions import moved
+from pcretrieve.simulation import RigOptions, scan_views
+from pcretrieve.values import FloatArray
+
+DATA = Path(__file__).parents[2].parent / "shared" / "data"
+needs_data = pytest.mark.skipif(
+    not DATA.is_dir(), reason="needs the Stanford scans beside the checkout, in ../shared/data"
+)
+
+RIG = RigOptions(n_views=6, pixels=120, n_points=None)
+
+# Largest distance of any point from its true place, relative to the diagonal of the body; half the distance
+# within which surfaces count as one.
+TOLERANCE = 0.005
+
+
+def motion(rng: np.random.Generator, *, angle: float | None = None, shift: float = 3.0) -> FloatArray:
+    """(4, 4) random rigid motion, with any rotation, or one by `angle` about a random axis."""
+    turn = Rotation.random(rng=rng)
+    result = np.eye(4)
+    result[:3, :3] = (
+        turn if angle is None else Rotation.from_rotvec(angle * turn.apply([1.0, 0, 0]))
+    ).as_matrix()
+    result[:3, 3] = rng.normal(0, shift, 3)
+    return result
+
+
+@cache
+def views() -> tuple[tuple[PointCloud, ...], FloatArray]:
+    """Six noisy views of a body, each in a frame of its own, and the motions into these frames."""
+    rng = np.random.default_rng(0)
+    return apart(scan_views(shapes.body(), RIG, rng), rng)
+
+
+def apart(seen: list[PointCloud], rng: np.random.Generator) -> tuple[tuple[PointCloud, ...], FloatArray]:
+    motions = np.array([motion(rng) for _ in seen])
+    clouds = []
+    for view, away in zip(seen, motions, strict=True):
+        assert view.viewpoints is not None
+        clouds.append(PointCloud(moved(away, view.points), viewpoints=moved(away, view.viewpoints)))
+    return tuple(clouds), motions
+
+
+@cache
+def merged() -> Merged:
+    return merge_views(views()[0], MergeOptions())
+
+
+def error(poses: FloatArray, truth: FloatArray, clouds: tuple[PointCloud, ...]) -> float:
+    """Largest distance of any point from its place; diagonals of the body."""
+    off = [
+        np.linalg.norm(moved(pose, cloud.points) - moved(true, cloud.points), axis=1).max()
+        for pose, true, cloud in zip(poses, truth, clouds, strict=True)
+    ]
+    return float(max(off)) / shapes.body().diagonal
+
+
+# --- without poses ------------------------------------------------------------------------------------
+
+
+def test_views_come_back_from_anywhere() -> None:
+    clouds, motions = views()
+    assert merged().left_out == ()
+    np.testing.assert_allclose(merged().poses[0], np.eye(4), atol=1e-12)
+    assert error(merged().poses, motions[0] @ np.linalg.inv(motions), clouds) < TOLERANCE
+    assert merged().shares.min() > 0.7
+    # Noise of a thousandth of the diagonal on either side, more where surfaces are slanted.
+    assert merged().rms() < 0.003 * shapes.body().diagonal
+
+
+def test_the_cloud_is_every_point_with_its_sensor_and_a_normal_that_faces_it() -> None:
+    clouds, _ = views()
+    cloud = merged().cloud
+    assert cloud.normals is not None and cloud.viewpoints is not None
+    for field in ("points", "viewpoints"):
+        placed = [
+            moved(pose, getattr(view, field)) for view, pose in zip(clouds, merged().poses, strict=True)
+        ]
+        np.testing.assert_allclose(getattr(cloud, field), np.concatenate(placed), atol=1e-9)
+    assert np.einsum("ij,ij->i", cloud.normals, cloud.viewpoints - cloud.points).min() >= 0
+
+
+def test_the_order_of_the_views_does_not_matter() -> None:
+    clouds, motions = views()
+    backwards = merge_views(clouds[::-1], MergeOptions())
+    assert backwards.left_out == ()
+    assert error(backwards.poses, motions[-1] @ np.linalg.inv(motions[::-1]), clouds[::-1]) < TOLERANCE
+
+
+def test_the_same_views_give_the_same_poses_to_the_last_bit() -> None:
+    few = views()[0][2:4]
+    done: list[tuple[int, int]] = []
+    once = merge_views(few, MergeOptions(), on_pair=lambda *pair: done.append(pair))
+    np.testing.assert_array_equal(once.poses, merge_views(few, MergeOptions()).poses)
+    assert done == [(1, 1)]
+
+
+def test_a_foreign_view_is_left_out_and_said_so() -> None:
+    clouds, _ = views()
+    rng = np.random.default_rng(1)
+    foreign, _ = apart(scan_views(shapes.torus(major=2.0), RIG, rng)[:1], rng)
+    found = merge_views([*clouds[:2], *foreign, *clouds[2:]], MergeOptions())
+    assert found.left_out == (2,)
+    assert np.isnan(found.poses[2]).all() and found.shares[2] == 0
+    assert not any(2 in (pair.first, pair.second) for pair in found.overlaps)
+    (step,) = found.cloud.provenance
+    assert any("left out view 2" in note for note in step.notes)
+    assert len(found.cloud.points) == sum(len(view.points) for view in clouds)
+
+
+def test_views_that_share_nothing_are_no_cloud() -> None:
+    sheet = TriangleMesh(np.array([[0, 0, 0], [4, 0, 0], [0, 4, 0.0]]), np.array([[0, 1, 2]]))
+    ball = shapes.points_on(shapes.icosphere(4), 3000)
+    front = PointCloud(ball[ball[:, 2] > 0.3])
+    flat = PointCloud(shapes.points_on(sheet, 3000))
+    with pytest.raises(ReconstructionError, match="no two of the 2 views share a surface"):
+        merge_views([front, flat], MergeOptions())
+
+
+# --- with poses ---------------------------------------------------------------------------------------
+
+
+def test_given_poses_are_refined_or_kept() -> None:
+    clouds, motions = views()
+    rng = np.random.default_rng(2)
+    diagonal = shapes.body().diagonal
+    truth = np.linalg.inv(motions)
+    rough = np.array([motion(rng, angle=np.radians(2), shift=0.01 * diagonal) @ pose for pose in truth])
+    kept = merge_views(clouds, MergeOptions(refine=False), poses=rough)
+    np.testing.assert_array_equal(kept.poses, rough)
+    refined = merge_views(clouds, MergeOptions(), poses=rough)
+    np.testing.assert_array_equal(refined.poses[0], rough[0])
+    assert refined.rms() < 0.7 * kept.rms()
+    back = rough[0] @ np.linalg.inv(truth[0])  # to where the first view, which stays, was put
+    assert error(refined.poses, back @ truth, clouds) < TOLERANCE
+
+
+def test_a_view_far_from_the_others_keeps_its_given_pose_with_a_note() -> None:
+    clouds, motions = views()
+    poses = np.linalg.inv(motions).astype(np.float64)
+    poses[3, :3, 3] += 100
+    found = merge_views(clouds, MergeOptions(), poses=poses)
+    assert found.left_out == ()
+    np.testing.assert_allclose(found.poses[3], poses[3], rtol=1e-9)
+    (step,) = found.cloud.provenance
+    assert step.notes == ("view 3 shares only 0.0% of its points with the others",)
+    assert np.isnan(found.rms(3)) and found.rms() > 0
+
+
+# --- foreground and options ---------------------------------------------------------------------------
+
+
+def test_background_is_dropped_before_views_are_matched() -> None:
+    """A wall behind the body is removed by its distance, a lamp beside it as a smaller component."""
+    clouds, motions = views()
+    rng = np.random.default_rng(3)
+    poses = np.linalg.inv(motions).astype(np.float64)
+    diagonal = shapes.body().diagonal
+    distance = RIG.distance * diagonal
+    dirty = []
+    for cloud, away in zip(clouds, motions, strict=True):
+        assert cloud.viewpoints is not None
+        sensor = cloud.viewpoints[0]
+        ahead = (moved(away, np.zeros((1, 3)))[0] - sensor) / distance
+        wall = sensor + 3 * distance * ahead + rng.normal(0, 0.2 * diagonal, (500, 3))
+        lamp = rng.normal(cloud.points.mean(axis=0) + diagonal, 0.01 * diagonal, (50, 3))
+        dirty.append(PointCloud(np.concatenate([wall, cloud.points, lamp]), viewpoints=sensor))
+    options = MergeOptions(max_range=1.7 * distance, keep_largest=True, refine=False)
+    found = merge_views(dirty, options, poses=poses)
+    n_clean = sum(len(cloud.points) for cloud in clouds)
+    # Outliers of the simulated cameras are components too.
+    assert 0.98 * n_clean < len(found.cloud.points) <= n_clean
+    assert np.linalg.norm(found.cloud.points - shapes.body().vertices.mean(axis=0), axis=1).max() < diagonal
+    left = merge_views(dirty, MergeOptions(refine=False), poses=poses)
+    assert len(left.cloud.points) == n_clean + 6 * 550
+
+
+def test_a_sensor_is_assumed_in_front_or_at_the_origin() -> None:
+    ball = shapes.points_on(shapes.icosphere(4), 3000)
+    front = ball[ball[:, 2] > 0.3]
+    both, still = [PointCloud(front), PointCloud(front)], np.tile(np.eye(4), (2, 1, 1))
+    found = merge_views(both, MergeOptions(refine=False), poses=still).cloud
+    assert found.normals is not None and found.normals[:, 2].min() > 0
+    found = merge_views(both, MergeOptions(refine=False, sensor="origin"), poses=still).cloud
+    assert found.normals is not None and found.normals[:, 2].max() < 0
+    assert found.viewpoints is not None and not found.viewpoints.any()
+
+
+def test_a_voxel_averages_the_points_of_a_cell() -> None:
+    clouds, motions = views()
+    poses = np.linalg.inv(motions).astype(np.float64)
+    all_points = merge_views(clouds, MergeOptions(refine=False), poses=poses).cloud.points
+    found = merge_views(clouds, MergeOptions(refine=False, voxel=0.05), poses=poses)
+    cells = np.floor((all_points - all_points.min(axis=0)) / (0.05 * found.scale))
+    _, cell, counts = np.unique(cells, axis=0, return_inverse=True, return_counts=True)
+    mean = np.column_stack([np.bincount(cell.ravel(), weights=x) for x in all_points.T]) / counts[:, None]
+    np.testing.assert_allclose(found.cloud.points, mean, atol=1e-9)
+
+
+CLOUD = PointCloud(shapes.points_on(shapes.icosphere(3), 500))
+STILL = np.tile(np.eye(4), (2, 1, 1))
+
+
+@pytest.mark.parametrize(
+    ("clouds", "options", "poses", "raised", "words"),
+    [
+        ([CLOUD], {}, None, InputError, "at least two views, got 1"),
+        ([CLOUD] * 2, {}, STILL[:1], InputError, r"shape \(2, 4, 4\), one for each view, got \(1, 4, 4\)"),
+        ([CLOUD] * 2, {}, 2 * STILL, InputError, "rigid motions"),
+        ([CLOUD] * 2, {}, STILL * [[-1], [1], [1], [1]], InputError, "rigid motions"),
+        ([CLOUD] * 2, {"max_range": 3.0}, None, InputError, "view 0 does not say where that is"),
+        (
+            [CLOUD, PointCloud(CLOUD.points, viewpoints=2 * CLOUD.points)],
+            {},
+            None,
+            InputError,
+            "view 1 was seen by several",
+        ),
+        (
+            [CLOUD, PointCloud(CLOUD.points[:9])],
+            {},
+            None,
+            ReconstructionError,
+            "view 1 must have more than 16",
+        ),
+        (
+            [CLOUD, PointCloud(np.ones((500, 3)))],
+            {},
+            None,
+            ReconstructionError,
+            "view 1 must have more than 16",
+        ),
+        ([CLOUD, PointCloud(np.empty((0, 3)))], {}, None, ReconstructionError, "view 1 has no points"),
+        (
+            [CLOUD] * 2,
+            {"max_range": 0.1, "sensor": "origin"},
+            None,
+            ReconstructionError,
+            "view 0 must have more than 16 different points in reach, got 0",
+        ),
+    ],
+)
+def test_what_cannot_be_merged_says_why(
+    clouds: list[PointCloud], options: dict[str, Any], poses: FloatArray | None, raised: type, words: str
+) -> None:
+    with pytest.raises(raised, match=words):
+        merge_views(clouds, MergeOptions(**options), poses=poses)
+
+
+def test_options_have_limits() -> None:
+    with pytest.raises(OptionError, match="max_range"):
+        MergeOptions(max_range=0)
+
+
+# --- real scans ---------------------------------------------------------------------------------------
+
+
+@needs_data
+def test_the_views_of_the_bunny_are_registered() -> None:
+    """Ten scans without poses; where two of them are one surface, they are so to a third of a millimetre."""
+    scans = [read_scan(path) for path in sorted((DATA / "stanford_bunny").glob("*.ply"))]
+    clouds = [scan for scan in scans if isinstance(scan, PointCloud)]
+    found = merge_views(clouds, MergeOptions())
+    assert len(clouds) == 10 and found.left_out == ()
+    assert found.rms() < 4e-4
+    assert found.shares.min() > 0.7
+    # The turntable: scans 000, 090, 180 and 270 look along four sides.
+    looking = found.poses[[0, 2, 3, 4], :3, 2]  # (4, 3)
+    opposite = np.roll(np.eye(4), 2, axis=1)
+    np.testing.assert_allclose(looking @ looking.T, np.eye(4) - opposite, atol=0.02)
+
+
+@needs_data
+def test_refining_the_dragon_lowers_its_residual() -> None:
+    posed = read_poses(DATA / "stanford_dragon" / "dragonStandRight.conf")
+    scans = [read_scan(path) for path, _, _ in posed]
+    clouds = [scan for scan in scans if isinstance(scan, PointCloud)]
+    poses = np.tile(np.eye(4), (len(posed), 1, 1))
+    for pose, (_, rotation, translation) in zip(poses, posed, strict=True):
+        pose[:3, :3], pose[:3, 3] = rotation.as_matrix(), translation
+    given = merge_views(clouds, MergeOptions(refine=False), poses=poses)
+    refined = merge_views(clouds, MergeOptions(), poses=poses)
+    assert refined.rms() < 0.85 * given.rms()
+    off = [
+        np.linalg.norm(moved(new, cloud.points) - moved(old, cloud.points), axis=1).max()
+        for new, old, cloud in zip(refined.poses, poses, clouds, strict=True)
+    ]
+    assert max(off) < 0.01 * refined.scale
