@@ -45,10 +45,8 @@ if TYPE_CHECKING:
         backup,
         calibrate,
         check,
-        cluster,
         compare,
         draw_map,
-        duplicates,
         evaluate,
         ingest,
         inspect,
@@ -58,16 +56,14 @@ if TYPE_CHECKING:
         query_page,
         report,
         retry,
-        search,
-        search_many,
         status,
         watch,
     )
     from pcretrieve.matching import DistanceMatrix, read_matrix, write_matrix
     from pcretrieve.options import MergeOptions, PipelineOptions
     from pcretrieve.pipeline.process import process, reconstruct, signature
+    from pcretrieve.query import Answer, cluster, duplicates, search, search_many
     from pcretrieve.retrieval import SignatureIndex, Whitening
-    from pcretrieve.searching import Answer
     from pcretrieve.spectral import eigenpairs, laplace_beltrami
     from pcretrieve.values import (
         Eigenpairs,
@@ -226,10 +222,8 @@ _HOMES = {
         "backup",
         "calibrate",
         "check",
-        "cluster",
         "compare",
         "draw_map",
-        "duplicates",
         "evaluate",
         "ingest",
         "inspect",
@@ -239,8 +233,6 @@ _HOMES = {
         "query_page",
         "report",
         "retry",
-        "search",
-        "search_many",
         "status",
         "watch",
     ),
@@ -258,11 +250,17 @@ _HOMES = {
         "reconstruct",
         "signature",
     ),
+    "pcretrieve.query": (
+        "Answer",
+        "cluster",
+        "duplicates",
+        "search",
+        "search_many",
+    ),
     "pcretrieve.retrieval": (
         "SignatureIndex",
         "Whitening",
     ),
-    "pcretrieve.searching": ("Answer",),
     "pcretrieve.spectral": (
         "eigenpairs",
         "laplace_beltrami",

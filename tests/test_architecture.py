@@ -42,7 +42,7 @@ STAGES = [
     "catalogue",
     "pipeline",
     "ingestion",
-    "searching",
+    "query",
     "evaluation",
     "estimators",
     "inspection",

@@ -19,7 +19,7 @@ from pcretrieve.errors import InputError, ScanReadError
 from pcretrieve.formats import write_mesh
 from pcretrieve.ingestion.discover import content_hash
 from pcretrieve.pipeline.process import process
-from pcretrieve.searching import search
+from pcretrieve.query import search
 from pcretrieve.values import Shape, Signature
 
 OPTIONS = PipelineOptions()

@@ -17,7 +17,7 @@ from pcretrieve.conversion import as_cloud
 from pcretrieve.draw import CLAY, cameras_around, point_picture, rgb, surface_picture
 from pcretrieve.formats import read_scan
 from pcretrieve.pipeline.process import reconstruct
-from pcretrieve.searching import search
+from pcretrieve.query import search
 from pcretrieve.values import FloatArray, IntArray
 
 __all__ = ["main"]

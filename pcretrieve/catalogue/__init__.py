@@ -6,6 +6,7 @@ A store has records and bytes, by default in an SQLite file.
 
 from pcretrieve.catalogue.defects import Defect
 from pcretrieve.catalogue.merging import Merged
+from pcretrieve.catalogue.opened import CatalogueLike, opened
 from pcretrieve.catalogue.reading import stored_shapes
 from pcretrieve.catalogue.record import Content, Record, free_id, numbered_id
 from pcretrieve.catalogue.rows import Rows
@@ -15,6 +16,7 @@ from pcretrieve.catalogue.stores import STORES, OpenStore
 __all__ = [
     "STORES",
     "Catalogue",
+    "CatalogueLike",
     "Content",
     "Defect",
     "Merged",
@@ -23,5 +25,6 @@ __all__ = [
     "Rows",
     "free_id",
     "numbered_id",
+    "opened",
     "stored_shapes",
 ]

@@ -51,7 +51,7 @@ def cluster_command(
     """
     from pcretrieve.atomic import write_file
     from pcretrieve.catalogue import Catalogue
-    from pcretrieve.interface import cluster
+    from pcretrieve.query import cluster
 
     with Catalogue(catalogue) as store:
         options = compared(store, **comparison)

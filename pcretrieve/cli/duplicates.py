@@ -36,7 +36,7 @@ def duplicates_command(catalogue: str, threshold: float | None, as_json: bool, *
     pcretrieve duplicates --catalogue bodies.sqlite
     """
     from pcretrieve.catalogue import Catalogue
-    from pcretrieve.searching import duplicates
+    from pcretrieve.query import duplicates
 
     with Catalogue(catalogue) as store:
         options = compared(store, **comparison)

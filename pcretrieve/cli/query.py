@@ -29,7 +29,7 @@ from pcretrieve.csv_text import csv_text
 if TYPE_CHECKING:
     from pcretrieve.errors import PcretrieveError, ShapeError
     from pcretrieve.options import PipelineOptions
-    from pcretrieve.searching import Answer, Described
+    from pcretrieve.query import Answer, Described
     from pcretrieve.values import Verdict
 
 __all__ = ["query_command"]
@@ -141,7 +141,7 @@ def query_command(
     pcretrieve query --catalogue bodies.sqlite new_scan.ply --html page.html
     """
     from pcretrieve.catalogue import Catalogue
-    from pcretrieve.searching import search_many
+    from pcretrieve.query import Question, answers
 
     if as_json and as_csv:
         raise click.UsageError("choose one of --json and --csv")
@@ -155,20 +155,10 @@ def query_command(
     failures: list[ShapeError] = []
     with Catalogue(catalogue) as store:
         options = compared(store, **comparison)
-        answers = search_many(
-            store,
-            queries,
-            k=k,
-            options=options,
-            matrix=distances,
-            unit=unit,
-            labels=labels or None,
-            exclude_self=exclude_self,
-            min_score=min_score,
-            describe_scans=partial(_described, timeout, memory, page is not None, up),
-        )
+        question = Question(options, k, labels or None, exclude_self, min_score, unit, distances)
+        found = answers(store, queries, question, partial(_described, timeout, memory, page is not None, up))
         if page is not None:
-            known = list(answers)  # of all queries, before the first is printed
+            known = list(found)  # of all queries, before the first is printed
             written = write_query_page(
                 page,
                 store,
@@ -180,9 +170,9 @@ def query_command(
                 up=up,
             )
             say(f"page: {shown_path(printable(written))}", indent=None)
-            answers = iter(known)
+            found = iter(known)
         is_alone = len(queries) == 1 and not Path(queries[0]).is_dir()
-        outcomes = _with_messages(answers, failures, is_alone=is_alone)
+        outcomes = _with_messages(found, failures, is_alone=is_alone)
         if as_json:
             distance = whitening = None
             if distances is None:
@@ -221,7 +211,7 @@ def _with_messages(outcomes: Outcomes, failures: list[ShapeError], *, is_alone: 
 
 def _document(name: str, outcome: Answer | ShapeError, distance: str | None, whitening: str | None) -> Row:
     """The outcome of one query, for JSON; with a matrix, there is no distance and no whitening."""
-    from pcretrieve.searching import Answer, result_rows
+    from pcretrieve.query import Answer, result_rows
 
     if isinstance(outcome, Answer):
         vote = None if outcome.vote is None else asdict(outcome.vote)
@@ -233,7 +223,7 @@ def _document(name: str, outcome: Answer | ShapeError, distance: str | None, whi
 
 def _print_lines(outcomes: Outcomes, *, headed: bool) -> None:
     """A table of the results, below a line with the query if there are several, and the verdict."""
-    from pcretrieve.searching import Answer, result_rows
+    from pcretrieve.query import Answer, result_rows
 
     for name, answer in outcomes:
         if not isinstance(answer, Answer):
@@ -264,7 +254,7 @@ def _judged(verdict: Verdict) -> str:
 
 def _print_csv(outcomes: Outcomes) -> None:
     """One row for each result of each query."""
-    from pcretrieve.searching import Answer, result_rows
+    from pcretrieve.query import Answer, result_rows
 
     rows = (
         {"query": name, **row}
@@ -299,7 +289,7 @@ def _described(
 def _isolated(options: PipelineOptions, with_picture: bool, up: str | None, scan: Path) -> Described:
     """The signature of a scan and the verdict on it, in a worker process, which imports the stages."""
     from pcretrieve.pipeline.process import judged_signature
-    from pcretrieve.searching import Described, pictured
+    from pcretrieve.query import Described, pictured
 
     if with_picture:
         return pictured(scan, options, up)

@@ -6,9 +6,9 @@ a scan as a path, an array, or geometry of this package or another.
 
 from pcretrieve.interface.batches import retry, status, watch
 from pcretrieve.interface.catalogues import CatalogueLike, merge_catalogues
-from pcretrieve.interface.collections import cluster, draw_map, duplicates
+from pcretrieve.interface.collections import draw_map
 from pcretrieve.interface.maintenance import backup, check
-from pcretrieve.interface.queries import query_page, search, search_many
+from pcretrieve.interface.queries import query_page
 from pcretrieve.interface.retrieval import calibrate, compare, evaluate, matrix, report
 from pcretrieve.interface.scans import ingest, inspect, merge_views
 
@@ -17,10 +17,8 @@ __all__ = [
     "backup",
     "calibrate",
     "check",
-    "cluster",
     "compare",
     "draw_map",
-    "duplicates",
     "evaluate",
     "ingest",
     "inspect",
@@ -30,8 +28,6 @@ __all__ = [
     "query_page",
     "report",
     "retry",
-    "search",
-    "search_many",
     "status",
     "watch",
 ]

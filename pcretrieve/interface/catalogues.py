@@ -2,31 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from contextlib import ExitStack, contextmanager
+from collections.abc import Sequence
+from contextlib import ExitStack
 from pathlib import Path
-from typing import TypeAlias
 
-from pcretrieve.catalogue import Catalogue, Merged, Record
+from pcretrieve.catalogue import Catalogue, CatalogueLike, Merged, Record, opened
 from pcretrieve.errors import InputError
 from pcretrieve.options import PipelineOptions
 
 __all__ = ["CatalogueLike", "merge_catalogues", "opened", "stored_records"]
-
-#: A catalogue, or its path or URL.
-CatalogueLike: TypeAlias = "Catalogue | str | Path"
-
-
-@contextmanager
-def opened(
-    catalogue: CatalogueLike, options: PipelineOptions | None = None, *, create: bool = False
-) -> Iterator[Catalogue]:
-    """Open a catalogue that is given by its path, and close it at the end; leave others as they are."""
-    if isinstance(catalogue, Catalogue):
-        yield catalogue
-    else:
-        with Catalogue(catalogue, options, create=create) as store:
-            yield store
 
 
 def stored_records(catalogue: CatalogueLike, options: PipelineOptions | None = None) -> list[Record]:

@@ -19,8 +19,8 @@ from pcretrieve.options import PipelineOptions
 from pcretrieve.pages.html import page_template
 from pcretrieve.pages.settings import settings_in_words
 from pcretrieve.pages.thumbnails import Thumbnails
+from pcretrieve.query import Answer, Described, result_rows
 from pcretrieve.retrieval import swapping_ranks
-from pcretrieve.searching import Answer, Described, result_rows
 from pcretrieve.values import Verdict
 
 __all__ = ["write_query_page"]
@@ -55,7 +55,7 @@ def write_query_page(
 ) -> Path:
     """Write the answers to queries on a page. An existing file is replaced in one step, or left unchanged.
 
-    outcomes: iterable of (str, Answer or ShapeError), the queries, as `pcretrieve.searching.search_many`
+    outcomes: iterable of (str, Answer or ShapeError), the queries, as `pcretrieve.query.search_many`
         answers them. All are on one page; those that failed are listed at the end, with the reasons.
     """
     target = Path(path).absolute()

@@ -13,12 +13,14 @@ from pcretrieve.retrieval.distances import (
 from pcretrieve.retrieval.fitting import fit_whitening, table_whitening
 from pcretrieve.retrieval.index import N_INTERPRETED, SignatureIndex
 from pcretrieve.retrieval.near_pairs import NearPair, near_pairs
+from pcretrieve.retrieval.neighbour_covariance import LEAST_SHAPES
 from pcretrieve.retrieval.rank_errors import rank_ranges, swapping_ranks
 from pcretrieve.retrieval.ranking import (
     BLOCK_DISTANCES,
     DistanceBlock,
     Positions,
     Ranking,
+    checked_k,
     nearest_of,
     pairwise_blocks,
     position_of,
@@ -51,6 +53,7 @@ __all__ = [
     "CALIBRATED",
     "DEFAULT_SHRINKAGE",
     "DISTANCES",
+    "LEAST_SHAPES",
     "N_INTERPRETED",
     "N_NEAR",
     "N_RERANKED",
@@ -67,6 +70,7 @@ __all__ = [
     "SignatureIndex",
     "Vote",
     "Whitening",
+    "checked_k",
     "checked_shrinkage",
     "class_vote",
     "cluster_numbers",

@@ -10,7 +10,7 @@ from pcretrieve import __version__
 from pcretrieve.catalogue import Catalogue, Record
 from pcretrieve.csv_text import csv_text
 from pcretrieve.options import PipelineOptions
-from pcretrieve.searching import Answer, Described, answer_to, result_rows
+from pcretrieve.query import Answer, Described, Question, answer_to, result_rows
 from pcretrieve.web.folders import without_folders
 from pcretrieve.web.job import Job
 from pcretrieve.web.listing import listed
@@ -85,15 +85,9 @@ def similar_to(
     catalogue: Catalogue, query: str | Described, asked: Similar, options: PipelineOptions
 ) -> Answer:
     """The neighbours of a shape of the catalogue, without the shape, or of a scan."""
-    return answer_to(
-        catalogue,
-        query,
-        k=asked.k,
-        options=options,
-        labels=[asked.label] if asked.label else None,
-        exclude_self=True,
-        min_score=asked.min_score,
-    )
+    labels = [asked.label] if asked.label else None
+    question = Question(options, asked.k, labels, exclude_self=True, min_score=asked.min_score)
+    return answer_to(catalogue, query, question)
 
 
 def similar_document(

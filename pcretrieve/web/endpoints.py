@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 from pcretrieve.catalogue import Catalogue
 from pcretrieve.errors import InputError
-from pcretrieve.searching import Answer
+from pcretrieve.query import Answer
 from pcretrieve.web.comparison import compare_page, glb_of, scene_document
 from pcretrieve.web.documents import (
     job_document,

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Literal
 
 from pcretrieve.errors import PcretrieveError
-from pcretrieve.searching import Described
+from pcretrieve.query import Described
 
 __all__ = ["Job", "Upload"]
 

@@ -18,7 +18,7 @@ from pcretrieve.ingestion import Isolation
 from pcretrieve.ingestion.temporary import TemporaryFolder
 from pcretrieve.ingestion.worker import Worker
 from pcretrieve.options import PipelineOptions
-from pcretrieve.searching import Described
+from pcretrieve.query import Described
 from pcretrieve.web.inspections import inspection_page
 from pcretrieve.web.job import Job, Upload
 from pcretrieve.web.keeping import Collection
@@ -197,7 +197,7 @@ class Jobs:
 
 def _described(options: PipelineOptions, up: str | None, scan: Path) -> Described:
     """The signature and the picture of a scan, in a worker process, which logs its stages beside the scan."""
-    from pcretrieve.searching import pictured
+    from pcretrieve.query import pictured
 
     stages, handler = logging.getLogger("pcretrieve.pipeline"), logging.FileHandler(scan.parent / LOG)
     stages.setLevel(logging.INFO)

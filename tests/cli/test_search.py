@@ -19,7 +19,7 @@ from pcretrieve.evaluation import evaluate_table
 from pcretrieve.formats import write_mesh
 from pcretrieve.ingestion.run import ingest_files
 from pcretrieve.options import RetrievalOptions, describe_options
-from pcretrieve.searching import search
+from pcretrieve.query import search
 
 PCA = ("--whitening", "pca")
 N_CLASSES = 4

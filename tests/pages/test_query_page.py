@@ -20,7 +20,7 @@ from pcretrieve.errors import InputError
 from pcretrieve.formats import write_mesh
 from pcretrieve.ingestion.run import ingest_files
 from pcretrieve.pages.query_page import write_query_page
-from pcretrieve.searching import Answer
+from pcretrieve.query import Answer
 
 OPTIONS = PipelineOptions().changed(signature={"method": "r-bihdm", "n_values": 10}, spectral={"n_pairs": 61})
 

@@ -1,0 +1,664 @@
+"""Catalogue and queries → ranked shapes, and what the shapes of a catalogue are among each other.
+
+In come a catalogue, and scans, stored shapes or signatures; out come the identifiers of the nearest shapes
+and their distances.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
+from contextlib import suppress
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pcretrieve.catalogue import Catalogue, CatalogueLike, Record, opened
+from pcretrieve.errors import (
+    DegenerateMeshError,
+    InputError,
+    OptionError,
+    PcretrieveError,
+    ScanReadError,
+    ShapeError,
+)
+from pcretrieve.options import OptionsLike, PipelineOptions
+from pcretrieve.retrieval import (
+    LEAST_SHAPES,
+    N_NEAR,
+    NearPair,
+    SignatureIndex,
+    Vote,
+    checked_k,
+    class_vote,
+    cluster_numbers,
+    near_pairs,
+    nearest_among,
+    nearest_of,
+    position_of,
+    rank_ranges,
+    reranked_neighbors,
+    swapping_ranks,
+)
+from pcretrieve.suggestions import did_you_mean
+from pcretrieve.values import FloatArray, Neighbors, Signature, Verdict
+from pcretrieve.values.base import Value
+
+if TYPE_CHECKING:
+    from pcretrieve.formats.scans import ScanLike
+    from pcretrieve.matching import DistanceMatrix
+
+__all__ = [
+    "Answer",
+    "Described",
+    "Question",
+    "answer_to",
+    "answers",
+    "cluster",
+    "described",
+    "duplicates",
+    "pictured",
+    "result_rows",
+    "search",
+    "search_many",
+    "without_labels",
+]
+
+# Pairs with a smaller score are of two classes more often than of one (a convention).
+LIKELY_SCORE = 0.5
+
+# Least number of shapes that could come before the results within the error bar of a query.
+N_CANDIDATES = 50
+
+
+@dataclass(frozen=True, slots=True)
+class Question:
+    """What a search asks of a catalogue, whatever its queries are.
+
+    options: signature, distance, whitening and re-ranking.
+    k: number of results; all shapes if there are fewer.
+    labels: the classes whose shapes are searched, None for all shapes.
+    exclude_self: whether a query that is a shape of the catalogue is left out of its own results.
+    min_score: least score of a result, between 0 and 1.
+    unit: unit of the files of the queries, None for that of the options of the catalogue.
+    matrix: distances that replace those of signatures, for queries that the catalogue has.
+    """
+
+    options: PipelineOptions
+    k: int = 10
+    labels: Collection[str] | None = None
+    exclude_self: bool = False
+    min_score: float | None = None
+    unit: str | None = None
+    matrix: DistanceMatrix | None = None
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "k", checked_k(self.k))
+        if self.min_score is not None and not 0 <= self.min_score <= 1:
+            raise OptionError(f"min_score must be between 0 and 1, got {self.min_score}")
+
+    def scan_options(self, catalogue: Catalogue) -> PipelineOptions:
+        """The options by which a scan that the catalogue does not have is processed."""
+        own = catalogue.options.model_copy(update={"signature": self.options.compared})
+        return own if self.unit is None else own.changed(scan={"unit": self.unit})
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Described:
+    """The signature of a query, the verdict on it, and a picture of its surface, if they are known."""
+
+    signature: Signature
+    verdict: Verdict | None = None
+    picture: bytes | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Answer(Value):
+    """The nearest neighbours of one query, and what the catalogue knows of them.
+
+    Attributes
+    ----------
+    neighbors : Neighbors
+        The neighbours, nearest first.
+    records : tuple of Record, length k
+        The record of each neighbour.
+    vote : Vote or None
+        The class that the neighbours vote for, weighted by their scores; the query itself does not vote. None
+        if no class is known.
+    rank_ranges : (k, 2) intp or None
+        The lowest and the highest rank that each neighbour has within the error bar of the query, as by
+        `pcretrieve.retrieval.rank_ranges`. None if the error bar is not known, and for ranks of a distance
+        matrix or of re-ranked lists.
+    query : str, Described or None
+        The query: its id in the catalogue, or its signature.
+    """
+
+    neighbors: Neighbors
+    records: tuple[Record, ...]
+    vote: Vote | None = None
+    rank_ranges: NDArray[np.intp] | None = None
+    query: str | Described | None = None
+
+    @property
+    def labels(self) -> tuple[str | None, ...]:
+        """Class of each neighbour; None if unknown."""
+        return tuple(record.label for record in self.records)
+
+    @property
+    def best_score(self) -> float | None:
+        """The greatest score of a neighbour, between 0 and 1; None if scores are not known."""
+        known = self.neighbors.scores
+        return None if known is None or not len(known) else float(known.max())
+
+    @property
+    def is_unlikely(self) -> bool:
+        """Whether classes are known, and each neighbour is probably of another class than the query."""
+        return self.vote is not None and self.best_score is not None and self.best_score < LIKELY_SCORE
+
+    def __str__(self) -> str:
+        """The verdict, in one line: the class, how sure it is, and which ranks could swap."""
+        if not self.records:
+            return "no match"
+        parts = [f"probably no match: the best score is {self.best_score:.2f}"] if self.is_unlikely else []
+        if self.vote is not None:
+            nearest = "nearest class" if self.is_unlikely else "class"
+            parts.append(
+                f"{nearest} {self.vote.label} by {self.vote.share:.0%} of {self.vote.n_voters} votes, "
+                f"margin {self.vote.margin:.0%}"
+            )
+        if self.rank_ranges is not None:
+            runs = ", ".join(f"{first} to {last}" for first, last in swapping_ranks(self.rank_ranges))
+            parts.append(f"ranks {runs} could swap" if runs else "no ranks could swap")
+        return "; ".join(parts) or f"nearest {self.records[0].id}"
+
+
+# Describes scans by some options, in their order, each by its signature or its error.
+DescribeScans = Callable[
+    [Sequence[Path], PipelineOptions], Iterable["tuple[Path, Described | PcretrieveError]"]
+]
+
+
+def search(
+    catalogue: CatalogueLike,
+    query: ScanLike | Signature,
+    *,
+    k: int = 10,
+    options: OptionsLike = None,
+    matrix: DistanceMatrix | None = None,
+    unit: str | None = None,
+    labels: Collection[str] | None = None,
+    exclude_self: bool = False,
+    min_score: float | None = None,
+) -> Neighbors:
+    """The shapes of a catalogue nearest to a scan.
+
+    Parameters
+    ----------
+    catalogue : Catalogue, str or Path
+        The catalogue that is searched.
+    query : ScanLike or Signature
+        The file of a scan, which is processed with the options of the catalogue unless the catalogue has a
+        shape of the same content; the id of a shape of the catalogue, as a str that is not the path of a
+        file; an array or geometry, which is processed; or a signature that was made with the same options.
+    k : int, default 10
+        Number of shapes. If the catalogue has fewer, all of them are returned.
+    options : OptionsLike, optional
+        Signature, distance and whitening. By default the options of the catalogue.
+    matrix : DistanceMatrix, optional
+        Distances that replace the distances of signatures, for a query that the catalogue has.
+    unit : str, optional
+        Unit of the query (``um mm cm dm m km in ft``), if it does not have one itself; by default that of the
+        options of the catalogue. Matters only if sizes are compared.
+    labels : collection of str, optional
+        The classes whose shapes are searched; by default all shapes.
+    exclude_self : bool, default False
+        Whether a query that is a shape of the catalogue is left out of its own results.
+    min_score : float, optional
+        Least score of a result, between 0 and 1; no results then mean "no match". By default results have any
+        score.
+
+    Returns
+    -------
+    Neighbors
+        Nearest first; equal distances by id. They have scores, the shares of pairs of one class among pairs
+        that near, unless there is a `matrix`, or the catalogue has neither labels nor enough shapes.
+
+    Raises
+    ------
+    CatalogueError
+        If the options require other spectra than the catalogue has.
+    InputError
+        If the catalogue has no shapes, or none of these classes; or, with `matrix`, does not have this query;
+        or if sizes are compared and one of the units, of the query and of the shapes, is known and the other
+        is not.
+    ShapeError
+        If the scan cannot be read or has no usable surface.
+    """
+    with opened(catalogue) as store:
+        chosen = PipelineOptions.of(options, store.options)
+        question = Question(chosen, k, labels, exclude_self, min_score, unit, matrix)
+        if not isinstance(query, (str, Path, Signature)):
+            query = _signature_of(store, query, question)
+        asked = _query_of(store, query, question)
+        ((_, outcome),) = _resolved(store, [asked], question, described)
+        if isinstance(outcome, ShapeError):
+            raise outcome
+        signature = outcome.signature if isinstance(outcome, Described) else outcome
+        return _cut(_ranked(store, signature, question, question.k), question)
+
+
+def search_many(
+    catalogue: CatalogueLike,
+    queries: Iterable[str | Path | Signature],
+    *,
+    k: int = 10,
+    options: OptionsLike = None,
+    matrix: DistanceMatrix | None = None,
+    unit: str | None = None,
+    labels: Collection[str] | None = None,
+    exclude_self: bool = False,
+    min_score: float | None = None,
+) -> Iterator[tuple[str, Answer | ShapeError]]:
+    """Answer several queries, in their order.
+
+    Parameters
+    ----------
+    catalogue : Catalogue, str or Path
+        The catalogue that is searched.
+    queries : iterable of str, Path or Signature
+        Each as in `search`, or a folder, which stands for all scans in it. A str that is the id of a shape is
+        that shape, also if there is a folder of this name.
+    k : int, default 10
+        This and the following parameters are those of `search`, for each query.
+    options : OptionsLike, optional
+    matrix : DistanceMatrix, optional
+    unit : str, optional
+    labels : collection of str, optional
+    exclude_self : bool, default False
+    min_score : float, optional
+
+    Yields
+    ------
+    name : str
+        The query: its path or its id, the path of each scan of a folder, or the kind of a signature.
+    answer : Answer or ShapeError
+        The neighbours and their records, or the error of a scan that cannot be read or has no usable surface.
+
+    Raises
+    ------
+    CatalogueError
+        If the options require other spectra than the catalogue has.
+    InputError
+        As by `search`, before the first answer.
+    """
+    with opened(catalogue) as store:
+        chosen = PipelineOptions.of(options, store.options)
+        yield from answers(store, queries, Question(chosen, k, labels, exclude_self, min_score, unit, matrix))
+
+
+def answers(
+    catalogue: Catalogue,
+    queries: Iterable[str | Path | Signature],
+    question: Question,
+    describe_scans: DescribeScans | None = None,
+) -> Iterator[tuple[str, Answer | ShapeError]]:
+    """Answer several queries as `search_many`, with scans described elsewhere than in this process."""
+    asked = [each for query in queries for each in _expanded(catalogue, query, question)]
+    for name, outcome in _resolved(catalogue, asked, question, describe_scans or described):
+        if isinstance(outcome, ShapeError):
+            yield name, outcome
+        else:
+            yield name, answer_to(catalogue, outcome, question)
+
+
+def answer_to(catalogue: Catalogue, query: str | Described, question: Question) -> Answer:
+    """Answer one query that is known already. No file is read, whatever the query is called."""
+    held, signature = (query, query) if isinstance(query, str) else (None, query.signature)
+    has_ranges = question.matrix is None and question.options.retrieval.rerank == "none"
+    wide = _ranked(
+        catalogue, signature, question, max(2 * question.k, N_CANDIDATES) if has_ranges else question.k
+    )
+    found = _cut(wide, question)
+    records = tuple(catalogue.record(shape_id) for shape_id in found.ids)
+    weights = np.ones(len(records)) if found.scores is None else found.scores
+    voters = [None if record.id == held else record.label for record in records]
+    ranges = None
+    if has_ranges:
+        index = catalogue.index(question.options)
+        deviation = _deviation(catalogue, query, len(index.whitening.mean))
+        if deviation is not None:
+            ranges = rank_ranges(index, signature, deviation, wide.ids)[: len(found)]
+    return Answer(found, records, class_vote(voters, weights), ranges, query)
+
+
+def result_rows(answer: Answer) -> list[dict[str, Any]]:
+    """The results of one query, with the names that commands and the search page give their columns."""
+    known, ranges = answer.neighbors.scores, answer.rank_ranges
+    scores = [None] * len(answer.records) if known is None else known.tolist()
+    return [
+        {
+            "rank": rank,
+            "id": record.id,
+            "path": record.path,
+            "label": record.label,
+            "distance": gap,
+            "score": score,
+            "rank_range": None if ranges is None else ranges[rank - 1].tolist(),
+            "verdict": None if record.verdict is None else asdict(record.verdict),
+        }
+        for rank, (record, gap, score) in enumerate(
+            zip(answer.records, answer.neighbors.distances.tolist(), scores, strict=True), start=1
+        )
+    ]
+
+
+def duplicates(
+    catalogue: CatalogueLike, *, options: OptionsLike = None, threshold: float | None = None
+) -> list[NearPair]:
+    """The pairs of shapes that are nearer than the noise, such as two scans of one body in one pose.
+
+    Parameters
+    ----------
+    catalogue : Catalogue, str or Path
+        The shapes.
+    options : OptionsLike, optional
+        The signatures; with a `threshold` also the distance and the whitening. By default those of the
+        catalogue.
+    threshold : float, optional
+        The largest distance of a pair. By default the root of the sum of squares of the uncertainties of both
+        shapes, for the distance ``log`` without whitening, to which they are comparable; doubtful and
+        unusable shapes are then left out, because they are near to many.
+
+    Returns
+    -------
+    list of NearPair
+        Ids, distance and limit of each pair, nearest first.
+
+    Raises
+    ------
+    CatalogueError
+        If the options require other spectra than the catalogue has.
+    InputError
+        If the catalogue has no shapes; without `threshold`, if the signatures are not compared by logarithms.
+    OptionError
+        If the threshold is negative or not finite.
+    """
+    with opened(catalogue) as store:
+        chosen = PipelineOptions.of(options, store.options)
+        if threshold is not None:
+            if not 0 <= threshold < np.inf:
+                raise OptionError(f"threshold must be 0 or more, got {threshold}")
+            index = store.index(chosen)
+            # Each of two equal errors is the part of the threshold that adds up to it.
+            return near_pairs(index, np.full(len(index), threshold / np.sqrt(2)))
+        plain = chosen.changed(retrieval={"distance": "log", "whitening": "none", "calibration": None})
+        table = store.signatures(plain)
+        if table.metric != "logarithms":
+            raise InputError(
+                f"uncertainties are those of logarithms, as which {table.kind} is not compared: give a "
+                "threshold"
+            )
+        errors = {
+            record.id: 0.0 if record.verdict is None else record.verdict.uncertainty
+            for page in store.pages(status="done")
+            for record in page
+            if not record.is_doubtful
+        }
+        ids = [shape_id for shape_id in table.ids if shape_id in errors]
+        if not ids:
+            return []
+        index = SignatureIndex(table.select(ids), plain.retrieval)
+        return near_pairs(index, np.array([errors[shape_id] for shape_id in index.ids]))
+
+
+def cluster(
+    catalogue: CatalogueLike, *, options: OptionsLike = None, min_size: int = 3
+) -> dict[str, str | None]:
+    """Group the shapes of a catalogue without labels, by the density of their whitened signatures.
+
+    Parameters
+    ----------
+    catalogue : Catalogue, str or Path
+        The shapes.
+    options : OptionsLike, optional
+        Signature and whitening. By default the options of the catalogue; the whitening auto does not use
+        labels.
+    min_size : int, default 3
+        Least number of shapes of a cluster.
+
+    Returns
+    -------
+    dict of str to (str or None)
+        For each shape, in ascending order of id, ``cluster-1`` for the largest cluster, and so on; None for
+        shapes in no cluster.
+
+    Raises
+    ------
+    CatalogueError
+        If the options require other spectra than the catalogue has.
+    InputError
+        If the catalogue has no shapes.
+    OptionError
+        If `min_size` is less than 2.
+    """
+    with opened(catalogue) as store:
+        index = store.index(without_labels(PipelineOptions.of(options, store.options)))
+        numbers = cluster_numbers(index, min_size=min_size).tolist()
+        return {
+            shape_id: f"cluster-{number}" if number else None
+            for shape_id, number in zip(index.ids, numbers, strict=True)
+        }
+
+
+def without_labels(options: PipelineOptions) -> PipelineOptions:
+    """The options, in which the whitening auto does not use labels, as in an evaluation."""
+    if options.retrieval.calibration is None and options.retrieval.whitening == "auto":
+        return options.changed(retrieval={"whitening": "neighbours"})
+    return options
+
+
+def described(
+    scans: Sequence[Path], options: PipelineOptions
+) -> Iterator[tuple[Path, Described | PcretrieveError]]:
+    """The signatures of scans, computed in this process."""
+    # Imported here, because shapes of the catalogue are found without the stages.
+    from pcretrieve.pipeline.process import judged_signature
+
+    for scan in scans:
+        try:
+            yield scan, Described(*judged_signature(scan, options))
+        except ShapeError as error:
+            yield scan, error
+
+
+def pictured(scan: Path, options: PipelineOptions, up: str | None = None) -> Described:
+    """Process a scan, and draw a thumbnail of its surface."""
+    from pcretrieve.draw import thumbnail, upward
+    from pcretrieve.pipeline.process import described_shape
+
+    signature, verdict, shape = described_shape(scan, options)
+    mesh, picture = shape.surfaces[0].mesh, None
+    if mesh is not None:
+        with suppress(DegenerateMeshError):
+            picture = thumbnail(mesh.vertices, mesh.faces, up=mesh.up if up is None else upward(up))
+    return Described(signature, verdict, picture)
+
+
+def _signature_of(catalogue: Catalogue, scan: ScanLike, question: Question) -> Signature:
+    """The signature of an array or of geometry."""
+    from pcretrieve.descriptors import describe
+    from pcretrieve.pipeline.process import process
+
+    own, options = catalogue.options, question.options
+    own = own if question.unit is None else own.changed(scan={"unit": question.unit})
+    return replace(describe(process(scan, own), options.compared), digest=options.compared_digest)
+
+
+def _expanded(
+    catalogue: Catalogue, query: str | Path | Signature, question: Question
+) -> Iterator[tuple[str, str | Path | Signature]]:
+    """The queries of a folder, or the one query that is given: their names, and what they name."""
+    scans: list[str | Path | Signature] = [query]
+    is_folder = not isinstance(query, Signature) and Path(query).is_dir()
+    if is_folder and (isinstance(query, Path) or catalogue.get(str(query)) is None):
+        from pcretrieve.ingestion.discover import discover
+
+        scans = list(discover([str(query)]))
+    for scan in scans:
+        try:
+            yield _query_of(catalogue, scan, question)
+        except ScanReadError:
+            yield str(scan), Path(str(scan))  # reading it as a scan will report why
+
+
+def _query_of(
+    catalogue: Catalogue, query: str | Path | Signature, question: Question
+) -> tuple[str, str | Path | Signature]:
+    """The name of a query, and the stored shape, the scan or the signature that it is."""
+    if isinstance(query, Signature):
+        return query.kind, query
+    path, name = Path(query), str(query)
+    # Readers are imported for files only, because they are not needed to look up an id.
+    if isinstance(query, str) and (path.is_dir() or not (path.exists() or _is_in_a_file(path))):
+        return name, _stored(catalogue, query)
+    if question.matrix is None and question.unit not in (None, catalogue.options.scan.unit):
+        return name, path  # sizes in another unit: a shape of the same content does not stand for the file
+    from pcretrieve.ingestion.discover import content_hash
+
+    done = (record.id for record in catalogue.with_content(content_hash(path)) if record.status == "done")
+    return name, next(done, path)
+
+
+def _is_in_a_file(path: Path) -> bool:
+    """Whether a path ``file#name`` names one of the scans in a file."""
+    if "#" not in path.name:
+        return False
+    from pcretrieve.formats import split_member
+
+    return split_member(path)[0].exists()
+
+
+def _stored(catalogue: Catalogue, shape_id: str) -> str:
+    """An id, after a check that its shape has a signature."""
+    record = catalogue.get(shape_id)
+    if record is None:
+        raise InputError(
+            f"a query must be the file of a scan or the id of a shape, {shape_id!r} is no file and no shape "
+            f"of {catalogue.location}; `pcretrieve list` names the shapes{catalogue.suggested(shape_id)}"
+        )
+    if record.status != "done":
+        raise InputError(
+            f"shape {shape_id!r} has no signature: it failed in {record.stage}: {record.message}"
+        )
+    return shape_id
+
+
+def _resolved(
+    catalogue: Catalogue,
+    queries: Sequence[tuple[str, str | Path | Signature]],
+    question: Question,
+    describe_scans: DescribeScans,
+) -> Iterator[tuple[str, str | Described | ShapeError]]:
+    """For each query the id of its shape, or its signature, or why it has none."""
+    for name, query in queries:
+        if question.matrix is not None and not isinstance(query, str):
+            raise InputError(
+                f"a distance matrix ranks shapes of {catalogue.location} only, which does not hold {name}: "
+                "leave out the matrix, or ingest the scan and make the matrix again"
+            )
+    scans = [query for _, query in queries if isinstance(query, Path)]
+    outcomes = iter(describe_scans(scans, question.scan_options(catalogue)) if scans else ())
+    for name, query in queries:
+        if isinstance(query, Path):
+            _, outcome = next(outcomes)
+            if isinstance(outcome, PcretrieveError) and not isinstance(outcome, ShapeError):
+                raise outcome
+            yield name, outcome
+        else:
+            yield name, query if isinstance(query, str) else Described(query)
+
+
+def _ranked(catalogue: Catalogue, query: str | Signature, question: Question, k: int) -> Neighbors:
+    """The `k` first results, without the query if it is to be left out."""
+    among = None if question.labels is None else _labelled(catalogue, question.labels)
+    # A query that is left out of its results is one of them before.
+    if question.matrix is not None and isinstance(query, str):
+        found = _of_matrix(question.matrix, query, among, k + question.exclude_self)
+    else:
+        found = _of_index(catalogue, query, question, among, k + question.exclude_self)
+    held = query if question.exclude_self and isinstance(query, str) else None
+    return _some(found, [row for row, name in enumerate(found.ids) if name != held][:k])
+
+
+def _of_matrix(matrix: DistanceMatrix, query: str, among: set[str] | None, k: int) -> Neighbors:
+    """The `k` first results by a distance matrix, among some shapes or all."""
+    row = matrix.values[position_of(matrix.ids, query)]
+    chosen = [number for number, name in enumerate(matrix.ids) if among is None or name in among]
+    return nearest_of([matrix.ids[number] for number in chosen], row[chosen], k)
+
+
+def _of_index(
+    catalogue: Catalogue, query: str | Signature, question: Question, among: set[str] | None, k: int
+) -> Neighbors:
+    """The `k` first results by signatures, or more, among some shapes or all, with their scores."""
+    index, method = catalogue.index(question.options), question.options.retrieval.rerank
+    # The neighbourhoods of the results, among which a list is sorted again, need more shapes than asked for.
+    most = k if method == "none" else max(k, N_NEAR)
+    if among is not None:
+        found = nearest_among(index, query, sorted(among), most)
+    elif isinstance(query, str):
+        found = index.nearest(query, most)
+    else:
+        found = index.query(query, most)
+    held = query if isinstance(query, str) else None
+    ranked = reranked_neighbors(index, found, method, shape_id=held)
+    if index.scores is None:
+        return ranked
+    score_of = dict(zip(found.ids, index.scores.of(found.distances).tolist(), strict=True))
+    return replace(ranked, scores=np.array([score_of[shape_id] for shape_id in ranked.ids]))
+
+
+def _labelled(catalogue: Catalogue, labels: Collection[str]) -> set[str]:
+    """The shapes of some classes."""
+    among = set(catalogue.labelled(labels))
+    if not among:
+        known = {one.label for one in catalogue.origins() if one.label is not None}
+        meant = did_you_mean(next(iter(labels)), known) if len(labels) == 1 else ""
+        raise InputError(
+            f"no shape of {catalogue.location} is of the class {' or '.join(sorted(labels))}; "
+            f"`pcretrieve list` shows the classes{meant}"
+        )
+    return among
+
+
+def _cut(found: Neighbors, question: Question) -> Neighbors:
+    """The first results, as far as their scores are large enough."""
+    rows = range(min(question.k, len(found)))
+    if question.min_score is None:
+        return _some(found, rows)
+    if found.scores is None:
+        raise InputError(
+            "a least score needs calibrated scores, which are estimated from distances of signatures, of "
+            f"labelled shapes or of {LEAST_SHAPES} or more: label shapes, or leave out the least score"
+        )
+    return _some(found, [row for row in rows if found.scores[row] >= question.min_score])
+
+
+def _some(found: Neighbors, rows: Sequence[int]) -> Neighbors:
+    """Some of the results, in their order."""
+    chosen = list(rows)
+    scores = None if found.scores is None else found.scores[chosen]
+    return Neighbors(tuple(found.ids[row] for row in chosen), found.distances[chosen], scores)
+
+
+def _deviation(catalogue: Catalogue, query: str | Described, n_values: int) -> FloatArray | None:
+    """(L,) error bar over the surfaces of a scan, or its uncertainty in equal parts; None if unknown."""
+    if isinstance(query, str):
+        verdict = catalogue.record(query).verdict
+    else:
+        verdict = query.verdict
+        if query.signature.metric == "logarithms" and query.signature.deviation is not None:
+            return query.signature.deviation
+    return None if verdict is None else np.full(n_values, verdict.uncertainty / np.sqrt(n_values))
