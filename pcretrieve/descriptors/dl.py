@@ -5,7 +5,7 @@ dictionaries are learned from simulated people, animals and hands, are stored be
 by ``scripts/sample_dictionary``: the signature of a shape depends on this shape alone, and signatures of
 different galleries are comparable. Dictionaries of other shapes are learned by
 `pcretrieve.adapters.scikit_learn.sparse_dictionary` and
-`pcretrieve.descriptors.dictionary_learning.supervised_dictionary`.
+`benchmarks.dictionary_learning.supervised_dictionary`.
 """
 
 from __future__ import annotations

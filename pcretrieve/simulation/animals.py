@@ -9,8 +9,17 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import replace
 
-from pcretrieve.simulation.limbs import both, limb, mirrored
-from pcretrieve.simulation.skeleton import COLLINEAR, Bone, Contact, Pose, RoundCone, Vector
+from pcretrieve.simulation.skeleton import (
+    COLLINEAR,
+    Bone,
+    Contact,
+    Pose,
+    RoundCone,
+    Vector,
+    both,
+    limb,
+    mirrored,
+)
 
 __all__ = ["CELL", "MEASURES", "POSES", "skeleton"]
 

@@ -6,16 +6,14 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from pcretrieve.errors import InputError, OptionError
-from pcretrieve.simulation import animals, hands, people, people_poses
-from pcretrieve.simulation.contacts import close_contacts
-from pcretrieve.simulation.kinematics import motions
-from pcretrieve.simulation.skeleton import Bone, Pose, Subject
-from pcretrieve.simulation.skin import follow, skin
-from pcretrieve.values import TriangleMesh
-
-__all__ = ["POSES", "body", "make_subject"]
+from pcretrieve.simulation import animals, hands, people
+from pcretrieve.simulation.skeleton import Bone, Pose, Subject, motions
+from pcretrieve.simulation.skin import close_contacts, follow, skin
+from pcretrieve.values import FloatArray, TriangleMesh
 
 # Measures are clipped to this many standard deviations about the mean.
 LARGEST_DEVIATION = 2.0
@@ -32,7 +30,7 @@ class _Family:
 
 
 FAMILIES = {
-    "person": _Family(people.MEASURES, people.skeleton, people.CELL, people_poses.POSES),
+    "person": _Family(people.MEASURES, people.skeleton, people.CELL, people.POSES),
     "animal": _Family(animals.MEASURES, animals.skeleton, animals.CELL, animals.POSES),
     "hand": _Family(hands.MEASURES, hands.skeleton, hands.CELL, hands.POSES),
 }
@@ -76,3 +74,31 @@ def body(
         pose = pose.jittered(subject.joints, jitter, rng)
     own = skin(subject)
     return follow(own, motions(subject, close_contacts(own, pose)))
+
+
+#: Poses of people who sit on a seat.
+SEATED = ("sit", "legs_crossed")
+
+# Largest height above a support at which soft parts touch it, and extent of the hips about the origin, to the
+# sides and to the front; diagonals.
+TOUCHING = 0.015
+HIPS = (0.12, 0.05)
+
+# Largest vertical part of the unit normal of a surface that faces down.
+DOWN = -0.5
+
+
+def on_support(mesh: TriangleMesh, points: FloatArray, *, seated: bool) -> NDArray[np.bool_]:
+    """The points of a person at which the body touches the ground or a seat.
+
+    points: (n, 3) float64, points on the surface, with noise; unit of the mesh.
+    Returns (n,) bool: points of faces that face down, near the lowest point of the body or of the hips.
+    """
+    x, y, z = mesh.vertices.T
+    supports = [y.min()]
+    if seated:
+        supports.append(y[(abs(x) < HIPS[0] * mesh.diagonal) & (abs(z) < HIPS[1] * mesh.diagonal)].min())
+    _, nearest = cKDTree(mesh.vertices[mesh.faces].mean(axis=1)).query(points)
+    faces_down = mesh.area_vectors[nearest, 1] < DOWN * mesh.face_areas[nearest]
+    heights = abs(points[:, 1, None] - np.array(supports)).min(axis=1)
+    return np.asarray(faces_down & (heights < TOUCHING * mesh.diagonal))

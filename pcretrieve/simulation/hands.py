@@ -10,8 +10,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from pcretrieve.simulation.limbs import limb
-from pcretrieve.simulation.skeleton import Bone, Contact, Pose, RoundCone, Vector, vector
+from pcretrieve.simulation.skeleton import Bone, Contact, Pose, RoundCone, Vector, limb, vector
 from pcretrieve.values import FloatArray
 
 __all__ = ["CELL", "MEASURES", "POSES", "skeleton"]

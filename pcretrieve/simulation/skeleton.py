@@ -5,24 +5,15 @@ Lengths are in metres. In the rest pose the x axis points to the left of the bod
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+from numpy.typing import ArrayLike
+from scipy.spatial.transform import Rotation
 
 from pcretrieve.errors import InputError
 from pcretrieve.values import FloatArray
-
-__all__ = [
-    "COLLINEAR",
-    "Bone",
-    "Contact",
-    "Pose",
-    "RoundCone",
-    "Subject",
-    "Vector",
-    "vector",
-]
 
 Vector = tuple[float, float, float]
 
@@ -146,3 +137,147 @@ def vector(array: FloatArray) -> Vector:
     """
     x, y, z = array.tolist()
     return (x, y, z)
+
+
+def motions(subject: Subject, pose: Pose) -> FloatArray:
+    """The rigid motion of each bone, from the rest pose to another pose.
+
+    Returns (b, 4, 4) float64: a bone rotates about its own head at rest, and then moves with its parent. The
+        root rotates about its head.
+    """
+    turns = _turns(subject, pose)  # (b, 3, 3)
+    heads = np.array([bone.head for bone in subject.bones])  # (b, 3)
+    local = np.tile(np.eye(4), (len(subject.bones), 1, 1))
+    local[:, :3, :3] = turns
+    local[:, :3, 3] = heads - np.einsum("bij,bj->bi", turns, heads)
+    number = {bone.name: k for k, bone in enumerate(subject.bones)}
+    result: FloatArray = local.copy()
+    for k, bone in enumerate(subject.bones):
+        if bone.parent is not None:
+            result[k] = result[number[bone.parent]] @ local[k]
+    return result
+
+
+def _turns(subject: Subject, pose: Pose) -> FloatArray:
+    """(b, 3, 3) rotation of each bone relative to its parent, in the axes of the rest pose."""
+    bones = subject.bones
+    angles = np.array([np.multiply(bone.share, pose.angles.get(bone.joint, (0, 0, 0))) for bone in bones])
+    along = np.array([np.subtract(bone.tail, bone.head) for bone in bones])  # (b, 3)
+    along /= np.linalg.norm(along, axis=1, keepdims=True)
+    front = np.array([bone.front for bone in bones], dtype=np.float64)
+    front -= np.einsum("bi,bi->b", front, along)[:, None] * along
+    front /= np.linalg.norm(front, axis=1, keepdims=True)
+    side = np.array([bone.side for bone in bones])[:, None]
+    bend, spread, twist = (np.radians(angles[:, k, None]) for k in range(3))  # (b, 1) each
+    turn = (
+        Rotation.from_rotvec(spread * side * front)
+        * Rotation.from_rotvec(bend * np.cross(along, front))
+        * Rotation.from_rotvec(twist * side * along)
+    )
+    matrices: FloatArray = turn.as_matrix()
+    return matrices
+
+
+def bone_distance(bone: Bone, points: FloatArray) -> FloatArray:
+    """Signed distance of points from the flesh of a bone at rest.
+
+    Approximate for cones whose radii differ; a lower bound for flattened cones.
+
+    points: (…, 3) float64, in metres.
+    Returns (…,) float64: negative inside, infinite without flesh; m.
+    """
+    if not bone.flesh:
+        return np.full(points.shape[:-1], np.inf)
+    distances = np.array([cone_distance(cone, bone.front, points) for cone in bone.flesh])  # (c, …)
+    nearest: FloatArray = distances.min(axis=0)
+    return nearest
+
+
+def cone_distance(cone: RoundCone, front: Vector, points: FloatArray) -> FloatArray:
+    """Signed distance of points from one round cone at rest, as `bone_distance`.
+
+    points: (…, 3) float64, in metres.
+    Returns (…,) float64: negative inside; m.
+    """
+    offset, axis = points - np.array(cone.start), np.subtract(cone.end, cone.start)
+    if cone.depth != 1:
+        # A stretch along the front by 1/depth turns the ellipsoids into balls.
+        normal = np.array(front) / np.linalg.norm(front)
+        stretch = np.eye(3) + (1 / cone.depth - 1) * np.outer(normal, normal)
+        offset, axis = offset @ stretch, axis @ stretch
+    length2 = axis @ axis
+    along = np.clip(offset @ axis / length2, 0, 1) if length2 > 0 else np.zeros(points.shape[:-1])
+    radius = cone.radii[0] + along * (cone.radii[1] - cone.radii[0])
+    distance: FloatArray = np.linalg.norm(offset - along[..., None] * axis, axis=-1) - radius
+    distance *= min(cone.depth, 1.0)
+    return distance
+
+
+# Length of a link, relative to the radius of the limb. Linear blend skinning folds the skin on the inside of
+# a joint that bends at one point; with half of the bend at either end of a link the joint stays round.
+LINK = 1.2
+
+
+def limb(
+    parent: str,
+    start: ArrayLike,
+    along: ArrayLike,
+    front: Vector,
+    pieces: Sequence[tuple[str, str, float, tuple[float, float]]],
+) -> tuple[Bone, ...]:
+    """A straight chain of bones, with a link before each bone that takes half of the angles of its joint.
+
+    pieces: sequence of (joint, bone, length, radii), from the trunk outwards; m.
+    """
+    direction = np.asarray(along, dtype=np.float64) / np.linalg.norm(along)
+    ends = np.cumsum([0.0, *(length for _, _, length, _ in pieces)])
+    half = [LINK / 2 * radii[0] for _, _, _, radii in pieces]
+
+    def at(distance: float) -> Vector:
+        return vector(np.asarray(start) + distance * direction)
+
+    bones: list[Bone] = []
+    for k, (joint, name, _, radii) in enumerate(pieces):
+        # The first link begins at the joint: there is no bone of this limb before it to shorten.
+        before = half[k] if k else 0.0
+        after = half[k + 1] if k + 1 < len(pieces) else 0.0
+        head, tail = at(ends[k] + half[k]), at(ends[k + 1] - after)
+        flesh = RoundCone(at(ends[k]), at(ends[k + 1]), radii)
+        if k:
+            flesh = replace(flesh, fillet=COLLINEAR)
+        link = Bone(f"{joint}_link", parent, at(ends[k] - before), head, front, (), joint, share=0.5)
+        bones += [link, Bone(name, link.name, head, tail, front, (flesh,), joint, share=0.5)]
+        parent = name
+    return tuple(bones)
+
+
+def mirrored(bone: Bone) -> Bone:
+    """The right bone that is the mirror image of a left bone."""
+
+    def across(point: Vector) -> Vector:
+        return (-point[0], point[1], point[2])
+
+    return replace(
+        bone,
+        name=_right(bone.name),
+        parent=_right(bone.parent or ""),
+        head=across(bone.head),
+        tail=across(bone.tail),
+        front=across(bone.front),
+        flesh=tuple(replace(cone, start=across(cone.start), end=across(cone.end)) for cone in bone.flesh),
+        joint=_right(bone.joint),
+        side=-bone.side,
+    )
+
+
+def both(**angles: Vector) -> dict[str, Vector]:
+    """The same angles for the left and the right joint of each name.
+
+    **angles: (bend, spread, twist) by the name of the joint without its side; degrees.
+    Returns dict of str to 3 floats: angles by the name of the joint with its side; degrees.
+    """
+    return {f"{side}_{joint}": turn for joint, turn in angles.items() for side in ("left", "right")}
+
+
+def _right(name: str) -> str:
+    return name.replace("left_", "right_", 1)

@@ -2,22 +2,20 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import least_squares
 from scipy.sparse import csc_array, diags_array
 from scipy.sparse.linalg import splu
 
 from pcretrieve.adapters.scikit_image import level_surface
 from pcretrieve.errors import InputError
-from pcretrieve.simulation.flesh import bone_distance, cone_distance
-from pcretrieve.simulation.skeleton import Bone, Subject
+from pcretrieve.simulation.skeleton import Bone, Contact, Pose, Subject, bone_distance, cone_distance, motions
 from pcretrieve.spectral import laplace_beltrami
 from pcretrieve.values import FloatArray, TriangleMesh
-
-__all__ = ["Skin", "blend", "follow", "skin"]
 
 # Rounds of tangential smoothing after marching cubes, which suffice to remove thin triangles.
 SMOOTHING_STEPS = 5
@@ -184,3 +182,50 @@ def _segment_distance(bone: Bone, points: FloatArray) -> FloatArray:
     along = np.clip(offset @ axis / (axis @ axis), 0, 1)
     distance: FloatArray = np.linalg.norm(offset - along[:, None] * axis, axis=1)
     return distance
+
+
+# Weight of the change of an angle (radians) against a gap (body sizes) in the least-squares problem: large
+# enough to keep the joints near the given pose, small enough to close every gap to less than a thousandth of
+# the body size.
+STIFFNESS = 0.02
+
+# Step of the finite differences, relative to each angle. The gap is not smooth in the angles, because the
+# nearest vertex of the skin changes; the step is wide enough to average over these changes.
+DIFFERENCE = 0.01
+
+
+def close_contacts(skin: Skin, pose: Pose) -> Pose:
+    """Change the angles of a pose until its contacts touch.
+
+    The sum of squares of the gaps, in body sizes, and of `STIFFNESS` times the changes of the angles of the
+    joints of the contacts, in radians, is minimised.
+    """
+    joints = sorted({joint for contact in pose.contacts for joint in contact.by})
+    if not joints:
+        return pose
+    size = skin.subject.size
+    given = np.radians([pose.angles.get(joint, (0, 0, 0)) for joint in joints]).ravel()  # (3j,)
+
+    def turned(angles: FloatArray) -> Pose:
+        triples = np.degrees(angles).reshape(-1, 3).tolist()
+        changed = {joint: tuple(triple) for joint, triple in zip(joints, triples, strict=True)}
+        return replace(pose, angles={**pose.angles, **changed})
+
+    def residuals(angles: FloatArray) -> FloatArray:
+        moved = motions(skin.subject, turned(angles))
+        gaps = [_gap(skin, moved, contact) / size for contact in pose.contacts]
+        return np.concatenate([gaps, STIFFNESS * (angles - given)])
+
+    return turned(least_squares(residuals, given, diff_step=np.full(len(given), DIFFERENCE)).x)
+
+
+def _gap(skin: Skin, moved: FloatArray, contact: Contact) -> float:
+    """Signed distance from the skin of the moving part to the flesh of the other, negative inside; m."""
+    bones = skin.subject.bones
+    coming = np.isin(skin.owner, [skin.subject.number(name) for name in contact.bones])
+    points = blend(skin.weights[coming], moved, skin.rest.vertices[coming])
+    gaps = []
+    for number in map(skin.subject.number, contact.onto):
+        to_rest = np.linalg.inv(moved[number])
+        gaps.append(bone_distance(bones[number], points @ to_rest[:3, :3].T + to_rest[:3, 3]).min())
+    return float(min(gaps))

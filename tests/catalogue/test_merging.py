@@ -8,11 +8,11 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from benchmarks.catalogue import OPTIONS
 from click.testing import CliRunner
 from numpy.random import default_rng
 
 from pcretrieve import Catalogue, merge_catalogues
-from pcretrieve.benchmarks.catalogue import OPTIONS
 from pcretrieve.catalogue import Merged, Record, merging
 from pcretrieve.catalogue.rows import OWN, PAYLOADS, Entry, Payload
 from pcretrieve.catalogue.settings import settings_of

@@ -12,10 +12,10 @@ from uuid import uuid4
 
 import numpy as np
 import pytest
+from benchmarks.catalogue import OPTIONS
 from click.testing import CliRunner
 
 from pcretrieve import Catalogue
-from pcretrieve.benchmarks.catalogue import OPTIONS
 from pcretrieve.catalogue import Record, database, gallery, postgresql_tables
 from pcretrieve.catalogue.arrays import packed_values
 from pcretrieve.catalogue.checksums import CHECKSUM_COLUMNS

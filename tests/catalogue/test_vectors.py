@@ -6,12 +6,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from benchmarks.catalogue import OPTIONS
+from benchmarks.synthetic import synthetic_catalogue, synthetic_id
 from click.testing import CliRunner
 from postgresql_server import has_pgvector, programs
 
 from pcretrieve.adapters.postgresql import write_vectors
-from pcretrieve.benchmarks.catalogue import OPTIONS
-from pcretrieve.benchmarks.synthetic import synthetic_catalogue, synthetic_id
 from pcretrieve.catalogue import Catalogue
 from pcretrieve.catalogue.vectors import VECTOR_TABLE, export_vectors
 from pcretrieve.cli.main import cli

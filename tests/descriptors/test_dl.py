@@ -5,14 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import shapes
+from benchmarks.shipped import LabelledSurface, dictionaries, supervised_dictionary, surfaces, triplet_loss
 
 from pcretrieve.adapters.scikit_learn import sparse_dictionary
 from pcretrieve.descriptors import dl
-from pcretrieve.descriptors.dictionary_learning import supervised_dictionary, triplet_loss
 from pcretrieve.descriptors.dl import surface_points
 from pcretrieve.descriptors.sparse_coding import PENALTY, SurfacePoints, atom_shares, sparse_codes
 from pcretrieve.errors import InputError
-from pcretrieve.simulation.dictionary_sample import LabelledSurface, dictionaries, surfaces
 from pcretrieve.spectral import unit_eigenpairs
 from pcretrieve.values import FloatArray
 

@@ -14,7 +14,6 @@ from processes import in_this_process
 from scene_files import write_gltf
 
 import pcretrieve as pr
-from pcretrieve.benchmarks.resuming import resumed_in
 from pcretrieve.formats import write_mesh
 from pcretrieve.ingestion import contents, discover
 from pcretrieve.ingestion.stamps import stamp_of
@@ -155,12 +154,3 @@ def test_a_failure_is_known_too_and_an_unreadable_file_is_not(folder: Path, inge
     (folder / "1.off").write_text("")
     assert ingested()[1] == ["2"]
     assert ingested() == (["1.off"], [])
-
-
-def test_what_starting_again_costs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(contents, "SETTLED", 0.0)
-    by_hashes, by_stamps = resumed_in(tmp_path, 10, 20_000, wait=-0.9)
-    size = sum(path.stat().st_size for path in (tmp_path / "scans").iterdir()) / 2**20
-    assert by_hashes.mebibytes > size > 2
-    assert by_stamps.mebibytes < by_hashes.mebibytes - 0.9 * size
-    assert by_stamps.seconds > 0

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import shapes
+from benchmarks.turning import TurningOptions, turning_frames, write_frames
 
 import pcretrieve
 from pcretrieve import PointCloud, TriangleMesh
@@ -19,7 +20,7 @@ from pcretrieve.points.register.foreground import foreground
 from pcretrieve.points.register.motions import moved
 from pcretrieve.points.register.tracking import tracks
 from pcretrieve.points.register.views import prepared
-from pcretrieve.simulation import RigOptions, TurningOptions, scan_views, turning_frames, write_frames
+from pcretrieve.simulation import RigOptions, scan_views
 from pcretrieve.values import FloatArray
 
 CAMERA = TurningOptions(n_frames=30, width=120, height=160, focal=170.0)

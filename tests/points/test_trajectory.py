@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import shapes
+from benchmarks.turning import TurningOptions, turning_frames
 from PIL import Image
 from scipy.spatial.transform import Rotation
 
@@ -17,7 +18,6 @@ from pcretrieve.errors import ScanReadError
 from pcretrieve.formats.trajectory import image_poses, trajectory_file
 from pcretrieve.ingestion.views import view_files
 from pcretrieve.points.register.motions import moved
-from pcretrieve.simulation import TurningOptions, turning_frames
 from pcretrieve.values import FloatArray
 
 # The camera that TUM recommends as a default, and its unit of depth; 1/m.

@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from benchmarks.shipped import N_BODIES, log_eigenvalues
 from shapes import body, points_on
 
 import pcretrieve.retrieval
@@ -14,7 +15,6 @@ from pcretrieve.options import SignatureOptions
 from pcretrieve.pipeline.process import process
 from pcretrieve.retrieval import resolution_whitening
 from pcretrieve.retrieval.resolution import N_MODES
-from pcretrieve.simulation.resolution_sample import N_BODIES, log_eigenvalues
 from pcretrieve.values import FloatArray
 
 SAMPLE = np.load(Path(pcretrieve.retrieval.__file__).with_name("resolution.npy"))

@@ -11,10 +11,8 @@ import pytest
 
 from pcretrieve.errors import InputError, OptionError
 from pcretrieve.simulation import POSES, Bone, Contact, Pose, RoundCone, Subject, body, make_subject
-from pcretrieve.simulation.contacts import close_contacts
-from pcretrieve.simulation.flesh import bone_distance
-from pcretrieve.simulation.kinematics import motions
-from pcretrieve.simulation.skin import skin
+from pcretrieve.simulation.skeleton import bone_distance, motions
+from pcretrieve.simulation.skin import close_contacts, skin
 from pcretrieve.values import FloatArray, TriangleMesh
 
 FAMILIES = sorted(POSES)

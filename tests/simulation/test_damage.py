@@ -7,11 +7,11 @@ from typing import Any
 
 import numpy as np
 import pytest
+from benchmarks.damage import DamageOptions, damaged
 from shapes import icosphere
 
 from pcretrieve.adapters.rays import RayScene
 from pcretrieve.errors import InputError, OptionError
-from pcretrieve.simulation import DamageOptions, damaged
 from pcretrieve.surface import defects
 from pcretrieve.values import TriangleMesh
 

@@ -1,0 +1,306 @@
+"""A virtual rig: depth cameras round a surface, with the errors of real depth cameras.
+
+Lengths in the options are relative to the diagonal of the bounding box of the surface, so that one rig can
+scan hands and horses. Lengths in the clouds are in the unit of the surface. The y axis points up.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pcretrieve.adapters.rays import RayScene
+from pcretrieve.errors import InputError, OptionError
+from pcretrieve.surface.sampling import uniform_points
+from pcretrieve.values import FloatArray, PointCloud, TriangleMesh
+
+
+@dataclass(frozen=True, slots=True)
+class RigOptions:
+    """Cameras at equal angles round a body, all looking at the centre of its bounding box.
+
+    elevations: tuple of float, default (5, 50, -35), angles of the cameras above the horizon, in turn;
+        degrees.
+    pixels: side of the square images, which just hold the bounding sphere; pixels.
+    max_incidence: angle between ray and normal beyond which there is no measurement; degrees.
+    flying_share: number of flying pixels, which mix the depths before and behind a depth edge; relative to
+        all pixels on depth edges.
+    flying_reach: smallest difference of depth at a depth edge, and largest distance of flying pixels behind
+        the edge; diagonals.
+    """
+
+    n_views: int = 9
+    distance: float = 1.5
+    elevations: tuple[float, ...] = (5.0, 50.0, -35.0)
+    pixels: int = 240
+    n_points: int | None = 14_000
+    noise: float = 0.001
+    max_incidence: float = 78.0
+    flying_share: float = 0.04
+    flying_reach: float = 0.02
+    n_holes: int = 4
+    hole_radius: float = 0.015
+    outlier_share: float = 0.003
+
+    def __post_init__(self) -> None:
+        check_at_least(1, n_views=self.n_views, pixels=self.pixels, elevations=len(self.elevations))
+        if self.n_points is not None:
+            check_at_least(1, n_points=self.n_points)
+        if not self.distance > 0.5:
+            raise OptionError(
+                f"distance must exceed 0.5, the radius of the bounding sphere, got {self.distance}"
+            )
+        if not all(-90 < elevation < 90 for elevation in self.elevations):
+            raise OptionError(f"elevations must lie between -90 and 90 degrees, got {self.elevations}")
+        if not 0 < self.max_incidence <= 90:
+            raise OptionError(f"max_incidence must lie between 0 and 90 degrees, got {self.max_incidence}")
+        check_at_least(0, noise=self.noise, flying_reach=self.flying_reach)
+        check_at_least(0, n_holes=self.n_holes, hole_radius=self.hole_radius)
+        check_shares(flying_share=self.flying_share, outlier_share=self.outlier_share)
+
+
+def scan_views(mesh: TriangleMesh, options: RigOptions, rng: np.random.Generator) -> list[PointCloud]:
+    """Scan a surface with each camera.
+
+    Returns list of PointCloud: one for each camera, with the position of the camera as viewpoint; in the unit
+        and the frame of the mesh.
+    """
+    check_surface(mesh)
+    scene = RayScene(mesh.vertices, mesh.faces)
+    holes, _ = uniform_points(mesh, options.n_holes, rng)
+    poses = [camera_pose(mesh, options, view) for view in range(options.n_views)]
+    seen = [_see(scene, mesh, pose, options, holes, rng) for pose in poses]
+    n_seen = sum(map(len, seen))
+    if not n_seen:
+        raise InputError(
+            "the cameras must see the surface, got no point: its faces point inwards, or the holes cover it"
+        )
+    if options.n_points is not None and options.n_points < n_seen:
+        kept = np.zeros(n_seen, dtype=bool)
+        kept[rng.choice(n_seen, options.n_points, replace=False)] = True
+        ends = np.cumsum([len(points) for points in seen])[:-1]
+        seen = [points[part] for points, part in zip(seen, np.split(kept, ends), strict=True)]
+    return [
+        PointCloud(
+            np.concatenate([points, outliers(mesh, round(options.outlier_share * len(points)), rng)]),
+            viewpoints=pose[:3, 3],
+        )
+        for pose, points in zip(poses, seen, strict=True)
+    ]
+
+
+def scan(mesh: TriangleMesh, options: RigOptions, rng: np.random.Generator) -> PointCloud:
+    """Scan a surface with all cameras."""
+    views = scan_views(mesh, options, rng)
+    return PointCloud(
+        np.concatenate([view.points for view in views]),
+        viewpoints=np.concatenate([view.viewpoints for view in views if view.viewpoints is not None]),
+    )
+
+
+def camera_pose(mesh: TriangleMesh, options: RigOptions, view: int) -> FloatArray:
+    """Position and orientation of a camera.
+
+    Returns (4, 4) float64: rigid motion from the axes of the camera (x right, y down, z ahead) to those of
+        the surface; the last column is the position of the camera.
+    """
+    azimuth = 2 * np.pi * view / options.n_views
+    elevation = np.radians(options.elevations[view % len(options.elevations)])
+    ahead = -np.array(
+        [np.cos(elevation) * np.sin(azimuth), np.sin(elevation), np.cos(elevation) * np.cos(azimuth)]
+    )
+    right = np.array([np.cos(azimuth), 0, -np.sin(azimuth)])
+    pose = np.eye(4)
+    pose[:3, :3] = np.stack([right, np.cross(ahead, right), ahead], axis=1)
+    pose[:3, 3] = box_centre(mesh) - options.distance * mesh.diagonal * ahead
+    return pose
+
+
+def _see(
+    scene: RayScene,
+    mesh: TriangleMesh,
+    pose: FloatArray,
+    options: RigOptions,
+    holes: FloatArray,
+    rng: np.random.Generator,
+) -> FloatArray:
+    """The points that one camera measures, without outliers, (n, 3)."""
+    diagonal, position = mesh.diagonal, pose[:3, 3]
+    rays = _rays(options) @ pose[:3, :3].T  # (p², 3)
+    depth, normals, _ = scene.cast(np.broadcast_to(position, rays.shape), rays)
+    cosine = -np.einsum("ij,ij->i", rays, normals)  # (p²,), negative where a face is seen from inside
+    kept = np.isfinite(depth) & (cosine > np.cos(np.radians(options.max_incidence)))
+    step = _step_behind(depth.reshape(options.pixels, -1)).ravel()[kept]  # (n,)
+    rays, depth, cosine = rays[kept], depth[kept], cosine[kept]
+
+    reach = options.flying_reach * diagonal
+    flying = (step > reach) & (rng.random(len(step)) < options.flying_share)
+    error = rng.normal(0, options.noise * diagonal, len(depth)) / cosine
+    error = np.where(flying, reach * rng.random(len(depth)), error)
+    uncovered = outside_holes(position + depth[:, None] * rays, holes, options.hole_radius * diagonal)
+    points: FloatArray = (position + (depth + error)[:, None] * rays)[uncovered]
+    return points
+
+
+def _rays(options: RigOptions) -> FloatArray:
+    """Unit directions through the pixels, (p², 3), in the axes of the camera."""
+    # The field of view is the smallest one that contains the bounding sphere.
+    half = 0.5 / np.sqrt(options.distance**2 - 0.25)  # tangent of half the field of view
+    ticks = half * (2 * np.arange(options.pixels) + 1 - options.pixels) / options.pixels  # (p,)
+    across, down = np.meshgrid(ticks, ticks)
+    rays = np.stack([across.ravel(), down.ravel(), np.ones(options.pixels**2)], axis=1)
+    rays /= np.linalg.norm(rays, axis=1, keepdims=True)
+    return rays
+
+
+def _step_behind(depth: FloatArray) -> FloatArray:
+    """The largest depth of the four neighbours of each pixel minus its own depth, (p, p); may be infinite."""
+    framed = np.pad(depth, 1, constant_values=0)
+    around = [framed[:-2, 1:-1], framed[2:, 1:-1], framed[1:-1, :-2], framed[1:-1, 2:]]
+    step: FloatArray = np.max(around, axis=0) - np.where(np.isfinite(depth), depth, 0)
+    return step
+
+
+# Number of sensor positions that are tried for each point before the point is left out as hidden. A point
+# that is visible from a twentieth of all positions is left out with a probability of 1 / 700.
+SENSOR_TRIES = 128
+
+# Largest difference between the distance of a point and the length of the ray to it, if no other part of the
+# surface is between; relative to the distance.
+SAME_PLACE = 1e-3
+
+
+@dataclass(frozen=True, slots=True)
+class UniformOptions:
+    """Options of a uniform scan. Lengths are relative to the diagonal of the surface."""
+
+    n_points: int = 30_000
+    noise: float = 0.001
+    n_holes: int = 6
+    hole_radius: float = 0.02
+    outlier_share: float = 0.003
+    sensors: bool = False
+
+    def __post_init__(self) -> None:
+        check_at_least(1, n_points=self.n_points)
+        check_at_least(0, noise=self.noise, n_holes=self.n_holes, hole_radius=self.hole_radius)
+        check_shares(outlier_share=self.outlier_share)
+
+
+def scan_uniformly(mesh: TriangleMesh, options: UniformOptions, rng: np.random.Generator) -> PointCloud:
+    """Random points of a surface, uniform by area, with isotropic Gaussian noise, holes and outliers.
+
+    Returns PointCloud: the points; unit of the mesh. With viewpoints if ``options.sensors``.
+    """
+    check_surface(mesh)
+    points, _ = uniform_points(mesh, options.n_points, rng)
+    centres, _ = uniform_points(mesh, options.n_holes, rng)
+    points = points[outside_holes(points, centres, options.hole_radius * mesh.diagonal)]
+    noisy = points + rng.normal(0, options.noise * mesh.diagonal, points.shape)
+    strange = outliers(mesh, round(options.outlier_share * options.n_points), rng)
+    cloud = PointCloud(np.concatenate([noisy, strange]))
+    if not options.sensors:
+        return cloud
+    sensors, seen = _sensors(mesh, points, rng)
+    # An outlier is on no surface: any sensor may have measured it.
+    viewpoints = np.concatenate([sensors, _around(mesh, len(strange), rng)])
+    kept = np.concatenate([seen, np.ones(len(strange), dtype=bool)])
+    return replace(cloud, viewpoints=viewpoints).select(kept)
+
+
+def _sensors(
+    mesh: TriangleMesh, points: FloatArray, rng: np.random.Generator
+) -> tuple[FloatArray, NDArray[np.bool_]]:
+    """Random sensor positions round a surface, one for each point, from which the point is visible.
+
+    A sensor measures a point with a probability equal to the cosine of the angle of incidence, because the
+    density of pixels on an inclined surface is proportional to it.
+
+    points: (n, 3) float64, points of the surface.
+    Returns sensors : (n, 3) float64: positions.
+    Returns seen : (n,) bool: whether the sensor measures the point; False if none of `SENSOR_TRIES` positions
+        does.
+    """
+    scene = RayScene(mesh.vertices, mesh.faces)
+    steepest = np.cos(np.radians(RigOptions().max_incidence))
+    sensors = np.empty_like(points)
+    hidden = np.arange(len(points))
+    for _ in range(SENSOR_TRIES):
+        sensors[hidden] = _around(mesh, len(hidden), rng)
+        rays = points[hidden] - sensors[hidden]  # (h, 3)
+        reached, normals, _ = scene.cast(sensors[hidden], rays)  # in lengths of the rays
+        cosine = -np.einsum("ij,ij->i", rays, normals) / np.linalg.norm(rays, axis=1)
+        taken = (np.abs(reached - 1) < SAME_PLACE) & (cosine > np.maximum(steepest, rng.random(len(hidden))))
+        hidden = hidden[~taken]
+    seen = np.ones(len(points), dtype=bool)
+    seen[hidden] = False
+    return sensors, seen
+
+
+def _around(mesh: TriangleMesh, n: int, rng: np.random.Generator) -> FloatArray:
+    """Random positions of sensors, (n, 3), uniform on a sphere round the surface."""
+    directions = rng.standard_normal((n, 3))
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    positions: FloatArray = box_centre(mesh) + RigOptions().distance * mesh.diagonal * directions
+    return positions
+
+
+# Outliers lie in the bounding box of the surface, enlarged by this factor about its centre.
+OUTLIER_BOX = 1.2
+
+
+def outside_holes(points: FloatArray, centres: FloatArray, radius: float) -> NDArray[np.bool_]:
+    """Find the points outside all holes of a scan.
+
+    points: (n, 3) float64, points of the surface.
+    centres: (h, 3) float64, centres of the holes, which are balls.
+    radius: radius of the holes; unit of the points.
+    Returns (n,) bool: whether each point is in no hole.
+    """
+    outside = np.ones(len(points), dtype=bool)
+    for centre in centres:
+        outside &= np.linalg.norm(points - centre, axis=1) >= radius
+    return outside
+
+
+def outliers(mesh: TriangleMesh, n: int, rng: np.random.Generator) -> FloatArray:
+    """Random points in the bounding box of a surface, enlarged by a fifth.
+
+    Returns (n, 3) float64: in the unit of the mesh.
+    """
+    extent = np.ptp(mesh.vertices, axis=0)
+    points: FloatArray = box_centre(mesh) + OUTLIER_BOX * extent * rng.uniform(-0.5, 0.5, (n, 3))
+    return points
+
+
+def box_centre(mesh: TriangleMesh) -> FloatArray:
+    """Centre of the bounding box of a surface.
+
+    Returns (3,) float64: in the unit of the mesh.
+    """
+    centre: FloatArray = (mesh.vertices.min(axis=0) + mesh.vertices.max(axis=0)) / 2
+    return centre
+
+
+def check_surface(mesh: TriangleMesh) -> None:
+    """Check that there is a surface to scan."""
+    if not (len(mesh.faces) and mesh.area > 0):
+        raise InputError(
+            f"a scan needs a surface with area, got {len(mesh.faces)} faces without: take another mesh"
+        )
+
+
+def check_at_least(bound: int, **options: float) -> None:
+    """Check that options are not too small."""
+    for name, value in options.items():
+        if not value >= bound:
+            raise OptionError(f"{name} must be at least {bound}, got {value}")
+
+
+def check_shares(**options: float) -> None:
+    """Check that options are shares."""
+    for name, value in options.items():
+        if not 0 <= value <= 1:
+            raise OptionError(f"{name} must be a share between 0 and 1, got {value}")

@@ -1,0 +1,644 @@
+"""Scan clean meshes virtually, reconstruct them, and print the errors against the clean meshes.
+
+The clean mesh is the ground truth for the normals, the surface and the signature of its scan. Every run
+prints the same numbers, except for times, because every scan has a random generator. A scan takes
+about 4 seconds, a third of them for the measurements: 13 minutes for the 176 meshes of both sets under one
+condition, on one core.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import io
+import json
+import os
+import statistics
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import closing
+from dataclasses import asdict, dataclass, fields
+from functools import partial
+from pathlib import Path
+from typing import Any, NamedTuple, TypeVar
+
+import numpy as np
+from scipy.spatial import cKDTree
+from tqdm import tqdm
+
+from benchmarks.measuring import (
+    Column,
+    Table,
+    add_data,
+    argument_parser,
+    forget_peak,
+    is_missing,
+    peak_memory,
+    positive,
+    print_lines,
+    progress,
+    use_one_core,
+)
+from benchmarks.sets import CONDITIONS, DEFECTS, SETS, Item, spread, write_scan
+from pcretrieve.adapters import lapy, tetwild
+from pcretrieve.adapters.open3d import (
+    estimate_normals,
+    orient_by_tangent_planes,
+    poisson,
+    statistical_inliers,
+)
+from pcretrieve.adapters.rays import RayScene
+from pcretrieve.atomic import write_file
+from pcretrieve.descriptors import describe
+from pcretrieve.errors import BenchmarkError, InputError, PcretrieveError
+from pcretrieve.evaluation import evaluate_table
+from pcretrieve.formats import read_scan
+from pcretrieve.ingestion import Isolation
+from pcretrieve.options import PipelineOptions, RetrievalOptions, WhiteningKind
+from pcretrieve.pipeline.process import process, signature
+from pcretrieve.points import clean, oriented_normals
+from pcretrieve.retrieval import log_signatures, resolution_whitening
+from pcretrieve.retrieval.resolution import is_measured
+from pcretrieve.spectral import eigenpairs, laplace_beltrami
+from pcretrieve.surface import defects
+from pcretrieve.surface.remesh import boundary_faces
+from pcretrieve.surface.sampling import uniform_points
+from pcretrieve.surface.topology import compact
+from pcretrieve.values import FloatArray, PointCloud, Shape, SignatureTable, TriangleMesh
+
+EPILOG = """example:
+  scripts/benchmark_fidelity --set humans --limit 10
+  scripts/benchmark_fidelity --conditions typical-uniform harsh-rig --config mine.toml --name mine --csv f.csv
+
+conditions:
+  easy|typical|harsh - uniform|rig          points only, uniform or seen by nine cameras
+  easy|typical|harsh - uniform|rig-sensors  the same, with the sensor position of each point
+  defects                                   the clean mesh with holes, flipped and duplicate faces, and
+                                            self-intersections
+"""
+
+# Euler characteristic of every mesh of both sets, if its holes are closed.
+SPHERE = 2
+
+# Largest number of meshes that --rescans scans repeatedly.
+N_RESCANNED = 5
+
+
+class Scans(NamedTuple):
+    """The scans of one set under one condition."""
+
+    set: str
+    condition: str
+    items: list[Item]
+    paths: list[Path]
+    again: list[list[Path]]
+    timed: list[int]
+    textbook: list[float]
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Print the table."""
+    given = _parser().parse_args(arguments)
+    for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
+        os.environ[name] = "1"  # for the workers, which have not imported numpy yet
+    if given.workers == 1:
+        use_one_core()
+    try:
+        print_lines(_run(given, _configurations(given)))
+    except PcretrieveError as error:
+        sys.exit(str(error))
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argument_parser(__doc__, EPILOG)
+    add = parser.add_argument
+    add("--set", action="append", choices=SETS, help="one set only; may be repeated (default: all)")
+    add_data(parser)
+    add(
+        "--conditions",
+        nargs="+",
+        choices=CONDITIONS,
+        default=["typical-uniform"],
+        metavar="NAME",
+        help="see below",
+    )
+    add("--config", action="append", type=Path, default=[], metavar="TOML|PRESET", help="may be repeated")
+    add(
+        "--name",
+        action="append",
+        help="name of a configuration, in the order of --config (default: name of the file)",
+    )
+    add("--limit", type=positive, metavar="N", help="scan N meshes only, evenly spread over the set")
+    add(
+        "--rescans",
+        type=positive,
+        default=0,
+        metavar="N",
+        help="scan a few meshes N times and print the spread",
+    )
+    add("--textbook", type=positive, default=0, metavar="K", help="time the textbook pipeline on K scans")
+    add("--csv", type=Path, metavar="FILE", help="append the rows to this file")
+    add(
+        "--workers",
+        type=positive,
+        default=1,
+        metavar="N",
+        help="processes; times mean something for one only (default: 1)",
+    )
+    return parser
+
+
+def _configurations(given: argparse.Namespace) -> dict[str, PipelineOptions]:
+    """Options by name, all with R-BiHDM signatures of one length, which earlier tables have too."""
+    loaded = [PipelineOptions.named(name) for name in given.config] or [PipelineOptions()]
+    names = given.name or [path.stem for path in given.config] or ["default"]
+    if not len(set(names)) == len(names) == len(loaded):
+        raise InputError(f"configurations must have distinct names, one for each, got {', '.join(names)}")
+    return {
+        name: options.changed(signature={"method": "r-bihdm", "n_values": N_VALUES})
+        for name, options in zip(names, loaded, strict=True)
+    }
+
+
+def _run(given: argparse.Namespace, configurations: dict[str, PipelineOptions]) -> Iterator[str]:
+    """Lines of every set under every condition with every configuration, as soon as they are known."""
+    for name in given.set or SETS:
+        items = SETS[name](given.data, given.limit)
+        truths = {
+            label: _truth(name, items, options, given.workers) for label, options in configurations.items()
+        }
+        yield f"{name}:"
+        yield TABLE.head
+        for condition in given.conditions:
+            with tempfile.TemporaryDirectory() as folder:
+                scans = _scanned(name, items, condition, given, Path(folder))
+                for label, options in configurations.items():
+                    row = _row(scans, label, options, truths[label], given.workers)
+                    yield from row.lines()
+                    if given.csv:
+                        append(given.csv, row)
+
+
+def _truth(name: str, items: list[Item], options: PipelineOptions, workers: int) -> Signatures:
+    """Signatures of the clean meshes of a set."""
+    arguments = [(item.mesh, options) for item in items]
+    signed = answers(f"{name}: clean meshes", clean_signatures, arguments, workers=workers)
+    done = [one for one in signed if one]
+    if len(done) < len(signed):
+        raise BenchmarkError(
+            f"every clean mesh of {name} must have a signature, got none of {len(signed) - len(done)}"
+        )
+    return stacked(done)
+
+
+def _scanned(name: str, items: list[Item], condition: str, given: argparse.Namespace, folder: Path) -> Scans:
+    """Scan every mesh of a set, scan some of them repeatedly, and time the textbook pipeline on some."""
+    title = f"{name} {condition}"
+    paths = [
+        write_scan(folder / item.name, item.mesh, condition, np.random.default_rng(item.number))
+        for item in progress(items, f"{title}: scanning")
+    ]
+    again = [
+        [
+            write_scan(
+                folder / f"{item.name}-{take}",
+                item.mesh,
+                condition,
+                np.random.default_rng((item.number, take)),
+            )
+            # From 1, because the seed (n, 0) is equivalent to n, the seed of the first scan.
+            for take in range(1, given.rescans + 1)
+        ]
+        for _, item in progress(spread(items, N_RESCANNED), f"{title}: scanning again")
+    ]
+    # The textbook pipeline begins with points, which a damaged mesh does not have.
+    timed = [] if condition == DEFECTS else [k for k, _ in spread(paths, given.textbook)]
+    arguments = [(paths[k], TIMEOUT) for k in timed]
+    seconds = answers(f"{title}: textbook", textbook_seconds, arguments, workers=1)
+    return Scans(name, condition, items, paths, again, timed, [s for s in seconds if s is not None])
+
+
+def _row(scans: Scans, name: str, options: PipelineOptions, truth: Signatures, workers: int) -> Row:
+    """Run one configuration on the scans of one condition; `truth` has the clean signatures."""
+    title, n = f"{scans.set} {scans.condition} {name}", len(scans.items)
+    arguments = [(path, item.mesh, options) for path, item in zip(scans.paths, scans.items, strict=True)]
+    examined: list[Examination | None] = answers(title, examine, arguments, workers=workers)
+    again = [(path, options) for own in scans.again for path in own]
+    signed = iter(answers(f"{title} again", signature, again, workers=workers))
+    repeats = [[one.values for _ in own if (one := next(signed))] for own in scans.again]
+    rows = [k for k, answer in enumerate(examined) if answer]
+    done = [answer for answer in examined if answer]
+    found = stacked([answer.signatures for answer in done])
+    errors = np.linalg.norm(np.log(found.relative / truth.relative[rows]), axis=1).tolist()
+    stages = dict.fromkeys(stage for answer in done for stage in answer.stages)
+    textbook = median(scans.textbook)
+    clean = retrieval(truth, scans.items, range(n), options)._asdict()
+    return Row(
+        set=scans.set,
+        condition=scans.condition,
+        name=name,
+        digest=options.digest,
+        scans=n,
+        failed=n - len(done),
+        normals_right=mean(answer.normals for answer in done if answer.normals is not None),
+        closed=sum(answer.closed for answer in done) / n,
+        euler_right=sum(answer.euler == SPHERE for answer in done) / n,
+        distance_mean=median(answer.mean for answer in done),
+        distance_hausdorff=median(answer.hausdorff for answer in done),
+        log_error_median=median(errors),
+        log_error_mean=mean(errors),
+        **retrieval(found, scans.items, rows, options)._asdict(),
+        **{f"clean_{measure}": value for measure, value in clean.items()},
+        seconds=median(answer.seconds for answer in done),
+        processor_seconds=median(answer.processor for answer in done),
+        stages=json.dumps({s: round(median(a.stages.get(s, 0.0) for a in done), 4) for s in stages}),
+        peak_mib=max((answer.peak for answer in done), default=NAN),
+        rescan_spread=relative_spread(repeats, found.values, [scans.items[k].label for k in rows]),
+        textbook_seconds=textbook,
+        textbook_ratio=textbook / median(a.seconds for k in scans.timed if (a := examined[k])),
+    )
+
+
+NAN = float("nan")
+
+
+class Retrieval(NamedTuple):
+    """Nearest-neighbour score and mean average precision (mAP) of some signatures."""
+
+    nn: float
+    map: float
+    nn_relative: float
+    map_relative: float
+    nn_pca: float
+    map_pca: float
+    nn_within: float
+    map_within: float
+    nn_sized: float
+    map_sized: float
+    nn_resolution: float
+    map_resolution: float
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """One set under one condition with one choice of options: the columns of the CSV file.
+
+    Fractions are relative to all scans, including scans that failed, except for `normals_right`. Distances
+    are relative to the diagonal; distances and seconds are medians over the scans that did not fail. Errors
+    are of log-signatures with the scale relative; the spread of rescans is of signatures by the options of
+    the configuration. Values that were not or cannot be measured are NaN.
+    """
+
+    set: str
+    condition: str
+    name: str
+    digest: str
+    scans: int
+    failed: int
+    normals_right: float
+    closed: float
+    euler_right: float
+    distance_mean: float
+    distance_hausdorff: float
+    log_error_median: float
+    log_error_mean: float
+    nn: float
+    map: float
+    nn_within: float
+    map_within: float
+    clean_nn: float
+    clean_map: float
+    clean_nn_within: float
+    clean_map_within: float
+    seconds: float
+    stages: str
+    peak_mib: float
+    rescan_spread: float
+    textbook_seconds: float
+    textbook_ratio: float
+    nn_relative: float
+    map_relative: float
+    nn_pca: float
+    map_pca: float
+    clean_nn_relative: float
+    clean_map_relative: float
+    clean_nn_pca: float
+    clean_map_pca: float
+    nn_resolution: float
+    map_resolution: float
+    clean_nn_resolution: float
+    clean_map_resolution: float
+    nn_sized: float
+    map_sized: float
+    clean_nn_sized: float
+    clean_map_sized: float
+    processor_seconds: float
+
+    def lines(self) -> Iterator[str]:
+        """A line of `TABLE`, and further lines with the values that are not in the table."""
+        values = asdict(self)
+        yield TABLE.row(*(values[name] for name in SHOWN))
+        yield (
+            f"    clean meshes: NN {self.clean_nn:.3f}, mAP {self.clean_map:.3f}, "
+            f"within-class NN {self.clean_nn_within:.3f}, mAP {self.clean_map_within:.3f}"
+        )
+        stages = json.loads(self.stages)
+        total = sum(stages.values())
+        yield "    " + ", ".join(f"{stage} {s:.2f} s ({s / total:.1%})" for stage, s in stages.items())
+        if not is_missing(self.processor_seconds):
+            yield f"    processor time of a scan: {self.processor_seconds:.2f} s"
+        if not is_missing(self.rescan_spread):
+            yield f"    spread of rescans / distance to the nearest other class: {self.rescan_spread:.3f}"
+        if not is_missing(self.textbook_ratio):
+            ratio = f"{self.textbook_ratio:.1f} times as long as pcretrieve"
+            yield f"    textbook: median {self.textbook_seconds:.1f} s, {ratio}"
+
+
+# Columns that are printed.
+SHOWN = {
+    "condition": Column("condition", 23, align="<"),
+    "name": Column("options", 12, align="<"),
+    "scans": Column("scans", 8),
+    "failed": Column("failed", 8),
+    "normals_right": Column("normals", 8, ".2%"),
+    "closed": Column("closed", 8, ".1%"),
+    "euler_right": Column("Euler", 8, ".1%"),
+    "distance_mean": Column("distance", 8, ".3%"),
+    "distance_hausdorff": Column("Hausd.", 8, ".2%"),
+    "log_error_median": Column("log err", 8, ".3f"),
+    "log_error_mean": Column("(mean)", 8, ".3f"),
+    "nn": Column("NN", 8, ".3f"),
+    "map": Column("mAP", 8, ".3f"),
+    "nn_relative": Column("rel. NN", 8, ".3f"),
+    "map_relative": Column("rel. mAP", 8, ".3f"),
+    "nn_pca": Column("pca NN", 8, ".3f"),
+    "map_pca": Column("pca mAP", 8, ".3f"),
+    "nn_within": Column("w-c NN", 8, ".3f"),
+    "map_within": Column("w-c mAP", 8, ".3f"),
+    "nn_resolution": Column("res. NN", 8, ".3f"),
+    "map_resolution": Column("res. mAP", 8, ".3f"),
+    "nn_sized": Column("size NN", 8, ".3f"),
+    "map_sized": Column("size mAP", 8, ".3f"),
+    "seconds": Column("time/s", 8, ".2f"),
+    "peak_mib": Column("MiB", 8, ".0f"),
+}
+TABLE = Table(*SHOWN.values())
+
+
+def append(path: Path, row: Row) -> None:
+    """Append a row to a CSV file. If the file does not exist, the header is written first."""
+    before = path.read_bytes() if path.exists() else b""
+    text = io.StringIO(newline="")
+    writer = csv.DictWriter(text, [field.name for field in fields(Row)], lineterminator="\n")
+    if not before:
+        writer.writeheader()
+    writer.writerow(asdict(row))
+    write_file(path, before + text.getvalue().encode())
+
+
+def retrieval(
+    known: Signatures, items: Sequence[Item], rows: Sequence[int], options: PipelineOptions
+) -> Retrieval:
+    """Retrieval measures of the items of a set."""
+    labels = [item.label for item in items]
+    failed = {f"failed {k}": labels[k] for k in set(range(len(items))).difference(rows)}
+    names, classes = tuple(items[k].name for k in rows), tuple(labels[k] for k in rows)
+    ways: list[tuple[WhiteningKind, FloatArray]] = [
+        ("none", known.values),
+        ("none", known.relative),
+        ("pca", known.longer),
+        ("within-class", known.values),
+        ("none", known.sized),
+    ]
+    form = options.changed(signature={"size_weight": 0}).signature
+    if is_measured(form):
+        ways.append(("resolution", known.values))
+    found = []
+    for whitening, values in ways:
+        table = SignatureTable(names, values, kind="scan", labels=classes)
+        try:
+            made = resolution_whitening(form) if whitening == "resolution" else None
+            chosen = RetrievalOptions(whitening=whitening)
+            measures = evaluate_table(table, chosen, whitening=made, failed=failed)
+            found += [measures.nn, measures.map]
+        except InputError:
+            found += [NAN, NAN]
+    return Retrieval(*found, *[NAN] * (len(Retrieval._fields) - len(found)))
+
+
+def relative_spread(repeats: list[list[FloatArray]], values: FloatArray, labels: list[str]) -> float:
+    """Spread of the signatures of repeated scans, relative to the distance of the nearest other class.
+
+    repeats: list of lists of (L,) float64, signatures of the repeated scans of some bodies, a list for each
+        body.
+    values: (n, L) float64, signatures of one scan of every body.
+    """
+    logs = [log_signatures(np.array(own)) for own in repeats if own]  # (r, L) each
+    within = [d for own in logs for d in np.linalg.norm(own - own.mean(axis=0), axis=1).tolist()]
+    everybody, classes = log_signatures(values), np.array(labels)
+    between = np.linalg.norm(everybody[:, None] - everybody, axis=2)  # (n, n)
+    between[classes[:, None] == classes] = np.inf
+    return median(within) / median(between.min(axis=1, initial=np.inf).tolist())
+
+
+def mean(values: Iterable[float]) -> float:
+    """Arithmetic mean."""
+    found = list(values)
+    return statistics.fmean(found) if found else NAN
+
+
+def median(values: Iterable[float]) -> float:
+    """Median."""
+    found = list(values)
+    return statistics.median(found) if found else NAN
+
+
+# Lengths of the signatures that are compared, independent of the configuration: the length in the paper, and
+# all values that 61 eigenpairs give, for PCA whitening.
+N_VALUES = 23
+N_LONGER = 60
+
+# Weight of the size in the signatures that include the size.
+SIZE_WEIGHT = PipelineOptions.preset("body-scanner").signature.size_weight
+
+# Number of random points on each of two surfaces from which the distance to the other surface is computed.
+# Their spacing on a body is about .001 of the diagonal.
+N_PROBES = 100_000
+
+
+class Signatures(NamedTuple):
+    """The signatures of one shape, (L,) each, or of many shapes, (n, L) each."""
+
+    values: FloatArray
+    relative: FloatArray
+    longer: FloatArray
+    sized: FloatArray
+
+
+class Examination(NamedTuple):
+    """The result of one scan. Lengths are relative to the diagonal of the clean mesh.
+
+    peak: largest resident memory during these seconds, of the process and its descendants; MiB.
+    """
+
+    signatures: Signatures
+    seconds: float
+    processor: float
+    stages: dict[str, float]
+    peak: float
+    normals: float | None
+    closed: bool
+    euler: int
+    mean: float
+    hausdorff: float
+
+
+def examine(path: Path, truth: TriangleMesh, options: PipelineOptions) -> Examination:
+    """Process one scan, and compare the surface and the normals with the clean mesh."""
+    forget_peak()
+    started, processor = time.perf_counter(), time.process_time()
+    shape = process(path, options)
+    describe(shape, options.signature)
+    seconds, processor = time.perf_counter() - started, time.process_time() - processor
+    peak = peak_memory()
+    stages: dict[str, float] = {}
+    for step in shape.provenance:
+        stages[step.stage] = stages.get(step.stage, 0.0) + step.seconds
+    rng = np.random.default_rng(0)
+    on_surface, _ = _probes(shape.mesh, rng)
+    on_truth, true_normals = _probes(truth, rng)
+    distances = [
+        RayScene(mesh.vertices, mesh.faces).distance(points) / truth.diagonal
+        for mesh, points in ((truth, on_surface), (shape.mesh, on_truth))
+    ]
+    return Examination(
+        signatures=_signatures(shape, options),
+        seconds=seconds,
+        processor=processor,
+        stages=stages,
+        peak=peak,
+        normals=_right_normals(path, on_truth, true_normals, options),
+        closed=not defects(shape.mesh),
+        euler=shape.mesh.euler_characteristic,
+        mean=float(np.mean([part.mean() for part in distances])),
+        hausdorff=float(max(part.max() for part in distances)),
+    )
+
+
+def clean_signatures(mesh: TriangleMesh, options: PipelineOptions) -> Signatures:
+    """The signatures of a mesh without reconstruction."""
+    return _signatures(process(mesh, options.changed(surface={"mode": "keep"})), options)
+
+
+def stacked(many: Sequence[Signatures]) -> Signatures:
+    """The signatures of many shapes."""
+    lengths = (N_VALUES, N_VALUES, N_LONGER, N_VALUES + 1)
+    return Signatures(
+        *(np.array([one[k] for one in many]).reshape(-1, length) for k, length in enumerate(lengths))
+    )
+
+
+def _signatures(shape: Shape, options: PipelineOptions) -> Signatures:
+    form, relative = {"size_weight": 0}, {"size_weight": 0, "scale": "relative"}
+    changes: list[dict[str, Any]] = [
+        form,
+        relative,
+        relative | {"n_values": N_LONGER},
+        {"size_weight": SIZE_WEIGHT},
+    ]
+    chosen = [options.changed(signature=change).signature for change in changes]
+    return Signatures(*(describe(shape, signature).values for signature in chosen))
+
+
+def _right_normals(
+    path: Path, places: FloatArray, normals: FloatArray, options: PipelineOptions
+) -> float | None:
+    """The fraction of the filtered points whose normal n agrees with the true normal m: n · m > 0.
+
+    places, normals: (n, 3) float64, points of the clean mesh, and their normals. The true normal of a
+        filtered point is that of the nearest of these points.
+    """
+    cloud = read_scan(path)
+    if not isinstance(cloud, PointCloud):
+        return None
+    oriented = oriented_normals(clean(cloud, options.scan), options.scan)
+    _, nearest = cKDTree(places).query(oriented.points)
+    agreement = np.einsum("ij,ij->i", np.asarray(oriented.normals), normals[nearest])
+    return float((agreement > 0).mean())
+
+
+def _probes(mesh: TriangleMesh, rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
+    """Points of a surface, uniform by area, and the unit normals there: (`N_PROBES`, 3) each."""
+    points, faces = uniform_points(mesh, N_PROBES, rng)
+    normals = mesh.area_vectors[faces]
+    return points, normals / np.linalg.norm(normals, axis=1, keepdims=True)
+
+
+Answer = TypeVar("Answer")
+
+# Longest time for one scan; seconds. fTetWild with its defaults takes minutes for a fine surface.
+TIMEOUT = 900.0
+
+
+def answers(
+    title: str, function: Callable[..., Answer], arguments: Sequence[tuple[object, ...]], *, workers: int
+) -> list[Answer | None]:
+    """Call a function once for each tuple of arguments, each in a process."""
+    found: list[Answer | None] = [None] * len(arguments)
+    running = Isolation(TIMEOUT).each(partial(_called, function), enumerate(arguments), workers=workers)
+    with closing(running):
+        for (number, given), outcome in tqdm(running, title, len(arguments), disable=None, leave=False):
+            if isinstance(outcome, PcretrieveError):
+                place = given[0].name if isinstance(given[0], Path) else "a mesh"
+                tqdm.write(f"{title}: {place}: {type(outcome).__name__}: {outcome}", file=sys.stderr)
+            else:
+                found[number] = outcome
+    return found
+
+
+def _called(function: Callable[..., Answer], numbered: tuple[int, tuple[object, ...]]) -> Answer:
+    return function(*numbered[1])
+
+
+# Parameters for which the libraries have no default.
+OUTLIER_NEIGHBORS, OUTLIER_RATIO, TANGENT_NEIGHBORS, DEPTH, N_PAIRS = 20, 2.0, 30, 8, 61
+
+# Defaults of Open3D: neighbours of a plane, size of the octree's cube relative to the points' bounding cube.
+PLANE_NEIGHBORS, CUBE = 30, 1.1
+
+# Defaults of fTetWild: edge length and envelope, relative to the diagonal.
+EDGE_LENGTH, ENVELOPE = 0.05, 1e-3
+
+
+def textbook_seconds(path: Path, timeout: float) -> float:
+    """Wall-clock time of a textbook pipeline, from a file of points to 61 eigenpairs.
+
+    Its stages are statistical outlier removal, normals oriented by tangent planes, Poisson reconstruction,
+    fTetWild with its defaults, and LaPy on the boundary of the tetrahedra; if LaPy is not installed,
+    `eigenpairs`.
+
+    timeout: longest time that fTetWild may take; seconds.
+    Returns float: time in seconds.
+    """
+    tetwild.start()
+    started = time.perf_counter()
+    cloud = read_scan(path)
+    if not isinstance(cloud, PointCloud):
+        raise BenchmarkError(f"the textbook pipeline begins with points, got a mesh: {path}")
+    points = cloud.points[
+        statistical_inliers(cloud.points, n_neighbors=OUTLIER_NEIGHBORS, std_ratio=OUTLIER_RATIO)
+    ]
+    normals = estimate_normals(points, n_neighbors=PLANE_NEIGHBORS)
+    normals = orient_by_tangent_planes(points, normals, n_neighbors=TANGENT_NEIGHBORS)
+    vertices, faces, _ = poisson(points, normals, depth=DEPTH, scale=CUBE)
+    nodes, tetrahedra = tetwild.tetrahedralize(
+        vertices, faces, edge_length=EDGE_LENGTH, envelope=ENVELOPE, optimize=True, timeout=timeout
+    )
+    boundary = compact(nodes, boundary_faces(nodes, tetrahedra))
+    if lapy.is_installed():
+        lapy.eigenvalues(boundary.vertices, boundary.faces, N_PAIRS)
+    else:
+        eigenpairs(laplace_beltrami(boundary), N_PAIRS)
+    return time.perf_counter() - started

@@ -1,0 +1,223 @@
+"""Wall-clock times on one core, of functions that are called alternately."""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import os
+import re
+import statistics
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import astuple
+from pathlib import Path
+from typing import NamedTuple, TypeVar
+
+import click
+from tqdm import tqdm
+
+from pcretrieve.errors import BenchmarkError
+from pcretrieve.evaluation import RetrievalMeasures
+
+Result = TypeVar("Result")
+
+
+class Timing(NamedTuple):
+    """Wall-clock times of one function."""
+
+    seconds: list[float]
+
+    @property
+    def median(self) -> float:
+        """Median time of a call; seconds."""
+        return statistics.median(self.seconds)
+
+    @property
+    def best(self) -> float:
+        """Shortest time of a call; seconds."""
+        return min(self.seconds)
+
+
+def timed(function: Callable[[], Result]) -> tuple[float, Result]:
+    """Call a function once and take the time."""
+    started = time.perf_counter()
+    result = function()
+    return time.perf_counter() - started, result
+
+
+def timed_by_turns(functions: Sequence[Callable[[], Result]], n_repeats: int) -> list[tuple[Timing, Result]]:
+    """Call each function in turn, `n_repeats` times over, so that other load on the machine slows all alike.
+
+    Returns list of (Timing, result): the times of each function, and the result of its first call.
+    """
+    calls = [[timed(function) for function in functions] for _ in range(n_repeats)]
+    return [(Timing([seconds for seconds, _ in own]), own[0][1]) for own in zip(*calls, strict=True)]
+
+
+def use_one_core() -> None:
+    """Confine this process, and those that it starts, to one core, if the operating system can do so."""
+    if hasattr(os, "sched_setaffinity"):
+        os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})
+
+
+KIB = 1 << 10
+MIB = 1 << 20
+
+
+def resident_memory(pid: int) -> float:
+    """Resident memory of a process and its descendants at this moment."""
+    page = os.sysconf("SC_PAGE_SIZE")
+    pages = 0
+    for member in _tree(pid):
+        with contextlib.suppress(OSError, IndexError):
+            pages += int(Path(f"/proc/{member}/statm").read_text().split()[1])
+    return pages * page / MIB
+
+
+def forget_peak() -> None:
+    """Reset the kernel's record of the largest resident memory of this process and its descendants."""
+    for pid in _tree(os.getpid()):
+        with contextlib.suppress(OSError):
+            Path(f"/proc/{pid}/clear_refs").write_text("5")
+
+
+def peak_memory() -> float:
+    """Largest resident memory of this process and its descendants since `forget_peak`."""
+    kib = 0
+    for pid in _tree(os.getpid()):
+        with contextlib.suppress(OSError):
+            found = re.search(r"VmHWM:\s*(\d+) kB", Path(f"/proc/{pid}/status").read_text())
+            kib += int(found[1]) if found else 0
+    return kib / KIB or float("nan")
+
+
+def _tree(pid: int) -> list[int]:
+    """A process and its descendants."""
+    try:
+        children = Path(f"/proc/{pid}/task/{pid}/children").read_text().split()
+    except OSError:
+        return [pid]
+    return [pid, *(descendant for child in children for descendant in _tree(int(child)))]
+
+
+# Interval at which the memory of a running command is read; seconds.
+POLL_SECONDS = 0.02
+
+
+def run_command(*arguments: str) -> tuple[float, float]:
+    """Run ``pcretrieve`` in a process of its own, and discard its standard output."""
+    started = time.perf_counter()
+    process = subprocess.Popen([sys.executable, "-m", "pcretrieve", *arguments], stdout=subprocess.DEVNULL)
+    peak = 0.0
+    finished = threading.Event()
+
+    def watch() -> None:
+        nonlocal peak
+        while not finished.wait(POLL_SECONDS):
+            peak = max(peak, resident_memory(process.pid))
+
+    watcher = threading.Thread(target=watch)
+    watcher.start()
+    code = process.wait()
+    seconds = time.perf_counter() - started
+    finished.set()
+    watcher.join()
+    if code:
+        raise BenchmarkError(f"pcretrieve {' '.join(arguments)} ended with exit code {code}, not 0")
+    return seconds, peak
+
+
+Thing = TypeVar("Thing")
+
+
+def progress(things: Sequence[Thing], title: str) -> Iterable[Thing]:
+    """Iterate with a progress bar on standard error, if that is a terminal."""
+    return tqdm(things, desc=title, disable=None, leave=False)
+
+
+# Titles of the measures, in the order of the first fields of `RetrievalMeasures`.
+MEASURES = ("NN", "FT", "ST", "E", "DCG", "mAP")
+
+
+class Column(NamedTuple):
+    """One column of a table."""
+
+    title: str
+    width: int
+    format: str = ""
+    align: str = ">"
+
+
+class Table:
+    """Lines of columns that are separated by one space."""
+
+    def __init__(self, *columns: Column) -> None:
+        self.columns = columns
+
+    @property
+    def head(self) -> str:
+        """The line of the titles."""
+        return self._line(column.title for column in self.columns)
+
+    def row(self, *values: object) -> str:
+        """Format the values of one line."""
+        return self._line(
+            self._cell(column, value) for column, value in zip(self.columns, values, strict=True)
+        )
+
+    @staticmethod
+    def _cell(column: Column, value: object) -> str:
+        if is_missing(value):
+            return "-"
+        return value if isinstance(value, str) else format(value, column.format)
+
+    def _line(self, cells: Iterable[str]) -> str:
+        padded = (
+            f"{cell:{column.align}{column.width}}" for column, cell in zip(self.columns, cells, strict=True)
+        )
+        return " ".join(padded).rstrip()
+
+
+def is_missing(value: object) -> bool:
+    """Whether a value was not measured."""
+    return value is None or value != value
+
+
+def measure_values(measures: RetrievalMeasures) -> tuple[float, ...]:
+    """The values of the measures in `MEASURES`."""
+    return tuple(astuple(measures)[: len(MEASURES)])
+
+
+def print_lines(lines: Iterable[str]) -> None:
+    """Print each line on standard output as soon as it is computed."""
+    for line in lines:
+        click.echo(line)
+
+
+def argument_parser(description: str | None, epilog: str | None = None) -> argparse.ArgumentParser:
+    """A parser whose help prints the description, a module's docstring, with its line breaks."""
+    return argparse.ArgumentParser(
+        description=description, epilog=epilog, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+
+
+def add_data(parser: argparse.ArgumentParser) -> None:
+    """Add ``--data``, the folder that has a subfolder for each data set."""
+    parser.add_argument(
+        "--data",
+        type=Path,
+        default=Path("data"),
+        metavar="FOLDER",
+        help="folder of the data sets (default: %(default)s)",
+    )
+
+
+def positive(text: str) -> int:
+    """An integer of at least 1, as the type of an argument."""
+    number = int(text)
+    if number < 1:
+        raise argparse.ArgumentTypeError(f"must be at least 1, got {number}")
+    return number

@@ -1,0 +1,254 @@
+"""Print retrieval measures of labelled sets with every whitening and re-ranking.
+
+    .venv/bin/python scripts/benchmark_retrieval --data FOLDER --keep FOLDER
+
+FOLDER of --data has the subfolders shrec11, tosca and shrec14_csd, as far as they are there; simulated people
+and the scans in scans/ need no data. With --keep, the catalogues stay in a folder, so that the next run
+computes only what is missing. Without it a run takes half an hour on one core.
+
+With --no-match, the table says how good the answer "no match" is: half of the classes are left out of the
+gallery, and a match must have the score in the table. Precision is the share of the answers "no match" to
+queries whose class is left out; recall the share of these queries with this answer; "matched" the share of
+the other queries that have a match, and "right" the share of these matches that are of the class.
+
+Whitenings by neighbours and PCA are fitted to all shapes of a set, without labels. Within-class whitening is
+fitted by grouped folds; if lists are re-ranked, the gallery of a query is its fold. "3-people" is fitted to
+three random classes, as by `pcretrieve calibrate`, which are neither queries nor in the gallery: the mean,
+and below it the standard deviation, of fifty draws. The vectors of SHREC'14 are those of Chiotellis et al.
+(ECCV 2016), compared as they are and, in the sets whose names end in "log", by their logarithms, as the
+signatures of pcretrieve.
+"""
+
+from __future__ import annotations
+
+import argparse
+import tempfile
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import replace
+from itertools import product
+from pathlib import Path
+
+import numpy as np
+
+from benchmarks.measuring import (
+    MEASURES,
+    Column,
+    Table,
+    add_data,
+    argument_parser,
+    measure_values,
+    print_lines,
+    use_one_core,
+)
+from benchmarks.sets import SETS, ingested, left_out, pooled_vectors, written_set
+from pcretrieve.errors import OptionError
+from pcretrieve.evaluation import (
+    evaluate_rankings,
+    evaluate_table,
+    no_match_measures,
+    rank_table,
+    rerank_table,
+)
+from pcretrieve.evaluation.rankings import NO_FAILURES
+from pcretrieve.options import PipelineOptions, RetrievalOptions, SignatureOptions
+from pcretrieve.retrieval import CALIBRATED, RERANKINGS, resolution_covariance, table_whitening
+from pcretrieve.values import FloatArray, Metric, SignatureTable
+
+MESHES = {"shrec11": "shrec11", "tosca": "tosca", "people": "humans"}
+SCANS = {"tosca-scans": "tosca", "tosca-sensors": "tosca", "people-scans": "humans", "samples": "scans"}
+VECTORS: dict[str, tuple[str, Metric]] = {
+    "shrec14-real": ("real.mat", "values"),
+    "shrec14-synthetic": ("synthetic.mat", "values"),
+    "shrec14-real-log": ("real.mat", "logarithms"),
+    "shrec14-synthetic-log": ("synthetic.mat", "logarithms"),
+}
+NAMES = (*MESHES, *SCANS, *VECTORS)
+WHITENINGS = ("none", "pca", "neighbours", "within-class")
+
+# Numbers of people to whom a whitening is fitted for the others, where there are as many others.
+CALIBRATIONS = (3, 10)
+PEOPLE = ("people-scans", *VECTORS)
+
+# The condition of benchmark_fidelity under which the meshes of a set are scanned.
+CONDITIONS = {
+    "tosca-scans": "typical-uniform",
+    "tosca-sensors": "typical-uniform-sensors",
+    "people-scans": "typical-uniform",
+}
+
+TABLE = Table(
+    Column("set", 21, align="<"),
+    Column("method", 16, align="<"),
+    Column("L", 4),
+    Column("whitening", 12, align="<"),
+    Column("re-ranking", 12, align="<"),
+    *(Column(title, 6, ".4f") for title in MEASURES),
+)
+
+# Least scores of a match, and the columns of the table of "no match".
+MIN_SCORES = (0.9, 0.5)
+NO_MATCH_TABLE = Table(
+    Column("set", 21, align="<"),
+    Column("scores from", 12, align="<"),
+    Column("whitening", 22, align="<"),
+    Column("score", 5, ".1f"),
+    *(Column(title, 9, ".3f") for title in ("precision", "recall", "matched", "right")),
+)
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Print the table."""
+    parser = argument_parser(__doc__)
+    add_data(parser)
+    parser.add_argument("--only", nargs="+", choices=NAMES, default=NAMES, help="some sets only")
+    parser.add_argument("--samples", type=Path, default=Path("scans"), help="folder of the sample scans")
+    parser.add_argument("--methods", nargs="+", default=["combined"], help="descriptors")
+    parser.add_argument("--n-values", type=int, nargs="+", default=[59], help="lengths of the descriptors")
+    parser.add_argument("--keep", type=Path, metavar="FOLDER", help="keep the catalogues in this folder")
+    parser.add_argument(
+        "--no-match", action="store_true", help='print how good the answer "no match" is, on classes left out'
+    )
+    given = parser.parse_args(arguments)
+    use_one_core()
+    print_lines(_lines(given))
+
+
+def _lines(given: argparse.Namespace) -> Iterator[str]:
+    yield (NO_MATCH_TABLE if given.no_match else TABLE).head
+    rows = _no_match_rows if given.no_match else _rows
+    with tempfile.TemporaryDirectory() as temporary:
+        folder = Path(temporary) if given.keep is None else given.keep
+        folder.mkdir(parents=True, exist_ok=True)
+        for name in given.only:
+            needed = _needed(name, given)
+            if missing := left_out(name, needed):
+                yield missing
+            elif name in VECTORS:
+                file, metric = VECTORS[name]
+                yield from rows(name, pooled_vectors(needed / file, metric), None)
+            else:
+                yield from _catalogue_rows(name, folder, given, rows)
+
+
+def _needed(name: str, given: argparse.Namespace) -> Path:
+    """The folder without which a set is left out."""
+    data: Path = given.data
+    if name in VECTORS:
+        return data / "shrec14_csd"
+    if name == "samples":
+        return Path(given.samples)
+    source = (MESHES | SCANS)[name]
+    return Path() if source == "humans" else data / source
+
+
+def _catalogue_rows(
+    name: str, folder: Path, given: argparse.Namespace, rows: Callable[..., Iterator[str]]
+) -> Iterator[str]:
+    options = PipelineOptions()
+    if name in MESHES:
+        options = options.changed(surface={"mode": "keep"})
+    source, labels = _files(name, folder, given)
+    with ingested(source, folder / f"{name}.sqlite", options, labels) as (catalogue, _):
+        failed = {record.id: record.label for record in catalogue.records(status="failed")}
+        for method in given.methods:
+            for n_values in given.n_values:
+                try:
+                    chosen = options.changed(
+                        signature={"method": method, "n_values": n_values, "scale": "area"}
+                    )
+                    table = catalogue.signatures(chosen)
+                except OptionError as error:
+                    yield f"{name} {method} {n_values}: left out, {error.message}"
+                    continue
+                yield from rows(name, table, chosen.compared, failed)
+
+
+def _files(name: str, folder: Path, given: argparse.Namespace) -> tuple[Path, dict[str, str] | None]:
+    """The folder of the files of a set, which are written if they do not exist, and their classes."""
+    if name == "samples" or MESHES.get(name) in ("shrec11", "tosca"):
+        return _needed(name, given), None
+    files = folder / f"{name}-files"
+    items = SETS[(MESHES | SCANS)[name]](given.data, None)
+    return files, written_set(items, files, CONDITIONS.get(name))
+
+
+def _rows(
+    name: str,
+    table: SignatureTable,
+    options: SignatureOptions | None,
+    failed: Mapping[str, str | None] = NO_FAILURES,
+) -> Iterator[str]:
+    """One line for each whitening and re-ranking, and two for each calibration."""
+    for kind in WHITENINGS:
+        whitening = None
+        if kind != "within-class":
+            prior = None if options is None else resolution_covariance(options)
+            whitening = table_whitening(table, RetrievalOptions(whitening=kind), prior=prior)
+        retrieval = RetrievalOptions(whitening=kind)
+        ranked = rerank_table(table, RERANKINGS, retrieval, whitening=whitening, failed=failed)
+        if kind == "within-class":  # without re-ranking, the gallery is the whole set
+            ranked["none"] = rank_table(table, retrieval, failed=failed)
+        for method, rankings in ranked.items():
+            measures = measure_values(evaluate_rankings(rankings))
+            yield TABLE.row(name, table.kind, table.values.shape[1], kind, method, *measures)
+    n_people = len(set(table.labels)) if name in PEOPLE else 0
+    for number in CALIBRATIONS:
+        if 2 * number < n_people:
+            rows = calibrated_measures(table, number, failed=failed)
+            facts = name, table.kind, table.values.shape[1]
+            yield TABLE.row(*facts, f"{number}-people", "none", *rows.mean(axis=0))
+            yield TABLE.row(*facts, f"{number}-people", "deviation", *rows.std(axis=0, ddof=1))
+
+
+def _no_match_rows(
+    name: str,
+    table: SignatureTable,
+    options: SignatureOptions | None,
+    failed: Mapping[str, str | None] = NO_FAILURES,
+) -> Iterator[str]:
+    """Lines for scores from labels and without labels; failed shapes are left out."""
+    prior = None if options is None else resolution_covariance(options)
+    for labelled, least in product((True, False), MIN_SCORES):
+        found = no_match_measures(table, min_score=least, labelled=labelled, prior=prior)
+        facts = name, "labels" if labelled else "neighbours", found.whitening, least
+        yield NO_MATCH_TABLE.row(*facts, found.precision, found.recall, found.matched, found.right)
+
+
+#: Number of random draws of the classes of the fit.
+N_DRAWS = 50
+
+SEED = 0
+
+
+def calibrated_measures(
+    table: SignatureTable,
+    n_classes: int,
+    options: RetrievalOptions | None = None,
+    *,
+    n_draws: int = N_DRAWS,
+    failed: Mapping[str, str | None] = NO_FAILURES,
+) -> FloatArray:
+    """Retrieval measures of random draws of the classes of the fit.
+
+    Returns (n_draws, 6) float64: the measures of `benchmarks.tables.MEASURES`.
+    """
+    options = options or RetrievalOptions()
+    within = options.model_copy(update={"whitening": "within-class"})
+    rng = np.random.default_rng(SEED)
+    rows = []
+    for drawn in _draws(table, n_classes, n_draws, rng):
+        fitted = [shape_id for shape_id, label in zip(table.ids, table.labels, strict=True) if label in drawn]
+        others = [shape_id for shape_id in table.ids if shape_id not in set(fitted)]
+        whitening = replace(table_whitening(table.select(fitted), within), kind=CALIBRATED)
+        misses = {shape_id: label for shape_id, label in failed.items() if label not in drawn}
+        measures = evaluate_table(table.select(others), options, whitening=whitening, failed=misses)
+        rows.append(measure_values(measures))
+    return np.array(rows)
+
+
+def _draws(
+    table: SignatureTable, n_classes: int, n_draws: int, rng: np.random.Generator
+) -> Iterator[set[str]]:
+    classes = sorted({label for label in table.labels if label is not None})
+    for _ in range(n_draws):
+        yield {classes[number] for number in rng.choice(len(classes), n_classes, replace=False)}

@@ -1,0 +1,226 @@
+"""Labelled sets of meshes: a folder for each, with the meshes and their classes in ``labels.csv``."""
+
+from __future__ import annotations
+
+import statistics
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import asdict
+from functools import partial
+from pathlib import Path
+from typing import Any, NamedTuple, TypeVar
+
+import numpy as np
+
+from benchmarks.damage import DamageOptions, damaged
+from benchmarks.measuring import progress, timed
+from pcretrieve.catalogue import Catalogue
+from pcretrieve.descriptors import DESCRIPTORS, describe
+from pcretrieve.errors import BenchmarkError, ShapeError
+from pcretrieve.formats import read_scan, write_cloud, write_mesh
+from pcretrieve.ingestion.discover import discover
+from pcretrieve.ingestion.labels import read_labels
+from pcretrieve.ingestion.layouts import LAYOUTS
+from pcretrieve.ingestion.run import Summary, ingest_files
+from pcretrieve.options import PipelineOptions, SignatureOptions
+from pcretrieve.simulation import (
+    POSES,
+    RigOptions,
+    UniformOptions,
+    body,
+    make_subject,
+    scan,
+    scan_uniformly,
+    write_ply,
+)
+from pcretrieve.values import FloatArray, Metric, Signature, SignatureTable, TriangleMesh
+
+N_SUBJECTS = 10
+HUMAN_POSES = (
+    *("stand", "walk", "sit", "reach_up", "bow"),
+    *("hands_on_hips", "hands_clasped", "legs_crossed", "crouch", "arms_crossed"),
+)
+
+Thing = TypeVar("Thing")
+
+
+class Item(NamedTuple):
+    """A clean mesh of a set."""
+
+    number: int
+    name: str
+    label: str
+    mesh: TriangleMesh
+
+
+def left_out(part: str, folder: Path) -> str | None:
+    """The line that is printed for a part of a benchmark if its set is missing."""
+    if folder.is_dir():
+        return None
+    layout = LAYOUTS.get(folder.name)
+    published = f"; the set is published at {layout.published}" if layout is not None else ""
+    return f"{part}: left out, {folder} is not there{published}"
+
+
+def read_mesh(path: Path) -> TriangleMesh:
+    """Read a mesh of a set.
+
+    Returns TriangleMesh: the mesh; unit of the file.
+    """
+    mesh = read_scan(path)
+    if not isinstance(mesh, TriangleMesh):
+        raise BenchmarkError(f"{path} must hold a mesh, got points without faces")
+    return mesh
+
+
+@contextmanager
+def ingested(
+    folder: Path, path: Path, options: PipelineOptions, labels: dict[str, str] | None = None
+) -> Iterator[tuple[Catalogue, Summary]]:
+    """A new catalogue of all scans of a folder, open while the context lasts."""
+    labels = read_labels(folder / "labels.csv") if labels is None else labels
+    with Catalogue(path, options, create=True) as catalogue:
+        yield catalogue, ingest_files(discover([folder]), catalogue, labels=labels)
+
+
+def spread(things: Sequence[Thing], n: int | None) -> list[tuple[int, Thing]]:
+    """Choose elements of a sequence at equal steps, from the first to the last.
+
+    Returns list of (int, object): position and value of each chosen element.
+    """
+    n = len(things) if n is None else min(n, len(things))
+    return [(k, things[k]) for k in np.linspace(0, len(things) - 1, n).round().astype(int).tolist()]
+
+
+def _tosca(data: Path, limit: int | None) -> list[Item]:
+    """The meshes of the set TOSCA."""
+    labels = read_labels(data / "tosca" / "labels.csv")
+    return [
+        Item(number, path.stem, labels[path.name], read_mesh(path))
+        for number, path in spread(discover([data / "tosca"]), limit)
+    ]
+
+
+def _humans(_: Path, limit: int | None) -> list[Item]:
+    """Ten simulated people in ten poses; in half of the poses, parts of the body touch."""
+    everybody = [(subject, pose) for subject in range(N_SUBJECTS) for pose in HUMAN_POSES]
+    items = []
+    for number, (subject, pose) in progress(spread(everybody, limit), "bodies"):
+        individual = make_subject("person", np.random.default_rng(subject))
+        mesh = body(individual, POSES["person"][pose], np.random.default_rng((subject, number)))
+        items.append(Item(number, f"person{subject}_{pose}", f"person{subject}", mesh))
+    return items
+
+
+SETS: dict[str, Callable[[Path, int | None], list[Item]]] = {"tosca": _tosca, "humans": _humans}
+"""Sets of clean meshes by name: functions of the folder of all sets and the number of meshes (None: all)."""
+
+
+def written_set(items: Sequence[Item], folder: Path, condition: str | None) -> dict[str, str]:
+    """Write the meshes of a set, or scans of them."""
+    folder.mkdir(exist_ok=True)
+    labels = {}
+    for item in progress(items, folder.name):
+        written = next(iter(folder.glob(f"{item.name}.*")), None)
+        if written is None:
+            written = _written(item, folder, condition)
+        labels[written.name] = item.label
+    return labels
+
+
+def _written(item: Item, folder: Path, condition: str | None) -> Path:
+    if condition is not None:
+        return write_scan(folder / item.name, item.mesh, condition, np.random.default_rng(item.number))
+    path = folder / f"{item.name}.off"
+    write_mesh(item.mesh, path)
+    return path
+
+
+def pooled_vectors(path: Path, metric: Metric) -> SignatureTable:
+    """The descriptors of SHREC'14 that Chiotellis et al. (ECCV 2016) publish."""
+    from scipy.io import loadmat
+
+    arrays = loadmat(path)
+    values = np.hstack([arrays["WksPooledMat"], arrays["SihksPooledMat"]])  # (N, 150)
+    labels = tuple(str(number) for number in arrays["C"].ravel())
+    ids = tuple(f"{number:04}" for number in range(len(labels)))
+    return SignatureTable(ids, values, "csd", labels=labels, metric=metric)
+
+
+class Described(NamedTuple):
+    """The signatures of a catalogue's shapes by one descriptor."""
+
+    table: SignatureTable
+    failed: dict[str, str | None]
+    seconds: float
+
+
+def described(catalogue: Catalogue, options: SignatureOptions) -> Described:
+    """Compute the signatures of all shapes from their stored spectra and surfaces."""
+    values: dict[str, FloatArray] = {}
+    times = []
+    labels = {record.id: record.label for record in catalogue.records()}
+
+    def signature(shape_id: str) -> Signature:
+        return describe(catalogue.shape(shape_id, DESCRIPTORS[options.method].needs), options)
+
+    for shape_id in catalogue.signatures().ids:
+        try:
+            seconds, found = timed(partial(signature, shape_id))
+        except ShapeError:
+            continue  # counts as a miss
+        values[shape_id] = found.values
+        times.append(seconds)
+    classes = tuple(labels[shape_id] for shape_id in values)
+    table = SignatureTable(
+        tuple(values),
+        np.array(list(values.values())),
+        options.method,
+        labels=classes,
+        metric=DESCRIPTORS[options.method].metric,
+    )
+    failed = {shape_id: label for shape_id, label in labels.items() if shape_id not in values}
+    return Described(table, failed, statistics.median(times))
+
+
+LEVELS: dict[str, dict[str, Any]] = {
+    "easy": {"n_points": 100_000, "noise": 0.0005, "n_holes": 2, "hole_radius": 0.01, "outlier_share": 0.0},
+    "typical": asdict(UniformOptions()),
+    "harsh": {"n_points": 20_000, "noise": 0.003, "n_holes": 10, "hole_radius": 0.02, "outlier_share": 0.01},
+}
+
+# The options that cameras add to a level: the number of pixels, which suffices for its points, and flying
+# pixels.
+CAMERAS: dict[str, dict[str, Any]] = {
+    "easy": {"pixels": 400, "flying_share": 0.01},
+    "typical": {},
+    "harsh": {"flying_share": 0.1},
+}
+SAMPLINGS = ("uniform", "uniform-sensors", "rig", "rig-sensors")
+
+# The condition that has no points: the clean mesh, damaged.
+DEFECTS = "defects"
+
+CONDITIONS = (*(f"{level}-{sampling}" for level in LEVELS for sampling in SAMPLINGS), DEFECTS)
+"""Names of the conditions: a level and a way of sampling, or `DEFECTS`."""
+
+
+def write_scan(stem: Path, mesh: TriangleMesh, condition: str, rng: np.random.Generator) -> Path:
+    """Scan a mesh under a condition, and write the scan."""
+    if condition == DEFECTS:
+        path = stem.with_suffix(".off")
+        write_mesh(damaged(mesh, DamageOptions(), rng), path)
+        return path
+    level, sampling, *sensors = condition.split("-")
+    if sampling == "uniform":
+        cloud = scan_uniformly(mesh, UniformOptions(**LEVELS[level] | {"sensors": bool(sensors)}), rng)
+    else:
+        numbers = {name: value for name, value in LEVELS[level].items() if name != "sensors"}
+        cloud = scan(mesh, RigOptions(**numbers | CAMERAS[level]), rng)
+    if sensors:
+        path = stem.with_suffix(".pcd")
+        write_cloud(cloud, path)
+    else:
+        path = stem.with_suffix(".ply")
+        write_ply(path, cloud.points)
+    return path

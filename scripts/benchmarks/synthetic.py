@@ -1,0 +1,242 @@
+"""Large catalogues of random signatures without scans, and small meshes for ingestion, from a seed."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import sqlite3
+import statistics
+from collections.abc import Collection, Iterator
+from contextlib import closing
+from dataclasses import replace
+from functools import partial
+from importlib import resources
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from numpy.random import Generator
+from scipy.spatial import ConvexHull
+
+from benchmarks.measuring import timed
+from pcretrieve.catalogue import Catalogue, Rows
+from pcretrieve.catalogue.arrays import packed_values
+from pcretrieve.catalogue.record_rows import CHECKSUMS, NUMBERED, with_checksums
+from pcretrieve.catalogue.rows import OWN, Entry
+from pcretrieve.catalogue.settings import settings_of
+from pcretrieve.catalogue.stores import open_rows
+from pcretrieve.errors import BenchmarkError
+from pcretrieve.formats import write_mesh
+from pcretrieve.interface import merge_catalogues
+from pcretrieve.options import PipelineOptions
+from pcretrieve.values import FloatArray, TriangleMesh
+
+# Number of shapes in a class. Their signatures differ as those of one body at several resolutions.
+CLASS_SIZE = 10
+
+# Number of signatures that are drawn at a time.
+BLOCK = 10_000
+
+# Provenance as it is stored of a scan that was made into one surface.
+STEPS = [
+    {"stage": "read", "seconds": 0.013, "sizes": {"points": 14042}, "notes": []},
+    {"stage": "clean", "seconds": 0.048, "sizes": {"points_in": 14042, "points": 13768}, "notes": []},
+    {"stage": "orient", "seconds": 0.237, "sizes": {"points": 13768}, "notes": []},
+    {
+        "stage": "surface",
+        "seconds": 0.937,
+        "sizes": {"points": 13768, "faces": 10000, "euler": 2},
+        "notes": [],
+    },
+    {"stage": "spectrum", "seconds": 0.185, "sizes": {"vertices": 5002, "pairs": 61}, "notes": []},
+]
+VERSIONS = {
+    "pcretrieve": "0.1.0",
+    "open3d": "0.20.0",
+    "pytetwild": "0.4.2",
+    "numpy": "2.4.6",
+    "scipy": "1.17.1",
+}
+
+
+def synthetic_id(number: int) -> str:
+    """The id of a shape of a synthetic catalogue."""
+    return f"shape-{number:07}"
+
+
+def synthetic_catalogue(path: Path, options: PipelineOptions, n_shapes: int, seed: int) -> None:
+    """Write a catalogue of records and signatures, without spectra and meshes.
+
+    Logarithms of signatures are normally distributed within their class, and so are the means of the classes.
+    The covariances are those of simulated bodies: within a class, of the changes that the resolution of a
+    surface causes; between classes, of the bodies.
+    """
+    with Catalogue(path, options, create=True):
+        pass
+    signatures = _signatures(options.signature.n_values, n_shapes, np.random.default_rng(seed))
+    with closing(sqlite3.connect(path)) as connection, connection:
+        connection.execute("INSERT INTO descriptors (number, digest) VALUES (0, 'own')")
+        connection.executemany(
+            "INSERT INTO shapes (number, id, path, content_hash, label, status, area, n_vertices, n_faces, "
+            "euler) VALUES (?, ?, ?, ?, ?, 'done', 1.9, 5002, 10000, 2)",
+            (
+                (
+                    number,
+                    shape_id := synthetic_id(number),
+                    f"/scans/{shape_id}.ply",
+                    hashlib.sha256(shape_id.encode()).hexdigest(),
+                    f"class-{number // CLASS_SIZE:06}",
+                )
+                for number in range(n_shapes)
+            ),
+        )
+        provenance = (json.dumps(STEPS), options.digest, json.dumps(VERSIONS), "2026-01-01T00:00:00+00:00")
+        connection.executemany(
+            "INSERT INTO provenance (shape, steps, options_digest, versions, added) VALUES (?, ?, ?, ?, ?)",
+            ((number, *provenance) for number in range(n_shapes)),
+        )
+        rows = connection.execute(NUMBERED, {"last": -1, "limit": n_shapes})
+        connection.executemany(CHECKSUMS, [with_checksums(row) for row in rows])
+        connection.executemany(
+            "INSERT INTO signatures (descriptor, shape, value) VALUES (0, ?, ?)",
+            ((number, packed_values(values)) for number, values in enumerate(signatures)),
+        )
+
+
+def write_small_meshes(folder: Path, n_meshes: int, n_vertices: int, seed: int) -> None:
+    """Write closed meshes of bodies that differ, as files ``.off``."""
+    rng, sphere = np.random.default_rng(seed), bumpy_sphere(n_vertices)
+    for number in range(n_meshes):
+        axes = rng.uniform(0.6, 1.6, size=3)
+        write_mesh(replace(sphere, vertices=sphere.vertices * axes), folder / f"body-{number:05}.off")
+
+
+def _signatures(n_values: int, n_shapes: int, rng: Generator) -> Iterator[FloatArray]:
+    """Signatures (L,), one class after the other."""
+    # (2, n, m + 1): log-signatures of n bodies from small and from large cells, the first value last.
+    file = resources.files("pcretrieve.retrieval").joinpath("resolution.npy")
+    sample = np.load(str(file)).astype(np.float64)
+    logs = (sample - sample[:, :, -1:])[:, :, :n_values]
+    between, within = _root(np.cov(logs[0].T)), _root(np.cov((logs[0] - logs[1]).T))
+    for start in range(0, n_shapes, BLOCK):
+        n = min(BLOCK, n_shapes - start)
+        classes = logs[0].mean(axis=0) + rng.normal(size=(n // CLASS_SIZE, n_values)) @ between
+        drawn = np.repeat(classes, CLASS_SIZE, axis=0) + rng.normal(size=(n, n_values)) @ within
+        yield from np.exp(drawn)
+
+
+def _root(covariance: FloatArray) -> FloatArray:
+    """R with RᵀR = C."""
+    variances, directions = np.linalg.eigh(covariance)
+    root: FloatArray = np.sqrt(np.maximum(variances, 0))[:, np.newaxis] * directions.T
+    return root
+
+
+def bumpy_sphere(n: int) -> TriangleMesh:
+    """A closed surface of `n` vertices without any symmetry, so that no two eigenvalues are equal.
+
+    It is a sphere that is sampled on a Fibonacci spiral, displaced by a smooth function, and stretched to an
+    ellipsoid.
+    """
+    height = 1 - (2 * np.arange(n) + 1) / n
+    angle = np.pi * (1 + np.sqrt(5)) * np.arange(n)
+    flat = np.sqrt(1 - height**2)
+    points = np.stack([flat * np.cos(angle), flat * np.sin(angle), height], axis=1)  # (n, 3)
+    faces = ConvexHull(points).simplices
+    normals = np.cross(points[faces[:, 1]] - points[faces[:, 0]], points[faces[:, 2]] - points[faces[:, 0]])
+    inwards = (normals * points[faces[:, 0]]).sum(axis=1) < 0
+    faces[inwards] = faces[inwards, ::-1]
+    x, y, z = points.T
+    radius = 1 + 0.25 * np.sin(3 * x + 1) * np.cos(4 * y) + 0.2 * np.sin(5 * z + x)
+    return TriangleMesh(radius[:, None] * points * [1.5, 1.0, 0.8], faces)
+
+
+def quartered(mesh: TriangleMesh) -> TriangleMesh:
+    """The same surface with each face cut in four at the midpoints of its edges."""
+    ends = np.sort(
+        np.concatenate([mesh.faces[:, [1, 2]], mesh.faces[:, [2, 0]], mesh.faces[:, [0, 1]]]), axis=1
+    )
+    edges, of_face = np.unique(ends, axis=0, return_inverse=True)
+    a, b, c = mesh.faces.T
+    opposite_a, opposite_b, opposite_c = of_face.reshape(3, -1) + len(mesh.vertices)
+    corners = [
+        (a, opposite_c, opposite_b),
+        (b, opposite_a, opposite_c),
+        (c, opposite_b, opposite_a),
+        (opposite_a, opposite_b, opposite_c),
+    ]
+    return TriangleMesh(
+        np.concatenate([mesh.vertices, mesh.vertices[edges].mean(axis=1)]),
+        np.concatenate([np.stack(corner, axis=1) for corner in corners]),
+    )
+
+
+def unit_square(n: int) -> TriangleMesh:
+    """The flat unit square, cut into n × n cells of two triangles each."""
+    number = np.arange((n + 1) ** 2).reshape(n + 1, n + 1)
+    a, b, c, d = (
+        part.ravel() for part in (number[:-1, :-1], number[1:, :-1], number[1:, 1:], number[:-1, 1:])
+    )
+    faces = np.concatenate([np.column_stack([a, b, c]), np.column_stack([a, c, d])]).astype(np.int32)
+    x, y = np.divmod(number.ravel(), n + 1)
+    return TriangleMesh(np.column_stack([x, y, 0 * x]) / n, faces)
+
+
+# Number of shapes that are copied to a part together.
+COPIED_AT_ONCE = 1000
+
+
+class WritingTimes(NamedTuple):
+    """Median times of changes of a catalogue; seconds."""
+
+    together: float
+    single: float
+    removal: float
+
+
+def written_in(path: Path, n_shapes: int, n_repeats: int) -> WritingTimes:
+    """Add shapes to a catalogue, and remove them, several times.
+
+    Returns WritingTimes: median times; seconds.
+    """
+    times = []
+    with closing(open_rows(path, {}, create=False)) as rows:
+        stored = rows.entries([record.id for record in rows.page(limit=n_shapes)])
+        new = [
+            replace(entry, record=replace(entry.record, id=f"new-{at}", path=f"/new/{at}.ply"))
+            for at, entry in enumerate(stored)
+        ]
+        ids = [entry.record.id for entry in new]
+        for _ in range(n_repeats):
+            together, _ = timed(partial(rows.add, new))
+            removal, _ = timed(partial(rows.remove, ids))
+            single, _ = timed(partial(_put, rows, new))
+            rows.remove(ids)
+            times.append((together, single, removal))
+    return WritingTimes(*map(statistics.median, zip(*times, strict=True)))
+
+
+def merged_in(folder: Path, options: PipelineOptions, n_shapes: int, n_parts: int, seed: int) -> float:
+    """Merge the catalogues of a job array.
+
+    Returns float: wall-clock time; seconds.
+    """
+    if n_shapes % (n_parts * CLASS_SIZE):
+        raise BenchmarkError(
+            f"the number of merged shapes must be a multiple of {n_parts * CLASS_SIZE}, got {n_shapes}"
+        )
+    synthetic_catalogue(folder / "whole.sqlite", options, n_shapes, seed)
+    parts = [folder / f"part-{number}.sqlite" for number in range(n_parts)]
+    with closing(open_rows(folder / "whole.sqlite", {}, create=False)) as rows:
+        ids = [origin.id for origin in rows.origins()]
+        for number, part in enumerate(parts):
+            with closing(open_rows(part, settings_of(options), create=True)) as store:
+                chosen = ids[number::n_parts]
+                for start in range(0, len(chosen), COPIED_AT_ONCE):
+                    store.add(rows.entries(chosen[start : start + COPIED_AT_ONCE]))
+    return timed(lambda: merge_catalogues(parts, folder / "all.sqlite"))[0]
+
+
+def _put(rows: Rows, entries: Collection[Entry]) -> None:
+    for entry in entries:
+        rows.put(entry.record, entry.signatures[OWN], entry.payloads)

@@ -1,0 +1,133 @@
+"""The experiments of the paper find what is known, and every script of figures prints them."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import shapes
+from benchmarks.paper.shapes import drifts, noisy, perturbed, planar_mesh
+from benchmarks.paper.spectra import (
+    FIGURE_6,
+    Element,
+    convergence_rate,
+    discrepancies,
+    drum_spectra,
+    drums,
+    truncation_errors,
+    unit_area_spectrum,
+)
+from benchmarks.spectral import Boundary, square_errors
+
+from pcretrieve import ModalSpectrum, write_mesh
+from pcretrieve.surface import defects
+
+SCRIPTS = Path(__file__).parents[1] / "scripts"
+
+
+def printed(script: str, *arguments: object) -> str:
+    command = [sys.executable, str(SCRIPTS / script), *map(str, arguments)]
+    ended = subprocess.run(command, capture_output=True, text=True)
+    assert ended.returncode == 0, ended.stderr
+    return ended.stdout
+
+
+def test_drums_sound_alike_and_have_different_signatures_as_printed_in_figure_6() -> None:
+    for drum in drums(16):
+        assert (len(drum.vertices), drum.euler_characteristic) == (969, 1)
+        assert defects(drum).boundary_edges == 9 * 16
+    both: tuple[tuple[Element, int], ...] = (("linear", 16), ("cubic", 6))
+    for element, n_cuts in both:
+        columns = drum_spectra(element, n_cuts)
+        np.testing.assert_allclose(columns[:, 0], columns[:, 1], rtol=1e-9)
+        assert np.abs(columns[:, 3] / columns[:, 2] - 1).max() > 0.3
+    # The meshes of the paper are other ones: its two columns of one spectrum differ by up to 3e-3.
+    np.testing.assert_allclose(drum_spectra("linear"), FIGURE_6, rtol=5e-3)
+
+
+def test_the_mesh_of_a_disk_has_the_spectrum_of_a_disk() -> None:
+    y, x = np.mgrid[-120:121, -120:121] / 100
+    mesh = planar_mesh(np.asarray(x**2 + y**2 <= 1, dtype=np.float64))
+    assert mesh.area == pytest.approx(np.pi * 100**2, rel=0.01)
+    # The squares of the zeros of the derivatives of the Bessel functions J₁ (twice), J₂ (twice) and J₀.
+    expected = np.pi * np.array([1.841184, 1.841184, 3.054237, 3.054237, 3.831706]) ** 2
+    np.testing.assert_allclose(unit_area_spectrum(mesh, 5).eigenvalues[1:], expected, rtol=0.01)
+
+
+def test_on_the_sphere_the_error_is_that_of_the_tail_of_one_sum() -> None:
+    """All harmonics of degree l: λ = 4π l (l + 1), each 2l + 1 times, and g is constant."""
+    degrees = np.repeat(np.arange(25), 2 * np.arange(25) + 1)
+    eigenvalues = (4 * np.pi * degrees * (degrees + 1)).astype(np.float64)
+    spectrum = ModalSpectrum(eigenvalues, np.zeros((len(degrees), len(degrees))), 1.0)
+    modes = tuple((degree + 1) ** 2 - 1 for degree in (6, 8, 10, 12, 14))
+    errors = truncation_errors(spectrum, modes)
+    terms = 2 / eigenvalues[1:] ** 2
+    tails = np.array([terms[m:].sum() for m in modes])
+    np.testing.assert_allclose(errors, tails**2 / ((terms.sum() - tails) * terms.sum()), rtol=1e-9)
+    assert convergence_rate(modes, errors, len(terms)) == pytest.approx(2, abs=0.1)
+
+
+def test_perturbations_do_what_their_names_say() -> None:
+    sphere = shapes.icosphere(4)
+    moved = noisy(sphere, 0.3, np.random.default_rng(0)).vertices - sphere.vertices
+    radial = (moved * sphere.vertices).sum(axis=1)
+    corners = sphere.vertices[sphere.faces]
+    edge = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).mean()
+    assert radial.std() == pytest.approx(0.3 * edge, rel=0.05)
+    mesh = shapes.body(2)
+    made = dict(perturbed(mesh, np.random.default_rng(0)))
+    assert len(made["holes 3%"].faces) == pytest.approx(0.97 * len(mesh.faces), abs=5)
+    assert len(made["half faces"].faces) == len(mesh.faces) // 2
+    assert made["fTetWild"].area == pytest.approx(mesh.area, rel=0.05)
+
+
+def test_drift_is_nothing_for_the_same_pose_and_grows_with_noise() -> None:
+    bodies = shapes.body(2), shapes.ellipsoid(subdivisions=2)
+    same = {str(number): (mesh, shapes.moved(mesh, number, scale=3)) for number, mesh in enumerate(bodies)}
+    table = drifts(same, ("r-bihdm", "shape-dna"))
+    assert table["pose"].max() < 1e-6
+    assert (table["noise 0.1"] < table["noise 0.5"]).all()
+
+
+def test_discrepancy_by_hand() -> None:
+    sums = discrepancies(np.array([4.0, -1.0]), np.array([3.0, -1.5]), 0.5, 2.0)
+    np.testing.assert_allclose(sums, [0.5, 0.75])
+
+
+def test_cubic_elements_have_order_six_on_the_square() -> None:
+    bounds: dict[Boundary, float] = {"neumann": 1e-6, "dirichlet": 1e-5}
+    for boundary, largest in bounds.items():
+        errors, orders = square_errors((3, 5), boundary)
+        assert 0 < errors[1] < largest, "at 36 vertices"
+        assert 5.8 < orders[0] < 6.2
+
+
+@pytest.mark.slow
+def test_every_script_prints_its_figures(tmp_path: Path) -> None:
+    for name in ("shrec11", "tosca"):
+        (tmp_path / name).mkdir()
+        rows = ["file,class"]
+        for label, length in (("short", 1.5), ("long", 3.0)):
+            for number in range(3):
+                mesh = shapes.ellipsoid((1, 1.2 + 0.03 * number, length), subdivisions=3)
+                write_mesh(mesh, tmp_path / name / f"{label}{number}.off")
+                rows.append(f"{label}{number}.off,{label}")
+        (tmp_path / name / "labels.csv").write_text("\n".join(rows))
+    parts = [word for part in ("figure1", "figure6", "table4", "figure7") for word in ("--only", part)]
+    paper = printed("reproduce_paper", "--data", tmp_path, "--output", tmp_path / "out", *parts)
+    assert "Figure 6, drums of 969 and 969 vertices" in paper
+    page = (tmp_path / "out" / "paper.html").read_text("utf-8")
+    assert "Figure 1: 6 meshes of shrec11, of 2 classes" in page
+    systems = [line for line in page.splitlines() if re.search(r" (linear|cubic) +(d1|d2|log) ", line)]
+    assert len(systems) == 16
+    # Values by area, and the descriptors of the default, tell lengths of 1.5 and 3 apart without an error.
+    assert all(line.endswith(" 1.000") for line in systems[-2:])
+    assert re.search(r"median \d+\.\d{3} s", printed("benchmark_spectral", "--part", "signature"))
+    searched = printed("benchmark_catalogue", "--shapes", "10000", "--meshes", "2", "--merged", "1000")
+    assert searched.count("5 of 5 as by brute force") >= 6
+    assert "shrec11" in printed("benchmark_retrieval", "--data", tmp_path, "--only", "shrec11")
+    assert "scans" in printed("benchmark_batch", "--scans", "2", "--rounds", "1")
