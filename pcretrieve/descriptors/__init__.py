@@ -4,19 +4,16 @@ Each module declares a record `Descriptor` beside its function. `DESCRIPTORS` ho
 and of other packages by name, and `describe` applies the one that the options name.
 """
 
-from pcretrieve.descriptors.bihdm import bihdm, bihdm_sampled, full_matrix
-from pcretrieve.descriptors.combined import combined
-from pcretrieve.descriptors.csd import csd
+from pcretrieve.descriptors.bags import hks_bow
+from pcretrieve.descriptors.bihdm import bihdm, bihdm_sampled, full_matrix, sd_gdm
+from pcretrieve.descriptors.csd import combined, csd, wks
 from pcretrieve.descriptors.describe import DESCRIPTORS, describe, signature_length
 from pcretrieve.descriptors.descriptor import Descriptor
 from pcretrieve.descriptors.dl import dl
 from pcretrieve.descriptors.hapt import hapt
-from pcretrieve.descriptors.hks_bow import hks_bow
 from pcretrieve.descriptors.ispm import ispm
 from pcretrieve.descriptors.r_bihdm import r_bihdm, reduced_matrix
-from pcretrieve.descriptors.sd_gdm import sd_gdm
 from pcretrieve.descriptors.shape_dna import shape_dna, shape_dna_values
-from pcretrieve.descriptors.wks import wks
 
 __all__ = [
     "DESCRIPTORS",

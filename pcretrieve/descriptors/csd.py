@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from pcretrieve.descriptors.descriptor import Descriptor
-from pcretrieve.descriptors.hks_bow import scale_invariant_heat
-from pcretrieve.descriptors.wks import wave_kernel_weights
+from pcretrieve.descriptors.bags import scale_invariant_heat
+from pcretrieve.descriptors.descriptor import Descriptor, spectrum_of
+from pcretrieve.descriptors.r_bihdm import r_bihdm
 from pcretrieve.errors import OptionError
-from pcretrieve.values import Eigenpairs, FloatArray, Signature
-
-__all__ = ["CSD", "csd"]
+from pcretrieve.options import Scale
+from pcretrieve.values import Eigenpairs, FloatArray, ModalSpectrum, Signature
 
 # One value in three is of the heat kernel: Chiotellis et al. take 50 and 100. See docs/decisions.md, CSD.
 HEAT_SHARE = 3
@@ -63,4 +62,103 @@ CSD = Descriptor(
     needs=("eigenvectors",),
     has_size=False,
     spread=0.18,
+)
+
+
+# σ of the distribution of energies, relative to their range. Aubry et al. take 7 of 100 energy steps.
+WIDTH = 0.07
+
+
+def wks(pairs: Eigenpairs | ModalSpectrum, n_values: int = 59, n_modes: int = 60) -> Signature:
+    """The second moment of the wave kernel signature over a surface, at L energies.
+
+    The wave kernel signature of a point x at energy e [1]_, equations (4) and (5), is
+
+        w_e(x) = Σ_k p_k(e) φ_k(x)²,    p_k(e) ∝ exp(−(e − log λ_k)² / 2σ²),    Σ_k p_k(e) = 1,
+
+    summed over m modes. Its mean over a surface of area A is 1 / A for every surface. The lowest moment that
+    distinguishes surfaces is the second one, which is a sum of ⟨φ_i², φ_j²⟩.
+
+    Returns Signature: values : (L,) float64: A ∫ w_e², in the order of ascending energies. Dimensionless, at
+        least 1, and 1 if w_e is constant on the surface. Invariant to isometry and scaling.
+
+    References
+    ----------
+    .. [1] M. Aubry, U. Schlickewei and D. Cremers, "The wave kernel signature: a quantum mechanical approach
+       to shape analysis", ICCV Workshops 2011.
+    """
+    spectrum = pairs if isinstance(pairs, ModalSpectrum) else ModalSpectrum.of(pairs)
+    weights = wave_kernel_weights(spectrum.eigenvalues, n_values, n_modes)  # (L, m)
+    overlaps = spectrum.known_overlaps()[1 : n_modes + 1, 1 : n_modes + 1]  # (m, m)
+    values = spectrum.area * np.einsum("ei,ij,ej->e", weights, overlaps, weights)  # (L,)
+    return Signature(values, kind="wks", digest=f"L={n_values} m={n_modes}")
+
+
+def wave_kernel_weights(eigenvalues: FloatArray, n_energies: int, n_modes: int) -> FloatArray:
+    """The weights p_k(e) of the modes in the wave kernel signature, as in `wks`.
+
+    eigenvalues: (k,) float64, ascending, the zero eigenvalue first.
+    Returns (n_energies, m) float64: each row sums to 1.
+    """
+    n_pairs = len(eigenvalues)
+    if not 2 <= n_modes < n_pairs:
+        raise OptionError(
+            f"n_modes must be between 2 and {n_pairs - 1} for {n_pairs} eigenpairs, got {n_modes}"
+        )
+    levels = np.log(eigenvalues[1 : n_modes + 1])  # (m,)
+    energies = np.linspace(levels[0], levels[-1], n_energies)
+    width = WIDTH * (levels[-1] - levels[0])
+    weights: FloatArray = np.exp(-((energies[:, np.newaxis] - levels) ** 2) / (2 * width**2))
+    weights /= weights.sum(axis=1, keepdims=True)
+    return weights
+
+
+WKS = Descriptor(
+    name="wks",
+    make=lambda shape, o: wks(shape.spectrum, o.n_values, o.n_modes),
+    needs=("spectrum", "overlaps"),
+    has_size=False,
+    spread=0.44,
+)
+
+
+# A power of a value is a factor of its logarithm. The ratio of the two powers balances the variances of the
+# two parts; their size makes distances between shapes as large as those of R-BiHDM alone. See
+# docs/decisions.md, POWERS.
+R_BIHDM_POWER = 0.6
+CSD_POWER = 3.0
+
+
+def combined(
+    spectrum: ModalSpectrum,
+    pairs: Eigenpairs,
+    n_values: int = 59,
+    n_modes: int = 60,
+    *,
+    scale: Scale = "area",
+) -> Signature:
+    """The values of `r_bihdm` to the power .6, followed by those of `csd` to the power 3.
+
+    R-BiHDM describes how modes interact over the whole surface, the compact shape descriptor what the
+    neighbourhood of a point is like on average. Their errors are only partly correlated, so that whitened
+    retrieval by both is better than by either of them.
+
+    pairs: at least `n_modes` + 1 eigenpairs of the surface on unit area.
+    Returns Signature: values : (2 L,) float64. Dimensionless; for ``absolute`` the first L are in unit
+        length^2.4 of the spectrum.
+    """
+    interaction = r_bihdm(spectrum, n_values, n_modes, scale=scale).values
+    average = csd(pairs, n_values, n_modes).values
+    values = np.concatenate([interaction**R_BIHDM_POWER, average**CSD_POWER])
+    return Signature(values, kind="combined", digest=f"L={n_values} m={n_modes} {scale}")
+
+
+COMBINED = Descriptor(
+    name="combined",
+    make=lambda shape, o: combined(
+        spectrum_of(shape, o), shape.eigenpairs, o.n_values, o.n_modes, scale=o.measured_by
+    ),
+    needs=("spectrum", "eigenvectors"),
+    length=lambda o: 2 * o.n_values,
+    spread=0.83,
 )

@@ -22,19 +22,15 @@ from dataclasses import replace
 
 import numpy as np
 
-from pcretrieve.descriptors.bihdm import BIHDM, BIHDM_SAMPLED
-from pcretrieve.descriptors.combined import COMBINED
-from pcretrieve.descriptors.csd import CSD
-from pcretrieve.descriptors.descriptor import Descriptor
+from pcretrieve.descriptors.bags import HEAT_KERNEL_BAGS
+from pcretrieve.descriptors.bihdm import BIHDM, BIHDM_SAMPLED, SD_GDM, SD_GDM_SAMPLED
+from pcretrieve.descriptors.csd import COMBINED, CSD, WKS
+from pcretrieve.descriptors.descriptor import Descriptor, fused
 from pcretrieve.descriptors.dl import DL, DL_SUPERVISED
-from pcretrieve.descriptors.fusion import fused
 from pcretrieve.descriptors.hapt import HAPT
-from pcretrieve.descriptors.hks_bow import HEAT_KERNEL_BAGS
 from pcretrieve.descriptors.ispm import ISPM
 from pcretrieve.descriptors.r_bihdm import R_BIHDM
-from pcretrieve.descriptors.sd_gdm import SD_GDM, SD_GDM_SAMPLED
 from pcretrieve.descriptors.shape_dna import SHAPE_DNA, SHAPE_DNA_NORM1, SHAPE_DNA_VALUES
-from pcretrieve.descriptors.wks import WKS
 from pcretrieve.errors import OptionError, ShapeError, Stage
 from pcretrieve.names import NAMES, fused_names
 from pcretrieve.options import SignatureOptions

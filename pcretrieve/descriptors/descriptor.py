@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from types import MappingProxyType
 from typing import get_args
+
+import numpy as np
 
 from pcretrieve.errors import OptionError
 from pcretrieve.options import SignatureOptions
-from pcretrieve.values import Metric, ModalSpectrum, Need, Shape, Signature
-
-__all__ = ["Descriptor", "spectrum_of"]
+from pcretrieve.values import FloatArray, Metric, ModalSpectrum, Need, Shape, Signature
 
 
 def _n_values(options: SignatureOptions) -> int:
@@ -73,3 +74,32 @@ class Descriptor:
 def spectrum_of(shape: Shape, options: SignatureOptions) -> ModalSpectrum:
     """The spectrum of the surface on unit area; for the scale ``absolute``, in the unit of the file."""
     return shape.spectrum.scaled(shape.area) if options.measured_by == "absolute" else shape.spectrum
+
+
+#: What distances compare, of values with each metric, as in `pcretrieve.retrieval.distances`.
+COORDINATES: Mapping[Metric, Callable[[FloatArray], FloatArray]] = MappingProxyType(
+    {"logarithms": np.log, "values": np.asarray, "histograms": np.sqrt}
+)
+
+
+def fused(parts: Sequence[Descriptor]) -> Descriptor:
+    """The descriptor whose values are those of several descriptors."""
+    name = "+".join(part.name for part in parts)
+
+    def make(shape: Shape, options: SignatureOptions) -> Signature:
+        made = [part.make(shape, options) for part in parts]
+        scaled = [
+            COORDINATES[signature.metric](signature.values) / part.spread
+            for part, signature in zip(parts, made, strict=True)
+        ]
+        digest = ", ".join(f"{signature.kind} {signature.digest}" for signature in made)
+        return Signature(np.concatenate(scaled), kind=name, digest=digest, metric="values")
+
+    return Descriptor(
+        name=name,
+        make=make,
+        needs=tuple(dict.fromkeys(need for part in parts for need in part.needs)),
+        has_size=any(part.has_size for part in parts),
+        length=lambda options: sum(part.length(options) for part in parts),
+        metric="values",
+    )

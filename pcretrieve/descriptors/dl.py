@@ -12,15 +12,13 @@ from __future__ import annotations
 
 from functools import cache
 from importlib import resources
+from typing import NamedTuple
 
 import numpy as np
 
+from pcretrieve.descriptors.bags import scale_invariant_heat
 from pcretrieve.descriptors.descriptor import Descriptor
-from pcretrieve.descriptors.hks_bow import scale_invariant_heat
-from pcretrieve.descriptors.sparse_coding import SurfacePoints, atom_shares
 from pcretrieve.values import Eigenpairs, FloatArray, Signature
-
-__all__ = ["ATOMS", "DL", "DL_SUPERVISED", "N_ATOMS", "dl", "surface_points"]
 
 # Number of atoms, as published, and of frequencies of the point descriptor. See docs/decisions.md, DL.
 N_ATOMS = 32
@@ -86,3 +84,61 @@ def _record(name: str, spread: float, *, supervised: bool) -> Descriptor:
 
 DL = _record("dl", 0.065, supervised=False)
 DL_SUPERVISED = _record("dl-supervised", 0.067, supervised=True)
+
+
+# λ of the lasso, for point descriptors and atoms of unit length. See docs/decisions.md, DL.
+PENALTY = 0.1
+
+# Steps of FISTA. See docs/decisions.md, DL.
+N_ITERATIONS = 100
+
+
+class SurfacePoints(NamedTuple):
+    """Point descriptors of a surface.
+
+    features: (n, d) float64, the point descriptors, of unit length.
+    shares: (n,) float64, the share of the area of the surface that each point represents; the sum is 1.
+    """
+
+    features: FloatArray
+    shares: FloatArray
+
+
+def atom_shares(points: SurfacePoints, atoms: FloatArray) -> FloatArray:
+    """How much of a surface each atom describes.
+
+    atoms: (L, d) float64, the dictionary D.
+    Returns (L,) float64: ``∫ |z_k| / Σ_l ∫ |z_l|`` for each atom k; not negative, of sum 1, dimensionless.
+        All equal if every code is zero.
+    """
+    pooled = points.shares @ np.abs(sparse_codes(points.features, atoms))  # (L,): ∫ |z| / A
+    total = pooled.sum()
+    shares: FloatArray = pooled / total if total else np.full(len(atoms), 1 / len(atoms))
+    return shares
+
+
+def sparse_codes(features: FloatArray, atoms: FloatArray, n_iterations: int = N_ITERATIONS) -> FloatArray:
+    """Codes z near the minimisers of ½ ‖x − zᵀ D‖² + λ ‖z‖₁ for point descriptors x, by FISTA [1]_.
+
+    features: (n, d) float64, the point descriptors x, of unit length.
+    atoms: (L, d) float64, the dictionary D, of rows of unit length.
+    Returns (n, L) float64: the codes z, for λ = 0.1; most entries are zero.
+
+    References
+    ----------
+    .. [1] A. Beck and M. Teboulle, "A fast iterative shrinkage-thresholding algorithm for linear inverse
+       problems", SIAM Journal on Imaging Sciences 2 (2009), section 4.
+    """
+    gram = atoms @ atoms.T  # (L, L)
+    correlation = features @ atoms.T  # (n, L)
+    lipschitz = np.linalg.eigvalsh(gram)[-1]
+    codes: FloatArray = np.zeros_like(correlation)
+    ahead = codes
+    momentum = 1.0
+    for _ in range(n_iterations):
+        moved = ahead - (ahead @ gram - correlation) / lipschitz
+        after = moved - np.clip(moved, -PENALTY / lipschitz, PENALTY / lipschitz)  # soft threshold
+        following = (1 + np.sqrt(1 + 4 * momentum**2)) / 2
+        ahead = after + (momentum - 1) / following * (after - codes)
+        codes, momentum = after, following
+    return codes

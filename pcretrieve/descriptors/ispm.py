@@ -19,8 +19,8 @@ from importlib import resources
 
 import numpy as np
 
+from pcretrieve.descriptors.bags import Vocabulary, clustered
 from pcretrieve.descriptors.descriptor import Descriptor
-from pcretrieve.descriptors.vocabulary import Vocabulary, clustered
 from pcretrieve.errors import OptionError
 from pcretrieve.values import Eigenpairs, FloatArray, Signature
 

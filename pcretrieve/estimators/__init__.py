@@ -4,8 +4,7 @@ They use the functions of other packages of pcretrieve, so that results are equa
 scikit-learn, and is itself imported on request only.
 """
 
-from pcretrieve.estimators.neighbors import SignatureNeighbors
-from pcretrieve.estimators.transformer import SignatureTransformer
+from pcretrieve.estimators.neighbors import SignatureNeighbors, SignatureTransformer
 from pcretrieve.estimators.whitenings import (
     NeighbourWhitening,
     PCAWhitening,

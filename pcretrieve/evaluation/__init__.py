@@ -4,27 +4,45 @@ In come a catalogue, a table of signatures or a distance matrix, with the classe
 measures and precision–recall curves go out.
 """
 
-from pcretrieve.evaluation.calibration import calibrate
-from pcretrieve.evaluation.catalogue import RankedCatalogue, check_known, rank_catalogue, rank_matrix
-from pcretrieve.evaluation.classes import ClassMeasures, Confusion, class_measures, confusion
-from pcretrieve.evaluation.comparison import Change, Comparison, compare_scores
-from pcretrieve.evaluation.distances import CatalogueDistances, catalogue_distances
-from pcretrieve.evaluation.intervals import LEVEL, bootstrap_interval
+from pcretrieve.evaluation.catalogue import (
+    CatalogueDistances,
+    RankedCatalogue,
+    calibrate,
+    catalogue_distances,
+    check_known,
+    rank_catalogue,
+    rank_matrix,
+)
+from pcretrieve.evaluation.classes import (
+    ClassMeasures,
+    Confusion,
+    NoMatchMeasures,
+    class_measures,
+    confusion,
+    no_match_measures,
+)
+from pcretrieve.evaluation.comparison import (
+    Change,
+    Comparison,
+    compare_scores,
+    read_scores,
+    result_scores,
+    write_evaluation,
+)
+from pcretrieve.evaluation.folds import evaluate_table, rank_table, rerank_table
 from pcretrieve.evaluation.measures import (
+    LEVEL,
     MEASURES,
     PrecisionRecall,
     QueryScores,
     RetrievalMeasures,
+    bootstrap_interval,
     evaluate_rankings,
     precision_recall,
     query_scores,
 )
 from pcretrieve.evaluation.published import PUBLISHED, Published
 from pcretrieve.evaluation.rankings import Rankings, rank
-from pcretrieve.evaluation.results import result_scores
-from pcretrieve.evaluation.score_files import read_scores, write_evaluation
-from pcretrieve.evaluation.tables import evaluate_table, rank_table, rerank_table
-from pcretrieve.evaluation.unknown_classes import NoMatchMeasures, no_match_measures
 
 __all__ = [
     "LEVEL",

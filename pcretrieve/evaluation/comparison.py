@@ -6,18 +6,34 @@ query are resampled, so that what makes a query easy or hard for both results do
 
 from __future__ import annotations
 
+import csv
+import io
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
-from pcretrieve.errors import InputError
-from pcretrieve.evaluation.intervals import LEVEL, bootstrap_interval
-from pcretrieve.evaluation.measures import QueryScores
+from pcretrieve.atomic import write_file
+from pcretrieve.catalogue import Catalogue
+from pcretrieve.csv_text import csv_text
+from pcretrieve.errors import BenchmarkError, InputError
+from pcretrieve.evaluation.catalogue import rank_catalogue, rank_matrix
+from pcretrieve.evaluation.classes import class_measures, confusion
+from pcretrieve.evaluation.measures import (
+    LEVEL,
+    MEASURES,
+    QueryScores,
+    bootstrap_interval,
+    precision_recall,
+    query_scores,
+)
+from pcretrieve.evaluation.rankings import Rankings
+from pcretrieve.matching import DistanceMatrix, ids_path, read_matrix
+from pcretrieve.options import PipelineOptions
 from pcretrieve.values import FloatArray
 from pcretrieve.values.base import Value
-
-__all__ = ["Change", "Comparison", "compare_scores"]
 
 # Largest number of shapes in the message about classes that differ.
 QUOTED = 3
@@ -92,3 +108,106 @@ def compare_scores(
         only_first=tuple(shape_id for shape_id in first.ids if shape_id not in both),
         only_second=tuple(shape_id for shape_id in second.ids if shape_id not in both),
     )
+
+
+# Columns of the file of queries, and the attributes of `QueryScores` in the same order.
+SCORES = (*MEASURES[:-1], "ap")
+
+# What the column of shapes without a class is named in the file of confusions.
+NO_CLASS = ""
+
+
+def write_evaluation(ranked: Rankings, folder: str | Path) -> tuple[Path, ...]:
+    """Write the measures of an evaluation as CSV files."""
+    folder = Path(folder)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"cannot make the folder {folder}: {error.strerror}") from error
+    scores = query_scores(ranked)
+    confused = confusion(ranked)
+    queries = zip(
+        scores.ids,
+        scores.labels,
+        *scores.columns.T.tolist(),
+        ranked.nearest,
+        ranked.nearest_labels,
+        strict=True,
+    )
+    files: dict[str, tuple[Sequence[object], Iterable[Sequence[object]]]] = {
+        "queries.csv": (("id", "label", *SCORES, "nearest", "nearest_label"), queries),
+        "classes.csv": (
+            ("label", "n_queries", *MEASURES),
+            ((one.label, one.n_queries, *one.means.tolist()) for one in class_measures(ranked)),
+        ),
+        "confusion.csv": (
+            ("label", *(NO_CLASS if label is None else label for label in confused.nearest)),
+            (
+                (label, *counts)
+                for label, counts in zip(confused.labels, confused.counts.tolist(), strict=True)
+            ),
+        ),
+        "precision_recall.csv": (
+            ("recall", "precision"),
+            zip(*(column.tolist() for column in precision_recall(ranked)), strict=True),
+        ),
+    }
+    paths = []
+    for name, (header, rows) in files.items():
+        paths.append(folder / name)
+        write_file(folder / name, csv_text(header, rows).encode("utf-8", errors="surrogateescape"))
+    return tuple(paths)
+
+
+def read_scores(path: str | Path) -> QueryScores:
+    """Read the measures of each query."""
+    try:
+        text = Path(path).read_bytes().decode("utf-8", errors="surrogateescape")
+        rows = list(csv.DictReader(io.StringIO(text, newline=""), strict=True))
+        ids = tuple(row["id"] for row in rows)
+        labels = tuple(row["label"] for row in rows)
+        columns = [np.array([float(row[name]) for row in rows]) for name in SCORES]
+    except OSError as error:
+        raise InputError(f"cannot read the measures {path}: {error.strerror}") from error
+    except (KeyError, TypeError, ValueError, csv.Error) as error:
+        raise InputError(
+            f"{path} must have the columns id, label, {', '.join(SCORES)}, as queries.csv of `pcretrieve "
+            f"evaluate --csv` ({error!r})"
+        ) from error
+    if not ids or len(set(ids)) != len(ids):
+        raise InputError(f"{path} must have each query once, got {len(ids)} rows of {len(set(ids))} queries")
+    if not all(((column >= 0) & (column <= 1)).all() for column in columns):
+        raise InputError(f"the measures in {path} must lie between 0 and 1, got others")
+    return QueryScores(ids, labels, *columns)
+
+
+# The first bytes of the file of a catalogue.
+SQLITE = b"SQLite format 3"
+
+
+def result_scores(
+    result: str | Path | Catalogue | DistanceMatrix,
+    options: Callable[[Catalogue], PipelineOptions],
+    labels: str | Path | None = None,
+) -> QueryScores:
+    """The measures of each query."""
+    if isinstance(result, (str, Path)) and Path(result).suffix.lower() == ".csv":
+        return read_scores(result)
+    if isinstance(result, (str, Path)) and _is_matrix(Path(result)):
+        result = read_matrix(result)
+    if isinstance(result, DistanceMatrix):
+        if labels is None:
+            raise BenchmarkError("a distance matrix has no classes: give labels, a file of classes")
+        return query_scores(rank_matrix(result, labels).rankings)
+    if isinstance(result, Catalogue):
+        return query_scores(rank_catalogue(result, options(result), labels=labels).rankings)
+    with Catalogue(result) as store:
+        return query_scores(rank_catalogue(store, options(store), labels=labels).rankings)
+
+
+def _is_matrix(path: Path) -> bool:
+    """Whether a file is a distance matrix: its ids are beside it, and it is no SQLite file."""
+    if not path.is_file() or not ids_path(path).is_file():
+        return False
+    with path.open("rb") as file:
+        return file.read(len(SQLITE)) != SQLITE

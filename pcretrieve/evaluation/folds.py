@@ -10,31 +10,37 @@ after a whitening that was fitted to them.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
 from pcretrieve.errors import BenchmarkError
-from pcretrieve.evaluation.reranked import Subset
+from pcretrieve.evaluation.measures import RetrievalMeasures, evaluate_rankings
+from pcretrieve.evaluation.rankings import (
+    NO_FAILURES,
+    Rankings,
+    SortedBlock,
+    by_distance,
+    rank,
+    rank_gallery,
+    rank_sorted,
+)
 from pcretrieve.options import RetrievalOptions
 from pcretrieve.retrieval import (
+    N_RERANKED,
     DistanceBlock,
+    NeighbourLists,
     Positions,
+    SignatureIndex,
     Whitening,
     fit_whitening,
     pairwise_blocks,
+    rerank,
     table_coordinates,
 )
 from pcretrieve.values import SignatureTable
-
-__all__ = [
-    "Fold",
-    "grouped_folds",
-    "within_class_distances",
-    "within_class_folds",
-    "within_class_subsets",
-]
 
 
 class Fold(NamedTuple):
@@ -106,3 +112,139 @@ def within_class_subsets(table: SignatureTable, options: RetrievalOptions | None
         whitened = fold.whitening.apply(logs[fold.queries])
         own = np.arange(len(fold.queries))
         yield Subset(fold.queries, pairwise_blocks(options.distance, whitened, own))
+
+
+class Subset(NamedTuple):
+    """Shapes of a gallery that are ranked among each other.
+
+    members: (m,) intp, positions of the shapes in the gallery.
+    """
+
+    members: Positions
+    blocks: Iterable[DistanceBlock]
+
+
+def rank_subsets(
+    subsets: Iterable[Subset],
+    ids: Sequence[str],
+    labels: Sequence[str | None],
+    methods: Sequence[str],
+    *,
+    failed: Mapping[str, str | None] = NO_FAILURES,
+) -> dict[str, Rankings]:
+    """Rank each labelled shape's subset of a gallery, by plain and by re-ranked lists.
+
+    Returns dict of str to Rankings: by the name of the method. Shapes behind the list that is sorted again
+        keep their ranks.
+    """
+    lists: list[tuple[Positions, NeighbourLists]] = []
+
+    def plain_blocks() -> Iterator[SortedBlock]:
+        for members, blocks in subsets:
+            m = len(members)
+            length = min(N_RERANKED + 1, m)  # with the shape itself
+            kept = NeighbourLists(np.empty((m, length), dtype=np.intp), np.empty((m, length)))
+            names = [ids[position] for position in members]
+            for block in blocks:
+                order = by_distance(block, names)
+                nearest = order[:, :length]
+                kept.order[block.queries] = nearest
+                kept.distances[block.queries] = np.take_along_axis(block.distances, nearest, axis=1)
+                yield SortedBlock(members[block.queries], members[order])
+            lists.append((members, kept))
+
+    plain = rank_sorted(plain_blocks(), ids, labels, failed=failed)
+    # Ranks behind the lists are as before. Lists that are shorter have all shapes of their subset.
+    behind = plain.hit_rank > N_RERANKED
+    labelled = np.array([label is not None for label in labels], dtype=bool)
+    rankings = {}
+    for method in methods:
+        if method == "none":
+            rankings[method] = plain
+            continue
+        again = (
+            SortedBlock(members[queries], members[rerank(method, kept, queries)])
+            for members, kept in lists
+            for queries in [np.flatnonzero(labelled[members])]
+        )
+        first = rank_sorted(again, ids, labels, failed=failed)
+        hit_query = np.concatenate([first.hit_query, plain.hit_query[behind]])
+        hit_rank = np.concatenate([first.hit_rank, plain.hit_rank[behind]])
+        order = np.lexsort((hit_rank, hit_query))
+        rankings[method] = replace(first, hit_query=hit_query[order], hit_rank=hit_rank[order])
+    return rankings
+
+
+def rank_table(
+    table: SignatureTable,
+    options: RetrievalOptions | None = None,
+    *,
+    whitening: Whitening | None = None,
+    failed: Mapping[str, str | None] = NO_FAILURES,
+) -> Rankings:
+    """Rank a table of signatures for each labelled shape in it."""
+    options = unsupervised(options or RetrievalOptions())
+    if options.rerank != "none":
+        methods = (options.rerank,)
+        return rerank_table(table, methods, options, whitening=whitening, failed=failed)[options.rerank]
+    if _is_within_class(table, options, whitening):
+        return rank_gallery(within_class_distances(table, options), table.ids, table.labels, failed=failed)
+    if not len(table):
+        return rank_gallery((), (), (), failed=failed)
+    index = SignatureIndex(table, options, whitening=whitening)
+    return rank(index, _labels(index, table), failed=failed)
+
+
+def rerank_table(
+    table: SignatureTable,
+    methods: Sequence[str],
+    options: RetrievalOptions | None = None,
+    *,
+    whitening: Whitening | None = None,
+    failed: Mapping[str, str | None] = NO_FAILURES,
+) -> dict[str, Rankings]:
+    """Rank a table of signatures for each labelled shape in it, by plain and by re-ranked lists.
+
+    Distances are computed once, and a within-class whitening is fitted once for each fold. The gallery of a
+    query then has only classes to which the whitening was not fitted, which are its fold.
+    """
+    options = unsupervised(options or RetrievalOptions())
+    if _is_within_class(table, options, whitening):
+        subsets = within_class_subsets(table, options)
+        return rank_subsets(subsets, table.ids, table.labels, methods, failed=failed)
+    if not len(table):
+        return rank_subsets((), (), (), methods, failed=failed)
+    index = SignatureIndex(table, options, whitening=whitening)
+    everything = Subset(np.arange(len(index)), index.blocks())
+    return rank_subsets([everything], index.ids, _labels(index, table), methods, failed=failed)
+
+
+def _is_within_class(table: SignatureTable, options: RetrievalOptions, whitening: Whitening | None) -> bool:
+    """Whether a whitening is fitted by grouped folds."""
+    if (options.whitening if whitening is None else whitening.kind) != "within-class":
+        return False
+    if whitening is not None:
+        whitening.check_made_for(table.digest)
+    return True
+
+
+def _labels(index: SignatureIndex, table: SignatureTable) -> list[str | None]:
+    """The classes of the table in the order of its index."""
+    label_of = dict(zip(table.ids, table.labels, strict=True))
+    return [label_of[shape_id] for shape_id in index.ids]
+
+
+def unsupervised(options: RetrievalOptions) -> RetrievalOptions:
+    """The options of an evaluation: whitening ``auto`` must not be fitted to the labels of the queries."""
+    return options.model_copy(update={"whitening": "neighbours"}) if options.whitening == "auto" else options
+
+
+def evaluate_table(
+    table: SignatureTable,
+    options: RetrievalOptions | None = None,
+    *,
+    whitening: Whitening | None = None,
+    failed: Mapping[str, str | None] = NO_FAILURES,
+) -> RetrievalMeasures:
+    """Retrieval measures of a table of signatures."""
+    return evaluate_rankings(rank_table(table, options, whitening=whitening, failed=failed))

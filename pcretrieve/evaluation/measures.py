@@ -40,17 +40,6 @@ from pcretrieve.retrieval import Positions
 from pcretrieve.values import FloatArray
 from pcretrieve.values.base import Value
 
-__all__ = [
-    "MEASURES",
-    "Average",
-    "PrecisionRecall",
-    "QueryScores",
-    "RetrievalMeasures",
-    "evaluate_rankings",
-    "precision_recall",
-    "query_scores",
-]
-
 #: The measures, in the order of the columns of `QueryScores.columns`.
 MEASURES = ("nn", "ft", "st", "e", "dcg", "map")
 
@@ -193,3 +182,34 @@ def _precision_at_hits(ranked: Rankings) -> FloatArray:
     first = np.searchsorted(ranked.hit_query, ranked.hit_query)
     precision: FloatArray = (np.arange(len(first)) - first + 1) / ranked.hit_rank
     return precision
+
+
+#: Confidence level of intervals.
+LEVEL = 0.95
+
+N_RESAMPLES = 2000
+
+# Number of weights of queries that are in memory at once: 8 MB.
+CHUNK = 2**20
+
+
+def bootstrap_interval(
+    values: FloatArray, *, level: float = LEVEL, rng: np.random.Generator | None = None
+) -> FloatArray:
+    """Confidence intervals of the means of columns, whose rows are drawn again together.
+
+    values: (Q, m) float64, one row for each query, such as `QueryScores.columns`, or differences of such rows
+        in a paired comparison.
+    Returns (2, m) float64: the lower and the upper ends.
+    """
+    if not 0 < level < 1:
+        raise OptionError(f"the level of an interval must lie between 0 and 1, got {level}")
+    rng = np.random.default_rng(0) if rng is None else rng
+    n = len(values)
+    rows = max(1, CHUNK // n)
+    means = [
+        rng.multinomial(n, np.full(n, 1 / n), size=min(rows, N_RESAMPLES - start)) @ values / n
+        for start in range(0, N_RESAMPLES, rows)
+    ]
+    ends: FloatArray = np.quantile(np.concatenate(means), [(1 - level) / 2, (1 + level) / 2], axis=0)
+    return ends

@@ -18,8 +18,6 @@ from pcretrieve.errors import BenchmarkError, InputError
 from pcretrieve.retrieval import DistanceBlock, Positions, Ranking
 from pcretrieve.values.base import Value
 
-__all__ = ["NO_FAILURES", "Rankings", "SortedBlock", "by_distance", "rank", "rank_gallery", "rank_sorted"]
-
 #: The classes of failed shapes by id, if no shape failed.
 NO_FAILURES: Mapping[str, str | None] = MappingProxyType({})
 

@@ -3,9 +3,8 @@
 A distance matrix ranks a gallery as an index of signatures does; its files are those of SHREC tracks.
 """
 
-from pcretrieve.matching.files import ids_path, read_matrix, write_matrix
 from pcretrieve.matching.matcher import MATCHERS, Matcher
-from pcretrieve.matching.matrix import DistanceMatrix, distance_matrix
+from pcretrieve.matching.matrix import DistanceMatrix, distance_matrix, ids_path, read_matrix, write_matrix
 from pcretrieve.matching.pairs import PairwiseIndex
 
 __all__ = [

@@ -11,16 +11,16 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, get_args
 
+import numpy as np
+from numba import njit
+
 from pcretrieve.errors import OptionError
-from pcretrieve.matching.clock import clock_distance, view_descriptors, view_words
-from pcretrieve.matching.gallery_words import heat_points, word_distance, word_frequencies
-from pcretrieve.matching.heat import heat_distance, heat_set
+from pcretrieve.matching.cm_bof import clock_distance, view_descriptors, view_words
+from pcretrieve.matching.heat import heat_distance, heat_points, heat_set, word_distance, word_frequencies
 from pcretrieve.matching.meshsift import match_distance, mesh_features
 from pcretrieve.names import NAMES
 from pcretrieve.plugins import Registry, named
-from pcretrieve.values import Need, Shape
-
-__all__ = ["MATCHERS", "Matcher"]
+from pcretrieve.values import IntArray, Need, Shape
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,3 +79,47 @@ MATCHERS: Registry[Matcher] = Registry(
     {matcher.name: matcher for matcher in (HEAT_HAUSDORFF, HKS_BOW_GALLERY, MDS_CM_BOF, MESHSIFT)},
     named(Matcher),
 )
+
+
+@njit(cache=True)
+def smallest_mean(
+    starts: IntArray,
+    words: IntArray,
+    counts: IntArray,
+    other_starts: IntArray,
+    other_words: IntArray,
+    other_counts: IntArray,
+    exchanges: IntArray,
+) -> float:
+    """The smallest mean distance of the histograms of two forms.
+
+    exchanges: (r, k) int32, for each rotation and each view of the other form, the view of the first form.
+    """
+    n_views = len(starts) - 1
+    # Several rotations compare the same two views, whose distance is computed once.
+    known = np.full((n_views, n_views), -1.0)
+    smallest = np.inf
+    for rotation in range(len(exchanges)):
+        total = 0.0
+        for view in range(n_views):
+            turned = exchanges[rotation, view]
+            if known[turned, view] < 0:
+                i, end = starts[turned], starts[turned + 1]
+                j, other_end = other_starts[view], other_starts[view + 1]
+                size = counts[i:end].sum()
+                other_size = other_counts[j:other_end].sum()
+                common = 0
+                while i < end and j < other_end:
+                    if words[i] == other_words[j]:
+                        common += min(counts[i], other_counts[j])
+                        i += 1
+                        j += 1
+                    elif words[i] < other_words[j]:
+                        i += 1
+                    else:
+                        j += 1
+                larger = max(size, other_size)
+                known[turned, view] = 1 - common / larger if larger > 0 else 0.0
+            total += known[turned, view]
+        smallest = min(smallest, total)
+    return smallest / n_views

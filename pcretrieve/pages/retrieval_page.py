@@ -20,7 +20,7 @@ from pcretrieve.evaluation import (
     query_scores,
     rank_catalogue,
 )
-from pcretrieve.evaluation.tables import unsupervised
+from pcretrieve.evaluation.folds import unsupervised
 from pcretrieve.matching import DistanceMatrix
 from pcretrieve.options import PipelineOptions
 from pcretrieve.pages.cards import Card, Panel

@@ -32,18 +32,20 @@ from tqdm import tqdm
 from pcretrieve.adapters.scikit_learn import sparse_dictionary
 from pcretrieve.atomic import write_file
 from pcretrieve.descriptors import reduced_matrix
-from pcretrieve.descriptors.dl import ATOMS, N_ATOMS, surface_points
-from pcretrieve.descriptors.hks_bow import SAMPLE as HEAT_SAMPLE
-from pcretrieve.descriptors.hks_bow import heat_features
-from pcretrieve.descriptors.ispm import SAMPLE as WAVELET_SAMPLE
-from pcretrieve.descriptors.ispm import wavelet_signatures
-from pcretrieve.descriptors.sparse_coding import (
+from pcretrieve.descriptors.bags import SAMPLE as HEAT_SAMPLE
+from pcretrieve.descriptors.bags import heat_features
+from pcretrieve.descriptors.dl import (
+    ATOMS,
+    N_ATOMS,
     N_ITERATIONS,
     PENALTY,
     SurfacePoints,
     atom_shares,
     sparse_codes,
+    surface_points,
 )
+from pcretrieve.descriptors.ispm import SAMPLE as WAVELET_SAMPLE
+from pcretrieve.descriptors.ispm import wavelet_signatures
 from pcretrieve.errors import InputError, PcretrieveError
 from pcretrieve.ingestion import Isolation
 from pcretrieve.options import PipelineOptions

@@ -24,7 +24,7 @@ from pcretrieve.descriptors import (
     signature_length,
     wks,
 )
-from pcretrieve.descriptors.sd_gdm import geodesic_matrix
+from pcretrieve.descriptors.bihdm import geodesic_matrix
 from pcretrieve.errors import DegenerateMeshError, OptionError, SpectrumError
 from pcretrieve.names import METHODS
 from pcretrieve.options import PipelineOptions, SignatureOptions

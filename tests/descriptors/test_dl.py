@@ -9,8 +9,7 @@ from benchmarks.shipped import LabelledSurface, dictionaries, supervised_diction
 
 from pcretrieve.adapters.scikit_learn import sparse_dictionary
 from pcretrieve.descriptors import dl
-from pcretrieve.descriptors.dl import surface_points
-from pcretrieve.descriptors.sparse_coding import PENALTY, SurfacePoints, atom_shares, sparse_codes
+from pcretrieve.descriptors.dl import PENALTY, SurfacePoints, atom_shares, sparse_codes, surface_points
 from pcretrieve.errors import InputError
 from pcretrieve.spectral import unit_eigenpairs
 from pcretrieve.values import FloatArray

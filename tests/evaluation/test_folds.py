@@ -7,13 +7,14 @@ import pytest
 
 from pcretrieve.errors import BenchmarkError, InputError
 from pcretrieve.evaluation.folds import (
+    evaluate_table,
     grouped_folds,
+    rank_table,
     within_class_distances,
     within_class_folds,
 )
 from pcretrieve.evaluation.measures import evaluate_rankings
 from pcretrieve.evaluation.rankings import rank_gallery
-from pcretrieve.evaluation.tables import evaluate_table, rank_table
 from pcretrieve.options import RetrievalOptions
 from pcretrieve.retrieval import DISTANCES, DistanceBlock, fit_whitening, log_signatures, pairwise
 from pcretrieve.values import FloatArray, SignatureTable

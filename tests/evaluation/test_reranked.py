@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from pcretrieve.evaluation import evaluate_table, rank_table, rerank_table
-from pcretrieve.evaluation.folds import within_class_folds, within_class_subsets
-from pcretrieve.evaluation.reranked import Subset, rank_subsets
+from pcretrieve.evaluation.folds import Subset, rank_subsets, within_class_folds, within_class_subsets
 from pcretrieve.options import RetrievalOptions
 from pcretrieve.retrieval import DistanceBlock, neighbour_lists, pairwise, rerank
 from pcretrieve.values import SignatureTable

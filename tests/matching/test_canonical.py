@@ -8,7 +8,7 @@ import shapes
 from scipy.spatial.distance import cdist, pdist
 
 from pcretrieve.errors import DegenerateMeshError
-from pcretrieve.matching.canonical import N_FACES, canonical_form, geodesic_distances, scaled_coordinates
+from pcretrieve.matching.cm_bof import N_FACES, canonical_form, geodesic_distances, scaled_coordinates
 from pcretrieve.values import TriangleMesh
 
 

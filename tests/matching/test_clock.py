@@ -13,8 +13,16 @@ from numpy.typing import NDArray
 
 from pcretrieve.errors import OptionError
 from pcretrieve.matching import MATCHERS
-from pcretrieve.matching.clock import ViewWords, clock_distance, view_descriptors, view_words
-from pcretrieve.matching.views import N_PIXELS, depth_pictures, directions, exchanges
+from pcretrieve.matching.cm_bof import (
+    N_PIXELS,
+    ViewWords,
+    clock_distance,
+    depth_pictures,
+    directions,
+    exchanges,
+    view_descriptors,
+    view_words,
+)
 from pcretrieve.values import Shape, Surface, TriangleMesh
 
 needs_opencv = pytest.mark.usefixtures("opencv")

@@ -11,7 +11,7 @@ import shapes
 
 from pcretrieve.errors import InputError, ShapeError
 from pcretrieve.matching import MATCHERS, Matcher, PairwiseIndex, distance_matrix
-from pcretrieve.matching.gallery_words import heat_points, word_distance, word_frequencies
+from pcretrieve.matching.heat import heat_points, word_distance, word_frequencies
 from pcretrieve.values import Shape, Surface, TriangleMesh
 
 LENGTHS = {"a": 2.0, "b": 1.5, "c": 1.0}

@@ -11,8 +11,7 @@ import shapes
 from pcretrieve.errors import DegenerateMeshError
 from pcretrieve.matching import MATCHERS
 from pcretrieve.matching import meshsift as module
-from pcretrieve.matching.meshsift import MeshFeatures, match_distance, mesh_features
-from pcretrieve.matching.scale_space import keypoints, levels
+from pcretrieve.matching.meshsift import MeshFeatures, keypoints, levels, match_distance, mesh_features
 from pcretrieve.values import Shape, Surface, TriangleMesh
 
 BALL = shapes.icosphere(4)

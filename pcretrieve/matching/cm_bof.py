@@ -1,0 +1,339 @@
+"""Canonical forms: surfaces whose Euclidean distances are the geodesic distances of a bending surface."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from functools import cache, partial
+from itertools import pairwise, permutations, product
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import dijkstra
+from scipy.spatial.distance import cdist
+
+from pcretrieve.adapters.open3d import simplify
+from pcretrieve.adapters.opencv import sift_descriptors
+from pcretrieve.errors import DegenerateMeshError, Stage
+from pcretrieve.values import FloatArray, IntArray, Shape, TriangleMesh
+
+# Number of faces to which a surface is simplified first. See docs/decisions.md, VOCABULARY.
+N_FACES = 1000
+
+# Number of iterations of SMACOF. The stress changes by less than 1 % in further ones.
+N_ITERATIONS = 30
+
+
+def canonical_form(mesh: TriangleMesh) -> TriangleMesh:
+    """The canonical form of a surface [1]_: bent limbs become straight.
+
+    The vertices are placed such that their Euclidean distances approximate their geodesic distances, by least
+    squares (`scaled_coordinates`). Distances do not tell a form from its mirror image: of the two, the one is
+    taken whose enclosed volume is positive, as that of the surface is if its faces are oriented outwards.
+
+    References
+    ----------
+    .. [1] A. Elad and R. Kimmel, "On bending invariant signatures for surfaces", IEEE Transactions on Pattern
+       Analysis and Machine Intelligence 25 (2003).
+    """
+    if not mesh.area > 0:
+        raise DegenerateMeshError(
+            f"no face of {len(mesh.faces)} has an area: give a surface", stage=Stage.SIGNATURE
+        )
+    coarse = coarser(mesh, N_FACES)
+    points = scaled_coordinates(geodesic_distances(coarse))
+    return _posed(TriangleMesh(points, coarse.faces))
+
+
+def coarser(mesh: TriangleMesh, n_faces: int) -> TriangleMesh:
+    """A surface with about so many faces, or all of its faces if it has fewer."""
+    # Imported here because the modules' numba functions are compiled on import.
+    from pcretrieve.surface.simplify import simplified
+    from pcretrieve.surface.topology import compact
+
+    if len(mesh.faces) <= n_faces:
+        return compact(mesh.vertices, mesh.faces)
+    try:
+        return simplified(mesh, n_faces)
+    except DegenerateMeshError:  # open, or not a manifold
+        return compact(*simplify(mesh.vertices, mesh.faces, n_faces=n_faces))
+
+
+def geodesic_distances(mesh: TriangleMesh) -> FloatArray:
+    """Geodesic distances between the vertices of a surface, by shortest paths.
+
+    The paths follow the edges, and the diagonals of each two adjacent faces, which are unfolded into one
+    plane. They are longer than geodesics by 3 % in the mean on a sphere, and need no solver.
+
+    Returns (n, n) float64: symmetric; unit length.
+    """
+    n = len(mesh.vertices)
+    if n < 4:
+        raise DegenerateMeshError(
+            f"a canonical form needs a surface of at least 4 vertices, got {n}", stage=Stage.SIGNATURE
+        )
+    ends, lengths = _links(mesh)
+    low, high = np.sort(ends, axis=1).T
+    order = np.lexsort((lengths, high, low))
+    low, high, lengths = low[order], high[order], lengths[order]
+    # The shortest of the links between two vertices, since a sparse matrix would add them up.
+    first = np.diff(low * n + high, prepend=-1) > 0
+    graph = coo_array((lengths[first], (low[first], high[first])), shape=(n, n)).tocsr()
+    distances: FloatArray = dijkstra(graph, directed=False)
+    if apart := int(np.isinf(distances[0]).sum()):
+        raise DegenerateMeshError(
+            f"a canonical form needs a connected surface, {apart} of {n} vertices are not connected to the "
+            "first: keep one component",
+            stage=Stage.SIGNATURE,
+        )
+    both: FloatArray = np.minimum(distances, distances.T)
+    return both
+
+
+def _links(mesh: TriangleMesh) -> tuple[NDArray[np.int64], FloatArray]:
+    """Ends (l, 2) and lengths (l,) of edges, once for each face, and of diagonals of adjacent faces."""
+    faces, vertices = mesh.faces.astype(np.int64), mesh.vertices
+    edges = np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1)
+    opposite = np.concatenate([faces[:, 2], faces[:, 0], faces[:, 1]])  # (3m,)
+    order = np.lexsort((edges[:, 1], edges[:, 0]))
+    edges, opposite = edges[order], opposite[order]
+    twice = np.flatnonzero((edges[1:] == edges[:-1]).all(axis=1))
+    start = vertices[edges[twice, 0]]
+    along = vertices[edges[twice, 1]] - start
+    length = np.linalg.norm(along, axis=1)  # (t,)
+    twice, start, along, length = (kept[length > 0] for kept in (twice, start, along, length))
+    across = np.column_stack([opposite[twice], opposite[twice + 1]])  # (t, 2)
+    offsets = vertices[across] - start[:, np.newaxis]  # (t, 2, 3)
+    x = np.einsum("tkd,td->tk", offsets, along) / length[:, np.newaxis]
+    y = np.sqrt(np.maximum((offsets**2).sum(axis=2) - x**2, 0))
+    height = y.sum(axis=1)
+    crossing = x[:, 0] + (x[:, 1] - x[:, 0]) * y[:, 0] / np.where(height > 0, height, 1)
+    inside = (crossing > 0) & (crossing < length) & (across[:, 0] != across[:, 1])
+    diagonals = np.hypot(x[:, 0] - x[:, 1], height)[inside]
+    sides = np.linalg.norm(vertices[edges[:, 0]] - vertices[edges[:, 1]], axis=1)
+    # A link of length 0 would be none: scipy leaves zeros of sparse matrices out of a graph.
+    smallest = np.finfo(np.float64).eps * mesh.diagonal
+    lengths = np.maximum(np.concatenate([sides, diagonals]), smallest)
+    return np.concatenate([edges, across[inside]]), lengths
+
+
+def scaled_coordinates(distances: FloatArray) -> FloatArray:
+    """Points in space whose distances approximate given ones: metric multidimensional scaling.
+
+    Thirty iterations of SMACOF [1]_, which minimises the sum of the squared differences of all distances,
+    from the solution of classical scaling.
+
+    distances: (n, n) float64, symmetric, finite, zero on the diagonal; n is at least 4.
+    Returns (n, 3) float64: the points, in the unit of the distances; determined up to rotations, reflections
+        and translations.
+
+    References
+    ----------
+    .. [1] J. de Leeuw, "Applications of convex analysis to multidimensional scaling", Recent Developments in
+       Statistics (1977).
+    """
+    n = len(distances)
+    squares = distances**2
+    means = squares.mean(axis=0)
+    scalars = -(squares - means - means[:, np.newaxis] + means.mean()) / 2
+    values, vectors = np.linalg.eigh(scalars)
+    points: FloatArray = vectors[:, -3:] * np.sqrt(np.maximum(values[-3:], 0))
+    for _ in range(N_ITERATIONS):
+        apart = cdist(points, points)
+        ratios = np.divide(distances, apart, out=np.zeros_like(apart), where=apart > 0)
+        points = (ratios.sum(axis=1)[:, np.newaxis] * points - ratios @ points) / n
+    return points
+
+
+def _posed(mesh: TriangleMesh) -> TriangleMesh:
+    """The surface, centred, turned to its principal axes and scaled to radius 1, or its mirror image."""
+    areas = mesh.face_areas
+    if not areas.sum() > 0:
+        raise DegenerateMeshError("the canonical form has no area", stage=Stage.SIGNATURE)
+    shares = areas / areas.sum()
+    vertices = mesh.vertices - shares @ mesh.vertices[mesh.faces].mean(axis=1)
+    corners = vertices[mesh.faces]  # (m, 3, 3)
+    # The midpoints of the edges integrate quadratics over a triangle exactly.
+    middles = (corners + np.roll(corners, 1, axis=1)) / 2
+    moments = np.einsum("f,fki,fkj->ij", shares, middles, middles) / 3
+    vertices = vertices @ np.linalg.eigh(moments)[1][:, ::-1]
+    vertices = vertices / np.linalg.norm(vertices, axis=1).max()
+    skew = shares @ vertices[mesh.faces].mean(axis=1) ** 3  # (3,)
+    vertices = vertices * np.where(skew < 0, -1.0, 1.0)
+    side = np.sign(TriangleMesh(vertices, mesh.faces).volume) or 1.0
+    return TriangleMesh(vertices * [1.0, 1.0, side], mesh.faces)
+
+
+# Side of the pictures in pixels. See docs/decisions.md, VOCABULARY.
+N_PIXELS = 128
+
+# Margin on each side of a picture, relative to half of its width.
+MARGIN = 0.05
+
+
+@cache
+def directions() -> FloatArray:
+    """(66, 3) unit vectors: the vertices of the octahedron whose faces are cut in four twice."""
+    points = [np.array(p) for p in product(range(-4, 5), repeat=3) if np.abs(p).sum() == 4]
+    # A subdivision moves the midpoints of edges to the sphere: the grid on a face of the octahedron, in which
+    # every second vertex is of the first subdivision.
+    return np.array([_subdivided(point) for point in points])
+
+
+def _subdivided(point: IntArray) -> FloatArray:
+    """The vertex on the unit sphere at a grid point (a, b, c) of the octahedron |a| + |b| + |c| = 4."""
+    if not point.astype(int).any() or (point % 4 == 0).all():
+        return np.asarray(point / 4.0)
+    step = 2 if (point % 2 == 0).all() else 1
+    # The ends of the edge whose midpoint this is: two of the coordinates differ by one step.
+    odd = [axis for axis in range(3) if (point[axis] // step) % 2]
+    move = np.zeros(3, dtype=int)
+    move[odd[0]] = step if point[odd[0]] > 0 else -step
+    move[odd[1]] = -step if point[odd[1]] > 0 else step
+    middle = _subdivided(point + move) + _subdivided(point - move)
+    return np.asarray(middle / np.linalg.norm(middle))
+
+
+@cache
+def exchanges() -> IntArray:
+    """What the 24 rotations of an octahedron do to the directions.
+
+    Returns (24, 66) int32: the number of the direction to which each rotation turns each direction. The
+        identity is among them.
+    """
+    views = directions()
+    rows = []
+    for order in permutations(range(3)):
+        for signs in product((1.0, -1.0), repeat=3):
+            matrix = np.zeros((3, 3))
+            matrix[range(3), order] = signs
+            if np.linalg.det(matrix) > 0:
+                rows.append((views @ matrix.T @ views.T).argmax(axis=1))
+    return np.array(rows, dtype=np.int32)
+
+
+def depth_pictures(mesh: TriangleMesh) -> Iterator[FloatArray]:
+    """Depth pictures of a surface from all directions, by orthographic projection.
+
+    mesh: within the unit sphere.
+    Yields (128, 128) float64: for each of `directions`: (1 + z) / 2 at the point nearest to the camera, with
+        z the coordinate towards the camera; 0 where there is no surface.
+    """
+    scale = (1 - MARGIN) * (N_PIXELS - 1) / 2
+    for towards in directions():
+        seen = mesh.vertices @ _camera(towards).T  # (n, 3)
+        pixels = np.column_stack([seen[:, :2] * scale + (N_PIXELS - 1) / 2, (1 + seen[:, 2]) / 2])
+        yield _drawn(pixels, mesh.faces, N_PIXELS)
+
+
+def _camera(towards: FloatArray) -> FloatArray:
+    """(3, 3) orthonormal rows: to the right, upwards, and the given direction, towards the camera."""
+    upright = np.eye(3)[2] if abs(towards[2]) < 1 - 1e-9 else np.eye(3)[1]
+    right = np.cross(upright, towards)
+    right /= np.linalg.norm(right)
+    return np.stack([right, np.cross(towards, right), towards])
+
+
+@njit(cache=True)
+def _drawn(pixels: FloatArray, faces: IntArray, side: int) -> FloatArray:
+    """A picture (side, side) of the largest third coordinate at each pixel (x, y), and 0 without a face."""
+    picture = np.zeros((side, side))
+    for face in range(len(faces)):
+        x0, y0, z0 = pixels[faces[face, 0]]
+        x1, y1, z1 = pixels[faces[face, 1]]
+        x2, y2, z2 = pixels[faces[face, 2]]
+        double = (x1 - x0) * (y2 - y0) - (x2 - x0) * (y1 - y0)
+        if abs(double) < 1e-12:  # seen from its edge
+            continue
+        for y in range(max(0, int(np.ceil(min(y0, y1, y2)))), min(side - 1, int(max(y0, y1, y2))) + 1):
+            for x in range(max(0, int(np.ceil(min(x0, x1, x2)))), min(side - 1, int(max(x0, x1, x2))) + 1):
+                a = ((x - x0) * (y2 - y0) - (x2 - x0) * (y - y0)) / double
+                b = ((x1 - x0) * (y - y0) - (x - x0) * (y1 - y0)) / double
+                # A pixel on an edge is in both faces, in spite of rounding.
+                if a >= -1e-9 and b >= -1e-9 and a + b <= 1 + 1e-9:
+                    picture[y, x] = max(picture[y, x], z0 + a * (z1 - z0) + b * (z2 - z0))
+    return picture
+
+
+# Number of visual words. See docs/decisions.md, VOCABULARY.
+VOCABULARY = 1500
+
+
+class ViewDescriptors(NamedTuple):
+    """The SIFT descriptors in the views of a canonical form.
+
+    starts: (67,) int32, the descriptors of view k are the rows ``starts[k]`` to ``starts[k + 1]``.
+    descriptors: (p, 128) uint8, the descriptors.
+    """
+
+    starts: IntArray
+    descriptors: NDArray[np.uint8]
+
+
+class ViewWords(NamedTuple):
+    """The frequencies of the visual words in the views of a canonical form, without zeros.
+
+    starts: (67,) int32, the words of view k are at positions ``starts[k]`` to ``starts[k + 1]`` of the other
+        arrays.
+    words: (w,) int32, numbers of the words, ascending in each view.
+    counts: (w,) int32, frequencies of the words.
+    """
+
+    starts: IntArray
+    words: IntArray
+    counts: IntArray
+
+
+def view_descriptors(shape: Shape) -> ViewDescriptors:
+    """The SIFT descriptors in 66 depth pictures of the canonical form of a shape [1]_.
+
+    Of the settings that the article leaves open, or that differ: shortest paths over faces instead of fast
+    marching; forms of at most 1000 faces, which are drawn themselves; pictures of 128 × 128 pixels instead of
+    256 × 256; principal axes without the measure of rectilinearity; and OpenCV's default settings of SIFT.
+    See docs/decisions.md, VOCABULARY. Requires the extra ``pcretrieve[views]``.
+
+    References
+    ----------
+    .. [1] Z. Lian, A. Godil, X. Sun and J. Xiao, "CM-BOF: visual similarity-based 3D shape retrieval using
+       clock matching and bag-of-features", Machine Vision and Applications 24 (2013); and Z. Lian et al.,
+       "Non-rigid 3D shape retrieval using multidimensional scaling and bag-of-features", ICIP 2010.
+    """
+    # Imported here because the module's numba functions are compiled on import.
+
+    views = list(sift_descriptors(depth_pictures(canonical_form(shape.mesh))))
+    starts = np.cumsum([0, *map(len, views)])
+    return ViewDescriptors(starts.astype(np.int32), np.concatenate(views).astype(np.uint8))
+
+
+def view_words(gallery: Sequence[ViewDescriptors]) -> Callable[[ViewDescriptors], ViewWords]:
+    """Draw the visual words from the descriptors of a gallery, at random, as published."""
+    rng = np.random.default_rng(0)
+    every = np.concatenate([shape.descriptors for shape in gallery])  # (p, 128)
+    words = every[rng.choice(len(every), min(VOCABULARY, len(every)), replace=False)]
+    return partial(_counted, words.astype(np.float64))
+
+
+def clock_distance(query: ViewWords, other: ViewWords) -> float:
+    """The distance of two canonical forms, in the best of 24 positions.
+
+    For views with frequencies a and b, the distance is 1 − Σ min(a, b) / max(Σ a, Σ b), and 0 for two views
+    without words. The distances of corresponding views are averaged, for each of the 24 rotations of an
+    octahedron, and the smallest average is the distance.
+    """
+    # Imported here because the module's numba functions are compiled on import.
+    from pcretrieve.matching.matcher import smallest_mean
+
+    return float(smallest_mean(*query, *other, exchanges()))
+
+
+def _counted(vocabulary: FloatArray, made: ViewDescriptors) -> ViewWords:
+    """How often each word is the nearest one to the descriptors of each view."""
+    squares = (vocabulary**2).sum(axis=1)
+    products = made.descriptors.astype(np.float64) @ vocabulary.T  # (p, W)
+    nearest = (squares - 2 * products).argmin(axis=1)
+    found = [np.unique(nearest[start:end], return_counts=True) for start, end in pairwise(made.starts)]
+    starts = np.cumsum([0, *(len(words) for words, _ in found)])
+    words, counts = (np.concatenate(parts) for parts in zip(*found, strict=True))
+    return ViewWords(starts.astype(np.int32), words.astype(np.int32), counts.astype(np.int32))
