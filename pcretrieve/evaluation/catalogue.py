@@ -19,6 +19,7 @@ from pcretrieve.ingestion.layouts import labels_of
 from pcretrieve.matching import MATCHERS, DistanceMatrix, PairwiseIndex, distance_matrix
 from pcretrieve.options import PipelineOptions, RerankKind
 from pcretrieve.retrieval import (
+    Ranking,
     SignatureIndex,
     Whitening,
     resolution_covariance,
