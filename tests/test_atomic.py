@@ -10,8 +10,8 @@ from pathlib import Path
 
 import pytest
 
-from pcretrieve.atomic import write_file
 from pcretrieve.errors import InputError
+from pcretrieve.values.files import write_file
 
 
 def names(folder: Path) -> list[str]:
@@ -44,7 +44,7 @@ def test_a_device_is_written_to_and_not_replaced(tmp_path: Path) -> None:
         [
             sys.executable,
             "-c",
-            "from pathlib import Path; from pcretrieve.atomic import write_file\n"
+            "from pathlib import Path; from pcretrieve.values.files import write_file\n"
             "write_file(Path('/dev/stdout'), b'a page')",
         ],
         capture_output=True,
@@ -72,7 +72,7 @@ FULL = """
 import resource, signal
 from pathlib import Path
 from pcretrieve.errors import InputError
-from pcretrieve.atomic import write_file
+from pcretrieve.values.files import write_file
 
 signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
 resource.setrlimit(resource.RLIMIT_FSIZE, (1000, 1000))

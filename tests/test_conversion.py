@@ -11,10 +11,10 @@ import shapes
 import trimesh
 
 import pcretrieve as pr
-from pcretrieve.conversion import as_cloud, as_geometry, as_mesh
 from pcretrieve.errors import InputError, OptionError
 from pcretrieve.formats.scans import as_scan
 from pcretrieve.values import Eigenpairs, ModalSpectrum, Neighbors, Shape, Signature, SignatureTable, Surface
+from pcretrieve.values.conversion import as_cloud, as_geometry, as_mesh
 
 MESH = shapes.body(3)
 CLOUD = pr.PointCloud(MESH.vertices, MESH.vertices / np.linalg.norm(MESH.vertices, axis=1, keepdims=True))

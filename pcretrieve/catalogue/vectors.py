@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from pcretrieve.adapters.postgresql import write_vectors
+from pcretrieve.catalogue.pgvector import write_vectors
 from pcretrieve.catalogue.store import Catalogue
 from pcretrieve.errors import OptionError
 from pcretrieve.options import PipelineOptions

@@ -10,11 +10,11 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from pcretrieve.adapters.rays import RayScene
 from pcretrieve.checks.check import Check
 from pcretrieve.checks.points import normal_checks, point_checks
 from pcretrieve.checks.spectra import spectrum_checks
 from pcretrieve.checks.surfaces import base_check, fit_checks, marks_check, mesh_check, surface_checks
+from pcretrieve.draw.open3d import RayScene
 from pcretrieve.points.density import local_spacings
 from pcretrieve.points.nearest import nearest
 from pcretrieve.points.sampling import SPACING_NEIGHBORS, Neighborhoods

@@ -14,7 +14,6 @@ from pcretrieve.cli.documents import write_document
 from pcretrieve.cli.messages import say, write_csv
 from pcretrieve.cli.parts import catalogue_option, json_option
 from pcretrieve.cli.tables import Column, write_table
-from pcretrieve.csv_text import csv_text
 
 __all__ = ["cluster_command"]
 
@@ -49,9 +48,9 @@ def cluster_command(
     \b
     pcretrieve cluster --catalogue bodies.sqlite -o clusters.csv
     """
-    from pcretrieve.atomic import write_file
     from pcretrieve.catalogue import Catalogue
     from pcretrieve.query import cluster
+    from pcretrieve.values.files import csv_text, write_file
 
     with Catalogue(catalogue) as store:
         options = compared(store, **comparison)

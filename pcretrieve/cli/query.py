@@ -24,7 +24,6 @@ from pcretrieve.cli.parts import (
     up_option,
 )
 from pcretrieve.cli.tables import Column, write_table
-from pcretrieve.csv_text import csv_text
 
 if TYPE_CHECKING:
     from pcretrieve.errors import PcretrieveError, ShapeError
@@ -255,6 +254,7 @@ def _judged(verdict: Verdict) -> str:
 def _print_csv(outcomes: Outcomes) -> None:
     """One row for each result of each query."""
     from pcretrieve.query import Answer, result_rows
+    from pcretrieve.values.files import csv_text
 
     rows = (
         {"query": name, **row}

@@ -4,8 +4,7 @@ Litman et al. learn the dictionary from the shapes of a set, without labels or w
 dictionaries are learned from simulated people, animals and hands, are stored beside this file, and are made
 by ``scripts/sample_dictionary``: the signature of a shape depends on this shape alone, and signatures of
 different galleries are comparable. Dictionaries of other shapes are learned by
-`pcretrieve.adapters.scikit_learn.sparse_dictionary` and
-`benchmarks.dictionary_learning.supervised_dictionary`.
+`sparse_dictionary` and `supervised_dictionary` of ``scripts/benchmarks/shipped.py``.
 """
 
 from __future__ import annotations

@@ -7,9 +7,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pcretrieve.adapters.rays import RayScene
 from pcretrieve.arrays import FloatArray, IntArray
 from pcretrieve.draw.axes import principal_axes
+from pcretrieve.draw.open3d import RayScene
 
 __all__ = [
     "MARGIN",

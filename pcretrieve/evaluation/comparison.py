@@ -15,9 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pcretrieve.atomic import write_file
 from pcretrieve.catalogue import Catalogue
-from pcretrieve.csv_text import csv_text
 from pcretrieve.errors import BenchmarkError, InputError
 from pcretrieve.evaluation.catalogue import rank_catalogue, rank_matrix
 from pcretrieve.evaluation.classes import class_measures, confusion
@@ -34,6 +32,7 @@ from pcretrieve.matching import DistanceMatrix, ids_path, read_matrix
 from pcretrieve.options import PipelineOptions
 from pcretrieve.values import FloatArray
 from pcretrieve.values.base import Value
+from pcretrieve.values.files import csv_text, write_file
 
 # Largest number of shapes in the message about classes that differ.
 QUOTED = 3

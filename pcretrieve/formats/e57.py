@@ -13,10 +13,10 @@ from pathlib import Path
 
 import numpy as np
 
-from pcretrieve.adapters.pye57 import ScanHeader, scan_headers, scan_points
 from pcretrieve.errors import ScanReadError
 from pcretrieve.formats.format import Extra, Format
 from pcretrieve.formats.members import Members, distinct_names
+from pcretrieve.formats.pye57 import ScanHeader, scan_headers, scan_points
 from pcretrieve.formats.raw import RawScan, incomplete, joined, without_zeros
 
 __all__ = ["E57", "read_e57"]

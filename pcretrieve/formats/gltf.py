@@ -14,7 +14,6 @@ from typing import Any, NamedTuple, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from pcretrieve.adapters.trimesh import mesh_bytes
 from pcretrieve.errors import ScanReadError
 from pcretrieve.formats.format import Format, Part
 from pcretrieve.formats.gltf_document import (
@@ -26,6 +25,7 @@ from pcretrieve.formats.gltf_document import (
 )
 from pcretrieve.formats.members import Members, distinct_names
 from pcretrieve.formats.raw import RawScan, incomplete, merged_vertices
+from pcretrieve.formats.trimesh import mesh_bytes
 from pcretrieve.values import FloatArray
 
 __all__ = ["GLB", "GLTF"]

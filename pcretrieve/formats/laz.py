@@ -15,7 +15,7 @@ import struct
 import numpy as np
 from numpy.typing import NDArray
 
-from pcretrieve.adapters.lazrs import chunk_sizes, decompressed
+from pcretrieve.formats.lazrs import chunk_sizes, decompressed
 
 __all__ = ["laszip_record", "unpacked"]
 

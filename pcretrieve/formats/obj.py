@@ -11,10 +11,10 @@ from pathlib import Path
 
 import numpy as np
 
-from pcretrieve.adapters.trimesh import mesh_bytes
 from pcretrieve.formats.format import Format
 from pcretrieve.formats.raw import RawScan, fans, incomplete
 from pcretrieve.formats.text import text_lines
+from pcretrieve.formats.trimesh import mesh_bytes
 
 __all__ = ["OBJ", "read_obj"]
 

@@ -10,13 +10,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pcretrieve.adapters.trimesh import mesh_bytes
 from pcretrieve.errors import ScanReadError
 from pcretrieve.formats.columns import columns_of
 from pcretrieve.formats.format import Format
 from pcretrieve.formats.ply_header import Element, read_header
 from pcretrieve.formats.ply_rows import Table, in_order, tables
 from pcretrieve.formats.raw import RawScan, fans, incomplete
+from pcretrieve.formats.trimesh import mesh_bytes
 from pcretrieve.values import PointCloud
 
 __all__ = ["PLY", "read_ply"]

@@ -7,9 +7,9 @@ from contextlib import contextmanager
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from pcretrieve.adapters.fsspec import copy_file, files_below, stored_version
 from pcretrieve.errors import InputError, PcretrieveError, ScanReadError, ShapeError
 from pcretrieve.formats.contents import parts_of
+from pcretrieve.formats.fsspec import copy_file, files_below, stored_version
 from pcretrieve.formats.registry import split_member
 from pcretrieve.formats.urls import url_of
 

@@ -6,9 +6,9 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TypeAlias
 
-from pcretrieve.conversion import GeometryLike, as_geometry
 from pcretrieve.formats.read import read_scan
 from pcretrieve.values import METRES, UNIT, PointCloud, Step, TriangleMesh
+from pcretrieve.values.conversion import GeometryLike, as_geometry
 
 __all__ = ["ScanLike", "as_scan"]
 

@@ -9,12 +9,12 @@ from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
-from pcretrieve.adapters.trimesh import Body, scene_bodies
 from pcretrieve.errors import ScanReadError
 from pcretrieve.formats.files import check_archive
 from pcretrieve.formats.format import Extra, Format
 from pcretrieve.formats.members import Members, distinct_names
 from pcretrieve.formats.raw import RawScan, incomplete, joined, merged_vertices
+from pcretrieve.formats.trimesh import Body, scene_bodies
 from pcretrieve.values import unit_of
 
 __all__ = ["COLLADA", "THREE_MF"]

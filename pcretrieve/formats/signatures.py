@@ -7,11 +7,9 @@ from pathlib import Path
 
 import numpy as np
 
-from pcretrieve.adapters.pandas import parquet_bytes
-from pcretrieve.atomic import write_file
-from pcretrieve.csv_text import csv_text
 from pcretrieve.errors import InputError
 from pcretrieve.values import SignatureTable
+from pcretrieve.values.files import csv_text, parquet_bytes, write_file
 
 __all__ = ["SIGNATURE_SUFFIXES", "write_signatures"]
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 from functools import partial
 from pathlib import Path
 
-from pcretrieve.adapters.trimesh import mesh_arrays, mesh_bytes
 from pcretrieve.formats.format import Format
 from pcretrieve.formats.raw import RawScan, incomplete, merged_vertices
+from pcretrieve.formats.trimesh import mesh_arrays, mesh_bytes
 
 __all__ = ["STL", "read_stl"]
 

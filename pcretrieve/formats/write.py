@@ -6,11 +6,11 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, Literal
 
-from pcretrieve.atomic import write_file
-from pcretrieve.conversion import CloudLike, MeshLike, as_cloud, as_mesh
 from pcretrieve.errors import InputError
 from pcretrieve.formats.registry import FORMATS
 from pcretrieve.values import PointCloud, TriangleMesh
+from pcretrieve.values.conversion import CloudLike, MeshLike, as_cloud, as_mesh
+from pcretrieve.values.files import write_file
 
 __all__ = ["check_output", "write_cloud", "write_mesh"]
 

@@ -11,11 +11,12 @@ import sys
 from collections.abc import Callable
 from contextlib import suppress
 from multiprocessing.connection import Connection
+from pathlib import Path
 from typing import Any, TypeVar
 
-from pcretrieve.adapters.parent import end_instead_of_parent, end_with_parent
 from pcretrieve.errors import shape_error
 from pcretrieve.ingestion.temporary import use_folder
+from pcretrieve.surface.tetwild import end_with_parent
 
 __all__ = ["LENGTH", "serve"]
 
@@ -91,3 +92,16 @@ def _send(answers: Connection[Any, Any], message: bytes) -> None:
     rest = memoryview(LENGTH.pack(len(message)) + message)
     while rest:
         rest = rest[os.write(answers.fileno(), rest) :]
+
+
+# What the kernel adds to the memory of a process before it compares processes; thousandths of all memory.
+OOM_SCORE = 500
+
+
+def end_instead_of_parent() -> None:
+    """Ask the kernel to kill this process rather than its parent when the computer lacks memory.
+
+    Linux only: other systems, and a Linux without ``/proc``, choose as they do.
+    """
+    with suppress(OSError):
+        Path("/proc/self/oom_score_adj").write_text(f"{OOM_SCORE}\n", encoding="ascii")

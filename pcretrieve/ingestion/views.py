@@ -9,11 +9,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pcretrieve.conversion import as_cloud
 from pcretrieve.errors import InputError, ScanReadError
 from pcretrieve.formats import image_poses, parts_of, read_scan, split_member, trajectory_file
 from pcretrieve.ingestion.discover import discover
 from pcretrieve.values import FloatArray, PointCloud
+from pcretrieve.values.conversion import as_cloud
 
 __all__ = ["Views", "read_views", "view_files"]
 

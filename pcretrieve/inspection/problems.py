@@ -12,7 +12,6 @@ from contextlib import contextmanager
 from dataclasses import asdict
 from pathlib import Path
 
-from pcretrieve.atomic import write_file
 from pcretrieve.errors import PcretrieveError
 from pcretrieve.formats import check_output, parts_of, split_member
 from pcretrieve.ingestion.discover import content_hash
@@ -20,6 +19,7 @@ from pcretrieve.ingestion.isolation import Isolation
 from pcretrieve.ingestion.versions import versions
 from pcretrieve.inspection.inspect import inspect_scan
 from pcretrieve.options import OptionsLike, PipelineOptions, describe_options
+from pcretrieve.values.files import write_file
 
 __all__ = ["report_problem"]
 

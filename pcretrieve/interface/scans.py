@@ -7,7 +7,6 @@ from contextlib import nullcontext
 from pathlib import Path
 
 from pcretrieve.catalogue import Record
-from pcretrieve.conversion import as_cloud
 from pcretrieve.formats.scans import ScanLike, as_scan
 from pcretrieve.ingestion import EXECUTORS, Executor
 from pcretrieve.ingestion.layouts import discover_labelled
@@ -20,6 +19,7 @@ from pcretrieve.options import MergeOptions, OptionsLike, PipelineOptions
 from pcretrieve.pages.inspection_page import write_inspection_page
 from pcretrieve.points.register import Merged
 from pcretrieve.points.register import merge_views as merge_clouds
+from pcretrieve.values.conversion import as_cloud
 
 __all__ = ["ingest", "inspect", "merge_views"]
 

@@ -14,9 +14,9 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import dijkstra
 from scipy.spatial.distance import cdist
 
-from pcretrieve.adapters.open3d import simplify
-from pcretrieve.adapters.opencv import sift_descriptors
 from pcretrieve.errors import DegenerateMeshError, Stage
+from pcretrieve.matching.opencv import sift_descriptors
+from pcretrieve.surface.open3d import simplify
 from pcretrieve.values import FloatArray, IntArray, Shape, TriangleMesh
 
 # Number of faces to which a surface is simplified first. See docs/decisions.md, VOCABULARY.

@@ -13,11 +13,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pcretrieve.atomic import write_file
 from pcretrieve.errors import InputError
 from pcretrieve.retrieval import DistanceBlock, Positions, Ranking, nearest_of, position_of
 from pcretrieve.values import FloatArray, Neighbors
 from pcretrieve.values.base import Value, locked
+from pcretrieve.values.files import write_file
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -12,7 +12,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from pcretrieve.atomic import write_file
 from pcretrieve.draw import CLAY
 from pcretrieve.inspection.inspection import Inspection
 from pcretrieve.pages.html import page_template
@@ -32,6 +31,7 @@ from pcretrieve.pages.inspection_pictures import (
 )
 from pcretrieve.pages.scene import VIEWER_SIZE, Cube, encoded
 from pcretrieve.values import FloatArray
+from pcretrieve.values.files import write_file
 
 __all__ = ["Served", "inspection_html", "write_inspection_page"]
 

@@ -7,10 +7,10 @@ from pathlib import Path
 
 from PIL import Image, ImageDraw, ImageFont
 
-from pcretrieve.atomic import write_file
 from pcretrieve.draw import Colour, rgb
 from pcretrieve.inspection.inspection import Inspection
 from pcretrieve.pages.inspection_pictures import CUT, PICTURE_PIXELS, inspection_cameras, rows_of
+from pcretrieve.values.files import write_file
 
 __all__ = ["write_inspection_png"]
 

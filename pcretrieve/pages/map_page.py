@@ -10,7 +10,6 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pcretrieve.atomic import write_file
 from pcretrieve.catalogue import Catalogue
 from pcretrieve.errors import InputError
 from pcretrieve.options import PipelineOptions
@@ -18,6 +17,7 @@ from pcretrieve.pages.html import page_template
 from pcretrieve.pages.thumbnails import Thumbnails
 from pcretrieve.retrieval import plane_map
 from pcretrieve.values import FloatArray
+from pcretrieve.values.files import write_file
 
 __all__ = ["ClassGroup", "class_groups", "map_drawing", "write_map"]
 
@@ -74,10 +74,10 @@ def write_map(
     title = f"Map of {Path(catalogue.location).name}"
     places = plane_map(index)
     if target.suffix.lower() == ".png":
-        from pcretrieve.adapters.matplotlib import draw_places
+        from pcretrieve.draw.plot import draw_places
 
         drawn = [(group.label, places[group.rows], group.colour, group.marker) for group in groups]
-        draw_places(target, drawn, title=title)
+        write_file(target, draw_places(drawn, title=title))
         return target
     page = page_template("map.html").render(
         title=title,

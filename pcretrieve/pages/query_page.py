@@ -10,7 +10,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from pcretrieve.atomic import write_file
 from pcretrieve.catalogue import Catalogue, Record
 from pcretrieve.errors import ShapeError
 from pcretrieve.ingestion.versions import versions
@@ -22,6 +21,7 @@ from pcretrieve.pages.thumbnails import Thumbnails
 from pcretrieve.query import Answer, Described, result_rows
 from pcretrieve.retrieval import swapping_ranks
 from pcretrieve.values import Verdict
+from pcretrieve.values.files import write_file
 
 __all__ = ["write_query_page"]
 

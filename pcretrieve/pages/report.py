@@ -13,12 +13,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pcretrieve.atomic import write_file
 from pcretrieve.evaluation import ClassMeasures, Comparison, Confusion, PrecisionRecall, RetrievalMeasures
 from pcretrieve.pages.cards import Panel
 from pcretrieve.pages.confusion_picture import confusion_picture
 from pcretrieve.pages.html import page_template
 from pcretrieve.values import Failure, FloatArray
+from pcretrieve.values.files import write_file
 
 __all__ = ["write_report"]
 

@@ -12,7 +12,6 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import Any, TypeVar
 
-from pcretrieve.adapters import tetwild
 from pcretrieve.errors import DegenerateMeshError, ReconstructionError, ShapeError, Stage, in_stage
 from pcretrieve.formats.scans import as_scan
 from pcretrieve.options import DEFAULT_STAGES, PipelineOptions, check_chain, link_of
@@ -22,7 +21,7 @@ from pcretrieve.pipeline.seen import Seen
 from pcretrieve.plugins import Registry
 from pcretrieve.points import POINT_FILTERS, check_extent
 from pcretrieve.spectral import ELEMENTS
-from pcretrieve.surface import SURFACE_FILTERS, defects, reduced, sampled, sound_mesh, surfaces
+from pcretrieve.surface import SURFACE_FILTERS, defects, reduced, sampled, sound_mesh, surfaces, tetwild
 from pcretrieve.values import PointCloud, Step, TriangleMesh
 
 __all__ = ["stages"]

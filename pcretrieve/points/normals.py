@@ -9,9 +9,9 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from pcretrieve.adapters import open3d
 from pcretrieve.errors import ReconstructionError, Stage
 from pcretrieve.options import PointFilter, ScanOptions
+from pcretrieve.points import open3d
 from pcretrieve.points.density import disks, local_spacings, sparse_points
 from pcretrieve.points.planes import guided_planes
 from pcretrieve.points.sampling import SPACING_NEIGHBORS, Neighborhoods, neighborhoods, spacing

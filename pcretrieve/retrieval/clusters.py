@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from pcretrieve.adapters.scikit_learn import density_clusters, neighbour_embedding
 from pcretrieve.errors import OptionError
 from pcretrieve.retrieval.index import SignatureIndex
+from pcretrieve.retrieval.scikit_learn import density_clusters, neighbour_embedding
 from pcretrieve.values import FloatArray
 
 __all__ = ["cluster_numbers", "plane_map"]

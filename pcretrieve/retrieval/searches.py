@@ -17,10 +17,10 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from pcretrieve.adapters.faiss import FlatScan
-from pcretrieve.adapters.scikit_learn import BallTreeSearch
 from pcretrieve.errors import OptionError
 from pcretrieve.retrieval.distances import DISTANCES
+from pcretrieve.retrieval.faiss import FlatScan
+from pcretrieve.retrieval.scikit_learn import BallTreeSearch
 from pcretrieve.values import FloatArray
 
 __all__ = ["SEARCHES", "EuclideanSearch", "check_searchable"]

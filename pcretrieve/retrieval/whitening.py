@@ -18,11 +18,11 @@ from typing import Any, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from pcretrieve.atomic import write_file
 from pcretrieve.errors import InputError, OptionError
 from pcretrieve.options import WhiteningKind
 from pcretrieve.values import FloatArray
 from pcretrieve.values.base import Value, locked
+from pcretrieve.values.files import write_file
 
 __all__ = ["CALIBRATED", "WHITENINGS", "Whitening", "read_whitening", "whitening_digest", "write_whitening"]
 

@@ -17,11 +17,11 @@ import click
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from pcretrieve.atomic import write_file
 from pcretrieve.errors import OptionError
 from pcretrieve.simulation.bodies import POSES, body, make_subject
 from pcretrieve.simulation.scanner import RigOptions, camera_pose, scan, scan_views
 from pcretrieve.values import FloatArray, TriangleMesh
+from pcretrieve.values.files import write_file
 
 EPILOG = """example:
   scripts/make_scans --out scans

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from pcretrieve.adapters.rays import RayScene
+from pcretrieve.draw.open3d import RayScene
 from pcretrieve.errors import InputError, OptionError
 from pcretrieve.surface.sampling import uniform_points
 from pcretrieve.values import FloatArray, PointCloud, TriangleMesh

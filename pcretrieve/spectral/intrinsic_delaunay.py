@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
+from scipy.sparse import csc_array
 
-from pcretrieve.adapters.robust_laplacian import tufted_matrices
 from pcretrieve.errors import DegenerateMeshError
 from pcretrieve.spectral.element import Assembled, Element
 from pcretrieve.spectral.lagrange import check_vertices, sides_of
@@ -31,6 +31,8 @@ def intrinsic_delaunay(mesh: TriangleMesh) -> Assembled:
     .. [1] N. Sharp and K. Crane, "A Laplacian for nonmanifold triangle meshes", Computer Graphics Forum
        39(5), 2020.
     """
+    from robust_laplacian import mesh_laplacian
+
     check_vertices(mesh)
     folded = int((mesh.faces == np.roll(mesh.faces, 1, axis=1)).any(axis=1).sum())
     if folded:
@@ -38,14 +40,14 @@ def intrinsic_delaunay(mesh: TriangleMesh) -> Assembled:
     if mesh.flat_faces.all():
         raise DegenerateMeshError("a surface must have an area, got only faces without")
     try:
-        stiffness, mass = tufted_matrices(mesh.vertices, mesh.faces)
+        stiffness, mass = mesh_laplacian(mesh.vertices, mesh.faces)
     except RuntimeError as error:
         raise DegenerateMeshError(f"the surface has no intrinsic Delaunay triangulation: {error}") from error
     sides = sides_of(mesh)
     boundary = np.zeros(len(mesh.vertices), dtype=bool)
     on_boundary = sides.use[sides.edge] == 1  # (m, 3)
     boundary[mesh.faces[on_boundary]] = boundary[np.roll(mesh.faces, -1, axis=1)[on_boundary]] = True
-    return Assembled(stiffness, mass, boundary)
+    return Assembled(csc_array(stiffness), csc_array(mass), boundary)
 
 
 INTRINSIC_DELAUNAY = Element("intrinsic-delaunay", intrinsic_delaunay, masses=("lumped",))

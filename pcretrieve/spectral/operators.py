@@ -8,7 +8,6 @@ import numpy as np
 from scipy.sparse import csc_array, diags_array
 from scipy.sparse.csgraph import connected_components
 
-from pcretrieve.conversion import GeometryLike, as_geometry
 from pcretrieve.errors import DegenerateMeshError, InputError, OptionError, Stage
 from pcretrieve.names import NAMES
 from pcretrieve.plugins import Registry, named
@@ -18,6 +17,7 @@ from pcretrieve.spectral.intrinsic_delaunay import INTRINSIC_DELAUNAY
 from pcretrieve.spectral.linear import LINEAR
 from pcretrieve.spectral.points import POINTS
 from pcretrieve.values import LaplaceBeltrami, PointCloud, TriangleMesh
+from pcretrieve.values.conversion import GeometryLike, as_geometry
 
 __all__ = ["ELEMENTS", "laplace_beltrami"]
 

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from pcretrieve.adapters import open3d
 from pcretrieve.errors import ReconstructionError
 from pcretrieve.options import SurfaceOptions
 from pcretrieve.points.density import local_spacings
 from pcretrieve.points.nearest import nearest
 from pcretrieve.points.sampling import SPACING_NEIGHBORS, neighborhoods
 from pcretrieve.points.voxels import Grid, sampled
+from pcretrieve.surface import open3d
 from pcretrieve.surface.caps import NO_CAP, Capped, capped
 from pcretrieve.surface.field import normals_of
 from pcretrieve.surface.indicator import indicator

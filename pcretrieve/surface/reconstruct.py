@@ -6,9 +6,9 @@ import time
 
 import numpy as np
 
-from pcretrieve.adapters import open3d
 from pcretrieve.errors import DegenerateMeshError, ReconstructionError, Stage
 from pcretrieve.options import SurfaceOptions
+from pcretrieve.surface import open3d
 from pcretrieve.surface.repair import ONE_SIDED, largest_component, outward, repaired, used_vertices
 from pcretrieve.surface.sampling import uniform_points
 from pcretrieve.surface.topology import Defects, compact, defects, orient_faces

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import time
 
-from pcretrieve.adapters import open3d
 from pcretrieve.errors import DegenerateMeshError
 from pcretrieve.options import SurfaceOptions
+from pcretrieve.surface import open3d
 from pcretrieve.surface.repair import repaired
 from pcretrieve.values import Step, TriangleMesh
 

@@ -6,9 +6,9 @@ import time
 
 import numpy as np
 
-from pcretrieve.adapters import tetwild
 from pcretrieve.errors import RemeshError, ShapeError
 from pcretrieve.options import RemeshOptions, SurfaceFilter
+from pcretrieve.surface import tetwild
 from pcretrieve.surface.edges import edges_of
 from pcretrieve.surface.repair import repaired
 from pcretrieve.surface.topology import compact, defects, face_groups

@@ -106,19 +106,19 @@ class PointCloud(Value):
 
     def to_open3d(self) -> Any:
         """An ``open3d.geometry.PointCloud`` with the points and the normals, without sensor positions."""
-        from pcretrieve.adapters.open3d import open3d_cloud
+        from pcretrieve.draw.open3d import open3d_cloud
 
         return open3d_cloud(self.points, self.normals)
 
     def to_trimesh(self) -> Any:
         """A ``trimesh.PointCloud`` with the points; normals and sensor positions are left out."""
-        from pcretrieve.adapters.trimesh import trimesh_cloud
+        import trimesh
 
-        return trimesh_cloud(self.points)
+        return trimesh.PointCloud(self.points.copy())  # type: ignore[no-untyped-call]
 
     def plot(self, axes: Any = None) -> Any:
         """Draw the points by matplotlib (the extra ``plot``), into `axes` of a 3-D plot or a new figure."""
-        from pcretrieve.adapters.matplotlib import plot_points
+        from pcretrieve.draw.plot import plot_points
 
         return plot_points(self.points, axes)
 
@@ -226,19 +226,19 @@ class TriangleMesh(Value):
 
     def to_open3d(self) -> Any:
         """An ``open3d.geometry.TriangleMesh`` with the same vertices and faces."""
-        from pcretrieve.adapters.open3d import open3d_mesh
+        from pcretrieve.draw.open3d import open3d_mesh
 
         return open3d_mesh(self.vertices, self.faces)
 
     def to_trimesh(self) -> Any:
         """A ``trimesh.Trimesh`` with the same vertices and faces, in the same order."""
-        from pcretrieve.adapters.trimesh import trimesh_mesh
+        import trimesh
 
-        return trimesh_mesh(self.vertices, self.faces)
+        return trimesh.Trimesh(self.vertices.copy(), self.faces.copy(), process=False)
 
     def plot(self, axes: Any = None) -> Any:
         """Draw the surface by matplotlib (the extra ``plot``), into `axes` of a 3-D plot or a new figure."""
-        from pcretrieve.adapters.matplotlib import plot_surface
+        from pcretrieve.draw.plot import plot_surface
 
         return plot_surface(self.vertices, self.faces, axes)
 

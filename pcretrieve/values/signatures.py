@@ -78,7 +78,7 @@ class Signature(Value):
 
     def plot(self, axes: Any = None) -> Any:
         """Draw values and error bars by matplotlib (the extra ``plot``), into `axes` or new ones."""
-        from pcretrieve.adapters.matplotlib import plot_signature
+        from pcretrieve.draw.plot import plot_signature
 
         deviation = self.deviation if self.metric == "logarithms" else None
         return plot_signature(self.values, self.kind, deviation, axes)
@@ -164,7 +164,7 @@ class SignatureTable(Value):
 
     def to_pandas(self) -> Any:
         """A ``pandas.DataFrame`` (the extra ``tables``) with the columns of `columns`, indexed by id."""
-        from pcretrieve.adapters.pandas import data_frame
+        from pcretrieve.values.files import data_frame
 
         return data_frame(self.columns(), index="id")
 
@@ -229,7 +229,7 @@ class Neighbors(Value):
 
     def to_pandas(self) -> Any:
         """A ``pandas.DataFrame`` (extra ``tables``) indexed by rank: id, distance, and the score if known."""
-        from pcretrieve.adapters.pandas import data_frame
+        from pcretrieve.values.files import data_frame
 
         ranks = list(range(1, len(self) + 1))
         columns: dict[str, list[Any]] = {
@@ -243,6 +243,6 @@ class Neighbors(Value):
 
     def plot(self, axes: Any = None) -> Any:
         """Draw the distances as bars by matplotlib (the extra ``plot``), into `axes` or new ones."""
-        from pcretrieve.adapters.matplotlib import plot_ranking
+        from pcretrieve.draw.plot import plot_ranking
 
         return plot_ranking(self.ids, self.distances, axes)

@@ -116,7 +116,7 @@ class Eigenpairs(Value):
 
     def plot(self, axes: Any = None) -> Any:
         """Draw the eigenvalues by matplotlib (the extra ``plot``), into `axes` or new ones."""
-        from pcretrieve.adapters.matplotlib import plot_spectrum
+        from pcretrieve.draw.plot import plot_spectrum
 
         return plot_spectrum(self.eigenvalues, axes)
 
@@ -209,7 +209,7 @@ class ModalSpectrum(Value):
 
     def plot(self, axes: Any = None) -> Any:
         """Draw the eigenvalues by matplotlib (the extra ``plot``), into `axes` or new ones."""
-        from pcretrieve.adapters.matplotlib import plot_spectrum
+        from pcretrieve.draw.plot import plot_spectrum
 
         return plot_spectrum(self.eigenvalues, axes)
 

@@ -6,15 +6,15 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from pcretrieve.adapters.open3d import simplify
-from pcretrieve.adapters.trimesh import mesh_bytes
 from pcretrieve.catalogue import Catalogue
 from pcretrieve.errors import InputError, ShapeError
+from pcretrieve.formats.trimesh import mesh_bytes
 from pcretrieve.options import PipelineOptions
 from pcretrieve.pages.curves import Curves, curves
 from pcretrieve.pages.html import page_template
 from pcretrieve.pages.scene import surface_scene
 from pcretrieve.pages.thumbnails import Thumbnails
+from pcretrieve.surface.open3d import simplify
 from pcretrieve.values import FloatArray, TriangleMesh
 from pcretrieve.web.documents import shape_document
 from pcretrieve.web.requests import NotFound

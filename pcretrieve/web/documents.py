@@ -8,9 +8,9 @@ from typing import Any
 
 from pcretrieve import __version__
 from pcretrieve.catalogue import Catalogue, Record
-from pcretrieve.csv_text import csv_text
 from pcretrieve.options import PipelineOptions
 from pcretrieve.query import Answer, Described, Question, answer_to, result_rows
+from pcretrieve.values.files import csv_text
 from pcretrieve.web.folders import without_folders
 from pcretrieve.web.job import Job
 from pcretrieve.web.listing import listed

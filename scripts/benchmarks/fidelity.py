@@ -28,6 +28,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 from tqdm import tqdm
 
+from benchmarks import lapy
 from benchmarks.measuring import (
     Column,
     Table,
@@ -42,16 +43,9 @@ from benchmarks.measuring import (
     use_one_core,
 )
 from benchmarks.sets import CONDITIONS, DEFECTS, SETS, Item, spread, write_scan
-from pcretrieve.adapters import lapy, tetwild
-from pcretrieve.adapters.open3d import (
-    estimate_normals,
-    orient_by_tangent_planes,
-    poisson,
-    statistical_inliers,
-)
-from pcretrieve.adapters.rays import RayScene
-from pcretrieve.atomic import write_file
+from pcretrieve.arrays import DOUBLE_OFFSET, Frame, IntArray
 from pcretrieve.descriptors import describe
+from pcretrieve.draw.open3d import RayScene, open3d_cloud
 from pcretrieve.errors import BenchmarkError, InputError, PcretrieveError
 from pcretrieve.evaluation import evaluate_table
 from pcretrieve.formats import read_scan
@@ -59,14 +53,17 @@ from pcretrieve.ingestion import Isolation
 from pcretrieve.options import PipelineOptions, RetrievalOptions, WhiteningKind
 from pcretrieve.pipeline.process import process, signature
 from pcretrieve.points import clean, oriented_normals
+from pcretrieve.points.open3d import estimate_normals, orient_by_tangent_planes
 from pcretrieve.retrieval import log_signatures, resolution_whitening
 from pcretrieve.retrieval.resolution import is_measured
 from pcretrieve.spectral import eigenpairs, laplace_beltrami
-from pcretrieve.surface import defects
+from pcretrieve.surface import defects, tetwild
+from pcretrieve.surface.open3d import poisson
 from pcretrieve.surface.remesh import boundary_faces
 from pcretrieve.surface.sampling import uniform_points
 from pcretrieve.surface.topology import compact
 from pcretrieve.values import FloatArray, PointCloud, Shape, SignatureTable, TriangleMesh
+from pcretrieve.values.files import write_file
 
 EPILOG = """example:
   scripts/benchmark_fidelity --set humans --limit 10
@@ -610,6 +607,17 @@ PLANE_NEIGHBORS, CUBE = 30, 1.1
 
 # Defaults of fTetWild: edge length and envelope, relative to the diagonal.
 EDGE_LENGTH, ENVELOPE = 0.05, 1e-3
+
+
+def statistical_inliers(points: FloatArray, *, n_neighbors: int, std_ratio: float) -> IntArray:
+    """Statistical outlier removal: the points whose mean distance to their neighbours is not exceptional.
+
+    points: (n, 3) float64, coordinates.
+    Returns (k,) int: positions of the points that are kept, ascending.
+    """
+    cloud = open3d_cloud(Frame.around(points, offset=DOUBLE_OFFSET).inward(points))
+    _, kept = cloud.remove_statistical_outlier(nb_neighbors=n_neighbors, std_ratio=std_ratio)
+    return np.sort(np.asarray(kept, dtype=np.int32))
 
 
 def textbook_seconds(path: Path, timeout: float) -> float:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import io
 import os
 import re
 import statistics
@@ -11,16 +12,18 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import astuple
 from pathlib import Path
-from typing import NamedTuple, TypeVar
+from typing import Literal, NamedTuple, TypeVar
 
 import click
 from tqdm import tqdm
 
 from pcretrieve.errors import BenchmarkError
 from pcretrieve.evaluation import RetrievalMeasures
+from pcretrieve.values import FloatArray
+from pcretrieve.values.files import write_file
 
 Result = TypeVar("Result")
 
@@ -221,3 +224,34 @@ def positive(text: str) -> int:
     if number < 1:
         raise argparse.ArgumentTypeError(f"must be at least 1, got {number}")
     return number
+
+
+def draw_curves(
+    path: Path,
+    x: Sequence[float] | FloatArray,
+    curves: Mapping[str, FloatArray],
+    *,
+    x_label: str,
+    y_label: str,
+    scale: Literal["log", "linear"] = "log",
+) -> None:
+    """Write a picture of curves.
+
+    x: (n,) sequence of float, positive, if the axes are logarithmic.
+    curves: mapping of str to (n,) float64, values by the name of the curve, which may hold mathematical text;
+        positive, if the axes are logarithmic.
+    """
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(6, 4), layout="constrained")
+    axes = figure.subplots()
+    for name, curve in curves.items():
+        axes.plot(x, curve, "o-", markersize=4, label=name)
+    axes.set_xscale(scale)
+    axes.set_yscale(scale)
+    axes.set_xlabel(x_label)
+    axes.set_ylabel(y_label)
+    axes.legend()
+    data = io.BytesIO()
+    figure.savefig(data, dpi=150, format=path.suffix.removeprefix(".") or None)
+    write_file(path, data.getvalue())

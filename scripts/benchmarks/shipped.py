@@ -19,6 +19,7 @@ from __future__ import annotations
 import argparse
 import io
 import os
+import warnings
 from collections.abc import Iterator, Sequence
 from importlib import resources
 from pathlib import Path
@@ -29,8 +30,6 @@ import numpy as np
 from numpy.typing import NDArray
 from tqdm import tqdm
 
-from pcretrieve.adapters.scikit_learn import sparse_dictionary
-from pcretrieve.atomic import write_file
 from pcretrieve.descriptors import reduced_matrix
 from pcretrieve.descriptors.bags import SAMPLE as HEAT_SAMPLE
 from pcretrieve.descriptors.bags import heat_features
@@ -55,6 +54,7 @@ from pcretrieve.simulation.bodies import POSES, body, make_subject
 from pcretrieve.simulation.scanner import UniformOptions, scan_uniformly
 from pcretrieve.spectral import unit_eigenpairs
 from pcretrieve.values import FloatArray, Shape
+from pcretrieve.values.files import write_file
 
 # Bodies of each family, and points of each of them.
 N_HEAT_SUBJECTS = 4
@@ -235,6 +235,36 @@ class Loss(NamedTuple):
 
     value: float
     gradient: FloatArray
+
+
+# Points in each step of online learning, and the passes over all points.
+BATCH_SIZE = 256
+N_PASSES = 100
+
+
+def sparse_dictionary(points: FloatArray, n_atoms: int, penalty: float) -> FloatArray:
+    """A dictionary in which points have sparse codes, by online learning (Mairal et al., 2010).
+
+    points: (N, d) float64, the points.
+    Returns (L, d) float64: the atoms, of unit length. Equal for equal points, number and penalty.
+    """
+    from sklearn.decomposition import MiniBatchDictionaryLearning
+    from sklearn.exceptions import ConvergenceWarning
+
+    learning = MiniBatchDictionaryLearning(
+        n_atoms,
+        alpha=penalty,
+        max_iter=N_PASSES,
+        batch_size=BATCH_SIZE,
+        fit_algorithm="cd",
+        random_state=0,
+    )
+    with warnings.catch_warnings():
+        # Codes of a duality gap of 1e-4 are exact enough: the next step changes the atoms.
+        warnings.simplefilter("ignore", ConvergenceWarning)
+        atoms = np.asarray(learning.fit(points).components_, dtype=np.float64)
+    unit: FloatArray = atoms / np.linalg.norm(atoms, axis=1, keepdims=True)
+    return unit
 
 
 def supervised_dictionary(

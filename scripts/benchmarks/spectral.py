@@ -22,10 +22,10 @@ import numpy as np
 from scipy.linalg import eigh
 from threadpoolctl import threadpool_limits
 
+from benchmarks import lapy
 from benchmarks.measuring import Column, Table, add_data, argument_parser, print_lines, timed, timed_by_turns
 from benchmarks.sets import read_mesh
 from benchmarks.synthetic import bumpy_sphere, quartered, unit_square
-from pcretrieve.adapters import lapy
 from pcretrieve.descriptors import r_bihdm
 from pcretrieve.spectral import eigenpairs, laplace_beltrami
 from pcretrieve.values import FloatArray, TriangleMesh

@@ -11,14 +11,14 @@ from pathlib import Path
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
-from pcretrieve.atomic import write_file
 from pcretrieve.catalogue import Catalogue
-from pcretrieve.conversion import as_cloud
 from pcretrieve.draw import CLAY, cameras_around, point_picture, rgb, surface_picture
 from pcretrieve.formats import read_scan
 from pcretrieve.pipeline.process import reconstruct
 from pcretrieve.query import search
 from pcretrieve.values import FloatArray, IntArray
+from pcretrieve.values.conversion import as_cloud
+from pcretrieve.values.files import write_file
 
 __all__ = ["main"]
 

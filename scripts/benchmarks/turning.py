@@ -15,11 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from pcretrieve.adapters.rays import RayScene
-from pcretrieve.atomic import write_file
+from pcretrieve.draw.open3d import RayScene
 from pcretrieve.errors import OptionError
 from pcretrieve.simulation.scanner import check_at_least, check_shares, check_surface
 from pcretrieve.values import FloatArray, TriangleMesh
+from pcretrieve.values.files import write_file
 
 __all__ = ["TurningOptions", "turning_frames", "write_frames"]
 

@@ -11,8 +11,8 @@ from benchmarks.synthetic import synthetic_catalogue, synthetic_id
 from click.testing import CliRunner
 from postgresql_server import has_pgvector, programs
 
-from pcretrieve.adapters.postgresql import write_vectors
 from pcretrieve.catalogue import Catalogue
+from pcretrieve.catalogue.pgvector import write_vectors
 from pcretrieve.catalogue.vectors import VECTOR_TABLE, export_vectors
 from pcretrieve.cli.main import cli
 from pcretrieve.errors import InputError, OptionError

@@ -5,9 +5,15 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import shapes
-from benchmarks.shipped import LabelledSurface, dictionaries, supervised_dictionary, surfaces, triplet_loss
+from benchmarks.shipped import (
+    LabelledSurface,
+    dictionaries,
+    sparse_dictionary,
+    supervised_dictionary,
+    surfaces,
+    triplet_loss,
+)
 
-from pcretrieve.adapters.scikit_learn import sparse_dictionary
 from pcretrieve.descriptors import dl
 from pcretrieve.descriptors.dl import PENALTY, SurfacePoints, atom_shares, sparse_codes, surface_points
 from pcretrieve.errors import InputError

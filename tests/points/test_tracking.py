@@ -13,7 +13,7 @@ from benchmarks.turning import TurningOptions, turning_frames, write_frames
 
 import pcretrieve
 from pcretrieve import PointCloud, TriangleMesh
-from pcretrieve.adapters.rays import RayScene
+from pcretrieve.draw.open3d import RayScene
 from pcretrieve.options import MergeOptions, PipelineOptions
 from pcretrieve.points.register import Merged, merge_views
 from pcretrieve.points.register.foreground import foreground

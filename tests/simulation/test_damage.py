@@ -10,7 +10,7 @@ import pytest
 from benchmarks.damage import DamageOptions, damaged
 from shapes import icosphere
 
-from pcretrieve.adapters.rays import RayScene
+from pcretrieve.draw.open3d import RayScene
 from pcretrieve.errors import InputError, OptionError
 from pcretrieve.surface import defects
 from pcretrieve.values import TriangleMesh

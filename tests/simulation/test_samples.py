@@ -11,7 +11,7 @@ import pytest
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
-from pcretrieve.adapters.rays import RayScene
+from pcretrieve.draw.open3d import RayScene
 from pcretrieve.simulation import POSES, RigOptions, body, camera_pose, make_subject, write_ply
 from pcretrieve.simulation.samples import SUBJECTS, main, moved, random_motion, write_samples, write_views
 from pcretrieve.values import FloatArray

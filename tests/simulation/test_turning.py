@@ -11,7 +11,7 @@ import shapes
 from benchmarks.turning import TurningOptions, turning_frames, write_frames
 
 from pcretrieve import PointCloud, read_scan
-from pcretrieve.adapters.rays import RayScene
+from pcretrieve.draw.open3d import RayScene
 from pcretrieve.errors import OptionError
 from pcretrieve.points.register.motions import moved
 

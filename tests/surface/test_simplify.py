@@ -10,12 +10,13 @@ import shapes
 from scipy.ndimage import gaussian_filter
 from skimage.measure import marching_cubes
 
-from pcretrieve.adapters import open3d
 from pcretrieve.errors import DegenerateMeshError
 from pcretrieve.formats import read_scan
+from pcretrieve.points.open3d import estimate_normals, orient_by_tangent_planes
 from pcretrieve.spectral import eigenpairs, laplace_beltrami
 from pcretrieve.surface import defects, repaired
 from pcretrieve.surface.edges import edges_of
+from pcretrieve.surface.open3d import poisson
 from pcretrieve.surface.simplify import simplified
 from pcretrieve.surface.topology import components
 from pcretrieve.values import FloatArray, TriangleMesh
@@ -172,10 +173,8 @@ def test_the_poisson_surface_of_a_cat() -> None:
     rng = np.random.default_rng(0)
     points = shapes.points_on(cat, 50_000)
     points += 1e-4 * cat.diagonal * rng.standard_normal(points.shape)
-    normals = open3d.orient_by_tangent_planes(
-        points, open3d.estimate_normals(points, n_neighbors=20), n_neighbors=20
-    )
-    vertices, faces, _ = open3d.poisson(points, normals, depth=8, scale=1.1)
+    normals = orient_by_tangent_planes(points, estimate_normals(points, n_neighbors=20), n_neighbors=20)
+    vertices, faces, _ = poisson(points, normals, depth=8, scale=1.1)
     mesh, _ = repaired(TriangleMesh(vertices, faces))
     small = simplified(mesh, 10_000)
     assert len(small.faces) == 10_000

@@ -8,11 +8,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pcretrieve.adapters import open3d
-from pcretrieve.adapters.features import feature_histograms
 from pcretrieve.errors import InputError, ReconstructionError, Stage
 from pcretrieve.formats.conf import SENSOR_DISTANCE
 from pcretrieve.options import MergeOptions
+from pcretrieve.points import open3d
+from pcretrieve.points.open3d import feature_histograms
 from pcretrieve.points.register.foreground import foreground
 from pcretrieve.points.register.range_image import RangeImage
 from pcretrieve.values import FloatArray, PointCloud, bounding_diagonal

@@ -30,9 +30,9 @@ from benchmarks.paper.retrieval import retrieval_tables, table_2, table_5
 from benchmarks.paper.shapes import figure_1, figure_4, figure_5, section_4_4
 from benchmarks.paper.spectra import appendix_a, figure_6, figure_7
 from benchmarks.sets import left_out, read_mesh
-from pcretrieve.atomic import write_file
 from pcretrieve.errors import PcretrieveError
 from pcretrieve.values import TriangleMesh
+from pcretrieve.values.files import write_file
 
 __all__ = ["main"]
 

@@ -14,10 +14,8 @@ from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
-from benchmarks.measuring import Column, Table, progress, timed
+from benchmarks.measuring import Column, Table, draw_curves, progress, timed
 from benchmarks.sets import SETS, described, ingested, pooled_vectors, read_mesh, spread, written_set
-from pcretrieve.adapters.matplotlib import draw_curves
-from pcretrieve.atomic import write_file
 from pcretrieve.catalogue import Catalogue
 from pcretrieve.descriptors import DESCRIPTORS, describe
 from pcretrieve.errors import PcretrieveError, ShapeError
@@ -42,6 +40,7 @@ from pcretrieve.retrieval import table_whitening
 from pcretrieve.simulation import POSES, body, make_subject
 from pcretrieve.surface.simplify import simplified
 from pcretrieve.values import Metric, Shape, TriangleMesh
+from pcretrieve.values.files import write_file
 
 LENGTHS = (15, 20, 23, 25, 30)
 

@@ -13,8 +13,6 @@ from PIL import Image, ImageDraw, ImageFont
 from benchmarks.measuring import progress
 from benchmarks.paper.spectra import unit_area_spectrum
 from benchmarks.sets import read_mesh, spread
-from pcretrieve.adapters.scikit_image import contours
-from pcretrieve.atomic import write_file
 from pcretrieve.descriptors import describe
 from pcretrieve.draw import thumbnail
 from pcretrieve.errors import BenchmarkError, PcretrieveError
@@ -40,6 +38,7 @@ from pcretrieve.values import (
     Surface,
     TriangleMesh,
 )
+from pcretrieve.values.files import write_file
 
 # Standard deviation of the Gaussian filter that smooths the staircase of the pixels, relative to the square
 # root of the area; the smallest in pixels. The outline is where the filtered picture is 1/2.
@@ -83,13 +82,14 @@ def planar_mesh(silhouette: FloatArray, n_vertices: int = 6000) -> TriangleMesh:
     """
     from scipy.ndimage import gaussian_filter, map_coordinates
     from scipy.spatial import Delaunay, KDTree
+    from skimage.measure import find_contours
 
     area = float(silhouette.sum())
     blur = max(LEAST_SMOOTHING, SMOOTHING * area**0.5)
     smooth = gaussian_filter(np.pad(silhouette, int(np.ceil(4 * blur)) + 1), blur)
     # The area for each vertex of a lattice of equilateral triangles is √3/2 of the square of an edge.
     edge = (area / (n_vertices * 3**0.5 / 2)) ** 0.5
-    outline = np.concatenate([np.empty((0, 2)), *(_resampled(c, edge) for c in contours(smooth, 0.5))])
+    outline = np.concatenate([np.empty((0, 2)), *(_resampled(c, edge) for c in find_contours(smooth, 0.5))])
     if not len(outline):
         raise BenchmarkError("a silhouette must have an interior, the smoothed picture has none")
     lattice = _lattice(smooth.shape, edge)

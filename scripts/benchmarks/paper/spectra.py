@@ -10,8 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import curve_fit
 
-from benchmarks.measuring import Column, Table
-from pcretrieve.adapters.matplotlib import draw_curves
+from benchmarks.measuring import Column, Table, draw_curves
 from pcretrieve.descriptors import reduced_matrix
 from pcretrieve.spectral import eigenpairs, laplace_beltrami
 from pcretrieve.values import FloatArray, ModalSpectrum, TriangleMesh

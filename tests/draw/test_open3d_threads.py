@@ -10,7 +10,7 @@ import sys
 from concurrent.futures import ThreadPoolExecutor
 from threading import Barrier
 
-from pcretrieve.adapters.open3d import library
+from pcretrieve.draw.open3d import library
 
 sys.setswitchinterval(1e-6)
 barrier = Barrier(8)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import shapes
 
-from pcretrieve.adapters.rays import RayScene
+from pcretrieve.draw.open3d import RayScene
 from pcretrieve.values import FloatArray
 
 BALL = shapes.icosphere(3)

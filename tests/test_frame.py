@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pcretrieve.adapters.frame import DOUBLE_OFFSET, SINGLE_OFFSET, Frame, power_of_two
+from pcretrieve.arrays import DOUBLE_OFFSET, SINGLE_OFFSET, Frame, power_of_two
 from pcretrieve.values import bounding_diagonal
 
 POINTS = np.random.default_rng(0).uniform(-0.4, 0.4, (50, 3))

@@ -7,18 +7,15 @@ axes, so that several plots can be in one figure.
 from __future__ import annotations
 
 import io
-from collections.abc import Mapping, Sequence
-from pathlib import Path
-from typing import Any, Literal
+from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
 from pcretrieve.arrays import FloatArray, IntArray
-from pcretrieve.atomic import write_file
 from pcretrieve.errors import InputError
 
 __all__ = [
-    "draw_curves",
     "draw_places",
     "plot_points",
     "plot_ranking",
@@ -128,40 +125,8 @@ def plot_ranking(names: Sequence[str], distances: FloatArray, axes: Any = None) 
     return axes
 
 
-def draw_curves(
-    path: Path,
-    x: Sequence[float] | FloatArray,
-    curves: Mapping[str, FloatArray],
-    *,
-    x_label: str,
-    y_label: str,
-    scale: Literal["log", "linear"] = "log",
-) -> None:
-    """Write a picture of curves.
-
-    x: (n,) sequence of float, positive, if the axes are logarithmic.
-    curves: mapping of str to (n,) float64, values by the name of the curve, which may hold mathematical text;
-        positive, if the axes are logarithmic.
-    """
-    _pyplot()  # raises an error if matplotlib is not installed
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(6, 4), layout="constrained")
-    axes = figure.subplots()
-    for name, curve in curves.items():
-        axes.plot(x, curve, "o-", markersize=4, label=name)
-    axes.set_xscale(scale)
-    axes.set_yscale(scale)
-    axes.set_xlabel(x_label)
-    axes.set_ylabel(y_label)
-    axes.legend()
-    data = io.BytesIO()
-    figure.savefig(data, dpi=150, format=path.suffix.removeprefix(".") or None)
-    write_file(path, data.getvalue())
-
-
-def draw_places(path: Path, groups: Sequence[tuple[str | None, FloatArray, str, str]], *, title: str) -> None:
-    """Write a picture of places in the plane, with a key of the groups.
+def draw_places(groups: Sequence[tuple[str | None, FloatArray, str, str]], *, title: str) -> bytes:
+    """A picture (PNG) of places in the plane, with a key of the groups.
 
     groups: sequence of (str or None, (n, 2) float64, str, str), for each group its name (None: unknown), the
         places, a colour, and a marker of matplotlib.
@@ -189,5 +154,5 @@ def draw_places(path: Path, groups: Sequence[tuple[str | None, FloatArray, str, 
     columns = -(-len(groups) // KEY_ROWS)
     figure.legend(loc="outside right upper", ncols=columns, fontsize="small", frameon=False)
     data = io.BytesIO()
-    figure.savefig(data, dpi=150, bbox_inches="tight", format=path.suffix.removeprefix(".").lower() or None)
-    write_file(path, data.getvalue())
+    figure.savefig(data, dpi=150, bbox_inches="tight", format="png")
+    return data.getvalue()

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import atexit
 import contextlib
+import ctypes
 import io
 import os
 import signal
@@ -24,7 +25,6 @@ from typing import IO, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pcretrieve.adapters.parent import end_with_parent
 from pcretrieve.arrays import FloatArray, IntArray
 from pcretrieve.errors import RemeshError
 
@@ -36,7 +36,7 @@ Arrays = dict[str, NDArray[Any]]
 LENGTH = struct.Struct("<q")
 
 # The server has the sys.path of its client, instead of one that depends on the working directory.
-SERVER = "import sys; sys.path[:] = sys.argv[1:]; from pcretrieve.adapters.tetwild import serve; serve()"
+SERVER = "import sys; sys.path[:] = sys.argv[1:]; from pcretrieve.surface.tetwild import serve; serve()"
 
 
 def tetrahedralize(
@@ -177,6 +177,20 @@ def _answer(question: Arrays) -> Arrays:
     finally:
         signal.setitimer(signal.ITIMER_REAL, 0)
     return {"nodes": nodes.astype(np.float64), "tetrahedra": tetrahedra.astype(np.int32)}
+
+
+# <sys/prctl.h>
+PR_SET_PDEATHSIG = 1
+
+
+def end_with_parent() -> None:
+    """Ask the kernel to kill this process when its parent ends, also during a computation.
+
+    Linux only: on other systems the process continues until it next reads from or writes to the pipe of its
+    parent. For the kernel, the parent is the thread that started this process.
+    """
+    if sys.platform == "linux":
+        ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
 
 
 def serve() -> None:

@@ -1,19 +1,13 @@
-"""Clusters, maps, ball trees and dictionaries by scikit-learn.
-
-Points are the input; numbers of clusters, places in the plane, nearest neighbours, or atoms of a dictionary
-are the output.
-"""
+"""Clusters, maps and ball trees by scikit-learn: points in, clusters, places or neighbours out."""
 
 from __future__ import annotations
-
-import warnings
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pcretrieve.arrays import FloatArray
 
-__all__ = ["BallTreeSearch", "density_clusters", "neighbour_embedding", "sparse_dictionary"]
+__all__ = ["BallTreeSearch", "density_clusters", "neighbour_embedding"]
 
 # Effective number of neighbours of a point of t-SNE. See docs/decisions.md, PERPLEXITY.
 PERPLEXITY = 30.0
@@ -21,12 +15,8 @@ PERPLEXITY = 30.0
 # Least number of points of t-SNE; fewer are projected on their principal components.
 FEWEST = 5
 
-# Seed of t-SNE, which starts at the principal components, and of dictionaries, which start at random.
+# Seed of t-SNE, which starts at the principal components.
 SEED = 0
-
-# Points in each step of dictionary learning, and the passes over all points.
-BATCH_SIZE = 256
-N_PASSES = 100
 
 
 class BallTreeSearch:
@@ -95,28 +85,3 @@ def neighbour_embedding(points: FloatArray) -> FloatArray:
     start = (1e-4 * principal / principal.std()).astype(np.float32)
     places = TSNE(perplexity=perplexity, init=start, random_state=SEED).fit_transform(points)
     return np.asarray(places - places.mean(axis=0), dtype=np.float64)
-
-
-def sparse_dictionary(points: FloatArray, n_atoms: int, penalty: float) -> FloatArray:
-    """A dictionary in which points have sparse codes, by online learning (Mairal et al., 2010).
-
-    points: (N, d) float64, the points.
-    Returns (L, d) float64: the atoms, of unit length. Equal for equal points, number and penalty.
-    """
-    from sklearn.decomposition import MiniBatchDictionaryLearning
-    from sklearn.exceptions import ConvergenceWarning
-
-    learning = MiniBatchDictionaryLearning(
-        n_atoms,
-        alpha=penalty,
-        max_iter=N_PASSES,
-        batch_size=BATCH_SIZE,
-        fit_algorithm="cd",
-        random_state=SEED,
-    )
-    with warnings.catch_warnings():
-        # Codes of a duality gap of 1e-4 are exact enough: the next step changes the atoms.
-        warnings.simplefilter("ignore", ConvergenceWarning)
-        atoms = np.asarray(learning.fit(points).components_, dtype=np.float64)
-    unit: FloatArray = atoms / np.linalg.norm(atoms, axis=1, keepdims=True)
-    return unit

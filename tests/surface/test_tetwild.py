@@ -17,9 +17,9 @@ import numpy as np
 import pytest
 import shapes
 
-from pcretrieve.adapters import tetwild
-from pcretrieve.adapters.tetwild import tetrahedralize
 from pcretrieve.errors import RemeshError
+from pcretrieve.surface import tetwild
+from pcretrieve.surface.tetwild import tetrahedralize
 from pcretrieve.values import FloatArray, IntArray
 
 BALL = shapes.icosphere(2)
@@ -29,7 +29,7 @@ PATIENCE = 20.0
 
 ASK_ONCE = """
 import numpy as np
-from pcretrieve.adapters.tetwild import tetrahedralize
+from pcretrieve.surface.tetwild import tetrahedralize
 vertices = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], dtype=float)
 faces = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]], dtype=np.int32)
 tetrahedralize(vertices, faces, edge_length=0.5, envelope=0.01, optimize=False, timeout=60)

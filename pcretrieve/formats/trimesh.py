@@ -1,4 +1,4 @@
-"""Values of trimesh, from arrays, and the mesh files that it reads and writes."""
+"""The mesh files that trimesh reads and writes."""
 
 from __future__ import annotations
 
@@ -8,31 +8,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pcretrieve.arrays import FloatArray, IntArray
 from pcretrieve.values import TriangleMesh
 
-__all__ = ["Body", "mesh_arrays", "mesh_bytes", "scene_bodies", "trimesh_cloud", "trimesh_mesh"]
-
-
-def trimesh_cloud(points: FloatArray) -> Any:
-    """A point cloud of trimesh.
-
-    points: (n, 3) float64, in any unit.
-    """
-    import trimesh
-
-    return trimesh.PointCloud(points.copy())  # type: ignore[no-untyped-call]
-
-
-def trimesh_mesh(vertices: FloatArray, faces: IntArray) -> Any:
-    """A mesh of trimesh, unprocessed: no vertex is merged or reordered.
-
-    vertices: (n, 3) float64, in any unit.
-    faces: (m, 3) int32, vertex numbers.
-    """
-    import trimesh
-
-    return trimesh.Trimesh(vertices.copy(), faces.copy(), process=False)
+__all__ = ["Body", "mesh_arrays", "mesh_bytes", "scene_bodies"]
 
 
 def mesh_arrays(path: Path, file_type: str) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
@@ -103,5 +81,5 @@ def mesh_bytes(mesh: TriangleMesh, file_type: str) -> bytes:
 
     mesh: the mesh; its unit is that of the file.
     """
-    data = trimesh_mesh(mesh.vertices, mesh.faces).export(file_type=file_type)
+    data = mesh.to_trimesh().export(file_type=file_type)
     return data.encode() if isinstance(data, str) else bytes(data)

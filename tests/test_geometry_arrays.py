@@ -8,7 +8,7 @@ import pytest
 import pyvista
 import trimesh
 
-from pcretrieve.adapters.geometry import geometry_arrays
+from pcretrieve.values.conversion import geometry_arrays
 
 VERTICES = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]])
 FACES = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]], dtype=np.int32)

@@ -1,0 +1,138 @@
+"""Open3D, as functions of arrays: its import, its geometry, and ray casting.
+
+Open3D is run on one thread: its parallel Poisson reconstruction is not reproducible and crashes in long runs
+(Open3D issues 6828 and 7229). A batch processes several shapes in parallel instead.
+
+Poisson reconstruction and ray casting compute in single precision: squares of lengths overflow beyond
+1e19 and vanish below 1e-22; Open3D then gives NaN, or ends the process by a segmentation fault. All functions
+that call Open3D therefore transform coordinates to a `Frame` of unit size before Open3D sees them, and
+transform results back.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from functools import cache
+from importlib import import_module
+from threading import RLock
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+
+from pcretrieve.arrays import FloatArray, Frame, IntArray, power_of_two
+
+# The module of the viewer in a browser.
+VIEWER = "open3d.visualization.draw_plotly"
+
+# A search page imports Open3D in several threads at a time.
+IMPORTING = RLock()
+
+
+def library() -> Any:
+    """Import Open3D."""
+    with IMPORTING:
+        return _quiet_library()
+
+
+@cache
+def _quiet_library() -> Any:
+    open3d = _imported()
+    open3d.utility.set_verbosity_level(open3d.utility.VerbosityLevel.Error)
+    # OMP_NUM_THREADS has no effect from 0.20 on; older versions have no set_max_threads.
+    if hasattr(open3d.utility, "set_max_threads"):
+        open3d.utility.set_max_threads(1)
+    return open3d
+
+
+def _imported() -> Any:
+    """Import Open3D without its viewer in a browser, which needs dash and plotly: half of the time."""
+    if "open3d" in sys.modules:
+        import open3d
+
+        return open3d
+    sys.modules[VIEWER] = stand_in = ModuleType(VIEWER)
+    stand_in.__getattr__ = _later  # type: ignore[method-assign]
+    try:
+        import open3d
+    finally:
+        del sys.modules[VIEWER]
+    return open3d
+
+
+def _later(name: str) -> Callable[..., Any]:
+    """A function of the viewer, which is imported when the function is called."""
+    if name.startswith("__"):
+        raise AttributeError(name)
+    return lambda *args, **options: getattr(import_module(VIEWER), name)(*args, **options)
+
+
+def _vectors(values: FloatArray) -> Any:
+    """A copy, because Open3D does not accept read-only arrays."""
+    return library().utility.Vector3dVector(np.array(values, dtype=np.float64))
+
+
+def open3d_cloud(points: FloatArray, normals: FloatArray | None = None) -> Any:
+    """A point cloud of Open3D.
+
+    points: (n, 3) float64, in any unit.
+    normals: (n, 3) float64, optional, normals of the points.
+    """
+    o3d = library()
+    cloud = o3d.geometry.PointCloud(_vectors(points))
+    if normals is not None:
+        cloud.normals = _vectors(normals)
+    return cloud
+
+
+def open3d_mesh(vertices: FloatArray, faces: IntArray) -> Any:
+    """A triangle mesh of Open3D.
+
+    vertices: (n, 3) float64, in any unit.
+    faces: (m, 3) int32, vertex numbers.
+    """
+    o3d = library()
+    return o3d.geometry.TriangleMesh(_vectors(vertices), o3d.utility.Vector3iVector(faces.copy()))
+
+
+class RayScene:
+    """A surface for ray casting and distance queries, in single precision.
+
+    vertices: (n, 3) float64, coordinates.
+    faces: (m, 3) int32, vertex numbers of each face.
+    """
+
+    def __init__(self, vertices: FloatArray, faces: IntArray) -> None:
+        o3d = library()
+        self._tensor = o3d.core.Tensor
+        self._frame = Frame.around(vertices)
+        self._scene = o3d.t.geometry.RaycastingScene(nthreads=1)
+        self._scene.add_triangles(
+            o3d.core.Tensor(self._frame.inward(vertices).astype(np.float32)),
+            o3d.core.Tensor(np.asarray(faces, dtype=np.uint32)),
+        )
+
+    def cast(self, origins: FloatArray, directions: FloatArray) -> tuple[FloatArray, FloatArray, IntArray]:
+        """The first intersection of each ray with the surface.
+
+        origins, directions: (k, 3) float64, origins and directions of the rays; the directions may have any
+            length.
+        Returns distance : (k,) float64: distance from the origin in units of the length of the direction;
+            infinite if there is none.
+        Returns normals : (k, 3) float64: unit normals of the faces, by their orientation.
+        Returns face : (k,) int32: numbers of the faces; −1 if there is no intersection.
+        """
+        length = power_of_two(float(np.abs(directions).max(initial=0)))
+        rays = np.concatenate([self._frame.inward(origins), directions / length], axis=1)  # (k, 6)
+        answer = self._scene.cast_rays(self._tensor(rays.astype(np.float32)))
+        distance = answer["t_hit"].numpy().astype(np.float64) * (self._frame.size / length)
+        face = np.where(np.isfinite(distance), answer["primitive_ids"].numpy().astype(np.int64), -1)
+        normals = answer["primitive_normals"].numpy().astype(np.float64)
+        return distance, normals, face.astype(np.int32)
+
+    def distance(self, points: FloatArray) -> FloatArray:
+        """(k,) unsigned distances of (k, 3) points to the surface."""
+        query = self._tensor(self._frame.inward(points).astype(np.float32))
+        framed: FloatArray = self._scene.compute_distance(query).numpy().astype(np.float64)
+        return framed * self._frame.size
