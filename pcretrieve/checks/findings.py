@@ -16,8 +16,7 @@ from pcretrieve.checks.spectra import spectrum_checks
 from pcretrieve.checks.surfaces import base_check, fit_checks, marks_check, mesh_check, surface_checks
 from pcretrieve.draw.open3d import RayScene
 from pcretrieve.points.density import local_spacings
-from pcretrieve.points.nearest import nearest
-from pcretrieve.points.sampling import SPACING_NEIGHBORS, Neighborhoods
+from pcretrieve.points.neighbors import SPACING_NEIGHBORS, Neighborhoods, nearest
 from pcretrieve.surface import SurfaceMarks
 from pcretrieve.values import FloatArray, PointCloud, Shape, TriangleMesh
 

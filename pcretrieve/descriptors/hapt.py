@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from pcretrieve.descriptors.descriptor import Descriptor
 from pcretrieve.errors import DegenerateMeshError
-from pcretrieve.points.voxels import Grid, interior
+from pcretrieve.points.grid import Grid, interior
 from pcretrieve.values import FloatArray, Signature, TriangleMesh
 
 __all__ = ["HAPT", "hapt", "projected_areas"]

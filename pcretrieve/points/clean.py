@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from pcretrieve.errors import ReconstructionError, Stage
 from pcretrieve.options import PointFilter, ScanOptions
 from pcretrieve.points.density import FARTHER, is_of_surface
-from pcretrieve.points.sampling import neighborhoods, voxel_numbers
+from pcretrieve.points.neighbors import neighborhoods, voxel_numbers
 from pcretrieve.values import FloatArray, PointCloud, Step
 
 __all__ = ["CLEAN", "FEWEST_POINTS", "averaged", "check_extent", "clean", "outliers"]

@@ -13,8 +13,13 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from pcretrieve.points.nearest import nearest
-from pcretrieve.points.sampling import SPACING_NEIGHBORS, Neighborhoods, neighborhoods, voxel_numbers
+from pcretrieve.points.neighbors import (
+    SPACING_NEIGHBORS,
+    Neighborhoods,
+    nearest,
+    neighborhoods,
+    voxel_numbers,
+)
 from pcretrieve.values import FloatArray, PointCloud
 
 __all__ = ["FARTHER", "disks", "interpolated", "is_of_surface", "local_spacings", "sparse_points"]

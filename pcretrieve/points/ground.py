@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pcretrieve.points.sampling import PLANE_NEIGHBORS, neighborhoods, noise
+from pcretrieve.points.neighbors import PLANE_NEIGHBORS, neighborhoods, noise
 from pcretrieve.values import FloatArray, bounding_diagonal
 
 __all__ = ["Ground", "fitted_plane", "ground_of", "planes_of"]

@@ -13,9 +13,14 @@ from pcretrieve.errors import ReconstructionError, Stage
 from pcretrieve.options import PointFilter, ScanOptions
 from pcretrieve.points import open3d
 from pcretrieve.points.density import disks, local_spacings, sparse_points
-from pcretrieve.points.planes import guided_planes
-from pcretrieve.points.sampling import SPACING_NEIGHBORS, Neighborhoods, neighborhoods, spacing
-from pcretrieve.points.voxels import Outside, flood
+from pcretrieve.points.neighbors import (
+    SPACING_NEIGHBORS,
+    Neighborhoods,
+    guided_planes,
+    neighborhoods,
+    spacing,
+)
+from pcretrieve.points.outside import Outside, flood
 from pcretrieve.values import FloatArray, PointCloud, Step
 
 __all__ = ["ORIENT", "oriented_normals"]

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from pcretrieve.draw.open3d import RayScene
 from pcretrieve.errors import InputError, OptionError
-from pcretrieve.surface.sampling import uniform_points
+from pcretrieve.surface.reconstruct import uniform_points
 from pcretrieve.values import FloatArray, PointCloud, TriangleMesh
 
 

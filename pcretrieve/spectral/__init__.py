@@ -1,9 +1,8 @@
 """Surface, or points → stiffness and mass matrices → smallest eigenpairs."""
 
 from pcretrieve.spectral.eigen import eigenpairs
-from pcretrieve.spectral.element import Assembled, Element
-from pcretrieve.spectral.modes import unit_eigenpairs
-from pcretrieve.spectral.operators import ELEMENTS, laplace_beltrami
+from pcretrieve.spectral.elements import Assembled, Element
+from pcretrieve.spectral.operators import ELEMENTS, laplace_beltrami, unit_eigenpairs
 from pcretrieve.spectral.points import star_mesh
 
 __all__ = [

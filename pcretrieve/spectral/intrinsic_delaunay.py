@@ -6,8 +6,7 @@ import numpy as np
 from scipy.sparse import csc_array
 
 from pcretrieve.errors import DegenerateMeshError
-from pcretrieve.spectral.element import Assembled, Element
-from pcretrieve.spectral.lagrange import check_vertices, sides_of
+from pcretrieve.spectral.elements import Assembled, Element, check_vertices, sides_of
 from pcretrieve.values import TriangleMesh
 
 __all__ = ["INTRINSIC_DELAUNAY", "intrinsic_delaunay"]

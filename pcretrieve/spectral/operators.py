@@ -11,15 +11,12 @@ from scipy.sparse.csgraph import connected_components
 from pcretrieve.errors import DegenerateMeshError, InputError, OptionError, Stage
 from pcretrieve.names import NAMES
 from pcretrieve.plugins import Registry, named
-from pcretrieve.spectral.cubic import CUBIC
-from pcretrieve.spectral.element import Assembled, Element, Mass
+from pcretrieve.spectral.eigen import eigenpairs
+from pcretrieve.spectral.elements import CUBIC, LINEAR, Assembled, Element, Mass
 from pcretrieve.spectral.intrinsic_delaunay import INTRINSIC_DELAUNAY
-from pcretrieve.spectral.linear import LINEAR
 from pcretrieve.spectral.points import POINTS
-from pcretrieve.values import LaplaceBeltrami, PointCloud, TriangleMesh
+from pcretrieve.values import Eigenpairs, LaplaceBeltrami, PointCloud, TriangleMesh
 from pcretrieve.values.conversion import GeometryLike, as_geometry
-
-__all__ = ["ELEMENTS", "laplace_beltrami"]
 
 ELEMENTS: Registry[Element] = Registry(
     NAMES["element"],
@@ -47,7 +44,7 @@ def laplace_beltrami(
         ``cubic``: cubic ones, order 6 on flat surfaces. ``intrinsic-delaunay``: linear elements on the
         intrinsic Delaunay triangulation, for badly shaped and non-manifold triangles. ``points``: linear
         elements on local triangulations of points. Other packages add more. The sources are in
-        `pcretrieve.spectral.linear`, `.cubic`, `.intrinsic_delaunay` and `.points`.
+        `pcretrieve.spectral.elements`, `.cubic`, `.intrinsic_delaunay` and `.points`.
     mass : {"consistent", "lumped"}, optional
         ``consistent``: ∫ φ_i φ_j. ``lumped``: its row sums on the diagonal. With lumped mass the reduced
         matrix of R-BiHDM is exactly the projection of the dense kernel; consistent mass gives more accurate
@@ -129,3 +126,14 @@ def _one_of(name: str, given: object, allowed: tuple[object, ...]) -> None:
     if given not in allowed:
         names = [repr(value) for value in allowed if value is not None]
         raise OptionError(f"{name} must be {', '.join(names[:-1])} or {names[-1]}, got {given!r}")
+
+
+def unit_eigenpairs(mesh: TriangleMesh, n_pairs: int, element: str = "linear") -> Eigenpairs:
+    """The lowest eigenpairs of a surface scaled to unit area, as all descriptors take them.
+
+    At unit area tolerances mean the same for every surface: the matrix of R-BiHDM scales as length⁴.
+
+    mesh: in any unit and place.
+    """
+    vertices = (mesh.vertices - mesh.vertices.mean(axis=0)) / np.sqrt(mesh.area)
+    return eigenpairs(laplace_beltrami(TriangleMesh(vertices, mesh.faces), element), n_pairs)

@@ -8,9 +8,7 @@ from scipy.sparse import csc_array
 from scipy.spatial import KDTree
 
 from pcretrieve.errors import DegenerateMeshError
-from pcretrieve.spectral.element import Assembled, Element
-from pcretrieve.spectral.lagrange import assembled, sides_of
-from pcretrieve.spectral.linear import LINEAR_REFERENCE
+from pcretrieve.spectral.elements import LINEAR_REFERENCE, Assembled, Element, assembled, sides_of
 from pcretrieve.values import FloatArray, IntArray, PointCloud, TriangleMesh
 
 __all__ = ["POINTS", "points", "star_mesh", "stars"]

@@ -3,11 +3,17 @@
 from pcretrieve.options import SurfaceFilter
 from pcretrieve.surface.body import SurfaceMarks, body_surfaces
 from pcretrieve.surface.filters import SURFACE_FILTERS
-from pcretrieve.surface.methods import SURFACE_METHODS, SurfaceMethod, surfaces
-from pcretrieve.surface.reconstruct import poisson_surface, sampled, sound_mesh
-from pcretrieve.surface.reduced import reduced
+from pcretrieve.surface.reconstruct import (
+    SURFACE_METHODS,
+    SurfaceMethod,
+    poisson_surface,
+    sampled,
+    sound_mesh,
+    surfaces,
+)
 from pcretrieve.surface.remesh import remesh
 from pcretrieve.surface.repair import repaired
+from pcretrieve.surface.simplify import reduced
 from pcretrieve.surface.topology import Defects, defects
 
 __all__ = [

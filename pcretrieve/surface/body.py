@@ -23,18 +23,16 @@ from numpy.typing import NDArray
 from pcretrieve.errors import ReconstructionError
 from pcretrieve.options import SurfaceOptions
 from pcretrieve.points.density import interpolated
-from pcretrieve.points.sampling import PLANE_NEIGHBORS, Neighborhoods, neighborhoods, noise, spacing
-from pcretrieve.points.voxels import Grid, Mask, Outside, Voxels, flood
+from pcretrieve.points.grid import Grid, Mask, Voxels
+from pcretrieve.points.neighbors import PLANE_NEIGHBORS, Neighborhoods, neighborhoods, noise, spacing
+from pcretrieve.points.outside import Outside, flood
 from pcretrieve.surface.caps import NO_CAP, Capped, base_of, points_on
-from pcretrieve.surface.coarse import coarse_surface
-from pcretrieve.surface.contacts import CONTINUED, contact_layer, rims, walls
+from pcretrieve.surface.coarse import coarse_surface, filled
 from pcretrieve.surface.field import LEAST_WEIGHT, distance_field, folded, hidden_below, normals_of
-from pcretrieve.surface.filled import filled
-from pcretrieve.surface.handles import with_topology
-from pcretrieve.surface.marching import Crossings, crossed, marched
-from pcretrieve.surface.pieces import joined
+from pcretrieve.surface.growth import with_topology
+from pcretrieve.surface.marching import Crossings, crossed, marched, smoothed
+from pcretrieve.surface.parts import CONTINUED, contact_layer, joined, rims, walls
 from pcretrieve.surface.simplify import simplified
-from pcretrieve.surface.smooth import smoothed
 from pcretrieve.values import FloatArray, PointCloud, Step, TriangleMesh
 
 __all__ = ["SurfaceMarks", "body_surfaces"]

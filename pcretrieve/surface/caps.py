@@ -7,8 +7,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pcretrieve.points.voxels import Mask
-from pcretrieve.surface.edges import edges_of, joined_by
+from pcretrieve.points.grid import Mask
+from pcretrieve.surface.topology import edges_of, joined_by
 from pcretrieve.values import FloatArray, PointCloud, TriangleMesh
 
 __all__ = ["Capped", "base_of", "capped", "points_on"]

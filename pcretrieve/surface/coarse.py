@@ -1,25 +1,169 @@
-"""Oriented points → a coarse closed surface, which closes the holes of a scan."""
+"""Oriented points → the indicator function of their body on a coarse grid, by Fourier transforms."""
 
 from __future__ import annotations
 
 import numpy as np
+from numba import njit
+from numpy.typing import NDArray
 
 from pcretrieve.errors import ReconstructionError
 from pcretrieve.options import SurfaceOptions
 from pcretrieve.points.density import local_spacings
-from pcretrieve.points.nearest import nearest
-from pcretrieve.points.sampling import SPACING_NEIGHBORS, neighborhoods
-from pcretrieve.points.voxels import Grid, sampled
+from pcretrieve.points.grid import Grid, Mask, Voxels
+from pcretrieve.points.neighbors import SPACING_NEIGHBORS, nearest, neighborhoods
+from pcretrieve.points.outside import sampled
 from pcretrieve.surface import open3d
 from pcretrieve.surface.caps import NO_CAP, Capped, capped
 from pcretrieve.surface.field import normals_of
-from pcretrieve.surface.indicator import indicator
 from pcretrieve.surface.marching import Crossings, crossed, marched
 from pcretrieve.surface.repair import largest_component
 from pcretrieve.surface.topology import compact, defects
 from pcretrieve.values import FloatArray, PointCloud, TriangleMesh
 
-__all__ = ["coarse_surface"]
+# Standard deviation of the Gaussian filter of the indicator function; in voxels.
+FILTER = 0.6
+
+
+def indicator(points: FloatArray, normals: FloatArray, spacings: FloatArray, grid: Grid) -> Voxels:
+    """The indicator function of a body, smoothed, from oriented points of its surface [1]_.
+
+    The gradient of the indicator function χ is concentrated on the surface, where it is −n. It is known at
+    the points, each of which stands for a small piece of the surface, and χ is the solution of the Poisson
+    equation whose right side is the divergence of this field. On a periodic grid the Fourier transform of χ
+    is i k · V / k², with the transform V of the field n and the wave vector k. Where a part of the surface
+    was not seen, χ is the solid angle of the other parts divided by 4π (generalized winding number [2]_):
+    in a flat hole it is 1/2.
+
+    points, normals: (n, 3) float64, coordinates, inside the grid, and unit normals that point out of the
+        body.
+    spacings: (n,) float64, the square root of the area of surface for each point. A point stands for an area
+        of at most one face of a voxel. Unit of the points.
+    Returns (a, b, c) float32: about 1 inside and 0 outside. Exactly 0 at the corners of the grid.
+
+    References
+    ----------
+    .. [1] M. Kazhdan, "Reconstruction of solid models from oriented point sets", Symposium on Geometry
+       Processing 2005.
+    .. [2] G. Barill, N. Dickson, R. Schmidt, D. Levin and A. Jacobson, "Fast winding numbers for soups and
+       clouds", ACM Transactions on Graphics 37 (2018).
+    """
+    from scipy import fft
+
+    shares = np.minimum(spacings / grid.cell, 1) ** 2  # of the area of the face of a voxel
+    field = _splatted(grid.coordinates(points), shares[:, None] * normals, grid.shape)
+    n_x, n_y, n_z = grid.shape
+    frequencies = np.ix_(fft.fftfreq(n_x), fft.fftfreq(n_y), fft.rfftfreq(n_z))
+    x, y, z = (np.asarray(2 * np.pi * frequency, dtype=np.float32) for frequency in frequencies)
+    squares = x**2 + y**2 + z**2
+    squares[0, 0, 0] = 1  # the divergence is zero there
+    divergence = x * fft.rfftn(field[0]) + y * fft.rfftn(field[1]) + z * fft.rfftn(field[2])
+    smooth = np.exp(np.float32(-(FILTER**2) / 2) * squares) / squares
+    values = fft.irfftn(np.complex64(1j) * smooth * divergence, grid.shape)
+    return np.asarray(values - values[0, 0, 0], dtype=np.float32)
+
+
+@njit(cache=True)
+def _splatted(at: FloatArray, vectors: FloatArray, shape: tuple[int, int, int]) -> Voxels:
+    """(3, a, b, c) sums of vectors at positions in voxels, by trilinear weights."""
+    field = np.zeros((3, shape[0], shape[1], shape[2]), dtype=np.float32)
+    for i in range(len(at)):
+        x, y, z = int(at[i, 0]), int(at[i, 1]), int(at[i, 2])
+        u, v, w = at[i, 0] - x, at[i, 1] - y, at[i, 2] - z
+        for a in range(2):
+            for b in range(2):
+                for c in range(2):
+                    share = abs(1 - a - u) * abs(1 - b - v) * abs(1 - c - w)
+                    for axis in range(3):
+                        field[axis, x + a, y + b, z + c] += share * vectors[i, axis]
+    return field
+
+
+# Offset of the lines from the centres of the voxels, at which vertices may lie; in voxels.
+BESIDE = (1e-4, 1.7e-4)
+
+
+def filled(mesh: TriangleMesh, grid: Grid) -> tuple[Mask, Voxels]:
+    """Voxels inside a mesh, and the crossings of the mesh with the lines through their centres.
+
+    A voxel is inside if the line to it along the last axis crosses the mesh an odd number of times (parity
+    rule). The side of an edge on which a line passes is computed identically for both faces at the edge, so
+    that the line crosses exactly one of them. Rays cast in single precision do not guarantee this.
+
+    Returns inside : (a, b, c) bool: voxels whose centre is inside the mesh.
+    Returns crossings : (3, a, b, c) float32: for each axis and voxel, where the mesh crosses the line from
+        the centre of the voxel to the next centre: a fraction in [0, 1), NaN if it does not.
+    """
+    at = grid.coordinates(mesh.vertices)
+    crossings = np.full((3, *grid.shape), np.nan, dtype=np.float32)
+    odd = np.zeros(grid.shape, dtype=np.bool_)
+    _cross(at, mesh.faces, crossings, odd)
+    _accumulate(odd)
+    for side in (0, -1):
+        odd[side] = odd[:, side] = odd[:, :, side] = False
+    return odd, crossings
+
+
+@njit(cache=True)
+def _accumulate(odd: Mask) -> None:
+    """Turn the changes of the parity along the last axis into the parity."""
+    for x in range(odd.shape[0]):
+        for y in range(odd.shape[1]):
+            line, is_inside = odd[x, y], False
+            for z in range(len(line)):
+                is_inside ^= line[z]
+                line[z] = is_inside
+
+
+@njit(cache=True)
+def _cross(at: FloatArray, faces: NDArray[np.int32], crossings: Voxels, odd: Mask) -> None:
+    """Write the crossings along each axis, and flip `odd` in the voxel after each along the last axis."""
+    shape = odd.shape
+    place = np.zeros(3, dtype=np.int64)
+    for f in range(len(faces)):
+        a, b, c = at[faces[f, 0]], at[faces[f, 1]], at[faces[f, 2]]
+        for axis in range(3):
+            i, j = (1 if axis == 0 else 0), (1 if axis == 2 else 2)
+            first = max(0, int(np.ceil(min(a[i], b[i], c[i]) - BESIDE[0])))
+            last = min(shape[i] - 1, int(np.floor(max(a[i], b[i], c[i]) - BESIDE[0])))
+            lowest = max(0, int(np.ceil(min(a[j], b[j], c[j]) - BESIDE[1])))
+            highest = min(shape[j] - 1, int(np.floor(max(a[j], b[j], c[j]) - BESIDE[1])))
+            for u in range(first, last + 1):
+                for v in range(lowest, highest + 1):
+                    x, y = u + BESIDE[0], v + BESIDE[1]
+                    left = _left(at, faces[f, 0], faces[f, 1], i, j, x, y)
+                    if left != _left(at, faces[f, 1], faces[f, 2], i, j, x, y):
+                        continue
+                    if left != _left(at, faces[f, 2], faces[f, 0], i, j, x, y):
+                        continue
+                    # The intersection of the line with the plane a + s (b - a) + t (c - a).
+                    e, g = b[i] - a[i], c[i] - a[i]
+                    h, k = b[j] - a[j], c[j] - a[j]
+                    area = e * k - g * h
+                    if area == 0:
+                        continue
+                    s = ((x - a[i]) * k - g * (y - a[j])) / area
+                    t = (e * (y - a[j]) - (x - a[i]) * h) / area
+                    along = a[axis] + s * (b[axis] - a[axis]) + t * (c[axis] - a[axis])
+                    below = int(np.floor(along))
+                    if axis == 2 and below < shape[2] - 1:
+                        # A crossing before the first voxel changes the parity of all voxels of the line.
+                        odd[u, v, max(0, below + 1)] ^= True
+                    if 0 <= below < shape[axis] - 1:
+                        place[axis], place[i], place[j] = below, u, v
+                        crossings[axis, place[0], place[1], place[2]] = along - below
+
+
+@njit(cache=True)
+def _left(at: FloatArray, p: int, q: int, i: int, j: int, x: float, y: float) -> bool:
+    """Whether (x, y) is left of the directed line from p to q in the projection along an axis."""
+    # Evaluated from the lower to the higher vertex number, so that the two directions never agree.
+    low, high = min(p, q), max(p, q)
+    across, up = at[high, i] - at[low, i], at[high, j] - at[low, j]
+    turn = across * (y - at[low, j]) - up * (x - at[low, i])
+    if turn == 0:  # symbolic perturbation: (x, y) moves by ε along the first axis, by ε² along the second
+        turn = across if up == 0 else -up
+    return bool((turn > 0) == (p < q))
+
 
 # Smallest distance of the points from the border of the grid of the indicator function, relative to the
 # longest side of their bounding box.

@@ -7,7 +7,8 @@ from numba import njit
 from numpy.typing import NDArray
 
 from pcretrieve.errors import ReconstructionError
-from pcretrieve.points.voxels import Mask, Outside, Voxels
+from pcretrieve.points.grid import Mask, Voxels
+from pcretrieve.points.outside import Outside
 from pcretrieve.values import FloatArray, PointCloud
 
 __all__ = ["LEAST_WEIGHT", "distance_field", "folded", "hidden_below", "normals_of"]

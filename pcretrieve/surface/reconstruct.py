@@ -1,20 +1,45 @@
-"""Input meshes: kept, or sampled for reconstruction; and Poisson reconstruction of oriented points."""
+"""Random points of a surface."""
 
 from __future__ import annotations
 
 import time
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pcretrieve.errors import DegenerateMeshError, ReconstructionError, Stage
+from pcretrieve.names import NAMES
 from pcretrieve.options import SurfaceOptions
+from pcretrieve.plugins import Registry, named
 from pcretrieve.surface import open3d
+from pcretrieve.surface.body import SurfaceMarks, body_surfaces
 from pcretrieve.surface.repair import ONE_SIDED, largest_component, outward, repaired, used_vertices
-from pcretrieve.surface.sampling import uniform_points
 from pcretrieve.surface.topology import Defects, compact, defects, orient_faces
 from pcretrieve.values import FloatArray, IntArray, PointCloud, Step, TriangleMesh
 
-__all__ = ["poisson_surface", "sampled", "sound_mesh"]
+
+def uniform_points(
+    mesh: TriangleMesh, n: int, rng: np.random.Generator
+) -> tuple[FloatArray, NDArray[np.intp]]:
+    """Random points of a surface, uniform by area [1]_.
+
+    Returns points : (n, 3) float64: in the unit of the mesh.
+    Returns faces : (n,) intp: number of the face that each point lies on.
+
+    References
+    ----------
+    .. [1] Osada, Funkhouser, Chazelle and Dobkin, "Shape distributions", ACM TOG 2002, equation (1).
+    """
+    areas = mesh.face_areas  # (m,)
+    faces = rng.choice(len(areas), size=n, p=areas / areas.sum())
+    # The square root makes the barycentric coordinates uniform over the triangle.
+    u, v = np.sqrt(rng.random(n)), rng.random(n)
+    weights = np.column_stack([1 - u, u * (1 - v), u * v])  # (n, 3)
+    points: FloatArray = np.einsum("nk,nkd->nd", weights, mesh.vertices[mesh.faces[faces]])
+    return points, faces
+
 
 # Seed of the points that are sampled on a mesh, so that the samples are reproducible.
 SAMPLE_SEED = 0
@@ -108,3 +133,56 @@ def _trimmed(vertices: FloatArray, faces: IntArray, density: FloatArray, share: 
         return compact(vertices, faces)
     kept = density >= np.quantile(density, share)
     return compact(vertices, faces[kept[faces].all(axis=1)])
+
+
+Reconstructed = tuple[TriangleMesh, SurfaceMarks | None]
+
+
+@dataclass(frozen=True, slots=True)
+class SurfaceMethod:
+    """The declaration of a method of surface reconstruction, beside its function.
+
+    Attributes
+    ----------
+    name : str
+        Value of the option `surface.method`.
+    make : function of (PointCloud, SurfaceOptions) that returns an iterable
+        Called with points that have normals, whose centre is near the origin. It gives one or more surfaces,
+        each as a tuple of a TriangleMesh, closed and oriented outwards unless it is remeshed, and
+        `SurfaceMarks` or None. The signature is the mean over the surfaces, and two surfaces or more give an
+        error bar.
+    """
+
+    name: str
+    make: Callable[[PointCloud, SurfaceOptions], Iterable[Reconstructed]]
+
+
+def _poisson(cloud: PointCloud, options: SurfaceOptions) -> Iterator[Reconstructed]:
+    yield poisson_surface(cloud, options), None
+
+
+GROWTH = SurfaceMethod("growth", body_surfaces)
+POISSON = SurfaceMethod("poisson", _poisson)
+
+SURFACE_METHODS: Registry[SurfaceMethod] = Registry(
+    NAMES["surface method"], {method.name: method for method in (GROWTH, POISSON)}, named(SurfaceMethod)
+)
+
+
+def surfaces(cloud: PointCloud, options: SurfaceOptions) -> Iterator[Reconstructed]:
+    """Reconstruct the surfaces of a cloud by the method of the options.
+
+    Yields mesh : TriangleMesh: with the provenance of the cloud and a step ``surface``; unit of the file.
+    """
+    record, n = SURFACE_METHODS[options.method], 0
+    started = time.perf_counter()
+    with SURFACE_METHODS.blamed(record.name, Stage.SURFACE):
+        for mesh, marks in record.make(cloud, options):
+            n += 1
+            if not mesh.provenance:
+                step = Step("surface", time.perf_counter() - started, {"faces": len(mesh.faces)})
+                mesh = replace(mesh, provenance=(*cloud.provenance, step))
+            yield mesh, marks
+            started = time.perf_counter()
+    if not n:
+        raise ReconstructionError(f"{SURFACE_METHODS.called(record.name)} made no surface")

@@ -9,9 +9,8 @@ import numpy as np
 from pcretrieve.errors import RemeshError, ShapeError
 from pcretrieve.options import RemeshOptions, SurfaceFilter
 from pcretrieve.surface import tetwild
-from pcretrieve.surface.edges import edges_of
 from pcretrieve.surface.repair import repaired
-from pcretrieve.surface.topology import compact, defects, face_groups
+from pcretrieve.surface.topology import compact, defects, edges_of, face_groups
 from pcretrieve.values import FloatArray, IntArray, Step, TriangleMesh
 
 __all__ = ["REMESH", "remesh"]

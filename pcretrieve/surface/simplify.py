@@ -6,16 +6,18 @@ changes.
 
 from __future__ import annotations
 
+import time
+
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
 from pcretrieve.errors import DegenerateMeshError
-from pcretrieve.surface.edges import twins
-from pcretrieve.surface.topology import compact
-from pcretrieve.values import FloatArray, IntArray, TriangleMesh
-
-__all__ = ["simplified"]
+from pcretrieve.options import SurfaceOptions
+from pcretrieve.surface import open3d
+from pcretrieve.surface.repair import repaired
+from pcretrieve.surface.topology import compact, twins
+from pcretrieve.values import FloatArray, IntArray, Step, TriangleMesh
 
 # Weight of the squared distance along the surface, relative to the squared distance from it. A smaller weight
 # preserves creases better, a larger one gives faces of more even shape.
@@ -335,3 +337,28 @@ def _collapsed(
                 break
     left: IntArray = corners.reshape(-1, 3)[corners[::3] >= 0]
     return left
+
+
+def reduced(mesh: TriangleMesh, options: SurfaceOptions) -> TriangleMesh:
+    """A surface with at most `max_faces` faces.
+
+    The time and memory of a spectrum grow faster than the number of faces, while its error is small already:
+    see docs/decisions.md, max_faces.
+    """
+    if len(mesh.faces) <= options.max_faces:
+        return mesh
+    started = time.perf_counter()
+    # Imported here because the module's numba functions are compiled on import.
+
+    n = options.max_faces
+    notes: tuple[str, ...] = ("simplified, because it had more faces than surface.max_faces",)
+    try:
+        coarse = simplified(mesh, n)
+    except DegenerateMeshError:  # open, or not a manifold
+        vertices, faces = open3d.simplify(mesh.vertices, mesh.faces, n_faces=n)
+        coarse, repairs = repaired(TriangleMesh(vertices, faces))
+        notes = (*notes, *repairs)
+    sizes: dict[str, float] = {"faces_in": len(mesh.faces), "faces": len(coarse.faces)}
+    sizes["euler"] = coarse.euler_characteristic
+    step = Step("simplify", time.perf_counter() - started, sizes, notes)
+    return TriangleMesh(coarse.vertices, coarse.faces, (*mesh.provenance, step))

@@ -59,8 +59,8 @@ from pcretrieve.retrieval.resolution import is_measured
 from pcretrieve.spectral import eigenpairs, laplace_beltrami
 from pcretrieve.surface import defects, tetwild
 from pcretrieve.surface.open3d import poisson
+from pcretrieve.surface.reconstruct import uniform_points
 from pcretrieve.surface.remesh import boundary_faces
-from pcretrieve.surface.sampling import uniform_points
 from pcretrieve.surface.topology import compact
 from pcretrieve.values import FloatArray, PointCloud, Shape, SignatureTable, TriangleMesh
 from pcretrieve.values.files import write_file

@@ -14,7 +14,7 @@ import shapes
 from scipy.spatial.transform import Rotation
 
 from pcretrieve import PointCloud, read_scan
-from pcretrieve.points.register.motions import moved
+from pcretrieve.points.register.alignment import moved
 from pcretrieve.simulation import RigOptions, scan_views, write_conf, write_pcd, write_ply
 
 N_VIEWS = 6

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from pcretrieve.points.voxels import components
+from pcretrieve.points.grid import components
 
 
 @pytest.mark.parametrize("corners", [False, True])

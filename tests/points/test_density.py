@@ -9,8 +9,8 @@ from pcretrieve import PointCloud
 from pcretrieve.options import ScanOptions
 from pcretrieve.points.clean import clean
 from pcretrieve.points.density import disks, interpolated, is_of_surface, local_spacings, sparse_points
+from pcretrieve.points.neighbors import Neighborhoods, neighborhoods, spacing
 from pcretrieve.points.normals import oriented_normals
-from pcretrieve.points.sampling import Neighborhoods, neighborhoods, spacing
 from pcretrieve.values import FloatArray
 
 N = 20_000

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import distance_transform_edt
 
-from pcretrieve.points.voxels import distances
+from pcretrieve.points.grid import distances
 
 
 @pytest.mark.parametrize("limit", [1.0, 3.5, 12.0, np.inf])

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import shapes
 
-from pcretrieve.points.voxels import Grid, interior
+from pcretrieve.points.grid import Grid, interior
 from pcretrieve.values import TriangleMesh
 
 CELL = 0.05

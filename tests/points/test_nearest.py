@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from pcretrieve.points.nearest import nearest
+from pcretrieve.points.neighbors import nearest
 from pcretrieve.values import FloatArray
 
 RNG = np.random.default_rng(0)

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 import shapes
 
-from pcretrieve.points.voxels import Grid, flood
+from pcretrieve.points.grid import Grid
+from pcretrieve.points.outside import flood
 from pcretrieve.values import FloatArray
 
 RADIUS = 1.0

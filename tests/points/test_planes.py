@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from pcretrieve.points.planes import guided_planes, plane_deviations
+from pcretrieve.points.neighbors import guided_planes, plane_deviations
 
 RNG = np.random.default_rng(0)
 K = 9

@@ -16,7 +16,7 @@ from pcretrieve.errors import InputError, OptionError, ReconstructionError
 from pcretrieve.formats.conf import read_poses
 from pcretrieve.options import MergeOptions
 from pcretrieve.points.register import Merged, merge_views
-from pcretrieve.points.register.motions import moved
+from pcretrieve.points.register.alignment import moved
 from pcretrieve.simulation import RigOptions, scan_views
 from pcretrieve.values import FloatArray
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import shapes
 
-from pcretrieve.points.sampling import neighborhoods, noise, spacing
+from pcretrieve.points.neighbors import neighborhoods, noise, spacing
 
 
 def test_regular_and_random_samplings_have_the_same_spacing() -> None:

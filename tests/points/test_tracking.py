@@ -16,10 +16,9 @@ from pcretrieve import PointCloud, TriangleMesh
 from pcretrieve.draw.open3d import RayScene
 from pcretrieve.options import MergeOptions, PipelineOptions
 from pcretrieve.points.register import Merged, merge_views
-from pcretrieve.points.register.foreground import foreground
-from pcretrieve.points.register.motions import moved
+from pcretrieve.points.register.alignment import moved
 from pcretrieve.points.register.tracking import tracks
-from pcretrieve.points.register.views import prepared
+from pcretrieve.points.register.views import foreground, prepared
 from pcretrieve.simulation import RigOptions, scan_views
 from pcretrieve.values import FloatArray
 

@@ -17,7 +17,7 @@ import pcretrieve
 from pcretrieve.errors import ScanReadError
 from pcretrieve.formats.trajectory import image_poses, trajectory_file
 from pcretrieve.ingestion.views import view_files
-from pcretrieve.points.register.motions import moved
+from pcretrieve.points.register.alignment import moved
 from pcretrieve.values import FloatArray
 
 # The camera that TUM recommends as a default, and its unit of depth; 1/m.

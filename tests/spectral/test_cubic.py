@@ -12,9 +12,13 @@ import pytest
 import shapes
 
 from pcretrieve.spectral import eigenpairs, laplace_beltrami
-from pcretrieve.spectral.cubic import CUBIC_REFERENCE, cubic_nodes
-from pcretrieve.spectral.lagrange import ReferenceElement, sides_of
-from pcretrieve.spectral.linear import LINEAR_REFERENCE
+from pcretrieve.spectral.elements import (
+    CUBIC_REFERENCE,
+    LINEAR_REFERENCE,
+    ReferenceElement,
+    cubic_nodes,
+    sides_of,
+)
 from pcretrieve.values import FloatArray, TriangleMesh
 
 # --- the same matrices, from the basis functions ------------------------------------------------------

@@ -11,7 +11,7 @@ import shapes
 from pcretrieve.errors import ReconstructionError
 from pcretrieve.options import ScanOptions, SurfaceOptions
 from pcretrieve.points import oriented_normals
-from pcretrieve.points.sampling import neighborhoods, spacing
+from pcretrieve.points.neighbors import neighborhoods, spacing
 from pcretrieve.simulation import POSES, UniformOptions, body, make_subject, scan_uniformly
 from pcretrieve.surface import SurfaceMarks, body_surfaces, defects
 from pcretrieve.values import PointCloud, TriangleMesh

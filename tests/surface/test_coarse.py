@@ -8,11 +8,11 @@ import shapes
 
 from pcretrieve.options import SurfaceOptions
 from pcretrieve.points.density import local_spacings
-from pcretrieve.points.sampling import SPACING_NEIGHBORS, neighborhoods, spacing
-from pcretrieve.points.voxels import Grid, sampled
+from pcretrieve.points.grid import Grid
+from pcretrieve.points.neighbors import SPACING_NEIGHBORS, neighborhoods, spacing
+from pcretrieve.points.outside import sampled
 from pcretrieve.surface.caps import NO_CAP
-from pcretrieve.surface.coarse import coarse_surface
-from pcretrieve.surface.indicator import indicator
+from pcretrieve.surface.coarse import coarse_surface, indicator
 from pcretrieve.surface.topology import defects
 from pcretrieve.values import FloatArray, PointCloud
 

@@ -7,8 +7,8 @@ import pytest
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from pcretrieve.points.voxels import distances
-from pcretrieve.surface.contacts import CONTINUED, DETOUR, contact_layer, rims, walls
+from pcretrieve.points.grid import distances
+from pcretrieve.surface.parts import CONTINUED, DETOUR, contact_layer, rims, walls
 
 Mask = NDArray[np.bool_]
 N = 30

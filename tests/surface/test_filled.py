@@ -3,8 +3,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pcretrieve.points.voxels import Grid
-from pcretrieve.surface.filled import BESIDE, filled
+from pcretrieve.points.grid import Grid
+from pcretrieve.surface.coarse import BESIDE, filled
 from pcretrieve.values import FloatArray, TriangleMesh
 
 GRID = Grid(np.array([1.0, -2.0, 3.0]), 0.5, (24, 24, 24))

@@ -15,10 +15,9 @@ from pcretrieve.formats import read_scan
 from pcretrieve.points.open3d import estimate_normals, orient_by_tangent_planes
 from pcretrieve.spectral import eigenpairs, laplace_beltrami
 from pcretrieve.surface import defects, repaired
-from pcretrieve.surface.edges import edges_of
 from pcretrieve.surface.open3d import poisson
 from pcretrieve.surface.simplify import simplified
-from pcretrieve.surface.topology import components
+from pcretrieve.surface.topology import components, edges_of
 from pcretrieve.values import FloatArray, TriangleMesh
 
 DATA = Path(__file__).parents[3] / "shared" / "data" / "tosca"

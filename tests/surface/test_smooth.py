@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import shapes
 
-from pcretrieve.surface.smooth import smoothed
+from pcretrieve.surface.marching import smoothed
 from pcretrieve.values import FloatArray, TriangleMesh
 
 BALL = shapes.icosphere(4)

@@ -7,10 +7,9 @@ import pytest
 import shapes
 from numpy.typing import NDArray
 
-from pcretrieve.surface.edges import edges_of
 from pcretrieve.surface.remesh import boundary_faces
-from pcretrieve.surface.split import split_non_manifold
-from pcretrieve.surface.topology import Defects, compact, components, defects, orient_faces
+from pcretrieve.surface.repair import split_non_manifold
+from pcretrieve.surface.topology import Defects, compact, components, defects, edges_of, orient_faces
 from pcretrieve.values import TriangleMesh
 
 SOUND = Defects(0, 0, 0, 0, 0, 1)

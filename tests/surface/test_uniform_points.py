@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from pcretrieve.surface.sampling import uniform_points
+from pcretrieve.surface.reconstruct import uniform_points
 from pcretrieve.values import TriangleMesh
 
 # Two triangles in the plane z = 2, of areas 3 and 1.

@@ -10,8 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcretrieve.options import MergeOptions
-from pcretrieve.points.register.alignment import paired
-from pcretrieve.points.register.motions import Poses, moved, turned
+from pcretrieve.points.register.alignment import Poses, moved, paired, turned
 from pcretrieve.points.register.views import View
 
 __all__ = ["Overlap", "Verification", "overlap", "overlaps", "shared", "verification"]

@@ -13,8 +13,8 @@ from pcretrieve.errors import InputError
 from pcretrieve.options import MergeOptions
 from pcretrieve.points.clean import averaged
 from pcretrieve.points.register.agreement import Overlap, overlaps, shared
+from pcretrieve.points.register.alignment import moved, turned
 from pcretrieve.points.register.groups import COARSE, FINE, largest_group, settled
-from pcretrieve.points.register.motions import moved, turned
 from pcretrieve.points.register.tracking import followed, posed_track, tracks
 from pcretrieve.points.register.views import prepared
 from pcretrieve.values import FloatArray, PointCloud, Step

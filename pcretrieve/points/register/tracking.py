@@ -13,8 +13,7 @@ import numpy as np
 
 from pcretrieve.options import MergeOptions
 from pcretrieve.points.register.agreement import Verification, verification
-from pcretrieve.points.register.alignment import adjusted
-from pcretrieve.points.register.motions import Poses
+from pcretrieve.points.register.alignment import Poses, adjusted
 from pcretrieve.points.register.views import View
 from pcretrieve.values import FloatArray
 

@@ -22,7 +22,7 @@ from pcretrieve.ingestion.discover import discover
 from pcretrieve.ingestion.isolation import in_processes
 from pcretrieve.ingestion.labels import read_labels
 from pcretrieve.options import RemeshOptions, RetrievalOptions, Scale, SignatureOptions
-from pcretrieve.points.voxels import Mask
+from pcretrieve.points.grid import Mask
 from pcretrieve.retrieval import DistanceBlock
 from pcretrieve.retrieval.distances import log_signatures, pairwise
 from pcretrieve.surface.remesh import remesh

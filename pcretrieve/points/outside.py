@@ -7,12 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit
 
-from pcretrieve.points.voxels.components import components
-from pcretrieve.points.voxels.distance import distances
-from pcretrieve.points.voxels.grid import Grid, Mask, Voxels
+from pcretrieve.points.grid import Grid, Mask, Voxels, components, distances
 from pcretrieve.values import FloatArray
-
-__all__ = ["FARTHEST", "Outside", "flood", "sampled"]
 
 # Number of empty voxels around the points, in which finite differences are computed.
 MARGIN = 3

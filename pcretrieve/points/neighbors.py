@@ -1,0 +1,418 @@
+"""The points of a cloud that are nearest to given places, compiled by numba."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from pcretrieve.values import FloatArray
+
+Index = NDArray[np.intp]
+Shape = tuple[int, int, int]
+
+# Mean number of points in an occupied cell of the grid, relative to the number of neighbours, by which most
+# neighbourhoods are in a cell and those around it; and its smallest value. See docs/decisions.md, OCCUPANCY.
+OCCUPANCY = 0.25
+LEAST_OCCUPANCY = 1.0
+
+# Largest number of points in one cell, relative to the wanted mean, and largest number of cells for each
+# point. Beyond them the density varies so much that a k-d tree is faster than a grid.
+MOST_CROWDED = 40
+MOST_CELLS = 64
+
+# Two distances that are nearer than this, relatively, are equal up to rounding errors.
+ROUNDING = 1e-9
+
+
+class Cells(NamedTuple):
+    """The points of a cloud, sorted by the cells of a grid.
+
+    low: (3,) float64, the corner of the grid.
+    order: (n,) int, numbers of the points, grouped by cell.
+    starts: (cells + 1,) int, position of the first point of each cell in `order`.
+    """
+
+    low: FloatArray
+    edge: float
+    shape: Shape
+    order: Index
+    starts: Index
+
+
+def nearest(points: FloatArray, places: FloatArray, k: int) -> tuple[FloatArray, Index]:
+    """Search for the points that are nearest to each place, by a grid of cells or a k-d tree.
+
+    points: (n, 3) float64, the cloud; in any unit.
+    places: (m, 3) float64, the places, which may be points of the cloud; unit of the points.
+    Returns distance : (m, k) float64: distances, ascending; unit of the points.
+    Returns near : (m, k) int: numbers of the points.
+    """
+    cells = _cells(points, k)
+    if cells is not None:
+        return _nearest(points, *cells, places, k)
+
+    from scipy.spatial import cKDTree
+
+    distance, near = cKDTree(points).query(places, k=np.arange(1, k + 1))
+    return np.asarray(distance), np.asarray(near)
+
+
+def _cells(points: FloatArray, k: int) -> Cells | None:
+    """The points in cells of a suitable edge; None if there is no such edge."""
+    low, high = (np.array([bound(column) for column in points.T]) for bound in (np.min, np.max))
+    x, y, z = high - low
+    wanted = max(OCCUPANCY * k, LEAST_OCCUPANCY)
+    # The edge for a box, and then for the number of cells that this edge gives to the surface.
+    edge = float(np.sqrt(wanted * (x * y + y * z + z * x) / len(points)))
+    cells = None
+    for _ in range(2):
+        if not edge > 0:
+            return None
+        numbers = np.floor((high - low) / edge) + 1
+        if numbers.prod() > MOST_CELLS * len(points):
+            return None
+        a, b, c = numbers.astype(int).tolist()
+        order, starts = _sorted(points, low, edge, (a, b, c))
+        cells = Cells(low, edge, (a, b, c), order, starts)
+        crowd = np.diff(starts)
+        edge *= float(np.sqrt(wanted * np.count_nonzero(crowd) / len(points)))
+    return None if crowd.max() > MOST_CROWDED * wanted else cells
+
+
+@njit(cache=True, error_model="numpy")
+def _cell(x: float, low: float, edge: float, n: int) -> int:
+    return min(max(int((x - low) / edge), 0), n - 1)
+
+
+@njit(cache=True, error_model="numpy")
+def _sorted(points: FloatArray, low: FloatArray, edge: float, shape: Shape) -> tuple[Index, Index]:
+    """Numbers of the points, grouped by cell, and the position of the first one of each cell."""
+    cell = np.empty(len(points), dtype=np.intp)
+    starts = np.zeros(shape[0] * shape[1] * shape[2] + 1, dtype=np.intp)
+    for i in range(len(points)):
+        a = _cell(points[i, 0], low[0], edge, shape[0])
+        b = _cell(points[i, 1], low[1], edge, shape[1])
+        cell[i] = (a * shape[1] + b) * shape[2] + _cell(points[i, 2], low[2], edge, shape[2])
+        starts[cell[i] + 1] += 1
+    starts = np.cumsum(starts)
+    fill = starts[:-1].copy()
+    order = np.empty(len(points), dtype=np.intp)
+    for i in range(len(points)):
+        order[fill[cell[i]]] = i
+        fill[cell[i]] += 1
+    return order, starts
+
+
+@njit(cache=True, error_model="numpy")
+def _nearest(
+    points: FloatArray,
+    low: FloatArray,
+    edge: float,
+    shape: Shape,
+    order: Index,
+    starts: Index,
+    places: FloatArray,
+    k: int,
+) -> tuple[FloatArray, Index]:
+    """The nearest points in a block of cells around each place, which grows until none can be nearer."""
+    distance, near = np.empty((len(places), k)), np.empty((len(places), k), dtype=np.intp)
+    grouped = points[order]
+    squares, found = np.empty(k), np.empty(k, dtype=np.intp)
+    for q in range(len(places)):
+        x, y, z = places[q, 0], places[q, 1], places[q, 2]
+        a = _cell(x, low[0], edge, shape[0])
+        b = _cell(y, low[1], edge, shape[1])
+        c = _cell(z, low[2], edge, shape[2])
+        n, ring = 0, 1
+        while True:
+            bottom, top = max(0, c - ring), min(shape[2] - 1, c + ring)
+            for u in range(max(0, a - ring), min(shape[0], a + ring + 1)):
+                for v in range(max(0, b - ring), min(shape[1], b + ring + 1)):
+                    line = (u * shape[1] + v) * shape[2]
+                    if ring == 1 or abs(u - a) == ring or abs(v - b) == ring:
+                        # The points in the cells of one line follow each other.
+                        first, last = starts[line + bottom], starts[line + top + 1]
+                        n = _add(x, y, z, grouped, first, last, squares, found, n)
+                        continue
+                    if c - ring >= 0:
+                        first, last = starts[line + bottom], starts[line + bottom + 1]
+                        n = _add(x, y, z, grouped, first, last, squares, found, n)
+                    if c + ring < shape[2]:
+                        first, last = starts[line + top], starts[line + top + 1]
+                        n = _add(x, y, z, grouped, first, last, squares, found, n)
+            # Points outside the block are at least this far away.
+            gap = np.inf
+            for at, corner, cell, size in (
+                (x, low[0], a, shape[0]),
+                (y, low[1], b, shape[1]),
+                (z, low[2], c, shape[2]),
+            ):
+                if cell - ring > 0:
+                    gap = min(gap, at - corner - (cell - ring) * edge)
+                if cell + ring + 1 < size:
+                    gap = min(gap, corner + (cell + ring + 1) * edge - at)
+            if gap == np.inf or (n == k and squares[k - 1] <= (1 - ROUNDING) * gap * gap):
+                break
+            ring += 1
+        for j in range(k):
+            distance[q, j], near[q, j] = np.sqrt(squares[j]), order[found[j]]
+    return distance, near
+
+
+@njit(cache=True, error_model="numpy")
+def _add(
+    x: float,
+    y: float,
+    z: float,
+    grouped: FloatArray,
+    first: int,
+    last: int,
+    squares: FloatArray,
+    found: Index,
+    n: int,
+) -> int:
+    """Add those of the points from `first` to `last` that are among the nearest; return their number."""
+    k = len(squares)
+    for i in range(first, last):
+        u, v, w = grouped[i, 0] - x, grouped[i, 1] - y, grouped[i, 2] - z
+        square = u * u + v * v + w * w
+        if n < k:
+            n += 1
+        elif square >= squares[k - 1]:
+            continue
+        j = n - 1
+        while j > 0 and squares[j - 1] > square:
+            squares[j], found[j] = squares[j - 1], found[j - 1]
+            j -= 1
+        squares[j], found[j] = square, i
+    return n
+
+
+# Smallest length of the cross product of two rows of A − λI, relative to the squared size of A, by which the
+# eigenvector of λ is determined. Below it λ is a multiple eigenvalue up to rounding errors.
+LEAST_RANK = 1e-12
+
+# A symmetric matrix: xx, yy, zz, xy, xz, yz.
+Symmetric = tuple[float, float, float, float, float, float]
+
+
+@njit(cache=True)
+def plane_deviations(points: FloatArray, near: NDArray[np.intp]) -> FloatArray:
+    """Root mean square distances of neighbours from their least-squares planes.
+
+    points: (n, 3) float64, coordinates.
+    near: (m, k) int, numbers of the neighbours of m points.
+    Returns (m,) float64: √(Σ d² / (k − 3)), since a plane has three degrees of freedom; with k ≤ 4, √(Σ d²).
+        Unit of the points.
+    """
+    n, k = near.shape
+    weight = np.ones(k)
+    found = np.empty(n)
+    for i in range(n):
+        x, y, z = _smallest_eigenvector(_covariance(points, near[i], weight))
+        # The smallest eigenvalue is Σ d² too, but its root would have half as many digits.
+        total, squares = 0.0, 0.0
+        for j in range(k):
+            total += x * points[near[i, j], 0] + y * points[near[i, j], 1] + z * points[near[i, j], 2]
+        for j in range(k):
+            p = near[i, j]
+            squares += (x * points[p, 0] + y * points[p, 1] + z * points[p, 2] - total / k) ** 2
+        found[i] = np.sqrt(squares / max(1, k - 3))
+    return found
+
+
+@njit(cache=True, error_model="numpy")
+def guided_planes(
+    points: FloatArray,
+    guide: FloatArray,
+    near: NDArray[np.intp],
+    distance: FloatArray,
+    same_side: float,
+    spread: float,
+) -> FloatArray:
+    """Normals of weighted least-squares planes, with the orientation of a guide.
+
+    The weight of a neighbour is the product of a Gaussian of its distance and of the excess of the cosine
+    between its guide and that of the point over a limit.
+
+    points: (n, 3) float64, coordinates.
+    guide: (n, 3) float64, approximate unit direction to the outside at each point; zero if unknown.
+    near: (n, k) int, numbers of the neighbours of each point, the nearest first.
+    distance: (n, k) float64, their distances; unit of the points.
+    Returns (n, 3) float64: unit normals.
+    """
+    n, k = near.shape
+    weight = np.empty(k)
+    normals = np.empty((n, 3))
+    for i in range(n):
+        a, b, c = guide[i, 0], guide[i, 1], guide[i, 2]
+        is_known = a != 0 or b != 0 or c != 0
+        width = spread * distance[i, k - 1] + np.finfo(np.float64).tiny
+        for j in range(k):
+            other = near[i, j]
+            cosine = a * guide[other, 0] + b * guide[other, 1] + c * guide[other, 2]
+            weight[j] = min(max((cosine - same_side) / (1 - same_side), 0.0), 1.0) if is_known else 1.0
+            weight[j] *= np.exp(-((distance[i, j] / width) ** 2))
+        x, y, z = _smallest_eigenvector(_covariance(points, near[i], weight))
+        sign = -1.0 if x * a + y * b + z * c < 0 else 1.0
+        normals[i, 0], normals[i, 1], normals[i, 2] = sign * x, sign * y, sign * z
+    return normals
+
+
+@njit(cache=True, error_model="numpy")
+def _covariance(points: FloatArray, near: NDArray[np.intp], weight: FloatArray) -> Symmetric:
+    """Σ w (p − m)(p − m)ᵀ of points with the weighted mean m."""
+    total = x = y = z = 0.0
+    for j in range(len(near)):
+        w, p = weight[j], near[j]
+        total += w
+        x += w * points[p, 0]
+        y += w * points[p, 1]
+        z += w * points[p, 2]
+    x, y, z = x / total, y / total, z / total
+    xx = yy = zz = xy = xz = yz = 0.0
+    for j in range(len(near)):
+        w, p = weight[j], near[j]
+        a, b, c = points[p, 0] - x, points[p, 1] - y, points[p, 2] - z
+        xx += w * a * a
+        yy += w * b * b
+        zz += w * c * c
+        xy += w * a * b
+        xz += w * a * c
+        yz += w * b * c
+    return xx, yy, zz, xy, xz, yz
+
+
+@njit(cache=True, error_model="numpy")
+def _smallest_eigenvalue(matrix: Symmetric) -> float:
+    # The trigonometric solution of the characteristic polynomial of a symmetric matrix (Smith, "Eigenvalues
+    # of a symmetric 3 × 3 matrix", Communications of the ACM 4, 1961).
+    xx, yy, zz, xy, xz, yz = matrix
+    mean = (xx + yy + zz) / 3
+    a, b, c = xx - mean, yy - mean, zz - mean
+    size = np.sqrt((a * a + b * b + c * c + 2 * (xy * xy + xz * xz + yz * yz)) / 6)
+    if size == 0:
+        return mean
+    determinant = a * (b * c - yz * yz) - xy * (xy * c - yz * xz) + xz * (xy * yz - b * xz)
+    half = min(max(determinant / (2 * size**3), -1.0), 1.0)
+    return float(mean + 2 * size * np.cos((np.arccos(half) + 2 * np.pi) / 3))
+
+
+@njit(cache=True, error_model="numpy")
+def _smallest_eigenvector(matrix: Symmetric) -> tuple[float, float, float]:
+    """A unit eigenvector of the smallest eigenvalue λ of A."""
+    # A power of two, so that the scaled matrix has the same digits; squares of the entries do not underflow
+    # then, as they would for points that nearly coincide.
+    _, exponent = math.frexp(matrix[0] + matrix[1] + matrix[2])
+    xx, yy, zz = (
+        math.ldexp(matrix[0], -exponent),
+        math.ldexp(matrix[1], -exponent),
+        math.ldexp(matrix[2], -exponent),
+    )
+    xy, xz, yz = (
+        math.ldexp(matrix[3], -exponent),
+        math.ldexp(matrix[4], -exponent),
+        math.ldexp(matrix[5], -exponent),
+    )
+    value = _smallest_eigenvalue((xx, yy, zz, xy, xz, yz))
+    a, b, c = xx - value, yy - value, zz - value
+    # It is perpendicular to all rows of A − λI: of the cross products of two rows, the longest is taken.
+    first = (xy * yz - xz * b, xz * xy - a * yz, a * b - xy * xy)
+    second = (xy * c - xz * yz, xz * xz - a * c, a * yz - xy * xz)
+    third = (b * c - yz * yz, yz * xz - xy * c, xy * yz - b * xz)
+    best, longest = first, -1.0
+    for vector in (first, second, third):
+        square = vector[0] ** 2 + vector[1] ** 2 + vector[2] ** 2
+        if square > longest:
+            best, longest = vector, square
+    length = np.sqrt(longest)
+    trace = xx + yy + zz
+    if length > LEAST_RANK * trace * trace:
+        return best[0] / length, best[1] / length, best[2] / length
+    full = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+    axis = np.linalg.eigh(full)[1][:, 0]
+    return axis[0], axis[1], axis[2]
+
+
+# Number of neighbours for the spacing, number of neighbours for a plane, and number of points at which both
+# are measured.
+SPACING_NEIGHBORS = 6
+PLANE_NEIGHBORS = 8
+MEASURED = 5000
+
+# Quantile of the distances from the planes. Curvature increases these distances, so that a low quantile is a
+# better estimate of the noise than the median.
+FLATTEST = 0.25
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Neighborhoods:
+    """The nearest neighbours of m points of a cloud.
+
+    distance: (m, k) float64, distances from the point, ascending; the first is that of the point itself,
+        zero. Unit of the file.
+    near: (m, k) int, numbers of the neighbours in the cloud.
+    """
+
+    distance: FloatArray
+    near: NDArray[np.intp]
+
+    def some(self) -> Neighborhoods:
+        """The neighbourhoods of about `MEASURED` of the points, at regular steps."""
+        step = _step(len(self.near))
+        return Neighborhoods(self.distance[::step], self.near[::step])
+
+
+def neighborhoods(points: FloatArray, k: int, *, of_some: bool = False) -> Neighborhoods:
+    """Search for the nearest neighbours of points among themselves.
+
+    points: (n, 3) float64, at least two points.
+    Returns Neighborhoods: of all points, or of some; unit of the file.
+    """
+    asked = np.ascontiguousarray(points[:: _step(len(points))]) if of_some else points
+    return Neighborhoods(*nearest(points, asked, min(k, len(points))))
+
+
+def spacing(neighbors: Neighborhoods) -> float:
+    """The spacing of points: the square root of the area of surface for each point, in the median.
+
+    It is estimated from the circle that contains the `SPACING_NEIGHBORS` nearest neighbours, so that it is
+    the same for a regular and a random sampling of one density.
+    """
+    k = min(SPACING_NEIGHBORS, neighbors.distance.shape[1] - 1)
+    return float(np.sqrt(np.pi / k) * np.median(neighbors.distance[:, k]))
+
+
+def noise(points: FloatArray, neighbors: Neighborhoods) -> float:
+    """The noise of points: their root mean square distance from the plane of their neighbours.
+
+    It is about 0.8 of the standard deviation of each coordinate, if the noise is isotropic.
+
+    points: (n, 3) float64, coordinates.
+    """
+    near = np.ascontiguousarray(neighbors.near[:, : PLANE_NEIGHBORS + 1])
+    deviations = plane_deviations(points, near)
+    return float(np.quantile(deviations, FLATTEST))
+
+
+def voxel_numbers(points: FloatArray, edge: float) -> NDArray[np.int64]:
+    """The number of the voxel that contains each point.
+
+    points: (n, 3) float64, at least one point.
+    edge: edge of the voxels; unit of the points.
+    Returns (n,) int64: equal for points in one voxel; ascending by the first, the second and the third
+        coordinate.
+    """
+    index = np.floor((points - points.min(axis=0)) / edge).astype(np.int64)  # (n, 3)
+    sides = index.max(axis=0) + 1
+    number: NDArray[np.int64] = (index[:, 0] * sides[1] + index[:, 1]) * sides[2] + index[:, 2]
+    return number
+
+
+def _step(n: int) -> int:
+    return max(1, n // MEASURED)
