@@ -11,7 +11,7 @@ import pytest
 import shapes
 from packages import install
 
-from pcretrieve.descriptors import DESCRIPTORS, Descriptor, describe, signature_length
+from pcretrieve.descriptors import Descriptor, describe
 from pcretrieve.errors import OptionError, ShapeError
 from pcretrieve.options import PipelineOptions, SignatureOptions
 from pcretrieve.pipeline.process import process
@@ -114,30 +114,12 @@ def test_each_surface_is_described_by_itself(method: str) -> None:
     assert together.deviation.max() > 0.01
 
 
-def test_values_as_they_are_may_be_negative() -> None:
-    signature = describe(both(), options("lowest"))
-    assert (signature.values < 0).all()
-    assert signature.metric == "values"
-    sized = describe(both(), options("lowest", size_weight=2.0))
-    assert sized.values[-1] == pytest.approx(2 * np.log([part.area for part in both().apart()]).mean())
-
-
 def test_the_points_of_a_scan_are_described_once() -> None:
     signature = describe(both(), options("center"))
     assert signature.deviation is None
     np.testing.assert_allclose(signature.values, both().points.points.mean(axis=0))
     with pytest.raises(ShapeError, match=r"\[signature\] gone: the shape must hold its points, but does not"):
         describe(Shape(both().surfaces), options("center"))
-
-
-def test_histograms_have_no_size() -> None:
-    assert describe(both(), options("bins")).values.min() == pytest.approx(0, abs=1e-9)
-    with pytest.raises(
-        OptionError, match="size_weight must be 0 for bins, whose values are a histogram, got"
-    ):
-        describe(both(), options("bins", size_weight=3.0))
-    with pytest.raises(OptionError, match="scale must be area or relative for bins, which has no size"):
-        describe(both(), options("bins", scale="absolute"))
 
 
 def test_eigenvectors_come_from_the_shape_or_from_its_mesh() -> None:
@@ -163,36 +145,6 @@ def test_what_a_descriptor_may_not_do_fails_its_shape(method: str, message: str)
     with pytest.raises(ShapeError, match=message) as raised:
         describe(both(), options(method))
     assert raised.value.stage == "signature"
-
-
-@pytest.mark.parametrize(
-    ("method", "message"),
-    [
-        ("misnamed", "must have the name of its entry point, got a record named 'lowest'"),
-        ("number", "must be of the class Descriptor, got 3.14"),
-    ],
-)
-def test_what_is_no_descriptor_is_a_mistake_of_its_package(method: str, message: str) -> None:
-    with pytest.raises(OptionError, match=f"the descriptor '{method}' of the package theirs {message}"):
-        describe(both(), options(method))
-
-
-def test_a_descriptor_of_another_package_is_fused_like_any_other() -> None:
-    part = both().apart()[0]
-    found = describe(part, options("lowest+bins+csd"))
-    lowest, bins, csd = (describe(part, options(name)).values for name in ("lowest", "bins", "csd"))
-    parts = [lowest, np.sqrt(bins), np.log(csd) / DESCRIPTORS["csd"].spread]
-    np.testing.assert_array_equal(found.values, np.concatenate(parts))
-    assert DESCRIPTORS.version("csd+lowest") == DESCRIPTORS.version("lowest") != ""
-    with pytest.raises(
-        ShapeError, match=r"the descriptor 'csd\+hollow' failed, InputError: signature values"
-    ):
-        describe(part, options("csd+hollow"))
-
-
-def test_the_length_is_known_without_a_shape() -> None:
-    assert signature_length(options("lowest")) == 3
-    assert signature_length(SignatureOptions(method="short", n_values=7, size_weight=1.0)) == 9
 
 
 @pytest.mark.parametrize(

@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 import shapes
 
 from pcretrieve import eigenpairs, laplace_beltrami, r_bihdm
 from pcretrieve.descriptors import bihdm, bihdm_sampled, full_matrix, reduced_matrix
-from pcretrieve.errors import OptionError, ShapeError
 from pcretrieve.spectral import unit_eigenpairs
-from pcretrieve.values import ModalSpectrum, TriangleMesh
+from pcretrieve.values import TriangleMesh
 
 N_MODES = 12
 
@@ -44,43 +41,9 @@ def test_r_bihdm_approaches_it_as_modes_are_added() -> None:
     assert 0 < gaps[-1] < 1e-3 * gaps[0]
 
 
-def test_it_needs_the_overlaps() -> None:
-    spectrum = ModalSpectrum.of(eigenpairs(laplace_beltrami(shapes.body(3)), 13))
-    assert len(bihdm(spectrum, 5, 12).values) == 5
-    with pytest.raises(
-        ShapeError, match=r"gone: this spectrum has no overlaps .*ingest again with catalogue.keep"
-    ):
-        bihdm(replace(spectrum, overlaps=None), 5, 12)
-
-
-def test_lengths_that_do_not_fit() -> None:
-    pairs = eigenpairs(laplace_beltrami(shapes.body(3)), 13)
-    for n_values, n_modes in ((13, 12), (0, 12), (5, 13)):
-        with pytest.raises(OptionError, match="must be between"):
-            bihdm(pairs, n_values, n_modes)
-
-
 def test_sampled_eigenvalues_are_those_of_the_matrix_of_distances_between_vertices() -> None:
     pairs = unit_eigenpairs(shapes.body(2), 31)
     places = pairs.eigenvectors[:, 1:] / pairs.eigenvalues[1:]
     distances = ((places[:, np.newaxis] - places) ** 2).sum(axis=2)  # (n, n)
     magnitudes = -np.linalg.eigvalsh(distances)[:9] * pairs.area / len(places)
     np.testing.assert_allclose(bihdm_sampled(pairs, 9, 30, scale="absolute").values, magnitudes, rtol=1e-9)
-
-
-def test_samples_that_are_evenly_spread_give_the_weighted_values() -> None:
-    ball = unit_eigenpairs(shapes.icosphere(4), 25)  # whole multiplets, l up to 4
-    even = bihdm_sampled(ball, 8, 24).values / bihdm(ball, 8, 24).values
-    assert np.abs(even - 1).max() < 0.005
-    sphere = shapes.icosphere(4)
-    heights = sphere.vertices[:, 2:]
-    moved = sphere.vertices + [0, 0, 0.6] * (1 - heights**2)  # towards the upper pole, and back to the sphere
-    uneven = replace(sphere, vertices=moved / np.linalg.norm(moved, axis=1, keepdims=True))
-    dense = unit_eigenpairs(uneven, 25)
-    changed = bihdm_sampled(dense, 8, 24).values / bihdm(dense, 8, 24).values
-    assert np.abs(changed - 1).max() > 0.1
-
-
-def test_too_many_modes_for_sampled_distances() -> None:
-    with pytest.raises(OptionError, match="n_modes must be between 1 and 30 for 31 eigenpairs, got 31"):
-        bihdm_sampled(unit_eigenpairs(shapes.icosphere(2), 31), 9, 31)

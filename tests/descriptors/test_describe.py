@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
@@ -18,20 +17,18 @@ from pcretrieve.descriptors import (
     csd,
     describe,
     r_bihdm,
-    sd_gdm,
     shape_dna,
-    shape_dna_values,
     signature_length,
     wks,
 )
 from pcretrieve.descriptors.bihdm import geodesic_matrix
-from pcretrieve.errors import DegenerateMeshError, OptionError, SpectrumError
+from pcretrieve.errors import OptionError
 from pcretrieve.names import METHODS
 from pcretrieve.options import PipelineOptions, SignatureOptions
 from pcretrieve.pipeline.process import process
 from pcretrieve.retrieval import coordinates
 from pcretrieve.spectral import unit_eigenpairs
-from pcretrieve.values import FloatArray, Shape, Signature, Surface, TriangleMesh
+from pcretrieve.values import FloatArray, Shape, Signature, TriangleMesh
 
 N_VALUES = 9
 SIZELESS = [name for name, has_size in METHODS.items() if not has_size]
@@ -63,10 +60,6 @@ def compared(shape: Shape, method: str) -> FloatArray:
     return coordinates(values(shape, method), DESCRIPTORS[method].metric)
 
 
-def test_the_options_know_which_descriptors_have_a_size() -> None:
-    assert {name: record.has_size for name, record in DESCRIPTORS.own.items()} == METHODS
-
-
 # Numbers of values of the descriptors that do not have as many as `n_values` says.
 LENGTHS = {
     "combined": 2 * N_VALUES,
@@ -93,13 +86,6 @@ def test_it_does_not_see_motion_or_numbering(method: str, change) -> None:  # ty
     np.testing.assert_allclose(compared(other, method), compared(body(), method), atol=TOLERANCE[method])
 
 
-def test_it_distinguishes_a_body_from_an_ellipsoid(method: str) -> None:
-    cigar = process(shapes.ellipsoid((1.0, 0.2, 0.2), subdivisions=3), PipelineOptions())
-    gap = np.linalg.norm(compared(cigar, method) - compared(body(), method))
-    # More than motion and numbering change; small volumes for HAPT, since the radii of both are too large.
-    assert gap > (0.03 if method == "hapt" else 0.08)
-
-
 # Powers of length of the values for the scale absolute; combined has R-BiHDM to the power .6, and csd.
 POWERS = {
     "r-bihdm": 4,
@@ -124,13 +110,6 @@ def test_size_is_kept_where_it_is_asked_for_and_nowhere_else(method: str) -> Non
     )
     growth = values(twice, method, "absolute") / values(body(), method, "absolute")
     np.testing.assert_allclose(growth, 2.0 ** np.array(POWERS[method]), rtol=1e-5)
-
-
-@pytest.mark.parametrize("name", SIZELESS)
-def test_without_size_by_area_and_relative_are_the_same(name: str) -> None:
-    np.testing.assert_array_equal(values(body(), name, "area"), values(body(), name, "relative"))
-    with pytest.raises(OptionError, match=f"scale: must be area or relative for {name}, which has no size"):
-        SignatureOptions(method=name, scale="absolute")
 
 
 @pytest.mark.parametrize("function", [r_bihdm, bihdm])
@@ -171,43 +150,10 @@ def test_the_compact_shape_descriptor_has_no_more_values_than_the_heat_kernel_ha
             csd(body().eigenpairs, n_values)
 
 
-def test_geodesic_distances_by_themselves_are_those_of_the_default_options() -> None:
-    pytest.importorskip("potpourri3d", reason="geodesic distances come from potpourri3d")
-    described = describe(body(), SignatureOptions(method="sd-gdm"))
-    np.testing.assert_array_equal(described.values, sd_gdm(body().mesh).values)
-
-
-def test_absolute_shape_dna_is_the_spectrum_in_the_unit_of_the_file() -> None:
-    ball = process(shapes.icosphere(4, radius=3.0), PipelineOptions())
-    degrees = np.repeat([1, 2], [3, 5])  # l (l + 1) / r², each 2 l + 1 times
-    found = 1 / describe(ball, SignatureOptions(method="shape-dna", n_values=8, scale="absolute")).values
-    np.testing.assert_allclose(found, degrees * (degrees + 1) / 9, rtol=0.01)
-
-
 def test_shape_dna_by_its_first_value_is_a_ratio_that_needs_no_area() -> None:
     spectrum = body().spectrum
     ratios = shape_dna(spectrum, 8, normalized_by="first").values
     np.testing.assert_allclose(1 / ratios, spectrum.eigenvalues[2:10] / spectrum.eigenvalues[1])
-
-
-def test_shape_dna_as_it_was_entered_is_compared_by_ratios_that_hardly_grow() -> None:
-    signature = shape_dna_values(body().spectrum, 8)
-    eigenvalues = body().spectrum.eigenvalues
-    np.testing.assert_allclose(signature.values, eigenvalues[2:10] / (np.arange(2, 10) * eigenvalues[1]))
-    assert signature.metric == "values"
-
-
-def test_geodesic_distances_without_weights_are_those_between_vertices() -> None:
-    pytest.importorskip("potpourri3d", reason="geodesic distances come from potpourri3d")
-    mesh = shapes.body(2)
-    areas = np.bincount(mesh.faces.ravel(), np.repeat(mesh.face_areas / 3, 3))
-    distances = geodesic_matrix(mesh) / np.sqrt(np.outer(areas, areas))
-    np.testing.assert_allclose(
-        geodesic_matrix(mesh, weighted=False), distances * mesh.area / len(areas), rtol=1e-9
-    )
-    magnitudes = np.sort(np.abs(np.linalg.eigvalsh(distances)))[::-1]
-    found = sd_gdm(mesh, 8, scale="relative", weighted=False).values
-    np.testing.assert_allclose(found, magnitudes[1:9] / magnitudes[0])
 
 
 def test_waves_are_spread_evenly_over_a_sphere_only() -> None:
@@ -215,26 +161,6 @@ def test_waves_are_spread_evenly_over_a_sphere_only() -> None:
     ball = process(shapes.icosphere(4), PipelineOptions()).spectrum
     assert np.abs(wks(ball, 5, 48).values[0] - 1) < 5e-3  # l = 1 … 6
     assert (wks(body().spectrum, 5, 48).values > 1.05).all()
-
-
-def test_wave_kernels_by_points_are_the_same() -> None:
-    """The second moment of the pointwise signature, without the overlaps."""
-    from pcretrieve import eigenpairs, laplace_beltrami
-
-    pairs = eigenpairs(laplace_beltrami(shapes.body(3), mass="lumped"), 31)
-    levels = np.log(pairs.eigenvalues[1:])
-    energies = np.linspace(levels[0], levels[-1], 4)
-    weights = np.exp(-((energies[:, None] - levels) ** 2) / (2 * (0.07 * (levels[-1] - levels[0])) ** 2))
-    pointwise = pairs.eigenvectors[:, 1:] ** 2 @ (weights / weights.sum(axis=1, keepdims=True)).T  # (n, 4)
-    area = pairs.mass.diagonal()
-    np.testing.assert_allclose(area @ pointwise, 1, rtol=1e-9, err_msg="the mean says nothing")
-    np.testing.assert_allclose(wks(pairs, 4, 30).values, pairs.area * (area @ pointwise**2), rtol=1e-9)
-
-
-@pytest.mark.parametrize("name", ["hks-bow", "si-hks-bow"])
-def test_the_frequencies_of_words_sum_up_to_the_surface(name: str) -> None:
-    shares = values(body(), name) - 1e-3
-    assert shares.sum() == pytest.approx(1, abs=1e-6)
 
 
 def test_pairs_of_words_depend_on_the_positions_of_words() -> None:
@@ -247,13 +173,6 @@ def test_pairs_of_words_depend_on_the_positions_of_words() -> None:
     np.testing.assert_allclose(table.sum(axis=1), shares, atol=2e-3)
 
 
-@pytest.mark.parametrize("n_words", [1, 91])
-def test_vocabularies_that_are_none(n_words: int) -> None:
-    options = SignatureOptions(method="hks-bow", n_values=n_words)
-    with pytest.raises(OptionError, match=r"n_values must be between 2 and 90 for a bag of words"):
-        describe(body(), options)
-
-
 def test_geodesic_distances_of_a_sphere() -> None:
     """The operator of great-circle distances: its constant mode is ∫ d = 4π · π/2, and it is compact."""
     pytest.importorskip("potpourri3d", reason="geodesic distances come from potpourri3d")
@@ -262,23 +181,6 @@ def test_geodesic_distances_of_a_sphere() -> None:
     np.testing.assert_array_equal(matrix, matrix.T)
     largest = np.linalg.eigvalsh(matrix)[-1]
     assert largest == pytest.approx(2 * np.pi**2, rel=0.03)
-
-
-def test_geodesic_distances_of_surfaces_that_do_not_suit(monkeypatch: pytest.MonkeyPatch) -> None:
-    pytest.importorskip("potpourri3d", reason="geodesic distances come from potpourri3d")
-    with pytest.raises(DegenerateMeshError, match="must be closed, manifold and oriented to be simplified"):
-        sd_gdm(shapes.square(30))
-    with pytest.raises(DegenerateMeshError, match="30 values need a surface of at least 31 vertices, got 12"):
-        sd_gdm(shapes.icosphere(0), 30)
-    monkeypatch.setitem(sys.modules, "potpourri3d", None)
-    with pytest.raises(OptionError, match=r"not installed: pip install pcretrieve\[geodesic\]"):
-        sd_gdm(shapes.icosphere(1))
-
-
-def test_too_few_vertices_for_a_heat_kernel() -> None:
-    coarse = Shape((Surface(1.0, mesh=shapes.icosphere(1)),))
-    with pytest.raises(SpectrumError, match="61 eigenpairs need a surface of at least 62 vertices"):
-        describe(coarse, SignatureOptions(method="hks-bow"))
 
 
 # --- several surfaces -----------------------------------------------------------------------------------

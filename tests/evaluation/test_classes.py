@@ -31,12 +31,6 @@ def ranked() -> Rankings:
     return rank_gallery([block], list(ORDERS), list(LABELS.values()), failed={"lost": "Y"})
 
 
-def test_the_nearest_shape_of_each_query(ranked: Rankings) -> None:
-    assert ranked.ids == ("a", "b", "c", "d", "e", "lost")
-    assert ranked.nearest == ("b", "d", "z", "e", "a", None)
-    assert ranked.nearest_labels == ("X", "Y", None, "Y", "X", None)
-
-
 def test_a_macro_average_gives_classes_one_weight(ranked: Rankings) -> None:
     scores = query_scores(ranked)
     x, y = scores.ap[:3].mean(), scores.ap[3:].mean()
@@ -91,11 +85,3 @@ def test_files_that_hold_no_measures(text: str, message: str, tmp_path: Path) ->
     (tmp_path / "queries.csv").write_text(text)
     with pytest.raises(InputError, match=message):
         read_scores(tmp_path / "queries.csv")
-
-
-def test_files_that_cannot_be_read_or_written(ranked: Rankings, tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"cannot read the measures .*gone\.csv: No such file"):
-        read_scores(tmp_path / "gone.csv")
-    (tmp_path / "file").touch()
-    with pytest.raises(InputError, match=r"cannot make the folder .*file: "):
-        write_evaluation(ranked, tmp_path / "file")

@@ -5,7 +5,6 @@ from dataclasses import asdict, replace
 import numpy as np
 import pytest
 
-from pcretrieve.errors import BenchmarkError, InputError
 from pcretrieve.evaluation.folds import (
     evaluate_table,
     grouped_folds,
@@ -61,23 +60,6 @@ def test_folds_are_always_the_same_whatever_the_order_of_shapes() -> None:
     assert grouped_folds(labels) == grouped_folds(labels[::-1])
 
 
-def test_another_seed_deals_other_folds() -> None:
-    labels = [f"class {number % 20}" for number in range(60)]
-    assert grouped_folds(labels, RetrievalOptions(fold_seed=1)) != grouped_folds(labels)
-
-
-def test_too_few_classes() -> None:
-    with pytest.raises(BenchmarkError, match="5 folds need at least 5 classes with 2 shapes or more, got 4"):
-        grouped_folds([*"aabbccdd", *"efgh"])
-
-
-def test_queries_are_all_labelled_shapes_once() -> None:
-    table = a_table()
-    table = replace(table, labels=(None, *table.labels[1:-1], "single"))
-    queries = np.concatenate([fold.queries for fold in within_class_folds(table)])
-    assert sorted(queries) == list(range(1, 60))
-
-
 def test_the_whitening_has_seen_no_value_of_the_classes_it_is_scored_on() -> None:
     table = a_table()
     poison = np.random.default_rng(7)
@@ -94,16 +76,6 @@ def test_the_whitening_has_seen_no_value_of_the_classes_it_is_scored_on() -> Non
                 poisoned[other].whitening.matrix == list(within_class_folds(table))[other].whitening.matrix
             ).all()
             assert same == (other == number)
-
-
-def test_the_whitening_has_seen_no_label_of_the_classes_it_is_scored_on() -> None:
-    table = a_table()
-    for number, fold in enumerate(within_class_folds(table)):
-        labels = np.array(table.labels)
-        labels[fold.queries] = np.random.default_rng(7).permutation(labels[fold.queries])
-        poisoned = list(within_class_folds(replace(table, labels=tuple(labels.tolist()))))[number]
-        assert (poisoned.queries == fold.queries).all()
-        assert (poisoned.whitening.matrix == fold.whitening.matrix).all()
 
 
 def test_the_whitening_of_a_fold_is_that_of_the_other_folds() -> None:
@@ -143,19 +115,6 @@ def test_unlabelled_shapes_are_ranked_but_not_fitted_on() -> None:
     assert np.isnan(among[60]).all()
 
 
-def test_within_class_whitening_that_was_fitted_before_is_fitted_anew_by_folds() -> None:
-    table = a_table()
-    fitted = fit_whitening(
-        "within-class", log_signatures(table.values), table.labels, options_digest=table.digest
-    )
-    assert evaluate_table(table, whitening=fitted) == evaluate_table(table, WITHIN_CLASS)
-
-
-def test_within_class_whitening_removes_what_poses_have_in_common() -> None:
-    table = a_table()
-    assert evaluate_table(table, WITHIN_CLASS).map > evaluate_table(table).map + 0.2
-
-
 def test_within_class_whitening_finds_nothing_in_noise() -> None:
     """Where labels mean nothing, only a whitening that has seen the scored classes seems to help."""
     rng = np.random.default_rng(3)
@@ -190,26 +149,6 @@ def test_evaluation_does_not_depend_on_the_order_of_shapes(whitening: str) -> No
     )
 
 
-@pytest.mark.parametrize("whitening", ["none", "pca", "within-class"])
-def test_failures_lower_every_measure(whitening: str) -> None:
-    table = a_table()
-    whole = evaluate_table(table, RetrievalOptions(whitening=whitening))
-    failed = evaluate_table(
-        table, RetrievalOptions(whitening=whitening), failed={"a": "class 3", "b": "class 3", "c": None}
-    )
-    assert (failed.n_queries, failed.n_failed) == (62, 2)
-    for name in ("nn", "ft", "dcg", "map"):
-        assert getattr(failed, name) < getattr(whole, name)
-
-
-def test_a_query_whose_class_mates_all_failed_is_in_some_fold() -> None:
-    table = a_table()
-    table = replace(table, labels=(*table.labels[:-1], "rare"))
-    result = rank_table(table, WITHIN_CLASS, failed={"lost": "rare"})
-    assert result.labels.count("rare") == 2
-    assert len(result.labels) == 61
-
-
 @pytest.mark.parametrize("whitening", ["none", "pca"])
 @pytest.mark.parametrize("distance", DISTANCES.own)
 def test_whitening_without_labels_is_fitted_on_the_whole_gallery(distance: str, whitening: str) -> None:
@@ -221,35 +160,3 @@ def test_whitening_without_labels_is_fitted_on_the_whole_gallery(distance: str, 
     options = RetrievalOptions(distance=distance, whitening=whitening)
     assert rank_table(table, options) == expected
     assert evaluate_table(table, options) == evaluate_rankings(expected)
-
-
-def test_a_table_without_shapes_has_misses_only() -> None:
-    table = SignatureTable((), np.zeros((0, 8)), "r-bihdm", "3f2a")
-    assert evaluate_table(table, failed={"a": "A", "b": "A"}).map == 0
-
-
-@pytest.mark.parametrize("kind", ["pca", "within-class"])
-def test_a_whitening_of_other_signatures_is_refused(kind: str) -> None:
-    table = a_table()
-    other = fit_whitening(kind, log_signatures(table.values), table.labels, options_digest="77b1")
-    for score in (evaluate_table, rank_table):
-        with pytest.raises(
-            InputError, match=r"same options as the table \('3f2a'\), got '77b1'; fit it again"
-        ):
-            score(table, whitening=other)
-
-
-def test_shrinkage_and_folds_are_those_of_the_options() -> None:
-    table = a_table()
-    shrunk = replace(table, values=np.exp(_whitened(table, "pca", 0.5)))
-    assert evaluate_table(table, RetrievalOptions(whitening="pca", shrinkage=0.5)) == evaluate_table(
-        shrunk, PLAIN
-    )
-    few = RetrievalOptions(whitening="within-class", n_folds=2)
-    assert len(list(within_class_folds(table, few))) == 2
-    assert evaluate_table(table, few) != evaluate_table(table, WITHIN_CLASS)
-
-
-def _whitened(table: SignatureTable, kind: str, shrinkage: float) -> FloatArray:
-    logs = log_signatures(table.values)
-    return fit_whitening(kind, logs, shrinkage=shrinkage).apply(logs)

@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 import pickle
-import sys
-from itertools import pairwise
 
 import numpy as np
 import pytest
 import shapes
 from numpy.typing import NDArray
 
-from pcretrieve.errors import OptionError
 from pcretrieve.matching import MATCHERS
 from pcretrieve.matching.cm_bof import (
     N_PIXELS,
@@ -20,8 +17,6 @@ from pcretrieve.matching.cm_bof import (
     depth_pictures,
     directions,
     exchanges,
-    view_descriptors,
-    view_words,
 )
 from pcretrieve.values import Shape, Surface, TriangleMesh
 
@@ -38,16 +33,6 @@ def shape(mesh: TriangleMesh) -> Shape:
 
 
 # --- views ----------------------------------------------------------------------------------------------
-
-
-def test_the_directions_are_those_of_an_octahedron_cut_twice() -> None:
-    views = directions()
-    assert views.shape == (66, 3)
-    np.testing.assert_allclose(np.linalg.norm(views, axis=1), 1)
-    angles = np.degrees(np.arccos(np.clip(views @ views.T, -1, 1)))
-    np.fill_diagonal(angles, 180)
-    assert angles.min() == pytest.approx(22.5)
-    assert angles.min(axis=1).max() < 31
 
 
 def test_rotations_exchange_the_directions() -> None:
@@ -70,14 +55,6 @@ def test_pictures_show_the_depth_of_a_ball() -> None:
     inner, outside = squares < 0.55, squares > 0.65
     assert np.abs(pictures[:, inner] - depth[inner]).max() < 2e-3
     assert (pictures[:, outside] == 0).all()
-
-
-def test_the_nearer_face_hides_the_other() -> None:
-    plate = shapes.square(1)
-    low, high = (TriangleMesh(plate.vertices - [0.5, 0.5, z], plate.faces) for z in (0.3, -0.2))
-    above = int(directions()[:, 2].argmax())
-    for both in (shapes.joined(low, high), shapes.joined(high, low)):
-        assert list(depth_pictures(both))[above].max() == pytest.approx(0.6)
 
 
 # --- clock matching -------------------------------------------------------------------------------------
@@ -126,20 +103,3 @@ def test_moved_scaled_and_renumbered_surfaces_are_near() -> None:
     made, again, other, moved = map(pickle.loads(pickle.dumps(counted)), described)
     assert match.distance(made, again) == 0
     assert match.distance(made, moved) < 0.2 < 0.7 < match.distance(made, other)
-
-
-@needs_opencv
-def test_words_are_in_order_in_each_view() -> None:
-    described = view_descriptors(shape(shapes.body(2)))
-    made = view_words([described])(described)
-    assert made.counts.sum() == len(described.descriptors)
-    assert made.starts[0] == 0 and made.starts[-1] == len(made.words) == len(made.counts)
-    assert (made.counts > 0).all()
-    for start, end in pairwise(made.starts):
-        assert (np.diff(made.words[start:end]) > 0).all()
-
-
-def test_without_opencv_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "cv2", None)
-    with pytest.raises(OptionError, match=r"pip install 'pcretrieve\[views\]'"):
-        view_descriptors(shape(shapes.body(1)))

@@ -9,9 +9,8 @@ import numpy as np
 import pytest
 import shapes
 
-from pcretrieve.errors import InputError, ShapeError
 from pcretrieve.matching import MATCHERS, Matcher, PairwiseIndex, distance_matrix
-from pcretrieve.matching.heat import heat_points, word_distance, word_frequencies
+from pcretrieve.matching.heat import word_distance
 from pcretrieve.values import Shape, Surface, TriangleMesh
 
 LENGTHS = {"a": 2.0, "b": 1.5, "c": 1.0}
@@ -53,19 +52,6 @@ def test_distances_are_those_of_what_the_gallery_taught() -> None:
     assert found.distances == pytest.approx((0.5, 0.75, 1))
 
 
-def test_an_empty_gallery_teaches_nothing() -> None:
-    assert len(PairwiseIndex(RELATIVE, [], lambda shape_id: egg(LENGTHS[shape_id]))) == 0
-
-
-def test_what_fails_in_learning_names_the_matcher() -> None:
-    def impossible(gallery: Sequence[float]) -> Callable[[float], float]:
-        raise ZeroDivisionError("nothing to divide by")
-
-    broken = Matcher("broken", length_of, RELATIVE.distance, needs=("mesh",), learn=impossible)
-    with pytest.raises(ShapeError, match="the matcher 'broken' failed, ZeroDivisionError: nothing to divide"):
-        PairwiseIndex(broken, ["a"], lambda shape_id: egg(1.0))
-
-
 def test_words_of_a_gallery_are_shares_of_the_surface_by_which_a_moved_copy_is_nearest() -> None:
     meshes = {
         "egg": shapes.ellipsoid((1, 1, 1.5), subdivisions=3),
@@ -83,15 +69,3 @@ def test_words_of_a_gallery_are_shares_of_the_surface_by_which_a_moved_copy_is_n
     assert word_distance(index.features[0], index.features[2]) > 0.1
     query = shape(shapes.moved(meshes["long"], 2))
     assert pickle.loads(pickle.dumps(index)).query(query) == index.query(query)
-
-
-def test_another_gallery_has_other_words() -> None:
-    egg, long = (heat_points(shape(shapes.ellipsoid((1, 1, z), subdivisions=3))) for z in (1.5, 3))
-    alone, both = word_frequencies([egg]), word_frequencies([egg, long])
-    assert word_distance(alone(egg), both(egg)) > 0.1
-
-
-def test_a_gallery_without_enough_vertices() -> None:
-    points = heat_points(shape(shapes.icosphere(2)))
-    with pytest.raises(InputError, match="at least 384 vertices, got 324: add shapes, or use the descriptor"):
-        word_frequencies([points, points])

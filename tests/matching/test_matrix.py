@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pcretrieve.errors import BenchmarkError, InputError, OptionError
+from pcretrieve.errors import BenchmarkError, InputError
 from pcretrieve.evaluation import rank, rank_matrix
-from pcretrieve.matching import DistanceMatrix, distance_matrix, ids_path, read_matrix, write_matrix
+from pcretrieve.matching import DistanceMatrix, distance_matrix, read_matrix, write_matrix
 from pcretrieve.options import RetrievalOptions
 from pcretrieve.retrieval import DISTANCES, Ranking, SignatureIndex
 from pcretrieve.values import SignatureTable
@@ -47,24 +47,6 @@ def test_what_is_no_distance_matrix(arguments: Any, message: str) -> None:
         DistanceMatrix(*arguments)
 
 
-def test_rows_are_queries() -> None:
-    assert MATRIX.nearest("a", 3).ids == ("a", "c", "b")
-    assert MATRIX.nearest("c", 4).distances.tolist() == [0, 1, 1.5, 9]
-    assert MATRIX.nearest("b").ids == ("b", "c", "a", "d")
-
-
-def test_equally_far_shapes_come_in_the_order_of_their_ids() -> None:
-    assert MATRIX.nearest("d", 3).ids == ("d", "a", "b")
-    assert MATRIX.nearest("d", 2).ids == ("d", "a")
-
-
-def test_unknown_queries_and_zero_neighbours_are_refused() -> None:
-    with pytest.raises(InputError, match="the query must be one of the 4 ranked shapes, got 'e'"):
-        MATRIX.nearest("e")
-    with pytest.raises(OptionError, match="k must be a whole number of at least 1, got 0"):
-        MATRIX.nearest("a", 0)
-
-
 @pytest.mark.parametrize("distance", DISTANCES.own)
 def test_the_matrix_of_an_index_ranks_as_the_index_does(distance: str) -> None:
     table = a_table()
@@ -87,14 +69,6 @@ def test_a_file_restores_every_bit(name: str, tmp_path: Path) -> None:
     assert read_matrix(tmp_path / name) == matrix
     assert (tmp_path / "run.ids").read_text().split() == list(matrix.ids)
     assert sorted(path.name for path in tmp_path.iterdir()) == sorted([name, "run.ids"])
-
-
-def test_infinite_distances_and_odd_names_are_kept(tmp_path: Path) -> None:
-    names = ("two words", "größe", b"\xff.ply".decode("utf-8", "surrogateescape"), "<b>")
-    matrix = DistanceMatrix(names, np.where(VALUES > 8, np.inf, VALUES))
-    for name in ("run.txt", "run.npy"):
-        write_matrix(matrix, tmp_path / name)
-        assert read_matrix(tmp_path / name) == matrix
 
 
 def test_a_matrix_of_a_track_is_plain_rows_of_numbers(tmp_path: Path) -> None:
@@ -167,7 +141,3 @@ def test_labels_name_ids_or_files(tmp_path: Path) -> None:
     (tmp_path / "labels.csv").write_text("file,class\na.ply,X\na.off,Y\n")
     with pytest.raises(BenchmarkError, match="a shape must have one class, 'a' has 'X' and 'Y' in "):
         rank_matrix(MATRIX, tmp_path / "labels.csv")
-
-
-def test_ids_have_their_place_beside_the_matrix() -> None:
-    assert ids_path("runs/first.txt") == ids_path(Path("runs/first.npy")) == Path("runs/first.ids")

@@ -49,15 +49,6 @@ def test_curvatures_of_a_ball_and_of_a_ring() -> None:
     np.testing.assert_allclose(made[outside, 1], 1 / 1.4, rtol=0.05)
 
 
-def test_levels_are_smoother_and_smoother() -> None:
-    rough = BALL.vertices + np.random.default_rng(0).normal(scale=0.01, size=BALL.vertices.shape)
-    made = levels(TriangleMesh(rough, BALL.faces))
-    scales = np.array([level.scale for level in made])
-    np.testing.assert_allclose(scales[1:] / scales[:-1], np.sqrt(2))
-    first, second, third = (np.std(level.mean_curvatures) for level in made[:3])
-    assert first > 1.5 * second > 1.5 * 1.3 * third
-
-
 def test_a_bump_on_a_ball_is_the_only_keypoint() -> None:
     angles = np.arccos(np.clip(BALL.vertices @ BALL.vertices[200], -1, 1))
     bump = 1 + 0.1 * np.exp(-((angles / 0.12) ** 2) / 2)
@@ -68,14 +59,6 @@ def test_a_bump_on_a_ball_is_the_only_keypoint() -> None:
 
 
 # --- features -------------------------------------------------------------------------------------------
-
-
-def test_features_are_unit_vectors_without_negative_values() -> None:
-    made = mesh_features(shape(BUMPY)).descriptors
-    assert made.shape[1] == 144
-    assert len(made) >= 20
-    assert (made >= 0).all()
-    np.testing.assert_allclose(np.linalg.norm(made, axis=1), 1, rtol=1e-6)
 
 
 def test_moved_scaled_and_renumbered_surfaces_match() -> None:
@@ -104,12 +87,6 @@ def test_a_match_is_clearly_nearer_than_the_second() -> None:
     assert match_distance(one, MeshFeatures(two.descriptors[:1])) == pytest.approx(1 - 1 / 2 / 3)
 
 
-def test_each_high_maximum_is_a_direction() -> None:
-    angles = np.radians([40.5, 40.5, 220.5, 220.5, 130.5])
-    found = module._directions(angles, np.array([1.0, 1.0, 1.0, 0.9, 0.5]))
-    np.testing.assert_allclose(np.degrees(found), [40.5, 220.5], atol=1)
-
-
 def test_coarse_surfaces_are_warned_of_once(caplog: pytest.LogCaptureFixture) -> None:
     module._warn_once.cache_clear()
     with caplog.at_level(logging.WARNING, logger="pcretrieve"):
@@ -132,12 +109,3 @@ def test_coarse_surfaces_are_warned_of_once(caplog: pytest.LogCaptureFixture) ->
 def test_surfaces_without_features_are_named(mesh: TriangleMesh, message: str) -> None:
     with pytest.raises(DegenerateMeshError, match=message):
         mesh_features(shape(mesh))
-
-
-def test_open_surfaces_and_several_components_have_features() -> None:
-    x, y = np.meshgrid(np.linspace(0, 1, 41), np.linspace(0, 1, 41), indexing="ij")
-    height = 0.1 * np.sin(9 * x + 3) * np.sin(7 * y + 1)
-    plate = shapes.square(40)
-    sheet = TriangleMesh(plate.vertices + np.array([0, 0, 1]) * height.reshape(-1, 1), plate.faces)
-    assert len(mesh_features(shape(sheet)).descriptors) > 4
-    assert len(mesh_features(shape(shapes.joined(BUMPY, shapes.moved(BUMPY, 1)))).descriptors) > 4

@@ -4,16 +4,14 @@ from __future__ import annotations
 
 import pickle
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 import shapes
-from packages import install_addition
 
-from pcretrieve.errors import InputError, OptionError, ShapeError
+from pcretrieve.errors import ShapeError
 from pcretrieve.matching import MATCHERS, Matcher, PairwiseIndex, distance_matrix
-from pcretrieve.matching.heat import N_SAMPLES, HeatSet, heat_distance, heat_set
+from pcretrieve.matching.heat import HeatSet, heat_distance, heat_set
 from pcretrieve.retrieval import Ranking
 from pcretrieve.values import FloatArray, Shape, Surface, TriangleMesh
 
@@ -100,26 +98,6 @@ def test_a_shape_that_a_matcher_fails_on_is_left_out() -> None:
         index.query(egg(2, subdivisions=1))
 
 
-def test_what_a_record_may_declare() -> None:
-    with pytest.raises(
-        OptionError, match="needs of a matcher must be of spectrum, overlaps, mesh, points, got 'eigen"
-    ):
-        replace(LACKING, needs=("eigenvectors",))
-    with pytest.raises(InputError, match="ids must be distinct, 'a' comes twice"):
-        PairwiseIndex(LACKING, "aa", lambda shape_id: egg(1, subdivisions=1))
-
-
-def test_a_package_adds_a_matcher(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    assert MATCHERS.names.all() == OWN
-    install_addition(tmp_path, monkeypatch)
-    assert MATCHERS.names.all() == (*OWN, "taller")
-    assert MATCHERS["taller"].distance(MATCHERS["taller"].prepare(egg(2)), 1.0) > 0
-    with pytest.raises(
-        OptionError, match=r"there is no matcher 'shorter'; there are heat-hausdorff, .*taller"
-    ):
-        MATCHERS["shorter"]
-
-
 # --- heat kernel signatures -----------------------------------------------------------------------------
 
 
@@ -138,14 +116,6 @@ def test_the_distance_is_the_larger_mean_of_smallest_distances() -> None:
     assert heat_distance(sets[0], sets[0]) == 0
 
 
-def test_samples_represent_all_of_the_surface() -> None:
-    made = heat_set(egg(2))
-    assert made.features.shape == (N_SAMPLES, 6)
-    assert made.weights.sum() == pytest.approx(1)
-    assert (made.weights > 0).all()
-    assert len(heat_set(egg(2, subdivisions=2)).weights) == 162
-
-
 def test_size_place_and_order_of_vertices_do_not_count() -> None:
     mesh = shapes.ellipsoid((1, 1.2, 2), subdivisions=3)
     order = np.random.default_rng(0).permutation(len(mesh.vertices))
@@ -154,11 +124,3 @@ def test_size_place_and_order_of_vertices_do_not_count() -> None:
     other = TriangleMesh(vertices, back[mesh.faces].astype(np.int32))
     apart = heat_distance(heat_set(shape(mesh)), heat_set(shape(other)))
     assert apart < 0.02 * heat_distance(heat_set(shape(mesh)), heat_set(egg(2.5)))
-
-
-def test_forms_are_distinguished() -> None:
-    """By the amount in which they differ; the finer two meshes of one form, the nearer they are."""
-    sets = {length: heat_set(egg(length)) for length in (1.5, 2.0, 3.0)}
-    assert heat_distance(sets[1.5], sets[2.0]) < heat_distance(sets[1.5], sets[3.0])
-    coarse, fine = (heat_set(egg(2.0, subdivisions=subdivisions)) for subdivisions in (2, 4))
-    assert heat_distance(fine, sets[2.0]) < 0.7 * heat_distance(coarse, sets[2.0])

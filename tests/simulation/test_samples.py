@@ -12,8 +12,8 @@ from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from pcretrieve.draw.open3d import RayScene
-from pcretrieve.simulation import POSES, RigOptions, body, camera_pose, make_subject, write_ply
-from pcretrieve.simulation.samples import SUBJECTS, main, moved, random_motion, write_samples, write_views
+from pcretrieve.simulation import POSES, RigOptions, body, camera_pose, make_subject
+from pcretrieve.simulation.samples import moved, random_motion, write_samples, write_views
 from pcretrieve.values import FloatArray
 
 ROOT = Path(__file__).parents[2]
@@ -71,13 +71,6 @@ def test_the_sample_set_is_made_by_its_seed(tmp_path: Path) -> None:
     assert np.median(gap) < 1e-3 * np.linalg.norm(np.ptp(kept, axis=0))
 
 
-def test_another_seed_makes_other_points(tmp_path: Path) -> None:
-    for seed in (1, 2):
-        write_samples(tmp_path / str(seed), ["hand-1_open"], seed=seed)
-    one, two = (read_ply(tmp_path / seed / "hand-1" / "hand-1_open.ply") for seed in ("1", "2"))
-    assert len(one) != len(two) or not np.allclose(one, two)
-
-
 def test_views_lie_on_the_body_and_sensors_where_they_stood(tmp_path: Path) -> None:
     rng = np.random.default_rng(4)
     surface = body(make_subject("hand", rng), POSES["hand"]["spread"])
@@ -102,25 +95,6 @@ def test_views_lie_on_the_body_and_sensors_where_they_stood(tmp_path: Path) -> N
     assert max(rotation.magnitude() for _, rotation, _ in views) > 0.1
 
 
-def test_an_unknown_scan_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit) as stop:
-        main(["--out", str(tmp_path), "--only", "person-1_flies"])
-    assert stop.value.code == 2
-    assert "must have names of the set, got person-1_flies" in capsys.readouterr().err
-
-
-def test_the_help_has_an_example(capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit):
-        main(["--help"])
-    assert "example:" in capsys.readouterr().out
-
-
-def test_a_ply_file_reads_back(tmp_path: Path) -> None:
-    points = np.random.default_rng(0).normal(size=(7, 3))
-    write_ply(tmp_path / "points.ply", points)
-    assert read_ply(tmp_path / "points.ply") == pytest.approx(points, rel=1e-6)
-
-
 def test_the_sample_set_is_whole_and_small() -> None:
     with (SCANS / "labels.csv").open(newline="", encoding="utf-8") as file:
         labels = list(csv.DictReader(file))
@@ -134,8 +108,3 @@ def test_the_sample_set_is_whole_and_small() -> None:
     strange = {file for file in SCANS.rglob("*.*") if file.is_file()} - files - views
     assert strange == {SCANS / "labels.csv", SCANS / "README.md"}
     assert sum(file.stat().st_size for file in SCANS.rglob("*") if file.is_file()) < LARGEST_SET
-
-
-def test_every_subject_of_the_set_has_a_touching_pose() -> None:
-    for subject in SUBJECTS:
-        assert any(POSES[subject.family][pose].touching for pose in subject.poses), subject.name
