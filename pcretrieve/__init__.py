@@ -37,20 +37,16 @@ if TYPE_CHECKING:
         SignatureTransformer,
         WithinClassWhitening,
     )
-    from pcretrieve.evaluation import RetrievalMeasures
+    from pcretrieve.evaluation import RetrievalMeasures, calibrate, compare, evaluate, matrix
     from pcretrieve.formats import read_scan, write_cloud, write_mesh, write_signatures
     from pcretrieve.ingestion import DaskExecutor
     from pcretrieve.inspection import Inspection, report_problem, signature_spread
     from pcretrieve.interface import (
         backup,
-        calibrate,
         check,
-        compare,
         draw_map,
-        evaluate,
         ingest,
         inspect,
-        matrix,
         merge_catalogues,
         merge_views,
         query_page,
@@ -205,7 +201,7 @@ _HOMES = {
         "SignatureTransformer",
         "WithinClassWhitening",
     ),
-    "pcretrieve.evaluation": ("RetrievalMeasures",),
+    "pcretrieve.evaluation": ("RetrievalMeasures", "calibrate", "compare", "evaluate", "matrix"),
     "pcretrieve.formats": (
         "read_scan",
         "write_cloud",
@@ -220,14 +216,10 @@ _HOMES = {
     ),
     "pcretrieve.interface": (
         "backup",
-        "calibrate",
         "check",
-        "compare",
         "draw_map",
-        "evaluate",
         "ingest",
         "inspect",
-        "matrix",
         "merge_catalogues",
         "merge_views",
         "query_page",

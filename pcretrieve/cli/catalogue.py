@@ -1,22 +1,178 @@
-"""The commands about whole catalogues: catalogue merge."""
+"""Commands that look after a catalogue: list, show, remove, catalogue merge, check, backup, export."""
 
 from __future__ import annotations
 
+import sys
+from collections import Counter
 from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import click
 
-from pcretrieve.cli.commands import command
-from pcretrieve.cli.documents import write_document
-from pcretrieve.cli.messages import say
-from pcretrieve.cli.parts import CATALOGUE, json_option
+from pcretrieve.cli.messages import Progress, say, shown_path, without_password
+from pcretrieve.cli.options import (
+    CATALOGUE,
+    EXIT_ERROR,
+    catalogue_argument,
+    catalogue_option,
+    command,
+    comparison_options,
+    complete_ids,
+    given_flags,
+    json_option,
+    opened,
+    option,
+    output_option,
+)
+from pcretrieve.cli.output import (
+    Column,
+    print_text,
+    write_document,
+    write_documents,
+    write_line,
+    write_steps,
+    write_table,
+    write_words,
+)
 
-__all__ = ["catalogue_command"]
+if TYPE_CHECKING:
+    from pcretrieve import Catalogue
+    from pcretrieve.catalogue import Record
+    from pcretrieve.interface.maintenance import Check
+
+MIB = 1 << 20
+
+ID, CLASS, FILE = Column("ID"), Column("CLASS"), Column("FILE", "path")
+ALL = (ID, Column("VERDICT"), CLASS, Column("EULER", "number"), Column("SECONDS", "number"), FILE)
+FAILED = (ID, Column("STAGE"), CLASS, FILE, Column("REASON", "words"))
+DOUBTFUL = (ID, Column("VERDICT"), CLASS, FILE, Column("REASON", "words"))
+
+
+@command("list")
+@catalogue_option
+@click.option("--failed", is_flag=True, help="Only shapes that failed, with the reason.")
+@click.option("--doubtful", is_flag=True, help="Only shapes that are doubtful or unusable, with the reasons.")
+@click.option("--limit", type=click.IntRange(min=1), metavar="N", help="List at most N shapes.")
+@click.option("--offset", type=click.IntRange(min=0), default=0, metavar="N", help="Skip N shapes.")
+@json_option
+def list_command(
+    catalogue: str, failed: bool, doubtful: bool, limit: int | None, offset: int, as_json: bool
+) -> None:
+    """List shapes: id, verdict, class, Euler characteristic, seconds, path.
+
+    The verdict is sound, doubtful, unusable or failed; done means that the shape was not judged.
+
+    \b
+    pcretrieve list --catalogue bodies.sqlite --failed
+    """
+    from pcretrieve import Catalogue
+
+    with Catalogue(catalogue) as store:
+        pages = store.pages(
+            status="failed" if failed else None, doubtful=doubtful, offset=offset, limit=limit
+        )
+        records = (record for page in pages for record in page)
+        if as_json:
+            write_documents(asdict(record) | {"seconds": round(record.seconds, 3)} for record in records)
+            return
+        counts: Counter[str] = Counter()
+        if failed:
+            n_rows = write_table(FAILED, (_failed(record) for record in records))
+        elif doubtful:
+            n_rows = write_table(DOUBTFUL, (_doubtful(record) for record in records))
+        else:
+            n_rows = write_table(ALL, (_row(record, counts) for record in records))
+    if counts:
+        found = ", ".join(f"{n} {name}" for name, n in sorted(counts.items()))
+        say(f"{found}; for reasons: {', '.join(f'--{name}' for name in sorted(counts))}")
+    if not n_rows:
+        which = "failed" if failed else "doubtful" if doubtful else "stored"
+        say(f"no shape is {which} in {catalogue}" + (f" after the first {offset}" if offset else ""))
+
+
+def _row(record: Record, counts: Counter[str]) -> tuple[str, ...]:
+    """A row of all shapes; those that have reasons are counted by the option that lists them."""
+    if record.status == "failed":
+        counts["failed"] += 1
+    elif record.is_doubtful:
+        counts["doubtful"] += 1
+    euler = "-" if record.euler is None else str(record.euler)
+    label, file = record.label or "-", shown_path(record.path)
+    return record.id, _verdict(record), label, euler, f"{record.seconds:.2f}", file
+
+
+def _failed(record: Record) -> tuple[str, ...]:
+    reason = (record.message or "").removeprefix(f"{record.path}: ")
+    return record.id, record.stage or "-", record.label or "-", shown_path(record.path), reason
+
+
+def _doubtful(record: Record) -> tuple[str, ...]:
+    label, file = record.label or "-", shown_path(record.path)
+    return record.id, _verdict(record), label, file, str(record.verdict or "")
+
+
+def _verdict(record: Record) -> str:
+    return record.verdict.judgement if record.verdict else record.status
+
+
+@command("show")
+@click.argument("shape_id", metavar="ID", shell_complete=complete_ids)
+@catalogue_option
+@json_option
+def show_command(shape_id: str, catalogue: str, as_json: bool) -> None:
+    """Show how a shape was made: its file, each step, and the size of what is stored.
+
+    \b
+    pcretrieve show cat0 --catalogue bodies.sqlite
+    """
+    from pcretrieve import Catalogue
+
+    with Catalogue(catalogue) as store:
+        record, stored = store.record(shape_id), store.stored_bytes(shape_id)
+    if as_json:
+        write_document(asdict(record) | {"seconds": round(record.seconds, 3), "stored_bytes": stored})
+        return
+    rows = []
+    for name, value in asdict(record).items():
+        if name == "versions":
+            value = ", ".join(f"{package} {version}" for package, version in record.versions.items())
+        if name == "verdict":
+            value = None if record.status == "failed" else str(record.verdict or "not judged")
+        if name == "path":
+            value = shown_path(record.path)
+        if name != "steps" and value is not None:
+            rows.append((name, str(value)))
+    parts = ", ".join(f"{name} {size / 1000:.1f}" for name, size in stored.items() if size)
+    rows.append(("stored", f"{sum(stored.values()) / 1000:.1f} kB" + (f": {parts}" if parts else "")))
+    write_table((Column(""), Column("", "words")), rows)
+    print_text("")
+    write_steps(record.steps)
+
+
+@command("remove")
+@click.argument("shape_ids", nargs=-1, required=True, metavar="ID...", shell_complete=complete_ids)
+@catalogue_option
+@json_option
+def remove_command(shape_ids: tuple[str, ...], catalogue: str, as_json: bool) -> None:
+    """Remove shapes from a catalogue. Their files stay.
+
+    \b
+    pcretrieve remove cat0 cat1 --catalogue bodies.sqlite
+    """
+    from pcretrieve import Catalogue
+
+    chosen = dict.fromkeys(shape_ids)
+    with Catalogue(catalogue) as store:
+        store.remove(*chosen)
+    say(f"removed {len(chosen)} from {catalogue}")
+    if as_json:
+        write_document({"removed": [*chosen]})
 
 
 @click.group("catalogue")
 def catalogue_command() -> None:
-    """Make one catalogue of several.
+    """Join catalogues.
 
     \b
     pcretrieve catalogue merge part-*.sqlite -o all.sqlite
@@ -31,20 +187,20 @@ def catalogue_command() -> None:
     type=CATALOGUE,
     required=True,
     metavar="FILE|URL",
-    help="The catalogue in which the shapes are stored; it may have shapes already.",
+    help="Store the shapes in this catalogue, which may have shapes already.",
 )
 @json_option
 def merge_command(parts: tuple[str, ...], output: str, as_json: bool) -> None:
     """Store the shapes of several catalogues in one.
 
-    PART is a file or a URL, such as the catalogue of a task of a job array (`ingest --shard`). All parts were
-    built with the same options. Of a file that several parts have, the first finished shape is kept. A file
-    with two contents or two classes, or an id of two files, is a conflict: it is named, and nothing stored.
+    PART is a file or a URL, such as the catalogue of one task of a job array (`ingest --shard`). All parts
+    need the same settings. Of a file in several parts, the first finished shape is kept. If a file has two
+    contents or two classes, or an id belongs to two files, the command names it and stores nothing.
 
     \b
     pcretrieve catalogue merge part-*.sqlite -o all.sqlite
     """
-    from pcretrieve.interface import merge_catalogues
+    from pcretrieve import merge_catalogues
 
     merged = merge_catalogues(parts, output)
     say(f"{merged.n_added} stored, {merged.n_held} held already: {output}")
@@ -53,3 +209,185 @@ def merge_command(parts: tuple[str, ...], output: str, as_json: bool) -> None:
 
 
 catalogue_command.add_command(merge_command)
+
+
+@command("check")
+@catalogue_argument
+@click.option(
+    "--sample",
+    type=click.IntRange(min=0),
+    default=10,
+    show_default=True,
+    metavar="N",
+    help="Compute N signatures again, from stored surfaces or unchanged files.",
+)
+@click.option(
+    "--repair",
+    is_flag=True,
+    help="Remove damaged indexes and rows without a shape, and mark damaged shapes to be ingested again.",
+)
+@json_option
+def check_command(catalogue: str, sample: int, repair: bool, as_json: bool) -> None:
+    """Check a catalogue for damage: its file, each record, all arrays, and some signatures.
+
+    The exit code is 1 if damage is left.
+
+    \b
+    pcretrieve check bodies.sqlite --repair
+    """
+    from pcretrieve import Catalogue, check
+
+    with Catalogue(catalogue) as store, Progress("check", "bar") as shown:
+
+        def advance(n_shapes: int) -> None:
+            for _ in range(n_shapes):
+                shown.advance({})
+
+        shown.start(len(store) + sum(store.failures().values()))
+        result = check(store, sample=sample, repair=repair, on_shapes=advance)
+        options = store.options
+    if as_json:
+        document = {"catalogue": without_password(catalogue), "is_whole": result.is_whole} | asdict(result)
+        write_document(document, options=options)
+    else:
+        _write_check(catalogue, result)
+    if not result.is_whole:
+        sys.exit(EXIT_ERROR)
+
+
+def _write_check(catalogue: str, result: Check) -> None:
+    write_table(
+        (Column("SHAPE"), Column("DEFECT", "words"), Column("REPAIR", "words")),
+        ((one.shape_id or "-", one.message, one.repair or "not repaired") for one in result.defects),
+    )
+    if any(defect.kind == "database" and not defect.repair for defect in result.defects):
+        say(
+            "the file is damaged in a way that cannot be repaired: restore a backup, or ingest into a new one"
+        )
+    n_defects, n_left = len(result.defects), sum(defect.repair is None for defect in result.defects)
+    write_words(
+        f"{catalogue}: {result.n_shapes} shapes, {result.n_failed} failed, {result.n_recomputed} signatures "
+        f"computed again, {n_defects} defects" + (f", {n_left} not repaired" if n_left else "")
+    )
+
+
+@command("backup")
+@click.argument("catalogue", type=CATALOGUE)
+@click.argument("file", type=click.Path(dir_okay=False, path_type=Path))
+@json_option
+def backup_command(catalogue: str, file: Path, as_json: bool) -> None:
+    """Copy a catalogue to one file, while others may use it.
+
+    The copy is a catalogue itself, in SQLite. For large databases `pg_dump` is faster.
+
+    \b
+    pcretrieve backup bodies.sqlite bodies-monday.sqlite
+    """
+    from pcretrieve import backup
+
+    say(f"copying {catalogue}")
+    size = backup(catalogue, file)
+    say(f"{size / MIB:.1f} MiB: {file}")
+    if as_json:
+        write_document({"file": str(file), "bytes": size})
+
+
+@command("export")
+@click.argument("shape_ids", nargs=-1, metavar="[ID]...")
+@catalogue_option
+@output_option(
+    "PATH",
+    "Write a mesh of one shape (.ply .obj .off .stl .glb), a folder of meshes, or a file of signatures "
+    "(.npz .parquet .csv).",
+    required=False,
+)
+@option("--signatures", is_flag=True, help="Write signatures, ids and classes, not meshes.")
+@option(
+    "--to",
+    metavar="URL",
+    help="Write whitened signatures to a PostgreSQL database.",
+    details="postgresql://user@host/name, with pgvector; the new table is pcretrieve_signatures.",
+)
+@comparison_options
+@json_option
+def export_command(
+    shape_ids: tuple[str, ...],
+    catalogue: str,
+    output: Path | None,
+    signatures: bool,
+    to: str | None,
+    as_json: bool,
+    **comparison: Any,
+) -> None:
+    """Write meshes or signatures of a catalogue to files or to a database.
+
+    \b
+    pcretrieve export cat0 --catalogue bodies.sqlite -o cat0.obj
+    pcretrieve export --catalogue bodies.sqlite -o meshes/
+    pcretrieve export --signatures --catalogue bodies.sqlite -o bodies.parquet
+    pcretrieve export --catalogue bodies.sqlite --to postgresql://localhost/bodies
+    """
+    from pcretrieve import write_signatures
+
+    if (output is None) == (to is None) or (to and signatures):
+        raise click.UsageError("give either --output, or --to for signatures in a database")
+    given = given_flags(comparison)
+    if given and not signatures and not to:
+        raise click.UsageError(f"{given} is for --signatures and --to: meshes have no such options")
+    with opened(catalogue, comparison) as (store, options):
+        files = []
+        if output is None:
+            _export_to_database(store, str(to), options, shape_ids)
+        elif signatures:
+            table = store.signatures(options)
+            write_signatures(table.select(shape_ids) if shape_ids else table, output)
+            files = [output]
+        else:
+            files = _export_meshes(store, shape_ids, output, as_json)
+    if as_json:
+        has_options = output is None or signatures
+        write_document({"files": [str(file) for file in files]}, options=options if has_options else None)
+    elif signatures:
+        write_line(str(output))
+    elif output is not None and output.is_dir():
+        say(f"wrote {len(files)} meshes to {output}")
+
+
+def _export_to_database(store: Catalogue, url: str, options: Any, shape_ids: tuple[str, ...]) -> None:
+    from pcretrieve.catalogue.vectors import export_vectors
+
+    n_written = export_vectors(store, url, options, shape_ids=shape_ids)
+    say(f"wrote {n_written} signatures to the table pcretrieve_signatures")
+
+
+def _export_meshes(store: Catalogue, shape_ids: tuple[str, ...], output: Path, as_json: bool) -> list[Path]:
+    """Write meshes, and print their files."""
+    from pcretrieve import write_mesh
+
+    files = _mesh_files(store, shape_ids, output)
+    for path, shape_id in files.items():
+        write_mesh(store.mesh(shape_id), path)
+        if not as_json:
+            write_line(str(path))
+    return list(files)
+
+
+def _mesh_files(store: Catalogue, shape_ids: tuple[str, ...], output: Path) -> dict[Path, str]:
+    """The file of each mesh, in a folder that is made; raises if one of the meshes is missing."""
+    from pcretrieve.errors import InputError
+
+    if len(shape_ids) == 1 and output.suffix and not output.is_dir():
+        return {output: shape_ids[0]}
+    for shape_id in shape_ids:
+        store.mesh(shape_id)
+    try:
+        output.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"cannot make the folder {output}: {error.strerror}") from error
+    chosen = shape_ids or [record.id for record in store.records(status="done")]
+    return {output / _file_name(shape_id): shape_id for shape_id in chosen}
+
+
+def _file_name(shape_id: str) -> str:
+    """The name of the file of a mesh. Ids are names of files, but a catalogue from elsewhere may have any."""
+    return shape_id.replace("/", "%2F").replace("\0", "%00") + ".ply"

@@ -7,11 +7,8 @@ from pathlib import Path
 
 import click
 
-from pcretrieve.cli.commands import command
-from pcretrieve.cli.messages import say
-from pcretrieve.cli.patience import stop_waiting
-
-__all__ = ["demo_command"]
+from pcretrieve.cli.messages import bar, say, stop_waiting
+from pcretrieve.cli.options import command
 
 
 @command("demo")
@@ -19,18 +16,15 @@ __all__ = ["demo_command"]
     "folder", type=click.Path(path_type=Path), default=Path("pcretrieve-demo"), metavar="[FOLDER]"
 )
 def demo_command(folder: Path) -> None:
-    """Simulate scans, ingest them, query, evaluate, and write an HTML page of the results.
+    """Try everything on simulated scans: ingest, query, evaluate, and a page of the results.
 
-    All files are written to FOLDER (pcretrieve-demo by default): simulated scans of people, an animal and a
-    hand, which are the same in each run, their catalogue, and an HTML page. Each step is a command, which is
-    printed before it runs. The demo takes one or two minutes.
+    The demo takes one or two minutes, and prints each command before it runs. All files are in FOLDER
+    (pcretrieve-demo by default): scans of people, an animal and a hand, their catalogue, and the page.
 
     \b
     pcretrieve demo
     pcretrieve demo elsewhere
     """
-    from tqdm import tqdm
-
     from pcretrieve.errors import InputError
     from pcretrieve.simulation.samples import DEMO_QUERY, DEMO_SAMPLES, write_samples
 
@@ -38,10 +32,10 @@ def demo_command(folder: Path) -> None:
     n = len(DEMO_SAMPLES)
     say(f"Simulating {n} scans of five bodies in {scans}, and a new scan of one of the bodies.")
     stop_waiting()
-    with tqdm(total=n + 1, unit="scan", desc="simulate", disable=None, leave=False) as bar:
+    with bar(total=n + 1, unit="scan", desc="simulate", disable=None, leave=False) as shown:
         try:
-            write_samples(scans, DEMO_SAMPLES, on_scan=lambda path: bar.update())
-            (new,) = write_samples(folder / "new", [DEMO_QUERY], on_scan=lambda path: bar.update())
+            write_samples(scans, DEMO_SAMPLES, on_scan=lambda path: shown.update())
+            (new,) = write_samples(folder / "new", [DEMO_QUERY], on_scan=lambda path: shown.update())
         except OSError as error:
             raise InputError(f"cannot write scans into {folder}: {error.strerror}; name another") from error
 

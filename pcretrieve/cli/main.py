@@ -18,52 +18,48 @@ from typing import NoReturn
 import click
 
 from pcretrieve import __version__
-from pcretrieve.cli.commands import EXIT_ERROR, exit_code
-from pcretrieve.cli.documents import JSON_FLAG, write_error
-from pcretrieve.cli.messages import say, silence
-from pcretrieve.cli.parts import EXIT_INTERRUPTED
-from pcretrieve.cli.patience import stop_waiting, tell_of_waiting
+from pcretrieve.cli.messages import Printed, say, silence, stop_waiting, tell_of_waiting
+from pcretrieve.cli.options import EXIT_ERROR, EXIT_INTERRUPTED, exit_code
+from pcretrieve.cli.output import JSON_FLAG, write_error
 from pcretrieve.errors import OptionError, PcretrieveError
 from pcretrieve.suggestions import did_you_mean
-
-__all__ = ["cli", "main"]
 
 # Shells report a program that was ended by a signal with this number plus the number of the signal.
 EXIT_SIGNAL = 128
 
 STANDARD_ERROR = 2
 
-# The commands, each with its line in the list of commands. A command is the function `NAME_command` of the
-# module `NAME`, with underscores for hyphens, which is imported when the command or its help is called.
+# The commands, each with its module and its line in the list of commands. A command is the function
+# `NAME_command`, with underscores for hyphens; its module is imported when the command or its help is called.
 COMMANDS = {
-    "demo": "Simulate scans, ingest them, query and evaluate",
-    "merge": "Register range scans of one body, and merge them",
-    "reconstruct": "Write the closed surface of a scan",
-    "signature": "Print the signatures of scans",
-    "inspect": "Write a page that shows what is wrong with a scan",
-    "report-problem": "Pack what is needed to report a scan that fails",
-    "ingest": "Process scans, and store them in a catalogue",
-    "status": "Say how far the last ingest is",
-    "retry": "Process failed scans again",
-    "watch": "Ingest scans that arrive in a folder",
-    "query": "Find the shapes most similar to scans",
-    "evaluate": "Compute retrieval measures of a labelled catalogue",
-    "compare": "Compare the measures of two results",
-    "calibrate": "Learn from labelled scans what to ignore",
-    "matrix": "Write the distances of all pairs of shapes",
-    "duplicates": "Find shapes that nothing distinguishes",
-    "cluster": "Group shapes without labels",
-    "map": "Draw the shapes in the plane, similar ones near",
-    "report": "Write a page of queries, results and measures",
-    "serve": "Show a catalogue in the browser",
-    "list": "List the shapes of a catalogue",
-    "show": "Show how a shape was made",
-    "remove": "Remove shapes from a catalogue",
-    "catalogue": "Make one catalogue of several",
-    "check": "Check whether a catalogue is whole",
-    "backup": "Copy a catalogue to one file",
-    "export": "Write meshes or signatures of a catalogue",
-    "options": "Print all options with their units",
+    "demo": ("demo", "Try everything on simulated scans"),
+    "merge": ("scans", "Merge views of one body into one scan"),
+    "reconstruct": ("scans", "Turn a scan into a closed surface"),
+    "signature": ("scans", "Print the signatures of scans"),
+    "inspect": ("inspection", "Show what is wrong with a scan"),
+    "report-problem": ("inspection", "Pack a scan that fails for a report to us"),
+    "ingest": ("batches", "Process scans, and store them in a catalogue"),
+    "status": ("batches", "Show progress of the last ingest"),
+    "retry": ("batches", "Process failed scans again"),
+    "watch": ("batches", "Ingest scans as they arrive in a folder"),
+    "query": ("search", "Find the shapes most similar to a scan"),
+    "evaluate": ("evaluation", "Measure how well scans of one class find each other"),
+    "compare": ("evaluation", "Compare the measures of two results"),
+    "calibrate": ("evaluation", "Learn from labelled scans what to ignore"),
+    "matrix": ("search", "Write the distances of all pairs of shapes"),
+    "duplicates": ("search", "Find shapes that look the same"),
+    "cluster": ("search", "Group similar shapes without classes"),
+    "map": ("search", "Plot a 2-D map of shapes"),
+    "report": ("evaluation", "Write a page of queries, results and measures"),
+    "serve": ("serve", "Show a catalogue in the browser"),
+    "list": ("catalogue", "List the shapes of a catalogue"),
+    "show": ("catalogue", "Show how a shape was made"),
+    "remove": ("catalogue", "Remove shapes from a catalogue"),
+    "catalogue": ("catalogue", "Join catalogues"),
+    "check": ("catalogue", "Check a catalogue for damage"),
+    "backup": ("catalogue", "Copy a catalogue to one file"),
+    "export": ("catalogue", "Write meshes or signatures to files"),
+    "options": ("options", "Print all settings with their units"),
 }
 
 
@@ -76,14 +72,13 @@ class _LazyGroup(click.Group):
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
         if cmd_name not in COMMANDS:
             return None
-        name = cmd_name.replace("-", "_")
-        module = import_module(f"pcretrieve.cli.{name}")
-        command: click.Command = getattr(module, f"{name}_command")
+        module = import_module(f"pcretrieve.cli.{COMMANDS[cmd_name][0]}")
+        command: click.Command = getattr(module, f"{cmd_name.replace('-', '_')}_command")
         return command
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         with formatter.section("Commands"):
-            formatter.write_dl([*COMMANDS.items()])
+            formatter.write_dl([(name, text) for name, (_, text) in COMMANDS.items()])
 
     def resolve_command(
         self, ctx: click.Context, args: list[str]
@@ -108,20 +103,12 @@ def cli(context: click.Context) -> None:
     pcretrieve query --catalogue bodies.sqlite scan.ply
     """
     logger = logging.getLogger("pcretrieve")
-    if not any(isinstance(handler, _Printed) for handler in logger.handlers):
-        logger.addHandler(_Printed(logging.WARNING))
+    if not any(isinstance(handler, Printed) for handler in logger.handlers):
+        logger.addHandler(Printed(logging.WARNING))
     # The options of the command are parsed later, after imports that may take long.
     if context.invoked_subcommand is not None and not {"--quiet", "-q"} & {*sys.argv}:
         tell_of_waiting(context.invoked_subcommand)
         context.call_on_close(stop_waiting)
-
-
-class _Printed(logging.Handler):
-    """Prints warnings of the library on standard error, except for repairs, which are in the provenance."""
-
-    def emit(self, record: logging.LogRecord) -> None:
-        if record.name != "pcretrieve.pipeline":
-            say(record.getMessage())
 
 
 def main() -> NoReturn:

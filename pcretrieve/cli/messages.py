@@ -1,40 +1,30 @@
-"""What commands print: messages for users on standard error, results for programs on standard output."""
+"""What people read on standard error: messages, a line while they wait, and progress."""
 
 from __future__ import annotations
 
+import json
 import logging
 import os
 import re
 import shutil
 import sys
 import textwrap
-from collections.abc import Iterable
+import time
+from contextlib import AbstractContextManager, nullcontext, suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, TextIO
+from threading import Event, RLock, Thread
+from types import TracebackType
+from typing import TYPE_CHECKING, Any, TextIO
 
 import click
 
-from pcretrieve.cli.patience import cleared_line, stop_waiting
 from pcretrieve.errors import InputError
 
 if TYPE_CHECKING:
-    from pcretrieve.catalogue import Record
+    from tqdm import tqdm
 
-__all__ = [
-    "ESCAPES_IN_JSON",
-    "escaped",
-    "failure_line",
-    "log_to",
-    "print_text",
-    "say",
-    "shown_path",
-    "silence",
-    "without_password",
-    "write_csv",
-    "write_line",
-    "write_row",
-    "write_words",
-]
+    from pcretrieve.catalogue import Record
+    from pcretrieve.values import Failure
 
 # What messages begin with that are red on a terminal.
 WARNING_WORDS = ("Error:", "failed:")
@@ -54,8 +44,16 @@ ESCAPES = {
     for code in range(first, last + 1)
 } | {ord(sign): escape for sign, escape in (("\n", "\\n"), ("\r", "\\r"), ("\t", "\\t"))}
 
-#: A JSON document has escaped those in its strings; others are between its values.
-ESCAPES_IN_JSON = {code: escape for code, escape in ESCAPES.items() if code != ord("\n")}
+# Time until people are told what they wait for, and between two states of that line; seconds.
+FIRST_WORD = 1.5
+NEXT_WORD = 1.0
+
+# Least time between two lines of progress where standard error is no terminal; seconds.
+LINE_INTERVAL = 60.0
+
+_answered = Event()  # results or progress are shown, and the line of waiting is not needed any more
+_waiting: list[Thread] = []
+_writing = RLock()
 
 
 def escaped(text: str) -> str:
@@ -63,48 +61,18 @@ def escaped(text: str) -> str:
     return text.translate(ESCAPES)
 
 
-def say(message: str, *, indent: int | None = 0) -> None:
-    """Print a message for users on standard error; the command goes on if that cannot be written."""
-    text = escaped(without_password(message))
-    if indent is not None:
-        text = _broken(text, sys.stderr, indent)
-    for word in WARNING_WORDS:
-        if text.startswith(word) and not os.environ.get("NO_COLOR"):
-            text = click.style(word, fg="red") + text.removeprefix(word)
-    try:
-        with cleared_line():
-            click.echo(text, err=True)  # without colours, if that is no terminal
-    except OSError:
-        silence(sys.stderr)
-
-
 def without_password(text: str) -> str:
     """Remove passwords of URLs, such as those of databases, which terminals and logs would keep."""
     return re.sub(r"(://[^/:@\s]*):[^/@\s]*@", r"\1@", text)
 
 
-def silence(stream: TextIO) -> None:
-    """Let a standard stream that cannot be written to lead nowhere.
-
-    Otherwise the text that it holds would be written, and fail, once more at the end of the command.
-    """
-    nowhere = os.open(os.devnull, os.O_WRONLY)
-    os.dup2(nowhere, stream.fileno())
-    os.close(nowhere)
+def shown_path(path: str) -> str:
+    """A path as people read it: relative to the current folder, if it is in this folder."""
+    return path.removeprefix(f"{Path.cwd()}{os.sep}")
 
 
-def write_line(text: str) -> None:
-    """Print a line of a result, on standard output."""
-    print_text(escaped(text))
-
-
-def write_words(text: str) -> None:
-    """Print a sentence of a result, on standard output; on a terminal, broken between words."""
-    print_text(_broken(escaped(without_password(text)), sys.stdout))
-
-
-def _broken(text: str, stream: TextIO, indent: int = 0) -> str:
-    """A line as a terminal shows it, or the line itself, if the stream is none."""
+def broken(text: str, stream: TextIO, indent: int = 0) -> str:
+    """A line broken between words, as a terminal shows it; the line itself, if the stream is none."""
     width = shutil.get_terminal_size().columns
     if not stream.isatty() or len(text) <= width:
         return text
@@ -114,9 +82,46 @@ def _broken(text: str, stream: TextIO, indent: int = 0) -> str:
     )
 
 
-def write_row(cells: Iterable[str]) -> None:
-    """Print a row of a result, on standard output."""
-    print_text("\t".join(map(escaped, cells)))
+def say(message: str, *, indent: int | None = 0) -> None:
+    """Print a message for users on standard error; the command goes on if that cannot be written."""
+    text = escaped(without_password(message))
+    if indent is not None:
+        text = broken(text, sys.stderr, indent)
+    for word in WARNING_WORDS:
+        if text.startswith(word) and not os.environ.get("NO_COLOR"):
+            text = click.style(word, fg="red") + text.removeprefix(word)
+    try:
+        with _between_bars():
+            click.echo(text, err=True)  # without colours, if that is no terminal
+    except OSError:
+        silence(sys.stderr)
+
+
+def silence(stream: TextIO) -> None:
+    """Let a standard stream that cannot be written to lead nowhere.
+
+    Otherwise the text that waits in it would be written, and fail, once more at the end of the command.
+    """
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    os.dup2(nowhere, stream.fileno())
+    os.close(nowhere)
+
+
+def failure_line(failure: Failure, path: str = "") -> str:
+    """The message about a shape that failed; `path` is its file."""
+    message = failure.message.replace(path, shown_path(path)) if path else failure.message
+    file = "" if path in failure.message else f" ({shown_path(path)})"
+    return f"failed: [{failure.shape_id} / {failure.stage}] {message}{file}"
+
+
+def record_line(record: Record) -> str | None:
+    """The message about a stored shape, if it failed."""
+    from pcretrieve.values import Failure
+
+    if record.status != "failed":
+        return None
+    failure = Failure(record.id, str(record.stage), str(record.error), record.message or "")
+    return failure_line(failure, record.path)
 
 
 def log_to(path: Path) -> None:
@@ -126,13 +131,10 @@ def log_to(path: Path) -> None:
     except OSError as error:
         raise InputError(f"cannot write the log file {path}: {error.strerror}; name another") from error
     handler.setFormatter(_OneLine("%(asctime)s %(levelname)s %(name)s: %(message)s"))
-    logger, level = logging.getLogger("pcretrieve"), logging.getLogger("pcretrieve").level
-    logger.addHandler(handler)
-    logger.setLevel(logging.INFO)
+    level = _heard(handler)
 
     def stop() -> None:
-        logger.removeHandler(handler)
-        logger.setLevel(level)
+        _unheard(handler, level)
         handler.close()
 
     click.get_current_context().call_on_close(stop)
@@ -145,25 +147,159 @@ class _OneLine(logging.Formatter):
         return escaped(super().formatMessage(record))
 
 
-def print_text(text: str, *, nl: bool = True, color: bool | None = None) -> None:
-    """Print the text of a result, on standard output."""
-    stop_waiting()
-    click.echo(text, nl=nl, color=color)
+class Printed(logging.Handler):
+    """Prints warnings of the library on standard error, except for repairs, which are in the provenance."""
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Print one warning."""
+        if record.name != "pcretrieve.pipeline":
+            say(record.getMessage())
 
 
-def shown_path(path: str) -> str:
-    """A path as people read it: relative to the current folder, if it is in this folder."""
-    return path.removeprefix(f"{Path.cwd()}{os.sep}")
+class _Latest(logging.Handler):
+    """Keeps the latest message of the library, such as how many shapes of how many are stored."""
+
+    message = "at work"
+
+    def emit(self, record: logging.LogRecord) -> None:
+        self.message = record.getMessage()
 
 
-def failure_line(record: Record) -> str:
-    """The message about a shape that failed."""
-    message, path = record.message or "", shown_path(record.path)
-    file = "" if record.path in message else f" ({path})"
-    return f"failed: [{record.id} / {record.stage}] {message.replace(record.path, path)}{file}"
+def tell_of_waiting(command: str) -> None:
+    """Show what a command does in a line of the terminal, if there is one, until `stop_waiting` is called."""
+    if sys.stderr.isatty():
+        _answered.clear()
+        _waiting.append(Thread(target=_tell, args=(command, _Latest(logging.INFO)), daemon=True))
+        _waiting[-1].start()
 
 
-def write_csv(text: str) -> None:
-    """Print the text of a CSV file on standard output: as it is for a program, escaped for a terminal."""
-    shown = text.translate(ESCAPES_IN_JSON) if sys.stdout.isatty() else text
-    print_text(shown, nl=False, color=True)  # otherwise click removes what looks like codes of a terminal
+def stop_waiting() -> None:
+    """Show no more of it: the command shows results or progress, or has ended."""
+    _answered.set()
+    while _waiting:
+        _waiting.pop().join(NEXT_WORD)  # it clears the line
+
+
+def _tell(command: str, latest: _Latest) -> None:
+    """Show the latest message, and for how long the command has been at work."""
+    started, level = time.monotonic(), _heard(latest)
+    if not _answered.wait(FIRST_WORD):
+        with suppress(OSError), bar(bar_format="{desc}", leave=False) as line:  # the terminal may be closed
+            while not _answered.is_set():
+                text = f"{command}: {latest.message}, {time.monotonic() - started:.0f} s"
+                printable = "".join(sign if sign.isprintable() else "?" for sign in text)
+                line.set_description_str(printable[: shutil.get_terminal_size().columns - 1])
+                _answered.wait(NEXT_WORD)
+    _unheard(latest, level)
+
+
+def _heard(handler: logging.Handler) -> int:
+    """Let a handler hear what the library logs. Returns the level until now."""
+    logger = logging.getLogger("pcretrieve")
+    level = logger.level
+    logger.addHandler(handler)
+    logger.setLevel(logging.INFO)
+    return level
+
+
+def _unheard(handler: logging.Handler, level: int) -> None:
+    logger = logging.getLogger("pcretrieve")
+    logger.removeHandler(handler)
+    logger.setLevel(level)
+
+
+def bar(**settings: Any) -> tqdm[Any]:
+    """A bar of tqdm on standard error, without the lock between processes, which would start another one."""
+    from tqdm import tqdm
+
+    tqdm.set_lock(_writing)
+    return tqdm(**settings)
+
+
+def _between_bars() -> AbstractContextManager[Any]:
+    """Clear the bars and lines that are shown, and show them again below what is printed meanwhile."""
+    module = sys.modules.get("tqdm")
+    return module.tqdm.external_write_mode(file=sys.stderr) if module else nullcontext()
+
+
+class Progress:
+    """Shows how many scans are finished, and how many failed: a bar, a line a minute, or JSON."""
+
+    def __init__(self, command: str, mode: str) -> None:
+        self._command, self._mode = command, mode
+        self._n_done = self._n_failed = self._total = 0
+        self._bar: tqdm[Any] | None = None
+        self._started = self._said = time.monotonic()
+
+    def __enter__(self) -> Progress:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self._bar is not None:
+            self._bar.close()
+
+    def start(self, total: int) -> None:
+        """Show that so many scans will be finished."""
+        self._total = total
+        stop_waiting()
+        if self._mode == "bar" and sys.stderr.isatty():
+            self._bar = bar(total=total, unit="scan", desc=self._command)
+        elif self._mode == "bar":
+            say(f"{self._command}: {total} scans")
+
+    def advance(self, facts: dict[str, object], failure: str | None = None) -> None:
+        """Count a scan that is finished, and show it."""
+        self._n_done += 1
+        self._n_failed += failure is not None
+        if self._mode == "json":
+            counts = {"finished": self._n_done, "failures": self._n_failed, "total": self._total}
+            say(json.dumps(facts | counts, ensure_ascii=False), indent=None)
+        elif failure is not None:
+            say(failure)
+        if self._bar is not None:
+            self._bar.set_postfix(failed=self._n_failed, refresh=False)
+            self._bar.update()
+        elif self._mode == "bar" and time.monotonic() - self._said >= LINE_INTERVAL:
+            self._say_line()
+
+    def record(self, record: Record) -> None:
+        """Count a scan of which a catalogue has a record."""
+        self.advance(record_facts(record), record_line(record))
+
+    def _say_line(self) -> None:
+        self._said = time.monotonic()
+        seconds = self._said - self._started
+        left = duration(seconds / self._n_done * (self._total - self._n_done))
+        say(
+            f"{self._command}: {self._n_done} of {self._total} scans, {self._n_failed} failed, after "
+            f"{duration(seconds)}, {left} left"
+        )
+
+
+def record_facts(record: Record) -> dict[str, object]:
+    """The values of a record in a line of JSON; of a failure with its stage, its kind and its message."""
+    facts: dict[str, object] = {"status": record.status, "seconds": round(record.seconds, 3)}
+    if record.status == "failed":
+        return facts | failure_facts(record)
+    return facts | {"id": record.id, "path": record.path}
+
+
+def failure_facts(record: Record) -> dict[str, object]:
+    """What failed, in JSON."""
+    return {
+        "id": record.id,
+        "path": record.path,
+        "stage": record.stage,
+        "error": record.error,
+        "message": record.message,
+    }
+
+
+def duration(seconds: float) -> str:
+    """A time for people, such as ``40 s``, ``12 min`` or ``2 h 05 min``."""
+    if seconds < 60:
+        return f"{seconds:.0f} s"
+    minutes = round(seconds / 60)
+    return f"{minutes // 60} h {minutes % 60:02} min" if minutes >= 60 else f"{minutes} min"

@@ -1,23 +1,495 @@
-"""The command that prints all options: options."""
+"""Options that several commands share, what a shell completes, and the command that prints all options.
+
+`--help` of a command fits a screen: it only names rare options, which `--help-all` explains.
+"""
 
 from __future__ import annotations
 
+import os
+import textwrap
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
+from click.shell_completion import CompletionItem
 
-from pcretrieve.cli.commands import command
-from pcretrieve.cli.documents import write_document
-from pcretrieve.cli.parts import config_option, json_option, load_options
+from pcretrieve.cli.messages import say
+from pcretrieve.cli.output import JSON_FLAG, print_text, write_document, write_error
+from pcretrieve.errors import OptionError, PcretrieveError
+from pcretrieve.names import NAMES, UPWARD
 
-__all__ = ["options_command"]
+if TYPE_CHECKING:
+    from pcretrieve import Catalogue, DistanceMatrix, PipelineOptions
+
+Decorated = TypeVar("Decorated", bound=Callable[..., Any])
+
+EXIT_ERROR = 1
+EXIT_USAGE = 2
+EXIT_SOME_FAILED = 3
+EXIT_INTERRUPTED = 130
+
+#: The environment variable that names the catalogue of commands without ``--catalogue``.
+CATALOGUE_VARIABLE = "PCRETRIEVE_CATALOGUE"
+
+# Whether all options are shown, in the state of a command.
+ALL = "pcretrieve.help_all"
+
+LABEL = "label="
+
+# The names of flags that are options of retrieval; others are options of signatures.
+RETRIEVAL_FLAGS = ("distance", "whitening", "rerank", "nearest")
+
+WHITENING_NAMES = ("auto", "none", "resolution", "neighbours", "pca", "within-class")
+
+# Ratio of the largest to the smallest area, from which files probably have different units: the areas of a
+# horse and a mouse have a smaller ratio, those of one body in centimetres and in metres a larger one (1e4).
+MIXED_UNITS = 3000
+
+
+class Option(click.Option):
+    """An option with a short text for ``--help``, and more of it for ``--help-all``."""
+
+    def __init__(
+        self, *args: Any, rare: bool = False, details: str | Callable[[], str] = "", **kwargs: Any
+    ) -> None:
+        super().__init__(*args, **kwargs)
+        self.is_rare, self._details = rare, details
+
+    def get_help_record(self, ctx: click.Context) -> tuple[str, str] | None:
+        """Name and text of the option; nothing for a rare one in ``--help``."""
+        if not ctx.meta.get(ALL):
+            return None if self.is_rare else super().get_help_record(ctx)
+        short = self.help
+        details = self._details if isinstance(self._details, str) else self._details()
+        self.help = f"{short} {details}".strip()
+        try:
+            return super().get_help_record(ctx)
+        finally:
+            self.help = short
+
+
+class Command(click.Command):
+    """A command with ``--help-all``, if it has rare options; for ``--json``, its errors are documents too."""
+
+    def get_params(self, ctx: click.Context) -> list[click.Parameter]:
+        """The parameters, ``--help-all`` among them."""
+        return [*super().get_params(ctx), *([_HELP_ALL] if self._rare() else [])]
+
+    def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """Write the options, and the names of the rare ones."""
+        super().format_options(ctx, formatter)
+        if self._rare() and not ctx.meta.get(ALL):
+            with formatter.section("More options, see --help-all"):
+                # Not by `print_text`, which breaks lines at the hyphens of names.
+                width = formatter.width - formatter.current_indent
+                for line in textwrap.wrap(" ".join(self._rare()), width, break_on_hyphens=False):
+                    formatter.write(f"{'':{formatter.current_indent}}{line}\n")
+
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        """Parse; with ``--json``, an error is a document too."""
+        is_json = JSON_FLAG in args
+        try:
+            return super().parse_args(ctx, args)
+        except click.UsageError as error:
+            if is_json:
+                write_error(ctx, error, error.exit_code)
+            raise
+
+    def invoke(self, ctx: click.Context) -> Any:
+        """Run; with ``--json``, an error is a document too."""
+        try:
+            return super().invoke(ctx)
+        except (PcretrieveError, click.ClickException) as error:
+            if ctx.params.get("as_json"):
+                write_error(ctx, error, exit_code(error))
+            raise
+
+    def _rare(self) -> list[str]:
+        return [one.opts[0] for one in self.params if isinstance(one, Option) and one.is_rare]
+
+
+def command(name: str) -> Callable[[Callable[..., Any]], click.Command]:
+    """Make a command of a function, as `click.command` does."""
+    return click.command(name, cls=Command)
+
+
+def option(*names: str, **settings: Any) -> Callable[[Decorated], Decorated]:
+    """Add an option to a command, as `click.option` does."""
+    return click.option(*names, cls=Option, **settings)
+
+
+def exit_code(error: PcretrieveError | click.ClickException) -> int:
+    """The code with which a command ends after an error."""
+    if isinstance(error, click.ClickException):
+        return error.exit_code
+    return EXIT_USAGE if isinstance(error, OptionError) else EXIT_ERROR
+
+
+def exit_if(some_failed: object) -> None:
+    """End the command with the code for scans that failed, if there are any."""
+    if some_failed:
+        click.get_current_context().exit(EXIT_SOME_FAILED)
+
+
+def _show_all(context: click.Context, parameter: click.Parameter, is_asked: bool) -> None:
+    if is_asked and not context.resilient_parsing:
+        context.meta[ALL] = True
+        click.echo(context.get_help(), color=context.color)
+        context.exit()
+
+
+_HELP_ALL = click.Option(
+    ["--help-all"],
+    is_flag=True,
+    is_eager=True,
+    expose_value=False,
+    callback=_show_all,
+    help="Show all options, with details.",
+)
+
+
+# --- completion by the shell ---------------------------------------------------------------------------
+
+
+def complete_presets(ctx: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem]:
+    """The presets that begin with what is typed, and files."""
+    from pcretrieve.options import PRESETS
+
+    return _items(PRESETS, incomplete) or [CompletionItem(incomplete, type="file")]
+
+
+def complete_ids(ctx: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem]:
+    """The ids that begin with what is typed, of the catalogue of the command."""
+    return _items((shape_id for shape_id, _ in _shapes(ctx)), incomplete)
+
+
+def complete_queries(ctx: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem]:
+    """The ids that begin with what is typed; if there are none, files."""
+    return complete_ids(ctx, param, incomplete) or [CompletionItem(incomplete, type="file")]
+
+
+def complete_labels(ctx: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem]:
+    """The conditions ``label=CLASS`` that begin with what is typed."""
+    labels = {label for _, label in _shapes(ctx) if label}
+    return _items((LABEL + label for label in sorted(labels)), incomplete)
+
+
+def _items(names: Iterable[str], incomplete: str) -> list[CompletionItem]:
+    # Without control characters, of which the shell would make further lines.
+    return [CompletionItem(name) for name in names if name.startswith(incomplete) and name.isprintable()]
+
+
+def _shapes(context: click.Context) -> list[tuple[str, str | None]]:
+    """Id and class of the shapes of the catalogue of a command; none, if it cannot be read."""
+    from pcretrieve import Catalogue
+
+    location = context.params.get("catalogue") or os.environ.get(CATALOGUE_VARIABLE)
+    if not location:
+        return []
+    try:
+        with Catalogue(location) as store:
+            return [(record.id, record.label) for record in store.outlines()]
+    except (PcretrieveError, OSError):
+        return []
+
+
+class RecordName(click.ParamType):  # type: ignore[type-arg]  # generic since click 8.3 only
+    """The name of a record such as a descriptor: the help lists the names, the library checks them."""
+
+    def __init__(self, kind: str) -> None:
+        self.name = kind
+
+    def get_metavar(self, param: click.Parameter, ctx: click.Context | None = None) -> str:
+        """What the help shows in place of the names, of which there may be many."""
+        return "NAME"
+
+    def shell_complete(
+        self, ctx: click.Context, param: click.Parameter, incomplete: str
+    ) -> list[CompletionItem]:
+        """The names that begin with what is typed."""
+        return _items(NAMES[self.name].all(), incomplete)
+
+
+def names_of(kind: str) -> str:
+    """The names of all records of a kind, for the help."""
+    return f"Names: {', '.join(NAMES[kind].all())}."
+
+
+class LabelFilter(click.ParamType):  # type: ignore[type-arg]  # generic since click 8.3 only
+    """A condition ``label=CLASS`` on the shapes that are searched."""
+
+    name = "label=CLASS"
+
+    def convert(self, value: str, param: click.Parameter | None, ctx: click.Context | None) -> str:
+        """The class of a condition."""
+        if not value.startswith(LABEL):
+            self.fail(f"must be label=CLASS, got {value!r}", param, ctx)
+        return value.removeprefix(LABEL)
+
+
+# --- options of many commands --------------------------------------------------------------------------
+
+#: The type of an option that names a catalogue: a string, because a path would lose a slash of a URL.
+CATALOGUE = click.Path()
+PATH = click.Path(path_type=Path)
+
+#: Of commands whose only argument is a catalogue.
+catalogue_argument = click.argument("catalogue", type=CATALOGUE, envvar=CATALOGUE_VARIABLE)
+catalogue_option = click.option(
+    "--catalogue",
+    "-c",
+    type=CATALOGUE,
+    required=True,
+    envvar=CATALOGUE_VARIABLE,
+    show_envvar=True,
+    metavar="FILE|URL",
+    help="The catalogue.",
+)
+json_option = click.option("--json", "as_json", is_flag=True, help="Print one JSON document.")
+workers_option = click.option(
+    "--workers",
+    type=click.IntRange(min=1),
+    show_default="one per core",
+    metavar="N",
+    help="Scans at a time.",
+)
+progress_option = option(
+    "--progress",
+    type=click.Choice(["bar", "json", "none"]),
+    rare=True,
+    default="bar",
+    show_default=True,
+    help="Show a bar (a line a minute in a log file), one line of JSON for each scan, or nothing.",
+)
+labels_option = option(
+    "--labels", metavar="CSV|LAYOUT", help="Use these classes, not the stored ones; see `ingest --help`."
+)
+up_option = option(
+    "--up",
+    type=click.Choice(UPWARD),
+    rare=True,
+    help="Turn pictures so that this axis of the files points up.  [default: found for each shape]",
+)
+config_option = option(
+    "--config",
+    type=PATH,
+    metavar="TOML|PRESET",
+    shell_complete=complete_presets,
+    help="Settings: a file made by `pcretrieve options`, or body-scanner, handheld, depth-camera, "
+    "clean-mesh, paper, classic.",
+)
+surface_option = option(
+    "--surface",
+    type=click.Choice(["auto", "reconstruct", "keep"]),
+    metavar="WHICH",
+    help="Meshes to rebuild: auto (open ones), reconstruct (all), keep (none).",
+    details="auto, the default, rebuilds meshes with holes and those that are not manifolds.",
+)
+unit_option = option(
+    "--unit",
+    type=click.Choice(["um", "mm", "cm", "dm", "m", "km", "in", "ft"]),
+    metavar="UNIT",
+    help="Unit of files that name none: um mm cm dm m km in ft.",
+    details="All scans are converted to metres.",
+)
+
+
+def output_option(metavar: str, text: str, *, required: bool = True) -> Callable[[Decorated], Decorated]:
+    """The option for the file or the folder that a command writes."""
+    return option("--output", "-o", type=PATH, required=required, metavar=metavar, help=text)
+
+
+def limit_options(command: Decorated, *, unit: str = "scan") -> Decorated:
+    """Options that limit time and memory of the processes in which a command works."""
+    timeout = option(
+        "--timeout",
+        type=click.FloatRange(min=1),
+        metavar="SECONDS",
+        rare=True,
+        default=600,
+        show_default=True,
+        help=f"Give up after this time for each {unit}.",
+    )
+    memory = option(
+        "--memory",
+        type=click.FloatRange(min=0.5),
+        metavar="GIB",
+        rare=True,
+        help="Give a worker process no more memory than this.",
+    )
+    return timeout(memory(command))
+
+
+def load_options(
+    config: Path | None,
+    surface: str | None = None,
+    unit: str | None = None,
+    *,
+    base: PipelineOptions | None = None,
+) -> PipelineOptions:
+    """The options of a command with ``--config``, ``--surface`` and ``--unit``."""
+    from pcretrieve.options import PipelineOptions
+
+    options = PipelineOptions.of(config, base)
+    if surface is not None:
+        options = options.changed(surface={"mode": surface})
+    return options if unit is None else options.changed(scan={"unit": unit})
+
+
+# --- options of commands that compare shapes -----------------------------------------------------------
+
+matrix_option = option(
+    "--matrix",
+    type=PATH,
+    metavar="FILE",
+    help="Rank by the distances in this file, which `pcretrieve matrix` writes.",
+    details="It is a square matrix, plain text or .npy. A file of the same name that ends in .ids has the "
+    "ids of its rows, one in each line.",
+)
+method_option = option(
+    "--method",
+    type=RecordName("descriptor"),
+    rare=True,
+    help="Descriptor, or several joined by +.  [default: combined, or the catalogue's]",
+    details=partial(names_of, "descriptor"),
+)
+n_values_option = option(
+    "--n-values",
+    type=click.IntRange(min=1),
+    metavar="L",
+    rare=True,
+    help="Number of values of the descriptor.  [default: 59, or the catalogue's]",
+)
+scale_option = option(
+    "--scale",
+    type=click.Choice(["auto", "area", "relative", "absolute"]),
+    rare=True,
+    help="Divide values by the area of the surface (area), by the first value (relative), or leave them, so "
+    "that they depend on the size of bodies (absolute).  [default: auto, or the catalogue's]",
+    details="auto is relative with --whitening pca, else area.",
+)
+size_weight_option = option(
+    "--size-weight",
+    type=click.FloatRange(min=0, max=20),
+    metavar="W",
+    rare=True,
+    help="Weight of the size of bodies beside their form; 6 is best for people.  [default: 0, or the "
+    "catalogue's]",
+    details="Adds a value, the area to the power of W. All files need one unit, or known units.",
+)
+
+_comparison_options = (
+    option(
+        "--config",
+        type=PATH,
+        metavar="TOML|PRESET",
+        shell_complete=complete_presets,
+        rare=True,
+        help="Settings in place of the catalogue's: a file with the tables [signature] and [retrieval], or a "
+        "preset.",
+    ),
+    size_weight_option,
+    scale_option,
+    n_values_option,
+    method_option,
+    option(
+        "--rerank",
+        type=click.Choice(["none", "local", "k-reciprocal"]),
+        rare=True,
+        help="Sort the first hundred results again, but keep the first: by distances relative to those of "
+        "near shapes (local), or by the neighbours that two shapes share (k-reciprocal).  [default: none, or "
+        "the catalogue's]",
+    ),
+    option(
+        "--whitening",
+        metavar="NAME|FILE",
+        rare=True,
+        help="Differences that count less: those between near shapes (neighbours), within classes "
+        "(within-class), between all shapes (pca), those that come from the resolution (resolution), those "
+        "in a FILE of `calibrate`, or none.  [default: auto, or the catalogue's]",
+        details="auto is within-class if there are enough labels, else neighbours; `evaluate` does not fit "
+        "auto to labels. See docs/guide.md, Distances and whitening.",
+    ),
+    option(
+        "--distance",
+        type=RecordName("distance"),
+        rare=True,
+        help="Euclidean distance of log-signatures (log), or D1 or D2 of the paper.  [default: log, or the "
+        "catalogue's]",
+        details=partial(names_of, "distance"),
+    ),
+)
+
+
+def comparison_options(command: Decorated) -> Decorated:
+    """Add the options that determine how shapes are compared; `opened` takes their values."""
+    for added in _comparison_options:
+        command = added(command)
+    return command
+
+
+def changes(flags: dict[str, Any]) -> dict[str, dict[str, Any]]:
+    """The options that `comparison_options` change, by table, without ``--config``."""
+    given = {name: value for name, value in flags.items() if value is not None and name != "config"}
+    tables: dict[str, dict[str, Any]] = {"signature": {}, "retrieval": {}}
+    for name, value in given.items():
+        tables["retrieval" if name in RETRIEVAL_FLAGS else "signature"][name] = value
+    # A whitening by name replaces a file that the configuration names, and vice versa.
+    if "whitening" in given:
+        is_name = given["whitening"] in WHITENING_NAMES
+        tables["retrieval"]["calibration"] = None if is_name else tables["retrieval"].pop("whitening")
+    return tables
+
+
+@contextmanager
+def opened(catalogue: str, flags: dict[str, Any]) -> Iterator[tuple[Catalogue, PipelineOptions]]:
+    """A catalogue, and the options with which a command compares its shapes."""
+    from pcretrieve import Catalogue
+
+    with Catalogue(catalogue) as store:
+        options = load_options(flags.get("config"), base=store.options).changed(**changes(flags))
+        if options.signature.compares_sizes:
+            _warn_of_mixed_units(store)
+        yield store, options
+
+
+def read_distances(
+    path: Path | None, flags: dict[str, Any], *, reranks: bool = False
+) -> DistanceMatrix | None:
+    """The distance matrix that ``--matrix`` names."""
+    if path is None:
+        return None
+    without = {name: value for name, value in flags.items() if name != "rerank" or not reranks}
+    if given := given_flags(without):
+        raise click.UsageError(f"a matrix holds distances already: leave out {given}")
+    from pcretrieve import read_matrix
+
+    return read_matrix(path)
+
+
+def given_flags(flags: dict[str, Any]) -> str:
+    """The options among `comparison_options` that a command was given."""
+    given = [name for name, value in flags.items() if value is not None]
+    return ", ".join(f"--{name.replace('_', '-')}" for name in given)
+
+
+def _warn_of_mixed_units(store: Catalogue) -> None:
+    smallest, largest = store.areas().get(None, (1.0, 1.0))
+    if largest > MIXED_UNITS * smallest:
+        say(
+            f"the largest body in {store.location} has {largest / smallest:.0f} times the area of the "
+            "smallest: size tells them apart only if all files have one unit"
+        )
 
 
 @command("options")
 @config_option
 @json_option
 def options_command(config: Path | None, as_json: bool) -> None:
-    """Print all options of the pipeline with their units, as TOML for --config.
+    """Print all settings of the pipeline with their units, as TOML for --config.
 
     \b
     pcretrieve options > mine.toml
@@ -28,4 +500,4 @@ def options_command(config: Path | None, as_json: bool) -> None:
     if as_json:
         write_document(None, options=options)
     else:
-        click.echo(describe_options(options))
+        print_text(describe_options(options))

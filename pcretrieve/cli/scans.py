@@ -1,33 +1,60 @@
-"""Commands on many scans: worker processes, progress, and results in the order of the scans."""
+"""Commands on scans without a catalogue: merge, reconstruct, signature."""
 
 from __future__ import annotations
 
+import math
+import sys
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import closing, nullcontext
+from contextlib import closing
+from dataclasses import asdict
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
-from pcretrieve.cli.messages import failure_line, say
-from pcretrieve.cli.progress import Progress
-from pcretrieve.cli.summary import record_facts
+from pcretrieve.cli.messages import Progress, bar, failure_line, say, shown_path, stop_waiting
+from pcretrieve.cli.options import (
+    CATALOGUE,
+    Decorated,
+    command,
+    config_option,
+    exit_if,
+    json_option,
+    limit_options,
+    load_options,
+    method_option,
+    n_values_option,
+    option,
+    output_option,
+    progress_option,
+    scale_option,
+    size_weight_option,
+    surface_option,
+    unit_option,
+    workers_option,
+)
+from pcretrieve.cli.output import write_document, write_line, write_row, write_steps
+from pcretrieve.errors import PcretrieveError, ShapeError, Stage
 
 if TYPE_CHECKING:
-    from pcretrieve.catalogue import Record
-    from pcretrieve.errors import PcretrieveError
-
-__all__ = ["each_scan", "failure_document", "output_files", "workers_option"]
+    from pcretrieve import MergeOptions, PipelineOptions, Signature, Step
+    from pcretrieve.points.register import Merged
+    from pcretrieve.values import Failure
 
 Answer = TypeVar("Answer")
 
-workers_option = click.option(
-    "--workers",
-    type=click.IntRange(min=1),
-    show_default="one per core",
-    metavar="N",
-    help="Scans at a time.",
-)
+
+def scans_options(command: Decorated) -> Decorated:
+    """Options of commands that work on many scans in processes, which `each_scan` takes."""
+    return workers_option(limit_options(progress_option(command)))
+
+
+def alone(function: Callable[..., Answer], *arguments: Any, timeout: float, memory: float | None) -> Answer:
+    """Call a function in a process of its own, which may crash, hang or fill the memory."""
+    from pcretrieve.ingestion import Isolation
+
+    return Isolation(timeout, memory).call(function, *arguments)
 
 
 def each_scan(
@@ -36,42 +63,48 @@ def each_scan(
     scans: Sequence[Path],
     *,
     workers: int | None,
-    timeout: float,
-    memory: float | None,
     progress: str | None,
-) -> Iterator[tuple[Path, Answer | Record]]:
-    """Apply a function to scans by the default executor, and show progress if there are several.
-
-    timeout: longest time for one scan; seconds.
-    """
-    from pcretrieve.errors import PcretrieveError
+    **limits: Any,
+) -> Iterator[tuple[Path, Answer | Failure]]:
+    """Apply a function to scans in processes, in their order, and show progress if there are several."""
     from pcretrieve.ingestion.discover import printable
     from pcretrieve.ingestion.isolation import in_processes
 
-    finished: dict[Path, Answer | Record] = {}
+    finished: dict[Path, Answer | Failure] = {}
     n_yielded = 0
-    running = in_processes(function, scans, workers=workers, timeout=timeout, memory=memory)
-    shown = Progress(command, len(scans), progress) if progress and len(scans) > 1 else nullcontext()
-    with closing(running), shown as bar:
+    shown = Progress(command, (progress if len(scans) > 1 else None) or "none")
+    shown.start(len(scans))
+    running = in_processes(function, scans, workers=workers, **limits)
+    with closing(running), shown:
         for path, outcome in running:
+            name = printable(path)
             if isinstance(outcome, PcretrieveError):
-                finished[path] = failure = _failure(path, outcome)
-                facts, message = record_facts(failure), failure_line(failure)
+                finished[path] = failure = failure_of(Path(name).stem, outcome)
+                facts: dict[str, object] = {"status": "failed", "seconds": 0.0, "id": failure.shape_id}
+                facts |= {"path": name, "stage": failure.stage, "error": failure.error}
+                shown.advance(facts | {"message": failure.message}, failure_line(failure, name))
             else:
                 finished[path] = outcome
-                facts, message = {"path": printable(path), "status": "done"}, None
-            if bar is not None:
-                bar.advance(facts, message)
-            elif message is not None:
-                say(message)
+                shown.advance({"path": name, "status": "done"})
             while n_yielded < len(scans) and scans[n_yielded] in finished:
                 yield scans[n_yielded], finished.pop(scans[n_yielded])
                 n_yielded += 1
 
 
-def failure_document(record: Record) -> dict[str, object]:
-    """The JSON document of a scan that failed, in place of that of its result."""
-    return {"scan": record.path, "error": record.error, "stage": record.stage, "message": record.message}
+def failure_of(shape_id: str, error: PcretrieveError) -> Failure:
+    """What is known of a scan that failed; errors that are not failures of a scan are raised."""
+    from pcretrieve.ingestion.discover import printable
+    from pcretrieve.values import Failure
+
+    if not isinstance(error, ShapeError):
+        raise error
+    stage = str(error.stage or Stage.WORKER)
+    return Failure(shape_id, stage, type(error).__name__, printable(error.message))
+
+
+def failure_document(failure: Failure) -> dict[str, object]:
+    """The JSON document of a failure, in place of that of a result."""
+    return {"error": failure.error, "stage": failure.stage, "message": failure.message}
 
 
 def output_files(folder: Path, scans: Sequence[Path], source: Path, suffix: str) -> dict[Path, Path]:
@@ -89,14 +122,375 @@ def output_files(folder: Path, scans: Sequence[Path], source: Path, suffix: str)
     return {scan: folder / f"{ids[printable(scan)]}{suffix}" for scan in scans}
 
 
-def _failure(path: Path, error: PcretrieveError) -> Record:
-    """The record of a scan that failed; errors that are not failures of a scan are raised."""
-    from pcretrieve.catalogue import Record
-    from pcretrieve.errors import ShapeError
-    from pcretrieve.ingestion.discover import printable
-    from pcretrieve.ingestion.plan import failed
+# --- merge ---------------------------------------------------------------------------------------------
 
-    if not isinstance(error, ShapeError):
-        raise error
-    name = printable(path)
-    return failed(Record(Path(name).stem, name, ""), error)
+
+@command("merge")
+@click.argument("paths", nargs=-1, metavar="VIEWS...")
+@output_option("CLOUD", "Write this point cloud: .ply, .pcd or .xyzn.")
+@option("--refine/--no-refine", default=None, help="Refine known poses, or use them as they are.")
+@option(
+    "--sensor",
+    type=click.Choice(["front", "origin"]),
+    help="Where the sensor is, if files do not say: far away in front, as of range scanners, or at the "
+    "origin, as of depth cameras.  [default: front]",
+)
+@option("--max-range", type=float, metavar="LENGTH", help="Remove points farther from the sensor.")
+@option(
+    "--background",
+    type=click.Choice(["none", "planes"]),
+    help="Remove floors and walls (planes).  [default: none]",
+)
+@option("--keep-largest", is_flag=True, default=None, help="Keep the largest piece of each view.")
+@config_option
+@partial(limit_options, unit="view")
+@json_option
+def merge_command(
+    paths: tuple[str, ...],
+    output: Path,
+    config: Path | None,
+    timeout: float,
+    memory: float | None,
+    as_json: bool,
+    **chosen: Any,
+) -> None:
+    """Merge views of one body, taken from different sides, into one scan.
+
+    VIEWS are files, folders, glob patterns, a Stanford .conf file, or a folder of the TUM RGB-D benchmark.
+    Views may come in any order and any pose. A view that fits no other is left out, and the exit code is 3.
+    Lengths are in the unit of the files.
+
+    \b
+    pcretrieve merge bunny/*.ply -o bunny.ply
+    pcretrieve merge frames/ --config depth-camera -o body.ply
+    pcretrieve merge frames/ --sensor origin --max-range 1.5 -o body.ply
+    """
+    from pcretrieve import write_cloud
+    from pcretrieve.formats import check_output
+    from pcretrieve.ingestion.discover import printable
+    from pcretrieve.ingestion.views import view_files
+
+    if not paths:
+        raise click.UsageError("name at least two views, or one .conf")
+    given = {name: value for name, value in chosen.items() if value is not None}
+    options = load_options(config).changed(merge=given)
+    files, _ = view_files(paths)
+    check_output(output, files, "point")
+    stop_waiting()  # the process of the registration shows a bar
+    merged = alone(_merged, paths, options.merge, timeout=timeout * len(files), memory=memory)
+    write_cloud(merged.cloud, output)
+    names = [printable(file) for file in files]
+    _say_residuals(merged, names, output)
+    if as_json:
+        write_document(_merge_document(merged, names, output), options=options)
+    exit_if(merged.left_out)
+
+
+def _merged(paths: Sequence[str], options: MergeOptions) -> Merged:
+    """Merge views in a worker process, which imports Open3D, and shows its progress on standard error."""
+    from pcretrieve import merge_views
+
+    with bar(unit="pair", desc="merge", disable=None) as shown:
+
+        def on_pair(done: int, total: int) -> None:
+            shown.total = total
+            shown.update(done - shown.n)
+
+        return merge_views(paths, options, on_pair=on_pair)
+
+
+def _say_residuals(merged: Merged, names: Sequence[str], output: Path) -> None:
+    """Print a table of the views, with their overlaps and residuals."""
+    say(f"{'view':<8}  {'overlap':>7}  {'rms':>10}  file")
+    for number, name in enumerate(names):
+        if number in merged.left_out:
+            say(f"{'left out':<8}  {'-':>7}  {'-':>10}  {name}")
+        else:
+            say(f"{'placed':<8}  {merged.shares[number]:7.1%}  {merged.rms(number):10.3g}  {name}")
+    (step,) = merged.cloud.provenance
+    for note in step.notes:
+        say(note)
+    say(
+        f"placed {len(names) - len(merged.left_out)} of {len(names)} views, rms {merged.rms():.3g} "
+        f"({merged.rms() / merged.scale:.2%} of a view's diagonal), {len(merged.cloud.points)} points, "
+        f"{step.seconds:.1f} s: {output}"
+    )
+
+
+def _merge_document(merged: Merged, names: Sequence[str], output: Path) -> dict[str, object]:
+    """The JSON document of merged views, with null for NaN, which JSON does not have."""
+
+    def number_or_none(value: float) -> float | None:
+        return value if math.isfinite(value) else None
+
+    (step,) = merged.cloud.provenance
+    return {
+        "cloud": str(output),
+        "points": len(merged.cloud.points),
+        "diagonal": merged.scale,
+        "rms": number_or_none(merged.rms()),
+        "views": [
+            {
+                "path": name,
+                "placed": number not in merged.left_out,
+                "pose": None if number in merged.left_out else merged.poses[number].tolist(),
+                "overlap": float(merged.shares[number]),
+                "rms": number_or_none(merged.rms(number)),
+            }
+            for number, name in enumerate(names)
+        ],
+        "overlaps": [asdict(overlap) for overlap in merged.overlaps],
+        "notes": list(step.notes),
+        "seconds": round(step.seconds, 3),
+    }
+
+
+# --- reconstruct ---------------------------------------------------------------------------------------
+
+
+@command("reconstruct")
+@click.argument("scan", type=click.Path(path_type=Path), metavar="SCAN|FOLDER")
+@output_option("MESH|FOLDER", "Write this mesh (.ply .obj .off .stl .glb); for a folder of scans, a folder.")
+@option(
+    "--suffix",
+    type=click.Choice([".ply", ".obj", ".off", ".stl", ".glb"]),
+    metavar="SUFFIX",
+    help="Format of the meshes of a folder of scans.  [default: .ply]",
+)
+@option("--report", is_flag=True, help="Print each step, with what was repaired.")
+@config_option
+@surface_option
+@scans_options
+@json_option
+def reconstruct_command(
+    scan: Path,
+    output: Path,
+    suffix: str | None,
+    report: bool,
+    config: Path | None,
+    surface: str | None,
+    as_json: bool,
+    **run: Any,
+) -> None:
+    """Turn a scan into a closed surface, and write it to a mesh file.
+
+    The surface is oriented and manifold. Each scan of a folder gets a mesh of the same name.
+
+    \b
+    pcretrieve reconstruct scan.ply -o body.obj --report
+    pcretrieve reconstruct scans/ -o meshes/ --workers 2
+    """
+    from pcretrieve.formats import check_output
+
+    options = load_options(config, surface)
+    if scan.is_dir():
+        _reconstruct_folder(scan, output, suffix or ".ply", report, options, as_json, **run)
+        return
+    if suffix is not None:
+        raise click.UsageError("--suffix is for folders: give the suffix of the mesh with -o")
+    check_output(output, [scan], "mesh")
+    limits = {"timeout": run["timeout"], "memory": run["memory"]}
+    facts, steps = alone(_reconstructed, options, {scan: output}, scan, **limits)
+    if as_json:
+        write_document(facts | {"steps": [asdict(step) for step in steps]}, options=options)
+        return
+    if report:
+        write_steps(steps)
+    values = (f"{value:.6g}" if isinstance(value, float) else str(value) for value in facts.values())
+    say("  ".join(f"{name} {value}" for name, value in zip(facts, values, strict=True)))
+
+
+def _reconstruct_folder(
+    folder: Path, output: Path, suffix: str, report: bool, options: PipelineOptions, as_json: bool, **run: Any
+) -> None:
+    """Write the surface of each scan of a folder."""
+    from pcretrieve.ingestion.discover import discover, printable
+    from pcretrieve.values import Failure
+
+    scans = discover([folder])
+    files = output_files(output, scans, folder, suffix)
+    documents: list[dict[str, object]] = []
+    made: list[tuple[str, tuple[Step, ...]]] = []  # printed at the end, because they would break a bar
+    for path, outcome in each_scan("reconstruct", partial(_reconstructed, options, files), scans, **run):
+        name = printable(path)
+        if isinstance(outcome, Failure):
+            documents.append({"scan": name} | failure_document(outcome))
+            continue
+        facts, steps = outcome
+        documents.append({"scan": name} | facts | {"steps": [asdict(step) for step in steps]})
+        made.append((name, steps))
+    if as_json:
+        write_document(documents, options=options)
+    elif report:
+        for name, steps in made:
+            write_line(shown_path(name))
+            write_steps(steps)
+    n_failed = len(scans) - len(made)
+    say(f"{len(made)} surfaces are in {output}, {n_failed} scans failed")
+    exit_if(n_failed)
+
+
+def _reconstructed(
+    options: PipelineOptions, files: dict[Path, Path], scan: Path
+) -> tuple[dict[str, object], tuple[Step, ...]]:
+    """Write the surface of a scan, in a worker process, which imports the stages."""
+    from pcretrieve import reconstruct, write_mesh
+
+    mesh = reconstruct(scan, options)
+    write_mesh(mesh, files[scan])
+    facts: dict[str, object] = {
+        "mesh": str(files[scan]),
+        "vertices": len(mesh.vertices),
+        "faces": len(mesh.faces),
+        "euler": mesh.euler_characteristic,
+        "area": mesh.area,
+        "volume": mesh.volume,
+    }
+    return facts, mesh.provenance
+
+
+# --- signature -----------------------------------------------------------------------------------------
+
+
+@command("signature")
+@click.argument("paths", nargs=-1, metavar="[PATH|ID]...")
+@click.option(
+    "--from-catalogue",
+    type=CATALOGUE,
+    metavar="FILE|URL",
+    help="Take shapes of a catalogue by id, or all of them, not scans.",
+)
+@method_option
+@n_values_option
+@option(
+    "--n-modes",
+    type=click.IntRange(min=2),
+    metavar="M",
+    rare=True,
+    help="Number of modes of the surface.  [default: 60]",
+)
+@scale_option
+@size_weight_option
+@config_option
+@surface_option
+@unit_option
+@scans_options
+@json_option
+def signature_command(
+    paths: tuple[str, ...],
+    from_catalogue: str | None,
+    config: Path | None,
+    surface: str | None,
+    unit: str | None,
+    as_json: bool,
+    workers: int | None,
+    progress: str,
+    timeout: float,
+    memory: float | None,
+    **chosen: Any,
+) -> None:
+    """Print the signatures of scans, one line each: path, then values.
+
+    With --from-catalogue, the lines begin with the id, and nothing is reconstructed again.
+
+    \b
+    pcretrieve signature body.obj
+    pcretrieve signature scans/ --method shape-dna --json
+    pcretrieve signature --from-catalogue bodies.sqlite T12 T17 --method wks
+    """
+    from pcretrieve import Catalogue
+
+    given = {name: value for name, value in chosen.items() if value is not None}
+    if from_catalogue is not None:
+        if config or surface or unit:
+            raise click.UsageError(
+                "a catalogue has options of its own: leave out --config, --surface and --unit"
+            )
+        with Catalogue(from_catalogue) as store:
+            options = store.options.changed(signature=given)
+            n_failed = _write_signatures(_of_catalogue(store, paths, options), options, as_json)
+    else:
+        if not paths:
+            raise click.UsageError("name at least one scan")
+        options = load_options(config, surface, unit).changed(signature=given)
+        # On a terminal, the signatures themselves show the progress, and would break a bar.
+        is_shown = progress != "bar" or as_json or not sys.stdout.isatty()
+        limits = {"workers": workers, "timeout": timeout, "memory": memory}
+        rows = _of_scans(paths, options, progress=progress if is_shown else None, **limits)
+        n_failed = _write_signatures(rows, options, as_json)
+    exit_if(n_failed)
+
+
+def _write_signatures(
+    rows: Iterator[tuple[str, Signature | Failure, dict[str, object]]],
+    options: PipelineOptions,
+    as_json: bool,
+) -> int:
+    """Print signatures as they come, or one document. Returns the number of failures."""
+    from pcretrieve.values import Failure
+
+    found: list[dict[str, object]] = []
+    n_failed = 0
+    for name, outcome, facts in rows:
+        if isinstance(outcome, Failure):
+            n_failed += 1
+            found.append(facts | failure_document(outcome))
+            continue
+        facts |= {"kind": outcome.kind, "unit": outcome.unit, "values": outcome.values.tolist()}
+        if outcome.deviation is not None:
+            facts |= {"deviation": outcome.deviation.tolist()}
+        found.append(facts)
+        if not as_json:
+            write_row([shown_path(name), *(f"{value:.9g}" for value in outcome.values)])
+    if as_json:
+        write_document(found, options=options)
+    return n_failed
+
+
+def _of_scans(
+    paths: tuple[str, ...], options: PipelineOptions, **run: Any
+) -> Iterator[tuple[str, Signature | Failure, dict[str, object]]]:
+    """Name, and signature or failure of each scan, and what else is known of it."""
+    from pcretrieve.ingestion.discover import discover, printable
+
+    for path, outcome in each_scan("signature", partial(_described, options), discover(paths), **run):
+        name = printable(path)
+        if isinstance(outcome, tuple):
+            signature, seconds = outcome
+            yield name, signature, {"path": name, "seconds": round(seconds, 3)}
+        else:
+            yield name, outcome, {"path": name}
+
+
+def _described(options: PipelineOptions, path: Path) -> tuple[Signature, float]:
+    """A signature and its seconds, in a worker process, which imports the stages."""
+    from pcretrieve import describe, process
+    from pcretrieve.errors import in_stage
+
+    shape = process(path, options)
+    with in_stage(Stage.SIGNATURE):
+        signature = describe(shape, options.signature)
+    return signature, sum(step.seconds for step in shape.provenance)
+
+
+def _of_catalogue(
+    store: Any, ids: tuple[str, ...], options: PipelineOptions
+) -> Iterator[tuple[str, Signature | Failure, dict[str, object]]]:
+    """Id, and signature or failure of each shape of a catalogue, and what else is known of it."""
+    from pcretrieve import describe
+    from pcretrieve.descriptors import DESCRIPTORS
+    from pcretrieve.values import Failure
+
+    needs = DESCRIPTORS[options.signature.method].needs
+    for record in [store.record(shape_id) for shape_id in ids] or store.records(status="done"):
+        outcome: Signature | Failure
+        if record.status == "failed":
+            outcome = Failure(record.id, record.stage, record.error, record.message)
+        else:
+            try:
+                outcome = describe(store.shape(record.id, needs), options.signature)
+            except ShapeError as error:
+                outcome = failure_of(record.id, error)
+        if isinstance(outcome, Failure):
+            say(failure_line(outcome, record.path))
+        yield record.id, outcome, {"id": record.id, "path": record.path}

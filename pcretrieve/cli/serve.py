@@ -1,4 +1,4 @@
-"""The command that serves the search page of a catalogue: serve."""
+"""The command that shows a catalogue in the browser: serve."""
 
 from __future__ import annotations
 
@@ -7,12 +7,11 @@ from typing import Any
 
 import click
 
-from pcretrieve.cli.commands import command, option
-from pcretrieve.cli.comparison import compared, comparison_options
-from pcretrieve.cli.messages import say, write_line
-from pcretrieve.cli.parts import catalogue_option, up_option
+from pcretrieve.cli.messages import say
+from pcretrieve.cli.options import catalogue_option, command, comparison_options, opened, option, up_option
+from pcretrieve.cli.output import write_line
 
-__all__ = ["serve_command"]
+MEGABYTE = 1_000_000
 
 
 @command("serve")
@@ -23,14 +22,14 @@ __all__ = ["serve_command"]
     default=8765,
     show_default=True,
     metavar="N",
-    help="The port at 127.0.0.1; 0 for any free one.",
+    help="Port at 127.0.0.1; 0 for any free one.",
 )
 @click.option("--read-only", is_flag=True, help="Take no scans from browsers.")
 @click.option(
     "--keep",
     type=click.Path(exists=True, file_okay=False, writable=True, path_type=Path),
     metavar="FOLDER",
-    help="Let scans from browsers be kept when asked to: files here, shapes in the catalogue.",
+    help="Let people keep their scans: files in this folder, shapes in the catalogue.",
 )
 @click.option(
     "--max-upload",
@@ -38,7 +37,7 @@ __all__ = ["serve_command"]
     default=200,
     show_default=True,
     metavar="MB",
-    help="Largest size of a scan from a browser.",
+    help="Refuse larger scans from browsers.",
 )
 @option(
     "--timeout",
@@ -47,7 +46,7 @@ __all__ = ["serve_command"]
     show_default=True,
     metavar="SECONDS",
     rare=True,
-    help="Longest time for a scan from a browser.",
+    help="Give up on a scan from a browser after this time.",
 )
 @option(
     "--memory",
@@ -56,7 +55,7 @@ __all__ = ["serve_command"]
     show_default=True,
     metavar="GIB",
     rare=True,
-    help="Largest heap of the process for scans from browsers.",
+    help="Give the process for scans from browsers no more memory than this.",
 )
 @up_option
 @comparison_options
@@ -71,31 +70,29 @@ def serve_command(
     up: str | None,
     **comparison: Any,
 ) -> None:
-    """Serve the search page of a catalogue to browsers of this computer, until Ctrl-C.
+    """Show a catalogue in the browser of this computer, until Ctrl-C.
 
-    Printed is the address to open. It contains a random token, without which nothing is answered; whoever has
-    the address can see the shapes, and search by scans, which are processed in an isolated process, and
-    removed unless --keep is given. From another computer, use an SSH tunnel:
-    ssh -L 8765:127.0.0.1:8765 HOST. Needs the extra web: pip install 'pcretrieve[web]'.
+    Open the address that is printed. It contains a secret: whoever has it can see the shapes, and search by
+    scans. Scans run in an isolated process, and are deleted unless you give --keep. From another computer,
+    use an SSH tunnel: ssh -L 8765:127.0.0.1:8765 HOST. Needs pip install 'pcretrieve[web]'.
 
     \b
     pcretrieve serve --catalogue bodies.sqlite
     pcretrieve serve --catalogue bodies.sqlite --port 0 --keep scans/
     """
-    from pcretrieve.catalogue import Catalogue
-    from pcretrieve.web import serve
+    from pcretrieve import serve
 
     if read_only and keep is not None:
         raise click.UsageError("choose one of --read-only and --keep")
-    with Catalogue(catalogue) as store:
-        options = compared(store, **comparison)
+    with opened(catalogue, comparison) as (_, options):
+        pass
     say("Open the address in a browser; end the server with Ctrl-C.")
     serve(
         catalogue,
         options=options,
         port=port,
         read_only=read_only,
-        most_bytes=max_upload * 1_000_000,
+        most_bytes=max_upload * MEGABYTE,
         timeout=timeout,
         memory=memory,
         up=up,

@@ -5,10 +5,7 @@ measures and precision–recall curves go out.
 """
 
 from pcretrieve.evaluation.catalogue import (
-    CatalogueDistances,
     RankedCatalogue,
-    calibrate,
-    catalogue_distances,
     check_known,
     rank_catalogue,
     rank_matrix,
@@ -30,6 +27,7 @@ from pcretrieve.evaluation.comparison import (
     write_evaluation,
 )
 from pcretrieve.evaluation.folds import evaluate_table, rank_table, rerank_table
+from pcretrieve.evaluation.front import Evaluation, calibrate, compare, evaluate, matrix
 from pcretrieve.evaluation.measures import (
     LEVEL,
     MEASURES,
@@ -48,11 +46,11 @@ __all__ = [
     "LEVEL",
     "MEASURES",
     "PUBLISHED",
-    "CatalogueDistances",
     "Change",
     "ClassMeasures",
     "Comparison",
     "Confusion",
+    "Evaluation",
     "NoMatchMeasures",
     "PrecisionRecall",
     "Published",
@@ -62,13 +60,15 @@ __all__ = [
     "RetrievalMeasures",
     "bootstrap_interval",
     "calibrate",
-    "catalogue_distances",
     "check_known",
     "class_measures",
+    "compare",
     "compare_scores",
     "confusion",
+    "evaluate",
     "evaluate_rankings",
     "evaluate_table",
+    "matrix",
     "no_match_measures",
     "precision_recall",
     "query_scores",

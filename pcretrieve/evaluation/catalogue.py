@@ -16,17 +16,10 @@ from pcretrieve.evaluation.folds import Subset, rank_subsets, rank_table, rerank
 from pcretrieve.evaluation.rankings import Rankings, rank
 from pcretrieve.ingestion.labels import match_labels
 from pcretrieve.ingestion.layouts import labels_of
-from pcretrieve.matching import MATCHERS, DistanceMatrix, PairwiseIndex, distance_matrix
+from pcretrieve.matching import DistanceMatrix
 from pcretrieve.options import PipelineOptions, RerankKind
-from pcretrieve.retrieval import (
-    Ranking,
-    SignatureIndex,
-    Whitening,
-    resolution_covariance,
-    table_whitening,
-    write_whitening,
-)
-from pcretrieve.values import Failure, SignatureTable
+from pcretrieve.retrieval import resolution_covariance, table_whitening
+from pcretrieve.values import SignatureTable
 
 logger = logging.getLogger(__name__)
 
@@ -159,63 +152,3 @@ def _classes(file: str | Path, labels: Mapping[str, str], paths: Mapping[str, st
             "%s names %d shapes that are not among those ranked, such as %s", file, len(unknown), unknown[0]
         )
     return {shape_id: matched.get(shape_id) for shape_id in paths}
-
-
-def calibrate(catalogue: Catalogue, path: str | Path, options: PipelineOptions | None = None) -> Whitening:
-    """Fit a within-class whitening to a labelled catalogue, and write it into a file.
-
-    Parameters
-    ----------
-    catalogue : Catalogue
-        Labelled shapes, such as three people in ten poses.
-    path : str or Path
-        The file, which `RetrievalOptions.calibration` names in searches of other catalogues.
-    options : PipelineOptions, optional
-        The signatures and the shrinkage; by default those of the catalogue.
-
-    Returns
-    -------
-    Whitening
-        The whitening.
-
-    Raises
-    ------
-    CatalogueError
-        If `options` require other spectra than the catalogue has.
-    InputError
-        If no class has two distinct shapes, or the file cannot be written.
-    """
-    options = options or catalogue.options
-    fitted = catalogue.whitening(
-        options.changed(retrieval={"whitening": "within-class", "calibration": None})
-    )
-    write_whitening(fitted, Path(path))
-    return fitted
-
-
-class CatalogueDistances(NamedTuple):
-    """The distances between the shapes of a catalogue."""
-
-    matrix: DistanceMatrix
-    failures: tuple[Failure, ...]
-
-
-def catalogue_distances(
-    catalogue: Catalogue, options: PipelineOptions | None = None, *, matcher: str | None = None
-) -> CatalogueDistances:
-    """All distances between the shapes of a catalogue that did not fail."""
-    labels = {record.id: record.label for record in catalogue.records(status="done")}
-    if not labels:
-        raise InputError(f"{catalogue.location} holds no shapes: ingest some first")
-    failures: tuple[Failure, ...] = ()
-    ranking: Ranking
-    if matcher is None:
-        options = options or catalogue.options
-        whitening = catalogue.whitening(options)
-        ranking = SignatureIndex(catalogue.signatures(options), options.retrieval, whitening=whitening)
-    else:
-        needs = MATCHERS[matcher].needs
-        ranking = PairwiseIndex(MATCHERS[matcher], labels, lambda shape_id: catalogue.shape(shape_id, needs))
-        failures = ranking.failures
-    matrix = distance_matrix(ranking, tuple(labels[shape_id] for shape_id in ranking.ids))
-    return CatalogueDistances(matrix, failures)

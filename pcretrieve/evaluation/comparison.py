@@ -9,7 +9,7 @@ from __future__ import annotations
 import csv
 import io
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import NamedTuple
 
@@ -64,6 +64,9 @@ class Comparison(Value):
     changes: tuple[Change, ...]
     only_first: tuple[str, ...]
     only_second: tuple[str, ...]
+    # With which options each result was computed; None for a file of distances or measures.
+    first_options: PipelineOptions | None = field(default=None, compare=False, repr=False)
+    second_options: PipelineOptions | None = field(default=None, compare=False, repr=False)
 
 
 def compare_scores(

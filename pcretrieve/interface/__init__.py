@@ -4,12 +4,13 @@ A catalogue may be given as a `Catalogue` or as its path or URL, options as in `
 a scan as a path, an array, or geometry of this package or another.
 """
 
+from pcretrieve.evaluation import calibrate, compare, evaluate, matrix
 from pcretrieve.interface.batches import retry, status, watch
 from pcretrieve.interface.catalogues import CatalogueLike, merge_catalogues
 from pcretrieve.interface.collections import draw_map
 from pcretrieve.interface.maintenance import backup, check
 from pcretrieve.interface.queries import query_page
-from pcretrieve.interface.retrieval import calibrate, compare, evaluate, matrix, report
+from pcretrieve.interface.retrieval import report
 from pcretrieve.interface.scans import ingest, inspect, merge_views
 
 __all__ = [

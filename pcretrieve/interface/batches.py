@@ -49,6 +49,7 @@ def retry(
     memory: float | None = None,
     executor: Executor | str = "processes",
     retries: int = 0,
+    on_start: Callable[[int], None] = lambda number: None,
     on_shape: Callable[[Record], None] = lambda record: None,
 ) -> Summary:
     """Process the failed shapes of a catalogue again.
@@ -70,6 +71,8 @@ def retry(
         As for `pcretrieve.ingest`.
     retries : int, default 0
         As for `pcretrieve.ingest`.
+    on_start : function, optional
+        As for `pcretrieve.ingest`.
     on_shape : function, optional
         As for `pcretrieve.ingest`.
 
@@ -87,8 +90,10 @@ def retry(
     """
     runs = EXECUTORS[executor] if isinstance(executor, str) else executor
     with opened(catalogue) as store:
+        failed = failed_paths(store, stage)
+        on_start(len(failed))
         return ingest_files(
-            failed_paths(store, stage),
+            failed,
             store,
             workers=workers,
             timeout=timeout,

@@ -39,6 +39,7 @@ def ingest(
     max_failures: int | None = None,
     dry_run: bool = False,
     shard: str | None = None,
+    on_start: Callable[[int], None] = lambda number: None,
     on_shape: Callable[[Record], None] = lambda record: None,
 ) -> Summary:
     """Process scans, and store them in a catalogue, failures included.
@@ -80,6 +81,8 @@ def ingest(
     shard : str, optional
         ``I/N``: process the I-th of N parts of the scans only, each into a catalogue of its own, from which
         `merge_catalogues` makes the catalogue of all. The part of a scan depends on its content.
+    on_start : function, optional
+        Called with the number of scans before the first of them is processed.
     on_shape : function, optional
         Called with the record of each shape as soon as it is stored, or skipped.
 
@@ -110,6 +113,7 @@ def ingest(
     runs = EXECUTORS[executor] if isinstance(executor, str) else executor
     classes = labels if isinstance(labels, Mapping) else names
     part = scans_of(shard, scans)
+    on_start(len(part))
     if dry_run:
         records = stored_records(catalogue, chosen)
         return plan_files(

@@ -333,7 +333,7 @@ def test_the_command_line_takes_a_url(location: str, eggs: list[Path]) -> None:
         assert result.exit_code == 0, result.output
         return result.stdout
 
-    run("ingest", *eggs, "-c", location, "--executor", "calling-process")
+    run("ingest", *eggs, "-c", location, "--workers", "1")
     assert len(run("list", "-c", location).splitlines()) == 1 + 4  # with the names of the columns
     assert "egg1" in run("query", "egg1", "-c", location).splitlines()[1]
 

@@ -14,12 +14,10 @@ import shapes
 from click.testing import CliRunner, Result
 
 from pcretrieve import __version__
-from pcretrieve.cli.commands import command
-from pcretrieve.cli.documents import write_documents
+from pcretrieve.cli.batches import _say_summary
 from pcretrieve.cli.main import COMMANDS, cli
-from pcretrieve.cli.messages import write_words
-from pcretrieve.cli.parts import json_option
-from pcretrieve.cli.summary import say_summary
+from pcretrieve.cli.options import command, json_option
+from pcretrieve.cli.output import write_documents, write_words
 from pcretrieve.errors import CatalogueError
 from pcretrieve.formats import write_mesh
 from pcretrieve.ingestion.run import Summary
@@ -149,7 +147,7 @@ def test_a_password_is_not_repeated() -> None:
 
 def test_messages_have_no_passwords(capsys: pytest.CaptureFixture[str]) -> None:
     """Neither those of an ingest, nor results in words; other texts stay as they are."""
-    say_summary(Summary(), "postgresql://ann:secret@localhost:1/none", None)
+    _say_summary(Summary(), "postgresql://ann:secret@localhost:1/none", None)
     write_words("postgresql://ann:secret@localhost:1/none: 3 shapes; scans are at https://host:80/a@b:c")
     shown = capsys.readouterr()
     assert "secret" not in shown.err + shown.out

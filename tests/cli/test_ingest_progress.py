@@ -11,7 +11,7 @@ import shapes
 from click.testing import CliRunner, Result
 
 from pcretrieve import Catalogue
-from pcretrieve.cli import progress
+from pcretrieve.cli import messages
 from pcretrieve.cli.main import cli
 from pcretrieve.formats import write_mesh
 
@@ -102,7 +102,7 @@ def test_where_standard_error_is_no_terminal_there_is_a_line_now_and_then(
 ) -> None:
     assert ingest(folder, "--progress", "none").stderr.count("of 6 scans") == 0
     (folder / "c.sqlite").unlink()
-    monkeypatch.setattr(progress, "LINE_INTERVAL", 0.1)
+    monkeypatch.setattr(messages, "LINE_INTERVAL", 0.1)
     said = ingest(folder).stderr
     assert said.startswith("ingest: 6 scans\n")
     assert re.search(r"\ningest: [0-5] of 6 scans, \d failed, after \d+ s(, \d+ (s|min) left)?\n", said)

@@ -21,7 +21,7 @@ from click.testing import CliRunner
 from pcretrieve import Catalogue
 from pcretrieve.catalogue import Content, Record
 from pcretrieve.cli.main import cli
-from pcretrieve.cli.tables import BLOCK, Column, write_table
+from pcretrieve.cli.output import BLOCK, Column, write_table
 from pcretrieve.descriptors import describe
 from pcretrieve.options import PipelineOptions
 from pcretrieve.pipeline.process import process

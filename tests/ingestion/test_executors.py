@@ -12,12 +12,10 @@ from typing import Any
 import numpy as np
 import pytest
 import shapes
-from click.testing import CliRunner
 from dask_cluster import DaskCluster
 from packages import install, install_contributed
 
 from pcretrieve import Catalogue, ingest
-from pcretrieve.cli.main import cli
 from pcretrieve.errors import (
     InputError,
     MemoryExceeded,
@@ -139,20 +137,14 @@ def test_all_executors_make_the_same_catalogue(executor: Executor, tmp_path: Pat
         assert (failed.stage, failed.error, failed.message) == (other.stage, other.error, other.message)
 
 
-def test_the_command_line_takes_an_executor_by_its_name(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_executor_is_taken_by_its_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     install_contributed(tmp_path / "site", monkeypatch)
     write_mesh(shapes.ellipsoid((1, 1, 2), subdivisions=3), tmp_path / "egg.off")
-    command = ["ingest", str(tmp_path / "egg.off"), "-c", str(tmp_path / "c.sqlite"), "--executor"]
-    done = CliRunner().invoke(cli, [*command, "calling-process"])
-    assert done.exit_code == 0, done.output
+    ingest(tmp_path / "egg.off", tmp_path / "c.sqlite", executor="calling-process")
     with Catalogue(tmp_path / "c.sqlite") as catalogue:
         assert catalogue.signatures().ids == ("egg",)
     with pytest.raises(OptionError, match="no executor 'ship'; there are processes, calling-process"):
         ingest(tmp_path / "egg.off", tmp_path / "other.sqlite", executor="ship")
-    command[3] = str(tmp_path / "other.sqlite")
-    assert CliRunner().invoke(cli, [*command, "ship"]).exit_code != 0
     assert not (tmp_path / "other.sqlite").exists()
 
 

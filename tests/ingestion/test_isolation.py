@@ -102,7 +102,7 @@ def test_values_of_a_scan_survive_the_way_back() -> None:
 def test_commands_on_one_scan_import_no_stage_and_no_open3d_themselves() -> None:
     """The worker does, and doing both one after the other would take a second more."""
     modules = (
-        "import sys; import pcretrieve.cli.signature, pcretrieve.cli.reconstruct, pcretrieve.cli.inspect; "
+        "import sys; import pcretrieve.cli.scans, pcretrieve.cli.inspection; "
         "import pcretrieve.ingestion.isolation, pcretrieve.ingestion.discover, pcretrieve.options; "
         "print({'open3d', 'numba', 'scipy.sparse', 'pcretrieve.pipeline.process'} & set(sys.modules))"
     )

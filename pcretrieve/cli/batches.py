@@ -1,0 +1,394 @@
+"""Commands that fill a catalogue with scans: ingest, status, retry, watch."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import asdict
+from functools import partial
+from pathlib import Path
+from shlex import quote
+from typing import TYPE_CHECKING, Any, NoReturn
+
+import click
+
+from pcretrieve.cli.messages import (
+    Progress,
+    duration,
+    failure_facts,
+    log_to,
+    record_line,
+    say,
+    shown_path,
+    stop_waiting,
+    without_password,
+)
+from pcretrieve.cli.options import (
+    EXIT_INTERRUPTED,
+    catalogue_argument,
+    catalogue_option,
+    command,
+    config_option,
+    exit_if,
+    json_option,
+    limit_options,
+    load_options,
+    option,
+    progress_option,
+    surface_option,
+    unit_option,
+    workers_option,
+)
+from pcretrieve.cli.output import Column, write_document, write_table, write_words
+from pcretrieve.errors import CatalogueError
+
+if TYPE_CHECKING:
+    from pcretrieve import PipelineOptions
+    from pcretrieve.catalogue import Record
+    from pcretrieve.ingestion import BatchStatus, Executor
+    from pcretrieve.ingestion.run import Summary
+
+# Largest number of names in the message about names in a label file that match no scan.
+QUOTED = 5
+
+
+@command("ingest")
+@click.argument("paths", nargs=-1, metavar="PATH...")
+@catalogue_option
+@option(
+    "--labels",
+    metavar="CSV|LAYOUT",
+    help="Classes: a CSV file (columns file, class), a .cla file, or folders (named like classes), csv "
+    "(labels.csv beside scans), shrec11, shrec14-real, shrec14-synthetic, faust, tosca, psb.",
+)
+@config_option
+@surface_option
+@unit_option
+@option(
+    "--no-meshes",
+    is_flag=True,
+    rare=True,
+    help="Leave meshes out of a new catalogue: a scan takes some 60 kB, not some 350 kB, but pages have no "
+    "pictures, nothing can be exported, and only descriptors of the spectrum work.",
+)
+@workers_option
+@partial(limit_options, unit="scan")
+@option(
+    "--scheduler",
+    metavar="ADDRESS",
+    rare=True,
+    help="Process the scans on the Dask cluster of this scheduler.",
+)
+@option(
+    "--scheduler-file",
+    type=click.Path(path_type=Path),
+    metavar="FILE",
+    rare=True,
+    help="The same, by the file that `dask scheduler --scheduler-file` writes.",
+)
+@option(
+    "--cluster",
+    type=click.Choice(["local"]),
+    rare=True,
+    help="Start a Dask cluster on this computer, to try one.",
+)
+@option("--retry-failed", is_flag=True, help="Process failed scans again too.")
+@option(
+    "--retries",
+    type=click.IntRange(min=0),
+    default=0,
+    show_default=True,
+    metavar="N",
+    help="Try failing scans again, with changes.",
+    details="After all other scans, at most N times: in a new process, then with cheaper settings, then by "
+    "the other method of reconstruction. `pcretrieve show` tells what was changed.",
+)
+@option(
+    "--max-failures",
+    type=click.IntRange(min=1),
+    metavar="N",
+    rare=True,
+    help="Stop after N scans have failed. The same command goes on from there.",
+)
+@option("--dry-run", is_flag=True, help="Show what would be done, and do nothing.")
+@progress_option
+@option("--quiet", "-q", is_flag=True, help="Print warnings and failures only.")
+@option(
+    "--log-file",
+    type=click.Path(path_type=Path),
+    metavar="FILE",
+    help="Append each stage of each scan to a file.",
+    details="With repairs and fallbacks.",
+)
+@option(
+    "--shard",
+    metavar="I/N",
+    rare=True,
+    help="Process only part I of N, as one task of a job array; `catalogue merge` joins the catalogues.",
+)
+@json_option
+def ingest_command(
+    paths: tuple[str, ...],
+    catalogue: str,
+    config: Path | None,
+    surface: str | None,
+    unit: str | None,
+    no_meshes: bool,
+    scheduler: str | None,
+    scheduler_file: Path | None,
+    cluster: str | None,
+    progress: str,
+    quiet: bool,
+    log_file: Path | None,
+    as_json: bool,
+    **chosen: Any,
+) -> None:
+    """Process scans, and store them in a catalogue.
+
+    PATH is a file, a folder, a glob pattern, or a list of files (.txt, .csv). Scans that are stored already
+    are skipped, so after an interruption the same command goes on.
+
+    \b
+    pcretrieve ingest scans/ --labels scans/labels.csv --catalogue bodies.sqlite
+    pcretrieve ingest 'tosca/*.off' --surface keep --catalogue tosca.sqlite
+    """
+    from pcretrieve import Catalogue, ingest
+
+    if not paths:
+        raise click.UsageError("name at least one scan")
+    if log_file is not None:
+        log_to(log_file)
+    options = _new_options(config, surface, unit, no_meshes)
+    if scheduler or scheduler_file or cluster:
+        chosen["executor"] = _cluster(scheduler, scheduler_file, cluster)
+    with Progress("ingest", "none" if quiet and progress == "bar" else progress) as shown:
+        try:
+            summary = ingest(
+                paths, catalogue, options=options, on_start=shown.start, on_shape=shown.record, **chosen
+            )
+        except (KeyboardInterrupt, SystemExit) as stop:
+            _stopped(stop, catalogue, shown)
+    if not quiet:
+        _say_summary(summary, catalogue, chosen["labels"])
+    if as_json:
+        if not chosen["dry_run"]:
+            with Catalogue(catalogue) as store:
+                options = store.options
+        write_document(_summary_document(summary, catalogue), options=options)
+    exit_if(_failures(summary))
+
+
+def _new_options(
+    config: Path | None, surface: str | None, unit: str | None, no_meshes: bool = False
+) -> PipelineOptions | None:
+    """The options of a new catalogue; None for those of the catalogue, if nothing was given."""
+    if not (config or surface or unit or no_meshes):
+        return None
+    options = load_options(config, surface, unit)
+    if no_meshes:
+        options = options.changed(catalogue={"keep": set(options.catalogue.keep) - {"meshes"}})
+    return options
+
+
+def _cluster(scheduler: str | None, scheduler_file: Path | None, cluster: str | None) -> Executor:
+    from pcretrieve import DaskExecutor
+
+    return DaskExecutor(scheduler, scheduler_file, cluster == "local")
+
+
+def _stopped(stop: BaseException, catalogue: str, shown: Progress | None = None) -> NoReturn:
+    """End the command after Ctrl-C or a signal, and say what is stored."""
+    from pcretrieve import Catalogue
+
+    if shown is not None:
+        shown.__exit__(None, None, None)
+    try:
+        with Catalogue(catalogue) as store:
+            say(f"stopped; {len(store)} shapes are in {catalogue}, and the same command goes on from there")
+    except CatalogueError:  # there is none yet
+        say("stopped")
+    sys.exit(stop.code if isinstance(stop, SystemExit) else EXIT_INTERRUPTED)
+
+
+@command("retry")
+@catalogue_argument
+@click.option(
+    "--stage",
+    metavar="STAGE",
+    help="Only scans that failed in this stage, as `pcretrieve status` names it; worker: those whose process "
+    "ended, or took too long.",
+)
+@click.option(
+    "--retries",
+    type=click.IntRange(min=0),
+    default=0,
+    show_default=True,
+    metavar="N",
+    help="Try failing scans again, at most N times, with changes as for `ingest`.",
+)
+@workers_option
+@limit_options
+@progress_option
+@json_option
+def retry_command(catalogue: str, progress: str, as_json: bool, **chosen: Any) -> None:
+    """Process failed scans again, with the settings of their catalogue.
+
+    \b
+    pcretrieve retry bodies.sqlite --stage worker --timeout 3600
+    """
+    from pcretrieve import Catalogue, retry
+
+    with Catalogue(catalogue) as store, Progress("retry", progress) as shown:
+        options = store.options
+        summary = retry(store, on_start=shown.start, on_shape=shown.record, **chosen)
+    _say_summary(summary, catalogue, None)
+    if as_json:
+        write_document(_summary_document(summary, catalogue), options=options)
+    exit_if(summary.failed)
+
+
+@command("watch")
+@click.argument("folder", type=click.Path(path_type=Path))
+@catalogue_option
+@config_option
+@surface_option
+@unit_option
+@click.option(
+    "--interval",
+    type=click.FloatRange(min=0.1),
+    default=5,
+    show_default=True,
+    metavar="SECONDS",
+    help="Look again after this time; files must stay the same meanwhile.",
+)
+@workers_option
+@limit_options
+def watch_command(
+    folder: Path, catalogue: str, config: Path | None, surface: str | None, unit: str | None, **chosen: Any
+) -> None:
+    """Ingest scans as soon as they arrive in a folder, until Ctrl-C.
+
+    Scans that are there already come first. A file is read when it has stopped growing.
+
+    \b
+    pcretrieve watch scanner/ --catalogue bodies.sqlite
+    """
+    from pcretrieve import watch
+
+    stop_waiting()
+    options = _new_options(config, surface, unit)
+    rounds = watch(folder, catalogue, options=options, on_shape=_tell, **chosen)
+    try:
+        say(f"watching {folder} every {chosen['interval']:g} s, until Ctrl-C")
+        for summary in rounds:
+            _say_summary(summary, catalogue, None)
+    except (KeyboardInterrupt, SystemExit) as stop:
+        _stopped(stop, catalogue)
+
+
+def _tell(record: Record) -> None:
+    say(record_line(record) or f"done: [{record.id}] {shown_path(record.path)}")
+
+
+@command("status")
+@catalogue_argument
+@json_option
+def status_command(catalogue: str, as_json: bool) -> None:
+    """Show the progress of the last ingest, while it runs and afterwards.
+
+    \b
+    pcretrieve status bodies.sqlite
+    """
+    from pcretrieve import status
+
+    found = status(catalogue)
+    if as_json:
+        write_document({"catalogue": without_password(catalogue)} | asdict(found))
+        return
+    for line in _progress_lines(found):
+        write_words(line)
+    write_words(f"{catalogue}: {found.n_shapes} shapes, {sum(found.failures.values())} failed")
+    rows = ((str(number), kind) for kind, number in found.failures.items())
+    write_table((Column("NUMBER", "number"), Column("FAILURE")), rows)
+
+
+def _progress_lines(found: BatchStatus) -> list[str]:
+    if found.state == "none":
+        return ["no ingest into it is known on this computer"]
+    n_finished = found.n_done + found.n_failed + found.n_skipped
+    lines = [
+        f"ingest {found.state}: {n_finished} of {found.n_scans} scans: {found.n_done} done, "
+        f"{found.n_failed} failed, {found.n_skipped} held already or duplicates",
+        f"started {found.started}, last counted {found.updated}",
+        f"rate: {found.scans_per_second * 60:.3g} scans/min"
+        + ("" if found.seconds_left is None else f", about {duration(found.seconds_left)} left"),
+    ]
+    if found.stages:
+        shares = sorted(found.stages.items(), key=lambda stage: -stage[1])
+        lines.append("time: " + ", ".join(f"{name} {share:.0%}" for name, share in shares))
+    if found.state in ("stopped", "killed"):
+        lines.append("the same command of ingest goes on from there")
+    return lines
+
+
+def _say_summary(summary: Summary, catalogue: str, labels: str | None) -> None:
+    """Print the summary of an ingest, or of what an ingest would do."""
+    for path, original in _duplicates(summary):
+        say(f"skipped {path}: the same content as {original.id} ({original.path})")
+    if summary.unknown_labels:
+        quoted = ", ".join(summary.unknown_labels[:QUOTED])
+        more = len(summary.unknown_labels) - QUOTED
+        say(
+            f"{labels} names {len(summary.unknown_labels)} shapes that are not among the scans: {quoted}"
+            + (f" and {more} more" if more > 0 else "")
+        )
+    failures = _failures(summary)
+    counts = [
+        f"{len(summary.planned)} to process" if summary.planned else f"{len(summary.done)} done",
+        f"{len(failures)} failed",
+        f"{len(_held(summary))} held already",
+        f"{len(summary.duplicates)} duplicates",
+    ]
+    say(
+        f"{', '.join(counts)}: {catalogue}"
+        + ("; --retry-failed processes the failed shapes again" if failures else "")
+    )
+    if doubts := _doubts(summary):
+        n_unusable = sum(record.verdict.judgement == "unusable" for record in doubts if record.verdict)
+        say(
+            f"{len(doubts) - n_unusable} doubtful, {n_unusable} unusable by the checks of their scans: "
+            f"`pcretrieve list --doubtful -c {quote(catalogue)}` gives the reasons"
+        )
+
+
+def _summary_document(summary: Summary, catalogue: str) -> dict[str, object]:
+    """The JSON document of an ingest, or of what an ingest would do."""
+    return {
+        "catalogue": without_password(catalogue),
+        "planned": [record.id for record in summary.planned],
+        "done": [record.id for record in summary.done],
+        "held": [record.id for record in _held(summary)],
+        "doubtful": [record.id for record in _doubts(summary)],
+        "duplicates": [{"path": path, "id": original.id} for path, original in _duplicates(summary)],
+        "failed": [failure_facts(record) for record in _failures(summary)],
+        "unknown_labels": summary.unknown_labels,
+    }
+
+
+def _failures(summary: Summary) -> list[Record]:
+    """The scans that failed now, and those that failed before."""
+    return [*summary.failed, *(record for record in summary.held if record.status == "failed")]
+
+
+def _held(summary: Summary) -> list[Record]:
+    return [record for record in summary.held if record.status == "done"]
+
+
+def _duplicates(summary: Summary) -> list[tuple[str, Record]]:
+    """The printable path of each duplicate, and the record of its original."""
+    from pcretrieve.ingestion.discover import printable
+
+    return [(printable(path), original) for path, original in summary.duplicates]
+
+
+def _doubts(summary: Summary) -> list[Record]:
+    return [record for record in (*summary.done, *summary.held) if record.is_doubtful]

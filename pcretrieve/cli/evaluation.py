@@ -1,0 +1,391 @@
+"""Commands that measure how well scans find each other: evaluate, compare, calibrate, report."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable
+from dataclasses import fields
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from pcretrieve.cli.messages import say, shown_path
+from pcretrieve.cli.options import (
+    CATALOGUE,
+    CATALOGUE_VARIABLE,
+    catalogue_option,
+    changes,
+    command,
+    comparison_options,
+    json_option,
+    labels_option,
+    matrix_option,
+    opened,
+    option,
+    output_option,
+    read_distances,
+    up_option,
+)
+from pcretrieve.cli.output import Column, write_document, write_line, write_table
+
+if TYPE_CHECKING:
+    from pcretrieve import PipelineOptions
+    from pcretrieve.evaluation import Comparison, Evaluation
+
+# The columns of rows of measures, and of what they are the measures of.
+COLUMNS = (
+    *(Column(name, "number") for name in ("NN", "FT", "ST", "E", "DCG", "mAP")),
+    Column("", "words"),
+)
+
+# The options of `compare` that are for both results.
+FOR_BOTH = ("labels", "n_changes", "as_json")
+
+
+@command("evaluate")
+@click.option(
+    "--catalogue",
+    "-c",
+    type=CATALOGUE,
+    metavar="FILE|URL",
+    help=f"The catalogue; not with --matrix and --labels.  [env var: {CATALOGUE_VARIABLE}]",
+)
+@labels_option
+@matrix_option
+@click.option("--sound-only", is_flag=True, help="Leave out shapes that are doubtful or unusable.")
+@option(
+    "--per-class",
+    is_flag=True,
+    help="Add the means of each class.",
+    details="And the classes that it is mistaken for.",
+)
+@option(
+    "--csv",
+    "folder",
+    type=click.Path(path_type=Path),
+    metavar="FOLDER",
+    help="Write the measures to CSV files in a folder.",
+    details="They are queries.csv, classes.csv, confusion.csv (of the nearest shape) and "
+    "precision_recall.csv.",
+)
+@comparison_options
+@json_option
+def evaluate_command(
+    catalogue: str | None,
+    labels: str | None,
+    matrix: Path | None,
+    sound_only: bool,
+    per_class: bool,
+    folder: Path | None,
+    as_json: bool,
+    **comparison: Any,
+) -> None:
+    """Measure how well scans of one class find each other.
+
+    Each shape is a query in all others; shapes that failed count as misses. The measures are nearest
+    neighbour (NN), first and second tier (FT, ST), E-measure (E), discounted cumulative gain (DCG) and mean
+    average precision (mAP): means over the queries, with 95 % confidence intervals, and over the classes.
+    Labels do not help the ranking.
+
+    \b
+    pcretrieve evaluate --catalogue bodies.sqlite --per-class --csv bodies/
+    pcretrieve evaluate --catalogue shrec11.sqlite --labels shrec11
+    pcretrieve evaluate --matrix run1.txt --labels shrec11.cla
+    """
+    from pcretrieve import evaluate
+
+    distances = read_distances(matrix, comparison, reranks=True)
+    options = None
+    if catalogue is None and (distances is None or labels is None):
+        catalogue = os.environ.get(CATALOGUE_VARIABLE) or None
+    if catalogue is not None:
+        with opened(catalogue, comparison) as (store, options):
+            found = evaluate(store, options=options, labels=labels, matrix=distances, sound_only=sound_only)
+    elif distances is None or labels is None:
+        raise click.UsageError("give --catalogue, or both --matrix and --labels")
+    elif sound_only:
+        raise click.UsageError("--sound-only needs --catalogue, which has the verdicts")
+    else:
+        found = evaluate(distances, options=changes(comparison), labels=labels)
+    how = _how(found, options, matrix, comparison)
+    if folder is not None:
+        found.write(folder)
+        say(f"queries, classes, confusion and precision_recall: .csv files in {folder}")
+    if as_json:
+        write_document(_evaluation_document(found, how, per_class), options=options)
+        return
+    write_table(COLUMNS, _rows(found, str(how["rerank"]), per_class))
+    _say_how(found, how)
+
+
+def _how(
+    found: Evaluation, options: PipelineOptions | None, matrix: Path | None, comparison: dict[str, Any]
+) -> dict[str, object]:
+    """How shapes were ranked."""
+    if options is None or found.ranked.table is None:
+        rerank = (comparison["rerank"] or "none") if options is None else options.retrieval.rerank
+        return {"matrix": str(matrix), "rerank": rerank}
+    return {
+        "method": found.ranked.table.kind,
+        "n_values": found.ranked.table.values.shape[1],
+        "scale": options.compared.scale,
+        "size_weight": options.signature.size_weight,
+        "distance": options.retrieval.distance,
+        "whitening": options.retrieval.whitening,
+        "whitening_used": found.ranked.whitening,
+        "rerank": options.retrieval.rerank,
+    }
+
+
+def _evaluation_document(found: Evaluation, how: dict[str, object], per_class: bool) -> dict[str, object]:
+    """The JSON document of an evaluation."""
+    from pcretrieve import RetrievalMeasures
+    from pcretrieve.evaluation import LEVEL, MEASURES
+
+    def named(values: Iterable[float | None]) -> dict[str, float | None]:
+        return dict(zip(MEASURES, values, strict=True))
+
+    low, high = found.interval.tolist()
+    document = {part.name: getattr(found, part.name) for part in fields(RetrievalMeasures)}
+    document |= {"n_failed": found.ranked.n_failed, "n_shapes": found.ranked.rankings.n_gallery} | how
+    document["interval"] = {"level": LEVEL, "low": named(low), "high": named(high)}
+    macro = found.macro
+    document["macro"] = {name: getattr(macro, name) for name in MEASURES}
+    if per_class:
+        document["classes"] = [
+            {"label": one.label, "n_queries": one.n_queries}
+            | named(one.means.tolist())
+            | {"confused": [{"label": label, "n_queries": n} for label, n in one.confused]}
+            for one in found.classes
+        ]
+    if found.published:
+        document["published"] = [
+            {"method": one.method, "source": one.source} | named(one.measures) for one in found.published
+        ]
+    return document
+
+
+def _rows(found: Evaluation, rerank: str, per_class: bool) -> list[tuple[str, ...]]:
+    """The rows of the table of an evaluation."""
+    from pcretrieve.evaluation import LEVEL, MEASURES
+
+    low, high = found.interval
+    means = [(found, "micro-average"), (found.macro, "macro-average")]
+    if rerank != "none":
+        means[:1] = [(found.plain, "micro-average, plain"), (found, f"micro-average, {rerank}")]
+    rows = [(*_numbers(getattr(one, name) for name in MEASURES), words) for one, words in means]
+    rows[-1:-1] = [(*_numbers(low), f"  {LEVEL:.0%} interval from"), (*_numbers(high), "  to")]
+    for one in found.classes if per_class else ():
+        others = ", ".join(f"{label or 'no class'} {n}" for label, n in one.confused)
+        nearest = f"; nearest {others}" if others else ""
+        rows.append((*_numbers(one.means), f"{one.label}, {one.n_queries} queries{nearest}"))
+    for row in found.published:
+        rows.append((*_numbers(row.measures), f"published: {row.method} ({row.source})"))
+    return rows
+
+
+def _say_how(found: Evaluation, how: dict[str, object]) -> None:
+    rankings, whitening = found.ranked.rankings, found.ranked.whitening
+    by = f"scale {how['scale']}" if "scale" in how else f"distances of {how['matrix']}"
+    if how.get("size_weight"):
+        by += f", size weight {how['size_weight']:g}"
+    say(
+        f"{len(rankings.ids)} queries in {rankings.n_gallery} shapes, {found.ranked.n_failed} failed shapes "
+        f"count as misses; {by}"
+    )
+    if whitening:
+        say(f"whitening: {whitening}")
+    if found.protocol:
+        say(found.protocol)
+
+
+def _numbers(values: Iterable[float | None], form: str = ".4f") -> list[str]:
+    """The measures of a row below `COLUMNS`."""
+    return ["-" if value is None else format(value, form) for value in values]
+
+
+@command("compare")
+@click.argument("first", type=CATALOGUE, metavar="A")
+@click.argument("second", type=CATALOGUE, metavar="B")
+@labels_option
+@click.option(
+    "--changes",
+    "n_changes",
+    type=click.IntRange(min=0),
+    default=5,
+    show_default=True,
+    metavar="N",
+    help="List so many of the most changed shapes.",
+)
+@comparison_options
+@json_option
+def compare_command(
+    first: str, second: str, labels: str | None, n_changes: int, as_json: bool, **comparison: Any
+) -> None:
+    """Compare two results for the same shapes, query by query.
+
+    A and B are catalogues, distance matrices, or files queries.csv of `evaluate --csv`. The table has the
+    measures of both, and the differences B minus A with 95 % confidence intervals. Give an option such as
+    --whitening once for both, or twice: for A and for B.
+
+    \b
+    pcretrieve compare A.sqlite A.sqlite --whitening none --whitening pca
+    pcretrieve compare run1.txt run2.txt --labels shrec11.cla
+    """
+    from pcretrieve import compare
+
+    one, two = (_options_of(comparison, number) for number in range(2))
+    found = compare(first, second, options=one, second_options=two, labels=labels)
+    if as_json:
+        write_document(_comparison_document(found, n_changes))
+        return
+    table = [
+        (*_numbers(found.first), f"A: {first}"),
+        (*_numbers(found.second), f"B: {second}"),
+        (*_numbers(found.difference, "+.3f"), "B - A"),
+        (*_numbers(found.interval[0], "+.3f"), f"  {found.level:.0%} interval from"),
+        (*_numbers(found.interval[1], "+.3f"), "  to"),
+    ]
+    write_table(COLUMNS, table)
+    changed = [one for one in found.changes[:n_changes] if one.first != one.second]
+    if changed:
+        write_line("average precision of the most changed shapes:")
+        precisions = ((one.shape_id, one.label, f"{one.first:.4f}", f"{one.second:.4f}") for one in changed)
+        write_table((Column("ID"), Column("CLASS"), Column("A", "number"), Column("B", "number")), precisions)
+    n_first, n_second = len(found.only_first), len(found.only_second)
+    left = f"; left out are {n_first} in A only and {n_second} in B only" if n_first + n_second else ""
+    say(f"{len(found.changes)} queries in both{left}")
+
+
+def _options_of(comparison: dict[str, tuple[Any, ...]], number: int) -> dict[str, dict[str, Any]]:
+    """What the flags change for one of both results, over the options of its catalogue."""
+    chosen = {}
+    for name, values in comparison.items():
+        if len(values) > 2:
+            raise click.UsageError(f"--{name.replace('_', '-')} is given at most twice, got {len(values)}")
+        chosen[name] = values[min(number, len(values) - 1)] if values else None
+    return changes(chosen)
+
+
+def _comparison_document(found: Comparison, n_changes: int) -> dict[str, object]:
+    """The JSON document of a comparison."""
+    from pcretrieve.evaluation import MEASURES
+
+    rows = {
+        "first": found.first,
+        "second": found.second,
+        "difference": found.difference,
+        "low": found.interval[0],
+        "high": found.interval[1],
+    }
+    # The head of the document has the options of one computation, and here are two, or none of files.
+    one, two = (
+        None if options is None else options.model_dump(mode="json")
+        for options in (found.first_options, found.second_options)
+    )
+    return {name: dict(zip(MEASURES, row.tolist(), strict=True)) for name, row in rows.items()} | {
+        "first_options": one,
+        "second_options": two,
+        "level": found.level,
+        "n_queries": len(found.changes),
+        "only_first": found.only_first,
+        "only_second": found.only_second,
+        "changes": [
+            {"id": one.shape_id, "label": one.label, "first": one.first, "second": one.second}
+            for one in found.changes[:n_changes]
+        ],
+    }
+
+
+# Each result has the settings of its catalogue, and the options of the comparison can be given twice.
+compare_command.params = [one for one in compare_command.params if one.name != "config"]
+for _parameter in compare_command.params:
+    if isinstance(_parameter, click.Option) and _parameter.name not in FOR_BOTH:
+        _parameter.multiple = True
+
+
+@command("calibrate")
+@catalogue_option
+@output_option("FILE", "Write this file, such as metric.npz.")
+@comparison_options
+@json_option
+def calibrate_command(catalogue: str, output: Path, as_json: bool, **comparison: Any) -> None:
+    """Learn from labelled scans which differences to ignore.
+
+    Scan some bodies several times, in the way you will scan later: three people in ten poses will do. Use the
+    file as `--whitening FILE` of query, evaluate and report, in any catalogue built with the same settings.
+
+    \b
+    pcretrieve ingest three_people/ --labels people.csv --catalogue three.sqlite
+    pcretrieve calibrate --catalogue three.sqlite -o metric.npz
+    pcretrieve query --catalogue bodies.sqlite new_scan.ply --whitening metric.npz
+    """
+    from pcretrieve import calibrate
+
+    with opened(catalogue, comparison) as (store, options):
+        whitening = calibrate(store, output, options=options)
+    say(f"{output}: {whitening.reason}")
+    if as_json:
+        write_document({"whitening": str(output), "reason": whitening.reason}, options=options)
+
+
+@command("report")
+@catalogue_option
+@output_option("PAGE", "Write this HTML page.")
+@click.option(
+    "--queries",
+    type=click.IntRange(min=1),
+    metavar="N",
+    help="Show at most N queries, the worst first.  [default: 1000]",
+)
+@click.option(
+    "-k",
+    "k",
+    type=click.IntRange(min=1),
+    default=5,
+    show_default=True,
+    metavar="N",
+    help="Number of results of each query.",
+)
+@click.option(
+    "--versus",
+    type=CATALOGUE,
+    metavar="RESULT",
+    help="Compare with another result, query by query: queries.csv of `evaluate --csv`, or a catalogue.",
+)
+@up_option
+@matrix_option
+@comparison_options
+@json_option
+def report_command(
+    catalogue: str,
+    output: Path,
+    queries: int | None,
+    k: int,
+    versus: str | None,
+    up: str | None,
+    matrix: Path | None,
+    as_json: bool,
+    **comparison: Any,
+) -> None:
+    """Write an HTML page of all queries with their results and measures, the worst first.
+
+    The page has bars of the classes, mix-ups, a map, and the scans that failed. You can search and sort it
+    without a server.
+
+    \b
+    pcretrieve report --catalogue bodies.sqlite -o bodies.html
+    pcretrieve evaluate --catalogue bodies.sqlite --whitening none --csv none/
+    pcretrieve report -c bodies.sqlite --versus none/queries.csv -o bodies.html
+    """
+    from pcretrieve import report
+
+    distances = read_distances(matrix, comparison)
+    shown: dict[str, Any] = {"k": k, "versus": versus, "up": up} | ({"n_queries": queries} if queries else {})
+    with opened(catalogue, comparison) as (store, options):
+        page = report(store, output, options=options, matrix=distances, **shown)
+    if as_json:
+        write_document({"page": str(page)}, options=options)
+    else:
+        write_line(shown_path(str(page)))

@@ -1,0 +1,238 @@
+"""What programs read on standard output: lines, tables, CSV, and JSON documents."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import sys
+import textwrap
+from collections.abc import Iterable, Iterator, Sequence
+from itertools import islice, zip_longest
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+from unicodedata import combining, east_asian_width
+
+import click
+
+from pcretrieve import __version__
+from pcretrieve.cli.messages import ESCAPES, broken, escaped, stop_waiting, without_password
+from pcretrieve.errors import PcretrieveError
+
+if TYPE_CHECKING:
+    from pcretrieve.options import PipelineOptions
+    from pcretrieve.values import Step
+
+#: The option of commands that print documents.
+JSON_FLAG = "--json"
+
+# Whether a document has begun, in the state of a command.
+BEGUN = "pcretrieve.document"
+
+# A JSON document has escaped these in its strings; others are between its values.
+ESCAPES_IN_JSON = {code: escape for code, escape in ESCAPES.items() if code != ord("\n")}
+
+# Number of rows from which the widths of columns are found, so that long tables are printed as they are read.
+BLOCK = 1000
+
+GAP = "  "
+
+# Least numbers of characters in columns that are narrowed, in the order in which they are.
+NARROWED = (("path", 24), ("words", 24), ("path", 12), ("text", 8))
+
+# Colours of the words that say that something is wrong.
+COLOURS = {"doubtful": "yellow", "unusable": "red", "failed": "red"}
+
+
+def print_text(text: str, *, nl: bool = True, color: bool | None = None) -> None:
+    """Print the text of a result."""
+    stop_waiting()
+    click.echo(text, nl=nl, color=color)
+
+
+def write_line(text: str) -> None:
+    """Print a line of a result."""
+    print_text(escaped(text))
+
+
+def write_words(text: str) -> None:
+    """Print a sentence of a result; on a terminal, broken between words."""
+    print_text(broken(escaped(without_password(text)), sys.stdout))
+
+
+def write_row(cells: Iterable[str]) -> None:
+    """Print a row of a result, with tabs between its cells."""
+    print_text("\t".join(map(escaped, cells)))
+
+
+def write_csv(text: str) -> None:
+    """Print the text of a CSV file: as it is for a program, escaped for a terminal."""
+    shown = text.translate(ESCAPES_IN_JSON) if sys.stdout.isatty() else text
+    print_text(shown, nl=False, color=True)  # otherwise click removes what looks like codes of a terminal
+
+
+class Column(NamedTuple):
+    """A column of a table: its kind is text, number, path or words."""
+
+    heading: str
+    kind: str = "text"
+
+
+def write_table(columns: Sequence[Column], rows: Iterable[Sequence[str]]) -> int:
+    """Print a table with headings, on a terminal as wide as it is; nothing, if there are no rows."""
+    limit = shutil.get_terminal_size().columns if sys.stdout.isatty() else None
+    headings = [column.heading for column in columns]
+    widths = [0] * len(columns)
+    remaining, n_rows = iter(rows), 0
+    while block := list(islice(remaining, BLOCK)):
+        cells = [[escaped(cell) for cell in row] for row in block]
+        # Later rows of long tables are at least as wide as the first ones.
+        widths = [
+            max(widest, *map(_width, column))
+            for widest, column in zip(widths, zip(headings, *cells, strict=True), strict=True)
+        ]
+        shown = widths if limit is None else _fitted(columns, widths, limit)
+        has_heading = not n_rows and any(headings)
+        lines = list(_lines(columns, headings, shown, is_heading=True)) if has_heading else []
+        for row in cells:
+            lines += _lines(columns, row, shown)
+        print_text("\n".join(lines))
+        n_rows += len(block)
+    return n_rows
+
+
+def write_steps(steps: Iterable[Step]) -> None:
+    """Print provenance: a row for each step, and one for each note."""
+    rows = []
+    for step in steps:
+        sizes = (
+            f"{name} {value:.3g}" if value % 1 else f"{name} {value:.0f}"
+            for name, value in step.sizes.items()
+        )
+        rows.append((step.stage, f"{step.seconds:.3f}", ", ".join(sizes)))
+        rows += [("", "", note) for note in step.notes]
+    write_table((Column("STAGE"), Column("SECONDS", "number"), Column("SIZES AND NOTES", "words")), rows)
+
+
+def _lines(
+    columns: Sequence[Column], cells: Sequence[str], widths: Sequence[int], *, is_heading: bool = False
+) -> Iterator[str]:
+    """The line of a row, or several lines, if words are broken."""
+    parts = [
+        textwrap.wrap(cell, width, break_on_hyphens=False)
+        if column.kind == "words" and _width(cell) > width
+        else [_shortened(cell, width)]
+        for column, cell, width in zip(columns, cells, widths, strict=True)
+    ]
+    for line in zip_longest(*parts, fillvalue=""):
+        padded = []
+        for column, text, width in zip(columns, line, widths, strict=True):
+            blanks, cell = " " * (width - _width(text)), _styled(text, is_heading)
+            padded.append(blanks + cell if column.kind == "number" else cell + blanks)
+        yield GAP.join(padded).rstrip()
+
+
+def _styled(text: str, is_heading: bool) -> str:
+    """A cell with codes of a terminal, which click does not print elsewhere."""
+    colour = COLOURS.get(text)
+    if not text or not (colour or is_heading) or os.environ.get("NO_COLOR"):
+        return text
+    return click.style(text, fg=colour, bold=is_heading or None)
+
+
+def _fitted(columns: Sequence[Column], widths: Sequence[int], limit: int) -> list[int]:
+    """Widths whose row has at most `limit` characters, if columns can be narrowed so far."""
+    fitted = [*widths]
+    for kind, least in NARROWED:
+        for number, column in enumerate(columns):
+            excess = sum(fitted) + len(GAP) * (len(fitted) - 1) - limit
+            if column.kind == kind and excess > 0 and fitted[number] > least:
+                fitted[number] = max(least, len(column.heading), fitted[number] - excess)
+    return fitted
+
+
+def _width(text: str) -> int:
+    """The number of columns of a terminal that a text takes."""
+    if text.isascii():
+        return len(text)
+    return sum(0 if combining(sign) else 2 if east_asian_width(sign) in "WF" else 1 for sign in text)
+
+
+def _shortened(text: str, width: int) -> str:
+    """The beginning and the end of a text that takes more than a width, with an ellipsis between them."""
+    if _width(text) <= width:
+        return text
+    first, last = "", text
+    while _width(first) < (width - 1) // 3:
+        first += text[len(first)]
+    while _width(first) + 1 + _width(last) > width:
+        last = last[1:]
+    return f"{first}…{last}"
+
+
+def write_document(result: object, *, options: PipelineOptions | None = None) -> None:
+    """Print the document of a command: what was asked, by which version, and the result."""
+    print_text(_text(_head(click.get_current_context(), options) | {"result": result}))
+
+
+def write_documents(results: Iterable[object], *, options: PipelineOptions | None = None) -> None:
+    """Print the document of a command whose result is a list, each element as soon as it is computed."""
+    context = click.get_current_context()
+    for result in results:
+        if BEGUN not in context.meta:
+            context.meta[BEGUN] = True
+            print_text(_text(_head(context, options))[: -len("\n}")] + ',\n  "result": [')
+        else:
+            print_text(",")
+        print_text(textwrap.indent(_text(result), "    "), nl=False)
+    if BEGUN in context.meta:
+        print_text("\n  ]\n}")
+    else:
+        write_document([], options=options)
+
+
+def write_error(context: click.Context, error: PcretrieveError | click.ClickException, code: int) -> None:
+    """Print the document of a command that fails."""
+    facts = {
+        "error": type(error).__name__,
+        "stage": error.stage if isinstance(error, PcretrieveError) else None,
+        "message": error.message,
+        "exit_code": code,
+    }
+    if BEGUN in context.meta:
+        print_text("\n  ]," + _text(facts)[len("{") :])
+    else:
+        print_text(_text(_head(context, None) | facts))
+
+
+def _head(context: click.Context, options: PipelineOptions | None) -> dict[str, Any]:
+    words = context.command_path.split()
+    arguments = {}
+    for parameter in context.command.params:
+        value = context.params.get(str(parameter.name))
+        if value is not None and parameter.name != "as_json":
+            arguments[_name(parameter)] = without_password(value) if isinstance(value, str) else value
+    return {
+        "command": " ".join(words[1:]),
+        "version": __version__,
+        "arguments": arguments,
+        "options": None if options is None else options.model_dump(mode="json"),
+    }
+
+
+def _name(parameter: click.Parameter) -> str:
+    """The name of an option as it is typed, without hyphens; that of an argument."""
+    if isinstance(parameter, click.Option):
+        return max(parameter.opts, key=len).lstrip("-").replace("-", "_")
+    return str(parameter.name)
+
+
+def _text(document: object) -> str:
+    return json.dumps(document, indent=2, ensure_ascii=False, default=_plain).translate(ESCAPES_IN_JSON)
+
+
+def _plain(value: object) -> str:
+    """The text of a value that JSON does not have, such as a path."""
+    if isinstance(value, Path):
+        return str(value)
+    raise TypeError(f"no JSON for {type(value).__name__}")

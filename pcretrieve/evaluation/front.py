@@ -1,0 +1,262 @@
+"""Catalogue → measures, comparisons, distances, whitenings: `evaluate`, `compare`, `matrix`, `calibrate`."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+
+from pcretrieve.catalogue import Catalogue, CatalogueLike, opened
+from pcretrieve.errors import BenchmarkError, InputError
+from pcretrieve.evaluation.catalogue import RankedCatalogue, rank_catalogue, rank_matrix
+from pcretrieve.evaluation.classes import ClassMeasures, class_measures
+from pcretrieve.evaluation.comparison import Comparison, compare_scores, result_scores, write_evaluation
+from pcretrieve.evaluation.folds import rank_table
+from pcretrieve.evaluation.measures import (
+    QueryScores,
+    RetrievalMeasures,
+    bootstrap_interval,
+    evaluate_rankings,
+    query_scores,
+)
+from pcretrieve.evaluation.published import PUBLISHED, Published
+from pcretrieve.ingestion.layouts import LAYOUTS
+from pcretrieve.matching import MATCHERS, DistanceMatrix, PairwiseIndex, distance_matrix
+from pcretrieve.options import OptionsLike, PipelineOptions
+from pcretrieve.retrieval import Ranking, SignatureIndex, Whitening, write_whitening
+from pcretrieve.values import Failure, FloatArray, SignatureTable
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Evaluation(RetrievalMeasures):
+    """Means of the measures over all queries, and what else is known of the same rankings."""
+
+    ranked: RankedCatalogue = field(repr=False)
+    layout: str = field(default="", repr=False)
+
+    @property
+    def macro(self) -> RetrievalMeasures:
+        """Means over the classes, in which small classes count as much as large ones."""
+        return evaluate_rankings(self.ranked.rankings, average="macro")
+
+    @property
+    def plain(self) -> RetrievalMeasures:
+        """Means over the queries without re-ranking."""
+        return evaluate_rankings(self.ranked.plain)
+
+    @property
+    def interval(self) -> FloatArray:
+        """(2, 6) float64, lower and upper ends of the confidence intervals (`LEVEL`) of the measures."""
+        return bootstrap_interval(query_scores(self.ranked.rankings).columns)
+
+    @property
+    def classes(self) -> tuple[ClassMeasures, ...]:
+        """The measures of each class, and the classes that it is mistaken for."""
+        return tuple(class_measures(self.ranked.rankings))
+
+    @property
+    def published(self) -> tuple[Published, ...]:
+        """What others have published of this set; nothing, unless the labels are a layout."""
+        return PUBLISHED.get(self.layout, ())
+
+    @property
+    def protocol(self) -> str:
+        """How others measure on this set; empty, unless the labels are a layout."""
+        layout = LAYOUTS.get(self.layout)
+        return f"{layout.name}: {layout.protocol}" if layout else ""
+
+    def write(self, folder: str | Path) -> tuple[Path, ...]:
+        """Write the measures of queries and classes, confusions and precision-recall as CSV files."""
+        return write_evaluation(self.ranked.rankings, folder)
+
+
+def evaluate(
+    shapes: CatalogueLike | SignatureTable | DistanceMatrix,
+    *,
+    options: OptionsLike = None,
+    labels: str | Path | None = None,
+    matrix: DistanceMatrix | None = None,
+    sound_only: bool = False,
+) -> Evaluation:
+    """Retrieval measures of labelled shapes, each of which is a query in all other shapes.
+
+    Parameters
+    ----------
+    shapes : Catalogue, str, Path, SignatureTable or DistanceMatrix
+        A catalogue, whose failed shapes count as misses; a table of signatures with labels; or distances,
+        which need `labels`.
+    options : OptionsLike, optional
+        Signature, distance and whitening. By default the options of the catalogue.
+    labels : str or Path, optional
+        A label file or the name of a layout, whose classes replace the classes of the catalogue.
+    matrix : DistanceMatrix, optional
+        Distances that replace the distances of signatures.
+    sound_only : bool, default False
+        Leave out the shapes of a catalogue whose verdict is "doubtful" or "unusable".
+
+    Returns
+    -------
+    Evaluation
+        Nearest neighbour (NN), first and second tier (FT, ST), E-measure (E), discounted cumulative gain
+        (DCG) and mean average precision (mAP), each between 0 and 1; means over the classes, confidence
+        intervals, and the measures of each class.
+
+    Raises
+    ------
+    BenchmarkError
+        If no shape has a class, or no class two shapes.
+    CatalogueError
+        If the options require other spectra than the catalogue has.
+    """
+    if isinstance(shapes, SignatureTable):
+        rankings = rank_table(shapes, PipelineOptions.of(options).retrieval)
+        ranked = RankedCatalogue(rankings, 0, shapes, "", rankings)
+    elif isinstance(shapes, DistanceMatrix):
+        if labels is None:
+            raise BenchmarkError("a distance matrix has no classes: give labels, a file of classes")
+        ranked = rank_matrix(shapes, labels, rerank=PipelineOptions.of(options).retrieval.rerank)
+    else:
+        with opened(shapes) as store:
+            chosen = PipelineOptions.of(options, store.options)
+            ranked = rank_catalogue(store, chosen, labels=labels, matrix=matrix, sound_only=sound_only)
+    return Evaluation(**asdict(evaluate_rankings(ranked.rankings)), ranked=ranked, layout=str(labels or ""))
+
+
+def compare(
+    first: CatalogueLike | DistanceMatrix,
+    second: CatalogueLike | DistanceMatrix,
+    *,
+    options: OptionsLike = None,
+    second_options: OptionsLike = None,
+    labels: str | Path | None = None,
+) -> Comparison:
+    """Compare two results for the same labelled shapes, query by query.
+
+    Parameters
+    ----------
+    first : Catalogue, str, Path or DistanceMatrix
+        A catalogue; a distance matrix, or its file; or a file ``queries.csv`` of `Evaluation.write`.
+    second : Catalogue, str, Path or DistanceMatrix
+        The other result, which may be the same catalogue.
+    options : OptionsLike, optional
+        Signature, distance, whitening and re-ranking. By default the options of each catalogue.
+    second_options : OptionsLike, optional
+        Those of the second catalogue, if they differ.
+    labels : str or Path, optional
+        A label file, whose classes replace those of the catalogues, and which distance matrices need.
+
+    Returns
+    -------
+    Comparison
+        The differences of the measures, second minus first, with paired confidence intervals, and the shapes
+        by how much their average precision changes.
+
+    Raises
+    ------
+    BenchmarkError
+        If no shape has a class, or no class two shapes.
+    CatalogueError
+        If a catalogue does not exist, or the options require other spectra than it has.
+    InputError
+        If a file cannot be read, or the results have no query in common.
+    """
+
+    def scores(
+        result: CatalogueLike | DistanceMatrix, own: OptionsLike
+    ) -> tuple[QueryScores, PipelineOptions | None]:
+        used: list[PipelineOptions] = []
+
+        def noted(store: Catalogue) -> PipelineOptions:
+            used.append(PipelineOptions.of(own, store.options))
+            return used[0]
+
+        found = result_scores(result, noted, labels)
+        return found, used[0] if used else None
+
+    (one, one_options) = scores(first, options)
+    (two, two_options) = scores(second, options if second_options is None else second_options)
+    return replace(compare_scores(one, two), first_options=one_options, second_options=two_options)
+
+
+def calibrate(catalogue: CatalogueLike, path: str | Path, *, options: OptionsLike = None) -> Whitening:
+    """Learn from labelled scans what to ignore, for other catalogues.
+
+    Parameters
+    ----------
+    catalogue : Catalogue, str or Path
+        Labelled shapes, such as three people in ten poses.
+    path : str or Path
+        The file of the whitening. ``{"retrieval": {"calibration": path}}`` are the options of a search in
+        another catalogue that uses it.
+    options : OptionsLike, optional
+        Signature and shrinkage. By default the options of the catalogue.
+
+    Returns
+    -------
+    Whitening
+        What was learnt, which is in the file; its `reason` says from how many shapes.
+
+    Raises
+    ------
+    CatalogueError
+        If the options require other spectra than the catalogue has.
+    InputError
+        If no class has two distinct shapes, or the file cannot be written.
+    """
+    with opened(catalogue) as store:
+        chosen = PipelineOptions.of(options, store.options)
+        labelled = chosen.changed(retrieval={"whitening": "within-class", "calibration": None})
+        fitted = store.whitening(labelled)
+    write_whitening(fitted, Path(path))
+    return fitted
+
+
+def matrix(
+    catalogue: CatalogueLike,
+    *,
+    options: OptionsLike = None,
+    matcher: str | None = None,
+    on_failure: Callable[[Failure], None] = lambda failure: None,
+) -> DistanceMatrix:
+    """All distances between the shapes of a catalogue that did not fail.
+
+    Parameters
+    ----------
+    catalogue : Catalogue, str or Path
+        The shapes. Shapes to which the matcher cannot be applied are left out.
+    options : OptionsLike, optional
+        Signature, distance and whitening. By default the options of the catalogue.
+    matcher : str, optional
+        A method such as ``heat-hausdorff``, which compares pairs of shapes without signatures.
+    on_failure : function, optional
+        Called with the failure of each shape to which the matcher cannot be applied.
+
+    Returns
+    -------
+    DistanceMatrix
+        Row i has the distances from shape i, as a query, to all shapes.
+
+    Raises
+    ------
+    CatalogueError
+        If the options require other spectra than the catalogue has.
+    InputError
+        If the catalogue has no shapes.
+    OptionError
+        If there is no such matcher.
+    """
+    with opened(catalogue) as store:
+        labels = {record.id: record.label for record in store.records(status="done")}
+        if not labels:
+            raise InputError(f"{store.location} holds no shapes: ingest some first")
+        ranking: Ranking
+        if matcher is None:
+            chosen = PipelineOptions.of(options, store.options)
+            whitening = store.whitening(chosen)
+            ranking = SignatureIndex(store.signatures(chosen), chosen.retrieval, whitening=whitening)
+        else:
+            needs = MATCHERS[matcher].needs
+            ranking = PairwiseIndex(MATCHERS[matcher], labels, lambda shape_id: store.shape(shape_id, needs))
+            for failure in ranking.failures:
+                on_failure(failure)
+        return distance_matrix(ranking, tuple(labels[shape_id] for shape_id in ranking.ids))
