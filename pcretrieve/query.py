@@ -47,7 +47,7 @@ from pcretrieve.values import FloatArray, Neighbors, Signature, Verdict
 from pcretrieve.values.base import Value
 
 if TYPE_CHECKING:
-    from pcretrieve.formats.scans import ScanLike
+    from pcretrieve.formats import ScanLike
     from pcretrieve.matching import DistanceMatrix
 
 __all__ = [

@@ -95,23 +95,10 @@ def _by_open3d(mesh: TriangleMesh, folder: Path) -> list[Path]:
 
 
 def _by_vtk(mesh: TriangleMesh, folder: Path) -> list[Path]:
-    """VTK, in part by PyVista."""
+    """VTK, by PyVista."""
     import pyvista
-    import vtk  # type: ignore[import-untyped]
 
     body = pyvista.PolyData.from_regular_faces(np.array(mesh.vertices), mesh.faces.tolist())
-
-    def write_wrl(path: Path) -> None:
-        mapper, actor = vtk.vtkPolyDataMapper(), vtk.vtkActor()
-        mapper.SetInputData(body)
-        actor.SetMapper(mapper)
-        renderer, window, exporter = vtk.vtkRenderer(), vtk.vtkRenderWindow(), vtk.vtkVRMLExporter()
-        renderer.AddActor(actor)
-        window.SetOffScreenRendering(1)
-        window.AddRenderer(renderer)
-        exporter.SetRenderWindow(window)
-        exporter.SetFileName(str(path))
-        exporter.Write()
 
     return _written(
         folder / "vtk",
@@ -121,7 +108,6 @@ def _by_vtk(mesh: TriangleMesh, folder: Path) -> list[Path]:
             "binary.stl": body.save,
             "text.stl": lambda path: body.save(path, binary=False),
             "body.obj": body.save,
-            "body.wrl": write_wrl,
         },
     )
 

@@ -71,17 +71,6 @@ def collada(mesh: TriangleMesh, *, metres: float = 1.0, shift: str = "0 0 0") ->
     )
 
 
-def vrml(mesh: TriangleMesh, name: str = "ball") -> str:
-    """One shape, with its vertices and polygons."""
-    points = ", ".join(numbers(point) for point in mesh.vertices)
-    faces = ", ".join(f"{numbers(face)} -1" for face in mesh.faces)
-    return (
-        f"#VRML V2.0 utf8\nDEF {name} Shape {{\n  appearance Appearance {{ material Material {{ }} }}\n"
-        f"  geometry IndexedFaceSet {{ solid FALSE coord Coordinate {{ point [ {points} ] }}\n"
-        f"    coordIndex [ {faces} ] }} }}\n"
-    )
-
-
 def write_gltf(path: Path, mesh: TriangleMesh, nodes: list[dict[str, Any]], buffer: str = "") -> None:
     """A glTF file and, if it is named, the file of its buffer; else the buffer is a data URI."""
     tree, binary = gltf(mesh.vertices.tolist(), mesh.faces.ravel().tolist(), nodes, range(len(nodes)))

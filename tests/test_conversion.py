@@ -12,7 +12,7 @@ import trimesh
 
 import pcretrieve as pr
 from pcretrieve.errors import InputError, OptionError
-from pcretrieve.formats.scans import as_scan
+from pcretrieve.formats import as_scan
 from pcretrieve.values import Eigenpairs, ModalSpectrum, Neighbors, Shape, Signature, SignatureTable, Surface
 from pcretrieve.values.conversion import as_cloud, as_geometry, as_mesh
 

@@ -14,7 +14,7 @@ from sklearn.utils.validation import check_is_fitted, column_or_1d, validate_dat
 from pcretrieve.descriptors import describe, signature_length
 from pcretrieve.errors import InputError, OptionError
 from pcretrieve.evaluation import Rankings, evaluate_rankings
-from pcretrieve.formats.scans import ScanLike
+from pcretrieve.formats import ScanLike
 from pcretrieve.options import OptionsLike, PipelineOptions
 from pcretrieve.pipeline.process import process
 from pcretrieve.retrieval import BLOCK_DISTANCES, DISTANCES, Positions, coordinates, pairwise

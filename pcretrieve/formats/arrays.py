@@ -16,12 +16,16 @@ from numpy.typing import NDArray
 
 from pcretrieve.errors import ScanReadError
 from pcretrieve.formats.depth import camera_parts, depth_scan, has_camera
-from pcretrieve.formats.files import member_bytes
-from pcretrieve.formats.format import Format, Part
-from pcretrieve.formats.raw import RawScan, are_normals, incomplete, without_zeros
-from pcretrieve.formats.text_layout import FEWEST_POINTS, MOST_COLUMNS
-
-__all__ = ["NPY", "NPZ", "read_npy", "read_npz"]
+from pcretrieve.formats.format import (
+    Format,
+    Part,
+    RawScan,
+    are_normals,
+    incomplete,
+    member_bytes,
+    without_zeros,
+)
+from pcretrieve.formats.text import FEWEST_POINTS, MOST_COLUMNS
 
 # Names of arrays in .npz files, the first of which is taken.
 POINTS = ("points", "xyz", "vertices", "pos", "positions", "coords", "coordinates", "pc", "v")
@@ -34,13 +38,12 @@ NORMAL_FIELDS = (("nx", "ny", "nz"), ("normal_x", "normal_y", "normal_z"))
 
 
 def read_npy(path: Path) -> RawScan:
-    """Read a NumPy array of points.
+    """Read a NumPy array of points; rows of zeros are dropped with a note.
 
-    path: the file: an array (n, c) of c ≥ 3 columns, of which the first three are coordinates, and the next
-        three the normals if all have unit length; an organised array (h, w, c); or an array of records with
-        the fields ``x y z``, and ``nx ny nz`` or ``normal_x normal_y normal_z``. A larger array (h, w) is a
-        depth image, if the file of its camera lies beside it: see `depth_scan`.
-    Returns RawScan: the points; unit of the file. Rows of zeros are dropped with a note.
+    It is an array (n, c) of c ≥ 3 columns, of which the first three are coordinates, and the next three the
+    normals if all have unit length; an organised array (h, w, c); or an array of records with the fields
+    ``x y z``, and ``nx ny nz`` or ``normal_x normal_y normal_z``. A larger array (h, w) is a depth image, if
+    the file of its camera lies beside it: see `depth_scan`.
     """
     with path.open("rb") as file:
         array = _array(path, file, path.stat().st_size)
@@ -50,11 +53,7 @@ def read_npy(path: Path) -> RawScan:
 
 
 def read_npz(path: Path) -> RawScan:
-    """Read the arrays of a NumPy archive.
-
-    Returns RawScan: the points or the mesh; unit of the file. Rows of zeros of a cloud are dropped with a
-        note.
-    """
+    """Read the points or the mesh of a NumPy archive; rows of zeros of a cloud are dropped with a note."""
     try:
         with zipfile.ZipFile(path) as archive:
             members = _members(archive)
@@ -93,15 +92,23 @@ def _vectors(array: NDArray[Any], name: str, shapes: tuple[tuple[int, ...], ...]
     return array.astype(np.float64)
 
 
+def _declared(path: Path) -> tuple[tuple[int, ...], np.dtype[Any]] | None:
+    """The shape and the type of the array in a file; None if the header is damaged."""
+    with path.open("rb") as file:
+        try:
+            return _header(file)[:2]
+        except OSError:
+            raise
+        except Exception:  # noqa: BLE001 - as in `_array`
+            return None
+
+
 def _recognise_npy(path: Path) -> bool:
     """Whether the array has the shape of a table of points."""
-    try:
-        with path.open("rb") as file:
-            shape, dtype, _ = _header(file)
-    except OSError:
-        raise
-    except Exception:  # noqa: BLE001 - a file that cannot be read is not recognised
+    declared = _declared(path)
+    if declared is None:
         return False
+    shape, dtype = declared
     if _is_image(shape, dtype):
         return has_camera(path)
     if dtype.names:
@@ -121,14 +128,8 @@ def _is_image(shape: tuple[int, ...], dtype: np.dtype[Any]) -> bool:
 
 def _parts_of_npy(path: Path) -> tuple[Part, ...]:
     """The file of the camera, of a depth image."""
-    with path.open("rb") as file:
-        try:
-            shape, dtype, _ = _header(file)
-        except OSError:
-            raise
-        except Exception:  # noqa: BLE001 - reading it will say what is wrong
-            return ()
-    return camera_parts(path) if _is_image(shape, dtype) else ()
+    declared = _declared(path)
+    return camera_parts(path) if declared is not None and _is_image(*declared) else ()
 
 
 def _recognise_npz(path: Path) -> bool:

@@ -1,46 +1,56 @@
-"""Stanford ``.conf`` files: several range scans with given poses → one cloud."""
+"""Views with given poses: Stanford ``.conf`` files of range scans, and trajectories of depth cameras.
+
+A ``.conf`` file names several range scans, which are merged to one cloud. A trajectory has the layout of the
+TUM RGB-D benchmark [1]_: the folder of the images, ``depth``, lies beside the list ``depth.txt`` of times and
+images, and beside the poses in ``groundtruth.txt``: a time, a translation and a quaternion in each line,
+``t tx ty tz qx qy qz qw``. The benchmark's tool ``associate.py`` joins lines of both in ``associations.txt``.
+
+References
+----------
+.. [1] J. Sturm, N. Engelhard, F. Endres, W. Burgard and D. Cremers, "A benchmark for the evaluation of RGB-D
+   SLAM systems", IROS 2012.
+"""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from pcretrieve.errors import ScanReadError
-from pcretrieve.formats.files import check_file
-from pcretrieve.formats.format import Format, Part
-from pcretrieve.formats.raw import RawScan
-from pcretrieve.formats.text import text_lines
+from pcretrieve.formats.format import Format, Part, RawScan, check_file, joined, text_lines
+from pcretrieve.values import FloatArray
 
 if TYPE_CHECKING:
     from scipy.spatial.transform import Rotation
 
-__all__ = ["SENSOR_DISTANCE", "conf_format", "read_poses"]
-
 # Numbers after the file name on a line `bmesh FILE tx ty tz qx qy qz qw`.
 N_POSE_NUMBERS = 7
-
 # Largest number of views: about half a minute of a sensor with thirty frames a second.
 MOST_VIEWS = 1000
-# Largest size of a file: a path has at most 4096 bytes, and a line usually 100.
+# Largest size of a .conf file: a path has at most 4096 bytes, and a line usually 100.
 MOST_CONF_BYTES = MOST_VIEWS * 4096
-
-# Distance of the conventional sensor of range scanners, in diagonals of the view:
-# its rays are nearly parallel.
+# Distance of the conventional sensor of range scanners, in diagonals of the view: rays are nearly parallel.
 SENSOR_DISTANCE = 10.0
 
+# Files of a folder with poses, the first of which is read, and lists of images with their times.
+TRAJECTORIES = ("groundtruth.txt", "associations.txt")
+LISTS = ("depth.txt", "associations.txt")
+# Numbers of a pose of a trajectory: a time, a translation and a quaternion.
+N_NUMBERS = 8
+# Largest time between an image and its pose, as in associate.py; s.
+MOST_SECONDS = 0.02
 
-def read_poses(path: Path) -> list[tuple[Path, Rotation, np.ndarray]]:
-    """Read the poses of the views of a Stanford ``.conf`` file.
+
+def read_poses(path: Path) -> list[tuple[Path, Rotation, FloatArray]]:
+    """The file, the rotation R and the (3,) translation t of each view of a ``.conf`` file, in its unit.
 
     A point p of a view is at R p + t in the common frame. R is the inverse of the rotation of the quaternion
     in the file; with this convention the views of the Stanford scans are registered.
-
-    Returns list of (Path, Rotation, (3,) float64): file, rotation R and translation t of each view, at most
-        `MOST_VIEWS`; unit of the views.
     """
     from scipy.spatial.transform import Rotation
 
@@ -49,10 +59,9 @@ def read_poses(path: Path) -> list[tuple[Path, Rotation, np.ndarray]]:
         raise ScanReadError(
             f"a .conf file must have at most {MOST_CONF_BYTES} bytes, got {path.stat().st_size}"
         )
-    lines = text_lines(path)
     named: dict[str, int] = {}
     poses = []
-    for number, line in enumerate(lines, start=1):
+    for number, line in enumerate(text_lines(path), start=1):
         words = line.split()
         if not words or words[0] != "bmesh":
             continue
@@ -83,8 +92,17 @@ def read_poses(path: Path) -> list[tuple[Path, Rotation, np.ndarray]]:
 
 
 def conf_format(read_view: Callable[[Path], RawScan]) -> Format:
-    """The format of Stanford ``.conf`` files."""
-    return Format((".conf",), lambda path: _read_conf(path, read_view), _views)
+    """The format of Stanford ``.conf`` files, whose views are read by a function."""
+
+    def read(path: Path) -> RawScan:
+        scans = [
+            _moved(_view(path, view, read_view), rotation, translation)
+            for view, rotation, translation in read_poses(path)
+        ]
+        # The notes of the views say nothing of the scan as a whole.
+        return joined(scans)._replace(faces=None, notes=(), unit=None)
+
+    return Format((".conf",), read, _views)
 
 
 def _views(path: Path) -> tuple[Part, ...]:
@@ -96,52 +114,116 @@ def _views(path: Path) -> tuple[Part, ...]:
     return tuple(parts)
 
 
-def _read_conf(path: Path, read_view: Callable[[Path], RawScan]) -> RawScan:
-    scans = []
-    for view, rotation, translation in read_poses(path):
-        try:
-            if view.suffix.lower() == path.suffix.lower():
-                raise ScanReadError("a view must be a single range scan, not a .conf file of its own")
-            scan = read_view(view)
-            if not np.isfinite(scan.points).all(axis=1).any():
-                raise ScanReadError("it has no points with finite coordinates")
-        except ScanReadError as error:
-            raise ScanReadError(f"its view {view.name}: {error.message}") from error
-        scans.append((seen_from_front(scan), rotation, translation))
-    return merge(scans)
-
-
-def seen_from_front(scan: RawScan) -> RawScan:
-    """Add the conventional sensor of range scanners to a view without sensor positions.
+def _view(path: Path, view: Path, read_view: Callable[[Path], RawScan]) -> RawScan:
+    """A view in its own frame.
 
     Range scanners, such as those of the Stanford repository, write heights over a plane: the sensor looks in
-    the direction −z. It is placed far along the z axis. See docs/decisions.md, seen_from_front.
+    the direction −z. In a view without sensor positions it is placed far along the z axis. See
+    docs/decisions.md, seen_from_front.
     """
-    if scan.viewpoints is not None or not len(scan.points):
+    try:
+        if view.suffix.lower() == path.suffix.lower():
+            raise ScanReadError("a view must be a single range scan, not a .conf file of its own")
+        scan = read_view(view)
+        if not np.isfinite(scan.points).all(axis=1).any():
+            raise ScanReadError("it has no points with finite coordinates")
+    except ScanReadError as error:
+        raise ScanReadError(f"its view {view.name}: {error.message}") from error
+    if scan.viewpoints is not None:
         return scan
     low, high = np.nanmin(scan.points, axis=0), np.nanmax(scan.points, axis=0)
     distance = SENSOR_DISTANCE * float(np.linalg.norm(high - low))
     return scan._replace(viewpoints=(low + high) / 2 + np.array([0, 0, distance]))
 
 
-def merge(views: list[tuple[RawScan, Rotation, np.ndarray]]) -> RawScan:
-    """Merge views with given poses.
-
-    views: list of (RawScan, Rotation, (3,) float64), the views, with rotation and translation of each into
-        the common frame.
-    """
-    points, normals, viewpoints = [], [], []
-    for scan, rotation, translation in views:
-        points.append(rotation.apply(scan.points) + translation)
-        if scan.normals is not None:
-            normals.append(rotation.apply(scan.normals))
-        if scan.viewpoints is not None:
-            # A copy, because scipy's rotations do not accept read-only arrays.
-            sensors = np.array(np.broadcast_to(scan.viewpoints, scan.points.shape))
-            viewpoints.append(rotation.apply(sensors) + translation)
+def _moved(scan: RawScan, rotation: Rotation, translation: FloatArray) -> RawScan:
+    # Copies, because scipy's rotations do not accept read-only arrays.
+    sensors = np.array(np.broadcast_to(scan.viewpoints, scan.points.shape))  # type: ignore[arg-type]
     return RawScan(
-        np.concatenate(points),
+        rotation.apply(scan.points) + translation,
         None,
-        np.concatenate(normals) if len(normals) == len(views) else None,
-        np.concatenate(viewpoints) if len(viewpoints) == len(views) else None,
+        None if scan.normals is None else rotation.apply(scan.normals),
+        rotation.apply(sensors) + translation,
     )
+
+
+# --- trajectories -----------------------------------------------------------------------------------------
+
+
+def trajectory_file(images: Sequence[Path]) -> Path | None:
+    """The file with the poses of images."""
+    folders = {image.absolute().parent for image in images}
+    if len(folders) != 1:
+        return None
+    (folder,) = folders
+    if folder.name != "depth":
+        return None
+    files = [folder.parent / name for name in TRAJECTORIES]
+    # Associations of colour with depth images, of four words, have no poses.
+    return next((file for file in files if file.is_file() and any(map(_has_pose, _lines(file)))), None)
+
+
+def image_poses(images: Sequence[Path], file: Path) -> list[FloatArray | None]:
+    """The (4, 4) pose of each image at the nearest time, from the frame of the camera to a common frame; m.
+
+    None if that is more than `MOST_SECONDS` away, or the time of the image is not known.
+    """
+    from scipy.spatial.transform import Rotation
+
+    numbers = np.array(
+        [_numbers(line[-N_NUMBERS:], file) for line in _lines(file) if _has_pose(line)]
+    )  # (k, 8)
+    lengths = np.linalg.norm(numbers[:, 4:], axis=1)
+    if not (np.isfinite(numbers).all() and lengths.all()):
+        raise ScanReadError(f"the poses in {file.name} must be finite, with quaternions that are not zero")
+    poses = np.tile(np.eye(4), (len(numbers), 1, 1))
+    poses[:, :3, :3] = Rotation.from_quat(numbers[:, 4:]).as_matrix()
+    poses[:, :3, 3] = numbers[:, 1:4]
+    times = _times(file.parent)
+    found: list[FloatArray | None] = []
+    for image in images:
+        time = times.get(image.absolute(), _number(image.stem))
+        nearest = int(abs(numbers[:, 0] - time).argmin()) if np.isfinite(time) else 0
+        found.append(poses[nearest] if abs(numbers[nearest, 0] - time) <= MOST_SECONDS else None)
+    return found
+
+
+def _times(folder: Path) -> dict[Path, float]:
+    """The times of images: of the words ``time name`` in the lines of the lists of a folder."""
+    times = {}
+    for name in LISTS:
+        if (folder / name).is_file():
+            for line in _lines(folder / name):
+                for time, image in pairwise(line):
+                    if not np.isfinite(_number(image)):
+                        times[folder / image] = _number(time)
+    return times
+
+
+def _lines(file: Path) -> list[list[str]]:
+    """The words of the lines of a text file that are not comments."""
+    check_file(file)
+    lines = (line.replace(",", " ").split() for line in text_lines(file))
+    return [words for words in lines if words and not words[0].startswith("#")]
+
+
+def _has_pose(words: Sequence[str]) -> bool:
+    """Whether a line has a pose, alone or after the time and the name of an image."""
+    return len(words) in (N_NUMBERS, N_NUMBERS + 2)
+
+
+def _numbers(words: Sequence[str], file: Path) -> list[float]:
+    try:
+        return [float(word) for word in words]
+    except ValueError as error:
+        raise ScanReadError(
+            f"a line of {file.name} must end in `t tx ty tz qx qy qz qw`, eight numbers: {' '.join(words)}"
+        ) from error
+
+
+def _number(word: str) -> float:
+    """The number of a word; NaN if it is none."""
+    try:
+        return float(word)
+    except ValueError:
+        return float("nan")

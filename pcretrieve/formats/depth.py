@@ -1,23 +1,36 @@
-"""Depth images with the parameters of their camera → organised clouds, in metres."""
+"""Depth images with the parameters of their camera → organised clouds, in metres.
+
+A depth image has the distance of each pixel along the optical axis. A pinhole camera is known by its focal
+lengths and its principal point [1]_: by those of a file beside the image, or known ones.
+
+References
+----------
+.. [1] Richard Hartley, Andrew Zisserman, "Multiple View Geometry in Computer Vision", 2nd edition, 2004,
+   eq. (6.9).
+"""
 
 from __future__ import annotations
 
 import io
+import json
+import sys
 import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pcretrieve.errors import ScanReadError
-from pcretrieve.formats.camera import camera_file, camera_of, known_camera
-from pcretrieve.formats.files import DEFLATE_RATIO
-from pcretrieve.formats.format import Format, Part
+from pcretrieve.formats.format import DEFLATE_RATIO, Format, Part, RawScan, check_file, incomplete
 from pcretrieve.formats.organised import organised_scan
-from pcretrieve.formats.raw import RawScan, incomplete
 
-__all__ = ["DEPTH_IMAGE", "camera_parts", "depth_scan", "has_camera"]
+if sys.version_info >= (3, 11):
+    import tomllib
+else:
+    import tomli as tomllib
 
 # Modes of Pillow with one channel of 16 bits, or of 32 bits.
 DEPTH_MODES = ("I;16", "I;16B", "I;16L", "I;16N", "I", "F")
@@ -28,10 +41,104 @@ MILLIMETRES, METRES = 1000.0, 1.0
 # Value that sensors write for missing measurements, besides zero: the largest number of 16 bits.
 NO_ANSWER = 65535
 
+# Files beside an image, or in the folder above, that hold the parameters of its camera.
+NAMES = tuple(
+    name + suffix
+    for name in ("camera", "camera_intrinsic", "intrinsic", "intrinsics")
+    for suffix in (".json", ".toml")
+)
+# Largest size of such a file: those of Open3D have less than a kilobyte.
+MOST_BYTES = 1 << 16
+# The file of a folder in the layout of the TUM RGB-D benchmark, which names the images in its folder depth.
+TUM_LIST = "depth.txt"
 
-def read_depth(path: Path) -> RawScan:
-    """Read a depth image."""
-    return depth_scan(path, _pixels(path))
+
+class Camera(NamedTuple):
+    """The parameters of a pinhole camera.
+
+    focal: focal lengths in x and in y; pixels.
+    center: principal point, x and y; pixels, from the centre of the first pixel.
+    size: width and height of the images; pixels.
+    """
+
+    focal: tuple[float, float]
+    center: tuple[float, float]
+    depth_scale: float | None = None
+    size: tuple[int, int] | None = None
+    note: str = ""
+
+
+# The defaults of OpenNI and ROS for the first Kinect, and of libfreenect2 for the second.
+KINECTS = {
+    (640, 480): Camera((525.0, 525.0), (319.5, 239.5), note="Kinect"),
+    (512, 424): Camera((365.456, 365.456), (254.878, 205.395), note="Kinect v2"),
+}
+# The calibrations of the three cameras of the TUM benchmark, and the scale of its images.
+TUM_SCALE = 5000.0
+TUM_CAMERAS = {
+    "freiburg1": Camera((517.3, 516.5), (318.6, 255.3), TUM_SCALE, (640, 480)),
+    "freiburg2": Camera((520.9, 521.0), (325.1, 249.7), TUM_SCALE, (640, 480)),
+    "freiburg3": Camera((535.4, 539.2), (320.1, 247.6), TUM_SCALE, (640, 480)),
+}
+TUM_DEFAULT = Camera((525.0, 525.0), (319.5, 239.5), TUM_SCALE, (640, 480))
+
+
+def _camera_file(image: Path) -> Path | None:
+    """The file with the parameters of the camera of an image."""
+    own = [image.with_suffix(suffix) for suffix in (".json", ".toml")]
+    folder = image.absolute().parent
+    near = [place / name for place in (folder, folder.parent) for name in NAMES]
+    listed = [folder.parent / TUM_LIST] if folder.name == "depth" else []
+    return next((file for file in (*own, *near, *listed) if file.is_file()), None)
+
+
+def camera_of(file: Path) -> Camera:
+    """The parameters in a file."""
+    if file.name == TUM_LIST:
+        name = file.absolute().parent.name
+        return next((camera for key, camera in TUM_CAMERAS.items() if key in name), TUM_DEFAULT)
+    check_file(file)
+    if file.stat().st_size > MOST_BYTES:
+        raise ScanReadError(f"the camera file {file.name} must have at most {MOST_BYTES} bytes")
+    try:
+        text = file.read_text(encoding="utf-8")
+        tree = json.loads(text) if file.suffix == ".json" else tomllib.loads(text)
+        return _camera(tree.get("intrinsic", tree))
+    except (ArithmeticError, AttributeError, LookupError, RecursionError, TypeError, ValueError) as error:
+        raise ScanReadError(
+            f"the camera file {file.name} must have intrinsic_matrix as Open3D writes it, or fx fy cx cy: "
+            f"{type(error).__name__} {error}"
+        ) from error
+
+
+def _known_camera(width: int, height: int) -> Camera | None:
+    """The default parameters of a Kinect for images of so many pixels."""
+    camera = KINECTS.get((width, height))
+    if camera is None:
+        return None
+    return camera._replace(
+        note=f"assumed the camera of a {camera.note}: there is no camera.json beside the image"
+    )
+
+
+def _camera(tree: Any) -> Camera:
+    if "intrinsic_matrix" in tree:
+        matrix = np.array(tree["intrinsic_matrix"], dtype=np.float64)
+        # Nine numbers by columns, or three rows.
+        matrix = matrix.reshape(3, 3).T if matrix.ndim == 1 else matrix
+        (fx, _, cx), (_, fy, cy), _ = matrix.tolist()
+    else:
+        fx, fy, cx, cy = (float(tree[name]) for name in ("fx", "fy", "cx", "cy"))
+    scale = None if tree.get("depth_scale") is None else float(tree["depth_scale"])
+    if not (
+        np.isfinite([fx, fy, cx, cy, scale or 1]).all() and min(fx, fy) > 0 and (scale is None or scale > 0)
+    ):
+        raise ValueError("focal lengths and the depth scale must be positive")
+    size = (int(tree["width"]), int(tree["height"])) if {"width", "height"} <= tree.keys() else None
+    return Camera((fx, fy), (cx, cy), scale, size)
+
+
+# --- images -----------------------------------------------------------------------------------------------
 
 
 def depth_scan(path: Path, depth: NDArray[Any]) -> RawScan:
@@ -40,8 +147,8 @@ def depth_scan(path: Path, depth: NDArray[Any]) -> RawScan:
     depth: (h, w) int or float, depth of each pixel: the coordinate along the optical axis.
     """
     height, width = depth.shape
-    file = camera_file(path)
-    camera = known_camera(width, height) if file is None else camera_of(file)
+    file = _camera_file(path)
+    camera = _known_camera(width, height) if file is None else camera_of(file)
     if camera is None:
         raise ScanReadError(
             f"a depth image of {width} × {height} pixels needs the parameters of its camera: put "
@@ -63,16 +170,18 @@ def depth_scan(path: Path, depth: NDArray[Any]) -> RawScan:
 
 def has_camera(path: Path) -> bool:
     """Whether the parameters of the camera of an image lie beside it."""
-    return camera_file(path) is not None
+    return _camera_file(path) is not None
 
 
 def camera_parts(path: Path) -> tuple[Part, ...]:
     """The file of the camera, which belongs to an image."""
-    file = camera_file(path)
+    file = _camera_file(path)
     return () if file is None else (Part(file),)
 
 
-def _pixels(path: Path) -> NDArray[Any]:
+@contextmanager
+def _image(path: Path) -> Iterator[Any]:
+    """An image, opened by Pillow."""
     from PIL import Image
 
     # In memory, because Pillow allocates what a damaged chunk declares before it reads a file, up to 4 GB.
@@ -82,14 +191,7 @@ def _pixels(path: Path) -> NDArray[Any]:
             # Pillow warns of damaged metadata, and of images that are suspiciously large.
             warnings.simplefilter("error")
             with Image.open(io.BytesIO(data), formats=("PNG", "TIFF")) as image:
-                if image.mode not in DEPTH_MODES:
-                    raise ScanReadError(
-                        f"a depth image must have one channel of 16 or 32 bits, this image is {image.mode}"
-                    )
-                width, height = image.size
-                if width * height * MOST_PIXEL_BYTES > DEFLATE_RATIO * path.stat().st_size:
-                    raise incomplete(path, f"it declares {width} × {height} pixels")
-                return np.asarray(image)
+                yield image
     except (MemoryError, ScanReadError):
         raise
     # Pillow has no exception class for damaged files: its decoders raise many, OSError among them.
@@ -97,20 +199,28 @@ def _pixels(path: Path) -> NDArray[Any]:
         raise incomplete(path, error) from error
 
 
+def _read_depth(path: Path) -> RawScan:
+    with _image(path) as image:
+        if image.mode not in DEPTH_MODES:
+            raise ScanReadError(
+                f"a depth image must have one channel of 16 or 32 bits, this image is {image.mode}"
+            )
+        width, height = image.size
+        if width * height * MOST_PIXEL_BYTES > DEFLATE_RATIO * path.stat().st_size:
+            raise incomplete(path, f"it declares {width} × {height} pixels")
+        depth = np.asarray(image)
+    return depth_scan(path, depth)
+
+
 def _is_depth_image(path: Path) -> bool:
     """Whether an image has the channel of a depth image, and a camera."""
-    from PIL import Image
-
     if not has_camera(path):
         return False
-    data = path.read_bytes()
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("error")
-            with Image.open(io.BytesIO(data), formats=("PNG", "TIFF")) as image:
-                return image.mode in DEPTH_MODES
-    except Exception:  # noqa: BLE001 - a file that cannot be read is not recognised
+        with _image(path) as image:
+            return image.mode in DEPTH_MODES
+    except ScanReadError:
         return False
 
 
-DEPTH_IMAGE = Format((".png", ".tif", ".tiff"), read_depth, camera_parts, recognise=_is_depth_image)
+DEPTH_IMAGE = Format((".png", ".tif", ".tiff"), _read_depth, camera_parts, recognise=_is_depth_image)

@@ -7,19 +7,27 @@ References
 
 from __future__ import annotations
 
+import os
 import re
 import struct
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from pcretrieve.errors import ScanReadError
-from pcretrieve.formats.format import Extra, Format
-from pcretrieve.formats.members import Members, distinct_names
-from pcretrieve.formats.pye57 import ScanHeader, scan_headers, scan_points
-from pcretrieve.formats.raw import RawScan, incomplete, joined, without_zeros
-
-__all__ = ["E57", "read_e57"]
+from pcretrieve.formats.format import (
+    Extra,
+    Format,
+    RawScan,
+    distinct_names,
+    incomplete,
+    joined,
+    without_zeros,
+)
+from pcretrieve.values import FloatArray
 
 # Fewest bits of a point in a file: its three coordinates cannot all be constant.
 FEWEST_BITS = 1
@@ -37,46 +45,79 @@ UTF_8 = re.compile(
 )
 
 
+class ScanHeader(NamedTuple):
+    """What a file says of one of its scans.
+
+    position: (3,) float64 or None, position of the sensor in the frame of the file; None if the scan has no
+        pose.
+    """
+
+    name: str
+    n_points: int
+    position: FloatArray | None
+    is_grid: bool
+
+
 def read_e57(path: Path, name: str | None = None) -> RawScan:
-    """Read an E57 file."""
-    headers = _headers(path)
-    numbers = range(len(headers)) if name is None else [_names_of(headers).index(name)]
-    try:
-        return joined([_scan(path, number, headers[number]) for number in numbers])
-    except ValueError as error:
-        raise incomplete(path, error) from error
+    """Read the scans in an E57 file as one, or the scan of a name."""
+    _check_xml(path)
+    with _opened(path) as file:
+        headers = _headers(path, file)
+        numbers = range(len(headers)) if name is None else [_names_of(headers).index(name)]
+        return joined([_scan(file, number, headers[number]) for number in numbers])
 
 
-def _scan(path: Path, number: int, header: ScanHeader) -> RawScan:
-    points = scan_points(path, number)
-    known = header.position is not None and (header.is_grid or header.position.any())
-    return without_zeros(RawScan(points, viewpoints=header.position if known else None, unit="m"))
-
-
-def _members(path: Path) -> tuple[str, ...]:
-    return tuple(_names_of(_headers(path)))
+def _names(path: Path) -> tuple[str, ...]:
+    _check_xml(path)
+    with _opened(path) as file:
+        return tuple(_names_of(_headers(path, file)))
 
 
 def _names_of(headers: list[ScanHeader]) -> list[str]:
     return distinct_names(header.name for header in headers)
 
 
-def _headers(path: Path) -> list[ScanHeader]:
-    """The headers of the scans, whose sizes are checked before the scans are read."""
-    _check_xml(path)
+@contextmanager
+def _opened(path: Path) -> Iterator[Any]:
+    """The open file; exceptions of libE57 and pye57, which are of several classes, say that it is damaged."""
+    import pye57
+
     try:
-        headers = scan_headers(path)
-    except ValueError as error:
+        # As bytes, because a name need not be UTF-8.
+        with pye57.E57(os.fsencode(path)) as file:
+            yield file
+    except (MemoryError, ScanReadError):
+        raise
+    except Exception as error:
         raise incomplete(path, error) from error
+
+
+def _headers(path: Path, file: Any) -> list[ScanHeader]:
+    """The headers of the scans, whose sizes are checked before the scans are read."""
+    headers = []
+    n_bits = 8 * path.stat().st_size
+    for number in range(file.scan_count):
+        header = file.get_header(number)
+        name = header["name"].value() if header.node.isDefined("name") else ""
+        position = np.asarray(header.translation, dtype=np.float64) if header.has_pose() else None
+        is_grid = {"rowIndex", "columnIndex"} <= {*header.point_fields}
+        if int(header.point_count) * FEWEST_BITS > n_bits:
+            raise incomplete(path, f"it declares {header.point_count} points in {n_bits // 8} bytes")
+        if position is not None and not np.isfinite(position).all():
+            raise incomplete(path, "the position of a sensor is not finite")
+        headers.append(ScanHeader(str(name), int(header.point_count), position, is_grid))
     if not headers:
         raise ScanReadError("the file holds no scans")
-    n_bits = 8 * path.stat().st_size
-    for header in headers:
-        if header.n_points * FEWEST_BITS > n_bits:
-            raise incomplete(path, f"it declares {header.n_points} points in {n_bits // 8} bytes")
-        if header.position is not None and not np.isfinite(header.position).all():
-            raise incomplete(path, "the position of a sensor is not finite")
     return headers
+
+
+def _scan(file: Any, number: int, header: ScanHeader) -> RawScan:
+    """The points of a scan in the frame of the file, without those that the file marks as invalid."""
+    data = file.read_scan(number, ignore_missing_fields=True)
+    points = np.column_stack([data[f"cartesian{axis}"] for axis in "XYZ"]).astype(np.float64)
+    # The default pose, at the origin, is that of a sensor if the points are the grid that it measured.
+    known = header.position is not None and (header.is_grid or header.position.any())
+    return without_zeros(RawScan(points, viewpoints=header.position if known else None, unit="m"))
 
 
 def _check_xml(path: Path) -> None:
@@ -100,4 +141,4 @@ def _check_xml(path: Path) -> None:
         raise ScanReadError("its XML part has a document type, which E57 does not allow: export it again")
 
 
-E57 = Format((".e57",), read_e57, members=Members(_members, read_e57), extra=Extra("e57", ("pye57",)))
+E57 = Format((".e57",), read_e57, names=_names, extra=Extra("e57", ("pye57",)))

@@ -1,19 +1,64 @@
-"""The record of a file format: what its files are called, and the functions that read and write them."""
+"""The record of a file format, the arrays of one file, and what readers share."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import re
+import stat
+import zipfile
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
-from pcretrieve.arrays import FloatArray
-from pcretrieve.formats.members import Members
-from pcretrieve.formats.raw import RawScan
-from pcretrieve.values import PointCloud, TriangleMesh
+import numpy as np
+from numpy.typing import NDArray
 
-__all__ = ["Extra", "Format", "Part"]
+from pcretrieve.errors import ScanReadError
+from pcretrieve.values import FloatArray, PointCloud, TriangleMesh
+
+# Tolerance of the length of normals that a file does not name: they may have three digits.
+UNIT_TOLERANCE = 1e-2
+
+# Largest compression ratio of deflate, the usual method of archives.
+DEFLATE_RATIO = 1032
+
+# A protocol has two letters at least, unlike the drives of Windows.
+PROTOCOL = re.compile(r"([A-Za-z][A-Za-z0-9+.-]+):(/.*)", re.DOTALL)
+# Protocols of file systems whose paths are absolute.
+LOCAL = frozenset({"file", "local"})
+
+# Characters that a path must not have, and the mark between the name of a file and that of a scan in it.
+UNSAFE = re.compile(r"[\x00-\x1f\x7f/\\#]+")
+# Longest name of a scan in a file; file systems allow 255 bytes for the name of a file.
+LONGEST = 80
+
+
+class RawScan(NamedTuple):
+    """The arrays of one file, in its unit.
+
+    Attributes
+    ----------
+    points : (n, 3) float
+        Coordinates, which may be NaN or infinite.
+    faces : (m, 3) int or None
+        Vertex numbers of triangles; None for a point cloud.
+    normals : (n, 3) float or None
+        Normals, of any length.
+    viewpoints : (n, 3) or (3,) float or None
+        Positions of the sensors of all points, or of one sensor, in the frame of the points.
+    notes : tuple of str
+        Notes of the reader for the provenance.
+    unit : str or None
+        The unit of length of the file, a key of `METRES`; None if the file does not say.
+    """
+
+    points: NDArray[Any]
+    faces: NDArray[Any] | None = None
+    normals: NDArray[Any] | None = None
+    viewpoints: NDArray[Any] | None = None
+    notes: tuple[str, ...] = ()
+    unit: str | None = None
 
 
 class Extra(NamedTuple):
@@ -44,10 +89,6 @@ class Part(NamedTuple):
     pose: FloatArray | None = None
 
 
-def _no_parts(path: Path) -> tuple[Part, ...]:
-    return ()
-
-
 @dataclass(frozen=True, slots=True)
 class Format:
     """A file format.
@@ -71,18 +112,176 @@ class Format:
         Whether a file is a scan, by a look at its first bytes; for suffixes that other files have too. A
         folder stands for those files in it that are recognised. None if every file of the suffixes is a scan.
         Raises OSError.
-    members : Members or None
-        How the scans in a file are read one by one; `read` reads all of them as one. None if a file is one
-        scan.
+    names : function of Path that returns a tuple of str, or None
+        The names of the scans in a file: `read` takes one of them as its second argument, and reads all of
+        them as one without it. None if a file is one scan.
     extra : Extra or None
         What must be installed to read the format; None if nothing more than pcretrieve.
     """
 
     suffixes: tuple[str, ...]
-    read: Callable[[Path], RawScan]
-    parts: Callable[[Path], tuple[Part, ...]] = _no_parts
+    read: Callable[..., RawScan]
+    parts: Callable[[Path], tuple[Part, ...]] = lambda path: ()
     write_cloud: Callable[[PointCloud], bytes] | None = None
     write_mesh: Callable[[TriangleMesh], bytes] | None = None
     recognise: Callable[[Path], bool] | None = None
-    members: Members | None = None
+    names: Callable[[Path], tuple[str, ...]] | None = None
     extra: Extra | None = None
+
+
+# --- files ------------------------------------------------------------------------------------------------
+
+
+def url_of(path: Path) -> str | None:
+    """The URL that a path was made of: a `Path` keeps one of the two slashes after the protocol."""
+    found = PROTOCOL.fullmatch(str(path))
+    if found is None:
+        return None
+    protocol, rest = found.groups()
+    return f"{protocol}:/{'/' if protocol in LOCAL else ''}{rest}"
+
+
+def check_file(path: Path) -> None:
+    """Check that a path is a regular file with content: opening a pipe would wait for a writer."""
+    status = path.stat()
+    if stat.S_ISDIR(status.st_mode):
+        raise ScanReadError(f"{path} is a folder, not a scan")
+    if not stat.S_ISREG(status.st_mode):
+        raise ScanReadError(f"{path} must be a regular file, not a pipe or a device: save the scan to a file")
+    if not status.st_size:
+        raise ScanReadError("the file is empty: scan or export it again")
+
+
+def incomplete(path: Path, reason: object) -> ScanReadError:
+    """The error for a file that is truncated, damaged, or not of the format of its suffix."""
+    if isinstance(reason, UnicodeError):
+        reason = "it holds bytes that are no text"  # instead of the message of the codec
+    words = str(reason).splitlines() or [type(reason).__name__]
+    return ScanReadError(
+        f"not a complete {path.suffix[1:].upper()} file ({words[0]}): export or copy it again"
+    )
+
+
+def no_text(path: Path) -> ScanReadError:
+    """The error for a file that is not a text file, against its suffix."""
+    return ScanReadError(f"not a text file, though its name ends in {path.suffix}")
+
+
+def text_lines(path: Path) -> list[str]:
+    """The lines of a text file."""
+    try:
+        text = path.read_text(encoding="utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise no_text(path) from error
+    if "\0" in text:
+        raise no_text(path)
+    return text.splitlines()
+
+
+def member_bytes(archive: zipfile.ZipFile, info: zipfile.ZipInfo) -> bytes:
+    """The content of a member of an archive, whose size is checked before the member is read."""
+    if info.file_size > DEFLATE_RATIO * (info.compress_size + 1):
+        raise ScanReadError(
+            f"its member {info.filename} declares {info.file_size} bytes in {info.compress_size}"
+        )
+    return archive.read(info)
+
+
+def distinct_names(names: Iterable[str]) -> list[str]:
+    """Convert the names of the scans in a file to distinct names that can be parts of a path."""
+    found: dict[str, None] = {}
+    counts: dict[str, int] = {}
+    for number, name in enumerate(names, start=1):
+        plain = UNSAFE.sub("_", name).strip()[:LONGEST].strip("_ ") or str(number)
+        distinct = plain
+        while distinct in found:
+            counts[plain] = counts.get(plain, 1) + 1
+            distinct = f"{plain}-{counts[plain]}"
+        found[distinct] = None
+    return list(found)
+
+
+# --- arrays -----------------------------------------------------------------------------------------------
+
+
+def fans(polygons: Sequence[NDArray[Any]]) -> NDArray[np.int64]:
+    """(m, 3) triangles of polygons, as fans around their first corners.
+
+    polygons: sequence of (p, k) int, vertex numbers of polygons of k corners; polygons of fewer than three
+        corners are ignored.
+    """
+    triangles = [
+        corners if corners.shape[1] == 3 else corners[:, [0, k, k + 1]]
+        for corners in polygons
+        for k in range(1, corners.shape[1] - 1)
+    ]
+    if not triangles:
+        return np.empty((0, 3), dtype=np.int64)
+    return np.concatenate(triangles, dtype=np.int64, casting="unsafe")
+
+
+def merged_vertices(
+    vertices: NDArray[Any], faces: NDArray[np.integer[Any]]
+) -> tuple[NDArray[Any], NDArray[np.integer[Any]]]:
+    """Merge vertices with equal coordinates: (p, 3) of them, in lexicographic order, and the (m, 3) faces."""
+    if faces.size and not (faces.min() >= 0 and faces.max() < len(vertices)):
+        raise ScanReadError(
+            f"faces must name vertices 0 to {len(vertices) - 1}, got {faces.min()} to {faces.max()}"
+        )
+    vertices, inverse = np.unique(vertices, axis=0, return_inverse=True)
+    return vertices, inverse.reshape(-1)[faces]
+
+
+def are_normals(vectors: NDArray[Any]) -> bool:
+    """Whether (n, 3) columns of a table are normals: of unit length, and unlike colours some negative."""
+    vectors = vectors[np.isfinite(vectors).all(axis=1)]
+    return bool(
+        len(vectors)
+        and (vectors < 0).any()
+        and (np.abs(np.linalg.norm(vectors, axis=1) - 1) < UNIT_TOLERANCE).all()
+    )
+
+
+def without_zeros(scan: RawScan) -> RawScan:
+    """Drop the readings that a sensor without an answer has written as zeros."""
+    missing = (scan.points == 0).all(axis=1)  # (n,)
+    n_missing = int(missing.sum())
+    if n_missing < 2 or n_missing == len(missing):
+        return scan
+    sensors = scan.viewpoints
+    return scan._replace(
+        points=scan.points[~missing],
+        normals=None if scan.normals is None else scan.normals[~missing],
+        viewpoints=sensors if sensors is None or sensors.ndim == 1 else sensors[~missing],
+        notes=(
+            *scan.notes,
+            f"dropped {n_missing} of {len(missing)} points at zero: readings without an answer",
+        ),
+    )
+
+
+def joined(scans: Sequence[RawScan]) -> RawScan:
+    """Join scans that have one frame and one unit, all of them clouds or all of them meshes."""
+    if len(scans) == 1:
+        return scans[0]
+    starts = np.cumsum([0, *(len(scan.points) for scan in scans)])
+    faces = [scan.faces + start for scan, start in zip(scans, starts, strict=False) if scan.faces is not None]
+    normals = [scan.normals for scan in scans if scan.normals is not None]
+    sensors = [
+        np.broadcast_to(scan.viewpoints, scan.points.shape) for scan in scans if scan.viewpoints is not None
+    ]
+    return RawScan(
+        np.concatenate([scan.points for scan in scans]),
+        np.concatenate(faces) if faces else None,
+        np.concatenate(normals) if len(normals) == len(scans) else None,
+        np.concatenate(sensors) if len(sensors) == len(scans) else None,
+        tuple(note for scan in scans for note in scan.notes),
+        scans[0].unit,
+    )
+
+
+def columns_of(cloud: PointCloud, points: str, normals: str, viewpoints: str) -> tuple[list[str], FloatArray]:
+    """The names of the columns of a table, and the (n, c) arrays of a cloud as one table."""
+    arrays = ((points, cloud.points), (normals, cloud.normals), (viewpoints, cloud.viewpoints))
+    held = [(names, array) for names, array in arrays if array is not None]
+    return " ".join(names for names, _ in held).split(), np.concatenate([array for _, array in held], axis=1)

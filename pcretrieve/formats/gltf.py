@@ -1,227 +1,256 @@
-"""The formats glTF 2.0 and GLB: triangles and points of the scene, without materials.
+"""The formats glTF 2.0 [1]_ and GLB: triangles and points of the scene, without materials.
 
-A mesh of the scene is a body. Its vertices are placed by the nodes of the scene; those at the same place are
-merged, because the format duplicates vertices for faces of different materials and normals.
+A file is a tree in JSON, and buffers with the values: a part of a GLB file, data URIs, or files below the
+folder of a glTF file. trimesh allocates what an accessor declares before it can be checked, takes minutes for
+nodes that lie deep in each other, reads normalised positions as whole numbers,
+and leaves out fans of triangles.
+
+References
+----------
+.. [1] Khronos Group, "glTF 2.0 Specification", 2021,
+   https://registry.khronos.org/glTF/specs/2.0/glTF-2.0.html.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from functools import partial
-from pathlib import Path
-from typing import Any, NamedTuple, TypeVar
+import base64
+import json
+import struct
+from collections.abc import Iterator
+from contextlib import contextmanager
+from functools import cache, partial
+from pathlib import Path, PurePosixPath
+from typing import Any, NamedTuple
+from urllib.parse import unquote, urlsplit
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pcretrieve.errors import ScanReadError
-from pcretrieve.formats.format import Format, Part
-from pcretrieve.formats.gltf_document import (
-    Document,
-    buffer_files,
-    read_glb_document,
-    read_gltf_document,
-    values_of,
-)
-from pcretrieve.formats.members import Members, distinct_names
-from pcretrieve.formats.raw import RawScan, incomplete, merged_vertices
-from pcretrieve.formats.trimesh import mesh_bytes
+from pcretrieve.formats.format import Part, RawScan, check_file, distinct_names, joined
+from pcretrieve.formats.meshes import mesh_bytes
+from pcretrieve.formats.scenes import Scene, check_size, moved, scene_format
 from pcretrieve.values import FloatArray
 
-__all__ = ["GLB", "GLTF"]
-
-Result = TypeVar("Result")
-
+COMPONENTS = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
+WIDTHS = {"SCALAR": 1, "VEC3": 3}
 # Modes of a primitive with triangles; the others are points and lines.
 TRIANGLES, STRIP, FAN = 4, 5, 6
 
-# A mesh is repeated in the scene for each node that refers to it. The number of vertices and indices in the
-# scene is limited to the number of bytes of the file, or to this number if the file is smaller.
-MOST_OF_SMALL_FILE = 1_000_000
-
 
 class Placed(NamedTuple):
-    """A mesh of the scene: the node that places it, both by their numbers, and the motion to its frame."""
+    """A mesh, by its number, and the (4, 4) motion to the frame of the scene."""
 
-    node: int
     mesh: int
-    motion: FloatArray  # (4, 4)
+    motion: FloatArray
 
 
-class Primitive(NamedTuple):
-    """The vertices of a primitive, in the frame of its mesh, and its triangles."""
+def _gltf(path: Path) -> Scene:
+    with _broken():
+        tree, contents, n_bytes = _document(path)
+        placed = _placed(tree, n_bytes)
+        nodes, meshes = tree["nodes"], tree["meshes"]
+        labels = (
+            nodes[node].get("name") or meshes[placed[node].mesh].get("name") or "" for node in sorted(placed)
+        )
+        names = dict(zip(sorted(placed), distinct_names(map(str, labels)), strict=True))
 
-    vertices: NDArray[Any]
-    faces: NDArray[np.int64]
+    @cache
+    def parts(mesh: int) -> list[RawScan]:
+        return [_primitive(tree, contents, primitive) for primitive in meshes[mesh]["primitives"]]
 
+    def body(mesh: int, motion: FloatArray) -> RawScan:
+        with _broken():
+            empty = RawScan(np.empty((0, 3)))  # of a mesh without primitives
+            return joined([empty, *(moved(part, motion) for part in parts(mesh))])._replace(unit="m")
 
-def _format(
-    suffix: str,
-    read_document: Callable[[Path], Document],
-    parts: Callable[[Path], tuple[Part, ...]] = lambda path: (),
-    **options: Any,
-) -> Format:
-    """The format of a suffix. The readers raise ScanReadError if a file is damaged, or has no vertices."""
-    return Format(
-        (suffix,),
-        partial(_read, read_document),
-        parts,
-        members=Members(partial(_names, read_document), partial(_read, read_document)),
-        **options,
+    return Scene(
+        {names[node]: partial(body, *found) for node, found in placed.items()},
+        tuple(names.values()),
+        is_surface=True,
     )
 
 
-def _read(read_document: Callable[[Path], Document], path: Path, name: str | None = None) -> RawScan:
-    """All bodies of the scene as one scan, or the body of a name."""
-
-    def read(document: Document) -> RawScan:
-        placed = _placed(document)
-        return _scan(document, placed if name is None else [_named(document, placed)[name]])
-
-    return _parsed(read_document, path, read)
-
-
-def _names(read_document: Callable[[Path], Document], path: Path) -> tuple[str, ...]:
-    return _parsed(read_document, path, lambda document: tuple(_named(document, _placed(document))))
-
-
-def _parsed(
-    read_document: Callable[[Path], Document], path: Path, use: Callable[[Document], Result]
-) -> Result:
-    """What a function makes of the document of a file, with its exceptions as those of a damaged file."""
+@contextmanager
+def _broken() -> Iterator[None]:
+    """Turn what a tree raises that lacks members, has some of a wrong type, or invalid references."""
     try:
-        return use(read_document(path))
-    except ScanReadError as error:
-        raise incomplete(path, error.message) from error
-    # Missing members of the tree, members of a wrong type, and invalid references.
+        yield
     except (ArithmeticError, AttributeError, LookupError, RecursionError, TypeError, ValueError) as error:
-        raise incomplete(path, f"its JSON part is broken: {type(error).__name__} {error}") from error
+        raise ScanReadError(f"its JSON part is broken: {type(error).__name__} {error}") from error
 
 
-def _named(document: Document, placed: list[Placed]) -> dict[str, Placed]:
-    """The bodies in the order of their nodes, by the names of those, or of their meshes."""
-    nodes, meshes = document.tree["nodes"], document.tree["meshes"]
-    bodies = sorted(placed, key=lambda body: body.node)
-    names = (nodes[body.node].get("name") or meshes[body.mesh].get("name") or "" for body in bodies)
-    return dict(zip(distinct_names(map(str, names)), bodies, strict=True))
+def _document(path: Path) -> tuple[Any, list[bytes], int]:
+    """The tree of a file, its buffers by number, and the size of both; bytes."""
+    data = path.read_bytes()
+    is_glb = path.suffix.lower() == ".glb"
+    text, binary = _chunks(data) if is_glb else (data, b"")
+    tree = _tree(text)
+    if not is_glb and not str(tree["asset"]["version"]).startswith("2."):
+        raise ScanReadError(f"it is not glTF 2.0, but {str(tree['asset']['version'])[:10]}")
+    buffers = []
+    for buffer in tree.get("buffers", []):
+        if is_glb and not str(buffer.get("uri", "data:")).startswith("data:"):
+            raise ScanReadError("its values lie outside of it: export it with everything in one file")
+        buffers.append(binary if is_glb and "uri" not in buffer else _buffer(path, str(buffer["uri"])))
+    n_bytes = len(data) + (0 if is_glb else sum(map(len, buffers)))
+    return tree, buffers, n_bytes
 
 
-def _placed(document: Document) -> list[Placed]:
-    """The meshes of the scene, whose size is checked before they are read."""
-    tree = document.tree
-    placed = list(_placed_meshes(tree))
-    sizes = {mesh: _n_values(tree, mesh) for mesh in {body.mesh for body in placed}}
-    n_values, most = sum(sizes[body.mesh] for body in placed), max(document.n_bytes, MOST_OF_SMALL_FILE)
-    if n_values > most:
-        raise ScanReadError(f"its scene declares {n_values} values, it has {document.n_bytes} bytes")
-    return placed
+def _chunks(data: bytes) -> tuple[bytes, bytes]:
+    """The JSON part and the binary part of a GLB file."""
+    if data[:4] != b"glTF" or len(data) < 20:
+        raise ScanReadError("its first bytes are not those of glTF")
+    version, length, length_of_tree, kind = struct.unpack_from("<III4s", data, 4)
+    if version != 2 or kind != b"JSON":
+        raise ScanReadError("it is not glTF 2.0")
+    start = 20 + length_of_tree
+    if not start <= length <= len(data):
+        raise ScanReadError(f"its header declares {length} bytes, it has {len(data)}")
+    text, binary = data[20:start], b""
+    while start + 8 <= length and not binary:
+        size, kind = struct.unpack_from("<I4s", data, start)
+        start += 8 + size
+        if start > length:
+            raise ScanReadError("its binary part is cut short")
+        if kind == b"BIN\0":
+            binary = data[start - size : start]
+    return text, binary
 
 
-def _scan(document: Document, placed: list[Placed]) -> RawScan:
-    """The bodies in the frame of the scene."""
-    meshes = {
-        mesh: [_primitive(document, primitive) for primitive in document.tree["meshes"][mesh]["primitives"]]
-        for mesh in {body.mesh for body in placed}
-    }
-    points, triangles, n_points = [], [], 0
-    for body in placed:
-        for vertices, faces in meshes[body.mesh]:
-            points.append(_moved(vertices.astype(np.float64), body.motion))
-            # A reflection reverses the orientation of triangles.
-            mirrored = np.linalg.det(body.motion[:3, :3]) < 0
-            triangles.append((faces[:, ::-1] if mirrored else faces) + n_points)
-            n_points += len(vertices)
-    if not n_points:
-        raise ScanReadError("its scene has no vertices")
-    merged, numbers = merged_vertices(np.concatenate(points), np.concatenate(triangles))
-    return RawScan(merged, numbers if len(numbers) else None, unit="m")
+def _tree(text: bytes) -> Any:
+    try:
+        return json.loads(text)
+    except UnicodeDecodeError as error:
+        raise ScanReadError("its JSON part holds bytes that are no text") from error
 
 
-def _placed_meshes(tree: Any) -> Iterator[Placed]:
-    """Yield the mesh of each node of the scene."""
-    nodes, seen = tree.get("nodes", []), set()
+def _buffer(path: Path, uri: str) -> bytes:
+    if uri.startswith("data:"):
+        return base64.b64decode(uri.partition(",")[2])
+    file = _file(path, uri)
+    try:
+        check_file(file)
+        return file.read_bytes()
+    except OSError as error:
+        raise ScanReadError(f"its buffer {file.name}: {error.strerror or error}") from error
+    except ScanReadError as error:
+        raise ScanReadError(f"its buffer {file.name}: {error.message}") from error
+
+
+def _file(path: Path, uri: str) -> Path:
+    """The file of a URI, which may not lead out of the folder of the glTF file."""
+    name = PurePosixPath(unquote(uri))
+    if urlsplit(uri).scheme or name.is_absolute() or ".." in name.parts or "\0" in str(name):
+        raise ScanReadError(f"its buffers must be files below its own folder, got {uri[:80]!r}")
+    return path.parent / name
+
+
+def _buffer_files(path: Path) -> tuple[Part, ...]:
+    """The files that hold the buffers of a glTF file."""
+    check_file(path)
+    try:
+        uris = [str(buffer["uri"]) for buffer in _tree(path.read_bytes()).get("buffers", [])]
+        files = dict.fromkeys(_file(path, uri) for uri in uris if not uri.startswith("data:"))
+    except (AttributeError, LookupError, RecursionError, TypeError, ValueError) as error:
+        raise ScanReadError(f"its list of buffers is damaged: {type(error).__name__} {error}") from error
+    return tuple(Part(file) for file in files)
+
+
+def _placed(tree: Any, n_bytes: int) -> dict[int, Placed]:
+    """The mesh of each node of the scene, whose sizes are checked."""
+    nodes = tree.get("nodes", [])
+    placed: dict[int, Placed] = {}
+    seen = set()
     waiting = [(root, np.eye(4)) for root in tree["scenes"][tree.get("scene", 0)].get("nodes", [])]
     while waiting:
         number, motion = waiting.pop()
         if number in seen:
             raise ScanReadError(f"node {number} has more than one parent")
         seen.add(number)
-        node = nodes[number]
-        motion = motion @ _transform(node)
-        waiting += [(child, motion) for child in node.get("children", [])]
-        if "mesh" in node:
-            yield Placed(number, node["mesh"], motion)
+        motion = motion @ _transform(nodes[number])
+        waiting += [(child, motion) for child in nodes[number].get("children", [])]
+        if "mesh" in nodes[number]:
+            placed[number] = Placed(nodes[number]["mesh"], motion)
+    sizes = {
+        mesh: sum(int(tree["accessors"][accessor]["count"]) for accessor in _accessors(tree, mesh))
+        for mesh in {body.mesh for body in placed.values()}
+    }
+    check_size(sum(sizes[body.mesh] for body in placed.values()), n_bytes)
+    return placed
 
 
 def _transform(node: Any) -> FloatArray:
-    """The (4, 4) transform from the frame of a node to that of its parent."""
+    """The (4, 4) transform from the frame of a node to that of its parent: M T R S."""
     matrix = np.array(node.get("matrix", np.eye(4).ravel()), dtype=np.float64).reshape(4, 4).T
     if "translation" in node:
         translation = np.eye(4)
         translation[:3, 3] = node["translation"]
         matrix = matrix @ translation
     if "rotation" in node:
+        quaternion = np.array(node["rotation"], dtype=np.float64)
+        x, y, z, w = quaternion * np.sqrt(2 / (quaternion @ quaternion))
         rotation = np.eye(4)
-        rotation[:3, :3] = _rotation(np.array(node["rotation"], dtype=np.float64))
+        rotation[:3, :3] = [
+            [1 - y * y - z * z, x * y - z * w, x * z + y * w],
+            [x * y + z * w, 1 - x * x - z * z, y * z - x * w],
+            [x * z - y * w, y * z + x * w, 1 - x * x - y * y],
+        ]
         matrix = matrix @ rotation
     if "scale" in node:
         matrix = matrix @ np.diag([*node["scale"], 1.0])
     return np.asarray(matrix)
 
 
-def _rotation(quaternion: FloatArray) -> FloatArray:
-    """The (3, 3) rotation matrix of a quaternion x, y, z, w."""
-    x, y, z, w = quaternion * np.sqrt(2 / (quaternion @ quaternion))
-    return np.array(
-        [
-            [1 - y * y - z * z, x * y - z * w, x * z + y * w],
-            [x * y + z * w, 1 - x * x - z * z, y * z - x * w],
-            [x * z - y * w, y * z + x * w, 1 - x * x - y * y],
-        ]
-    )
+def _accessors(tree: Any, mesh: int) -> list[int]:
+    """The accessors of the positions and of the indices of a mesh."""
+    primitives = tree["meshes"][mesh]["primitives"]
+    indices = [primitive["indices"] for primitive in primitives if "indices" in primitive]
+    return [primitive["attributes"]["POSITION"] for primitive in primitives] + indices
 
 
-def _moved(points: FloatArray, motion: FloatArray) -> FloatArray:
-    if np.array_equal(motion, np.eye(4)):
-        return points
-    homogeneous = np.column_stack([points, np.ones(len(points))])  # (n, 4)
-    return np.asarray((motion @ homogeneous.T).T[:, :3])
-
-
-# --- meshes ----------------------------------------------------------------------------------------------
-
-
-def _n_values(tree: Any, mesh: int) -> int:
-    """The declared number of vertices and indices of a mesh."""
-    return sum(
-        int(tree["accessors"][accessor]["count"])
-        for primitive in tree["meshes"][mesh]["primitives"]
-        for accessor in (primitive["attributes"]["POSITION"], primitive.get("indices"))
-        if accessor is not None
-    )
-
-
-def _primitive(document: Document, primitive: Any) -> Primitive:
-    vertices = values_of(document, primitive["attributes"]["POSITION"], "VEC3")
+def _primitive(tree: Any, contents: list[bytes], primitive: Any) -> RawScan:
+    """The vertices of a primitive, in the frame of its mesh, and its triangles."""
+    vertices = _values(tree, contents, primitive["attributes"]["POSITION"], "VEC3").astype(np.float64)
     mode = primitive.get("mode", TRIANGLES)
     if mode not in (TRIANGLES, STRIP, FAN):
-        return Primitive(vertices, np.empty((0, 3), dtype=np.int64))
+        return RawScan(vertices, np.empty((0, 3), dtype=np.int64))
     corners = np.arange(len(vertices))
     if "indices" in primitive:
-        corners = values_of(document, primitive["indices"], "SCALAR")[:, 0].astype(np.int64)
+        corners = _values(tree, contents, primitive["indices"], "SCALAR")[:, 0].astype(np.int64)
         if len(corners) and not 0 <= corners.min() <= corners.max() < len(vertices):
             raise ScanReadError(f"its faces name vertex {corners.max()}, of {len(vertices)}")
     if mode == TRIANGLES:
-        return Primitive(vertices, corners.reshape(-1, 3))
+        return RawScan(vertices, corners.reshape(-1, 3))
     k = np.arange(max(len(corners) - 2, 0))
     # Every second triangle of a strip has the opposite orientation.
     order = (k, k + 1 + k % 2, k + 2 - k % 2) if mode == STRIP else (k + 1, k + 2, 0 * k)
-    return Primitive(vertices, corners[np.column_stack(order)])
+    return RawScan(vertices, corners[np.column_stack(order)])
 
 
-def _buffers(path: Path) -> tuple[Part, ...]:
-    return tuple(Part(file) for file in buffer_files(path))
+def _values(tree: Any, contents: list[bytes], accessor: int, kind: str) -> NDArray[Any]:
+    """The (count, width) values of an accessor; normalised integers as numbers from −1 to 1."""
+    declared = tree["accessors"][accessor]
+    if "sparse" in declared or "bufferView" not in declared:
+        raise ScanReadError("its values are sparse or compressed: export it plainly")
+    if declared["type"] != kind:
+        raise ScanReadError(f"positions must be VEC3 and indices SCALAR, one is {declared['type']}")
+    view = tree["bufferViews"][declared["bufferView"]]
+    if not 0 <= view["buffer"] < len(contents):
+        raise ScanReadError("its values lie outside of it: export it with everything in one file")
+    binary = contents[view["buffer"]]
+    count, width, dtype = declared["count"], WIDTHS[kind], np.dtype(COMPONENTS[declared["componentType"]])
+    stride = view.get("byteStride", width * dtype.itemsize)
+    start = view.get("byteOffset", 0)
+    first = start + declared.get("byteOffset", 0)
+    stop = first + (count - 1) * stride + width * dtype.itemsize
+    if not 0 <= start <= first <= stop <= start + view["byteLength"] <= len(binary):
+        raise ScanReadError(f"its binary part is too short for {count} values")
+    values: NDArray[Any] = np.ndarray((count, width), dtype, binary, first, (stride, dtype.itemsize))
+    if declared.get("normalized", False) and dtype.kind != "f":
+        return np.maximum(values / np.iinfo(dtype).max, -1)
+    return values
 
 
-GLB = _format(".glb", read_glb_document, write_mesh=partial(mesh_bytes, file_type="glb"))
-GLTF = _format(".gltf", read_gltf_document, _buffers)
+GLB = scene_format(".glb", _gltf, write_mesh=partial(mesh_bytes, file_type="glb"))
+GLTF = scene_format(".gltf", _gltf, parts=_buffer_files)

@@ -12,11 +12,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pcretrieve.arrays import FloatArray
 from pcretrieve.errors import ScanReadError
-from pcretrieve.formats.raw import RawScan
-
-__all__ = ["organised_scan"]
+from pcretrieve.formats.format import RawScan
+from pcretrieve.values import FloatArray
 
 # Half the edge of the window of neighbours, in readings: 24 neighbours.
 REACH = 2

@@ -1,113 +1,132 @@
-"""The format PCD, read by pypcd4, with the position of the sensor."""
+"""The format PCD of the Point Cloud Library: text, binary and compressed, with the position of the sensor."""
 
 from __future__ import annotations
 
 import io
 import re
 import struct
+from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pcretrieve.errors import ScanReadError
-from pcretrieve.formats.columns import columns_of
-from pcretrieve.formats.format import Format
-from pcretrieve.formats.raw import RawScan, incomplete
+from pcretrieve.formats.format import Format, RawScan, columns_of, incomplete
 from pcretrieve.values import PointCloud
 
-if TYPE_CHECKING:
-    from pypcd4.pypcd4 import MetaData
-
-__all__ = ["PCD", "read_pcd"]
-
-HEADER = re.compile(rb"\A.*?^DATA[ \t]+(\w+)[ \t]*\r?\n", re.MULTILINE | re.DOTALL)
-# Number of lines after which pypcd4 ends a header without a line DATA.
-MOST_HEADER_LINES = 10
+HEADER = re.compile(rb"\A(.*?)^DATA[ \t]+(\w+)[ \t]*\r?\n", re.MULTILINE | re.DOTALL)
+# A header has ten lines, and comments.
+MOST_HEADER_BYTES = 1 << 20
+KINDS = {"F": "<f", "I": "<i", "U": "<u"}
+SIZES = {"F": (4, 8), "I": (1, 2, 4, 8), "U": (1, 2, 4, 8)}
 
 # Largest compression ratio of LZF: 264 bytes in 3.
 LZF_RATIO = 88
 # Largest number of values of a point. The largest descriptor of PCL has 1980.
 MOST_VALUES = 4096
 
+# The default of VIEWPOINT, tx ty tz qw qx qy qz: the origin without rotation.
+NO_VIEWPOINT = (0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
+
+
+class Header(NamedTuple):
+    """The type of a point, the number of points, and the pose of the sensor."""
+
+    record: np.dtype[np.void]
+    n_points: int
+    viewpoint: tuple[float, ...]
+
 
 def read_pcd(path: Path) -> RawScan:
     """Read a PCD file.
 
-    Returns RawScan: points, and normals if there are any; unit of the file. The positions of the sensors are
-        those of the fields ``vp_x vp_y vp_z`` (PCL's PointWithViewpoint), or else VIEWPOINT of the header,
-        which is in the frame of the points. The default of VIEWPOINT, the origin without rotation, is written
-        by programs that do not know the sensor, and is ignored.
+    The positions of the sensors are those of the fields ``vp_x vp_y vp_z`` (PCL's PointWithViewpoint), or
+    else VIEWPOINT of the header, which is in the frame of the points. Its default is written by programs that
+    do not know the sensor, and is ignored.
     """
-    from pypcd4.pypcd4 import MetaData
-    from pypcd4.pypcd4 import PointCloud as Pcd
-
     data = path.read_bytes()
-    header = HEADER.match(data)
-    if header is None:
+    found = HEADER.match(data[:MOST_HEADER_BYTES])
+    if found is None:
         raise incomplete(path, "its header has no line DATA")
-    if header[1] == b"ascii":
-        # pypcd4 accepts single spaces between numbers only, and none at the end of a line.
-        data = b"\n".join(b" ".join(line.split()) for line in data.splitlines())
     try:
-        lines, start = _header_lines(data)
-        _check_promises(path, MetaData.parse_header(lines), memoryview(data)[start:])
-        content = Pcd.from_fileobj(io.BytesIO(data))  # type: ignore[arg-type]
-    except (ScanReadError, MemoryError):
-        raise
-    # pypcd4 has no exception class: damaged files raise exceptions of numpy, pydantic or the decompressor.
-    except Exception as error:
+        header = _header(found[1].decode("utf-8"))
+        column = _column(header, found[2].decode(), memoryview(data)[found.end() :])
+    # Numbers of the header that are none, types that do not exist, and text that is no table.
+    except (ArithmeticError, LookupError, TypeError, ValueError, struct.error) as error:
         raise incomplete(path, error) from error
+    names = header.record.names or ()
 
-    def columns(*names: str) -> NDArray[np.float64] | None:
-        if not set(names) <= set(content.fields):
+    def columns(*wanted: str) -> NDArray[np.float64] | None:
+        if not {*wanted} <= {name for name in names if not header.record[name].shape}:
             return None
-        return np.asarray(content.numpy(names), dtype=np.float64).reshape(-1, 3)
+        table = np.empty((len(column(wanted[0])), len(wanted)))
+        for k, name in enumerate(wanted):
+            table[:, k] = column(name)
+        return table
 
     points = columns("x", "y", "z")
     if points is None:
-        raise ScanReadError(f"a PCD scan must have the fields x y z, this one has {' '.join(content.fields)}")
-    if len(points) != content.metadata.points:
-        raise incomplete(path, f"it declares {content.metadata.points} points and holds {len(points)}")
+        raise ScanReadError(f"a PCD scan must have the fields x y z, this one has {' '.join(names)}")
+    if len(points) != header.n_points:
+        raise incomplete(path, f"it declares {header.n_points} points and holds {len(points)}")
     viewpoints = columns("vp_x", "vp_y", "vp_z")
-    if viewpoints is None:
-        pose = np.asarray(content.metadata.viewpoint, dtype=np.float64)  # (7,): tx ty tz qw qx qy qz
-        if not np.array_equal(pose, [0, 0, 0, 1, 0, 0, 0]):
-            viewpoints = pose[:3]
+    if viewpoints is None and header.viewpoint != NO_VIEWPOINT:
+        viewpoints = np.array(header.viewpoint[:3])
     return RawScan(points, None, columns("normal_x", "normal_y", "normal_z"), viewpoints)
 
 
-def _header_lines(data: bytes) -> tuple[list[str], int]:
-    """The lines of the header, as pypcd4 splits them, and the position of the points; bytes."""
-    lines: list[str] = []
-    start = 0
-    for line in io.BytesIO(data):
-        start += len(line)
-        text = line.decode("utf-8").strip()
-        if text and not text.startswith("#"):
-            lines.append(text)
-            if text.startswith("DATA") or len(lines) >= MOST_HEADER_LINES:
-                break
-    return lines, start
+def _header(text: str) -> Header:
+    lines = [line.split() for line in text.splitlines() if not line.startswith("#")]
+    values = {words[0]: words[1:] for words in lines if words}
+    # Fields that only fill up the row have the name _, all of them.
+    names = [f"_{k}" if name == "_" else name for k, name in enumerate(values["FIELDS"])]
+    counts = [int(count) for count in values.get("COUNT", ["1"] * len(names))]
+    if sum(counts) > MOST_VALUES:
+        raise ValueError(f"its header declares {sum(counts)} values a point, {MOST_VALUES} may be")
+    fields: list[Any] = []
+    for name, kind, size, count in zip(names, values["TYPE"], values["SIZE"], counts, strict=True):
+        if int(size) not in SIZES[kind] or count < 1:
+            raise ValueError(f"its header declares {name} of the type {kind}, {size} bytes, {count} times")
+        fields.append((name, f"{KINDS[kind]}{int(size)}", *([(count,)] if count > 1 else [])))
+    (n_points,) = map(int, values["POINTS"])
+    viewpoint = tuple(map(float, values.get("VIEWPOINT", NO_VIEWPOINT)))
+    if n_points < 0 or len(viewpoint) != len(NO_VIEWPOINT):
+        raise ValueError(f"its header declares {n_points} points, and {len(viewpoint)} numbers of VIEWPOINT")
+    return Header(np.dtype(fields), n_points, viewpoint)
 
 
-def _check_promises(path: Path, header: MetaData, body: memoryview) -> None:
-    """Check, before arrays are allocated, that the file is large enough for its header."""
-    n_values = sum(header.count)
-    if n_values > MOST_VALUES:
-        raise incomplete(path, f"its header declares {n_values} values a point, {MOST_VALUES} may be")
-    n_bytes = header.points * sum(size * count for size, count in zip(header.size, header.count, strict=True))
-    most = len(body)
-    if header.data.value.startswith("binary") and header.data.value != "binary":
-        compressed, uncompressed = struct.unpack_from("<II", body)
-        if compressed > len(body) - 8 or uncompressed > LZF_RATIO * compressed:
-            raise incomplete(
-                path, f"it declares {uncompressed} bytes in {compressed}, {len(body) - 8} follow"
-            )
-        most = uncompressed
-    if header.data.value != "ascii" and n_bytes > most:
-        raise incomplete(path, f"its header declares {header.points} points, {most} bytes follow")
+def _column(header: Header, encoding: str, body: memoryview) -> Callable[[str], NDArray[Any]]:
+    """How the (n,) values of a field are found; the size of the file is checked before they are."""
+    record, n, _ = header
+    if encoding == "ascii":
+        rows = np.loadtxt(io.BytesIO(body), record, ndmin=1) if n else np.empty(0, record)
+        return rows.__getitem__
+    if encoding == "binary":
+        _check_promise(header, len(body))
+        return np.frombuffer(body, record, n).__getitem__
+    if encoding not in ("binary_compressed", "binaryscompressed"):
+        raise ValueError(f"its data are {encoding}")
+    if not n:
+        return np.empty(0, record).__getitem__
+    import lzf
+
+    packed, size = struct.unpack_from("<II", body)
+    if packed > len(body) - 8 or size > LZF_RATIO * packed:
+        raise ValueError(f"it declares {size} bytes in {packed}, {len(body) - 8} follow")
+    _check_promise(header, size)
+    whole = lzf.decompress(bytes(body[8 : 8 + packed]), size)
+    if whole is None or len(whole) != size:
+        raise ValueError(f"its points do not expand to {size} bytes")
+    # All values of the first field, then all of the second.
+    starts = {name: record.fields[name][1] * n for name in record.names or ()} if record.fields else {}
+    return lambda name: np.frombuffer(whole, record[name], n, starts[name])
+
+
+def _check_promise(header: Header, n_bytes: int) -> None:
+    if header.n_points * header.record.itemsize > n_bytes:
+        raise ValueError(f"its header declares {header.n_points} points, {n_bytes} bytes follow")
 
 
 def _pcd_bytes(cloud: PointCloud) -> bytes:

@@ -9,15 +9,11 @@ from typing import IO, NamedTuple
 
 import numpy as np
 
-from pcretrieve.arrays import FloatArray
 from pcretrieve.errors import ScanReadError
-from pcretrieve.formats.format import Format
-from pcretrieve.formats.members import Members
+from pcretrieve.formats.format import Format, RawScan, incomplete, joined
 from pcretrieve.formats.organised import organised_scan
-from pcretrieve.formats.raw import RawScan, incomplete, joined
-from pcretrieve.formats.text_points import number_rows
-
-__all__ = ["PTX", "read_ptx"]
+from pcretrieve.formats.text import number_rows
+from pcretrieve.values import FloatArray
 
 # Lines of a header: columns, rows, the sensor and its three axes, and a matrix of four lines.
 N_HEADER_LINES = 10
@@ -37,10 +33,10 @@ class Header(NamedTuple):
 
 
 def read_ptx(path: Path, name: str | None = None) -> RawScan:
-    """Read a PTX file.
+    """Read the scans in a PTX file as one, or the scan of a number.
 
-    Returns RawScan: the points in the common frame of the file, in its unit, with normals and the position of
-        the sensor of each point. Readings without an answer, which are zeros, are dropped with a note.
+    The points are in the common frame of the file, with normals and the position of the sensor of each point.
+    Readings without an answer, which are zeros, are dropped with a note.
     """
     scans = []
     # Bytes that are no text are no numbers either, and are reported as such.
@@ -55,11 +51,11 @@ def read_ptx(path: Path, name: str | None = None) -> RawScan:
 
 def _names(path: Path) -> tuple[str, ...]:
     with path.open(encoding="utf-8-sig", errors="replace") as file:
-        headers = []
+        n_scans = 0
         for header in _headers(path, file):
-            headers.append(header)
+            n_scans += 1
             _pass_over(file, header)
-    return tuple(str(number) for number in range(1, len(headers) + 1))
+    return tuple(str(number) for number in range(1, n_scans + 1))
 
 
 def _pass_over(file: IO[str], header: Header) -> None:
@@ -104,4 +100,4 @@ def _scan(path: Path, file: IO[str], header: Header) -> RawScan:
         raise ScanReadError(f"a scan of {size[0]} × {size[1]} readings: {error.message}") from error
 
 
-PTX = Format((".ptx",), read_ptx, members=Members(_names, read_ptx))
+PTX = Format((".ptx",), read_ptx, names=_names)

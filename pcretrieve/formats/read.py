@@ -1,20 +1,23 @@
-"""A file → a point cloud or a mesh with checked arrays."""
+"""A file, or geometry of another package → a point cloud or a mesh with checked arrays."""
 
 from __future__ import annotations
 
 import time
+from dataclasses import replace
 from pathlib import Path
+from typing import TypeAlias
 
 import numpy as np
 
 from pcretrieve.errors import ScanReadError
-from pcretrieve.formats.raw import RawScan
+from pcretrieve.formats.format import RawScan, url_of
 from pcretrieve.formats.registry import read_raw
 from pcretrieve.formats.remote import local_copy
-from pcretrieve.formats.urls import url_of
 from pcretrieve.values import METRES, UNIT, PointCloud, Step, TriangleMesh
+from pcretrieve.values.conversion import GeometryLike, as_geometry
 
-__all__ = ["read_scan"]
+#: A file, or what can be converted to a point cloud or a surface.
+ScanLike: TypeAlias = "str | Path | GeometryLike"
 
 # Limits of the largest coordinate: products of six lengths, such as squares of
 # volumes, stay in the range of float64.
@@ -30,7 +33,7 @@ def read_scan(path: str | Path) -> PointCloud | TriangleMesh:
         Points: ``.ply .pcd``, tables ``.txt .csv .asc .xyz .xyzn .xyzrgb .pts``, grids ``.ptx``, arrays
         ``.npy .npz``, laser scans ``.las``, and ``.laz .e57`` by the extras ``las`` and ``e57``, depth
         images ``.png .tif .npy``, or the posed range scans that a Stanford ``.conf`` merges.
-        Meshes: ``.ply .obj .off .stl .glb .gltf .wrl``, and ``.3mf .dae`` by the extra ``meshes``.
+        Meshes: ``.ply .obj .off .stl .glb .gltf``, and ``.3mf .dae`` by the extra ``meshes``.
         ``file#name`` is one of several scans in a file; the file itself is all of them as one. A path may be
         a URL that fsspec knows, such as ``s3://bucket/scan.ply``, by the extra ``remote``.
 
@@ -58,6 +61,20 @@ def read_scan(path: str | Path) -> PointCloud | TriangleMesh:
         if name in error.message:
             raise
         raise ScanReadError(f"{name}: {error.message}") from error
+
+
+def as_scan(scan: ScanLike, unit: str = "none") -> PointCloud | TriangleMesh:
+    """Read a scan from a path, or convert a value to a scan; in metres if the unit is known."""
+    value = read_scan(scan) if isinstance(scan, (str, Path)) else as_geometry(scan)
+    if unit == "none" or any(UNIT in step.sizes for step in value.provenance):
+        return value
+    metres = METRES[unit]
+    notes = (f"converted the coordinates from {unit} to m",) if metres != 1 else ()
+    step = Step("read", 0.0, {UNIT: 1.0}, notes)
+    if isinstance(value, TriangleMesh):
+        return replace(value, vertices=value.vertices * metres).after(step)
+    viewpoints = None if value.viewpoints is None else value.viewpoints * metres
+    return replace(value, points=value.points * metres, viewpoints=viewpoints).after(step)
 
 
 def _scan(raw: RawScan, *, started: float) -> PointCloud | TriangleMesh:

@@ -1,4 +1,4 @@
-"""The file formats by suffix: those of pcretrieve, and those of other packages."""
+"""The table of file formats by suffix, and what can be said of a file before it is read."""
 
 from __future__ import annotations
 
@@ -14,27 +14,23 @@ from pcretrieve.formats.arrays import NPY, NPZ
 from pcretrieve.formats.conf import conf_format
 from pcretrieve.formats.depth import DEPTH_IMAGE
 from pcretrieve.formats.e57 import E57
-from pcretrieve.formats.files import check_file
-from pcretrieve.formats.format import Extra, Format
+from pcretrieve.formats.format import Extra, Format, Part, RawScan, check_file, url_of
 from pcretrieve.formats.gltf import GLB, GLTF
 from pcretrieve.formats.las import LAS, LAZ
-from pcretrieve.formats.members import MARK
-from pcretrieve.formats.obj import OBJ
-from pcretrieve.formats.off import OFF
+from pcretrieve.formats.meshes import OBJ, OFF, STL
 from pcretrieve.formats.pcd import PCD
 from pcretrieve.formats.ply import PLY
 from pcretrieve.formats.ptx import PTX
-from pcretrieve.formats.raw import RawScan
 from pcretrieve.formats.scenes import COLLADA, THREE_MF
-from pcretrieve.formats.stl import STL
-from pcretrieve.formats.text_points import TEXT_FORMATS
-from pcretrieve.formats.vrml import VRML
+from pcretrieve.formats.text import TEXT_FORMATS
 from pcretrieve.plugins import Names, Registry
 
-__all__ = ["FORMATS", "format_of", "missing_extra", "read_raw", "reading", "split_member", "suffixes"]
-
+# Separator between the name of a file and the name of a scan in it.
+MARK = "#"
 # Largest number of names in a message.
 MOST_QUOTED = 5
+# What to write instead of formats that programs export and that are not read.
+INSTEAD = {".wrl": ".obj or .glb", ".vrml": ".obj or .glb", ".x3d": ".obj or .glb", ".fbx": ".glb"}
 
 
 def suffixes() -> tuple[str, ...]:
@@ -53,29 +49,74 @@ def split_member(path: Path) -> tuple[Path, str | None]:
     file, mark, name = path.name.partition(MARK)
     if mark and name:
         suffix = Path(file).suffix.lower()
-        if suffix in FORMATS.names.all() and format_of(suffix).members is not None:
+        if suffix in suffixes() and _format_of(suffix).names is not None:
             return path.with_name(file), name
     return path, None
 
 
-def read_raw(path: Path) -> RawScan:
-    """Read the arrays of a file.
+def is_scan(path: Path) -> bool:
+    """Whether a file of a folder is a scan that can be read."""
+    suffix = path.suffix.lower()
+    if suffix not in suffixes() or missing_extra(suffix):
+        return False
+    try:
+        recognise = FORMATS[suffix].recognise
+        if recognise is None:
+            return True
+        if url_of(path) is not None:
+            return False  # only a copy of the file could be looked into
+        check_file(path)
+        with FORMATS.blamed(suffix, Stage.READ):
+            return recognise(path)
+    except ScanReadError:
+        return False  # a folder, a pipe or a device, or an empty file
+    except (OSError, OptionError, ShapeError):
+        return True
 
-    Returns RawScan: the arrays; unit of the file.
-    """
+
+def members_of(path: Path) -> tuple[Path, ...]:
+    """The paths of the scans in a file; none if it is one scan."""
+    suffix = path.suffix.lower()
+    if suffix not in suffixes() or missing_extra(suffix):
+        return ()
+    found = _format_of(suffix)
+    if found.names is None:
+        return ()
+    check_file(path)
+    with _reading(suffix):
+        names = found.names(path)
+    return tuple(path.with_name(f"{path.name}{MARK}{name}") for name in names) if len(names) > 1 else ()
+
+
+def parts_of(path: Path) -> tuple[Part, ...]:
+    """The other files that belong to a file."""
+    file, _ = split_member(path)
+    suffix = file.suffix.lower()
+    if suffix not in suffixes():
+        return ()
+    found = _format_of(suffix)
+    with _reading(suffix):
+        return tuple(found.parts(file))
+
+
+def read_raw(path: Path) -> RawScan:
+    """Read the arrays of a file, in its unit."""
     file, name = split_member(path)
     suffix = file.suffix.lower()
-    if suffix not in FORMATS.names.all():
-        name = f"in {path.suffix}" if suffix else "without a suffix"
-        raise ScanReadError(f"there is no reader for names {name}, only for {' '.join(sorted(suffixes()))}")
+    if suffix not in suffixes():
+        kind = f"in {path.suffix}" if suffix else "without a suffix"
+        advice = f": export the scan as {INSTEAD[suffix]}" if suffix in INSTEAD else ""
+        raise ScanReadError(
+            f"there is no reader for names {kind}, only for {' '.join(sorted(suffixes()))}{advice}"
+        )
     if extra := missing_extra(suffix):
         raise ScanReadError(
             f"reading {suffix} needs the package {' and '.join(extra.missing)}: {extra.command}"
         )
     try:
         check_file(file)
-        found = format_of(suffix)
-        with reading(suffix):
+        found = _format_of(suffix)
+        with _reading(suffix):
             scan = found.read(file) if name is None else _member(found, file, name)
             return scan if suffix in FORMATS.own else _checked(scan)
     except OSError as error:
@@ -83,16 +124,13 @@ def read_raw(path: Path) -> RawScan:
 
 
 def _member(found: Format, file: Path, name: str) -> RawScan:
-    if found.members is None:
-        raise ScanReadError("the file is one scan, and has no scans with names")
-    names = found.members.names(file)
+    names = found.names(file) if found.names is not None else ()
     if name not in names:
         raise ScanReadError(f"the file must hold a scan {name!r}, got {', '.join(names[:MOST_QUOTED])}")
-    return found.members.read(file, name)
+    return found.read(file, name)
 
 
-def format_of(suffix: str) -> Format:
-    """The format of a suffix."""
+def _format_of(suffix: str) -> Format:
     try:
         return FORMATS[suffix]
     except OptionError as error:
@@ -100,7 +138,7 @@ def format_of(suffix: str) -> Format:
 
 
 @contextmanager
-def reading(suffix: str) -> Iterator[None]:
+def _reading(suffix: str) -> Iterator[None]:
     """Turn the errors of a reader into errors of its file."""
     try:
         with FORMATS.blamed(suffix, Stage.READ):
@@ -109,6 +147,9 @@ def reading(suffix: str) -> Iterator[None]:
         raise
     except ShapeError as error:
         raise ScanReadError(error.message) from error
+
+
+# --- formats of other packages ----------------------------------------------------------------------------
 
 
 def _added(suffix: str, added: object) -> Format:
@@ -147,19 +188,8 @@ def _rows(array: object, name: str, n: int | None = None) -> NDArray[np.float64]
 _OWN = {
     suffix: found
     for found in (
-        PLY,
-        PCD,
-        *TEXT_FORMATS,
-        *(PTX, NPY, NPZ, LAS, LAZ, E57, DEPTH_IMAGE),
-        OBJ,
-        OFF,
-        STL,
-        GLB,
-        GLTF,
-        VRML,
-        THREE_MF,
-        COLLADA,
-        conf_format(read_raw),
+        *(PLY, PCD, *TEXT_FORMATS, PTX, NPY, NPZ, LAS, LAZ, E57, DEPTH_IMAGE),
+        *(OBJ, OFF, STL, GLB, GLTF, THREE_MF, COLLADA, conf_format(read_raw)),
     )
     for suffix in found.suffixes
 }

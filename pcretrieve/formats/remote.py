@@ -1,4 +1,4 @@
-"""Scans at URLs: what the URLs name, and copies of the files on this computer."""
+"""Scans at URLs, by fsspec: what the URLs name, and copies of the files on this computer."""
 
 from __future__ import annotations
 
@@ -6,21 +6,29 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import Any
 
 from pcretrieve.errors import InputError, PcretrieveError, ScanReadError, ShapeError
-from pcretrieve.formats.contents import parts_of
-from pcretrieve.formats.fsspec import copy_file, files_below, stored_version
-from pcretrieve.formats.registry import split_member
-from pcretrieve.formats.urls import url_of
+from pcretrieve.formats.format import url_of
+from pcretrieve.formats.registry import parts_of, split_member
 
-__all__ = ["local_copy", "remote_files", "remote_version"]
+# What stores say of the content of a file, the best first: hashes, then the time of the last change.
+HASHES = ("ETag", "etag", "md5Hash", "Content-MD5", "Digest", "crc32c", "checksum")
+TIMES = ("LastModified", "Last-Modified", "updated", "mtime", "created")
 
 
 def remote_files(path: Path) -> list[Path]:
-    """The files that a URL names."""
+    """The files that a URL names: by a pattern, in a folder and below, or one."""
     url = _url(path)
     try:
-        return [Path(found) for found in files_below(url)]
+        system, place = _opened(url)
+        if any(sign in place for sign in "*?["):
+            found = [name for name in system.glob(place) if system.isfile(name)]
+        elif system.isdir(place):
+            found = system.find(place)
+        else:
+            found = [place] if system.exists(place) else []
+        return [Path(str(system.unstrip_protocol(name))) for name in sorted(found)]
     except PcretrieveError:
         raise
     # Stores have exceptions of many packages, which are not all an OSError.
@@ -32,9 +40,11 @@ def remote_version(path: Path) -> str | None:
     """What the store says of the content of a file, without reading it."""
     url = _url(path)
     with _errors_of(url):
-        version = stored_version(url)
+        system, place = _opened(url)
+        about = system.info(place)
+    known = next((key for key in (*HASHES, *TIMES) if about.get(key)), None)
     # Some servers compute what they call a hash from the size and the time of the last change.
-    return None if version is None else f"{url} {version}"
+    return None if known is None else f"{url} {known} {about[known]} {about.get('size')}"
 
 
 @contextmanager
@@ -62,7 +72,8 @@ def local_copy(path: Path) -> Iterator[Path]:
 def _copy(path: Path, file: Path) -> None:
     url = _url(path)
     with _errors_of(url):
-        copy_file(url, file)
+        system, place = _opened(url)
+        system.get_file(place, str(file))
 
 
 def _url(path: Path) -> str:
@@ -70,6 +81,21 @@ def _url(path: Path) -> str:
     if url is None:
         raise InputError(f"a URL must begin with its protocol, as in s3://, got {path}")
     return url
+
+
+def _opened(url: str) -> tuple[Any, str]:
+    """The file system of a URL, and the path in it."""
+    try:
+        from fsspec.core import url_to_fs
+    except ImportError as error:
+        raise InputError(f"reading {url} needs fsspec: pip install 'pcretrieve[remote]'") from error
+    try:
+        system, path = url_to_fs(url)
+    except ImportError as error:
+        raise InputError(f"cannot read {url}: {error}: pip install 'pcretrieve[remote]'") from error
+    except ValueError as error:
+        raise InputError(f"cannot read {url}: {error}") from error
+    return system, path
 
 
 @contextmanager

@@ -1,20 +1,226 @@
-"""Text files: their lines."""
+"""Text files with one point on each line: XYZ, XYZN, XYZRGB, PTS, ASC, CSV, TXT.
+
+How a table is written is found from the first lines. A row holds three or more numbers, separated by
+blanks, tabs, commas or semicolons; where commas are decimal points, by blanks or semicolons. The lines above
+the first row are the header, which may name the columns, or hold the number of rows.
+"""
 
 from __future__ import annotations
 
+import codecs
+import io
+import re
+import warnings
+from collections.abc import Iterable
+from functools import partial
 from pathlib import Path
+from typing import NamedTuple
 
-from pcretrieve.formats.text_layout import no_text
+import numpy as np
+from numpy.typing import NDArray
 
-__all__ = ["text_lines"]
+from pcretrieve.errors import InputError, ScanReadError
+from pcretrieve.formats.format import Format, RawScan, are_normals, incomplete, no_text, without_zeros
+from pcretrieve.values import PointCloud
+
+# Bytes at the start of a file from which its layout is found.
+HEAD_BYTES = 1 << 16
+# Longest part of a line in a message.
+MOST_QUOTED = 40
+# Longest header; those of scanners and of numerical programs have about ten lines.
+MOST_HEADER_LINES = 50
+# Fewest points of a body, the corners of a tetrahedron. A file with fewer rows is not taken for a scan.
+FEWEST_POINTS = 4
+# Largest number of columns of a table of points: coordinates, normals, colours, and readings of the sensor.
+# Tables with more columns are other data, such as matrices of distances.
+MOST_COLUMNS = 32
+# Significant digits of a file that is written, sufficient for single precision.
+DIGITS = 9
+
+# Separator (None for blanks and tabs) and decimal point, in the order in which they are tried.
+WRITINGS = ((None, "."), (",", "."), (";", "."), (";", ","), (None, ","))
+
+# Names of columns of other tables: of trajectories, and of files.
+OTHER_TABLES = frozenset({"timestamp", "qw", "path", "file", "filename"})
+# Names of coordinates and normals: "X[mm]", "x_coord", "Points_0" and "Points:0" (ParaView), "normal_x".
+COORDINATE = re.compile(r"(?:points?[_:.])?([xyz]|(?<=[_:.])[012])(?:[_ ]?coord\w*)?")
+NORMAL = re.compile(r"(?:n|normals?[_:.]?)([xyz]|(?<=[_:.])[012])")
+# The first line of a raster of heights by ESRI, which has the suffix .asc too.
+RASTER = re.compile(r"\s*ncols\s+\d+\s*$", re.IGNORECASE)
 
 
-def text_lines(path: Path) -> list[str]:
-    """The lines of a text file."""
+class Layout(NamedTuple):
+    """How a table of points is written: `promised` is the number of rows that its header names."""
+
+    encoding: str
+    separator: str | None
+    decimal: str
+    n_header_lines: int
+    promised: float | None
+    n_columns: int
+    points: tuple[int, ...]
+    normals: tuple[int, ...] | None
+    named: bool
+
+
+def read_text(path: Path, *, normals: bool | None = None) -> RawScan:
+    """Read a table of points; rows of zeros are dropped with a note.
+
+    normals: whether the fourth to the sixth column, of a file whose header does not name its columns, hold
+        the normals. By default, if all of them have unit length.
+    """
+    layout = _layout(*_head(path), n_numbers=6 if normals else 3)
+    columns = layout.points + (layout.normals or ())
+    if not layout.named and (normals or (normals is None and layout.n_columns >= 6)):
+        columns = (0, 1, 2, 3, 4, 5)
+    with path.open(encoding=layout.encoding, errors="replace") as file:
+        for _ in range(layout.n_header_lines):
+            next(file)
+        # NumPy parses the lines as the file gives them, so that its text is never in memory as a whole.
+        lines = file if layout.decimal == "." else (line.replace(layout.decimal, ".") for line in file)
+        table = number_rows(lines, columns, layout.separator)
+    if layout.promised is not None and layout.promised != len(table):
+        raise incomplete(path, f"it declares {layout.promised:.0f} points and holds {len(table)}")
+    keep = len(columns) == 6 and (layout.named or normals or are_normals(table[:, 3:]))
+    return without_zeros(RawScan(table[:, :3], normals=table[:, 3:] if keep else None))
+
+
+def number_rows(
+    lines: Iterable[str], columns: tuple[int, ...], separator: str | None = None
+) -> NDArray[np.float64]:
+    """(n, c) columns of a table of numbers."""
     try:
-        text = path.read_text(encoding="utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise no_text(path) from error
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", UserWarning)  # an empty table is reported by `read_scan`
+            table = np.loadtxt(lines, dtype=np.float64, usecols=columns, delimiter=separator, ndmin=2)
+    except ValueError as error:
+        raise ScanReadError(f"each line must hold {max(columns) + 1} numbers: {error}") from error
+    return table.reshape(-1, len(columns))
+
+
+def _is_table(path: Path) -> bool:
+    """Whether a text file is a table of points, by its first rows."""
+    try:
+        lines, encoding = _head(path)
+        layout = _layout(lines, encoding, n_numbers=3)
+    except ScanReadError:
+        return False
+    header = lines[: layout.n_header_lines]
+    names = {name for line in header for name in _names(line, layout.separator)}
+    rows = [cells for line in lines[layout.n_header_lines :] if (cells := _cells(line, layout.separator))]
+    return (
+        len(rows) >= FEWEST_POINTS
+        and layout.n_columns <= MOST_COLUMNS
+        and not names & OTHER_TABLES
+        and all(len(row) == layout.n_columns and _is_row(row, layout.points, layout.decimal) for row in rows)
+    )
+
+
+# --- the layout -------------------------------------------------------------------------------------------
+
+
+def _head(path: Path) -> tuple[list[str], str]:
+    """The first lines of a text file, which are complete, and its encoding."""
+    with path.open("rb") as file:
+        head = file.read(HEAD_BYTES)
+    encoding = "utf-16" if head.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)) else "utf-8-sig"
+    # A header may hold signs of units in any encoding: the numbers are the same in all of them.
+    text = head.decode(encoding, errors="replace")
     if "\0" in text:
         raise no_text(path)
-    return text.splitlines()
+    lines = list(io.StringIO(text, newline=None))
+    return lines[:-1] if len(head) == HEAD_BYTES and len(lines) > 1 else lines, encoding
+
+
+def _layout(lines: list[str], encoding: str, n_numbers: int) -> Layout:
+    if lines and RASTER.match(lines[0]):
+        raise ScanReadError("it is a raster of heights by ESRI, not a table of points: export the points")
+    header = ""  # the last line above the first row that has words
+    promised = None
+    for n_lines, line in enumerate(lines[: MOST_HEADER_LINES + 1]):
+        for separator, decimal in WRITINGS:
+            cells = _cells(line, separator)
+            names = _names(header, separator)
+            points, normals = _columns(names, COORDINATE), _columns(names, NORMAL)
+            if len(names) != len(cells):  # columns behind those that are named change nothing
+                matches, points, normals = points in (None, (0, 1, 2)), None, None
+            else:
+                matches = True
+            columns = points or tuple(range(n_numbers))
+            if _is_row(cells, columns, decimal):
+                if not matches:
+                    raise ScanReadError(
+                        f"its header names {len(names)} columns, its first row has {len(cells)}"
+                    )
+                return Layout(
+                    *(encoding, separator, decimal, n_lines, promised, len(cells)),
+                    *(points or (0, 1, 2), normals, points is not None),
+                )
+        words = _cells(line, None)
+        if len(words) == 1 and words[0].isdecimal() and words[0].isascii():
+            promised = float(words[0])  # int raises an exception for a number of thousands of digits
+        elif words and _is_row(words, range(len(words)), "."):
+            break  # a row with too few numbers, and not a header
+        else:
+            header = line if _names(line, None) else header
+    first = next((line.strip()[:MOST_QUOTED] for line in lines if line.strip()), None)
+    if first is None:
+        raise ScanReadError("a table of points must have rows of numbers, this one has none at all")
+    raise ScanReadError(f"each line must hold {n_numbers} numbers, got {first!r}")
+
+
+def _cells(line: str, separator: str | None) -> list[str]:
+    """The cells of a row, without an empty one behind the last separator."""
+    cells = [cell.strip() for cell in line.split("#")[0].strip().split(separator)]
+    return cells[:-1] if cells and not cells[-1] else cells
+
+
+def _is_row(cells: list[str], columns: Iterable[int], decimal: str) -> bool:
+    """Whether the cells of these columns are numbers."""
+    return all(k < len(cells) and _is_number(cells[k], decimal) for k in columns)
+
+
+def _is_number(cell: str, decimal: str) -> bool:
+    try:
+        float(cell if decimal == "." else cell.replace(decimal, "."))
+    except ValueError:
+        return False
+    return "_" not in cell  # which Python allows between digits
+
+
+def _names(line: str, separator: str | None) -> tuple[str, ...]:
+    """The names in a header in lower case, without units in brackets, quotes and comment signs."""
+    plain = re.sub(r"[\[(].*?[\])]", "", line.lower()).strip("#/%\ufeff \r\n")
+    mark = "\t" if separator is None and "\t" in plain.strip() else separator
+    # Names of one word may be separated otherwise than the cells of the rows. A name may be empty: that of
+    # the index of a table by pandas.
+    words = plain.split(mark) if mark is not None and mark in plain else re.split(r"[\s,;]+", plain.strip())
+    names = tuple(word.strip("\"' \t") for word in words)
+    return names if any(names) else ()
+
+
+def _columns(names: tuple[str, ...], pattern: re.Pattern[str]) -> tuple[int, ...] | None:
+    axes = {found[1]: k for k, name in reversed([*enumerate(names)]) if (found := pattern.fullmatch(name))}
+    for three in ("xyz", "012"):
+        if set(three) <= axes.keys():
+            return tuple(axes[axis] for axis in three)
+    return None
+
+
+def _xyzn_bytes(cloud: PointCloud) -> bytes:
+    if cloud.normals is None:
+        raise InputError(
+            "an .xyzn file must hold normals, these points have none: write .ply, or estimate them"
+        )
+    text = io.BytesIO()
+    np.savetxt(text, np.concatenate([cloud.points, cloud.normals], axis=1), fmt=f"%.{DIGITS}g")
+    return text.getvalue()
+
+
+TEXT_FORMATS = (
+    # Columns behind the coordinates of these formats are colours and intensities.
+    Format((".xyz", ".xyzrgb", ".pts"), partial(read_text, normals=False)),
+    Format((".xyzn",), partial(read_text, normals=True), write_cloud=_xyzn_bytes),
+    # Files of these suffixes hold other tables and texts too.
+    Format((".asc", ".csv", ".txt"), read_text, recognise=_is_table),
+)

@@ -12,7 +12,7 @@ from pcretrieve.catalogue import Catalogue
 from pcretrieve.checks import OUTCOMES, findings_of
 from pcretrieve.descriptors import describe
 from pcretrieve.errors import OptionError, ShapeError
-from pcretrieve.formats.scans import ScanLike, as_scan
+from pcretrieve.formats import ScanLike, as_scan
 from pcretrieve.ingestion.discover import printable
 from pcretrieve.inspection.checks import failure_check, rescan_check, spread_check
 from pcretrieve.inspection.inspection import Inspection

@@ -7,7 +7,7 @@ from contextlib import nullcontext
 from pathlib import Path
 
 from pcretrieve.catalogue import Record
-from pcretrieve.formats.scans import ScanLike, as_scan
+from pcretrieve.formats import ScanLike, as_scan
 from pcretrieve.ingestion import EXECUTORS, Executor
 from pcretrieve.ingestion.layouts import discover_labelled
 from pcretrieve.ingestion.run import Summary, ingest_files, plan_files

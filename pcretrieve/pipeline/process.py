@@ -12,7 +12,7 @@ from threadpoolctl import threadpool_limits
 from pcretrieve.checks import findings_of, verdict_of
 from pcretrieve.descriptors import describe
 from pcretrieve.errors import PcretrieveError, ShapeError, Stage, in_stage, shape_error
-from pcretrieve.formats.scans import ScanLike
+from pcretrieve.formats import ScanLike
 from pcretrieve.options import OptionsLike, PipelineOptions
 from pcretrieve.pipeline.progress import log_steps, scan_name
 from pcretrieve.pipeline.seen import Seen

@@ -13,7 +13,7 @@ from dataclasses import replace
 from typing import Any, TypeVar
 
 from pcretrieve.errors import DegenerateMeshError, ReconstructionError, ShapeError, Stage, in_stage
-from pcretrieve.formats.scans import as_scan
+from pcretrieve.formats import as_scan
 from pcretrieve.options import DEFAULT_STAGES, PipelineOptions, check_chain, link_of
 from pcretrieve.pipeline.frames import Framed
 from pcretrieve.pipeline.progress import announce_compilation, log_steps, scan_name

@@ -8,7 +8,7 @@ import numpy as np
 
 from pcretrieve.catalogue import Catalogue
 from pcretrieve.errors import InputError, ShapeError
-from pcretrieve.formats.trimesh import mesh_bytes
+from pcretrieve.formats import mesh_bytes
 from pcretrieve.options import PipelineOptions
 from pcretrieve.pages.curves import Curves, curves
 from pcretrieve.pages.html import page_template

@@ -7,7 +7,7 @@ from collections.abc import AsyncIterable
 from pathlib import Path, PurePosixPath
 
 from pcretrieve.errors import InputError
-from pcretrieve.formats.registry import missing_extra, suffixes
+from pcretrieve.formats import missing_extra, suffixes
 from pcretrieve.web.requests import TooLarge, TooSlow
 
 __all__ = ["checked_suffix", "received", "upload_suffixes"]

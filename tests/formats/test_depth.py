@@ -14,7 +14,7 @@ from PIL import Image
 from pcretrieve import PointCloud, read_scan
 from pcretrieve.errors import ScanReadError
 from pcretrieve.formats import is_scan, parts_of
-from pcretrieve.formats.camera import KINECTS, TUM_CAMERAS, camera_of
+from pcretrieve.formats.depth import KINECTS, TUM_CAMERAS, camera_of
 from pcretrieve.formats.registry import read_raw
 from pcretrieve.ingestion.discover import content_hash, discover
 

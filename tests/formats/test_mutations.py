@@ -17,7 +17,7 @@ from mutations import mutated
 from PIL import Image
 from pypcd4.pypcd4 import Encoding
 from pypcd4.pypcd4 import PointCloud as Pcd
-from scene_files import collada, three_mf, vrml, write_gltf
+from scene_files import collada, three_mf, write_gltf
 
 from pcretrieve import PointCloud, TriangleMesh
 from pcretrieve.formats import missing_extra, read_scan, write_cloud, write_mesh
@@ -71,8 +71,6 @@ def originals(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     write_gltf(folder / "data.gltf", BALL, [{"mesh": 0}])
     (folder / "scene.3mf").write_bytes(three_mf(BALL))
     (folder / "scene.dae").write_text(collada(BALL))
-    (folder / "scene.wrl").write_text(vrml(BALL))
-    (folder / "scene.vrml").write_text(vrml(BALL))
     for suffix in (".las", ".laz", ".e57"):
         if CAN_WRITE[suffix]:
             write_laser_scan(folder / f"scan{suffix}", BALL.vertices)
@@ -92,7 +90,7 @@ NAMES = (
     *("mesh.ply", "cloud.ply", "text.ply", "big_endian.ply", "mesh.obj", "mesh.off", "mesh.stl", "text.stl"),
     *("mesh.glb", "cloud.pcd", "ascii.pcd", "binary_compressed.pcd", "cloud.xyzn", "lines.xyz", "lines.pts"),
     *("lines.xyzrgb", "lines.asc", "lines.csv", "lines.txt", "grids.ptx", "array.npy", "arrays.npz"),
-    *("scene.gltf", "data.gltf", "scene.3mf", "scene.dae", "scene.wrl", "scene.vrml"),
+    *("scene.gltf", "data.gltf", "scene.3mf", "scene.dae"),
     *(f"scan{suffix}" for suffix in (".las", ".laz", ".e57") if CAN_WRITE[suffix]),
     *("depth.png", "depth.tif", "depth.tiff", "depth.npy"),
     "views.conf",

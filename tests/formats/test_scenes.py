@@ -11,12 +11,11 @@ from typing import Any
 import numpy as np
 import pytest
 import shapes
-from scene_files import collada, numbers, three_mf, vrml, write_gltf
+from scene_files import collada, three_mf, write_gltf
 
 from pcretrieve import TriangleMesh, read_scan
-from pcretrieve.catalogue import Record
 from pcretrieve.errors import ScanReadError
-from pcretrieve.formats import members_of, missing_extra, parts_of, split_member
+from pcretrieve.formats import members_of, missing_extra, parts_of, split_member, write_mesh
 from pcretrieve.formats.registry import read_raw
 from pcretrieve.ingestion.discover import content_hash, discover, shape_ids
 from pcretrieve.ingestion.views import read_views
@@ -44,11 +43,9 @@ def write_all(folder: Path) -> None:
     write_gltf(folder / "data.gltf", BALL, NODES)
     items = '<item objectid="1"/><item objectid="1" transform="1 0 0 0 1 0 0 0 1 5 0 0"/>'
     (folder / "a.3mf").write_bytes(three_mf(BALL, unit="meter", items=items))
-    moved = f"Transform {{ translation 5 0 0 children [ {vrml(BALL, 'right').partition(chr(10))[2]} ] }}"
-    (folder / "a.wrl").write_text(vrml(BALL, "left") + moved)
 
 
-FILES = ("a.gltf", "data.gltf", "a.wrl", pytest.param("a.3mf", marks=needs(".3mf")))
+FILES = ("a.gltf", "data.gltf", pytest.param("a.3mf", marks=needs(".3mf")))
 
 
 @pytest.mark.parametrize("name", FILES)
@@ -84,7 +81,7 @@ def test_bodies_of_one_file_are_views_in_one_frame(tmp_path: Path) -> None:
     views = read_views([tmp_path / "a.gltf"])
     assert [path.name for path in views.files] == ["a.gltf#left", "a.gltf#2"]
     np.testing.assert_array_equal(views.poses, [np.eye(4), np.eye(4)])
-    assert read_views([tmp_path / "a.gltf", tmp_path / "a.wrl"]).poses is None
+    assert read_views([tmp_path / "a.gltf", tmp_path / "data.gltf"]).poses is None
 
 
 def test_names_in_a_file(tmp_path: Path) -> None:
@@ -195,18 +192,8 @@ def test_scans_whose_unit_is_known_are_read_in_metres(tmp_path: Path) -> None:
     assert found.volume == pytest.approx(0.0254**3 * BALL.volume, rel=1e-5)
     assert found.provenance[0].sizes["metres_per_unit"] == 1
     assert found.provenance[0].notes == ("converted the coordinates from in to m",)
-    (tmp_path / "a.wrl").write_text(vrml(BALL))
-    assert "metres_per_unit" not in mesh(tmp_path / "a.wrl").provenance[0].sizes
-
-
-def test_the_record_of_a_shape_has_its_unit(tmp_path: Path) -> None:
-    write_gltf(tmp_path / "a.gltf", BALL, NODES[:1])
-    (tmp_path / "a.wrl").write_text(vrml(BALL))
-    units = {
-        name: Record(name, name, "", steps=mesh(tmp_path / name).provenance).metres_per_unit
-        for name in ("a.gltf", "a.wrl")
-    }
-    assert units == {"a.gltf": 1, "a.wrl": None}
+    write_mesh(BALL, tmp_path / "a.obj")
+    assert "metres_per_unit" not in mesh(tmp_path / "a.obj").provenance[0].sizes
 
 
 def test_gltf_is_in_metres(tmp_path: Path) -> None:
@@ -240,7 +227,7 @@ def test_an_archive_that_expands_to_much_more_is_not_read(
     file.write_bytes(three_mf(BALL))
     with zipfile.ZipFile(file, "a", zipfile.ZIP_DEFLATED) as archive:
         archive.writestr("3D/blanks.model", b" " * 20_000_000)
-    monkeypatch.setattr("pcretrieve.formats.scenes.scene_bodies", pytest.fail)
+    monkeypatch.setattr("pcretrieve.formats.scenes._markup", pytest.fail)
     with pytest.raises(ScanReadError, match=r"its members declare 2\d+ bytes in \d+"):
         read_scan(file)
 
@@ -277,94 +264,3 @@ def test_entities_of_xml_neither_grow_nor_open_files(declared: str, tmp_path: Pa
     (tmp_path / "a.dae").write_text(hostile)
     with pytest.raises(ScanReadError, match=r"[Ee]ntity"):
         read_scan(tmp_path / "a.dae")
-
-
-# --- VRML -------------------------------------------------------------------------------------------------
-
-SQUARE = "coord Coordinate { point [ 0 0 0, 1 0 0, 1 1 0, 0 1 0 ] }"
-
-
-def wrl(body: str) -> str:
-    return f"#VRML V2.0 utf8\n{body}"
-
-
-def test_nodes_that_vrml_has(tmp_path: Path) -> None:
-    (tmp_path / "a.wrl").write_text(
-        wrl(
-            'WorldInfo { title "a \\"brace\\" } # in a string" info [ "x", "y {" ] }\n'
-            "DEF VIEW Viewpoint { position 0 0 9 orientation 0 0 1 0 }\n"
-            "Background { skyColor [ 1 1 1 ] }\n"
-            "DEF T Transform { # a comment {\n rotation 0 0 1 1.5707963267948966 scale 2 1 1 center 1 0 0\n"
-            f" children [ DEF S Shape {{ geometry DEF F IndexedFaceSet {{ {SQUARE} coordIndex [ 0 1 2 3 ]"
-            "} } ] }\n"
-            "Switch { choice [ USE S ] }\n"
-            "Switch { whichChoice 0 choice [ Transform { translation 0 0 5 children USE S } ] }\n"
-            "LOD { level [ Group { children Transform { translation 0 0 9 children USE S } }, USE S ] }\n"
-            "ROUTE VIEW.position TO T.translation\n"
-        )
-    )
-    found = mesh(tmp_path / "a.wrl")
-    assert len(found.faces) == 6
-    turned = found.vertices[found.vertices[:, 2] == 0]
-    # Scaled and turned about (1, 0, 0): x' = 1 − y, y' = 2 (x − 1).
-    expected = [[1 - y, 2 * (x - 1), 0] for x, y in ((0, 0), (1, 0), (1, 1), (0, 1))]
-    np.testing.assert_allclose(sorted(turned.tolist()), sorted(expected), atol=1e-12)
-    assert sorted({*found.vertices[:, 2]}) == [0, 5, 9]
-
-
-def test_faces_of_vrml_that_are_clockwise_and_mirrored(tmp_path: Path) -> None:
-    faces = f"{SQUARE} coordIndex [ 0 1 2 -1 0 2 3 -1 ]"
-    normals = {}
-    for name, text in {
-        "plain": f"Shape {{ geometry IndexedFaceSet {{ {faces} }} }}",
-        "clockwise": f"Shape {{ geometry IndexedFaceSet {{ ccw FALSE {faces} }} }}",
-        "mirrored": f"Transform {{ scale -1 1 1 children Shape {{ geometry IndexedFaceSet {{ {faces} }} }} "
-        "}",
-    }.items():
-        (tmp_path / f"{name}.wrl").write_text(wrl(text))
-        normals[name] = mesh(tmp_path / f"{name}.wrl").area_vectors.sum(axis=0)[2]
-    assert normals == {"plain": 1, "clockwise": -1, "mirrored": 1}
-
-
-def test_points_of_vrml(tmp_path: Path) -> None:
-    points = f"PointSet {{ coord Coordinate {{ point [ {numbers(BALL.vertices)} ] }} }}"
-    (tmp_path / "a.wrl").write_text(wrl(f"Shape {{ geometry {points} }}"))
-    assert read_raw(tmp_path / "a.wrl").faces is None
-    assert len(read_raw(tmp_path / "a.wrl").points) == len(BALL.vertices)
-
-
-@pytest.mark.parametrize(
-    ("text", "words"),
-    [
-        ("#VRML V1.0 ascii\n", "it must begin with #VRML V2.0, got '#VRML V1.0 ascii': export it as VRML97"),
-        (wrl(""), "its scene has no coordinates"),
-        (wrl("Group { children ["), "a list has no end"),
-        (wrl("Group { children"), "a field has no value"),
-        (wrl("Group {"), "a node Group has no end"),
-        (wrl('WorldInfo { title "a'), "a string has no end"),
-        (wrl("Group"), "there is no brace behind 'Group'"),
-        (wrl("PROTO A [ ] { }"), "it declares prototypes"),
-        (wrl("USE A"), "the node 'A' is used before it is defined"),
-        (wrl("DEF A Group { children USE A }"), "the node 'A' is used before it is defined"),
-        (wrl("Group { children " * 200), "more than 100 nodes lie within each other"),
-        (
-            wrl(f"IndexedFaceSet {{ {SQUARE} coordIndex [ 0 1 9 ] }}"),
-            "vertices are numbered from 0 to 3, got 9",
-        ),
-        (wrl(f"IndexedFaceSet {{ {SQUARE} coordIndex TRUE }}"), "a field has a value of another type"),
-        (wrl("Transform { rotation 1 2 children Group { } }"), "a field has a value of another type"),
-    ],
-)
-def test_what_is_no_vrml(text: str, words: str, tmp_path: Path) -> None:
-    (tmp_path / "a.wrl").write_text(text)
-    with pytest.raises(ScanReadError, match=words):
-        read_scan(tmp_path / "a.wrl")
-
-
-def test_references_do_not_multiply_a_scene_without_end(tmp_path: Path) -> None:
-    """Each level refers twice to the one before it: 40 lines would be 10¹² squares."""
-    levels = "".join(f"DEF N{k + 1} Group {{ children [ USE N{k} USE N{k} ] }}\n" for k in range(40))
-    body = f"DEF N0 Shape {{ geometry IndexedFaceSet {{ {SQUARE} coordIndex [ 0 1 2 3 ] }} }}\n"
-    (tmp_path / "a.wrl").write_text(wrl(body + levels))
-    with pytest.raises(ScanReadError, match="its scene repeats nodes"):
-        read_scan(tmp_path / "a.wrl")

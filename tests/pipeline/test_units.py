@@ -15,8 +15,7 @@ from pcretrieve import TriangleMesh
 from pcretrieve.catalogue import Catalogue
 from pcretrieve.cli.main import cli
 from pcretrieve.errors import InputError, OptionError
-from pcretrieve.formats import write_mesh
-from pcretrieve.formats.scans import as_scan
+from pcretrieve.formats import as_scan, write_mesh
 from pcretrieve.options import PipelineOptions
 
 BODY = shapes.body(2)

@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 
 import pcretrieve
 from pcretrieve.errors import ScanReadError
-from pcretrieve.formats.trajectory import image_poses, trajectory_file
+from pcretrieve.formats import image_poses, trajectory_file
 from pcretrieve.ingestion.views import view_files
 from pcretrieve.points.register.alignment import moved
 from pcretrieve.values import FloatArray

@@ -23,7 +23,7 @@ from processes import PATIENCE, wait_for
 from search_server import Answer, Server, raw, running, status
 
 from pcretrieve import write_mesh
-from pcretrieve.formats.registry import missing_extra
+from pcretrieve.formats import missing_extra
 
 # Names that are refused whatever the file has.
 REFUSED = [
