@@ -11,6 +11,9 @@ from typing import TYPE_CHECKING, Any, NoReturn
 
 import click
 
+import pcretrieve as pr
+from pcretrieve.cli import options as opt
+from pcretrieve.cli import output as out
 from pcretrieve.cli.messages import (
     Progress,
     duration,
@@ -22,27 +25,9 @@ from pcretrieve.cli.messages import (
     stop_waiting,
     without_password,
 )
-from pcretrieve.cli.options import (
-    EXIT_INTERRUPTED,
-    catalogue_argument,
-    catalogue_option,
-    command,
-    config_option,
-    exit_if,
-    json_option,
-    limit_options,
-    load_options,
-    option,
-    progress_option,
-    surface_option,
-    unit_option,
-    workers_option,
-)
-from pcretrieve.cli.output import Column, write_document, write_table, write_words
 from pcretrieve.errors import CatalogueError
 
 if TYPE_CHECKING:
-    from pcretrieve import PipelineOptions
     from pcretrieve.catalogue import Record
     from pcretrieve.ingestion import BatchStatus, Executor
     from pcretrieve.ingestion.run import Summary
@@ -51,81 +36,63 @@ if TYPE_CHECKING:
 QUOTED = 5
 
 
-@command("ingest")
+@opt.command("ingest")
 @click.argument("paths", nargs=-1, metavar="PATH...")
-@catalogue_option
-@option(
-    "--labels",
-    metavar="CSV|LAYOUT",
-    help="Classes: a CSV file (columns file, class), a .cla file, or folders (named like classes), csv "
-    "(labels.csv beside scans), shrec11, shrec14-real, shrec14-synthetic, faust, tosca, psb.",
+@opt.catalogue_option
+@opt.option(
+    "--labels CSV|LAYOUT",
+    "Classes: a CSV file (columns file, class), a .cla file, or folders (named like classes), "
+    "csv (labels.csv beside scans), shrec11, shrec14-real, shrec14-synthetic, faust, tosca, psb.",
 )
-@config_option
-@surface_option
-@unit_option
-@option(
+@opt.config_option
+@opt.surface_option
+@opt.unit_option
+@opt.option(
     "--no-meshes",
-    is_flag=True,
+    "Leave meshes out of a new catalogue: a scan takes some 60 kB, not some 350 kB, but pages "
+    "have no pictures, nothing can be exported, and only descriptors of the spectrum work.",
     rare=True,
-    help="Leave meshes out of a new catalogue: a scan takes some 60 kB, not some 350 kB, but pages have no "
-    "pictures, nothing can be exported, and only descriptors of the spectrum work.",
 )
-@workers_option
-@partial(limit_options, unit="scan")
-@option(
-    "--scheduler",
-    metavar="ADDRESS",
+@opt.workers_option
+@partial(opt.limit_options, unit="scan")
+@opt.option("--scheduler ADDRESS", "Process the scans on the Dask cluster of this scheduler.", rare=True)
+@opt.option(
+    "--scheduler-file FILE",
+    "The same, by the file that `dask scheduler --scheduler-file` writes.",
+    opt.PATH,
     rare=True,
-    help="Process the scans on the Dask cluster of this scheduler.",
 )
-@option(
-    "--scheduler-file",
-    type=click.Path(path_type=Path),
-    metavar="FILE",
-    rare=True,
-    help="The same, by the file that `dask scheduler --scheduler-file` writes.",
-)
-@option(
-    "--cluster",
-    type=click.Choice(["local"]),
-    rare=True,
-    help="Start a Dask cluster on this computer, to try one.",
-)
-@option("--retry-failed", is_flag=True, help="Process failed scans again too.")
-@option(
-    "--retries",
-    type=click.IntRange(min=0),
+@opt.option("--cluster", "Start a Dask cluster on this computer, to try one.", ("local",), rare=True)
+@opt.option("--retry-failed", "Process failed scans again too.")
+@opt.option(
+    "--retries N",
+    "Try failing scans again, with changes.",
+    opt.NUMBER,
     default=0,
-    show_default=True,
-    metavar="N",
-    help="Try failing scans again, with changes.",
-    details="After all other scans, at most N times: in a new process, then with cheaper settings, then by "
-    "the other method of reconstruction. `pcretrieve show` tells what was changed.",
+    details="After all other scans, at most N times: in a new process, then with cheaper settings, then "
+    "by the other method of reconstruction. `pcretrieve show` tells what was changed.",
 )
-@option(
-    "--max-failures",
-    type=click.IntRange(min=1),
-    metavar="N",
+@opt.option(
+    "--max-failures N",
+    "Stop after N scans have failed. The same command goes on from there.",
+    opt.COUNT,
     rare=True,
-    help="Stop after N scans have failed. The same command goes on from there.",
 )
-@option("--dry-run", is_flag=True, help="Show what would be done, and do nothing.")
-@progress_option
-@option("--quiet", "-q", is_flag=True, help="Print warnings and failures only.")
-@option(
-    "--log-file",
-    type=click.Path(path_type=Path),
-    metavar="FILE",
-    help="Append each stage of each scan to a file.",
+@opt.option("--dry-run", "Show what would be done, and do nothing.")
+@opt.progress_option
+@opt.option("--quiet -q", "Print warnings and failures only.")
+@opt.option(
+    "--log-file FILE",
+    "Append each stage of each scan to a file.",
+    opt.PATH,
     details="With repairs and fallbacks.",
 )
-@option(
-    "--shard",
-    metavar="I/N",
+@opt.option(
+    "--shard I/N",
+    "Process only part I of N, as one task of a job array; `catalogue merge` joins the catalogues.",
     rare=True,
-    help="Process only part I of N, as one task of a job array; `catalogue merge` joins the catalogues.",
 )
-@json_option
+@opt.json_option
 def ingest_command(
     paths: tuple[str, ...],
     catalogue: str,
@@ -151,8 +118,6 @@ def ingest_command(
     pcretrieve ingest scans/ --labels scans/labels.csv --catalogue bodies.sqlite
     pcretrieve ingest 'tosca/*.off' --surface keep --catalogue tosca.sqlite
     """
-    from pcretrieve import Catalogue, ingest
-
     if not paths:
         raise click.UsageError("name at least one scan")
     if log_file is not None:
@@ -162,7 +127,7 @@ def ingest_command(
         chosen["executor"] = _cluster(scheduler, scheduler_file, cluster)
     with Progress("ingest", "none" if quiet and progress == "bar" else progress) as shown:
         try:
-            summary = ingest(
+            summary = pr.ingest(
                 paths, catalogue, options=options, on_start=shown.start, on_shape=shown.record, **chosen
             )
         except (KeyboardInterrupt, SystemExit) as stop:
@@ -171,97 +136,87 @@ def ingest_command(
         _say_summary(summary, catalogue, chosen["labels"])
     if as_json:
         if not chosen["dry_run"]:
-            with Catalogue(catalogue) as store:
+            with pr.Catalogue(catalogue) as store:
                 options = store.options
-        write_document(_summary_document(summary, catalogue), options=options)
-    exit_if(_failures(summary))
+        out.write_document(_summary_document(summary, catalogue), options=options)
+    opt.exit_if(_failures(summary))
 
 
 def _new_options(
     config: Path | None, surface: str | None, unit: str | None, no_meshes: bool = False
-) -> PipelineOptions | None:
+) -> pr.PipelineOptions | None:
     """The options of a new catalogue; None for those of the catalogue, if nothing was given."""
     if not (config or surface or unit or no_meshes):
         return None
-    options = load_options(config, surface, unit)
+    options = opt.load_options(config, surface, unit)
     if no_meshes:
         options = options.changed(catalogue={"keep": set(options.catalogue.keep) - {"meshes"}})
     return options
 
 
 def _cluster(scheduler: str | None, scheduler_file: Path | None, cluster: str | None) -> Executor:
-    from pcretrieve import DaskExecutor
 
-    return DaskExecutor(scheduler, scheduler_file, cluster == "local")
+    return pr.DaskExecutor(scheduler, scheduler_file, cluster == "local")
 
 
 def _stopped(stop: BaseException, catalogue: str, shown: Progress | None = None) -> NoReturn:
     """End the command after Ctrl-C or a signal, and say what is stored."""
-    from pcretrieve import Catalogue
-
     if shown is not None:
         shown.__exit__(None, None, None)
     try:
-        with Catalogue(catalogue) as store:
+        with pr.Catalogue(catalogue) as store:
             say(f"stopped; {len(store)} shapes are in {catalogue}, and the same command goes on from there")
     except CatalogueError:  # there is none yet
         say("stopped")
-    sys.exit(stop.code if isinstance(stop, SystemExit) else EXIT_INTERRUPTED)
+    sys.exit(stop.code if isinstance(stop, SystemExit) else opt.EXIT_INTERRUPTED)
 
 
-@command("retry")
-@catalogue_argument
-@click.option(
-    "--stage",
-    metavar="STAGE",
-    help="Only scans that failed in this stage, as `pcretrieve status` names it; worker: those whose process "
-    "ended, or took too long.",
+@opt.command("retry")
+@opt.catalogue_argument
+@opt.option(
+    "--stage STAGE",
+    "Only scans that failed in this stage, as `pcretrieve status` names it; worker: those whose "
+    "process ended, or took too long.",
 )
-@click.option(
-    "--retries",
-    type=click.IntRange(min=0),
+@opt.option(
+    "--retries N",
+    "Try failing scans again, at most N times, with changes as for `ingest`.",
+    opt.NUMBER,
     default=0,
-    show_default=True,
-    metavar="N",
-    help="Try failing scans again, at most N times, with changes as for `ingest`.",
 )
-@workers_option
-@limit_options
-@progress_option
-@json_option
+@opt.workers_option
+@opt.limit_options
+@opt.progress_option
+@opt.json_option
 def retry_command(catalogue: str, progress: str, as_json: bool, **chosen: Any) -> None:
     """Process failed scans again, with the settings of their catalogue.
 
     \b
     pcretrieve retry bodies.sqlite --stage worker --timeout 3600
     """
-    from pcretrieve import Catalogue, retry
-
-    with Catalogue(catalogue) as store, Progress("retry", progress) as shown:
+    with pr.Catalogue(catalogue) as store, Progress("retry", progress) as shown:
         options = store.options
-        summary = retry(store, on_start=shown.start, on_shape=shown.record, **chosen)
+        summary = pr.retry(store, on_start=shown.start, on_shape=shown.record, **chosen)
     _say_summary(summary, catalogue, None)
     if as_json:
-        write_document(_summary_document(summary, catalogue), options=options)
-    exit_if(summary.failed)
+        out.write_document(_summary_document(summary, catalogue), options=options)
+    opt.exit_if(summary.failed)
 
 
-@command("watch")
+@opt.command("watch")
 @click.argument("folder", type=click.Path(path_type=Path))
-@catalogue_option
-@config_option
-@surface_option
-@unit_option
-@click.option(
-    "--interval",
-    type=click.FloatRange(min=0.1),
+@opt.catalogue_option
+@opt.config_option
+@opt.surface_option
+@opt.unit_option
+@opt.option(
+    "--interval SECONDS",
+    "Look again after this time; files must stay the same meanwhile.",
+    click.FloatRange(min=0.1),
     default=5,
-    show_default=True,
-    metavar="SECONDS",
-    help="Look again after this time; files must stay the same meanwhile.",
 )
-@workers_option
-@limit_options
+@opt.workers_option
+@opt.limit_options
 def watch_command(
     folder: Path, catalogue: str, config: Path | None, surface: str | None, unit: str | None, **chosen: Any
 ) -> None:
@@ -272,11 +227,9 @@ def watch_command(
     \b
     pcretrieve watch scanner/ --catalogue bodies.sqlite
     """
-    from pcretrieve import watch
-
     stop_waiting()
     options = _new_options(config, surface, unit)
-    rounds = watch(folder, catalogue, options=options, on_shape=_tell, **chosen)
+    rounds = pr.watch(folder, catalogue, options=options, on_shape=_tell, **chosen)
     try:
         say(f"watching {folder} every {chosen['interval']:g} s, until Ctrl-C")
         for summary in rounds:
@@ -289,26 +242,24 @@ def _tell(record: Record) -> None:
     say(record_line(record) or f"done: [{record.id}] {shown_path(record.path)}")
 
 
-@command("status")
-@catalogue_argument
-@json_option
+@opt.command("status")
+@opt.catalogue_argument
+@opt.json_option
 def status_command(catalogue: str, as_json: bool) -> None:
     """Show the progress of the last ingest, while it runs and afterwards.
 
     \b
     pcretrieve status bodies.sqlite
     """
-    from pcretrieve import status
-
-    found = status(catalogue)
+    found = pr.status(catalogue)
     if as_json:
-        write_document({"catalogue": without_password(catalogue)} | asdict(found))
+        out.write_document({"catalogue": without_password(catalogue)} | asdict(found))
         return
     for line in _progress_lines(found):
-        write_words(line)
-    write_words(f"{catalogue}: {found.n_shapes} shapes, {sum(found.failures.values())} failed")
+        out.write_words(line)
+    out.write_words(f"{catalogue}: {found.n_shapes} shapes, {sum(found.failures.values())} failed")
     rows = ((str(number), kind) for kind, number in found.failures.items())
-    write_table((Column("NUMBER", "number"), Column("FAILURE")), rows)
+    out.write_table((out.Column("NUMBER", "number"), out.Column("FAILURE")), rows)
 
 
 def _progress_lines(found: BatchStatus) -> list[str]:

@@ -10,52 +10,30 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+import pcretrieve as pr
+from pcretrieve.cli import options as opt
+from pcretrieve.cli import output as out
 from pcretrieve.cli.messages import Progress, say, shown_path, without_password
-from pcretrieve.cli.options import (
-    CATALOGUE,
-    EXIT_ERROR,
-    catalogue_argument,
-    catalogue_option,
-    command,
-    comparison_options,
-    complete_ids,
-    given_flags,
-    json_option,
-    opened,
-    option,
-    output_option,
-)
-from pcretrieve.cli.output import (
-    Column,
-    print_text,
-    write_document,
-    write_documents,
-    write_line,
-    write_steps,
-    write_table,
-    write_words,
-)
 
 if TYPE_CHECKING:
-    from pcretrieve import Catalogue
     from pcretrieve.catalogue import Record
     from pcretrieve.interface.maintenance import Check
 
 MIB = 1 << 20
 
-ID, CLASS, FILE = Column("ID"), Column("CLASS"), Column("FILE", "path")
-ALL = (ID, Column("VERDICT"), CLASS, Column("EULER", "number"), Column("SECONDS", "number"), FILE)
-FAILED = (ID, Column("STAGE"), CLASS, FILE, Column("REASON", "words"))
-DOUBTFUL = (ID, Column("VERDICT"), CLASS, FILE, Column("REASON", "words"))
+ID, CLASS, FILE = out.Column("ID"), out.Column("CLASS"), out.Column("FILE", "path")
+ALL = (ID, out.Column("VERDICT"), CLASS, out.Column("EULER", "number"), out.Column("SECONDS", "number"), FILE)
+FAILED = (ID, out.Column("STAGE"), CLASS, FILE, out.Column("REASON", "words"))
+DOUBTFUL = (ID, out.Column("VERDICT"), CLASS, FILE, out.Column("REASON", "words"))
 
 
-@command("list")
-@catalogue_option
-@click.option("--failed", is_flag=True, help="Only shapes that failed, with the reason.")
-@click.option("--doubtful", is_flag=True, help="Only shapes that are doubtful or unusable, with the reasons.")
-@click.option("--limit", type=click.IntRange(min=1), metavar="N", help="List at most N shapes.")
-@click.option("--offset", type=click.IntRange(min=0), default=0, metavar="N", help="Skip N shapes.")
-@json_option
+@opt.command("list")
+@opt.catalogue_option
+@opt.option("--failed", "Only shapes that failed, with the reason.")
+@opt.option("--doubtful", "Only shapes that are doubtful or unusable, with the reasons.")
+@opt.option("--limit N", "List at most N shapes.", opt.COUNT)
+@opt.option("--offset N", "Skip N shapes.", opt.NUMBER, default=0)
+@opt.json_option
 def list_command(
     catalogue: str, failed: bool, doubtful: bool, limit: int | None, offset: int, as_json: bool
 ) -> None:
@@ -66,23 +44,21 @@ def list_command(
     \b
     pcretrieve list --catalogue bodies.sqlite --failed
     """
-    from pcretrieve import Catalogue
-
-    with Catalogue(catalogue) as store:
+    with pr.Catalogue(catalogue) as store:
         pages = store.pages(
             status="failed" if failed else None, doubtful=doubtful, offset=offset, limit=limit
         )
         records = (record for page in pages for record in page)
         if as_json:
-            write_documents(asdict(record) | {"seconds": round(record.seconds, 3)} for record in records)
+            out.write_documents(asdict(record) | {"seconds": round(record.seconds, 3)} for record in records)
             return
         counts: Counter[str] = Counter()
         if failed:
-            n_rows = write_table(FAILED, (_failed(record) for record in records))
+            n_rows = out.write_table(FAILED, (_failed(record) for record in records))
         elif doubtful:
-            n_rows = write_table(DOUBTFUL, (_doubtful(record) for record in records))
+            n_rows = out.write_table(DOUBTFUL, (_doubtful(record) for record in records))
         else:
-            n_rows = write_table(ALL, (_row(record, counts) for record in records))
+            n_rows = out.write_table(ALL, (_row(record, counts) for record in records))
     if counts:
         found = ", ".join(f"{n} {name}" for name, n in sorted(counts.items()))
         say(f"{found}; for reasons: {', '.join(f'--{name}' for name in sorted(counts))}")
@@ -92,7 +68,7 @@ def list_command(
 
 
 def _row(record: Record, counts: Counter[str]) -> tuple[str, ...]:
-    """A row of all shapes; those that have reasons are counted by the option that lists them."""
+    """A row of all shapes; those that have reasons are counted by the opt.option that lists them."""
     if record.status == "failed":
         counts["failed"] += 1
     elif record.is_doubtful:
@@ -116,22 +92,20 @@ def _verdict(record: Record) -> str:
     return record.verdict.judgement if record.verdict else record.status
 
 
-@command("show")
-@click.argument("shape_id", metavar="ID", shell_complete=complete_ids)
-@catalogue_option
-@json_option
+@opt.command("show")
+@click.argument("shape_id", metavar="ID", shell_complete=opt.complete_ids)
+@opt.catalogue_option
+@opt.json_option
 def show_command(shape_id: str, catalogue: str, as_json: bool) -> None:
     """Show how a shape was made: its file, each step, and the size of what is stored.
 
     \b
     pcretrieve show cat0 --catalogue bodies.sqlite
     """
-    from pcretrieve import Catalogue
-
-    with Catalogue(catalogue) as store:
+    with pr.Catalogue(catalogue) as store:
         record, stored = store.record(shape_id), store.stored_bytes(shape_id)
     if as_json:
-        write_document(asdict(record) | {"seconds": round(record.seconds, 3), "stored_bytes": stored})
+        out.write_document(asdict(record) | {"seconds": round(record.seconds, 3), "stored_bytes": stored})
         return
     rows = []
     for name, value in asdict(record).items():
@@ -145,29 +119,27 @@ def show_command(shape_id: str, catalogue: str, as_json: bool) -> None:
             rows.append((name, str(value)))
     parts = ", ".join(f"{name} {size / 1000:.1f}" for name, size in stored.items() if size)
     rows.append(("stored", f"{sum(stored.values()) / 1000:.1f} kB" + (f": {parts}" if parts else "")))
-    write_table((Column(""), Column("", "words")), rows)
-    print_text("")
-    write_steps(record.steps)
+    out.write_table((out.Column(""), out.Column("", "words")), rows)
+    out.print_text("")
+    out.write_steps(record.steps)
 
 
-@command("remove")
-@click.argument("shape_ids", nargs=-1, required=True, metavar="ID...", shell_complete=complete_ids)
-@catalogue_option
-@json_option
+@opt.command("remove")
+@click.argument("shape_ids", nargs=-1, required=True, metavar="ID...", shell_complete=opt.complete_ids)
+@opt.catalogue_option
+@opt.json_option
 def remove_command(shape_ids: tuple[str, ...], catalogue: str, as_json: bool) -> None:
     """Remove shapes from a catalogue. Their files stay.
 
     \b
     pcretrieve remove cat0 cat1 --catalogue bodies.sqlite
     """
-    from pcretrieve import Catalogue
-
     chosen = dict.fromkeys(shape_ids)
-    with Catalogue(catalogue) as store:
+    with pr.Catalogue(catalogue) as store:
         store.remove(*chosen)
     say(f"removed {len(chosen)} from {catalogue}")
     if as_json:
-        write_document({"removed": [*chosen]})
+        out.write_document({"removed": [*chosen]})
 
 
 @click.group("catalogue")
@@ -179,17 +151,15 @@ def catalogue_command() -> None:
     """
 
 
-@command("merge")
-@click.argument("parts", nargs=-1, required=True, type=CATALOGUE, metavar="PART...")
-@click.option(
-    "--output",
-    "-o",
-    type=CATALOGUE,
+@opt.command("merge")
+@click.argument("parts", nargs=-1, required=True, type=opt.CATALOGUE, metavar="PART...")
+@opt.option(
+    "--output -o FILE|URL",
+    "Store the shapes in this catalogue, which may have shapes already.",
+    opt.CATALOGUE,
     required=True,
-    metavar="FILE|URL",
-    help="Store the shapes in this catalogue, which may have shapes already.",
 )
-@json_option
+@opt.json_option
 def merge_command(parts: tuple[str, ...], output: str, as_json: bool) -> None:
     """Store the shapes of several catalogues in one.
 
@@ -200,33 +170,28 @@ def merge_command(parts: tuple[str, ...], output: str, as_json: bool) -> None:
     \b
     pcretrieve catalogue merge part-*.sqlite -o all.sqlite
     """
-    from pcretrieve import merge_catalogues
-
-    merged = merge_catalogues(parts, output)
+    merged = pr.merge_catalogues(parts, output)
     say(f"{merged.n_added} stored, {merged.n_held} held already: {output}")
     if as_json:
-        write_document(asdict(merged))
+        out.write_document(asdict(merged))
 
 
 catalogue_command.add_command(merge_command)
 
 
-@command("check")
-@catalogue_argument
-@click.option(
-    "--sample",
-    type=click.IntRange(min=0),
+@opt.command("check")
+@opt.catalogue_argument
+@opt.option(
+    "--sample N",
+    "Compute N signatures again, from stored surfaces or unchanged files.",
+    opt.NUMBER,
     default=10,
-    show_default=True,
-    metavar="N",
-    help="Compute N signatures again, from stored surfaces or unchanged files.",
 )
-@click.option(
+@opt.option(
     "--repair",
-    is_flag=True,
-    help="Remove damaged indexes and rows without a shape, and mark damaged shapes to be ingested again.",
+    "Remove damaged indexes and rows without a shape, and mark damaged shapes to be ingested again.",
 )
-@json_option
+@opt.json_option
 def check_command(catalogue: str, sample: int, repair: bool, as_json: bool) -> None:
     """Check a catalogue for damage: its file, each record, all arrays, and some signatures.
 
@@ -235,29 +200,27 @@ def check_command(catalogue: str, sample: int, repair: bool, as_json: bool) -> N
     \b
     pcretrieve check bodies.sqlite --repair
     """
-    from pcretrieve import Catalogue, check
-
-    with Catalogue(catalogue) as store, Progress("check", "bar") as shown:
+    with pr.Catalogue(catalogue) as store, Progress("check", "bar") as shown:
 
         def advance(n_shapes: int) -> None:
             for _ in range(n_shapes):
                 shown.advance({})
 
         shown.start(len(store) + sum(store.failures().values()))
-        result = check(store, sample=sample, repair=repair, on_shapes=advance)
+        result = pr.check(store, sample=sample, repair=repair, on_shapes=advance)
         options = store.options
     if as_json:
         document = {"catalogue": without_password(catalogue), "is_whole": result.is_whole} | asdict(result)
-        write_document(document, options=options)
+        out.write_document(document, options=options)
     else:
         _write_check(catalogue, result)
     if not result.is_whole:
-        sys.exit(EXIT_ERROR)
+        sys.exit(opt.EXIT_ERROR)
 
 
 def _write_check(catalogue: str, result: Check) -> None:
-    write_table(
-        (Column("SHAPE"), Column("DEFECT", "words"), Column("REPAIR", "words")),
+    out.write_table(
+        (out.Column("SHAPE"), out.Column("DEFECT", "words"), out.Column("REPAIR", "words")),
         ((one.shape_id or "-", one.message, one.repair or "not repaired") for one in result.defects),
     )
     if any(defect.kind == "database" and not defect.repair for defect in result.defects):
@@ -265,16 +228,16 @@ def _write_check(catalogue: str, result: Check) -> None:
             "the file is damaged in a way that cannot be repaired: restore a backup, or ingest into a new one"
         )
     n_defects, n_left = len(result.defects), sum(defect.repair is None for defect in result.defects)
-    write_words(
+    out.write_words(
         f"{catalogue}: {result.n_shapes} shapes, {result.n_failed} failed, {result.n_recomputed} signatures "
         f"computed again, {n_defects} defects" + (f", {n_left} not repaired" if n_left else "")
     )
 
 
-@command("backup")
-@click.argument("catalogue", type=CATALOGUE)
+@opt.command("backup")
+@click.argument("catalogue", type=opt.CATALOGUE)
 @click.argument("file", type=click.Path(dir_okay=False, path_type=Path))
-@json_option
+@opt.json_option
 def backup_command(catalogue: str, file: Path, as_json: bool) -> None:
     """Copy a catalogue to one file, while others may use it.
 
@@ -283,33 +246,30 @@ def backup_command(catalogue: str, file: Path, as_json: bool) -> None:
     \b
     pcretrieve backup bodies.sqlite bodies-monday.sqlite
     """
-    from pcretrieve import backup
-
     say(f"copying {catalogue}")
-    size = backup(catalogue, file)
+    size = pr.backup(catalogue, file)
     say(f"{size / MIB:.1f} MiB: {file}")
     if as_json:
-        write_document({"file": str(file), "bytes": size})
+        out.write_document({"file": str(file), "bytes": size})
 
 
-@command("export")
+@opt.command("export")
 @click.argument("shape_ids", nargs=-1, metavar="[ID]...")
-@catalogue_option
-@output_option(
-    "PATH",
-    "Write a mesh of one shape (.ply .obj .off .stl .glb), a folder of meshes, or a file of signatures "
-    "(.npz .parquet .csv).",
-    required=False,
+@opt.catalogue_option
+@opt.option(
+    "--output -o PATH",
+    "Write a mesh of one shape (.ply .obj .off .stl .glb), a folder of meshes, or a file of "
+    "signatures (.npz .parquet .csv).",
+    opt.PATH,
 )
-@option("--signatures", is_flag=True, help="Write signatures, ids and classes, not meshes.")
-@option(
-    "--to",
-    metavar="URL",
-    help="Write whitened signatures to a PostgreSQL database.",
+@opt.option("--signatures", "Write signatures, ids and classes, not meshes.")
+@opt.option(
+    "--to URL",
+    "Write whitened signatures to a PostgreSQL database.",
     details="postgresql://user@host/name, with pgvector; the new table is pcretrieve_signatures.",
 )
-@comparison_options
-@json_option
+@opt.comparison_options
+@opt.json_option
 def export_command(
     shape_ids: tuple[str, ...],
     catalogue: str,
@@ -327,52 +287,50 @@ def export_command(
     pcretrieve export --signatures --catalogue bodies.sqlite -o bodies.parquet
     pcretrieve export --catalogue bodies.sqlite --to postgresql://localhost/bodies
     """
-    from pcretrieve import write_signatures
-
     if (output is None) == (to is None) or (to and signatures):
         raise click.UsageError("give either --output, or --to for signatures in a database")
-    given = given_flags(comparison)
+    given = opt.given_flags(comparison)
     if given and not signatures and not to:
         raise click.UsageError(f"{given} is for --signatures and --to: meshes have no such options")
-    with opened(catalogue, comparison) as (store, options):
+    with opt.opened(catalogue, comparison) as (store, options):
         files = []
         if output is None:
             _export_to_database(store, str(to), options, shape_ids)
         elif signatures:
             table = store.signatures(options)
-            write_signatures(table.select(shape_ids) if shape_ids else table, output)
+            pr.write_signatures(table.select(shape_ids) if shape_ids else table, output)
             files = [output]
         else:
             files = _export_meshes(store, shape_ids, output, as_json)
     if as_json:
         has_options = output is None or signatures
-        write_document({"files": [str(file) for file in files]}, options=options if has_options else None)
+        out.write_document({"files": [str(file) for file in files]}, options=options if has_options else None)
     elif signatures:
-        write_line(str(output))
+        out.write_line(str(output))
     elif output is not None and output.is_dir():
         say(f"wrote {len(files)} meshes to {output}")
 
 
-def _export_to_database(store: Catalogue, url: str, options: Any, shape_ids: tuple[str, ...]) -> None:
+def _export_to_database(store: pr.Catalogue, url: str, options: Any, shape_ids: tuple[str, ...]) -> None:
     from pcretrieve.catalogue.vectors import export_vectors
 
     n_written = export_vectors(store, url, options, shape_ids=shape_ids)
     say(f"wrote {n_written} signatures to the table pcretrieve_signatures")
 
 
-def _export_meshes(store: Catalogue, shape_ids: tuple[str, ...], output: Path, as_json: bool) -> list[Path]:
+def _export_meshes(
+    store: pr.Catalogue, shape_ids: tuple[str, ...], output: Path, as_json: bool
+) -> list[Path]:
     """Write meshes, and print their files."""
-    from pcretrieve import write_mesh
-
     files = _mesh_files(store, shape_ids, output)
     for path, shape_id in files.items():
-        write_mesh(store.mesh(shape_id), path)
+        pr.write_mesh(store.mesh(shape_id), path)
         if not as_json:
-            write_line(str(path))
+            out.write_line(str(path))
     return list(files)
 
 
-def _mesh_files(store: Catalogue, shape_ids: tuple[str, ...], output: Path) -> dict[Path, str]:
+def _mesh_files(store: pr.Catalogue, shape_ids: tuple[str, ...], output: Path) -> dict[Path, str]:
     """The file of each mesh, in a folder that is made; raises if one of the meshes is missing."""
     from pcretrieve.errors import InputError
 

@@ -7,11 +7,11 @@ from pathlib import Path
 
 import click
 
+from pcretrieve.cli import options as opt
 from pcretrieve.cli.messages import bar, say, stop_waiting
-from pcretrieve.cli.options import command
 
 
-@command("demo")
+@opt.command("demo")
 @click.argument(
     "folder", type=click.Path(path_type=Path), default=Path("pcretrieve-demo"), metavar="[FOLDER]"
 )

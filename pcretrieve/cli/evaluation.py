@@ -10,67 +10,44 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+import pcretrieve as pr
+from pcretrieve.cli import options as opt
+from pcretrieve.cli import output as out
 from pcretrieve.cli.messages import say, shown_path
-from pcretrieve.cli.options import (
-    CATALOGUE,
-    CATALOGUE_VARIABLE,
-    catalogue_option,
-    changes,
-    command,
-    comparison_options,
-    json_option,
-    labels_option,
-    matrix_option,
-    opened,
-    option,
-    output_option,
-    read_distances,
-    up_option,
-)
-from pcretrieve.cli.output import Column, write_document, write_line, write_table
 
 if TYPE_CHECKING:
-    from pcretrieve import PipelineOptions
     from pcretrieve.evaluation import Comparison, Evaluation
 
 # The columns of rows of measures, and of what they are the measures of.
 COLUMNS = (
-    *(Column(name, "number") for name in ("NN", "FT", "ST", "E", "DCG", "mAP")),
-    Column("", "words"),
+    *(out.Column(name, "number") for name in ("NN", "FT", "ST", "E", "DCG", "mAP")),
+    out.Column("", "words"),
 )
 
 # The options of `compare` that are for both results.
 FOR_BOTH = ("labels", "n_changes", "as_json")
 
 
-@command("evaluate")
-@click.option(
-    "--catalogue",
-    "-c",
-    type=CATALOGUE,
-    metavar="FILE|URL",
-    help=f"The catalogue; not with --matrix and --labels.  [env var: {CATALOGUE_VARIABLE}]",
+@opt.command("evaluate")
+@opt.option(
+    "--catalogue -c FILE|URL",
+    f"The catalogue; not with --matrix and --labels.  [env var: {opt.CATALOGUE_VARIABLE}]",
+    opt.CATALOGUE,
 )
-@labels_option
-@matrix_option
-@click.option("--sound-only", is_flag=True, help="Leave out shapes that are doubtful or unusable.")
-@option(
-    "--per-class",
-    is_flag=True,
-    help="Add the means of each class.",
-    details="And the classes that it is mistaken for.",
-)
-@option(
-    "--csv",
-    "folder",
-    type=click.Path(path_type=Path),
-    metavar="FOLDER",
-    help="Write the measures to CSV files in a folder.",
+@opt.labels_option
+@opt.matrix_option
+@opt.option("--sound-only", "Leave out shapes that are doubtful or unusable.")
+@opt.option("--per-class", "Add the means of each class.", details="And the classes that it is mistaken for.")
+@opt.option(
+    "--csv FOLDER",
+    "Write the measures to CSV files in a folder.",
+    opt.PATH,
+    into="folder",
     details="They are queries.csv, classes.csv, confusion.csv (of the nearest shape) and "
     "precision_recall.csv.",
 )
-@comparison_options
-@json_option
+@opt.comparison_options
+@opt.json_option
 def evaluate_command(
     catalogue: str | None,
     labels: str | None,
@@ -93,34 +70,34 @@ def evaluate_command(
     pcretrieve evaluate --catalogue shrec11.sqlite --labels shrec11
     pcretrieve evaluate --matrix run1.txt --labels shrec11.cla
     """
-    from pcretrieve import evaluate
-
-    distances = read_distances(matrix, comparison, reranks=True)
+    distances = opt.read_distances(matrix, comparison, reranks=True)
     options = None
     if catalogue is None and (distances is None or labels is None):
-        catalogue = os.environ.get(CATALOGUE_VARIABLE) or None
+        catalogue = os.environ.get(opt.CATALOGUE_VARIABLE) or None
     if catalogue is not None:
-        with opened(catalogue, comparison) as (store, options):
-            found = evaluate(store, options=options, labels=labels, matrix=distances, sound_only=sound_only)
+        with opt.opened(catalogue, comparison) as (store, options):
+            found = pr.evaluate(
+                store, options=options, labels=labels, matrix=distances, sound_only=sound_only
+            )
     elif distances is None or labels is None:
         raise click.UsageError("give --catalogue, or both --matrix and --labels")
     elif sound_only:
         raise click.UsageError("--sound-only needs --catalogue, which has the verdicts")
     else:
-        found = evaluate(distances, options=changes(comparison), labels=labels)
+        found = pr.evaluate(distances, options=opt.changes(comparison), labels=labels)
     how = _how(found, options, matrix, comparison)
     if folder is not None:
         found.write(folder)
         say(f"queries, classes, confusion and precision_recall: .csv files in {folder}")
     if as_json:
-        write_document(_evaluation_document(found, how, per_class), options=options)
+        out.write_document(_evaluation_document(found, how, per_class), options=options)
         return
-    write_table(COLUMNS, _rows(found, str(how["rerank"]), per_class))
+    out.write_table(COLUMNS, _rows(found, str(how["rerank"]), per_class))
     _say_how(found, how)
 
 
 def _how(
-    found: Evaluation, options: PipelineOptions | None, matrix: Path | None, comparison: dict[str, Any]
+    found: Evaluation, options: pr.PipelineOptions | None, matrix: Path | None, comparison: dict[str, Any]
 ) -> dict[str, object]:
     """How shapes were ranked."""
     if options is None or found.ranked.table is None:
@@ -140,14 +117,13 @@ def _how(
 
 def _evaluation_document(found: Evaluation, how: dict[str, object], per_class: bool) -> dict[str, object]:
     """The JSON document of an evaluation."""
-    from pcretrieve import RetrievalMeasures
     from pcretrieve.evaluation import LEVEL, MEASURES
 
     def named(values: Iterable[float | None]) -> dict[str, float | None]:
         return dict(zip(MEASURES, values, strict=True))
 
     low, high = found.interval.tolist()
-    document = {part.name: getattr(found, part.name) for part in fields(RetrievalMeasures)}
+    document = {part.name: getattr(found, part.name) for part in fields(pr.RetrievalMeasures)}
     document |= {"n_failed": found.ranked.n_failed, "n_shapes": found.ranked.rankings.n_gallery} | how
     document["interval"] = {"level": LEVEL, "low": named(low), "high": named(high)}
     macro = found.macro
@@ -205,40 +181,32 @@ def _numbers(values: Iterable[float | None], form: str = ".4f") -> list[str]:
     return ["-" if value is None else format(value, form) for value in values]
 
 
-@command("compare")
-@click.argument("first", type=CATALOGUE, metavar="A")
-@click.argument("second", type=CATALOGUE, metavar="B")
-@labels_option
-@click.option(
-    "--changes",
-    "n_changes",
-    type=click.IntRange(min=0),
-    default=5,
-    show_default=True,
-    metavar="N",
-    help="List so many of the most changed shapes.",
+@opt.command("compare")
+@click.argument("first", type=opt.CATALOGUE, metavar="A")
+@click.argument("second", type=opt.CATALOGUE, metavar="B")
+@opt.labels_option
+@opt.option(
+    "--changes N", "List so many of the most changed shapes.", opt.NUMBER, into="n_changes", default=5
 )
-@comparison_options
-@json_option
+@opt.comparison_options
+@opt.json_option
 def compare_command(
     first: str, second: str, labels: str | None, n_changes: int, as_json: bool, **comparison: Any
 ) -> None:
     """Compare two results for the same shapes, query by query.
 
     A and B are catalogues, distance matrices, or files queries.csv of `evaluate --csv`. The table has the
-    measures of both, and the differences B minus A with 95 % confidence intervals. Give an option such as
+    measures of both, and the differences B minus A with 95 % confidence intervals. Give an opt.option such as
     --whitening once for both, or twice: for A and for B.
 
     \b
     pcretrieve compare A.sqlite A.sqlite --whitening none --whitening pca
     pcretrieve compare run1.txt run2.txt --labels shrec11.cla
     """
-    from pcretrieve import compare
-
     one, two = (_options_of(comparison, number) for number in range(2))
-    found = compare(first, second, options=one, second_options=two, labels=labels)
+    found = pr.compare(first, second, options=one, second_options=two, labels=labels)
     if as_json:
-        write_document(_comparison_document(found, n_changes))
+        out.write_document(_comparison_document(found, n_changes))
         return
     table = [
         (*_numbers(found.first), f"A: {first}"),
@@ -247,12 +215,15 @@ def compare_command(
         (*_numbers(found.interval[0], "+.3f"), f"  {found.level:.0%} interval from"),
         (*_numbers(found.interval[1], "+.3f"), "  to"),
     ]
-    write_table(COLUMNS, table)
+    out.write_table(COLUMNS, table)
     changed = [one for one in found.changes[:n_changes] if one.first != one.second]
     if changed:
-        write_line("average precision of the most changed shapes:")
+        out.write_line("average precision of the most changed shapes:")
         precisions = ((one.shape_id, one.label, f"{one.first:.4f}", f"{one.second:.4f}") for one in changed)
-        write_table((Column("ID"), Column("CLASS"), Column("A", "number"), Column("B", "number")), precisions)
+        out.write_table(
+            (out.Column("ID"), out.Column("CLASS"), out.Column("A", "number"), out.Column("B", "number")),
+            precisions,
+        )
     n_first, n_second = len(found.only_first), len(found.only_second)
     left = f"; left out are {n_first} in A only and {n_second} in B only" if n_first + n_second else ""
     say(f"{len(found.changes)} queries in both{left}")
@@ -265,7 +236,7 @@ def _options_of(comparison: dict[str, tuple[Any, ...]], number: int) -> dict[str
         if len(values) > 2:
             raise click.UsageError(f"--{name.replace('_', '-')} is given at most twice, got {len(values)}")
         chosen[name] = values[min(number, len(values) - 1)] if values else None
-    return changes(chosen)
+    return opt.changes(chosen)
 
 
 def _comparison_document(found: Comparison, n_changes: int) -> dict[str, object]:
@@ -305,11 +276,11 @@ for _parameter in compare_command.params:
         _parameter.multiple = True
 
 
-@command("calibrate")
-@catalogue_option
-@output_option("FILE", "Write this file, such as metric.npz.")
-@comparison_options
-@json_option
+@opt.command("calibrate")
+@opt.catalogue_option
+@opt.option("--output -o FILE", "Write this file, such as metric.npz.", opt.PATH, required=True)
+@opt.comparison_options
+@opt.json_option
 def calibrate_command(catalogue: str, output: Path, as_json: bool, **comparison: Any) -> None:
     """Learn from labelled scans which differences to ignore.
 
@@ -321,43 +292,27 @@ def calibrate_command(catalogue: str, output: Path, as_json: bool, **comparison:
     pcretrieve calibrate --catalogue three.sqlite -o metric.npz
     pcretrieve query --catalogue bodies.sqlite new_scan.ply --whitening metric.npz
     """
-    from pcretrieve import calibrate
-
-    with opened(catalogue, comparison) as (store, options):
-        whitening = calibrate(store, output, options=options)
+    with opt.opened(catalogue, comparison) as (store, options):
+        whitening = pr.calibrate(store, output, options=options)
     say(f"{output}: {whitening.reason}")
     if as_json:
-        write_document({"whitening": str(output), "reason": whitening.reason}, options=options)
+        out.write_document({"whitening": str(output), "reason": whitening.reason}, options=options)
 
 
-@command("report")
-@catalogue_option
-@output_option("PAGE", "Write this HTML page.")
-@click.option(
-    "--queries",
-    type=click.IntRange(min=1),
-    metavar="N",
-    help="Show at most N queries, the worst first.  [default: 1000]",
+@opt.command("report")
+@opt.catalogue_option
+@opt.option("--output -o PAGE", "Write this HTML page.", opt.PATH, required=True)
+@opt.option("--queries N", "Show at most N queries, the worst first.  [default: 1000]", opt.COUNT)
+@opt.option("-k N", "Number of results of each query.", opt.COUNT, into="k", default=5)
+@opt.option(
+    "--versus RESULT",
+    "Compare with another result, query by query: queries.csv of `evaluate --csv`, or a catalogue.",
+    opt.CATALOGUE,
 )
-@click.option(
-    "-k",
-    "k",
-    type=click.IntRange(min=1),
-    default=5,
-    show_default=True,
-    metavar="N",
-    help="Number of results of each query.",
-)
-@click.option(
-    "--versus",
-    type=CATALOGUE,
-    metavar="RESULT",
-    help="Compare with another result, query by query: queries.csv of `evaluate --csv`, or a catalogue.",
-)
-@up_option
-@matrix_option
-@comparison_options
-@json_option
+@opt.up_option
+@opt.matrix_option
+@opt.comparison_options
+@opt.json_option
 def report_command(
     catalogue: str,
     output: Path,
@@ -379,13 +334,11 @@ def report_command(
     pcretrieve evaluate --catalogue bodies.sqlite --whitening none --csv none/
     pcretrieve report -c bodies.sqlite --versus none/queries.csv -o bodies.html
     """
-    from pcretrieve import report
-
-    distances = read_distances(matrix, comparison)
+    distances = opt.read_distances(matrix, comparison)
     shown: dict[str, Any] = {"k": k, "versus": versus, "up": up} | ({"n_queries": queries} if queries else {})
-    with opened(catalogue, comparison) as (store, options):
-        page = report(store, output, options=options, matrix=distances, **shown)
+    with opt.opened(catalogue, comparison) as (store, options):
+        page = pr.report(store, output, options=options, matrix=distances, **shown)
     if as_json:
-        write_document({"page": str(page)}, options=options)
+        out.write_document({"page": str(page)}, options=options)
     else:
-        write_line(shown_path(str(page)))
+        out.write_line(shown_path(str(page)))

@@ -5,65 +5,42 @@ from __future__ import annotations
 from dataclasses import asdict
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
+import pcretrieve as pr
+from pcretrieve.cli import options as opt
+from pcretrieve.cli import output as out
 from pcretrieve.cli.messages import say, shown_path
-from pcretrieve.cli.options import (
-    CATALOGUE,
-    command,
-    config_option,
-    exit_if,
-    json_option,
-    limit_options,
-    load_options,
-    option,
-    output_option,
-    surface_option,
-    unit_option,
-)
-from pcretrieve.cli.output import write_document, write_line
 from pcretrieve.cli.scans import alone, each_scan, failure_document, output_files, scans_options
 
-if TYPE_CHECKING:
-    from pcretrieve import Inspection, PipelineOptions
 
-
-@command("inspect")
+@opt.command("inspect")
 @click.argument("scan", type=click.Path(path_type=Path), metavar="SCAN|FOLDER")
-@output_option(
-    "PAGE|FOLDER",
+@opt.option(
+    "--output -o PAGE|FOLDER",
     "Write this HTML page; for a folder of scans, a folder.  [default: the scan's name with .html, here]",
-    required=False,
+    opt.PATH,
 )
-@option(
-    "--png",
-    type=click.Path(path_type=Path),
-    metavar="FILE",
-    help="Write all pictures to one PNG file too.",
-)
-@option(
-    "--rescans",
-    type=click.IntRange(min=0),
+@opt.option("--png FILE", "Write all pictures to one PNG file too.", opt.PATH)
+@opt.option(
+    "--rescans N",
+    "Simulate so many rescans for the error bar of the signature.",
+    opt.NUMBER,
     default=4,
-    show_default=True,
-    metavar="N",
-    help="Simulate so many rescans for the error bar of the signature.",
     details="Each has nine tenths of the points; the standard deviation of their signatures is shown.",
 )
-@click.option(
-    "--catalogue",
-    "-c",
-    type=CATALOGUE,
-    metavar="FILE|URL",
-    help="Compare the error bar with the distance to the next body in this catalogue, and use its settings.  "
-    "[default: the distance of people]",
+@opt.option(
+    "--catalogue -c FILE|URL",
+    "Compare the error bar with the distance to the next body in this catalogue, and use its "
+    "settings.  [default: the distance of people]",
+    opt.CATALOGUE,
 )
-@config_option
-@surface_option
+@opt.config_option
+@opt.surface_option
 @scans_options
-@json_option
+@opt.json_option
 def inspect_command(
     scan: Path,
     output: Path | None,
@@ -87,16 +64,15 @@ def inspect_command(
     pcretrieve inspect scan.ply -o page.html --png sheet.png --rescans 0
     pcretrieve inspect scans/ -o pages/ --workers 2
     """
-    from pcretrieve import Catalogue
     from pcretrieve.errors import InputError
     from pcretrieve.formats import check_output, split_member
     from pcretrieve.ingestion.discover import printable
 
     base = None
     if catalogue is not None:
-        with Catalogue(catalogue) as store:
+        with pr.Catalogue(catalogue) as store:
             base = store.options
-    options = load_options(config, surface, base=base)
+    options = opt.load_options(config, surface, base=base)
     run["timeout"] = timeout * (1 + rescans)
     if scan.is_dir():
         if output is None or png is not None:
@@ -113,13 +89,13 @@ def inspect_command(
     found = alone(_inspected, options, rescans, catalogue, {scan: page}, png, scan, **limits)
     _say_checks(found)
     if as_json:
-        write_document(_document(found, page.absolute(), png), options=options)
+        out.write_document(_document(found, page.absolute(), png), options=options)
     else:
-        write_line(shown_path(printable(page.absolute())))
-    exit_if(found.failure is not None)
+        out.write_line(shown_path(printable(page.absolute())))
+    opt.exit_if(found.failure is not None)
 
 
-def _say_checks(found: Inspection) -> None:
+def _say_checks(found: pr.Inspection) -> None:
     for check in found.checks:
         advice = "" if check.verdict == "passed" else f": {check.words}"
         say(f"{check.verdict:<6}  {check.name:<16}  {check.shown}{advice}", indent=26)
@@ -132,7 +108,7 @@ def _say_checks(found: Inspection) -> None:
 def _inspect_folder(
     folder: Path,
     output: Path,
-    options: PipelineOptions,
+    options: pr.PipelineOptions,
     n_rescans: int,
     catalogue: str | None,
     as_json: bool,
@@ -150,16 +126,16 @@ def _inspect_folder(
         for path, found in each_scan("inspect", inspected, scans, **run)
     ]
     if as_json:
-        write_document(documents, options=options)
+        out.write_document(documents, options=options)
     else:
         for one in documents:
             if "page" in one:
-                write_line(f"{shown_path(str(one['page']))}  {one['verdict']}  {one['summary']}")
-    exit_if(any("page" not in one or one["failure"] is not None for one in documents))
+                out.write_line(f"{shown_path(str(one['page']))}  {one['verdict']}  {one['summary']}")
+    opt.exit_if(any("page" not in one or one["failure"] is not None for one in documents))
 
 
 def _document_of(
-    options: PipelineOptions, n_rescans: int, catalogue: str | None, pages: dict[Path, Path], scan: Path
+    options: pr.PipelineOptions, n_rescans: int, catalogue: str | None, pages: dict[Path, Path], scan: Path
 ) -> dict[str, object]:
     """The JSON document of an inspection, whose page is written, in a worker process."""
     found = _inspected(options, n_rescans, catalogue, pages, None, scan)
@@ -167,24 +143,23 @@ def _document_of(
 
 
 def _inspected(
-    options: PipelineOptions,
+    options: pr.PipelineOptions,
     n_rescans: int,
     catalogue: str | None,
     pages: dict[Path, Path],
     png: Path | None,
     scan: Path,
-) -> Inspection:
+) -> pr.Inspection:
     """An inspection, whose page is written, in a worker process, which imports the stages."""
-    from pcretrieve import inspect
     from pcretrieve.pages.inspection_sheet import write_inspection_png
 
-    found = inspect(scan, options, n_rescans=n_rescans, page=pages[scan], catalogue=catalogue)
+    found = pr.inspect(scan, options, n_rescans=n_rescans, page=pages[scan], catalogue=catalogue)
     if png is not None:
         write_inspection_png(found, png)
     return found
 
 
-def _document(inspection: Inspection, page: Path, png: Path | None) -> dict[str, object]:
+def _document(inspection: pr.Inspection, page: Path, png: Path | None) -> dict[str, object]:
     """The JSON document of an inspection."""
     signature, deviation = inspection.signature, inspection.rescan_deviation
     judged = inspection.shape_verdict
@@ -207,15 +182,15 @@ def _document(inspection: Inspection, page: Path, png: Path | None) -> dict[str,
     }
 
 
-@command("report-problem")
+@opt.command("report-problem")
 @click.argument("scan", type=click.Path(path_type=Path), metavar="SCAN")
-@output_option("ZIP", "Write this file.  [default: SCAN-problem.zip]", required=False)
-@click.option("--with-scan", is_flag=True, help="Pack the scan too.")
-@config_option
-@surface_option
-@unit_option
-@limit_options
-@json_option
+@opt.option("--output -o ZIP", "Write this file.  [default: SCAN-problem.zip]", opt.PATH)
+@opt.option("--with-scan", "Pack the scan too.")
+@opt.config_option
+@opt.surface_option
+@opt.unit_option
+@opt.limit_options
+@opt.json_option
 def report_problem_command(
     scan: Path,
     output: Path | None,
@@ -234,13 +209,12 @@ def report_problem_command(
     \b
     pcretrieve report-problem scan.ply
     """
-    from pcretrieve import report_problem
     from pcretrieve.formats import split_member
     from pcretrieve.ingestion.discover import printable
 
-    options = load_options(config, surface, unit)
+    options = opt.load_options(config, surface, unit)
     output = output or Path(f"{split_member(scan)[0].stem}-problem.zip")
-    found = report_problem(scan, output, options, with_scan=with_scan, **limits)
+    found = pr.report_problem(scan, output, options, with_scan=with_scan, **limits)
     failure = found["failure"]
     if isinstance(failure, dict):
         say(f"failed in {failure['stage']}: {failure['message']}")
@@ -248,6 +222,6 @@ def report_problem_command(
         say("the scan does not fail with these options; give those with which it failed")
     say(f"attach this file to your report; it has {'the' if with_scan else 'no'} points of the scan")
     if as_json:
-        write_document({"file": printable(output), "failure": failure}, options=options)
+        out.write_document({"file": printable(output), "failure": failure}, options=options)
     else:
-        write_line(printable(output))
+        out.write_line(printable(output))

@@ -116,9 +116,25 @@ def command(name: str) -> Callable[[Callable[..., Any]], click.Command]:
     return click.command(name, cls=Command)
 
 
-def option(*names: str, **settings: Any) -> Callable[[Decorated], Decorated]:
-    """Add an option to a command, as `click.option` does."""
-    return click.option(*names, cls=Option, **settings)
+def option(
+    spec: str, text: str, kind: Any = None, *, into: str = "", **settings: Any
+) -> Callable[[Decorated], Decorated]:
+    """Add an option to a command.
+
+    spec: the names, and what stands for the value in the help, as in ``--output -o FILE``; a flag has none.
+    kind: a type of click, or the values of a choice.
+    into: the name of the parameter, if it is another one.
+    """
+    words = spec.split()
+    names = [word for word in words if word.startswith("-")]
+    metavar = " ".join(words[len(names) :]) or None
+    is_flag = kind is None and metavar is None
+    settings.setdefault("show_default", settings.get("default") is not None and not is_flag)
+    chosen = click.Choice(kind) if isinstance(kind, tuple) else kind
+    names += [into] if into else []
+    return click.option(
+        *names, cls=Option, type=chosen, metavar=metavar, is_flag=is_flag, help=text, **settings
+    )
 
 
 def exit_code(error: PcretrieveError | click.ClickException) -> int:
@@ -235,91 +251,62 @@ class LabelFilter(click.ParamType):  # type: ignore[type-arg]  # generic since c
 #: The type of an option that names a catalogue: a string, because a path would lose a slash of a URL.
 CATALOGUE = click.Path()
 PATH = click.Path(path_type=Path)
+COUNT = click.IntRange(min=1)
+NUMBER = click.IntRange(min=0)
 
 #: Of commands whose only argument is a catalogue.
 catalogue_argument = click.argument("catalogue", type=CATALOGUE, envvar=CATALOGUE_VARIABLE)
-catalogue_option = click.option(
-    "--catalogue",
-    "-c",
-    type=CATALOGUE,
+catalogue_option = option(
+    "--catalogue -c FILE|URL",
+    "The catalogue.",
+    CATALOGUE,
     required=True,
     envvar=CATALOGUE_VARIABLE,
     show_envvar=True,
-    metavar="FILE|URL",
-    help="The catalogue.",
 )
-json_option = click.option("--json", "as_json", is_flag=True, help="Print one JSON document.")
-workers_option = click.option(
-    "--workers",
-    type=click.IntRange(min=1),
-    show_default="one per core",
-    metavar="N",
-    help="Scans at a time.",
-)
+json_option = option("--json", "Print one JSON document.", into="as_json")
+workers_option = option("--workers N", "Scans at a time.", COUNT, show_default="one per core")
 progress_option = option(
     "--progress",
-    type=click.Choice(["bar", "json", "none"]),
-    rare=True,
+    "Show a bar (a line a minute in a log file), one line of JSON for each scan, or nothing.",
+    ("bar", "json", "none"),
     default="bar",
-    show_default=True,
-    help="Show a bar (a line a minute in a log file), one line of JSON for each scan, or nothing.",
+    rare=True,
 )
-labels_option = option(
-    "--labels", metavar="CSV|LAYOUT", help="Use these classes, not the stored ones; see `ingest --help`."
-)
+labels_option = option("--labels CSV|LAYOUT", "Use these classes, not the stored ones; see `ingest --help`.")
 up_option = option(
     "--up",
-    type=click.Choice(UPWARD),
+    "Turn pictures so that this axis of the files points up.  [default: found for each shape]",
+    UPWARD,
     rare=True,
-    help="Turn pictures so that this axis of the files points up.  [default: found for each shape]",
 )
 config_option = option(
-    "--config",
-    type=PATH,
-    metavar="TOML|PRESET",
+    "--config TOML|PRESET",
+    "Settings: a file made by `pcretrieve options`, or body-scanner, handheld, depth-camera, clean-mesh, "
+    "paper, classic.",
+    PATH,
     shell_complete=complete_presets,
-    help="Settings: a file made by `pcretrieve options`, or body-scanner, handheld, depth-camera, "
-    "clean-mesh, paper, classic.",
 )
 surface_option = option(
-    "--surface",
-    type=click.Choice(["auto", "reconstruct", "keep"]),
-    metavar="WHICH",
-    help="Meshes to rebuild: auto (open ones), reconstruct (all), keep (none).",
+    "--surface WHICH",
+    "Meshes to rebuild: auto (open ones), reconstruct (all), keep (none).",
+    ("auto", "reconstruct", "keep"),
     details="auto, the default, rebuilds meshes with holes and those that are not manifolds.",
 )
 unit_option = option(
-    "--unit",
-    type=click.Choice(["um", "mm", "cm", "dm", "m", "km", "in", "ft"]),
-    metavar="UNIT",
-    help="Unit of files that name none: um mm cm dm m km in ft.",
+    "--unit UNIT",
+    "Unit of files that name none: um mm cm dm m km in ft.",
+    ("um", "mm", "cm", "dm", "m", "km", "in", "ft"),
     details="All scans are converted to metres.",
 )
 
 
-def output_option(metavar: str, text: str, *, required: bool = True) -> Callable[[Decorated], Decorated]:
-    """The option for the file or the folder that a command writes."""
-    return option("--output", "-o", type=PATH, required=required, metavar=metavar, help=text)
-
-
 def limit_options(command: Decorated, *, unit: str = "scan") -> Decorated:
     """Options that limit time and memory of the processes in which a command works."""
-    timeout = option(
-        "--timeout",
-        type=click.FloatRange(min=1),
-        metavar="SECONDS",
-        rare=True,
-        default=600,
-        show_default=True,
-        help=f"Give up after this time for each {unit}.",
-    )
-    memory = option(
-        "--memory",
-        type=click.FloatRange(min=0.5),
-        metavar="GIB",
-        rare=True,
-        help="Give a worker process no more memory than this.",
-    )
+    time, space = click.FloatRange(min=1), click.FloatRange(min=0.5)
+    words = f"Give up after this time for each {unit}."
+    timeout = option("--timeout SECONDS", words, time, rare=True, default=600)
+    memory = option("--memory GIB", "Give a worker process no more memory than this.", space, rare=True)
     return timeout(memory(command))
 
 
@@ -342,93 +329,79 @@ def load_options(
 # --- options of commands that compare shapes -----------------------------------------------------------
 
 matrix_option = option(
-    "--matrix",
-    type=PATH,
-    metavar="FILE",
-    help="Rank by the distances in this file, which `pcretrieve matrix` writes.",
+    "--matrix FILE",
+    "Rank by the distances in this file, which `pcretrieve matrix` writes.",
+    PATH,
     details="It is a square matrix, plain text or .npy. A file of the same name that ends in .ids has the "
     "ids of its rows, one in each line.",
 )
 method_option = option(
     "--method",
-    type=RecordName("descriptor"),
+    "Descriptor, or several joined by +.  [default: combined, or the catalogue's]",
+    RecordName("descriptor"),
     rare=True,
-    help="Descriptor, or several joined by +.  [default: combined, or the catalogue's]",
     details=partial(names_of, "descriptor"),
 )
 n_values_option = option(
-    "--n-values",
-    type=click.IntRange(min=1),
-    metavar="L",
+    "--n-values L",
+    "Number of values of the descriptor.  [default: 59, or the catalogue's]",
+    COUNT,
     rare=True,
-    help="Number of values of the descriptor.  [default: 59, or the catalogue's]",
 )
 scale_option = option(
     "--scale",
-    type=click.Choice(["auto", "area", "relative", "absolute"]),
+    "Divide values by the area of the surface (area), by the first value (relative), or leave them, so that "
+    "they depend on the size of bodies (absolute).  [default: auto, or the catalogue's]",
+    ("auto", "area", "relative", "absolute"),
     rare=True,
-    help="Divide values by the area of the surface (area), by the first value (relative), or leave them, so "
-    "that they depend on the size of bodies (absolute).  [default: auto, or the catalogue's]",
     details="auto is relative with --whitening pca, else area.",
 )
 size_weight_option = option(
-    "--size-weight",
-    type=click.FloatRange(min=0, max=20),
-    metavar="W",
+    "--size-weight W",
+    "Weight of the size of bodies beside their form; 6 is best for people.  [default: 0, or the catalogue's]",
+    click.FloatRange(min=0, max=20),
     rare=True,
-    help="Weight of the size of bodies beside their form; 6 is best for people.  [default: 0, or the "
-    "catalogue's]",
     details="Adds a value, the area to the power of W. All files need one unit, or known units.",
 )
-
-_comparison_options = (
-    option(
-        "--config",
-        type=PATH,
-        metavar="TOML|PRESET",
-        shell_complete=complete_presets,
-        rare=True,
-        help="Settings in place of the catalogue's: a file with the tables [signature] and [retrieval], or a "
-        "preset.",
-    ),
-    size_weight_option,
-    scale_option,
-    n_values_option,
-    method_option,
-    option(
-        "--rerank",
-        type=click.Choice(["none", "local", "k-reciprocal"]),
-        rare=True,
-        help="Sort the first hundred results again, but keep the first: by distances relative to those of "
-        "near shapes (local), or by the neighbours that two shapes share (k-reciprocal).  [default: none, or "
-        "the catalogue's]",
-    ),
-    option(
-        "--whitening",
-        metavar="NAME|FILE",
-        rare=True,
-        help="Differences that count less: those between near shapes (neighbours), within classes "
-        "(within-class), between all shapes (pca), those that come from the resolution (resolution), those "
-        "in a FILE of `calibrate`, or none.  [default: auto, or the catalogue's]",
-        details="auto is within-class if there are enough labels, else neighbours; `evaluate` does not fit "
-        "auto to labels. See docs/guide.md, Distances and whitening.",
-    ),
-    option(
-        "--distance",
-        type=RecordName("distance"),
-        rare=True,
-        help="Euclidean distance of log-signatures (log), or D1 or D2 of the paper.  [default: log, or the "
-        "catalogue's]",
-        details=partial(names_of, "distance"),
-    ),
+_overlay_option = option(
+    "--config TOML|PRESET",
+    "Settings in place of the catalogue's: a file with the tables [signature] and [retrieval], or a preset.",
+    PATH,
+    shell_complete=complete_presets,
+    rare=True,
+)
+_rerank_option = option(
+    "--rerank",
+    "Sort the first hundred results again, but keep the first: by distances relative to those of near shapes "
+    "(local), or by the neighbours that two shapes share (k-reciprocal).  [default: none, or the "
+    "catalogue's]",
+    ("none", "local", "k-reciprocal"),
+    rare=True,
+)
+_whitening_option = option(
+    "--whitening NAME|FILE",
+    "Differences that count less: those between near shapes (neighbours), within classes (within-class), "
+    "between all shapes (pca), those that come from the resolution (resolution), those in a FILE of "
+    "`calibrate`, or none.  [default: auto, or the catalogue's]",
+    rare=True,
+    details="auto is within-class if there are enough labels, else neighbours; `evaluate` does not fit auto "
+    "to labels. See docs/guide.md, Distances and whitening.",
+)
+_distance_option = option(
+    "--distance",
+    "Euclidean distance of log-signatures (log), or D1 or D2 of the paper.  [default: log, or the "
+    "catalogue's]",
+    RecordName("distance"),
+    rare=True,
+    details=partial(names_of, "distance"),
 )
 
 
 def comparison_options(command: Decorated) -> Decorated:
     """Add the options that determine how shapes are compared; `opened` takes their values."""
-    for added in _comparison_options:
-        command = added(command)
-    return command
+    command = size_weight_option(_overlay_option(command))
+    command = method_option(n_values_option(scale_option(command)))
+    return _distance_option(_whitening_option(_rerank_option(command)))
 
 
 def changes(flags: dict[str, Any]) -> dict[str, dict[str, Any]]:

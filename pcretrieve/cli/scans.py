@@ -13,41 +13,22 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
+import pcretrieve as pr
+from pcretrieve.cli import options as opt
+from pcretrieve.cli import output as out
 from pcretrieve.cli.messages import Progress, bar, failure_line, say, shown_path, stop_waiting
-from pcretrieve.cli.options import (
-    CATALOGUE,
-    Decorated,
-    command,
-    config_option,
-    exit_if,
-    json_option,
-    limit_options,
-    load_options,
-    method_option,
-    n_values_option,
-    option,
-    output_option,
-    progress_option,
-    scale_option,
-    size_weight_option,
-    surface_option,
-    unit_option,
-    workers_option,
-)
-from pcretrieve.cli.output import write_document, write_line, write_row, write_steps
 from pcretrieve.errors import PcretrieveError, ShapeError, Stage
 
 if TYPE_CHECKING:
-    from pcretrieve import MergeOptions, PipelineOptions, Signature, Step
     from pcretrieve.points.register import Merged
     from pcretrieve.values import Failure
 
 Answer = TypeVar("Answer")
 
 
-def scans_options(command: Decorated) -> Decorated:
+def scans_options(command: opt.Decorated) -> opt.Decorated:
     """Options of commands that work on many scans in processes, which `each_scan` takes."""
-    return workers_option(limit_options(progress_option(command)))
+    return opt.workers_option(opt.limit_options(opt.progress_option(command)))
 
 
 def alone(function: Callable[..., Answer], *arguments: Any, timeout: float, memory: float | None) -> Answer:
@@ -125,26 +106,22 @@ def output_files(folder: Path, scans: Sequence[Path], source: Path, suffix: str)
 # --- merge ---------------------------------------------------------------------------------------------
 
 
-@command("merge")
+@opt.command("merge")
 @click.argument("paths", nargs=-1, metavar="VIEWS...")
-@output_option("CLOUD", "Write this point cloud: .ply, .pcd or .xyzn.")
-@option("--refine/--no-refine", default=None, help="Refine known poses, or use them as they are.")
-@option(
+@opt.option("--output -o CLOUD", "Write this point cloud: .ply, .pcd or .xyzn.", opt.PATH, required=True)
+@opt.option("--refine/--no-refine", "Refine known poses, or use them as they are.", default=None)
+@opt.option(
     "--sensor",
-    type=click.Choice(["front", "origin"]),
-    help="Where the sensor is, if files do not say: far away in front, as of range scanners, or at the "
-    "origin, as of depth cameras.  [default: front]",
+    "Where the sensor is, if files do not say: far away in front, as of range scanners, or at "
+    "the origin, as of depth cameras.  [default: front]",
+    ("front", "origin"),
 )
-@option("--max-range", type=float, metavar="LENGTH", help="Remove points farther from the sensor.")
-@option(
-    "--background",
-    type=click.Choice(["none", "planes"]),
-    help="Remove floors and walls (planes).  [default: none]",
-)
-@option("--keep-largest", is_flag=True, default=None, help="Keep the largest piece of each view.")
-@config_option
-@partial(limit_options, unit="view")
-@json_option
+@opt.option("--max-range LENGTH", "Remove points farther from the sensor.", float)
+@opt.option("--background", "Remove floors and walls (planes).  [default: none]", ("none", "planes"))
+@opt.option("--keep-largest", "Keep the largest piece of each view.", default=None)
+@opt.config_option
+@partial(opt.limit_options, unit="view")
+@opt.json_option
 def merge_command(
     paths: tuple[str, ...],
     output: Path,
@@ -165,7 +142,6 @@ def merge_command(
     pcretrieve merge frames/ --config depth-camera -o body.ply
     pcretrieve merge frames/ --sensor origin --max-range 1.5 -o body.ply
     """
-    from pcretrieve import write_cloud
     from pcretrieve.formats import check_output
     from pcretrieve.ingestion.discover import printable
     from pcretrieve.ingestion.views import view_files
@@ -173,30 +149,28 @@ def merge_command(
     if not paths:
         raise click.UsageError("name at least two views, or one .conf")
     given = {name: value for name, value in chosen.items() if value is not None}
-    options = load_options(config).changed(merge=given)
+    options = opt.load_options(config).changed(merge=given)
     files, _ = view_files(paths)
     check_output(output, files, "point")
     stop_waiting()  # the process of the registration shows a bar
     merged = alone(_merged, paths, options.merge, timeout=timeout * len(files), memory=memory)
-    write_cloud(merged.cloud, output)
+    pr.write_cloud(merged.cloud, output)
     names = [printable(file) for file in files]
     _say_residuals(merged, names, output)
     if as_json:
-        write_document(_merge_document(merged, names, output), options=options)
-    exit_if(merged.left_out)
+        out.write_document(_merge_document(merged, names, output), options=options)
+    opt.exit_if(merged.left_out)
 
 
-def _merged(paths: Sequence[str], options: MergeOptions) -> Merged:
+def _merged(paths: Sequence[str], options: pr.MergeOptions) -> Merged:
     """Merge views in a worker process, which imports Open3D, and shows its progress on standard error."""
-    from pcretrieve import merge_views
-
     with bar(unit="pair", desc="merge", disable=None) as shown:
 
         def on_pair(done: int, total: int) -> None:
             shown.total = total
             shown.update(done - shown.n)
 
-        return merge_views(paths, options, on_pair=on_pair)
+        return pr.merge_views(paths, options, on_pair=on_pair)
 
 
 def _say_residuals(merged: Merged, names: Sequence[str], output: Path) -> None:
@@ -248,20 +222,24 @@ def _merge_document(merged: Merged, names: Sequence[str], output: Path) -> dict[
 # --- reconstruct ---------------------------------------------------------------------------------------
 
 
-@command("reconstruct")
+@opt.command("reconstruct")
 @click.argument("scan", type=click.Path(path_type=Path), metavar="SCAN|FOLDER")
-@output_option("MESH|FOLDER", "Write this mesh (.ply .obj .off .stl .glb); for a folder of scans, a folder.")
-@option(
-    "--suffix",
-    type=click.Choice([".ply", ".obj", ".off", ".stl", ".glb"]),
-    metavar="SUFFIX",
-    help="Format of the meshes of a folder of scans.  [default: .ply]",
+@opt.option(
+    "--output -o MESH|FOLDER",
+    "Write this mesh (.ply .obj .off .stl .glb); for a folder of scans, a folder.",
+    opt.PATH,
+    required=True,
 )
-@option("--report", is_flag=True, help="Print each step, with what was repaired.")
-@config_option
-@surface_option
+@opt.option(
+    "--suffix SUFFIX",
+    "Format of the meshes of a folder of scans.  [default: .ply]",
+    (".ply", ".obj", ".off", ".stl", ".glb"),
+)
+@opt.option("--report", "Print each step, with what was repaired.")
+@opt.config_option
+@opt.surface_option
 @scans_options
-@json_option
+@opt.json_option
 def reconstruct_command(
     scan: Path,
     output: Path,
@@ -282,7 +260,7 @@ def reconstruct_command(
     """
     from pcretrieve.formats import check_output
 
-    options = load_options(config, surface)
+    options = opt.load_options(config, surface)
     if scan.is_dir():
         _reconstruct_folder(scan, output, suffix or ".ply", report, options, as_json, **run)
         return
@@ -292,16 +270,22 @@ def reconstruct_command(
     limits = {"timeout": run["timeout"], "memory": run["memory"]}
     facts, steps = alone(_reconstructed, options, {scan: output}, scan, **limits)
     if as_json:
-        write_document(facts | {"steps": [asdict(step) for step in steps]}, options=options)
+        out.write_document(facts | {"steps": [asdict(step) for step in steps]}, options=options)
         return
     if report:
-        write_steps(steps)
+        out.write_steps(steps)
     values = (f"{value:.6g}" if isinstance(value, float) else str(value) for value in facts.values())
     say("  ".join(f"{name} {value}" for name, value in zip(facts, values, strict=True)))
 
 
 def _reconstruct_folder(
-    folder: Path, output: Path, suffix: str, report: bool, options: PipelineOptions, as_json: bool, **run: Any
+    folder: Path,
+    output: Path,
+    suffix: str,
+    report: bool,
+    options: pr.PipelineOptions,
+    as_json: bool,
+    **run: Any,
 ) -> None:
     """Write the surface of each scan of a folder."""
     from pcretrieve.ingestion.discover import discover, printable
@@ -310,7 +294,7 @@ def _reconstruct_folder(
     scans = discover([folder])
     files = output_files(output, scans, folder, suffix)
     documents: list[dict[str, object]] = []
-    made: list[tuple[str, tuple[Step, ...]]] = []  # printed at the end, because they would break a bar
+    made: list[tuple[str, tuple[pr.Step, ...]]] = []  # printed at the end, because they would break a bar
     for path, outcome in each_scan("reconstruct", partial(_reconstructed, options, files), scans, **run):
         name = printable(path)
         if isinstance(outcome, Failure):
@@ -320,24 +304,22 @@ def _reconstruct_folder(
         documents.append({"scan": name} | facts | {"steps": [asdict(step) for step in steps]})
         made.append((name, steps))
     if as_json:
-        write_document(documents, options=options)
+        out.write_document(documents, options=options)
     elif report:
         for name, steps in made:
-            write_line(shown_path(name))
-            write_steps(steps)
+            out.write_line(shown_path(name))
+            out.write_steps(steps)
     n_failed = len(scans) - len(made)
     say(f"{len(made)} surfaces are in {output}, {n_failed} scans failed")
-    exit_if(n_failed)
+    opt.exit_if(n_failed)
 
 
 def _reconstructed(
-    options: PipelineOptions, files: dict[Path, Path], scan: Path
-) -> tuple[dict[str, object], tuple[Step, ...]]:
+    options: pr.PipelineOptions, files: dict[Path, Path], scan: Path
+) -> tuple[dict[str, object], tuple[pr.Step, ...]]:
     """Write the surface of a scan, in a worker process, which imports the stages."""
-    from pcretrieve import reconstruct, write_mesh
-
-    mesh = reconstruct(scan, options)
-    write_mesh(mesh, files[scan])
+    mesh = pr.reconstruct(scan, options)
+    pr.write_mesh(mesh, files[scan])
     facts: dict[str, object] = {
         "mesh": str(files[scan]),
         "vertices": len(mesh.vertices),
@@ -352,30 +334,21 @@ def _reconstructed(
 # --- signature -----------------------------------------------------------------------------------------
 
 
-@command("signature")
+@opt.command("signature")
 @click.argument("paths", nargs=-1, metavar="[PATH|ID]...")
-@click.option(
-    "--from-catalogue",
-    type=CATALOGUE,
-    metavar="FILE|URL",
-    help="Take shapes of a catalogue by id, or all of them, not scans.",
+@opt.option(
+    "--from-catalogue FILE|URL", "Take shapes of a catalogue by id, or all of them, not scans.", opt.CATALOGUE
 )
-@method_option
-@n_values_option
-@option(
-    "--n-modes",
-    type=click.IntRange(min=2),
-    metavar="M",
-    rare=True,
-    help="Number of modes of the surface.  [default: 60]",
-)
-@scale_option
-@size_weight_option
-@config_option
-@surface_option
-@unit_option
+@opt.method_option
+@opt.n_values_option
+@opt.option("--n-modes M", "Number of modes of the surface.  [default: 60]", click.IntRange(min=2), rare=True)
+@opt.scale_option
+@opt.size_weight_option
+@opt.config_option
+@opt.surface_option
+@opt.unit_option
 @scans_options
-@json_option
+@opt.json_option
 def signature_command(
     paths: tuple[str, ...],
     from_catalogue: str | None,
@@ -398,32 +371,30 @@ def signature_command(
     pcretrieve signature scans/ --method shape-dna --json
     pcretrieve signature --from-catalogue bodies.sqlite T12 T17 --method wks
     """
-    from pcretrieve import Catalogue
-
     given = {name: value for name, value in chosen.items() if value is not None}
     if from_catalogue is not None:
         if config or surface or unit:
             raise click.UsageError(
                 "a catalogue has options of its own: leave out --config, --surface and --unit"
             )
-        with Catalogue(from_catalogue) as store:
+        with pr.Catalogue(from_catalogue) as store:
             options = store.options.changed(signature=given)
             n_failed = _write_signatures(_of_catalogue(store, paths, options), options, as_json)
     else:
         if not paths:
             raise click.UsageError("name at least one scan")
-        options = load_options(config, surface, unit).changed(signature=given)
+        options = opt.load_options(config, surface, unit).changed(signature=given)
         # On a terminal, the signatures themselves show the progress, and would break a bar.
         is_shown = progress != "bar" or as_json or not sys.stdout.isatty()
         limits = {"workers": workers, "timeout": timeout, "memory": memory}
         rows = _of_scans(paths, options, progress=progress if is_shown else None, **limits)
         n_failed = _write_signatures(rows, options, as_json)
-    exit_if(n_failed)
+    opt.exit_if(n_failed)
 
 
 def _write_signatures(
-    rows: Iterator[tuple[str, Signature | Failure, dict[str, object]]],
-    options: PipelineOptions,
+    rows: Iterator[tuple[str, pr.Signature | Failure, dict[str, object]]],
+    options: pr.PipelineOptions,
     as_json: bool,
 ) -> int:
     """Print signatures as they come, or one document. Returns the number of failures."""
@@ -441,15 +412,15 @@ def _write_signatures(
             facts |= {"deviation": outcome.deviation.tolist()}
         found.append(facts)
         if not as_json:
-            write_row([shown_path(name), *(f"{value:.9g}" for value in outcome.values)])
+            out.write_row([shown_path(name), *(f"{value:.9g}" for value in outcome.values)])
     if as_json:
-        write_document(found, options=options)
+        out.write_document(found, options=options)
     return n_failed
 
 
 def _of_scans(
-    paths: tuple[str, ...], options: PipelineOptions, **run: Any
-) -> Iterator[tuple[str, Signature | Failure, dict[str, object]]]:
+    paths: tuple[str, ...], options: pr.PipelineOptions, **run: Any
+) -> Iterator[tuple[str, pr.Signature | Failure, dict[str, object]]]:
     """Name, and signature or failure of each scan, and what else is known of it."""
     from pcretrieve.ingestion.discover import discover, printable
 
@@ -462,33 +433,31 @@ def _of_scans(
             yield name, outcome, {"path": name}
 
 
-def _described(options: PipelineOptions, path: Path) -> tuple[Signature, float]:
+def _described(options: pr.PipelineOptions, path: Path) -> tuple[pr.Signature, float]:
     """A signature and its seconds, in a worker process, which imports the stages."""
-    from pcretrieve import describe, process
     from pcretrieve.errors import in_stage
 
-    shape = process(path, options)
+    shape = pr.process(path, options)
     with in_stage(Stage.SIGNATURE):
-        signature = describe(shape, options.signature)
+        signature = pr.describe(shape, options.signature)
     return signature, sum(step.seconds for step in shape.provenance)
 
 
 def _of_catalogue(
-    store: Any, ids: tuple[str, ...], options: PipelineOptions
-) -> Iterator[tuple[str, Signature | Failure, dict[str, object]]]:
+    store: pr.Catalogue, ids: tuple[str, ...], options: pr.PipelineOptions
+) -> Iterator[tuple[str, pr.Signature | Failure, dict[str, object]]]:
     """Id, and signature or failure of each shape of a catalogue, and what else is known of it."""
-    from pcretrieve import describe
     from pcretrieve.descriptors import DESCRIPTORS
     from pcretrieve.values import Failure
 
     needs = DESCRIPTORS[options.signature.method].needs
     for record in [store.record(shape_id) for shape_id in ids] or store.records(status="done"):
-        outcome: Signature | Failure
+        outcome: pr.Signature | Failure
         if record.status == "failed":
-            outcome = Failure(record.id, record.stage, record.error, record.message)
+            outcome = Failure(record.id, str(record.stage), str(record.error), str(record.message))
         else:
             try:
-                outcome = describe(store.shape(record.id, needs), options.signature)
+                outcome = pr.describe(store.shape(record.id, needs), options.signature)
             except ShapeError as error:
                 outcome = failure_of(record.id, error)
         if isinstance(outcome, Failure):

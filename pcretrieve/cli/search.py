@@ -11,108 +11,63 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+import pcretrieve as pr
+from pcretrieve.cli import options as opt
+from pcretrieve.cli import output as out
 from pcretrieve.cli.messages import failure_line, say, shown_path
-from pcretrieve.cli.options import (
-    LabelFilter,
-    RecordName,
-    catalogue_option,
-    command,
-    comparison_options,
-    complete_labels,
-    complete_queries,
-    exit_if,
-    given_flags,
-    json_option,
-    limit_options,
-    matrix_option,
-    names_of,
-    opened,
-    option,
-    output_option,
-    read_distances,
-    unit_option,
-    up_option,
-)
-from pcretrieve.cli.output import (
-    Column,
-    write_csv,
-    write_document,
-    write_documents,
-    write_line,
-    write_table,
-    write_words,
-)
 from pcretrieve.cli.scans import failure_document
 from pcretrieve.errors import PcretrieveError, ShapeError
 
 if TYPE_CHECKING:
-    from pcretrieve import Answer, Catalogue, PipelineOptions
     from pcretrieve.query import Described, Question
     from pcretrieve.values import Failure
 
-    Outcomes = Iterator[tuple[str, Answer | ShapeError]]
+    Outcomes = Iterator[tuple[str, pr.Answer | ShapeError]]
 
 CSV_COLUMNS = ("query", "rank", "id", "label", "distance", "score", "path")
 
 COLUMNS = (
-    *(Column(heading, "number") for heading in ("RANK", "DISTANCE", "SCORE")),
-    *(Column("CLASS"), Column("ID"), Column("FILE", "path")),
+    *(out.Column(heading, "number") for heading in ("RANK", "DISTANCE", "SCORE")),
+    *(out.Column("CLASS"), out.Column("ID"), out.Column("FILE", "path")),
 )
 # Of a result whose signature is doubtful or unusable; `show` and --json give the reasons.
-DOUBT = Column("VERDICT")
+DOUBT = out.Column("VERDICT")
 
 
-@command("query")
+@opt.command("query")
 @click.argument(
-    "queries", nargs=-1, required=True, metavar="SCAN|FOLDER|ID...", shell_complete=complete_queries
+    "queries", nargs=-1, required=True, metavar="SCAN|FOLDER|ID...", shell_complete=opt.complete_queries
 )
-@catalogue_option
-@click.option(
-    "-k",
-    "k",
-    type=click.IntRange(min=1),
-    default=10,
-    show_default=True,
-    metavar="N",
-    help="Number of results.",
-)
-@click.option(
+@opt.catalogue_option
+@opt.option("-k N", "Number of results.", opt.COUNT, into="k", default=10)
+@opt.option(
     "--filter",
-    "labels",
-    type=LabelFilter(),
+    "Search this class only; several times: these classes.",
+    opt.LabelFilter(),
+    into="labels",
     multiple=True,
-    shell_complete=complete_labels,
-    help="Search this class only; several times: these classes.",
+    shell_complete=opt.complete_labels,
 )
-@click.option("--exclude-self", is_flag=True, help="Leave stored queries out of their results.")
-@click.option(
-    "--min-score",
-    type=click.FloatRange(0, 1),
-    metavar="SHARE",
-    help='Hide results below this score; "no match" if none is left.',
+@opt.option("--exclude-self", "Leave stored queries out of their results.")
+@opt.option(
+    "--min-score SHARE", 'Hide results below this score; "no match" if none is left.', click.FloatRange(0, 1)
 )
-@option(
+@opt.option(
     "--nearest",
-    type=click.Choice(["auto", "scan", "tree", "faiss"]),
+    "Find the nearest shapes by blocks (scan), by a ball tree (tree), or by faiss (an extra). "
+    "All are exact.  [default: auto, or the catalogue's]",
+    ("auto", "scan", "tree", "faiss"),
     rare=True,
-    help="Find the nearest shapes by blocks (scan), by a ball tree (tree), or by faiss (an extra). All are "
-    "exact.  [default: auto, or the catalogue's]",
     details="tree and faiss need --distance log or d2. auto is scan, the fastest for large catalogues.",
 )
-@matrix_option
-@comparison_options
-@unit_option
-@limit_options
-@json_option
-@click.option("--csv", "as_csv", is_flag=True, help="Print one table of all results, as CSV.")
-@click.option(
-    "--html",
-    "page",
-    type=click.Path(path_type=Path),
-    metavar="PAGE",
-    help="Write an HTML page of all queries too, with pictures.",
-)
-@up_option
+@opt.matrix_option
+@opt.comparison_options
+@opt.unit_option
+@opt.limit_options
+@opt.json_option
+@opt.option("--csv", "Print one table of all results, as CSV.", into="as_csv")
+@opt.option("--html PAGE", "Write an HTML page of all queries too, with pictures.", opt.PATH, into="page")
+@opt.up_option
 def query_command(
     queries: tuple[str, ...],
     catalogue: str,
@@ -147,9 +102,9 @@ def query_command(
         raise click.UsageError("choose one of --json and --csv")
     if page is not None:
         _check_page(page, (*queries, catalogue))
-    distances = read_distances(matrix, comparison)
+    distances = opt.read_distances(matrix, comparison)
     failures: list[ShapeError] = []
-    with opened(catalogue, comparison) as (store, options):
+    with opt.opened(catalogue, comparison) as (store, options):
         question = Question(options, k, labels or None, exclude_self, min_score, unit, distances)
         describe = partial(_described, timeout, memory, page is not None, up)
         found = answers(store, queries, question, describe)
@@ -158,13 +113,13 @@ def query_command(
         is_alone = len(queries) == 1 and not Path(queries[0]).is_dir()
         outcomes = _with_messages(found, failures, is_alone=is_alone)
         if as_json:
-            write_documents(_documents(outcomes, store, question), options=options)
+            out.write_documents(_documents(outcomes, store, question), options=options)
         elif as_csv:
             _write_csv(outcomes)
         else:
             _write_tables(outcomes, headed=not is_alone)
             _say_how(store, question)
-    exit_if(failures)
+    opt.exit_if(failures)
 
 
 def _check_page(page: Path, names: Sequence[str]) -> None:
@@ -175,8 +130,8 @@ def _check_page(page: Path, names: Sequence[str]) -> None:
 
 def _written(
     page: Path,
-    store: Catalogue,
-    known: list[tuple[str, Answer | ShapeError]],
+    store: pr.Catalogue,
+    known: list[tuple[str, pr.Answer | ShapeError]],
     question: Question,
     up: str | None,
 ) -> Outcomes:
@@ -209,7 +164,7 @@ def _with_messages(outcomes: Outcomes, failures: list[ShapeError], *, is_alone: 
         yield name, outcome
 
 
-def _documents(outcomes: Outcomes, store: Catalogue, question: Question) -> Iterator[dict[str, Any]]:
+def _documents(outcomes: Outcomes, store: pr.Catalogue, question: Question) -> Iterator[dict[str, Any]]:
     """The outcome of each query, for JSON; with a matrix, there is no distance and no whitening."""
     from pcretrieve.query import result_rows
 
@@ -235,7 +190,7 @@ def _write_tables(outcomes: Outcomes, *, headed: bool) -> None:
         if isinstance(answer, ShapeError):
             continue
         if headed:
-            write_line(shown_path(name))
+            out.write_line(shown_path(name))
         columns = COLUMNS + ((DOUBT,) if any(record.is_doubtful for record in answer.records) else ())
         rows = (
             (
@@ -252,11 +207,11 @@ def _write_tables(outcomes: Outcomes, *, headed: bool) -> None:
             )
             for row, record in zip(result_rows(answer), answer.records, strict=True)
         )
-        write_table(columns, (cells[: len(columns)] for cells in rows))
-        write_words(str(answer))
+        out.write_table(columns, (cells[: len(columns)] for cells in rows))
+        out.write_words(str(answer))
 
 
-def _say_how(store: Catalogue, question: Question) -> None:
+def _say_how(store: pr.Catalogue, question: Question) -> None:
     """Say how shapes were compared, unless by a matrix."""
     if question.matrix is not None:
         return
@@ -278,7 +233,7 @@ def _write_csv(outcomes: Outcomes) -> None:
         if not isinstance(answer, ShapeError)
         for row in result_rows(answer)
     )
-    write_csv(csv_text(CSV_COLUMNS, ([row[column] for column in CSV_COLUMNS] for row in rows)))
+    out.write_csv(csv_text(CSV_COLUMNS, ([row[column] for column in CSV_COLUMNS] for row in rows)))
 
 
 def _described(
@@ -287,7 +242,7 @@ def _described(
     with_pictures: bool,
     up: str | None,
     scans: Sequence[Path],
-    options: PipelineOptions,
+    options: pr.PipelineOptions,
 ) -> Iterator[tuple[Path, Described | PcretrieveError]]:
     """The signatures of scans, each computed in a worker process."""
     # Imported here, because it is not needed for shapes that the catalogue has.
@@ -301,7 +256,7 @@ def _described(
         yield scan, outcome
 
 
-def _isolated(options: PipelineOptions, with_picture: bool, up: str | None, scan: Path) -> Described:
+def _isolated(options: pr.PipelineOptions, with_picture: bool, up: str | None, scan: Path) -> Described:
     """The signature of a scan and the verdict on it, in a worker process, which imports the stages."""
     from pcretrieve.query import described, pictured
 
@@ -313,17 +268,19 @@ def _isolated(options: PipelineOptions, with_picture: bool, up: str | None, scan
     return outcome
 
 
-@command("matrix")
-@catalogue_option
-@output_option("FILE", "Write the distances to this file: .npy, or plain text.")
-@option(
-    "--matcher",
-    type=RecordName("matcher"),
-    help="Compare pairs of surfaces, not signatures.",
-    details=partial(names_of, "matcher"),
+@opt.command("matrix")
+@opt.catalogue_option
+@opt.option(
+    "--output -o FILE", "Write the distances to this file: .npy, or plain text.", opt.PATH, required=True
 )
-@comparison_options
-@json_option
+@opt.option(
+    "--matcher",
+    "Compare pairs of surfaces, not signatures.",
+    opt.RecordName("matcher"),
+    details=partial(opt.names_of, "matcher"),
+)
+@opt.comparison_options
+@opt.json_option
 def matrix_command(
     catalogue: str, output: Path, matcher: str | None, as_json: bool, **comparison: Any
 ) -> None:
@@ -337,16 +294,14 @@ def matrix_command(
     pcretrieve matrix --catalogue bodies.sqlite -o bodies.txt
     pcretrieve evaluate --catalogue bodies.sqlite --matrix bodies.txt
     """
-    from pcretrieve import matrix, write_matrix
-
-    if matcher is not None and (given := given_flags(comparison)):
+    if matcher is not None and (given := opt.given_flags(comparison)):
         raise click.UsageError(f"a matcher has no signatures: leave out {given}")
     if comparison["rerank"] is not None:
         raise click.UsageError("distances are not re-ranked: leave out --rerank, and give it to `evaluate`")
     failures: list[Failure] = []
-    with opened(catalogue, comparison) as (store, options):
-        found = matrix(store, options=options, matcher=matcher, on_failure=failures.append)
-    write_matrix(found, output)
+    with opt.opened(catalogue, comparison) as (store, options):
+        found = pr.matrix(store, options=options, matcher=matcher, on_failure=failures.append)
+    pr.write_matrix(found, output)
     for failure in failures:
         say(failure_line(failure))
     ids = str(output.with_suffix(".ids"))
@@ -354,20 +309,19 @@ def matrix_command(
     if as_json:
         failed = [{"id": one.shape_id} | failure_document(one) for one in failures]
         files = {"matrix": str(output), "ids": ids}
-        write_document(files | {"n_shapes": len(found), "failed": failed}, options=options)
-    exit_if(failures)
+        out.write_document(files | {"n_shapes": len(found), "failed": failed}, options=options)
+    opt.exit_if(failures)
 
 
-@command("duplicates")
-@catalogue_option
-@click.option(
-    "--threshold",
-    type=click.FloatRange(min=0),
-    metavar="DISTANCE",
-    help="Find pairs up to this distance.  [default: the error bars of both]",
+@opt.command("duplicates")
+@opt.catalogue_option
+@opt.option(
+    "--threshold DISTANCE",
+    "Find pairs up to this distance.  [default: the error bars of both]",
+    click.FloatRange(min=0),
 )
-@comparison_options
-@json_option
+@opt.comparison_options
+@opt.json_option
 def duplicates_command(catalogue: str, threshold: float | None, as_json: bool, **comparison: Any) -> None:
     """Find shapes that look the same, such as two scans of one body in one pose.
 
@@ -377,35 +331,31 @@ def duplicates_command(catalogue: str, threshold: float | None, as_json: bool, *
     \b
     pcretrieve duplicates --catalogue bodies.sqlite
     """
-    from pcretrieve import duplicates
-
-    with opened(catalogue, comparison) as (store, options):
-        pairs = duplicates(store, options=options, threshold=threshold)
+    with opt.opened(catalogue, comparison) as (store, options):
+        pairs = pr.duplicates(store, options=options, threshold=threshold)
     if as_json:
-        write_document([pair._asdict() for pair in pairs], options=options)
+        out.write_document([pair._asdict() for pair in pairs], options=options)
         return
-    write_table(
-        (Column("DISTANCE", "number"), Column("LIMIT", "number"), Column("FIRST"), Column("SECOND")),
+    out.write_table(
+        (
+            out.Column("DISTANCE", "number"),
+            out.Column("LIMIT", "number"),
+            out.Column("FIRST"),
+            out.Column("SECOND"),
+        ),
         ((f"{one.distance:#.4g}", f"{one.limit:#.4g}", one.first, one.second) for one in pairs),
     )
     say(f"{len(pairs)} {'pair' if len(pairs) == 1 else 'pairs'}")
 
 
-@command("cluster")
-@catalogue_option
-@click.option(
-    "--min-size",
-    type=click.IntRange(min=2),
-    default=3,
-    show_default=True,
-    metavar="N",
-    help="Least number of shapes of a cluster.",
+@opt.command("cluster")
+@opt.catalogue_option
+@opt.option("--min-size N", "Least number of shapes of a cluster.", click.IntRange(min=2), default=3)
+@opt.option(
+    "--output -o CSV", "Write this file.  [default: standard output; a terminal shows a table]", opt.PATH
 )
-@output_option(
-    "CSV", "Write this file.  [default: standard output; a terminal shows a table]", required=False
-)
-@comparison_options
-@json_option
+@opt.comparison_options
+@opt.json_option
 def cluster_command(
     catalogue: str, min_size: int, output: Path | None, as_json: bool, **comparison: Any
 ) -> None:
@@ -416,33 +366,33 @@ def cluster_command(
     \b
     pcretrieve cluster --catalogue bodies.sqlite -o clusters.csv
     """
-    from pcretrieve import cluster
     from pcretrieve.values.files import csv_text, write_file
 
-    with opened(catalogue, comparison) as (store, options):
-        labels = cluster(store, options=options, min_size=min_size)
+    with opt.opened(catalogue, comparison) as (store, options):
+        labels = pr.cluster(store, options=options, min_size=min_size)
     text = csv_text(("id", "label"), labels.items())
     if output is not None:
         write_file(output, text.encode())
     if as_json:
         document = [{"id": shape_id, "label": label} for shape_id, label in labels.items()]
-        write_document(document, options=options)
+        out.write_document(document, options=options)
     elif output is None and sys.stdout.isatty():
-        write_table(
-            (Column("ID"), Column("CLUSTER")), ((name, label or "-") for name, label in labels.items())
+        out.write_table(
+            (out.Column("ID"), out.Column("CLUSTER")),
+            ((name, label or "-") for name, label in labels.items()),
         )
     elif output is None:
-        write_csv(text)
+        out.write_csv(text)
     n_none = sum(label is None for label in labels.values())
     say(f"{len({*labels.values()} - {None})} clusters of {len(labels)} shapes, {n_none} of them in none")
 
 
-@command("map")
-@catalogue_option
-@output_option("PNG|HTML", "Write this picture or this page.")
-@up_option
-@comparison_options
-@json_option
+@opt.command("map")
+@opt.catalogue_option
+@opt.option("--output -o PNG|HTML", "Write this picture or this page.", opt.PATH, required=True)
+@opt.up_option
+@opt.comparison_options
+@opt.json_option
 def map_command(catalogue: str, output: Path, up: str | None, as_json: bool, **comparison: Any) -> None:
     """Plot a 2-D map of shapes: similar ones lie near each other.
 
@@ -451,11 +401,9 @@ def map_command(catalogue: str, output: Path, up: str | None, as_json: bool, **c
     \b
     pcretrieve map --catalogue bodies.sqlite -o bodies.html
     """
-    from pcretrieve import draw_map
-
-    with opened(catalogue, comparison) as (store, options):
-        page = draw_map(store, output, options=options, up=up)
+    with opt.opened(catalogue, comparison) as (store, options):
+        page = pr.draw_map(store, output, options=options, up=up)
     if as_json:
-        write_document({"page": str(page)}, options=options)
+        out.write_document({"page": str(page)}, options=options)
     else:
-        write_line(shown_path(str(page)))
+        out.write_line(shown_path(str(page)))

@@ -7,58 +7,40 @@ from typing import Any
 
 import click
 
+import pcretrieve as pr
+from pcretrieve.cli import options as opt
+from pcretrieve.cli import output as out
 from pcretrieve.cli.messages import say
-from pcretrieve.cli.options import catalogue_option, command, comparison_options, opened, option, up_option
-from pcretrieve.cli.output import write_line
 
 MEGABYTE = 1_000_000
 
 
-@command("serve")
-@catalogue_option
-@click.option(
-    "--port",
-    type=click.IntRange(0, 65535),
-    default=8765,
-    show_default=True,
-    metavar="N",
-    help="Port at 127.0.0.1; 0 for any free one.",
+@opt.command("serve")
+@opt.catalogue_option
+@opt.option("--port N", "Port at 127.0.0.1; 0 for any free one.", click.IntRange(0, 65535), default=8765)
+@opt.option("--read-only", "Take no scans from browsers.")
+@opt.option(
+    "--keep FOLDER",
+    "Let people keep their scans: files in this folder, shapes in the catalogue.",
+    click.Path(exists=True, file_okay=False, writable=True, path_type=Path),
 )
-@click.option("--read-only", is_flag=True, help="Take no scans from browsers.")
-@click.option(
-    "--keep",
-    type=click.Path(exists=True, file_okay=False, writable=True, path_type=Path),
-    metavar="FOLDER",
-    help="Let people keep their scans: files in this folder, shapes in the catalogue.",
-)
-@click.option(
-    "--max-upload",
-    type=click.IntRange(min=1),
-    default=200,
-    show_default=True,
-    metavar="MB",
-    help="Refuse larger scans from browsers.",
-)
-@option(
-    "--timeout",
-    type=click.FloatRange(min=1),
+@opt.option("--max-upload MB", "Refuse larger scans from browsers.", opt.COUNT, default=200)
+@opt.option(
+    "--timeout SECONDS",
+    "Give up on a scan from a browser after this time.",
+    click.FloatRange(min=1),
     default=300,
-    show_default=True,
-    metavar="SECONDS",
     rare=True,
-    help="Give up on a scan from a browser after this time.",
 )
-@option(
-    "--memory",
-    type=click.FloatRange(min=0.5),
+@opt.option(
+    "--memory GIB",
+    "Give the process for scans from browsers no more memory than this.",
+    click.FloatRange(min=0.5),
     default=4,
-    show_default=True,
-    metavar="GIB",
     rare=True,
-    help="Give the process for scans from browsers no more memory than this.",
 )
-@up_option
-@comparison_options
+@opt.up_option
+@opt.comparison_options
 def serve_command(
     catalogue: str,
     port: int,
@@ -80,14 +62,12 @@ def serve_command(
     pcretrieve serve --catalogue bodies.sqlite
     pcretrieve serve --catalogue bodies.sqlite --port 0 --keep scans/
     """
-    from pcretrieve import serve
-
     if read_only and keep is not None:
         raise click.UsageError("choose one of --read-only and --keep")
-    with opened(catalogue, comparison) as (_, options):
+    with opt.opened(catalogue, comparison) as (_, options):
         pass
     say("Open the address in a browser; end the server with Ctrl-C.")
-    serve(
+    pr.serve(
         catalogue,
         options=options,
         port=port,
@@ -97,5 +77,5 @@ def serve_command(
         memory=memory,
         up=up,
         keep=keep,
-        on_start=write_line,
+        on_start=out.write_line,
     )
