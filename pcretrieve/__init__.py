@@ -44,19 +44,17 @@ if TYPE_CHECKING:
     from pcretrieve.interface import (
         backup,
         check,
-        draw_map,
         ingest,
         inspect,
         merge_catalogues,
         merge_views,
-        query_page,
-        report,
         retry,
         status,
         watch,
     )
     from pcretrieve.matching import DistanceMatrix, read_matrix, write_matrix
     from pcretrieve.options import MergeOptions, PipelineOptions
+    from pcretrieve.pages import draw_map, query_page, report
     from pcretrieve.pipeline.process import process, reconstruct, signature
     from pcretrieve.query import Answer, cluster, duplicates, search, search_many
     from pcretrieve.retrieval import SignatureIndex, Whitening
@@ -217,13 +215,10 @@ _HOMES = {
     "pcretrieve.interface": (
         "backup",
         "check",
-        "draw_map",
         "ingest",
         "inspect",
         "merge_catalogues",
         "merge_views",
-        "query_page",
-        "report",
         "retry",
         "status",
         "watch",
@@ -236,6 +231,11 @@ _HOMES = {
     "pcretrieve.options": (
         "MergeOptions",
         "PipelineOptions",
+    ),
+    "pcretrieve.pages": (
+        "draw_map",
+        "query_page",
+        "report",
     ),
     "pcretrieve.pipeline.process": (
         "process",

@@ -17,7 +17,7 @@ from pcretrieve.cli.main import cli
 from pcretrieve.descriptors import describe
 from pcretrieve.errors import CatalogueError, ShapeError
 from pcretrieve.formats import write_mesh
-from pcretrieve.pages.retrieval_page import retrieval_page
+from pcretrieve.pages import report
 from pcretrieve.pipeline.process import process
 from pcretrieve.values import Need, Shape
 
@@ -102,7 +102,7 @@ def test_what_is_neither_stored_nor_computed_is_gone(method: str, part: str, tmp
 def test_pages_of_shapes_without_meshes_have_no_pictures(tmp_path: Path) -> None:
     for name, options in (("with", kept("meshes")), ("without", kept())):
         with filled(tmp_path / f"{name}.sqlite", options) as store:
-            retrieval_page(store, tmp_path / f"{name}.html")
+            report(store, tmp_path / f"{name}.html")
     pages = [(tmp_path / f"{name}.html").read_text() for name in ("with", "without")]
     assert ["url(data:image/png" in page for page in pages] == [True, False]
     assert all("egg2" in page for page in pages)
