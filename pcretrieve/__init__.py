@@ -10,7 +10,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from pcretrieve.catalogue import Catalogue
+    from pcretrieve.catalogue import Catalogue, backup, merge_catalogues
     from pcretrieve.descriptors import Descriptor, describe, r_bihdm, shape_dna
     from pcretrieve.errors import (
         BenchmarkError,
@@ -40,21 +40,21 @@ if TYPE_CHECKING:
     from pcretrieve.evaluation import RetrievalMeasures, calibrate, compare, evaluate, matrix
     from pcretrieve.formats import read_scan, write_cloud, write_mesh, write_signatures
     from pcretrieve.ingestion import DaskExecutor
+    from pcretrieve.ingestion.recomputing import check
     from pcretrieve.inspection import Inspection, report_problem, signature_spread
     from pcretrieve.interface import (
-        backup,
-        check,
+        draw_map,
         ingest,
         inspect,
-        merge_catalogues,
         merge_views,
+        query_page,
+        report,
         retry,
         status,
         watch,
     )
     from pcretrieve.matching import DistanceMatrix, read_matrix, write_matrix
     from pcretrieve.options import MergeOptions, PipelineOptions
-    from pcretrieve.pages import draw_map, query_page, report
     from pcretrieve.pipeline.process import process, reconstruct, signature
     from pcretrieve.query import Answer, cluster, duplicates, search, search_many
     from pcretrieve.retrieval import SignatureIndex, Whitening
@@ -167,7 +167,11 @@ __all__ = [
 
 # The module that defines each name.
 _HOMES = {
-    "pcretrieve.catalogue": ("Catalogue",),
+    "pcretrieve.catalogue": (
+        "Catalogue",
+        "backup",
+        "merge_catalogues",
+    ),
     "pcretrieve.descriptors": (
         "Descriptor",
         "describe",
@@ -212,13 +216,14 @@ _HOMES = {
         "report_problem",
         "signature_spread",
     ),
+    "pcretrieve.ingestion.recomputing": ("check",),
     "pcretrieve.interface": (
-        "backup",
-        "check",
+        "draw_map",
         "ingest",
         "inspect",
-        "merge_catalogues",
         "merge_views",
+        "query_page",
+        "report",
         "retry",
         "status",
         "watch",
@@ -231,11 +236,6 @@ _HOMES = {
     "pcretrieve.options": (
         "MergeOptions",
         "PipelineOptions",
-    ),
-    "pcretrieve.pages": (
-        "draw_map",
-        "query_page",
-        "report",
     ),
     "pcretrieve.pipeline.process": (
         "process",

@@ -60,6 +60,8 @@ def eggs(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="session")
 def server(eggs: Path) -> "Iterator[Server]":
     """The search page of the eggs, until the tests have ended."""
+    for name in ("starlette", "uvicorn"):
+        pytest.importorskip(name, reason=f"{name} is not installed (the extra web)")
     from search_server import running
 
     with running(eggs) as started:
@@ -75,7 +77,7 @@ def browser() -> "Iterator[Browser]":
         yield started
 
 
-@pytest.fixture(params=["sqlite", "postgresql"])
+@pytest.fixture(params=["sqlite", pytest.param("postgresql", marks=pytest.mark.slow)])
 def new_location(request: pytest.FixtureRequest, tmp_path: Path) -> str:
     """Where there is no catalogue yet, in each of the stores of pcretrieve."""
     if request.param == "sqlite":

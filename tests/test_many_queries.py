@@ -15,7 +15,7 @@ import shapes
 from click.testing import CliRunner, Result
 
 import pcretrieve as pr
-from pcretrieve.catalogue import gallery
+from pcretrieve.catalogue import cache
 from pcretrieve.cli.main import cli
 from pcretrieve.errors import InputError, OptionError, ScanReadError
 from pcretrieve.retrieval import class_vote
@@ -226,7 +226,7 @@ def test_an_answer_whose_best_score_is_small_is_probably_no_match(catalogue: Pat
 
 def test_other_labels_give_other_scores(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Also of an index that is kept, and whose whitening does not depend on labels."""
-    monkeypatch.setattr(gallery, "SMALLEST_KEPT", 1)
+    monkeypatch.setattr(cache, "SMALLEST_KEPT", 1)
     copy = folder / "relabelled.sqlite"
     shutil.copy(folder / "c.sqlite", copy)
     options = {"retrieval": {"whitening": "none"}}

@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import nullcontext
 from pathlib import Path
 
-from pcretrieve.catalogue import Record
+from pcretrieve.catalogue import CatalogueLike, Record, opened, stored_records
 from pcretrieve.formats import ScanLike, as_scan
 from pcretrieve.ingestion import EXECUTORS, Executor
 from pcretrieve.ingestion.layouts import discover_labelled
@@ -14,8 +14,8 @@ from pcretrieve.ingestion.run import Summary, ingest_files, plan_files
 from pcretrieve.ingestion.shards import scans_of
 from pcretrieve.ingestion.views import read_views
 from pcretrieve.inspection import Inspection, inspect_scan
-from pcretrieve.interface.catalogues import CatalogueLike, opened, stored_records
 from pcretrieve.options import MergeOptions, OptionsLike, PipelineOptions
+from pcretrieve.pages.inspection_page import write_inspection_page
 from pcretrieve.points.register import Merged
 from pcretrieve.points.register import merge_views as merge_clouds
 from pcretrieve.values.conversion import as_cloud
@@ -181,8 +181,6 @@ def inspect(
     with nullcontext() if catalogue is None else opened(catalogue) as store:
         found = inspect_scan(scan, options, n_rescans=n_rescans, catalogue=store)
     if page is not None:
-        from pcretrieve.pages import write_inspection_page
-
         write_inspection_page(found, page)
     return found
 

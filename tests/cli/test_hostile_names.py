@@ -17,7 +17,7 @@ from pathlib import Path
 import pytest
 import shapes
 
-from pcretrieve.catalogue.checksums import checksums_of
+from pcretrieve.catalogue.records import checksum
 from pcretrieve.formats import write_mesh
 
 # Names of files without their suffix. With the suffix .off, the longest has 255 bytes.
@@ -95,11 +95,8 @@ def seal(catalogue: sqlite3.Connection) -> None:
     """Write the checksums of changed rows, as who changes rows on purpose would, and commit."""
     catalogue.row_factory = sqlite3.Row
     for row in catalogue.execute("SELECT * FROM shapes JOIN provenance ON shape = number").fetchall():
-        columns = checksums_of(dict(row))
-        assigned = ", ".join(f"{name} = :{name}" for name in columns)
-        catalogue.execute(
-            f"UPDATE shapes SET {assigned} WHERE number = :number", columns | {"number": row["number"]}
-        )
+        values = (checksum(dict(row)), row["number"])
+        catalogue.execute("UPDATE shapes SET checksum = ? WHERE number = ?", values)
     catalogue.commit()
 
 

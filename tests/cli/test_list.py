@@ -11,7 +11,7 @@ from click.testing import CliRunner
 
 from pcretrieve import Catalogue
 from pcretrieve.catalogue import Content, Record
-from pcretrieve.catalogue.rows import PAYLOADS
+from pcretrieve.catalogue.tables import PAYLOADS
 from pcretrieve.cli.main import cli
 from pcretrieve.descriptors import describe
 from pcretrieve.options import PipelineOptions
@@ -73,7 +73,7 @@ def test_pages_are_in_order_of_id(arguments: list[object], expected: list[str], 
 def test_a_page_is_read_when_it_is_asked_for(path: Path) -> None:
     with Catalogue(path) as store:
         statements: list[str] = []
-        store._rows._connection.set_trace_callback(statements.append)  # type: ignore[attr-defined]
+        store.rows.database._connection.set_trace_callback(statements.append)
         pages = store.pages()
         assert [len(next(pages)), len(statements)] == [1000, 1]
         assert [len(next(pages)), len(statements)] == [1000, 2]

@@ -19,12 +19,13 @@ from processes import wait_for
 from search_server import Server, running
 
 from pcretrieve import Catalogue, write_mesh
+from pcretrieve.catalogue import find_defects
 from pcretrieve.cli.main import cli
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser
 
-pytestmark = pytest.mark.slow
+pytest.importorskip("uvicorn", reason="uvicorn is not installed (the extra web)")
 
 
 def egg(width: float, folder: Path) -> bytes:
@@ -154,7 +155,7 @@ def test_a_scan_is_kept_when_it_is_asked_for(
     with Catalogue(collection) as store:
         record = store.record("anna sits")
         assert Path(record.path) == folder / "anna sits.off"
-        assert "anna sits" not in {defect.shape_id for defect in store.defects()}
+        assert "anna sits" not in {defect.shape_id for defect in find_defects(store)}
         assert store.thumbnail("anna sits") is not None
 
 

@@ -15,9 +15,7 @@ from PIL import Image
 from search_server import NASTY, Server, running
 
 from pcretrieve.cli.main import cli
-from pcretrieve.web.documents import without_folders
-
-pytestmark = pytest.mark.slow
+from pcretrieve.web.folders import without_folders
 
 
 def ids(page: bytes) -> list[str]:
