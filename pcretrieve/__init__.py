@@ -43,18 +43,16 @@ if TYPE_CHECKING:
     from pcretrieve.ingestion.recomputing import check
     from pcretrieve.inspection import Inspection, report_problem, signature_spread
     from pcretrieve.interface import (
-        draw_map,
         ingest,
         inspect,
         merge_views,
-        query_page,
-        report,
         retry,
         status,
         watch,
     )
     from pcretrieve.matching import DistanceMatrix, read_matrix, write_matrix
     from pcretrieve.options import MergeOptions, PipelineOptions
+    from pcretrieve.pages import draw_map, query_page, report
     from pcretrieve.pipeline.process import process, reconstruct, signature
     from pcretrieve.query import Answer, cluster, duplicates, search, search_many
     from pcretrieve.retrieval import SignatureIndex, Whitening
@@ -218,12 +216,9 @@ _HOMES = {
     ),
     "pcretrieve.ingestion.recomputing": ("check",),
     "pcretrieve.interface": (
-        "draw_map",
         "ingest",
         "inspect",
         "merge_views",
-        "query_page",
-        "report",
         "retry",
         "status",
         "watch",
@@ -236,6 +231,11 @@ _HOMES = {
     "pcretrieve.options": (
         "MergeOptions",
         "PipelineOptions",
+    ),
+    "pcretrieve.pages": (
+        "draw_map",
+        "query_page",
+        "report",
     ),
     "pcretrieve.pipeline.process": (
         "process",

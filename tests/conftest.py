@@ -60,8 +60,6 @@ def eggs(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="session")
 def server(eggs: Path) -> "Iterator[Server]":
     """The search page of the eggs, until the tests have ended."""
-    for name in ("starlette", "uvicorn"):
-        pytest.importorskip(name, reason=f"{name} is not installed (the extra web)")
     from search_server import running
 
     with running(eggs) as started:

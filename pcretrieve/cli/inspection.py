@@ -151,7 +151,7 @@ def _inspected(
     scan: Path,
 ) -> pr.Inspection:
     """An inspection, whose page is written, in a worker process, which imports the stages."""
-    from pcretrieve.pages.inspection_sheet import write_inspection_png
+    from pcretrieve.pages import write_inspection_png
 
     found = pr.inspect(scan, options, n_rescans=n_rescans, page=pages[scan], catalogue=catalogue)
     if png is not None:

@@ -137,18 +137,9 @@ def _written(
 ) -> Outcomes:
     """The answers, after they were written on a page, before the first is printed."""
     from pcretrieve.ingestion.discover import printable
-    from pcretrieve.pages.query_page import write_query_page
+    from pcretrieve.pages import write_query_page
 
-    written = write_query_page(
-        page,
-        store,
-        known,
-        options=question.options,
-        matrix=question.matrix,
-        labels=question.labels,
-        min_score=question.min_score,
-        up=up,
-    )
+    written = write_query_page(page, store, known, question, up=up)
     say(f"page: {shown_path(printable(written))}", indent=None)
     return iter(known)
 

@@ -56,7 +56,7 @@ def serve_command(
 
     Open the address that is printed. It contains a secret: whoever has it can see the shapes, and search by
     scans. Scans run in an isolated process, and are deleted unless you give --keep. From another computer,
-    use an SSH tunnel: ssh -L 8765:127.0.0.1:8765 HOST. Needs pip install 'pcretrieve[web]'.
+    use an SSH tunnel: ssh -L 8765:127.0.0.1:8765 HOST.
 
     \b
     pcretrieve serve --catalogue bodies.sqlite

@@ -6,8 +6,7 @@ display. The virtual camera, the lamps and the ray casting of all pictures are h
 
 from pcretrieve.draw.axes import FEWEST_BODIES, NEAR_AXIS, body_axes, common_axis, upward
 from pcretrieve.draw.camera import MARGIN, Camera, cameras_around, cameras_framing
-from pcretrieve.draw.pictures import Colour, css, point_picture, rgb, surface_picture
-from pcretrieve.draw.shading import CLAY
+from pcretrieve.draw.pictures import CLAY, Colour, css, point_picture, rgb, surface_picture
 from pcretrieve.draw.thumbnail import (
     THUMBNAIL_PIXELS,
     cloud_thumbnail,

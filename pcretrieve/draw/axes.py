@@ -8,8 +8,6 @@ from pcretrieve.arrays import FloatArray, IntArray
 from pcretrieve.errors import OptionError
 from pcretrieve.names import UPWARD
 
-__all__ = ["body_axes", "common_axis", "principal_axes", "upward"]
-
 # Tie-breaker for shapes whose principal axes are not unique, such as a sphere: a
 # bias towards the axes of the file. As a fraction of the total variance, and as a
 # skewness, it is far above rounding errors and not visible.
@@ -19,7 +17,6 @@ TIE = 1e-6
 # because thin bodies are nearly symmetric from front to back. Of 1, 1.25, 1.5, 2 and 3, this one lets the
 # most bodies of TOSCA stand.
 THINNEST = 1.25
-
 
 # Largest angle between an axis and the direction upwards of a body that stands along it.
 NEAR_AXIS = np.radians(30)

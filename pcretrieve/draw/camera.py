@@ -11,17 +11,6 @@ from pcretrieve.arrays import FloatArray, IntArray
 from pcretrieve.draw.axes import principal_axes
 from pcretrieve.draw.open3d import RayScene
 
-__all__ = [
-    "MARGIN",
-    "SUPERSAMPLING",
-    "Camera",
-    "cameras_around",
-    "cameras_framing",
-    "pooled",
-    "rotation",
-    "visible_faces",
-]
-
 #: Margin on each side of a picture, relative to its width.
 MARGIN = 0.04
 
@@ -58,8 +47,7 @@ class Camera:
 def cameras_around(points: FloatArray) -> list[Camera]:
     """Cameras on four sides of a body, with one scale.
 
-    points: (n, 3) float64, points of the body, all of which are in the field of view.
-    Returns list of Camera: one camera for each of `AZIMUTHS`; unit of the points.
+    points: (n, 3) float64, all of which are in the field of view.
     """
     axes = principal_axes(points, np.full(len(points), 1 / len(points)))
     turned = [rotation(azimuth, ELEVATION) @ axes for azimuth in AZIMUTHS]
@@ -69,8 +57,7 @@ def cameras_around(points: FloatArray) -> list[Camera]:
 def cameras_framing(points: FloatArray, cameras: Sequence[Camera]) -> list[Camera]:
     """Cameras in given directions, with one scale.
 
-    points: (n, 3) float64, points, all of which are in the field of view.
-    Returns list of Camera: cameras with the axes of the given ones; unit of the points.
+    points: (n, 3) float64, all of which are in the field of view.
     """
     low, high = points.min(axis=0), points.max(axis=0)
     size = float(np.linalg.norm(high - low)) or 1.0  # the size of equal points
@@ -88,7 +75,6 @@ def rotation(azimuth: float, elevation: float) -> FloatArray:
     """The rotation from the axes of a body to those of a camera.
 
     azimuth, elevation: angles of the camera to the right of the front of the body, and above it; degrees.
-    Returns (3, 3) float64: rotation matrix.
     """
     a, e = np.radians([azimuth, elevation])
     right = np.array([np.cos(a), 0.0, -np.sin(a)])

@@ -1,4 +1,4 @@
-"""Pictures of points and surfaces in given colours."""
+"""Pictures of points and surfaces in given colours, and the lamps."""
 
 from __future__ import annotations
 
@@ -9,12 +9,17 @@ from PIL import Image, ImageDraw
 
 from pcretrieve.arrays import FloatArray, IntArray
 from pcretrieve.draw.camera import SUPERSAMPLING, Camera, pooled, visible_faces
-from pcretrieve.draw.shading import face_brightness
-
-__all__ = ["Colour", "css", "point_picture", "rgb", "surface_picture"]
 
 #: Red, green and blue in [0, 1].
 Colour = tuple[float, float, float]
+
+#: The colour of surfaces: a light clay, visible on white and on black; sRGB in [0, 1].
+CLAY = (0.86, 0.80, 0.74)
+
+# Directions to the two lamps in the frame of the camera (right, up, towards), and their strengths: a key
+# light from the upper left, and a weak fill light from the right.
+LIGHTS = (((-0.5, 0.7, 0.8), 0.72), ((0.9, 0.1, 0.5), 0.22))
+AMBIENT = 0.26
 
 # Limits of the side of the square of a point: the smallest in pixels, so that no point is lost; the largest
 # relative to half of the side of the picture, for sparse points.
@@ -70,20 +75,32 @@ def surface_picture(
     return picture
 
 
-def rgb(colour: Colour) -> tuple[int, int, int]:
-    """A colour as three integers.
+def face_brightness(vertices: FloatArray, faces: IntArray) -> FloatArray:
+    """The brightness of the faces of a matt surface by Lambert's law; both sides of a face look alike.
 
-    colour: (red, green, blue) in [0, 1], red, green and blue.
+    vertices: (n, 3) float64, coordinates in the frame of the camera: right, up, towards.
+    faces: (m, 3) int32, vertex numbers of the triangles.
+    Returns (m,) float64: in [0, 1].
     """
+    a, b, c = (vertices[faces[:, k]] for k in range(3))
+    normals = np.cross(b - a, c - a)  # (m, 3)
+    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), np.finfo(float).tiny)
+    normals *= np.where(normals[:, 2:] < 0, -1, 1)
+    light = np.full(len(normals), AMBIENT)
+    for direction, strength in LIGHTS:
+        light += strength * np.maximum(normals @ direction / np.linalg.norm(direction), 0)
+    brightness: FloatArray = np.minimum(light, 1)
+    return brightness
+
+
+def rgb(colour: Colour) -> tuple[int, int, int]:
+    """A colour as three integers from 0 to 255."""
     red, green, blue = (round(255 * part) for part in colour)
     return red, green, blue
 
 
 def css(colour: Colour) -> str:
-    """A colour as a hexadecimal value of CSS.
-
-    colour: (red, green, blue) in [0, 1], red, green and blue.
-    """
+    """A colour as a hexadecimal value of CSS."""
     return "#" + bytes(rgb(colour)).hex()
 
 

@@ -21,11 +21,8 @@ from pcretrieve.draw.camera import (
     rotation,
     visible_faces,
 )
-from pcretrieve.draw.pictures import point_picture
-from pcretrieve.draw.shading import CLAY, face_brightness
-from pcretrieve.errors import DegenerateMeshError, OptionError, Stage
-
-__all__ = ["THUMBNAIL_PIXELS", "cloud_thumbnail", "direction_upwards", "picture_html", "resized", "thumbnail"]
+from pcretrieve.draw.pictures import CLAY, face_brightness, point_picture
+from pcretrieve.errors import DegenerateMeshError, Stage
 
 # Side of the pictures that catalogues keep, and from which smaller ones are made; pixels.
 THUMBNAIL_PIXELS = 200
@@ -70,10 +67,6 @@ def thumbnail(
     azimuth, elevation: angles of the camera to the right of the front of `body_axes`, and above it; degrees.
     Returns bytes: a PNG file with a palette and a transparent background; 6 to 10 kB at 200 pixels.
     """
-    if size < 1:
-        raise OptionError(f"size must be at least 1 pixel, got {size}")
-    if not np.isfinite([azimuth, elevation]).all():
-        raise OptionError(f"azimuth and elevation must be finite degrees, got {azimuth} and {elevation}")
     a, b, c = (vertices[faces[:, k]] for k in range(3))
     area = float(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum() / 2)
     diagonal = float(np.linalg.norm(np.ptp(vertices, axis=0))) if len(vertices) else 0.0
@@ -92,10 +85,7 @@ def thumbnail(
 
 
 def resized(picture: bytes, size: int) -> bytes:
-    """A smaller thumbnail.
-
-    size: side of the square picture; pixels.
-    """
+    """A smaller thumbnail, with sides of `size` pixels."""
     with Image.open(BytesIO(picture)) as image:
         if image.width <= size:
             return picture

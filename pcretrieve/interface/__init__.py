@@ -8,9 +8,6 @@ from pcretrieve.catalogue import CatalogueLike, backup, merge_catalogues
 from pcretrieve.evaluation import calibrate, compare, evaluate, matrix
 from pcretrieve.ingestion.recomputing import check
 from pcretrieve.interface.batches import retry, status, watch
-from pcretrieve.interface.collections import draw_map
-from pcretrieve.interface.queries import query_page
-from pcretrieve.interface.retrieval import report
 from pcretrieve.interface.scans import ingest, inspect, merge_views
 
 __all__ = [
@@ -19,15 +16,12 @@ __all__ = [
     "calibrate",
     "check",
     "compare",
-    "draw_map",
     "evaluate",
     "ingest",
     "inspect",
     "matrix",
     "merge_catalogues",
     "merge_views",
-    "query_page",
-    "report",
     "retry",
     "status",
     "watch",

@@ -15,7 +15,6 @@ from pcretrieve.ingestion.shards import scans_of
 from pcretrieve.ingestion.views import read_views
 from pcretrieve.inspection import Inspection, inspect_scan
 from pcretrieve.options import MergeOptions, OptionsLike, PipelineOptions
-from pcretrieve.pages.inspection_page import write_inspection_page
 from pcretrieve.points.register import Merged
 from pcretrieve.points.register import merge_views as merge_clouds
 from pcretrieve.values.conversion import as_cloud
@@ -181,6 +180,8 @@ def inspect(
     with nullcontext() if catalogue is None else opened(catalogue) as store:
         found = inspect_scan(scan, options, n_rescans=n_rescans, catalogue=store)
     if page is not None:
+        from pcretrieve.pages import write_inspection_page
+
         write_inspection_page(found, page)
     return found
 

@@ -1,19 +1,37 @@
-"""HTML templates of the pages, with their style sheets and scripts inlined."""
+"""Templates → pages, and numbers → what templates draw of them."""
 
 from __future__ import annotations
 
 from base64 import b64encode
+from collections.abc import Sequence
 from functools import cache
+from pathlib import Path
+from typing import NamedTuple
 from urllib.parse import quote
 
-from jinja2 import Environment, PackageLoader, StrictUndefined, Template
+import numpy as np
+from jinja2 import Environment, PackageLoader, StrictUndefined
 
-__all__ = ["page_template"]
+from pcretrieve.values import FloatArray
+from pcretrieve.values.files import write_file
+
+
+def page_of(template: str, **context: object) -> bytes:
+    """A page by a template of the folder ``templates``, which may include files of the folder ``assets``."""
+    page = _environment().get_template(f"templates/{template}").render(context)
+    # Bytes of file names that are not UTF-8 are replaced by question marks.
+    return page.encode("utf-8", errors="replace")
+
+
+def write_page(path: str | Path, template: str, **context: object) -> Path:
+    """Write a page. An existing file is replaced in one step, or left unchanged."""
+    target = Path(path).absolute()
+    write_file(target, page_of(template, **context))
+    return target
 
 
 @cache
-def page_template(name: str) -> Template:
-    """Load a template from the folder ``templates``, which may include files of the folder ``assets``."""
+def _environment() -> Environment:
     environment = Environment(
         loader=PackageLoader("pcretrieve.pages", ""),
         autoescape=True,
@@ -22,9 +40,10 @@ def page_template(name: str) -> Template:
         lstrip_blocks=True,
     )
     environment.filters["three_digits"] = _three_digits
-    environment.filters["data_uri"] = _data_uri
+    environment.filters["base64"] = encoded
     environment.filters["in_address"] = _in_address
-    return environment.get_template(f"templates/{name}")
+    environment.globals["counted"] = _counted
+    return environment
 
 
 def _three_digits(value: float) -> str:
@@ -33,10 +52,41 @@ def _three_digits(value: float) -> str:
     return f"{float(text):.0f}" if "e+" in text else text
 
 
-def _data_uri(picture: bytes) -> str:
-    return "data:image/png;base64," + b64encode(picture).decode("ascii")
+def encoded(content: bytes) -> str:
+    """Bytes as base64."""
+    return b64encode(content).decode("ascii")
 
 
 def _in_address(name: str) -> str:
     """A name as one part of an address; slashes in it too are escaped."""
     return quote(name, safe="")
+
+
+def _counted(n: int, one: str, many: str) -> str:
+    return f"{n} {one if n == 1 else many}"
+
+
+class Curves(NamedTuple):
+    """Curves with common axes in the unit square of an SVG, whose y axis points down."""
+
+    lines: list[str]
+    lowest: float
+    highest: float
+    n: int
+
+
+def curves(rows: Sequence[FloatArray]) -> Curves:
+    """Draw rows of numbers as curves with common axes.
+
+    rows: sequence of (n,) float64, at least one row, of finite values; rows may have different lengths.
+    """
+    every = np.concatenate(rows)
+    lowest, highest = float(every.min()), float(every.max())
+    n, height = max(len(row) for row in rows), (highest - lowest) or 1.0
+    lines = [line_of((np.arange(len(row)) + 0.5) / n, (highest - row) / height) for row in rows]
+    return Curves(lines, lowest, highest, n)
+
+
+def line_of(across: FloatArray, down: FloatArray) -> str:
+    """Points as the attribute of an SVG line."""
+    return " ".join(f"{x:.4f},{y:.4f}" for x, y in zip(across, down, strict=True))

@@ -6,15 +6,15 @@ requests. A server has styles and scripts at addresses of their own, because its
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from io import BytesIO
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
+from PIL import Image, ImageDraw, ImageFont
 
-from pcretrieve.draw import CLAY
-from pcretrieve.inspection.inspection import Inspection
-from pcretrieve.pages.html import page_template
+from pcretrieve.draw import CLAY, Colour, rgb
+from pcretrieve.pages.html import encoded, line_of, page_of
 from pcretrieve.pages.inspection_pictures import (
     AWAY,
     BRIDGE,
@@ -24,19 +24,25 @@ from pcretrieve.pages.inspection_pictures import (
     FACING,
     FILLED,
     KEPT,
+    PICTURE_PIXELS,
     SKIN_WIDTH,
     inspection_cameras,
     rows_of,
     thinned,
 )
-from pcretrieve.pages.scene import VIEWER_SIZE, Cube, encoded
-from pcretrieve.values import FloatArray
+from pcretrieve.pages.scene import VIEWER_SIZE, Cube
+from pcretrieve.values import PointCloud
 from pcretrieve.values.files import write_file
 
-__all__ = ["Served", "inspection_html", "write_inspection_page"]
+if TYPE_CHECKING:
+    from pcretrieve import Inspection
 
 # Number of points that were removed, side by side, across half of the 3D viewer.
 REMOVED_IN_VIEW = 90
+
+# The sheet of pictures: its margin, the height of a line and of the title, in pixels, and its two greys.
+MARGIN, LINE, TITLE = 16, 22, 34
+DARK, GREY = (0.1, 0.1, 0.1), (0.3, 0.3, 0.3)
 
 
 class Served(NamedTuple):
@@ -46,9 +52,10 @@ class Served(NamedTuple):
     back: str
 
 
-def inspection_html(inspection: Inspection, served: Served | None = None) -> str:
+def inspection_html(inspection: Inspection, served: Served | None = None) -> bytes:
     """The page of an inspection."""
-    return page_template("inspection.html").render(
+    return page_of(
+        "inspection.html",
         it=inspection,
         rows=[row.encoded() for row in rows_of(inspection)],
         scene=_scene(inspection),
@@ -60,11 +67,8 @@ def inspection_html(inspection: Inspection, served: Served | None = None) -> str
 def write_inspection_page(inspection: Inspection, path: str | Path) -> Path:
     """Write the page of an inspection. An existing file is replaced in one step, or left unchanged."""
     target = Path(path).absolute()
-    write_file(target, inspection_html(inspection).encode("utf-8", errors="replace"))
+    write_file(target, inspection_html(inspection))
     return target
-
-
-# --- the 3D viewer --------------------------------------------------------------------------------------
 
 
 def _scene(it: Inspection) -> dict[str, Any] | None:
@@ -73,40 +77,39 @@ def _scene(it: Inspection) -> dict[str, Any] | None:
     if not cameras:
         return None
     cube = Cube.around(it.body)
-    layers = []
-    if it.scan is not None:
-        skin, removed = SKIN_WIDTH / 2 * it.spacing, cube.half / REMOVED_IN_VIEW
-        inside = cube.holds(it.scan.points)
-        for name, words, chosen, colour, width in (
-            ("points", "points", ~(it.dropped | it.cut_away), KEPT, skin),
-            ("dropped", "dropped as outliers", it.dropped, DROPPED, max(skin, removed)),
-            ("cut", "cut away", it.cut_away, CUT_AWAY, max(skin, removed)),
-        ):
-            n_far = int((chosen & ~inside).sum())
-            label = f"{int(chosen.sum()):,} {words}" + (f", {n_far:,} of them too far away" if n_far else "")
-            layers.append(
-                cube.layer(name, label, thinned(it.scan.points[chosen & inside]), colour, width=width)
-            )
+    layers = [] if it.scan is None else _point_layers(it, it.scan, cube)
     if it.cloud is not None and it.cloud.normals is not None:
         normals = np.round(127 * thinned(it.cloud.normals)).astype(np.int8)
         points, width = thinned(it.cloud.points), SKIN_WIDTH * it.spacing
-        more = {"back": AWAY, "normal": encoded(normals)}
+        more = {"back": AWAY, "normal": encoded(normals.tobytes())}
         layers.append(cube.layer("normals", "which side is outside", points, FACING, width=width, **more))
     if it.mesh is not None:
-        vertices = it.mesh.vertices
         for name, label, faces, colour in (
             ("surface", "surface", it.mesh.faces, CLAY),
             ("filled", "filled in", it.mesh.faces[it.filled], FILLED),
         ):
-            corners = encoded(faces.astype("<u4"))
-            layers.append(cube.layer(name, label, vertices, colour, width=0, faces=corners))
+            corners = encoded(faces.astype("<u4").tobytes())
+            layers.append(cube.layer(name, label, it.mesh.vertices, colour, width=0, faces=corners))
         for name, places, colour in (("cuts", it.cuts, CUT), ("bridges", it.bridges, BRIDGE)):
             layers.append(cube.layer(name, name, places, colour, width=cube.half / 30, over=True))
     on = {"surface", "filled", "cuts", "bridges"} if it.mesh is not None else {"points", "dropped"}
     return {"layers": layers, "on": sorted(on), "axes": cameras[0].axes.tolist(), "zoom": VIEWER_SIZE}
 
 
-# --- the signature ------------------------------------------------------------------------------------
+def _point_layers(it: Inspection, scan: PointCloud, cube: Cube) -> list[dict[str, Any]]:
+    """The points that were kept, dropped and cut away, as far as they are in the cube."""
+    skin, removed = SKIN_WIDTH / 2 * it.spacing, cube.half / REMOVED_IN_VIEW
+    inside = cube.holds(scan.points)
+    layers = []
+    for name, words, chosen, colour, width in (
+        ("points", "points", ~(it.dropped | it.cut_away), KEPT, skin),
+        ("dropped", "dropped as outliers", it.dropped, DROPPED, max(skin, removed)),
+        ("cut", "cut away", it.cut_away, CUT_AWAY, max(skin, removed)),
+    ):
+        n_far = int((chosen & ~inside).sum())
+        label = f"{int(chosen.sum()):,} {words}" + (f", {n_far:,} of them too far away" if n_far else "")
+        layers.append(cube.layer(name, label, thinned(scan.points[chosen & inside]), colour, width=width))
+    return layers
 
 
 class _Plot(NamedTuple):
@@ -127,14 +130,50 @@ def _plot(it: Inspection) -> _Plot | None:
     deviation = np.zeros_like(logs) if it.rescan_deviation is None else it.rescan_deviation
     low, high = float((logs - deviation).min()), float((logs + deviation).max())
     across = (np.arange(len(logs)) + 0.5) / len(logs)
-    largest = float(deviation.max())
+    largest, tiny = float(deviation.max()), np.finfo(float).tiny
+    rows = (logs, logs + deviation, logs - deviation)
+    line, above, below = ((high - values) / max(high - low, tiny) for values in rows)
+    band = line_of(across, above) + " " + line_of(across[::-1], below[::-1])
+    bars = list(zip(across.tolist(), (deviation / max(largest, tiny)).tolist(), strict=True))
+    return _Plot(line_of(across, line), band, bars, high, low, largest)
 
-    def along(values: Sequence[float] | FloatArray, order: slice = slice(None)) -> str:
-        down = (high - np.asarray(values)) / max(high - low, np.finfo(float).tiny)
-        pairs = zip(across[order], down[order], strict=True)
-        return " ".join(f"{x:.4f},{y:.4f}" for x, y in pairs)
 
-    band = along(logs + deviation) + " " + along(logs - deviation, slice(None, None, -1))
-    heights = deviation / max(largest, np.finfo(float).tiny)
-    bars = [(float(x), float(height)) for x, height in zip(across, heights, strict=True)]
-    return _Plot(along(logs), band, bars, high, low, largest)
+def write_inspection_png(inspection: Inspection, path: str | Path) -> Path:
+    """Write the verdict and all pictures into one picture. An existing file is replaced in one step."""
+    target = Path(path).absolute()
+    rows = rows_of(inspection)
+    width = 2 * MARGIN + len(inspection_cameras(inspection) or [0] * 4) * PICTURE_PIXELS
+    lines = [check for check in inspection.checks if check.verdict != "passed"]
+    height = 3 * MARGIN + TITLE + LINE * (1 + len(lines))
+    height += sum(row.pictures[0].height + 2 * LINE + MARGIN for row in rows)
+    sheet = Image.new("RGB", (width, height), "white")
+    pen = ImageDraw.Draw(sheet)
+
+    def write(text: str, x: int, y: int, size: int, colour: Colour = DARK) -> None:
+        font = ImageFont.load_default(size)
+        while text and pen.textlength(text, font) > width - MARGIN - x:
+            text = text[:-2].rstrip("…") + "…" if len(text) > 2 else ""
+        pen.text((x, y), text, rgb(colour), font)
+
+    write(inspection.name, MARGIN, MARGIN, 24)
+    y = MARGIN + TITLE
+    write(inspection.summary, MARGIN, y, 16, CUT if inspection.verdict == "failed" else DARK)
+    for check in lines:
+        y += LINE
+        write(f"{check.verdict}: {check.name}: {check.shown}. {check.words}", MARGIN, y, 14, GREY)
+    y += LINE + MARGIN
+    for row in rows:
+        write(row.title, MARGIN, y, 16)
+        x = MARGIN
+        for colour, words in row.key:
+            pen.rectangle((x, y + LINE + 4, x + 10, y + LINE + 14), rgb(colour))
+            write(words, x + 16, y + LINE, 13, GREY)
+            x += 36 + round(pen.textlength(words, ImageFont.load_default(13)))
+        y += 2 * LINE
+        for column, picture in enumerate(row.pictures):
+            sheet.paste(picture, (MARGIN + column * PICTURE_PIXELS, y), picture)
+        y += row.pictures[0].height + MARGIN
+    file = BytesIO()
+    sheet.save(file, "PNG")
+    write_file(target, file.getvalue())
+    return target

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from io import BytesIO
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,24 +22,10 @@ from pcretrieve.draw import (
     rgb,
     surface_picture,
 )
-from pcretrieve.inspection.inspection import Inspection
 from pcretrieve.values import FloatArray, PointCloud, TriangleMesh
 
-__all__ = [
-    "AWAY",
-    "BRIDGE",
-    "CUT",
-    "CUT_AWAY",
-    "DROPPED",
-    "FACING",
-    "FILLED",
-    "KEPT",
-    "SKIN_WIDTH",
-    "Row",
-    "inspection_cameras",
-    "rows_of",
-    "thinned",
-]
+if TYPE_CHECKING:
+    from pcretrieve import Inspection
 
 PICTURE_PIXELS = 280
 
@@ -84,10 +71,7 @@ DARKEST = 0.35
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Row:
-    """Pictures of one layer from all sides, cropped above and below, and the meaning of their colours.
-
-    key: list of (Colour, str), the meaning of each colour.
-    """
+    """Pictures of one layer from all sides, cropped above and below, and the meaning of each colour."""
 
     title: str
     key: list[tuple[Colour, str]]
@@ -177,9 +161,8 @@ def _raw_row(scan: PointCloud, it: Inspection) -> Row:
     kept, dropped = thinned(scan.points[~(it.dropped | it.cut_away)]), scan.points[it.dropped]
     pictures = []
     for camera in inspection_cameras(it):
-        picture = _shaded(kept, KEPT, camera, it)
-        picture.alpha_composite(_removed(thinned(dropped), DROPPED, camera, it))
-        pictures.append(picture)
+        beside = _removed(thinned(dropped), DROPPED, camera, it)
+        pictures.append(Image.alpha_composite(_shaded(kept, KEPT, camera, it), beside))
     n, n_cut = len(dropped), int(it.cut_away.sum())
     n_outside = int(_outside(dropped, inspection_cameras(it)).sum())
     beyond = f", {n_outside:,} of them beyond an edge in some pictures" if n_outside else ""
@@ -250,9 +233,5 @@ def _marks_row(mesh: TriangleMesh, it: Inspection) -> Row:
 
 
 def thinned(points: FloatArray) -> FloatArray:
-    """Select `MOST_POINTS` points at equal intervals in the order of the file.
-
-    points: (n, 3) float64, points, or another value of each point.
-    Returns (k, 3) float64: all rows, if there are no more than `MOST_POINTS`.
-    """
+    """`MOST_POINTS` of (n, 3) points at equal intervals in the order of the file; all if there are fewer."""
     return points[np.linspace(0, len(points) - 1, min(len(points), MOST_POINTS)).astype(np.intp)]

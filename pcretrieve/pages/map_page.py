@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from base64 import b64encode
 from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
@@ -10,24 +9,22 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pcretrieve.catalogue import Catalogue
+from pcretrieve.catalogue import Catalogue, CatalogueLike, opened
 from pcretrieve.errors import InputError
-from pcretrieve.options import PipelineOptions
-from pcretrieve.pages.html import page_template
+from pcretrieve.options import OptionsLike, PipelineOptions
+from pcretrieve.pages.html import encoded, write_page
 from pcretrieve.pages.thumbnails import Thumbnails
+from pcretrieve.query import without_labels
 from pcretrieve.retrieval import plane_map
 from pcretrieve.values import FloatArray
 from pcretrieve.values.files import write_file
 
-__all__ = ["ClassGroup", "class_groups", "map_drawing", "write_map"]
-
 # Colours that colour-blind readers can distinguish, after Okabe and Ito, and darker ones for lines of print.
 # Classes have a colour and a marker; of more classes than pairs of both, some look alike.
 COLOURS = ("#0072b2", "#e69f00", "#009e73", "#cc79a7", "#56b4e9", "#d55e00", "#8a8d00", "#7b3fa0")
-MARKERS = ("o", "s", "^", "D", "v")
 UNKNOWN = "#8a8f98"
 
-# The markers as SVG paths of about equal area, in pixels of the map.
+# The markers of matplotlib as SVG paths of about equal area, in pixels of the map.
 PATHS = {
     "o": "M-9,0a9,9 0 1,0 18,0a9,9 0 1,0 -18,0z",
     "s": "M-8,-8h16v16h-16z",
@@ -46,10 +43,7 @@ PICTURE_PIXELS = 128
 
 
 class ClassGroup(NamedTuple):
-    """The shapes of one class, and how they are drawn.
-
-    rows: (m,) int, numbers of its shapes.
-    """
+    """The shapes of one class, and how they are drawn; `rows`: (m,) int, numbers of its shapes."""
 
     label: str | None
     rows: NDArray[np.intp]
@@ -57,37 +51,61 @@ class ClassGroup(NamedTuple):
     marker: str
 
 
-def write_map(
-    catalogue: Catalogue,
-    path: str | Path,
-    options: PipelineOptions | None = None,
-    *,
-    up: str | None = None,
+def draw_map(
+    catalogue: CatalogueLike, path: str | Path, *, options: OptionsLike = None, up: str | None = None
 ) -> Path:
-    """Draw the shapes of a catalogue in the plane. An existing file is replaced in one step."""
+    """Draw the shapes of a catalogue in the plane, near shapes near each other.
+
+    Parameters
+    ----------
+    catalogue : Catalogue, str or Path
+        The shapes.
+    path : str or Path
+        The file: a picture if it ends in ``.png``, by matplotlib (the extra ``plot``); a self-contained page
+        if it ends in ``.html``, which shows name and thumbnail of a shape under the pointer.
+    options : OptionsLike, optional
+        Signature and whitening. By default the options of the catalogue; the whitening auto does not use
+        labels.
+    up : {"x", "-x", "y", "-y", "z", "-z"}, optional
+        The axis of the files that points upwards on pictures; by default found for each shape.
+
+    Returns
+    -------
+    Path
+        Absolute path of the file.
+
+    Raises
+    ------
+    CatalogueError
+        If the options require other spectra than the catalogue has.
+    InputError
+        If the catalogue has no shapes, the file ends otherwise or cannot be written, or there is no
+        matplotlib.
+    """
     target = Path(path).absolute()
     if target.suffix.lower() not in (".png", ".html"):
         raise InputError(f"a map is a picture .png or a page .html, got {target.name}")
-    index = catalogue.index(options)
-    labels = [record.label for record in catalogue.records(status="done") if record.id in index.ids]
-    groups = class_groups(labels)
-    title = f"Map of {Path(catalogue.location).name}"
-    places = plane_map(index)
-    if target.suffix.lower() == ".png":
-        from pcretrieve.draw.plot import draw_places
+    with opened(catalogue) as store:
+        index = store.index(without_labels(PipelineOptions.of(options, store.options)))
+        labels = {origin.id: origin.label for origin in store.origins()}
+        groups = class_groups([labels[shape_id] for shape_id in index.ids])
+        title = f"Map of {Path(store.location).name}"
+        places = plane_map(index)
+        if target.suffix.lower() == ".png":
+            from pcretrieve.draw.plot import draw_places
 
-        drawn = [(group.label, places[group.rows], group.colour, group.marker) for group in groups]
-        write_file(target, draw_places(drawn, title=title))
-        return target
-    page = page_template("map.html").render(
-        title=title,
-        drawing=map_drawing(list(index.ids), groups, places),
-        pictures=_pictures(catalogue, list(index.ids), up),
-        n_shapes=len(index),
-        whitening=index.whitening.reason,
-    )
-    write_file(target, page.encode("utf-8", errors="replace"))
-    return target
+            drawn = [(group.label, places[group.rows], group.colour, group.marker) for group in groups]
+            write_file(target, draw_places(drawn, title=title))
+            return target
+        return write_page(
+            target,
+            "map.html",
+            title=title,
+            drawing=map_drawing(index.ids, groups, places),
+            pictures=_pictures(store, list(index.ids), up),
+            n_shapes=len(index),
+            whitening=index.whitening.reason,
+        )
 
 
 def map_drawing(ids: Sequence[str], groups: Sequence[ClassGroup], places: FloatArray) -> dict[str, object]:
@@ -113,11 +131,11 @@ def map_drawing(ids: Sequence[str], groups: Sequence[ClassGroup], places: FloatA
 
 def class_groups(labels: Sequence[str | None]) -> list[ClassGroup]:
     """The classes in alphabetical order, then the shapes of unknown class."""
-    names = sorted({label for label in labels if label is not None})
+    markers = list(PATHS)
     groups = []
-    for number, name in enumerate(names):
+    for number, name in enumerate(sorted({label for label in labels if label is not None})):
         rows = np.flatnonzero([label == name for label in labels])
-        marker = MARKERS[number // len(COLOURS) % len(MARKERS)]
+        marker = markers[number // len(COLOURS) % len(markers)]
         groups.append(ClassGroup(name, rows, COLOURS[number % len(COLOURS)], marker))
     unknown = np.flatnonzero([label is None for label in labels])
     return groups + ([ClassGroup(None, unknown, UNKNOWN, "o")] if len(unknown) else [])
@@ -131,8 +149,8 @@ def _shape(row: int, shape_id: str, place: FloatArray) -> dict[str, object]:
 
 def _pictures(catalogue: Catalogue, ids: list[str], up: str | None) -> list[str | None]:
     """The thumbnails as base64; None for a shape whose mesh is not stored or cannot be drawn."""
-    thumbnails = Thumbnails(up, PICTURE_PIXELS)
     if len(ids) > MOST_PICTURES:
         return []
+    thumbnails = Thumbnails(up, PICTURE_PIXELS)
     drawn = (thumbnails.of(catalogue, record) for record in catalogue.several(ids))
-    return [None if picture is None else b64encode(picture).decode("ascii") for picture in drawn]
+    return [None if picture is None else encoded(picture) for picture in drawn]

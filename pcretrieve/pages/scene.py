@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-from base64 import b64encode
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pcretrieve.draw import CLAY, Colour, body_axes, css
+from pcretrieve.pages.html import encoded
 from pcretrieve.values import FloatArray, TriangleMesh
-
-__all__ = ["VIEWER_SIZE", "Cube", "encoded", "surface_scene"]
 
 #: Half of the side of the cube that the viewer can show, with room for outliers near the body; farther
 #: outliers are left out. Relative to the radius of the bounding ball of the body.
@@ -45,13 +43,9 @@ class Cube(NamedTuple):
     def layer(
         self, name: str, label: str, points: FloatArray, colour: Colour, *, width: float, **more: Any
     ) -> dict[str, Any]:
-        """A layer of the points that are in the cube.
-
-        points: (n, 3) float64, the points; unit of the scan.
-        width: width of a point; unit of the scan.
-        """
+        """A layer of those of (n, 3) points that are in the cube, with a width in the unit of the scan."""
         grid = (points[self.holds(points)] - self.centre + self.half) / (2 * self.half) * FULL_SCALE
-        at = encoded(np.round(grid).astype("<u2"))
+        at = encoded(np.round(grid).astype("<u2").tobytes())
         facts = {"name": name, "label": label, "colour": colour, "css": css(colour)}
         return facts | {"width": width / self.half, "at": at} | more
 
@@ -61,12 +55,7 @@ def surface_scene(mesh: TriangleMesh, up: FloatArray | None) -> dict[str, Any]:
 
     up: (3,) float64 or None, the direction upwards; None: found from the surface.
     """
-    cube, faces = Cube.around(mesh.vertices), encoded(mesh.faces.astype("<u4"))
+    cube, faces = Cube.around(mesh.vertices), encoded(mesh.faces.astype("<u4").tobytes())
     layer = cube.layer("surface", "surface", mesh.vertices, CLAY, width=0, faces=faces)
     axes = body_axes(mesh.vertices, mesh.faces, up).tolist()
     return {"layers": [layer], "on": ["surface"], "axes": axes, "zoom": VIEWER_SIZE}
-
-
-def encoded(values: NDArray[Any]) -> str:
-    """The bytes of an array as base64."""
-    return b64encode(np.ascontiguousarray(values).tobytes()).decode("ascii")

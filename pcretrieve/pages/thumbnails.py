@@ -21,11 +21,8 @@ from pcretrieve.draw import (
 from pcretrieve.errors import ShapeError
 from pcretrieve.values import FloatArray, TriangleMesh
 
-__all__ = ["Thumbnails"]
-
 # Largest number of thumbnails in memory, of about 7 kB each.
 MOST_KEPT = 5_000
-
 
 # Number of thumbnails that show along which axis the bodies of a catalogue stand.
 N_ASKED = 200
@@ -63,8 +60,7 @@ class Thumbnails:
         """The direction upwards of a surface.
 
         Returns (3,) float64 or None: the axis that was given; else the direction that is known of the scan;
-            else the common axis of the catalogue; None if there is none, so that it is found from the
-            surface.
+            else the common axis of the catalogue; None: to be found from the surface.
         """
         if self._given is not None:
             return self._given

@@ -1,4 +1,7 @@
-"""Addresses → answers, by Starlette, which is installed by the extra ``web``."""
+"""Every address of the server, and what it answers with, by Starlette.
+
+Addresses in the plural, ``/shapes/...``, have data for scripts; those in the singular, ``/shape/...``, pages.
+"""
 
 from __future__ import annotations
 
@@ -6,45 +9,56 @@ import asyncio
 import json
 import logging
 from collections.abc import AsyncIterator, Awaitable, Callable, Mapping
-from importlib.resources import files
-from typing import TYPE_CHECKING
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field
+from threading import Barrier, local
+from typing import Any, TypeVar
 from urllib.parse import parse_qsl, quote, unquote
 
-from pcretrieve.catalogue import Record
+from starlette.applications import Starlette
+from starlette.exceptions import HTTPException
+from starlette.requests import ClientDisconnect, Request
+from starlette.responses import HTMLResponse, JSONResponse, Response, StreamingResponse
+from starlette.routing import Mount, Route
+from starlette.staticfiles import StaticFiles
+
+from pcretrieve.catalogue import Catalogue, Record
 from pcretrieve.errors import CatalogueError, InputError, PcretrieveError
-from pcretrieve.web.documents import job_document, shape_document
-from pcretrieve.web.endpoints import ENDPOINTS, Endpoint, Question, jobs_of
-from pcretrieve.web.folders import without_folders
-from pcretrieve.web.guard import Application
-from pcretrieve.web.openapi import openapi_document
-from pcretrieve.web.replies import FRESH, KEPT
-from pcretrieve.web.requests import Busy, NotFound, TooLarge, TooSlow
-from pcretrieve.web.site import Site
-from pcretrieve.web.uploads import checked_suffix, received
-from pcretrieve.web.views import refusal_page
-
-if TYPE_CHECKING:
-    from starlette.requests import Request
-    from starlette.responses import Response
-
-__all__ = ["application"]
+from pcretrieve.formats import mesh_bytes
+from pcretrieve.options import PipelineOptions
+from pcretrieve.pages.html import page_of
+from pcretrieve.pages.thumbnails import Thumbnails
+from pcretrieve.query import Answer
+from pcretrieve.web.comparison import Maps, compared, mesh_of, scene_document
+from pcretrieve.web.documents import (
+    class_names,
+    job_document,
+    listing_document,
+    record_of,
+    shape_document,
+    similar_csv,
+    similar_document,
+    similar_to,
+    without_folders,
+)
+from pcretrieve.web.jobs import Job, Jobs
+from pcretrieve.web.requests import (
+    Busy,
+    Listing,
+    NotFound,
+    Similar,
+    TooLarge,
+    TooSlow,
+    checked_suffix,
+    received,
+    upload_suffixes,
+)
 
 logger = logging.getLogger(__name__)
 
-# The files that pages refer to, and their types.
-ASSETS = {
-    "page.css": "text/css",
-    "inspection.css": "text/css",
-    "search.css": "text/css",
-    "map.css": "text/css",
-    "compare.js": "text/javascript",
-    "htmx.min.js": "text/javascript",
-    "map.js": "text/javascript",
-    "progress.js": "text/javascript",
-    "upload.js": "text/javascript",
-    "view.js": "text/javascript",
-    "viewer.js": "text/javascript",
-}
+# Answers that belong to one state of the catalogue are asked for again each time, pictures once in an hour.
+FRESH = {"cache-control": "private, no-cache"}
+KEPT = {"cache-control": "private, max-age=3600"}
 
 # Time between two looks at a job, and the longest time until the connection of a refused scan is closed, as
 # browsers may read the answer after they have sent the rest, which is not kept; seconds.
@@ -54,148 +68,413 @@ LINGER = 5.0
 # Largest size of a form; bytes.
 LONGEST_FORM = 10_000
 
+STATUSES = {NotFound: 404, TooLarge: 413, TooSlow: 408, Busy: 503}
 
-def application(site: Site) -> Application:
-    """The application that answers requests, without any check of who asks."""
-    from starlette.applications import Starlette
-    from starlette.exceptions import HTTPException
-    from starlette.requests import ClientDisconnect
-    from starlette.responses import HTMLResponse, JSONResponse, Response, StreamingResponse
-    from starlette.routing import Route
+Found = TypeVar("Found")
 
-    def answered(endpoint: Endpoint) -> Callable[[Request], Awaitable[Response]]:
-        async def handler(request: Request) -> Response:
-            name, fields = _name(request), request.query_params
-            readers = site.searching if endpoint.searches else site.drawing
-            reply = await readers.read(
-                lambda catalogue: endpoint.answer(Question(site, catalogue, name, fields))
+
+class Readers:
+    """A few threads, each with the catalogue open: a connection belongs to the thread that made it."""
+
+    def __init__(self, location: str, n: int) -> None:
+        self._location, self._n, self._own = location, n, local()
+        self._threads = ThreadPoolExecutor(n, thread_name_prefix="pcretrieve-reader")
+
+    async def read(self, function: Callable[[Catalogue], Found]) -> Found:
+        """Apply a function to the catalogue in one of the threads."""
+        return await asyncio.wrap_future(self._threads.submit(self._applied, function))
+
+    def prepare(self, function: Callable[[Catalogue], object]) -> None:
+        """Apply a function to the catalogue in one of the threads, without waiting for it."""
+        self._threads.submit(self._applied, function)
+
+    def close(self) -> None:
+        """Close the catalogue in all threads, and end them."""
+        # As many tasks as threads that wait for each other, so that each thread has one of them.
+        barrier = Barrier(self._n)
+        for _ in range(self._n):
+            self._threads.submit(self._closed, barrier)
+        self._threads.shutdown()
+
+    def _applied(self, function: Callable[[Catalogue], Found]) -> Found:
+        catalogue: Catalogue | None = getattr(self._own, "catalogue", None)
+        if catalogue is None:
+            catalogue = self._own.catalogue = Catalogue(self._location)
+        return function(catalogue)
+
+    def _closed(self, barrier: Barrier) -> None:
+        barrier.wait()
+        if hasattr(self._own, "catalogue"):
+            self._own.catalogue.close()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Site:
+    """One catalogue and everything that is kept of it between requests."""
+
+    searching: Readers
+    drawing: Readers
+    title: str
+    options: PipelineOptions
+    given_jobs: Jobs | None
+    most_bytes: int
+    thumbnails: Thumbnails
+    maps: Maps = field(default_factory=Maps)
+
+    @property
+    def jobs(self) -> Jobs:
+        """The uploaded scans."""
+        if self.given_jobs is None:
+            raise NotFound("this server takes no scans: it was started with --read-only")
+        return self.given_jobs
+
+    @property
+    def keeps_scans(self) -> bool:
+        """Whether uploaded scans can be kept."""
+        return self.given_jobs is not None and self.given_jobs.collection is not None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Asked:
+    """A request that a reader of the catalogue answers."""
+
+    site: Site
+    catalogue: Catalogue
+    request: Request
+
+    @property
+    def name(self) -> str:
+        """The name of a shape or a job in the path."""
+        return _name(self.request)
+
+    @property
+    def fields(self) -> Mapping[str, str]:
+        """The fields of the address."""
+        return self.request.query_params
+
+    @property
+    def job(self) -> Job:
+        """The job that the path names."""
+        return self.site.jobs.job(self.name)
+
+    @property
+    def similar(self) -> Similar:
+        """What is asked of neighbours."""
+        return Similar.of(self.fields)
+
+    def page(self, template: str, **context: Any) -> Response:
+        """A page by a template."""
+        return HTMLResponse(page_of(template, title=self.site.title, **context), headers=FRESH)
+
+    def answer(self, job: Job | None = None) -> Answer:
+        """The neighbours of the scan of a job, or else of the shape that the path names."""
+        if job is None:
+            return similar_to(self.catalogue, self.name, self.similar, self.site.options)
+        if job.described is None:
+            raise InputError(
+                f"the scan has no signature, it is {job.state}: ask for /scans/{job.id} until it is done"
             )
-            return Response(reply.content, media_type=reply.media_type, headers=dict(reply.headers))
+        return similar_to(self.catalogue, job.described, self.similar, self.site.options)
 
-        return handler
+    def found(self, job: Job | None = None) -> dict[str, Any]:
+        """The neighbours as a document."""
+        name = self.name if job is None else job.name
+        return similar_document(self.catalogue, name, self.similar, self.site.options, self.answer(job))
 
-    async def new_scan(request: Request) -> Response:
-        jobs, name = jobs_of(site), request.query_params.get("name", "")
-        suffix = checked_suffix(name)
-        upload = jobs.begin(name)
-        try:
-            scan = await received(
-                request.stream(),
-                upload.folder,
-                suffix,
-                most_bytes=site.most_bytes,
-                announced=request.headers.get("content-length"),
-            )
-        except BaseException as error:
-            jobs.abandon(upload)
-            if isinstance(error, ClientDisconnect):
-                return Response(status_code=400)
-            raise
-        document = job_document(upload.job)
-        jobs.submit(upload, scan)
-        return JSONResponse(document, 202, headers=FRESH | {"location": f"/scans/{upload.job.id}"})
 
-    async def keep_scan(request: Request) -> Response:
-        """For scripts: the fields are in the address, and the answer is JSON."""
-        record = await kept(request, request.query_params)
-        address = f"/shapes/{quote(record.id, safe='')}"
-        return JSONResponse(shape_document(record), 201, headers=FRESH | {"location": address})
+class _Json(JSONResponse):
+    """A JSON document in ASCII, because names of files need not be UTF-8; it is asked for again each time."""
 
-    async def keep_scan_by_form(request: Request) -> Response:
-        """For the form of the page: the fields are in the body, and the answer is the page of the shape."""
-        body = b""
-        async for chunk in request.stream():
-            body += chunk
-            if len(body) > LONGEST_FORM:
-                raise TooLarge(f"the form may have at most {LONGEST_FORM} bytes")
-        record = await kept(request, dict(parse_qsl(body.decode("utf-8", "replace"))))
-        address = f"/shape/{quote(record.id, safe='')}"
-        return Response(status_code=303, headers=FRESH | {"location": address})
+    def __init__(self, content: Any, status: int = 200, **headers: str) -> None:
+        super().__init__(content, status, headers=FRESH | headers)
 
-    async def kept(request: Request, fields: Mapping[str, str]) -> Record:
-        label = fields.get("label", "").strip()
-        future = jobs_of(site).keep(_name(request), fields.get("id", "").strip(), label or None)
-        return await asyncio.wrap_future(future)
+    def render(self, content: Any) -> bytes:
+        return json.dumps(content, separators=(",", ":")).encode()
 
-    async def scan_events(request: Request) -> Response:
-        job = jobs_of(site).job(_name(request))
-        return StreamingResponse(_events(site, job.id), media_type="text/event-stream", headers=FRESH)
 
-    async def openapi(request: Request) -> Response:
-        return JSONResponse(openapi_document(), headers=FRESH)
+# --- pages ------------------------------------------------------------------------------------------------
 
-    async def asset(request: Request) -> Response:
-        name = request.path_params["name"]
-        if name not in ASSETS:
-            raise NotFound(f"there is no file {name!r}")
-        content = (files("pcretrieve.pages") / "assets" / name).read_bytes()
-        return Response(content, media_type=ASSETS[name], headers=KEPT)
 
-    async def refused(request: Request, error: Exception) -> Response:
-        status, message = _status(error)
-        if request.scope["path"].startswith(("/shapes", "/scans", "/openapi.json")):
-            told = JSONResponse({"error": type(error).__name__, "message": message}, status, headers=FRESH)
-            if request.method in ("GET", "HEAD"):
-                return told
-            closed = {**told.headers, "connection": "close"}
-            return StreamingResponse(_then_silent(bytes(told.body)), status, closed)
-        return HTMLResponse(refusal_page(site.title, message), status, headers=FRESH)
-
-    async def nowhere(request: Request, error: Exception) -> Response:
-        status = error.status_code if isinstance(error, HTTPException) else 404
-        words = "there is no such page" if status == 404 else "this address is not used so"
-        return HTMLResponse(refusal_page(site.title, words), status, headers=FRESH)
-
-    made: Application = Starlette(
-        routes=[
-            *(Route(endpoint.path, answered(endpoint)) for endpoint in ENDPOINTS),
-            Route("/scans", new_scan, methods=["POST"]),
-            Route("/scans/{id}/keep", keep_scan, methods=["POST"]),
-            Route("/scan/{id}/keep", keep_scan_by_form, methods=["POST"]),
-            Route("/scans/{id}/events", scan_events),
-            Route("/openapi.json", openapi),
-            Route("/assets/{name}", asset),
-        ],
-        exception_handlers={PcretrieveError: refused, HTTPException: nowhere, Exception: refused},
+def _collection(asked: Asked) -> Response:
+    listing = Listing.of(asked.fields)
+    return asked.page(
+        "collection.html",
+        listing=listing,
+        found=listing_document(asked.catalogue, listing),
+        classes=class_names(asked.catalogue),
+        suffixes=() if asked.site.given_jobs is None else upload_suffixes(),
+        most_bytes=asked.site.most_bytes,
+        keeps_scans=asked.site.keeps_scans,
     )
-    return made
 
 
-def _name(request: Request) -> str:
-    """The name of a shape in the path, which is percent-encoded still; empty if there is none."""
-    return unquote(request.path_params.get("id", ""))
+def _map(asked: Asked) -> Response:
+    return asked.page("search_map.html", **asked.site.maps.shown(asked.catalogue, asked.site.options))
 
 
-def _status(error: Exception) -> tuple[int, str]:
-    """The status and the message for an error. What the caller cannot mend is logged, and not told."""
-    if isinstance(error, NotFound):
-        return 404, error.message
-    if isinstance(error, TooLarge):
-        return 413, error.message
-    if isinstance(error, TooSlow):
-        return 408, error.message
-    if isinstance(error, Busy):
-        return 503, error.message
-    if isinstance(error, InputError) and not isinstance(error, CatalogueError):
-        return 400, without_folders(error.message)
-    logger.error("a request failed: %s", error, exc_info=error)
-    return 500, "the server failed to answer; its log says why"
+def _shape(asked: Asked) -> Response:
+    record = record_of(asked.catalogue, asked.name)
+    return asked.page(
+        "shape.html",
+        shape=shape_document(record),
+        asked=asked.similar,
+        found=asked.found() if record.status == "done" else None,
+        classes=class_names(asked.catalogue),
+    )
 
 
-async def _then_silent(body: bytes) -> AsyncIterator[bytes]:
-    yield body
-    await asyncio.sleep(LINGER)
+def _compare(asked: Asked) -> Response:
+    first, second = (asked.fields.get(name, "") for name in ("a", "b"))
+    return asked.page("compare.html", **compared(asked.catalogue, first, second, asked.site.options))
 
 
-async def _events(site: Site, job_id: str) -> AsyncIterator[str]:
+def _scan(asked: Asked) -> Response:
+    job = asked.job
+    described = job.described
+    return asked.page(
+        "scan.html",
+        asked=asked.similar,
+        found=None if described is None else asked.found(job),
+        job=job_document(job),
+        classes=class_names(asked.catalogue),
+        has_picture=described is not None and described.picture is not None,
+        can_be_kept=job.scan is not None and asked.site.keeps_scans,
+    )
+
+
+def _inspection(asked: Asked) -> Response:
+    job = asked.job
+    if job.page is None:
+        raise NotFound(
+            "the inspection of this scan is not ready: try again in a few seconds"
+            if job.inspection == "waiting"
+            else "the inspection of this scan failed, or is too long ago: use `pcretrieve inspect`"
+        )
+    return HTMLResponse(job.page, headers=FRESH)
+
+
+# --- data -------------------------------------------------------------------------------------------------
+
+
+def _shapes(asked: Asked) -> Response:
+    return _Json(listing_document(asked.catalogue, Listing.of(asked.fields)))
+
+
+def _one(asked: Asked) -> Response:
+    return _Json(shape_document(record_of(asked.catalogue, asked.name)))
+
+
+def _similar(asked: Asked) -> Response:
+    record_of(asked.catalogue, asked.name)
+    return _Json(asked.found())
+
+
+def _similar_table(asked: Asked) -> Response:
+    record_of(asked.catalogue, asked.name)
+    return _table(asked.name, asked.answer())
+
+
+def _table(name: str, answer: Answer) -> Response:
+    headers = FRESH | {"content-disposition": 'attachment; filename="similar.csv"'}
+    return Response(
+        similar_csv(name, answer).encode("utf-8", "replace"), headers=headers, media_type="text/csv"
+    )
+
+
+def _thumbnail(asked: Asked) -> Response:
+    picture = asked.site.thumbnails.of(asked.catalogue, record_of(asked.catalogue, asked.name))
+    if picture is None:
+        raise NotFound(f"the shape {asked.name!r} has no picture, because its mesh is not stored")
+    return Response(picture, headers=KEPT, media_type="image/png")
+
+
+def _scene(asked: Asked) -> Response:
+    return _Json(scene_document(asked.catalogue, asked.name, asked.site.thumbnails))
+
+
+def _glb(asked: Asked) -> Response:
+    """The surface of a shape as a binary glTF file, in the unit of the scan."""
+    headers = FRESH | {"content-disposition": 'attachment; filename="shape.glb"'}
+    content = mesh_bytes(mesh_of(asked.catalogue, asked.name), "glb")
+    return Response(content, headers=headers, media_type="model/gltf-binary")
+
+
+def _scan_job(asked: Asked) -> Response:
+    return _Json(job_document(asked.job))
+
+
+def _scan_thumbnail(asked: Asked) -> Response:
+    described = asked.job.described
+    if described is None or described.picture is None:
+        raise NotFound("the scan has no picture, because it has no surface")
+    return Response(described.picture, headers=FRESH, media_type="image/png")
+
+
+def _scan_similar(asked: Asked) -> Response:
+    return _Json(asked.found(asked.job))
+
+
+def _scan_table(asked: Asked) -> Response:
+    job = asked.job
+    return _table(job.name, asked.answer(job))
+
+
+# --- uploaded scans ---------------------------------------------------------------------------------------
+
+
+async def _new_scan(request: Request) -> Response:
+    site, name = _site(request), request.query_params.get("name", "")
+    suffix = checked_suffix(name) if site.given_jobs else ""
+    job = site.jobs.begin(name)
+    path = job.folder / f"scan{suffix}"
+    try:
+        announced = request.headers.get("content-length")
+        await received(request.stream(), path, most_bytes=site.most_bytes, announced=announced)
+    except BaseException as error:
+        site.jobs.abandon(job)
+        if isinstance(error, ClientDisconnect):
+            return Response(status_code=400)
+        raise
+    document = job_document(job)
+    site.jobs.submit(job, path)
+    return _Json(document, 202, location=f"/scans/{job.id}")
+
+
+async def _keep_scan(request: Request) -> Response:
+    """For scripts: the fields are in the address, and the answer is JSON."""
+    record = await _kept(request, request.query_params)
+    return _Json(shape_document(record), 201, location=f"/shapes/{quote(record.id, safe='')}")
+
+
+async def _keep_scan_by_form(request: Request) -> Response:
+    """For the form of the page: the fields are in the body, and the answer is the page of the shape."""
+    body = b""
+    async for chunk in request.stream():
+        body += chunk
+        if len(body) > LONGEST_FORM:
+            raise TooLarge(f"the form may have at most {LONGEST_FORM} bytes")
+    record = await _kept(request, dict(parse_qsl(body.decode("utf-8", "replace"))))
+    address = f"/shape/{quote(record.id, safe='')}"
+    return Response(status_code=303, headers=FRESH | {"location": address})
+
+
+async def _kept(request: Request, fields: Mapping[str, str]) -> Record:
+    label = fields.get("label", "").strip()
+    future = _site(request).jobs.keep(_name(request), fields.get("id", "").strip(), label or None)
+    return await asyncio.wrap_future(future)
+
+
+async def _scan_events(request: Request) -> Response:
+    jobs, job_id = _site(request).jobs, _name(request)
+    jobs.job(job_id)
+    return StreamingResponse(_events(jobs, job_id), media_type="text/event-stream", headers=FRESH)
+
+
+async def _events(jobs: Jobs, job_id: str) -> AsyncIterator[str]:
     """The document of a job at each change, as events that a server sends, until the scan is inspected."""
     last = None
     while True:
-        job = jobs_of(site).job(job_id)
-        has_ended = job.has_ended and job.inspection != "waiting"
+        job = jobs.job(job_id)
+        has_ended = job.has_ended
         if (now := json.dumps(job_document(job))) != last:
             last = now
             yield f"data: {now}\n\n"
         if has_ended:
             return
         await asyncio.sleep(LOOK)
+
+
+# --- addresses --------------------------------------------------------------------------------------------
+
+# Answers from the catalogue. The first are one search, which takes milliseconds, or less.
+SEARCHES: dict[str, Callable[[Asked], Response]] = {
+    "/shape/{id}": _shape,
+    "/scan/{id}": _scan,
+    "/shapes/{id}": _one,
+    "/shapes/{id}/similar": _similar,
+    "/shapes/{id}/similar.csv": _similar_table,
+    "/scans/{id}": _scan_job,
+    "/scans/{id}/similar": _scan_similar,
+    "/scans/{id}/similar.csv": _scan_table,
+}
+OTHERS: dict[str, Callable[[Asked], Response]] = {
+    "/": _collection,
+    "/map": _map,
+    "/compare": _compare,
+    "/scan/{id}/inspection": _inspection,
+    "/shapes": _shapes,
+    "/shapes/{id}/thumbnail.png": _thumbnail,
+    "/shapes/{id}/scene": _scene,
+    "/shapes/{id}/mesh.glb": _glb,
+    "/scans/{id}/thumbnail.png": _scan_thumbnail,
+}
+
+
+def application(site: Site) -> Starlette:
+    """The application that answers requests, without any check of who asks."""
+    made = Starlette(
+        routes=[
+            *(Route(path, _read(answer, site.searching)) for path, answer in SEARCHES.items()),
+            *(Route(path, _read(answer, site.drawing)) for path, answer in OTHERS.items()),
+            Route("/scans", _new_scan, methods=["POST"]),
+            Route("/scans/{id}/keep", _keep_scan, methods=["POST"]),
+            Route("/scan/{id}/keep", _keep_scan_by_form, methods=["POST"]),
+            Route("/scans/{id}/events", _scan_events),
+            Mount("/assets", StaticFiles(packages=[("pcretrieve.pages", "assets")])),
+        ],
+        exception_handlers={PcretrieveError: _refused, HTTPException: _nowhere, Exception: _refused},
+    )
+    made.state.site = site
+    return made
+
+
+def _read(answer: Callable[[Asked], Response], readers: Readers) -> Callable[[Request], Awaitable[Response]]:
+    async def handler(request: Request) -> Response:
+        return await readers.read(lambda catalogue: answer(Asked(_site(request), catalogue, request)))
+
+    return handler
+
+
+def _site(request: Request) -> Site:
+    site: Site = request.app.state.site
+    return site
+
+
+def _name(request: Request) -> str:
+    """The name of a shape in the path, which is percent-encoded still, so that it is one part of it."""
+    return unquote(request.path_params["id"])
+
+
+async def _refused(request: Request, error: Exception) -> Response:
+    status, message = _status(error)
+    if not request.scope["path"].startswith(("/shapes", "/scans")):
+        return _refusal(request, status, message)
+    told = _Json({"error": type(error).__name__, "message": message}, status)
+    if request.method in ("GET", "HEAD"):
+        return told
+    return StreamingResponse(_then_silent(told.body), status, {**told.headers, "connection": "close"})
+
+
+async def _nowhere(request: Request, error: Exception) -> Response:
+    status = error.status_code if isinstance(error, HTTPException) else 404
+    words = "there is no such page" if status == 404 else "this address is not used so"
+    return _refusal(request, status, words)
+
+
+def _refusal(request: Request, status: int, message: str) -> Response:
+    page = page_of("refusal.html", title=_site(request).title, message=message)
+    return HTMLResponse(page, status, headers=FRESH)
+
+
+def _status(error: Exception) -> tuple[int, str]:
+    """The status and the message for an error. What the caller cannot mend is logged, and not told."""
+    if isinstance(error, InputError) and not isinstance(error, CatalogueError):
+        status = STATUSES.get(type(error), 400)
+        return status, without_folders(error.message) if status == 400 else error.message
+    logger.error("a request failed: %s", error, exc_info=error)
+    return 500, "the server failed to answer; its log says why"
+
+
+async def _then_silent(body: bytes | memoryview) -> AsyncIterator[bytes]:
+    yield bytes(body)
+    await asyncio.sleep(LINGER)

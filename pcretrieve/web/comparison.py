@@ -1,86 +1,79 @@
-"""Two shapes side by side, and what differs: size, spectra, signatures."""
+"""Two shapes side by side, and what differs: size, spectra, signatures; and shapes as places on a map."""
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import TimeoutError as NotYet
+from threading import Lock
+from typing import Any
 
 import numpy as np
 
 from pcretrieve.catalogue import Catalogue
 from pcretrieve.errors import InputError, ShapeError
-from pcretrieve.formats import mesh_bytes
 from pcretrieve.options import PipelineOptions
-from pcretrieve.pages.curves import Curves, curves
-from pcretrieve.pages.html import page_template
+from pcretrieve.pages.html import Curves, curves
+from pcretrieve.pages.map_page import class_groups, map_drawing
 from pcretrieve.pages.scene import surface_scene
 from pcretrieve.pages.thumbnails import Thumbnails
-from pcretrieve.surface.open3d import simplify
+from pcretrieve.retrieval import SignatureIndex, plane_map
 from pcretrieve.values import FloatArray, TriangleMesh
-from pcretrieve.web.documents import shape_document
+from pcretrieve.web.documents import record_of, shape_document, without_folders
 from pcretrieve.web.requests import NotFound
-
-__all__ = ["compare_page", "glb_of", "scene_document"]
 
 # Largest number of faces that are sent to the viewer of a browser.
 MOST_FACES = 20_000
 
+# Largest number of shapes on a map: t-SNE takes about 15 s for so many, and more could not be told apart.
+MOST_SHAPES = 2_000
+SEED = 0
 
-class _Row(NamedTuple):
-    """A property of both shapes, as it is shown."""
-
-    name: str
-    first: str
-    second: str
+# Longest time for which a request waits for a map; seconds.
+PATIENCE = 1.0
 
 
-def compare_page(catalogue: Catalogue, title: str, a: str, b: str, options: PipelineOptions) -> str:
-    """Two shapes in 3-D, which turn together, and what differs."""
-    records = [catalogue.get(shape_id) for shape_id in (a, b)]
-    for shape_id, record in zip((a, b), records, strict=True):
-        if record is None:
-            raise NotFound(f"there is no shape {shape_id!r}")
+def compared(catalogue: Catalogue, a: str, b: str, options: PipelineOptions) -> dict[str, Any]:
+    """What the page of two shapes shows."""
+    records = [record_of(catalogue, shape_id) for shape_id in (a, b)]
+    for record in records:
         if record.status != "done":
-            raise InputError(f"{shape_id} failed in the stage {record.stage}: it cannot be compared")
+            raise InputError(f"{record.id} failed in the stage {record.stage}: it cannot be compared")
     index = catalogue.index(options)
     distance = float(index.between([a, b])[0, 1])
     score = None if index.scores is None else float(index.scores.of(np.array([distance]))[0])
-    first, second = (shape_document(record) for record in records if record is not None)
-    return page_template("compare.html").render(
-        title=title,
-        shapes=(first, second),
-        distance=distance,
-        measure=options.retrieval.distance,
-        score=score,
-        rows=_rows(first, second),
-        plots=_plots(catalogue, a, b),
-    )
+    first, second = (shape_document(record) for record in records)
+    return {
+        "shapes": (first, second),
+        "distance": distance,
+        "measure": options.retrieval.distance,
+        "score": score,
+        "rows": _rows(first, second),
+        "plots": _plots(catalogue, a, b),
+    }
 
 
 def scene_document(catalogue: Catalogue, shape_id: str, thumbnails: Thumbnails) -> dict[str, Any]:
     """The surface of a shape for the viewer of a browser, simplified if it has too many faces."""
-    mesh = _mesh(catalogue, shape_id)
+    from pcretrieve.surface.open3d import simplify
+
+    mesh = mesh_of(catalogue, shape_id)
     up = thumbnails.up(catalogue, mesh)
     if len(mesh.faces) > MOST_FACES:
         mesh = TriangleMesh(*simplify(mesh.vertices, mesh.faces, n_faces=MOST_FACES))
     return surface_scene(mesh, up)
 
 
-def glb_of(catalogue: Catalogue, shape_id: str) -> bytes:
-    """The surface of a shape as a binary glTF file, in the unit of the scan."""
-    return mesh_bytes(_mesh(catalogue, shape_id), "glb")
-
-
-def _mesh(catalogue: Catalogue, shape_id: str) -> TriangleMesh:
-    record = catalogue.get(shape_id)
-    if record is None:
-        raise NotFound(f"there is no shape {shape_id!r}")
+def mesh_of(catalogue: Catalogue, shape_id: str) -> TriangleMesh:
+    """The surface of a shape."""
+    record_of(catalogue, shape_id)
     try:
         return catalogue.mesh(shape_id)
     except (ShapeError, InputError):
         raise NotFound(f"the surface of the shape {shape_id!r} is not stored") from None
 
 
-def _rows(first: dict[str, Any], second: dict[str, Any]) -> list[_Row]:
+def _rows(first: dict[str, Any], second: dict[str, Any]) -> list[tuple[str, str, str]]:
+    """Properties of both shapes, as they are shown."""
     rows = []
     for name, key in (
         ("area", "area"),
@@ -88,11 +81,11 @@ def _rows(first: dict[str, Any], second: dict[str, Any]) -> list[_Row]:
         ("faces", "n_faces"),
         ("Euler characteristic", "euler"),
     ):
-        shown = [f"{shape[key]:,.6g}" if shape[key] is not None else "unknown" for shape in (first, second)]
-        rows.append(_Row(name, *shown))
+        one, other = ("unknown" if it[key] is None else f"{it[key]:,.6g}" for it in (first, second))
+        rows.append((name, one, other))
     if first["area"] and second["area"]:
         ratio = (second["area"] / first["area"]) ** 0.5
-        rows.append(_Row("size, the root of the area", "1", f"{ratio:.3f} times"))
+        rows.append(("size, the root of the area", "1", f"{ratio:.3f} times"))
     return rows
 
 
@@ -121,3 +114,44 @@ def _spectrum(catalogue: Catalogue, shape_id: str) -> FloatArray | None:
         return None
     logs: FloatArray = np.log(spectrum.eigenvalues[spectrum.eigenvalues > 0])
     return logs
+
+
+class Maps:
+    """The map that was computed last, beside the requests; any thread may ask for one."""
+
+    def __init__(self) -> None:
+        self._thread = ThreadPoolExecutor(1, thread_name_prefix="pcretrieve-map")
+        self._lock = Lock()
+        self._key: object = None
+        self._places: Future[FloatArray] | None = None
+
+    def shown(self, catalogue: Catalogue, options: PipelineOptions) -> dict[str, Any]:
+        """What the page of the map shows, of a random sample if there are many shapes."""
+        index = catalogue.index(options)
+        rows = np.arange(len(index))
+        if len(rows) > MOST_SHAPES:
+            rows = np.sort(np.random.default_rng(SEED).choice(rows, MOST_SHAPES, replace=False))
+        places = self._of(index, rows)
+        drawing, ids = None, [index.ids[row] for row in rows.tolist()]
+        if places is not None:
+            labels = {origin.id: origin.label for origin in catalogue.origins()}
+            drawing = map_drawing(ids, class_groups([labels.get(name) for name in ids]), places)
+        whitening = without_folders(index.whitening.reason)
+        shown = {"drawing": drawing, "n_shown": len(ids), "n_shapes": len(index)}
+        return shown | {"whitening": whitening}
+
+    def close(self) -> None:
+        """End the thread."""
+        self._thread.shutdown(cancel_futures=True)
+
+    def _of(self, index: SignatureIndex, rows: Any) -> FloatArray | None:
+        """(n, 2) the places of rows of the index; None if they are not known yet."""
+        key = tuple(index.ids), index.whitening.mean.tobytes()
+        with self._lock:
+            if self._places is None or key != self._key:
+                self._key, self._places = key, self._thread.submit(plane_map, index, rows)
+            places = self._places
+        try:
+            return places.result(PATIENCE)
+        except NotYet:
+            return None

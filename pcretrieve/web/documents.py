@@ -2,32 +2,51 @@
 
 from __future__ import annotations
 
+import re
+from collections import defaultdict
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+from tempfile import gettempdir
+from typing import TYPE_CHECKING, Any
 
 from pcretrieve import __version__
 from pcretrieve.catalogue import Catalogue, Record
 from pcretrieve.options import PipelineOptions
 from pcretrieve.query import Answer, Described, Question, answer_to, result_rows
 from pcretrieve.values.files import csv_text
-from pcretrieve.web.folders import without_folders
-from pcretrieve.web.job import Job
-from pcretrieve.web.listing import listed
-from pcretrieve.web.requests import PAGE, Listing, Similar
+from pcretrieve.web.requests import Listing, NotFound, Similar
 
-__all__ = [
-    "job_document",
-    "listing_document",
-    "shape_document",
-    "similar_csv",
-    "similar_document",
-    "similar_to",
-]
+if TYPE_CHECKING:
+    from pcretrieve.web.jobs import Job
 
 Document = dict[str, Any]
 
+# Number of shapes on a page of the collection.
+PAGE = 60
+
+# Length of the day in a time as catalogues store it, which is UTC: 2026-01-31T12:00:00+00:00.
+DAY = 10
+
 CSV_COLUMNS = ("query", "rank", "id", "label", "distance", "score", "file")
+
+
+def without_folders(text: str, folder: Path | None = None) -> str:
+    """A message without the folders of absolute paths in it: of ``/data/scans/a.ply`` the name remains.
+
+    The folders of the server are nobody's business.
+    """
+    for known in (folder, Path(gettempdir())):
+        if known is not None and known.name:
+            text = text.replace(f"{known}/", "/")
+    return re.sub(r"(?<![\w./])(?:/[^/\s'\"]+)*/(?=[^/\s])", "", text)
+
+
+def record_of(catalogue: Catalogue, shape_id: str) -> Record:
+    """The record of a shape."""
+    record = catalogue.get(shape_id)
+    if record is None:
+        raise NotFound(f"there is no shape {shape_id!r}")
+    return record
 
 
 def shape_document(record: Record) -> Document:
@@ -45,22 +64,48 @@ def shape_document(record: Record) -> Document:
         "euler": record.euler,
     }
     if record.status == "failed":
-        message = (
-            None if record.message is None else without_folders(record.message, Path(record.path).parent)
-        )
+        message = record.message and without_folders(record.message, Path(record.path).parent)
         document |= {"stage": record.stage, "error": record.error, "message": message}
     return document
 
 
 def listing_document(catalogue: Catalogue, listing: Listing) -> Document:
     """A page of the collection."""
-    found = listed(catalogue, listing)
+    words = listing.q.casefold().split()
+    among = None
+    if listing.state == "doubtful":
+        among = {record.id for page in catalogue.pages(doubtful=True) for record in page}
+    chosen = [
+        origin
+        for origin in catalogue.origins()
+        if (not listing.label or origin.label == listing.label)
+        and (listing.state not in ("done", "failed") or origin.status == listing.state)
+        and (among is None or origin.id in among)
+        and all(word in origin.id.casefold() for word in words)
+    ]
+    if listing.since or listing.until or listing.sort.endswith("added"):
+        times = defaultdict(str, catalogue.times())  # without shapes that were stored since
+        first, last = str(listing.since or ""), str(listing.until or "9999-12-31")
+        chosen = [origin for origin in chosen if first <= times[origin.id][:DAY] <= last]
+    if listing.sort.endswith("label"):  # a stable sort, so that shapes of one class are in the order of ids
+        chosen.sort(key=lambda origin: (origin.label is None, origin.label or ""))
+    elif listing.sort.endswith("added"):
+        chosen.sort(key=lambda origin: times[origin.id])
+    if listing.sort.startswith("-"):
+        chosen.reverse()
+    start = (listing.page - 1) * PAGE
+    found = (catalogue.get(origin.id) for origin in chosen[start : start + PAGE])
     return {
-        "total": found.total,
+        "total": len(chosen),
         "page": listing.page,
-        "pages": -(-found.total // PAGE),
-        "shapes": [shape_document(record) for record in found.records],
+        "pages": -(-len(chosen) // PAGE),
+        "shapes": [shape_document(record) for record in found if record is not None],
     }
+
+
+def class_names(catalogue: Catalogue) -> list[str]:
+    """The classes of the shapes of a catalogue."""
+    return sorted({origin.label for origin in catalogue.origins() if origin.label is not None})
 
 
 def job_document(job: Job) -> Document:
@@ -96,7 +141,7 @@ def similar_document(
     """An answer with its query and the settings by which it was found."""
     return {
         "query": name,
-        "arguments": asdict(asked),
+        "arguments": asked.model_dump(),
         "results": [_without_path(row) for row in result_rows(answer)],
         "vote": None if answer.vote is None else asdict(answer.vote),
         "verdict": str(answer),

@@ -1,29 +1,93 @@
-"""Uploaded scans that are kept: a file in a folder of the server, and a shape of the catalogue."""
+"""What worker processes make of an uploaded scan: its signature, its inspection page, and a kept shape."""
 
 from __future__ import annotations
 
+import logging
 import re
 import shutil
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from pcretrieve.catalogue import Catalogue, Record
+from pcretrieve import Catalogue, PipelineOptions, ingest
 from pcretrieve.errors import InputError
-from pcretrieve.ingestion.run import ingest_files
-from pcretrieve.web.folders import without_folders
+from pcretrieve.query import Described, pictured
+from pcretrieve.web.documents import without_folders
 
-__all__ = ["Collection"]
+if TYPE_CHECKING:
+    from pcretrieve import Inspection
+    from pcretrieve.catalogue import Record
 
 # An id that is the name of a file on every system, and no hidden one.
 ID = re.compile(r"\w[\w .+-]{0,99}(?<![ .])")
 
 LONGEST_LABEL = 200
 
+# The name of the log file of a job, beside the scan, and its lines: of a stage that has ended.
+LOG = "stages.log"
+STAGE = re.compile(r"^\S+: ([\w-]+) in ([0-9]+\.?[0-9]*) s", re.MULTILINE)
+
+
+def described(options: PipelineOptions, up: str | None, scan: Path) -> Described:
+    """The signature and the picture of a scan, in a worker process, which logs its stages beside the scan."""
+    stages, handler = logging.getLogger("pcretrieve.pipeline"), logging.FileHandler(scan.parent / LOG)
+    stages.setLevel(logging.INFO)
+    stages.addHandler(handler)
+    try:
+        return pictured(scan, options, up)
+    finally:
+        stages.removeHandler(handler)
+        handler.close()
+
+
+def stages_of(folder: Path) -> tuple[tuple[str, float], ...]:
+    """The stages that have ended, and their times in seconds."""
+    try:
+        text = (folder / LOG).read_text("utf-8", "replace")
+    except FileNotFoundError:
+        return ()
+    return tuple((stage, float(seconds)) for stage, seconds in STAGE.findall(text))
+
+
+def inspection_page(
+    location: str, title: str, options: PipelineOptions, item: tuple[str, str, Path]
+) -> bytes:
+    """The page of a scan as by `pcretrieve inspect --rescans 0 --catalogue`; in a worker process.
+
+    item: (str, str, Path), the name of the file, as the browser gave it; the address of the page of the
+        nearest shapes; the file.
+    """
+    # Imported here, because the server does not need the stages.
+    from pcretrieve import inspect
+    from pcretrieve.pages.inspection_page import Served, inspection_html
+
+    name, back, scan = item
+    found = inspect(scan, options, n_rescans=0, catalogue=location)
+    return inspection_html(_shown(found, name), Served(title, back))
+
+
+def _shown(found: Inspection, name: str) -> Inspection:
+    """An inspection whose texts name no folder."""
+    failure = found.failure
+    checks = tuple(
+        replace(check, shown=without_folders(check.shown), words=without_folders(check.words))
+        for check in found.checks
+    )
+    return replace(
+        found,
+        name=name,
+        path="",
+        checks=checks,
+        failure=failure and replace(failure, message=without_folders(failure.message)),
+        steps=tuple(replace(step, notes=tuple(map(without_folders, step.notes))) for step in found.steps),
+        next_body=replace(found.next_body, source=without_folders(found.next_body.source)),
+    )
+
 
 @dataclass(frozen=True, slots=True)
 class Collection:
-    """Where scans are kept.
+    """Where scans are kept: a file in a folder of the server, and a shape of the catalogue.
 
     timeout: longest time for a scan; seconds.
     """
@@ -35,7 +99,6 @@ class Collection:
 
     def add(self, scan: Path, shape_id: str, label: str | None) -> Record:
         """Store a scan as `pcretrieve ingest` does, which processes it once more."""
-        label = label or None
         if not ID.fullmatch(shape_id):
             raise InputError(
                 f"a name must be letters, digits and . _ + - or blanks, at most 100, got {shape_id[:100]!r}"
@@ -58,9 +121,7 @@ class Collection:
 
     def _ingested(self, store: Catalogue, target: Path, label: str | None) -> Record:
         labels = None if label is None else {target.name: label}
-        done = ingest_files(
-            [target], store, labels=labels, workers=1, timeout=self.timeout, memory=self.memory
-        )
+        done = ingest([target], store, labels=labels, workers=1, timeout=self.timeout, memory=self.memory)
         for _, other in done.duplicates:
             raise InputError(f"the catalogue has this scan already, as {other.id!r}")
         for record in done.failed:

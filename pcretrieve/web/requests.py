@@ -1,24 +1,29 @@
-"""The questions of a request: what is listed, and what is searched; from the fields of its address."""
+"""What a request asks: the fields of its address, and the scan that is its body."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+import asyncio
+from collections.abc import AsyncIterable, Mapping
 from datetime import date
+from pathlib import Path, PurePosixPath
+from typing import Annotated, Literal
 from urllib.parse import urlencode
 
-from pcretrieve.errors import InputError, OptionError
+from pydantic import ConfigDict, Field
+from typing_extensions import Self
 
-__all__ = ["PAGE", "SORTS", "STATES", "Busy", "Listing", "NotFound", "Similar", "TooLarge", "TooSlow"]
+from pcretrieve.errors import InputError
+from pcretrieve.formats import missing_extra, suffixes
+from pcretrieve.options import Options
 
-#: Number of shapes on a page of the collection.
-PAGE = 60
+# Formats with all of a scan in one file. Left out are archives (.npz .3mf), and formats that name other files
+# of the computer that reads them (.conf .gltf .glb .txt).
+ONE_FILE = (".ply", ".pcd", ".off", ".stl", ".obj", ".xyz", ".pts", ".ptx", ".las", ".laz", ".e57", ".npy")
 
-# Largest number of results of one query, so that a request cannot ask for a catalogue with all provenance.
-MOST_RESULTS = 1000
+LONGEST_NAME = 200
 
-SORTS = ("id", "-id", "label", "-label", "added", "-added")
-STATES = ("", "done", "doubtful", "failed")
+# Longest time in which a scan must have been received; seconds.
+RECEIVING_TIMEOUT = 600.0
 
 
 class NotFound(InputError):
@@ -37,82 +42,84 @@ class Busy(InputError):
     """Too many requests of this kind wait."""
 
 
-@dataclass(frozen=True, slots=True)
-class Listing:
-    """Which shapes are listed, and in which order.
+class _Fields(Options):
+    """Fields of an address; empty ones have their defaults, and others are ignored."""
 
-    sort: the order; ``-`` for descending.
-    """
-
-    words: str = ""
-    label: str = ""
-    state: str = ""
-    sort: str = "id"
-    since: str = ""
-    until: str = ""
-    page: int = 1
+    model_config = ConfigDict(extra="ignore")
 
     @classmethod
-    def of(cls, fields: Mapping[str, str]) -> Listing:
-        """Read the fields ``q label state sort since until page`` of an address."""
-        state, sort = fields.get("state", ""), fields.get("sort") or "id"
-        if state not in STATES:
-            raise OptionError(f"state must be one of {', '.join(STATES[1:])}, or empty, got {state!r}")
-        if sort not in SORTS:
-            raise OptionError(f"sort must be one of {', '.join(SORTS)}, got {sort!r}")
-        since, until = _day(fields, "since"), _day(fields, "until")
-        page = _whole(fields, "page", 1, 1, 10**9)
-        return cls(fields.get("q", ""), fields.get("label", ""), state, sort, since, until, page)
+    def of(cls, fields: Mapping[str, str]) -> Self:
+        return cls(**{name: value for name, value in fields.items() if value.strip()})
 
-    def address(self, page: int) -> str:
-        """The fields of another page of the same listing, as the end of an address."""
-        fields = {"q": self.words, "label": self.label, "state": self.state, "sort": self.sort}
-        fields |= {"since": self.since, "until": self.until}
-        chosen = {name: value for name, value in fields.items() if value and (name, value) != ("sort", "id")}
-        return "?" + urlencode(chosen | ({"page": str(page)} if page > 1 else {}))
+    def address(self, **changed: object) -> str:
+        """The fields that differ from the defaults, as the end of an address."""
+        chosen = self.model_copy(update=changed).model_dump(mode="json", exclude_defaults=True)
+        return f"?{urlencode(chosen)}" if chosen else ""
 
 
-@dataclass(frozen=True, slots=True)
-class Similar:
-    """What is asked of the neighbours of a shape."""
+class Listing(_Fields):
+    """Which shapes are listed, and in which order; ``-`` for descending."""
 
-    k: int = 12
+    q: str = ""
     label: str = ""
-    min_score: float | None = None
-
-    @classmethod
-    def of(cls, fields: Mapping[str, str]) -> Similar:
-        """Read the fields ``k label min_score`` of an address."""
-        least = fields.get("min_score", "").strip()
-        try:
-            min_score = float(least) if least else None
-        except ValueError:
-            raise OptionError(f"min_score must be a number from 0 to 1, got {least!r}") from None
-        if min_score is not None and not 0 <= min_score <= 1:
-            raise OptionError(f"min_score must be a number from 0 to 1, got {least!r}")
-        return cls(_whole(fields, "k", 12, 1, MOST_RESULTS), fields.get("label", ""), min_score)
-
-    def address(self) -> str:
-        """The fields, as the end of an address; empty if they are the defaults."""
-        fields = {"k": str(self.k)} if self.k != 12 else {}
-        fields |= {"label": self.label} if self.label else {}
-        fields |= {"min_score": f"{self.min_score:g}"} if self.min_score is not None else {}
-        return f"?{urlencode(fields)}" if fields else ""
+    state: Literal["", "done", "doubtful", "failed"] = ""
+    sort: Literal["id", "-id", "label", "-label", "added", "-added"] = "id"
+    since: date | None = None
+    until: date | None = None
+    page: Annotated[int, Field(ge=1, le=10**9)] = 1
 
 
-def _day(fields: Mapping[str, str], name: str) -> str:
-    text = fields.get(name, "").strip()
+class Similar(_Fields):
+    """What is asked of the neighbours of a shape; not a catalogue with all provenance."""
+
+    k: Annotated[int, Field(ge=1, le=1000)] = 12
+    label: str = ""
+    min_score: Annotated[float, Field(ge=0, le=1)] | None = None
+
+
+def upload_suffixes() -> tuple[str, ...]:
+    """The suffixes of files that can be uploaded, and that this installation can read."""
+    known = suffixes()
+    return tuple(suffix for suffix in ONE_FILE if suffix in known and not missing_extra(suffix))
+
+
+def checked_suffix(name: str) -> str:
+    """The suffix of an uploaded file."""
+    suffix = PurePosixPath(name).suffix.lower()
+    if suffix not in upload_suffixes() or len(name) > LONGEST_NAME:
+        raise InputError(
+            f"a scan must be a file with one of the suffixes {' '.join(upload_suffixes())} and a name of at "
+            f"most {LONGEST_NAME} characters, got {name[-50:]!r}"
+        )
+    return suffix
+
+
+async def received(
+    chunks: AsyncIterable[bytes], path: Path, *, most_bytes: int, announced: str | None
+) -> None:
+    """Store the body of a request as a file."""
+    message = f"a scan may have at most {most_bytes} bytes: reduce it, or use `pcretrieve query`"
+    if announced is not None and announced.isdecimal() and int(announced[:20]) > most_bytes:
+        raise TooLarge(message)
     try:
-        return text and date.fromisoformat(text).isoformat()
-    except ValueError:
-        raise OptionError(f"{name} must be a day such as 2026-01-31, got {text[:20]!r}") from None
+        size = await asyncio.wait_for(_stored(chunks, path, most_bytes), RECEIVING_TIMEOUT)
+    except asyncio.TimeoutError as error:
+        raise TooSlow(
+            f"the scan has not arrived within {RECEIVING_TIMEOUT:g} s: reduce it, or use `pcretrieve query`"
+        ) from error
+    if size > most_bytes:
+        raise TooLarge(message)
+    if not size:
+        raise InputError("the file is empty: scan or export it again")
 
 
-def _whole(fields: Mapping[str, str], name: str, default: int, least: int, most: int) -> int:
-    text = fields.get(name, "").strip()
-    if not text:
-        return default
-    # Not `int`, which takes underscores, and digits of any length for a long time.
-    if not (text.isascii() and text.isdigit() and len(text) < 12 and least <= int(text) <= most):
-        raise OptionError(f"{name} must be a whole number from {least} to {most}, got {text[:20]!r}")
-    return int(text)
+async def _stored(chunks: AsyncIterable[bytes], path: Path, most_bytes: int) -> int:
+    """The number of bytes that were received: all, which are in the file, or the first that are too many."""
+    size = 0
+    with path.open("xb") as file:
+        async for chunk in chunks:
+            size += len(chunk)
+            if size > most_bytes:
+                break
+            file.write(chunk)
+    return size

@@ -1,4 +1,4 @@
-"""The server of the search page, by uvicorn, which is installed by the extra ``web``."""
+"""The server of the search page, by uvicorn."""
 
 from __future__ import annotations
 
@@ -7,22 +7,17 @@ import secrets
 import socket
 from collections.abc import Callable
 from functools import partial
-from importlib.util import find_spec
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from pcretrieve.catalogue import Catalogue
 from pcretrieve.draw import upward
 from pcretrieve.errors import InputError
 from pcretrieve.options import OptionsLike, PipelineOptions
 from pcretrieve.retrieval import N_INTERPRETED
-from pcretrieve.web.application import application
-from pcretrieve.web.guard import Guard
-from pcretrieve.web.jobs import Jobs
-from pcretrieve.web.keeping import Collection
-from pcretrieve.web.readers import Readers
-from pcretrieve.web.site import Site
 
-__all__ = ["serve"]
+if TYPE_CHECKING:
+    from pcretrieve.web.guard import Guard
 
 ADDRESS = "127.0.0.1"
 
@@ -86,18 +81,22 @@ def serve(
     Raises
     ------
     InputError
-        If Starlette or uvicorn are not installed, the token has other characters than letters, digits, ``-``
-        and ``_``, `keep` is no folder, the port is used by another program, or the catalogue has no shapes
-        that can be compared.
+        If the token has other characters than letters, digits, ``-`` and ``_``, `keep` is no folder, the port
+        is used by another program, or the catalogue has no shapes that can be compared.
     OptionError
         If `up` is no axis.
     CatalogueError
         If the catalogue cannot be opened, or the options require other spectra than it has.
     """
+    # Imported here, because the server alone needs the web framework.
+    from pcretrieve.ingestion import Isolation
+    from pcretrieve.pages.thumbnails import Thumbnails
+    from pcretrieve.web.application import Readers, Site, application
+    from pcretrieve.web.guard import Guard
+    from pcretrieve.web.jobs import Jobs
+    from pcretrieve.web.keeping import Collection
+
     upward(up)  # raises, before anything is opened
-    missing = [name for name in ("starlette", "uvicorn") if find_spec(name) is None]
-    if missing:
-        raise InputError(f"the search page needs {' and '.join(missing)}: pip install 'pcretrieve[web]'")
     with Catalogue(catalogue) as store:
         chosen = PipelineOptions.of(options, store.options)
         store.index(chosen)  # so that it is made, and what it lacks is said, before the first request
@@ -106,20 +105,19 @@ def serve(
     key = token or secrets.token_urlsafe(24)
     if not TOKEN.fullmatch(key):
         raise InputError("the token must be ASCII letters, digits, - and _ only, as it is part of an address")
-    searching, drawing = Readers(str(catalogue), 1), Readers(str(catalogue), N_DRAWING)
     if keep is not None and (read_only or not Path(keep).is_dir()):
         raise InputError(f"scans are kept in a folder, by a server that is not read-only, got {keep}")
-    kept = None if keep is None else Collection(str(catalogue), Path(keep).absolute(), timeout, memory)
-    jobs = None
+    location, jobs = str(catalogue), None
     if not read_only:
-        jobs = Jobs(str(catalogue), title, scanned, timeout=timeout, memory=memory, up=up, collection=kept)
-    site = Site(searching, drawing, title, chosen, jobs, most_bytes, up)
+        kept = None if keep is None else Collection(location, Path(keep).absolute(), timeout, memory)
+        jobs = Jobs(location, title, scanned, Isolation(timeout, memory), up=up, collection=kept)
+    searching, drawing = Readers(location, 1), Readers(location, N_DRAWING)
+    site = Site(searching, drawing, title, chosen, jobs, most_bytes, Thumbnails(up))
     try:
-        guarded = Guard(application(site), key)
         with _listening(port) as listener:
             address = f"http://{ADDRESS}:{listener.getsockname()[1]}/?token={key}"
             searching.prepare(partial(_warmed, chosen))
-            _run(guarded, listener, lambda: on_start(address))
+            _run(Guard(application(site), key), listener, lambda: on_start(address))
     finally:
         if jobs is not None:
             jobs.close()

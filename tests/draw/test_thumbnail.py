@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from pcretrieve import draw
 from pcretrieve.draw import MARGIN
-from pcretrieve.errors import DegenerateMeshError, OptionError
+from pcretrieve.errors import DegenerateMeshError
 from pcretrieve.values import FloatArray, Step, TriangleMesh
 
 
@@ -294,13 +294,6 @@ def test_a_surface_without_area_cannot_be_drawn(mesh: TriangleMesh) -> None:
     with pytest.raises(DegenerateMeshError, match=r"must have area to be drawn, got \d faces") as caught:
         thumbnail(mesh)
     assert caught.value.stage == "thumbnail"
-
-
-def test_options_out_of_range() -> None:
-    with pytest.raises(OptionError, match="size must be at least 1 pixel, got 0"):
-        thumbnail(sphere(), size=0)
-    with pytest.raises(OptionError, match="azimuth and elevation must be finite degrees, got nan and 10"):
-        thumbnail(sphere(), azimuth=np.nan)
 
 
 def test_a_cloud_looks_like_its_surface() -> None:

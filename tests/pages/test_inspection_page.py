@@ -24,7 +24,7 @@ from pcretrieve.errors import InputError
 from pcretrieve.inspection.checks import spread_check
 from pcretrieve.inspection.inspection import Inspection
 from pcretrieve.inspection.next_body import NextBody, ratio_words
-from pcretrieve.pages.inspection_page import write_inspection_page
+from pcretrieve.pages import write_inspection_page, write_inspection_png
 from pcretrieve.pages.inspection_pictures import (
     AWAY,
     CUT,
@@ -37,7 +37,6 @@ from pcretrieve.pages.inspection_pictures import (
     inspection_cameras,
     rows_of,
 )
-from pcretrieve.pages.inspection_sheet import write_inspection_png
 from pcretrieve.values import Failure, PointCloud, Signature, TriangleMesh
 
 CHROMIUM = shutil.which("chromium") or shutil.which("google-chrome")
@@ -392,6 +391,7 @@ def screenshot(page: Path, preset: str, folder: Path) -> tuple[NDArray[np.float6
     return pixels, done.stderr
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(CHROMIUM is None, reason="needs chromium, to look at the page with")
 def test_the_viewer_shows_the_layers_that_the_address_names(tmp_path: Path) -> None:
     """Pictures of other rows have the same colours: what counts is what the view adds."""
@@ -408,6 +408,7 @@ def test_the_viewer_shows_the_layers_that_the_address_names(tmp_path: Path) -> N
         assert share_of(colour, changed[None]) > 0.1, preset
 
 
+@pytest.mark.slow
 def test_in_a_browser_it_is_accessible_and_fits_a_phone(tmp_path: Path) -> None:
     page = write_inspection_page(inspection(), tmp_path / "page.html")
     with browsers.chromium() as browser:

@@ -25,6 +25,8 @@ from search_server import Answer, Server, raw, running, status
 from pcretrieve import write_mesh
 from pcretrieve.formats import missing_extra
 
+pytestmark = pytest.mark.slow
+
 # Names that are refused whatever the file has.
 REFUSED = [
     *("a.off.zip", "a.zip", "a.tar.gz", "a.npz", "a.3mf", "a.dae", "a.x3d", "a.gltf", "a.glb", "a.conf"),
@@ -80,7 +82,6 @@ def temporary(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def target(eggs: Path, temporary: Path) -> Iterator[Target]:
-    pytest.importorskip("uvicorn", reason="uvicorn is not installed (the extra web)")
     temporary.mkdir()
     with running(eggs, "--max-upload", "1", temporary=temporary) as server:
         yield Target(server, temporary, eggs.parent)
@@ -239,7 +240,7 @@ def test_uploads_wait_in_a_queue_of_limited_length(target: Target) -> None:
 
 def test_slow_and_endless_bodies_are_given_up(eggs: Path, tmp_path: Path) -> None:
     limits = (
-        "import pcretrieve.web.uploads as u; u.RECEIVING_TIMEOUT = 0.5; "
+        "import pcretrieve.web.requests as u; u.RECEIVING_TIMEOUT = 0.5; "
         "import pcretrieve.web.application as a; a.LINGER = 0.5"
     )
     with running(eggs, "--max-upload", "1", first=limits, temporary=tmp_path) as server:

@@ -18,6 +18,8 @@ from pcretrieve import search, write_mesh
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, FileChooser, Page
 
+pytestmark = pytest.mark.slow
+
 # Every kind of page, and what is opened to see it.
 PAGES = {
     "collection": "/",

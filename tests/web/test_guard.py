@@ -10,6 +10,8 @@ from search_server import Server, raw, running, status
 from pcretrieve import serve
 from pcretrieve.errors import InputError
 
+pytestmark = pytest.mark.slow
+
 PRIVATE = ("/", "/shapes", "/shapes/Egg00/similar", "/assets/page.css", "/nothing")
 
 

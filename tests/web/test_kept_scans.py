@@ -25,7 +25,7 @@ from pcretrieve.cli.main import cli
 if TYPE_CHECKING:
     from playwright.sync_api import Browser
 
-pytest.importorskip("uvicorn", reason="uvicorn is not installed (the extra web)")
+pytestmark = pytest.mark.slow
 
 
 def egg(width: float, folder: Path) -> bytes:

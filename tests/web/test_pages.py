@@ -15,7 +15,9 @@ from PIL import Image
 from search_server import NASTY, Server, running
 
 from pcretrieve.cli.main import cli
-from pcretrieve.web.folders import without_folders
+from pcretrieve.web.documents import without_folders
+
+pytestmark = pytest.mark.slow
 
 
 def ids(page: bytes) -> list[str]:

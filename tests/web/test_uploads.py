@@ -13,6 +13,8 @@ from search_server import Server, running
 
 from pcretrieve import search, write_mesh
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def scan(tmp_path_factory: pytest.TempPathFactory) -> Path:

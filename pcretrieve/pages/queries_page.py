@@ -1,0 +1,176 @@
+"""The page of one search: each query with its picture, its verdict and its nearest shapes.
+
+It is one self-contained HTML file: pictures are inlined, and the page makes no requests.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterable, Iterator, Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from pcretrieve import __version__
+from pcretrieve.catalogue import Catalogue, CatalogueLike, Record, opened
+from pcretrieve.errors import ShapeError
+from pcretrieve.matching import DistanceMatrix
+from pcretrieve.options import OptionsLike, PipelineOptions
+from pcretrieve.pages.html import write_page
+from pcretrieve.pages.thumbnails import Thumbnails
+from pcretrieve.query import Answer, Described, Question, answers, pictured, result_rows
+from pcretrieve.retrieval import swapping_ranks
+from pcretrieve.values import Signature, Verdict
+
+DISTANCES = {
+    "log": "log, the Euclidean distance of the logarithms of the values",
+    "d1": "d1, the dissimilarity D1 of Ye and Yu",
+    "d2": "d2, the dissimilarity D2 of Ye and Yu",
+}
+
+
+class _Panel(NamedTuple):
+    """One query as the template shows it.
+
+    swaps: list of (int, int), first and last rank of each run of ranks that could swap.
+    """
+
+    name: str
+    record: Record | None
+    picture: bytes | None
+    verdict: Verdict | None
+    answer: Answer
+    results: list[dict[str, Any]]
+    swaps: list[tuple[int, int]]
+
+
+def query_page(
+    catalogue: CatalogueLike,
+    queries: str | Path | Iterable[str | Path | Signature],
+    path: str | Path,
+    *,
+    k: int = 10,
+    options: OptionsLike = None,
+    matrix: DistanceMatrix | None = None,
+    unit: str | None = None,
+    labels: Collection[str] | None = None,
+    exclude_self: bool = False,
+    min_score: float | None = None,
+    up: str | None = None,
+) -> Path:
+    """Answer one or more queries on an HTML page, with pictures.
+
+    Parameters
+    ----------
+    catalogue : Catalogue, str or Path
+        The catalogue that is searched.
+    queries : str, Path, or iterable of str, Path or Signature
+        As for `search_many`. Scans that fail are listed on the page, with the reasons.
+    path : str or Path
+        The HTML file. It needs no other file.
+    k : int, default 10
+        This and the following parameters but the last are those of `search`, for each query.
+    options : OptionsLike, optional
+    matrix : DistanceMatrix, optional
+    unit : str, optional
+    labels : collection of str, optional
+    exclude_self : bool, default False
+    min_score : float, optional
+    up : {"x", "-x", "y", "-y", "z", "-z"}, optional
+        The axis of the files that points upwards on pictures; by default found for each shape.
+
+    Returns
+    -------
+    Path
+        Absolute path of the page.
+
+    Raises
+    ------
+    CatalogueError
+        If the options require other spectra than the catalogue has.
+    InputError
+        As by `search`, or if the page cannot be written.
+    """
+    with opened(catalogue) as store:
+        chosen = PipelineOptions.of(options, store.options)
+        question = Question(chosen, k, labels, exclude_self, min_score, unit, matrix)
+        many = [queries] if isinstance(queries, (str, Path)) else queries
+        outcomes = answers(store, many, question, partial(_pictured, up))
+        return write_query_page(path, store, outcomes, question, up=up)
+
+
+def write_query_page(
+    path: str | Path,
+    catalogue: Catalogue,
+    outcomes: Iterable[tuple[str, Answer | ShapeError]],
+    question: Question,
+    *,
+    up: str | None = None,
+) -> Path:
+    """Write answers that are known already on a page; those that failed are listed at the end."""
+    panels: list[_Panel] = []
+    failures: list[tuple[str, ShapeError]] = []
+    thumbnails = Thumbnails(up)
+    for name, outcome in outcomes:
+        if isinstance(outcome, ShapeError):
+            failures.append((name, outcome))
+        else:
+            panels.append(_panel(catalogue, name, outcome, thumbnails))
+    names = [panel.name for panel in panels] + [name for name, _ in failures]
+    return write_page(
+        path,
+        "query.html",
+        title=Path(names[0]).name if len(names) == 1 else f"{len(names)} queries",
+        catalogue=Path(catalogue.location).name,
+        panels=panels,
+        failures=failures,
+        min_score=question.min_score,
+        settings=settings_in_words(catalogue, question),
+        version=__version__,
+    )
+
+
+def settings_in_words(catalogue: Catalogue, question: Question) -> dict[str, str]:
+    """How shapes are compared, in words."""
+    classes = f"the class {' or '.join(sorted(question.labels))} of " if question.labels else ""
+    least = {} if question.min_score is None else {"least score": f"{question.min_score:g}"}
+    if question.matrix is not None:
+        n_shapes = len(question.matrix)
+        return {"searched": f"{classes}{n_shapes} shapes", "distance": "that of a matrix"} | least
+    index = catalogue.index(question.options)
+    compared, retrieval = question.options.compared, question.options.retrieval
+    size = compared.size_weight
+    return {
+        "searched": f"{classes}{len(index)} shapes",
+        "signature": f"{compared.method}, {len(index.whitening.mean)} values, "
+        + (f"with the size, weighted by {size:g}" if size else "of the form alone"),
+        "distance": DISTANCES.get(retrieval.distance, retrieval.distance),
+        "whitening": catalogue.whitening(question.options).reason,
+        "re-ranking": "none" if retrieval.rerank == "none" else f"by {retrieval.rerank} neighbours",
+        "score": index.scores.reason if index.scores else "none, because labels and shapes are too few",
+    } | least
+
+
+def _panel(catalogue: Catalogue, name: str, answer: Answer, thumbnails: Thumbnails) -> _Panel:
+    query, record, picture, verdict = answer.query, None, None, None
+    if isinstance(query, str):
+        record = catalogue.record(query)
+        picture, verdict = thumbnails.of(catalogue, record), record.verdict
+    elif isinstance(query, Described):
+        picture, verdict = query.picture, query.verdict
+    results = [
+        row | {"picture": thumbnails.of(catalogue, found)}
+        for row, found in zip(result_rows(answer), answer.records, strict=True)
+    ]
+    swaps = [] if answer.rank_ranges is None else swapping_ranks(answer.rank_ranges)
+    return _Panel(name, record, picture, verdict, answer, results, swaps)
+
+
+def _pictured(
+    up: str | None, scans: Sequence[Path], options: PipelineOptions
+) -> Iterator[tuple[Path, Described | ShapeError]]:
+    """The signatures and the pictures of scans, computed in this process."""
+    for scan in scans:
+        try:
+            yield scan, pictured(scan, options, up)
+        except ShapeError as error:
+            yield scan, error

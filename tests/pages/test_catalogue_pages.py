@@ -1,0 +1,364 @@
+"""Pages of a catalogue: they say what was computed, need no other file, and no name can break them."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
+from html import unescape
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import browsers
+import numpy as np
+import pytest
+import shapes
+from click.testing import CliRunner
+from search_server import NASTY
+
+from pcretrieve import (
+    Answer,
+    Catalogue,
+    DistanceMatrix,
+    PipelineOptions,
+    draw_map,
+    ingest,
+    matrix,
+    query_page,
+    report,
+    search_many,
+    write_mesh,
+)
+from pcretrieve.cli.main import cli
+from pcretrieve.errors import InputError
+from pcretrieve.evaluation import evaluate, query_scores, rank_catalogue
+from pcretrieve.pages import write_query_page
+from pcretrieve.query import Question
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Browser, Page
+
+OPTIONS = PipelineOptions().changed(
+    signature={"method": "r-bihdm", "n_values": 10},
+    spectral={"n_pairs": 61},
+    retrieval={"whitening": "none"},
+)
+
+# Heights of eggs by kind. Kinds 0 to 2 are apart; "mixed" has an egg among those of kind 0, "lone" is alone.
+HEIGHTS = {"kind0": (1.20, 1.21, 1.22), "kind1": (1.8, 1.82), "kind2": (2.7, 2.72, 2.74)}
+MIXED = {"mixed": (1.215, 2.2), "lone": (3.6,)}
+
+
+def egg(height: float, path: Path, width: float = 1.05) -> Path:
+    write_mesh(shapes.ellipsoid((width, 1.0, height), subdivisions=3), path)
+    return path
+
+
+def filled(folder: Path, kinds: Mapping[str, tuple[float, ...]], *, fails: bool = False) -> Path:
+    folder.mkdir(exist_ok=True)
+    scans = [
+        egg(height, folder / f"{kind}-{number}.off")
+        for kind, heights in kinds.items()
+        for number, height in enumerate(heights)
+    ]
+    labels = {scan.name: scan.name.partition("-")[0] for scan in scans}
+    if fails:
+        (folder / "broken.off").write_bytes(b"OFF\n1 1")
+        scans.append(folder / "broken.off")
+    ingest(scans, folder / "eggs.sqlite", labels=labels, options=OPTIONS, workers=1)
+    return folder / "eggs.sqlite"
+
+
+@pytest.fixture(scope="module")
+def catalogue(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return filled(tmp_path_factory.mktemp("eggs"), HEIGHTS | MIXED, fails=True)
+
+
+@pytest.fixture(scope="module")
+def written(catalogue: Path) -> Path:
+    return report(catalogue, catalogue.parent / "eggs.html", k=4)
+
+
+@pytest.fixture(scope="module")
+def many(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A catalogue with as many shapes of a kind as scores need."""
+    heights = {f"kind{kind}": (at, at + 0.01, at + 0.02) for kind, at in enumerate((1.2, 1.5, 2.0, 2.7))}
+    return filled(tmp_path_factory.mktemp("many"), heights)
+
+
+@pytest.fixture(scope="module")
+def folder(many: Path) -> Path:
+    """A new egg of kind 1, and scans that fail."""
+    bad = many.parent / "bad"
+    bad.mkdir()
+    (bad / "garbage.ply").write_bytes(b"\x00\xff" * 500)
+    (bad / "<b>&.ply").write_bytes(b"ply\n")
+    egg(1.515, many.parent / "new.off")
+    return many.parent
+
+
+def words_of(page: Path) -> str:
+    """What the page says, without tags and with single spaces."""
+    text = re.sub(r"<(style|script)>.*?</\1>", "", page.read_text("utf-8"), flags=re.DOTALL)
+    return " ".join(unescape(re.sub(r"<[^>]*>", " ", text)).split())
+
+
+def queries_of(page: Path) -> list[str]:
+    return re.findall(r'<article [^>]*data-name="([^"]*)"', page.read_text("utf-8"))
+
+
+def answer_of(catalogue: Path, query: Path, k: int) -> Answer:
+    ((_, answer),) = search_many(catalogue, [query], k=k)
+    assert isinstance(answer, Answer)
+    return answer
+
+
+def test_no_page_needs_another_file_or_runs_what_a_name_says(eggs: Path, tmp_path: Path) -> None:
+    """Names and classes of the eggs of the server are markup."""
+    pages = [
+        report(eggs, tmp_path / "report.html"),
+        query_page(eggs, [NASTY, "Egg00"], tmp_path / "query.html"),
+        draw_map(eggs, tmp_path / "map.html"),
+    ]
+    for page in pages:
+        text = page.read_text("utf-8")
+        assert "default-src 'none'; img-src data:" in text
+        assert not re.findall(r"""(?:src|href)=["'](?!data:|#)|https?:|@import|url\((?!data:)""", text)
+        assert "<b> %2F" not in text and "&lt;b&gt; %2F" in text
+        assert "<kind 2>" not in text and NASTY in words_of(page)
+        ids = re.findall(r'\bid="([^"]*)"', text)
+        assert len(set(ids)) == len(ids)
+        assert set(re.findall(r'(?:href="#|labelledby=")([^"]+)"', text)) <= set(ids)
+    inlined = re.findall(r"\.(p\d+)\{background-image:url\(data:image/png;base64,", pages[0].read_text())
+    assert len(set(inlined)) == len(inlined) <= 12, "each picture is inlined once"
+
+
+def test_the_same_report_replaces_the_old_one_in_one_step(catalogue: Path, written: Path) -> None:
+    first = written.read_bytes()
+    with written.open("rb") as reader:  # of the old page, which is never cut short
+        assert report(catalogue, written, k=4) == written
+        assert reader.read() == first == written.read_bytes()
+    for place in ("missing/report.html", "eggs.sqlite/report.html"):
+        with pytest.raises(InputError, match=r"cannot write .*; name a file in a folder"):
+            report(catalogue, catalogue.parent / place)
+        with pytest.raises(InputError, match=r"cannot write .*; name a file in a folder"):
+            query_page(catalogue, "kind0-0", catalogue.parent / place)
+
+
+# --- the report ---------------------------------------------------------------------------------------
+
+
+def test_measures_and_curve_are_those_of_the_evaluation(catalogue: Path, written: Path) -> None:
+    found, text = evaluate(catalogue), written.read_text("utf-8")
+    shown = re.findall(r'<td class="value">([\d.]+) <small>\[', text)
+    means = (found.nn, found.ft, found.st, found.e, found.dcg, found.map)
+    assert [float(value) for value in shown] == pytest.approx(means, rel=0.005)
+    (drawn,) = re.findall(r'<polyline class="curve" points="([^"]*)"', text)
+    recall, down = np.array([point.split(",") for point in drawn.split()], dtype=float).T
+    np.testing.assert_allclose(recall, np.linspace(0, 1, len(recall)), atol=1e-4)
+    assert (np.diff(1 - down) <= 0).all()
+
+
+def test_a_perfect_answer_looks_perfect_although_more_is_shown(tmp_path: Path) -> None:
+    page = report(filled(tmp_path / "eggs", HEIGHTS), tmp_path / "eggs.html", k=5)
+    text = page.read_text("utf-8")
+    assert text.count('class="wrong"><i') == 0
+    # Each of 3, 2 and 3 eggs finds 2, 1 and 2; the other results have no mark.
+    assert text.count('<li class="right">') == 3 * 2 + 2 * 1 + 3 * 2
+    assert text.count("<li><i") == 8 * 5 - 14
+    assert "1 of 1 right" in words_of(page)
+
+
+def test_every_query_is_there_and_the_worst_is_the_first(catalogue: Path, written: Path) -> None:
+    with Catalogue(catalogue) as store:
+        scores = query_scores(rank_catalogue(store).rankings)
+        ids = [record.id for record in store.records(status="done")]
+    precision = dict(zip(scores.ids, scores.ap, strict=True))
+    queries = queries_of(written)
+    assert queries == sorted(ids, key=lambda shape_id: precision.get(shape_id, 2))
+    assert (queries[0].partition("-")[0], queries[-1]) == ("mixed", "lone-0")
+    few = report(catalogue, written.parent / "few.html", n_queries=2)
+    assert queries_of(few) == queries[:2]
+    assert "the 2 with the lowest average precision of 11" in words_of(few)
+    article = written.read_text("utf-8").split('data-name="mixed-0"')[1].split("</article>")[0]
+    results = re.findall(r"<li( class=\"(?:right|wrong)\")?>", article)
+    assert results == [' class="wrong"', "", "", ""], "wrong within the size of the class only"
+
+
+def test_settings_classes_intervals_and_failures_are_in_words(written: Path) -> None:
+    words = words_of(written)
+    for said in (
+        "signature r-bihdm, 10 values, of the form alone",
+        "distance log, the Euclidean distance of the logarithms of the values",
+        "whitening none",
+        "re-ranking none",
+        "shapes 11 classes 5",
+        "In brackets are 95 % confidence intervals",
+        "4 classes, the worst first Class Queries mAP NN Nearest shapes of other classes mixed 2",
+        "mixed: the nearest shape of 1 of 2 is kind0",
+        "1 shape failed Shape Stage What went wrong broken read",
+        "1 shape is alone in its class and not asked for",
+        "Map Shapes with similar signatures",
+        "ScanReadError",
+    ):
+        assert said in words
+    assert "Compared with" not in words
+
+
+def test_two_results_are_compared(catalogue: Path, tmp_path: Path) -> None:
+    run, arguments = CliRunner().invoke, ["--catalogue", str(catalogue)]
+    made = run(cli, ["evaluate", *arguments, "--distance", "d2", "--csv", str(tmp_path / "d2")])
+    assert made.exit_code == 0, made.output
+    other, page = tmp_path / "d2" / "queries.csv", tmp_path / "compared.html"
+    made = run(cli, ["report", *arguments, "--versus", str(other), "-o", str(page)])
+    assert made.exit_code == 0, made.output
+    words = words_of(page)
+    assert f"Compared with {other}" in words
+    assert "Measure The other This Difference Interval This is NN" in words
+    assert "+0.000 to +0.000 no difference shown" in words
+    same = words_of(report(catalogue, tmp_path / "same.html", versus=catalogue))
+    assert "The average precision of no query changed." in same
+    by_matrix = words_of(report(catalogue, tmp_path / "matrix.html", matrix=matrix(catalogue)))
+    assert "distance that of a matrix of 11 shapes" in by_matrix and "t-SNE" not in by_matrix
+
+
+def test_without_classes_there_is_nothing_to_compare(catalogue: Path, tmp_path: Path) -> None:
+    lonely = filled(tmp_path / "lone", {"a": (1.2,), "b": (1.9,)})
+    page = report(lonely, tmp_path / "lone.html")
+    assert queries_of(page) == ["a-0", "b-0"]
+    assert "confidence" not in words_of(page)
+    with pytest.raises(InputError, match=r"no class in .* has two shapes: there are no measures to compare"):
+        report(lonely, tmp_path / "lone.html", versus=catalogue)
+
+
+# --- a search -----------------------------------------------------------------------------------------
+
+
+def test_the_page_of_one_scan_says_what_the_search_found(many: Path, folder: Path) -> None:
+    page = query_page(many, folder / "new.off", folder / "one.html", k=5)
+    answer, words = answer_of(many, folder / "new.off", 5), words_of(page)
+    assert answer.vote is not None and answer.vote.label == "kind1"
+    assert f"kind1 , by {100 * answer.vote.share:.0f} % of the votes of 5 results" in words
+    assert "The signature is " in words
+    assert re.findall(r'<b class="name">(.*?)</b>', page.read_text("utf-8")) == list(answer.neighbors.ids)
+    assert answer.neighbors.scores is not None
+    for gap, score in zip(answer.neighbors.distances, answer.neighbors.scores, strict=True):
+        assert f"distance {f'{gap:#.3g}'.rstrip('.')} score {score:.2f}" in words
+    assert "12 shapes" in words and "10 values, of the form alone" in words
+    assert "Overview" not in words and "failed" not in words
+
+
+def test_several_queries_are_on_one_page_and_failures_have_reasons(many: Path, folder: Path) -> None:
+    queries: list[str | Path] = ["kind2-1", folder / "bad", folder / "new.off"]
+    page = query_page(many, queries, folder / "many.html", k=2, exclude_self=True)
+    words, text = words_of(page), page.read_text("utf-8")
+    assert words.startswith("4 queries")
+    assert "2 scans failed" in words and "not a complete PLY file" in words
+    assert "In the catalogue as kind2-1, class kind2" in words
+    assert re.findall(r'<a href="#([\w-]+)">', text) == ["query-1", "query-2", "failed", "failed"]
+    assert "<b>&.ply" not in text and "&lt;b&gt;&amp;.ply" in text
+    assert words.count("Failed in the stage read") == 2
+    assert text.count("data:image/png;base64,") == 6 and "<script" not in text
+
+
+def test_doubt_about_an_answer_is_said(many: Path, folder: Path) -> None:
+    egg(0.4, folder / "flat.off", width=3.0)
+    page = query_page(many, folder / "flat.off", folder / "none.html", min_score=0.99)
+    assert "No match : no shape has a score of 0.99 or more" in words_of(page)
+    assert "least score 0.99" in words_of(page) and '<ol class="results">' not in page.read_text("utf-8")
+    answer, question = answer_of(many, folder / "new.off", 4), Question(OPTIONS)
+    swapped = replace(answer, rank_ranges=np.array([[1, 1], [2, 3], [2, 4], [3, 4]]))
+    far = replace(answer, neighbors=replace(answer.neighbors, scores=np.full(4, 0.25)))
+    for given, said in (
+        (swapped, "Within the error bar of the query, these ranks could swap: 2 to 4."),
+        (far, "Probably no match : the best score is 0.25. Nearest is kind1 , by "),
+    ):
+        with Catalogue(many) as store:
+            page = write_query_page(folder / "doubt.html", store, [("new.off", given)], question)
+        assert said in words_of(page)
+
+
+def test_other_classes_and_a_matrix_are_in_the_settings(many: Path, folder: Path) -> None:
+    page = query_page(many, "kind0-0", folder / "filtered.html", labels=["kind2", "kind0"])
+    assert "searched the class kind0 or kind2 of 12 shapes" in words_of(page)
+    away = DistanceMatrix(matrix(many).ids, np.abs(np.subtract.outer(np.arange(12.0), np.arange(12.0))))
+    words = words_of(query_page(many, "kind0-0", folder / "matrix.html", matrix=away, k=3))
+    assert "distance that of a matrix" in words and "whitening" not in words and "score –" in words
+
+
+def test_the_command_prints_what_it_prints_and_writes_the_page(many: Path, folder: Path) -> None:
+    asked = ["query", "-c", str(many), str(folder / "new.off"), "-k", "2"]
+    plain, page = CliRunner().invoke(cli, asked), folder / "command.html"
+    both = CliRunner().invoke(cli, [*asked, "--html", str(page)])
+    assert (both.exit_code, plain.exit_code, both.stdout) == (0, 0, plain.stdout)
+    assert f"page: {page}" in both.stderr
+    words = words_of(page)
+    assert words == words_of(query_page(many, folder / "new.off", page, k=2))
+    bad = folder / "bad" / "garbage.ply"
+    done = CliRunner().invoke(cli, ["query", "-c", str(many), str(bad), "--html", str(page)])
+    assert done.exit_code != 0 and "1 scan failed" in words_of(page)
+    for target in (many, folder / "new.off"):  # a page replaces no scan and no catalogue
+        before = target.read_bytes()
+        done = CliRunner().invoke(cli, [*asked, "--html", str(target)])
+        assert done.exit_code != 0 and target.read_bytes() == before
+
+
+# --- in a browser -------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def page(browser: Browser, written: Path) -> Iterator[Page]:
+    with browsers.opened(browser, written.as_uri()) as page:
+        yield page
+
+
+def shown(page: Page) -> list[str]:
+    names: list[str] = page.locator("article:visible h3").all_text_contents()
+    return names
+
+
+@pytest.mark.slow
+def test_queries_and_classes_are_searched_and_sorted_without_a_server(page: Page, written: Path) -> None:
+    everything = queries_of(written)
+    assert shown(page) == everything
+    page.get_by_label("Sort by").select_option("name")
+    assert shown(page) == sorted(everything)
+    page.get_by_label("Search").fill("KIND2 eggs")
+    assert shown(page) == ["kind2-0", "kind2-1", "kind2-2"]
+    assert page.locator("#count").inner_text() == "3 of 11"
+    page.get_by_label("Search").fill("")
+    page.get_by_label("with a wrong result").check()
+    wrong = shown(page)
+    assert "mixed-0" in wrong and "kind2-0" not in wrong
+    page.get_by_label("with a wrong result").uncheck()
+    page.get_by_label("Sort by").select_option("best first")
+    assert shown(page)[-2:] == [everything[0], "lone-0"]  # the worst, and the one without a score
+    table = page.locator("table.sortable").first
+    for expected in (["kind0", "kind1", "kind2", "mixed"], ["mixed", "kind2", "kind1", "kind0"]):
+        table.get_by_role("button", name="Class", exact=True).click()
+        assert table.locator("tbody th").all_inner_texts() == expected
+
+
+@pytest.mark.slow
+def test_a_result_and_a_shape_of_the_map_lead_to_their_own_results(page: Page) -> None:
+    page.get_by_label("Search").fill("mixed-0")
+    page.locator("article:visible li a").first.click()
+    # Not the inner text, which an article has only once it was scrolled into view and drawn.
+    assert (page.locator("article:target h3").text_content() or "").startswith("kind0")
+    assert page.locator("article:target").is_visible()
+    assert page.get_by_label("Search").input_value() == ""
+    page.locator('.map a:has([data-id="kind2-1"])').click()
+    assert page.locator("article:target h3").text_content() == "kind2-1"
+
+
+@pytest.mark.slow
+def test_pages_are_accessible_and_fit_a_phone(
+    browser: Browser, many: Path, folder: Path, written: Path
+) -> None:
+    queries: list[str | Path] = ["kind2-1", folder / "bad", folder / "new.off"]
+    search = query_page(many, queries, folder / "browser.html", k=4)
+    for file in (written, search, draw_map(many, folder / "map.html")):
+        for size, dark in ((browsers.DESKTOP, False), (browsers.PHONE, True)):
+            with browsers.opened(browser, file.as_uri(), size, dark=dark) as page:
+                assert browsers.overflow(page) <= 0
+                assert browsers.violations(page) == []
