@@ -106,8 +106,11 @@ def backup(catalogue: CatalogueLike, file: str | Path) -> int:
             unfinished = Path(folder) / target.name
             if source is not None:
                 _copy_file(source, unfinished)
+            elif isinstance(catalogue, Catalogue):  # whose location has no password
+                _copy_rows(catalogue.rows, unfinished)
             else:
-                _copy_rows(str(location), unfinished)
+                with closing(Rows(location, {}, create=False)) as rows:
+                    _copy_rows(rows, unfinished)
             with unfinished.open("rb") as written:
                 os.fsync(written.fileno())
             unfinished.rename(target)
@@ -137,13 +140,12 @@ def _log(status: int, n_left: int, n_pages: int) -> None:
     logger.info("copied: %d of %d pages", n_pages - n_left, n_pages)
 
 
-def _copy_rows(location: str, target: Path) -> None:
+def _copy_rows(rows: Rows, target: Path) -> None:
     """Copy the shapes of a database."""
-    with closing(Rows(location, {}, create=False)) as rows:
-        stored = rows.settings()
-        settings = {name: stored[name] for name in ("options", "numbers_version")}
-        with closing(Rows(target, settings, create=True)) as copy:
-            _merge(copy, [rows])
+    stored = rows.settings()
+    settings = {name: stored[name] for name in ("options", "numbers_version")}
+    with closing(Rows(target, settings, create=True)) as copy:
+        _merge(copy, [rows])
 
 
 def _merge(target: Rows, parts: Sequence[Rows]) -> Merged:

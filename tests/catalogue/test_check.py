@@ -275,7 +275,8 @@ def test_a_damaged_index_is_removed(path: Path, monkeypatch: pytest.MonkeyPatch)
 def test_damages_of_a_database(schema: str, tmp_path: Path) -> None:
     psycopg = pytest.importorskip("psycopg")
     assert pr.check(schema, sample=0, repair=True).defects == ()
-    pr.backup(schema, tmp_path / "copy.sqlite")
+    with Catalogue(schema) as store:
+        pr.backup(store, tmp_path / "copy.sqlite")
     assert rows_of(tmp_path / "copy.sqlite") == rows_of(schema)
     url, _, name = schema.partition("?schema=")
     with psycopg.connect(url, autocommit=True) as connection:

@@ -326,6 +326,48 @@ def test_the_file_system_of_a_path(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     assert mount_of(folder).kind == ""
 
 
+MOUNTED = """
+import sys
+from pathlib import Path
+from pcretrieve.catalogue import Catalogue
+from pcretrieve.catalogue.sqlite import mount_of
+path = Path(sys.argv[1], "c.sqlite")
+Catalogue(path, create=True).close()
+with path.open("rb") as file:
+    print(mount_of(path).kind, file.read(20)[18])
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("command", "expected"),
+    [
+        ("mount -t tmpfs none {folder}/there", "tmpfs 2"),
+        ("bindfs {folder}/here {folder}/there", "fuse 1"),
+    ],
+)
+def test_file_systems_that_are_really_mounted(command: str, expected: str, tmp_path: Path) -> None:
+    """In a namespace of mounts; a file of version 1 has a rollback journal, of version 2 a log."""
+    if shutil.which(command.split()[0]) is None or shutil.which("unshare") is None:
+        pytest.skip(f"{command.split()[0]} and unshare are not both installed")
+    if os.geteuid() != 0:
+        pytest.skip("only root mounts file systems")
+    (tmp_path / "here").mkdir()
+    (tmp_path / "there").mkdir()
+    mount = command.format(folder=tmp_path)
+    script = f'{mount} && "$0" -c "$1" {tmp_path}/there; result=$?; umount {tmp_path}/there; exit $result'
+    done = subprocess.run(
+        ["unshare", "--mount", "sh", "-c", script, sys.executable, MOUNTED],
+        capture_output=True,
+        text=True,
+        timeout=100,
+        check=False,
+    )
+    if done.returncode and not Path("/dev/fuse").exists():
+        pytest.skip("this system has no FUSE")
+    assert done.stdout.strip() == expected, done.stderr
+
+
 def test_on_a_network_a_catalogue_has_a_rollback_journal(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
