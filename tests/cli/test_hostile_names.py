@@ -131,12 +131,6 @@ def test_queries_print_names_as_text(folder: Path) -> None:
     assert {row["label"] for row in rows} <= {*IDS.values()}
 
 
-def test_signatures_have_one_line_each(folder: Path) -> None:
-    lines = run(folder, "signature", "--from-catalogue", "c.sqlite").splitlines()
-    assert len(lines) == len(ids())
-    assert len({line.count("\t") for line in lines}) == 1
-
-
 def test_measures_of_classes_have_one_line_each(folder: Path) -> None:
     options = ("evaluate", "-c", "c.sqlite", "--whitening", "none", "--per-class")
     lines = run(folder, *options).splitlines()
@@ -202,12 +196,6 @@ def test_meshes_are_written_into_their_folder_alone(folder: Path) -> None:
     ]
     written = sorted(path for path in folder.rglob("*outside*") if path not in before)
     assert {path.parent for path in written} == {folder / "meshes" / "inside"}
-
-
-def test_all_meshes_have_files_of_their_own(folder: Path) -> None:
-    chosen = [shape_id for shape_id in ids() if len(os.fsencode(f"{shape_id}.ply")) <= 255]
-    run(folder, "export", "-c", "c.sqlite", "-o", "meshes/all", "--", *chosen)
-    assert len(list((folder / "meshes" / "all").iterdir())) == len(chosen)
 
 
 def test_shapes_are_removed_by_their_ids(folder: Path) -> None:

@@ -70,16 +70,6 @@ def test_pages_are_in_order_of_id(arguments: list[object], expected: list[str], 
     assert listed(path, *arguments) == expected
 
 
-def test_a_page_is_read_when_it_is_asked_for(path: Path) -> None:
-    with Catalogue(path) as store:
-        statements: list[str] = []
-        store.rows.database._connection.set_trace_callback(statements.append)
-        pages = store.pages()
-        assert [len(next(pages)), len(statements)] == [1000, 1]
-        assert [len(next(pages)), len(statements)] == [1000, 2]
-        assert "LIMIT 1000 OFFSET 0" in statements[1]
-
-
 def test_show_says_what_a_shape_costs(path: Path) -> None:
     stored = json.loads(run("show", "ball", "-c", path, "--json"))["result"]["stored_bytes"]
     said = run("show", "ball", "-c", path)
