@@ -23,8 +23,7 @@ import shapes
 from processes import PATIENCE, living, wait_for
 
 from pcretrieve import Catalogue, ingest
-from pcretrieve.catalogue import find_defects
-from pcretrieve.catalogue.rows import Rows
+from pcretrieve.catalogue.stores import open_rows
 from pcretrieve.errors import CatalogueError
 from pcretrieve.formats import write_mesh
 
@@ -61,7 +60,7 @@ def undisturbed(scans: Path) -> Everything:
 
 def everything(location: str) -> Everything:
     """The row, the signatures and the payloads of each shape, without times."""
-    with closing(Rows(location, {}, create=False)) as rows:
+    with closing(open_rows(location, {}, create=False)) as rows:
         found = {}
         for entry in rows.entries([origin.id for origin in rows.origins()]):
             steps = tuple(replace(step, seconds=0.0) for step in entry.record.steps)
@@ -74,7 +73,7 @@ def stored(location: str) -> Everything:
     """What is stored, none of which is damaged; nothing before there is a catalogue."""
     try:
         with Catalogue(location) as store:
-            assert find_defects(store) == []
+            assert store.defects() == []
     except CatalogueError as error:
         assert "there is no catalogue" in error.message
         return {}

@@ -1,0 +1,249 @@
+"""LAS, LAZ and E57: what the libraries that are usual for them have written is read again."""
+
+from __future__ import annotations
+
+import socket
+import struct
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import shapes
+from laser_files import CAN_WRITE, with_other_xml, write_e57, write_las
+from scipy.spatial.transform import Rotation
+
+from pcretrieve import PointCloud, read_scan
+from pcretrieve.errors import ScanReadError
+from pcretrieve.formats import is_scan, members_of
+from pcretrieve.formats.registry import read_raw
+from pcretrieve.ingestion.unread import unread_files
+from pcretrieve.ingestion.views import read_views
+
+POINTS = shapes.points_on(shapes.ellipsoid(), 500)
+SINGLE = 1e-6
+LAS_STEP = 1e-4  # of the coordinates in the files of the tests
+
+
+def needs(suffix: str) -> pytest.MarkDecorator:
+    return pytest.mark.skipif(not CAN_WRITE[suffix], reason=f"needs what writes {suffix} files")
+
+
+def cloud(path: Path) -> PointCloud:
+    found = read_scan(path)
+    assert isinstance(found, PointCloud)
+    return found
+
+
+# --- LAS and LAZ ------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("point_format", [0, 1, 2, 3, 6, 7, 8])
+@pytest.mark.parametrize("suffix", [pytest.param(s, marks=needs(s)) for s in (".las", ".laz")])
+def test_points_of_las(suffix: str, point_format: int, tmp_path: Path) -> None:
+    write_las(tmp_path / f"a{suffix}", POINTS, point_format=point_format)
+    np.testing.assert_allclose(cloud(tmp_path / f"a{suffix}").points, POINTS, atol=LAS_STEP)
+    assert read_raw(tmp_path / f"a{suffix}").unit == "m"
+
+
+@needs(".laz")
+def test_many_chunks_of_laz(tmp_path: Path) -> None:
+    """LASzip writes chunks of 50,000 points."""
+    points = np.random.default_rng(3).uniform(-9, 9, (120_000, 3))
+    for point_format in (3, 6):
+        write_las(tmp_path / "a.laz", points, point_format=point_format)
+        np.testing.assert_allclose(cloud(tmp_path / "a.laz").points, points, atol=LAS_STEP)
+
+
+@pytest.mark.parametrize("point_format", [3, 6])
+@needs(".las")
+def test_noise_by_its_class(point_format: int, tmp_path: Path) -> None:
+    classes = [7, 1, 2, *([0] * (len(POINTS) - 3))]
+    write_las(tmp_path / "a.las", POINTS, point_format=point_format, classes=classes)
+    found = cloud(tmp_path / "a.las")
+    np.testing.assert_allclose(found.points, POINTS[1:], atol=LAS_STEP)
+    assert found.provenance[0].notes == ("dropped 1 of 500 points that the file classifies as noise",)
+
+
+@needs(".las")
+@pytest.mark.parametrize(
+    ("at", "value", "words"),
+    [
+        (0, b"SLAF", "its first bytes are not those of LAS"),
+        (24, b"\2", "its header says version 2.2"),
+        (94, struct.pack("<H", 100), "Incoherent header size"),
+        (96, struct.pack("<I", 10**9), "its points begin at byte 1000000000"),
+        (104, b"\x0b", "not a complete LAS file"),
+        (105, struct.pack("<H", 12), "Incoherent point size"),
+        (107, struct.pack("<I", 2**32 - 1), "its header declares 4294967295 points, 17000 bytes follow"),
+        (131, struct.pack("<d", np.nan), "its scale is not finite"),
+    ],
+)
+def test_a_damaged_header_of_las(at: int, value: bytes, words: str, tmp_path: Path) -> None:
+    write_las(tmp_path / "a.las", POINTS)
+    data = (tmp_path / "a.las").read_bytes()
+    (tmp_path / "a.las").write_bytes(data[:at] + value + data[at + len(value) :])
+    with pytest.raises(ScanReadError, match=words):
+        read_scan(tmp_path / "a.las")
+
+
+@needs(".laz")
+@pytest.mark.parametrize(
+    ("cut", "words"),
+    [(100, "its chunks are listed at byte"), (3, "failed to fill whole buffer")],
+)
+def test_a_laz_file_that_is_cut(cut: int, words: str, tmp_path: Path) -> None:
+    write_las(tmp_path / "a.laz", POINTS, point_format=6)
+    data = (tmp_path / "a.laz").read_bytes()
+    (tmp_path / "a.laz").write_bytes(data[:-cut])
+    with pytest.raises(ScanReadError, match=words):
+        read_scan(tmp_path / "a.laz")
+
+
+@needs(".laz")
+def test_layers_of_laz_that_take_more_than_their_chunk(tmp_path: Path) -> None:
+    """lazrs would allocate them, and end the process."""
+    write_las(tmp_path / "a.laz", POINTS, point_format=6)
+    data = bytearray((tmp_path / "a.laz").read_bytes())
+    (start,) = struct.unpack_from("<I", data, 96)
+    struct.pack_into("<I", data, start + 8 + 30 + 4, 2**32 - 1)
+    (tmp_path / "a.laz").write_bytes(data)
+    with pytest.raises(ScanReadError, match="the layers of a chunk have 42949"):
+        read_scan(tmp_path / "a.laz")
+
+
+# --- E57 --------------------------------------------------------------------------------------------------
+
+TURN = Rotation.from_euler("xyz", [0.3, -0.5, 1.0])
+QUATERNION = np.roll(TURN.as_quat(), 1)  # w first
+SENSOR = np.array([4.0, -5.0, 1.5])
+
+
+@needs(".e57")
+def test_the_pose_of_an_e57_scan_is_its_viewpoint(tmp_path: Path) -> None:
+    write_e57(tmp_path / "a.e57", [{"points": POINTS, "rotation": QUATERNION, "translation": SENSOR}])
+    found = cloud(tmp_path / "a.e57")
+    np.testing.assert_allclose(found.points, POINTS @ TURN.as_matrix().T + SENSOR, atol=10 * SINGLE)
+    assert found.viewpoints is not None
+    np.testing.assert_allclose(found.viewpoints, np.tile(SENSOR, (len(POINTS), 1)))
+    assert members_of(tmp_path / "a.e57") == ()
+    assert read_raw(tmp_path / "a.e57").unit == "m"
+
+
+@needs(".e57")
+def test_the_default_pose_is_that_of_a_sensor_if_the_points_are_a_grid(tmp_path: Path) -> None:
+    index = np.arange(len(POINTS)).astype(np.uint16)
+    grid = {"rowIndex": index % 25, "columnIndex": index // 25}
+    write_e57(tmp_path / "grid.e57", [{"points": POINTS + 9, **grid}])
+    write_e57(tmp_path / "plain.e57", [{"points": POINTS + 9}])
+    np.testing.assert_array_equal(cloud(tmp_path / "grid.e57").viewpoints, np.zeros((len(POINTS), 3)))
+    assert cloud(tmp_path / "plain.e57").viewpoints is None
+
+
+@needs(".e57")
+def test_scans_in_an_e57_file(tmp_path: Path) -> None:
+    scans = [
+        {"points": POINTS, "name": "front", "translation": SENSOR},
+        {"points": POINTS[:100], "name": "front", "translation": -SENSOR},
+    ]
+    write_e57(tmp_path / "a.e57", scans)
+    first, second = members_of(tmp_path / "a.e57")
+    assert [path.name for path in (first, second)] == ["a.e57#front", "a.e57#front-2"]
+    assert (len(cloud(first).points), len(cloud(second).points)) == (500, 100)
+    both = cloud(tmp_path / "a.e57")
+    np.testing.assert_array_equal(both.points[500:], cloud(second).points)
+    assert both.viewpoints is not None
+    np.testing.assert_allclose(both.viewpoints[[0, 500]], [SENSOR, -SENSOR])
+    views = read_views([tmp_path / "a.e57"])
+    np.testing.assert_array_equal(views.poses, [np.eye(4), np.eye(4)])
+
+
+@needs(".e57")
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [(b"1 2 3\n", "not a complete E57 file"), (bytes(4096), "not a complete E57 file")],
+)
+def test_what_is_no_e57(content: bytes, words: str, tmp_path: Path) -> None:
+    (tmp_path / "a.e57").write_bytes(content)
+    with pytest.raises(ScanReadError, match=words):
+        read_scan(tmp_path / "a.e57")
+    assert (tmp_path / "a.e57").read_bytes() == content  # pye57 removes files that it cannot write
+
+
+@needs(".e57")
+@pytest.mark.parametrize(
+    ("head", "words"),
+    [
+        ('<!DOCTYPE e57Root [<!ENTITY a SYSTEM "file:///etc/passwd">]>', "has a document type"),
+        ('<!DOCTYPE e57Root SYSTEM "http://127.0.0.1:{port}/a.dtd">', "has a document type"),
+        ("<?xml version='1.0' encoding='UTF-16'?>", "its XML part is not UTF-8"),
+        ("+ADw-!DOCTYPE", "its XML part is not UTF-8"),
+    ],
+)
+def test_what_the_xml_of_an_e57_file_refers_to_is_not_opened(head: str, words: str, tmp_path: Path) -> None:
+    path = tmp_path / "a.e57"
+    write_e57(path, [{"points": POINTS}])
+    whole = path.read_bytes()
+    path.write_bytes(with_other_xml(whole, lambda xml: xml[xml.index(b"<e57Root") :]))
+    assert len(cloud(path).points) == len(POINTS)
+    with socket.create_server(("127.0.0.1", 0)) as elsewhere:
+        dtd = head.format(port=elsewhere.getsockname()[1]).encode()
+        path.write_bytes(with_other_xml(whole, lambda xml: dtd + xml[xml.index(b"<e57Root") :]))
+        with pytest.raises(ScanReadError, match=words):
+            read_scan(path)
+        elsewhere.setblocking(False)
+        with pytest.raises(BlockingIOError):
+            elsewhere.accept()
+    path.write_bytes(with_other_xml(whole, lambda xml: xml.decode().encode("utf-16")))
+    with pytest.raises(ScanReadError, match="its XML part is not UTF-8"):
+        read_scan(path)
+
+
+# --- packages that are missing ----------------------------------------------------------------------------
+
+WITHOUT = """
+import sys
+from pathlib import Path
+
+class Missing:
+    def find_spec(self, name, path=None, target=None):
+        if name in ("pye57", "lazrs", "lxml"):
+            raise ModuleNotFoundError(name)
+
+sys.meta_path.insert(0, Missing())
+import importlib.util
+
+found = importlib.util.find_spec
+importlib.util.find_spec = lambda name: None if name in ("pye57", "lazrs", "lxml") else found(name)
+from pcretrieve import read_scan
+from pcretrieve.errors import ScanReadError
+from pcretrieve.formats import is_scan
+from pcretrieve.ingestion.unread import unread_files
+
+paths = [Path(name) for name in ("a.e57", "b.e57", "c.laz", "d.3mf", "e.jpg")]
+print(unread_files(paths), [is_scan(path) for path in paths])
+try:
+    read_scan("a.e57")
+except ScanReadError as error:
+    print(error.message)
+"""
+
+
+def test_an_extra_that_is_missing_is_named(tmp_path: Path) -> None:
+    run = subprocess.run(
+        [sys.executable, "-c", WITHOUT], cwd=tmp_path, capture_output=True, text=True, check=True
+    )
+    unread, message = run.stdout.splitlines()
+    assert unread == (
+        "2 .e57 (pip install 'pcretrieve[e57]'), 1 .3mf (pip install 'pcretrieve[meshes]'), "
+        "1 .laz (pip install 'pcretrieve[las]'), 1 .jpg [False, False, False, False, False]"
+    )
+    assert message == "a.e57: reading .e57 needs the package pye57: pip install 'pcretrieve[e57]'"
+
+
+@needs(".e57")
+def test_an_extra_that_is_installed_is_not_asked_for(tmp_path: Path) -> None:
+    assert unread_files([Path("a.e57")]) == "1 .e57"
+    write_e57(tmp_path / "a.e57", [{"points": POINTS}])
+    assert is_scan(tmp_path / "a.e57")
