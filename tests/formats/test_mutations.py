@@ -106,6 +106,7 @@ def test_every_format_is_damaged(originals: dict[str, Path]) -> None:
             read_scan(path)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", NAMES)
 def test_a_name_that_is_not_utf8_is_read_as_any_other(name: str, originals: dict[str, Path]) -> None:
     if extra := missing_extra(originals[name].suffix):
@@ -119,6 +120,7 @@ def test_a_name_that_is_not_utf8_is_read_as_any_other(name: str, originals: dict
     assert scan == expected
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", NAMES)
 def test_a_damaged_file_is_a_scan_or_an_error_of_that_file(
     name: str, originals: dict[str, Path], record_property: Callable[[str, object], None]

@@ -63,6 +63,7 @@ def test_the_surface_of_every_file_has_one_signature(meshes: list[Path]) -> None
         np.testing.assert_allclose(values, expected, rtol=SURFACE_TOLERANCE, err_msg=str(file))
 
 
+@pytest.mark.slow
 def test_the_points_of_every_file_have_one_signature(clouds: list[Path]) -> None:
     """Most files give the same numbers: a signature is computed once for each array."""
     expected = pr.signature(PointCloud(POINTS)).values

@@ -5,12 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-import pytest
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from pcretrieve import PointCloud, read_scan
-from pcretrieve.errors import ScanReadError
 from pcretrieve.formats import members_of
 from pcretrieve.ingestion.views import read_views
 
@@ -116,26 +114,3 @@ def test_readings_that_stand_alone_are_dropped_with_a_note(tmp_path: Path) -> No
     found = cloud(tmp_path / "a.ptx")
     assert np.linalg.norm(found.points - readings[stray], axis=1).min() > 0.5
     assert "points without three neighbours on a surface" in found.provenance[0].notes[1]
-
-
-GOOD = header(Rotation.identity(), np.zeros(3), (2, 2))
-
-
-@pytest.mark.parametrize(
-    ("text", "words"),
-    [
-        ("2\n2\n0 0 0\n", "its header is damaged: it must be ten lines"),
-        ("1 2 3\n" * 20, "its header is damaged"),
-        (GOOD.replace("2\n2\n", "99999\n99999\n") + "1 2 3\n", "it declares 9999800001 rows in"),
-        (GOOD.replace("2\n2\n", "1.5\n2\n") + "1 2 3\n" * 9, "must be whole numbers, got 1.5 2"),
-        (GOOD.replace("\n1 0 0 0\n", "\n2 0 0 0\n") + "1 2 3\n" * 9, "the matrix is not a rigid motion"),
-        (GOOD + "1 2 3 0.5\n" * 3, "its header declares 4 points, it holds 3"),
-        (GOOD + "1 2\n" * 4, "each line must hold 3 numbers"),
-        (GOOD + "0 0 0 0.5\n" * 4, "a scan of 2 × 2 readings: none of its 4 readings is an answer"),
-        (GOOD + "0 0 1\n0 0 2\n0 0 5\n0 0 0\n", "none of its 3 readings has three neighbours"),
-    ],
-)
-def test_a_damaged_file(text: str, words: str, tmp_path: Path) -> None:
-    (tmp_path / "a.ptx").write_text(text)
-    with pytest.raises(ScanReadError, match=words):
-        read_scan(tmp_path / "a.ptx")

@@ -11,15 +11,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 import shapes
+from hostile_scans import laser_scan
 from laser_files import CAN_WRITE, with_other_xml, write_e57, write_las
 from scipy.spatial.transform import Rotation
 
 from pcretrieve import PointCloud, read_scan
 from pcretrieve.errors import ScanReadError
-from pcretrieve.formats import is_scan, members_of
+from pcretrieve.formats import is_scan, members_of, parts_of
 from pcretrieve.formats.registry import read_raw
 from pcretrieve.ingestion.unread import unread_files
 from pcretrieve.ingestion.views import read_views
+from pcretrieve.simulation import write_conf, write_pcd
 
 POINTS = shapes.points_on(shapes.ellipsoid(), 500)
 SINGLE = 1e-6
@@ -39,78 +41,54 @@ def cloud(path: Path) -> PointCloud:
 # --- LAS and LAZ ------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("point_format", [0, 1, 2, 3, 6, 7, 8])
-@pytest.mark.parametrize("suffix", [pytest.param(s, marks=needs(s)) for s in (".las", ".laz")])
-def test_points_of_las(suffix: str, point_format: int, tmp_path: Path) -> None:
-    write_las(tmp_path / f"a{suffix}", POINTS, point_format=point_format)
-    np.testing.assert_allclose(cloud(tmp_path / f"a{suffix}").points, POINTS, atol=LAS_STEP)
-    assert read_raw(tmp_path / f"a{suffix}").unit == "m"
-
-
 @needs(".laz")
-def test_many_chunks_of_laz(tmp_path: Path) -> None:
+def test_points_of_las(tmp_path: Path) -> None:
     """LASzip writes chunks of 50,000 points."""
-    points = np.random.default_rng(3).uniform(-9, 9, (120_000, 3))
-    for point_format in (3, 6):
-        write_las(tmp_path / "a.laz", points, point_format=point_format)
-        np.testing.assert_allclose(cloud(tmp_path / "a.laz").points, points, atol=LAS_STEP)
-
-
-@pytest.mark.parametrize("point_format", [3, 6])
-@needs(".las")
-def test_noise_by_its_class(point_format: int, tmp_path: Path) -> None:
+    many = np.random.default_rng(3).uniform(-9, 9, (120_000, 3))
     classes = [7, 1, 2, *([0] * (len(POINTS) - 3))]
-    write_las(tmp_path / "a.las", POINTS, point_format=point_format, classes=classes)
-    found = cloud(tmp_path / "a.las")
-    np.testing.assert_allclose(found.points, POINTS[1:], atol=LAS_STEP)
-    assert found.provenance[0].notes == ("dropped 1 of 500 points that the file classifies as noise",)
+    for suffix in (".las", ".laz"):
+        for point_format in (0, 1, 2, 3, 6, 7, 8):
+            write_las(tmp_path / f"a{suffix}", POINTS, point_format=point_format)
+            np.testing.assert_allclose(cloud(tmp_path / f"a{suffix}").points, POINTS, atol=LAS_STEP)
+            assert read_raw(tmp_path / f"a{suffix}").unit == "m"
+        for point_format in (3, 6):
+            write_las(tmp_path / f"a{suffix}", many, point_format=point_format)
+            np.testing.assert_allclose(cloud(tmp_path / f"a{suffix}").points, many, atol=LAS_STEP)
+            write_las(tmp_path / f"a{suffix}", POINTS, point_format=point_format, classes=classes)
+            found = cloud(tmp_path / f"a{suffix}")
+            np.testing.assert_allclose(found.points, POINTS[1:], atol=LAS_STEP)
+            assert found.provenance[0].notes[0].startswith("dropped 1 of 500 points that the file classifies")
 
 
-@needs(".las")
-@pytest.mark.parametrize(
-    ("at", "value", "words"),
-    [
-        (0, b"SLAF", "its first bytes are not those of LAS"),
-        (24, b"\2", "its header says version 2.2"),
-        (94, struct.pack("<H", 100), "Incoherent header size"),
-        (96, struct.pack("<I", 10**9), "its points begin at byte 1000000000"),
-        (104, b"\x0b", "not a complete LAS file"),
-        (105, struct.pack("<H", 12), "Incoherent point size"),
-        (107, struct.pack("<I", 2**32 - 1), "its header declares 4294967295 points, 17000 bytes follow"),
-        (131, struct.pack("<d", np.nan), "its scale is not finite"),
-    ],
-)
-def test_a_damaged_header_of_las(at: int, value: bytes, words: str, tmp_path: Path) -> None:
+@needs(".laz")
+def test_damaged_headers_and_chunks(tmp_path: Path) -> None:
     write_las(tmp_path / "a.las", POINTS)
-    data = (tmp_path / "a.las").read_bytes()
-    (tmp_path / "a.las").write_bytes(data[:at] + value + data[at + len(value) :])
-    with pytest.raises(ScanReadError, match=words):
-        read_scan(tmp_path / "a.las")
-
-
-@needs(".laz")
-@pytest.mark.parametrize(
-    ("cut", "words"),
-    [(100, "its chunks are listed at byte"), (3, "failed to fill whole buffer")],
-)
-def test_a_laz_file_that_is_cut(cut: int, words: str, tmp_path: Path) -> None:
     write_las(tmp_path / "a.laz", POINTS, point_format=6)
-    data = (tmp_path / "a.laz").read_bytes()
-    (tmp_path / "a.laz").write_bytes(data[:-cut])
-    with pytest.raises(ScanReadError, match=words):
-        read_scan(tmp_path / "a.laz")
-
-
-@needs(".laz")
-def test_layers_of_laz_that_take_more_than_their_chunk(tmp_path: Path) -> None:
-    """lazrs would allocate them, and end the process."""
-    write_las(tmp_path / "a.laz", POINTS, point_format=6)
-    data = bytearray((tmp_path / "a.laz").read_bytes())
-    (start,) = struct.unpack_from("<I", data, 96)
-    struct.pack_into("<I", data, start + 8 + 30 + 4, 2**32 - 1)
-    (tmp_path / "a.laz").write_bytes(data)
-    with pytest.raises(ScanReadError, match="the layers of a chunk have 42949"):
-        read_scan(tmp_path / "a.laz")
+    las, laz = (tmp_path / "a.las").read_bytes(), (tmp_path / "a.laz").read_bytes()
+    # lazrs would allocate the layers of a chunk that take more than the chunk, and end the process.
+    layers = struct.unpack_from("<I", laz, 96)[0] + 8 + 30 + 4
+    for whole, at, value, words in (
+        (las, 0, b"SLAF", "its first bytes are not those of LAS"),
+        (las, 24, b"\2", "its header says version 2.2"),
+        (las, 94, struct.pack("<H", 100), "Incoherent header size"),
+        (las, 96, struct.pack("<I", 10**9), "its points begin at byte 1000000000"),
+        (las, 100, struct.pack("<I", 2**32 - 1), "its header declares 4294967295 records in 0 bytes"),
+        (las, 104, b"\x0b", "not a complete LAS file"),
+        (las, 105, struct.pack("<H", 12), "Incoherent point size"),
+        (las, 107, struct.pack("<I", 2**32 - 1), "its header declares 4294967295 points, 17000 bytes follow"),
+        (las, 131, struct.pack("<d", np.nan), "its scale is not finite"),
+        (laz[:-100], 0, b"", "its chunks are listed at byte"),
+        (laz[:-3], 0, b"", "failed to fill whole buffer"),
+        (laz, layers, struct.pack("<I", 2**32 - 1), "the layers of a chunk have 42949"),
+    ):
+        path = tmp_path / ("b.las" if whole is las else "b.laz")
+        path.write_bytes(whole[:at] + value + whole[at + len(value) :])
+        with pytest.raises(ScanReadError, match=words):
+            read_scan(path)
+    for suffix in (".las", ".laz", ".e57") if CAN_WRITE[".e57"] else (".las", ".laz"):
+        (tmp_path / f"c{suffix}").write_bytes(laser_scan(tmp_path, suffix))
+        with pytest.raises(ScanReadError):
+            read_scan(tmp_path / f"c{suffix}")
 
 
 # --- E57 --------------------------------------------------------------------------------------------------
@@ -157,18 +135,6 @@ def test_scans_in_an_e57_file(tmp_path: Path) -> None:
     np.testing.assert_allclose(both.viewpoints[[0, 500]], [SENSOR, -SENSOR])
     views = read_views([tmp_path / "a.e57"])
     np.testing.assert_array_equal(views.poses, [np.eye(4), np.eye(4)])
-
-
-@needs(".e57")
-@pytest.mark.parametrize(
-    ("content", "words"),
-    [(b"1 2 3\n", "not a complete E57 file"), (bytes(4096), "not a complete E57 file")],
-)
-def test_what_is_no_e57(content: bytes, words: str, tmp_path: Path) -> None:
-    (tmp_path / "a.e57").write_bytes(content)
-    with pytest.raises(ScanReadError, match=words):
-        read_scan(tmp_path / "a.e57")
-    assert (tmp_path / "a.e57").read_bytes() == content  # pye57 removes files that it cannot write
 
 
 @needs(".e57")
@@ -247,3 +213,34 @@ def test_an_extra_that_is_installed_is_not_asked_for(tmp_path: Path) -> None:
     assert unread_files([Path("a.e57")]) == "1 .e57"
     write_e57(tmp_path / "a.e57", [{"points": POINTS}])
     assert is_scan(tmp_path / "a.e57")
+
+
+# --- views ----------------------------------------------------------------------------------------------
+
+
+def test_views_are_merged_by_their_poses_sensors_included(tmp_path: Path) -> None:
+    sensor = np.array([0.0, 0.0, 5.0])
+    motions = []
+    for view, angle in enumerate((0.0, 0.7)):
+        motion = np.eye(4)
+        motion[:3, :3] = Rotation.from_rotvec([0, angle, 0]).as_matrix()
+        motion[:3, 3] = [view, 0, 0]
+        back = np.linalg.inv(motion)
+        write_pcd(
+            tmp_path / f"v{view}.pcd",
+            POINTS @ back[:3, :3].T + back[:3, 3],
+            back[:3, :3] @ sensor + back[:3, 3],
+            Rotation.identity(),
+        )
+        motions.append(motion)
+    write_conf(tmp_path / "both.conf", ["v0.pcd", "v1.pcd"], np.array(motions))
+    found = read_scan(tmp_path / "both.conf")
+    assert isinstance(found, PointCloud)
+    np.testing.assert_allclose(found.points, np.concatenate([POINTS, POINTS]), atol=10 * SINGLE)
+    assert found.viewpoints is not None
+    np.testing.assert_allclose(found.viewpoints, np.tile(sensor, (2 * len(POINTS), 1)), atol=10 * SINGLE)
+    first, second = parts_of(tmp_path / "both.conf")
+    assert (first.path, second.path) == (tmp_path / "v0.pcd", tmp_path / "v1.pcd")
+    for part, motion in zip((first, second), motions, strict=True):
+        assert part.pose is not None
+        np.testing.assert_allclose(part.pose, motion, atol=1e-6)

@@ -1,0 +1,312 @@
+"""Meshes and scenes: polygons, the bodies in a file, where they stand, and their unit."""
+
+from __future__ import annotations
+
+import re
+import zipfile
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import shapes
+import trimesh
+from scan_files import glb, gltf
+from scene_files import collada, three_mf, write_gltf
+
+from pcretrieve import TriangleMesh, read_scan
+from pcretrieve.errors import ScanReadError
+from pcretrieve.formats import members_of, missing_extra, parts_of, split_member
+from pcretrieve.formats.registry import read_raw
+from pcretrieve.ingestion.discover import content_hash, discover, shape_ids
+from pcretrieve.ingestion.views import read_views
+from pcretrieve.surface import defects
+from pcretrieve.values import METRES
+
+BALL = shapes.icosphere(1)
+PAIR: list[dict[str, Any]] = [{"mesh": 0, "name": "left"}, {"mesh": 0, "translation": [5, 0, 0]}]
+CUBE = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], dtype=float)
+# Corners of each side, counter-clockwise from outside.
+SIDES = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
+SQUARE = [(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0)]
+HALVES = [0, 1, 2, 0, 2, 3]
+NODES: list[dict[str, Any]] = [
+    {"mesh": 0},
+    {"mesh": 0, "translation": [1, 2, 3], "rotation": [0.1, 0.2, 0.3, 0.9], "scale": [1, 2, 0.5]},
+    {"mesh": 0, "matrix": [0, 1, 0, 0, -1, 0, 0, 0, 0, 0, 1, 0, 5, 6, 7, 1]},
+    {"mesh": 0, "scale": [-1, 1, 1]},  # a reflection
+]
+
+
+def mesh(path: Path) -> TriangleMesh:
+    found = read_scan(path)
+    assert isinstance(found, TriangleMesh)
+    return found
+
+
+def needs(suffix: str) -> pytest.MarkDecorator:
+    extra = missing_extra(suffix)
+    return pytest.mark.skipif(extra is not None, reason=f"needs the extra of {suffix}")
+
+
+def is_cube(found: TriangleMesh) -> bool:
+    return not defects(found) and found.area == pytest.approx(6) and found.volume == pytest.approx(1)
+
+
+# --- one mesh ---------------------------------------------------------------------------------------------
+
+
+def obj_lines(separator: str = "") -> str:
+    """The cube as OBJ; each corner of each side with a texture or a normal of its own, where asked for."""
+    lines = [f"v {x:g} {y:g} {z:g}" for x, y, z in CUBE]
+    lines += ["vt 0.5 0.5", "vn 0 0 1"] * 24
+    for k, side in enumerate(SIDES):
+        own = [f"{separator}{4 * k + corner + 1}" if separator else "" for corner in range(4)]
+        lines += [f"usemtl paint{k}", "f " + " ".join(f"{v + 1}{o}" for v, o in zip(side, own, strict=True))]
+    return "\n".join(lines)
+
+
+def test_polygons_of_obj_and_off(tmp_path: Path) -> None:
+    """Seams of textures and of materials do not open an OBJ; its numbers may count backwards."""
+    backwards = [f"v {x:g} {y:g} {z:g} 1.0" for x, y, z in CUBE]
+    backwards += ["f " + " ".join(str(v - 8) for v in side) + "  # a side" for side in SIDES]
+    off = ["OFF # a cube", "8 6 0", *(" ".join(map(str, point)) for point in CUBE)]
+    off += [" ".join(map(str, (4, *side))) for side in SIDES]
+    texts = {f"{k}.obj": obj_lines(separator) for k, separator in enumerate(("", "/", "//"))}
+    texts |= {"cube.OBJ": "\n".join(backwards), "cube.off": "\n".join(off)}
+    for name, text in texts.items():
+        (tmp_path / name).write_text(text)
+        assert len(mesh(tmp_path / name).vertices) == 8, name
+        assert is_cube(mesh(tmp_path / name)), name
+    (tmp_path / "points.obj").write_text("\n".join(f"v {x} {y} {z}" for x, y, z in CUBE))
+    np.testing.assert_array_equal(read_raw(tmp_path / "points.obj").points, CUBE)
+
+
+def test_a_vertex_that_is_nan_takes_its_faces_with_it(tmp_path: Path) -> None:
+    ball = shapes.icosphere(2)
+    lines = [f"v {x} {y} {z}" for x, y, z in ball.vertices]
+    lines[7] = "v 0 nan 0"
+    lines += ["f " + " ".join(str(v + 1) for v in face) for face in ball.faces]
+    (tmp_path / "ball.obj").write_text("\n".join(lines))
+    found = mesh(tmp_path / "ball.obj")
+    n_around = int((ball.faces == 7).any(axis=1).sum())
+    assert len(found.vertices) == len(ball.vertices) - 1
+    assert len(found.faces) == len(ball.faces) - n_around
+    assert defects(found).boundary_edges == n_around
+
+
+# --- several meshes ---------------------------------------------------------------------------------------
+
+
+def write_all(folder: Path) -> None:
+    """The ball beside itself, five units apart, in each format."""
+    write_gltf(folder / "a.gltf", BALL, PAIR, "a.bin")
+    write_gltf(folder / "data.gltf", BALL, PAIR)
+    items = '<item objectid="1"/><item objectid="1" transform="1 0 0 0 1 0 0 0 1 5 0 0"/>'
+    (folder / "a.3mf").write_bytes(three_mf(BALL, unit="meter", items=items))
+
+
+@pytest.mark.parametrize("name", ["a.gltf", "data.gltf", pytest.param("a.3mf", marks=needs(".3mf"))])
+def test_a_scene_is_one_mesh_or_several(name: str, tmp_path: Path) -> None:
+    write_all(tmp_path)
+    both = mesh(tmp_path / name)
+    assert defects(both).components == 2
+    assert not defects(both).boundary_edges
+    assert both.volume == pytest.approx(2 * BALL.volume, rel=1e-5)
+    members = members_of(tmp_path / name)
+    for path, x in zip(members, (0, 5), strict=True):
+        np.testing.assert_allclose(mesh(path).vertices.mean(axis=0), [x, 0, 0], atol=1e-5)
+        assert not defects(mesh(path))
+    assert discover([tmp_path / name]) == [*members] == discover([*members])
+    assert [split_member(path)[0] for path in members] == 2 * [tmp_path / name]
+    ids = list(shape_ids([str(path) for path in members], {}).values())
+    assert ids == [f"{Path(name).stem}#{split_member(path)[1]}" for path in members]
+    assert len({content_hash(path) for path in (*members, tmp_path / name)}) == 3
+    np.testing.assert_array_equal(read_views([tmp_path / name]).poses, [np.eye(4), np.eye(4)])
+
+
+def test_names_in_a_file(tmp_path: Path) -> None:
+    names = ["a/b", "", "same", "same", " c#d ", "\x07"]
+    write_gltf(tmp_path / "a.gltf", BALL, [{"mesh": 0, "name": name} for name in names])
+    found = [path.name for path in members_of(tmp_path / "a.gltf")]
+    assert found == [f"a.gltf#{name}" for name in ("a_b", "2", "same", "same-2", "c_d", "6")]
+    with pytest.raises(ScanReadError, match="the file must hold a scan 'x', got a_b, 2, same, same-2, c_d"):
+        read_scan(tmp_path / "a.gltf#x")
+    with pytest.raises(ScanReadError, match=r"cannot read .*gone\.gltf: No such file"):
+        read_scan(tmp_path / "gone.gltf#x")
+
+
+def test_a_file_of_one_body_has_no_names(tmp_path: Path) -> None:
+    write_gltf(tmp_path / "a.gltf", BALL, PAIR[:1])
+    assert members_of(tmp_path / "a.gltf") == members_of(tmp_path / "a.xyz") == ()
+    assert discover([tmp_path]) == [tmp_path / "a.gltf"]
+
+
+def test_a_hash_in_the_name_of_a_file_is_no_mark(tmp_path: Path) -> None:
+    (tmp_path / "scan#1.xyz").write_text("1 2 3\n" * 5)
+    assert discover([tmp_path]) == [tmp_path / "scan#1.xyz"]
+    assert len(read_raw(tmp_path / "scan#1.xyz").points) == 5
+
+
+def test_nodes_place_their_meshes_as_trimesh_does(tmp_path: Path) -> None:
+    nested = [
+        *(NODES[1] | {"children": [1, 2]}, NODES[2] | {"children": [3]}, {"children": [4]}),
+        *(NODES[3], NODES[2]),
+    ]
+    for nodes in (*([node] for node in NODES), nested):
+        (tmp_path / "a.glb").write_bytes(glb(*gltf(SQUARE, HALVES, nodes)))
+        found = read_raw(tmp_path / "a.glb")
+        assert found.faces is not None
+        by_trimesh: Any = trimesh.load(tmp_path / "a.glb", force="mesh", process=False)
+        expected = by_trimesh.vertices[by_trimesh.faces]
+        np.testing.assert_allclose(found.points[found.faces], expected, rtol=0, atol=1e-14)
+    deep = [{"children": [k + 1], "translation": [0, 0, 1]} for k in range(5000)] + [{"mesh": 0}]
+    (tmp_path / "deep.glb").write_bytes(glb(*gltf(SQUARE, HALVES, deep)))
+    np.testing.assert_array_equal(read_raw(tmp_path / "deep.glb").points[:, 2], np.full(4, 5000.0))
+
+
+def test_a_surface_in_two_meshes_is_one(tmp_path: Path) -> None:
+    halves = [trimesh.Trimesh(BALL.vertices, part) for part in (BALL.faces[:39], BALL.faces[39:])]
+    scene: Any = trimesh.Scene(halves)
+    (tmp_path / "a.glb").write_bytes(scene.export(file_type="glb"))
+    assert not defects(mesh(tmp_path / "a.glb"))
+
+
+def test_modes(tmp_path: Path) -> None:
+    cases: list[tuple[int, list[int], list[tuple[int, ...]] | None]] = [
+        (0, [], None),
+        (1, [0, 1], None),
+        (4, [0, 1, 2, 2, 3, 0], [(0, 1, 2), (2, 3, 0)]),
+        (5, [0, 1, 3, 2], [(0, 1, 3), (1, 2, 3)]),
+        (6, [0, 1, 2, 3], [(1, 2, 0), (2, 3, 0)]),
+    ]
+    for mode, order, faces in cases:
+        tree, binary = gltf(SQUARE, order, [{"mesh": 0}])
+        tree["meshes"][0]["primitives"][0]["mode"] = mode
+        (tmp_path / "a.glb").write_bytes(glb(tree, binary))
+        found = read_raw(tmp_path / "a.glb")
+        assert len(found.points) == 4
+        assert (found.faces is None) == (faces is None)
+        if faces is not None:
+            expected = np.array(SQUARE, dtype=float)[np.array(faces)]
+            np.testing.assert_array_equal(found.points[found.faces], expected)
+
+
+def test_quantized_positions(tmp_path: Path) -> None:
+    """A file of KHR_mesh_quantization: whole numbers that stand for -1 to 1, and rows that are padded."""
+    tree, binary = gltf(SQUARE, HALVES, [{"mesh": 0, "scale": [2, 2, 2]}])
+    rows = np.zeros((4, 4), dtype=np.int8)
+    rows[:, :3] = 127 * np.array(SQUARE)
+    tree["accessors"][0] |= {"componentType": 5120, "normalized": True}
+    tree["bufferViews"][0] |= {"byteStride": 4, "byteLength": 16}
+    tree["bufferViews"][1] |= {"byteOffset": 16}
+    (tmp_path / "a.glb").write_bytes(glb(tree, rows.tobytes() + binary[48:]))
+    found = read_raw(tmp_path / "a.glb")
+    np.testing.assert_array_equal(np.unique(found.points, axis=0), np.unique(2 * np.array(SQUARE), axis=0))
+
+
+def test_the_file_of_a_buffer_belongs_to_the_scan_if_it_lies_below(tmp_path: Path) -> None:
+    write_gltf(tmp_path / "a.gltf", BALL, PAIR[:1], "with%20blank.bin")
+    (tmp_path / "with%20blank.bin").rename(tmp_path / "with blank.bin")
+    assert [part.path for part in parts_of(tmp_path / "a.gltf")] == [tmp_path / "with blank.bin"]
+    assert mesh(tmp_path / "a.gltf").volume == pytest.approx(BALL.volume, rel=1e-5)
+    before = content_hash(tmp_path / "a.gltf")
+    (tmp_path / "with blank.bin").write_bytes((tmp_path / "with blank.bin").read_bytes() + b"\0")
+    assert content_hash(tmp_path / "a.gltf") != before
+    write_gltf(tmp_path / "b.gltf", BALL, PAIR, "a.bin")
+    text = (tmp_path / "b.gltf").read_text()
+    (tmp_path / "short.bin").write_bytes(b"\0")
+    for buffer, words in (
+        ("/etc/passwd", "its buffers must be files below its own folder, got '/etc/passwd'"),
+        ("../a.bin", "its buffers must be files below its own folder"),
+        ("https://example.org/a.bin", "its buffers must be files below its own folder"),
+        ("gone.bin", r"its buffer gone\.bin: No such file or directory"),
+        ("short.bin", "its binary part is too short for"),
+    ):
+        (tmp_path / "b.gltf").write_text(text.replace("a.bin", buffer))
+        with pytest.raises(ScanReadError, match=words):
+            read_scan(tmp_path / "b.gltf")
+
+
+# --- 3MF and COLLADA --------------------------------------------------------------------------------------
+
+
+@needs(".3mf")
+def test_a_3mf_file_names_its_unit(tmp_path: Path) -> None:
+    for named, unit in (
+        ("millimeter", "mm"),
+        ("micron", "um"),
+        ("inch", "in"),
+        ("meter", "m"),
+        ("foot", "ft"),
+    ):
+        (tmp_path / "a.3mf").write_bytes(three_mf(BALL, unit=named))
+        assert read_raw(tmp_path / "a.3mf").unit == unit
+        assert mesh(tmp_path / "a.3mf").volume == pytest.approx(METRES[unit] ** 3 * BALL.volume, rel=1e-5)
+        assert mesh(tmp_path / "a.3mf").provenance[0].sizes["metres_per_unit"] == 1
+    (tmp_path / "b.3mf").write_bytes(three_mf(BALL, unit="parsec"))
+    with pytest.raises(ScanReadError, match="its unit is 'parsec'"):
+        read_scan(tmp_path / "b.3mf")
+
+
+@needs(".dae")
+def test_a_collada_file_says_how_long_its_unit_is(tmp_path: Path) -> None:
+    for metres, unit, scale in ((0.01, "cm", 1.0), (1, "m", 1.0), (0.5, "m", 0.5)):
+        (tmp_path / "a.dae").write_text(collada(BALL, metres=metres, shift="1 2 3"))
+        found = read_raw(tmp_path / "a.dae")
+        assert found.unit == unit
+        np.testing.assert_allclose(found.points.mean(axis=0), scale * np.array([1, 2, 3]), atol=1e-6)
+
+
+@needs(".3mf")
+def test_damaged_archives_and_those_that_expand_to_much_more(tmp_path: Path) -> None:
+    whole, file = three_mf(BALL), tmp_path / "a.3mf"
+    file.write_bytes(whole)
+    with zipfile.ZipFile(file, "a", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("3D/blanks.model", b" " * 20_000_000)
+    items = '<item objectid="1"/>' * 4000
+    for content, words in (
+        (file.read_bytes(), r"its members declare 2\d+ bytes in \d+"),
+        (three_mf(BALL, items=items), "its scene declares 1464000 values"),
+        (b"PK\x03\x04", "not a complete 3MF file"),
+        (three_mf(BALL, items=""), "not a complete 3MF file"),
+        (whole[:-30], "not a complete 3MF file"),
+        (re.sub(rb"(?s)(PK\x01\x02..).", b"\\g<1>\xff", whole), r"zip file version 25\.5"),
+    ):
+        file.write_bytes(content)
+        with pytest.raises(ScanReadError, match=words):
+            read_scan(file)
+
+
+def test_a_regular_mesh_which_is_compressed_best_is_read(tmp_path: Path) -> None:
+    n = 300
+    x, y = np.meshgrid(np.arange(n), np.arange(n))
+    corner = (np.arange(n - 1)[:, np.newaxis] * n + np.arange(n - 1)).ravel()
+    faces = np.concatenate([corner[:, np.newaxis] + side for side in ([0, 1, n], [1, n + 1, n])])
+    grid = TriangleMesh(np.stack([x, y, 0 * x], axis=-1).reshape(-1, 3).astype(float), faces.astype(np.int32))
+    (tmp_path / "grid.3mf").write_bytes(three_mf(grid))
+    found = read_scan(tmp_path / "grid.3mf")
+    assert isinstance(found, TriangleMesh) and len(found.faces) == len(faces)
+
+
+@needs(".dae")
+@pytest.mark.parametrize(
+    "declared",
+    [
+        '<!ENTITY a "9 9 9">'
+        + "".join(f'<!ENTITY {b} "{10 * f"&{a};"}">' for a, b in pairwise("abcdefghijz")),
+        '<!ENTITY z SYSTEM "{secret}">',
+        '<!ENTITY z SYSTEM "http://127.0.0.1:1/">',
+    ],
+    ids=["bomb", "file", "address"],
+)
+def test_entities_of_xml_neither_grow_nor_open_files(declared: str, tmp_path: Path) -> None:
+    (tmp_path / "secret.txt").write_text("9 9 9")
+    head = f"<!DOCTYPE COLLADA [{declared}]>\n<COLLADA".replace(
+        "{secret}", (tmp_path / "secret.txt").as_uri()
+    )
+    hostile = collada(BALL).replace("<COLLADA", head, 1).replace("<float_array", "&z;<float_array")
+    (tmp_path / "a.dae").write_text(hostile)
+    with pytest.raises(ScanReadError, match=r"[Ee]ntity"):
+        read_scan(tmp_path / "a.dae")

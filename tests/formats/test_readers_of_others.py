@@ -1,0 +1,136 @@
+"""Readers of other packages, which an entry point adds."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import shapes
+
+from pcretrieve import PointCloud, read_scan
+from pcretrieve.errors import InputError, ScanReadError
+from pcretrieve.formats import write_cloud, write_mesh
+from pcretrieve.ingestion.discover import content_hash, discover
+
+CUBE = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], dtype=float)
+
+
+def cloud(path: Path) -> PointCloud:
+    found = read_scan(path)
+    assert isinstance(found, PointCloud)
+    return found
+
+
+@pytest.fixture
+def plugin(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The folder of an installed package that reads .grid files."""
+    site = tmp_path / "site"
+    (site / "gridscan-1.0.dist-info").mkdir(parents=True)
+    (site / "gridscan-1.0.dist-info" / "METADATA").write_text(
+        "Metadata-Version: 2.1\nName: gridscan\nVersion: 1.0\n"
+    )
+    (site / "gridscan-1.0.dist-info" / "entry_points.txt").write_text(
+        "[pcretrieve.readers]\n.grid = gridscan:read_grid\n"
+    )
+    (site / "gridscan.py").write_text(
+        "import numpy as np\nfrom pcretrieve.formats import RawScan\n\n"
+        "def read_grid(path):\n    return RawScan(np.loadtxt(path), notes=('read as a grid',))\n"
+    )
+    monkeypatch.syspath_prepend(site)
+    monkeypatch.delitem(sys.modules, "gridscan", raising=False)
+    return site
+
+
+def test_an_installed_package_brings_a_reader(plugin: Path, tmp_path: Path) -> None:
+    (tmp_path / "a.GRID").write_text("1 2 3\n4 5 6\n")
+    found = cloud(tmp_path / "a.GRID")
+    np.testing.assert_array_equal(found.points, [[1, 2, 3], [4, 5, 6]])
+    assert found.provenance[0].notes == ("read as a grid",)
+
+
+@pytest.mark.parametrize(
+    ("code", "words"),
+    [
+        ("import a_module_that_is_nowhere", "cannot be loaded, ModuleNotFoundError: No module named"),
+        ("raise SystemExit(0)", "cannot be loaded, SystemExit: 0;"),
+        ("x = 1 / 0", "cannot be loaded, ZeroDivisionError: division by zero"),
+        ("read_mesh = None", "cannot be loaded, AttributeError: module 'gridscan' has no attribute"),
+        ("read_grid = None", "must be a Format, or a function that reads a file, got NoneType;"),
+        ("def read_grid(path): return [1, 2]", "failed, TypeError: a reader must return a RawScan, got list"),
+        ("def read_grid(path): raise SystemExit(0)", "failed, SystemExit: 0"),
+        ("def read_grid(path): return path.suffix / 2", "failed, TypeError: unsupported operand"),
+        ("def read_grid(path): return RawScan([1, 2])", "points must have the shape (n, 3), got (2,)"),
+        ("def read_grid(path): return RawScan('abc')", "failed, ValueError: could not convert string"),
+        (
+            "def read_grid(path): return RawScan([[1, 2, 3]], normals=[[0, 0, 1]] * 2)",
+            "normals must have the shape (1, 3), got (2, 3)",
+        ),
+        (
+            "def read_grid(path): return RawScan([[1, 2, 3]], faces=[[0, 0, 0.5]])",
+            "faces must be whole numbers",
+        ),
+    ],
+)
+def test_a_package_whose_reader_is_broken_fails_its_own_files_only(
+    code: str, words: str, plugin: Path, tmp_path: Path
+) -> None:
+    (plugin / "gridscan.py").write_text(f"from pcretrieve.formats import RawScan\n{code}\n")
+    (tmp_path / "a.grid").write_text("1 2 3\n")
+    (tmp_path / "b.xyz").write_text("1 2 3\n")
+    with pytest.raises(ScanReadError) as raised:
+        read_scan(tmp_path / "a.grid")
+    assert "the format '.grid' of the package gridscan" in raised.value.message
+    assert words in raised.value.message
+    assert len(cloud(tmp_path / "b.xyz").points) == 1
+
+
+TILES = """
+import numpy as np
+from pcretrieve.formats import Format, Part, RawScan
+
+def parts(path):
+    return tuple(Part(path.parent / name) for name in path.read_text().split())
+
+def read(path):
+    return RawScan(np.concatenate([np.loadtxt(part.path, ndmin=2) for part in parts(path)]))
+
+def write(cloud):
+    if len(cloud.points) > 2:
+        raise RuntimeError("too many points")
+    return "".join("%g %g %g\\n" % tuple(point) for point in cloud.points).encode()
+
+read_grid = Format((".grid",), read, parts, write_cloud=write)
+"""
+
+
+def test_an_installed_package_brings_a_format_of_several_files(plugin: Path, tmp_path: Path) -> None:
+    (plugin / "gridscan.py").write_text(TILES)
+    (tmp_path / "a.grid").write_text("left.xyz right.tile\n")
+    write_cloud(PointCloud(CUBE[:2]), tmp_path / "left.grid")
+    (tmp_path / "left.grid").rename(tmp_path / "left.xyz")
+    (tmp_path / "right.tile").write_text("4 5 6\n")
+    np.testing.assert_array_equal(cloud(tmp_path / "a.grid").points, [*CUBE[:2], [4, 5, 6]])
+    before = content_hash(tmp_path / "a.grid")
+    (tmp_path / "right.tile").write_text("4 5 7\n")
+    assert content_hash(tmp_path / "a.grid") != before
+    assert discover([tmp_path]) == [tmp_path / "a.grid"]
+
+
+def test_a_package_whose_writer_is_broken(plugin: Path, tmp_path: Path) -> None:
+    (plugin / "gridscan.py").write_text(TILES)
+    with pytest.raises(InputError, match="of the package gridscan failed, RuntimeError: too many points"):
+        write_cloud(PointCloud(CUBE), tmp_path / "a.grid")
+    with pytest.raises(InputError, match=r"a mesh file must end in one of \.ply \.obj"):
+        write_mesh(shapes.icosphere(0), tmp_path / "a.grid")
+
+
+def test_a_reader_may_say_what_is_wrong_itself(plugin: Path, tmp_path: Path) -> None:
+    (plugin / "gridscan.py").write_text(
+        "from pcretrieve.errors import ScanReadError\n"
+        "def read_grid(path):\n    raise ScanReadError('the grid is not square')\n"
+    )
+    (tmp_path / "a.grid").write_text("1 2 3\n")
+    with pytest.raises(ScanReadError, match=r"a\.grid: the grid is not square$"):
+        read_scan(tmp_path / "a.grid")
