@@ -10,7 +10,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from pcretrieve.catalogue import Catalogue
+    from pcretrieve.catalogue import Catalogue, backup, merge_catalogues
     from pcretrieve.descriptors import Descriptor, describe, r_bihdm, shape_dna
     from pcretrieve.errors import (
         BenchmarkError,
@@ -40,13 +40,11 @@ if TYPE_CHECKING:
     from pcretrieve.evaluation import RetrievalMeasures, calibrate, compare, evaluate, matrix
     from pcretrieve.formats import read_scan, write_cloud, write_mesh, write_signatures
     from pcretrieve.ingestion import DaskExecutor
+    from pcretrieve.ingestion.recomputing import check
     from pcretrieve.inspection import Inspection, report_problem, signature_spread
     from pcretrieve.interface import (
-        backup,
-        check,
         ingest,
         inspect,
-        merge_catalogues,
         merge_views,
         retry,
         status,
@@ -167,7 +165,11 @@ __all__ = [
 
 # The module that defines each name.
 _HOMES = {
-    "pcretrieve.catalogue": ("Catalogue",),
+    "pcretrieve.catalogue": (
+        "Catalogue",
+        "backup",
+        "merge_catalogues",
+    ),
     "pcretrieve.descriptors": (
         "Descriptor",
         "describe",
@@ -212,12 +214,10 @@ _HOMES = {
         "report_problem",
         "signature_spread",
     ),
+    "pcretrieve.ingestion.recomputing": ("check",),
     "pcretrieve.interface": (
-        "backup",
-        "check",
         "ingest",
         "inspect",
-        "merge_catalogues",
         "merge_views",
         "retry",
         "status",

@@ -47,7 +47,6 @@ NAMES = {
             "matcher", "pcretrieve.matchers", ("heat-hausdorff", "hks-bow-gallery", "mds-cm-bof", "meshsift")
         ),
         Names("executor", "pcretrieve.executors", ("processes",)),
-        Names("store", "pcretrieve.stores", ("sqlite", "postgresql")),
     )
 }
 

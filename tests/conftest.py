@@ -75,7 +75,7 @@ def browser() -> "Iterator[Browser]":
         yield started
 
 
-@pytest.fixture(params=["sqlite", "postgresql"])
+@pytest.fixture(params=["sqlite", pytest.param("postgresql", marks=pytest.mark.slow)])
 def new_location(request: pytest.FixtureRequest, tmp_path: Path) -> str:
     """Where there is no catalogue yet, in each of the stores of pcretrieve."""
     if request.param == "sqlite":

@@ -15,7 +15,7 @@ from bounds import Findings, read_damaged
 from mutations import altered, mutated
 
 from pcretrieve import Catalogue, PipelineOptions, calibrate
-from pcretrieve.catalogue import gallery
+from pcretrieve.catalogue import cache
 from pcretrieve.evaluation import rank_catalogue, read_scores, write_evaluation
 from pcretrieve.formats import write_mesh
 from pcretrieve.ingestion.batch import batch_status
@@ -126,7 +126,7 @@ def written(folder: Path) -> dict[str, Target]:
 @pytest.fixture(scope="module")
 def targets(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, Target]]:
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(gallery, "SMALLEST_KEPT", 1)
+        patch.setattr(cache, "SMALLEST_KEPT", 1)
         yield written(tmp_path_factory.mktemp("whole"))
 
 

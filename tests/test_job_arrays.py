@@ -14,7 +14,7 @@ import pytest
 import shapes
 
 from pcretrieve import ingest
-from pcretrieve.catalogue.stores import open_rows
+from pcretrieve.catalogue.rows import Rows as StoredRows
 from pcretrieve.formats import write_mesh
 
 DOCUMENT = (Path(__file__).parents[1] / "docs" / "batches.md").read_text(encoding="utf-8")
@@ -45,7 +45,7 @@ def scans(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def rows(catalogue: Path) -> Rows:
     """Id, status, content and signatures of each scan."""
-    with closing(open_rows(str(catalogue), {}, create=False)) as stored:
+    with closing(StoredRows(str(catalogue), {}, create=False)) as stored:
         return [
             (entry.record.id, entry.record.status, entry.record.content_hash, dict(entry.signatures))
             for entry in stored.entries([origin.id for origin in stored.origins()])

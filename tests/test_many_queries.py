@@ -15,7 +15,7 @@ import shapes
 from click.testing import CliRunner, Result
 
 import pcretrieve as pr
-from pcretrieve.catalogue import gallery
+from pcretrieve.catalogue import cache
 from pcretrieve.cli.main import cli
 from pcretrieve.errors import InputError, OptionError, ScanReadError
 from pcretrieve.retrieval import class_vote
@@ -193,12 +193,22 @@ def test_scores_come_with_distances_and_least_ones_leave_no_match(catalogue: Pat
         pr.search(catalogue, "11", min_score=0.5, matrix=pr.matrix(catalogue))
 
 
-def test_a_query_says_how_its_results_were_found(catalogue: Path) -> None:
-    assert "nearest: all shapes compared" in run("query", "11", "-c", catalogue).stderr
-    some = run("query", "11", "-c", catalogue, "--filter", "label=kind0")
+@pytest.mark.parametrize(
+    ("nearest", "how"), [("tree", "ball tree of scikit-learn"), ("faiss", "flat scan of faiss")]
+)
+def test_a_query_says_how_its_results_were_found(nearest: str, how: str, catalogue: Path) -> None:
+    plain, done = (run("query", "11", "-c", catalogue, *more) for more in ((), ("--nearest", nearest)))
+    assert "nearest: all shapes compared" in plain.stderr
+    assert f"nearest: {how}" in done.stderr
+    assert done.stdout == plain.stdout
+    some = run("query", "11", "-c", catalogue, "--nearest", nearest, "--filter", "label=kind0")
     assert "nearest: all shapes of the classes compared" in some.stderr
-    mixed = run("query", "11", "-c", catalogue, "--distance", "d1", "--matrix", "m.npy", code=2)
-    assert "a matrix holds distances already: leave out --distance" in mixed.stderr
+    mixed = run("query", "11", "-c", catalogue, "--nearest", nearest, "--matrix", "m.npy", code=2)
+    assert "a matrix holds distances already: leave out --nearest" in mixed.stderr
+    refused = CliRunner().invoke(
+        cli, ["query", "11", "-c", str(catalogue), "--nearest", nearest, "--distance", "d1"]
+    )
+    assert isinstance(refused.exception, OptionError)
 
 
 def test_an_answer_whose_best_score_is_small_is_probably_no_match(catalogue: Path) -> None:
@@ -216,7 +226,7 @@ def test_an_answer_whose_best_score_is_small_is_probably_no_match(catalogue: Pat
 
 def test_other_labels_give_other_scores(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Also of an index that is kept, and whose whitening does not depend on labels."""
-    monkeypatch.setattr(gallery, "SMALLEST_KEPT", 1)
+    monkeypatch.setattr(cache, "SMALLEST_KEPT", 1)
     copy = folder / "relabelled.sqlite"
     shutil.copy(folder / "c.sqlite", copy)
     options = {"retrieval": {"whitening": "none"}}

@@ -13,7 +13,8 @@ import pytest
 import shapes
 
 from pcretrieve import Catalogue, PipelineOptions
-from pcretrieve.catalogue import Content, Record, gallery
+from pcretrieve.catalogue import Content, Record
+from pcretrieve.catalogue import cache as index_cache
 from pcretrieve.descriptors import describe
 from pcretrieve.errors import InputError, ScanReadError
 from pcretrieve.formats import write_mesh
@@ -103,12 +104,12 @@ def test_of_a_catalogue_whose_index_is_kept_only_that_shape_is_looked_up(
     query: str, catalogue: Catalogue, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """However many shapes there are: one look at the shape, one at the state."""
-    monkeypatch.setattr(gallery, "SMALLEST_KEPT", 1)
+    monkeypatch.setattr(index_cache, "SMALLEST_KEPT", 1)
     options = OPTIONS.changed(retrieval={"whitening": "pca"}, signature={"scale": "area"})
     expected = catalogue.index(options).nearest("egg2")
     with Catalogue(catalogue.location) as other:
         statements: list[str] = []
-        other._rows._connection.set_trace_callback(statements.append)  # type: ignore[attr-defined]
+        other.rows.database._connection.set_trace_callback(statements.append)
         found = search(other, "egg2" if query == "id" else tmp_path / "scan.off", options=options)
     assert found == expected
     assert len(statements) == 2
@@ -118,7 +119,7 @@ def test_of_a_catalogue_whose_index_is_kept_only_that_shape_is_looked_up(
 
 
 def test_contents_and_ids_are_found_by_an_index(catalogue: Catalogue) -> None:
-    connection = catalogue._rows._connection  # type: ignore[attr-defined]
+    connection = catalogue.rows.database._connection
     for column in ("id", "path", "content_hash"):
         plan = connection.execute(f"EXPLAIN QUERY PLAN SELECT * FROM shapes WHERE {column} = ?", ("x",))
         assert "SEARCH shapes USING INDEX" in plan.fetchone()[3]
@@ -130,7 +131,7 @@ def test_signatures_that_were_computed_are_kept(catalogue: Catalogue) -> None:
     first = catalogue.signatures(options)
     with Catalogue(catalogue.location) as other:
         statements: list[str] = []
-        other._rows._connection.set_trace_callback(statements.append)  # type: ignore[attr-defined]
+        other.rows.database._connection.set_trace_callback(statements.append)
         assert other.signatures(options) == first
         assert not [text for text in statements if "arrays" in text]
         new = egg(N_SHAPES)
@@ -141,7 +142,7 @@ def test_signatures_that_were_computed_are_kept(catalogue: Catalogue) -> None:
         )
         statements.clear()
         table = other.signatures(options)
-        assert len([text for text in statements if text.startswith("SELECT arrays FROM moments")]) == 2
+        assert len([text for text in statements if text.startswith('SELECT "spectra", "moments"')]) == 2
     expected = [describe(egg(number), options.signature).values for number in (1, 1, 2, 3, 4, 5, N_SHAPES)]
     assert table.values.tolist() == [values.tolist() for values in expected]
 
@@ -150,7 +151,7 @@ def test_a_stored_shape_is_found_without_the_stages(
     catalogue: Catalogue, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """No reader, no descriptor, no scientific library: to import them would take longer than to search."""
-    monkeypatch.setattr(gallery, "SMALLEST_KEPT", 1)
+    monkeypatch.setattr(index_cache, "SMALLEST_KEPT", 1)
     search(catalogue, "egg1")
     code = (
         "import sys; from pcretrieve.cli.main import cli; "

@@ -1,30 +1,29 @@
-"""Shapes with provenance, spectra, surfaces and signatures, in a store.
+"""Shapes with provenance, spectra, surfaces and signatures, in an SQLite file or a PostgreSQL database.
 
 In come records and processed shapes; out come records, shapes, tables of signatures, whitenings and indexes.
-A store has records and bytes, by default in an SQLite file.
 """
 
-from pcretrieve.catalogue.defects import Defect
-from pcretrieve.catalogue.merging import Merged
-from pcretrieve.catalogue.opened import CatalogueLike, opened
-from pcretrieve.catalogue.reading import stored_shapes
-from pcretrieve.catalogue.record import Content, Record, free_id, numbered_id
-from pcretrieve.catalogue.rows import Rows
-from pcretrieve.catalogue.store import Catalogue
-from pcretrieve.catalogue.stores import STORES, OpenStore
+from pcretrieve.catalogue.catalogue import Catalogue, CatalogueLike, opened, stored_records, stored_shapes
+from pcretrieve.catalogue.defects import Defect, find_defects, set_to_be_ingested_again
+from pcretrieve.catalogue.merge import Merged, backup, merge_catalogues
+from pcretrieve.catalogue.records import Content, Origin, Record, numbered_id
+from pcretrieve.catalogue.vectors import export_vectors
 
 __all__ = [
-    "STORES",
     "Catalogue",
     "CatalogueLike",
     "Content",
     "Defect",
     "Merged",
-    "OpenStore",
+    "Origin",
     "Record",
-    "Rows",
-    "free_id",
+    "backup",
+    "export_vectors",
+    "find_defects",
+    "merge_catalogues",
     "numbered_id",
     "opened",
+    "set_to_be_ingested_again",
+    "stored_records",
     "stored_shapes",
 ]

@@ -4,13 +4,10 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from pathlib import Path
 
-from pcretrieve.catalogue.opening import damaged
+from pcretrieve.catalogue.tables import damaged
 from pcretrieve.errors import CatalogueError, OptionError
 from pcretrieve.options import NUMBERS_VERSION, PipelineOptions, options_difference
-
-__all__ = ["fitting_options", "settings_of", "stored_options"]
 
 
 def settings_of(options: PipelineOptions) -> dict[str, str]:
@@ -19,7 +16,7 @@ def settings_of(options: PipelineOptions) -> dict[str, str]:
 
 
 def stored_options(
-    location: str | Path,
+    location: str,
     settings: Mapping[str, str],
     given: PipelineOptions | None = None,
     *,

@@ -1,330 +1,329 @@
-"""The store of pcretrieve: an SQLite file, which other processes can read while one process writes."""
+"""SQLite files, which other processes can read while one process writes.
+
+With a write-ahead log, processes share memory, which computers cannot. On file systems of a network, SQLite
+therefore uses a rollback journal, with which readers and the writer wait for each other by locks; if these
+locks do not reach other computers, it only reads.
+"""
 
 from __future__ import annotations
 
+import logging
+import os
+import re
 import sqlite3
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import replace
+from dataclasses import dataclass
 from os.path import samestat
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
-from pcretrieve.catalogue.checksums import checksum
-from pcretrieve.catalogue.defects import Defect
-from pcretrieve.catalogue.entry_rows import entries_of
-from pcretrieve.catalogue.migrations import prepare
-from pcretrieve.catalogue.opening import connect, damaged, is_writable, shrink, translated
-from pcretrieve.catalogue.record import Record, free_id
-from pcretrieve.catalogue.record_rows import (
-    LENGTHS,
-    PROVENANCE_COLUMNS,
-    RECORDS,
-    SHAPE_COLUMNS,
-    record_of,
-    row_of,
-)
-from pcretrieve.catalogue.rows import OWN, PAYLOADS, Entry, Listed, Origin, Payload, Revision, Rows, Status
-from pcretrieve.catalogue.schema import NEW_NAME, transaction
-from pcretrieve.catalogue.signature_rows import listed
-from pcretrieve.catalogue.sqlite_defects import file_defects
+from pcretrieve.catalogue.tables import SQLITE, damaged, definitions, inserting, new_settings
 from pcretrieve.errors import CatalogueError
 
-__all__ = ["SqliteRows"]
+logger = logging.getLogger(__name__)
+
+# Longest time to wait for another process that is writing; seconds.
+LOCK_TIMEOUT = 30.0
+
+# Share of unused pages of a file above which it is written again without them.
+UNUSED = 0.25
+
+# Number of rows that are read at a time.
+READ_AT_ONCE = 1000
+
+# Largest number of defects of pages that are listed.
+LISTED = 20
+
+ADVICE = {
+    "locked": "is locked by another process: wait until that has finished",
+    "not a database": "is not a catalogue: give another --catalogue",
+    "readonly": "cannot be written to: change its permissions, or give another --catalogue",
+    "unable to open": "cannot be opened: see whether the file and its folder may be read and written",
+    "disk I/O error": "cannot be read or written, the disk or the network reports an error: see to that, and "
+    "run the same command again",
+    "locking protocol": "cannot be locked, the file system does not allow it: name a file on a local disk",
+    "disk is full": "cannot grow, the disk is full: make room and run the same command again",
+}
+
+MOUNTS = Path("/proc/self/mountinfo")
+
+# Types of file systems that several computers mount, with the options by which locks stay on one computer.
+NETWORK: dict[str, tuple[str, ...]] = {
+    "nfs": ("nolock", "local_lock=all", "local_lock=posix"),
+    "nfs4": ("local_lock=all", "local_lock=posix"),
+    "cifs": ("nobrl",),
+    "smb3": ("nobrl",),
+    "lustre": ("localflock", "noflock"),
+    **dict.fromkeys(("gpfs", "ceph", "fuse.ceph-fuse", "fuse.glusterfs", "9p", "virtiofs"), ()),
+}
+
+# Types without locks that other computers see.
+WITHOUT_LOCKS = {"afs", "beegfs", "ncpfs", "smbfs", "vboxsf", "fuse.afs"} | {
+    *("fuse.blobfuse", "fuse.blobfuse2"),
+    *("fuse.davfs", "fuse.gcsfuse", "fuse.goofys", "fuse.mountpoint-s3", "fuse.rclone", "fuse.s3fs"),
+    "fuse.sshfs",
+}
+
+# Types of FUSE on local disks, where memory can be shared.
+LOCAL = {"fuse.fuse-overlayfs", "fuseblk"}
 
 
-# Number of parameters of a query, of which SQLite allows 999 in early versions.
-PARAMETERS = 500
+@dataclass(frozen=True, slots=True)
+class Mount:
+    """A mounted file system."""
+
+    kind: str
+    options: frozenset[str] = frozenset()
 
 
-class SqliteRows(Rows):
-    """Rows in an SQLite file. The methods are documented in `Rows`."""
+def mount_of(path: Path) -> Mount:
+    """The file system in which a file is, or would be made."""
+    try:
+        lines = MOUNTS.read_text("utf-8", "surrogateescape").splitlines()
+    except OSError:
+        return Mount("")
+    place = Path(os.path.realpath(path))
+    found, depth = Mount(""), 0
+    for line in lines:
+        before, _, after = line.partition(" - ")
+        point = Path(re.sub(r"\\([0-7]{3})", lambda code: chr(int(code[1], 8)), before.split(" ")[4]))
+        if place.is_relative_to(point) and len(point.parts) >= depth:  # the last of several at one place
+            kind, _, options = after.split(" ", 2)
+            found, depth = Mount(kind, frozenset(options.split(","))), len(point.parts)
+    return found
+
+
+def journal_of(mount: Mount) -> Literal["WAL", "DELETE"] | None:
+    """The journal mode of SQLite in a file system; None if it can only read there."""
+    if mount.kind in WITHOUT_LOCKS or mount.options.intersection(NETWORK.get(mount.kind, ())):
+        return None
+    if mount.kind == "lustre" and "flock" not in mount.options:
+        return None  # the default of earlier versions: no locks
+    # A file system of FUSE does not say whether it is one of a network; not all of them can share memory.
+    is_shared = mount.kind in NETWORK or mount.kind.split(".")[0] == "fuse"
+    return "DELETE" if is_shared and mount.kind not in LOCAL else "WAL"
+
+
+class SqliteDatabase:
+    """An SQLite file."""
+
+    dialect = SQLITE
 
     def __init__(self, path: Path, settings: Mapping[str, str], *, create: bool) -> None:
         self._path = path
+        self.location = str(path)
         self._connection = connect(path, create=create)
+        #: The folder for indexes of this catalogue.
+        self.folder = path.with_name(path.name + ".gallery")
         try:
-            with translated(path):
-                prepare(self._connection, path, settings)
+            self._prepare(settings)
             self._file = path.stat()
         except BaseException:
-            self._connection.close()
+            self.close()
             raise
 
     def close(self) -> None:
+        """Release the file."""
         self._connection.close()
-
-    # --- the store --------------------------------------------------------------------------------------
-
-    @property
-    def location(self) -> str:
-        return str(self._path)
-
-    @property
-    def folder(self) -> Path:
-        return self._path.with_name(self._path.name + ".gallery")
 
     @property
     def is_writable(self) -> bool:
-        return is_writable(self._path)
+        """Whether the file can be written to."""
+        return _is_writable(self._path)
 
-    def defects(self, *, repair: bool) -> list[Defect]:
+    def execute(self, query: str, values: Sequence[object] = ()) -> list[Any]:
+        """All rows of the result of a statement."""
         with translated(self._path):
-            return file_defects(self._connection, repair=repair)
+            return self._connection.execute(query, values).fetchall()
 
-    def settings(self) -> Mapping[str, str]:
-        return dict(self._all("SELECT key, value FROM meta"))
+    def each(self, statement: str, rows: Iterable[Sequence[object]]) -> None:
+        """Execute a statement for each of several rows of parameters."""
+        with translated(self._path):
+            self._connection.executemany(statement, rows)
 
-    def revision(self) -> Revision:
-        settings = self.settings()
-        try:
-            return Revision(settings["revision"], settings["label_revision"])
-        except KeyError as error:
-            raise damaged(self._path, f"it has no {error.args[0]}") from error
-
-    def count(self, status: Status) -> int:
-        return int(self._all("SELECT count(*) FROM shapes WHERE status = ?", (status,))[0][0])
-
-    def failures(self) -> dict[tuple[str, str], int]:
-        query = "SELECT stage, error, count(*) FROM shapes WHERE status = 'failed' GROUP BY 1, 2"
-        return {(stage, error): number for stage, error, number in self._all(query)}
-
-    def areas(self) -> dict[float | None, tuple[float, float]]:
-        query = "SELECT metres_per_unit, min(area), max(area) FROM shapes WHERE status = 'done' GROUP BY 1"
-        return {unit: (smallest, largest) for unit, smallest, largest in self._all(query)}
-
-    # --- records ----------------------------------------------------------------------------------------
-
-    def page(
-        self,
-        *,
-        after: str = "",
-        offset: int = 0,
-        limit: int,
-        status: Status | None = None,
-        doubtful: bool = False,
-    ) -> list[Record]:
-        chosen = "" if status is None else "AND status = :status"
-        # In the words of the index.
-        chosen += " AND judgement <> 'sound'" if doubtful else ""
-        query = f"{RECORDS} WHERE id > :after {chosen} ORDER BY id LIMIT :limit OFFSET :offset"
-        values = {"after": after, "status": status, "limit": limit, "offset": offset}
-        return [record_of(row, self.location) for row in self._all(query, values)]
-
-    def by_id(self, shape_ids: Collection[str]) -> list[Record]:
-        return self._where("id", shape_ids)
-
-    def by_content(self, hashes: Collection[str]) -> list[Record]:
-        return self._where("content_hash", hashes)
-
-    def origins(self) -> list[Origin]:
-        rows = self._all("SELECT id, path, content_hash, label, status, stamp FROM shapes ORDER BY id")
-        return [Origin(*row) for row in rows]
-
-    def times(self) -> dict[str, str]:
-        return dict(self._all("SELECT id, added FROM shapes JOIN provenance ON shape = number"))
-
-    def labelled(self, labels: Collection[str]) -> list[str]:
-        # One class after the other, because there may be more classes than parameters of a query.
-        query = "SELECT id FROM shapes NOT INDEXED WHERE status = 'done' AND label = ?"
-        return sorted(shape_id for label in set(labels) for (shape_id,) in self._all(query, (label,)))
-
-    def put(self, record: Record, signature: bytes | None, payloads: Mapping[Payload, bytes]) -> Record:
-        with self._writing():
-            earlier = self._all("SELECT id, status FROM shapes WHERE path = ?", (record.path,))
-            shape_id, status = earlier[0] if earlier else (free_id(record, self._is_taken), None)
-            if status == "done" and record.status == "failed":
-                return self._one(shape_id)
-            signatures = {} if signature is None else {OWN: signature}
-            self._store([Entry(replace(record, id=shape_id), signatures, payloads)])
-            if "done" in (status, record.status):
-                self._changed("revision")
-            return self._one(shape_id)
-
-    def entries(self, shape_ids: Collection[str]) -> list[Entry]:
-        with self._reading():
-            return entries_of(self.by_id(shape_ids), self._each)
-
-    def add(self, entries: Collection[Entry]) -> None:
-        with self._writing():
-            self._store(entries)
-            self._changed("revision")
-
-    def remove(self, shape_ids: Collection[str]) -> None:
-        with self._writing():
-            self._forget(self._numbers("id", shape_ids))
-            self._changed("revision")
-        shrink(self._connection, self._path)
-
-    def revise(
-        self,
-        *,
-        moved: Mapping[str, str],
-        removed: Collection[str],
-        labels: Mapping[str, str | None],
-        stamps: Mapping[str, str],
-    ) -> None:
-        with self._writing() as connection:
-            connection.executemany(
-                "UPDATE OR IGNORE shapes SET path = ?, path_checksum = ? WHERE path = ?",
-                [(new, checksum(new), old) for old, new in moved.items()],
-            )
-            if removed:
-                self._forget(self._numbers("path", removed))
-                self._changed("revision")
-            if labels:
-                connection.executemany(
-                    "UPDATE shapes SET label = ?, label_checksum = ? WHERE path = ?",
-                    [(label, checksum(label), path) for path, label in labels.items()],
-                )
-                self._changed("label_revision")
-            connection.executemany(
-                "UPDATE shapes SET stamp = ? WHERE path = ?",
-                [(stamp, path) for path, stamp in stamps.items()],
-            )
-
-    # --- arrays -----------------------------------------------------------------------------------------
-
-    def read(self, shape_id: str, names: Collection[Payload]) -> tuple[Record, dict[Payload, bytes]] | None:
-        with self._reading():
-            for number in self._numbers("id", [shape_id]):
-                return self._one(shape_id), self._payloads(number, names)
-        return None
-
-    def sizes(self, shape_id: str) -> dict[str, int]:
-        ((record,),) = self._all(f"SELECT sum({LENGTHS}) FROM ({RECORDS}) WHERE id = ?", (shape_id,))
-        sizes = {"record": record or 0}
-        for name, column in (("signatures", "value"), *((payload, "arrays") for payload in PAYLOADS)):
-            query = f"SELECT sum(length({column})) FROM {name} JOIN shapes ON shape = number WHERE id = ?"
-            ((size,),) = self._all(query, (shape_id,))
-            sizes[name] = size or 0
-        return sizes
-
-    def signatures(self, digest: str) -> Listed:
-        with self._reading():
-            return listed(self._connection, self.location, self.revision(), digest)
-
-    def keep(self, digest: str, signatures: Collection[tuple[Record, bytes]]) -> None:
-        with self._writing():
-            rows = [
-                (number, value)
-                for record, value in signatures
-                for (number,) in self._all(
-                    "SELECT number FROM shapes WHERE id = ? AND content_hash = ? AND status = 'done'",
-                    (record.id, record.content_hash),
-                )
-            ]
-            self._keep(digest, rows)
-
-    def keep_payload(self, name: Payload, record: Record, arrays: bytes) -> None:
-        with self._writing():
-            self._connection.execute(
-                f"INSERT OR REPLACE INTO {name} SELECT number, ? FROM shapes "
-                "WHERE id = ? AND content_hash = ? AND status = 'done'",
-                (arrays, record.id, record.content_hash),
-            )
-
-    # --- inside -----------------------------------------------------------------------------------------
+    def columns(self, query: str, values: Sequence[object] = ()) -> Iterator[list[list[Any]]]:
+        """Yield the result of a query by columns, some rows at a time."""
+        cursor = self._connection.execute(query, values)
+        while rows := cursor.fetchmany(READ_AT_ONCE):
+            # Faster than zip(*rows), which creates an iterator of each row.
+            yield [[row[column] for row in rows] for column in range(len(rows[0]))]
 
     @contextmanager
-    def _reading(self) -> Iterator[None]:
+    def reading(self) -> Iterator[None]:
         """One transaction, in which everything that is read belongs to one state."""
-        with translated(self._path), transaction(self._connection, "DEFERRED"):
+        with self._transaction("DEFERRED"):
             yield
 
     @contextmanager
-    def _writing(self) -> Iterator[sqlite3.Connection]:
+    def writing(self) -> Iterator[None]:
         """One transaction that locks the file for writing, so that what it has read does not change."""
-        with translated(self._path), transaction(self._connection, "IMMEDIATE"):
-            self._check_place()
-            yield self._connection
+        with self._transaction("IMMEDIATE"):
+            # SQLite writes to a removed file too.
+            try:
+                is_here = samestat(self._file, self._path.stat())
+            except OSError:
+                is_here = False
+            if not is_here:
+                raise CatalogueError(
+                    f"{self._path} was removed or replaced while it was in use: what would be written now "
+                    "would be lost; put the file back, or run the same command again"
+                )
+            yield
 
-    def _check_place(self) -> None:
-        """Check that the path has the file that is open still: SQLite writes to a removed file too."""
+    def shrink(self) -> None:
+        """Give the space of removed rows back to the disk, if that is much of the file."""
         try:
-            is_here = samestat(self._file, self._path.stat())
-        except OSError:
-            is_here = False
-        if not is_here:
-            raise CatalogueError(
-                f"{self._path} was removed or replaced while it was in use: what would be written now would "
-                "be lost; put the file back, or run the same command again"
-            )
+            (unused,) = self._connection.execute("PRAGMA freelist_count").fetchone()
+            (pages,) = self._connection.execute("PRAGMA page_count").fetchone()
+            if unused > UNUSED * pages:
+                self._connection.execute("VACUUM")
+        # Another process writes the file, or the disk is full: the rows are removed all the same.
+        except sqlite3.Error as error:
+            logger.info("the unused space of %s stays in it: %s", self._path, error)
 
-    def _changed(self, revision: str) -> None:
-        """Give the new state a name that no earlier state had, not even before a copy was restored."""
-        self._connection.execute(f"UPDATE meta SET value = {NEW_NAME} WHERE key = ?", (revision,))
+    def faults(self) -> list[str]:
+        """What is wrong with the pages and the SQL indexes of the file."""
+        try:
+            rows = self._connection.execute(f"PRAGMA integrity_check({LISTED})").fetchall()
+        except sqlite3.DatabaseError as error:
+            return [str(error)]
+        lines = [line for (text,) in rows for line in text.splitlines() if not line.startswith("***")]
+        return [] if lines == ["ok"] else lines
 
-    def _store(self, entries: Collection[Entry]) -> None:
-        """Insert shapes, each instead of the shape of its path, if there is one."""
-        paths = [entry.record.path for entry in entries]
-        self._forget([number for (number,) in self._each("SELECT number FROM shapes", paths, "path")])
-        ((last,),) = self._all("SELECT ifnull(max(number), 0) FROM shapes")
-        numbered = list(enumerate(entries, last + 1))
-        rows = [(number, row_of(entry.record)) for number, entry in numbered]
-        for table, key, columns in (
-            ("shapes", "number", SHAPE_COLUMNS),
-            ("provenance", "shape", PROVENANCE_COLUMNS),
-        ):
-            chosen = ((number, *(row[name] for name in columns)) for number, row in rows)
-            self._insert(table, (key, *columns), chosen)
-        for digest in {digest for entry in entries for digest in entry.signatures}:
-            self._keep(digest, [(n, e.signatures[digest]) for n, e in numbered if digest in e.signatures])
-        for name in PAYLOADS:
-            stored = ((number, entry.payloads[name]) for number, entry in numbered if name in entry.payloads)
-            self._insert(name, ("shape", "arrays"), stored)
+    def is_reindexed(self) -> bool:
+        """Make the SQL indexes again; whether the file has no fault then. Otherwise it stays as it was."""
+        try:
+            with self._transaction("IMMEDIATE"):
+                self._connection.execute("REINDEX")
+                if faults := self.faults():
+                    raise CatalogueError(faults[0])
+        except CatalogueError:
+            return False
+        return True
 
-    def _payloads(self, number: int, names: Collection[Payload]) -> dict[Payload, bytes]:
-        stored: dict[Payload, bytes] = {}
-        for name in names:
-            for (arrays,) in self._all(f"SELECT arrays FROM {name} WHERE shape = ?", (number,)):
-                stored[name] = arrays
-        return stored
+    @contextmanager
+    def escaping(self) -> Iterator[None]:
+        """Read texts that are not UTF-8 with escaped bytes, which their checksum shows."""
+        self._connection.text_factory = lambda text: text.decode("utf-8", "backslashreplace")
+        try:
+            yield
+        finally:
+            self._connection.text_factory = str
 
-    def _insert(self, table: str, columns: Sequence[str], rows: Iterable[Sequence[object]]) -> None:
-        marks = ", ".join("?" * len(columns))
-        self._connection.executemany(f"INSERT INTO {table} ({', '.join(columns)}) VALUES ({marks})", rows)
-
-    def _keep(self, digest: str, rows: Collection[tuple[int, bytes]]) -> None:
-        self._connection.execute("INSERT OR IGNORE INTO descriptors (digest) VALUES (?)", (digest,))
-        self._connection.executemany(
-            "INSERT OR REPLACE INTO signatures SELECT number, ?, ? FROM descriptors WHERE digest = ?",
-            [(shape, value, digest) for shape, value in rows],
-        )
-
-    def _forget(self, numbers: Collection[int]) -> None:
-        chosen = [(number,) for number in numbers]
-        for name in ("provenance", *PAYLOADS):
-            self._connection.executemany(f"DELETE FROM {name} WHERE shape = ?", chosen)
-        # With a condition on both columns of the key, whose first column is the descriptor.
-        self._connection.executemany(
-            "DELETE FROM signatures WHERE descriptor IN (SELECT number FROM descriptors) AND shape = ?",
-            chosen,
-        )
-        self._connection.executemany("DELETE FROM shapes WHERE number = ?", chosen)
-
-    def _numbers(self, column: str, values: Collection[str]) -> list[int]:
-        query = f"SELECT number FROM shapes WHERE {column} = ?"
-        return [number for value in values for (number,) in self._all(query, (value,))]
-
-    def _is_taken(self, shape_id: str) -> bool:
-        return bool(self._numbers("id", [shape_id]))
-
-    def _one(self, shape_id: str) -> Record:
-        (record,) = self._where("id", [shape_id])
-        return record
-
-    def _where(self, column: str, values: Collection[str]) -> list[Record]:
-        found = (record_of(row, self.location) for row in self._each(RECORDS, values, column))
-        return sorted(found, key=lambda record: record.id)
-
-    def _each(self, query: str, values: Collection[str], column: str = "id") -> Iterator[Any]:
-        """Yield the result of a query for rows whose column has one of some values, a few at a time."""
-        chosen = list(dict.fromkeys(values))
-        for start in range(0, len(chosen), PARAMETERS):
-            here = chosen[start : start + PARAMETERS]
-            yield from self._all(f"{query} WHERE {column} IN ({', '.join('?' * len(here))})", here)
-
-    def _all(self, query: str, values: Sequence[object] | Mapping[str, object] = ()) -> list[Any]:
+    @contextmanager
+    def _transaction(self, kind: str) -> Iterator[None]:
         with translated(self._path):
-            return self._connection.execute(query, values).fetchall()
+            self._connection.execute(f"BEGIN {kind}")
+            with self._connection:
+                yield
+
+    def _tables(self) -> set[str]:
+        return {name for (name,) in self.execute("SELECT name FROM sqlite_master WHERE type = 'table'")}
+
+    def _prepare(self, settings: Mapping[str, str]) -> None:
+        """Create the tables of a new file; check that another one is a catalogue."""
+        if not self._tables():
+            # With a write-ahead log, other processes can read while one process writes.
+            self.execute(f"PRAGMA journal_mode = {journal_of(mount_of(self._path)) or 'DELETE'}")
+            with self._transaction("IMMEDIATE"):
+                if not self._tables():  # another process may have created them in the meantime
+                    for statement in definitions(self.dialect):
+                        self.execute(statement)
+                    self.each(inserting("meta"), new_settings(settings).items())
+        check_tables(self._path, self._tables())
+
+
+def check_tables(path: Path, tables: set[str]) -> None:
+    """Check that a file has the tables that every version of a catalogue has."""
+    if not tables >= {"meta", "shapes"}:
+        raise CatalogueError(f"{path} is an SQLite file, but no catalogue: give another --catalogue")
+
+
+def connect(path: Path, *, create: bool) -> sqlite3.Connection:
+    """Connect to a file."""
+    try:
+        if path.is_dir():
+            raise CatalogueError(f"{path} is a folder: name a file for --catalogue")
+        size = path.stat().st_size if path.exists() else 0
+    except OSError as error:
+        raise CatalogueError(f"cannot use the catalogue {path}: {error.strerror}") from error
+    if size == 1:  # which SQLite takes for an empty file
+        raise CatalogueError(f"{path} {ADVICE['not a database']}")
+    if not size and not create:
+        raise CatalogueError(f"there is no catalogue {path}: make one with `pcretrieve ingest`")
+    if not path.parent.is_dir():
+        raise CatalogueError(f"there is no folder {path.parent} to put a catalogue into: make it first")
+    mount = mount_of(path)
+    if create and journal_of(mount) is None:
+        raise CatalogueError(
+            f"{path} is on a file system of the type {mount.kind}, whose locks other computers do not see, "
+            "so that two writers would damage it: ingest into a file on a local disk, and copy it when it is "
+            "complete (pcretrieve backup); or use PostgreSQL"
+        )
+    with translated(path):
+        if not size or _is_writable(path):
+            return _connected(path, "rwc" if create else "rw")
+        if create:
+            raise CatalogueError(f"{path} {ADVICE['readonly']}")
+        try:
+            return _connected(path, "ro")
+        except sqlite3.OperationalError as error:
+            log = path.with_name(f"{path.name}-wal")
+            if log.exists() and log.stat().st_size:
+                raise CatalogueError(
+                    f"{path} is incomplete without its last changes in {log.name}, which cannot be applied "
+                    "in a folder that cannot be written to: copy both files elsewhere, and use the copies"
+                ) from error
+            # SQLite cannot create its further files in this folder, and needs none if no process writes.
+            return _connected(path, "ro&immutable=1")
+
+
+@contextmanager
+def translated(path: Path) -> Iterator[None]:
+    """Convert errors of SQLite to errors with advice."""
+    try:
+        yield
+    except sqlite3.Error as error:
+        text = str(error)
+        if "malformed" in text or "decode to UTF-8" in text:
+            raise damaged(str(path), text) from error
+        advice = next((advice for words, advice in ADVICE.items() if words in text), None)
+        message = f"{path} {advice}" if advice else f"cannot use the catalogue {path}: {text}"
+        raise CatalogueError(message) from error
+    # Of a message of SQLite that quotes names which are damaged themselves.
+    except UnicodeDecodeError as error:
+        raise damaged(str(path), "a name in it is not UTF-8 text") from error
+
+
+def _is_writable(path: Path) -> bool:
+    """Whether SQLite can write to a file, for which it creates further files in the same folder."""
+    if journal_of(mount_of(path)) is None:
+        return False
+    effective = os.access in os.supports_effective_ids  # the user by whose rights files are opened
+    return all(os.access(place, os.W_OK, effective_ids=effective) for place in (path, path.parent))
+
+
+def _connected(path: Path, mode: str) -> sqlite3.Connection:
+    connection = sqlite3.connect(f"{path.absolute().as_uri()}?mode={mode}", uri=True, timeout=LOCK_TIMEOUT)
+    try:
+        if mode.startswith("rw") and journal_of(mount_of(path)) == "DELETE":
+            _use_rollback_journal(connection)
+        else:
+            connection.execute("PRAGMA synchronous = NORMAL")
+        connection.execute("SELECT count(*) FROM sqlite_master")
+    except (sqlite3.Error, UnicodeDecodeError):
+        connection.close()
+        raise
+    return connection
+
+
+def _use_rollback_journal(connection: sqlite3.Connection) -> None:
+    """Use a rollback journal, also for a file that was copied from a place where it had a write-ahead log."""
+    # A rollback journal is safe if the computer fails only if it is on the disk before the file is written.
+    connection.execute("PRAGMA synchronous = FULL")
+    # With an exclusive lock, SQLite reads a log without memory that is shared with other processes. Python
+    # does not look for the log in the header: closing the file would release all locks of this process.
+    connection.execute("PRAGMA locking_mode = EXCLUSIVE")
+    connection.execute("PRAGMA journal_mode = DELETE")
+    connection.execute("PRAGMA locking_mode = NORMAL")

@@ -17,7 +17,7 @@ from pcretrieve.cli.messages import Progress, say, shown_path, without_password
 
 if TYPE_CHECKING:
     from pcretrieve.catalogue import Record
-    from pcretrieve.interface.maintenance import Check
+    from pcretrieve.ingestion.recomputing import Check
 
 MIB = 1 << 20
 
@@ -312,7 +312,7 @@ def export_command(
 
 
 def _export_to_database(store: pr.Catalogue, url: str, options: Any, shape_ids: tuple[str, ...]) -> None:
-    from pcretrieve.catalogue.vectors import export_vectors
+    from pcretrieve.catalogue import export_vectors
 
     n_written = export_vectors(store, url, options, shape_ids=shape_ids)
     say(f"wrote {n_written} signatures to the table pcretrieve_signatures")

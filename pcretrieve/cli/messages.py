@@ -213,7 +213,8 @@ def bar(**settings: Any) -> tqdm[Any]:
     from tqdm import tqdm
 
     tqdm.set_lock(_writing)
-    return tqdm(**settings)
+    size = shutil.get_terminal_size()  # also where the terminal does not know its size
+    return tqdm(ncols=size.columns - 1, nrows=size.lines, **settings)
 
 
 def _between_bars() -> AbstractContextManager[Any]:

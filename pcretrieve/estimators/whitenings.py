@@ -45,6 +45,8 @@ class NeighbourWhitening(_Whitener):
         which neighbourhoods overlap most, if it stands out, else 5.
     shrinkage : float or "auto", default "auto"
         Shrinkage in (0, 1] of the covariance towards its mean variance times the identity. auto: .2.
+    rounds : int, default 1
+        How often the pairs are found, from the second time on among whitened signatures.
     prior : (L, L) array_like, optional
         A covariance of trace 1 that is mixed in, as in `pcretrieve.retrieval.fit_whitening`.
 
@@ -60,10 +62,12 @@ class NeighbourWhitening(_Whitener):
         self,
         n_neighbors: int | Literal["auto"] = "auto",
         shrinkage: Shrinkage = "auto",
+        rounds: int = 1,
         prior: ArrayLike | None = None,
     ) -> None:
         self.n_neighbors = n_neighbors
         self.shrinkage = shrinkage
+        self.rounds = rounds
         self.prior = prior
 
     def fit(self, X: ArrayLike, y: object = None) -> NeighbourWhitening:
@@ -93,6 +97,7 @@ class NeighbourWhitening(_Whitener):
             logs,
             shrinkage=self.shrinkage,
             n_neighbors=self.n_neighbors,
+            rounds=self.rounds,
             prior=prior,
         )
         return self

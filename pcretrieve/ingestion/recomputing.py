@@ -1,16 +1,26 @@
-"""Stored shapes → their signatures computed again, from the stored surfaces or from their files."""
+"""A catalogue → its defects, with a sample of signatures computed again from surfaces or from files."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+import random
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import closing
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
-from pcretrieve.catalogue import Catalogue, Record
+from pcretrieve.catalogue import (
+    Catalogue,
+    CatalogueLike,
+    Defect,
+    Record,
+    find_defects,
+    opened,
+    set_to_be_ingested_again,
+)
 from pcretrieve.errors import CatalogueError, PcretrieveError, ShapeError
 from pcretrieve.ingestion import work
 from pcretrieve.ingestion.discover import content_hash
@@ -19,11 +29,82 @@ from pcretrieve.options import PipelineOptions
 from pcretrieve.pipeline.process import signature_of_surfaces
 from pcretrieve.values import FloatArray, TriangleMesh
 
-__all__ = ["recomputed"]
-
 # Largest relative difference of a value that is computed again. Other processors and libraries move values by
 # less than .001; other poses of a body by .1.
 TOLERANCE = 0.01
+
+
+@dataclass(frozen=True, slots=True)
+class Check:
+    """The result of a check of a catalogue."""
+
+    n_shapes: int
+    n_failed: int
+    n_recomputed: int
+    defects: tuple[Defect, ...]
+
+    @property
+    def is_whole(self) -> bool:
+        """Whether there are no defects, or all of them were repaired."""
+        return all(defect.repair is not None for defect in self.defects)
+
+
+def check(
+    catalogue: CatalogueLike,
+    *,
+    sample: int = 10,
+    repair: bool = False,
+    timeout: float = 600.0,
+    seed: int | None = None,
+    on_shapes: Callable[[int], None] = lambda number: None,
+) -> Check:
+    """Check whether a catalogue is whole.
+
+    The check reads everything: pages and SQL indexes of an SQLite file; rows of no shape; of each shape,
+    whether its record is as it was stored and agrees with its arrays, and whether all arrays and signatures
+    are there with the right checksums; and the stored indexes. Signatures of a sample are computed again,
+    from the stored surfaces or from files that are unchanged.
+
+    Parameters
+    ----------
+    catalogue : Catalogue, str or Path
+        The catalogue.
+    sample : int, default 10
+        Number of signatures that are computed again.
+    repair : bool, default False
+        Remove rows of no shape, damaged records and damaged indexes, make SQL indexes again, and replace
+        shapes with damaged arrays by failures in the stage ``check``, whose files the next ingest, or
+        `retry`, processes again.
+    timeout : float, default 600
+        Longest time to compute a signature again; seconds.
+    seed : int, optional
+        Seed of the sample; by default another sample in each call.
+    on_shapes : function of int, optional
+        Called with the number of shapes that have been checked, now and then.
+
+    Returns
+    -------
+    Check
+        The defects, and which of them were repaired.
+
+    Raises
+    ------
+    CatalogueError
+        If the catalogue cannot be opened, or cannot be written to for repairs.
+    """
+    with opened(catalogue) as store:
+        defects = find_defects(store, repair=repair, on_shapes=on_shapes)
+        is_broken = any(defect.kind == "database" and defect.repair is None for defect in defects)
+        # A list, because repairs change the order of the finished shapes.
+        chosen = [] if is_broken else list(_sample(store, sample, seed))
+        n_recomputed = 0
+        for record, fault in _recomputed(store, chosen, timeout=timeout):
+            n_recomputed += 1
+            if fault is not None:
+                done = set_to_be_ingested_again(store, record, fault) if repair else None
+                defects.append(Defect("signature", record.id, fault, done))
+        n_failed = sum(store.failures().values())
+        return Check(len(store), n_failed, n_recomputed, tuple(defects))
 
 
 class _Task(NamedTuple):
@@ -32,7 +113,7 @@ class _Task(NamedTuple):
     meshes: tuple[TriangleMesh, ...]  # none if the signature is computed from the file
 
 
-def recomputed(
+def _recomputed(
     catalogue: Catalogue, records: Iterable[Record], *, timeout: float
 ) -> Iterator[tuple[Record, str | None]]:
     """Compute the signatures of stored shapes again, in another process.
@@ -53,6 +134,17 @@ def recomputed(
             source = "its stored surfaces" if task.meshes else "its file"
             fault = f"its signature differs from that of {source} by {difference:.1%}"
             yield task.record, fault if difference > TOLERANCE else None
+
+
+def _sample(store: Catalogue, number: int, seed: int | None) -> Iterator[Record]:
+    """Some finished shapes, without those whose records are damaged."""
+    n_shapes = len(store)
+    for offset in sorted(random.Random(seed).sample(range(n_shapes), min(number, n_shapes))):
+        try:
+            for page in store.pages(status="done", offset=offset, limit=1):
+                yield from page
+        except CatalogueError:
+            continue
 
 
 def _tasks(catalogue: Catalogue, records: Iterable[Record]) -> Iterator[_Task]:

@@ -4,10 +4,10 @@ A catalogue may be given as a `Catalogue` or as its path or URL, options as in `
 a scan as a path, an array, or geometry of this package or another.
 """
 
+from pcretrieve.catalogue import CatalogueLike, backup, merge_catalogues
 from pcretrieve.evaluation import calibrate, compare, evaluate, matrix
+from pcretrieve.ingestion.recomputing import check
 from pcretrieve.interface.batches import retry, status, watch
-from pcretrieve.interface.catalogues import CatalogueLike, merge_catalogues
-from pcretrieve.interface.maintenance import backup, check
 from pcretrieve.interface.scans import ingest, inspect, merge_views
 
 __all__ = [

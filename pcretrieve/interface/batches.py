@@ -6,13 +6,12 @@ import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-from pcretrieve.catalogue import Record
+from pcretrieve.catalogue import CatalogueLike, Record, opened
 from pcretrieve.ingestion import EXECUTORS, BatchStatus, Executor
 from pcretrieve.ingestion.arrivals import Arrivals
 from pcretrieve.ingestion.batch import batch_status
 from pcretrieve.ingestion.plan import failed_paths
 from pcretrieve.ingestion.run import Summary, ingest_files
-from pcretrieve.interface.catalogues import CatalogueLike, opened
 from pcretrieve.options import OptionsLike, PipelineOptions
 
 __all__ = ["retry", "status", "watch"]

@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import nullcontext
 from pathlib import Path
 
-from pcretrieve.catalogue import Record
+from pcretrieve.catalogue import CatalogueLike, Record, opened, stored_records
 from pcretrieve.formats import ScanLike, as_scan
 from pcretrieve.ingestion import EXECUTORS, Executor
 from pcretrieve.ingestion.layouts import discover_labelled
@@ -14,7 +14,6 @@ from pcretrieve.ingestion.run import Summary, ingest_files, plan_files
 from pcretrieve.ingestion.shards import scans_of
 from pcretrieve.ingestion.views import read_views
 from pcretrieve.inspection import Inspection, inspect_scan
-from pcretrieve.interface.catalogues import CatalogueLike, opened, stored_records
 from pcretrieve.options import MergeOptions, OptionsLike, PipelineOptions
 from pcretrieve.points.register import Merged
 from pcretrieve.points.register import merge_views as merge_clouds

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import json
-import sqlite3
 import statistics
 from collections.abc import Collection, Iterator
 from contextlib import closing
@@ -19,17 +17,15 @@ from numpy.random import Generator
 from scipy.spatial import ConvexHull
 
 from benchmarks.measuring import timed
-from pcretrieve.catalogue import Catalogue, Rows
+from pcretrieve.catalogue import Record, merge_catalogues
 from pcretrieve.catalogue.arrays import packed_values
-from pcretrieve.catalogue.record_rows import CHECKSUMS, NUMBERED, with_checksums
-from pcretrieve.catalogue.rows import OWN, Entry
+from pcretrieve.catalogue.records import OWN, Entry
+from pcretrieve.catalogue.rows import Rows
 from pcretrieve.catalogue.settings import settings_of
-from pcretrieve.catalogue.stores import open_rows
 from pcretrieve.errors import BenchmarkError
 from pcretrieve.formats import write_mesh
-from pcretrieve.interface import merge_catalogues
 from pcretrieve.options import PipelineOptions
-from pcretrieve.values import FloatArray, TriangleMesh
+from pcretrieve.values import FloatArray, Step, TriangleMesh
 
 # Number of shapes in a class. Their signatures differ as those of one body at several resolutions.
 CLASS_SIZE = 10
@@ -38,18 +34,13 @@ CLASS_SIZE = 10
 BLOCK = 10_000
 
 # Provenance as it is stored of a scan that was made into one surface.
-STEPS = [
-    {"stage": "read", "seconds": 0.013, "sizes": {"points": 14042}, "notes": []},
-    {"stage": "clean", "seconds": 0.048, "sizes": {"points_in": 14042, "points": 13768}, "notes": []},
-    {"stage": "orient", "seconds": 0.237, "sizes": {"points": 13768}, "notes": []},
-    {
-        "stage": "surface",
-        "seconds": 0.937,
-        "sizes": {"points": 13768, "faces": 10000, "euler": 2},
-        "notes": [],
-    },
-    {"stage": "spectrum", "seconds": 0.185, "sizes": {"vertices": 5002, "pairs": 61}, "notes": []},
-]
+STEPS = (
+    Step("read", 0.013, {"points": 14042}),
+    Step("clean", 0.048, {"points_in": 14042, "points": 13768}),
+    Step("orient", 0.237, {"points": 13768}),
+    Step("surface", 0.937, {"points": 13768, "faces": 10000, "euler": 2}),
+    Step("spectrum", 0.185, {"vertices": 5002, "pairs": 61}),
+)
 VERSIONS = {
     "pcretrieve": "0.1.0",
     "open3d": "0.20.0",
@@ -71,36 +62,30 @@ def synthetic_catalogue(path: Path, options: PipelineOptions, n_shapes: int, see
     The covariances are those of simulated bodies: within a class, of the changes that the resolution of a
     surface causes; between classes, of the bodies.
     """
-    with Catalogue(path, options, create=True):
-        pass
     signatures = _signatures(options.signature.n_values, n_shapes, np.random.default_rng(seed))
-    with closing(sqlite3.connect(path)) as connection, connection:
-        connection.execute("INSERT INTO descriptors (number, digest) VALUES (0, 'own')")
-        connection.executemany(
-            "INSERT INTO shapes (number, id, path, content_hash, label, status, area, n_vertices, n_faces, "
-            "euler) VALUES (?, ?, ?, ?, ?, 'done', 1.9, 5002, 10000, 2)",
-            (
-                (
-                    number,
-                    shape_id := synthetic_id(number),
-                    f"/scans/{shape_id}.ply",
-                    hashlib.sha256(shape_id.encode()).hexdigest(),
-                    f"class-{number // CLASS_SIZE:06}",
-                )
-                for number in range(n_shapes)
-            ),
-        )
-        provenance = (json.dumps(STEPS), options.digest, json.dumps(VERSIONS), "2026-01-01T00:00:00+00:00")
-        connection.executemany(
-            "INSERT INTO provenance (shape, steps, options_digest, versions, added) VALUES (?, ?, ?, ?, ?)",
-            ((number, *provenance) for number in range(n_shapes)),
-        )
-        rows = connection.execute(NUMBERED, {"last": -1, "limit": n_shapes})
-        connection.executemany(CHECKSUMS, [with_checksums(row) for row in rows])
-        connection.executemany(
-            "INSERT INTO signatures (descriptor, shape, value) VALUES (0, ?, ?)",
-            ((number, packed_values(values)) for number, values in enumerate(signatures)),
-        )
+    with closing(Rows(path, settings_of(options), create=True)) as rows:
+        for start in range(0, n_shapes, BLOCK):
+            numbers = range(start, min(start + BLOCK, n_shapes))
+            rows.add([_entry(number, next(signatures), options) for number in numbers])
+
+
+def _entry(number: int, values: FloatArray, options: PipelineOptions) -> Entry:
+    shape_id = synthetic_id(number)
+    record = Record(
+        shape_id,
+        f"/scans/{shape_id}.ply",
+        hashlib.sha256(shape_id.encode()).hexdigest(),
+        f"class-{number // CLASS_SIZE:06}",
+        steps=STEPS,
+        area=1.9,
+        n_vertices=5002,
+        n_faces=10000,
+        euler=2,
+        options_digest=options.digest,
+        versions=VERSIONS,
+        added="2026-01-01T00:00:00+00:00",
+    )
+    return Entry(record, {OWN: packed_values(values)}, {})
 
 
 def write_small_meshes(folder: Path, n_meshes: int, n_vertices: int, seed: int) -> None:
@@ -200,7 +185,7 @@ def written_in(path: Path, n_shapes: int, n_repeats: int) -> WritingTimes:
     Returns WritingTimes: median times; seconds.
     """
     times = []
-    with closing(open_rows(path, {}, create=False)) as rows:
+    with closing(Rows(path, {}, create=False)) as rows:
         stored = rows.entries([record.id for record in rows.page(limit=n_shapes)])
         new = [
             replace(entry, record=replace(entry.record, id=f"new-{at}", path=f"/new/{at}.ply"))
@@ -227,10 +212,10 @@ def merged_in(folder: Path, options: PipelineOptions, n_shapes: int, n_parts: in
         )
     synthetic_catalogue(folder / "whole.sqlite", options, n_shapes, seed)
     parts = [folder / f"part-{number}.sqlite" for number in range(n_parts)]
-    with closing(open_rows(folder / "whole.sqlite", {}, create=False)) as rows:
+    with closing(Rows(folder / "whole.sqlite", {}, create=False)) as rows:
         ids = [origin.id for origin in rows.origins()]
         for number, part in enumerate(parts):
-            with closing(open_rows(part, settings_of(options), create=True)) as store:
+            with closing(Rows(part, settings_of(options), create=True)) as store:
                 chosen = ids[number::n_parts]
                 for start in range(0, len(chosen), COPIED_AT_ONCE):
                     store.add(rows.entries(chosen[start : start + COPIED_AT_ONCE]))

@@ -13,10 +13,12 @@ from click.testing import CliRunner
 from numpy.random import default_rng
 
 from pcretrieve import Catalogue, merge_catalogues
-from pcretrieve.catalogue import Merged, Record, merging
-from pcretrieve.catalogue.rows import OWN, PAYLOADS, Entry, Payload
+from pcretrieve.catalogue import Merged, Record
+from pcretrieve.catalogue import merge as merging
+from pcretrieve.catalogue.records import OWN, Entry
+from pcretrieve.catalogue.rows import Rows
 from pcretrieve.catalogue.settings import settings_of
-from pcretrieve.catalogue.stores import open_rows
+from pcretrieve.catalogue.tables import PAYLOADS, Payload
 from pcretrieve.cli.main import cli
 from pcretrieve.errors import CatalogueError, InputError
 
@@ -42,7 +44,7 @@ def part(tmp_path: Path) -> Callable[[Sequence[Entry]], Path]:
 
     def make(entries: Sequence[Entry]) -> Path:
         path = tmp_path / f"part-{next(number)}.sqlite"
-        with closing(open_rows(path, settings_of(OPTIONS), create=True)) as rows:
+        with closing(Rows(path, settings_of(OPTIONS), create=True)) as rows:
             rows.add(entries)
         return path
 
@@ -51,7 +53,7 @@ def part(tmp_path: Path) -> Callable[[Sequence[Entry]], Path]:
 
 def content(location: str | Path) -> Content:
     """Everything that a catalogue has, in ascending order of id."""
-    with closing(open_rows(location, {}, create=False)) as rows:
+    with closing(Rows(location, {}, create=False)) as rows:
         entries = rows.entries([origin.id for origin in rows.origins()])
         return [(one.record, dict(one.signatures), {**one.payloads}) for one in entries]
 
@@ -79,11 +81,11 @@ def test_a_merge_goes_on_after_an_interruption(
     merge_catalogues([part(entries[:2])], new_location)
     assert merge_catalogues([whole], new_location) == Merged(2, 2)
     with Catalogue(new_location) as merged:
-        revision = merged._rows.revision()
+        revision = merged.rows.revision()
     assert merge_catalogues([whole, whole], new_location) == Merged(0, 4)
     assert content(new_location) == content(whole)
     with Catalogue(new_location) as merged:
-        assert merged._rows.revision() == revision
+        assert merged.rows.revision() == revision
 
 
 def test_of_a_file_in_several_parts_the_first_finished_shape_stays(
@@ -124,24 +126,28 @@ def test_parts_are_merged_in_any_grouping(part: Callable[[Sequence[Entry]], Path
         assert content(one) == content(two) == content(whole)
 
 
-@pytest.mark.parametrize(
-    ("changes", "said"),
-    [
-        ({"content_hash": "new"}, r"/a.ply has different contents in .*part-0.sqlite and in .*part-1.sqlite"),
-        ({"label": "cat"}, r"/a.ply has the labels 'label' and 'cat' in .*part-0.sqlite and in .*part-1"),
-        ({"path": "/b.ply"}, r"'a' is /a.ply in .*part-0.sqlite and /b.ply in .*part-1.sqlite"),
-    ],
-)
-def test_conflicts_are_named_and_nothing_is_stored(
-    changes: dict[str, str], said: str, part: Callable[[Sequence[Entry]], Path], tmp_path: Path
-) -> None:
-    parts = [part([done("a"), done("c")]), part([done("a", **changes), done("d")])]
-    with pytest.raises(CatalogueError, match=f"with conflicts cannot be merged: {said}"):
-        merge_catalogues(parts, tmp_path / "all.sqlite")
-    assert content(tmp_path / "all.sqlite") == []
-    with pytest.raises(CatalogueError, match=said):
-        merge_catalogues(parts[1:], parts[0])
-    assert [record.id for record, *_ in content(parts[0])] == ["a", "c"]
+CONFLICTS: list[tuple[dict[str, str], str]] = [
+    ({"content_hash": "new"}, r"/a.ply has different contents in .*part-0.sqlite and in .*part-1.sqlite"),
+    ({"label": "cat"}, r"/a.ply has the labels 'label' and 'cat' in .*part-0.sqlite and in .*part-1"),
+    ({"path": "/b.ply"}, r"'a' is /a.ply in .*part-0.sqlite and /b.ply in .*part-1.sqlite"),
+]
+
+
+def test_conflicts_are_named_and_nothing_is_stored(tmp_path: Path) -> None:
+    for number, (changes, said) in enumerate(CONFLICTS):
+        folder = tmp_path / f"{number}"
+        folder.mkdir()
+        parts = [folder / "part-0.sqlite", folder / "part-1.sqlite"]
+        entries = [[done("a"), done("c")], [done("a", **changes), done("d")]]
+        for path, stored in zip(parts, entries, strict=True):
+            with closing(Rows(path, settings_of(OPTIONS), create=True)) as rows:
+                rows.add(stored)
+        with pytest.raises(CatalogueError, match=f"with conflicts cannot be merged: {said}"):
+            merge_catalogues(parts, folder / "all.sqlite")
+        assert content(folder / "all.sqlite") == []
+        with pytest.raises(CatalogueError, match=said):
+            merge_catalogues(parts[1:], parts[0])
+        assert [record.id for record, *_ in content(parts[0])] == ["a", "c"]
 
 
 def test_what_cannot_be_merged(part: Callable[[Sequence[Entry]], Path], tmp_path: Path) -> None:

@@ -6,6 +6,8 @@ import json
 import os
 import shutil
 import sqlite3
+import subprocess
+import sys
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing
@@ -17,8 +19,9 @@ import shapes
 from click.testing import CliRunner
 
 from pcretrieve import Catalogue, PipelineOptions
-from pcretrieve.catalogue import Content, Record, stored_shapes
-from pcretrieve.catalogue.schema import SCHEMA_VERSION
+from pcretrieve.catalogue import Content, Record, find_defects, sqlite, stored_shapes
+from pcretrieve.catalogue.sqlite import Mount, journal_of, mount_of
+from pcretrieve.catalogue.tables import SCHEMA_VERSION
 from pcretrieve.cli.main import cli
 from pcretrieve.descriptors import describe
 from pcretrieve.errors import CatalogueError
@@ -33,14 +36,19 @@ OPTIONS = PipelineOptions().changed(scan={"voxel": 0.005}, signature={"n_values"
 NOBODY = 65534
 
 
-@pytest.fixture
-def path(tmp_path: Path) -> Path:
+@pytest.fixture(scope="module")
+def original(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A catalogue of one shape, with options of its own."""
-    with Catalogue(tmp_path / "c.sqlite", OPTIONS, create=True) as store:
+    with Catalogue(tmp_path_factory.mktemp("ball") / "c.sqlite", OPTIONS, create=True) as store:
         shape = process(shapes.icosphere(3), OPTIONS)
         values = describe(shape, OPTIONS.signature).values
         store.put(Record("ball", "/ball.off", "hash"), Content(shape, values))
     return Path(store.location)
+
+
+@pytest.fixture
+def path(original: Path, tmp_path: Path) -> Path:
+    return Path(shutil.copy(original, tmp_path / "c.sqlite"))
 
 
 def execute(path: Path, *statements: str) -> None:
@@ -49,32 +57,33 @@ def execute(path: Path, *statements: str) -> None:
             connection.execute(statement)
 
 
+def failure(name: str) -> Record:
+    return Record(name, f"/{name}.ply", "", status="failed", stage="read", error="Bad", message="why")
+
+
 # --- options --------------------------------------------------------------------------------------------
 
 
-def test_a_catalogue_has_the_options_it_was_built_with(path: Path) -> None:
+def test_a_catalogue_has_the_options_it_was_built_with(path: Path, tmp_path: Path) -> None:
     with Catalogue(path) as own, Catalogue(path, OPTIONS, create=True) as same:
         assert own.options == same.options == OPTIONS
-
-
-def test_other_options_are_named(path: Path) -> None:
     with pytest.raises(CatalogueError) as raised:
         Catalogue(path, PipelineOptions(), create=True)
     assert raised.value.message == (
         f"{path} was built with other options: scan.voxel: 0.005 there, 'auto' here; signature.n_values: 15 "
         "there, 59 here. Ingest into a new catalogue, or leave the options out to use its own"
     )
-
-
-def test_a_new_catalogue_gets_the_defaults(tmp_path: Path) -> None:
+    (tmp_path / "new.sqlite").touch()  # an empty file is none yet
+    with pytest.raises(CatalogueError, match="there is no catalogue"):
+        Catalogue(tmp_path / "new.sqlite")
     with Catalogue(tmp_path / "new.sqlite", create=True) as store:
-        assert store.options == PipelineOptions()
+        assert (store.options, len(store)) == (PipelineOptions(), 0)
 
 
 def test_of_several_that_make_one_catalogue_each_gets_the_same(tmp_path: Path) -> None:
     def voxel(number: int) -> float | str:
         with Catalogue(tmp_path / "new.sqlite", create=True) as store:
-            store.put(Record(f"r{number}", f"/r{number}", "", status="failed"))
+            store.put(failure(f"r{number}"))
             return store.options.scan.voxel
 
     with ThreadPoolExecutor(8) as several:
@@ -86,67 +95,51 @@ def test_of_several_that_make_one_catalogue_each_gets_the_same(tmp_path: Path) -
 # --- what is no catalogue -------------------------------------------------------------------------------
 
 
-def test_a_folder(tmp_path: Path) -> None:
+def test_what_is_no_catalogue_is_left_as_it_is(tmp_path: Path) -> None:
+    for name, content in (("byte", b"x"), ("scan.ply", b"ply\nformat ascii 1.0\n" * 100)):
+        (tmp_path / name).write_bytes(content)
+    for version in (0, 1, 99):
+        execute(
+            tmp_path / f"mail{version}.db", "CREATE TABLE meta (a TEXT)", f"PRAGMA user_version = {version}"
+        )
+    for file in sorted(tmp_path.iterdir()):
+        before = file.read_bytes()
+        words = "is an SQLite file, but no catalogue" if file.suffix == ".db" else "is not a catalogue: give"
+        for create in (False, True):
+            with pytest.raises(CatalogueError, match=words):
+                Catalogue(file, create=create)
+            assert file.read_bytes() == before
     with pytest.raises(CatalogueError, match="is a folder: name a file for --catalogue"):
         Catalogue(tmp_path, create=True)
-
-
-def test_nothing_there(tmp_path: Path) -> None:
     with pytest.raises(CatalogueError, match="make one with `pcretrieve ingest`"):
         Catalogue(tmp_path / "c.sqlite")
-    assert not list(tmp_path.iterdir())
-
-
-def test_no_folder_to_put_it_into(tmp_path: Path) -> None:
+    assert not (tmp_path / "c.sqlite").exists()
     with pytest.raises(CatalogueError, match=r"there is no folder .*nowhere to put a catalogue into"):
         Catalogue(tmp_path / "nowhere" / "c.sqlite", create=True)
 
 
-def test_an_empty_file_is_none_yet(tmp_path: Path) -> None:
-    (tmp_path / "c.sqlite").touch()
-    with pytest.raises(CatalogueError, match="there is no catalogue"):
-        Catalogue(tmp_path / "c.sqlite")
-    assert not (tmp_path / "c.sqlite").stat().st_size
-    with Catalogue(tmp_path / "c.sqlite", create=True) as store:
-        assert len(store) == 0
+def test_catalogues_of_other_versions(path: Path) -> None:
+    newer = rf"newer pcretrieve \(schema {SCHEMA_VERSION + 1}, this one knows {SCHEMA_VERSION}\): upgrade"
+    for change, said in (
+        (f"UPDATE meta SET value = '{SCHEMA_VERSION + 1}' WHERE key = 'schema_version'", newer),
+        (
+            "UPDATE meta SET value = '5' WHERE key = 'schema_version'",
+            "an older pcretrieve, .*: ingest into",
+        ),
+        ("DELETE FROM meta WHERE key = 'schema_version'", "by an older pcretrieve"),
+        ("INSERT INTO meta VALUES ('schema_version', 'x')", r"is damaged \(it has no version\)"),
+    ):
+        execute(path, change)
+        with pytest.raises(CatalogueError, match=said):
+            Catalogue(path)
 
 
-@pytest.mark.parametrize("content", [b"x", b"ply\nformat ascii 1.0\n" * 100], ids=["a byte", "a scan"])
-@pytest.mark.parametrize("create", [False, True])
-def test_a_file_of_another_kind_is_left_as_it_is(create: bool, content: bytes, tmp_path: Path) -> None:
-    (tmp_path / "scan.ply").write_bytes(content)
-    before = (tmp_path / "scan.ply").read_bytes()
-    with pytest.raises(CatalogueError, match="is not a catalogue: give another --catalogue"):
-        Catalogue(tmp_path / "scan.ply", create=create)
-    assert (tmp_path / "scan.ply").read_bytes() == before
-
-
-@pytest.mark.parametrize("create", [False, True])
-@pytest.mark.parametrize("version", [0, 1, 99])
-def test_a_database_of_another_program_is_left_as_it_is(create: bool, version: int, tmp_path: Path) -> None:
-    execute(tmp_path / "mail.db", "CREATE TABLE meta (mail TEXT)", f"PRAGMA user_version = {version}")
-    before = (tmp_path / "mail.db").read_bytes()
-    with pytest.raises(CatalogueError, match="is an SQLite file, but no catalogue"):
-        Catalogue(tmp_path / "mail.db", create=create)
-    assert (tmp_path / "mail.db").read_bytes() == before
-
-
-def test_a_newer_catalogue(path: Path) -> None:
-    execute(path, f"PRAGMA user_version = {SCHEMA_VERSION + 1}")
-    said = rf"newer pcretrieve \(schema {SCHEMA_VERSION + 1}, this one knows {SCHEMA_VERSION}\): upgrade"
-    with pytest.raises(CatalogueError, match=said):
-        Catalogue(path)
-
-
-def test_options_of_a_version_that_had_fewer_of_them(path: Path) -> None:
-    """What is new has its default, which gives the numbers of before."""
+def test_options_of_other_versions(path: Path) -> None:
+    """Options that are new have their defaults, which give the numbers of before."""
     stored = OPTIONS.model_dump(exclude={"retrieval": True, "surface": {"bridge", "max_faces"}})
     execute(path, f"UPDATE meta SET value = '{json.dumps(stored)}' WHERE key = 'options'")
     with Catalogue(path, OPTIONS) as store:
         assert store.options == OPTIONS
-
-
-def test_options_of_a_version_that_had_more_of_them(path: Path) -> None:
     options = json.dumps({"surface": {"fairness": 3}})
     execute(path, f"UPDATE meta SET value = '{options}' WHERE key = 'options'")
     with pytest.raises(CatalogueError, match="was built by a pcretrieve with other options"):
@@ -181,7 +174,7 @@ def test_nothing_is_written_to_a_file_that_is_not_there_any_more(how: str, path:
         if how == "replaced":
             Path(other).rename(path)
         with pytest.raises(CatalogueError, match=r"was removed or replaced while it was in use: .* put the"):
-            store.put(Record("other", "/other.off", "hash", status="failed"))
+            store.put(failure("other"))
         with pytest.raises(CatalogueError, match="was removed or replaced while it was in use"):
             store.remove("ball")
 
@@ -192,7 +185,7 @@ def test_changes_that_are_in_the_log_alone_are_not_left_out() -> None:
         folder = Path(place) / "folder"
         folder.mkdir()
         with Catalogue(Path(place) / "c.sqlite", create=True) as store:
-            store.put(Record("other", "/other.off", "hash", status="failed"))
+            store.put(failure("other"))
             for suffix in ("", "-wal"):
                 shutil.copy(f"{store.location}{suffix}", folder)
         Path(place).chmod(0o755)
@@ -209,6 +202,26 @@ def test_changes_that_are_in_the_log_alone_are_not_left_out() -> None:
             folder.chmod(0o755)
 
 
+def test_a_catalogue_that_may_not_be_written_can_be_read(original: Path) -> None:
+    with TemporaryDirectory(dir="/tmp") as place:
+        path = Path(shutil.copy(original, place))
+        path.chmod(0o644)
+        Path(place).chmod(0o555)
+        user = os.geteuid()
+        try:
+            if user == 0:
+                os.seteuid(NOBODY)
+            with Catalogue(path) as reader:
+                assert (len(reader), reader.mesh("ball").euler_characteristic) == (1, 2)
+                with pytest.raises(CatalogueError, match="cannot be written to"):
+                    reader.remove("ball")
+            with pytest.raises(CatalogueError, match="cannot be written to"):
+                Catalogue(path, create=True)
+        finally:
+            os.seteuid(user)
+            Path(place).chmod(0o755)
+
+
 # --- damage ---------------------------------------------------------------------------------------------
 
 
@@ -222,53 +235,195 @@ def overwritten(path: Path) -> None:
     path.write_bytes(data)
 
 
-def half(column: str) -> str:
-    return f"substr({column}, 1, length({column}) / 2)"
-
-
 def flipped(column: str, position: int) -> str:
     return f"CAST(substr({column}, 1, {position}) || x'ff' || substr({column}, {position + 2}) AS BLOB)"
 
 
-DAMAGES: dict[str, Callable[[Path], None]] = {
+NOT_UTF8 = "UPDATE sqlite_master SET name = CAST(x'ce41' AS TEXT), sql = 'x' WHERE name = 'shapes'"
+DAMAGES: dict[str, Callable[[Path], None] | tuple[str, ...]] = {
     "truncated": truncated,
     "overwritten": overwritten,
-    "a name that SQLite quotes and that is not UTF-8": lambda path: execute(
-        path,
-        "PRAGMA writable_schema = ON",
-        "UPDATE sqlite_master SET name = CAST(x'ce41' AS TEXT), sql = 'x' WHERE name = 'shapes'",
-    ),
-    "no options": lambda path: execute(path, "DELETE FROM meta"),
-    "options that are no JSON": lambda path: execute(
-        path, "UPDATE meta SET value = '{' WHERE key = 'options'"
-    ),
-    "options that are a list": lambda path: execute(
-        path, "UPDATE meta SET value = '[]' WHERE key = 'options'"
-    ),
-    "steps that are no JSON": lambda path: execute(path, "UPDATE provenance SET steps = '['"),
-    "steps of another kind": lambda path: execute(path, "UPDATE provenance SET steps = '[{\"cat\": 1}]'"),
-    "no provenance": lambda path: execute(path, "DELETE FROM provenance"),
-    "half a signature": lambda path: execute(path, f"UPDATE signatures SET value = {half('value')}"),
-    "a signature with a flipped byte": lambda path: execute(
-        path, f"UPDATE signatures SET value = {flipped('value', 20)}"
-    ),
-    "no name of its state": lambda path: execute(path, "DELETE FROM meta WHERE key = 'revision'"),
-    "bytes for a mesh": lambda path: execute(path, "UPDATE meshes SET arrays = x'00112233'"),
-    "half a mesh": lambda path: execute(path, f"UPDATE meshes SET arrays = {half('arrays')}"),
-    "a mesh with a flipped byte": lambda path: execute(
-        path, f"UPDATE meshes SET arrays = {flipped('arrays', 2000)}"
-    ),
-    "eigenvalues for a mesh": lambda path: execute(
-        path, "UPDATE meshes SET arrays = (SELECT arrays FROM spectra)"
-    ),
+    "a name that SQLite quotes and that is not UTF-8": ("PRAGMA writable_schema = ON", NOT_UTF8),
+    "no options": ("DELETE FROM meta",),
+    "options that are no JSON": ("UPDATE meta SET value = '{' WHERE key = 'options'",),
+    "options that are a list": ("UPDATE meta SET value = '[]' WHERE key = 'options'",),
+    "other steps": ("UPDATE provenance SET steps = '['",),
+    "no provenance": ("DELETE FROM provenance",),
+    "half a signature": ("UPDATE signatures SET value = substr(value, 1, length(value) / 2)",),
+    "a signature with a flipped byte": (f"UPDATE signatures SET value = {flipped('value', 20)}",),
+    "no name of its state": ("DELETE FROM meta WHERE key = 'revision'",),
+    "bytes for a mesh": ("UPDATE arrays SET meshes = x'00112233'",),
+    "half a mesh": ("UPDATE arrays SET meshes = substr(meshes, 1, length(meshes) / 2)",),
+    "a mesh with a flipped byte": (f"UPDATE arrays SET meshes = {flipped('meshes', 2000)}",),
+    "eigenvalues for a mesh": ("UPDATE arrays SET meshes = spectra",),
 }
 
 
-@pytest.mark.parametrize("damage", DAMAGES)
-def test_damaged_bytes_are_an_error(damage: str, path: Path) -> None:
-    DAMAGES[damage](path)
-    with pytest.raises(CatalogueError, match=r"is damaged \(.*\): restore a copy, or ingest into a new"):  # noqa: SIM117
-        with Catalogue(path) as store:
+def test_damaged_bytes_are_an_error(original: Path, tmp_path: Path) -> None:
+    for number, (name, damage) in enumerate(DAMAGES.items()):
+        path = Path(shutil.copy(original, tmp_path / f"{number}.sqlite"))
+        if isinstance(damage, tuple):
+            execute(path, *damage)
+        else:
+            damage(path)
+        with pytest.raises(CatalogueError) as raised, Catalogue(path) as store:
             store.records()
             store.signatures()
             store.mesh("ball")
+        assert "is damaged (" in str(raised.value), name
+        assert "): restore a copy, or" in str(raised.value), name
+
+
+# --- file systems ---------------------------------------------------------------------------------------
+
+
+def mounted(kind: str, options: str, folder: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Let a folder be one on which another file system is mounted; the table of what is mounted."""
+    table = folder / "mountinfo"
+    place = str(folder).replace(" ", "\\040")
+    table.write_text(
+        "22 27 0:21 / / rw,relatime - ext4 /dev/vda rw\n"
+        f"23 22 0:50 / {place} rw,relatime shared:2 - {kind} server:/scans rw,{options}\n"
+    )
+    monkeypatch.setattr(sqlite, "MOUNTS", table)
+    return table
+
+
+def journal(path: Path) -> str:
+    with closing(sqlite3.connect(path)) as connection:
+        ((mode,),) = connection.execute("PRAGMA journal_mode")
+        return str(mode)
+
+
+def test_the_journal_by_the_file_system() -> None:
+    for kind, options, expected in (
+        ("ext4", "rw", "WAL"),
+        ("", "", "WAL"),
+        ("fuse.fuse-overlayfs", "rw", "WAL"),
+        ("nfs4", "vers=4.2,local_lock=none", "DELETE"),
+        ("nfs", "vers=3,nolock,local_lock=all", None),
+        ("lustre", "rw,flock", "DELETE"),
+        ("lustre", "rw,localflock", None),
+        ("lustre", "rw", None),
+        ("cifs", "rw", "DELETE"),
+        ("cifs", "rw,nobrl", None),
+        ("fuse.sshfs", "rw", None),
+        ("fuse.unheard-of", "rw", "DELETE"),
+    ):
+        assert journal_of(Mount(kind, frozenset(options.split(",")))) == expected, (kind, options)
+
+
+def test_the_file_system_of_a_path(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    folder = tmp_path / "a folder"
+    folder.mkdir()
+    mounted("nfs4", "local_lock=none", folder, monkeypatch)
+    assert mount_of(folder / "c.sqlite").kind == "nfs4"
+    assert "local_lock=none" in mount_of(folder / "c.sqlite").options
+    assert mount_of(tmp_path / "a folder beside").kind == "ext4"
+    (tmp_path / "link").symlink_to(folder)
+    assert mount_of(tmp_path / "link" / "c.sqlite").kind == "nfs4"
+    monkeypatch.setattr(sqlite, "MOUNTS", tmp_path / "none")
+    assert mount_of(folder).kind == ""
+
+
+MOUNTED = """
+import sys
+from pathlib import Path
+from pcretrieve.catalogue import Catalogue
+from pcretrieve.catalogue.sqlite import mount_of
+path = Path(sys.argv[1], "c.sqlite")
+Catalogue(path, create=True).close()
+with path.open("rb") as file:
+    print(mount_of(path).kind, file.read(20)[18])
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("command", "expected"),
+    [
+        ("mount -t tmpfs none {folder}/there", "tmpfs 2"),
+        ("bindfs {folder}/here {folder}/there", "fuse 1"),
+    ],
+)
+def test_file_systems_that_are_really_mounted(command: str, expected: str, tmp_path: Path) -> None:
+    """In a namespace of mounts; a file of version 1 has a rollback journal, of version 2 a log."""
+    if shutil.which(command.split()[0]) is None or shutil.which("unshare") is None:
+        pytest.skip(f"{command.split()[0]} and unshare are not both installed")
+    if os.geteuid() != 0:
+        pytest.skip("only root mounts file systems")
+    (tmp_path / "here").mkdir()
+    (tmp_path / "there").mkdir()
+    mount = command.format(folder=tmp_path)
+    script = f'{mount} && "$0" -c "$1" {tmp_path}/there; result=$?; umount {tmp_path}/there; exit $result'
+    done = subprocess.run(
+        ["unshare", "--mount", "sh", "-c", script, sys.executable, MOUNTED],
+        capture_output=True,
+        text=True,
+        timeout=100,
+        check=False,
+    )
+    if done.returncode and not Path("/dev/fuse").exists():
+        pytest.skip("this system has no FUSE")
+    assert done.stdout.strip() == expected, done.stderr
+
+
+def test_on_a_network_a_catalogue_has_a_rollback_journal(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A new one, and one that was copied with a log, which it loses."""
+    path = tmp_path / "c.sqlite"
+    with Catalogue(path, create=True) as store:
+        store.put(failure("a"))
+        assert journal(path) == "wal"
+        for file in tmp_path.glob("c.sqlite*"):  # with the changes that are in the log alone
+            shutil.copy(file, tmp_path / file.name.replace("c.", "d."))
+    mounted("nfs4", "local_lock=none", tmp_path, monkeypatch)
+    with Catalogue(tmp_path / "d.sqlite") as store, Catalogue(tmp_path / "d.sqlite") as other:
+        store.put(failure("b"))
+        assert [record.id for record in other.records()] == ["a", "b"]
+    with Catalogue(tmp_path / "e.sqlite", create=True) as store:
+        store.put(failure("a"))
+        assert not list(tmp_path.glob("e.sqlite-*"))
+    assert journal(tmp_path / "d.sqlite") == journal(tmp_path / "e.sqlite") == "delete"
+
+
+WRITER = """
+import sys
+from pathlib import Path
+from pcretrieve.catalogue import Catalogue, Record, sqlite
+sqlite.MOUNTS = Path(sys.argv[2])
+with Catalogue(sys.argv[1], create=True) as store:
+    for number in range(40):
+        name = f"{sys.argv[3]}{number}"
+        store.put(Record(name, f"/{name}.ply", "", status="failed", stage="read", error="E", message="why"))
+        store.records()
+"""
+
+
+@pytest.mark.slow
+def test_two_writers_take_turns(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    table = mounted("nfs4", "local_lock=none", tmp_path, monkeypatch)
+    command = [sys.executable, "-c", WRITER, str(tmp_path / "c.sqlite"), str(table)]
+    writers = [subprocess.Popen([*command, name]) for name in "ab"]
+    assert [writer.wait(100) for writer in writers] == [0, 0]
+    with Catalogue(tmp_path / "c.sqlite") as store:
+        assert len(store.records()) == 80
+        assert find_defects(store) == []
+
+
+def test_without_locks_a_catalogue_is_only_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "c.sqlite"
+    with Catalogue(path, create=True) as store:
+        store.put(failure("a"))
+    before = path.read_bytes()
+    mounted("fuse.sshfs", "rw", tmp_path, monkeypatch)
+    for new in (path, tmp_path / "new.sqlite"):
+        with pytest.raises(CatalogueError, match=r"type fuse\.sshfs, whose locks other computers do not see"):
+            Catalogue(new, create=True)
+    assert not (tmp_path / "new.sqlite").exists()
+    with Catalogue(path) as store:
+        assert [record.id for record in store.records()] == ["a"]
+        with pytest.raises(CatalogueError, match="cannot be written to"):
+            store.put(failure("b"))
+    assert path.read_bytes() == before

@@ -77,6 +77,7 @@ def put_first(location: str) -> FloatArray:
     return values
 
 
+@pytest.mark.slow
 def test_reader_writer_and_remover_at_once(
     new_location: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

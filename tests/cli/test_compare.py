@@ -60,19 +60,6 @@ def test_averages_and_intervals_are_printed(eggs: Path) -> None:
     assert [f"{found['macro'][measure]:.4f}" for measure in MEASURES] == macro.split()[:6]  # type: ignore[index]
 
 
-def test_classes_are_printed(eggs: Path) -> None:
-    asked = ("evaluate", "-c", eggs / "eggs.sqlite", "--whitening", "none", "--per-class")
-    lines = run(*asked).stdout.splitlines()[5:]
-    assert [line.split()[6] for line in lines] == ["kind0,", "kind1,", "kind2,", "kind3,"]
-    classes = document(*asked)["classes"]
-    assert isinstance(classes, list)
-    for line, one in zip(lines, classes, strict=True):
-        assert line.split()[:6] == [f"{one[name]:.4f}" for name in MEASURES]
-        others = ", ".join(f"{other['label']} {other['n_queries']}" for other in one["confused"])
-        assert line.endswith(f"; nearest {others}" if others else ", 4 queries")
-    assert any(one["confused"] for one in classes)
-
-
 def test_re_ranking_is_a_row_more_and_works_by_a_matrix(eggs: Path, tmp_path: Path) -> None:
     chosen = ("-c", eggs / "eggs.sqlite", "--whitening", "none")
     run("matrix", *chosen, "-o", tmp_path / "eggs.npy")
@@ -144,17 +131,3 @@ def test_what_cannot_be_compared(eggs: Path, tmp_path: Path) -> None:
     )
     gone = run("compare", catalogue, tmp_path / "gone.sqlite", code=1)
     assert "there is no catalogue" in str(gone.exception)
-
-
-def test_a_shape_that_failed_in_one_catalogue_is_compared_too(eggs: Path, tmp_path: Path) -> None:
-    """It is a miss there, and not left out."""
-    folder = tmp_path / "broken"
-    folder.mkdir()
-    for path in eggs.glob("*.off"):
-        (folder / path.name).write_bytes(path.read_bytes())
-    (folder / "00.off").write_text("OFF\n")
-    pr.ingest(folder, tmp_path / "broken.sqlite", labels=eggs / "labels.csv", workers=1)
-    found = pr.compare(eggs / "eggs.sqlite", tmp_path / "broken.sqlite")
-    assert (found.only_first, found.only_second) == ((), ())
-    missed = next(one for one in found.changes if one.shape_id == "00")
-    assert missed.first > missed.second == 0

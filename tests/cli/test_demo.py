@@ -24,6 +24,7 @@ def test_the_query_is_a_scan_of_a_known_subject_and_not_in_the_catalogue() -> No
     assert DEMO_QUERY.split("_")[0] in {name.split("_")[0] for name in DEMO_SAMPLES}
 
 
+@pytest.mark.slow
 def test_the_demonstration_finds_whose_the_new_scan_is(tmp_path: Path) -> None:
     """Outside a checkout, in a folder that has to be made and whose name has to be quoted."""
     folder = "my demo"

@@ -3,19 +3,12 @@
 from __future__ import annotations
 
 import json
-import os
-import pty
-import re
-import subprocess
-import sys
-from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
 import pytest
 import shapes
 from click.testing import CliRunner, Result
-from packages import install
 
 from pcretrieve import read_scan
 from pcretrieve.cli.main import cli
@@ -101,35 +94,3 @@ def test_each_scan_of_a_folder_has_a_page(folder: Path, tmp_path: Path) -> None:
     pages = [Path(line.split("  ")[0]) for line in done.stdout.splitlines()]
     assert [page.stem for page in pages if page.stem != "bad"] == ["a", "b", "c"]
     assert "<html" in pages[0].read_text(encoding="utf-8")
-
-
-@pytest.fixture
-def environment(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> dict[str, str]:
-    entry_points = "[pcretrieve.readers]\n.slow = slow:read\n"
-    install(tmp_path / "site", "slow", {"slow": SLOW}, entry_points, monkeypatch)
-    path = os.pathsep.join([str(tmp_path / "site"), *filter(None, sys.path)])
-    return {**os.environ, "PYTHONPATH": path}
-
-
-def test_a_command_that_takes_long_says_a_word(tmp_path: Path, environment: dict[str, str]) -> None:
-    (tmp_path / "scan.slow").write_text("slow")
-
-    def said(*arguments: str) -> str:
-        """What a command prints on the terminal that is its standard error."""
-        terminal, end = pty.openpty()
-        command = [sys.executable, "-m", "pcretrieve", *arguments]
-        with subprocess.Popen(command, cwd=tmp_path, env=environment, stderr=end) as running:
-            os.close(end)
-            text = b""
-            with suppress(OSError), os.fdopen(terminal, "rb", buffering=0) as screen:  # the end of a terminal
-                while part := screen.read(1000):
-                    text += part
-            running.wait(PATIENCE)
-        return text.decode()
-
-    # A line that is written anew each second, and cleared before the message.
-    *words, failure = said("signature", "scan.slow").rstrip().split("\r\x1b[K")
-    assert re.fullmatch("signature: at work, [0-9]+ s", words[1])
-    assert len(words) >= 3
-    assert failure.startswith("\x1b[31mfailed:\x1b[0m [scan / read]")
-    assert "at work" not in said("ingest", "scan.slow", "-c", "d.sqlite", "--quiet")

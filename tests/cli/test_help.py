@@ -63,10 +63,3 @@ def test_all_options_are_named_and_explained(words: tuple[str, ...]) -> None:
 def test_the_list_has_all_commands_in_one_line_each() -> None:
     lines = shown("--help").split("Commands:\n")[1].splitlines()
     assert [line.split()[0] for line in lines] == [*COMMANDS]
-
-
-def test_details_are_where_they_are_asked_for() -> None:
-    assert "k-reciprocal" not in shown("query", "--help")
-    assert "k-reciprocal" in shown("query", "--help-all")
-    assert "ball tree" not in shown("query", "--help")
-    assert "shape-dna-norm1-values" in shown("query", "--help-all")

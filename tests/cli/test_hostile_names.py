@@ -17,7 +17,7 @@ from pathlib import Path
 import pytest
 import shapes
 
-from pcretrieve.catalogue.checksums import checksums_of
+from pcretrieve.catalogue.records import checksum
 from pcretrieve.formats import write_mesh
 
 # Names of files without their suffix. With the suffix .off, the longest has 255 bytes.
@@ -95,11 +95,8 @@ def seal(catalogue: sqlite3.Connection) -> None:
     """Write the checksums of changed rows, as who changes rows on purpose would, and commit."""
     catalogue.row_factory = sqlite3.Row
     for row in catalogue.execute("SELECT * FROM shapes JOIN provenance ON shape = number").fetchall():
-        columns = checksums_of(dict(row))
-        assigned = ", ".join(f"{name} = :{name}" for name in columns)
-        catalogue.execute(
-            f"UPDATE shapes SET {assigned} WHERE number = :number", columns | {"number": row["number"]}
-        )
+        values = (checksum(dict(row)), row["number"])
+        catalogue.execute("UPDATE shapes SET checksum = ? WHERE number = ?", values)
     catalogue.commit()
 
 
@@ -132,12 +129,6 @@ def test_queries_print_names_as_text(folder: Path) -> None:
     assert [row["query"] for row in rows[::3]] == [answer["query"] for answer in answers] == list(several[1:])
     assert [row["id"] for row in rows] == [one["id"] for answer in answers for one in answer["results"]]
     assert {row["label"] for row in rows} <= {*IDS.values()}
-
-
-def test_signatures_have_one_line_each(folder: Path) -> None:
-    lines = run(folder, "signature", "--from-catalogue", "c.sqlite").splitlines()
-    assert len(lines) == len(ids())
-    assert len({line.count("\t") for line in lines}) == 1
 
 
 def test_measures_of_classes_have_one_line_each(folder: Path) -> None:
@@ -205,12 +196,6 @@ def test_meshes_are_written_into_their_folder_alone(folder: Path) -> None:
     ]
     written = sorted(path for path in folder.rglob("*outside*") if path not in before)
     assert {path.parent for path in written} == {folder / "meshes" / "inside"}
-
-
-def test_all_meshes_have_files_of_their_own(folder: Path) -> None:
-    chosen = [shape_id for shape_id in ids() if len(os.fsencode(f"{shape_id}.ply")) <= 255]
-    run(folder, "export", "-c", "c.sqlite", "-o", "meshes/all", "--", *chosen)
-    assert len(list((folder / "meshes" / "all").iterdir())) == len(chosen)
 
 
 def test_shapes_are_removed_by_their_ids(folder: Path) -> None:

@@ -11,9 +11,7 @@ import pytest
 import shapes
 from PIL import Image
 
-from pcretrieve import Catalogue, PipelineOptions
 from pcretrieve.formats import write_mesh
-from pcretrieve.ingestion.run import ingest_files
 from pcretrieve.simulation import write_ply
 
 FEW_CELLS = "[surface]\ncell = 0.01\ntarget_faces = 3000\n"
@@ -84,31 +82,6 @@ def test_json_holds_checks_and_numbers(folder: Path) -> None:
     assert [step["stage"] for step in answer["steps"]][:3] == ["read", "crop", "clean"]
     with Image.open(folder / "sheet.png") as sheet:
         assert sheet.format == "PNG" and sheet.width > 1000
-
-
-def test_the_next_body_is_looked_for_in_the_catalogue_that_is_named(folder: Path) -> None:
-    """A catalogue of another body, and a folder of scans that are each compared with it."""
-    store = folder / "bodies.sqlite"
-    options = PipelineOptions().changed(signature={"method": "r-bihdm", "n_values": 10})
-    with Catalogue(store, options, create=True) as catalogue:
-        (folder / "others").mkdir()
-        write_mesh(shapes.ellipsoid(subdivisions=3), folder / "others" / "ball.off")
-        ingest_files([folder / "others" / "ball.off"], catalogue, labels={"ball.off": "ball"}, workers=1)
-    result = run("mesh.off", "-o", "near.html", "--catalogue", store, "--json", cwd=folder)
-    assert result.returncode == 0
-    answer = json.loads(result.stdout)["result"]
-    assert len(answer["signature"]) == 10, "by the options of the catalogue"
-    assert answer["next_body"]["id"] is None, "there is no other class"
-    assert "The catalogue has no other body" in result.stderr
-
-    (folder / "some").mkdir()
-    write_mesh(shapes.body(3), folder / "some" / "mesh.off")
-    with Catalogue(store) as catalogue:
-        ingest_files([folder / "some" / "mesh.off"], catalogue, labels={"mesh.off": "body"}, workers=1)
-    result = run("some", "-o", "pages", "-c", store, "--json", "--workers", "1", cwd=folder)
-    (found,) = json.loads(result.stdout)["result"]
-    assert found["next_body"]["id"] == "ball"
-    assert "is ball (class ball)" in (folder / "pages" / "mesh.html").read_text("utf-8")
 
 
 @pytest.mark.parametrize(("scan", "stage"), [("garbage.ply", "read"), ("few.ply", "crop")])

@@ -18,24 +18,17 @@ from processes import PATIENCE, living, wait_for
 from pcretrieve import Catalogue
 from pcretrieve.formats import write_mesh
 
-# A reader that never ends, and an executor that leaves a thread, for which Python waits before it ends.
+# A reader that never ends.
 MODULE = """
-import threading, time
+import time
 
 def read(path):
     path.with_suffix(".read").touch()
     time.sleep(1000)
-
-def lingering(function, items, /, **limits):
-    for item in items:
-        if item.path.suffix == ".endless":
-            threading.Thread(target=time.sleep, args=(1000,)).start()
-            read(item.path)
-        yield item, function(item)
 """
-ENTRY_POINTS = (
-    "[pcretrieve.readers]\n.endless = endless:read\n[pcretrieve.executors]\nlingering = endless:lingering\n"
-)
+ENTRY_POINTS = "[pcretrieve.readers]\n.endless = endless:read\n"
+
+pytestmark = pytest.mark.slow
 
 
 @pytest.fixture
@@ -49,13 +42,13 @@ def folder(tmp_path: Path) -> Path:
     return tmp_path
 
 
-@pytest.fixture(params=["processes", "lingering"])
-def ingest(folder: Path, request: pytest.FixtureRequest) -> Iterator[subprocess.Popen[str]]:
+@pytest.fixture
+def ingest(folder: Path) -> Iterator[subprocess.Popen[str]]:
     """An ingest that has stored the good scan, and reads the other one."""
     process = subprocess.Popen(
         [
             *(sys.executable, "-m", "pcretrieve", "ingest", "scans", "-c", "c.sqlite"),
-            *("--workers", "2", "--executor", request.param),
+            *("--workers", "2"),
         ],
         cwd=folder,
         env=os.environ | {"PYTHONPATH": os.pathsep.join([str(folder / "site"), *filter(None, sys.path)])},
@@ -83,7 +76,6 @@ def interrupt(process: subprocess.Popen[str]) -> None:
     os.killpg(process.pid, signal.SIGINT)
 
 
-@pytest.mark.parametrize("ingest", ["processes"], indirect=True)
 def test_once_ends_it_in_good_order(ingest: subprocess.Popen[str], folder: Path) -> None:
     interrupt(ingest)
     _, said = ingest.communicate(timeout=PATIENCE)
@@ -95,7 +87,6 @@ def test_once_ends_it_in_good_order(ingest: subprocess.Popen[str], folder: Path)
     assert not list(folder.glob("c.sqlite-*"))
 
 
-@pytest.mark.parametrize("ingest", ["processes"], indirect=True)
 def test_workers_end_with_a_process_that_is_killed(ingest: subprocess.Popen[str], folder: Path) -> None:
     """Also one that reads for ever."""
     ingest.kill()

@@ -33,15 +33,6 @@ def eggs(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return place
 
 
-def test_the_names_of_files_are_classes(eggs: Path) -> None:
-    with pr.Catalogue(eggs / "eggs.sqlite") as store:
-        assert [record.label for record in store.records()] == ["flat", "flat", "long", "long"]
-    again = eggs / "again.sqlite"
-    assert len(pr.ingest(eggs, again, labels="tosca", workers=1).done) == 4
-    with pr.Catalogue(again) as store:
-        assert [record.label for record in store.records()] == ["flat", "flat", "long", "long"]
-
-
 def test_published_measures_are_below_ours(eggs: Path) -> None:
     asked = ("evaluate", "-c", eggs / "eggs.sqlite", "--per-class")
     ours = run(*asked, "--labels", eggs / "test.cla").stdout.splitlines()
@@ -56,12 +47,6 @@ def test_published_measures_are_below_ours(eggs: Path) -> None:
     found = json.loads(run(*asked, "--labels", "shrec11", "--json").stdout)["result"]
     assert [row["method"] for row in found["published"]] == [row.method for row in PUBLISHED["shrec11"]]
     assert found["published"][0]["map"] is None
-
-
-def test_matrices_have_layouts_too(eggs: Path, tmp_path: Path) -> None:
-    run("matrix", "-c", eggs / "eggs.sqlite", "-o", tmp_path / "eggs.txt")
-    by_matrix = run("evaluate", "--matrix", tmp_path / "eggs.txt", "--labels", "tosca").stdout
-    assert by_matrix == run("evaluate", "-c", eggs / "eggs.sqlite").stdout
 
 
 def test_the_help_names_all_layouts() -> None:

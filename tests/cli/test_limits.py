@@ -17,6 +17,8 @@ from pcretrieve.formats import write_mesh
 
 PATIENCE = 120  # seconds
 
+pytestmark = pytest.mark.slow
+
 # A reader of .vicious files, which does to its process what the file's name says.
 VICIOUS = """
 import ctypes, pathlib, time

@@ -11,7 +11,7 @@ from click.testing import CliRunner
 
 from pcretrieve import Catalogue
 from pcretrieve.catalogue import Content, Record
-from pcretrieve.catalogue.rows import PAYLOADS
+from pcretrieve.catalogue.tables import PAYLOADS
 from pcretrieve.cli.main import cli
 from pcretrieve.descriptors import describe
 from pcretrieve.options import PipelineOptions
@@ -68,16 +68,6 @@ FAILED = [f"r{number:04}" for number in range(N_FAILED)]
 )
 def test_pages_are_in_order_of_id(arguments: list[object], expected: list[str], path: Path) -> None:
     assert listed(path, *arguments) == expected
-
-
-def test_a_page_is_read_when_it_is_asked_for(path: Path) -> None:
-    with Catalogue(path) as store:
-        statements: list[str] = []
-        store._rows._connection.set_trace_callback(statements.append)  # type: ignore[attr-defined]
-        pages = store.pages()
-        assert [len(next(pages)), len(statements)] == [1000, 1]
-        assert [len(next(pages)), len(statements)] == [1000, 2]
-        assert "LIMIT 1000 OFFSET 0" in statements[1]
 
 
 def test_show_says_what_a_shape_costs(path: Path) -> None:

@@ -7,11 +7,9 @@ import re
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
 import pytest
 import shapes
 from click.testing import CliRunner, Result
-from packages import install
 
 import pcretrieve as pr
 from pcretrieve import Catalogue
@@ -106,34 +104,6 @@ def test_queries_and_pages_rank_by_a_matrix(folder: Path, matrix: Path) -> None:
         assert len(set(parts)) == 1, mark
 
 
-def test_a_scan_that_the_catalogue_does_not_hold_has_no_row(
-    folder: Path, matrix: Path, tmp_path: Path
-) -> None:
-    write_mesh(shapes.ellipsoid((1, 2, 3), subdivisions=3), tmp_path / "new.off")
-    refused = run(
-        "query", "-c", folder / "c.sqlite", tmp_path / "new.off", "--matrix", matrix, code=1
-    ).exception
-    assert "a distance matrix ranks shapes of" in str(refused)
-    assert "which does not hold" in str(refused)
-
-
-def test_unknown_ids_are_refused(folder: Path, tmp_path: Path) -> None:
-    np.savetxt(tmp_path / "run.txt", np.zeros((2, 2)))
-    (tmp_path / "run.ids").write_text("00\nstranger\n")
-    for command in (("evaluate",), ("report", "-o", tmp_path / "page.html")):
-        refused = run(*command, "-c", folder / "c.sqlite", "--matrix", tmp_path / "run.txt", code=1).exception
-        assert "must be of shapes in" in str(refused)
-        assert "got 1 others, such as 'stranger'" in str(refused)
-
-
-def test_shapes_that_the_matrix_leaves_out_are_misses(folder: Path, matrix: Path, tmp_path: Path) -> None:
-    whole = read_matrix(matrix)
-    np.savetxt(tmp_path / "run.txt", whole.values[:-1, :-1])
-    (tmp_path / "run.ids").write_text("\n".join(whole.ids[:-1]))
-    found = document("evaluate", "-c", folder / "c.sqlite", "--matrix", tmp_path / "run.txt")
-    assert (found["n_queries"], found["n_failed"], found["n_shapes"]) == (10, 2, 8)
-
-
 def test_a_matrix_leaves_nothing_to_be_chosen(folder: Path, matrix: Path) -> None:
     refused = run("evaluate", "-c", folder / "c.sqlite", "--matrix", matrix, *D1, code=2)
     assert "a matrix holds distances already: leave out --distance, --whitening" in refused.stderr
@@ -154,25 +124,6 @@ def test_a_matcher_makes_a_matrix_that_ranks(folder: Path, tmp_path: Path) -> No
     assert (found["n_queries"], found["n_failed"]) == (10, 1)
     query = ("query", "-c", folder / "c.sqlite", folder / "10.off", "--matrix", path, "--json")
     assert json.loads(run(*query).stdout)["result"][0]["results"][0]["id"] == "10"
-
-
-def test_shapes_that_a_matcher_fails_on_are_named_and_left_out(
-    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    clumsy = """
-from pcretrieve.matching import Matcher
-
-def height(shape):
-    return [0.0, 1.0][int(shape.mesh.vertices[:, 2].max() > 1.4) * 2]
-
-CLUMSY = Matcher("clumsy", height, lambda query, other: abs(query - other), needs=("mesh",))
-"""
-    entry_points = "[pcretrieve.matchers]\nclumsy = clumsy:CLUMSY\n"
-    install(tmp_path / "site", "clumsy", {"clumsy": clumsy}, entry_points, monkeypatch)
-    path = tmp_path / "run.txt"
-    result = run("matrix", "-c", folder / "c.sqlite", "-o", path, "--matcher", "clumsy", code=3)
-    assert "failed: [20 / signature] the matcher 'clumsy' failed, IndexError: list index" in result.stderr
-    assert read_matrix(path).ids == ("00", "01", "02", "10", "11", "12")
 
 
 def test_a_matcher_leaves_nothing_else_to_be_chosen(folder: Path, tmp_path: Path) -> None:

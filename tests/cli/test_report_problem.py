@@ -73,9 +73,3 @@ def test_a_scan_that_ends_its_process_is_packed(folder: Path) -> None:
     assert result.exit_code == 0
     found = json.loads(packed(Path("ball-problem.zip"))["problem.json"])
     assert found["failure"]["error"] == "StageTimeout"
-
-
-def test_an_absent_scan_is_an_error(folder: Path) -> None:
-    result = run("report-problem", folder / "absent.ply")
-    assert isinstance(result.exception, pr.errors.PcretrieveError)
-    assert not list(Path().glob("*.zip"))

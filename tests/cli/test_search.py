@@ -4,22 +4,19 @@ from __future__ import annotations
 
 import json
 import re
-from dataclasses import asdict, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 import shapes
 from click.testing import CliRunner, Result
 
 from pcretrieve import Catalogue, PipelineOptions
 from pcretrieve.cli.main import cli
-from pcretrieve.evaluation import evaluate_table
 from pcretrieve.formats import write_mesh
 from pcretrieve.ingestion.run import ingest_files
-from pcretrieve.options import RetrievalOptions, describe_options
-from pcretrieve.query import search
+from pcretrieve.options import describe_options
 
 PCA = ("--whitening", "pca")
 N_CLASSES = 4
@@ -65,76 +62,6 @@ def results(done: Result) -> list[dict[str, Any]]:
     return found
 
 
-def own(catalogue: Path) -> str:
-    with Catalogue(catalogue) as store:
-        return store.options.signature.measured_by
-
-
-def by(store: Catalogue, scale: str) -> PipelineOptions:
-    return store.options.changed(signature={"scale": scale})
-
-
-@pytest.mark.parametrize("given", ["none", "pca"])
-@pytest.mark.parametrize("scale", [None, "area", "relative"])
-def test_pca_whitening_takes_values_relative_unless_a_scale_is_named(
-    given: str, scale: str | None, catalogue: Path
-) -> None:
-    expected = scale or ("relative" if given == "pca" else own(catalogue))
-    chosen = ("--scale", scale) if scale else ()
-    found = json.loads(run("evaluate", "-c", catalogue, "--whitening", given, *chosen, "--json").stdout)[
-        "result"
-    ]
-    assert found["scale"] == expected
-    with Catalogue(catalogue) as store:
-        tables = {s: store.signatures(by(store, s)) for s in ("area", "relative")}
-    retrieval = RetrievalOptions(whitening=given)
-    measures = {s: asdict(evaluate_table(table, retrieval)) for s, table in tables.items()}
-    assert measures["area"] != measures["relative"], "there is something to be told apart"
-    assert {name: found[name] for name in measures[expected]} == measures[expected]
-    assert f"; scale {expected}\n" in run("evaluate", "-c", catalogue, "--whitening", given, *chosen).output
-
-
-def test_resolution_is_for_the_descriptor_that_it_was_measured_for(catalogue: Path, tmp_path: Path) -> None:
-    asked = ("--whitening", "resolution")
-    plain, found = (
-        json.loads(run("evaluate", "-c", catalogue, *chosen, "--json").stdout)["result"]
-        for chosen in ((), asked)
-    )
-    assert found["whitening"] == "resolution"
-    assert found["map"] != plain["map"]
-    run("report", "-c", catalogue, "-o", tmp_path / "page.html", "--queries", 1, *asked)
-    page = (tmp_path / "page.html").read_text(encoding="utf-8")
-    assert re.search(r"<dt>whitening</dt>\s*<dd>resolution: changes of", page)
-    refused = run("evaluate", "-c", catalogue, "--method", "wks", *asked, code=1)
-    assert "whitening 'resolution' has been measured for r-bihdm with n_modes = 60" in str(refused.exception)
-
-
-def test_queries_and_pages_do_as_evaluation_does(catalogue: Path, files: list[Path], tmp_path: Path) -> None:
-    def gaps(*chosen: str) -> list[float]:
-        return [
-            row["distance"] for row in results(run("query", "-c", catalogue, files[0], *chosen, "--json"))
-        ]
-
-    assert gaps(*PCA) == gaps(*PCA, "--scale", "relative")
-    assert not np.allclose(gaps(*PCA), gaps(*PCA, "--scale", "area"), rtol=1e-3)
-    assert gaps() == gaps("--scale", own(catalogue))
-    for chosen, expected in (((), own(catalogue)), (PCA, "relative"), ((*PCA, "--scale", "area"), "area")):
-        page = tmp_path / "page.html"
-        run("report", "-c", catalogue, "-o", page, "--queries", 1, *chosen)
-        assert re.search(rf"<dt>scale</dt>\s*<dd>{expected}</dd>", page.read_text(encoding="utf-8"))
-
-
-@pytest.mark.parametrize("whitening", ["none", "resolution", "neighbours", "pca", "within-class"])
-def test_python_and_the_command_give_the_same_numbers(
-    whitening: str, catalogue: Path, files: list[Path]
-) -> None:
-    printed = results(run("query", "-c", catalogue, files[0], "--whitening", whitening, "--json"))
-    with Catalogue(catalogue) as store:
-        found = search(store, files[0], options=store.options.changed(retrieval={"whitening": whitening}))
-    assert [row["id"] for row in printed] == list(found.ids)
-    assert [row["distance"] for row in printed] == found.distances.tolist()
-
-
 def test_lists_are_sorted_again_and_both_rows_are_printed(catalogue: Path, files: list[Path]) -> None:
     asked = ("evaluate", "-c", catalogue, "--whitening", "none")
     plain, both = (run(*asked, *chosen).stdout.splitlines() for chosen in ((), ("--rerank", "k-reciprocal")))
@@ -173,12 +100,6 @@ def test_a_file_gives_commands_their_options_and_flags_override_it(
         assert re.search(rf"<dt>{name}</dt>\s*<dd>{value}", page), name
 
 
-def test_a_file_cannot_change_how_stored_spectra_were_made(catalogue: Path, files: list[Path]) -> None:
-    for command in (("query", files[0]), ("evaluate",), ("report", "-o", "page.html")):
-        refused = run(*command, "-c", catalogue, "--config", "body-scanner", code=1)
-        assert "surface.genus: 'auto' there, 'sphere' here" in str(refused.exception)
-
-
 def test_a_catalogue_compares_as_the_options_that_it_was_made_with_say(
     files: list[Path], tmp_path: Path
 ) -> None:
@@ -196,38 +117,6 @@ def test_a_catalogue_compares_as_the_options_that_it_was_made_with_say(
     assert found("plain.sqlite") == as_plain != found("c.sqlite")
     # Stored results do not depend on these options, so that a catalogue can be used with other values.
     run("ingest", files[0].parent, "-c", tmp_path / "plain.sqlite", "--config", tmp_path / "mine.toml")
-
-
-def test_a_catalogue_that_stored_relative_keeps_it(catalogue: Path) -> None:
-    with Catalogue(catalogue) as store:
-        stored, anew = store.signatures(), store.signatures(by(store, own(catalogue)))
-    np.testing.assert_array_equal(stored.values, anew.values)
-    assert catalogue.parent.name.startswith(own(catalogue))
-
-
-def test_size_distinguishes_bodies_of_one_form(tmp_path: Path) -> None:
-    """A small and a large one of each of two forms, seen by form, and by form and size."""
-    scans = []
-    for name, length, size in (("a", 1.2, 1.0), ("b", 1.2, 1.3), ("c", 1.3, 1.0), ("d", 1.3, 1.3)):
-        mesh = shapes.ellipsoid((1, 1, length), subdivisions=3)
-        scans.append(tmp_path / f"{name}.off")
-        write_mesh(replace(mesh, vertices=mesh.vertices * size), scans[-1])
-    path = tmp_path / "c.sqlite"
-    with Catalogue(path, PipelineOptions(), create=True) as store:
-        ingest_files(scans, store)
-
-    def nearest(*chosen: object) -> str:
-        return str(results(run("query", "-c", path, scans[0], *chosen, "--json"))[1]["id"])
-
-    assert nearest() == "b"
-    assert nearest("--size-weight", 6) == "c"
-    with Catalogue(path) as store:
-        areas = {record.id: record.area for record in store.records()}
-        assert areas["a"] is not None
-        sized = store.signatures(store.options.changed(signature={"size_weight": 6}))
-    assert sized.values[0, -1] == pytest.approx(areas["a"] ** 6)
-    said = run("query", "-c", path, scans[0], "--size-weight", 6).stderr
-    assert "size tells them apart" not in said, "they are all of one unit"
 
 
 def test_mixed_units_are_noticed_where_size_counts(tmp_path: Path) -> None:

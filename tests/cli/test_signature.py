@@ -194,27 +194,6 @@ def test_a_descriptor_that_fails_fails_its_shape_only(
 # --- from a catalogue -----------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    "options",
-    [
-        ("--method", "bihdm", "--n-values", "7", "--n-modes", "30"),
-        ("--method", "combined", "--scale", "absolute"),
-        ("--method", "bihdm", "--scale", "area"),
-        ("--method", "hks-bow-spatial", "--n-values", "5"),
-    ],
-    ids=" ".join,
-)
-def test_any_descriptor_comes_from_the_catalogue_as_from_the_scan(
-    options: tuple[str, ...], run: Run, scan: Path, catalogue: Path
-) -> None:
-    (direct,) = values(run("signature", scan, *options)).values()
-    stored = values(run("signature", "--from-catalogue", catalogue, *options))
-    assert set(stored) == {"body", "egg"}
-    np.testing.assert_allclose(stored["body"], direct, rtol=1e-6)
-    (egg,) = values(run("signature", "--from-catalogue", catalogue, "egg", *options)).values()
-    np.testing.assert_array_equal(egg, stored["egg"])
-
-
 def test_shapes_of_a_catalogue_that_have_no_signature(run: Run, catalogue: Path) -> None:
     failed = run("signature", "--from-catalogue", catalogue, "nothing", "egg", "--json")
     assert failed.code == 3
@@ -227,18 +206,3 @@ def test_shapes_of_a_catalogue_that_have_no_signature(run: Run, catalogue: Path)
     assert usage.code == 2
     assert "a catalogue has options of its own: leave out --config, --surface and --unit" in usage.stderr
     assert run("signature").code == 2
-
-
-def test_the_error_bar_of_a_scan_made_into_two_surfaces(run: Run, tmp_path: Path) -> None:
-    cloud = tmp_path / "body.xyz"
-    np.savetxt(cloud, shapes.points_on(shapes.body(), 6000))
-    config = tmp_path / "one.toml"
-    config.write_text("[surface]\nreconstructions = 1\n", encoding="utf-8")
-    (alone,) = json.loads(run("signature", cloud, "--config", config, "--json").stdout)["result"]
-    (both,) = json.loads(run("signature", cloud, "--json").stdout)["result"]
-    assert "deviation" not in alone
-    assert len(both["deviation"]) == len(both["values"])
-    # The first surface is the same, so the mean is off it by the error bar, over the root of 2.
-    off = np.abs(np.log(both["values"]) - np.log(alone["values"]))
-    np.testing.assert_allclose(np.sqrt(2) * off, both["deviation"], rtol=1e-6, atol=1e-9)
-    assert 0 < max(both["deviation"]) < 0.2

@@ -108,31 +108,6 @@ def test_a_query_in_metres_is_refused_by_shapes_of_unknown_unit(of_files: Path, 
     assert [row["id"] for row in json.loads(result.stdout)["result"][0]["results"]] == ["large", "small"]
 
 
-def test_the_form_is_compared_whatever_the_units(of_files: Path, in_metres: Path, centimetres: Path) -> None:
-    for catalogue in (of_files, in_metres):
-        result = run("query", centimetres, "-c", catalogue, "--json")
-        assert result.exit_code == 0, result.output
-        assert [row["distance"] < 0.05 for row in json.loads(result.stdout)["result"][0]["results"]] == [
-            True,
-            True,
-        ]
-
-
-def test_sizes_of_files_without_a_unit_are_compared_with_each_other(of_files: Path) -> None:
-    query = body(of_files.with_name("query.obj"), HEIGHTS["small"])
-    result = run("query", query, "-c", of_files, *SIZED, "--json")
-    assert [row["id"] for row in json.loads(result.stdout)["result"][0]["results"]] == ["small", "large"]
-
-
-def test_a_stored_file_in_another_unit_is_processed_again(of_files: Path, in_metres: Path) -> None:
-    """Its content is known, its size is not that of the stored shape."""
-    small = of_files.with_name("small.off")
-    assert run("ingest", small, "-c", of_files.with_name("one.sqlite"), "--unit", "m").exit_code == 0
-    for unit, near in (("m", True), ("cm", False)):
-        result = run("query", small, "-c", of_files.with_name("one.sqlite"), *SIZED, "--unit", unit, "--json")
-        assert (json.loads(result.stdout)["result"][0]["results"][0]["distance"] < 0.05) == near
-
-
 def test_a_catalogue_of_some_known_units_compares_no_sizes(in_metres: Path, centimetres: Path) -> None:
     labels = in_metres.with_name("labels.csv")
     labels.write_text("file,class\nlarge,a\nsmall,a\nquery,a\n")
@@ -148,17 +123,3 @@ def test_a_catalogue_of_some_known_units_compares_no_sizes(in_metres: Path, cent
         assert "some shapes are in metres, the unit of others is unknown; ingest all" in message
         result = run(*command)
         assert result.exit_code == 0, result.output
-
-
-def test_files_of_signatures_have_the_unit(in_metres: Path, centimetres: Path) -> None:
-    with pr.Catalogue(in_metres) as store:
-        sized = store.signatures(store.options.changed(signature={"size_weight": 6}))
-        tables = {"": store.signatures(), "m": sized}
-    assert sized.select(["large"]).unit == "m"
-    for unit, table in tables.items():
-        pr.write_signatures(table, in_metres.with_name("signatures.npz"))
-        with np.load(in_metres.with_name("signatures.npz")) as written:
-            assert str(written["unit"]) == unit
-    for flags, expected in ((SIZED, "unknown"), ((*SIZED, "--unit", "cm"), "m"), ((), None)):
-        (printed,) = json.loads(run("signature", centimetres, "--json", *flags).stdout)["result"]
-        assert printed["unit"] == expected

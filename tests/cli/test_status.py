@@ -73,6 +73,7 @@ def test_a_finished_ingest(folder: Path) -> None:
     ]
 
 
+@pytest.mark.slow
 def test_a_running_ingest_and_one_that_was_killed(folder: Path) -> None:
     command = [sys.executable, "-m", "pcretrieve", *ingest(folder)]
     with subprocess.Popen(command, stderr=subprocess.DEVNULL, start_new_session=True) as running:
@@ -104,20 +105,6 @@ def test_a_catalogue_without_a_known_ingest(folder: Path) -> None:
     assert "no ingest into it is known" in run("status", folder / "c.sqlite").stdout
     (folder / ".c.sqlite.batch").write_text("{}, or so")
     assert pr.status(folder / "c.sqlite").state == "none"
-
-
-def test_a_catalogue_that_is_no_file_has_a_status(
-    folder: Path, postgresql: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setenv("XDG_CACHE_HOME", str(folder / "cache"))
-    location = f"{postgresql}?schema=status"
-    pr.ingest(folder / "scans", location, workers=1)
-    found = pr.status(location)
-    assert (found.state, found.n_shapes, found.failures) == (
-        "finished",
-        N_SHAPES,
-        {"ScanReadError in read": 1},
-    )
 
 
 def test_failures_of_a_stage_are_processed_again(folder: Path) -> None:

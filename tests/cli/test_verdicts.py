@@ -6,12 +6,11 @@ import json
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
 import pytest
 import shapes
 from click.testing import CliRunner, Result
 
-from pcretrieve import Catalogue, DistanceMatrix, PipelineOptions, evaluate, matrix, write_matrix, write_mesh
+from pcretrieve import Catalogue, PipelineOptions, write_mesh
 from pcretrieve.catalogue import Content, Record
 from pcretrieve.cli.main import cli
 from pcretrieve.descriptors import describe
@@ -66,36 +65,6 @@ def test_a_result_comes_with_its_verdict(path: Path) -> None:
     (answer,) = json.loads(run("query", "-c", path, "a1", "--json").stdout)["result"]
     (row,) = [row for row in answer["results"] if row["id"] == "a2"]
     assert row["verdict"] == {"judgement": "doubtful", "uncertainty": 0.4, "reasons": ["gaps: wide"]}
-
-
-def test_evaluation_can_leave_doubtful_shapes_out(path: Path, tmp_path: Path) -> None:
-    sound = [name for name, verdict in VERDICTS.items() if verdict is None or verdict.is_sound]
-    with Catalogue(path) as store:
-        table = store.signatures()
-        distances = matrix(store)
-    labelled = replace(table.select(sound), labels=tuple(name[0] for name in sound))
-    assert evaluate(path, sound_only=True) == evaluate(labelled)
-    assert evaluate(path, sound_only=True, matrix=distances) == evaluate(labelled)
-    assert evaluate(path).n_queries == len(VERDICTS)
-    write_matrix(distances, tmp_path / "distances.npy")
-    for more in ([], ["--matrix", tmp_path / "distances.npy"]):
-        counted = json.loads(run("evaluate", "-c", path, "--sound-only", "--json", *more).stdout)["result"]
-        assert (counted["n_queries"], counted["n_shapes"]) == (4, 4)
-
-
-def test_distances_of_some_shapes() -> None:
-    whole = DistanceMatrix(("a", "b", "c"), np.arange(9.0).reshape(3, 3), ("x", None, "y"))
-    part = whole.select(["c", "a"])
-    assert (part.ids, part.labels) == (("c", "a"), ("y", "x"))
-    np.testing.assert_array_equal(part.values, [[8, 6], [2, 0]])
-
-
-def test_the_page_marks_them(path: Path, tmp_path: Path) -> None:
-    page = tmp_path / "page.html"
-    run("report", "-c", path, "-o", page)
-    text = page.read_text("utf-8")
-    assert 'title="unusable, ± 2: closed ends: many">unusable</span>' in text
-    assert text.count('class="doubt"') == 12  # each of six queries is one of both, or finds it
 
 
 def test_ingest_sums_them_up_and_a_query_says_so(tmp_path: Path) -> None:

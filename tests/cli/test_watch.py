@@ -87,6 +87,7 @@ def test_a_folder_that_is_away_for_a_while_brings_nothing_again(tmp_path: Path) 
         Arrivals(tmp_path / "away")
 
 
+@pytest.mark.slow
 def test_scans_that_arrive_are_ingested_until_ctrl_c(tmp_path: Path) -> None:
     (tmp_path / "scans").mkdir()
     egg(tmp_path / "scans" / "early.off", 1.5)

@@ -23,7 +23,8 @@ import shapes
 from processes import PATIENCE, living, wait_for
 
 from pcretrieve import Catalogue, ingest
-from pcretrieve.catalogue.stores import open_rows
+from pcretrieve.catalogue import find_defects
+from pcretrieve.catalogue.rows import Rows
 from pcretrieve.errors import CatalogueError
 from pcretrieve.formats import write_mesh
 
@@ -60,7 +61,7 @@ def undisturbed(scans: Path) -> Everything:
 
 def everything(location: str) -> Everything:
     """The row, the signatures and the payloads of each shape, without times."""
-    with closing(open_rows(location, {}, create=False)) as rows:
+    with closing(Rows(location, {}, create=False)) as rows:
         found = {}
         for entry in rows.entries([origin.id for origin in rows.origins()]):
             steps = tuple(replace(step, seconds=0.0) for step in entry.record.steps)
@@ -73,7 +74,7 @@ def stored(location: str) -> Everything:
     """What is stored, none of which is damaged; nothing before there is a catalogue."""
     try:
         with Catalogue(location) as store:
-            assert store.defects() == []
+            assert find_defects(store) == []
     except CatalogueError as error:
         assert "there is no catalogue" in error.message
         return {}

@@ -82,13 +82,13 @@ from dataclasses import replace
 from itertools import count
 from pathlib import Path
 from processes import in_this_process
-from pcretrieve.catalogue import Catalogue, filesystems
+from pcretrieve.catalogue import Catalogue, find_defects, sqlite
 from pcretrieve.errors import CatalogueError
 from pcretrieve.ingestion.run import ingest_files
 
 scans, step, mounts = Path(sys.argv[1]), int(sys.argv[2]), sys.argv[3]
 if mounts:
-    filesystems.MOUNTS = Path(mounts)
+    sqlite.MOUNTS = Path(mounts)
 folder = scans.parent / "catalogues"
 path = folder / "c.sqlite"
 shim = ctypes.CDLL(None)
@@ -107,8 +107,8 @@ def ingest():
 
 def stored():
     with Catalogue(path) as store:
-        assert store.defects() == [], store.defects()
-        entries = store._rows.entries([record.id for record in store.records()])
+        assert find_defects(store) == [], find_defects(store)
+        entries = store.rows.entries([record.id for record in store.records()])
         return [
             (replace(e.record, added="", stamp=None), dict(e.signatures), dict(e.payloads)) for e in entries
         ]

@@ -12,7 +12,7 @@ import pytest
 import shapes
 
 from pcretrieve import Catalogue, ingest, merge_catalogues
-from pcretrieve.catalogue.stores import open_rows
+from pcretrieve.catalogue.rows import Rows
 from pcretrieve.errors import OptionError
 from pcretrieve.formats import write_mesh
 from pcretrieve.ingestion.shards import Shard
@@ -83,7 +83,7 @@ def test_shards_make_together_what_one_ingest_makes(folder: Path, tmp_path: Path
 
 def everything(location: Path) -> list[object]:
     """All that a catalogue has, except for times."""
-    with closing(open_rows(location, {}, create=False)) as rows:
+    with closing(Rows(location, {}, create=False)) as rows:
         found: list[object] = []
         for entry in rows.entries([origin.id for origin in rows.origins()]):
             steps = tuple(replace(step, seconds=0.0) for step in entry.record.steps)

@@ -18,6 +18,7 @@ from PIL import Image
 
 import pcretrieve as pr
 from pcretrieve import Catalogue, PipelineOptions
+from pcretrieve.catalogue import find_defects
 from pcretrieve.cli.main import cli
 from pcretrieve.draw import THUMBNAIL_PIXELS, thumbnail
 from pcretrieve.errors import OptionError
@@ -158,14 +159,14 @@ def test_bodies_of_one_collection_stand_along_one_axis(tmp_path: Path, drawn: li
         assert [again.of(store, one) for one in records] == [pictures.of(store, one) for one in records]
         assert len(drawn) == 2, "what was drawn is kept"
         assert store.thumbnail("00") == pictures.of(store, records[0])
-        assert not {defect.message for defect in store.defects() if "thumbnail" in defect.message}
+        assert not {defect.message for defect in find_defects(store) if "thumbnail" in defect.message}
 
 
 def test_without_meshes_there_are_no_pictures(folder: Path) -> None:
     with ingested(folder, "small.sqlite", OPTIONS.changed(catalogue={"keep": ()})) as store:
         assert [store.thumbnail(record.id) for record in store.records()] == [None] * 3
         assert Thumbnails().of(store, store.record("0")) is None
-        assert store.defects() == []
+        assert find_defects(store) == []
 
 
 def test_what_was_not_stored_is_drawn_once_and_kept(folder: Path, drawn: list[object]) -> None:
@@ -173,7 +174,7 @@ def test_what_was_not_stored_is_drawn_once_and_kept(folder: Path, drawn: list[ob
     with ingested(folder, "earlier.sqlite") as store:
         before = [store.thumbnail(record.id) for record in store.records()]
         with closing(sqlite3.connect(store.location)) as other, other:
-            other.execute("DELETE FROM thumbnails")
+            other.execute("UPDATE arrays SET thumbnails = NULL")
         for up, number in (("x", 3), (None, 6), (None, 6)):
             pictures = Thumbnails(up)
             found = [pictures.of(store, record) for record in store.records()]
@@ -185,10 +186,10 @@ def test_what_was_not_stored_is_drawn_once_and_kept(folder: Path, drawn: list[ob
 def test_what_cannot_be_written_is_drawn_all_the_same(
     folder: Path, drawn: list[object], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("pcretrieve.catalogue.opening.LOCK_TIMEOUT", 1.0)
+    monkeypatch.setattr("pcretrieve.catalogue.sqlite.LOCK_TIMEOUT", 1.0)
     with ingested(folder, "readable.sqlite") as store:
         with closing(sqlite3.connect(store.location)) as other:
-            other.execute("DELETE FROM thumbnails")
+            other.execute("UPDATE arrays SET thumbnails = NULL")
             other.commit()
             other.execute("BEGIN IMMEDIATE")  # another process writes
             pictures = Thumbnails()

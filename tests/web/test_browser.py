@@ -30,7 +30,6 @@ PAGES = {
     "no match": "/shape/Egg00?min_score=1&label=%3Ckind+2%3E",
     "comparison": "/compare?a=Egg00&b=Egg23",
     "map": "/map",
-    "refusal": "/shape/nowhere",
 }
 
 
@@ -221,15 +220,11 @@ def reached(page: Page, selector: str) -> None:
     raise AssertionError(f"{selector} is not reached by the key Tab")
 
 
-@pytest.mark.parametrize("dark", [False, True], ids=["light", "dark"])
-@pytest.mark.parametrize("size", [DESKTOP, PHONE], ids=["desktop", "phone"])
-def test_pages_are_accessible_and_fit(
-    browser: Browser, server: Server, size: tuple[int, int], dark: bool
-) -> None:
+def test_pages_are_accessible_and_fit(browser: Browser, server: Server) -> None:
     found: dict[str, object] = {}
-    with opened(browser, server.address, size, dark=dark) as page:
-        for name, address in PAGES.items():
-            if name != "refusal":
+    for size, dark in ((DESKTOP, False), (DESKTOP, True), (PHONE, False), (PHONE, True)):
+        with opened(browser, server.address, size, dark=dark) as page:
+            for name, address in PAGES.items():
                 page.goto(f"{origin(server.address)}{address}")
                 found |= {f"{name}: {violation}": None for violation in violations(page)}
                 found |= {f"{name} is {wide} pixels too wide": None for wide in [overflow(page)] if wide > 0}
@@ -238,7 +233,7 @@ def test_pages_are_accessible_and_fit(
 
 def test_refusals_are_accessible(browser: Browser, server: Server) -> None:
     with opened(browser, server.address, PHONE, refused=True) as page:
-        page.goto(f"{origin(server.address)}{PAGES['refusal']}")
+        page.goto(f"{origin(server.address)}/shape/nowhere")
         assert page.get_by_text("there is no shape").is_visible()
         assert not violations(page)
         assert overflow(page) <= 0

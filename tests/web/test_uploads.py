@@ -1,26 +1,283 @@
-"""Scans from browsers: received up to a size, processed apart, answered, and removed."""
+"""What hostile files, names and requests do to a server: they are refused in words, and it goes on answering.
+
+The files and the names are those of the OWASP File Upload Cheat Sheet.
+"""
 
 from __future__ import annotations
 
+import csv
+import io
 import json
+import socket
+import time
+from collections.abc import Iterator
+from contextlib import ExitStack, suppress
+from itertools import product
 from pathlib import Path
 from tempfile import gettempdir
+from typing import Any
+from urllib.parse import quote
 
 import pytest
 import shapes
-from processes import wait_for
-from search_server import Server, running
+from hostile_scans import HOSTILE, REFERENCES, laser_scan
+from laser_files import CAN_WRITE
+from processes import PATIENCE, wait_for
+from search_server import Answer, Server, raw, running, status
 
 from pcretrieve import search, write_mesh
+from pcretrieve.formats import missing_extra
 
 pytestmark = pytest.mark.slow
 
+# Names that are refused whatever the file has.
+REFUSED = [
+    *("a.off.zip", "a.zip", "a.tar.gz", "a.npz", "a.3mf", "a.dae", "a.x3d", "a.gltf", "a.glb", "a.conf"),
+    *("a.off\0.png", "a.off%00.png", "a.off.", "a.off ", "a.off;.php", "a.off:$DATA", "a.off::$INDEX"),
+    *("a.html", "a.svg", "a.php", "a.exe", "a.txt", "a.wrl", ".htaccess", ".off", "..", "/etc/passwd", "con"),
+]
+
+# Names that are words for people, and of no file.
+WORDS = [
+    *("../../../a.off", "..\\..\\a.off", "/etc/cron.d/a.off", "file:///etc/passwd.off", "a.png\0.off"),
+    *("<img src=x onerror=alert(1)>.off", "\"'><script>alert(1)</script>.off", "$(id)`id`;id|id.off"),
+    *("a\r\nSet-Cookie: x=y\r\n\r\n.off", "\u202eply.exe.off", "=HYPERLINK(1).off", "a#1.off", "nul.off"),
+]
+
+UP = [
+    *("../", "..%2F", "%2e%2e%2f", "..%5c", "....//", "..%252f", "%c0%ae%c0%ae/", "..%00/"),
+    "//",
+    "file:%2F%2F%2F",
+]
+
+
+class Target:
+    """A server, of which no answer may name a folder, a traceback, or what is in a file of the computer."""
+
+    def __init__(self, server: Server, *folders: Path) -> None:
+        self.server = server
+        names = (*map(str, folders), str(Path.cwd()), str(Path.home()) + "/", "/secret", "own folder")
+        self.secrets = [name.encode() for name in (*names, "root:x:0", "Traceback", "site-packages")]
+
+    def ask(self, path: str, **request: Any) -> Answer:
+        answer = self.server.ask(path, **request)
+        told = answer.body + str(answer.headers).encode()
+        assert not [secret for secret in self.secrets if secret in told], told
+        return answer
+
+    def send(self, name: str, body: bytes, **request: Any) -> Answer:
+        return self.ask(f"/scans?name={quote(name, safe='')}", method="POST", body=body, **request)
+
+    def outcome(self, name: str, body: bytes, **request: Any) -> Any:
+        """The document of a job that has ended."""
+        begun = self.send(name, body, **request)
+        assert begun.status == 202, begun
+        address = begun.headers["location"]
+        assert wait_for(lambda: self.ask(address).json["state"] in ("done", "failed"))
+        assert b"<script>alert" not in self.ask(address.replace("scans", "scan")).body
+        return self.ask(address).json
+
 
 @pytest.fixture(scope="module")
-def scan(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    path = tmp_path_factory.mktemp("scans") / "egg.off"
-    write_mesh(shapes.ellipsoid((1.06, 1, 1.8), 3), path)
-    return path
+def temporary(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("with blanks ") / "temporary files"
+
+
+@pytest.fixture(scope="module")
+def target(eggs: Path, temporary: Path) -> Iterator[Target]:
+    temporary.mkdir()
+    with running(eggs, "--max-upload", "1", temporary=temporary) as server:
+        yield Target(server, temporary, eggs.parent)
+
+
+@pytest.fixture(autouse=True)
+def unharmed(request: pytest.FixtureRequest) -> Iterator[None]:
+    """After each attack, the server answers, and has kept no file."""
+    yield
+    if "target" in request.fixturenames:
+        target: Target = request.getfixturevalue("target")
+        place: Path = request.getfixturevalue("temporary")
+        assert target.ask("/shapes/Egg00/similar?k=1").json["results"][0]["id"] == "Egg01"
+        assert wait_for(lambda: not scans_in(place))
+
+
+def scans_in(place: Path) -> list[Path]:
+    return [path for path in place.rglob("*") if path.suffix.lower() in (".off", ".ply", ".obj")]
+
+
+def sizes_in(place: Path) -> list[int]:
+    sizes = []
+    for path in scans_in(place):
+        with suppress(FileNotFoundError):  # the server has removed it meanwhile
+            sizes.append(path.stat().st_size)
+    return sizes
+
+
+def egg(folder: Path) -> bytes:
+    write_mesh(shapes.ellipsoid((1.06, 1, 1.8), 3), folder / "egg.off")
+    return (folder / "egg.off").read_bytes()
+
+
+# --- files ------------------------------------------------------------------------------------------------
+
+
+def test_hostile_files_are_refused_in_words(target: Target) -> None:
+    for kind in HOSTILE:
+        name, body, words = HOSTILE[kind]
+        job = target.outcome(name, body)
+        assert job["state"] == "failed"
+        assert job["error"] in ("ScanReadError", "ReconstructionError")
+        assert words in job["message"]
+        assert not Path("pickled").exists()
+
+
+def test_scans_that_promise_more_points(target: Target, tmp_path: Path) -> None:
+    for suffix in (".laz", ".e57"):
+        if CAN_WRITE[suffix] and not missing_extra(suffix):
+            job = target.outcome(f"a{suffix}", laser_scan(tmp_path, suffix))
+            assert job["error"] == "ScanReadError"
+            assert "not a complete" in job["message"]
+
+
+def test_files_that_a_scan_refers_to_are_not_opened(target: Target) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as elsewhere:
+        port = elsewhere.getsockname()[1]
+        assert target.outcome("a.obj", REFERENCES.format(port=port).encode())["state"] == "failed"
+        assert target.outcome(f"http://127.0.0.1:{port}/a.off", b"OFF")["state"] == "failed"
+        assert target.ask(f"/shapes/http:%2F%2F127.0.0.1:{port}%2Fa.off/similar").status == 404
+        elsewhere.setblocking(False)
+        with pytest.raises(BlockingIOError):
+            elsewhere.accept()
+
+
+HEADERS = [
+    {"Content-Type": "multipart/form-data; boundary=x"},
+    {"Content-Type": "application/zip"},
+    {"Content-Type": "text/html; charset=utf-16"},
+    {"Content-Encoding": "gzip"},
+]
+
+
+def test_a_scan_is_what_its_bytes_say(target: Target, tmp_path: Path) -> None:
+    for headers in HEADERS:
+        assert target.outcome("a.off", egg(tmp_path), headers=headers)["state"] == "done"
+
+
+# --- names ------------------------------------------------------------------------------------------------
+
+
+def test_other_kinds_of_files_are_refused(target: Target) -> None:
+    for name in (*REFUSED, "", "scan", "off", "x" * 300 + ".off"):
+        answer = target.send(name, b"OFF")
+        assert answer.status == 400
+        assert "a scan must be a file with one of the suffixes" in answer.json["message"]
+
+
+def test_names_are_of_no_file(target: Target) -> None:
+    for name in WORDS:
+        job = target.outcome(name, b"OFF")
+        assert job["name"] == name
+        assert job["message"].startswith("scan.off: not a complete OFF file")
+
+
+def test_names_are_in_no_header_of_a_download(target: Target, tmp_path: Path) -> None:
+    name = 'a\r\nSet-Cookie: x=y\r\n\r\n<b>,".off'
+    job = target.outcome(name, egg(tmp_path))
+    table = target.ask(f"/scans/{job['job']}/similar.csv?k=1")
+    assert table.headers["content-disposition"] == 'attachment; filename="similar.csv"'
+    assert table.headers["content-type"].startswith("text/csv")
+    assert "set-cookie" not in table.headers
+    assert list(csv.reader(io.StringIO(table.body.decode(), newline="")))[1][0] == name
+
+
+def test_addresses_lead_to_no_file(target: Target) -> None:
+    for place, up in product(("shapes", "shape", "scans", "scan", "assets"), UP):
+        for end in ("etc/passwd", "etc%2Fpasswd", "pyproject.toml"):
+            assert target.ask(f"/{place}/{6 * up}{end}").status == 404
+            assert target.ask(f"/{place}/{6 * up}{end}/similar").status == 404
+            assert target.ask(f"/compare?a=Egg00&b={6 * up}{end}").status == 404
+
+
+FIELDS = ["q", "label", "state", "since", "until", "sort", "page", "k", "min_score", "a", "b"]
+
+
+def test_fields_are_no_markup(target: Target) -> None:
+    for field in FIELDS:
+        given = quote("\"'><script>alert(1)</script>")
+        for path in (
+            "/?",
+            "/map?",
+            "/shape/Egg00?",
+            "/compare?a=Egg00&",
+            "/shapes?",
+            "/shapes/Egg00/similar?",
+        ):
+            answer = target.ask(f"{path}{field}={given}")
+            assert answer.status in (200, 400, 404)
+            assert answer.headers["content-type"].startswith(("text/html", "application/json"))
+            if answer.headers["content-type"].startswith("text/html"):
+                assert b"<script>alert" not in answer.body
+
+
+# --- sizes and times --------------------------------------------------------------------------------------
+
+
+UPLOAD = "POST /scans?name=a.off HTTP/1.1\r\nKNOWN\r\n"
+
+
+def test_lengths_that_are_none(target: Target) -> None:
+    for length in ("-1", "1e3", "0x10", "", "3\r\nContent-Length: 4", "9" * 5000):
+        assert status(raw(target.server, f"{UPLOAD}Content-Length: {length}\r\n\r\n", b"OFF")) in (400, 413)
+
+
+def test_sizes_are_bounded_before_a_file_is_read(target: Target) -> None:
+    assert target.send("a.off", b"x", headers={"Content-Length": "1000001"}).status == 413
+    assert status(raw(target.server, f"{UPLOAD}Content-Length: {10**15}\r\n\r\n")) == 413
+
+
+def test_uploads_wait_in_a_queue_of_limited_length(target: Target) -> None:
+    with ExitStack() as stack:
+        request = f"{UPLOAD}Content-Length: 1000\r\n\r\n"
+        sent = [stack.enter_context(raw(target.server, request, b"OFF")) for _ in range(8)]
+        assert wait_for(lambda: target.send("a.off", b"OFF").status == 503)
+        assert "8 scans are waiting" in target.send("a.off", b"OFF").json["message"]
+        assert target.ask("/").status == 200
+        assert len(sent) == 8
+    assert wait_for(lambda: target.send("a.off", b"OFF").status == 202)
+
+
+def test_slow_and_endless_bodies_are_given_up(eggs: Path, tmp_path: Path) -> None:
+    limits = (
+        "import pcretrieve.web.requests as u; u.RECEIVING_TIMEOUT = 0.5; "
+        "import pcretrieve.web.application as a; a.LINGER = 0.5"
+    )
+    with running(eggs, "--max-upload", "1", first=limits, temporary=tmp_path) as server:
+        slow = [raw(server, f"{UPLOAD}Content-Length: 1000\r\n\r\n", b"OFF") for _ in range(8)]
+        assert [status(connection) for connection in slow] == [408] * 8
+        assert server.ask("/scans?name=a.off", method="POST", body=b"OFF").status == 202
+        assert wait_for(lambda: not scans_in(tmp_path))
+        for begun, more in (
+            (f"{UPLOAD}Transfer-Encoding: chunked\r\n\r\n", b"10000\r\n" + bytes(0x10000) + b"\r\n"),
+            (f"{UPLOAD}Content-Length: {10**15}\r\n\r\n", bytes(0x10000)),
+            ("GET / HTTP/1.1\r\nKNOWN\r\nX: ", b"x" * 0x10000),
+        ):
+            end = time.monotonic() + PATIENCE
+            with raw(server, begun) as endless, pytest.raises(ConnectionError):  # the server closes it
+                while time.monotonic() < end:
+                    endless.sendall(more)
+                    assert all(size <= 1_000_000 for size in sizes_in(tmp_path))
+        assert server.ask("/").status == 200
+
+
+def test_connections_without_a_request_are_closed(eggs: Path) -> None:
+    limits = "import pcretrieve.web.server as s; s.FIRST_REQUEST = 0.5; s.MOST_CONNECTIONS = 4"
+    with running(eggs, first=limits) as server, ExitStack() as stack:
+        for begun in ("", "G", "GET / HTTP/1.1\r\n", "GET / HTTP/1.1\r\nX: y\r\n") * 2:
+            stack.enter_context(raw(server, begun))
+        assert wait_for(lambda: server.ask("/").status == 200)
+
+
+# --- what is not an attack --------------------------------------------------------------------------------
 
 
 def job_of(server: Server, scan: bytes, name: str) -> dict[str, object]:
@@ -33,9 +290,10 @@ def job_of(server: Server, scan: bytes, name: str) -> dict[str, object]:
     return document
 
 
-def test_a_scan_is_answered_as_by_the_library_and_removed(server: Server, scan: Path, eggs: Path) -> None:
+def test_a_scan_is_answered_as_by_the_library_and_removed(server: Server, eggs: Path, tmp_path: Path) -> None:
+    body, scan = egg(tmp_path), tmp_path / "egg.off"
     before = set(Path(gettempdir()).glob("pcretrieve-*"))
-    job = job_of(server, scan.read_bytes(), "my%20%3Cb%3E.OFF")
+    job = job_of(server, body, "my%20%3Cb%3E.OFF")
     assert job["state"] == "done", job
     assert job["name"] == "my <b>.OFF"
     stages = [step["stage"] for step in job["stages"]]  # type: ignore[attr-defined]
@@ -69,33 +327,6 @@ def test_a_scan_that_cannot_be_read_fails_alone(server: Server) -> None:
     assert server.ask(f"/scans/{job['job']}/similar").status == 400
 
 
-@pytest.mark.parametrize(
-    "name",
-    [
-        "",
-        "scan",
-        "scan.zip",
-        "scan.npz",
-        "scan.3mf",
-        "scan.conf",
-        "scan.gltf",
-        "scan.off.php",
-        "off",
-        "x" * 300 + ".off",
-    ],
-)
-def test_other_files_are_refused(server: Server, name: str) -> None:
-    answer = server.ask(f"/scans?name={name}", method="POST", body=b"OFF")
-    assert answer.status == 400
-    assert "suffixes .ply" in answer.json["message"]
-
-
-def test_names_are_no_paths(server: Server) -> None:
-    job = job_of(server, b"OFF", "..%2F..%2Fscan.off")
-    assert job["state"] == "failed"
-    assert not Path("../../scan.off").exists()
-
-
 def test_sizes_are_limited_before_a_scan_is_read(eggs: Path) -> None:
     with running(eggs, "--max-upload", "1") as small:
         assert small.ask("/scans?name=a.ply", method="POST", body=b"").status == 400
@@ -107,12 +338,3 @@ def test_sizes_are_limited_before_a_scan_is_read(eggs: Path) -> None:
     with running(eggs, "--read-only") as closed:
         assert closed.ask("/scans?name=a.off", method="POST", body=b"OFF").status == 404
         assert b'id="upload"' not in closed.ask("/").body
-
-
-def test_a_form_of_another_site_uploads_nothing(server: Server) -> None:
-    own = server.ask(f"/?token={server.token}", bearer=False).headers["set-cookie"].split(";")[0]
-    for origin in ({}, {"Origin": "http://evil.example"}, {"Origin": "null"}):
-        answer = server.ask(
-            "/scans?name=a.off", method="POST", body=b"OFF", headers={"Cookie": own, **origin}, bearer=False
-        )
-        assert answer.status == 403

@@ -1,0 +1,213 @@
+"""Several catalogues → one, with every shape as its part has it; a catalogue → a copy in one file."""
+
+from __future__ import annotations
+
+import logging
+import os
+import sqlite3
+from collections.abc import Sequence
+from contextlib import ExitStack, closing
+from dataclasses import dataclass, replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from pcretrieve.catalogue.catalogue import Catalogue, CatalogueLike, opened
+from pcretrieve.catalogue.records import Origin
+from pcretrieve.catalogue.rows import Rows, file_of
+from pcretrieve.catalogue.settings import settings_of, stored_options
+from pcretrieve.catalogue.sqlite import check_tables, connect, translated
+from pcretrieve.errors import CatalogueError, InputError
+
+logger = logging.getLogger(__name__)
+
+# Number of shapes that are stored in one transaction.
+STORED_AT_ONCE = 500
+
+# Number of conflicts that a message names.
+NAMED = 5
+
+# Number of pages, of 4 kB, that are copied between two lines of the log.
+PAGES_AT_ONCE = 1 << 18
+
+
+@dataclass(frozen=True, slots=True)
+class Merged:
+    """The result of a merge."""
+
+    n_added: int
+    n_held: int
+
+
+def merge_catalogues(parts: Sequence[CatalogueLike], output: CatalogueLike) -> Merged:
+    """Store the shapes of several catalogues in one, such as those of ``ingest(shard=...)``.
+
+    Of a path that several catalogues have, the first finished shape is kept. The merge is associative, and
+    continues after an interruption if it is started again.
+
+    Parameters
+    ----------
+    parts : sequence of (Catalogue, str or Path)
+        The catalogues, all built with the same options.
+    output : Catalogue, str or Path
+        The catalogue in which the shapes are stored. It is created if it does not exist.
+
+    Returns
+    -------
+    Merged
+        Numbers of shapes that were stored, and of shapes that the catalogue had already.
+
+    Raises
+    ------
+    InputError
+        If there are no parts.
+    CatalogueError
+        If a part does not exist or was built with other options, or there is a conflict: a path has two
+        contents or two labels, or an id belongs to two paths. Nothing is then stored.
+    """
+    if not parts:
+        raise InputError("there must be at least one catalogue to merge, got none: name the parts")
+    with ExitStack() as stack:
+        sources = [stack.enter_context(opened(part)) for part in parts]
+        target = stack.enter_context(opened(output, sources[0].options, create=True))
+        for part in sources:
+            stored_options(part.location, settings_of(part.options), target.options)
+        return _merge(target.rows, [part.rows for part in sources])
+
+
+def backup(catalogue: CatalogueLike, file: str | Path) -> int:
+    """Write a copy of a catalogue to one SQLite file, while others may read and write the catalogue.
+
+    The copy of a file is one state of it. That of a database has each shape as a whole; shapes that are
+    stored meanwhile may be missing. Indexes are not copied: they are made again when they are needed.
+
+    Parameters
+    ----------
+    catalogue : Catalogue, str or Path
+        The catalogue. Its schema and its options may be those of an earlier version.
+    file : str or Path
+        The file, which must not exist. It has its name when it is complete, and is a catalogue.
+
+    Returns
+    -------
+    int
+        The size of the file; bytes.
+
+    Raises
+    ------
+    CatalogueError
+        If the catalogue cannot be read, or the file exists or cannot be written.
+    """
+    target, location = Path(file), catalogue.location if isinstance(catalogue, Catalogue) else catalogue
+    if target.exists():
+        raise CatalogueError(f"{target} exists: name a new file for the backup, or remove it first")
+    source = file_of(location)
+    try:
+        with TemporaryDirectory(prefix=".backup-", dir=target.parent) as folder:
+            unfinished = Path(folder) / target.name
+            if source is not None:
+                _copy_file(source, unfinished)
+            elif isinstance(catalogue, Catalogue):  # whose location has no password
+                _copy_rows(catalogue.rows, unfinished)
+            else:
+                with closing(Rows(location, {}, create=False)) as rows:
+                    _copy_rows(rows, unfinished)
+            with unfinished.open("rb") as written:
+                os.fsync(written.fileno())
+            unfinished.rename(target)
+        return target.stat().st_size
+    except OSError as error:
+        raise CatalogueError(
+            f"cannot write the backup {target}: {error.strerror or error}; name a file in a folder that "
+            "exists and can be written"
+        ) from error
+
+
+def _copy_file(source: Path, target: Path) -> None:
+    """Copy an SQLite file of any schema version, with the changes of its log, in one state."""
+    with closing(connect(source, create=False)) as connection:
+        with translated(source):
+            tables = connection.execute("SELECT name FROM sqlite_master WHERE type = 'table'")
+            check_tables(source, {name for (name,) in tables})
+        with translated(target), closing(sqlite3.connect(target)) as copy:
+            # Within a transaction, so that parts that are copied later belong to the same state.
+            connection.execute("BEGIN")
+            connection.execute("SELECT count(*) FROM meta")
+            connection.backup(copy, pages=PAGES_AT_ONCE, progress=_log)
+            connection.rollback()
+
+
+def _log(status: int, n_left: int, n_pages: int) -> None:
+    logger.info("copied: %d of %d pages", n_pages - n_left, n_pages)
+
+
+def _copy_rows(rows: Rows, target: Path) -> None:
+    """Copy the shapes of a database."""
+    stored = rows.settings()
+    settings = {name: stored[name] for name in ("options", "numbers_version")}
+    with closing(Rows(target, settings, create=True)) as copy:
+        _merge(copy, [rows])
+
+
+def _merge(target: Rows, parts: Sequence[Rows]) -> Merged:
+    """Store in one catalogue the shapes of others.
+
+    Of a path that several have, the first finished shape is kept, or the first failure if none is finished,
+    with the label that one of them has.
+    """
+    stores = [target, *parts]
+    chosen, labels = _chosen(stores)
+    added: dict[int, list[str]] = {number: [] for number in range(len(stores))}  # ids by store
+    for number, origin in chosen.values():
+        added[number].append(origin.id)
+    n_held = len(added.pop(0))
+    n_added, n_stored = sum(map(len, added.values())), 0
+    for number, ids in added.items():
+        for start in range(0, len(ids), STORED_AT_ONCE):
+            entries = stores[number].entries(ids[start : start + STORED_AT_ONCE])
+            for at, entry in enumerate(entries):
+                label = labels[entry.record.path] or None
+                if entry.record.label != label:
+                    entries[at] = replace(entry, record=replace(entry.record, label=label))
+            target.add(entries)
+            n_stored += len(entries)
+            logger.info("stored: %d of %d shapes", n_stored, n_added)
+    held = {path: origin for path, (place, origin) in chosen.items() if place == 0}
+    new_labels = {path: labels[path] for path, origin in held.items() if labels[path] != (origin.label or "")}
+    if new_labels:
+        target.revise(labels=new_labels)
+    return Merged(n_added, n_held)
+
+
+def _chosen(stores: Sequence[Rows]) -> tuple[dict[str, tuple[int, Origin]], dict[str, str]]:
+    """By path, the number of the store whose shape is kept and the row in it; and its label.
+
+    Conflicts are an error, before anything is written.
+    """
+    chosen: dict[str, tuple[int, Origin]] = {}
+    labels: dict[str, str] = {}
+    conflicts: list[str] = []
+    for number, store in enumerate(stores):
+        for origin in store.origins():
+            path = origin.path
+            earlier, other = chosen.setdefault(path, (number, origin))
+            places = f"in {stores[earlier].location} and in {store.location}"
+            if origin.label != labels.setdefault(path, origin.label or "") and origin.label:
+                if labels[path]:
+                    conflicts.append(f"{path} has the labels {labels[path]!r} and {origin.label!r} {places}")
+                labels[path] = origin.label
+            if {origin.status, other.status} == {"done"} and origin.content_hash != other.content_hash:
+                conflicts.append(f"{path} has different contents {places}")
+            if origin.status == "done" and other.status == "failed":
+                chosen[path] = number, origin
+    paths: dict[str, str] = {}
+    for path, (number, origin) in chosen.items():
+        if (other_path := paths.setdefault(origin.id, path)) != path:
+            before, here = stores[chosen[other_path][0]].location, stores[number].location
+            conflicts.append(f"{origin.id!r} is {other_path} in {before} and {path} in {here}")
+    if conflicts:
+        more = f"; and {len(conflicts) - NAMED} more" if len(conflicts) > NAMED else ""
+        raise CatalogueError(
+            f"catalogues with conflicts cannot be merged: {'; '.join(conflicts[:NAMED])}{more}. Remove the "
+            "shape from one of both (pcretrieve remove), or ingest its file again"
+        )
+    return chosen, labels

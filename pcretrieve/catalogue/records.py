@@ -1,0 +1,206 @@
+"""The record of a shape, the content that is stored with it, and their rows."""
+
+from __future__ import annotations
+
+import json
+import zlib
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, fields, replace
+from datetime import datetime, timezone
+from pathlib import Path
+from typing import Any, Literal
+
+from pcretrieve.catalogue.tables import TABLES, Payload, damaged
+from pcretrieve.errors import CatalogueError
+from pcretrieve.values import UNIT, FloatArray, Shape, Step, Verdict
+
+Status = Literal["done", "failed"]
+
+#: The digest under which the signatures by the options of the catalogue are stored.
+OWN = "own"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Content:
+    """The result of processing a scan.
+
+    signature: (L,) float64, values of the signature by the options of the catalogue.
+    """
+
+    shape: Shape
+    signature: FloatArray
+    thumbnail: bytes | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Record:
+    """The provenance of one shape: everything except its arrays.
+
+    area: area of the first surface, in the square of the unit of the scan: see `metres_per_unit`.
+    """
+
+    id: str
+    path: str
+    content_hash: str
+    label: str | None = None
+    status: str = "done"
+    stage: str | None = None
+    error: str | None = None
+    message: str | None = None
+    steps: tuple[Step, ...] = ()
+    area: float | None = None
+    n_vertices: int | None = None
+    n_faces: int | None = None
+    euler: int | None = None
+    options_digest: str = ""
+    versions: dict[str, str] = field(default_factory=dict)
+    added: str = ""
+    verdict: Verdict | None = None
+    stamp: str | None = None
+
+    @property
+    def is_doubtful(self) -> bool:
+        """Whether the verdict is "doubtful" or "unusable"; false if the shape was not judged."""
+        return self.verdict is not None and not self.verdict.is_sound
+
+    @property
+    def metres_per_unit(self) -> float | None:
+        """Length of the unit of the area; metres. None if the format of the file does not have a unit."""
+        return next((step.sizes[UNIT] for step in self.steps if UNIT in step.sizes), None)
+
+    @property
+    def seconds(self) -> float:
+        """Total time of all stages; seconds."""
+        return sum(step.seconds for step in self.steps)
+
+
+@dataclass(frozen=True, slots=True)
+class Origin:
+    """Of which file a row is, without its provenance."""
+
+    id: str
+    path: str
+    content_hash: str
+    label: str | None
+    status: Status
+    stamp: str | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Entry:
+    """Everything that is stored of one shape, as bytes: signatures by the digest of their options."""
+
+    record: Record
+    signatures: Mapping[str, bytes]
+    payloads: Mapping[Payload, bytes]
+
+
+class ChangedRow(CatalogueError):
+    """Texts or numbers of a row that are not those that were stored, as by a flipped bit on the disk."""
+
+
+def completed(record: Record, content: Content | None, options_digest: str) -> Record:
+    """Complete a record before it is stored."""
+    added = datetime.now(timezone.utc).isoformat(timespec="seconds")
+    record = replace(record, options_digest=options_digest, added=added)
+    if content is None:
+        return record
+    mesh = content.shape.mesh
+    return replace(
+        record,
+        area=content.shape.area,
+        n_vertices=len(mesh.vertices),
+        n_faces=len(mesh.faces),
+        euler=mesh.euler_characteristic,
+        verdict=content.shape.verdict,
+    )
+
+
+def numbered_id(stem: str, number: int) -> str:
+    """The id of one of several files of the same name: ``cat``, ``cat-2``, ``cat-3``."""
+    return stem if number == 1 else f"{stem}-{number}"
+
+
+def free_id(record: Record, is_taken: Callable[[str], bool]) -> str:
+    """The id of a record, or the name of its file with a number if another path has this id.
+
+    The number is doubled until it is free and then bisected, because one name may have many numbers.
+    """
+    if not is_taken(record.id):
+        return record.id
+    stem = Path(record.path).stem
+    free = 1
+    while is_taken(numbered_id(stem, free)):
+        free *= 2
+    taken = free // 2
+    while free - taken > 1:
+        middle = (free + taken) // 2
+        if is_taken(numbered_id(stem, middle)):
+            taken = middle
+        else:
+            free = middle
+    return numbered_id(stem, free)
+
+
+# --- rows -----------------------------------------------------------------------------------------------
+
+SHAPE_COLUMNS = tuple(TABLES["shapes"])[1:]
+PROVENANCE_COLUMNS = tuple(TABLES["provenance"])[1:]
+#: All rows of records, with the number of the shape first; conditions follow.
+RECORDS = (
+    f"SELECT number, {', '.join(SHAPE_COLUMNS + PROVENANCE_COLUMNS)} "
+    "FROM shapes LEFT JOIN provenance ON shape = number"
+)
+FIELDS = [one.name for one in fields(Record) if one.name != "verdict"]
+STEP_FIELDS = [one.name for one in fields(Step)]
+
+# Columns with the checksum: not itself, and not the stamp, without which a file is read once more.
+SUMMED = [name for name in SHAPE_COLUMNS + PROVENANCE_COLUMNS if name not in ("checksum", "stamp")]
+
+# Numbers with a fraction, which databases return as float, also if they were stored as int.
+REAL = {name for name, kind in TABLES["shapes"].items() if kind == "double precision"}
+
+
+def checksum(row: Mapping[str, Any]) -> int:
+    """The checksum of the values of a record, by which readers notice changed bits."""
+    values = [float(row[name]) if name in REAL and row[name] is not None else row[name] for name in SUMMED]
+    # PostgreSQL cannot store the character 0, in the place of which it has the symbol for it.
+    return zlib.crc32(json.dumps(values).replace("\\u0000", "\\u2400").encode())
+
+
+def row_of(record: Record) -> dict[str, Any]:
+    """The values of a record, by column."""
+    verdict = record.verdict
+    # Not by asdict, which copies the steps and takes most of the time of a merge.
+    row = {name: getattr(record, name) for name in FIELDS} | {
+        "steps": json.dumps([{name: getattr(step, name) for name in STEP_FIELDS} for step in record.steps]),
+        "versions": json.dumps(record.versions),
+        "judgement": None if verdict is None else verdict.judgement,
+        "uncertainty": None if verdict is None else verdict.uncertainty,
+        "reasons": None if verdict is None else json.dumps(verdict.reasons),
+        # A column of its own, so that the units of a large catalogue are known without its provenance.
+        "metres_per_unit": record.metres_per_unit,
+    }
+    row["checksum"] = checksum(row)
+    return row
+
+
+def record_of(row: Sequence[Any], location: str) -> Record:
+    """The record of a row of the result of the query `RECORDS`."""
+    values = dict(zip(SHAPE_COLUMNS + PROVENANCE_COLUMNS, row[1:], strict=True))
+    if values["steps"] is None:
+        raise damaged(location, f"shape {values['id']!r} has no readable provenance")
+    if checksum(values) != values["checksum"]:
+        raise ChangedRow(
+            f"{location} is damaged (shape {values['id']!r}: its record has changed since it was stored): "
+            "restore a copy, or repair it with `pcretrieve check --repair`"
+        )
+    try:
+        steps = [Step(**step | {"notes": tuple(step["notes"])}) for step in json.loads(values["steps"])]
+        verdict = None
+        if values["judgement"] is not None:
+            verdict = Verdict(values["judgement"], values["uncertainty"], json.loads(values["reasons"]))
+        decoded = {"steps": tuple(steps), "versions": json.loads(values["versions"]), "verdict": verdict}
+        return Record(**{name: values[name] for name in FIELDS} | decoded)
+    except (ValueError, TypeError, KeyError) as error:
+        raise damaged(location, f"shape {values['id']!r} has no readable provenance") from error

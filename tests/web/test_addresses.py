@@ -1,0 +1,185 @@
+"""`pcretrieve serve`: pages and documents of a server in a process of its own."""
+
+from __future__ import annotations
+
+import json
+import re
+from html import unescape
+from io import BytesIO
+from pathlib import Path
+from urllib.parse import quote
+
+import pytest
+from click.testing import CliRunner
+from PIL import Image
+from search_server import NASTY, Server, running
+
+from pcretrieve.cli.main import cli
+from pcretrieve.web.documents import without_folders
+
+
+def ids(page: bytes) -> list[str]:
+    """The names on the cards of a page."""
+    found = re.findall(r"<b>(?:<span class=\"soft\">\d+</span> )?(.*?)</b></a>", page.decode())
+    return [unescape(name) for name in found]
+
+
+@pytest.mark.slow
+def test_the_collection_has_every_shape(server: Server) -> None:
+    answer = server.ask("/")
+    assert answer.status == 200
+    assert len(ids(answer.body)) == 13
+    assert b"failed: read" in answer.body
+    assert NASTY in ids(answer.body)
+    assert b"<b> %2F" not in answer.body
+
+
+LISTINGS: list[tuple[str, list[str]]] = [
+    ("q=gG0", ["Egg00", "Egg01", "Egg02", "Egg03"]),
+    ("q=egg+3&sort=-id", ["Egg23", "Egg13", "Egg03"]),
+    ("state=doubtful", ["Egg23"]),
+    ("state=failed", ["broken"]),
+    ("label=%3Ckind+2%3E&state=done", ["Egg20", "Egg21", "Egg23", NASTY]),
+    ("sort=-label&q=0", ["Egg20", "Egg10", "Egg03", "Egg02", "Egg01", "Egg00"]),
+    ("q=nothing", []),
+    ("page=2", []),
+    ("since=2999-01-01", []),
+    ("until=2000-01-01", []),
+    ("q=egg0&since=2000-01-01&until=2999-01-01", ["Egg00", "Egg01", "Egg02", "Egg03"]),
+    ("q=egg0&sort=-added", ["Egg03", "Egg02", "Egg01", "Egg00"]),
+]
+
+
+def test_the_collection_is_searched_filtered_and_sorted(server: Server) -> None:
+    for query, expected in LISTINGS:
+        found = ids(server.ask(f"/?{query}").body)
+        assert found == [shape["id"] for shape in server.ask(f"/shapes?{query}").json["shapes"]]
+        assert found == expected
+
+
+@pytest.mark.slow
+def test_shapes_stand_on_the_axis_that_is_given(eggs: Path) -> None:
+    upright, lying = ([0.0, 0.0, 1.0], [1.0, 0.0, 0.0])
+    for name, up in (("z", upright), ("x", lying)):
+        with running(eggs, "--up", name, "--read-only") as server:
+            assert server.ask("/shapes/Egg20/scene").json["axes"][1] == pytest.approx(up, abs=1e-6)
+            picture = server.ask("/shapes/Egg20/thumbnail.png").body
+            with Image.open(BytesIO(picture)) as drawn:
+                left, top, right, bottom = drawn.convert("RGBA").getchannel("A").getbbox()
+            assert (bottom - top > right - left) == (name == "z")
+
+
+@pytest.mark.slow
+def test_neighbours_are_those_of_the_command_line(server: Server, eggs: Path) -> None:
+    document = server.ask("/shapes/Egg01/similar?k=3").json
+    words = ["query", "-c", str(eggs), "Egg01", "-k", "3", "--exclude-self", "--json"]
+    done = CliRunner().invoke(cli, words)
+    ((expected,),) = [json.loads(done.stdout)["result"]]
+    for row in expected["results"]:
+        row["file"] = Path(row.pop("path")).name
+    assert document["results"] == expected["results"]
+    assert document["vote"] == expected["vote"]
+    page = server.ask("/shape/Egg01?k=3").body
+    assert ids(page) == [row["id"] for row in expected["results"]]
+    assert document["verdict"] in unescape(page.decode())
+    table = server.ask("/shapes/Egg01/similar.csv?k=3").body.decode().splitlines()
+    assert table[0] == "query,rank,id,label,distance,score,file"
+    assert [line.split(",")[2] for line in table[1:]] == ids(page)
+
+
+@pytest.mark.slow
+def test_there_may_be_no_match(server: Server) -> None:
+    page = server.ask("/shape/Egg01?min_score=1").body
+    assert b'<p class="verdict">no match</p>' in page
+    assert ids(page) == []
+
+
+@pytest.mark.slow
+def test_any_name_is_one_part_of_an_address(server: Server) -> None:
+    name = quote(NASTY, safe="")
+    assert server.ask(f"/shapes/{name}").json["id"] == NASTY
+    page = server.ask(f"/shape/{name}").body.decode()
+    assert unescape(re.findall("<h1>(.*)</h1>", page)[0]) == NASTY
+    assert server.ask(f"/shapes/{name}/thumbnail.png").body.startswith(b"\x89PNG")
+    links = re.findall(r'(?:href|src)="(/[^"]*)"', page)
+    assert {server.ask(unescape(link)).status for link in set(links)} == {200}
+
+
+@pytest.mark.slow
+def test_a_failed_shape_says_why(server: Server) -> None:
+    page = server.ask("/shape/broken").body
+    assert b"broken.off is empty" in page
+    assert server.ask("/shapes/broken/similar").status == 400
+    assert server.ask("/shapes/broken/thumbnail.png").status == 404
+
+
+UNANSWERED = [
+    ("/shapes/none", 404),
+    ("/shapes/none/similar", 404),
+    ("/shape/none", 404),
+    ("/shapes/Egg00/similar?k=0", 400),
+    ("/shapes/Egg00/similar?k=1e9", 400),
+    ("/shapes/Egg00/similar?min_score=nan", 400),
+    ("/shapes/Egg00/similar?label=none", 400),
+    ("/?sort=path", 400),
+    ("/?page=" + 5000 * "9", 400),
+    ("/assets/../html.py", 404),
+    ("/assets/..%2Fhtml.py", 404),
+    ("/shapes/..%2F..%2Fetc%2Fpasswd/similar", 404),
+    ("/nothing", 404),
+    ("//evil.example", 404),
+    ("/shapes/none/scene", 404),
+    ("/shapes/none/mesh.glb", 404),
+    ("/scans/none", 404),
+    ("/compare?a=Egg00", 404),
+    ("/compare?a=Egg00&b=broken", 400),
+]
+
+
+@pytest.mark.slow
+def test_what_cannot_be_answered_is_said(server: Server) -> None:
+    for path, status in UNANSWERED:
+        answer = server.ask(path)
+        assert answer.status == status, path
+        if path.startswith(("/shapes", "/scans")):
+            assert set(answer.json) == {"error", "message"}
+        assert b"Traceback" not in answer.body
+    for field in ("state", "since", "until", "sort", "page"):
+        assert field in server.ask(f"/shapes?{field}=%3F").json["message"]
+
+
+@pytest.mark.slow
+def test_no_file_of_the_folder_stands_for_a_shape(server: Server) -> None:
+    """`pcretrieve query` reads files; a request must not make the server read one."""
+    assert Path("README.md").exists()
+    assert server.ask("/shapes/README.md/similar").status == 404
+
+
+@pytest.mark.slow
+def test_no_answer_has_a_folder_of_the_server(server: Server, eggs: Path) -> None:
+    paths = [
+        *("/", "/shapes", "/shape/Egg00", "/shapes/Egg00/similar", "/shapes/broken", "/shape/broken"),
+        *("/shapes/Egg00/similar.csv", "/shapes/none", "/shapes/Egg00/similar?label=none"),
+        *("/map", "/compare?a=Egg00&b=Egg01", "/compare?a=Egg00&b=broken"),
+        *("/shapes/Egg00/scene", "/shapes/Egg00/mesh.glb", "/shapes/broken/mesh.glb"),
+    ]
+    for path in paths:
+        body = server.ask(path).body
+        assert b"/secret" not in body
+        assert b"own folder" not in body
+        assert str(eggs.parent).encode() not in body
+
+
+MESSAGES = [
+    ("/data/scans/a.ply is empty", "a.ply is empty"),
+    ("/own folder/of scans/a.ply is empty", "a.ply is empty"),
+    ("cannot read:/own folder/of scans/a.ply", "cannot read:a.ply"),
+    ("error:/srv/x/a.ply", "error:a.ply"),
+    ("open('/srv/x/a.ply', \"/srv/y\") or file:/srv/z/b", "open('a.ply', \"y\") or file:b"),
+    ("see https://example.org/a/b, 3/4 and and/or", "see https://example.org/a/b, 3/4 and and/or"),
+]
+
+
+def test_messages_name_no_folder() -> None:
+    for message, told in MESSAGES:
+        assert without_folders(message, Path("/own folder/of scans")) == told
