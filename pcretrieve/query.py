@@ -35,7 +35,6 @@ from pcretrieve.retrieval import (
     class_vote,
     cluster_numbers,
     near_pairs,
-    nearest_among,
     nearest_of,
     position_of,
     rank_ranges,
@@ -606,12 +605,7 @@ def _of_index(
     index, method = catalogue.index(question.options), question.options.retrieval.rerank
     # The neighbourhoods of the results, among which a list is sorted again, need more shapes than asked for.
     most = k if method == "none" else max(k, N_NEAR)
-    if among is not None:
-        found = nearest_among(index, query, sorted(among), most)
-    elif isinstance(query, str):
-        found = index.nearest(query, most)
-    else:
-        found = index.query(query, most)
+    found = index.query(query, most) if among is None else index.nearest_among(query, among, most)
     held = query if isinstance(query, str) else None
     ranked = reranked_neighbors(index, found, method, shape_id=held)
     if index.scores is None:

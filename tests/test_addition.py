@@ -14,10 +14,8 @@ import shapes
 from packages import install_addition
 from scipy.spatial import ConvexHull
 
-from pcretrieve import PipelineOptions, SignatureIndex, laplace_beltrami, reconstruct, signature
+from pcretrieve import PipelineOptions, laplace_beltrami, reconstruct, signature
 from pcretrieve.errors import OptionError
-from pcretrieve.options import RetrievalOptions
-from pcretrieve.values import SignatureTable
 
 MESH = shapes.body(3)
 
@@ -98,25 +96,12 @@ def test_filters_of_the_command_line(tmp_path: Path) -> None:
     assert "# The z coordinate of the plane; unit of the file.\nheight = 0.8\n" in printed
 
 
-def test_a_distance() -> None:
-    values = np.exp(np.random.default_rng(0).normal(size=(50, 4)))
-    ids = tuple(f"shape{number:02}" for number in range(50))
-    index = SignatureIndex(
-        SignatureTable(ids, values, "x"), RetrievalOptions(distance="largest", whitening="none")
-    )
-    nearest = index.query(values[7], 5)
-    gaps = np.abs(np.log(values) - np.log(values[7])).max(axis=1)
-    assert nearest.ids == tuple(ids[row] for row in np.argsort(gaps)[:5])
-    np.testing.assert_array_equal(nearest.distances, np.sort(gaps)[:5])
-
-
 def test_without_the_package_its_names_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.undo()
     for stage, name in {
         "surface": "method",
         "signature": "method",
         "spectral": "element",
-        "retrieval": "distance",
     }.items():
         with pytest.raises(
             OptionError, match=rf"in \[{stage}\], {name}: input should be one of .*, got 'soft'"

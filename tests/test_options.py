@@ -75,7 +75,6 @@ OTHER: dict[str, dict[str, Any]] = {
         "calibration": "metric.npz",
         "shrinkage": 0.2,
         "rerank": "local",
-        "nearest": "scan",
         "n_folds": 3,
         "fold_seed": 7,
     },

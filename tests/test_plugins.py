@@ -12,7 +12,6 @@ from pcretrieve.errors import InputError, OptionError, ShapeError, Stage
 from pcretrieve.matching import MATCHERS
 from pcretrieve.plugins import Named, Names, Registry
 from pcretrieve.points import POINT_FILTERS
-from pcretrieve.retrieval import DISTANCES
 from pcretrieve.spectral import ELEMENTS
 from pcretrieve.surface import SURFACE_FILTERS, SURFACE_METHODS
 
@@ -50,7 +49,7 @@ def installed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 @pytest.mark.parametrize(
     "registry",
-    [POINT_FILTERS, SURFACE_METHODS, SURFACE_FILTERS, DESCRIPTORS, ELEMENTS, DISTANCES, MATCHERS],
+    [POINT_FILTERS, SURFACE_METHODS, SURFACE_FILTERS, DESCRIPTORS, ELEMENTS, MATCHERS],
     ids=lambda registry: registry.names.kind,
 )
 def test_names_are_those_of_the_records(registry: Registry[Named]) -> None:

@@ -17,9 +17,13 @@ from pcretrieve.errors import InputError, ShapeError
 from pcretrieve.names import METHODS
 from pcretrieve.options import PipelineOptions
 from pcretrieve.retrieval import (
-    DISTANCES,
+    CHUNK,
+    MadeBy,
+    Names,
     SignatureIndex,
     Whitening,
+    check_comparable,
+    coordinates,
     fit_scores,
     fit_whitening,
     pair_sample,
@@ -27,10 +31,6 @@ from pcretrieve.retrieval import (
     resolution_covariance,
     resolution_whitening,
 )
-from pcretrieve.retrieval.covariances import CHUNK
-from pcretrieve.retrieval.distances import check_comparable, coordinates
-from pcretrieve.retrieval.names import Names
-from pcretrieve.retrieval.whitened import MadeBy
 from pcretrieve.values import FloatArray, SignatureTable, SizeUnit
 
 logger = logging.getLogger(__name__)
@@ -54,13 +54,11 @@ def made_before(options: PipelineOptions) -> Whitening | None:
 def index_name(options: PipelineOptions) -> str:
     """A name of everything that an index depends on, apart from the shapes."""
     retrieval = options.retrieval
-    distance = retrieval.distance + DISTANCES.version(retrieval.distance)
     calibrated = ""
     if retrieval.calibration is not None:
         calibrated = hashlib.sha256(read_whitening(Path(retrieval.calibration)).matrix.tobytes()).hexdigest()
-    nearest = "scan" if retrieval.nearest == "auto" else retrieval.nearest
     compared = f"{retrieval.whitening} {retrieval.shrinkage} {calibrated}"
-    return f"{_digest_of(options)} {distance} {nearest} {compared}"
+    return f"{_digest_of(options)} {retrieval.distance} {compared}"
 
 
 def _digest_of(options: PipelineOptions) -> str:

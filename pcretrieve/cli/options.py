@@ -40,7 +40,7 @@ ALL = "pcretrieve.help_all"
 LABEL = "label="
 
 # The names of flags that are options of retrieval; others are options of signatures.
-RETRIEVAL_FLAGS = ("distance", "whitening", "rerank", "nearest")
+RETRIEVAL_FLAGS = ("distance", "whitening", "rerank")
 
 WHITENING_NAMES = ("auto", "none", "resolution", "neighbours", "pca", "within-class")
 

@@ -52,14 +52,6 @@ DOUBT = out.Column("VERDICT")
 @opt.option(
     "--min-score SHARE", 'Hide results below this score; "no match" if none is left.', click.FloatRange(0, 1)
 )
-@opt.option(
-    "--nearest",
-    "Find the nearest shapes by blocks (scan), by a ball tree (tree), or by faiss (an extra). "
-    "All are exact.  [default: auto, or the catalogue's]",
-    ("auto", "scan", "tree", "faiss"),
-    rare=True,
-    details="tree and faiss need --distance log or d2. auto is scan, the fastest for large catalogues.",
-)
 @opt.matrix_option
 @opt.comparison_options
 @opt.unit_option
@@ -207,7 +199,7 @@ def _say_how(store: pr.Catalogue, question: Question) -> None:
     if question.matrix is not None:
         return
     index = store.index(question.options)
-    how = "all shapes of the classes compared" if question.labels else str(index.contents.filter)
+    how = "all shapes of the classes compared" if question.labels else index.search
     say(f"nearest: {how}")
     say(f"whitening: {store.whitening(question.options).reason}")
     say(f"score: {index.scores.reason if index.scores else 'none, because labels and shapes are too few'}")

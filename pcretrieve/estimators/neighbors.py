@@ -17,7 +17,7 @@ from pcretrieve.evaluation import Rankings, evaluate_rankings
 from pcretrieve.formats import ScanLike
 from pcretrieve.options import OptionsLike, PipelineOptions
 from pcretrieve.pipeline.process import process
-from pcretrieve.retrieval import BLOCK_DISTANCES, DISTANCES, Positions, coordinates, pairwise
+from pcretrieve.retrieval import BLOCK_DISTANCES, Positions, coordinates, known_distance, pairwise
 from pcretrieve.values import FloatArray
 
 Found: TypeAlias = "tuple[FloatArray, Positions] | Positions"
@@ -74,7 +74,7 @@ class SignatureNeighbors(BaseEstimator):  # type: ignore[misc]
             If the distance does not exist.
         """
         self._fit_X = validate_data(self, X, dtype=np.float64)
-        DISTANCES[self.distance]
+        known_distance(self.distance)
         self._classes = None if y is None else column_or_1d(y)
         if self._classes is not None and len(self._classes) != len(self._fit_X):
             raise InputError(f"y must have {len(self._fit_X)} classes, one a row, got {len(self._classes)}")

@@ -45,8 +45,6 @@ class NeighbourWhitening(_Whitener):
         which neighbourhoods overlap most, if it stands out, else 5.
     shrinkage : float or "auto", default "auto"
         Shrinkage in (0, 1] of the covariance towards its mean variance times the identity. auto: .2.
-    rounds : int, default 1
-        How often the pairs are found, from the second time on among whitened signatures.
     prior : (L, L) array_like, optional
         A covariance of trace 1 that is mixed in, as in `pcretrieve.retrieval.fit_whitening`.
 
@@ -62,12 +60,10 @@ class NeighbourWhitening(_Whitener):
         self,
         n_neighbors: int | Literal["auto"] = "auto",
         shrinkage: Shrinkage = "auto",
-        rounds: int = 1,
         prior: ArrayLike | None = None,
     ) -> None:
         self.n_neighbors = n_neighbors
         self.shrinkage = shrinkage
-        self.rounds = rounds
         self.prior = prior
 
     def fit(self, X: ArrayLike, y: object = None) -> NeighbourWhitening:
@@ -97,7 +93,6 @@ class NeighbourWhitening(_Whitener):
             logs,
             shrinkage=self.shrinkage,
             n_neighbors=self.n_neighbors,
-            rounds=self.rounds,
             prior=prior,
         )
         return self

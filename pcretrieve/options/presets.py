@@ -33,13 +33,13 @@ PRESETS: dict[str, dict[str, dict[str, Any]]] = {
     },
     # The textbook chain, for comparison: normals oriented along a minimum spanning tree, screened Poisson
     # reconstruction by Open3D, remeshing by fTetWild, linear elements, and R-BiHDM signatures, whitened
-    # by PCA and searched by a ball tree.
+    # by PCA.
     "classic": {
         "scan": {"orientation": "tangent-plane"},
         "surface": {"method": "poisson"},
         "remesh": {"method": "tetwild"},
         "spectral": {"element": "linear"},
         "signature": {"method": "r-bihdm"},
-        "retrieval": {"whitening": "pca", "nearest": "tree"},
+        "retrieval": {"whitening": "pca"},
     },
 }

@@ -9,10 +9,9 @@ from pydantic import AfterValidator, Field
 from pcretrieve.names import NAMES
 from pcretrieve.options.model import Options
 
-__all__ = ["NearestKind", "RerankKind", "RetrievalOptions", "Shrinkage", "WhiteningKind"]
+__all__ = ["RerankKind", "RetrievalOptions", "Shrinkage", "WhiteningKind"]
 
 WhiteningKind = Literal["auto", "none", "resolution", "neighbours", "pca", "within-class"]
-NearestKind = Literal["auto", "scan", "tree", "faiss"]
 RerankKind = Literal["none", "local", "k-reciprocal"]
 Shrinkage = Literal["auto"] | Annotated[float, Field(gt=0, le=1)]
 
@@ -40,11 +39,6 @@ class RetrievalOptions(Options):
     """Re-ranking of the first hundred results of a query, of which the first keeps its rank: by distances
     relative to the distances of near shapes (local), or by the overlap of k-reciprocal neighbourhoods
     (k-reciprocal)."""
-    nearest: NearestKind = "auto"
-    """How the nearest shapes are found, always exactly: by lower bounds of the distances to blocks of shapes,
-    up to a thousand shapes by all distances (scan); by a ball tree of scikit-learn (tree); or by the flat
-    scan of faiss (faiss, an extra). The last two are for the distances log and d2. auto: scan, which was the
-    fastest for all catalogues measured, or within .1 ms of it."""
     n_folds: Annotated[int, Field(ge=2)] = 5
     """Number of folds of classes with which a within-class whitening is evaluated."""
     fold_seed: Annotated[int, Field(ge=0)] = 0

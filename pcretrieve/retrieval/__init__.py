@@ -1,20 +1,25 @@
 """Signatures → ranked shapes: distances, whitening, and an exact nearest-neighbour index."""
 
-from pcretrieve.retrieval.changes import with_shapes, without_shapes
-from pcretrieve.retrieval.clusters import cluster_numbers, plane_map
+from pcretrieve.retrieval.clusters import NearPair, cluster_numbers, near_pairs, plane_map
+from pcretrieve.retrieval.covariances import CHUNK, LEAST_SHAPES
 from pcretrieve.retrieval.distances import (
     DISTANCES,
     Distance,
+    check_comparable,
     coordinates,
+    known_distance,
     log_signatures,
     pairwise,
     table_coordinates,
 )
-from pcretrieve.retrieval.fitting import fit_whitening, table_whitening
-from pcretrieve.retrieval.index import N_INTERPRETED, SignatureIndex
-from pcretrieve.retrieval.near_pairs import NearPair, near_pairs
-from pcretrieve.retrieval.neighbour_covariance import LEAST_SHAPES
-from pcretrieve.retrieval.rank_errors import rank_ranges, swapping_ranks
+from pcretrieve.retrieval.fitting import (
+    fit_whitening,
+    is_measured,
+    resolution_covariance,
+    resolution_whitening,
+    table_whitening,
+)
+from pcretrieve.retrieval.index import N_INTERPRETED, MadeBy, Names, SignatureIndex
 from pcretrieve.retrieval.ranking import (
     BLOCK_DISTANCES,
     DistanceBlock,
@@ -25,33 +30,22 @@ from pcretrieve.retrieval.ranking import (
     pairwise_blocks,
     position_of,
 )
-from pcretrieve.retrieval.regularisation import DEFAULT_SHRINKAGE, checked_shrinkage
 from pcretrieve.retrieval.reranking import (
     N_NEAR,
     N_RERANKED,
     RERANKINGS,
     NeighbourLists,
-    neighbour_lists,
     rerank,
     reranked_neighbors,
 )
-from pcretrieve.retrieval.resolution import resolution_covariance, resolution_whitening
-from pcretrieve.retrieval.scores import MatchScores, PairSample, fit_scores, pair_sample
-from pcretrieve.retrieval.subsets import nearest_among
-from pcretrieve.retrieval.votes import Vote, class_vote
-from pcretrieve.retrieval.whitening import (
-    CALIBRATED,
-    WHITENINGS,
-    Whitening,
-    read_whitening,
-    whitening_digest,
-    write_whitening,
-)
+from pcretrieve.retrieval.scores import MatchScores, fit_scores, pair_sample
+from pcretrieve.retrieval.votes import Vote, class_vote, rank_ranges, swapping_ranks
+from pcretrieve.retrieval.whitening import CALIBRATED, WHITENINGS, Whitening, read_whitening, write_whitening
 
 __all__ = [
     "BLOCK_DISTANCES",
     "CALIBRATED",
-    "DEFAULT_SHRINKAGE",
+    "CHUNK",
     "DISTANCES",
     "LEAST_SHAPES",
     "N_INTERPRETED",
@@ -61,27 +55,28 @@ __all__ = [
     "WHITENINGS",
     "Distance",
     "DistanceBlock",
+    "MadeBy",
     "MatchScores",
+    "Names",
     "NearPair",
     "NeighbourLists",
-    "PairSample",
     "Positions",
     "Ranking",
     "SignatureIndex",
     "Vote",
     "Whitening",
+    "check_comparable",
     "checked_k",
-    "checked_shrinkage",
     "class_vote",
     "cluster_numbers",
     "coordinates",
     "fit_scores",
     "fit_whitening",
+    "is_measured",
+    "known_distance",
     "log_signatures",
     "near_pairs",
-    "nearest_among",
     "nearest_of",
-    "neighbour_lists",
     "pair_sample",
     "pairwise",
     "pairwise_blocks",
@@ -96,8 +91,5 @@ __all__ = [
     "swapping_ranks",
     "table_coordinates",
     "table_whitening",
-    "whitening_digest",
-    "with_shapes",
-    "without_shapes",
     "write_whitening",
 ]

@@ -1,16 +1,23 @@
-"""Index → clusters of its shapes, and a map of them in the plane."""
+"""Index → what its shapes are among each other: clusters, a map in the plane, and pairs of near shapes."""
 
 from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pcretrieve.errors import OptionError
 from pcretrieve.retrieval.index import SignatureIndex
-from pcretrieve.retrieval.scikit_learn import density_clusters, neighbour_embedding
-from pcretrieve.values import FloatArray
+from pcretrieve.values import FloatArray, Neighbors
 
-__all__ = ["cluster_numbers", "plane_map"]
+# Effective number of neighbours of a point of t-SNE. See docs/decisions.md, PERPLEXITY.
+PERPLEXITY = 30.0
+
+# Least number of points of t-SNE, which starts at the principal components; fewer are projected on these.
+FEWEST = 5
+SEED = 0
 
 # Distance between the shapes on a map, so that none hides another: the width of a marker, or, of many shapes,
 # this share of the mean spacing; and how often they are moved apart.
@@ -19,6 +26,10 @@ SHARE = 0.6
 N_ROUNDS = 60
 
 GOLDEN_ANGLE = np.pi * (3 - np.sqrt(5))
+
+# Number of neighbours that are searched first for near pairs; it is doubled until they are farther than any
+# pair can be.
+FIRST = 4
 
 
 def cluster_numbers(index: SignatureIndex, *, min_size: int = 3) -> NDArray[np.intp]:
@@ -29,7 +40,7 @@ def cluster_numbers(index: SignatureIndex, *, min_size: int = 3) -> NDArray[np.i
     """
     if min_size < 2:
         raise OptionError(f"min_size must be at least 2, got {min_size}")
-    found = density_clusters(index.contents.filter.points, min_size)
+    found = _density_clusters(index.points, min_size)
     sizes = np.bincount(found[found >= 0], minlength=int(found.max(initial=-1)) + 1)
     first = [int(np.argmax(found == number)) for number in range(len(sizes))]
     order = sorted(range(len(sizes)), key=lambda number: (-sizes[number], first[number]))
@@ -45,8 +56,8 @@ def plane_map(index: SignatureIndex, rows: NDArray[np.intp] | None = None) -> Fl
     Returns (N, 2) float64: the place of each shape of the index, or of each row, within [0, 1]²; its axes
         have no meaning.
     """
-    points = index.contents.filter.points
-    places = neighbour_embedding(points if rows is None else points[rows])
+    points = index.points
+    places = _embedding(points if rows is None else points[rows])
     # The direction of the largest extent is across, as on screens.
     places = places @ np.linalg.svd(places - places.mean(axis=0), full_matrices=False)[2].T
     return _framed(_apart(_framed(places), min(GAP, SHARE / np.sqrt(len(places)))))
@@ -76,3 +87,85 @@ def _apart(places: FloatArray, gap: float) -> FloatArray:
         np.add.at(places, pairs[:, 0], step / 2)
         np.add.at(places, pairs[:, 1], -step / 2)
     return places
+
+
+def _density_clusters(points: FloatArray, min_size: int) -> NDArray[np.intp]:
+    """Clusters of dense points by HDBSCAN, from the excess of mass (Campello, Moulavi and Sander, 2013).
+
+    points: (N, d) float64, the points.
+    Returns (N,) intp: the number of the cluster of each point, from 0; −1 for points between clusters.
+    """
+    if len(points) < min_size:
+        return np.full(len(points), -1)
+    from sklearn.cluster import HDBSCAN
+
+    found = HDBSCAN(min_cluster_size=min_size, cluster_selection_method="eom", copy=True).fit_predict(points)
+    return np.asarray(found, dtype=np.intp)
+
+
+def _embedding(points: FloatArray) -> FloatArray:
+    """Places in the plane at which near points are near, by t-SNE (van der Maaten and Hinton, 2008).
+
+    points: (N, d) float64, the points.
+    Returns (N, 2) float64: the places, centred; only which are near each other has a meaning. Equal for equal
+        points and order.
+    """
+    centred = points - points.mean(axis=0)
+    directions, sizes, _ = np.linalg.svd(centred, full_matrices=False)
+    principal = np.zeros((len(points), 2))
+    principal[:, : min(2, len(sizes))] = (directions * sizes)[:, :2]
+    if len(points) < FEWEST or not sizes[0]:
+        return principal
+    from sklearn.manifold import TSNE
+
+    perplexity = min(PERPLEXITY, (len(points) - 1) / 3)
+    start = (1e-4 * principal / principal.std()).astype(np.float32)
+    places = TSNE(perplexity=perplexity, init=start, random_state=SEED).fit_transform(points)
+    return np.asarray(places - places.mean(axis=0), dtype=np.float64)
+
+
+class NearPair(NamedTuple):
+    """Two near shapes."""
+
+    first: str
+    second: str
+    distance: float
+    limit: float
+
+
+def near_pairs(index: SignatureIndex, errors: FloatArray) -> list[NearPair]:
+    """Find all pairs of shapes whose distance is at most that of their errors.
+
+    The errors of two shapes are independent, so that the limit is the root of the sum of their squares.
+
+    errors: (N,) float64, the error of each shape of the index, comparable to its distance; not negative.
+    """
+    largest = float(errors.max(initial=0))
+    found = [
+        pair
+        for row, shape_id in enumerate(index.ids)
+        for pair in _pairs_of(index, shape_id, float(errors[row]), largest, errors)
+    ]
+    return sorted(found, key=lambda pair: (pair.distance, pair.first, pair.second))
+
+
+def _pairs_of(
+    index: SignatureIndex, shape_id: str, error: float, largest: float, errors: FloatArray
+) -> Iterator[NearPair]:
+    """The near pairs of a shape with shapes after it in alphabetical order."""
+    near = _within(index, shape_id, float(np.hypot(error, largest)))
+    for other, distance in zip(near.ids, near.distances.tolist(), strict=True):
+        if other > shape_id:
+            limit = float(np.hypot(error, errors[index.ids.index(other)]))
+            if distance <= limit:
+                yield NearPair(shape_id, other, distance, limit)
+
+
+def _within(index: SignatureIndex, shape_id: str, radius: float) -> Neighbors:
+    """All neighbours up to a distance, and perhaps some that are farther."""
+    k = FIRST
+    while True:
+        found = index.nearest(shape_id, k)
+        if len(found) == len(index) or found.distances[-1] > radius:
+            return found
+        k *= 2

@@ -14,9 +14,6 @@ Signatures that are compared as they are have their values as coordinates, and h
 their bins. Of the distances above, only `log` is meaningful for them, which is then the Euclidean distance of
 the values, and √2 times the Hellinger distance of histograms with the sum 1.
 
-Another package adds a distance by an entry point of the group ``pcretrieve.distances`` that names a record
-`Distance`.
-
 References
 ----------
 .. [1] Ye and Yu, "A fast modal space transform for robust nonrigid shape retrieval", The Visual Computer
@@ -27,28 +24,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Literal, get_args
+from typing import get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pcretrieve.errors import InputError, OptionError
-from pcretrieve.names import NAMES
-from pcretrieve.plugins import Registry, named
 from pcretrieve.values import FloatArray, Metric, SignatureTable
-
-__all__ = [
-    "DISTANCES",
-    "Distance",
-    "check_comparable",
-    "coordinates",
-    "log_signatures",
-    "pairwise",
-    "table_coordinates",
-]
-
-# The distances that the index has lower bounds of.
-Bound = Literal["log", "d1"]
 
 # Number of differences in memory at once: 1 MiB, which fits the processor's second-level cache.
 CHUNK_VALUES = 2**17
@@ -73,47 +55,43 @@ def _log(x: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True, slots=True)
 class Distance:
-    """The declaration of a distance, beside its function in pcretrieve or in another package.
+    """A distance of signatures, of pcretrieve or of one's own.
 
-    Attributes
-    ----------
-    name : str
-        Value of the option `--distance`.
-    between : function of (…, L) float64 that returns (…) float64
-        Distances from the differences of coordinates, the last axis of which is summed over.
-    metrics : tuple of {"logarithms", "values", "histograms"}, default ("logarithms",)
-        The metrics of the signatures that the distance is meaningful for.
-    at_least : {"log", "d1"}, optional
-        A distance that is never larger, whose lower bounds the index then uses. By default none, and each
-        query is compared with all shapes.
-
-    Raises
-    ------
-    OptionError
-        If there is no such metric or bound.
+    between: function of (…, L) float64 that returns (…) float64, distances from the differences of
+        coordinates, the last axis of which is summed over.
+    metrics: the metrics of the signatures that the distance is meaningful for.
+    exceeds_log: whether it is never smaller than `log`, whose lower bounds the index then uses; otherwise
+        each query is compared with all shapes.
     """
 
     name: str
     between: Callable[[FloatArray], FloatArray]
     metrics: tuple[Metric, ...] = ("logarithms",)
-    at_least: Bound | None = None
+    exceeds_log: bool = False
 
     def __post_init__(self) -> None:
         if wrong := sorted(set(self.metrics).difference(get_args(Metric))):
             known = ", ".join(get_args(Metric))
             raise OptionError(f"metrics of a distance must be of {known}, got {wrong[0]!r}")
-        if self.at_least not in (None, *get_args(Bound)):
-            known = " or ".join(map(repr, get_args(Bound)))
-            raise OptionError(f"at_least must be {known}, got {self.at_least!r}")
 
 
-LOG = Distance("log", _log, metrics=("logarithms", "values", "histograms"), at_least="log")
-D1 = Distance("d1", _d1, at_least="d1")
-D2 = Distance("d2", _d2, at_least="log")
+DISTANCES = {
+    distance.name: distance
+    for distance in (
+        Distance("log", _log, metrics=("logarithms", "values", "histograms"), exceeds_log=True),
+        Distance("d1", _d1),
+        Distance("d2", _d2, exceeds_log=True),
+    )
+}
 
-DISTANCES: Registry[Distance] = Registry(
-    NAMES["distance"], {distance.name: distance for distance in (LOG, D1, D2)}, named(Distance)
-)
+
+def known_distance(distance: str | Distance) -> Distance:
+    """The distance of a name, or the one that is given."""
+    if isinstance(distance, Distance):
+        return distance
+    if distance not in DISTANCES:
+        raise OptionError(f"there is no distance {distance!r}; there are {', '.join(DISTANCES)}")
+    return DISTANCES[distance]
 
 
 def coordinates(values: ArrayLike, metric: Metric = "logarithms") -> FloatArray:
@@ -123,7 +101,8 @@ def coordinates(values: ArrayLike, metric: Metric = "logarithms") -> FloatArray:
     Returns (…, L) float64: the logarithms, the values themselves, or the square roots.
     """
     if metric == "logarithms":
-        return log_signatures(values)
+        logs: FloatArray = np.log(_checked(values, "positive and finite", lambda x: np.isfinite(x) & (x > 0)))
+        return logs
     array = _checked(values, "finite", np.isfinite)
     if metric == "values":
         return array
@@ -131,32 +110,51 @@ def coordinates(values: ArrayLike, metric: Metric = "logarithms") -> FloatArray:
     return roots
 
 
-def table_coordinates(table: SignatureTable, distance: str) -> FloatArray:
-    """The coordinates of the signatures in a table, for a distance.
+def log_signatures(values: ArrayLike) -> FloatArray:
+    """Natural logarithms (…, L) of signature values, which are positive and finite; dimensionless."""
+    return coordinates(values, "logarithms")
 
-    Returns (N, L) float64: as in `coordinates`.
-    """
+
+def table_coordinates(table: SignatureTable, distance: str | Distance) -> FloatArray:
+    """The coordinates (N, L) of the signatures in a table, for a distance."""
     check_comparable(table.kind, table.metric, distance)
     return coordinates(table.values, table.metric)
 
 
-def check_comparable(kind: str, metric: Metric, distance: str) -> None:
+def check_comparable(kind: str, metric: Metric, distance: str | Distance) -> None:
     """Check that a distance is meaningful for signatures."""
-    if metric not in DISTANCES[distance].metrics:
-        meaningful = ", ".join(name for name, each in DISTANCES.own.items() if metric in each.metrics)
+    asked = known_distance(distance)
+    if metric not in asked.metrics:
+        meaningful = ", ".join(name for name, each in DISTANCES.items() if metric in each.metrics)
         raise OptionError(
-            f"distance must be {meaningful} for {kind}, which is compared as {metric}, got {distance!r}"
+            f"distance must be {meaningful} for {kind}, which is compared as {metric}, got {asked.name!r}"
         )
 
 
-def log_signatures(values: ArrayLike) -> FloatArray:
-    """Natural logarithms of signature values.
+def pairwise(distance: str | Distance, queries: FloatArray, gallery: FloatArray) -> FloatArray:
+    """Distances of all queries to all shapes of the gallery.
 
-    values: (…, L) array_like, positive and finite; dimensionless.
-    Returns (…, L) float64: log-signatures, dimensionless.
+    The floating-point result for a pair depends on this pair alone: equal signatures have exactly equal
+    distances, and d(a, b) = d(b, a) exactly.
+
+    queries: (Q, L) float64, coordinates, with or without whitening.
+    gallery: (N, L) float64, coordinates with the same whitening.
+    Returns (Q, N) float64: dimensionless.
     """
-    logs: FloatArray = np.log(_checked(values, "positive and finite", lambda x: np.isfinite(x) & (x > 0)))
-    return logs
+    between = known_distance(distance).between
+    if queries.ndim != 2 or gallery.ndim != 2 or queries.shape[1] != gallery.shape[1]:
+        raise InputError(
+            f"queries and gallery must have shapes (Q, L) and (N, L), got {queries.shape} and {gallery.shape}"
+        )
+    n_values = max(1, gallery.shape[1])
+    columns = max(1, min(len(gallery), CHUNK_VALUES // n_values))
+    rows = max(1, CHUNK_VALUES // (n_values * columns))
+    distances = np.empty((len(queries), len(gallery)))
+    for i in range(0, len(queries), rows):
+        for j in range(0, len(gallery), columns):
+            x = queries[i : i + rows, np.newaxis] - gallery[np.newaxis, j : j + columns]  # (rows, columns, L)
+            distances[i : i + rows, j : j + columns] = between(x).reshape(x.shape[:2])
+    return distances
 
 
 def _checked(values: ArrayLike, kind: str, holds: Callable[[FloatArray], NDArray[np.bool_]]) -> FloatArray:
@@ -172,30 +170,3 @@ def _checked(values: ArrayLike, kind: str, holds: Callable[[FloatArray], NDArray
             f"{array.size}); compute the signature again"
         )
     return array
-
-
-def pairwise(distance: str, queries: FloatArray, gallery: FloatArray) -> FloatArray:
-    """Distances of all queries to all shapes of the gallery.
-
-    The floating-point result for a pair depends on this pair alone: equal signatures have exactly equal
-    distances, and d(a, b) = d(b, a) exactly.
-
-    queries: (Q, L) float64, coordinates, with or without whitening.
-    gallery: (N, L) float64, coordinates with the same whitening.
-    Returns (Q, N) float64: dimensionless.
-    """
-    between = DISTANCES[distance].between
-    if queries.ndim != 2 or gallery.ndim != 2 or queries.shape[1] != gallery.shape[1]:
-        raise InputError(
-            f"queries and gallery must have shapes (Q, L) and (N, L), got {queries.shape} and {gallery.shape}"
-        )
-    n_values = max(1, gallery.shape[1])
-    columns = max(1, min(len(gallery), CHUNK_VALUES // n_values))
-    rows = max(1, CHUNK_VALUES // (n_values * columns))
-    distances = np.empty((len(queries), len(gallery)))
-    for i in range(0, len(queries), rows):
-        for j in range(0, len(gallery), columns):
-            x = queries[i : i + rows, np.newaxis] - gallery[np.newaxis, j : j + columns]  # (rows, columns, L)
-            with DISTANCES.blamed(distance):
-                distances[i : i + rows, j : j + columns] = between(x).reshape(x.shape[:2])
-    return distances

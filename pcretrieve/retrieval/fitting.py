@@ -15,11 +15,22 @@ pairs that are probably of one class (``neighbours``), or, as a first approximat
 (``pca``). Whitening by the differences of nearest neighbours is unsupervised, in the manner of relevant
 component analysis [2]_ with the pairs in place of its equivalence constraints.
 
+``resolution`` is not fitted to the shapes that are compared, and therefore the same for every gallery.
+Whether fingers are separated and folds are open in a reconstructed surface depends more on the edge of the
+voxels than on the body. The effect of the edge on log-signatures was measured once, on simulated people,
+animals and hands: each body was scanned, and reconstructed with two voxel edges. The whitening reduces the
+weight of the directions in which the two log-signatures of a body differ (within-class covariance
+normalisation [3]_ with one class of two members for each body). It improves the rankings of scans, but not of
+bodies that differ mainly in the girth of their limbs, because the voxel edge changes this girth too. See
+docs/decisions.md, resolution_whitening.
+
 References
 ----------
 .. [1] Kessy, Lewin and Strimmer, "Optimal whitening and decorrelation", The American Statistician 2018.
 .. [2] Bar-Hillel, Hertz, Shental and Weinshall, "Learning a Mahalanobis metric from equivalence
    constraints", Journal of Machine Learning Research 2005.
+.. [3] Hatch, Kajarekar and Stolcke, "Within-class covariance normalization for SVM-based speaker
+   recognition", Interspeech 2006.
 """
 
 from __future__ import annotations
@@ -27,26 +38,27 @@ from __future__ import annotations
 import logging
 from collections import Counter
 from collections.abc import Sequence
+from importlib import resources
 from typing import Literal
 
 import numpy as np
 
 from pcretrieve.errors import InputError, OptionError
-from pcretrieve.options import RetrievalOptions, Shrinkage
+from pcretrieve.options import RetrievalOptions, Shrinkage, SignatureOptions
 from pcretrieve.retrieval.covariances import (
-    likeliest_shrinkage,
+    LEAST_SHAPES,
+    CovarianceFit,
+    check_distinct,
+    checked_shrinkage,
+    inverse_square_root,
+    neighbour_covariance,
     scatter_matrix,
-    shrunk,
-    within_class_residuals,
+    within_class_covariance,
 )
 from pcretrieve.retrieval.distances import table_coordinates
-from pcretrieve.retrieval.neighbour_covariance import LEAST_SHAPES, neighbour_covariance
 from pcretrieve.retrieval.pairs import neighbour_pairs
-from pcretrieve.retrieval.regularisation import CovarianceFit, checked_shrinkage, inverse_square_root
 from pcretrieve.retrieval.whitening import WHITENINGS, Whitening
 from pcretrieve.values import FloatArray, Metric, SignatureTable
-
-__all__ = ["fit_whitening", "table_whitening"]
 
 logger = logging.getLogger(__name__)
 
@@ -57,6 +69,19 @@ LEAST_CLASSES = 5
 # which PCA whitening is likely to do harm. See docs/decisions.md, PCA_NOISE.
 PCA_NOISE = 0.1
 
+# (2, n, m + 1) float32, written by scripts/sample_resolution: logarithms of |μ_1| … |μ_m| and μ_0, divided by
+# the squared area, of n bodies reconstructed with the smaller and with the larger voxel edge.
+SAMPLE = "resolution.npy"
+
+# Fraction of the bodies, those with the smallest change, of which the covariance is computed (trimming). In
+# the others limbs fused, or a tail was lost, at one of the voxel edges, and these few outliers would dominate
+# the covariance. See docs/decisions.md, MOST.
+MOST = 0.85
+
+# The signatures for which the changes caused by resolution were measured.
+METHOD = "r-bihdm"
+N_MODES = 60
+
 
 def fit_whitening(
     kind: str,
@@ -65,7 +90,6 @@ def fit_whitening(
     *,
     shrinkage: Shrinkage = "auto",
     n_neighbors: int | Literal["auto"] = "auto",
-    rounds: int = 1,
     prior: FloatArray | None = None,
     metric: Metric = "logarithms",
     options_digest: str = "",
@@ -91,9 +115,9 @@ def fit_whitening(
     if used == "pca":
         fit = _pca(logs, shrinkage)
     elif used == "within-class":
-        fit = _within_class(logs, labels, shrinkage, one_unit=metric != "values")
+        fit = within_class_covariance(logs, labels, shrinkage, one_unit=metric != "values")
     elif used == "neighbours":
-        fit = neighbour_covariance(logs, shrinkage, n_neighbors, rounds, prior)
+        fit = neighbour_covariance(logs, shrinkage, n_neighbors, prior)
     if fit is None or isinstance(fit, str):
         n_values = logs.shape[1]
         reason = fit or "none"
@@ -143,7 +167,7 @@ def _chosen(logs: FloatArray, labels: Sequence[str | None] | None) -> str:
 
 def _pca(logs: FloatArray, shrinkage: Shrinkage) -> CovarianceFit:
     """All shapes, and their regularised covariance."""
-    _check_distinct("pca", logs)
+    check_distinct("pca", logs)
     used = checked_shrinkage("pca", shrinkage)
     covariance = _covariance(logs)
     largest = np.linalg.eigvalsh(covariance)[-1]
@@ -170,31 +194,61 @@ def _warn_of_noise(logs: FloatArray, root: FloatArray) -> None:
         )
 
 
-def _within_class(
-    logs: FloatArray, labels: Sequence[str | None] | None, shrinkage: Shrinkage, *, one_unit: bool
-) -> CovarianceFit:
-    """The shapes in classes of at least two shapes, and their shrunk pooled covariance."""
-    residuals = within_class_residuals(logs, labels)
-    fitted = logs[residuals.rows]
-    _check_distinct("within-class", fitted)
-    pooled = residuals.covariance
-    if np.trace(pooled) == 0:
-        raise InputError(
-            "within-class whitening needs shapes that differ within their class, got equal signatures in "
-            "every class; use the whitening 'pca' or 'none'"
-        )
-    used = likeliest_shrinkage(residuals, one_unit=one_unit) if shrinkage == "auto" else float(shrinkage)
-    reason = f"within-class: {residuals.n_classes} classes of {len(fitted)} shapes"
-    return CovarianceFit(fitted, shrunk(pooled, used, one_unit=one_unit), used, reason)
-
-
 def _covariance(logs: FloatArray) -> FloatArray:
     return scatter_matrix(logs, logs.mean(axis=0)) / (len(logs) - 1)
 
 
-def _check_distinct(kind: str, logs: FloatArray) -> None:
-    if (logs == logs[:1]).all():
-        raise InputError(
-            f"{kind} whitening needs at least 2 distinct shapes, got {len(logs)} shapes and no two distinct; "
-            "add shapes, or use the whitening 'none'"
+def is_measured(options: SignatureOptions) -> bool:
+    """Whether `resolution_whitening` is defined for signatures with these options."""
+    return options.method == METHOD and options.n_modes == N_MODES and options.measured_by != "absolute"
+
+
+def resolution_whitening(
+    options: SignatureOptions, *, shrinkage: Shrinkage = "auto", options_digest: str = ""
+) -> Whitening:
+    """The whitening W = s (C + d c I)^(−1/2), with C the second moment of the changes caused by resolution.
+
+    shrinkage: d, in (0, 1], in units of c, the largest eigenvalue of C. auto: that of `DEFAULT_SHRINKAGE`.
+    """
+    used = checked_shrinkage("resolution", shrinkage)
+    mean, change = _changes(options)
+    covariance = change.T @ change / len(change)
+    largest = np.linalg.eigvalsh(covariance)[-1]
+    root = inverse_square_root(covariance + used * largest * np.eye(len(covariance)))
+    root *= np.sqrt(len(root) / np.trace(root @ root))
+    if options.size_weight:
+        root, mean = np.pad(root, (0, 1)), np.append(mean, 0.0)
+        root[-1, -1] = 1
+    reason = f"resolution: changes of {len(change)} simulated bodies"
+    return Whitening("resolution", mean, root, len(change), used, options_digest, reason)
+
+
+def resolution_covariance(options: SignatureOptions) -> FloatArray | None:
+    """The covariance of the changes caused by resolution, for `fit_whitening`.
+
+    Returns (L, L) float64, or None: of trace 1; zero in the row and the column of a size. None if it was not
+        measured for the options.
+    """
+    if not is_measured(options):
+        return None
+    _, change = _changes(options)
+    covariance = change.T @ change
+    covariance /= np.trace(covariance)
+    return np.pad(covariance, (0, 1)) if options.size_weight else covariance
+
+
+def _changes(options: SignatureOptions) -> tuple[FloatArray, FloatArray]:
+    """The mean log-signature (L,), and the changes (n, L) of the bodies of the sample that change least."""
+    if not is_measured(options):
+        raise OptionError(
+            f"whitening 'resolution' has been measured for {METHOD} with n_modes = {N_MODES}, by area or "
+            f"relative, got {options.method} with {options.n_modes}, {options.measured_by}: take 'pca' or "
+            "'none'"
         )
+    sample = np.load(str(resources.files(__package__).joinpath(SAMPLE))).astype(np.float64)
+    if options.measured_by == "relative":
+        sample -= sample[:, :, -1:]
+    logs = sample[:, :, : options.n_values]
+    change = logs[0] - logs[1]  # (n, L)
+    size = np.linalg.norm(change, axis=1)
+    return logs.mean(axis=(0, 1)), change[size <= np.quantile(size, MOST)]

@@ -1,6 +1,6 @@
 """Exact k-nearest-neighbour search among many signatures, by filter and refinement [1]_.
 
-`pcretrieve.retrieval.filtering` leaves most shapes out by lower bounds of their distances; the others are
+`pcretrieve.retrieval.bounds` leaves most shapes out by lower bounds of their distances; the others are
 sorted by exact distance, equal distances by identifier. The result is that of comparing the query with every
 shape, bit for bit.
 
@@ -12,41 +12,128 @@ References
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+import copy
+import math
+from bisect import bisect_left
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import replace
+from dataclasses import dataclass
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple, cast, overload
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pcretrieve.errors import InputError
 from pcretrieve.options import RetrievalOptions
-from pcretrieve.retrieval import interpreted
-from pcretrieve.retrieval.distances import pairwise, table_coordinates
+from pcretrieve.retrieval import bounds
+from pcretrieve.retrieval.bounds import LowerBounds, Rows
+from pcretrieve.retrieval.covariances import CHUNK
+from pcretrieve.retrieval.distances import Distance, coordinates, known_distance, pairwise, table_coordinates
 from pcretrieve.retrieval.fitting import fit_whitening
-from pcretrieve.retrieval.names import Names
 from pcretrieve.retrieval.ranking import (
     DistanceBlock,
     Positions,
-    checked_count,
     checked_k,
+    nearest_of,
     pairwise_blocks,
     position_of,
 )
 from pcretrieve.retrieval.scores import MatchScores
-from pcretrieve.retrieval.whitened import MadeBy, WhitenedTable
 from pcretrieve.retrieval.whitening import Whitening
-from pcretrieve.values import FloatArray, Neighbors, Signature, SignatureTable
+from pcretrieve.values import FloatArray, Metric, Neighbors, Signature, SignatureTable, SizeUnit
 
-__all__ = ["SignatureIndex"]
+# Largest number of shapes that are all compared with each query, which takes as long as to find a few of them
+# by lower bounds. See docs/decisions.md, N_ALL.
+N_ALL = 1000
 
 # Number of queries that an index answers without compiled code: numba takes longer to load than they take.
 # See docs/decisions.md, N_INTERPRETED.
 N_INTERPRETED = 10
 
-NO_SHAPES = "an index needs at least 1 shape, got an empty table; ingest shapes first"
+# Tolerance of the lower bound. The rounding error of a sum of L products of numbers of magnitude s is at most
+# a few L·s·ε, and that of a vector of up to L such sums √L times as large; this is the factor of L²·s.
+ROUNDING = 64 * float(np.finfo(np.float64).eps)
+
+# Prefixes of the names of the arrays of the whitening and of the scores, among all arrays.
+WHITENING = "whitening_"
+SCORES = "scores_"
+
+INSTEAD = "or compare the form alone (size_weight = 0, and the scale area)"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Names(Sequence[str]):
+    """Strings in ascending order as arrays, which may be mapped into memory; each is decoded when asked for.
+
+    text: (b,) uint8, all strings in UTF-8, one after the other.
+    ends: (n,) int64, the position behind the last byte of each string.
+    """
+
+    text: NDArray[np.uint8]
+    ends: NDArray[np.int64]
+
+    @classmethod
+    def of(cls, names: Iterable[str]) -> Names:
+        """The arrays of some strings, ascending."""
+        encoded = [name.encode() for name in names]
+        text = np.frombuffer(b"".join(encoded), np.uint8)
+        return cls(text, np.cumsum(np.fromiter(map(len, encoded), np.int64, len(encoded))))
+
+    def __len__(self) -> int:
+        return len(self.ends)
+
+    @overload
+    def __getitem__(self, position: int) -> str: ...
+    @overload
+    def __getitem__(self, position: slice) -> list[str]: ...
+    def __getitem__(self, position: int | slice) -> str | list[str]:
+        if isinstance(position, slice):
+            return [self[number] for number in range(*position.indices(len(self)))]
+        number = range(len(self.ends))[position]
+        start = self.ends[number - 1] if number else 0
+        return str(self.text[start : self.ends[number]].data, "utf-8")
+
+    def __contains__(self, name: object) -> bool:
+        return isinstance(name, str) and self[(row := bisect_left(self, name)) : row + 1] == [name]
+
+    def index(self, name: str, start: int = 0, stop: int | None = None) -> int:
+        """The position of a string."""
+        first, last, _ = slice(start, stop).indices(len(self))
+        row = bisect_left(self, name, first, last)
+        if row >= last or self[row] != name:
+            raise ValueError(f"{name!r} is not among the names")
+        return row
+
+
+class MadeBy(NamedTuple):
+    """How the signatures of a table were made."""
+
+    kind: str
+    digest: str
+    metric: Metric
+    unit: SizeUnit | None
+
+    def check(self, query: Signature) -> None:
+        """Check that a signature is comparable with those of the table.
+
+        Sizes are not converted, because scans whose unit is known are converted to metres when they are read.
+        """
+        if (query.kind, query.digest) != (self.kind, self.digest):
+            raise InputError(
+                f"signatures must be made by the same method and options as the table, "
+                f"{self.kind!r} {self.digest!r}, got {query.kind!r} {query.digest!r}"
+            )
+        if (query.unit, self.unit) == ("unknown", "m"):
+            raise InputError(
+                "sizes must be in one unit to be compared: the shapes are in metres, the unit of the query "
+                f"is unknown; say the unit of the query by --unit (scan.unit), {INSTEAD}"
+            )
+        if (query.unit, self.unit) == ("m", "unknown"):
+            raise InputError(
+                "sizes must be in one unit to be compared: the query is in metres, the unit of the shapes is "
+                f"unknown; ingest the shapes into a new catalogue with --unit (scan.unit), {INSTEAD}"
+            )
 
 
 class SignatureIndex:
@@ -57,28 +144,30 @@ class SignatureIndex:
     table : SignatureTable
         The gallery, at least one signature.
     options : RetrievalOptions, optional
-        The distance, the whitening to fit on `table`, and how the nearest are found.
+        The distance, and the whitening to fit on `table`.
     whitening : Whitening, optional
         A whitening made before, such as `resolution_whitening`, instead of the one that `options` name.
+    distance : Distance, optional
+        A distance of one's own, instead of the one that `options` name.
 
     Attributes
     ----------
-    contents : WhitenedTable
-        The whitened coordinates. Neighbours are found by blocks of neighbouring shapes, or, among few shapes
-        and for distances without lower bounds, by all distances, or as `options` say: ``repr`` says how.
+    ids : sequence of str, length N
+        The shapes of the table, in alphabetical order.
+    points : (N, L) float64
+        Their whitened coordinates.
+    whitening : Whitening
+        The whitening of the gallery and of all queries.
+    scores : MatchScores or None
+        The calibrated score of a distance; None if it was not estimated.
 
     Raises
     ------
     OptionError
-        If the whitening ``resolution`` is asked for and was not made before, or the search that `options`
-        name does not find neighbours by their distance.
+        If the whitening ``resolution`` is asked for and was not made before.
     InputError
-        If the table is empty, the whitening was fitted on signatures with other options, or a package that
-        `options` name is not installed.
+        If the table is empty, or the whitening was fitted on signatures with other options.
     """
-
-    # Counted without a lock: two threads that count the same query change no answer.
-    _n_answered = 0
 
     def __init__(
         self,
@@ -86,25 +175,16 @@ class SignatureIndex:
         options: RetrievalOptions | None = None,
         *,
         whitening: Whitening | None = None,
+        distance: Distance | None = None,
     ) -> None:
         options = options or RetrievalOptions()
-        if not len(table):
-            raise InputError(NO_SHAPES)
-        by_id = sorted(range(len(table)), key=table.ids.__getitem__)
-        points = table_coordinates(table, options.distance)
+        measure = distance or known_distance(options.distance)
         made_by = MadeBy(table.kind, table.digest, table.metric, table.unit)
-        whitening = whitening or fit_whitening(
-            options.whitening,
-            points,
-            table.labels,
-            shrinkage=options.shrinkage,
-            metric=table.metric,
-            options_digest=table.digest,
-        )
+        points = table_coordinates(table, measure)
+        whitening = _fitted(options, points, table.labels, made_by, whitening)
+        by_id = sorted(range(len(table)), key=table.ids.__getitem__)
         ids = Names.of(table.ids[row] for row in by_id)
-        self.contents = WhitenedTable.of(
-            made_by, ids, points[by_id], options.distance, whitening, options.nearest
-        )
+        self._hold(made_by, ids, _whitened(points[by_id], whitening, made_by), whitening, measure)
 
     @classmethod
     def of_coordinates(
@@ -128,72 +208,63 @@ class SignatureIndex:
         labels : sequence of (str or None), length N
             Classes; needed only for a whitening that is fitted to them.
         made_by : MadeBy
-            Kind, digest and metric of the signatures, and the unit of their sizes, as in `SignatureTable`.
-        options : RetrievalOptions
-            The distance, the whitening to fit on `points`, and how the nearest are found.
-        whitening : Whitening, optional
-            A whitening made before, as in `SignatureIndex`.
+            How the signatures were made.
+        options, whitening : object
+            As for the index of a table.
 
         Returns
         -------
         SignatureIndex
             It gives the answers of the index of the table.
-
-        Raises
-        ------
-        InputError
-            If there are no shapes, or the whitening was made for other options or cannot be fitted.
         """
-        if not len(ids):
-            raise InputError(NO_SHAPES)
-        whitening = whitening or fit_whitening(
-            options.whitening,
-            points,
-            labels,
-            shrinkage=options.shrinkage,
-            metric=made_by.metric,
-            options_digest=made_by.digest,
-        )
-        return cls.of_contents(
-            WhitenedTable.of(made_by, ids, points, options.distance, whitening, options.nearest)
-        )
-
-    @classmethod
-    def of_contents(cls, contents: WhitenedTable) -> SignatureIndex:
-        """The index of coordinates that are whitened already."""
         index = cls.__new__(cls)
-        index.contents = contents
+        whitening = _fitted(options, points, labels, made_by, whitening)
+        distance = known_distance(options.distance)
+        index._hold(made_by, ids, _whitened(points, whitening, made_by), whitening, distance)
         return index
 
-    @property
-    def ids(self) -> Names:
-        """The shapes of the table, in alphabetical order."""
-        return self.contents.ids
+    def _hold(
+        self,
+        made_by: MadeBy,
+        ids: Names,
+        points: FloatArray,
+        whitening: Whitening,
+        distance: Distance,
+    ) -> None:
+        """Set the attributes, and bound the distances to the points."""
+        self._made_by, self.ids, self.points, self.whitening = made_by, ids, points, whitening
+        self._distance = distance
+        self.scores: MatchScores | None = None
+        self._size = max(1.0, float(points.max()), -float(points.min()))
+        is_large = len(points) > N_ALL and distance.exceeds_log
+        self._bounds = LowerBounds.of(points) if is_large else None
+        # Counted without a lock: two threads that count the same query change no answer.
+        self._n_answered = 0
 
     @property
     def distance(self) -> str:
-        """A name in `pcretrieve.retrieval.DISTANCES`."""
-        return self.contents.filter.distance
-
-    @property
-    def whitening(self) -> Whitening:
-        """The whitening of the gallery and of all queries."""
-        return self.contents.whitening
-
-    @property
-    def scores(self) -> MatchScores | None:
-        """The calibrated score of a distance; None if it was not estimated (see `fit_scores`)."""
-        return self.contents.scores
+        """The name of the distance."""
+        return self._distance.name
 
     def scored(self, scores: MatchScores | None) -> SignatureIndex:
         """The index with scores of distances, such as `fit_scores` estimates."""
-        return self.of_contents(replace(self.contents, scores=scores))
+        other = copy.copy(self)
+        other.scores = scores
+        return other
+
+    @property
+    def search(self) -> str:
+        """How the nearest are found, in words."""
+        if self._bounds is None:
+            return "all shapes compared"
+        n_blocks, n_axes, size = self._bounds.codes.shape
+        return f"{n_blocks} blocks of up to {size} shapes, bounds of {n_axes} directions"
 
     def __repr__(self) -> str:
-        n_shapes, n_values = self.contents.filter.points.shape
+        n_shapes, n_values = self.points.shape
         return (
             f"SignatureIndex({n_shapes} shapes of {n_values} values, distance {self.distance}, "
-            f"whitening {self.whitening.kind}: {self.contents.filter})"
+            f"whitening {self.whitening.kind}: {self.search})"
         )
 
     def __len__(self) -> int:
@@ -223,7 +294,7 @@ class SignatureIndex:
             value is not positive and finite.
         """
         k = checked_k(k)
-        return self._nearest(self.contents.point_of(signature), k)
+        return self._nearest(self.point_of(signature), k)
 
     def query_many(
         self, signatures: Iterable[Signature | ArrayLike], k: int = 10, *, n_threads: int = 1
@@ -244,84 +315,96 @@ class SignatureIndex:
         list of Neighbors, length Q
             The result of `query` for each signature.
         """
-        with ThreadPoolExecutor(checked_count("n_threads", n_threads)) as threads:
+        with ThreadPoolExecutor(checked_k(n_threads, "n_threads")) as threads:
             return list(threads.map(partial(self.query, k=k), signatures))
 
     def nearest(self, shape_id: str, k: int = 10) -> Neighbors:
-        """The nearest neighbours of a shape of the table, itself included.
+        """The nearest neighbours of a shape of the table, itself included, as `query` gives them."""
+        return self.query(shape_id, k)
 
-        Parameters
-        ----------
-        shape_id : str
-            One of `ids`.
-        k : int, default 10
-            Number of neighbours, at least 1. If the table has fewer shapes, all of them are returned.
-
-        Returns
-        -------
-        Neighbors
-            Nearest first; equal distances by identifier.
-        """
-        row = position_of(self.ids, shape_id)
-        return self._nearest(self.contents.filter.points[row : row + 1], checked_k(k))
+    def nearest_among(self, query: str | Signature, ids: Collection[str], k: int) -> Neighbors:
+        """The nearest of some shapes to a shape of the table or to a signature; all are compared."""
+        point = self.point_of(query)
+        known = [shape_id for shape_id in sorted(ids) if shape_id in self.ids]
+        return nearest_of(known, pairwise(self._distance, point, self._rows(known))[0], k)
 
     def blocks(self, queries: Positions | None = None) -> Iterator[DistanceBlock]:
-        """Distances from shapes of the table to the whole table.
-
-        Parameters
-        ----------
-        queries : (Q,) intp, optional
-            Positions in `ids`. By default all.
-
-        Yields
-        ------
-        DistanceBlock
-            Some of the queries.
-        """
+        """Distances from shapes of the table, positions (Q,) in `ids` or all, to the whole table."""
         rows = np.arange(len(self)) if queries is None else queries
-        yield from pairwise_blocks(self.distance, self.contents.filter.points, rows)
+        yield from pairwise_blocks(self._distance, self.points, rows)
 
     def between(self, ids: Sequence[str]) -> FloatArray:
-        """Distances between some shapes of the table.
+        """Distances (m, m) between some shapes of the table."""
+        points = self._rows(ids)
+        return pairwise(self._distance, points, points)
 
-        Parameters
-        ----------
-        ids : sequence of str, length m
-            The shapes, which are in `ids`.
+    def around(self, drawn: FloatArray, ids: Sequence[str]) -> FloatArray:
+        """Distances (Q, m) of whitened coordinates (Q, L) to some shapes of the table."""
+        return pairwise(self._distance, drawn, self._rows(ids))
 
-        Returns
-        -------
-        (m, m) float64
-            The distance from each of them to each.
+    def point_of(self, query: str | Signature | ArrayLike) -> FloatArray:
+        """The whitened coordinates (1, L) of a shape of the table, or of a signature that is comparable."""
+        if isinstance(query, str):
+            place = position_of(self.ids, query)
+            held: FloatArray = self.points[place : place + 1]
+            return held
+        if isinstance(query, Signature):
+            self._made_by.check(query)
+            query = query.values
+        point = coordinates(query, self._made_by.metric)
+        row = self.points.shape[1:]
+        if point.shape != row:
+            raise InputError(f"the query must have shape {row}, as the table's rows have, got {point.shape}")
+        return self.whitening.apply(point[np.newaxis])
 
-        Raises
-        ------
-        InputError
-            If the table does not have one of the shapes.
-        """
-        points = self.contents.filter.points[[position_of(self.ids, shape_id) for shape_id in ids]]
-        return pairwise(self.distance, points, points)
+    def _rows(self, ids: Sequence[str]) -> FloatArray:
+        """The whitened coordinates (m, L) of some shapes of the table."""
+        rows: FloatArray = self.points[[position_of(self.ids, shape_id) for shape_id in ids]]
+        return rows
 
     def _nearest(self, point: FloatArray, k: int) -> Neighbors:
-        """The `k` nearest neighbours of a (1, L) whitened log-signature."""
-        candidates = self.contents.filter.candidates(point, min(k, len(self)), self._scan())
-        distances = pairwise(self.distance, point, self.contents.filter.points[candidates])[0]
+        """The `k` nearest neighbours of whitened coordinates (1, L)."""
+        candidates = self._candidates(point, min(k, len(self)))
+        distances = pairwise(self._distance, point, self.points[candidates])[0]
         # Candidates ascend, and so do their ids: a stable sort leaves equal distances in the ids' order.
         first = np.argsort(distances, kind="stable")[:k]
         return Neighbors(tuple(self.ids[row] for row in candidates[first]), distances[first])
 
-    def _scan(self) -> Callable[..., int]:
-        """The scan of the blocks, compiled once that is worth the time that numba needs to load it."""
+    def _candidates(self, point: FloatArray, k: int) -> NDArray[np.intp]:
+        """Rows, ascending, that include the `k` nearest to a point and all rows at equal distance."""
+        if self._bounds is None:
+            return np.arange(len(self.points))
+        scan = bounds.scan
         self._n_answered += 1
-        if self._n_answered <= N_INTERPRETED:
-            return interpreted.scan
-        from pcretrieve.retrieval.compiled import scan
+        if self._n_answered > N_INTERPRETED:
+            from pcretrieve.retrieval.compiled import scan
+        return self._bounds.candidates(point[0], k, partial(self._radius, point, k), scan)
 
-        return scan
+    def _radius(self, point: FloatArray, k: int, rows: Rows) -> float:
+        """A radius within which at least `k` of some rows lie, rounding errors included."""
+        if len(rows) < k:
+            return math.inf
+        exact = pairwise(self._distance, point, self.points[rows])[0]
+        farthest = float(np.partition(exact, k - 1)[k - 1])
+        size = max(self._size, float(np.abs(point).max(initial=0)))
+        radius: float = farthest + ROUNDING * (farthest + size * point.shape[1] ** 2)
+        return radius
 
     def to_arrays(self) -> dict[str, NDArray[Any]]:
         """The contents as arrays by name, none of which holds objects: the input of `from_arrays`."""
-        return self.contents.to_arrays()
+        arrays = {
+            "distance": np.array(self.distance),
+            "gallery": self.points,
+            "size": np.array(self._size),
+            "id_text": self.ids.text,
+            "id_ends": self.ids.ends,
+        }
+        arrays |= {name: np.array(text or "") for name, text in self._made_by._asdict().items()}
+        arrays |= {} if self._bounds is None else self._bounds.to_arrays()
+        arrays |= {f"{WHITENING}{name}": array for name, array in self.whitening.to_arrays().items()}
+        if self.scores is not None:
+            arrays |= {f"{SCORES}{name}": array for name, array in self.scores.to_arrays().items()}
+        return arrays
 
     @classmethod
     def from_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> SignatureIndex:
@@ -342,4 +425,53 @@ class SignatureIndex:
         InputError
             If an array is missing or has the wrong shape.
         """
-        return cls.of_contents(WhitenedTable.from_arrays(arrays))
+        fitted, scored = (
+            {name.removeprefix(prefix): array for name, array in arrays.items() if name.startswith(prefix)}
+            for prefix in (WHITENING, SCORES)
+        )
+        index = cls.__new__(cls)
+        try:
+            kind, digest, metric, unit = (str(arrays[name]) for name in MadeBy._fields)
+            index._made_by = MadeBy(kind, digest, cast("Metric", metric), cast("SizeUnit", unit) or None)
+            index.ids = Names(arrays["id_text"], arrays["id_ends"])
+            index.points, index._size = arrays["gallery"], float(arrays["size"])
+            index._distance = known_distance(str(arrays["distance"]))
+            index.whitening = Whitening.from_arrays(fitted)
+            index.scores = MatchScores.from_arrays(scored) if scored else None
+            index._bounds = LowerBounds.from_arrays(arrays) if "codes" in arrays else None
+        except KeyError as error:
+            raise InputError(f"the arrays of an index must include {error.args[0]!r}") from error
+        index._n_answered = 0
+        fits = index._bounds is None or index._bounds.fits(index.points)
+        if not fits or len(index.ids) != len(index.points):
+            raise InputError("the arrays of an index must be of one table, got several; build it again")
+        return index
+
+
+def _fitted(
+    options: RetrievalOptions,
+    points: FloatArray,
+    labels: Sequence[str | None],
+    made_by: MadeBy,
+    whitening: Whitening | None,
+) -> Whitening:
+    """The whitening that is given, or the one that options name, fitted to coordinates (N, L)."""
+    if not len(points):
+        raise InputError("an index needs at least 1 shape, got an empty table; ingest shapes first")
+    return whitening or fit_whitening(
+        options.whitening,
+        points,
+        labels,
+        shrinkage=options.shrinkage,
+        metric=made_by.metric,
+        options_digest=made_by.digest,
+    )
+
+
+def _whitened(points: FloatArray, whitening: Whitening, made_by: MadeBy) -> FloatArray:
+    """Coordinates (N, L), which are whitened in place."""
+    whitening.check_made_for(made_by.digest)
+    for start in range(0, len(points), CHUNK):
+        chunk = slice(start, start + CHUNK)
+        points[chunk] = whitening.apply(points[chunk])
+    return points

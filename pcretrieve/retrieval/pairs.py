@@ -25,8 +25,6 @@ from pcretrieve.values import FloatArray
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
 
-__all__ = ["NeighbourPairs", "near_groups", "neighbour_pairs"]
-
 # Largest number k of neighbours that is tried, and k where no number stands out: the neighbourhoods of an
 # isolated class of c shapes are equal for k = c − 1. See docs/decisions.md, N_NEIGHBORS.
 MOST_NEIGHBORS = 12

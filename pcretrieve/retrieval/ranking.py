@@ -1,4 +1,4 @@
-"""The interface of what ranks a gallery: an index of vectors, a pairwise matcher, or a distance matrix."""
+"""What ranks a gallery: an index of signatures, a pairwise matcher, or a distance matrix."""
 
 from __future__ import annotations
 
@@ -9,20 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcretrieve.errors import InputError, OptionError
-from pcretrieve.retrieval.distances import pairwise
+from pcretrieve.retrieval.distances import Distance, pairwise
 from pcretrieve.values import FloatArray, Neighbors
-
-__all__ = [
-    "BLOCK_DISTANCES",
-    "DistanceBlock",
-    "Positions",
-    "Ranking",
-    "checked_count",
-    "checked_k",
-    "nearest_of",
-    "pairwise_blocks",
-    "position_of",
-]
 
 Positions = NDArray[np.intp]
 
@@ -50,22 +38,16 @@ class Ranking(Protocol):
         """The gallery; identifiers are distinct."""
 
     def blocks(self, queries: Positions | None = None) -> Iterator[DistanceBlock]:
-        """Distances from shapes of the gallery to all of the gallery.
-
-        queries: (Q,) intp, optional, positions in `ids`. By default all.
-        """
+        """Distances from shapes of the gallery, by default from all, to all of the gallery."""
 
     def nearest(self, shape_id: str, k: int = 10) -> Neighbors:
         """The shapes nearest to a shape of the gallery, itself included."""
 
 
-def pairwise_blocks(distance: str, gallery: FloatArray, queries: Positions) -> Iterator[DistanceBlock]:
-    """Distances from some signatures of a gallery to all of them, a few queries at a time.
-
-    gallery: (N, L) float64, log-signatures, whitened or not.
-    queries: (Q,) intp, positions in the gallery.
-    Yields DistanceBlock: some of the queries, in order.
-    """
+def pairwise_blocks(
+    distance: str | Distance, gallery: FloatArray, queries: Positions
+) -> Iterator[DistanceBlock]:
+    """Distances from some signatures of a gallery (N, L) to all of them, a few queries at a time."""
     rows = max(1, BLOCK_DISTANCES // max(1, len(gallery)))
     for start in range(0, len(queries), rows):
         chunk = queries[start : start + rows]
@@ -73,10 +55,7 @@ def pairwise_blocks(distance: str, gallery: FloatArray, queries: Positions) -> I
 
 
 def nearest_of(ids: Sequence[str], distances: FloatArray, k: int) -> Neighbors:
-    """The nearest shapes by their distances.
-
-    distances: (N,) float64, distance of each shape; not NaN.
-    """
+    """The nearest shapes by their distances (N,), which are not NaN."""
     k = checked_k(k)
     # Shapes as near as the k-th are candidates too: which of them come first is decided by their ids.
     limit = np.partition(distances, k - 1)[k - 1] if k < len(distances) else np.inf
@@ -85,16 +64,11 @@ def nearest_of(ids: Sequence[str], distances: FloatArray, k: int) -> Neighbors:
     return Neighbors(tuple(ids[row] for row in rows), distances[rows])
 
 
-def checked_k(k: int) -> int:
-    """A number of neighbours, after a check."""
-    return checked_count("k", k)
-
-
-def checked_count(name: str, value: int) -> int:
-    """A number of things, after a check."""
-    if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < 1:
-        raise OptionError(f"{name} must be a whole number of at least 1, got {value!r}")
-    return int(value)
+def checked_k(k: int, name: str = "k") -> int:
+    """A number of neighbours, or of other things, after a check."""
+    if isinstance(k, bool) or not isinstance(k, (int, np.integer)) or k < 1:
+        raise OptionError(f"{name} must be a whole number of at least 1, got {k!r}")
+    return int(k)
 
 
 def position_of(ids: Sequence[str], shape_id: str) -> int:

@@ -29,19 +29,6 @@ from pcretrieve.values import FloatArray, Neighbors
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
 
-__all__ = [
-    "N_NEAR",
-    "N_RERANKED",
-    "RERANKINGS",
-    "NeighbourLists",
-    "k_reciprocal",
-    "local_scaling",
-    "nearest_matrix",
-    "neighbour_lists",
-    "rerank",
-    "reranked_neighbors",
-]
-
 RERANKINGS: tuple[str, ...] = get_args(RerankKind)
 
 #: Number of results of each query that are sorted again.

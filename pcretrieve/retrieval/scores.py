@@ -27,15 +27,13 @@ from numpy.typing import NDArray
 
 from pcretrieve.errors import InputError
 from pcretrieve.options import Shrinkage
+from pcretrieve.retrieval.covariances import LEAST_SHAPES
 from pcretrieve.retrieval.distances import pairwise
 from pcretrieve.retrieval.fitting import fit_whitening
-from pcretrieve.retrieval.neighbour_covariance import LEAST_SHAPES
 from pcretrieve.retrieval.pairs import near_groups, neighbour_pairs
 from pcretrieve.retrieval.whitening import Whitening
 from pcretrieve.values import FloatArray, Metric
 from pcretrieve.values.base import Value, locked
-
-__all__ = ["MatchScores", "PairSample", "fit_scores", "isotonic_shares", "pair_sample"]
 
 # Largest number of shapes whose pairs are counted, and the seed of the choice of their classes.
 LARGEST = 1000

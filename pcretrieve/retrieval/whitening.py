@@ -1,17 +1,15 @@
 """Whitening: an affine map of log-signatures after which all directions have the same variance.
 
-`pcretrieve.retrieval.fitting` estimates the map from signatures, `pcretrieve.retrieval.resolution` from the
-changes that the resolution of a surface causes.
+`pcretrieve.retrieval.fitting` estimates the map from signatures, or takes the one of the changes that the
+resolution of a surface causes.
 """
 
 from __future__ import annotations
 
-import hashlib
 import io
-import json
 import zipfile
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any, get_args
 
@@ -23,8 +21,6 @@ from pcretrieve.options import WhiteningKind
 from pcretrieve.values import FloatArray
 from pcretrieve.values.base import Value, locked
 from pcretrieve.values.files import write_file
-
-__all__ = ["CALIBRATED", "WHITENINGS", "Whitening", "read_whitening", "whitening_digest", "write_whitening"]
 
 #: What a whitening can be; "auto" stands for one of them.
 WHITENINGS: tuple[str, ...] = tuple(kind for kind in get_args(WhiteningKind) if kind != "auto")
@@ -71,24 +67,8 @@ class Whitening(Value):
         object.__setattr__(self, "mean", mean)
         object.__setattr__(self, "matrix", matrix)
 
-    @property
-    def digest(self) -> str:
-        """Hash of the kind, the shrinkage, and the options of the signatures."""
-        return whitening_digest(self.kind, self.shrinkage, self.options_digest)
-
     def check_made_for(self, digest: str) -> None:
-        """Check that the whitening may be applied to signatures.
-
-        Parameters
-        ----------
-        digest : str
-            Digest of the signatures.
-
-        Raises
-        ------
-        InputError
-            If the whitening was fitted on signatures with other options.
-        """
+        """InputError if the whitening was fitted on signatures of another digest."""
         if self.options_digest != digest:
             raise InputError(
                 f"the whitening must be fitted on signatures made by the same options as the table "
@@ -126,36 +106,12 @@ class Whitening(Value):
         return whitened
 
     def to_arrays(self) -> dict[str, NDArray[Any]]:
-        """The attributes as arrays by name, for `numpy.savez` or a database; no array needs pickle."""
-        return {
-            "kind": np.array(self.kind),
-            "mean": self.mean,
-            "matrix": self.matrix,
-            "n_fitted": np.array(self.n_fitted),
-            "shrinkage": np.array(self.shrinkage),
-            "options_digest": np.array(self.options_digest),
-            "reason": np.array(self.reason),
-        }
+        """The attributes as arrays by name, none of which needs pickle."""
+        return {field.name: np.asarray(getattr(self, field.name)) for field in fields(self)}
 
     @classmethod
     def from_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> Whitening:
-        """The inverse of `to_arrays`.
-
-        Parameters
-        ----------
-        arrays : mapping of str to array
-            The attributes by name.
-
-        Returns
-        -------
-        Whitening
-            The whitening with these attributes.
-
-        Raises
-        ------
-        InputError
-            If an array is missing or has the wrong shape.
-        """
+        """The inverse of `to_arrays`; InputError if an array is missing or has the wrong shape."""
         missing = [name for name in cls.__slots__ if name not in arrays]
         if missing:
             raise InputError(
@@ -193,8 +149,3 @@ def read_whitening(path: Path) -> Whitening:
             f"({error})"
         ) from error
     return replace(whitening, reason=f"{whitening.reason}, from {path}")
-
-
-def whitening_digest(kind: str, shrinkage: float, options_digest: str) -> str:
-    """Hash of what determines a whitening, apart from the shapes of the fit."""
-    return hashlib.sha256(json.dumps([kind, shrinkage, options_digest]).encode()).hexdigest()

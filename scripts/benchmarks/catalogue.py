@@ -51,7 +51,7 @@ from benchmarks.synthetic import (
     written_in,
 )
 from pcretrieve.catalogue import Catalogue
-from pcretrieve.errors import InputError, PcretrieveError
+from pcretrieve.errors import PcretrieveError
 from pcretrieve.interface import status
 from pcretrieve.options import PipelineOptions
 from pcretrieve.retrieval import DISTANCES, SignatureIndex
@@ -158,7 +158,7 @@ def _catalogue(path: Path, n_shapes: int) -> Iterator[str]:
     )
     yield TABLE.row("  pcretrieve list, first line", f"{_first_line('list', '-c', str(path)):.2f} s")
     for whitening in WHITENINGS_OF_QUERIES:
-        for distance in DISTANCES.own:
+        for distance in DISTANCES:
             yield from _queries(path, distance, whitening)
 
 
@@ -208,10 +208,12 @@ def _thread_seconds(function: Callable[[], object]) -> float:
 def _flat_scan(points: FloatArray) -> Callable[[FloatArray], object] | None:
     """The exact search of faiss in single precision, if it is installed."""
     try:
-        flat = FlatScan(points)
-    except InputError:
+        import faiss
+    except ImportError:
         return None
-    return lambda point: flat.nearest(point[np.newaxis], K)
+    flat = faiss.IndexFlatL2(points.shape[1])
+    flat.add(np.ascontiguousarray(points, np.float32))
+    return lambda point: flat.search(np.asarray(point[np.newaxis], np.float32), K)
 
 
 def _agrees(index: SignatureIndex, row: int) -> bool:

@@ -13,7 +13,6 @@ from pcretrieve.descriptors import Descriptor
 from pcretrieve.matching import Matcher
 from pcretrieve.options import Options, SignatureOptions, SurfaceOptions
 from pcretrieve.points import PointFilter
-from pcretrieve.retrieval import Distance
 from pcretrieve.spectral import ELEMENTS, Assembled, Element
 from pcretrieve.surface import SurfaceFilter, SurfaceMethod
 from pcretrieve.values import FloatArray, PointCloud, Shape, Signature, TriangleMesh
@@ -69,11 +68,6 @@ def _sides(corners: FloatArray) -> tuple[FloatArray, FloatArray]:
     return corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
 
 
-def largest(x: FloatArray) -> FloatArray:
-    """The largest difference of two coordinates, L∞."""
-    return np.asarray(np.abs(x).max(axis=-1))
-
-
 def height(shape: Shape) -> float:
     """Extent along the z axis; unit length of the file."""
     return float(np.ptp(shape.mesh.vertices[:, 2]))
@@ -89,5 +83,4 @@ SOFT = Element("soft", soft)
 HULL = SurfaceMethod("hull", hull)
 CUT = PointFilter("cut", cut, CutOptions)
 STRETCH = SurfaceFilter("stretch", stretch, StretchOptions)
-LARGEST = Distance("largest", largest, metrics=("logarithms", "values"))
 TALLER = Matcher("taller", height, taller, needs=("mesh",), symmetric=False)

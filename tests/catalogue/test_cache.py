@@ -106,7 +106,7 @@ def test_neighbours_have_the_changes_of_resolution_as_a_prior(catalogue: Catalog
 
 
 def test_each_request_has_an_index_of_its_own(catalogue: Catalogue) -> None:
-    requests = [asked(w, d) for w in WHITENINGS for d in DISTANCES.own]
+    requests = [asked(w, d) for w in WHITENINGS for d in DISTANCES]
     requests += [
         asked("pca").changed(retrieval={"shrinkage": 0.5}),
         asked().changed(signature={"n_values": 9}),

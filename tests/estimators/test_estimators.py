@@ -129,7 +129,7 @@ def test_parameters_out_of_range() -> None:
 # --- neighbours -----------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("distance", DISTANCES.names.own)
+@pytest.mark.parametrize("distance", DISTANCES)
 def test_neighbours_are_those_of_the_index(distance: str) -> None:
     logs, _ = some_logs()
     logs[-6:] = logs[:6]  # equally far
@@ -157,7 +157,7 @@ def test_a_fitted_signature_is_not_its_own_neighbour() -> None:
     assert everything[1, :2].tolist() == [0, 1]
 
 
-@pytest.mark.parametrize("distance", DISTANCES.names.own)
+@pytest.mark.parametrize("distance", DISTANCES)
 def test_all_within_a_radius_are_found(distance: str) -> None:
     logs, _ = some_logs()
     estimator = SignatureNeighbors(distance=distance).fit(logs)

@@ -90,7 +90,7 @@ def test_the_whitening_of_a_fold_is_that_of_the_other_folds() -> None:
         assert fold.whitening.options_digest == "3f2a"
 
 
-@pytest.mark.parametrize("distance", DISTANCES.own)
+@pytest.mark.parametrize("distance", DISTANCES)
 def test_queries_are_ranked_against_the_whole_gallery(distance: str) -> None:
     table = a_table()
     matrix = distance_matrix(table, distance)
@@ -150,7 +150,7 @@ def test_evaluation_does_not_depend_on_the_order_of_shapes(whitening: str) -> No
 
 
 @pytest.mark.parametrize("whitening", ["none", "pca"])
-@pytest.mark.parametrize("distance", DISTANCES.own)
+@pytest.mark.parametrize("distance", DISTANCES)
 def test_whitening_without_labels_is_fitted_on_the_whole_gallery(distance: str, whitening: str) -> None:
     table = a_table()
     logs = log_signatures(table.values)

@@ -6,7 +6,8 @@ import pytest
 from pcretrieve.evaluation import evaluate_table, rank_table, rerank_table
 from pcretrieve.evaluation.folds import Subset, rank_subsets, within_class_folds, within_class_subsets
 from pcretrieve.options import RetrievalOptions
-from pcretrieve.retrieval import DistanceBlock, neighbour_lists, pairwise, rerank
+from pcretrieve.retrieval import DistanceBlock, pairwise, rerank
+from pcretrieve.retrieval.reranking import neighbour_lists
 from pcretrieve.values import SignatureTable
 
 

@@ -47,7 +47,7 @@ def test_what_is_no_distance_matrix(arguments: Any, message: str) -> None:
         DistanceMatrix(*arguments)
 
 
-@pytest.mark.parametrize("distance", DISTANCES.own)
+@pytest.mark.parametrize("distance", DISTANCES)
 def test_the_matrix_of_an_index_ranks_as_the_index_does(distance: str) -> None:
     table = a_table()
     index: Ranking = SignatureIndex(table, RetrievalOptions(distance=distance, whitening="pca"))

@@ -43,7 +43,7 @@ def test_the_classic_chain_runs_by_its_own_stages() -> None:
     assert len(shape.surfaces) == 1
     assert not defects(shape.mesh)
     assert len(describe(shape, options.signature).values) == options.signature.n_values
-    assert (options.retrieval.whitening, options.retrieval.nearest) == ("pca", "tree")
+    assert options.retrieval.whitening == "pca"
 
 
 def test_poisson_makes_the_same_body_and_says_what_it_does_not_use() -> None:

@@ -1,6 +1,7 @@
-"""Distances: the paper's formulas, metric laws, bounds."""
+"""Distances and coordinates: the paper's formulas, metric laws, and what is refused."""
 
-import re
+from __future__ import annotations
+
 from collections.abc import Callable
 from typing import Any
 
@@ -8,8 +9,10 @@ import numpy as np
 import pytest
 
 from pcretrieve.errors import InputError, OptionError
-from pcretrieve.retrieval import DISTANCES, log_signatures, pairwise
-from pcretrieve.values import FloatArray
+from pcretrieve.evaluation import evaluate_table
+from pcretrieve.options import RetrievalOptions
+from pcretrieve.retrieval import DISTANCES, Distance, SignatureIndex, coordinates, log_signatures, pairwise
+from pcretrieve.values import FloatArray, Metric, Signature, SignatureTable
 
 
 def some_values(n: int, *, seed: int = 0, n_values: int = 23, spread: float = 1.0) -> FloatArray:
@@ -24,11 +27,22 @@ LITERAL: dict[str, Callable[[FloatArray, FloatArray], Any]] = {
 }
 
 
-@pytest.mark.parametrize("distance", LITERAL)
-def test_is_the_printed_formula(distance: str) -> None:
-    a, b = some_values(8), some_values(5, seed=1)
-    expected = [[LITERAL[distance](p, q) for q in b] for p in a]
-    np.testing.assert_allclose(pairwise(distance, log_signatures(a), log_signatures(b)), expected, rtol=1e-12)
+@pytest.mark.parametrize("distance", DISTANCES)
+def test_is_the_printed_formula_and_exact_for_each_pair(distance: str) -> None:
+    """A pair depends neither on its company nor on its order, to the last bit, nor on a common factor."""
+    a, b, factor = some_values(8), some_values(5, seed=1), some_values(1, seed=2)
+    found = pairwise(distance, log_signatures(a), log_signatures(b))
+    np.testing.assert_allclose(found, [[LITERAL[distance](p, q) for q in b] for p in a], rtol=1e-12)
+    scaled = pairwise(distance, log_signatures(a * factor), log_signatures(b * factor))
+    np.testing.assert_allclose(scaled, found, rtol=1e-10)
+    gallery = log_signatures(some_values(9000, n_values=31))  # more than one chunk
+    queries = gallery[[0, 5000, 8999]]
+    together = pairwise(distance, queries, gallery)
+    assert (together[1] == pairwise(distance, queries[1:2], gallery)[0]).all()
+    assert (together[:, 8999] == pairwise(distance, gallery[8999:], queries)[0]).all()
+    assert (together[[0, 1, 2], [0, 5000, 8999]] == 0).all()
+    assert pairwise(distance, np.zeros((0, 3)), np.zeros((4, 3))).shape == (0, 4)
+    assert pairwise(distance, np.zeros((4, 3)), np.zeros((0, 3))).shape == (4, 0)
 
 
 def test_hand_worked() -> None:
@@ -36,96 +50,94 @@ def test_hand_worked() -> None:
     assert pairwise("d1", a, b)[0, 0] == pytest.approx(3 / 5)
     assert pairwise("d2", a, b)[0, 0] == pytest.approx(np.sqrt(9 / 4))
     assert pairwise("log", a, b)[0, 0] == pytest.approx(np.log(4))
-
-
-def test_the_table_names_every_distance() -> None:
-    assert set(DISTANCES.own) == set(LITERAL)
-
-
-@pytest.mark.parametrize("distance", DISTANCES.own)
-def test_symmetric_and_zero_on_itself_to_the_last_bit(distance: str) -> None:
-    logs = log_signatures(some_values(40))
-    between = pairwise(distance, logs, logs)
-    assert (between == between.T).all()
-    assert (np.diag(between) == 0).all()
-    assert (between[~np.eye(40, dtype=bool)] > 0).all()
-
-
-@pytest.mark.parametrize("distance", ["d1", "log"])
-def test_triangle_inequality(distance: str) -> None:
-    logs = log_signatures(some_values(30, spread=2.0))
-    d = pairwise(distance, logs, logs)
-    by_way_of = (d[:, :, np.newaxis] + d[np.newaxis, :, :]).min(axis=1)
-    assert (d <= by_way_of + 1e-12).all()
-
-
-def test_d2_is_no_metric() -> None:
-    logs = log_signatures([[1.0], [10.0], [100.0]])
-    d = pairwise("d2", logs, logs)
-    assert d[0, 2] > d[0, 1] + d[1, 2]
-
-
-def test_log_bounds_d2_from_below_and_meets_it_near_zero() -> None:
-    logs = log_signatures(some_values(30, spread=2.0))
-    assert (pairwise("log", logs, logs) <= pairwise("d2", logs, logs) * (1 + 1e-14)).all()
-    near = logs + 1e-4 * np.random.default_rng(2).normal(size=logs.shape)
-    ratio = np.diag(pairwise("d2", logs, near)) / np.diag(pairwise("log", logs, near))
-    np.testing.assert_allclose(ratio, 1, atol=1e-8)
-
-
-def test_d1_is_at_most_the_number_of_values() -> None:
-    d = pairwise("d1", np.zeros((1, 7)), np.full((1, 7), 1000.0))
-    assert d[0, 0] == 7
-
-
-def test_d2_of_signatures_too_far_apart_is_infinite() -> None:
+    assert pairwise("d1", np.zeros((1, 7)), np.full((1, 7), 1000.0))[0, 0] == 7
     assert pairwise("d2", np.array([[-720.0]]), np.array([[720.0]]))[0, 0] == np.inf
 
 
-@pytest.mark.parametrize("distance", DISTANCES.own)
-def test_a_common_factor_changes_nothing(distance: str) -> None:
-    a, b, factor = some_values(4), some_values(6, seed=1), some_values(1, seed=2)
-    np.testing.assert_allclose(
-        pairwise(distance, log_signatures(a * factor), log_signatures(b * factor)),
-        pairwise(distance, log_signatures(a), log_signatures(b)),
-        rtol=1e-10,
-    )
+def test_metric_laws() -> None:
+    logs = log_signatures(some_values(30, spread=2.0))
+    for distance in ("d1", "log"):
+        d = pairwise(distance, logs, logs)
+        assert (d <= (d[:, :, np.newaxis] + d[np.newaxis, :, :]).min(axis=1) + 1e-12).all()
+    line = log_signatures([[1.0], [10.0], [100.0]])
+    d = pairwise("d2", line, line)
+    assert d[0, 2] > d[0, 1] + d[1, 2], "d2 is no metric"
+    assert (pairwise("log", logs, logs) <= pairwise("d2", logs, logs) * (1 + 1e-14)).all()
 
 
-@pytest.mark.parametrize("distance", DISTANCES.own)
-def test_a_pair_does_not_depend_on_its_company(distance: str) -> None:
-    # 9000 × 31 values are more than one chunk.
-    gallery = log_signatures(some_values(9000, n_values=31))
-    queries = gallery[[0, 5000, 8999]]
-    together = pairwise(distance, queries, gallery)
-    assert (together[1] == pairwise(distance, queries[1:2], gallery)[0]).all()
-    assert (together[:, 8999] == pairwise(distance, queries, gallery[8999:])[:, 0]).all()
-
-
-@pytest.mark.parametrize("distance", DISTANCES.own)
-def test_nothing_to_compare(distance: str) -> None:
-    assert pairwise(distance, np.zeros((0, 3)), np.zeros((4, 3))).shape == (0, 4)
-    assert pairwise(distance, np.zeros((4, 3)), np.zeros((0, 3))).shape == (4, 0)
-
-
-def test_unknown_distance() -> None:
-    with pytest.raises(OptionError, match=r"there is no distance 'D2'; there are log, d1, d2"):
+def test_what_has_no_distance_or_no_coordinates() -> None:
+    with pytest.raises(OptionError, match="there is no distance 'D2'; there are log, d1, d2"):
         pairwise("D2", np.zeros((1, 3)), np.zeros((1, 3)))
+    with pytest.raises(
+        InputError, match=r"must have shapes \(Q, L\) and \(N, L\), got \(2, 3\) and \(2, 4\)"
+    ):
+        pairwise("log", np.zeros((2, 3)), np.zeros((2, 4)))
+    with pytest.raises(OptionError, match=r"metrics of a distance must be of logarithms, .* got 'angles'"):
+        Distance("x", np.sum, metrics=("angles",))  # type: ignore[arg-type]
+    metric: Metric
+    for values, metric, message in (
+        ([0.5, 0.0, 0.25], "logarithms", r"must be positive and finite, got 0.0 \(1 such values of 3\)"),
+        ([-1.0], "logarithms", "must be positive and finite, got -1.0"),
+        ([np.nan], "logarithms", "must be positive and finite, got nan"),
+        ([1.0, np.inf], "values", "signature values must be finite, got inf"),
+        ([1.0, -1.0], "histograms", r"must be bins of a histogram, not negative, got -1.0 \(1 such"),
+        ("bunny", "logarithms", "must be an array of numbers, got 'bunny'"),
+    ):
+        with pytest.raises(InputError, match=message):
+            coordinates(values, metric)
 
 
-@pytest.mark.parametrize(("queries", "gallery"), [((2, 3), (2, 4)), ((3,), (2, 3)), ((2, 3), (3,))])
-def test_shapes_that_do_not_fit(queries: tuple[int, ...], gallery: tuple[int, ...]) -> None:
-    message = re.escape(f"must have shapes (Q, L) and (N, L), got {queries} and {gallery}")
-    with pytest.raises(InputError, match=message):
-        pairwise("log", np.zeros(queries), np.zeros(gallery))
+# --- signatures that are not compared by their logarithms -----------------------------------------------
 
 
-@pytest.mark.parametrize("bad", [0.0, -1.0, np.nan, np.inf])
-def test_values_without_a_logarithm(bad: float) -> None:
-    with pytest.raises(InputError, match=rf"positive and finite, got {bad} \(1 such values of 3\)"):
-        log_signatures([0.5, bad, 0.25])
+def a_table(metric: Metric) -> SignatureTable:
+    """Classes of five shapes that are near to each other."""
+    rng = np.random.default_rng(3)
+    values = np.repeat(rng.normal(size=(40, 6)), 5, axis=0) + 0.01 * rng.normal(size=(200, 6))
+    if metric == "histograms":
+        values = values**2
+        values /= values.sum(axis=1, keepdims=True)
+    labels = tuple(f"class{number // 5}" for number in range(200))
+    return SignatureTable(tuple(f"s{number:03}" for number in range(200)), values, "x", "3f", labels, metric)
 
 
-def test_values_that_are_no_numbers() -> None:
-    with pytest.raises(InputError, match="must be an array of numbers, got 'bunny'"):
-        log_signatures("bunny")
+def hellinger(values: FloatArray, query: FloatArray) -> FloatArray:
+    """By the Bhattacharyya coefficient."""
+    return np.asarray(np.sqrt(np.maximum(1 - np.sqrt(values * query).sum(axis=1), 0)))
+
+
+@pytest.mark.parametrize("metric", ["values", "histograms"])
+def test_values_and_histograms_have_their_own_distance(metric: Metric) -> None:
+    table = a_table(metric)
+    gaps = np.linalg.norm(table.values - table.values[3], axis=1)
+    if metric == "histograms":
+        gaps = np.sqrt(2) * hellinger(table.values, table.values[3])
+    plain = RetrievalOptions(whitening="none")
+    found = SignatureIndex(table, plain).query(Signature(table.values[3], "x", "3f", metric=metric), 9)
+    assert found.ids == tuple(table.ids[row] for row in np.argsort(gaps, kind="stable")[:9])
+    np.testing.assert_allclose(found.distances, np.sort(gaps)[:9], atol=1e-7)
+    for whitening in ("none", "pca", "within-class"):
+        assert evaluate_table(table, RetrievalOptions.model_validate({"whitening": whitening})).map > 0.95
+    for distance in ("d1", "d2"):
+        with pytest.raises(OptionError, match=f"distance must be log for x, which is compared as {metric}"):
+            SignatureIndex(table, RetrievalOptions(distance=distance))
+
+
+@pytest.mark.parametrize(
+    "distance",
+    [
+        Distance("half", lambda x: np.linalg.norm(x, axis=-1) / 2),
+        Distance("twice", lambda x: 2 * np.linalg.norm(x, axis=-1), exceeds_log=True),
+    ],
+    ids=lambda distance: distance.name,
+)
+def test_a_distance_of_ones_own_is_an_object(distance: Distance) -> None:
+    values = np.exp(np.random.default_rng(5).normal(size=(2000, 6)))
+    table = SignatureTable(tuple(f"s{number:04}" for number in range(2000)), values, "x")
+    index = SignatureIndex(table, RetrievalOptions(whitening="none"), distance=distance)
+    exact = pairwise(distance, log_signatures(values[:20]), log_signatures(values))
+    for row in range(20):
+        nearest = index.query(values[row], 7)
+        order = np.argsort(exact[row], kind="stable")[:7]
+        assert nearest.ids == tuple(table.ids[number] for number in order)
+        np.testing.assert_array_equal(nearest.distances, exact[row, order])

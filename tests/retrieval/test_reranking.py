@@ -1,5 +1,7 @@
 """Re-ranking: invariants, and agreement with the formulas of the papers written out for dense matrices."""
 
+from __future__ import annotations
+
 import numpy as np
 import pytest
 
@@ -10,13 +12,18 @@ from pcretrieve.retrieval import (
     RERANKINGS,
     NeighbourLists,
     SignatureIndex,
-    neighbour_lists,
     pairwise,
     pairwise_blocks,
     rerank,
     reranked_neighbors,
 )
-from pcretrieve.retrieval.reranking import EXPANDED, K_RECIPROCAL, k_reciprocal, local_scaling
+from pcretrieve.retrieval.reranking import (
+    EXPANDED,
+    K_RECIPROCAL,
+    k_reciprocal,
+    local_scaling,
+    neighbour_lists,
+)
 from pcretrieve.values import FloatArray, SignatureTable
 
 
@@ -31,29 +38,26 @@ def lists_of(points: FloatArray, k: int = 100) -> NeighbourLists:
 
 @pytest.mark.parametrize("method", RERANKINGS)
 def test_a_list_keeps_its_shapes_and_its_first(method: str) -> None:
-    lists = lists_of(some_points(), 20)
+    points = some_points()
+    lists = lists_of(points, 20)
     order = rerank(method, lists)
     np.testing.assert_array_equal(order[:, :2], lists.order[:, :2])
     np.testing.assert_array_equal(np.sort(order, axis=1), np.sort(lists.order, axis=1))
     np.testing.assert_array_equal(rerank(method, lists, np.array([7, 3])), order[[7, 3]])
     assert (method == "none") == (order == lists.order).all()
-
-
-def test_lists_are_the_nearest_with_the_shape_itself_first() -> None:
-    points = some_points()
-    points[5] = points[4]
-    order, distances = lists_of(points, 7)
-    assert order.shape == (60, 8)
-    np.testing.assert_array_equal(order[:, 0], np.arange(60))
-    exact = pairwise("log", points, points)
-    np.testing.assert_array_equal(distances, np.sort(exact, axis=1)[:, :8])
+    np.testing.assert_array_equal(rerank(method, lists_of(1024 * points, 20)), order)  # in any unit
+    for n in (1, 2, 3, 4):
+        for few in (np.ones((n, 3)), np.random.default_rng(0).normal(size=(n, 3))):
+            assert np.sort(rerank(method, lists_of(few)), axis=1).tolist() == [list(range(n))] * n
+    with pytest.raises(OptionError, match="rerank must be one of none, local, k-reciprocal, got 'gnn'"):
+        rerank("gnn", lists)
 
 
 @pytest.mark.parametrize("k", [1, 6, 7, 40, 59])
 def test_of_equally_near_shapes_the_first_are_in_the_lists(k: int) -> None:
     points = np.round(some_points())[:, :3]  # on a lattice, so that many distances are equal
     distances = pairwise("log", points, points)
-    np.fill_diagonal(distances, -1)
+    np.fill_diagonal(distances, -1)  # the shape itself comes first
     wanted = np.argsort(distances, axis=1, kind="stable")[:, : k + 1]
     np.testing.assert_array_equal(lists_of(points, k).order, wanted)
 
@@ -95,43 +99,8 @@ def test_local_scaling_is_relative_to_both_radii() -> None:
     i, place = 13, 29
     j = lists.order[i, place]
     assert scaled[i, place] == pytest.approx(lists.distances[i, place] / np.sqrt(radius[i] * radius[j]))
-    # The scaled distance is symmetric.
     back = np.flatnonzero(lists.order[j] == i)[0]
     assert scaled[j, back] == pytest.approx(scaled[i, place])
-
-
-@pytest.mark.parametrize("method", ["local", "k-reciprocal"])
-def test_units_of_distances_do_not_matter(method: str) -> None:
-    points = some_points()
-    np.testing.assert_array_equal(rerank(method, lists_of(points)), rerank(method, lists_of(1024 * points)))
-
-
-@pytest.mark.parametrize("method", ["local", "k-reciprocal"])
-def test_classes_of_unequal_spread_are_ranked_better(method: str) -> None:
-    """A wide class beside a narrow one: the narrow one's shapes come first in plain lists of the wide one."""
-    rng = np.random.default_rng(3)
-    narrow, wide = 0.05 * rng.normal(size=(12, 3)) + [1.2, 0, 0], 0.6 * rng.normal(size=(12, 3))
-    points = np.vstack([narrow, wide])
-    lists = lists_of(points)
-    same = np.arange(24) // 12
-
-    def mean_rank(order: np.ndarray) -> float:
-        hits = same[order] == same[:, np.newaxis]
-        return float(np.nonzero(hits[12:])[1].mean())
-
-    assert mean_rank(rerank(method, lists)) < mean_rank(lists.order)
-
-
-@pytest.mark.parametrize("method", RERANKINGS)
-@pytest.mark.parametrize("n", [1, 2, 3, 4])
-def test_few_or_equal_shapes(method: str, n: int) -> None:
-    for points in (np.ones((n, 3)), np.random.default_rng(0).normal(size=(n, 3))):
-        assert np.sort(rerank(method, lists_of(points)), axis=1).tolist() == [list(range(n))] * n
-
-
-def test_unknown_method() -> None:
-    with pytest.raises(OptionError, match="rerank must be one of none, local, k-reciprocal, got 'gnn'"):
-        rerank("gnn", lists_of(some_points()))
 
 
 def index_of(points: FloatArray) -> SignatureIndex:
@@ -141,6 +110,7 @@ def index_of(points: FloatArray) -> SignatureIndex:
 
 @pytest.mark.parametrize("method", RERANKINGS)
 def test_results_of_a_query_are_sorted_like_lists(method: str) -> None:
+    """Of a shape of the gallery, and of a new scan as if it were in the gallery."""
     points = some_points(180)
     index = index_of(points)
     order = rerank(method, lists_of(points))
@@ -150,19 +120,23 @@ def test_results_of_a_query_are_sorted_like_lists(method: str) -> None:
         assert again.ids[: N_RERANKED + 1] == tuple(f"{other:03}" for other in order[row])
         assert set(again.ids) == set(found.ids)
         assert again.ids[:2] == found.ids[:2]
-
-
-@pytest.mark.parametrize("method", RERANKINGS)
-def test_a_new_scan_is_ranked_as_if_it_were_in_the_gallery(method: str) -> None:
-    points = some_points(120)
-    order = rerank(method, lists_of(points))[119]
-    index = index_of(points[:119])
-    found = reranked_neighbors(index, index.query(np.exp(points[119]), 300), method)
-    assert found.ids[:N_RERANKED] == tuple(f"{row:03}" for row in order[1:])
+    index = index_of(points[:179])
+    found = reranked_neighbors(index, index.query(np.exp(points[179]), 300), method)
+    assert found.ids[:N_RERANKED] == tuple(f"{row:03}" for row in order[179, 1:])
+    copies = index_of(np.ones((8, 3)))
+    found = reranked_neighbors(copies, copies.nearest("003", 8), method, shape_id="003")
+    assert set(found.ids) == set(copies.ids)
 
 
 @pytest.mark.parametrize("method", ["local", "k-reciprocal"])
-def test_a_gallery_of_copies(method: str) -> None:
-    index = index_of(np.ones((8, 3)))
-    found = reranked_neighbors(index, index.nearest("003", 8), method, shape_id="003")
-    assert set(found.ids) == set(index.ids)
+def test_classes_of_unequal_spread_are_ranked_better(method: str) -> None:
+    """A wide class beside a narrow one: the narrow one's shapes come first in plain lists of the wide one."""
+    rng = np.random.default_rng(3)
+    narrow, wide = 0.05 * rng.normal(size=(12, 3)) + [1.2, 0, 0], 0.6 * rng.normal(size=(12, 3))
+    lists = lists_of(np.vstack([narrow, wide]))
+    same = np.arange(24) // 12
+    again, plain = (
+        float(np.nonzero((same[order] == same[:, np.newaxis])[12:])[1].mean())
+        for order in (rerank(method, lists), lists.order)
+    )
+    assert again < plain

@@ -17,7 +17,6 @@ from pcretrieve.retrieval import (
     pairwise,
     scores,
 )
-from pcretrieve.retrieval.changes import without_shapes
 from pcretrieve.values import FloatArray, SignatureTable
 
 N_VALUES = 6
@@ -128,5 +127,4 @@ def test_scores_descend_and_are_kept_with_an_index() -> None:
     index = plain.scored(found)
     again = SignatureIndex.from_arrays(index.to_arrays())
     assert again.scores == found and again.scores.reason == found.reason
-    assert without_shapes(index, ids[:1]).scores == found
     assert SignatureIndex.from_arrays(plain.to_arrays()).scores is None

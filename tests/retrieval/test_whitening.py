@@ -1,21 +1,36 @@
-"""Whitening: variances after it, invariants of it, and invalid arguments."""
+"""Whitening: variances after it, invariants of it, the pairs it is learned from, and invalid arguments."""
 
-import io
-from typing import Any
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
 
 import numpy as np
 import pytest
+from benchmarks.shipped import N_BODIES, log_eigenvalues
+from shapes import body, points_on
 
+import pcretrieve.retrieval
+from pcretrieve import PipelineOptions
+from pcretrieve.descriptors import describe, reduced_matrix
 from pcretrieve.errors import InputError, OptionError
 from pcretrieve.evaluation import evaluate_table
-from pcretrieve.options import RetrievalOptions
-from pcretrieve.retrieval import DEFAULT_SHRINKAGE, Whitening, fit_whitening, pairwise
-from pcretrieve.retrieval.covariances import shrunk
-from pcretrieve.retrieval.pairs import neighbour_pairs
-from pcretrieve.retrieval.regularisation import inverse_square_root
+from pcretrieve.options import RetrievalOptions, SignatureOptions
+from pcretrieve.pipeline.process import process
+from pcretrieve.retrieval import (
+    Whitening,
+    fit_whitening,
+    pairwise,
+    read_whitening,
+    resolution_whitening,
+    write_whitening,
+)
+from pcretrieve.retrieval.fitting import N_MODES
+from pcretrieve.retrieval.pairs import LARGEST, MOST_NEIGHBORS, N_NEIGHBORS, neighbour_pairs
 from pcretrieve.values import FloatArray, Metric, SignatureTable
 
 FITTED = ("neighbours", "pca", "within-class")
+SAMPLE = np.load(Path(pcretrieve.retrieval.__file__).with_name("resolution.npy"))
 
 
 def labelled_logs(*, seed: int = 0, n_classes: int = 12, per_class: int = 10) -> tuple[FloatArray, list[str]]:
@@ -28,12 +43,6 @@ def labelled_logs(*, seed: int = 0, n_classes: int = 12, per_class: int = 10) ->
     return (np.repeat(centres, per_class, axis=0) + within) @ mixing, labels
 
 
-def mean_average_precision(points: FloatArray, labels: list[str]) -> float:
-    ids = tuple(f"{row:04}" for row in range(len(points)))
-    table = SignatureTable(ids, np.exp(points), "x", labels=tuple(labels))
-    return evaluate_table(table, RetrievalOptions(whitening="none")).map
-
-
 def within_class_covariance(logs: FloatArray, labels: list[str]) -> FloatArray:
     names = np.array(labels)
     residuals = logs.copy()
@@ -44,31 +53,40 @@ def within_class_covariance(logs: FloatArray, labels: list[str]) -> FloatArray:
 
 
 @pytest.mark.parametrize("kind", ("none", *FITTED))
-def test_total_variance_is_unchanged(kind: str) -> None:
+def test_laws_of_every_whitening(kind: str, tmp_path: Path) -> None:
+    """The total variance stays, the matrix is symmetric and positive, and no row depends on its company."""
     logs, labels = labelled_logs()
-    whitened = fit_whitening(kind, logs, labels).apply(logs)
+    whitening = fit_whitening(kind, logs, labels, options_digest="3f2a")
+    whitened = whitening.apply(logs)
     assert whitened.var(axis=0).sum() == pytest.approx(logs.var(axis=0).sum(), rel=1e-12)
+    np.testing.assert_allclose(whitening.matrix, whitening.matrix.T, atol=1e-12)
+    assert np.linalg.eigvalsh(whitening.matrix)[0] > 0
+    assert (whitened[7] == whitening.apply(logs[7:8])[0]).all()
+    order = np.random.default_rng(3).permutation(len(logs))
+    shuffled = fit_whitening(kind, logs[order], [labels[i] for i in order])
+    np.testing.assert_allclose(shuffled.matrix, whitening.matrix, rtol=1e-9)
+    write_whitening(whitening, tmp_path / "w.npz")
+    again = read_whitening(tmp_path / "w.npz")
+    assert (again.apply(logs) == whitened).all() or kind == "none"
+    assert (again.kind, again.options_digest) == ("calibrated", "3f2a")
+    assert Whitening.from_arrays(whitening.to_arrays()) == whitening
+    few = fit_whitening(kind, logs[:3], ["a", "a", "a"])
+    assert few.apply(logs[:3]).var(axis=0).sum() == pytest.approx(logs[:3].var(axis=0).sum())
+    with pytest.raises(InputError, match=r"must have shape \(N, 8\).*got \(120, 7\)"):
+        whitening.apply(logs[:, :7])
+    with pytest.raises(ValueError, match="read-only"):
+        whitening.matrix[0, 0] = 2
 
 
-def test_none_is_the_identity() -> None:
-    logs, _ = labelled_logs()
-    whitening = fit_whitening("none", logs)
-    assert (whitening.apply(logs) == logs).all()
-    assert (whitening.matrix == np.eye(8)).all()
-
-
-def test_pca_with_hardly_any_shrinkage_makes_all_directions_equal() -> None:
-    logs, _ = labelled_logs()
+def test_pca_makes_directions_equal_and_damps_small_ones() -> None:
+    logs, labels = labelled_logs()
     covariance = np.cov(fit_whitening("pca", logs, shrinkage=1e-12).apply(logs).T)
     np.testing.assert_allclose(covariance, covariance[0, 0] * np.eye(8), atol=1e-6 * covariance[0, 0])
-
-
-def test_pca_damps_each_variance_by_a_fraction_of_the_largest() -> None:
-    logs, _ = labelled_logs()
     variances = np.linalg.eigvalsh(np.cov(logs.T))
     whitened = np.linalg.eigvalsh(np.cov(fit_whitening("pca", logs, shrinkage=0.05).apply(logs).T))
     expected = variances / (variances + 0.05 * variances[-1])
     np.testing.assert_allclose(whitened / whitened[-1], expected / expected[-1], rtol=1e-10)
+    assert (fit_whitening("pca", logs, labels).matrix == fit_whitening("pca", logs).matrix).all()
 
 
 def test_within_class_makes_spread_within_classes_equal() -> None:
@@ -76,24 +94,20 @@ def test_within_class_makes_spread_within_classes_equal() -> None:
     whitened = fit_whitening("within-class", logs, labels, shrinkage=1e-12).apply(logs)
     covariance = within_class_covariance(whitened, labels)
     np.testing.assert_allclose(covariance, covariance[0, 0] * np.eye(8), atol=1e-6 * covariance[0, 0])
-
-
-def test_within_class_shrunk_all_the_way_keeps_distances() -> None:
-    logs, labels = labelled_logs()
-    whitened = fit_whitening("within-class", logs, labels, shrinkage=1.0).apply(logs)
-    np.testing.assert_allclose(pairwise("log", whitened, whitened), pairwise("log", logs, logs), atol=1e-12)
-
-
-def test_within_class_shrinks_towards_the_mean_variance() -> None:
-    logs, labels = labelled_logs()
+    kept = fit_whitening("within-class", logs, labels, shrinkage=1.0).apply(logs)
+    np.testing.assert_allclose(pairwise("log", kept, kept), pairwise("log", logs, logs), atol=1e-12)
     pooled = within_class_covariance(logs, labels)
-    shrunk = 0.7 * pooled + 0.3 * np.trace(pooled) / 8 * np.eye(8)
     matrix = fit_whitening("within-class", logs, labels, shrinkage=0.3).matrix
-    product = matrix @ shrunk @ matrix
+    product = matrix @ (0.7 * pooled + 0.3 * np.trace(pooled) / 8 * np.eye(8)) @ matrix
     np.testing.assert_allclose(product, product[0, 0] * np.eye(8), atol=1e-10 * product[0, 0])
+    strangers = 100 + np.random.default_rng(1).normal(size=(3, 8))
+    alone = fit_whitening("within-class", logs, labels)
+    among = fit_whitening("within-class", np.vstack([strangers, logs]), [None, "single", None, *labels])
+    assert among.n_fitted == alone.n_fitted == len(logs)
+    np.testing.assert_allclose(among.matrix, alone.matrix, rtol=1e-12)
 
 
-def test_within_class_of_values_with_different_units_does_not_depend_on_the_units() -> None:
+def test_values_with_different_units_do_not_depend_on_the_units() -> None:
     logs, labels = labelled_logs()
     units = np.geomspace(0.1, 10, 8)
 
@@ -105,183 +119,39 @@ def test_within_class_of_values_with_different_units_does_not_depend_on_the_unit
 
     np.testing.assert_allclose(gaps(logs, "values"), gaps(logs * units, "values"), rtol=1e-6)
     assert np.abs(gaps(logs, "logarithms") - gaps(logs * units, "logarithms")).max() > 0.1
-
-
-def test_a_value_that_is_the_same_in_every_class_does_not_prevent_a_fit() -> None:
-    logs, labels = labelled_logs()
     constant = np.column_stack([logs, np.ones(len(logs))])
-    whitened = fit_whitening("within-class", constant, labels, metric="values").apply(constant)
-    assert np.isfinite(whitened).all()
+    assert np.isfinite(fit_whitening("within-class", constant, labels, metric="values").matrix).all()
 
 
-def test_within_class_whitening_separates_classes_that_overlap_by_pose() -> None:
+def test_what_cannot_be_fitted() -> None:
     logs, labels = labelled_logs()
-    same = np.equal.outer(labels, labels)
-
-    def contrast(points: FloatArray) -> float:
-        d = pairwise("log", points, points)
-        return float(d[~same].mean() / d[same].mean())
-
-    assert contrast(fit_whitening("within-class", logs, labels).apply(logs)) > 2 * contrast(logs)
-
-
-def test_unlabelled_shapes_and_classes_of_one_are_ignored() -> None:
-    logs, labels = labelled_logs()
-    strangers = 100 + np.random.default_rng(1).normal(size=(3, 8))
-    alone = fit_whitening("within-class", logs, labels)
-    among = fit_whitening("within-class", np.vstack([strangers, logs]), [None, "single", None, *labels])
-    assert among.n_fitted == alone.n_fitted == len(logs)
-    np.testing.assert_allclose(among.matrix, alone.matrix, rtol=1e-12)
-    np.testing.assert_allclose(among.mean, alone.mean, rtol=1e-12)
-
-
-def test_pca_does_not_look_at_labels() -> None:
-    logs, labels = labelled_logs()
-    assert (fit_whitening("pca", logs, labels).matrix == fit_whitening("pca", logs).matrix).all()
-
-
-@pytest.mark.parametrize("kind", FITTED)
-def test_the_matrix_is_symmetric_positive_definite(kind: str) -> None:
-    logs, labels = labelled_logs()
-    matrix = fit_whitening(kind, logs, labels).matrix
-    np.testing.assert_allclose(matrix, matrix.T, atol=1e-12)
-    assert np.linalg.eigvalsh(matrix)[0] > 0
-
-
-@pytest.mark.parametrize("kind", FITTED)
-def test_distances_do_not_depend_on_the_order_of_shapes(kind: str) -> None:
-    logs, labels = labelled_logs()
-    order = np.random.default_rng(3).permutation(len(logs))
-    shuffled = fit_whitening(kind, logs[order], [labels[i] for i in order])
-    np.testing.assert_allclose(shuffled.matrix, fit_whitening(kind, logs, labels).matrix, rtol=1e-9)
-
-
-@pytest.mark.parametrize("kind", ("none", *FITTED))
-def test_a_row_does_not_depend_on_its_company(kind: str) -> None:
-    logs, labels = labelled_logs()
-    whitening = fit_whitening(kind, logs, labels)
-    assert (whitening.apply(logs)[7] == whitening.apply(logs[7:8])[0]).all()
-
-
-@pytest.mark.parametrize("kind", FITTED)
-def test_fewer_shapes_than_values(kind: str) -> None:
-    logs, _ = labelled_logs()
-    few = logs[:3]
-    whitening = fit_whitening(kind, few, ["a", "a", "a"])
-    assert np.isfinite(whitening.matrix).all()
-    assert whitening.apply(few).var(axis=0).sum() == pytest.approx(few.var(axis=0).sum())
-
-
-@pytest.mark.parametrize("kind", ("none", *FITTED))
-def test_arrays_keep_all_of_it_without_pickle(kind: str) -> None:
-    logs, labels = labelled_logs()
-    whitening = fit_whitening(kind, logs, labels, options_digest="3f2a")
-    arrays: dict[str, Any] = whitening.to_arrays()
-    file = io.BytesIO()
-    np.savez(file, **arrays)
-    file.seek(0)
-    with np.load(file, allow_pickle=False) as stored:
-        again = Whitening.from_arrays(stored)
-    assert (again.apply(logs) == whitening.apply(logs)).all()
-    for name in ("kind", "n_fitted", "shrinkage", "options_digest", "digest"):
-        assert getattr(again, name) == getattr(whitening, name)
-
-
-def test_the_digest_depends_on_kind_shrinkage_and_options() -> None:
-    logs, labels = labelled_logs()
-    base = fit_whitening("pca", logs, options_digest="3f2a")
-    assert base.digest == fit_whitening("pca", logs[:50], options_digest="3f2a").digest
-    others = [
-        fit_whitening("within-class", logs, labels, options_digest="3f2a", shrinkage=base.shrinkage),
-        fit_whitening("pca", logs, options_digest="3f2a", shrinkage=0.02),
-        fit_whitening("pca", logs, options_digest="77b1"),
-    ]
-    assert len({base.digest, *(other.digest for other in others)}) == 4
-
-
-@pytest.mark.parametrize("kind", ["neighbours", "pca"])
-def test_the_default_shrinkage_is_recorded(kind: str) -> None:
-    logs, labels = labelled_logs()
-    assert fit_whitening(kind, logs, labels).shrinkage == DEFAULT_SHRINKAGE[kind]
-
-
-def test_a_whitening_is_locked() -> None:
-    whitening = fit_whitening("none", np.zeros((2, 3)))
-    with pytest.raises(ValueError, match="read-only"):
-        whitening.matrix[0, 0] = 2
-
-
-def test_unknown_kind() -> None:
-    with pytest.raises(
-        OptionError,
-        match="whitening must be one of auto, none, resolution, neighbours, pca, within-class, got 'zca'",
-    ):
+    with pytest.raises(OptionError, match=r"whitening must be one of auto, none, resolution, .*, got 'zca'"):
         fit_whitening("zca", np.zeros((2, 3)))
     with pytest.raises(OptionError, match="whitening must be one of"):
         Whitening("zca", np.zeros(3), np.eye(3), 2)
-
-
-@pytest.mark.parametrize("kind", FITTED)
-@pytest.mark.parametrize("shrinkage", [0.0, -0.1, 1.5, np.nan])
-def test_shrinkage_out_of_range(kind: str, shrinkage: float) -> None:
-    logs, labels = labelled_logs()
-    with pytest.raises(OptionError, match=rf"shrinkage must lie in \(0, 1\], got {shrinkage}"):
-        fit_whitening(kind, logs, labels, shrinkage=shrinkage)
-
-
-@pytest.mark.parametrize(
-    "logs", [np.zeros((0, 3)), np.ones((1, 3)), np.ones((5, 3))], ids=["empty", "one", "all equal"]
-)
-def test_pca_of_fewer_than_two_distinct_shapes(logs: FloatArray) -> None:
-    with pytest.raises(InputError, match=r"pca whitening needs at least 2 distinct shapes.*use the"):
-        fit_whitening("pca", logs)
-    assert (fit_whitening("none", logs).apply(logs) == logs).all()
-
-
-def test_within_class_of_equal_shapes() -> None:
-    with pytest.raises(InputError, match="within-class whitening needs at least 2 distinct shapes"):
-        fit_whitening("within-class", np.ones((4, 3)), ["a", "a", "b", "b"])
-
-
-def test_within_class_of_classes_without_spread() -> None:
-    logs = np.repeat(np.eye(3), 2, axis=0)
-    with pytest.raises(InputError, match="differ within their class, got equal signatures in every class"):
-        fit_whitening("within-class", logs, ["a", "a", "b", "b", "c", "c"])
-
-
-def test_within_class_of_classes_of_one() -> None:
-    with pytest.raises(InputError, match="a class with at least 2 shapes, got 3 classes and none"):
-        fit_whitening("within-class", np.eye(4), ["a", "b", "c", None])
-
-
-@pytest.mark.parametrize(("labels", "given"), [(None, "none"), (["a", "a"], "2")])
-def test_within_class_without_a_label_for_each(labels: list[str] | None, given: str) -> None:
-    with pytest.raises(InputError, match=rf"one label per shape \(4\), got {given}"):
-        fit_whitening("within-class", np.eye(4), labels)
-
-
-@pytest.mark.parametrize("logs", [np.zeros(3), np.full((3, 2), np.nan)])
-def test_logs_that_cannot_be_fitted(logs: FloatArray) -> None:
-    with pytest.raises(InputError, match=r"must be finite and have shape \(N, L\)"):
-        fit_whitening("pca", logs)
-
-
-@pytest.mark.parametrize("kind", ("none", *FITTED))
-def test_logs_of_another_length(kind: str) -> None:
-    logs, labels = labelled_logs()
-    with pytest.raises(InputError, match=r"must have shape \(N, 8\).*got \(120, 7\)"):
-        fit_whitening(kind, logs, labels).apply(logs[:, :7])
-
-
-def test_stored_arrays_that_are_not_all_there() -> None:
+    for kind in FITTED:
+        for shrinkage in (0.0, -0.1, 1.5, np.nan):
+            with pytest.raises(OptionError, match=rf"shrinkage must lie in \(0, 1\], got {shrinkage}"):
+                fit_whitening(kind, logs, labels, shrinkage=shrinkage)
+    for equal in (np.zeros((0, 3)), np.ones((1, 3)), np.ones((5, 3))):
+        with pytest.raises(InputError, match=r"pca whitening needs at least 2 distinct shapes.*use the"):
+            fit_whitening("pca", equal)
+    for wrong in (np.zeros(3), np.full((3, 2), np.nan)):
+        with pytest.raises(InputError, match=r"must be finite and have shape \(N, L\)"):
+            fit_whitening("pca", wrong)
+    given: Sequence[str | None] | None
+    for rows, given, message in (
+        (np.ones((4, 3)), ["a", "a", "b", "b"], "within-class whitening needs at least 2 distinct shapes"),
+        (np.repeat(np.eye(3), 2, axis=0), [*"aabbcc"], "got equal signatures in every class"),
+        (np.eye(4), ["a", "b", "c", None], "a class with at least 2 shapes, got 3 classes and none"),
+        (np.eye(4), None, r"one label per shape \(4\), got none"),
+        (np.eye(4), ["a", "a"], r"one label per shape \(4\), got 2"),
+    ):
+        with pytest.raises(InputError, match=message):
+            fit_whitening("within-class", rows, given)
     arrays = fit_whitening("none", np.zeros((2, 3))).to_arrays()
-    del arrays["matrix"], arrays["shrinkage"]
     with pytest.raises(InputError, match="missing: matrix, shrinkage; fit it again"):
-        Whitening.from_arrays(arrays)
-
-
-def test_stored_arrays_that_do_not_fit() -> None:
-    arrays = fit_whitening("none", np.zeros((2, 3))).to_arrays()
+        Whitening.from_arrays({n: a for n, a in arrays.items() if n not in ("matrix", "shrinkage")})
     with pytest.raises(InputError, match=r"the matrix of a whitening must have shape \(3, 3\), got \(2, 2\)"):
         Whitening.from_arrays(arrays | {"matrix": np.eye(2)})
     with pytest.raises(InputError, match="must be finite"):
@@ -290,59 +160,41 @@ def test_stored_arrays_that_do_not_fit() -> None:
 
 def test_auto_uses_labels_that_determine_the_covariance() -> None:
     logs, labels = labelled_logs()
-    assert fit_whitening("auto", logs, labels).kind == "within-class"
+    assert fit_whitening("auto", logs, labels).reason == "within-class: 12 classes of 120 shapes"
     for unknown in (None, [None] * len(logs), [*labels[:40], *[None] * 80]):
         assert fit_whitening("auto", logs, unknown).kind == "neighbours"  # 0, 0 and 4 classes
-    assert fit_whitening("auto", logs, labels).reason == "within-class: 12 classes of 120 shapes"
     sparse = [label if row % 10 < 2 else None for row, label in enumerate(labels)]
     assert fit_whitening("auto", logs, sparse).kind == "within-class"  # 12 classes of 2, rank 12
-    wide = np.hstack([logs, logs])  # 16 values
-    assert fit_whitening("auto", wide, sparse).kind == "neighbours"
-
-
-def test_of_few_shapes_nothing_is_learned_from_neighbours() -> None:
-    logs, _ = labelled_logs()
+    assert fit_whitening("auto", np.hstack([logs, logs]), sparse).kind == "neighbours"  # 16 values
     few = fit_whitening("neighbours", logs[:23])
-    assert (few.kind, few.reason) == (
-        "none",
-        "none, because 23 shapes are too few to learn from neighbours (24)",
-    )
-    assert (few.apply(logs) == logs).all()
+    assert few.reason == "none, because 23 shapes are too few to learn from neighbours (24)"
     equal = fit_whitening("neighbours", np.ones((30, 3)))
-    assert equal.kind == "none"
-    assert "only 0 pairs of shapes are mutual neighbours" in equal.reason
-    assert fit_whitening("neighbours", logs[:24]).kind == "neighbours"
+    assert equal.kind == "none" and "only 0 pairs of shapes are mutual neighbours" in equal.reason
 
 
-def test_neighbours_separate_classes_that_overlap_by_pose_without_labels() -> None:
+def test_classes_that_overlap_by_pose_are_separated() -> None:
+    """By their labels, and without labels by what neighbours differ by; a prior takes part in the latter."""
     logs, labels = labelled_logs(n_classes=30)
-    plain = mean_average_precision(logs, labels)
-    whitened = mean_average_precision(fit_whitening("neighbours", logs).apply(logs), labels)
+    same = np.equal.outer(labels, labels)
+
+    def contrast(points: FloatArray) -> float:
+        d = pairwise("log", points, points)
+        return float(d[~same].mean() / d[same].mean())
+
+    def precision(points: FloatArray) -> float:
+        ids = tuple(f"{row:04}" for row in range(len(points)))
+        table = SignatureTable(ids, np.exp(points), "x", labels=tuple(labels))
+        return evaluate_table(table, RetrievalOptions(whitening="none")).map
+
+    assert contrast(fit_whitening("within-class", logs, labels).apply(logs)) > 2 * contrast(logs)
+    plain = precision(logs)
     assert plain < 0.9
-    assert whitened > plain + 0.05
-
-
-def test_a_second_round_finds_pairs_among_whitened_shapes() -> None:
-    logs, _ = labelled_logs(n_classes=30)
-    first, second = (fit_whitening("neighbours", logs, rounds=rounds, shrinkage=0.1) for rounds in (1, 2))
-    pairs = neighbour_pairs(first.apply(logs))
-    differences = logs[pairs.first] - logs[pairs.second]
-    covariance = (differences * pairs.weights[:, np.newaxis]).T @ differences
-    expected = inverse_square_root(shrunk(covariance, 0.1))
-    np.testing.assert_allclose(second.matrix / second.matrix[0, 0], expected / expected[0, 0], rtol=1e-6)
-    assert not np.allclose(second.matrix, first.matrix, rtol=0.01)
-    with pytest.raises(OptionError, match="rounds must be at least 1, got 0"):
-        fit_whitening("neighbours", logs, rounds=0)
-
-
-def test_a_prior_is_part_of_the_covariance_of_neighbours() -> None:
-    """Directions that the prior says to ignore have a smaller weight."""
-    logs, _ = labelled_logs()
+    assert precision(fit_whitening("neighbours", logs).apply(logs)) > plain + 0.05
     prior = np.zeros((8, 8))
     prior[3, 3] = 1
-    with_prior = fit_whitening("neighbours", logs, prior=prior, shrinkage=0.1).matrix
-    without = fit_whitening("neighbours", logs, shrinkage=0.1).matrix
-    assert with_prior[3, 3] / np.trace(with_prior) < 0.9 * without[3, 3] / np.trace(without)
+    matrices = [fit_whitening("neighbours", logs, prior=one, shrinkage=0.1).matrix for one in (prior, None)]
+    ignored, counted = (matrix[3, 3] / np.trace(matrix) for matrix in matrices)
+    assert ignored < 0.9 * counted
 
 
 def test_shrinkage_within_classes_follows_the_number_of_shapes() -> None:
@@ -362,10 +214,101 @@ def test_pca_warns_where_neighbours_become_distant(caplog: pytest.LogCaptureFixt
     """Classes far apart in two of forty directions: PCA whitening turns the noise in the others up."""
     rng = np.random.default_rng(0)
     centres = rng.normal(size=(12, 40)) * np.r_[5, 5, np.zeros(38)]
-    one_kind = np.repeat(centres, 6, axis=0) + 0.1 * rng.normal(size=(72, 40))
-    fit_whitening("pca", one_kind)
+    fit_whitening("pca", np.repeat(centres, 6, axis=0) + 0.1 * rng.normal(size=(72, 40)))
     assert "PCA whitening is likely to make rankings worse here" in caplog.text
     caplog.clear()
-    many_kinds = np.repeat(5 * rng.normal(size=(12, 40)), 6, axis=0) + 0.1 * rng.normal(size=(72, 40))
-    fit_whitening("pca", many_kinds)
+    fit_whitening(
+        "pca", np.repeat(5 * rng.normal(size=(12, 40)), 6, axis=0) + 0.1 * rng.normal(size=(72, 40))
+    )
     assert not caplog.text
+
+
+# --- pairs of neighbours --------------------------------------------------------------------------------
+
+
+def classes_of(size: int, n_classes: int, *, spread: float = 0.1) -> FloatArray:
+    """Isolated classes of equal size in ten dimensions."""
+    rng = np.random.default_rng(size)
+    centres = rng.normal(size=(n_classes, 10))
+    return np.repeat(centres, size, axis=0) + spread * rng.normal(size=(size * n_classes, 10))
+
+
+def test_pairs_are_of_one_class() -> None:
+    """The number of neighbours is the size of isolated classes less one; without classes none stands out."""
+    for size in (3, 5, 10):
+        pairs = neighbour_pairs(classes_of(size, 12))
+        assert pairs.n_neighbors == size - 1
+        np.testing.assert_array_equal(pairs.first // size, pairs.second // size)
+        assert len(pairs.weights) == 12 * size * (size - 1) // 2
+    assert neighbour_pairs(np.random.default_rng(0).normal(size=(200, 10))).n_neighbors == N_NEIGHBORS
+    overlapping = neighbour_pairs(classes_of(10, 40, spread=0.35))
+    same = overlapping.first // 10 == overlapping.second // 10
+    assert 0.7 < same.mean() < 1
+    assert overlapping.weights[~same].mean() < 0.7 * overlapping.weights[same].mean()
+    large = neighbour_pairs(classes_of(5, LARGEST))  # 20,000 shapes, of which groups of near ones are taken
+    assert 100 < len(large.weights) < LARGEST * MOST_NEIGHBORS
+    assert (large.first // 5 == large.second // 5).mean() > 0.9
+
+
+def test_copies_form_no_pairs_and_the_order_of_shapes_does_not_matter() -> None:
+    logs = classes_of(5, 20, spread=0.4)
+    logs[1] = logs[0]
+    logs[6] = logs[5] + 1e-14
+    order = np.random.default_rng(1).permutation(100)
+    there, here = neighbour_pairs(logs[order]), neighbour_pairs(logs)
+    found = {frozenset(pair) for pair in zip(here.first.tolist(), here.second.tolist(), strict=True)}
+    first, second = order[there.first].tolist(), order[there.second].tolist()
+    assert {frozenset(pair) for pair in zip(first, second, strict=True)} == found
+    assert frozenset((0, 1)) not in found
+    assert here.weights.max() / here.weights.min() < 1e10
+    assert neighbour_pairs(np.ones((30, 3))).weights.size == 0
+
+
+# --- resolution -----------------------------------------------------------------------------------------
+
+
+def test_the_sample_is_what_its_script_measures_and_what_signatures_are() -> None:
+    """Order and unit of a signature are those of the sample's columns."""
+    made = log_eigenvalues("animal", 3)
+    # Rounding on another machine may move a voxel from one side of the surface to the other.
+    np.testing.assert_allclose(made, SAMPLE[:, N_BODIES + 3], rtol=0, atol=0.02)
+    assert np.abs(made[0] - made[1]).max() > 0.02
+    shape = process(points_on(body(), 6000), PipelineOptions().changed(surface={"reconstructions": 1}))
+    logs = np.log(np.abs(np.linalg.eigvalsh(reduced_matrix(shape.spectrum, N_MODES))))
+    values = describe(shape, SignatureOptions(method="r-bihdm", n_values=60)).values
+    np.testing.assert_allclose(np.log(values), logs[:60], rtol=1e-12)
+    relative = describe(shape, SignatureOptions(method="r-bihdm", n_values=60, scale="relative")).values
+    np.testing.assert_allclose(np.log(relative), logs[:60] - logs[60], rtol=1e-9, atol=1e-12)
+
+
+@pytest.mark.parametrize("scale", ["area", "relative"])
+def test_what_resolution_changes_counts_less(scale: str) -> None:
+    for n_values in (1, 23, 60):
+        options = SignatureOptions.model_validate({"method": "r-bihdm", "scale": scale, "n_values": n_values})
+        whitening = resolution_whitening(options)
+        logs = SAMPLE[:, :, :60] - (SAMPLE[:, :, 60:] if scale == "relative" else 0)
+        change = (logs[0] - logs[1])[:, :n_values].astype(np.float64)
+        size = np.linalg.norm(change, axis=1)
+        change = change[np.argsort(size)][: whitening.n_fitted]
+        anything = np.random.default_rng(0).normal(size=(4000, n_values))
+        shares = [((each @ whitening.matrix) ** 2).sum() / (each**2).sum() for each in (anything, change)]
+        assert shares[0] == pytest.approx(1, rel=0.1)
+        assert shares[1] < 0.5 or n_values == 1
+        assert 0.8 * len(size) < whitening.n_fitted < 0.9 * len(size)
+
+
+def test_a_size_stays_what_it_is_and_other_signatures_were_not_measured() -> None:
+    logs = np.random.default_rng(0).normal(size=(5, SignatureOptions().n_values + 1))
+    form = resolution_whitening(SignatureOptions(method="r-bihdm")).apply(logs[:, :-1])
+    sized = resolution_whitening(SignatureOptions(method="r-bihdm", size_weight=6)).apply(logs)
+    np.testing.assert_allclose(sized, np.column_stack([form, logs[:, -1]]), rtol=1e-12)
+    for given in (
+        {},
+        {"method": "shape-dna"},
+        {"method": "r-bihdm", "n_modes": 50},
+        {"method": "r-bihdm", "scale": "absolute"},
+    ):
+        with pytest.raises(OptionError, match="'resolution' has been measured for r-bihdm with n_modes = 60"):
+            resolution_whitening(SignatureOptions.model_validate(given))
+    with pytest.raises(OptionError, match=r"shrinkage must lie in \(0, 1\], got 0"):
+        resolution_whitening(SignatureOptions(method="r-bihdm"), shrinkage=0)

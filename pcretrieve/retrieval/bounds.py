@@ -1,0 +1,257 @@
+"""Lower bounds of Euclidean distances: the shapes of a gallery that can be among the k nearest of a query.
+
+An orthogonal projection does not increase the Euclidean distance. The sum of (p − q)² over the coordinates
+along the first principal directions is therefore a lower bound of the square of ``log``, and of that of
+``d2``, since ``log`` ≤ ``d2``.
+
+The points are in blocks, the leaves of a k-d tree [1]_. The bounding box of a block is divided into 256 cells
+along each axis, and a point is stored as the numbers of its cells, as in a VA-file [2]_. Of the distance
+between a query and a point, the box gives a lower bound that all points of the block share, and the cells
+give a larger one for the point alone. A few blocks are searched at a time, nearest blocks first:
+
+1. Find the shapes in the blocks whose lower bound is at most the limit of the radius τ, which is infinite at
+   first.
+2. Compute the exact distances to those with the smallest bounds. At least k shapes are within the k-th
+   smallest distance of the query, so that each of the k nearest neighbours is: it is the new τ.
+3. Stop when the lower bounds of all other blocks exceed the limit. Because a lower bound does not exceed the
+   exact distance, the shapes with a bound within the limit include the k nearest neighbours.
+
+References
+----------
+.. [1] Friedman, Bentley and Finkel, "An algorithm for finding best matches in logarithmic expected time", ACM
+   Transactions on Mathematical Software 1977.
+.. [2] Weber, Schek and Blott, "A quantitative analysis and performance study for similarity-search methods in
+   high-dimensional spaces", VLDB 1998.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, fields
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pcretrieve.retrieval.covariances import CHUNK, scatter_matrix
+from pcretrieve.values import FloatArray
+
+Rows = NDArray[np.int32]
+
+# Number of principal directions that the bounds are computed from. With fewer the bounds are looser and more
+# shapes need an exact distance; with more the bounds take longer. See docs/decisions.md, N_LEADING.
+N_LEADING = 24
+
+# Largest number of the leading axes that the blocks are divided along. A million shapes are divided ten times
+# before they are in blocks.
+N_DIVIDING = 8
+
+# Largest number of points in a block, of which blocks have a multiple of 64, so that they fill the vector
+# registers of a processor. See docs/decisions.md, BLOCK_SIZE.
+BLOCK_SIZE = 1024
+VECTOR = 64
+
+N_CELLS = 256
+
+# Largest number of points from which the axis is chosen that a set of points is divided along.
+N_SAMPLED = 1000
+
+# In place of a row where a block has fewer points than `BLOCK_SIZE`.
+NO_ROW = -1
+
+SINGLE = float(np.finfo(np.float32).eps)
+LARGEST_SINGLE = float(np.finfo(np.float32).max)
+
+# Half the length of a cell, and rounding errors in single precision of the distance to it, in units of its
+# length: numbers of up to 512 lengths are rounded three times, and the factor of ten beyond that is without
+# effect on the bounds.
+HALF_CELL = 0.5 + 10 * 3 * 2 * N_CELLS * SINGLE
+
+# Exact distances in the second step, relative to k, and largest number of shapes, relative to k, for which no
+# smaller radius is computed after the last turn. See docs/decisions.md, N_FIRST.
+N_FIRST = 4
+N_LAST = 16
+
+# Number of blocks of the first turn, and its growth from turn to turn. See docs/decisions.md, N_BLOCKS.
+N_BLOCKS = 2
+GROWTH = 16
+
+# Number of blocks whose bounds are computed together without compiled code: their arrays fit the second-level
+# cache.
+N_TOGETHER = 32
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LowerBounds:
+    """The blocks of a table of points, of which each has at most S.
+
+    mean: (L,) float64, mean of the points, which is subtracted from each.
+    axes: (L, D) float64, orthonormal columns: the principal directions.
+    rows: (B, S) int32, rows of the points of each block in the table, and `NO_ROW` in the other places.
+    low, high: (B, D) float64, the smallest and the largest coordinates of each block along the axes.
+    step: (B, D) float64, lengths of the cells of each block.
+    codes: (B, D, S) uint8, numbers of the cells of each point along each axis.
+    """
+
+    mean: FloatArray
+    axes: FloatArray
+    rows: Rows
+    low: FloatArray
+    high: FloatArray
+    step: FloatArray
+    codes: NDArray[np.uint8]
+
+    @classmethod
+    def of(cls, points: FloatArray, n_leading: int = N_LEADING) -> LowerBounds:
+        """The bounds of the distances to points (N, L), at least one."""
+        mean = points.mean(axis=0)
+        _, directions = np.linalg.eigh(scatter_matrix(points, mean))  # variances ascend
+        axes = np.ascontiguousarray(directions[:, ::-1][:, :n_leading])
+        leading = np.empty((min(N_DIVIDING, axes.shape[1]), len(points)), np.float32)
+        with np.errstate(over="ignore"):
+            for start in range(0, len(points), CHUNK):
+                chunk = slice(start, start + CHUNK)
+                leading[:, chunk] = ((points[chunk] - mean) @ axes[:, : len(leading)]).T
+        parts = list(_leaves(leading, np.arange(len(points), dtype=np.int32)))
+        size = -(-max(map(len, parts)) // VECTOR) * VECTOR
+        rows = np.full((len(parts), size), NO_ROW, np.int32)
+        low, high, step = (np.empty((len(parts), axes.shape[1])) for _ in range(3))
+        codes = np.zeros((len(parts), axes.shape[1], size), np.uint8)
+        for block, part in enumerate(parts):
+            members = np.sort(part)  # ascending, because that is the order of the points in memory
+            along = (points[members] - mean) @ axes
+            low[block], high[block] = along.min(axis=0), along.max(axis=0)
+            # Not the difference by 256, because that of the largest numbers is infinite.
+            step[block] = high[block] / N_CELLS - low[block] / N_CELLS
+            with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+                cells = np.nan_to_num((along - low[block]) / step[block])  # 0 / 0 where all points are equal
+            rows[block, : len(members)] = members
+            codes[block, :, : len(members)] = np.clip(cells, 0, N_CELLS - 1).T
+        return cls(mean, axes, rows, low, high, step, codes)
+
+    def fits(self, points: FloatArray) -> bool:
+        """Whether the arrays have the shapes of the bounds of a table (N, L)."""
+        n_blocks, size = self.rows.shape
+        n_axes = self.axes.shape[1]
+        return (
+            (int(np.count_nonzero(self.rows != NO_ROW)), len(self.mean)) == points.shape
+            and self.axes.shape[0] == len(self.mean)
+            and self.low.shape == self.high.shape == self.step.shape == (n_blocks, n_axes)
+            and self.codes.shape == (n_blocks, n_axes, size)
+        )
+
+    def candidates(
+        self, point: FloatArray, k: int, radius: Callable[[Rows], float], scan: Callable[..., int]
+    ) -> NDArray[np.intp]:
+        """The shapes that can be among the k nearest.
+
+        point: (L,) float64, the query.
+        radius: function of (n,) rows that returns a distance within which at least `k` of them lie.
+        scan: the function `scan`, or that of `pcretrieve.retrieval.compiled`.
+        Returns (n,) intp: rows, ascending, that include the `k` nearest and all rows at equal distance.
+        """
+        query = (point - self.mean) @ self.axes  # (D,)
+        to_blocks = self._to_blocks(query)
+        order = np.argsort(to_blocks, kind="stable")
+        rows, to_rows = np.empty(0, np.int32), np.empty(0, np.float32)
+        limit, start, n = math.inf, 0, N_BLOCKS
+        while start < len(order) and to_blocks[order[start]] <= limit:
+            chosen = order[start : start + n]
+            found = self._to_rows(query, chosen[to_blocks[chosen] <= limit], limit, scan)
+            rows, to_rows = np.concatenate([rows, found[0]]), np.concatenate([to_rows, found[1]])
+            start, n = start + n, GROWTH * n
+            is_last = start >= len(order) or to_blocks[order[start]] > limit
+            if is_last and len(rows) <= N_LAST * k:
+                break
+            limit = min(limit, self._limit(radius(_first(rows, to_rows, N_FIRST * k))))
+            near = ~(to_rows > limit)
+            rows, to_rows = rows[near], to_rows[near]
+        return np.sort(rows).astype(np.intp)
+
+    def _to_blocks(self, query: FloatArray) -> FloatArray:
+        """(B,) squares of lower bounds of the distances to blocks; zero where a number is too large."""
+        gaps = np.maximum(np.maximum(self.low - query, query - self.high), 0.0)
+        with np.errstate(over="ignore", invalid="ignore"):
+            bounds: FloatArray = (gaps**2).sum(axis=1)
+        bounds[np.isnan(bounds)] = 0
+        return bounds
+
+    def _to_rows(
+        self, query: FloatArray, chosen: NDArray[np.intp], limit: float, scan: Callable[..., int]
+    ) -> tuple[Rows, NDArray[np.float32]]:
+        """The rows (n,) in some blocks, and squares of lower bounds of their distances, up to a limit."""
+        near = np.empty(len(chosen) * self.rows.shape[1], np.int32)
+        bounds = np.empty(len(near), np.float32)
+        blocks = self.codes, self.rows, self.low, self.step
+        n = scan(*blocks, chosen, query, HALF_CELL, np.float32(limit), near, bounds)
+        return near[:n], bounds[:n]
+
+    def _limit(self, radius: float) -> float:
+        """The largest bound that a point within a radius can have."""
+        # The factor allows for rounding errors of D terms and of their partial sums.
+        limit = (radius * radius) * (1 + 4 * (int(self.axes.shape[1]) + 8) * SINGLE)
+        return limit if limit < LARGEST_SINGLE else math.inf
+
+    def to_arrays(self) -> dict[str, NDArray[Any]]:
+        """The attributes as arrays by name: the input of `from_arrays`."""
+        return {field.name: getattr(self, field.name) for field in fields(self)}
+
+    @classmethod
+    def from_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> LowerBounds:
+        """The bounds that `to_arrays` has written as arrays."""
+        return cls(**{field.name: arrays[field.name] for field in fields(cls)})
+
+
+def scan(
+    codes: NDArray[np.uint8],
+    rows: Rows,
+    low: FloatArray,
+    step: FloatArray,
+    blocks: NDArray[np.intp],
+    query: FloatArray,
+    half: float,
+    limit: np.float32,
+    near: Rows,
+    bounds: NDArray[np.float32],
+) -> int:
+    """Find the rows of some blocks whose squared distance to their cells is at most a limit.
+
+    half: half the length of a cell, relative to it.
+    near, bounds: (b * S,), overwritten by the rows that are found, and by the squares of their distances.
+    Returns int: how many are found.
+    """
+    found = 0
+    for first in range(0, len(blocks), N_TOGETHER):
+        part = blocks[first : first + N_TOGETHER]
+        offset = (low[part] - query + step[part] / 2).astype(np.float32)
+        single, ends = step[part].astype(np.float32), (half * step[part]).astype(np.float32)
+        total = np.zeros((len(part), codes.shape[2]), np.float32)
+        with np.errstate(over="ignore", invalid="ignore"):
+            for axis in range(codes.shape[1]):
+                apart = np.abs(codes[part, axis] * single[:, axis, np.newaxis] + offset[:, axis, np.newaxis])
+                total += np.maximum(apart - ends[:, axis, np.newaxis], 0) ** 2
+        within = ~(total > limit) & (rows[part] != NO_ROW)
+        some = slice(found, found + np.count_nonzero(within))
+        near[some], bounds[some] = rows[part][within], total[within]
+        found = some.stop
+    return found
+
+
+def _leaves(leading: NDArray[np.float32], members: Rows) -> Iterator[Rows]:
+    """Divide points by the median along the axis of largest variance, until few are left in each part."""
+    if len(members) <= BLOCK_SIZE:
+        yield members
+        return
+    with np.errstate(over="ignore", invalid="ignore"):
+        sample = leading[:, members[:: -(-len(members) // N_SAMPLED)]]
+        axis = np.argmax(np.nan_to_num(sample.var(axis=1)))
+    half = len(members) // 2
+    order = np.argpartition(leading[axis, members], half)
+    yield from _leaves(leading, members[order[:half]])
+    yield from _leaves(leading, members[order[half:]])
+
+
+def _first(rows: Rows, bounds: NDArray[np.float32], n: int) -> Rows:
+    """The `n` rows with the smallest bounds, or all rows if there are fewer."""
+    return rows[np.argpartition(bounds, n - 1)[:n]] if n < len(rows) else rows
