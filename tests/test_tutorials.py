@@ -13,7 +13,6 @@ import pytest
 import shapes
 from click.testing import CliRunner
 from packages import install
-from processes import in_this_process
 
 import pcretrieve as pr
 from pcretrieve.cli.main import cli
@@ -129,7 +128,6 @@ def test_blocks_of_the_other_documents_work(tmp_path: Path, monkeypatch: pytest.
     """Python runs, and files of options have options of these names with such values."""
     monkeypatch.chdir(tmp_path)
     write_mesh(shapes.ellipsoid((1, 1.2, 1.5), subdivisions=3), tmp_path / "egg.off")
-    pr.ingest("egg.off", "a.sqlite", executor=in_this_process)  # which docs/scale.md copies
     ran = set()
     for document in OTHERS:
         names: dict[str, object] = {}
@@ -143,7 +141,7 @@ def test_blocks_of_the_other_documents_work(tmp_path: Path, monkeypatch: pytest.
                     kept = getattr(options, table).model_dump(mode="json")
                     assert {name: kept[name] for name in values} == values
             ran.add((document.name, language))
-    assert {("guide.md", "python"), ("scale.md", "python"), ("scanners.md", "toml")} <= ran
+    assert {("guide.md", "python"), ("scanners.md", "toml")} <= ran
 
 
 @pytest.mark.parametrize("notebook", NOTEBOOKS, ids=lambda path: path.stem)
