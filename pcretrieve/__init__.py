@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from pcretrieve.catalogue import Catalogue, backup, merge_catalogues
+    from pcretrieve.checks import Inspection
     from pcretrieve.descriptors import Descriptor, describe, r_bihdm, shape_dna
     from pcretrieve.errors import (
         BenchmarkError,
@@ -40,19 +41,17 @@ if TYPE_CHECKING:
     from pcretrieve.evaluation import RetrievalMeasures, calibrate, compare, evaluate, matrix
     from pcretrieve.formats import read_scan, write_cloud, write_mesh, write_signatures
     from pcretrieve.ingestion import DaskExecutor
+    from pcretrieve.ingestion.arrivals import watch
+    from pcretrieve.ingestion.problems import report_problem
+    from pcretrieve.ingestion.progress import status
     from pcretrieve.ingestion.recomputing import check
-    from pcretrieve.inspection import Inspection, report_problem, signature_spread
-    from pcretrieve.interface import (
-        ingest,
-        inspect,
-        merge_views,
-        retry,
-        status,
-        watch,
-    )
+    from pcretrieve.ingestion.run import ingest, retry
+    from pcretrieve.ingestion.views import merge_views
     from pcretrieve.matching import DistanceMatrix, read_matrix, write_matrix
     from pcretrieve.options import MergeOptions, PipelineOptions
     from pcretrieve.pages import draw_map, query_page, report
+    from pcretrieve.pages.inspecting import inspect
+    from pcretrieve.pipeline.inspecting import signature_spread
     from pcretrieve.pipeline.process import process, reconstruct, signature
     from pcretrieve.query import Answer, cluster, duplicates, search, search_many
     from pcretrieve.retrieval import SignatureIndex, Whitening
@@ -208,21 +207,16 @@ _HOMES = {
         "write_mesh",
         "write_signatures",
     ),
+    "pcretrieve.checks": ("Inspection",),
     "pcretrieve.ingestion": ("DaskExecutor",),
-    "pcretrieve.inspection": (
-        "Inspection",
-        "report_problem",
-        "signature_spread",
-    ),
+    "pcretrieve.ingestion.arrivals": ("watch",),
+    "pcretrieve.ingestion.problems": ("report_problem",),
+    "pcretrieve.ingestion.progress": ("status",),
+    "pcretrieve.ingestion.run": ("ingest", "retry"),
+    "pcretrieve.ingestion.views": ("merge_views",),
+    "pcretrieve.pages.inspecting": ("inspect",),
+    "pcretrieve.pipeline.inspecting": ("signature_spread",),
     "pcretrieve.ingestion.recomputing": ("check",),
-    "pcretrieve.interface": (
-        "ingest",
-        "inspect",
-        "merge_views",
-        "retry",
-        "status",
-        "watch",
-    ),
     "pcretrieve.matching": (
         "DistanceMatrix",
         "read_matrix",

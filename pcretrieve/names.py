@@ -46,7 +46,6 @@ NAMES = {
         Names(
             "matcher", "pcretrieve.matchers", ("heat-hausdorff", "hks-bow-gallery", "mds-cm-bof", "meshsift")
         ),
-        Names("executor", "pcretrieve.executors", ("processes",)),
     )
 }
 

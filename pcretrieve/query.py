@@ -463,11 +463,12 @@ def described(
 ) -> Iterator[tuple[Path, Described | PcretrieveError]]:
     """The signatures of scans, computed in this process."""
     # Imported here, because shapes of the catalogue are found without the stages.
-    from pcretrieve.pipeline.process import judged_signature
+    from pcretrieve.pipeline.process import described_shape
 
     for scan in scans:
         try:
-            yield scan, Described(*judged_signature(scan, options))
+            signature, shape = described_shape(scan, options)
+            yield scan, Described(signature, shape.verdict)
         except ShapeError as error:
             yield scan, error
 
@@ -477,12 +478,12 @@ def pictured(scan: Path, options: PipelineOptions, up: str | None = None) -> Des
     from pcretrieve.draw import thumbnail, upward
     from pcretrieve.pipeline.process import described_shape
 
-    signature, verdict, shape = described_shape(scan, options)
+    signature, shape = described_shape(scan, options)
     mesh, picture = shape.surfaces[0].mesh, None
     if mesh is not None:
         with suppress(DegenerateMeshError):
             picture = thumbnail(mesh.vertices, mesh.faces, up=mesh.up if up is None else upward(up))
-    return Described(signature, verdict, picture)
+    return Described(signature, shape.verdict, picture)
 
 
 def _signature_of(catalogue: Catalogue, scan: ScanLike, question: Question) -> Signature:
@@ -524,7 +525,7 @@ def _query_of(
         return name, _stored(catalogue, query)
     if question.matrix is None and question.unit not in (None, catalogue.options.scan.unit):
         return name, path  # sizes in another unit: a shape of the same content does not stand for the file
-    from pcretrieve.ingestion.discover import content_hash
+    from pcretrieve.formats.identity import content_hash
 
     done = (record.id for record in catalogue.with_content(content_hash(path)) if record.status == "done")
     return name, next(done, path)

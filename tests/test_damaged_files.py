@@ -14,14 +14,12 @@ import shapes
 from bounds import Findings, read_damaged
 from mutations import altered, mutated
 
-from pcretrieve import Catalogue, PipelineOptions, calibrate
+from pcretrieve import Catalogue, PipelineOptions, calibrate, ingest, status
 from pcretrieve.catalogue import cache
 from pcretrieve.evaluation import rank_catalogue, read_scores, write_evaluation
 from pcretrieve.formats import write_mesh
-from pcretrieve.ingestion.batch import batch_status
 from pcretrieve.ingestion.discover import discover
 from pcretrieve.ingestion.labels import read_labels
-from pcretrieve.ingestion.run import ingest_files
 from pcretrieve.matching import DistanceMatrix, read_matrix, write_matrix
 from pcretrieve.retrieval import read_whitening
 
@@ -57,8 +55,7 @@ def read_catalogue(path: Path) -> object:
 def read_status(path: Path) -> object:
     catalogue = path.with_name("indexed.sqlite")
     path.replace(path.with_name(".indexed.sqlite.batch"))
-    with Catalogue(catalogue) as store:
-        return batch_status(store)
+    return status(catalogue)
 
 
 def read_index(path: Path) -> object:
@@ -87,7 +84,7 @@ def written(folder: Path) -> dict[str, Target]:
     labels = {f"egg{number}": f"class{number // 2}" for number in range(6)}
     for name in ("c.sqlite", "indexed.sqlite"):
         with Catalogue(folder / name, create=True) as store:
-            ingest_files(discover([scans]), store, labels=labels)
+            ingest(discover([scans]), store, labels=labels)
             if name == "indexed.sqlite":
                 store.index()
             else:

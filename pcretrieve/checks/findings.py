@@ -10,17 +10,21 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from pcretrieve.checks.check import Check
+from pcretrieve.checks.grading import Check
 from pcretrieve.checks.points import normal_checks, point_checks
-from pcretrieve.checks.spectra import spectrum_checks
-from pcretrieve.checks.surfaces import base_check, fit_checks, marks_check, mesh_check, surface_checks
+from pcretrieve.checks.surfaces import (
+    base_check,
+    fit_checks,
+    marks_check,
+    mesh_check,
+    spectrum_checks,
+    surface_checks,
+)
 from pcretrieve.draw.open3d import RayScene
 from pcretrieve.points.density import local_spacings
 from pcretrieve.points.neighbors import SPACING_NEIGHBORS, Neighborhoods, nearest
 from pcretrieve.surface import SurfaceMarks
 from pcretrieve.values import FloatArray, PointCloud, Shape, TriangleMesh
-
-__all__ = ["Findings", "findings_of"]
 
 # Number of neighbours with whose normals the normal of a point is compared.
 N_NEIGHBORS = 8

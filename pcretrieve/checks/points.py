@@ -5,10 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from pcretrieve.checks.check import Check, Limits, graded, percent
+from pcretrieve.checks.grading import Check, Limits, graded, percent
 from pcretrieve.values import FloatArray, PointCloud
-
-__all__ = ["normal_checks", "point_checks"]
 
 # What scans of known quality have: see docs/decisions.md, SPACING, and the rows below it.
 SPACING: Limits = (0.005, 0.015)

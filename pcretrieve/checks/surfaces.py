@@ -1,15 +1,15 @@
-"""Checks of the surface of a scan, and of how well points and surface fit each other."""
+"""Checks of the surface of a scan, of its spectra, and of how well points and surface fit each other."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
 
-from pcretrieve.checks.check import Check, Limits, counted, graded, percent
-from pcretrieve.surface import defects
-from pcretrieve.values import Step, TriangleMesh
+import numpy as np
 
-__all__ = ["base_check", "fit_checks", "marks_check", "mesh_check", "surface_checks"]
+from pcretrieve.checks.grading import Check, Limits, graded, percent
+from pcretrieve.surface import defects
+from pcretrieve.values import Shape, Step, TriangleMesh
 
 # What scans of known quality have: see docs/decisions.md, UNSUPPORTED, and the rows below it.
 UNSUPPORTED: Limits = (0.01, 0.15)
@@ -44,6 +44,19 @@ ERROR_OF_WELDS = 0.3
 # neighbours and have no effect: the mesh is doubtful, and not unusable for that reason alone.
 WELDS_OF_PARTS = 5
 
+# Smallest ratio of the first two positive eigenvalues of one body. See docs/decisions.md, NECK.
+NECK = 0.2
+NECK_ERROR = 0.45
+
+# Number of eigenvalues that are compared between surfaces, as many as the values of the paper's signature.
+N_COMPARED = 23
+
+# See docs/decisions.md, DISAGREEMENT.
+DISAGREEMENT: Limits = (0.08, 0.4)
+
+# Ratio of the deviation of this signature over surfaces to that of the eigenvalues.
+ERROR_OF_DISAGREEMENT = 2.0
+
 
 def surface_checks(mesh: TriangleMesh) -> list[Check]:
     """Check whether a surface is one closed manifold, and count its handles."""
@@ -67,7 +80,7 @@ def surface_checks(mesh: TriangleMesh) -> list[Check]:
             "Handles",
             "look" if handles else "passed",
             float(handles),
-            f"{counted(handles, 'handle')}, Euler characteristic {mesh.euler_characteristic}",
+            f"{_counted(handles, 'handle')}, Euler characteristic {mesh.euler_characteristic}",
             "Right for a ring or a mug. If the body has no handle, parts that touch have fused: pose it with "
             "limbs apart, or set surface.genus = 'sphere'."
             if handles
@@ -83,7 +96,7 @@ def mesh_check(provenance: Sequence[Step]) -> list[Check]:
             "Welds",
             "look" if step.sizes["non_manifold"] else "passed",
             step.sizes["non_manifold"],
-            counted(int(step.sizes["non_manifold"]), "non-manifold vertex or edge"),
+            _counted(int(step.sizes["non_manifold"]), "non-manifold vertex or edge"),
             "Parts of the body may be joined where they only touch: separate these vertices and edges."
             if step.sizes["non_manifold"]
             else "No vertex or edge joins parts of the mesh.",
@@ -168,10 +181,52 @@ def marks_check(n_cuts: int, n_bridges: int) -> Check:
         "Cuts and bridges",
         "look" if n else "passed",
         float(n),
-        f"{counted(n_cuts, 'cut')}, {counted(n_bridges, 'bridge')}",
+        f"{_counted(n_cuts, 'cut')}, {_counted(n_bridges, 'bridge')}",
         "Look at the rings: parts that touch were separated there, or a loose part was connected; pose limbs "
         "apart, and scan between them."
         if n
         else "No parts had to be separated or connected.",
         ERROR_OF_CUT * math.sqrt(n),
     )
+
+
+def spectrum_checks(shape: Shape) -> list[Check]:
+    """Check whether the surface is that of one body, and whether all surfaces of the scan agree."""
+    logs = np.log([surface.spectrum.eigenvalues[1:] for surface in shape.surfaces if surface.spectrum])
+    checks = []
+    if logs.size and logs.shape[1] > 1:
+        ratio = float(np.exp(logs[0, 0] - logs[0, 1]))
+        narrow = ratio < NECK
+        checks.append(
+            Check(
+                "One body",
+                "look" if narrow else "passed",
+                ratio,
+                f"the first eigenvalue is {ratio:.2g} of the second",
+                "A narrow neck joins two parts of one size, as where two bodies touch: give each body a file "
+                "of its own."
+                if narrow
+                else "No narrow neck divides the surface into halves.",
+                NECK_ERROR if narrow else 0.0,
+            )
+        )
+    if len(logs) > 1:
+        apart = float(np.linalg.norm(logs[:, :N_COMPARED].std(axis=0, ddof=1)))
+        checks.append(
+            graded(
+                "Surfaces",
+                apart,
+                DISAGREEMENT,
+                f"{apart:.2g} between the spectra of {len(logs)} surfaces",
+                passed="The surfaces on grids of different voxels agree.",
+                poor="The surface depends on the grid where parts touch or are thin: scan more densely, pose "
+                "limbs apart, and repair a mesh that is welded.",
+                error=ERROR_OF_DISAGREEMENT * apart,
+            )
+        )
+    return checks
+
+
+def _counted(n: int, name: str) -> str:
+    """A number with its noun, such as "1 cut" and "2 cuts"."""
+    return f"{n} {name}" if n == 1 else f"{n} {name}s"

@@ -49,7 +49,7 @@ def each_scan(
 ) -> Iterator[tuple[Path, Answer | Failure]]:
     """Apply a function to scans in processes, in their order, and show progress if there are several."""
     from pcretrieve.ingestion.discover import printable
-    from pcretrieve.ingestion.isolation import in_processes
+    from pcretrieve.ingestion.pool import in_processes
 
     finished: dict[Path, Answer | Failure] = {}
     n_yielded = 0

@@ -14,8 +14,7 @@ from pcretrieve.catalogue import Catalogue
 from pcretrieve.errors import BenchmarkError, InputError
 from pcretrieve.evaluation.folds import Subset, rank_subsets, rank_table, rerank_table, unsupervised
 from pcretrieve.evaluation.rankings import Rankings, rank
-from pcretrieve.ingestion.labels import match_labels
-from pcretrieve.ingestion.layouts import labels_of
+from pcretrieve.ingestion.labels import labels_of, match_labels
 from pcretrieve.matching import DistanceMatrix
 from pcretrieve.options import PipelineOptions, RerankKind
 from pcretrieve.retrieval import resolution_covariance, table_whitening

@@ -20,7 +20,7 @@ from pcretrieve.evaluation.measures import (
     query_scores,
 )
 from pcretrieve.evaluation.published import PUBLISHED, Published
-from pcretrieve.ingestion.layouts import LAYOUTS
+from pcretrieve.ingestion.labels import LAYOUTS
 from pcretrieve.matching import MATCHERS, DistanceMatrix, PairwiseIndex, distance_matrix
 from pcretrieve.options import OptionsLike, PipelineOptions
 from pcretrieve.retrieval import Ranking, SignatureIndex, Whitening, write_whitening

@@ -51,7 +51,7 @@ def _track(number: int) -> tuple[Published, ...]:
     )
 
 
-#: The measures by the name of a layout, as in `pcretrieve.ingestion.layouts.LAYOUTS`.
+#: The measures by the name of a layout, as in `pcretrieve.ingestion.labels.LAYOUTS`.
 PUBLISHED: Mapping[str, tuple[Published, ...]] = MappingProxyType(
     {
         "shrec11": tuple(Published(method, (*values, None), TABLE_3) for method, values in _SHREC11.items()),

@@ -4,9 +4,8 @@ In come files, folders, globs and manifests; out comes one row of a catalogue fo
 executor, by default in isolated worker processes.
 """
 
-from pcretrieve.ingestion.batch import BatchStatus
 from pcretrieve.ingestion.cluster import DaskExecutor
-from pcretrieve.ingestion.executors import EXECUTORS, Executor
-from pcretrieve.ingestion.isolation import Isolation
+from pcretrieve.ingestion.pool import Executor, Isolation, in_processes
+from pcretrieve.ingestion.progress import BatchStatus
 
-__all__ = ["EXECUTORS", "BatchStatus", "DaskExecutor", "Executor", "Isolation"]
+__all__ = ["BatchStatus", "DaskExecutor", "Executor", "Isolation", "in_processes"]

@@ -1,20 +1,80 @@
-"""The scans that arrive in a folder, as soon as they stop growing."""
+"""The scans that arrive in a folder, processed as soon as they stop growing."""
 
 from __future__ import annotations
 
 import os
+import time
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 from pathlib import Path
 from typing import TypeAlias
 
+from pcretrieve.catalogue import CatalogueLike, Record, opened
 from pcretrieve.errors import InputError, ScanReadError
 from pcretrieve.formats import Part, is_scan, parts_of
 from pcretrieve.ingestion.discover import discover
-
-__all__ = ["Arrivals"]
+from pcretrieve.ingestion.pool import Executor, in_processes
+from pcretrieve.ingestion.run import Processing, Summary, process_scans
+from pcretrieve.options import OptionsLike, PipelineOptions
 
 # Inode, bytes, and time of the last change, nanoseconds.
 State: TypeAlias = tuple[int, int, int]
+
+
+def watch(
+    folder: str | Path,
+    catalogue: CatalogueLike,
+    *,
+    options: OptionsLike = None,
+    interval: float = 5.0,
+    workers: int | None = None,
+    timeout: float = 600.0,
+    memory: float | None = None,
+    executor: Executor = in_processes,
+    retries: int = 0,
+    on_shape: Callable[[Record], None] = lambda record: None,
+) -> Iterator[Summary]:
+    """Process the scans that are in a folder, and those that arrive, as soon as they stop growing.
+
+    A file is processed when two looks have found it unchanged. One that changes afterwards is processed
+    again, and replaces its earlier result.
+
+    Parameters
+    ----------
+    folder : str or Path
+        The folder, with its subfolders.
+    catalogue : Catalogue, str or Path
+        The catalogue in which the shapes are stored. A file that does not exist is created.
+    options : OptionsLike, optional
+        The options of a new catalogue. By default the options of an existing catalogue, or the defaults.
+    interval : float, default 5
+        Time between two looks into the folder; seconds.
+    workers, timeout, memory, executor, retries, on_shape : object, optional
+        As for `pcretrieve.ingest`.
+
+    Yields
+    ------
+    Summary
+        The records of the scans that have arrived together, after they were processed. There is no last one.
+
+    Raises
+    ------
+    InputError
+        If there is no such folder.
+    OptionError
+        If there is no such option.
+    CatalogueError
+        If the catalogue was built with other options, or cannot be opened or written.
+    """
+    arrivals = Arrivals(Path(folder))
+    chosen = None if options is None else PipelineOptions.of(options)
+    how = Processing(workers, timeout, memory, executor, retries=retries, on_shape=on_shape)
+    with opened(catalogue, chosen, create=True) as store:
+        while True:
+            if scans := arrivals.look():
+                yield process_scans(scans, store, how)
+            else:
+                time.sleep(interval)
 
 
 class Arrivals:

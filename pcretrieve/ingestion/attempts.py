@@ -1,29 +1,34 @@
-"""A scan that failed, and its error → the next attempt: what is changed, in which order, and when."""
+"""One attempt at a scan in a worker process; if it fails: the next attempt, and what is changed for it."""
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from pcretrieve.catalogue import Record
+from pcretrieve.catalogue import Content, Record
+from pcretrieve.descriptors import describe
+from pcretrieve.draw import thumbnail
 from pcretrieve.errors import (
+    DegenerateMeshError,
     InputError,
     MemoryExceeded,
     PcretrieveError,
     ScanReadError,
+    Stage,
     StageTimeout,
     UnexpectedError,
     WorkerDied,
+    in_stage,
 )
 from pcretrieve.options import PipelineOptions
+from pcretrieve.pipeline.process import process
 from pcretrieve.values import Step
-
-__all__ = ["Attempt", "next_attempt"]
 
 Changes = dict[str, dict[str, Any]]
 
-#: The edge of voxels with which a scan is tried again, in place of ``auto``: that of the second, coarser
+# The edge of voxels with which a scan is tried again, in place of ``auto``: that of the second, coarser
 #: surface of noisy scans. See docs/decisions.md, COARSE_CELL.
 COARSE_CELL = 0.006
 
@@ -47,6 +52,25 @@ class Attempt:
         if not self.notes:
             return ()
         return (Step("retry", 0.0, {"attempts": len(self.notes) + 1}, self.notes),)
+
+
+def work_on(options: PipelineOptions, attempt: Attempt) -> Content:
+    """What the catalogue stores of one scan."""
+    return content_of(attempt.path, options.changed(**attempt.changes))
+
+
+def content_of(path: Path, options: PipelineOptions) -> Content:
+    """Process one scan."""
+    shape = process(path, options)
+    with in_stage(Stage.SIGNATURE):
+        signature = describe(shape, options.signature).values
+    picture = None
+    if "meshes" in options.catalogue.keep and shape.surfaces[0].mesh is not None:
+        with suppress(DegenerateMeshError):
+            picture = thumbnail(shape.mesh.vertices, shape.mesh.faces, up=shape.mesh.up)
+    # Points and eigenvectors are not stored, and are not sent to the process that stores the content.
+    surfaces = tuple(replace(surface, eigenpairs=None) for surface in shape.surfaces)
+    return Content(replace(shape, surfaces=surfaces, cloud=None), signature, picture)
 
 
 def next_attempt(attempt: Attempt, error: PcretrieveError, options: PipelineOptions) -> Attempt | None:

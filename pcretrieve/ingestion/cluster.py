@@ -11,6 +11,9 @@ CHUNK_SECONDS.
 from __future__ import annotations
 
 import logging
+import multiprocessing
+import os
+import threading
 import time
 from collections import deque
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
@@ -22,11 +25,9 @@ from typing import Any, Generic, TypeVar
 from uuid import uuid4
 
 from pcretrieve.errors import InputError, PcretrieveError, WorkerDied
-from pcretrieve.ingestion.chunks import dismiss, outcomes_of
-from pcretrieve.ingestion.isolation import Isolation
-from pcretrieve.ingestion.versions import versions
-
-__all__ = ["DaskExecutor"]
+from pcretrieve.ingestion.plan import versions
+from pcretrieve.ingestion.pool import Isolation
+from pcretrieve.ingestion.worker import Worker
 
 logger = logging.getLogger(__name__)
 
@@ -49,6 +50,14 @@ LOST = (
     "the connection to the Dask scheduler was lost, or the scheduler has ended: the same command goes on from"
     " there when the cluster works again"
 )
+
+OTHER_VERSION = (
+    "the workers of the Dask cluster must have pcretrieve, and its plug-ins, in the version of this computer"
+)
+
+# For each thread and ingest, the child process that waits for the next chunk; the ingests that have ended.
+_IDLE: dict[tuple[int, str], list[Worker[Any, Any]]] = {}
+_ENDED: set[str] = set()
 
 
 @dataclass(frozen=True, slots=True)
@@ -155,7 +164,7 @@ class _Run(Generic[Item, Answer]):
         finally:
             with suppress(Exception):  # the scheduler may have ended
                 self._client.cancel(list(self._chunks))
-                self._client.run(dismiss, self._name)
+                self._client.run(_dismiss, self._name)
 
     def _most_chunks(self) -> int:
         with _connection():
@@ -167,7 +176,7 @@ class _Run(Generic[Item, Answer]):
     def _submitted(self, chunk: Sequence[Item]) -> Any:
         arguments = (self._function, chunk, self._isolation, versions(), self._name)
         with _connection():
-            return self._client.submit(outcomes_of, *arguments, pure=False)
+            return self._client.submit(_outcomes_of, *arguments, pure=False)
 
     def _next_chunk(self, items: Iterator[Item]) -> list[Item]:
         """The items of the next chunk; none if there are no more items."""
@@ -196,7 +205,9 @@ class _Run(Generic[Item, Answer]):
         except PcretrieveError:
             raise
         except (Exception, CancelledError) as error:
-            raise PcretrieveError(_reason(error) if future.status == "error" else LOST) from error
+            raise PcretrieveError(
+                f"{OTHER_VERSION}: {type(error).__name__}: {error}" if future.status == "error" else LOST
+            ) from error
         else:
             self._n_items += len(chunk)
             self._seconds += seconds
@@ -212,14 +223,6 @@ def _connection() -> Iterator[None]:
         yield
     except (OSError, ClosedClientError) as error:
         raise PcretrieveError(LOST) from error
-
-
-def _reason(error: BaseException) -> str:
-    """Why the cluster does not work."""
-    return (
-        f"the workers of the Dask cluster must have pcretrieve, and its plug-ins, in the version of this "
-        f"computer: {type(error).__name__}: {error}"
-    )
 
 
 @contextmanager
@@ -256,3 +259,45 @@ def _connected(executor: DaskExecutor, workers: int | None) -> Iterator[Any]:
         raise PcretrieveError(f"no Dask scheduler answers at {where}: {error}") from error
     with client:
         yield client
+
+
+# --- in the Dask worker -------------------------------------------------------------------------------
+
+
+def _dismiss(ingest: str) -> None:
+    """Stop the processes of this Dask worker that wait for chunks of an ingest, which has ended."""
+    _ENDED.add(ingest)
+    for key in [key for key in _IDLE if key[1] == ingest]:
+        for worker in _IDLE.pop(key):
+            worker.stop()
+
+
+def _outcomes_of(
+    function: Callable[[Item], Answer],
+    items: Sequence[Item],
+    isolation: Isolation,
+    expected: dict[str, str],
+    ingest: str,
+) -> tuple[list[Answer | PcretrieveError], float]:
+    """Process a chunk in a child process."""
+    here = versions()
+    if here != expected:
+        differing = ", ".join(
+            f"{name} {here.get(name)} instead of {version}"
+            for name, version in expected.items()
+            if here.get(name) != version
+        )
+        raise InputError(f"a Dask worker must have the versions of the computer that writes, got {differing}")
+    # The worker processes of Dask are daemons by default, which may not have child processes, because these
+    # would outlive them. The processes of `Isolation` end with their parent process.
+    multiprocessing.current_process().daemon = False
+    # Dask has its worker processes give freed memory back at once, which would slow the child processes down
+    # by a factor of 1.7: docs/decisions.md, MALLOC_TRIM_THRESHOLD_.
+    os.environ.pop("MALLOC_TRIM_THRESHOLD_", None)
+    started = time.monotonic()
+    key = threading.get_ident(), ingest
+    idle = _IDLE.pop(key, [])
+    answers = [answer for _, answer in isolation.each(function, items, idle=idle)]
+    if ingest not in _ENDED:
+        _IDLE[key] = idle
+    return answers, time.monotonic() - started

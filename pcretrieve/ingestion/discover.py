@@ -1,105 +1,71 @@
-"""Paths, folders, globs and manifests → the files of scans; content hashes and ids of files."""
+"""Paths, folders, globs and manifests → the files of scans; their ids, and the parts of a job array."""
 
 from __future__ import annotations
 
+import csv
 import glob
 import hashlib
+import io
 import logging
 import os
+import re
+import stat
+from collections import Counter
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from pathlib import Path
 
-from pcretrieve.errors import InputError, ScanReadError
+from pcretrieve.errors import InputError, OptionError, ScanReadError
 from pcretrieve.formats import (
-    MARK,
-    check_file,
     is_scan,
-    local_copy,
     members_of,
+    missing_extra,
     parts_of,
     remote_files,
-    remote_version,
     split_member,
     suffixes,
     url_of,
 )
-from pcretrieve.ingestion.manifests import MANIFESTS, read_manifest
-from pcretrieve.ingestion.unread import unread_files
-
-__all__ = ["content_hash", "discover", "file_hash", "printable", "scan_hash", "shape_ids"]
+from pcretrieve.formats.identity import content_hash as content_hash
+from pcretrieve.formats.identity import printable as printable
 
 logger = logging.getLogger(__name__)
 
-CHUNK = 1 << 20
+# Suffixes of manifests, of which files may also be tables of points, and the columns with the paths.
+MANIFESTS = frozenset({".txt", ".csv"})
+PATH_COLUMNS = ("path", "file", "filename", "name")
+
+# What other programs write instead, for formats without a specification or a reader that is free.
+EXPORTS = {
+    ".glb": ".fbx .blend .usd .usda .usdc .usdz .abc .max .ma .mb .c4d .3ds .x3d",
+    ".stl": ".step .stp .iges .igs .sldprt .sldasm .ipt .3dm .f3d .x_t .brep",
+    ".e57": ".fls .fws .zfs .zfprj .rcp .rcs .rdbx .imp .lgs",
+    ".ply": ".vtk .vtp .vtu .ctm .nvm .mesh .wrp",
+}
+EXPORT = {suffix: target for target, suffixes in EXPORTS.items() for suffix in suffixes.split()}
+
+# Suffixes of files left unread that are named; further ones are counted together.
+MOST_NAMED = 8
+
+# Number of bytes at the beginning and at the end of a file that choose its shard. All tasks read these bytes
+# of all files, but only one task reads the rest of a file.
+END = 4096
 
 
 def discover(arguments: Sequence[str | Path], beside: Iterable[str | Path] = ()) -> list[Path]:
-    """Find the files of scans.
-
-    A warning names the files in a folder that are not scans.
-    """
+    """Find the files of scans; a warning names the files in a folder that are not scans, nor in `beside`."""
     known = {_absolute(Path(path)) for path in beside}
     found: dict[Path, None] = {}
     for argument in arguments:
         for path in _expand(argument, known):
             found.setdefault(_absolute(path))
-    return [scan for path in _without_parts(list(found)) for scan in _scans_in(path)]
-
-
-def content_hash(path: Path) -> str:
-    """The SHA-256 hash of a scan."""
-    file, _ = split_member(path)
-    return scan_hash(path, file_hash(file))
-
-
-def file_hash(file: Path) -> str:
-    """The SHA-256 hash of a file and of the parts that the file names.
-
-    That of a file at a URL is computed from what the store says of its content, if possible.
-    """
-    if url_of(file) is not None:
-        version = remote_version(file)
-        if version is not None:
-            return hashlib.sha256(version.encode()).hexdigest()
-        with local_copy(file) as copied:
-            return file_hash(copied)
-    digest = hashlib.sha256()
-    part = file
-    try:
-        check_file(file)
-        for part in [file, *(part.path for part in parts_of(file))]:
-            check_file(part)
-            with part.open("rb") as opened:
-                while chunk := opened.read(CHUNK):
-                    digest.update(chunk)
-    except ScanReadError as error:
-        if str(part) in error.message:
-            raise
-        raise ScanReadError(f"{part}: {error.message}") from error
-    # A path with a zero byte, from a binary file in place of a manifest, raises a ValueError.
-    except (OSError, ValueError) as error:
-        raise ScanReadError(f"cannot read {part}: {getattr(error, 'strerror', None) or error}") from error
-    return digest.hexdigest()
-
-
-def scan_hash(path: Path, hash_of_file: str) -> str:
-    """The hash of a scan, given that of its file."""
-    _, name = split_member(path)
-    if name is None:
-        return hash_of_file
-    return hashlib.sha256(os.fsencode(f"{hash_of_file}{MARK}{name}")).hexdigest()
-
-
-def printable(text: str | Path) -> str:
-    """Escape the bytes of a file name that are not UTF-8, so that it can be printed and stored."""
-    url = url_of(text) if isinstance(text, Path) else None
-    return os.fsencode(url or text).decode("utf-8", "backslashreplace")
+    parts = _parts(found)
+    return [scan for path in found if path not in parts for scan in _scans_in(path)]
 
 
 def shape_ids(paths: Collection[str], taken: Mapping[str, str]) -> dict[str, str]:
     """Choose an id for each path: its name without suffix, with a number if another path has this id.
 
-    That of a scan ``file.suffix#name`` is ``file#name``.
+    That of a scan ``file.suffix#name`` is ``file#name``. `taken` has the paths of the ids there are.
     """
     # Imported here, because commands that only look for scans should not wait for the import of descriptors.
     from pcretrieve.catalogue import numbered_id
@@ -121,27 +87,60 @@ def shape_ids(paths: Collection[str], taken: Mapping[str, str]) -> dict[str, str
     return {path: ids[path] for path in paths}
 
 
+def scans_of(shard: str | None, scans: Sequence[Path]) -> Sequence[Path]:
+    """The scans that a task of a job array processes, whose shard is written as ``I/N``.
+
+    The shard of a scan depends on its content only: new files change the shard of no other file, and copies
+    of a file are in its shard, which skips them as duplicates.
+    """
+    if shard is None:
+        return scans
+    match = re.fullmatch(r"([0-9]{1,9})/([0-9]{1,9})", shard)
+    if match is None:
+        raise OptionError(f"a shard must be I/N, such as 3/10, got {shard!r}")
+    number, n = int(match[1]), int(match[2])
+    if not 1 <= number <= n:
+        raise OptionError(f"a shard must be I/N with I from 1 to N, got {number}/{n}")
+    return [scan for scan in scans if int.from_bytes(_shard_key(scan), "big") % n == number - 1]
+
+
+def unread_files(paths: Iterable[Path]) -> str:
+    """Say how many files of which suffix are left unread, and what would read them."""
+    counts = Counter(path.suffix.lower() or "without a suffix" for path in paths)
+    advice = {}
+    for suffix in counts:
+        extra = missing_extra(suffix)
+        export = f" (export them as {EXPORT[suffix]})" if suffix in EXPORT else ""
+        advice[suffix] = export if extra is None else f" ({extra.command})"
+    order = sorted(counts, key=lambda suffix: (not advice[suffix], -counts[suffix], suffix))
+    said = [f"{counts[suffix]} {suffix}{advice[suffix]}" for suffix in order[:MOST_NAMED]]
+    if rest := sum(counts[suffix] for suffix in order[MOST_NAMED:]):
+        said.append(f"{rest} others")
+    return ", ".join(said)
+
+
 def _expand(argument: str | Path, beside: Collection[Path]) -> list[Path]:
+    """The scans that one argument names, and the parts of scans among them."""
     if not str(argument):
         raise InputError("a path must not be empty: name a file or a folder")
     path = Path(argument)
+    url = url_of(path)
     try:
-        if url_of(path) is not None:
-            return _remote_scans(path)
-        if path.is_dir():
+        if url is not None:
+            # The file of a URL with the suffix of a format, whatever it has; else the scans in a folder.
+            if split_member(path)[0].suffix.lower() in suffixes() and not glob.has_magic(path.name):
+                return [path]
+            files = remote_files(path)
+        elif path.is_dir():
             files = _files_below(path)
         elif path.exists():
-            return read_manifest(path) if _is_manifest(path) else [path]
+            return _named_by(path)
         elif split_member(path)[0].exists():
             return [path]
         elif glob.has_magic(str(argument)):
             matches = [Path(name) for name in sorted(glob.glob(str(argument), recursive=True))]
             if path.suffix.lower() in MANIFESTS:
-                return [
-                    scan
-                    for match in matches
-                    for scan in (read_manifest(match) if _is_manifest(match) else [match])
-                ]
+                return [scan for match in matches for scan in _named_by(match)]
             files = [file for match in matches for file in _files_below(match)]
         else:
             raise InputError(f"there is no file or folder {path}")
@@ -152,29 +151,42 @@ def _expand(argument: str | Path, beside: Collection[Path]) -> list[Path]:
     unread = unread_files(file for file in files if file not in scans and _absolute(file) not in expected)
     if not scans:
         left = f", but {unread}" if unread else ""
-        raise InputError(f"{path} names no scans{left}; known are {' '.join(sorted(suffixes()))}")
+        raise InputError(f"{url or path} names no scans{left}; known are {' '.join(sorted(suffixes()))}")
     if unread:
-        logger.warning("left unread in %s: %s", path, unread)
+        logger.warning("left unread in %s: %s", url or path, unread)
     return list(scans)
 
 
-def _remote_scans(path: Path) -> list[Path]:
-    """The file of a URL with the suffix of a format, whatever it has; else the scans in a folder."""
-    if split_member(path)[0].suffix.lower() in suffixes() and not glob.has_magic(path.name):
+def _named_by(path: Path) -> list[Path]:
+    """The scans that a manifest names, or the file itself."""
+    if path.suffix.lower() not in MANIFESTS or is_scan(path):
         return [path]
-    files = remote_files(path)
-    scans = [file for file in files if is_scan(file)]
-    unread = unread_files(file for file in files if file not in set(scans))
+    try:
+        # Reading a pipe or a device may never end.
+        if not path.is_file():
+            raise InputError(f"the manifest {path} must be a regular file, not a pipe or a device")
+        text = path.read_text(encoding="utf-8-sig")
+    except (OSError, UnicodeDecodeError) as error:
+        reason = getattr(error, "strerror", None) or "it is not UTF-8 text"
+        raise InputError(f"cannot read the manifest {path}: {reason}") from error
+    if path.suffix.lower() == ".csv":
+        try:
+            rows = csv.DictReader(io.StringIO(text, newline=""), strict=True)
+            header = {name.strip().lower(): name for name in rows.fieldnames or ()}
+            column = next((header[name] for name in PATH_COLUMNS if name in header), None)
+            if column is None:
+                raise InputError(f"the manifest {path} must have a column {' or '.join(PATH_COLUMNS)}")
+            names = [(row[column] or "").strip() for row in rows]
+        except csv.Error as error:
+            raise InputError(f"the manifest {path} is not a CSV file: {error}") from error
+    else:
+        # Not by splitlines: names may have its other separators, such as U+2028.
+        names = [line.strip() for line in text.split("\n") if not line.lstrip().startswith("#")]
+    # Missing files are not an error here: reading them fails later, as a failure of one shape.
+    scans = [Path(name) if url_of(Path(name)) else path.parent / name for name in names if name]
     if not scans:
-        left = f", but {unread}" if unread else ""
-        raise InputError(f"{url_of(path)} names no scans{left}; known are {' '.join(sorted(suffixes()))}")
-    if unread:
-        logger.warning("left unread in %s: %s", url_of(path), unread)
+        raise InputError(f"the manifest {path} names no scans")
     return scans
-
-
-def _is_manifest(path: Path) -> bool:
-    return path.suffix.lower() in MANIFESTS and not is_scan(path)
 
 
 def _files_below(path: Path) -> list[Path]:
@@ -206,11 +218,6 @@ def _scans_in(path: Path) -> tuple[Path, ...]:
         return (path,)  # reading it as a scan will report why
 
 
-def _without_parts(paths: list[Path]) -> list[Path]:
-    parts = _parts(paths)
-    return [path for path in paths if path not in parts]
-
-
 def _parts(paths: Iterable[Path]) -> set[Path]:
     """The files that belong to scans, by their absolute names."""
     parts: set[Path] = set()
@@ -229,3 +236,20 @@ def _absolute(path: Path) -> Path:
     if url_of(path) is not None:
         return path
     return path.parent.resolve() / path.name if ".." in path.parts else path.absolute()
+
+
+def _shard_key(scan: Path) -> bytes:
+    """A hash of the size and the ends of a file; of the path, if the file cannot be read."""
+    file, name = split_member(scan)
+    digest = hashlib.sha256(os.fsencode(name or ""))
+    try:
+        status = file.stat()
+        if not stat.S_ISREG(status.st_mode):  # reading a pipe would wait
+            raise OSError
+        with file.open("rb") as opened:
+            digest.update(b"%d" % status.st_size + opened.read(END))
+            opened.seek(max(status.st_size - END, 0))
+            digest.update(opened.read(END))
+    except (OSError, ValueError):
+        digest = hashlib.sha256(os.fsencode(scan))
+    return digest.digest()

@@ -1,63 +1,113 @@
-"""Scans and the records of a catalogue → a plan: which scans must be processed, and which records changed."""
+"""Scans and the records of a catalogue → a plan: which scans must be processed, and which records changed.
+
+Files are identified by their content, which is hashed in the background. A file that was renamed keeps its
+record, and a file with new content is processed again.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+import time
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cache
+from importlib.metadata import version
 from pathlib import Path
+from threading import Condition, Thread
 
+from pcretrieve import __version__
 from pcretrieve.catalogue import Catalogue, Record
-from pcretrieve.errors import InputError, PcretrieveError, ShapeError, Stage
+from pcretrieve.errors import PcretrieveError, ShapeError, Stage, StageTimeout
 from pcretrieve.formats import split_member, url_of
-from pcretrieve.ingestion.discover import printable, shape_ids
+from pcretrieve.formats.identity import file_hash, printable, scan_hash, stamp_of
+from pcretrieve.ingestion.discover import shape_ids
 from pcretrieve.ingestion.labels import match_labels
-from pcretrieve.ingestion.versions import versions
-
-__all__ = ["Plan", "Planner", "apply", "failed", "failed_paths"]
 
 Identity = tuple[str, str]  # suffix and SHA-256 of a file
 
+# Least time between the last change of a file and its hashing for its stamp to be stored; seconds. A file
+# that is changed again directly after it was hashed may have the same times, which some file systems round to
+# two seconds (git calls such files racy), and the clock of a file server may differ from that of this
+# computer.
+SETTLED = 60.0
 
-@dataclass(frozen=True, slots=True, eq=False)
+# Number of files that are planned together: large enough for few transactions, small enough to begin soon.
+FILES_AT_ONCE = 32
+
+
+@cache
+def versions() -> dict[str, str]:
+    """Versions of pcretrieve and of the libraries on which results depend, by package name."""
+    # Not from metadata: a source folder on the path has no metadata, or the metadata of another version.
+    others = ("open3d", "pytetwild", "numpy", "scipy")
+    return {"pcretrieve": __version__} | {name: version(name) for name in others}
+
+
+def failed(record: Record, error: PcretrieveError) -> Record:
+    """Make a record of a failure."""
+    return replace(
+        record,
+        status="failed",
+        stage=str(error.stage or Stage.WORKER),
+        error=type(error).__name__,
+        message=printable(error.message),
+    )
+
+
+@dataclass(slots=True, eq=False)
 class Plan:
     """What an ingest does with some files. Paths are printable, as catalogues store them.
 
-    duplicates: tuple of (Path, Record), files with the same content as another file, and the record of the
-        other file.
-    process: tuple of (Path, Record), scans that must be processed, and their new records; the id may still
-        change.
+    moved: new path by old path.
+    removed: paths whose records are removed.
+    labels, stamps: by path.
+    held: records of scans that the catalogue has already.
+    duplicates: files with the same content as another file, and the record of the other file.
+    process: scans that must be processed, and their new records; the id may still change.
+    unreadable: records of the failures of files that cannot be read.
     """
 
-    moved: dict[str, str]
-    removed: tuple[str, ...]
-    labels: dict[str, str]
-    stamps: dict[str, str]
-    held: tuple[Record, ...]
-    duplicates: tuple[tuple[Path, Record], ...]
-    process: tuple[tuple[Path, Record], ...]
-    unreadable: tuple[Record, ...]
+    moved: dict[str, str] = field(default_factory=dict)
+    removed: list[str] = field(default_factory=list)
+    labels: dict[str, str] = field(default_factory=dict)
+    stamps: dict[str, str] = field(default_factory=dict)
+    held: list[Record] = field(default_factory=list)
+    duplicates: list[tuple[Path, Record]] = field(default_factory=list)
+    process: list[tuple[Path, Record]] = field(default_factory=list)
+    unreadable: list[Record] = field(default_factory=list)
+
+    def apply(self, catalogue: Catalogue) -> None:
+        """Write the changes to the records of a catalogue, and complete those of skipped scans by its own."""
+        if self.moved or self.removed or self.labels or self.stamps:
+            catalogue.revise(moved=self.moved, removed=self.removed, labels=self.labels, stamps=self.stamps)
+        originals = [original for _, original in self.duplicates]
+        stored = catalogue.several({record.id for record in (*self.held, *originals)})
+        # An original that is still to be processed has a new content, and no provenance.
+        whole = {(record.path, record.content_hash): record for record in stored}
+        self.held = [whole.get((record.path, record.content_hash), record) for record in self.held]
+        self.duplicates = [
+            (path, whole.get((original.path, original.content_hash), original))
+            for path, original in self.duplicates
+        ]
 
 
 class Planner:
-    """Decides what must be done with each scan, file by file, while the contents of the files are hashed.
+    """Decides what must be done with each scan, file by file, and writes nothing.
 
-    Files are identified by their content. A file that was renamed keeps its record. A file with new content
-    is processed again. The planner writes nothing.
+    timeout: longest time to read one file; seconds.
     """
 
     def __init__(
         self,
-        files: Mapping[str, Path],
+        paths: Sequence[Path],
         records: Sequence[Record],
         labels: Mapping[str, str],
-        content: Callable[[str], str | ShapeError],
         *,
-        stamp: Callable[[str], str | None] = lambda name: None,
-        retry_failed: bool = False,
+        n_threads: int,
+        timeout: float,
+        retry_failed: bool,
     ) -> None:
-        self.files = files
-        self._stamp = stamp
-        self._content = content
+        self.files = {printable(path): path for path in paths}
+        self.contents = Contents(self.files, n_threads, timeout, records)
         self._retry_failed = retry_failed
         self._held = {record.path: record for record in records}
         self._ids = shape_ids(self.files, {record.id: record.path for record in records})
@@ -79,48 +129,42 @@ class Planner:
         """Names in the label file that match no scan, so far as files were planned."""
         return list(self._labels_left)
 
-    def plan(self, names: Iterable[str]) -> Plan:
-        """Decide what must be done with some of the files."""
-        moved, labels, stamps = {}, {}, {}
-        removed, held, duplicates, process, unreadable = [], [], [], [], []
-        for name in names:
-            content = self._content(name)
-            if isinstance(content, ShapeError):
-                unreadable.append(failed(self._record(name), content))
-                continue
-            identity = _identity(name, content)
-            if name not in self._held and (old := self._gone.pop(identity, None)):
-                moved[old.path] = name
-                self._rename(old, name)
-            earlier = self._held.get(name)
-            if earlier is not None and name in self._labels:
-                labels[name] = self._labels[name]
-            if earlier is not None and earlier.content_hash == content:
-                if earlier.status == "done" or not self._retry_failed:
-                    if stamp := self._stamp(name):
-                        stamps[name] = stamp
-                    held.append(replace(earlier, label=self._labels.get(name, earlier.label)))
-                    continue
-            elif original := self._queued.get(identity) or self._original(identity):
-                # The earlier result of a file stays in the catalogue until the original has been processed.
-                if earlier is not None and original.status == "done" and identity not in self._queued:
-                    removed.append(name)
-                duplicates.append((self.files[name], original))
-                continue
-            self._queued[identity] = record = replace(
-                self._record(name), content_hash=content, stamp=self._stamp(name)
-            )
-            process.append((self.files[name], record))
-        return Plan(
-            moved,
-            tuple(removed),
-            labels,
-            stamps,
-            tuple(held),
-            tuple(duplicates),
-            tuple(process),
-            tuple(unreadable),
-        )
+    def plans(self, names: Sequence[str]) -> Iterator[Plan]:
+        """Yield plans for some files at a time; meanwhile, the contents of the next files are hashed."""
+        for start in range(0, len(names), FILES_AT_ONCE):
+            self.contents.expect(names[start : start + 2 * FILES_AT_ONCE])
+            made = Plan()
+            for name in names[start : start + FILES_AT_ONCE]:
+                self._add(name, made)
+            yield made
+
+    def _add(self, name: str, made: Plan) -> None:
+        """Decide what must be done with one file."""
+        content = self.contents.of(name)
+        if isinstance(content, ShapeError):
+            made.unreadable.append(failed(self._record(name), content))
+            return
+        identity = _identity(name, content)
+        if name not in self._held and (old := self._gone.pop(identity, None)):
+            made.moved[old.path] = name
+            self._rename(old, name)
+        earlier, stamp = self._held.get(name), self.contents.stamp(name)
+        if earlier is not None and name in self._labels:
+            made.labels[name] = self._labels[name]
+        if earlier is not None and earlier.content_hash == content:
+            if earlier.status == "done" or not self._retry_failed:
+                if stamp:
+                    made.stamps[name] = stamp
+                made.held.append(replace(earlier, label=self._labels.get(name, earlier.label)))
+                return
+        elif original := self._queued.get(identity) or self._original(identity):
+            # The earlier result of a file stays in the catalogue until the original has been processed.
+            if earlier is not None and original.status == "done" and identity not in self._queued:
+                made.removed.append(name)
+            made.duplicates.append((self.files[name], original))
+            return
+        self._queued[identity] = record = replace(self._record(name), content_hash=content, stamp=stamp)
+        made.process.append((self.files[name], record))
 
     def _record(self, name: str) -> Record:
         """The new record of a file, without its content hash."""
@@ -141,43 +185,10 @@ class Planner:
     def _original(self, identity: Identity) -> Record | None:
         """A record with this content; if its file is one of `files`, the file still has the content."""
         for record in self._same.get(identity, ()):
-            content = self._content(record.path) if record.path in self.files else record.content_hash
+            content = self.contents.of(record.path) if record.path in self.files else record.content_hash
             if isinstance(content, ShapeError) or content == record.content_hash:
                 return record
         return None
-
-
-def apply(made: Plan, catalogue: Catalogue) -> None:
-    """Write the changes of a plan to the records of a catalogue."""
-    if made.moved or made.removed or made.labels or made.stamps:
-        catalogue.revise(moved=made.moved, removed=made.removed, labels=made.labels, stamps=made.stamps)
-
-
-def failed(record: Record, error: PcretrieveError) -> Record:
-    """Make a record of a failure."""
-    return replace(
-        record,
-        status="failed",
-        stage=str(error.stage or Stage.WORKER),
-        error=type(error).__name__,
-        message=printable(error.message),
-    )
-
-
-def failed_paths(catalogue: Catalogue, stage: str | None = None) -> list[Path]:
-    """The scans of a catalogue that failed.
-
-    Returns list of Path: the scans, in ascending order of id.
-    """
-    failures = catalogue.records(status="failed")
-    paths = [Path(record.path) for record in failures if stage in (None, record.stage)]
-    if not paths:
-        stages = ", ".join(sorted({str(record.stage) for record in failures})) or "none"
-        raise InputError(
-            f"no shape of {catalogue.location} failed"
-            + (f" in the stage {stage}; stages with failures: {stages}" if stage else "")
-        )
-    return paths
 
 
 def _identity(path: str, content: str) -> Identity:
@@ -196,3 +207,113 @@ def _is_gone(path: str) -> bool:
     except OSError:
         return False  # not accessible, for example in a folder without permission
     return False
+
+
+class Contents:
+    """Hashes of scans, computed in threads: in advance with `expect`, or on demand with `of`.
+
+    Each file is read once, also if it holds several scans. A file whose stamp is that of its record is not
+    read: its hash is that of the record.
+
+    timeout: longest time to read one file; seconds. Reading a file on a network that is not connected may
+        never end: its thread then continues, is not counted, and does not prevent the program from ending.
+    """
+
+    def __init__(
+        self, scans: Mapping[str, Path], n_threads: int, timeout: float, records: Iterable[Record] = ()
+    ) -> None:
+        self._scans = scans
+        self._records = {record.path: record for record in records if record.stamp and record.content_hash}
+        self._stamps_of_records = self._by_file()
+        self._n_threads = n_threads
+        self._timeout = timeout
+        self._changed = Condition()  # guards the attributes below
+        self._known: dict[Path, str | Exception | None] = {}  # None: a file that has not changed
+        self._stamps: dict[Path, str] = {}
+        self._expected: dict[Path, None] = {}  # in the order in which they are to be read
+        self._deadlines: dict[Path, float] = {}  # of the files that are being read
+
+    def expect(self, names: Iterable[str]) -> None:
+        """Begin to hash scans in the background."""
+        with self._changed:
+            for name in names:
+                file, _ = split_member(self._scans[name])
+                if file not in self._known and file not in self._deadlines:
+                    self._expected[file] = None
+            self._start()
+
+    def of(self, name: str) -> str | ShapeError:
+        """The SHA-256 hash of a scan, or the error of reading its file."""
+        self.expect([name])
+        scan = self._scans[name]
+        file, _ = split_member(scan)
+        with self._changed:
+            while file not in self._known:
+                self._changed.wait(min(self._deadlines.values()) - time.monotonic())
+                self._give_up()
+            content = self._known[file]
+        if content is None:
+            return self._records[name].content_hash
+        if isinstance(content, str):
+            return scan_hash(scan, content)
+        if isinstance(content, ShapeError):
+            return content
+        raise content
+
+    def stamp(self, name: str) -> str | None:
+        """The stamp of a scan that `of` has hashed; None if it does not suffice to know the file again."""
+        file, _ = split_member(self._scans[name])
+        with self._changed:
+            return self._stamps.get(file)
+
+    def close(self) -> None:
+        """Hash no more files."""
+        with self._changed:
+            self._expected.clear()
+
+    def _by_file(self) -> dict[Path, str]:
+        """The stamps of the files whose scans all have a record with the same stamp."""
+        if not self._records:
+            return {}
+        found: dict[Path, set[str | None]] = {}
+        for name, scan in self._scans.items():
+            record = self._records.get(name)
+            found.setdefault(split_member(scan)[0], set()).add(record.stamp if record else None)
+        return {file: stamp for file, (stamp, *others) in found.items() if stamp and not others}
+
+    def _start(self) -> None:
+        while self._expected and len(self._deadlines) < self._n_threads:
+            file = next(iter(self._expected))
+            del self._expected[file]
+            self._deadlines[file] = time.monotonic() + self._timeout
+            # A daemon thread, because a program waits for the threads of a thread pool before it ends.
+            Thread(target=self._read, args=(file,), daemon=True).start()
+
+    def _read(self, file: Path) -> None:
+        content: str | Exception | None = None
+        settled = None
+        try:
+            now, stamp = time.time(), stamp_of(file)
+            if stamp is None or stamp.text != self._stamps_of_records.get(file):
+                content = file_hash(file)
+                # A file that was written meanwhile has one of two stamps.
+                if stamp is not None and stamp.changed < now - SETTLED and stamp == stamp_of(file):
+                    settled = stamp.text
+        except Exception as error:  # noqa: BLE001  `of` raises it
+            content = error
+        with self._changed:
+            if settled is not None:
+                self._stamps[file] = settled
+            self._finish(file, content)
+
+    def _give_up(self) -> None:
+        now = time.monotonic()
+        for file in [file for file, deadline in self._deadlines.items() if deadline <= now]:
+            message = f"{file} was not read within {self._timeout:g} s: raise --timeout"
+            self._finish(file, StageTimeout(message, stage=Stage.READ))
+
+    def _finish(self, file: Path, content: str | Exception | None) -> None:
+        if self._deadlines.pop(file, None) is not None:  # otherwise its time limit was exceeded
+            self._known[file] = content
+            self._start()
+            self._changed.notify_all()

@@ -22,9 +22,9 @@ from pcretrieve.catalogue import (
     set_to_be_ingested_again,
 )
 from pcretrieve.errors import CatalogueError, PcretrieveError, ShapeError
-from pcretrieve.ingestion import work
-from pcretrieve.ingestion.discover import content_hash
-from pcretrieve.ingestion.isolation import Isolation
+from pcretrieve.formats.identity import content_hash
+from pcretrieve.ingestion.attempts import content_of
+from pcretrieve.ingestion.pool import Isolation
 from pcretrieve.options import PipelineOptions
 from pcretrieve.pipeline.process import signature_of_surfaces
 from pcretrieve.values import FloatArray, TriangleMesh
@@ -178,4 +178,4 @@ def _is_unchanged(record: Record) -> bool:
 def _again(options: PipelineOptions, task: _Task) -> FloatArray:
     if task.meshes:
         return signature_of_surfaces(task.meshes, options)
-    return work.content(Path(task.record.path), options).signature
+    return content_of(Path(task.record.path), options).signature

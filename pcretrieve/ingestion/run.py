@@ -1,4 +1,4 @@
-"""Many scans → catalogue, processed by an executor."""
+"""Many scans → catalogue: those that it lacks are processed by an executor, and stored when finished."""
 
 from __future__ import annotations
 
@@ -10,34 +10,38 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 
-from pcretrieve.catalogue import Catalogue, Content, Record
-from pcretrieve.errors import PcretrieveError
-from pcretrieve.ingestion import work
-from pcretrieve.ingestion.attempts import Attempt, next_attempt
-from pcretrieve.ingestion.batch import written_down
-from pcretrieve.ingestion.contents import Contents
-from pcretrieve.ingestion.discover import printable
-from pcretrieve.ingestion.executors import Executor
-from pcretrieve.ingestion.isolation import in_processes
-from pcretrieve.ingestion.plan import Plan, Planner, apply, failed
-from pcretrieve.ingestion.temporary import remove_abandoned
-from pcretrieve.options import PipelineOptions
-from pcretrieve.pipeline.progress import log_steps, scan_name
-
-__all__ = ["Summary", "ingest_files", "plan_files"]
+from pcretrieve.catalogue import Catalogue, CatalogueLike, Content, Record, opened
+from pcretrieve.errors import InputError, PcretrieveError
+from pcretrieve.formats.identity import printable
+from pcretrieve.ingestion.attempts import Attempt, next_attempt, work_on
+from pcretrieve.ingestion.discover import scans_of
+from pcretrieve.ingestion.labels import discover_labelled
+from pcretrieve.ingestion.plan import Plan, Planner, failed
+from pcretrieve.ingestion.pool import Executor, in_processes
+from pcretrieve.ingestion.progress import CountsFile
+from pcretrieve.ingestion.worker import remove_abandoned
+from pcretrieve.options import OptionsLike, PipelineOptions
+from pcretrieve.pipeline.stages import log_steps, scan_name
 
 logger = logging.getLogger(__name__)
-
-# Number of files that are planned together: large enough for few transactions, small enough to begin soon.
-FILES_AT_ONCE = 32
 
 
 @dataclass(slots=True)
 class Summary:
     """The result of an ingest.
 
-    duplicates: list of (Path, Record), skipped files with the same content as another file, and the record of
-        the other file.
+    Attributes
+    ----------
+    done, failed : list of Record
+        The records of scans that were processed.
+    held : list of Record
+        Those of scans that the catalogue had already.
+    duplicates : list of (Path, Record)
+        Skipped files with the same content as another file, and the record of the other file.
+    unknown_labels : list of str
+        Names in the label file that match no scan.
+    planned : list of Record
+        With ``dry_run``, the records of scans that would be processed.
     """
 
     done: list[Record] = field(default_factory=list)
@@ -47,12 +51,34 @@ class Summary:
     unknown_labels: list[str] = field(default_factory=list)
     planned: list[Record] = field(default_factory=list)
 
+    def skip(self, made: Plan, on_shape: Callable[[Record], None]) -> None:
+        """Add the scans of a plan that are skipped."""
+        self.held += made.held
+        self.duplicates += made.duplicates
+        for record in (*made.held, *(original for _, original in made.duplicates)):
+            on_shape(record)
 
-def ingest_files(
-    paths: Sequence[Path],
-    catalogue: Catalogue,
+
+@dataclass(frozen=True, slots=True)
+class Processing:
+    """How scans are processed; the attributes are parameters of `ingest`."""
+
+    workers: int | None = None
+    timeout: float = 600.0
+    memory: float | None = None
+    executor: Executor = in_processes
+    retry_failed: bool = False
+    retries: int = 0
+    max_failures: int | None = None
+    on_shape: Callable[[Record], None] = lambda record: None
+
+
+def ingest(
+    paths: str | Path | Sequence[str | Path],
+    catalogue: CatalogueLike,
     *,
-    labels: Mapping[str, str] | None = None,
+    labels: str | Path | Mapping[str, str] | None = None,
+    options: OptionsLike = None,
     workers: int | None = None,
     timeout: float = 600.0,
     memory: float | None = None,
@@ -60,184 +86,282 @@ def ingest_files(
     retry_failed: bool = False,
     retries: int = 0,
     max_failures: int | None = None,
-    only: Collection[Path] | None = None,
+    dry_run: bool = False,
+    shard: str | None = None,
     on_shape: Callable[[Record], None] = lambda record: None,
+    on_start: Callable[[int], None] = lambda number: None,
+) -> Summary:
+    """Process scans, and store them in a catalogue, failures included.
+
+    Scans that the catalogue has already are skipped. A script that calls this function needs the guard ``if
+    __name__ == "__main__":``, because worker processes are spawned.
+
+    Parameters
+    ----------
+    paths : str, Path, or a sequence of them
+        Files, folders, globs, or manifests (``.txt``, ``.csv``).
+    catalogue : Catalogue, str or Path
+        The catalogue in which the shapes are stored. A file that does not exist is created.
+    labels : str, Path or mapping, optional
+        The classes: a CSV file with the columns ``file`` and ``class``, a ``.cla`` file of the Princeton
+        Shape Benchmark, a mapping of names to classes, or the name of a layout: ``shrec11``,
+        ``shrec14-real``, ``shrec14-synthetic``, ``faust``, ``tosca``, ``psb``, ``folders`` or ``csv``.
+    options : OptionsLike, optional
+        The options of a new catalogue. By default the options of an existing catalogue, or the defaults.
+    workers : int, optional
+        Largest number of scans that are processed at a time. By default one for each core.
+    timeout : float, default 600
+        Longest time for one shape; seconds.
+    memory : float, optional
+        Largest heap of one worker; GiB. By default there is no limit.
+    executor : Executor, optional
+        What processes the scans, such as a `DaskExecutor`. By default worker processes on this computer, so
+        that a scan that hangs, crashes or exhausts the memory does not affect other scans.
+    retry_failed : bool, default False
+        Whether scans that failed before are processed again.
+    retries : int, default 0
+        Number of further attempts at a scan that fails, after all other scans: in a new process, then with
+        cheaper settings, then by the other method of surface reconstruction. What was changed is in the
+        provenance of the shape, in the step ``retry``.
+    max_failures : int, optional
+        Number of scans that may fail in this run before it stops. By default all of them.
+    dry_run : bool, default False
+        Whether nothing is processed and stored: the summary has what would be done.
+    shard : str, optional
+        ``I/N``: process the I-th of N parts of the scans only, each into a catalogue of its own, from which
+        `merge_catalogues` makes the catalogue of all. The part of a scan depends on its content.
+    on_shape : function, optional
+        Called with the record of each shape as soon as it is stored, or skipped.
+    on_start : function, optional
+        Called with the number of scans before the first of them is processed.
+
+    Returns
+    -------
+    Summary
+        The records of all scans: done, failed and skipped.
+
+    Raises
+    ------
+    InputError
+        If a path does not exist, or names no scans.
+    BenchmarkError
+        If the labels cannot be read, or contradict each other.
+    OptionError
+        If there is no such option.
+    CatalogueError
+        If the catalogue was built with other options, or cannot be opened.
+    PcretrieveError
+        If `max_failures` scans have failed.
+    """
+    scans, names = discover_labelled(
+        [paths] if isinstance(paths, (str, Path)) else paths,
+        labels if isinstance(labels, (str, Path)) else None,
+        [catalogue] if isinstance(catalogue, (str, Path)) else [],
+    )
+    chosen = None if options is None else PipelineOptions.of(options)
+    classes = labels if isinstance(labels, Mapping) else names
+    part = scans_of(shard, scans)
+    how = Processing(workers, timeout, memory, executor, retry_failed, retries, max_failures, on_shape)
+    on_start(len(part))
+    if dry_run:
+        return _planned(scans, _records(catalogue, chosen), classes, part, how)
+    with opened(catalogue, chosen, create=True) as store:
+        return process_scans(scans, store, how, labels=classes, part=part)
+
+
+def retry(
+    catalogue: CatalogueLike,
+    *,
+    stage: str | None = None,
+    workers: int | None = None,
+    timeout: float = 600.0,
+    memory: float | None = None,
+    executor: Executor = in_processes,
+    retries: int = 0,
+    on_shape: Callable[[Record], None] = lambda record: None,
+    on_start: Callable[[int], None] = lambda number: None,
+) -> Summary:
+    """Process the failed shapes of a catalogue again.
+
+    Parameters
+    ----------
+    catalogue : Catalogue, str or Path
+        The catalogue.
+    stage : str, optional
+        Only shapes that failed in this stage, such as ``surface``, or ``worker`` for those whose process
+        ended or exceeded its time limit.
+    workers, timeout, memory, executor, retries, on_shape, on_start : object, optional
+        As for `pcretrieve.ingest`.
+
+    Returns
+    -------
+    Summary
+        The records of these shapes.
+
+    Raises
+    ------
+    InputError
+        If no shape failed in this stage.
+    CatalogueError
+        If the catalogue cannot be opened.
+    """
+    how = Processing(workers, timeout, memory, executor, True, retries, None, on_shape)
+    with opened(catalogue) as store:
+        failures = store.records(status="failed")
+        paths = [Path(record.path) for record in failures if stage in (None, record.stage)]
+        if not paths:
+            stages = ", ".join(sorted({str(record.stage) for record in failures})) or "none"
+            raise InputError(
+                f"no shape of {store.location} failed"
+                + (f" in the stage {stage}; stages with failures: {stages}" if stage else "")
+            )
+        on_start(len(paths))
+        return process_scans(paths, store, how)
+
+
+def process_scans(
+    paths: Sequence[Path],
+    catalogue: Catalogue,
+    how: Processing,
+    *,
+    labels: Mapping[str, str] | None = None,
+    part: Collection[Path] | None = None,
 ) -> Summary:
     """Process scans, and store the results, including failures.
 
     Each shape is stored as soon as it is finished, so that an interrupted run can be continued by starting it
     again.
 
-    timeout: longest time for one shape; seconds.
+    part: the scans of the shard that is processed; by default all.
     """
     remove_abandoned()  # also where nothing is left to do after a kill
-    summary = Summary()
-    files = {printable(path): path for path in paths}
     records = catalogue.outlines()
-    contents = Contents(files, workers or len(os.sched_getaffinity(0)), timeout, records)
-    planner = Planner(
-        files, records, labels or {}, contents.of, stamp=contents.stamp, retry_failed=retry_failed
-    )
-    names = _names_of(only, files)
-    elsewhere = files.keys() - set(names)
-    # Shapes of other shards stay, unless their files have changed since, and belong to another shard now.
-    left = {record.path: record.content_hash for record in records if record.path in elsewhere}
-    now = {path: contents.of(path) for path in left}
-    if stale := {path for path, content in now.items() if content != left[path] and isinstance(content, str)}:
-        catalogue.revise(removed=stale)
+    planner = _planner(paths, records, labels or {}, how)
+    with closing(planner.contents):
+        names = _names_of(part, planner)
+        elsewhere = planner.files.keys() - set(names)
+        # Shapes of other shards stay, unless their files have changed since, and belong to another shard now.
+        left = {record.path: record.content_hash for record in records if record.path in elsewhere}
+        now = {path: planner.contents.of(path) for path in left}
+        stale = {path for path, content in now.items() if content != left[path] and isinstance(content, str)}
+        if stale:
+            catalogue.revise(removed=stale)
+        with CountsFile(catalogue.location, len(names), how.workers) as counts:
+            run = _Run(catalogue, how, planner, counts)
+            attempts: Iterable[Attempt] = run.queue(names)
+            while True:
+                work = partial(work_on, catalogue.options)
+                running = how.executor(
+                    work, attempts, workers=how.workers, timeout=how.timeout, memory=how.memory
+                )
+                with closing(running) as outcomes:
+                    for attempt, outcome in outcomes:
+                        run.finish(attempt, outcome)
+                if not run.later:
+                    break
+                # A new call of the executor, whose processes are started after the failures.
+                attempts, run.later = run.later, []
+    run.summary.unknown_labels = planner.unknown_labels
+    return run.summary
 
-    def store(record: Record, content: Content | None) -> None:
-        stored = catalogue.put(record, content)
-        if content is None:
-            stored = _reported(record, stored)
-        (summary.failed if content is None else summary.done).append(stored)
-        log_steps(scan_name(stored.path), stored.steps)
-        if content is None:
-            logger.info("failed: [%s / %s] %s", stored.id, stored.stage, stored.message)
-        progress.batch.add(stored)
-        progress.write()
-        on_shape(stored)
-        if content is None and len(summary.failed) == max_failures:
-            raise PcretrieveError(
-                f"stopped after {max_failures} scans that failed, which is the limit (--max-failures); look "
-                "at the reasons, and start the ingest again: it goes on with the other scans"
-            )
 
-    def queue() -> Iterator[Attempt]:
+class _Run:
+    """One ingest: what was stored and skipped so far, and the scans that are tried again later."""
+
+    def __init__(self, catalogue: Catalogue, how: Processing, planner: Planner, counts: CountsFile) -> None:
+        self._catalogue = catalogue
+        self._how = how
+        self._planner = planner
+        self._counts = counts
+        self.summary = Summary()
+        self.later: list[Attempt] = []
+
+    def queue(self, names: Sequence[str]) -> Iterator[Attempt]:
         """Yield the scans that must be processed; the results for other scans are stored."""
-        for made in _plans(names, planner, contents):
-            apply(made, catalogue)
-            _note(summary, _completed(made, catalogue), on_shape)
-            progress.batch.n_skipped += len(made.held) + len(made.duplicates)
-            progress.write()
+        for made in self._planner.plans(names):
+            made.apply(self._catalogue)
+            self.summary.skip(made, self._how.on_shape)
+            self._counts.skip(len(made.held) + len(made.duplicates))
             for record in made.unreadable:
-                store(record, None)
+                self._store(record, None)
             for path, record in made.process:
                 yield Attempt(path, record)
 
-    def finish(attempt: Attempt, outcome: Content | PcretrieveError) -> None:
+    def finish(self, attempt: Attempt, outcome: Content | PcretrieveError) -> None:
         """Store an outcome, or append the next attempt to `later`."""
         if isinstance(outcome, Content):
             steps = (*outcome.shape.provenance, *attempt.steps)
-            store(replace(attempt.record, steps=steps), outcome)
-        elif len(attempt.notes) < retries and (upcoming := next_attempt(attempt, outcome, catalogue.options)):
-            logger.warning("%s: %s", scan_name(attempt.path), printable(upcoming.notes[-1]))
-            later.append(upcoming)
+            self._store(replace(attempt.record, steps=steps), outcome)
+            return
+        options = self._catalogue.options
+        upcoming = next_attempt(attempt, outcome, options) if len(attempt.notes) < self._how.retries else None
+        if upcoming is None:
+            self._store(replace(failed(attempt.record, outcome), steps=attempt.steps), None)
         else:
-            store(replace(failed(attempt.record, outcome), steps=attempt.steps), None)
+            logger.warning("%s: %s", scan_name(attempt.path), printable(upcoming.notes[-1]))
+            self.later.append(upcoming)
 
-    later: list[Attempt] = []
-    attempts: Iterable[Attempt] = queue()
-    with closing(contents), written_down(catalogue.location, len(names), workers) as progress:
-        while True:
-            in_work: set[Path] = set()
-            running = executor(
-                partial(_content, catalogue.options),
-                _counted(attempts, in_work),
-                workers=workers,
-                timeout=timeout,
-                memory=memory,
+    def _store(self, record: Record, content: Content | None) -> None:
+        stored = self._catalogue.put(record, content)
+        if content is not None:
+            self.summary.done.append(stored)
+        else:
+            if stored.status != "failed":
+                kept = f"{record.message}; the catalogue keeps what was made of this file on {stored.added}"
+                stored = replace(record, id=stored.id, message=kept)
+            self.summary.failed.append(stored)
+        log_steps(scan_name(stored.path), stored.steps)
+        if content is None:
+            logger.info("failed: [%s / %s] %s", stored.id, stored.stage, stored.message)
+        self._counts.add(stored)
+        self._how.on_shape(stored)
+        if content is None and len(self.summary.failed) == self._how.max_failures:
+            raise PcretrieveError(
+                f"stopped after {self._how.max_failures} scans that failed, which is the limit "
+                "(--max-failures); look at the reasons, and start the ingest again: it goes on with the "
+                "other scans"
             )
-            with closing(running):
-                for attempt, outcome in running:
-                    in_work.discard(attempt.path)
-                    finish(attempt, outcome)
-            if in_work:
-                raise PcretrieveError(
-                    f"an executor must give an outcome for each scan, but {len(in_work)} have none, "
-                    f"{min(in_work)} among them: start the ingest again, with another executor if necessary"
-                )
-            if not later:
-                break
-            # A new call of the executor, whose processes are started after the failures.
-            attempts, later = later, []
-    summary.unknown_labels = planner.unknown_labels
-    return summary
 
 
-def plan_files(
+def _planned(
     paths: Sequence[Path],
     records: Sequence[Record],
-    *,
-    labels: Mapping[str, str] | None = None,
-    timeout: float = 600.0,
-    retry_failed: bool = False,
-    only: Collection[Path] | None = None,
-    on_shape: Callable[[Record], None] = lambda record: None,
+    labels: Mapping[str, str],
+    part: Collection[Path],
+    how: Processing,
 ) -> Summary:
-    """Find what `ingest_files` would do, and write nothing.
-
-    timeout: longest time to read one file; seconds.
-    """
-    remove_abandoned()  # also where nothing is left to do after a kill
+    """What an ingest would do; nothing is written."""
     summary = Summary()
-    files = {printable(path): path for path in paths}
-    names = _names_of(only, files)
-    contents = Contents(files, len(os.sched_getaffinity(0)), timeout, records)
-    planner = Planner(files, records, labels or {}, contents.of, retry_failed=retry_failed)
-    with closing(contents):
-        for made in _plans(names, planner, contents):
-            _note(summary, made, on_shape)
+    planner = _planner(paths, records, labels, how)
+    with closing(planner.contents):
+        for made in planner.plans(_names_of(part, planner)):
+            summary.skip(made, how.on_shape)
             summary.failed += made.unreadable
             summary.planned += (record for _, record in made.process)
             for record in (*made.unreadable, *(record for _, record in made.process)):
-                on_shape(record)
+                how.on_shape(record)
     summary.unknown_labels = planner.unknown_labels
     return summary
 
 
-def _names_of(only: Collection[Path] | None, files: Mapping[str, Path]) -> list[str]:
-    """The names of the files that are processed."""
-    chosen = {*files.values()} if only is None else {*only}
-    return [name for name, path in files.items() if path in chosen]
+def _records(catalogue: CatalogueLike, options: PipelineOptions | None) -> list[Record]:
+    """The records of a catalogue; none of a file that does not exist, which is not made."""
+    if not isinstance(catalogue, Catalogue) and "://" not in str(catalogue) and not Path(catalogue).exists():
+        return []
+    with opened(catalogue, options) as store:
+        return store.records()
 
 
-def _note(summary: Summary, made: Plan, on_shape: Callable[[Record], None]) -> None:
-    """Add the scans of a plan that are skipped to the summary."""
-    summary.held += made.held
-    summary.duplicates += made.duplicates
-    for record in (*made.held, *(original for _, original in made.duplicates)):
-        on_shape(record)
-
-
-def _completed(made: Plan, catalogue: Catalogue) -> Plan:
-    """A plan that was applied, with the provenance of the records that the catalogue has."""
-    originals = [original for _, original in made.duplicates]
-    stored = catalogue.several({record.id for record in (*made.held, *originals)})
-    # An original that is still to be processed has a new content, and no provenance.
-    whole = {(record.path, record.content_hash): record for record in stored}
-
-    def completed(record: Record) -> Record:
-        return whole.get((record.path, record.content_hash), record)
-
-    return replace(
-        made,
-        held=tuple(map(completed, made.held)),
-        duplicates=tuple((path, completed(original)) for path, original in made.duplicates),
+def _planner(
+    paths: Sequence[Path], records: Sequence[Record], labels: Mapping[str, str], how: Processing
+) -> Planner:
+    n_threads = how.workers or len(os.sched_getaffinity(0))
+    return Planner(
+        paths, records, labels, n_threads=n_threads, timeout=how.timeout, retry_failed=how.retry_failed
     )
 
 
-def _counted(attempts: Iterable[Attempt], in_work: set[Path]) -> Iterator[Attempt]:
-    """The attempts; the path of each one that has been read is added to `in_work`."""
-    for attempt in attempts:
-        in_work.add(attempt.path)
-        yield attempt
-
-
-def _plans(names: Sequence[str], planner: Planner, contents: Contents) -> Iterator[Plan]:
-    """Yield plans for some files at a time; meanwhile, the contents of the next files are hashed."""
-    for start in range(0, len(names), FILES_AT_ONCE):
-        contents.expect(names[start : start + 2 * FILES_AT_ONCE])
-        yield planner.plan(names[start : start + FILES_AT_ONCE])
-
-
-def _reported(failure: Record, stored: Record) -> Record:
-    """The record of a failure, with a note if the catalogue keeps an earlier result."""
-    if stored.status == "failed":
-        return stored
-    kept = f"{failure.message}; the catalogue keeps what was made of this file on {stored.added}"
-    return replace(failure, id=stored.id, message=kept)
-
-
-def _content(options: PipelineOptions, attempt: Attempt) -> Content:
-    return work.content(attempt.path, options.changed(**attempt.changes))
+def _names_of(part: Collection[Path] | None, planner: Planner) -> list[str]:
+    """The names of the files that are processed."""
+    chosen = None if part is None else {*part}
+    return [name for name, path in planner.files.items() if chosen is None or path in chosen]

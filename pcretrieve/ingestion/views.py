@@ -1,21 +1,30 @@
-"""Files of range scans → views for registration, with the poses in a ``.conf`` file or in a trajectory."""
+"""Files of range scans → views, with the poses in a ``.conf`` file or in a trajectory → one cloud."""
 
 from __future__ import annotations
 
 import logging
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
 from pcretrieve.errors import InputError, ScanReadError
-from pcretrieve.formats import image_poses, parts_of, read_scan, split_member, trajectory_file
+from pcretrieve.formats import (
+    ScanLike,
+    as_scan,
+    image_poses,
+    parts_of,
+    read_scan,
+    split_member,
+    trajectory_file,
+)
 from pcretrieve.ingestion.discover import discover
+from pcretrieve.options import MergeOptions, PipelineOptions
+from pcretrieve.points.register import Merged
+from pcretrieve.points.register import merge_views as merge_clouds
 from pcretrieve.values import FloatArray, PointCloud
 from pcretrieve.values.conversion import as_cloud
-
-__all__ = ["Views", "read_views", "view_files"]
 
 logger = logging.getLogger(__name__)
 
@@ -30,6 +39,49 @@ class Views(NamedTuple):
     files: tuple[Path, ...]
     clouds: tuple[PointCloud, ...]
     poses: FloatArray | None
+
+
+def merge_views(
+    views: str | Path | Sequence[ScanLike],
+    options: MergeOptions | Mapping[str, object] | str | Path | None = None,
+    *,
+    on_pair: Callable[[int, int], None] | None = None,
+) -> Merged:
+    """Register range scans of one body, and merge them into one cloud.
+
+    Parameters
+    ----------
+    views : str, Path, or a sequence of ScanLike
+        A folder, a glob or a Stanford ``.conf`` file; or the views, each a file, an array or geometry.
+    options : MergeOptions, mapping, str or Path, optional
+        The parameters of the registration, or the name of a preset or of a TOML file that has them in the
+        table ``[merge]``. By default the defaults.
+    on_pair : function, optional
+        Called with the number of pairs of views that have been matched, and the number of all pairs.
+
+    Returns
+    -------
+    Merged
+        The merged cloud, the poses, and the overlaps and residuals of the views.
+
+    Raises
+    ------
+    InputError
+        If there are fewer than two views.
+    OptionError
+        If an option does not exist, or its value is not allowed.
+    ReconstructionError
+        If no two views share a surface.
+    """
+    if isinstance(options, (str, Path)):
+        options = PipelineOptions.named(options).merge
+    chosen = options if isinstance(options, MergeOptions) else MergeOptions(**(options or {}))
+    named = [views] if isinstance(views, (str, Path)) else views
+    files = [view for view in named if isinstance(view, (str, Path))]
+    if len(files) == len(named):
+        read = read_views(files)
+        return merge_clouds(read.clouds, chosen, poses=read.poses, on_pair=on_pair)
+    return merge_clouds([as_cloud(as_scan(view)) for view in named], chosen, on_pair=on_pair)
 
 
 def view_files(paths: Sequence[str | Path]) -> tuple[list[Path], FloatArray | None]:

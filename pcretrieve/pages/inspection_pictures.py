@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 
+from pcretrieve.checks import Inspection
 from pcretrieve.draw import (
     CLAY,
     Camera,

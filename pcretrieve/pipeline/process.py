@@ -7,28 +7,30 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 
+import numpy as np
+from scipy.sparse import csc_array
+from scipy.sparse.csgraph import connected_components
 from threadpoolctl import threadpool_limits
 
 from pcretrieve.checks import findings_of, verdict_of
 from pcretrieve.descriptors import describe
-from pcretrieve.errors import PcretrieveError, ShapeError, Stage, in_stage, shape_error
+from pcretrieve.errors import PcretrieveError, ReconstructionError, ShapeError, Stage, in_stage, shape_error
 from pcretrieve.formats import ScanLike
 from pcretrieve.options import OptionsLike, PipelineOptions
-from pcretrieve.pipeline.progress import log_steps, scan_name
-from pcretrieve.pipeline.seen import Seen
-from pcretrieve.pipeline.spectra import shape_of
-from pcretrieve.pipeline.stages import stages
-from pcretrieve.values import FloatArray, Shape, Signature, Step, TriangleMesh, Verdict
-
-__all__ = [
-    "described_shape",
-    "judged_signature",
-    "placed",
-    "process",
-    "reconstruct",
-    "signature",
-    "signature_of_surfaces",
-]
+from pcretrieve.pipeline.stages import Seen, log_steps, moved, scan_name, stages
+from pcretrieve.spectral import eigenpairs, laplace_beltrami, star_mesh, unit_eigenpairs
+from pcretrieve.values import (
+    Eigenpairs,
+    FloatArray,
+    LaplaceBeltrami,
+    ModalSpectrum,
+    PointCloud,
+    Shape,
+    Signature,
+    Step,
+    Surface,
+    TriangleMesh,
+)
 
 
 def signature(scan: ScanLike, options: OptionsLike = None) -> Signature:
@@ -51,22 +53,16 @@ def signature(scan: ScanLike, options: OptionsLike = None) -> Signature:
     ShapeError
         If the scan cannot be read or has no usable surface.
     """
-    return judged_signature(scan, options)[0]
+    return described_shape(scan, options)[0]
 
 
-def judged_signature(scan: ScanLike, options: OptionsLike = None) -> tuple[Signature, Verdict]:
-    """The signature of one scan, and whether it can be relied on."""
-    described, verdict, _ = described_shape(scan, options)
-    return described, verdict
-
-
-def described_shape(scan: ScanLike, options: OptionsLike = None) -> tuple[Signature, Verdict, Shape]:
-    """The signature of one scan, whether it can be relied on, and the shape that it describes."""
+def described_shape(scan: ScanLike, options: OptionsLike = None) -> tuple[Signature, Shape]:
+    """The signature of one scan, and the shape that it describes, with its verdict."""
     options = PipelineOptions.of(options)
-    shape, verdict = _judged(scan, options)
+    shape = process(scan, options)
     with placed(scan), in_stage(Stage.SIGNATURE):
         described = describe(shape, options.signature)
-    return replace(described, digest=options.signature_digest), verdict, shape
+    return replace(described, digest=options.signature_digest), shape
 
 
 def reconstruct(scan: ScanLike, options: OptionsLike = None) -> TriangleMesh:
@@ -127,22 +123,7 @@ def process(scan: ScanLike, options: OptionsLike = None) -> Shape:
     ShapeError
         If the scan cannot be read or has no usable surface.
     """
-    return _judged(scan, PipelineOptions.of(options))[0]
-
-
-def signature_of_surfaces(meshes: Sequence[TriangleMesh], options: PipelineOptions) -> FloatArray:
-    """Compute the signature of a scan again from its surfaces, on one thread, as `process` does.
-
-    Returns (L,) float64: the values of the signature.
-    """
-    with threadpool_limits(limits=1):
-        shape = shape_of(Seen(mesh=meshes[0], others=tuple(meshes[1:])), options)
-        with in_stage(Stage.SIGNATURE):
-            return describe(shape, options.signature).values
-
-
-def _judged(scan: ScanLike, options: PipelineOptions) -> tuple[Shape, Verdict]:
-    """The shape of a scan with its verdict, and the verdict."""
+    options = PipelineOptions.of(options)
     with threadpool_limits(limits=1), placed(scan):
         *_, last = stages(scan, options)
         shape = shape_of(last, options)
@@ -156,7 +137,40 @@ def _judged(scan: ScanLike, options: PipelineOptions) -> tuple[Shape, Verdict]:
         )
         shape = replace(shape, provenance=(*shape.provenance, step), verdict=verdict)
         log_steps(scan_name(scan), shape.provenance[-2:])
-        return shape, verdict
+        return shape
+
+
+def signature_of_surfaces(meshes: Sequence[TriangleMesh], options: PipelineOptions) -> FloatArray:
+    """Compute the signature of a scan again from its surfaces, on one thread, as `process` does.
+
+    Returns (L,) float64: the values of the signature.
+    """
+    with threadpool_limits(limits=1):
+        shape = shape_of(Seen(mesh=meshes[0], others=tuple(meshes[1:])), options)
+        with in_stage(Stage.SIGNATURE):
+            return describe(shape, options.signature).values
+
+
+def shape_of(seen: Seen, options: PipelineOptions) -> Shape:
+    """Compute the spectra of the surfaces, or of the points, of one scan."""
+    with in_stage(Stage.SPECTRUM):
+        if seen.mesh is None and seen.cloud is not None:
+            return _of_points(seen.cloud, options)
+        started = time.perf_counter()
+        element, found = options.spectral.element, []
+        for mesh in (seen.surface, *seen.others):
+            pairs = unit_eigenpairs(mesh, options.spectral.n_pairs, element)
+            found.append((mesh, pairs))
+        before = 0 if seen.cloud is None else len(seen.cloud.provenance)
+        steps = [step for other in seen.others for step in other.provenance[before:]]
+        mesh, pairs = found[0]
+        step = Step("spectrum", time.perf_counter() - started, _sizes(pairs, mesh))
+        # Descriptors of vertices are defined by the eigenfunctions of linear elements.
+        surfaces = tuple(
+            Surface(mesh.area, _unit_spectrum(pairs), mesh, pairs if element == "linear" else None)
+            for mesh, pairs in found
+        )
+        return Shape(surfaces, seen.cloud, (*seen.surface.provenance, *steps, step))
 
 
 @contextmanager
@@ -173,3 +187,48 @@ def placed(scan: object) -> Iterator[None]:
         unexpected = shape_error(error)
         unexpected.shape_id = name
         raise unexpected from error
+
+
+def _unit_spectrum(pairs: Eigenpairs) -> ModalSpectrum:
+    """The modal spectrum of a surface with unit area, which `pairs` has up to rounding errors."""
+    return replace(ModalSpectrum.of(pairs), area=1.0)
+
+
+def _sizes(pairs: Eigenpairs, mesh: TriangleMesh) -> dict[str, float]:
+    """The sizes in the step of the stage."""
+    return {
+        "vertices": len(mesh.vertices),
+        "pairs": len(pairs.eigenvalues),
+        "residual": pairs.largest_residual,
+    }
+
+
+def _of_points(cloud: PointCloud, options: PipelineOptions) -> Shape:
+    started = time.perf_counter()
+    cloud, operator, notes = _largest_piece(cloud, options)
+    mesh = star_mesh(cloud)
+    unit = replace(operator, mass=csc_array(operator.mass / operator.area))
+    pairs = eigenpairs(unit, options.spectral.n_pairs)
+    step = Step("spectrum", time.perf_counter() - started, _sizes(pairs, mesh), notes)
+    return Shape((Surface(operator.area, _unit_spectrum(pairs), mesh),), cloud, (*mesh.provenance, step))
+
+
+def _largest_piece(
+    cloud: PointCloud, options: PipelineOptions
+) -> tuple[PointCloud, LaplaceBeltrami, tuple[str, ...]]:
+    """The largest connected component of the points, its operator, and a note on removed loose pieces."""
+    operator = laplace_beltrami(moved(cloud, -cloud.points.mean(axis=0)), options.spectral.element)
+    if operator.n_components == 1:
+        return cloud, operator, ()
+    _, piece = connected_components(operator.stiffness, directed=False)  # (n,)
+    share = np.bincount(piece) / len(piece)
+    second = np.sort(share)[-2]
+    if second > options.surface.max_discarded:
+        raise ReconstructionError(
+            f"the scan holds two bodies or more: a second piece has {second:.0%} of the points; cut them "
+            "apart, or raise surface.max_discarded"
+        )
+    kept = np.flatnonzero(piece == share.argmax())
+    stiffness, mass = (csc_array(full[:, kept][kept]) for full in (operator.stiffness, operator.mass))
+    note = f"dropped {len(share) - 1} loose pieces with {1 - share.max():.1%} of the points"
+    return cloud.select(kept), LaplaceBeltrami(stiffness, mass), (note,)

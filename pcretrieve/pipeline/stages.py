@@ -7,31 +7,103 @@ their steps to the provenance; this module does the same for filters that option
 
 from __future__ import annotations
 
+import logging
 import time
-from collections.abc import Iterator, Sequence
-from dataclasses import replace
-from typing import Any, TypeVar
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import cache
+from pathlib import Path
+from typing import Any, Generic, TypeVar
 
 from pcretrieve.errors import DegenerateMeshError, ReconstructionError, ShapeError, Stage, in_stage
 from pcretrieve.formats import as_scan
 from pcretrieve.options import DEFAULT_STAGES, PipelineOptions, check_chain, link_of
-from pcretrieve.pipeline.frames import Framed
-from pcretrieve.pipeline.progress import announce_compilation, log_steps, scan_name
-from pcretrieve.pipeline.seen import Seen
 from pcretrieve.plugins import Registry
 from pcretrieve.points import POINT_FILTERS, check_extent
 from pcretrieve.spectral import ELEMENTS
-from pcretrieve.surface import SURFACE_FILTERS, defects, reduced, sampled, sound_mesh, surfaces, tetwild
-from pcretrieve.values import PointCloud, Step, TriangleMesh
-
-__all__ = ["stages"]
+from pcretrieve.surface import (
+    SURFACE_FILTERS,
+    SurfaceMarks,
+    defects,
+    reduced,
+    sampled,
+    sound_mesh,
+    surfaces,
+    tetwild,
+)
+from pcretrieve.values import FloatArray, PointCloud, Step, TriangleMesh
 
 V = TypeVar("V", PointCloud, TriangleMesh)
+
+_LOGGER = logging.getLogger("pcretrieve.pipeline")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Seen:
+    """The results of the stages of a scan, up to some stage; lengths are in the unit of the scan."""
+
+    scan: PointCloud | None = None
+    cloud: PointCloud | None = None
+    mesh: TriangleMesh | None = None
+    marks: SurfaceMarks | None = None
+    others: tuple[TriangleMesh, ...] = ()
+
+    @property
+    def surface(self) -> TriangleMesh:
+        """The first surface; TypeError if there is none yet."""
+        if self.mesh is None:
+            raise TypeError("there must be a surface after the last stage, there is none")
+        return self.mesh
+
+    @property
+    def steps(self) -> tuple[Step, ...]:
+        """The steps of all stages so far, in order."""
+        cloud = self.cloud if self.cloud is not None else self.scan
+        before = () if cloud is None else cloud.provenance
+        first = before if self.mesh is None else self.mesh.provenance
+        further = (mesh.provenance[len(before) :] for mesh in self.others)
+        return (*first, *(step for steps in further for step in steps))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Framed(Generic[V]):
+    """Points or a surface, and the origin of their coordinates.
+
+    value: the points or the surface; unit of the scan.
+    origin: (3,) float64 or None, the origin of the coordinates, in the frame of the scan; None if the
+        coordinates are in this frame.
+    """
+
+    value: V
+    origin: FloatArray | None = None
+
+    def near_origin(self) -> _Framed[V]:
+        """The value with the mean of its points at the origin; unchanged if it has been moved already."""
+        if self.origin is not None:
+            return self
+        points = self.value.points if isinstance(self.value, PointCloud) else self.value.vertices
+        origin = points.mean(axis=0)
+        return _Framed(moved(self.value, -origin), origin)
+
+    def in_scan(self) -> V:
+        """The value in the frame of the scan."""
+        return self.value if self.origin is None else moved(self.value, self.origin)
+
+
+def moved(value: V, by: FloatArray) -> V:
+    """Translate points or a surface.
+
+    by: (3,) float64, the translation.
+    """
+    if isinstance(value, TriangleMesh):
+        return replace(value, vertices=value.vertices + by)
+    viewpoints = None if value.viewpoints is None else value.viewpoints + by
+    return replace(value, points=value.points + by, viewpoints=viewpoints)
 
 
 def stages(scan: object, options: PipelineOptions) -> Iterator[Seen]:
     """Run the stages before the stage ``spectrum``, and log each of them when it has ended."""
-    announce_compilation()
+    _announce_compilation()
     name, logged = scan_name(scan), 0
     for seen in _stages(scan, options):
         steps = seen.steps
@@ -71,11 +143,11 @@ def _stages(scan: object, options: PipelineOptions) -> Iterator[Seen]:
 
 def _of_points(
     scan: PointCloud, filters: Sequence[str], options: PipelineOptions
-) -> Iterator[Framed[PointCloud]]:
+) -> Iterator[_Framed[PointCloud]]:
     """The points after each filter."""
     if filters[0] not in ("crop", "clean"):
         check_extent(scan.points, Stage.READ)
-    cloud, oriented = Framed(scan), False
+    cloud, oriented = _Framed(scan), False
     for name in filters:
         cloud = _filtered(cloud, POINT_FILTERS, name, options)
         oriented = oriented or POINT_FILTERS[name].gives == "normals"
@@ -88,7 +160,7 @@ def _of_points(
 
 
 def _of_surfaces(
-    seen: Seen, cloud: Framed[PointCloud], filters: Sequence[str], options: PipelineOptions
+    seen: Seen, cloud: _Framed[PointCloud], filters: Sequence[str], options: PipelineOptions
 ) -> Iterator[Seen]:
     """Yield the surfaces of points; of the first surface, the result of each filter."""
     with in_stage(Stage.SURFACE):
@@ -99,13 +171,13 @@ def _of_surfaces(
         mesh = mesh.after(Step("surface", 0.0, notes=(ignored,)))
     if marks is not None and cloud.origin is not None:
         marks = marks.moved(cloud.origin)
-    for surface in _filtered_surfaces(Framed(mesh, cloud.origin), filters, options):
+    for surface in _filtered_surfaces(_Framed(mesh, cloud.origin), filters, options):
         yield (seen := replace(seen, mesh=surface.in_scan(), marks=marks))
     _check_closed(surface.value)
     try:
         with in_stage(Stage.SURFACE):
             for mesh, _ in made:
-                *_, surface = _filtered_surfaces(Framed(mesh, cloud.origin), filters, options)
+                *_, surface = _filtered_surfaces(_Framed(mesh, cloud.origin), filters, options)
                 _check_closed(surface.value)
                 yield (seen := replace(seen, others=(*seen.others, surface.in_scan())))
     except ReconstructionError as error:
@@ -123,7 +195,7 @@ def _of_kept(
             note = "not applied to a mesh that is used without reconstruction (surface.mode)"
             mesh = mesh.after(Step(name, 0.0, notes=(note,)))
     filters = [name for name in filters if SURFACE_FILTERS[name].of_kept]
-    framed = Framed(mesh)
+    framed = _Framed(mesh)
     if len(mesh.faces) > options.surface.max_faces:
         framed = framed.near_origin()
         with in_stage(Stage.SURFACE):
@@ -133,8 +205,8 @@ def _of_kept(
 
 
 def _filtered_surfaces(
-    surface: Framed[TriangleMesh], filters: Sequence[str], options: PipelineOptions
-) -> Iterator[Framed[TriangleMesh]]:
+    surface: _Framed[TriangleMesh], filters: Sequence[str], options: PipelineOptions
+) -> Iterator[_Framed[TriangleMesh]]:
     """Yield a surface, and the result of each filter."""
     yield surface
     for name in filters:
@@ -152,12 +224,12 @@ def _check_closed(mesh: TriangleMesh, stage: str | None = None) -> None:
         )
 
 
-def _filtered(framed: Framed[V], filters: Registry[Any], name: str, options: PipelineOptions) -> Framed[V]:
+def _filtered(framed: _Framed[V], filters: Registry[Any], name: str, options: PipelineOptions) -> _Framed[V]:
     """The result of one filter, with a step in its provenance."""
     started = time.perf_counter()
     with in_stage(name):
         record = filters[name]
-        framed = framed.near_origin() if record.near_origin else Framed(framed.in_scan())
+        framed = framed.near_origin() if record.near_origin else _Framed(framed.in_scan())
         value: V = framed.value
         with filters.blamed(name, name):
             result: V = record.apply(value, options.of_stage(name))
@@ -175,3 +247,38 @@ def _size(value: PointCloud | TriangleMesh, when: str = "") -> dict[str, float]:
     if isinstance(value, PointCloud):
         return {f"points{when}": len(value.points)}
     return {f"faces{when}": len(value.faces)}
+
+
+def scan_name(scan: object) -> str | None:
+    """The name of a scan in messages."""
+    return Path(scan).name if isinstance(scan, (str, Path)) else None
+
+
+def log_steps(name: str | None, steps: Iterable[Step]) -> None:
+    """Log steps: each at the level INFO, and its notes on repairs and fallbacks at the level WARNING."""
+    scan = name or "scan"
+    for step in steps:
+        sizes = ", ".join(f"{what} {size:.6g}" for what, size in step.sizes.items())
+        _LOGGER.info("%s: %s in %.2f s%s", scan, step.stage, step.seconds, f": {sizes}" if sizes else "")
+        for note in step.notes:
+            _LOGGER.warning("%s: %s: %s", scan, step.stage, note)
+
+
+@cache
+def _announce_compilation() -> None:
+    """Log at the level INFO, once in a process, that numba compiles functions which it has not cached."""
+    from numba.core import event
+
+    class First(event.Listener):
+        announced = False
+
+        def on_start(self, event: object) -> None:
+            if not self.announced:
+                self.announced = True
+                logging.getLogger("pcretrieve.compilation").info(
+                    "compiling, once: later processes load the compiled functions from the cache of numba"
+                )
+
+        def on_end(self, event: object) -> None: ...
+
+    event.register("numba:compile", First())  # type: ignore[no-untyped-call]

@@ -17,7 +17,7 @@ from typing import Any, Literal
 from pcretrieve.catalogue import Record
 from pcretrieve.errors import MemoryExceeded, PcretrieveError, StageTimeout, WorkerDied, shape_error
 from pcretrieve.ingestion import Isolation
-from pcretrieve.ingestion.temporary import TemporaryFolder
+from pcretrieve.ingestion.worker import TemporaryFolder
 from pcretrieve.options import PipelineOptions
 from pcretrieve.query import Described
 from pcretrieve.web.keeping import Collection, described, inspection_page, stages_of

@@ -23,9 +23,9 @@ from typing import NamedTuple, TypeVar
 import numpy as np
 
 from benchmarks.measuring import Column, Table, argument_parser, positive, print_lines, use_one_core
+from pcretrieve import ingest
 from pcretrieve.errors import BenchmarkError
 from pcretrieve.ingestion import DaskExecutor, Executor
-from pcretrieve.interface import ingest
 from pcretrieve.simulation import POSES, UniformOptions, body, make_subject, scan_uniformly, write_ply
 
 __all__ = ["EXECUTORS", "Run", "main", "run_of"]

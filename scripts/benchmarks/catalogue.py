@@ -50,12 +50,11 @@ from benchmarks.synthetic import (
     write_small_meshes,
     written_in,
 )
+from pcretrieve import status
 from pcretrieve.catalogue import Catalogue
 from pcretrieve.errors import PcretrieveError
-from pcretrieve.interface import status
 from pcretrieve.options import PipelineOptions
 from pcretrieve.retrieval import DISTANCES, SignatureIndex
-from pcretrieve.retrieval.faiss import FlatScan
 from pcretrieve.simulation import UniformOptions, scan_uniformly, write_ply
 from pcretrieve.values import FloatArray
 

@@ -14,14 +14,14 @@ import numpy as np
 
 from benchmarks.damage import DamageOptions, damaged
 from benchmarks.measuring import progress, timed
+from pcretrieve import ingest
 from pcretrieve.catalogue import Catalogue
 from pcretrieve.descriptors import DESCRIPTORS, describe
 from pcretrieve.errors import BenchmarkError, ShapeError
 from pcretrieve.formats import read_scan, write_cloud, write_mesh
 from pcretrieve.ingestion.discover import discover
-from pcretrieve.ingestion.labels import read_labels
-from pcretrieve.ingestion.layouts import LAYOUTS
-from pcretrieve.ingestion.run import Summary, ingest_files
+from pcretrieve.ingestion.labels import LAYOUTS, read_labels
+from pcretrieve.ingestion.run import Summary
 from pcretrieve.options import PipelineOptions, SignatureOptions
 from pcretrieve.simulation import (
     POSES,
@@ -80,7 +80,7 @@ def ingested(
     """A new catalogue of all scans of a folder, open while the context lasts."""
     labels = read_labels(folder / "labels.csv") if labels is None else labels
     with Catalogue(path, options, create=True) as catalogue:
-        yield catalogue, ingest_files(discover([folder]), catalogue, labels=labels)
+        yield catalogue, ingest(discover([folder]), catalogue, labels=labels)
 
 
 def spread(things: Sequence[Thing], n: int | None) -> list[tuple[int, Thing]]:

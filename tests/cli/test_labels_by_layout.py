@@ -12,7 +12,7 @@ from click.testing import CliRunner, Result
 import pcretrieve as pr
 from pcretrieve.cli.main import cli
 from pcretrieve.evaluation import PUBLISHED
-from pcretrieve.ingestion.layouts import LAYOUTS
+from pcretrieve.ingestion.labels import LAYOUTS
 
 
 def run(*arguments: object, code: int = 0) -> Result:

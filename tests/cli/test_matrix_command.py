@@ -12,10 +12,9 @@ import shapes
 from click.testing import CliRunner, Result
 
 import pcretrieve as pr
-from pcretrieve import Catalogue
+from pcretrieve import Catalogue, ingest
 from pcretrieve.cli.main import cli
 from pcretrieve.formats import write_mesh
-from pcretrieve.ingestion.run import ingest_files
 from pcretrieve.matching import MATCHERS, PairwiseIndex, distance_matrix, read_matrix
 
 N_CLASSES = 3
@@ -36,7 +35,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
             labels.append(f"{kind}{number}.off,kind{kind}")
     (place / "labels.csv").write_text("\n".join(labels))
     with Catalogue(place / "c.sqlite", create=True) as store:
-        ingest_files(
+        ingest(
             sorted(place.glob("*.off")),
             store,
             labels={line.split(",")[0]: line.split(",")[1] for line in labels[1:]},

@@ -12,10 +12,9 @@ import pytest
 import shapes
 from click.testing import CliRunner, Result
 
-from pcretrieve import Catalogue, PipelineOptions
+from pcretrieve import Catalogue, PipelineOptions, ingest
 from pcretrieve.cli.main import cli
 from pcretrieve.formats import write_mesh
-from pcretrieve.ingestion.run import ingest_files
 from pcretrieve.options import describe_options
 
 PCA = ("--whitening", "pca")
@@ -45,7 +44,7 @@ def catalogue(
         "relative": PipelineOptions().changed(signature={"method": "r-bihdm", "scale": "relative"}),
     }
     with Catalogue(path, built[request.param], create=True) as store:
-        ingest_files(files, store, labels={file.name: f"kind{file.name[0]}" for file in files})
+        ingest(files, store, labels={file.name: f"kind{file.name[0]}" for file in files})
     return path
 
 
@@ -127,7 +126,7 @@ def test_mixed_units_are_noticed_where_size_counts(tmp_path: Path) -> None:
         write_mesh(replace(mesh, vertices=mesh.vertices * unit), scans[-1])
     path = tmp_path / "c.sqlite"
     with Catalogue(path, PipelineOptions(), create=True) as store:
-        ingest_files(scans, store)
+        ingest(scans, store)
     assert run("query", "-c", path, scans[0]).stderr == (
         "nearest: all shapes compared\n"
         "whitening: none, because 2 shapes are too few to learn from neighbours (24)\n"

@@ -14,10 +14,9 @@ import numpy as np
 import pytest
 import shapes
 
-from pcretrieve import Catalogue, PipelineOptions
+from pcretrieve import Catalogue, PipelineOptions, ingest
 from pcretrieve.cli.main import main
 from pcretrieve.formats import write_mesh
-from pcretrieve.ingestion.run import ingest_files
 from pcretrieve.names import METHODS
 
 PLUGIN = {
@@ -122,7 +121,7 @@ def catalogue(scan: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     (folder / "nothing.off").write_text("OFF\n")
     path = folder / "c.sqlite"
     with Catalogue(path, PipelineOptions(), create=True) as store:
-        ingest_files(sorted(folder.glob("*.off")), store)
+        ingest(sorted(folder.glob("*.off")), store)
     for file in folder.glob("*.off"):
         file.unlink()
     return path

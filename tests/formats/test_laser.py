@@ -19,7 +19,7 @@ from pcretrieve import PointCloud, read_scan
 from pcretrieve.errors import ScanReadError
 from pcretrieve.formats import is_scan, members_of, parts_of
 from pcretrieve.formats.registry import read_raw
-from pcretrieve.ingestion.unread import unread_files
+from pcretrieve.ingestion.discover import unread_files
 from pcretrieve.ingestion.views import read_views
 from pcretrieve.simulation import write_conf, write_pcd
 
@@ -185,7 +185,7 @@ importlib.util.find_spec = lambda name: None if name in ("pye57", "lazrs", "lxml
 from pcretrieve import read_scan
 from pcretrieve.errors import ScanReadError
 from pcretrieve.formats import is_scan
-from pcretrieve.ingestion.unread import unread_files
+from pcretrieve.ingestion.discover import unread_files
 
 paths = [Path(name) for name in ("a.e57", "b.e57", "c.laz", "d.3mf", "e.jpg")]
 print(unread_files(paths), [is_scan(path) for path in paths])

@@ -14,12 +14,11 @@ import pytest
 import shapes
 from scene_files import write_gltf
 
-from pcretrieve import Catalogue
+from pcretrieve import Catalogue, ingest
 from pcretrieve.errors import StageTimeout
 from pcretrieve.formats import write_mesh
-from pcretrieve.ingestion.contents import Contents
 from pcretrieve.ingestion.discover import content_hash, discover
-from pcretrieve.ingestion.run import ingest_files
+from pcretrieve.ingestion.plan import Contents
 
 
 @pytest.fixture
@@ -82,7 +81,7 @@ def test_a_file_that_cannot_be_read_holds_up_no_other(folder: Path, hanging: lis
 
 def test_a_file_that_cannot_be_read_is_a_failed_row(folder: Path, hanging: list[Path]) -> None:
     with Catalogue(folder / "c.sqlite", create=True) as catalogue:
-        summary = ingest_files(discover([folder]), catalogue, timeout=10)
+        summary = ingest(discover([folder]), catalogue, timeout=10)
         assert sorted(record.id for record in summary.done) == ["2", "3"]
         assert [(record.id, record.error, record.stage) for record in summary.failed] == [
             (path.stem, "StageTimeout", "read") for path in hanging
@@ -92,7 +91,7 @@ def test_a_file_that_cannot_be_read_is_a_failed_row(folder: Path, hanging: list[
 @pytest.mark.usefixtures("hanging")
 def test_a_file_that_cannot_be_read_does_not_keep_the_program_from_ending(folder: Path) -> None:
     script = (
-        "from pathlib import Path; from pcretrieve.ingestion.contents import Contents; "
+        "from pathlib import Path; from pcretrieve.ingestion.plan import Contents; "
         f"print(Contents({{'x': Path({str(folder / '0.off')!r})}}, 1, 1).of('x'))"
     )
     ended = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=20)

@@ -9,8 +9,7 @@ import pytest
 
 from pcretrieve.errors import BenchmarkError, InputError
 from pcretrieve.evaluation import MEASURES, PUBLISHED
-from pcretrieve.ingestion.labels import match_labels
-from pcretrieve.ingestion.layouts import LAYOUTS, discover_labelled, labels_of
+from pcretrieve.ingestion.labels import LAYOUTS, discover_labelled, labels_of, match_labels
 
 DATA = Path(__file__).parents[2].parent / "shared" / "data"
 

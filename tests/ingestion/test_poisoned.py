@@ -10,10 +10,9 @@ import numpy as np
 import poisoned_files
 import pytest
 
-from pcretrieve import Catalogue, PipelineOptions, PointCloud, reconstruct, signature
+from pcretrieve import Catalogue, PipelineOptions, PointCloud, ingest, reconstruct, signature
 from pcretrieve.errors import ReconstructionError
 from pcretrieve.ingestion.discover import discover
-from pcretrieve.ingestion.run import ingest_files
 
 POINTS = poisoned_files.POINTS
 
@@ -35,7 +34,7 @@ def test_a_batch_stores_every_good_scan_beside_poisoned_ones(values: np.ndarray,
     good = {f"{when}_good": poisoned_files.doubles(POINTS[order]) for when, order in ORDERS.items()}
     poisoned_files.write(scans, good | poisoned_files.SAME_BODY | poisoned_files.GARBAGE)
     with Catalogue(tmp_path / "c.sqlite", create=True) as catalogue:
-        summary = ingest_files(discover([scans]), catalogue)
+        summary = ingest(discover([scans]), catalogue)
         table = catalogue.signatures()
     failed = {record.id: record for record in summary.failed}
     assert {record.id for record in summary.done} | set(failed) == {

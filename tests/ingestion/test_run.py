@@ -15,12 +15,12 @@ import pytest
 import shapes
 from processes import all_workers_ended, wait_for
 
-from pcretrieve import Catalogue, __version__
+from pcretrieve import Catalogue, __version__, ingest
 from pcretrieve.catalogue import Record
 from pcretrieve.formats import write_mesh
-from pcretrieve.ingestion import run
+from pcretrieve.ingestion import plan
 from pcretrieve.ingestion.discover import content_hash, discover
-from pcretrieve.ingestion.run import Summary, ingest_files
+from pcretrieve.ingestion.run import Summary
 from pcretrieve.simulation import write_ply
 
 PATIENCE = 60  # seconds
@@ -55,7 +55,7 @@ def catalogue(tmp_path: Path) -> Iterator[Catalogue]:
 
 @pytest.fixture
 def filled(folder: Path, catalogue: Catalogue) -> Catalogue:
-    ingest_files(discover([folder]), catalogue, labels={"a": "short", "b": "long"})
+    ingest(folder, catalogue, labels={"a": "short", "b": "long"})
     return catalogue
 
 
@@ -65,7 +65,7 @@ def test_rows_state_the_version_of_the_package_that_made_them(filled: Catalogue)
 
 
 def again(folder: Path, catalogue: Catalogue, **options: object) -> Summary:
-    return ingest_files(discover([folder]), catalogue, **options)  # type: ignore[arg-type]
+    return ingest(folder, catalogue, **options)  # type: ignore[arg-type]
 
 
 # --- files that stay, change, move ----------------------------------------------------------------------
@@ -73,7 +73,7 @@ def again(folder: Path, catalogue: Catalogue, **options: object) -> Summary:
 
 def test_one_content_is_processed_once(folder: Path, catalogue: Catalogue) -> None:
     seen: list[str] = []
-    first = ingest_files(discover([folder]), catalogue, on_shape=lambda record: seen.append(record.id))
+    first = ingest(folder, catalogue, on_shape=lambda record: seen.append(record.id))
     assert ids([*first.done]) == ["a", "b"]
     assert [(path.name, original.id) for path, original in first.duplicates] == [("copy.off", "a")]
     second = again(folder, catalogue)
@@ -85,7 +85,7 @@ def test_under_another_suffix_the_same_bytes_are_another_scan(tmp_path: Path, ca
     """Or a broken file could keep a good one out."""
     content = egg(tmp_path / "z.off", 2)
     (tmp_path / "a.ply").write_bytes(content)
-    summary = ingest_files(discover([tmp_path / "a.ply", tmp_path / "z.off"]), catalogue)
+    summary = ingest(discover([tmp_path / "a.ply", tmp_path / "z.off"]), catalogue)
     assert (ids([*summary.failed]), ids([*summary.done])) == (["a"], ["z"])
 
 
@@ -185,7 +185,7 @@ def test_files_are_read_as_their_turn_comes(
     tmp_path: Path, catalogue: Catalogue, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Work begins before the last file is hashed: a file that changes until then is taken as it is then."""
-    monkeypatch.setattr(run, "FILES_AT_ONCE", 2)
+    monkeypatch.setattr(plan, "FILES_AT_ONCE", 2)
     paths = [tmp_path / f"{number}.off" for number in range(8)]
     for number, path in enumerate(paths):
         egg(path, 1.5 + number / 8)
@@ -196,7 +196,7 @@ def test_files_are_read_as_their_turn_comes(
             egg(paths[-1], 3)
         seen.append(record.id)
 
-    summary = ingest_files(paths, catalogue, on_shape=change_the_last)
+    summary = ingest(paths, catalogue, on_shape=change_the_last)
     assert len(summary.done) == len(seen) == len(paths)
     assert catalogue.record("7").content_hash == content_hash(paths[-1])
 
@@ -205,7 +205,7 @@ def test_a_copy_of_a_file_that_comes_later_is_known_by_what_that_file_holds_now(
     folder: Path, filled: Catalogue, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The copy is planned before the turn of the file whose content it was."""
-    monkeypatch.setattr(run, "FILES_AT_ONCE", 1)
+    monkeypatch.setattr(plan, "FILES_AT_ONCE", 1)
     (folder / "0.off").write_bytes((folder / "a.off").read_bytes())
     (folder / "1.off").write_bytes((folder / "b.off").read_bytes())
     (folder / "copy.off").unlink()

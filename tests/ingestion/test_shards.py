@@ -15,7 +15,7 @@ from pcretrieve import Catalogue, ingest, merge_catalogues
 from pcretrieve.catalogue.rows import Rows
 from pcretrieve.errors import OptionError
 from pcretrieve.formats import write_mesh
-from pcretrieve.ingestion.shards import Shard
+from pcretrieve.ingestion.discover import scans_of
 
 N_SHARDS = 3
 
@@ -32,35 +32,31 @@ def folder(tmp_path: Path) -> Path:
     return folder
 
 
-def shards() -> list[Shard]:
-    return [Shard(number, N_SHARDS) for number in range(1, N_SHARDS + 1)]
+SHARDS = [f"{number}/{N_SHARDS}" for number in range(1, N_SHARDS + 1)]
+
+
+def shard_of(scan: Path) -> str:
+    (shard,) = (shard for shard in SHARDS if scans_of(shard, [scan]))
+    return shard
 
 
 def test_each_scan_is_in_one_shard_also_under_another_name(tmp_path: Path) -> None:
-    counts = dict.fromkeys(shards(), 0)
+    """Also what cannot be read."""
+    counts = dict.fromkeys(SHARDS, 0)
     for number in range(300):
         path, copy = tmp_path / f"{number}.glb", tmp_path / f"copy {number}.glb"
         path.write_text(f"{number} 0 0\n" * 1000 * (number % 3))
         shutil.copy(path, copy)
-        (shard,) = (shard for shard in shards() if shard.holds(path))
-        assert shard.holds(copy)
-        assert shard.holds(tmp_path / f"{number}.glb#left") == shard.holds(
-            tmp_path / f"copy {number}.glb#left"
-        )
-        counts[shard] += 1
+        assert shard_of(path) == shard_of(copy)
+        assert shard_of(tmp_path / f"{path.name}#left") == shard_of(tmp_path / f"{copy.name}#left")
+        counts[shard_of(path)] += 1
     assert min(counts.values()) > 30  # a third of the files are empty, and in one shard
-
-
-def test_what_cannot_be_read_is_in_one_shard_too(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "pipe.ply")
     for path in (tmp_path / "pipe.ply", tmp_path / "nothing.ply", tmp_path, tmp_path / "zero\0byte.ply"):
-        assert sum(shard.holds(path) for shard in shards()) == 1
-
-
-@pytest.mark.parametrize("text", ["0/3", "4/3", "1/0", "1", "1/2/3", "-1/3", "a/b", "1/3 ", ""])
-def test_what_is_no_shard(text: str) -> None:
-    with pytest.raises(OptionError, match="a shard must be I/N"):
-        Shard.parse(text)
+        assert shard_of(path)
+    for text in ("0/3", "4/3", "1/0", "1", "1/2/3", "-1/3", "a/b", "1/3 ", ""):
+        with pytest.raises(OptionError, match="a shard must be I/N"):
+            scans_of(text, [])
 
 
 def test_shards_make_together_what_one_ingest_makes(folder: Path, tmp_path: Path) -> None:
@@ -68,9 +64,9 @@ def test_shards_make_together_what_one_ingest_makes(folder: Path, tmp_path: Path
     with Catalogue(tmp_path / "whole.sqlite") as whole:
         expected = {record.id: (record.path, record.content_hash) for record in whole.records()}
     found: dict[str, tuple[str, str]] = {}
-    for shard in shards():
-        part = tmp_path / f"part-{shard.number}.sqlite"
-        summary = ingest(folder, part, workers=1, shard=f"{shard.number}/{N_SHARDS}")
+    for shard in SHARDS:
+        part = tmp_path / f"part-{shard[0]}.sqlite"
+        summary = ingest(folder, part, workers=1, shard=shard)
         with Catalogue(part) as store:
             records = store.records()
         assert len(summary.done) == len(records) < len(expected)
@@ -93,15 +89,15 @@ def everything(location: Path) -> list[object]:
 
 
 def test_new_files_change_no_shard_and_changed_files_may(folder: Path, tmp_path: Path) -> None:
-    for shard in shards():
-        ingest(folder, tmp_path / f"{shard.number}.sqlite", workers=1, shard=f"{shard.number}/{N_SHARDS}")
+    for shard in SHARDS:
+        ingest(folder, tmp_path / f"{shard[0]}.sqlite", workers=1, shard=shard)
     write_mesh(shapes.ellipsoid((1, 1, 2.5), subdivisions=3), folder / "new.off")
     write_mesh(shapes.ellipsoid((1, 1, 3), subdivisions=3), folder / "part0" / "egg0.off")
     paths: list[str] = []
     done = 0
-    for shard in shards():
-        part = tmp_path / f"{shard.number}.sqlite"
-        done += len(ingest(folder, part, workers=1, shard=f"{shard.number}/{N_SHARDS}").done)
+    for shard in SHARDS:
+        part = tmp_path / f"{shard[0]}.sqlite"
+        done += len(ingest(folder, part, workers=1, shard=shard).done)
         with Catalogue(part) as store:
             paths += (record.path for record in store.records())
     assert done == 2
@@ -110,15 +106,15 @@ def test_new_files_change_no_shard_and_changed_files_may(folder: Path, tmp_path:
 
 def test_shards_may_share_a_catalogue(folder: Path, tmp_path: Path) -> None:
     """A task leaves the shapes of the other tasks where they are."""
-    for shard in shards():
-        ingest(folder, tmp_path / "shared.sqlite", workers=1, shard=f"{shard.number}/{N_SHARDS}")
+    for shard in SHARDS:
+        ingest(folder, tmp_path / "shared.sqlite", workers=1, shard=shard)
     ingest(folder, tmp_path / "whole.sqlite", workers=1)
     assert everything(tmp_path / "shared.sqlite") == everything(tmp_path / "whole.sqlite")
 
 
 def test_a_shard_may_have_no_scans(folder: Path, tmp_path: Path) -> None:
     alone = folder / "zcopy.off"
-    empty = next(number for number in (1, 2) if not Shard(number, 2).holds(alone))
+    empty = next(number for number in (1, 2) if not scans_of(f"{number}/2", [alone]))
     summary = ingest(alone, tmp_path / "part.sqlite", workers=1, shard=f"{empty}/2")
     assert summary.done == summary.failed == []
     with Catalogue(tmp_path / "part.sqlite") as part:

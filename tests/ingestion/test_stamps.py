@@ -15,8 +15,8 @@ from scene_files import write_gltf
 
 import pcretrieve as pr
 from pcretrieve.formats import write_mesh
-from pcretrieve.ingestion import contents, discover
-from pcretrieve.ingestion.stamps import stamp_of
+from pcretrieve.formats.identity import file_hash, stamp_of
+from pcretrieve.ingestion import plan
 from pcretrieve.simulation import write_ply
 
 Ingested = Callable[..., tuple[list[str], list[str]]]
@@ -38,11 +38,11 @@ def ingested(folder: Path, monkeypatch: pytest.MonkeyPatch) -> Ingested:
 
     def noted(file: Path) -> str:
         hashed.append(file.name)
-        return discover.file_hash(file)
+        return file_hash(file)
 
-    monkeypatch.setattr(contents, "file_hash", noted)
+    monkeypatch.setattr(plan, "file_hash", noted)
     # Files of this test are as good as old ones, unless they are dated into the future.
-    monkeypatch.setattr(contents, "SETTLED", 0.0)
+    monkeypatch.setattr(plan, "SETTLED", 0.0)
 
     def ingest(*, settle: bool = True, **options: object) -> tuple[list[str], list[str]]:
         if settle:
@@ -93,12 +93,12 @@ def test_a_file_that_was_touched_or_renamed_is_hashed_once_more(folder: Path, in
 def test_a_file_that_may_change_again_at_the_same_time_has_no_stamp(
     folder: Path, ingested: Ingested, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(contents, "SETTLED", 3600.0)
+    monkeypatch.setattr(plan, "SETTLED", 3600.0)
     for _ in range(2):
         assert ingested(settle=False)[0] == ["0.off", "1.off", "2.off"]
     with pr.Catalogue(folder.with_name("c.sqlite")) as store:
         assert {record.stamp for record in store.records()} == {None}
-    monkeypatch.setattr(contents, "SETTLED", 0.0)
+    monkeypatch.setattr(plan, "SETTLED", 0.0)
     later = time.time() + 3600
     os.utime(folder / "0.off", (later, later))
     assert ingested() == (["0.off", "1.off", "2.off"], [])
@@ -109,13 +109,13 @@ def test_a_file_that_is_written_while_it_is_hashed_has_no_stamp(
     folder: Path, ingested: Ingested, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def written_meanwhile(file: Path) -> str:
-        found = discover.file_hash(file)
+        found = file_hash(file)
         with file.open("a") as opened:
             opened.write("# written meanwhile\n")
         return found
 
     with monkeypatch.context() as changed:
-        changed.setattr(contents, "file_hash", written_meanwhile)
+        changed.setattr(plan, "file_hash", written_meanwhile)
         ingested()
     assert ingested() == (["0.off", "1.off", "2.off"], ["0", "1", "2"])
 

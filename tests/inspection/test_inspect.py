@@ -9,10 +9,9 @@ import pytest
 import shapes
 
 from pcretrieve import PipelineOptions, PointCloud, TriangleMesh, signature
-from pcretrieve.checks import Check
+from pcretrieve.checks import Check, Inspection
 from pcretrieve.errors import InputError, OptionError
-from pcretrieve.inspection.inspect import inspect_scan, signature_spread
-from pcretrieve.inspection.inspection import Inspection
+from pcretrieve.pipeline.inspecting import inspect_scan, signature_spread
 from pcretrieve.values import FloatArray
 
 BODY = shapes.body()

@@ -9,11 +9,10 @@ import numpy as np
 import pytest
 import shapes
 
-from pcretrieve import Catalogue, PipelineOptions, TriangleMesh, inspect, signature
+from pcretrieve import Catalogue, PipelineOptions, TriangleMesh, ingest, inspect, signature
 from pcretrieve.errors import InputError
 from pcretrieve.formats import write_mesh
-from pcretrieve.ingestion.run import ingest_files
-from pcretrieve.inspection import inspect_scan
+from pcretrieve.pipeline.inspecting import inspect_scan
 
 OPTIONS = PipelineOptions().changed(
     signature={"method": "shape-dna", "n_values": 10}, spectral={"n_pairs": 20}
@@ -41,7 +40,7 @@ def catalogue(
     folder: Path, name: str, labels: dict[str, str], options: PipelineOptions = OPTIONS
 ) -> Catalogue:
     store = Catalogue(folder / name, options, create=True)
-    ingest_files(sorted(folder.glob("*.off")), store, labels=labels, workers=1)
+    ingest(sorted(folder.glob("*.off")), store, labels=labels, workers=1)
     return store
 
 

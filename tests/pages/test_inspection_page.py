@@ -18,12 +18,10 @@ import shapes
 from numpy.typing import NDArray
 from PIL import Image
 
-from pcretrieve.checks import Check, fit_checks, normal_checks, surface_checks
+from pcretrieve.checks import Check, Inspection, fit_checks, normal_checks, spread_check, surface_checks
+from pcretrieve.checks.inspection import NextBody, ratio_words
 from pcretrieve.draw import CLAY, Colour
 from pcretrieve.errors import InputError
-from pcretrieve.inspection.checks import spread_check
-from pcretrieve.inspection.inspection import Inspection
-from pcretrieve.inspection.next_body import NextBody, ratio_words
 from pcretrieve.pages import write_inspection_page, write_inspection_png
 from pcretrieve.pages.inspection_pictures import (
     AWAY,

@@ -17,13 +17,12 @@ from click.testing import CliRunner
 from PIL import Image
 
 import pcretrieve as pr
-from pcretrieve import Catalogue, PipelineOptions
+from pcretrieve import Catalogue, PipelineOptions, ingest
 from pcretrieve.catalogue import find_defects
 from pcretrieve.cli.main import cli
 from pcretrieve.draw import THUMBNAIL_PIXELS, thumbnail
 from pcretrieve.errors import OptionError
 from pcretrieve.formats import write_mesh
-from pcretrieve.ingestion.run import ingest_files
 from pcretrieve.pages import thumbnails
 from pcretrieve.pages.thumbnails import Thumbnails
 from pcretrieve.values import TriangleMesh
@@ -33,7 +32,7 @@ OPTIONS = PipelineOptions().changed(signature={"method": "r-bihdm", "n_values": 
 
 def ingested(folder: Path, name: str, options: PipelineOptions = OPTIONS) -> Catalogue:
     store = Catalogue(folder / name, options, create=True)
-    ingest_files(sorted(folder.glob("*.off")), store, labels={f"{n}.off": "egg" for n in range(3)})
+    ingest(sorted(folder.glob("*.off")), store, labels={f"{n}.off": "egg" for n in range(3)})
     return store
 
 

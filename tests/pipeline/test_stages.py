@@ -14,7 +14,7 @@ from pcretrieve import PipelineOptions, PointCloud, TriangleMesh, ingest, recons
 from pcretrieve.catalogue import Catalogue
 from pcretrieve.errors import CatalogueError, OptionError, ShapeError
 from pcretrieve.formats import write_mesh
-from pcretrieve.inspection import inspect_scan
+from pcretrieve.pipeline.inspecting import inspect_scan
 from pcretrieve.pipeline.process import process
 from pcretrieve.pipeline.stages import stages
 

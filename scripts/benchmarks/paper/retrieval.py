@@ -30,9 +30,8 @@ from pcretrieve.evaluation import (
 )
 from pcretrieve.formats import write_mesh
 from pcretrieve.ingestion.discover import discover
-from pcretrieve.ingestion.isolation import in_processes
-from pcretrieve.ingestion.labels import read_labels
-from pcretrieve.ingestion.layouts import discover_labelled
+from pcretrieve.ingestion.labels import discover_labelled, read_labels
+from pcretrieve.ingestion.pool import in_processes
 from pcretrieve.matching import MATCHERS, PairwiseIndex
 from pcretrieve.options import PipelineOptions, RetrievalOptions, Scale, SignatureOptions
 from pcretrieve.pipeline.process import process

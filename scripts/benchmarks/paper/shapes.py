@@ -19,8 +19,8 @@ from pcretrieve.errors import BenchmarkError, PcretrieveError
 from pcretrieve.evaluation import evaluate_rankings, evaluate_table
 from pcretrieve.evaluation.rankings import rank_gallery
 from pcretrieve.ingestion.discover import discover
-from pcretrieve.ingestion.isolation import in_processes
 from pcretrieve.ingestion.labels import read_labels
+from pcretrieve.ingestion.pool import in_processes
 from pcretrieve.options import RemeshOptions, RetrievalOptions, Scale, SignatureOptions
 from pcretrieve.points.grid import Mask
 from pcretrieve.retrieval import DistanceBlock

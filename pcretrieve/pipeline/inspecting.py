@@ -5,31 +5,42 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
-from pcretrieve.catalogue import Catalogue
-from pcretrieve.checks import OUTCOMES, findings_of
+from pcretrieve.checks import (
+    NEXT_BODY,
+    OUTCOMES,
+    Inspection,
+    NextBody,
+    failure_check,
+    findings_of,
+    rescan_check,
+    spread_check,
+)
 from pcretrieve.descriptors import describe
-from pcretrieve.errors import OptionError, ShapeError
+from pcretrieve.errors import InputError, OptionError, ShapeError
 from pcretrieve.formats import ScanLike, as_scan
-from pcretrieve.ingestion.discover import printable
-from pcretrieve.inspection.checks import failure_check, rescan_check, spread_check
-from pcretrieve.inspection.inspection import Inspection
-from pcretrieve.inspection.next_body import next_body_in
-from pcretrieve.inspection.removed import Removed, median_spacing, removed_after
-from pcretrieve.options import OptionsLike, PipelineOptions
-from pcretrieve.pipeline.process import placed, signature
-from pcretrieve.pipeline.seen import Seen
-from pcretrieve.pipeline.spectra import shape_of
-from pcretrieve.pipeline.stages import stages
+from pcretrieve.formats.identity import content_hash, printable
+from pcretrieve.options import DEFAULT_STAGES, OptionsLike, PipelineOptions
+from pcretrieve.pipeline.process import placed, shape_of, signature
+from pcretrieve.pipeline.stages import Seen, stages
+from pcretrieve.points import outliers
 from pcretrieve.surface import sampled, sound_mesh
 from pcretrieve.values import Failure, FloatArray, PointCloud, Shape, Signature, TriangleMesh
 
-__all__ = ["inspect_scan", "signature_spread"]
+if TYPE_CHECKING:
+    from pcretrieve.catalogue import Catalogue
 
 # Number of points in each rescan, relative to all points.
 RESCAN_SHARE = 0.9
+
+# Distance to the nearest point that a filter of another package left, beyond which this filter removed a
+# point, in median distances between nearest neighbours. A filter may move points that it keeps.
+DROPPED = 1.1
 
 
 def inspect_scan(
@@ -63,7 +74,7 @@ def inspect_scan(
     found = _inspection(name, path, reached, failure)
     if catalogue is None or found.signature is None:
         return found
-    return replace(found, next_body=next_body_in(catalogue, found.signature, options, path=file))
+    return replace(found, next_body=_next_body(catalogue, found.signature, options, path=file))
 
 
 def signature_spread(
@@ -144,7 +155,21 @@ def _scatter(logs: FloatArray) -> tuple[FloatArray, float]:
     return rescan_deviation, float(np.sqrt((rescan_deviation**2).sum()))
 
 
-# --- stages -------------------------------------------------------------------------------------------
+class _Removed(NamedTuple):
+    """The points of a scan that were removed, (n,) bool each.
+
+    cut_away: (n,) bool, points that the stage `crop` removed.
+    dropped: (n,) bool, points that another stage removed.
+    """
+
+    cut_away: NDArray[np.bool_]
+    dropped: NDArray[np.bool_]
+
+    @classmethod
+    def none_of(cls, scan: PointCloud | None) -> _Removed:
+        """All points are left."""
+        n = 0 if scan is None else len(scan.points)
+        return cls(np.zeros(n, dtype=np.bool_), np.zeros(n, dtype=np.bool_))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -152,7 +177,7 @@ class _Described:
     """The results up to some stage; attributes as in `Inspection`."""
 
     seen: Seen = field(default_factory=Seen)
-    removed: Removed = field(default_factory=lambda: Removed.none_of(None))
+    removed: _Removed = field(default_factory=lambda: _Removed.none_of(None))
     shape: Shape | None = None
     signature: Signature | None = None
     rescan_deviation: FloatArray | None = None
@@ -164,7 +189,7 @@ def _stages(scan: object, options: PipelineOptions, n_rescans: int) -> Iterator[
     with placed(scan):
         so_far = _Described()
         for seen in stages(scan, options):
-            so_far = _Described(seen, removed_after(so_far.removed, so_far.seen, seen, options))
+            so_far = _Described(seen, _removed_after(so_far.removed, so_far.seen, seen, options))
             yield so_far
         seen = so_far.seen
         shape = shape_of(seen, options)
@@ -183,7 +208,7 @@ def _inspection(name: str, path: str, reached: _Described, failure: Failure | No
     found = findings_of(cloud, mesh, seen.marks, reached.shape)
     checks, spacing = list(found.checks), found.spacing
     if cloud is None and scan is not None:
-        spacing = median_spacing(scan.points)
+        spacing = _median_spacing(scan.points)
     if reached.spread is not None:
         checks.append(spread_check(reached.spread))
     if failure is not None and reached.signature is not None:
@@ -211,3 +236,75 @@ def _inspection(name: str, path: str, reached: _Described, failure: Failure | No
         failure=failure,
         steps=steps,
     )
+
+
+def _removed_after(removed: _Removed, before: Seen, seen: Seen, options: PipelineOptions) -> _Removed:
+    """Find the points that have been removed after a stage."""
+    if seen.scan is not before.scan:
+        return _Removed.none_of(seen.scan)
+    if seen.scan is None or seen.cloud is None or seen.cloud is before.cloud:
+        return removed
+    stage = seen.steps[-1].stage
+    left = ~(removed.cut_away | removed.dropped)
+    points, given = seen.scan.points, seen.scan if before.cloud is None else before.cloud
+    if stage == "crop":  # does not move points
+        return removed._replace(cut_away=removed.cut_away | (left & (_distance(seen.cloud, points) > 0)))
+    dropped = removed.dropped.copy()
+    if stage == "clean" and len(given.points) == left.sum():
+        dropped[left] = outliers(given, options.scan)
+    elif stage == "clean" or stage not in DEFAULT_STAGES:
+        reach = DROPPED * _median_spacing(seen.cloud.points)
+        dropped |= left & (_distance(seen.cloud, points) > reach)
+    return removed._replace(dropped=dropped)
+
+
+def _median_spacing(points: FloatArray) -> float:
+    """The median distance of points to their nearest neighbours; 0 if there are fewer than two.
+
+    points: (n, 3) float64, coordinates.
+    Returns float: in the unit of the points.
+    """
+    return float(np.median(cKDTree(points).query(points, k=[2])[0])) if len(points) > 1 else 0.0
+
+
+def _distance(cloud: PointCloud, places: FloatArray) -> FloatArray:
+    """The distance of each place to the nearest point of a cloud, (n,)."""
+    return np.asarray(cKDTree(cloud.points).query(places)[0])
+
+
+def _next_body(
+    catalogue: Catalogue, signature: Signature, options: PipelineOptions, *, path: Path | None = None
+) -> NextBody:
+    """Find the shape of a catalogue that is nearest to a scan and of another body.
+
+    The class of the scan is its class in the catalogue, if the catalogue has it, or else that of the nearest
+    shape. The next body is the nearest shape of another class; if the classes are not known, the nearest
+    shape.
+    """
+    plain = options.changed(retrieval={"distance": "log", "whitening": "none", "calibration": None})
+    table = catalogue.signatures(plain)
+    if table.metric != "logarithms":
+        raise InputError(
+            f"error bars are those of logarithms, as which {table.kind} is not compared: leave out the "
+            "catalogue"
+        )
+    own = catalogue.with_content(content_hash(path)) if path is not None else []
+    held = {record.id for record in own}
+    gaps = np.linalg.norm(np.log(table.values) - np.log(signature.values), axis=1)  # (N,)
+    others = [row for row in np.argsort(gaps, kind="stable").tolist() if table.ids[row] not in held]
+    own_labels = [record.label for record in own if record.label is not None]
+    label = own_labels[0] if own_labels else table.labels[others[0]] if others else None
+    rows = [row for row in others if label is None or table.labels[row] not in (None, label)]
+    if not rows:
+        return NextBody(source=f"The catalogue has no other body: {NEXT_BODY:g} is the distance of people.")
+    row, nearest = rows[0], others[0]
+    names = [
+        shape_id if known is None else f"{shape_id} (class {known})"
+        for shape_id, known in zip(table.ids, table.labels, strict=True)
+    ]
+    words = f"The next body in the catalogue is {names[row]}, {gaps[row]:.2g} away"
+    if nearest != row:
+        words += f"; the nearest shape is {names[nearest]}, {gaps[nearest]:.2g} away"
+    if label is None:
+        words += "; as its class is not known, it may be the same body"
+    return NextBody(float(gaps[row]), table.ids[row], table.labels[row], f"{words}.")

@@ -14,14 +14,12 @@ from pathlib import Path
 
 from pcretrieve.errors import PcretrieveError
 from pcretrieve.formats import check_output, parts_of, split_member
-from pcretrieve.ingestion.discover import content_hash
-from pcretrieve.ingestion.isolation import Isolation
-from pcretrieve.ingestion.versions import versions
-from pcretrieve.inspection.inspect import inspect_scan
+from pcretrieve.formats.identity import content_hash
+from pcretrieve.ingestion.plan import versions
+from pcretrieve.ingestion.pool import Isolation
 from pcretrieve.options import OptionsLike, PipelineOptions, describe_options
+from pcretrieve.pipeline.inspecting import inspect_scan
 from pcretrieve.values.files import write_file
-
-__all__ = ["report_problem"]
 
 
 def report_problem(

@@ -1,0 +1,105 @@
+"""What identifies a scan: its printable name, the hash of its content, and the stamp of an unchanged file."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from pathlib import Path
+from typing import NamedTuple
+
+from pcretrieve.errors import ScanReadError
+from pcretrieve.formats import (
+    MARK,
+    check_file,
+    local_copy,
+    parts_of,
+    remote_version,
+    split_member,
+    url_of,
+)
+
+CHUNK = 1 << 20  # bytes read at once
+
+
+class Stamp(NamedTuple):
+    """What a file system says of a file and of the parts that the file names.
+
+    text: size in bytes, times of the last changes of the content (mtime) and of the inode (ctime) in
+        nanoseconds, and number of the inode, of each file.
+    changed: the latest of these times; seconds since 1970.
+    """
+
+    text: str
+    changed: float
+
+
+def printable(text: str | Path) -> str:
+    """Escape the bytes of a file name that are not UTF-8, so that it can be printed and stored."""
+    url = url_of(text) if isinstance(text, Path) else None
+    return os.fsencode(url or text).decode("utf-8", "backslashreplace")
+
+
+def content_hash(path: Path) -> str:
+    """The SHA-256 hash of a scan."""
+    return scan_hash(path, file_hash(split_member(path)[0]))
+
+
+def scan_hash(path: Path, hash_of_file: str) -> str:
+    """The hash of a scan, given that of its file."""
+    _, name = split_member(path)
+    if name is None:
+        return hash_of_file
+    return hashlib.sha256(os.fsencode(f"{hash_of_file}{MARK}{name}")).hexdigest()
+
+
+def file_hash(file: Path) -> str:
+    """The SHA-256 hash of a file and of the parts that the file names.
+
+    That of a file at a URL is computed from what the store says of its content, if possible.
+    """
+    if url_of(file) is not None:
+        version = remote_version(file)
+        if version is not None:
+            return hashlib.sha256(version.encode()).hexdigest()
+        with local_copy(file) as copied:
+            return file_hash(copied)
+    digest = hashlib.sha256()
+    part = file
+    try:
+        check_file(file)
+        for part in [file, *(part.path for part in parts_of(file))]:
+            check_file(part)
+            with part.open("rb") as opened:
+                while chunk := opened.read(CHUNK):
+                    digest.update(chunk)
+    except ScanReadError as error:
+        if str(part) in error.message:
+            raise
+        raise ScanReadError(f"{part}: {error.message}") from error
+    # A path with a zero byte, from a binary file in place of a manifest, raises a ValueError.
+    except (OSError, ValueError) as error:
+        raise ScanReadError(f"cannot read {part}: {getattr(error, 'strerror', None) or error}") from error
+    return digest.hexdigest()
+
+
+def stamp_of(file: Path) -> Stamp | None:
+    """The stamp of a file. Two equal stamps of a path, the first of them settled, are of one content.
+
+    Every writing to a file, and every change of its attributes, sets its ctime, which no user can set to
+    another time: a file whose mtime was put back has another stamp. The device is left out, because its
+    number may change when the computer starts, and differs between the computers of a cluster.
+    """
+    if url_of(file) is not None:
+        return None
+    found = []
+    try:
+        check_file(file)
+        for part in (file, *(part.path for part in parts_of(file))):
+            check_file(part)
+            # Of the opened file, because a network file system may say what it knew of a file not opened.
+            with part.open("rb") as opened:
+                found.append(os.fstat(opened.fileno()))
+    except (ScanReadError, OSError, ValueError):
+        return None
+    text = "; ".join(f"{one.st_size} {one.st_mtime_ns} {one.st_ctime_ns} {one.st_ino}" for one in found)
+    return Stamp(text, max(max(one.st_mtime, one.st_ctime) for one in found))

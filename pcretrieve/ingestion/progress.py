@@ -1,0 +1,238 @@
+"""What an ingest writes down about itself while it works, and what can be read from that at any time.
+
+A hidden file beside the catalogue, ``.bodies.sqlite.batch``, or a file in the cache folder of the user if the
+catalogue is no file, has the counts of the last ingest. It is one page, which is written by one call, so that
+it can be read at any moment and survives the death of the ingest. The ingest holds a lock on it, which the
+system releases when the process ends, however that happens.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import hashlib
+import json
+import logging
+import os
+import time
+from collections import Counter
+from contextlib import suppress
+from dataclasses import asdict, dataclass, field, replace
+from datetime import datetime, timezone
+from pathlib import Path
+from typing import Literal, get_args
+
+from pcretrieve.catalogue import CatalogueLike, Record, opened
+
+logger = logging.getLogger(__name__)
+
+State = Literal["none", "running", "finished", "stopped", "killed"]
+
+PAGE = 4096  # bytes
+
+# Shortest time between two writes; seconds.
+INTERVAL = 1.0
+
+# Largest time that can be written as a date, at the end of the year 9999; seconds since 1970.
+LATEST = 253_402_300_799
+
+# Number of attempts to lock the file, which a reader may have locked for a moment, and the seconds between.
+ATTEMPTS = 3
+PAUSE = 0.05
+
+
+@dataclass(frozen=True, slots=True)
+class BatchStatus:
+    """How far the last ingest into a catalogue is, and what the catalogue has.
+
+    Attributes
+    ----------
+    state : "none", "running", "finished", "stopped" or "killed"
+        That of the last ingest.
+    started, updated : str or None
+        Times of its first and of its last count, in ISO 8601.
+    n_scans, n_done, n_failed, n_skipped : int
+        Numbers of its scans.
+    scans_per_second : float
+        Scans done or failed; 1/s.
+    seconds_left : float or None
+        Expected time to its end, if it is running; seconds.
+    stages : dict of str to float
+        Share of each stage in the time of the stages.
+    failures : dict of str to int
+        Failed shapes of the catalogue by error and stage.
+    n_shapes : int
+        Shapes of the catalogue with a signature.
+    """
+
+    state: State
+    started: str | None
+    updated: str | None
+    n_scans: int
+    n_done: int
+    n_failed: int
+    n_skipped: int
+    scans_per_second: float
+    seconds_left: float | None
+    stages: dict[str, float]
+    failures: dict[str, int]
+    n_shapes: int
+
+
+@dataclass(slots=True)
+class _Counts:
+    """The counts of one ingest; times in seconds since 1970, `stages` in seconds."""
+
+    state: State = "running"
+    started: float = 0.0
+    updated: float = 0.0
+    workers: int | None = None
+    n_scans: int = 0
+    n_done: int = 0
+    n_failed: int = 0
+    n_skipped: int = 0
+    stages: dict[str, float] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        counts = (self.n_scans, self.n_done, self.n_failed, self.n_skipped)
+        numbers = (self.started, self.updated, *counts, *self.stages.values())
+        if self.state not in get_args(State) or not all(0 <= number <= LATEST for number in numbers):
+            raise ValueError(f"the counts of an ingest must be numbers from 0, got {self}")
+
+
+def status(catalogue: CatalogueLike) -> BatchStatus:
+    """How far the last ingest into a catalogue is, which may be running, and what has failed.
+
+    Parameters
+    ----------
+    catalogue : Catalogue, str or Path
+        The catalogue.
+
+    Returns
+    -------
+    BatchStatus
+        Rate, remaining time, share of each stage, and failures by kind.
+
+    Raises
+    ------
+    CatalogueError
+        If the catalogue cannot be opened.
+    """
+    with opened(catalogue) as store:
+        counts = _read(_path(store.location))
+        kinds = Counter({f"{error} in {stage}": n for (stage, error), n in store.failures().items()})
+        n_shapes = len(store)
+    n_finished = counts.n_done + counts.n_failed
+    seconds = (time.time() if counts.state == "running" else counts.updated) - counts.started
+    rate = n_finished / seconds if seconds > 0 else 0.0
+    left = None
+    if counts.state == "running" and rate > 0:
+        left = (counts.n_scans - counts.n_skipped - n_finished) / rate
+    total = sum(counts.stages.values())
+    return BatchStatus(
+        state=counts.state,
+        started=_iso(counts.started),
+        updated=_iso(counts.updated),
+        n_scans=counts.n_scans,
+        n_done=counts.n_done,
+        n_failed=counts.n_failed,
+        n_skipped=counts.n_skipped,
+        scans_per_second=rate,
+        seconds_left=left,
+        stages={name: share / total for name, share in counts.stages.items()} if total else {},
+        failures=dict(kinds.most_common()),
+        n_shapes=n_shapes,
+    )
+
+
+class CountsFile:
+    """The open file of a running ingest; without effect if another ingest has it, or it cannot be written."""
+
+    def __init__(self, location: str, n_scans: int, workers: int | None) -> None:
+        now = time.time()
+        self._counts = _Counts(started=now, updated=now, workers=workers, n_scans=n_scans)
+        self._path = _path(location)
+        self._descriptor: int | None = None
+        self._written = 0.0
+
+    def __enter__(self) -> CountsFile:
+        try:
+            self._path.parent.mkdir(parents=True, exist_ok=True)
+            descriptor = os.open(self._path, os.O_RDWR | os.O_CREAT, 0o666)
+        except OSError as error:
+            logger.info("the progress of the ingest is not written to %s: %s", self._path, error.strerror)
+            return self
+        for _ in range(ATTEMPTS):
+            with suppress(BlockingIOError):
+                fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                self._descriptor = descriptor
+                self._write()
+                return self
+            time.sleep(PAUSE)
+        os.close(descriptor)
+        logger.info("the progress of the ingest is not written to %s, which another ingest uses", self._path)
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        self._counts.state = "finished" if kind is None else "stopped"
+        self._write()
+        if self._descriptor is not None:
+            os.close(self._descriptor)
+
+    def skip(self, n: int) -> None:
+        """Count scans that the catalogue has already."""
+        self._counts.n_skipped += n
+        self._write_now_and_then()
+
+    def add(self, record: Record) -> None:
+        """Count a scan that was processed, or that failed."""
+        if record.status == "failed":
+            self._counts.n_failed += 1
+        else:
+            self._counts.n_done += 1
+            stages = self._counts.stages
+            for step in record.steps:
+                stages[step.stage] = stages.get(step.stage, 0.0) + step.seconds
+        self._write_now_and_then()
+
+    def _write_now_and_then(self) -> None:
+        if time.monotonic() - self._written >= INTERVAL:
+            self._write()
+
+    def _write(self) -> None:
+        self._written = time.monotonic()
+        self._counts.updated = time.time()
+        if self._descriptor is None:
+            return
+        data = json.dumps(asdict(self._counts)).encode().ljust(PAGE)
+        with suppress(OSError):  # a full disk is the concern of the catalogue
+            os.pwrite(self._descriptor, data, 0)
+            os.ftruncate(self._descriptor, len(data))
+
+
+def _read(path: Path) -> _Counts:
+    """The counts in a file; those of no ingest if there is none."""
+    try:
+        with path.open("rb") as file:
+            counts = _Counts(**json.loads(file.read()))
+            with suppress(BlockingIOError):
+                fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
+                return replace(counts, state="killed") if counts.state == "running" else counts
+            return replace(counts, state="running")
+    except (OSError, ValueError, TypeError, AttributeError, RecursionError):
+        return _Counts(state="none")
+
+
+def _path(location: str) -> Path:
+    if "://" not in location:
+        return Path(location).with_name(f".{Path(location).name}.batch")
+    try:
+        cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+    except RuntimeError:  # there is no user
+        cache = Path(os.devnull)
+    return cache / "pcretrieve" / f"{hashlib.sha256(location.encode()).hexdigest()[:16]}.batch"
+
+
+def _iso(seconds: float) -> str | None:
+    if not seconds:
+        return None
+    return datetime.fromtimestamp(seconds, timezone.utc).isoformat(timespec="seconds")
