@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal
 
 from pydantic import AfterValidator, Field
 
@@ -39,7 +39,7 @@ class RetrievalOptions(Options):
     """Re-ranking of the first hundred results of a query, of which the first keeps its rank: by distances
     relative to the distances of near shapes (local), or by the overlap of k-reciprocal neighbourhoods
     (k-reciprocal)."""
-    n_folds: Annotated[int, Field(ge=2)] = 5
-    """Number of folds of classes with which a within-class whitening is evaluated."""
-    fold_seed: Annotated[int, Field(ge=0)] = 0
-    """Seed of the random assignment of classes to folds."""
+    # Number of folds of classes with which a within-class whitening is evaluated.
+    n_folds: ClassVar[int] = 5
+    # Seed of the random assignment of classes to folds.
+    fold_seed: ClassVar[int] = 0

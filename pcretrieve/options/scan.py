@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field, field_validator
 
-from pcretrieve.options.model import Count, Length, Options
+from pcretrieve.options.model import Length, Options
 
 __all__ = ["ScanOptions"]
 
@@ -31,13 +31,13 @@ class ScanOptions(Options):
     """auto: remove the largest plane on which the body stands, if it is seen around the body."""
     keep_largest: bool = False
     """Remove all but the largest connected component."""
-    piece_gap: Annotated[float, Field(gt=0, lt=1)] = 0.02
-    """Distance between points above which they are in different components; relative to the diagonal."""
+    # Distance between points above which they are in different components; relative to the diagonal.
+    piece_gap: ClassVar[float] = 0.02
     voxel: Literal["auto"] | Length = "auto"
     """Edge of the voxels in which points are averaged (voxel-grid filter); relative to the diagonal, 0 for no
     filter. auto: .003 for dense clouds, .0015 for others."""
-    outlier_neighbors: Count = 20
-    """Statistical outlier removal: number of neighbours to which the mean distance of a point is computed."""
+    # Statistical outlier removal: number of neighbours to which the mean distance of a point is computed.
+    outlier_neighbors: ClassVar[int] = 20
     outlier_std: Annotated[float, Field(gt=0)] = 2.0
     """Statistical outlier removal: largest mean distance that is kept; standard deviations above the mean of
     the cloud."""
@@ -47,14 +47,14 @@ class ScanOptions(Options):
     """How the sign of normals is found. viewpoint: towards the sensor; flood: towards the outside, found by
     flood fill; tangent-plane: consistently along a minimum spanning tree; given: the normals in the file.
     auto: viewpoint if the file has sensor positions, else given if it has normals, else flood."""
-    flood_cell: Annotated[float, Field(gt=0, lt=0.1)] = 0.005
-    """Edge of the grid cells of the flood fill; relative to the diagonal. At least 1.3 times the spacing of
-    the points."""
+    # Edge of the grid cells of the flood fill; relative to the diagonal. At least 1.3 times the spacing of
+    # the points.
+    flood_cell: ClassVar[float] = 0.005
     flood_gap: Length = 0.02
     """Radius of the largest hole in the scan through which the flood fill does not pass, at the first
     attempt; relative to the diagonal."""
-    flood_retries: Annotated[int, Field(ge=0, le=10)] = 4
-    """Number of further attempts, each with a larger radius, if the flood fill leaks into the body."""
+    # Number of further attempts, each with a larger radius, if the flood fill leaks into the body.
+    flood_retries: ClassVar[int] = 4
 
     @field_validator("box")
     @classmethod

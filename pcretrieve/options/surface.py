@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal
 
 from pydantic import AfterValidator, Field
 
@@ -14,8 +14,8 @@ __all__ = ["RemeshOptions", "SurfaceOptions"]
 # The options that one method of surface reconstruction alone uses. `reconstructions` is not here: that the
 # method poisson makes one surface is noted for the default too.
 ONLY_OF_METHOD = {
-    "growth": ("genus", "cell", "gap", "bridge", "fill_depth"),
-    "poisson": ("poisson_depth", "poisson_scale", "density_trim"),
+    "growth": ("genus", "cell", "gap"),
+    "poisson": ("poisson_depth",),
 }
 
 
@@ -41,27 +41,27 @@ class SurfaceOptions(Options):
     gap: Length = 0.02
     """Radius of the largest hole in the scan that growth closes against the outside; relative to the
     diagonal."""
-    bridge: Length = 0.08
-    """Largest distance over which growth connects a component that a hole has separated to the body; relative
-    to the diagonal."""
+    # Largest distance over which growth connects a component that a hole has separated to the body; relative
+    # to the diagonal.
+    bridge: ClassVar[float] = 0.08
     reconstructions: Count = 2
     """Number of surfaces that growth reconstructs from one scan, with voxels of the edge above, 4/3 of it,
     3/4 of it, and so on in turn. The signature is the geometric mean over the surfaces, and its error bar is
     the standard deviation over them."""
-    fill_depth: Annotated[int, Field(ge=4, le=8)] = 6
-    """The coarse surface by which growth fills holes has 2^fill_depth voxels on its longest side; for a scan
-    with large holes it is a Poisson surface with an octree of this depth."""
+    # The coarse surface by which growth fills holes has 2^fill_depth voxels on its longest side; for a scan
+    # with large holes it is a Poisson surface with an octree of this depth.
+    fill_depth: ClassVar[int] = 6
     poisson_depth: Annotated[int, Field(ge=4, le=12)] = 7
     """Octree depth of the method poisson; its smallest cell is poisson_scale · longest side / 2^depth."""
-    poisson_scale: Annotated[float, Field(ge=1)] = 1.1
-    """Side of the cube of the method poisson; relative to the longest side of the bounding box."""
-    density_trim: Share = 0.0
-    """Fraction of the vertices, those with the lowest point density, that the method poisson removes before
-    remeshing."""
+    # Side of the cube of the method poisson; relative to the longest side of the bounding box.
+    poisson_scale: ClassVar[float] = 1.1
+    # Fraction of the vertices, those with the lowest point density, that the method poisson removes before
+    # remeshing.
+    density_trim: ClassVar[float] = 0.0
     target_faces: Annotated[int, Field(ge=200)] = 10_000
     """Largest number of faces after simplification."""
-    sample_points: Annotated[int, Field(ge=100)] = 30_000
-    """Number of points sampled on a mesh with defects before it is reconstructed."""
+    # Number of points sampled on a mesh with defects before it is reconstructed.
+    sample_points: ClassVar[int] = 30_000
     max_discarded: Share = 0.1
     """Largest size of a second connected component that is removed; fraction of the points (growth) or of the
     area (poisson). A larger component is a second body, and an error."""
@@ -88,11 +88,11 @@ class RemeshOptions(Options):
     """The remesher. The surface method growth needs none, because its surface is a closed manifold."""
     edge_length: Annotated[float, Field(gt=0, lt=1)] = 0.05
     """Ideal edge length of the tetrahedra; relative to the diagonal."""
-    envelope: Annotated[float, Field(gt=0, lt=0.1)] = 0.001
-    """Largest distance of the new surface from the old one; relative to the diagonal."""
+    # Largest distance of the new surface from the old one; relative to the diagonal.
+    envelope: ClassVar[float] = 0.001
     optimize: bool = False
     """Optimise the quality of the tetrahedra. Slow, without benefit for the signature of the surface."""
     timeout: Annotated[float, Field(gt=0)] = 60.0
     """Time limit; seconds. After it the surface is used as it was before remeshing."""
-    max_change: Share = 0.1
-    """Largest relative change of area or volume. Beyond it the surface is used as it was before remeshing."""
+    # Largest relative change of area or volume. Beyond it the surface is used as it was before remeshing.
+    max_change: ClassVar[float] = 0.1

@@ -82,7 +82,4 @@ def _check_change(before: TriangleMesh, after: TriangleMesh, most: float) -> Non
         sizes.append(("volume", before.volume, after.volume))
     for name, old, new in sizes:
         if abs(new - old) > most * abs(old):
-            raise RemeshError(
-                f"it changed the {name} from {old:.6g} to {new:.6g}, by more than "
-                f"remesh.max_change = {most:.0%}"
-            )
+            raise RemeshError(f"it changed the {name} from {old:.6g} to {new:.6g}, by more than {most:.0%}")

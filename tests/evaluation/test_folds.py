@@ -50,9 +50,9 @@ def test_every_class_is_in_one_fold() -> None:
 
 
 def test_classes_of_one_are_spread_beside_the_others() -> None:
-    folds = grouped_folds([*"aabbccddeeff", *"uvwxyz", None], RetrievalOptions(n_folds=3))
-    assert [sum(name in "abcdef" for name in fold) for fold in folds] == [2, 2, 2]
-    assert [sum(name in "uvwxyz" for name in fold) for fold in folds] == [2, 2, 2]
+    folds = grouped_folds([*"aabbccddeeffgghhiijj", *"uvwxy", None])
+    assert [sum(name in "abcdefghij" for name in fold) for fold in folds] == [2] * 5
+    assert [sum(name in "uvwxy" for name in fold) for fold in folds] == [1] * 5
 
 
 def test_folds_are_always_the_same_whatever_the_order_of_shapes() -> None:

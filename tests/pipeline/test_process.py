@@ -39,7 +39,7 @@ def test_every_element_of_a_surface_can_be_asked_for(element: str) -> None:
 
 @pytest.mark.parametrize("scan", [POINTS, shapes.body(4)], ids=["cloud", "mesh"])
 def test_points_need_no_surface(scan: object) -> None:
-    options = PipelineOptions().changed(spectral={"element": "points"}, surface={"sample_points": 8000})
+    options = PipelineOptions().changed(spectral={"element": "points"})
     shape = process(scan, options)
     stages = [step.stage for step in shape.provenance]
     assert stages[-2:] == ["spectrum", "checks"]

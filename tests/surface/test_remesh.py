@@ -50,9 +50,6 @@ def kept_as_it_was(result: TriangleMesh, mesh: TriangleMesh) -> bool:
 @pytest.mark.parametrize(
     ("mesh", "options", "why"),
     [
-        # With an envelope of a tenth of the body the limbs are lost.
-        (BODY, {"envelope": 0.09}, r"it changed the (area|volume) from [\d.]+ to [\d.]+, by more"),
-        (BODY, {"envelope": 0.01, "max_change": 0.0}, r"it .*, by more than remesh\.max_change = 0%"),
         (BODY, {"timeout": 1e-3}, r"fTetWild did not finish within 0\.001 s and was stopped"),
         # For a body that is oriented inwards the result is almost empty, or oriented outwards.
         (
@@ -61,7 +58,7 @@ def kept_as_it_was(result: TriangleMesh, mesh: TriangleMesh) -> bool:
             r"fTetWild gave no|it changed the",
         ),
     ],
-    ids=["wide envelope", "no change allowed", "no time", "inside out"],
+    ids=["no time", "inside out"],
 )
 def test_an_answer_that_cannot_be_used_is_refused_and_said_so(
     mesh: TriangleMesh, options: dict[str, float], why: str

@@ -60,7 +60,7 @@ def foreground(cloud: PointCloud, sensor: FloatArray, number: int, options: Merg
     if options.background == "planes":
         points = _in_front_of_planes(points, sensor)
     if options.keep_largest and len(points):
-        largest = ScanOptions(keep_largest=True, piece_gap=options.piece_gap)
+        largest = ScanOptions(keep_largest=True)
         points = points[kept_points(PointCloud(points, viewpoints=sensor), largest, of_view=True).points]
     if len(points) <= NORMAL_NEIGHBORS or not bounding_diagonal(points):
         raise ReconstructionError(
