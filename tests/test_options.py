@@ -64,12 +64,6 @@ OTHER: dict[str, dict[str, Any]] = {
         "calibration": "metric.npz",
         "shrinkage": 0.2,
         "rerank": "local",
-<<<<<<< HEAD
-        "n_folds": 3,
-        "fold_seed": 7,
-=======
-        "nearest": "scan",
->>>>>>> 002f105 (Make constants of 20 options that nobody sets: their digests change, no number does)
     },
     "catalogue": {"keep": ("overlaps",)},
     "merge": {
