@@ -14,8 +14,6 @@ from pcretrieve.points.density import FARTHER, is_of_surface
 from pcretrieve.points.neighbors import neighborhoods, voxel_numbers
 from pcretrieve.values import FloatArray, PointCloud, Step
 
-__all__ = ["CLEAN", "FEWEST_POINTS", "averaged", "check_extent", "clean", "outliers"]
-
 # Smallest number of points of a scan. With fewer points, limbs cannot be resolved.
 FEWEST_POINTS = 100
 

@@ -14,8 +14,6 @@ from pcretrieve.points.clean import FEWEST_POINTS, check_extent
 from pcretrieve.points.ground import Ground, ground_of
 from pcretrieve.values import FloatArray, PointCloud, Step, bounding_diagonal
 
-__all__ = ["CROP", "Kept", "crop", "kept_points"]
-
 # A depth camera writes one range, 0 or the largest that its format has, for each ray without an answer. Such
 # ranges are equal within the tolerance, and the largest one is no measurement if all others are smaller than
 # this fraction of it. A single point may be real.

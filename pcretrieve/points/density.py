@@ -22,8 +22,6 @@ from pcretrieve.points.neighbors import (
 )
 from pcretrieve.values import FloatArray, PointCloud
 
-__all__ = ["FARTHER", "disks", "interpolated", "is_of_surface", "local_spacings", "sparse_points"]
-
 Mask = NDArray[np.bool_]
 
 # Spacing from which a point is sparse, in voxels; and the smallest fraction of the surface that sparse points

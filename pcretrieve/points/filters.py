@@ -9,8 +9,6 @@ from pcretrieve.points.clean import CLEAN
 from pcretrieve.points.crop import CROP
 from pcretrieve.points.normals import ORIENT
 
-__all__ = ["POINT_FILTERS"]
-
 POINT_FILTERS: Registry[PointFilter] = Registry(
     NAMES["point filter"], {record.name: record for record in (CROP, CLEAN, ORIENT)}, named(PointFilter)
 )

@@ -10,8 +10,6 @@ from numpy.typing import NDArray
 from pcretrieve.points.neighbors import PLANE_NEIGHBORS, neighborhoods, noise
 from pcretrieve.values import FloatArray, bounding_diagonal
 
-__all__ = ["Ground", "fitted_plane", "ground_of", "planes_of"]
-
 # Number of points by which planes are compared, and from which the three points of each plane are chosen;
 # number of planes; number of neighbours of the first point among which the second and the third are.
 COMPARED = 2000

@@ -137,14 +137,14 @@ def _nearest(
                     if ring == 1 or abs(u - a) == ring or abs(v - b) == ring:
                         # The points in the cells of one line follow each other.
                         first, last = starts[line + bottom], starts[line + top + 1]
-                        n = _add(x, y, z, grouped, first, last, squares, found, n)
+                        n = _add((x, y, z), grouped, first, last, squares, found, n)
                         continue
                     if c - ring >= 0:
                         first, last = starts[line + bottom], starts[line + bottom + 1]
-                        n = _add(x, y, z, grouped, first, last, squares, found, n)
+                        n = _add((x, y, z), grouped, first, last, squares, found, n)
                     if c + ring < shape[2]:
                         first, last = starts[line + top], starts[line + top + 1]
-                        n = _add(x, y, z, grouped, first, last, squares, found, n)
+                        n = _add((x, y, z), grouped, first, last, squares, found, n)
             # Points outside the block are at least this far away.
             gap = np.inf
             for at, corner, cell, size in (
@@ -166,9 +166,7 @@ def _nearest(
 
 @njit(cache=True, error_model="numpy")
 def _add(
-    x: float,
-    y: float,
-    z: float,
+    place: tuple[float, float, float],
     grouped: FloatArray,
     first: int,
     last: int,
@@ -179,7 +177,7 @@ def _add(
     """Add those of the points from `first` to `last` that are among the nearest; return their number."""
     k = len(squares)
     for i in range(first, last):
-        u, v, w = grouped[i, 0] - x, grouped[i, 1] - y, grouped[i, 2] - z
+        u, v, w = grouped[i, 0] - place[0], grouped[i, 1] - place[1], grouped[i, 2] - place[2]
         square = u * u + v * v + w * w
         if n < k:
             n += 1

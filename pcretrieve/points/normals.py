@@ -23,8 +23,6 @@ from pcretrieve.points.neighbors import (
 from pcretrieve.points.outside import Outside, flood
 from pcretrieve.values import FloatArray, PointCloud, Step
 
-__all__ = ["ORIENT", "oriented_normals"]
-
 # Smallest cosine of the angle between the guide directions of two points on the same side of a thin part.
 SAME_SIDE = 0.2
 

@@ -20,8 +20,6 @@ from pcretrieve.errors import (
 from pcretrieve.spectral.krylov import BLOCK, basis_size, block_krylov
 from pcretrieve.values import Eigenpairs, FloatArray, LaplaceBeltrami
 
-__all__ = ["eigenpairs"]
-
 # The shift σ of shift-invert iteration, times the area. S is singular, and S − σM is
 # factorised instead with σ < 0. |σ| is small enough that it is near to λ_1 (about 10
 # / area), and large enough that S − σM is well conditioned and θ_0 does not exceed

@@ -9,8 +9,6 @@ from pcretrieve.errors import DegenerateMeshError
 from pcretrieve.spectral.elements import Assembled, Element, check_vertices, sides_of
 from pcretrieve.values import TriangleMesh
 
-__all__ = ["INTRINSIC_DELAUNAY", "intrinsic_delaunay"]
-
 
 def intrinsic_delaunay(mesh: TriangleMesh) -> Assembled:
     """Stiffness and lumped mass of linear elements on the intrinsic Delaunay triangulation [1]_.

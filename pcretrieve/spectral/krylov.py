@@ -19,8 +19,6 @@ from scipy.sparse import csc_array, csr_array
 from pcretrieve.errors import NegativeEigenvalues, NonFiniteSpectrum, SpectrumNotConverged
 from pcretrieve.values import FloatArray
 
-__all__ = ["basis_size", "block_krylov"]
-
 # Number of vectors in a block. An iteration finds at most as many copies of a multiple eigenvalue as the
 # block has vectors. The symmetry groups of bodies in space have irreducible representations of dimension 5 at
 # most, and thus eigenvalues of multiplicity 5 at most, except for accidental ones. For blocks of other sizes
@@ -132,12 +130,7 @@ def block_krylov(
         if worst <= tolerance:
             # T φ / θ instead of φ: it is available, and more accurate by one iteration.
             basis[width : width + BLOCK] = block.T
-            outside = outside[:, :n_pairs]
-            parts = np.concatenate([mixing[:, :n_pairs], outside])  # (width + BLOCK, n_pairs)
-            parts -= parts @ (outside.T @ outside) / 2  # M-orthonormal again, to first order
-            vectors = np.empty((n, n_pairs))
-            for part in _chunks(n):
-                vectors[part] = basis[: len(parts), part].T @ parts
+            vectors = _combined(basis, mixing[:, :n_pairs], outside[:, :n_pairs])
             return 1 / theta[:n_pairs] + shift, vectors, n_blocks
         if full:
             width = (n_pairs + size) // 2
@@ -154,6 +147,17 @@ def block_krylov(
         f"residuals must fall below {tolerance:g}, got {worst:.1e} after {n_blocks} blocks: "
         "allow a larger tolerance, or try solver='arpack'"
     )
+
+
+def _combined(basis: FloatArray, mixing: FloatArray, outside: FloatArray) -> FloatArray:
+    """The (n, n_pairs) eigenvectors: combinations of the basis, and of the block after it."""
+    parts = np.concatenate([mixing, outside])  # (width + BLOCK, n_pairs)
+    parts -= parts @ (outside.T @ outside) / 2  # M-orthonormal again, to first order
+    n = basis.shape[1]
+    vectors = np.empty((n, parts.shape[1]))
+    for part in _chunks(n):
+        vectors[part] = basis[: len(parts), part].T @ parts
+    return vectors
 
 
 def _chunks(n: int) -> Iterator[slice]:

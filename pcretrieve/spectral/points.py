@@ -11,8 +11,6 @@ from pcretrieve.errors import DegenerateMeshError
 from pcretrieve.spectral.elements import LINEAR_REFERENCE, Assembled, Element, assembled, sides_of
 from pcretrieve.values import FloatArray, IntArray, PointCloud, TriangleMesh
 
-__all__ = ["POINTS", "points", "star_mesh", "stars"]
-
 # Number of neighbours among which the triangles of a point are searched, and to which its tangent plane is
 # fitted if the cloud has no normals. With fewer neighbours triangles are missed, with more the neighbourhood
 # includes points of the opposite side of a thin limb. See docs/decisions.md, NEIGHBORS.

@@ -35,9 +35,6 @@ from pcretrieve.surface.parts import CONTINUED, contact_layer, joined, rims, wal
 from pcretrieve.surface.simplify import simplified
 from pcretrieve.values import FloatArray, PointCloud, Step, TriangleMesh
 
-__all__ = ["SurfaceMarks", "body_surfaces"]
-
-
 # Largest fraction of the interior of the coarse surface that the flood fill may
 # reach. If it reaches more, it has leaked through a hole, and is repeated with the
 # radius of closed holes multiplied by each factor in turn.
@@ -168,14 +165,7 @@ def _body_surface(
     body, cuts = with_topology(inside, crossed_links, outside, options, notes)
     known_distance = np.where(known, distance, np.nan)
     mesh, is_invented = _surface(body, inside, parted, known_distance, coarse_crossings, grid)
-    invented = float(is_invented.mean())
-    one_sided = _one_sidedness(mesh, is_invented) > MOST_ONE_SIDED
-    if invented > MOST_INVENTED or one_sided:
-        raise ReconstructionError(
-            f"the points must surround a body, {invented:.0%} of its surface had to be invented"
-            f"{', on one side' if one_sided else ''}: "
-            "scan the sides that are missing, or merge this view with others"
-        )
+    invented = _invented(mesh, is_invented)
     final = simplified(mesh, options.target_faces)
     step = Step(
         "surface",
@@ -256,6 +246,19 @@ def _surface(
     # The vertices after those on grid lines, inside cubes of the grid, are few.
     counted = np.pad(counted, (0, len(vertices) - len(counted)))
     return TriangleMesh(moved * grid.cell + grid.origin, faces), counted
+
+
+def _invented(mesh: TriangleMesh, invented: Mask) -> float:
+    """The fraction of the vertices that no points support, if it is small enough for a body."""
+    share = float(invented.mean())
+    one_sided = _one_sidedness(mesh, invented) > MOST_ONE_SIDED
+    if share > MOST_INVENTED or one_sided:
+        raise ReconstructionError(
+            f"the points must surround a body, {share:.0%} of its surface had to be invented"
+            f"{', on one side' if one_sided else ''}: "
+            "scan the sides that are missing, or merge this view with others"
+        )
+    return share
 
 
 def _one_sidedness(mesh: TriangleMesh, invented: Mask) -> float:

@@ -11,8 +11,6 @@ from pcretrieve.points.grid import Mask
 from pcretrieve.surface.topology import edges_of, joined_by
 from pcretrieve.values import FloatArray, PointCloud, TriangleMesh
 
-__all__ = ["Capped", "base_of", "capped", "points_on"]
-
 # Distance to the nearest point beyond which a vertex is in a hole: relative to the diagonal, and in spacings
 # of the points, whichever is larger. A vertex of a large hole exceeds the last distance, relative to the
 # diagonal. See docs/decisions.md, LARGE_HOLE.

@@ -11,9 +11,6 @@ from pcretrieve.points.grid import Mask, Voxels
 from pcretrieve.points.outside import Outside
 from pcretrieve.values import FloatArray, PointCloud
 
-__all__ = ["LEAST_WEIGHT", "distance_field", "folded", "hidden_below", "normals_of"]
-
-
 # Radius of the neighbourhood of a voxel, and standard deviation of the Gaussian
 # weight of its points; in voxels.
 REACH = 3.0

@@ -7,8 +7,6 @@ from pcretrieve.options import SurfaceFilter
 from pcretrieve.plugins import Registry, named
 from pcretrieve.surface.remesh import REMESH
 
-__all__ = ["SURFACE_FILTERS"]
-
 SURFACE_FILTERS: Registry[SurfaceFilter] = Registry(
     NAMES["surface filter"], {REMESH.name: REMESH}, named(SurfaceFilter)
 )

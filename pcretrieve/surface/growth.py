@@ -23,6 +23,8 @@ from pcretrieve.surface.marching import marched
 from pcretrieve.surface.topology import joined_by
 from pcretrieve.values import TriangleMesh
 
+Links = NDArray[np.int32]
+
 # Number of integer priorities for each voxel edge of depth, and of all.
 STEPS = 8
 MOST_STEPS = 30_000
@@ -92,9 +94,7 @@ def _grown(steps: NDArray[np.int16], walls: Mask, seed: int) -> Mask:
     state = np.zeros(n, dtype=np.uint8)
     for cell in range(n):
         state[cell] = INSIDE if step[cell] else 0
-    offset = np.empty(27, dtype=np.int64)
-    for k in range(27):
-        offset[k] = (k // 9 - 1) * n_y * n_z + (k // 3 % 3 - 1) * n_z + k % 3 - 1
+    offset = np.array([(k // 9 - 1) * n_y * n_z + (k // 3 % 3 - 1) * n_z + k % 3 - 1 for k in range(27)])
     along = (n_y * n_z, n_z, 1)
     n_buckets = step[seed] + 1
     # Two bucket queues, whose buckets are linked lists through `after`: 1 for voxels that are reached by a
@@ -142,13 +142,19 @@ def _grown(steps: NDArray[np.int16], walls: Mask, seed: int) -> Mask:
             if state[other] & (WAITING << queue):
                 continue
             state[other] |= WAITING << queue
-            after[queue, other] = -1
-            if head[queue, step[other]] < 0:
-                head[queue, step[other]] = other
-            else:
-                after[queue, tail[queue, step[other]]] = other
-            tail[queue, step[other]] = other
+            _append(head[queue], tail[queue], after[queue], step[other], other)
             top[queue] = max(top[queue], step[other])
+
+
+@njit(cache=True)
+def _append(head: Links, tail: Links, after: Links, bucket: int, cell: int) -> None:
+    """Append a voxel to the linked list of a bucket."""
+    after[cell] = -1
+    if head[bucket] < 0:
+        head[bucket] = cell
+    else:
+        after[tail[bucket]] = cell
+    tail[bucket] = cell
 
 
 @njit(cache=True)

@@ -13,8 +13,6 @@ from pcretrieve.surface.repair import repaired
 from pcretrieve.surface.topology import compact, defects, edges_of, face_groups
 from pcretrieve.values import FloatArray, IntArray, Step, TriangleMesh
 
-__all__ = ["REMESH", "remesh"]
-
 # The faces of a tetrahedron of positive volume, counter-clockwise seen from outside.
 OUTWARD_FACES = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])
 

@@ -35,6 +35,7 @@ LEAST_COSINE = 0.8
 LEAST_QUALITY = 0.5
 
 Keys = NDArray[np.int64]
+Mask = NDArray[np.bool_]
 
 
 def simplified(mesh: TriangleMesh, n_faces: int) -> TriangleMesh:
@@ -252,6 +253,60 @@ def _merge(corners: IntArray, twin: IntArray, edge: IntArray, half: IntArray, h:
 
 
 @njit(cache=True)
+def _queue(
+    vertices: FloatArray, corners: IntArray, twin: IntArray, quadrics: FloatArray, area: float
+) -> tuple[IntArray, IntArray, Keys]:
+    """The edge of each half-edge; a half-edge of each edge, −1 once it is removed; and the heap of costs."""
+    edge = np.empty(len(corners), dtype=np.int32)
+    half = np.empty(len(corners) // 2, dtype=np.int32)
+    heap = np.empty(len(half), dtype=np.int64)
+    place = np.empty(3)
+    size = 0
+    for h in range(len(corners)):
+        if h < twin[h]:
+            edge[h] = edge[twin[h]] = size
+            half[size] = h
+            cost = _meeting(vertices, quadrics, corners[h], corners[twin[h]], place)
+            heap[size] = _key(cost / area, size)
+            size += 1
+    for at in range(size // 2 - 1, -1, -1):
+        _sink(heap, size, at)
+    return edge, half, heap
+
+
+@njit(cache=True)
+def _requeue(
+    corners: IntArray,
+    twin: IntArray,
+    edge: IntArray,
+    start: int,
+    is_rejected: Mask,
+    queued: Mask,
+    heap: Keys,
+    size: int,
+) -> int:
+    """Queue the rejected edges around a vertex, which may be possible now; return the size of the heap."""
+    # They are queued first: their costs were below those of all queued edges, unless an end was moved, and
+    # then the cost is computed again.
+    g = start
+    while True:
+        k = twin[g]
+        w = corners[k]
+        while is_rejected[w]:
+            if not queued[edge[k]]:
+                queued[edge[k]] = True
+                heap[size] = _key(0.0, edge[k])
+                _rise(heap, size)
+                size += 1
+            k = twin[_previous(k)]
+            if k == twin[g]:
+                is_rejected[w] = False
+        g = twin[_previous(g)]
+        if g == start:
+            return size
+
+
+@njit(cache=True)
 def _collapsed(
     vertices: FloatArray,
     corners: IntArray,
@@ -265,23 +320,11 @@ def _collapsed(
     moved = np.zeros(len(vertices), dtype=np.int32)  # the step in which it was moved to its position
     mark = np.zeros(len(vertices), dtype=np.int32)
     place = np.empty(3)
-    edge = np.empty(len(corners), dtype=np.int32)  # the edge of each half-edge
-    half = np.empty(len(corners) // 2, dtype=np.int32)  # a half-edge of each edge; −1 if the edge was removed
+    edge, half, heap = _queue(vertices, corners, twin, quadrics, area)
+    size = len(heap)
     known = np.zeros(len(half), dtype=np.int32)  # the step in which the cost of the edge was computed
     queued = np.ones(len(half), dtype=np.bool_)
     is_rejected = np.zeros(len(vertices), dtype=np.bool_)  # whether an edge of the vertex may not be queued
-    heap = np.empty(len(half), dtype=np.int64)
-    size = 0
-    for h in range(len(corners)):
-        if h < twin[h]:
-            edge[h] = edge[twin[h]] = size
-            half[size] = h
-            cost = _meeting(vertices, quadrics, corners[h], corners[twin[h]], place)
-            heap[size] = _key(cost / area, size)
-            size += 1
-    for at in range(size // 2 - 1, -1, -1):
-        _sink(heap, size, at)
-
     n_left, step, label = len(corners) // 3, 0, 0
     while n_left > n_faces and size > 0:
         e = heap[0] & 0x7FFFFFFF
@@ -316,25 +359,8 @@ def _collapsed(
         spent[u] = cost
         moved[u] = step
         start = _merge(corners, twin, edge, half, h)
-        # Edges around here that were rejected may be possible now. They are queued first: their costs were
-        # below those of all queued edges, unless an end was moved, and then the cost is computed again.
         is_rejected[u] |= is_rejected[v]
-        g = start
-        while True:
-            k = twin[g]
-            w = corners[k]
-            while is_rejected[w]:
-                if not queued[edge[k]]:
-                    queued[edge[k]] = True
-                    heap[size] = _key(0.0, edge[k])
-                    _rise(heap, size)
-                    size += 1
-                k = twin[_previous(k)]
-                if k == twin[g]:
-                    is_rejected[w] = False
-            g = twin[_previous(g)]
-            if g == start:
-                break
+        size = _requeue(corners, twin, edge, start, is_rejected, queued, heap, size)
     left: IntArray = corners.reshape(-1, 3)[corners[::3] >= 0]
     return left
 

@@ -28,8 +28,6 @@ from numpy.typing import NDArray
 from pcretrieve.arrays import FloatArray, IntArray
 from pcretrieve.errors import RemeshError
 
-__all__ = ["serve", "start", "tetrahedralize"]
-
 Arrays = dict[str, NDArray[Any]]
 
 # A message is its length, followed by an .npz archive of arrays. Nothing is pickled.

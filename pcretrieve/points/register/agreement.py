@@ -13,8 +13,6 @@ from pcretrieve.options import MergeOptions
 from pcretrieve.points.register.alignment import Poses, moved, paired, turned
 from pcretrieve.points.register.views import View
 
-__all__ = ["Overlap", "Verification", "overlap", "overlaps", "shared", "verification"]
-
 # Smallest overlap of two views that is reported; fraction of the points of one of them.
 LEAST_SHARE = 0.02
 

@@ -9,8 +9,6 @@ from numpy.typing import NDArray
 
 from pcretrieve.values import FloatArray
 
-__all__ = ["Comparison", "RangeImage"]
-
 # Edge of a pixel, in median distances of neighbouring rays, so that most pixels
 # inside the silhouette contain a point.
 PIXEL = 2.0

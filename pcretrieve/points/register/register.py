@@ -19,8 +19,6 @@ from pcretrieve.points.register.tracking import followed, posed_track, tracks
 from pcretrieve.points.register.views import prepared
 from pcretrieve.values import FloatArray, PointCloud, Step
 
-__all__ = ["Merged", "merge_views"]
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Merged:

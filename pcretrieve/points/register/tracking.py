@@ -17,8 +17,6 @@ from pcretrieve.points.register.alignment import Poses, adjusted
 from pcretrieve.points.register.views import View
 from pcretrieve.values import FloatArray
 
-__all__ = ["Track", "followed", "posed_track", "tracks"]
-
 # Largest distances of correspondences in the steps of the registration of a frame, in units of `reach`: from
 # the motion before, and from a pose near the final one.
 TRACKING, NEAR = (4.0, 3.0, 2.0, 1.5, 1.0), (1.0, 1.0)
