@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import json
-import re
 import subprocess
 import sys
 from dataclasses import fields
@@ -69,16 +68,6 @@ def test_a_question_has_one_answer(catalogue: Path, tmp_path: Path) -> None:
         pr.write_matrix(pr.matrix(catalogue, options=options), tmp_path / "run.npy")
         (by_matrix,) = result("query", scan, "-c", catalogue, "-k", 3, "--matrix", tmp_path / "run.npy")
         assert [row["id"] for row in by_matrix["results"]] == list(neighbors.ids)
-
-
-def test_geometry_is_searched_for_as_its_file(catalogue: Path) -> None:
-    mesh = MESHES["egg-1"]
-    wanted = pr.search(catalogue, catalogue.with_name("egg-1.off"), k=2)
-    np.testing.assert_allclose(pr.search(catalogue, mesh, k=2).distances, wanted.distances, atol=1e-6)
-    assert pr.search(catalogue, mesh.to_trimesh(), k=2).ids == wanted.ids
-    with pr.Catalogue(catalogue) as store:
-        described = pr.signature(catalogue.with_name("egg-1.off"), store.options)
-        assert pr.search(store, described, k=2) == wanted
 
 
 def test_measures_are_the_same_numbers(catalogue: Path, tmp_path: Path) -> None:
@@ -155,11 +144,3 @@ def test_signatures_are_exported(catalogue: Path, tmp_path: Path) -> None:
         pr.write_signatures(wanted, tmp_path / "bodies.txt")
     with pytest.raises(InputError, match="there is no signature of the shape 'cat'"):
         wanted.select(["cat"])
-
-
-def test_inspect_writes_its_page(catalogue: Path, tmp_path: Path) -> None:
-    found = pr.inspect(catalogue.with_name("egg-0.off"), n_rescans=0, page=tmp_path / "egg.html")
-    assert found.verdict == "passed"
-    assert re.search(r"egg-0\.off", (tmp_path / "egg.html").read_text(encoding="utf-8"))
-    with pytest.raises(InputError, match="at least"):
-        pr.merge_views([shapes.body(3)])

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import csv
 import json
 import re
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
 import pytest
 import shapes
 from click.testing import CliRunner, Result
@@ -23,7 +21,6 @@ from pcretrieve.pipeline.process import process
 from pcretrieve.values import Verdict
 
 OPTIONS = pr.PipelineOptions()
-R_BIHDM = OPTIONS.changed(signature={"method": "r-bihdm", "n_values": 20})
 
 
 @pytest.fixture(scope="module")
@@ -62,21 +59,6 @@ def test_duplicates_are_nearer_than_the_noise(catalogue: Path) -> None:
     assert printed == [pair._asdict() for pair in pairs]
 
 
-def test_clusters_are_a_table_of_labels(catalogue: Path, tmp_path: Path) -> None:
-    found = pr.cluster(catalogue, options={"retrieval": {"whitening": "none"}})
-    for kind in range(3):
-        (name,) = {label for shape_id, label in found.items() if shape_id[0] == str(kind)}
-        assert name is not None and name.startswith("cluster-")
-    assert len(set(found.values())) == 3
-    asked = ("cluster", "-c", catalogue, "--whitening", "none")
-    done = run(*asked, "-o", tmp_path / "clusters.csv")
-    rows = list(csv.DictReader((tmp_path / "clusters.csv").read_text("utf-8").splitlines()))
-    assert {row["id"]: row["label"] for row in rows} == found
-    assert done.stderr == "3 clusters of 12 shapes, 0 of them in none\n"
-    assert run(*asked).stdout == (tmp_path / "clusters.csv").read_text("utf-8")
-    assert "12 of them in none" in run(*asked, "--min-size", 13).stderr
-
-
 def test_a_map_is_a_picture_or_a_page(catalogue: Path, tmp_path: Path) -> None:
     page, picture = tmp_path / "map.html", tmp_path / "map.png"
     assert run("map", "-c", catalogue, "-o", page).stdout == f"{page}\n"
@@ -97,23 +79,3 @@ def test_a_map_is_a_picture_or_a_page(catalogue: Path, tmp_path: Path) -> None:
     assert (tmp_path / "again.html").read_bytes() == (tmp_path / "once_more.html").read_bytes()
     with pytest.raises(InputError, match=r"a picture \.png or a page \.html, got map\.gif"):
         pr.draw_map(catalogue, tmp_path / "map.gif")
-
-
-def test_labels_are_not_used_unless_they_are_asked_for(tmp_path: Path) -> None:
-    """By within-class whitening, random shapes are in clusters of their labels, which are random too."""
-    rng = np.random.default_rng(0)
-    labels = {f"{row:02}": f"class{row % 6}" for row in range(36)}
-    shape = process(shapes.ellipsoid((1, 1, 1.3), 2))
-    with pr.Catalogue(tmp_path / "c.sqlite", R_BIHDM, create=True) as store:
-        for name, label in labels.items():
-            content = Content(shape, np.exp(rng.normal(size=20)))
-            store.put(Record(name, f"/{name}.off", name, label), content)
-        by_labels = {"retrieval": {"whitening": "within-class"}}
-        assert store.whitening().kind == "within-class"
-        assert pr.cluster(store) == pr.cluster(store, options={"retrieval": {"whitening": "neighbours"}})
-        pages = [tmp_path / "plain.html", tmp_path / "labels.html"]
-        pr.draw_map(store, pages[0])
-        pr.draw_map(store, pages[1], options=by_labels)
-    plain, labelled = (page.read_text("utf-8") for page in pages)
-    assert "Whitening: neighbours: " in plain
-    assert "Whitening: within-class: 6 classes of 36 shapes" in labelled

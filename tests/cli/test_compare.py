@@ -43,23 +43,6 @@ def eggs(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return place
 
 
-def test_averages_and_intervals_are_printed(eggs: Path) -> None:
-    asked = ("evaluate", "-c", eggs / "eggs.sqlite", "--whitening", "none")
-    head, micro, low, high, macro = run(*asked).stdout.splitlines()
-    assert head.split() == ["NN", "FT", "ST", "E", "DCG", "mAP"]
-    assert micro.endswith("  micro-average")
-    assert low.endswith("    95% interval from")
-    assert high.endswith("    to")
-    assert macro.endswith("  macro-average")
-    rows = np.array([[float(word) for word in line.split()[:6]] for line in (low, micro, high)])
-    assert (np.diff(rows, axis=0) >= 0).all()
-    found = document(*asked)
-    for name, line in (("low", low), ("high", high)):
-        numbers = [f"{found['interval'][name][measure]:.4f}" for measure in MEASURES]  # type: ignore[index]
-        assert numbers == line.split()[:6]
-    assert [f"{found['macro'][measure]:.4f}" for measure in MEASURES] == macro.split()[:6]  # type: ignore[index]
-
-
 def test_re_ranking_is_a_row_more_and_works_by_a_matrix(eggs: Path, tmp_path: Path) -> None:
     chosen = ("-c", eggs / "eggs.sqlite", "--whitening", "none")
     run("matrix", *chosen, "-o", tmp_path / "eggs.npy")

@@ -8,20 +8,12 @@ import sys
 from pathlib import Path
 from urllib.parse import unquote, urlparse
 
-import click
 import pytest
 from click.testing import CliRunner
 
-from pcretrieve.cli.demo import run_step
 from pcretrieve.cli.main import cli
 from pcretrieve.errors import InputError
-from pcretrieve.simulation.samples import DEMO_QUERY, DEMO_SAMPLES, SAMPLES
-
-
-def test_the_query_is_a_scan_of_a_known_subject_and_not_in_the_catalogue() -> None:
-    assert {DEMO_QUERY, *DEMO_SAMPLES} <= set(SAMPLES)
-    assert DEMO_QUERY not in DEMO_SAMPLES
-    assert DEMO_QUERY.split("_")[0] in {name.split("_")[0] for name in DEMO_SAMPLES}
+from pcretrieve.simulation.samples import DEMO_QUERY
 
 
 @pytest.mark.slow
@@ -58,11 +50,3 @@ def test_a_folder_that_cannot_be_made_is_said(tmp_path: Path) -> None:
     assert f"cannot write scans into {tmp_path / 'file'}: Not a directory; name another" in str(
         result.exception
     )
-
-
-def test_a_step_that_fails_ends_the_demonstration(tmp_path: Path) -> None:
-    scan = tmp_path / "broken.ply"
-    scan.write_bytes(b"ply\n")
-    with click.Context(cli), pytest.raises(click.exceptions.Exit) as stop:
-        run_step("A file that is no scan.", "ingest", scan, "--catalogue", tmp_path / "bodies.sqlite")
-    assert stop.value.exit_code == 3

@@ -116,29 +116,6 @@ def test_every_document_has_one_head(name: str, folder: Path, monkeypatch: pytes
     assert "json" not in found["arguments"]
 
 
-def test_a_comparison_has_the_options_of_both_results(folder: Path) -> None:
-    catalogue = folder / "c.sqlite"
-    found = document("compare", catalogue, catalogue, "--whitening", "none", "--whitening", "pca")["result"]
-    options = [PipelineOptions.model_validate(found[f"{name}_options"]) for name in ("first", "second")]
-    assert [one.retrieval.whitening for one in options] == ["none", "pca"]
-
-
-def test_arguments_have_the_names_that_are_typed(folder: Path) -> None:
-    asked = ("query", "e0", "-c", folder / "c.sqlite", "-k", 2, "--filter", "label=small", "--n-values", 9)
-    found = document(*asked)
-    assert found["arguments"] == {
-        "queries": ["e0"],
-        "catalogue": str(folder / "c.sqlite"),
-        "k": 2,
-        "filter": ["small"],
-        "exclude_self": False,
-        "n_values": 9,
-        "timeout": 600,
-        "csv": False,
-    }
-    assert found["options"]["signature"]["n_values"] == 9
-
-
 def test_a_password_is_not_repeated() -> None:
     found = document("status", "postgresql://ann:secret@localhost:1/none", code=1)
     assert found["arguments"] == {"catalogue": "postgresql://ann@localhost:1/none"}

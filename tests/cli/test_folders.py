@@ -15,17 +15,7 @@ from pcretrieve.cli.main import cli
 from pcretrieve.formats import write_mesh
 from pcretrieve.values import TriangleMesh
 
-PATIENCE = 100  # seconds
 LENGTHS = {"a": 1.5, "b": 2.0, "c": 3.0}
-
-SLOW = """
-import time
-from pcretrieve.errors import ScanReadError
-
-def read(path):
-    time.sleep(4)
-    raise ScanReadError("after a while")
-"""
 
 
 def run(*arguments: str | Path) -> Result:
@@ -54,17 +44,6 @@ def test_signatures_are_those_of_the_single_scans_in_their_order(folder: Path) -
         assert run("signature", path).stdout.strip().split("\t")[1:] == values
 
 
-def test_progress_of_signatures_in_json(folder: Path) -> None:
-    done = run("signature", folder, "--progress", "json", "--json")
-    told = [json.loads(line) for line in done.stderr.splitlines()]
-    assert [line["finished"] for line in told] == [1, 2, 3, 4]
-    assert {Path(line["path"]).stem: line["status"] for line in told} == {
-        **dict.fromkeys(LENGTHS, "done"),
-        "bad": "failed",
-    }
-    assert [Path(found["path"]).stem for found in json.loads(done.stdout)["result"]] == ["a", "b", "bad", "c"]
-
-
 def test_each_scan_of_a_folder_is_reconstructed(folder: Path, tmp_path: Path) -> None:
     done = run("reconstruct", folder, "-o", tmp_path / "meshes", "--suffix", ".obj", "--json")
     assert done.exit_code == 3
@@ -85,12 +64,3 @@ def test_results_are_not_put_among_the_scans(folder: Path) -> None:
         assert "whose files are read: name another folder with -o" in str(refused.exception)
     assert not (folder / "results").exists()
     assert run("inspect", folder).exit_code == 2
-
-
-def test_each_scan_of_a_folder_has_a_page(folder: Path, tmp_path: Path) -> None:
-    done = run("inspect", folder, "-o", tmp_path / "pages", "--rescans", "0", "--workers", "2")
-    assert done.exit_code == 3
-    assert {path.name for path in (tmp_path / "pages").iterdir()} >= {"a.html", "b.html", "c.html"}
-    pages = [Path(line.split("  ")[0]) for line in done.stdout.splitlines()]
-    assert [page.stem for page in pages if page.stem != "bad"] == ["a", "b", "c"]
-    assert "<html" in pages[0].read_text(encoding="utf-8")

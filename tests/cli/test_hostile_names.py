@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import io
 import json
 import os
 import sqlite3
@@ -113,34 +112,6 @@ def test_a_list_has_one_line_for_each_shape(folder: Path) -> None:
     assert line.startswith("flat\\u001b[31m\\n ")
 
 
-@pytest.mark.parametrize("name", NAMES, ids=range(len(NAMES)))
-def test_every_shape_can_be_asked_for_by_its_id(name: str, folder: Path) -> None:
-    shown = json.loads(run(folder, "show", "-c", "c.sqlite", "--json", "--", IDS[name]))["result"]
-    assert (shown["id"], shown["label"]) == (IDS[name], IDS[name])
-    assert shown["path"] == f"{folder}/one/{IDS[name]}.off"
-
-
-def test_queries_print_names_as_text(folder: Path) -> None:
-    options = ("query", "-c", "c.sqlite", "-k", "3", "--whitening", "none")
-    several = ("--", IDS[NAMES[3]], IDS[NAMES[5]])
-    assert len(run(folder, *options, *several).splitlines()) == 2 * (1 + 1 + 3 + 1)
-    rows = list(csv.DictReader(io.StringIO(run(folder, *options, "--csv", *several), newline="")))
-    answers = json.loads(run(folder, *options, "--json", *several))["result"]
-    assert [row["query"] for row in rows[::3]] == [answer["query"] for answer in answers] == list(several[1:])
-    assert [row["id"] for row in rows] == [one["id"] for answer in answers for one in answer["results"]]
-    assert {row["label"] for row in rows} <= {*IDS.values()}
-
-
-def test_measures_of_classes_have_one_line_each(folder: Path) -> None:
-    options = ("evaluate", "-c", "c.sqlite", "--whitening", "none", "--per-class")
-    lines = run(folder, *options).splitlines()
-    assert sum(" 2 queries" in line for line in lines) == len(NAMES)
-    document = json.loads(run(folder, *options, "--json", "--csv", "tables"))["result"]
-    assert {one["label"] for one in document["classes"]} == {*IDS.values()}
-    with (folder / "tables" / "classes.csv").open(encoding="utf-8", newline="") as file:
-        assert {row["label"] for row in csv.DictReader(file)} == {*IDS.values()}
-
-
 # --- pages ----------------------------------------------------------------------------------------------
 
 
@@ -196,14 +167,3 @@ def test_meshes_are_written_into_their_folder_alone(folder: Path) -> None:
     ]
     written = sorted(path for path in folder.rglob("*outside*") if path not in before)
     assert {path.parent for path in written} == {folder / "meshes" / "inside"}
-
-
-def test_shapes_are_removed_by_their_ids(folder: Path) -> None:
-    copy = folder / "removed.sqlite"
-    with closing(sqlite3.connect(folder / "c.sqlite")) as whole, closing(sqlite3.connect(copy)) as other:
-        whole.backup(other)
-    run(folder, "remove", "-c", copy, "--", *IDS.values())
-    left = json.loads(run(folder, "list", "-c", copy, "--json"))["result"]
-    assert sorted(row["id"] for row in left) == sorted(
-        ["flat\x1b[31m\n", *(f"{name}-2" for name in IDS.values())]
-    )

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import re
 from pathlib import Path
 
 import pytest
@@ -11,7 +10,6 @@ import shapes
 from click.testing import CliRunner, Result
 
 from pcretrieve import Catalogue
-from pcretrieve.cli import messages
 from pcretrieve.cli.main import cli
 from pcretrieve.formats import write_mesh
 
@@ -66,12 +64,6 @@ def test_a_dry_run_knows_what_the_catalogue_has(folder: Path) -> None:
     assert answer["failed"][0]["id"] == "a"
 
 
-def test_a_dry_run_refuses_options_that_the_ingest_would_refuse(folder: Path) -> None:
-    ingest(folder)
-    refused = ingest(folder, "--dry-run", "--surface", "keep")
-    assert refused.exit_code == ingest(folder, "--surface", "keep").exit_code == 1
-
-
 def test_after_so_many_failures_the_ingest_stops_and_can_be_continued(folder: Path) -> None:
     stopped = ingest(folder, "--max-failures", "2")
     assert stopped.exit_code == 1
@@ -95,22 +87,6 @@ def test_progress_in_json_is_one_line_for_each_scan(folder: Path) -> None:
     assert by_id["a"]["status"] == "done"
     assert by_id["a"]["seconds"] > 0
     assert (by_id["bad-0"]["status"], by_id["bad-0"]["stage"]) == ("failed", "read")
-
-
-def test_where_standard_error_is_no_terminal_there_is_a_line_now_and_then(
-    folder: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    assert ingest(folder, "--progress", "none").stderr.count("of 6 scans") == 0
-    (folder / "c.sqlite").unlink()
-    monkeypatch.setattr(messages, "LINE_INTERVAL", 0.1)
-    said = ingest(folder).stderr
-    assert said.startswith("ingest: 6 scans\n")
-    assert re.search(r"\ningest: [0-5] of 6 scans, \d failed, after \d+ s(, \d+ (s|min) left)?\n", said)
-
-
-def test_quiet_leaves_failures_alone(folder: Path) -> None:
-    lines = ingest(folder, "--quiet").stderr.splitlines()
-    assert [line[:15] for line in lines] == [f"failed: [bad-{number} /"[:15] for number in range(N_BAD)]
 
 
 def test_the_log_file_has_each_stage_of_each_scan(folder: Path) -> None:

@@ -39,19 +39,6 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return place
 
 
-def test_the_page_goes_where_one_stands_and_its_path_to_standard_output(folder: Path) -> None:
-    result = run("mesh.off", cwd=folder)
-    assert result.returncode == 0
-    assert result.stdout == "mesh.html\n"
-    assert "mesh.off" in (folder / "mesh.html").read_text(encoding="utf-8")
-    shape, source, summary = result.stderr.splitlines()[-3:]
-    assert shape == "The shape is sound, ± 0."
-    assert source.startswith("The distance to the next body, 0.5, is that of people")
-    assert summary == (
-        "A good scan: its error bar, ± 0, is less than a twentieth of the distance to the next body."
-    )
-
-
 def test_json_holds_checks_and_numbers(folder: Path) -> None:
     arguments = (
         "body.ply",

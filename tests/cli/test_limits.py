@@ -104,12 +104,6 @@ def test_limits_can_be_given(folder: Path) -> None:
     assert "egg.off\t" in large.stdout  # the scan after it has its signature
 
 
-def test_what_the_catalogue_holds_needs_no_process(folder: Path) -> None:
-    done = run(folder, *COMMANDS["query"], "egg.off", "--timeout", "1")
-    assert done.returncode == 0
-    assert "egg.off" in done.stdout
-
-
 @pytest.fixture
 def hanging(folder: Path) -> Iterator[subprocess.Popen[str]]:
     """A command whose worker hangs by now."""

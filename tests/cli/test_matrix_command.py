@@ -18,8 +18,6 @@ from pcretrieve.formats import write_mesh
 from pcretrieve.matching import MATCHERS, PairwiseIndex, distance_matrix, read_matrix
 
 N_CLASSES = 3
-D1 = ("--distance", "d1", "--whitening", "pca")
-MEASURES = ("nn", "ft", "st", "e", "dcg", "map", "n_queries", "n_failed", "n_shapes")
 
 
 @pytest.fixture(scope="module")
@@ -52,60 +50,6 @@ def run(*arguments: object, code: int = 0) -> Result:
 def document(*arguments: object) -> dict[str, object]:
     found: dict[str, object] = json.loads(run(*arguments, "--json").stdout)["result"]
     return found
-
-
-@pytest.fixture(scope="module", params=["run.txt", "run.npy"])
-def matrix(request: pytest.FixtureRequest, folder: Path) -> Path:
-    path: Path = folder / request.param
-    said = run("matrix", "-c", folder / "c.sqlite", "-o", path, *D1).stderr
-    retrieval = {"distance": "d1", "whitening": "pca"}
-    made = pr.matrix(folder / "c.sqlite", options={"retrieval": retrieval})
-    assert read_matrix(path) == replace(made, labels=())
-    assert said == f"9 shapes: distances in {path}, ids in {folder / 'run.ids'}\n"
-    return path
-
-
-def test_a_matrix_is_evaluated_as_its_signatures_are(folder: Path, matrix: Path) -> None:
-    own = document("evaluate", "-c", folder / "c.sqlite", *D1)
-    found = document("evaluate", "-c", folder / "c.sqlite", "--matrix", matrix)
-    assert {name: found[name] for name in MEASURES} == {name: own[name] for name in MEASURES}
-    assert found["n_failed"] == 1
-    assert found["matrix"] == str(matrix)
-    assert found["map"] != document("evaluate", "-c", folder / "c.sqlite")["map"]
-    said = run("evaluate", "-c", folder / "c.sqlite", "--matrix", matrix).stderr
-    assert said == f"10 queries in 9 shapes, 1 failed shapes count as misses; distances of {matrix}\n"
-
-
-def test_a_matrix_and_labels_are_enough(folder: Path, matrix: Path) -> None:
-    result = run("evaluate", "--matrix", matrix, "--labels", folder / "labels.csv", "--json")
-    assert "names 1 shapes that are not among those ranked, such as broken.off" in result.stderr
-    found = json.loads(result.stdout)["result"]
-    assert (found["n_queries"], found["n_failed"], found["n_shapes"]) == (9, 0, 9)
-    assert run("evaluate", "--matrix", matrix, code=2).stderr.endswith(
-        "give --catalogue, or both --matrix and --labels\n"
-    )
-
-
-def test_queries_and_pages_rank_by_a_matrix(folder: Path, matrix: Path) -> None:
-    query = ("query", "-c", folder / "c.sqlite", folder / "10.off", "-k", 4)
-    by_matrix, by_d1, others = (
-        [row.split()[:2] + row.split()[3:] for row in run(*query, *chosen).stdout.splitlines()[:-1]]
-        for chosen in (("--matrix", matrix), D1, ())
-    )  # without scores, which distances of a matrix do not have
-    assert by_matrix == by_d1 != others
-    page, own = folder / "page.html", folder / "own.html"
-    run("report", "-c", folder / "c.sqlite", "-o", page, "--matrix", matrix, "--queries", 2)
-    run("report", "-c", folder / "c.sqlite", "-o", own, *D1, "--queries", 2)
-    text, expected = (path.read_text(encoding="utf-8") for path in (page, own))
-    assert "a matrix of 9 shapes" in text
-    for mark in ("<article", "<polyline"):
-        parts = (one[one.index(mark) : one.index("</section>", one.index(mark))] for one in (text, expected))
-        assert len(set(parts)) == 1, mark
-
-
-def test_a_matrix_leaves_nothing_to_be_chosen(folder: Path, matrix: Path) -> None:
-    refused = run("evaluate", "-c", folder / "c.sqlite", "--matrix", matrix, *D1, code=2)
-    assert "a matrix holds distances already: leave out --distance, --whitening" in refused.stderr
 
 
 # --- matchers ------------------------------------------------------------------------------------------

@@ -48,18 +48,6 @@ def test_the_environment_names_the_catalogue(path: Path, tmp_path: Path) -> None
     assert "failed" in str(run("retry", catalogue=path).exception)
 
 
-def test_evaluate_uses_the_environment_unless_a_matrix_and_labels_stand_for_it(
-    path: Path, tmp_path: Path
-) -> None:
-    assert run("evaluate", "--json", catalogue=path).exit_code == 0
-    assert "give --catalogue, or both" in run("evaluate").stderr
-    (tmp_path / "m.txt").write_text("0 1 2\n1 0 3\n2 3 0\n")
-    (tmp_path / "m.ids").write_text("a\nb\nc\n")
-    (tmp_path / "m.csv").write_text("id;class\na;x\nb;x\nc;y\n")
-    chosen = ("evaluate", "--matrix", tmp_path / "m.txt", "--labels", tmp_path / "m.csv")
-    assert run(*chosen, catalogue=path).stdout == run(*chosen).stdout != ""
-
-
 @pytest.mark.parametrize(
     ("words", "said"),
     [
@@ -82,13 +70,6 @@ def test_a_similar_name_is_suggested(words: str, said: str, path: Path) -> None:
     assert result.exit_code != 0
     message = result.stderr or str(result.exception)
     assert said.lower() in message.lower()
-
-
-def test_nothing_is_suggested_for_a_name_unlike_all_others(path: Path) -> None:
-    for words in ("zzzzzz", "show elephant", "options --config zzz"):
-        result = run(*words.split(), catalogue=path)
-        assert result.exit_code != 0
-        assert "did you mean" not in result.stderr + str(result.exception)
 
 
 @pytest.mark.parametrize(

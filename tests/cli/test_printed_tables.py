@@ -21,7 +21,7 @@ from click.testing import CliRunner
 from pcretrieve import Catalogue
 from pcretrieve.catalogue import Content, Record
 from pcretrieve.cli.main import cli
-from pcretrieve.cli.output import BLOCK, Column, write_table
+from pcretrieve.cli.output import Column, write_table
 from pcretrieve.descriptors import describe
 from pcretrieve.options import PipelineOptions
 from pcretrieve.pipeline.process import process
@@ -142,11 +142,6 @@ def test_programs_get_whole_values_under_headings(folder: Path, monkeypatch: pyt
     assert not any("\x1b" in line for line in (*lines, *rows))
 
 
-def test_elsewhere_paths_are_absolute(folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    lines = piped(tmp_path, monkeypatch, "list", "-c", str(folder / "c.sqlite"))
-    assert lines[-1].endswith(f"  {folder / DEEP / 'egg2.off'}")
-
-
 def test_colours_are_for_terminals_that_want_them(folder: Path) -> None:
     asked = ("list", "-c", "c.sqlite")
     coloured, without = on_terminal(folder, *asked), on_terminal(folder, *asked, NO_COLOR="1")
@@ -154,25 +149,6 @@ def test_colours_are_for_terminals_that_want_them(folder: Path) -> None:
     assert "\x1b[31mfailed" in coloured[1]
     assert not any("\x1b" in line for line in without)
     assert [plain(line).rstrip() for line in coloured] == without
-
-
-def test_a_list_says_how_to_get_the_reasons(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(folder)
-    said = CliRunner().invoke(cli, ["list", "-c", "c.sqlite"]).stderr
-    assert said == "1 doubtful, 1 failed; for reasons: --doubtful, --failed\n"
-    empty = CliRunner().invoke(cli, ["list", "-c", "c.sqlite", "--offset", "9"])
-    assert (empty.exit_code, empty.stdout) == (0, "")
-    assert empty.stderr == "no shape is stored in c.sqlite after the first 9\n"
-    assert CliRunner().invoke(cli, ["list", "-c", "c.sqlite", "--failed"]).stderr == ""
-
-
-def test_long_tables_have_one_heading(capsys: pytest.CaptureFixture[str]) -> None:
-    write_table((Column("ID"), Column("N", "number")), ((f"r{n}", str(n)) for n in range(2 * BLOCK + 1)))
-    lines = capsys.readouterr().out.splitlines()
-    rows = [[f"r{n}", str(n)] for n in range(2 * BLOCK + 1)]
-    assert [line.split() for line in lines] == [["ID", "N"], *rows]
-    write_table((Column("ID"),), ())
-    assert capsys.readouterr().out == ""
 
 
 def test_wide_characters_take_two_columns(capsys: pytest.CaptureFixture[str]) -> None:

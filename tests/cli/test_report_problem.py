@@ -57,15 +57,6 @@ def test_the_scan_is_packed_when_asked_for(folder: Path) -> None:
     assert packed(Path("p.zip"))["scan/sheet.xyz"] == scan.read_text()
 
 
-def test_a_scan_that_does_not_fail_is_said_to(folder: Path) -> None:
-    pr.write_mesh(shapes.icosphere(2), folder / "ball.off")
-    result = run("report-problem", folder / "ball.off")
-    assert "the scan does not fail with these options" in result.stderr
-    found = json.loads(packed(Path("ball-problem.zip"))["problem.json"])
-    assert found["failure"] is None
-    assert [step["stage"] for step in found["steps"]][:1] == ["read"]
-
-
 def test_a_scan_that_ends_its_process_is_packed(folder: Path) -> None:
     """Even where nothing could be measured, there are the versions, the options and the error."""
     pr.write_mesh(shapes.icosphere(6), folder / "ball.off")

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import json
 import re
-from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import pytest
 import shapes
@@ -15,7 +13,6 @@ from click.testing import CliRunner, Result
 from pcretrieve import Catalogue, PipelineOptions, ingest
 from pcretrieve.cli.main import cli
 from pcretrieve.formats import write_mesh
-from pcretrieve.options import describe_options
 
 PCA = ("--whitening", "pca")
 N_CLASSES = 4
@@ -54,24 +51,6 @@ def run(*arguments: object, code: int = 0) -> Result:
     return result
 
 
-def results(done: Result) -> list[dict[str, Any]]:
-    """The results of the only query."""
-    (answer,) = json.loads(done.stdout)["result"]
-    found: list[dict[str, Any]] = answer["results"]
-    return found
-
-
-def test_lists_are_sorted_again_and_both_rows_are_printed(catalogue: Path, files: list[Path]) -> None:
-    asked = ("evaluate", "-c", catalogue, "--whitening", "none")
-    plain, both = (run(*asked, *chosen).stdout.splitlines() for chosen in ((), ("--rerank", "k-reciprocal")))
-    assert [row.split()[-1] for row in both[1:3]] == ["plain", "k-reciprocal"]
-    assert both[1].removesuffix(", plain") == plain[1]
-    query = ("query", "-c", catalogue, files[0], "--json")
-    before, after = (results(run(*query, "--rerank", how)) for how in ("none", "local"))
-    assert [row["id"] for row in before[:2]] == [row["id"] for row in after[:2]]
-    assert {row["id"] for row in before} == {row["id"] for row in after}
-
-
 def test_a_file_gives_commands_their_options_and_flags_override_it(
     catalogue: Path, files: list[Path], tmp_path: Path
 ) -> None:
@@ -97,41 +76,3 @@ def test_a_file_gives_commands_their_options_and_flags_override_it(
         ("scale", by_file["scale"]),
     ):
         assert re.search(rf"<dt>{name}</dt>\s*<dd>{value}", page), name
-
-
-def test_a_catalogue_compares_as_the_options_that_it_was_made_with_say(
-    files: list[Path], tmp_path: Path
-) -> None:
-    options = PipelineOptions().changed(retrieval={"whitening": "pca", "distance": "d1"})
-    (tmp_path / "mine.toml").write_text(describe_options(options))
-    run("ingest", files[0].parent, "-c", tmp_path / "c.sqlite", "--config", tmp_path / "mine.toml")
-    run("ingest", files[0].parent, "-c", tmp_path / "plain.sqlite")
-
-    def found(name: str, *chosen: object) -> object:
-        done = run("query", files[0], "--json", "-c", tmp_path / name, *chosen)
-        return json.loads(done.stdout)["result"][0]["results"]
-
-    assert found("c.sqlite") == found("plain.sqlite", *PCA, "--distance", "d1")
-    as_plain = found("c.sqlite", "--whitening", "none", "--distance", "log")
-    assert found("plain.sqlite") == as_plain != found("c.sqlite")
-    # Stored results do not depend on these options, so that a catalogue can be used with other values.
-    run("ingest", files[0].parent, "-c", tmp_path / "plain.sqlite", "--config", tmp_path / "mine.toml")
-
-
-def test_mixed_units_are_noticed_where_size_counts(tmp_path: Path) -> None:
-    scans = []
-    for name, unit in (("metres", 1.0), ("millimetres", 1000.0)):
-        mesh = shapes.ellipsoid((1, 1, 1.2), subdivisions=3)
-        scans.append(tmp_path / f"{name}.off")
-        write_mesh(replace(mesh, vertices=mesh.vertices * unit), scans[-1])
-    path = tmp_path / "c.sqlite"
-    with Catalogue(path, PipelineOptions(), create=True) as store:
-        ingest(scans, store)
-    assert run("query", "-c", path, scans[0]).stderr == (
-        "nearest: all shapes compared\n"
-        "whitening: none, because 2 shapes are too few to learn from neighbours (24)\n"
-        "score: none, because labels and shapes are too few\n"
-    )
-    for chosen in (("--size-weight", 1), ("--scale", "absolute")):
-        said = run("query", "-c", path, scans[0], *chosen).stderr
-        assert "1000000 times the area of the smallest: size tells them apart only if all files have" in said

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import re
 import subprocess
 import sys
 from collections.abc import Callable
@@ -17,7 +16,6 @@ import shapes
 from pcretrieve import Catalogue, PipelineOptions, ingest
 from pcretrieve.cli.main import main
 from pcretrieve.formats import write_mesh
-from pcretrieve.names import METHODS
 
 PLUGIN = {
     "pyproject.toml": """
@@ -151,16 +149,6 @@ def test_a_descriptor_of_another_package_is_used_like_any_other(
     assert [row["id"] for row in json.loads(asked.stdout)["result"][0]["results"]] == ["body", "egg"], (
         asked.stderr
     )
-
-
-@pytest.mark.usefixtures("installed")
-def test_help_and_mistakes_name_all_descriptors(run: Run, scan: Path) -> None:
-    text = re.sub(r"(-?)\n *", r"\1", run("signature", "--help-all").stdout)
-    assert ",".join((*METHODS, "clumsy", "girth", "hollow", "lost")) in text.replace(", ", ",")
-    wrong = run("signature", scan, "--method", "girht")
-    assert wrong.code == 2
-    assert "method: input should be one of r-bihdm, bihdm, bihdm-sampled," in wrong.stderr
-    assert "combined, clumsy, girth, hollow, lost, got 'girht'" in wrong.stderr
 
 
 @pytest.mark.usefixtures("installed")

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -52,15 +50,6 @@ def in_metres(tmp_path: Path) -> Path:
 
 
 @pytest.fixture
-def of_files(tmp_path: Path) -> Path:
-    """A catalogue of the same shapes, from files without a unit."""
-    files = [body(tmp_path / f"{name}.off", height) for name, height in HEIGHTS.items()]
-    catalogue = tmp_path / "files.sqlite"
-    assert run("ingest", *files, "-c", catalogue, "--workers", "1").exit_code == 0
-    return catalogue
-
-
-@pytest.fixture
 def centimetres(tmp_path: Path) -> Path:
     """The large body, in centimetres, in a file that does not say so."""
     return body(tmp_path / "query.off", HEIGHTS["large"], metres=0.01)
@@ -92,20 +81,6 @@ def test_a_query_without_a_unit_is_refused(in_metres: Path, centimetres: Path) -
     assert known.ids == ("large", "small")
     signed = pr.signature(centimetres, {**sized, "scan": {"unit": "cm"}})
     assert pr.search(in_metres, signed, options=sized) == known
-
-
-def test_a_query_in_metres_is_refused_by_shapes_of_unknown_unit(of_files: Path, in_metres: Path) -> None:
-    glb = in_metres.parent / "large.glb"
-    command = [sys.executable, "-m", "pcretrieve", "query", str(glb), "-c", str(of_files), *SIZED]
-    ended = subprocess.run(command, capture_output=True, text=True)
-    assert ended.returncode == 1
-    assert "the query is in metres, the unit of the shapes is unknown; ingest the shapes" in ended.stderr
-    # As a user who knows that the files are in metres.
-    again = of_files.with_name("again.sqlite")
-    files = [of_files.parent / f"{name}.off" for name in HEIGHTS]
-    assert run("ingest", *files, "-c", again, "--unit", "m", "--workers", "1").exit_code == 0
-    result = run("query", glb, "-c", again, *SIZED, "--json")
-    assert [row["id"] for row in json.loads(result.stdout)["result"][0]["results"]] == ["large", "small"]
 
 
 def test_a_catalogue_of_some_known_units_compares_no_sizes(in_metres: Path, centimetres: Path) -> None:

@@ -94,11 +94,6 @@ def test_a_running_ingest_and_one_that_was_killed(folder: Path) -> None:
     assert found["n_skipped"] > 0
 
 
-def test_what_stopped_by_itself_is_stopped(folder: Path) -> None:
-    assert run(*ingest(folder), "--max-failures", "1").exit_code == 1
-    assert pr.status(folder / "c.sqlite").state == "stopped"
-
-
 def test_a_catalogue_without_a_known_ingest(folder: Path) -> None:
     pr.Catalogue(folder / "c.sqlite", create=True).close()
     assert pr.status(folder / "c.sqlite").state == "none"

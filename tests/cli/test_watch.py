@@ -46,23 +46,6 @@ def test_a_file_arrives_when_it_has_stopped_growing(tmp_path: Path) -> None:
     assert arrivals.look() == [tmp_path / "b.off"]
 
 
-def test_a_file_that_changes_arrives_again(tmp_path: Path) -> None:
-    egg(tmp_path / "a.off", 2)
-    arrivals = Arrivals(tmp_path)
-    assert (arrivals.look(), arrivals.look()) == ([], [tmp_path / "a.off"])
-    egg(tmp_path / "a.off", 3)
-    assert (arrivals.look(), arrivals.look(), arrivals.look()) == ([], [tmp_path / "a.off"], [])
-
-
-def test_subfolders_hidden_files_and_other_files(tmp_path: Path) -> None:
-    (tmp_path / "monday").mkdir()
-    egg(tmp_path / "monday" / "a.off", 2)
-    egg(tmp_path / ".b.off", 2)
-    (tmp_path / "notes.txt").write_text("It rains.")
-    arrivals = Arrivals(tmp_path)
-    assert (arrivals.look(), arrivals.look()) == ([], [tmp_path / "monday" / "a.off"])
-
-
 def test_a_scan_of_several_files_arrives_with_the_last_of_its_views(tmp_path: Path) -> None:
     (tmp_path / "bun.conf").write_text("bmesh front.off 0 0 0 0 0 0 1\nbmesh back.off 0 0 0 0 0 0 1\n")
     egg(tmp_path / "front.off", 2)

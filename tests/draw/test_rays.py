@@ -51,9 +51,3 @@ def test_rays_meet_the_sphere_where_they_should() -> None:
         hit = origins[ray] + distance[ray] * directions[ray]
         assert np.linalg.det(corners - hit) == pytest.approx(0, abs=1e-6)  # in the plane of that face
         assert normals[ray] @ hit > 0.9  # outwards, as its faces are
-
-
-def test_distances_to_the_sphere() -> None:
-    query = np.array([[0.0, 0.0, 0.0], [2.0, 0.0, 0.0], [0.0, -0.5, 0.0]])
-    found = RayScene(BALL.vertices, BALL.faces).distance(query)
-    np.testing.assert_allclose(found, [1, 1, 0.5], atol=0.02)

@@ -19,7 +19,6 @@ from search_server import NASTY
 from pcretrieve import (
     Answer,
     Catalogue,
-    DistanceMatrix,
     PipelineOptions,
     draw_map,
     ingest,
@@ -31,7 +30,7 @@ from pcretrieve import (
 )
 from pcretrieve.cli.main import cli
 from pcretrieve.errors import InputError
-from pcretrieve.evaluation import evaluate, query_scores, rank_catalogue
+from pcretrieve.evaluation import evaluate
 from pcretrieve.pages import write_query_page
 from pcretrieve.query import Question
 
@@ -159,52 +158,6 @@ def test_measures_and_curve_are_those_of_the_evaluation(catalogue: Path, written
     assert (np.diff(1 - down) <= 0).all()
 
 
-def test_a_perfect_answer_looks_perfect_although_more_is_shown(tmp_path: Path) -> None:
-    page = report(filled(tmp_path / "eggs", HEIGHTS), tmp_path / "eggs.html", k=5)
-    text = page.read_text("utf-8")
-    assert text.count('class="wrong"><i') == 0
-    # Each of 3, 2 and 3 eggs finds 2, 1 and 2; the other results have no mark.
-    assert text.count('<li class="right">') == 3 * 2 + 2 * 1 + 3 * 2
-    assert text.count("<li><i") == 8 * 5 - 14
-    assert "1 of 1 right" in words_of(page)
-
-
-def test_every_query_is_there_and_the_worst_is_the_first(catalogue: Path, written: Path) -> None:
-    with Catalogue(catalogue) as store:
-        scores = query_scores(rank_catalogue(store).rankings)
-        ids = [record.id for record in store.records(status="done")]
-    precision = dict(zip(scores.ids, scores.ap, strict=True))
-    queries = queries_of(written)
-    assert queries == sorted(ids, key=lambda shape_id: precision.get(shape_id, 2))
-    assert (queries[0].partition("-")[0], queries[-1]) == ("mixed", "lone-0")
-    few = report(catalogue, written.parent / "few.html", n_queries=2)
-    assert queries_of(few) == queries[:2]
-    assert "the 2 with the lowest average precision of 11" in words_of(few)
-    article = written.read_text("utf-8").split('data-name="mixed-0"')[1].split("</article>")[0]
-    results = re.findall(r"<li( class=\"(?:right|wrong)\")?>", article)
-    assert results == [' class="wrong"', "", "", ""], "wrong within the size of the class only"
-
-
-def test_settings_classes_intervals_and_failures_are_in_words(written: Path) -> None:
-    words = words_of(written)
-    for said in (
-        "signature r-bihdm, 10 values, of the form alone",
-        "distance log, the Euclidean distance of the logarithms of the values",
-        "whitening none",
-        "re-ranking none",
-        "shapes 11 classes 5",
-        "In brackets are 95 % confidence intervals",
-        "4 classes, the worst first Class Queries mAP NN Nearest shapes of other classes mixed 2",
-        "mixed: the nearest shape of 1 of 2 is kind0",
-        "1 shape failed Shape Stage What went wrong broken read",
-        "1 shape is alone in its class and not asked for",
-        "Map Shapes with similar signatures",
-        "ScanReadError",
-    ):
-        assert said in words
-    assert "Compared with" not in words
-
-
 def test_two_results_are_compared(catalogue: Path, tmp_path: Path) -> None:
     run, arguments = CliRunner().invoke, ["--catalogue", str(catalogue)]
     made = run(cli, ["evaluate", *arguments, "--distance", "d2", "--csv", str(tmp_path / "d2")])
@@ -248,19 +201,6 @@ def test_the_page_of_one_scan_says_what_the_search_found(many: Path, folder: Pat
     assert "Overview" not in words and "failed" not in words
 
 
-def test_several_queries_are_on_one_page_and_failures_have_reasons(many: Path, folder: Path) -> None:
-    queries: list[str | Path] = ["kind2-1", folder / "bad", folder / "new.off"]
-    page = query_page(many, queries, folder / "many.html", k=2, exclude_self=True)
-    words, text = words_of(page), page.read_text("utf-8")
-    assert words.startswith("4 queries")
-    assert "2 scans failed" in words and "not a complete PLY file" in words
-    assert "In the catalogue as kind2-1, class kind2" in words
-    assert re.findall(r'<a href="#([\w-]+)">', text) == ["query-1", "query-2", "failed", "failed"]
-    assert "<b>&.ply" not in text and "&lt;b&gt;&amp;.ply" in text
-    assert words.count("Failed in the stage read") == 2
-    assert text.count("data:image/png;base64,") == 6 and "<script" not in text
-
-
 def test_doubt_about_an_answer_is_said(many: Path, folder: Path) -> None:
     egg(0.4, folder / "flat.off", width=3.0)
     page = query_page(many, folder / "flat.off", folder / "none.html", min_score=0.99)
@@ -276,14 +216,6 @@ def test_doubt_about_an_answer_is_said(many: Path, folder: Path) -> None:
         with Catalogue(many) as store:
             page = write_query_page(folder / "doubt.html", store, [("new.off", given)], question)
         assert said in words_of(page)
-
-
-def test_other_classes_and_a_matrix_are_in_the_settings(many: Path, folder: Path) -> None:
-    page = query_page(many, "kind0-0", folder / "filtered.html", labels=["kind2", "kind0"])
-    assert "searched the class kind0 or kind2 of 12 shapes" in words_of(page)
-    away = DistanceMatrix(matrix(many).ids, np.abs(np.subtract.outer(np.arange(12.0), np.arange(12.0))))
-    words = words_of(query_page(many, "kind0-0", folder / "matrix.html", matrix=away, k=3))
-    assert "distance that of a matrix" in words and "whitening" not in words and "score –" in words
 
 
 def test_the_command_prints_what_it_prints_and_writes_the_page(many: Path, folder: Path) -> None:
@@ -337,18 +269,6 @@ def test_queries_and_classes_are_searched_and_sorted_without_a_server(page: Page
     for expected in (["kind0", "kind1", "kind2", "mixed"], ["mixed", "kind2", "kind1", "kind0"]):
         table.get_by_role("button", name="Class", exact=True).click()
         assert table.locator("tbody th").all_inner_texts() == expected
-
-
-@pytest.mark.slow
-def test_a_result_and_a_shape_of_the_map_lead_to_their_own_results(page: Page) -> None:
-    page.get_by_label("Search").fill("mixed-0")
-    page.locator("article:visible li a").first.click()
-    # Not the inner text, which an article has only once it was scrolled into view and drawn.
-    assert (page.locator("article:target h3").text_content() or "").startswith("kind0")
-    assert page.locator("article:target").is_visible()
-    assert page.get_by_label("Search").input_value() == ""
-    page.locator('.map a:has([data-id="kind2-1"])').click()
-    assert page.locator("article:target h3").text_content() == "kind2-1"
 
 
 @pytest.mark.slow

@@ -127,19 +127,6 @@ def test_no_other_axes(catalogue: Catalogue, tmp_path: Path) -> None:
         pr.report(catalogue, tmp_path / "report.html", up="w")
 
 
-def test_pictures_of_earlier_versions_are_drawn_again(
-    catalogue: Catalogue, drawn: list[object], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    record = catalogue.record("1")
-    old = Image.new("RGBA", (200, 200), "red")
-    file = BytesIO()
-    old.save(file, "PNG")
-    monkeypatch.setattr(catalogue, "thumbnail", lambda shape_id: file.getvalue())
-    mesh = catalogue.mesh("1")
-    assert Thumbnails().of(catalogue, record) == thumbnail(mesh.vertices, mesh.faces)
-    assert len(drawn) == 1
-
-
 def test_bodies_of_one_collection_stand_along_one_axis(tmp_path: Path, drawn: list[object]) -> None:
     """Bodies with the thin end below, along z, and two that lie, whose files have the z axis upwards too."""
     for number in range(12):
@@ -159,13 +146,6 @@ def test_bodies_of_one_collection_stand_along_one_axis(tmp_path: Path, drawn: li
         assert len(drawn) == 2, "what was drawn is kept"
         assert store.thumbnail("00") == pictures.of(store, records[0])
         assert not {defect.message for defect in find_defects(store) if "thumbnail" in defect.message}
-
-
-def test_without_meshes_there_are_no_pictures(folder: Path) -> None:
-    with ingested(folder, "small.sqlite", OPTIONS.changed(catalogue={"keep": ()})) as store:
-        assert [store.thumbnail(record.id) for record in store.records()] == [None] * 3
-        assert Thumbnails().of(store, store.record("0")) is None
-        assert find_defects(store) == []
 
 
 def test_what_was_not_stored_is_drawn_once_and_kept(folder: Path, drawn: list[object]) -> None:

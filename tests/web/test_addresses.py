@@ -2,19 +2,14 @@
 
 from __future__ import annotations
 
-import json
 import re
 from html import unescape
-from io import BytesIO
 from pathlib import Path
 from urllib.parse import quote
 
 import pytest
-from click.testing import CliRunner
-from PIL import Image
-from search_server import NASTY, Server, running
+from search_server import NASTY, Server
 
-from pcretrieve.cli.main import cli
 from pcretrieve.web.documents import without_folders
 
 
@@ -22,16 +17,6 @@ def ids(page: bytes) -> list[str]:
     """The names on the cards of a page."""
     found = re.findall(r"<b>(?:<span class=\"soft\">\d+</span> )?(.*?)</b></a>", page.decode())
     return [unescape(name) for name in found]
-
-
-@pytest.mark.slow
-def test_the_collection_has_every_shape(server: Server) -> None:
-    answer = server.ask("/")
-    assert answer.status == 200
-    assert len(ids(answer.body)) == 13
-    assert b"failed: read" in answer.body
-    assert NASTY in ids(answer.body)
-    assert b"<b> %2F" not in answer.body
 
 
 LISTINGS: list[tuple[str, list[str]]] = [
@@ -58,43 +43,6 @@ def test_the_collection_is_searched_filtered_and_sorted(server: Server) -> None:
 
 
 @pytest.mark.slow
-def test_shapes_stand_on_the_axis_that_is_given(eggs: Path) -> None:
-    upright, lying = ([0.0, 0.0, 1.0], [1.0, 0.0, 0.0])
-    for name, up in (("z", upright), ("x", lying)):
-        with running(eggs, "--up", name, "--read-only") as server:
-            assert server.ask("/shapes/Egg20/scene").json["axes"][1] == pytest.approx(up, abs=1e-6)
-            picture = server.ask("/shapes/Egg20/thumbnail.png").body
-            with Image.open(BytesIO(picture)) as drawn:
-                left, top, right, bottom = drawn.convert("RGBA").getchannel("A").getbbox()
-            assert (bottom - top > right - left) == (name == "z")
-
-
-@pytest.mark.slow
-def test_neighbours_are_those_of_the_command_line(server: Server, eggs: Path) -> None:
-    document = server.ask("/shapes/Egg01/similar?k=3").json
-    words = ["query", "-c", str(eggs), "Egg01", "-k", "3", "--exclude-self", "--json"]
-    done = CliRunner().invoke(cli, words)
-    ((expected,),) = [json.loads(done.stdout)["result"]]
-    for row in expected["results"]:
-        row["file"] = Path(row.pop("path")).name
-    assert document["results"] == expected["results"]
-    assert document["vote"] == expected["vote"]
-    page = server.ask("/shape/Egg01?k=3").body
-    assert ids(page) == [row["id"] for row in expected["results"]]
-    assert document["verdict"] in unescape(page.decode())
-    table = server.ask("/shapes/Egg01/similar.csv?k=3").body.decode().splitlines()
-    assert table[0] == "query,rank,id,label,distance,score,file"
-    assert [line.split(",")[2] for line in table[1:]] == ids(page)
-
-
-@pytest.mark.slow
-def test_there_may_be_no_match(server: Server) -> None:
-    page = server.ask("/shape/Egg01?min_score=1").body
-    assert b'<p class="verdict">no match</p>' in page
-    assert ids(page) == []
-
-
-@pytest.mark.slow
 def test_any_name_is_one_part_of_an_address(server: Server) -> None:
     name = quote(NASTY, safe="")
     assert server.ask(f"/shapes/{name}").json["id"] == NASTY
@@ -103,14 +51,6 @@ def test_any_name_is_one_part_of_an_address(server: Server) -> None:
     assert server.ask(f"/shapes/{name}/thumbnail.png").body.startswith(b"\x89PNG")
     links = re.findall(r'(?:href|src)="(/[^"]*)"', page)
     assert {server.ask(unescape(link)).status for link in set(links)} == {200}
-
-
-@pytest.mark.slow
-def test_a_failed_shape_says_why(server: Server) -> None:
-    page = server.ask("/shape/broken").body
-    assert b"broken.off is empty" in page
-    assert server.ask("/shapes/broken/similar").status == 400
-    assert server.ask("/shapes/broken/thumbnail.png").status == 404
 
 
 UNANSWERED = [

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import re
 from collections.abc import Iterator
 from pathlib import Path
@@ -11,7 +10,7 @@ from typing import TYPE_CHECKING
 import pytest
 import shapes
 from browsers import DESKTOP, PHONE, opened, origin, overflow, violations
-from search_server import Server, running
+from search_server import Server
 
 from pcretrieve import search, write_mesh
 
@@ -51,35 +50,6 @@ def names(page: Page) -> list[str]:
     return [re.sub(r"^\d+ ", "", text) for text in page.locator("#results .shapes li a b").all_inner_texts()]
 
 
-def test_the_address_that_was_printed_leaves_no_token_in_the_browser(page: Page, server: Server) -> None:
-    assert page.url == f"{origin(server.address)}/"
-    assert page.evaluate("document.cookie") == ""
-    assert len(names(page)) == 13
-
-
-def test_shapes_are_found_by_name_class_and_state_at_a_permalink(
-    page: Page, browser: Browser, server: Server
-) -> None:
-    page.get_by_label("Name", exact=True).press_sequentially("egg1")
-    page.get_by_text("4 shapes").wait_for()
-    assert names(page) == ["Egg10", "Egg11", "Egg12", "Egg13"]
-    page.get_by_label("Order").select_option(label="name, z to a")
-    page.wait_for_url("**sort=-id**")
-    page.locator("#results li").first.get_by_text("Egg13").wait_for()
-    assert names(page) == ["Egg13", "Egg12", "Egg11", "Egg10"]
-    with opened(browser, f"{page.url}&token={server.token}") as other:
-        assert names(other) == ["Egg13", "Egg12", "Egg11", "Egg10"]
-        assert other.get_by_label("Name", exact=True).input_value() == "egg1"
-    page.get_by_label("Name", exact=True).fill("")
-    page.locator("select[name=label]").select_option("<kind 2>")
-    page.get_by_label("State").select_option(label="doubtful")
-    page.get_by_text("1 shape", exact=True).wait_for()
-    assert names(page) == ["Egg23"]
-    assert page.get_by_text("doubtful ± 0.500").is_visible()
-    page.get_by_role("link", name="Egg23").click()
-    page.get_by_text("a large hole").wait_for()
-
-
 def test_from_a_shape_to_its_nearest_and_on(page: Page, eggs: Path) -> None:
     page.locator("#results").get_by_text("Egg11", exact=True).click()
     page.get_by_role("heading", name="Egg11").wait_for()
@@ -102,18 +72,6 @@ def test_from_a_shape_to_its_nearest_and_on(page: Page, eggs: Path) -> None:
     assert names(page) == []
 
 
-def test_answers_are_downloaded(page: Page, server: Server) -> None:
-    page.goto(f"{origin(server.address)}/shape/Egg11?k=2")
-    with page.expect_download() as table:
-        page.get_by_role("link", name="CSV").click()
-    lines = table.value.path().read_text().splitlines()
-    assert lines[0].startswith("query,rank,id")
-    assert len(lines) == 3
-    with page.expect_download() as document:
-        page.get_by_role("link", name="JSON").click()
-    assert [row["id"] for row in json.loads(document.value.path().read_text())["results"]] == names(page)
-
-
 def test_two_shapes_turn_together(page: Page) -> None:
     page.locator("#results").get_by_text("Egg11", exact=True).click()
     page.get_by_role("link", name="Compare with Egg13").click()
@@ -129,18 +87,6 @@ def test_two_shapes_turn_together(page: Page) -> None:
     with page.expect_download() as mesh:
         page.get_by_role("link", name="GLB of Egg13").click()
     assert mesh.value.path().read_bytes().startswith(b"glTF")
-
-
-def test_the_map_leads_to_shapes(page: Page) -> None:
-    page.get_by_role("link", name="Map").click()
-    mark = page.get_by_role("link", name="Egg21 <kind 2>")
-    mark.wait_for()
-    mark.focus()
-    tip = page.locator(".tip")
-    assert tip.get_by_text("Egg21").is_visible()
-    tip.locator("img").evaluate("image => image.decode()")
-    page.keyboard.press("Enter")
-    page.get_by_role("heading", name="Egg21").wait_for()
 
 
 def test_a_chosen_scan_is_processed_and_answered(page: Page, eggs: Path, scan: Path) -> None:
@@ -166,16 +112,6 @@ def test_a_dropped_scan_is_processed_and_fails_in_words(page: Page) -> None:
     page.wait_for_url("**/scan/*")
     page.get_by_text("failed in the stage read").wait_for()
     assert not page.get_by_role("heading", name="Nearest shapes").is_visible()
-
-
-def test_files_that_are_no_scans_are_refused_before_they_are_read(
-    browser: Browser, server: Server, tmp_path: Path
-) -> None:
-    (tmp_path / "scans.zip").write_bytes(b"PK")
-    with opened(browser, server.address, refused=True) as page:
-        page.locator("input[type=file]").set_input_files(tmp_path / "scans.zip")
-        page.get_by_role("status").get_by_text("zip").wait_for()
-        assert page.url == f"{origin(server.address)}/"
 
 
 def test_keys_suffice(page: Page) -> None:
@@ -229,17 +165,3 @@ def test_pages_are_accessible_and_fit(browser: Browser, server: Server) -> None:
                 found |= {f"{name}: {violation}": None for violation in violations(page)}
                 found |= {f"{name} is {wide} pixels too wide": None for wide in [overflow(page)] if wide > 0}
     assert not found, "\n".join(found)
-
-
-def test_refusals_are_accessible(browser: Browser, server: Server) -> None:
-    with opened(browser, server.address, PHONE, refused=True) as page:
-        page.goto(f"{origin(server.address)}/shape/nowhere")
-        assert page.get_by_text("there is no shape").is_visible()
-        assert not violations(page)
-        assert overflow(page) <= 0
-
-
-def test_a_server_that_only_reads_takes_no_scans(browser: Browser, eggs: Path) -> None:
-    with running(eggs, "--read-only") as server, opened(browser, server.address) as page:
-        assert len(names(page)) == 13
-        assert page.locator("input[type=file]").count() == 0

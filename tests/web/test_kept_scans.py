@@ -111,20 +111,6 @@ def test_inspections_are_accessible_and_fit(browser: Browser, server: Server, tm
             assert colours and "rgb(0, 0, 0)" not in colours
 
 
-def test_from_a_scan_to_its_inspection_and_back(browser: Browser, server: Server, tmp_path: Path) -> None:
-    egg(1.06, tmp_path)
-    with opened(browser, server.address) as page:
-        page.locator("input[type=file]").set_input_files(tmp_path / "egg.off")
-        page.get_by_role("heading", name="Nearest shapes").wait_for()
-        page.get_by_alt_text("the surface of the scan").wait_for()
-        page.get_by_role("link", name="Inspection of the scan").click()  # when it is there, without a reload
-        page.get_by_role("heading", name="From four sides").wait_for()
-        box = page.get_by_label("surface", exact=True)
-        assert box.is_checked(), "the script of the viewer has run"
-        page.get_by_role("link", name="Nearest shapes").click()
-        page.get_by_role("heading", name="Nearest shapes").wait_for()
-
-
 # --- keeping ----------------------------------------------------------------------------------------------
 
 
@@ -156,20 +142,6 @@ def test_a_scan_is_kept_when_it_is_asked_for(
         assert Path(record.path) == folder / "anna sits.off"
         assert "anna sits" not in {defect.shape_id for defect in find_defects(store)}
         assert store.thumbnail("anna sits") is not None
-
-
-def test_scripts_keep_scans_too(keeper: Server, folder: Path, tmp_path: Path) -> None:
-    job = uploaded(keeper, "egg.off", egg(1.07, tmp_path))
-    kept = keeper.ask(f"/scans/{job['job']}/keep?id=bert&label=new", method="POST")
-    assert kept.status == 201, kept.body
-    assert kept.headers["location"] == "/shapes/bert"
-    assert keeper.ask("/shapes/bert").json == kept.json
-    assert (kept.json["label"], kept.json["status"], kept.json["file"]) == ("new", "done", "bert.off")
-    assert keeper.ask(f"/scans/{job['job']}").json["kept_as"] == "bert"
-    assert b"Kept as" in keeper.ask(f"/scan/{job['job']}").body
-    again = keeper.ask(f"/scans/{job['job']}/keep?id=other", method="POST")
-    assert again.status == 404 and "kept already, as 'bert'" in again.json["message"]
-    assert files_in(folder) == {"bert.off"}
 
 
 REFUSED: list[tuple[dict[str, str], str]] = [

@@ -20,13 +20,11 @@ from urllib.parse import quote
 
 import pytest
 import shapes
-from hostile_scans import HOSTILE, REFERENCES, laser_scan
-from laser_files import CAN_WRITE
+from hostile_scans import HOSTILE, REFERENCES
 from processes import PATIENCE, wait_for
 from search_server import Answer, Server, raw, running, status
 
 from pcretrieve import search, write_mesh
-from pcretrieve.formats import missing_extra
 
 pytestmark = pytest.mark.slow
 
@@ -131,14 +129,6 @@ def test_hostile_files_are_refused_in_words(target: Target) -> None:
         assert not Path("pickled").exists()
 
 
-def test_scans_that_promise_more_points(target: Target, tmp_path: Path) -> None:
-    for suffix in (".laz", ".e57"):
-        if CAN_WRITE[suffix] and not missing_extra(suffix):
-            job = target.outcome(f"a{suffix}", laser_scan(tmp_path, suffix))
-            assert job["error"] == "ScanReadError"
-            assert "not a complete" in job["message"]
-
-
 def test_files_that_a_scan_refers_to_are_not_opened(target: Target) -> None:
     with socket.create_server(("127.0.0.1", 0)) as elsewhere:
         port = elsewhere.getsockname()[1]
@@ -230,11 +220,6 @@ def test_lengths_that_are_none(target: Target) -> None:
         assert status(raw(target.server, f"{UPLOAD}Content-Length: {length}\r\n\r\n", b"OFF")) in (400, 413)
 
 
-def test_sizes_are_bounded_before_a_file_is_read(target: Target) -> None:
-    assert target.send("a.off", b"x", headers={"Content-Length": "1000001"}).status == 413
-    assert status(raw(target.server, f"{UPLOAD}Content-Length: {10**15}\r\n\r\n")) == 413
-
-
 def test_uploads_wait_in_a_queue_of_limited_length(target: Target) -> None:
     with ExitStack() as stack:
         request = f"{UPLOAD}Content-Length: 1000\r\n\r\n"
@@ -316,15 +301,6 @@ def test_a_scan_is_answered_as_by_the_library_and_removed(server: Server, eggs: 
         return [path for folder in new for path in folder.rglob("*.off")]
 
     assert wait_for(lambda: not left())
-
-
-def test_a_scan_that_cannot_be_read_fails_alone(server: Server) -> None:
-    job = job_of(server, b"OFF\n1 1 1\nnothing", "bad.off")
-    assert job["state"] == "failed"
-    assert job["error"] == "ScanReadError"
-    assert gettempdir() not in str(job)
-    assert b"failed" in server.ask(f"/scan/{job['job']}").body
-    assert server.ask(f"/scans/{job['job']}/similar").status == 400
 
 
 def test_sizes_are_limited_before_a_scan_is_read(eggs: Path) -> None:
