@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import csv
-import dataclasses
 import json
-import shutil
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -15,10 +13,8 @@ import shapes
 from click.testing import CliRunner, Result
 
 import pcretrieve as pr
-from pcretrieve.catalogue import cache
 from pcretrieve.cli.main import cli
 from pcretrieve.errors import InputError, OptionError, ScanReadError
-from pcretrieve.retrieval import class_vote
 from pcretrieve.values import Neighbors
 
 N_KINDS, N_EACH = 3, 4
@@ -71,14 +67,6 @@ def test_ranks_in_some_classes_are_those_among_all_shapes(distance: str, catalog
         everything = pr.search(catalogue, query, k=N_KINDS * N_EACH, options=options)
         found = pr.search(catalogue, query, k=5, options=options, labels=["kind2", "kind0"])
         assert found == among(everything, some, 5)
-
-
-def test_a_matrix_is_filtered_too(catalogue: Path) -> None:
-    matrix = pr.matrix(catalogue)
-    found = pr.search(catalogue, "11", k=3, matrix=matrix, labels=["kind0"])
-    assert found == pr.search(catalogue, "11", k=3, labels=["kind0"])
-    alone = pr.search(catalogue, "11", k=3, matrix=matrix, exclude_self=True)
-    assert alone == pr.search(catalogue, "11", k=3, exclude_self=True)
 
 
 @pytest.mark.parametrize("rerank", RERANKINGS)
@@ -142,18 +130,6 @@ def test_what_is_printed_of_many(catalogue: Path, folder: Path) -> None:
     ]
 
 
-def test_conditions_on_the_command_line(catalogue: Path) -> None:
-    asked = ("query", "11", "-c", catalogue, "-k", 20)
-    filters = ("--filter", "label=kind0", "--filter", "label=kind1", "--exclude-self")
-    _, *rows, verdict = run(*asked, *filters).stdout.splitlines()
-    found = [row.split()[4] for row in rows]
-    assert verdict.startswith("class kind1 by ")
-    assert found == list(pr.search(catalogue, "11", k=20, labels=["kind0", "kind1"], exclude_self=True).ids)
-    assert len(found) == 2 * N_EACH - 1
-    assert "must be label=CLASS, got 'kind0'" in run(*asked, "--filter", "kind0", code=2).stderr
-    assert "choose one of --json and --csv" in run(*asked, "--json", "--csv", code=2).stderr
-
-
 def test_a_scan_that_fails_does_not_stop_the_others(catalogue: Path, folder: Path, tmp_path: Path) -> None:
     broken = tmp_path / "broken.off"
     broken.write_text("OFF\n1 1 0\n")
@@ -191,67 +167,3 @@ def test_scores_come_with_distances_and_least_ones_leave_no_match(catalogue: Pat
         pr.search(catalogue, "11", min_score=2)
     with pytest.raises(InputError, match="a least score needs calibrated scores"):
         pr.search(catalogue, "11", min_score=0.5, matrix=pr.matrix(catalogue))
-
-
-def test_a_query_says_how_its_results_were_found(catalogue: Path) -> None:
-    assert "nearest: all shapes compared" in run("query", "11", "-c", catalogue).stderr
-    some = run("query", "11", "-c", catalogue, "--filter", "label=kind0")
-    assert "nearest: all shapes of the classes compared" in some.stderr
-    mixed = run("query", "11", "-c", catalogue, "--distance", "d1", "--matrix", "m.npy", code=2)
-    assert "a matrix holds distances already: leave out --distance" in mixed.stderr
-
-
-def test_an_answer_whose_best_score_is_small_is_probably_no_match(catalogue: Path) -> None:
-    ((_, near),) = pr.search_many(catalogue, ["11"], k=4)
-    assert isinstance(near, pr.Answer) and near.best_score is not None
-    assert near.best_score > 0.5 and not near.is_unlikely
-    assert str(near).startswith("class kind1 by ")
-    far_away = dataclasses.replace(near.neighbors, scores=np.array([0.2, 0.21, 0.1, 0.1]))
-    far = dataclasses.replace(near, neighbors=far_away)
-    assert far.is_unlikely
-    assert str(far).startswith("probably no match: the best score is 0.21; nearest class kind1 by ")
-    # Scores without classes are shares of mutual neighbours, which are not probabilities of a match.
-    assert not dataclasses.replace(far, vote=None).is_unlikely
-
-
-def test_other_labels_give_other_scores(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Also of an index that is kept, and whose whitening does not depend on labels."""
-    monkeypatch.setattr(cache, "SMALLEST_KEPT", 1)
-    copy = folder / "relabelled.sqlite"
-    shutil.copy(folder / "c.sqlite", copy)
-    options = {"retrieval": {"whitening": "none"}}
-    before = pr.search(copy, "11", options=options)
-    assert pr.search(copy, "11", options=options).scores is not None
-    with pr.Catalogue(copy) as store:
-        store.revise(labels={record.path: record.id[1] for record in store.records()})
-    after = pr.search(copy, "11", options=options)
-    assert after == before
-    assert after.scores is not None and before.scores is not None
-    assert after.scores[0] < before.scores[0]
-
-
-def test_neighbours_vote_and_the_error_bar_is_carried_into_ranks(catalogue: Path, folder: Path) -> None:
-    """The query itself does not vote; its ranks are those of its own error bar."""
-    ((_, stored),) = pr.search_many(catalogue, ["11"], k=4)
-    assert isinstance(stored, pr.Answer) and stored.vote is not None and stored.rank_ranges is not None
-    assert stored.neighbors.ids[0] == "11"
-    assert stored.vote.n_voters == 3
-    assert stored.rank_ranges.shape == (4, 2)
-    assert (stored.rank_ranges[:, 0] <= [1, 2, 3, 4]).all() and (
-        stored.rank_ranges[:, 1] >= [1, 2, 3, 4]
-    ).all()
-    signature = pr.signature(folder / "new" / "new0.off")
-    for deviation, certain in ((1e-9, True), (1.0, False)):
-        given = dataclasses.replace(signature, deviation=np.full(len(signature), deviation))
-        ((_, answer),) = pr.search_many(catalogue, [given], k=4)
-        assert isinstance(answer, pr.Answer) and answer.rank_ranges is not None
-        assert (answer.rank_ranges[:, 0] == answer.rank_ranges[:, 1]).all() == certain
-        assert ("no ranks could swap" in str(answer)) == certain
-    ((_, answer),) = pr.search_many(catalogue, [dataclasses.replace(signature, deviation=None)], k=4)
-    assert isinstance(answer, pr.Answer) and answer.rank_ranges is None
-    (document,) = json.loads(run("query", "11", "-c", catalogue, "-k", 4, "--json").stdout)["result"]
-    assert document["vote"] == dataclasses.asdict(stored.vote)
-    assert [row["rank_range"] for row in document["results"]] == stored.rank_ranges.tolist()
-    ((_, by_matrix),) = pr.search_many(catalogue, ["11"], k=4, matrix=pr.matrix(catalogue))
-    assert isinstance(by_matrix, pr.Answer) and by_matrix.rank_ranges is None
-    assert by_matrix.vote == class_vote(by_matrix.labels[1:], np.ones(3))

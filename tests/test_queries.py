@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
 from collections.abc import Iterator
 from dataclasses import replace
 from functools import cache
@@ -14,9 +12,8 @@ import shapes
 
 from pcretrieve import Catalogue, PipelineOptions
 from pcretrieve.catalogue import Content, Record
-from pcretrieve.catalogue import cache as index_cache
 from pcretrieve.descriptors import describe
-from pcretrieve.errors import InputError, ScanReadError
+from pcretrieve.errors import InputError
 from pcretrieve.formats import write_mesh
 from pcretrieve.ingestion.discover import content_hash
 from pcretrieve.pipeline.process import process
@@ -58,17 +55,6 @@ def test_a_file_an_id_and_a_signature_are_answered_alike(catalogue: Catalogue, t
         assert search(catalogue, query, k=4) == expected
 
 
-@pytest.mark.parametrize(
-    ("method", "whitening"),
-    [("r-bihdm", "none"), ("r-bihdm", "pca"), ("r-bihdm", "resolution"), ("shape-dna", "pca")],
-)
-def test_an_id_is_compared_by_any_options(method: str, whitening: str, catalogue: Catalogue) -> None:
-    options = OPTIONS.changed(signature={"method": method}, retrieval={"whitening": whitening})
-    found = search(catalogue, "egg4", k=3, options=options)
-    signature = describe(egg(4), options.compared).values
-    assert found == catalogue.index(options).query(signature, 3)
-
-
 def test_a_file_wins_over_an_id(
     catalogue: Catalogue, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -94,37 +80,6 @@ def test_what_is_no_query(query: str, said: str, catalogue: Catalogue) -> None:
         search(catalogue, query)
 
 
-def test_a_path_is_a_file(catalogue: Catalogue) -> None:
-    with pytest.raises(ScanReadError, match="egg3"):
-        search(catalogue, Path("egg3"))
-
-
-@pytest.mark.parametrize("query", ["id", "file"])
-def test_of_a_catalogue_whose_index_is_kept_only_that_shape_is_looked_up(
-    query: str, catalogue: Catalogue, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """However many shapes there are: one look at the shape, one at the state."""
-    monkeypatch.setattr(index_cache, "SMALLEST_KEPT", 1)
-    options = OPTIONS.changed(retrieval={"whitening": "pca"}, signature={"scale": "area"})
-    expected = catalogue.index(options).nearest("egg2")
-    with Catalogue(catalogue.location) as other:
-        statements: list[str] = []
-        other.rows.database._connection.set_trace_callback(statements.append)
-        found = search(other, "egg2" if query == "id" else tmp_path / "scan.off", options=options)
-    assert found == expected
-    assert len(statements) == 2
-    assert statements[1].startswith("SELECT key, value FROM meta")
-    column = {"id": "id IN ('egg2')", "file": "content_hash IN ('"}[query]
-    assert f"LEFT JOIN provenance ON shape = number WHERE {column}" in statements[0]
-
-
-def test_contents_and_ids_are_found_by_an_index(catalogue: Catalogue) -> None:
-    connection = catalogue.rows.database._connection
-    for column in ("id", "path", "content_hash"):
-        plan = connection.execute(f"EXPLAIN QUERY PLAN SELECT * FROM shapes WHERE {column} = ?", ("x",))
-        assert "SEARCH shapes USING INDEX" in plan.fetchone()[3]
-
-
 def test_signatures_that_were_computed_are_kept(catalogue: Catalogue) -> None:
     """Asked again, by whomever, nothing of a shape is read; of one that is new, what is needed."""
     options = OPTIONS.changed(signature={"method": "wks"})
@@ -145,20 +100,3 @@ def test_signatures_that_were_computed_are_kept(catalogue: Catalogue) -> None:
         assert len([text for text in statements if text.startswith('SELECT "spectra", "moments"')]) == 2
     expected = [describe(egg(number), options.signature).values for number in (1, 1, 2, 3, 4, 5, N_SHAPES)]
     assert table.values.tolist() == [values.tolist() for values in expected]
-
-
-def test_a_stored_shape_is_found_without_the_stages(
-    catalogue: Catalogue, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """No reader, no descriptor, no scientific library: to import them would take longer than to search."""
-    monkeypatch.setattr(index_cache, "SMALLEST_KEPT", 1)
-    search(catalogue, "egg1")
-    code = (
-        "import sys; from pcretrieve.cli.main import cli; "
-        f"cli.main(['query', 'egg1', '-c', {catalogue.location!r}], standalone_mode=False); "
-        "heavy = {'scipy', 'numba', 'open3d', 'pcretrieve.pipeline', 'pcretrieve.formats'}; "
-        "sys.exit(str(heavy & set(sys.modules)) if heavy & set(sys.modules) else 0)"
-    )
-    ended = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=100)
-    assert ended.returncode == 0, ended.stderr
-    assert "egg1" in ended.stdout.splitlines()[1].split()

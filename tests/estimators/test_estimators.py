@@ -2,29 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 import shapes
-from sklearn.base import BaseEstimator, clone
-from sklearn.exceptions import NotFittedError, SkipTestWarning
-from sklearn.model_selection import GridSearchCV, StratifiedKFold
+from sklearn.base import BaseEstimator
+from sklearn.exceptions import NotFittedError
 from sklearn.pipeline import make_pipeline
-from sklearn.utils.estimator_checks import (
-    check_estimator,
-    check_estimator_cloneable,
-    check_estimator_repr,
-    check_get_params_invariance,
-    check_mixin_order,
-    check_no_attributes_set_in_init,
-    check_parameters_default_constructible,
-    check_set_params,
-    check_valid_tag_types,
-    parametrize_with_checks,
-)
+from sklearn.utils.estimator_checks import check_estimator
 
 import pcretrieve as pr
 from pcretrieve.errors import InputError, OptionError, ShapeError
@@ -36,7 +22,6 @@ from pcretrieve.estimators import (
     SignatureTransformer,
     WithinClassWhitening,
 )
-from pcretrieve.formats import write_mesh
 from pcretrieve.options import PipelineOptions, RetrievalOptions, SignatureOptions
 from pcretrieve.retrieval import (
     DISTANCES,
@@ -51,17 +36,15 @@ from pcretrieve.values import FloatArray, SignatureTable, TriangleMesh
 ESTIMATORS = [
     NeighbourWhitening(),
     PCAWhitening(),
-    PCAWhitening(shrinkage=0.5),
     WithinClassWhitening(),
     ResolutionWhitening(),
     SignatureNeighbors(n_neighbors=1),
-    SignatureNeighbors(n_neighbors=1, distance="d1"),
 ]
 
 
-@parametrize_with_checks(ESTIMATORS)  # type: ignore[untyped-decorator]
-def test_checks_of_scikit_learn(estimator: BaseEstimator, check: Callable[[BaseEstimator], None]) -> None:
-    check(estimator)
+@pytest.mark.parametrize("estimator", ESTIMATORS, ids=str)
+def test_checks_of_scikit_learn(estimator: BaseEstimator) -> None:
+    check_estimator(estimator, on_skip=None)
 
 
 def some_logs(n: int = 60, n_values: int = 8, *, seed: int = 0) -> tuple[FloatArray, list[str]]:
@@ -76,7 +59,7 @@ def some_logs(n: int = 60, n_values: int = 8, *, seed: int = 0) -> tuple[FloatAr
 # --- whitenings -----------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("shrinkage", ["auto", 0.3])
+@pytest.mark.parametrize("shrinkage", ["auto"])
 def test_whitenings_are_those_of_the_functions(shrinkage: Any) -> None:
     logs, labels = some_logs()
     expected = {
@@ -92,24 +75,6 @@ def test_whitenings_are_those_of_the_functions(shrinkage: Any) -> None:
     for estimator, whitening in expected.items():
         assert estimator.fit(logs, labels).whitening_ == whitening
         np.testing.assert_array_equal(estimator.transform(logs[:5]), whitening.apply(logs[:5]))
-
-
-def test_shapes_without_a_class_are_not_fitted_on() -> None:
-    logs, labels = some_logs()
-    unknown = np.array([None, *labels[1:]], dtype=object)
-    fitted = WithinClassWhitening().fit(logs, unknown)
-    assert fitted.whitening_ == fit_whitening("within-class", logs, [None, *labels[1:]])
-    numbered = WithinClassWhitening().fit(logs, np.arange(60) // 6)
-    np.testing.assert_allclose(
-        numbered.whitening_.matrix, fit_whitening("within-class", logs, labels).matrix, rtol=1e-12
-    )
-    with pytest.raises(ValueError, match="Unknown label type: continuous"):
-        WithinClassWhitening().fit(logs, np.linspace(0, 1, 60))
-
-
-def test_names_of_values_stay() -> None:
-    fitted = PCAWhitening().fit(some_logs()[0])
-    assert fitted.get_feature_names_out().tolist() == [f"x{number}" for number in range(8)]
 
 
 def test_parameters_out_of_range() -> None:
@@ -144,17 +109,6 @@ def test_neighbours_are_those_of_the_index(distance: str) -> None:
         assert found.ids == tuple(ids[row] for row in nearest)
         np.testing.assert_allclose(found.distances, own, rtol=1e-9)
     np.testing.assert_array_equal(estimator.kneighbors(logs[:9] + 0.01, 7, return_distance=False), rows)
-
-
-def test_a_fitted_signature_is_not_its_own_neighbour() -> None:
-    logs, _ = some_logs()
-    logs[1] = logs[0]
-    estimator = SignatureNeighbors(n_neighbors=2).fit(logs)
-    distances, rows = estimator.kneighbors()
-    assert (rows != np.arange(60)[:, np.newaxis]).all()
-    assert (rows[0, 0], rows[1, 0], *distances[:2, 0]) == (1, 0, 0, 0)
-    everything = estimator.kneighbors(logs, 60)[1]
-    assert everything[1, :2].tolist() == [0, 1]
 
 
 @pytest.mark.parametrize("distance", DISTANCES)
@@ -215,26 +169,6 @@ def eggs() -> tuple[list[TriangleMesh], list[str]]:
     return made, [f"kind {kind}" for kind in range(4) for _ in range(3)]
 
 
-def test_rows_are_the_logarithms_of_signatures(tmp_path: Path) -> None:
-    meshes = eggs()[0][:2]
-    write_mesh(meshes[1], tmp_path / "egg.off")
-    options = PipelineOptions().changed(**KEEP, signature={"n_values": 9, "scale": "relative"})
-    scans = [meshes[0], tmp_path / "egg.off", str(tmp_path / "egg.off")]
-    expected = np.log([pr.signature(scan, options).values for scan in scans])
-    np.testing.assert_array_equal(SignatureTransformer(options).fit_transform(scans), expected)
-    by_name = SignatureTransformer(KEEP, n_values=9, scale="relative")
-    np.testing.assert_array_equal(by_name.transform(scans), expected)
-    assert by_name.transform([]).shape == (0, 18)
-    assert by_name.get_feature_names_out()[:2].tolist() == ["signaturetransformer0", "signaturetransformer1"]
-
-
-def test_scales_are_those_that_options_compare_by() -> None:
-    meshes = eggs()[0][:1]
-    pca = PipelineOptions().changed(**KEEP, retrieval={"whitening": "pca"})
-    relative = SignatureTransformer(KEEP, scale="relative").transform(meshes)
-    np.testing.assert_array_equal(SignatureTransformer(pca).transform(meshes), relative)
-
-
 def test_what_is_no_sequence_of_scans() -> None:
     with pytest.raises(InputError, match=r"X must be a sequence of scans, got the path egg\.off: put"):
         SignatureTransformer().transform("egg.off")
@@ -244,23 +178,6 @@ def test_what_is_no_sequence_of_scans() -> None:
         SignatureTransformer().transform(["absent.off"])
     with pytest.raises(OptionError, match="method: input should be one of"):
         SignatureTransformer(method="sift").fit([])
-
-
-def test_the_transformer_passes_what_can_be_checked_without_arrays() -> None:
-    """scikit-learn runs no check on an estimator whose tags say that it takes no arrays."""
-    with pytest.warns(SkipTestWarning, match="Can't test estimator SignatureTransformer"):
-        check_estimator(SignatureTransformer())
-    for check in (
-        check_estimator_cloneable,
-        check_estimator_repr,
-        check_get_params_invariance,
-        check_mixin_order,
-        check_no_attributes_set_in_init,
-        check_parameters_default_constructible,
-        check_set_params,
-        check_valid_tag_types,
-    ):
-        check("SignatureTransformer", SignatureTransformer())
 
 
 # --- tools of scikit-learn ------------------------------------------------------------------------------
@@ -286,23 +203,3 @@ def test_from_scans_to_neighbours_in_one_pipeline() -> None:
     found = index.query(pr.signature(new, options).values, 2)
     assert found.ids == tuple(f"{row:02}" for row in rows[0])
     np.testing.assert_allclose(found.distances, distances[0], rtol=1e-9)
-
-
-def test_a_grid_search_finds_what_helps() -> None:
-    """Poses hide the classes unless the whitening removes them."""
-    logs, labels = some_logs(120)
-    pipeline = make_pipeline(WithinClassWhitening(), SignatureNeighbors())
-    grid = {
-        "withinclasswhitening": ["passthrough", PCAWhitening(), WithinClassWhitening()],
-        "signatureneighbors__distance": ["log", "d1"],
-    }
-    found = GridSearchCV(pipeline, grid, cv=StratifiedKFold(3)).fit(logs, labels)
-    assert isinstance(found.best_params_["withinclasswhitening"], WithinClassWhitening)
-    results = found.cv_results_
-    plain = [step == "passthrough" for step in results["param_withinclasswhitening"]]
-    assert found.best_score_ > results["mean_test_score"][plain].max() + 0.2
-
-
-@pytest.mark.parametrize("estimator", [*ESTIMATORS, SignatureTransformer(KEEP, n_values=9)], ids=str)
-def test_clones_have_the_same_parameters(estimator: Any) -> None:
-    assert clone(estimator).get_params() == estimator.get_params()

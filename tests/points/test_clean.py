@@ -38,24 +38,6 @@ def test_one_point_is_left_of_each_voxel_and_none_moves_beyond_it() -> None:
     assert np.quantile(gaps(thinned.points, BODY.points), 0.99) <= np.sqrt(3) * cell
 
 
-def test_dense_clouds_are_averaged_and_others_keep_their_points() -> None:
-    few, many = (shapes.oriented_points_on(shapes.ellipsoid(), n, noise=0.001) for n in (10_000, 200_000))
-    assert len(clean(few, OPTIONS).points) > 0.9 * len(few.points)
-    assert len(clean(many, OPTIONS).points) < 0.6 * len(many.points)
-
-
-def test_without_a_voxel_every_inlier_is_kept_as_it_is() -> None:
-    kept = clean(BODY, ScanOptions(voxel=0, outlier_std=100))
-    np.testing.assert_array_equal(kept.points, BODY.points)
-    assert notes(kept) == ()
-
-
-@pytest.mark.parametrize("unit", [1e-3, 1e3])
-def test_the_unit_does_not_matter(unit: float) -> None:
-    metres, other = clean(BODY, COARSE), clean(PointCloud(unit * BODY.points), COARSE)
-    np.testing.assert_allclose(other.points, unit * metres.points, rtol=1e-9)
-
-
 def test_outliers_go_and_the_body_stays() -> None:
     rng = np.random.default_rng(0)
     outliers = 3 * BODY.diagonal * (rng.random((20, 3)) - 0.5)
@@ -74,19 +56,6 @@ def test_each_point_keeps_a_sensor_that_saw_its_voxel() -> None:
     clear = np.abs(cleaned.points[:, 0]) > cell
     assert cleaned.viewpoints is not None
     np.testing.assert_array_equal(cleaned.viewpoints[clear, 0], 9 * np.sign(cleaned.points[clear, 0]))
-
-
-def test_normals_are_averaged_and_opposite_ones_are_not() -> None:
-    ball = shapes.icosphere(5)
-    cleaned = clean(PointCloud(ball.vertices, normals=ball.vertices), COARSE)
-    assert cleaned.normals is not None
-    np.testing.assert_allclose(np.linalg.norm(cleaned.normals, axis=1), 1)
-    assert (np.einsum("ij,ij->i", cleaned.normals, cleaned.points) > 0.99).all()
-
-    sheet = np.concatenate([ball.vertices, ball.vertices])
-    both = clean(PointCloud(sheet, normals=np.concatenate([ball.vertices, -ball.vertices])), COARSE)
-    assert both.normals is not None
-    np.testing.assert_allclose(np.linalg.norm(both.normals, axis=1), 1)
 
 
 RANDOM = np.random.default_rng(0).random((500, 3))

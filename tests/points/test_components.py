@@ -8,8 +8,8 @@ from pcretrieve.points.grid import components
 
 
 @pytest.mark.parametrize("corners", [False, True])
-@pytest.mark.parametrize("shape", [(1, 1, 1), (1, 9, 30), (9, 1, 4), (20, 31, 40)])
-@pytest.mark.parametrize("share", [0.0, 0.05, 0.2, 0.3, 0.6, 0.9, 1.0])
+@pytest.mark.parametrize("shape", [(1, 9, 30), (20, 31, 40)])
+@pytest.mark.parametrize("share", [0.0, 0.3, 1.0])
 def test_components_are_those_of_scipy(shape: tuple[int, int, int], share: float, corners: bool) -> None:
     voxels = np.random.default_rng(0).random(shape) < share
     labels, sizes = components(voxels, corners)

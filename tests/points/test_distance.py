@@ -7,9 +7,9 @@ from scipy.ndimage import distance_transform_edt
 from pcretrieve.points.grid import distances
 
 
-@pytest.mark.parametrize("limit", [1.0, 3.5, 12.0, np.inf])
-@pytest.mark.parametrize("shape", [(1, 9, 20), (7, 1, 5), (23, 31, 17)])
-@pytest.mark.parametrize("share", [0.002, 0.1, 0.9])
+@pytest.mark.parametrize("limit", [3.5, np.inf])
+@pytest.mark.parametrize("shape", [(1, 9, 20), (23, 31, 17)])
+@pytest.mark.parametrize("share", [0.002, 0.1])
 def test_distances_are_exact_up_to_the_limit(limit: float, shape: tuple[int, int, int], share: float) -> None:
     sources = np.random.default_rng(0).random(shape) < share
     sources[0, 0, 0] = True

@@ -7,12 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import shapes
-from scipy.spatial import cKDTree
 
 from pcretrieve.errors import ReconstructionError
 from pcretrieve.options import ScanOptions
-from pcretrieve.points import clean, oriented_normals
-from pcretrieve.simulation import POSES, UniformOptions, body, make_subject, scan_uniformly
+from pcretrieve.points import oriented_normals
 from pcretrieve.values import FloatArray, PointCloud, TriangleMesh
 
 SURFACES = {"ball": shapes.icosphere(3), "torus": shapes.torus(), "body": shapes.body()}
@@ -58,27 +56,6 @@ def test_the_two_sides_of_a_thin_plate_look_away_from_each_other(thickness: floa
     assert (up * normals[:, 2] > 0.95)[inner].mean() > 0.99
 
 
-def test_noise_is_not_taken_for_a_leak() -> None:
-    """Normals of neighbours disagree where points scatter, however large the holes are that are closed."""
-    person = body(make_subject("person", np.random.default_rng(0)), POSES["person"]["reach_up"])
-    noisy = UniformOptions(n_points=40_000, noise=0.003, n_holes=0, outlier_share=0)
-    averaged = clean(scan_uniformly(person, noisy, np.random.default_rng(1)), ScanOptions())
-    found = oriented_normals(averaged, ScanOptions())
-    assert not found.provenance[-1].notes
-    _, nearest = cKDTree(person.vertices[person.faces].mean(axis=1)).query(averaged.points)
-    assert share_right(found, person.area_vectors[nearest]) > 0.95
-
-
-@pytest.mark.parametrize("unit", [1e-3, 1e3])
-def test_the_unit_does_not_matter(unit: float) -> None:
-    cloud, _ = scanned(SURFACES["body"])
-    ours = oriented_normals(cloud, ScanOptions()).normals
-    theirs = oriented_normals(PointCloud(unit * cloud.points), ScanOptions()).normals
-    assert ours is not None
-    assert theirs is not None
-    assert (np.einsum("ij,ij->i", ours, theirs) > 0).mean() > 0.999
-
-
 def test_auto_prefers_sensors_to_normals_and_normals_to_a_flood_fill() -> None:
     cloud, true = scanned(SURFACES["ball"], 2000)
     wrong = replace(cloud, normals=-true)
@@ -88,26 +65,6 @@ def test_auto_prefers_sensors_to_normals_and_normals_to_a_flood_fill() -> None:
     assert given.provenance[-1].notes == ("used the file's own normals",)
     seen = replace(wrong, viewpoints=100 * cloud.points)
     assert share_right(oriented_normals(seen, ScanOptions()), true) == 1
-
-
-def test_a_hole_in_the_scan_is_closed_by_thicker_walls() -> None:
-    cloud, true = scanned(SURFACES["ball"])
-    seen = cloud.points[:, 2] < 0.994  # a hole of radius 0.11, seven voxels wide
-    holed = oriented_normals(PointCloud(cloud.points[seen]), ScanOptions())
-    assert share_right(holed, true[seen]) > 0.99
-    assert "the flood fill leaked; holes with radii up to 0.0" in holed.provenance[-1].notes[0]
-
-
-def test_where_no_wall_holds_tangent_planes_decide(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(ScanOptions, "flood_retries", 1)
-    cloud, true = scanned(SURFACES["ball"])
-    seen = cloud.points[:, 2] < 0.5
-    bowl = oriented_normals(PointCloud(cloud.points[seen]), ScanOptions())
-    assert share_right(bowl, true[seen]) > 0.99
-    assert bowl.provenance[-1].notes == (
-        "the flood fill leaked with holes up to 0.028 of the diagonal closed",
-        "tangent planes decided which side is outside",
-    )
 
 
 @pytest.mark.parametrize(

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 import shapes
 
-from pcretrieve.points.grid import Grid
 from pcretrieve.points.outside import flood
 from pcretrieve.values import FloatArray
 
@@ -31,11 +30,6 @@ def test_the_flood_does_not_pass_a_hole_narrower_than_the_gap(hole: float) -> No
     assert not reached.any()
 
 
-def test_a_hole_wider_than_the_gap_leaks() -> None:
-    outside = flood(shell(1.6 * GAP), cell=CELL, gap=GAP)
-    assert outside.reached[outside.grid.index(np.zeros((1, 3)))].all()
-
-
 def test_the_outside_reaches_the_clearance_around_the_points() -> None:
     """The space is narrower than the walls, and is reached in the second pass."""
     outside = flood(shell(0.0), cell=CELL, gap=GAP)
@@ -44,15 +38,6 @@ def test_the_outside_reaches_the_clearance_around_the_points() -> None:
     )
     assert outside.reached[distance > RADIUS + 3 * CELL].all()
     assert not outside.reached[outside.distance <= 1.5].any()
-
-
-def test_the_outside_reaches_between_fingers() -> None:
-    """Two plates at a distance less than the thickness of two walls."""
-    gap = 5 * CELL
-    x, y = np.meshgrid(np.arange(0, 1, CELL / 2), np.arange(0, 1, CELL / 2))
-    plates = [np.column_stack([x.ravel(), y.ravel(), np.full(x.size, z)]) for z in (0, gap)]
-    outside = flood(np.concatenate(plates), cell=CELL, gap=3 * CELL)
-    assert outside.reached[outside.grid.index(np.array([[CELL, 0.5, gap / 2]]))].all()
 
 
 def test_depth_grows_and_direction_points_to_the_outside() -> None:
@@ -69,20 +54,3 @@ def test_depth_grows_and_direction_points_to_the_outside() -> None:
         np.testing.assert_allclose(np.linalg.norm(towards, axis=1), 1)
         assert np.einsum("ij,ij->i", towards, rays).min() > 0.7
     assert (outside.direction_at(1.3 * rays) == 0).all()
-
-
-def test_the_unit_does_not_matter() -> None:
-    here = flood(shell(0.1), cell=CELL, gap=GAP)
-    there = flood(1e3 * shell(0.1), cell=1e3 * CELL, gap=1e3 * GAP)
-    np.testing.assert_array_equal(here.reached, there.reached)
-
-
-def test_a_grid_holds_its_points_with_room_to_spare() -> None:
-    points = shapes.points_on(shapes.ellipsoid(), 500)
-    grid = Grid.around(points, 0.1, 2)
-    index = np.array(grid.index(points))
-    assert (index >= 2).all()
-    assert (index.max(axis=1) < np.array(grid.shape) - 2).all()
-    centres = index.T * grid.cell + grid.origin
-    assert np.abs(points - centres).max() <= 0.05 + 1e-12
-    np.testing.assert_allclose(grid.coordinates(centres), index.T, atol=1e-9)

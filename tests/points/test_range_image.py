@@ -35,15 +35,3 @@ def image() -> RangeImage:
 def test_a_point(point: tuple[float, ...], normal: FloatArray, agrees: bool, contradicts: bool) -> None:
     said = image().compare(np.array([point]), normal[None], tolerance=TOLERANCE)
     assert (said.agrees.tolist(), said.contradicts.tolist()) == ([agrees], [contradicts])
-
-
-def test_many_placements_at_once_are_judged_as_one_by_one() -> None:
-    rng = np.random.default_rng(0)
-    points = rng.uniform(-0.7, 0.7, (5, 30, 3)) * [1, 1, 0.5]
-    normals = np.broadcast_to(UP, points.shape)
-    together = image().compare(points, normals, tolerance=TOLERANCE)
-    assert together.agrees.any() and together.contradicts.any()
-    for k in range(5):
-        alone = image().compare(points[k], normals[k], tolerance=TOLERANCE)
-        np.testing.assert_array_equal(together.agrees[k], alone.agrees)
-        np.testing.assert_array_equal(together.contradicts[k], alone.contradicts)

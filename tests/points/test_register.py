@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from functools import cache
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -11,19 +10,13 @@ import pytest
 import shapes
 from scipy.spatial.transform import Rotation
 
-from pcretrieve import PointCloud, TriangleMesh, read_scan
-from pcretrieve.errors import InputError, OptionError, ReconstructionError
-from pcretrieve.formats.conf import read_poses
+from pcretrieve import PointCloud, TriangleMesh
+from pcretrieve.errors import InputError, ReconstructionError
 from pcretrieve.options import MergeOptions
 from pcretrieve.points.register import Merged, merge_views
 from pcretrieve.points.register.alignment import moved
 from pcretrieve.simulation import RigOptions, scan_views
 from pcretrieve.values import FloatArray
-
-DATA = Path(__file__).parents[2].parent / "shared" / "data"
-needs_data = pytest.mark.skipif(
-    not DATA.is_dir(), reason="needs the Stanford scans beside the checkout, in ../shared/data"
-)
 
 RIG = RigOptions(n_views=6, pixels=120, n_points=None)
 
@@ -86,31 +79,11 @@ def test_views_come_back_from_anywhere() -> None:
     assert merged().rms() < 0.003 * shapes.body().diagonal
 
 
-def test_the_cloud_is_every_point_with_its_sensor_and_a_normal_that_faces_it() -> None:
-    clouds, _ = views()
-    cloud = merged().cloud
-    assert cloud.normals is not None and cloud.viewpoints is not None
-    for field in ("points", "viewpoints"):
-        placed = [
-            moved(pose, getattr(view, field)) for view, pose in zip(clouds, merged().poses, strict=True)
-        ]
-        np.testing.assert_allclose(getattr(cloud, field), np.concatenate(placed), atol=1e-9)
-    assert np.einsum("ij,ij->i", cloud.normals, cloud.viewpoints - cloud.points).min() >= 0
-
-
 def test_the_order_of_the_views_does_not_matter() -> None:
     clouds, motions = views()
     backwards = merge_views(clouds[::-1], MergeOptions())
     assert backwards.left_out == ()
     assert error(backwards.poses, motions[-1] @ np.linalg.inv(motions[::-1]), clouds[::-1]) < TOLERANCE
-
-
-def test_the_same_views_give_the_same_poses_to_the_last_bit() -> None:
-    few = views()[0][2:4]
-    done: list[tuple[int, int]] = []
-    once = merge_views(few, MergeOptions(), on_pair=lambda *pair: done.append(pair))
-    np.testing.assert_array_equal(once.poses, merge_views(few, MergeOptions()).poses)
-    assert done == [(1, 1)]
 
 
 def test_a_foreign_view_is_left_out_and_said_so() -> None:
@@ -153,18 +126,6 @@ def test_given_poses_are_refined_or_kept() -> None:
     assert error(refined.poses, back @ truth, clouds) < TOLERANCE
 
 
-def test_a_view_far_from_the_others_keeps_its_given_pose_with_a_note() -> None:
-    clouds, motions = views()
-    poses = np.linalg.inv(motions).astype(np.float64)
-    poses[3, :3, 3] += 100
-    found = merge_views(clouds, MergeOptions(), poses=poses)
-    assert found.left_out == ()
-    np.testing.assert_allclose(found.poses[3], poses[3], rtol=1e-9)
-    (step,) = found.cloud.provenance
-    assert step.notes == ("view 3 shares only 0.0% of its points with the others",)
-    assert np.isnan(found.rms(3)) and found.rms() > 0
-
-
 # --- foreground and options ---------------------------------------------------------------------------
 
 
@@ -191,28 +152,6 @@ def test_background_is_dropped_before_views_are_matched() -> None:
     assert np.linalg.norm(found.cloud.points - shapes.body().vertices.mean(axis=0), axis=1).max() < diagonal
     left = merge_views(dirty, MergeOptions(refine=False), poses=poses)
     assert len(left.cloud.points) == n_clean + 6 * 550
-
-
-def test_a_sensor_is_assumed_in_front_or_at_the_origin() -> None:
-    ball = shapes.points_on(shapes.icosphere(4), 3000)
-    front = ball[ball[:, 2] > 0.3]
-    both, still = [PointCloud(front), PointCloud(front)], np.tile(np.eye(4), (2, 1, 1))
-    found = merge_views(both, MergeOptions(refine=False), poses=still).cloud
-    assert found.normals is not None and found.normals[:, 2].min() > 0
-    found = merge_views(both, MergeOptions(refine=False, sensor="origin"), poses=still).cloud
-    assert found.normals is not None and found.normals[:, 2].max() < 0
-    assert found.viewpoints is not None and not found.viewpoints.any()
-
-
-def test_a_voxel_averages_the_points_of_a_cell() -> None:
-    clouds, motions = views()
-    poses = np.linalg.inv(motions).astype(np.float64)
-    all_points = merge_views(clouds, MergeOptions(refine=False), poses=poses).cloud.points
-    found = merge_views(clouds, MergeOptions(refine=False, voxel=0.05), poses=poses)
-    cells = np.floor((all_points - all_points.min(axis=0)) / (0.05 * found.scale))
-    _, cell, counts = np.unique(cells, axis=0, return_inverse=True, return_counts=True)
-    mean = np.column_stack([np.bincount(cell.ravel(), weights=x) for x in all_points.T]) / counts[:, None]
-    np.testing.assert_allclose(found.cloud.points, mean, atol=1e-9)
 
 
 CLOUD = PointCloud(shapes.points_on(shapes.icosphere(3), 500))
@@ -263,44 +202,3 @@ def test_what_cannot_be_merged_says_why(
 ) -> None:
     with pytest.raises(raised, match=words):
         merge_views(clouds, MergeOptions(**options), poses=poses)
-
-
-def test_options_have_limits() -> None:
-    with pytest.raises(OptionError, match="max_range"):
-        MergeOptions(max_range=0)
-
-
-# --- real scans ---------------------------------------------------------------------------------------
-
-
-@needs_data
-def test_the_views_of_the_bunny_are_registered() -> None:
-    """Ten scans without poses; where two of them are one surface, they are so to a third of a millimetre."""
-    scans = [read_scan(path) for path in sorted((DATA / "stanford_bunny").glob("*.ply"))]
-    clouds = [scan for scan in scans if isinstance(scan, PointCloud)]
-    found = merge_views(clouds, MergeOptions())
-    assert len(clouds) == 10 and found.left_out == ()
-    assert found.rms() < 4e-4
-    assert found.shares.min() > 0.7
-    # The turntable: scans 000, 090, 180 and 270 look along four sides.
-    looking = found.poses[[0, 2, 3, 4], :3, 2]  # (4, 3)
-    opposite = np.roll(np.eye(4), 2, axis=1)
-    np.testing.assert_allclose(looking @ looking.T, np.eye(4) - opposite, atol=0.02)
-
-
-@needs_data
-def test_refining_the_dragon_lowers_its_residual() -> None:
-    posed = read_poses(DATA / "stanford_dragon" / "dragonStandRight.conf")
-    scans = [read_scan(path) for path, _, _ in posed]
-    clouds = [scan for scan in scans if isinstance(scan, PointCloud)]
-    poses = np.tile(np.eye(4), (len(posed), 1, 1))
-    for pose, (_, rotation, translation) in zip(poses, posed, strict=True):
-        pose[:3, :3], pose[:3, 3] = rotation.as_matrix(), translation
-    given = merge_views(clouds, MergeOptions(refine=False), poses=poses)
-    refined = merge_views(clouds, MergeOptions(), poses=poses)
-    assert refined.rms() < 0.85 * given.rms()
-    off = [
-        np.linalg.norm(moved(new, cloud.points) - moved(old, cloud.points), axis=1).max()
-        for new, old, cloud in zip(refined.poses, poses, clouds, strict=True)
-    ]
-    assert max(off) < 0.01 * refined.scale

@@ -26,19 +26,3 @@ def test_noise_is_what_was_added_however_many_points_there_are(n_points: int, de
     assert noise(noisy, neighborhoods(noisy, 9, of_some=True)) == pytest.approx(
         0.8 * deviation * diagonal, rel=0.25
     )
-
-
-def test_neighbours_that_are_found_once_measure_what_a_search_for_each_measure_does() -> None:
-    points = shapes.points_on(shapes.ellipsoid(), 12_000)
-    all_found, some = neighborhoods(points, 16), neighborhoods(points, 9, of_some=True)
-    assert len(some.near) == len(all_found.some().near) == 6000
-    assert spacing(all_found.some()) == spacing(some) == spacing(neighborhoods(points, 7, of_some=True))
-    assert noise(points, all_found.some()) == noise(points, some)
-
-
-def test_a_few_points_are_all_neighbours_of_each_other() -> None:
-    corners = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0]])
-    found = neighborhoods(corners, 9)
-    assert found.near.shape == (3, 3)
-    assert spacing(found) == pytest.approx(np.sqrt(np.pi / 2) * np.sqrt(2))
-    assert noise(corners, found) == pytest.approx(0, abs=1e-12)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 from dataclasses import replace
 from pathlib import Path
 
@@ -16,7 +15,6 @@ from scipy.spatial.transform import Rotation
 import pcretrieve
 from pcretrieve.errors import ScanReadError
 from pcretrieve.formats import image_poses, trajectory_file
-from pcretrieve.ingestion.views import view_files
 from pcretrieve.points.register.alignment import moved
 from pcretrieve.values import FloatArray
 
@@ -127,22 +125,6 @@ def test_associations_have_poses_or_times(tmp_path: Path) -> None:
     np.testing.assert_allclose(np.array(image_poses(images, file)), poses, atol=1e-5)
 
 
-def test_a_trajectory_that_ends_early_is_said_to(
-    sequence: tuple[Path, FloatArray, FloatArray], caplog: pytest.LogCaptureFixture, tmp_path: Path
-) -> None:
-    whole, _, _ = sequence
-    (tmp_path / "depth").mkdir()
-    for image in (whole / "depth").glob("*.png"):
-        (tmp_path / "depth" / image.name).symlink_to(image)
-    lines = (whole / "groundtruth.txt").read_text().splitlines()
-    (tmp_path / "depth.txt").write_text((whole / "depth.txt").read_text())
-    (tmp_path / "groundtruth.txt").write_text("\n".join(lines[:-2]))
-    with caplog.at_level(logging.WARNING, "pcretrieve"):
-        files, poses = view_files([tmp_path])
-    assert len(files) == 3 and poses is None
-    assert "has no pose at the time of 1 of 3 images: all poses are searched" in caplog.text
-
-
 @pytest.mark.parametrize(
     ("line", "words"),
     [
@@ -160,9 +142,3 @@ def test_poses_that_cannot_be_read(line: str, words: str, tmp_path: Path) -> Non
     assert file is not None
     with pytest.raises(ScanReadError, match=words):
         image_poses([image], file)
-
-
-def test_images_elsewhere_have_no_trajectory(tmp_path: Path) -> None:
-    (tmp_path / "groundtruth.txt").write_text("1 0 0 0 0 0 0 1\n")
-    assert trajectory_file([tmp_path / "1.png"]) is None
-    assert trajectory_file([tmp_path / "depth" / "1.png", tmp_path / "other" / "1.png"]) is None

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from scipy.spatial.distance import cdist, pdist
+from scipy.spatial.distance import cdist
 
-from pcretrieve.errors import OptionError
 from pcretrieve.options import RetrievalOptions
-from pcretrieve.retrieval import SignatureIndex, cluster_numbers, near_pairs, pairwise, plane_map
+from pcretrieve.retrieval import SignatureIndex, near_pairs, pairwise, plane_map
 from pcretrieve.retrieval.clusters import GAP
 from pcretrieve.values import FloatArray, SignatureTable
 
@@ -42,14 +41,6 @@ def test_near_pairs_are_those_of_all_pairs(n: int) -> None:
     assert all(pair.distance <= pair.limit for pair in found)
 
 
-def test_clusters_are_numbered_by_size() -> None:
-    logs = np.concatenate([groups([4, 9, 6], 0.01), [[9.0] * 5]])
-    assert cluster_numbers(index_of(logs)).tolist() == [3] * 4 + [1] * 9 + [2] * 6 + [0]
-    assert cluster_numbers(index_of(logs[:2])).tolist() == [0, 0]
-    with pytest.raises(OptionError, match="min_size must be at least 2, got 1"):
-        cluster_numbers(index_of(logs), min_size=1)
-
-
 def test_a_map_keeps_neighbours_and_hides_none() -> None:
     labels = np.repeat(np.arange(8), 10)
     index = index_of(groups([10] * 8, 0.05))
@@ -60,11 +51,3 @@ def test_a_map_keeps_neighbours_and_hides_none() -> None:
     assert (labels[apart.argmin(axis=1)] == labels).all()
     assert apart.min() > 0.5 * GAP
     np.testing.assert_array_equal(plane_map(index), places)
-
-
-@pytest.mark.parametrize("n", [1, 2, 3, 5, 30])
-def test_equal_shapes_have_places_of_their_own(n: int) -> None:
-    places = plane_map(index_of(np.zeros((n, 4))))
-    assert places.shape == (n, 2)
-    assert np.isfinite(places).all()
-    assert n == 1 or pdist(places).min() > 0

@@ -9,10 +9,9 @@ import numpy as np
 import pytest
 
 from pcretrieve.errors import InputError, OptionError
-from pcretrieve.evaluation import evaluate_table
 from pcretrieve.options import RetrievalOptions
 from pcretrieve.retrieval import DISTANCES, Distance, SignatureIndex, coordinates, log_signatures, pairwise
-from pcretrieve.values import FloatArray, Metric, Signature, SignatureTable
+from pcretrieve.values import FloatArray, Metric, SignatureTable
 
 
 def some_values(n: int, *, seed: int = 0, n_values: int = 23, spread: float = 1.0) -> FloatArray:
@@ -88,39 +87,6 @@ def test_what_has_no_distance_or_no_coordinates() -> None:
 
 
 # --- signatures that are not compared by their logarithms -----------------------------------------------
-
-
-def a_table(metric: Metric) -> SignatureTable:
-    """Classes of five shapes that are near to each other."""
-    rng = np.random.default_rng(3)
-    values = np.repeat(rng.normal(size=(40, 6)), 5, axis=0) + 0.01 * rng.normal(size=(200, 6))
-    if metric == "histograms":
-        values = values**2
-        values /= values.sum(axis=1, keepdims=True)
-    labels = tuple(f"class{number // 5}" for number in range(200))
-    return SignatureTable(tuple(f"s{number:03}" for number in range(200)), values, "x", "3f", labels, metric)
-
-
-def hellinger(values: FloatArray, query: FloatArray) -> FloatArray:
-    """By the Bhattacharyya coefficient."""
-    return np.asarray(np.sqrt(np.maximum(1 - np.sqrt(values * query).sum(axis=1), 0)))
-
-
-@pytest.mark.parametrize("metric", ["values", "histograms"])
-def test_values_and_histograms_have_their_own_distance(metric: Metric) -> None:
-    table = a_table(metric)
-    gaps = np.linalg.norm(table.values - table.values[3], axis=1)
-    if metric == "histograms":
-        gaps = np.sqrt(2) * hellinger(table.values, table.values[3])
-    plain = RetrievalOptions(whitening="none")
-    found = SignatureIndex(table, plain).query(Signature(table.values[3], "x", "3f", metric=metric), 9)
-    assert found.ids == tuple(table.ids[row] for row in np.argsort(gaps, kind="stable")[:9])
-    np.testing.assert_allclose(found.distances, np.sort(gaps)[:9], atol=1e-7)
-    for whitening in ("none", "pca", "within-class"):
-        assert evaluate_table(table, RetrievalOptions.model_validate({"whitening": whitening})).map > 0.95
-    for distance in ("d1", "d2"):
-        with pytest.raises(OptionError, match=f"distance must be log for x, which is compared as {metric}"):
-            SignatureIndex(table, RetrievalOptions(distance=distance))
 
 
 @pytest.mark.parametrize(

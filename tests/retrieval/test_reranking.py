@@ -6,16 +6,12 @@ import numpy as np
 import pytest
 
 from pcretrieve.errors import OptionError
-from pcretrieve.options import RetrievalOptions
 from pcretrieve.retrieval import (
-    N_RERANKED,
     RERANKINGS,
     NeighbourLists,
-    SignatureIndex,
     pairwise,
     pairwise_blocks,
     rerank,
-    reranked_neighbors,
 )
 from pcretrieve.retrieval.reranking import (
     EXPANDED,
@@ -24,7 +20,7 @@ from pcretrieve.retrieval.reranking import (
     local_scaling,
     neighbour_lists,
 )
-from pcretrieve.values import FloatArray, SignatureTable
+from pcretrieve.values import FloatArray
 
 
 def some_points(n: int = 60, *, seed: int = 0) -> FloatArray:
@@ -51,15 +47,6 @@ def test_a_list_keeps_its_shapes_and_its_first(method: str) -> None:
             assert np.sort(rerank(method, lists_of(few)), axis=1).tolist() == [list(range(n))] * n
     with pytest.raises(OptionError, match="rerank must be one of none, local, k-reciprocal, got 'gnn'"):
         rerank("gnn", lists)
-
-
-@pytest.mark.parametrize("k", [1, 6, 7, 40, 59])
-def test_of_equally_near_shapes_the_first_are_in_the_lists(k: int) -> None:
-    points = np.round(some_points())[:, :3]  # on a lattice, so that many distances are equal
-    distances = pairwise("log", points, points)
-    np.fill_diagonal(distances, -1)  # the shape itself comes first
-    wanted = np.argsort(distances, axis=1, kind="stable")[:, : k + 1]
-    np.testing.assert_array_equal(lists_of(points, k).order, wanted)
 
 
 def test_k_reciprocal_is_that_of_sets() -> None:
@@ -101,42 +88,3 @@ def test_local_scaling_is_relative_to_both_radii() -> None:
     assert scaled[i, place] == pytest.approx(lists.distances[i, place] / np.sqrt(radius[i] * radius[j]))
     back = np.flatnonzero(lists.order[j] == i)[0]
     assert scaled[j, back] == pytest.approx(scaled[i, place])
-
-
-def index_of(points: FloatArray) -> SignatureIndex:
-    ids = tuple(f"{row:03}" for row in range(len(points)))
-    return SignatureIndex(SignatureTable(ids, np.exp(points), "x"), RetrievalOptions(whitening="none"))
-
-
-@pytest.mark.parametrize("method", RERANKINGS)
-def test_results_of_a_query_are_sorted_like_lists(method: str) -> None:
-    """Of a shape of the gallery, and of a new scan as if it were in the gallery."""
-    points = some_points(180)
-    index = index_of(points)
-    order = rerank(method, lists_of(points))
-    for row in (0, 77):
-        found = index.nearest(f"{row:03}", 300)
-        again = reranked_neighbors(index, found, method, shape_id=f"{row:03}")
-        assert again.ids[: N_RERANKED + 1] == tuple(f"{other:03}" for other in order[row])
-        assert set(again.ids) == set(found.ids)
-        assert again.ids[:2] == found.ids[:2]
-    index = index_of(points[:179])
-    found = reranked_neighbors(index, index.query(np.exp(points[179]), 300), method)
-    assert found.ids[:N_RERANKED] == tuple(f"{row:03}" for row in order[179, 1:])
-    copies = index_of(np.ones((8, 3)))
-    found = reranked_neighbors(copies, copies.nearest("003", 8), method, shape_id="003")
-    assert set(found.ids) == set(copies.ids)
-
-
-@pytest.mark.parametrize("method", ["local", "k-reciprocal"])
-def test_classes_of_unequal_spread_are_ranked_better(method: str) -> None:
-    """A wide class beside a narrow one: the narrow one's shapes come first in plain lists of the wide one."""
-    rng = np.random.default_rng(3)
-    narrow, wide = 0.05 * rng.normal(size=(12, 3)) + [1.2, 0, 0], 0.6 * rng.normal(size=(12, 3))
-    lists = lists_of(np.vstack([narrow, wide]))
-    same = np.arange(24) // 12
-    again, plain = (
-        float(np.nonzero((same[order] == same[:, np.newaxis])[12:])[1].mean())
-        for order in (rerank(method, lists), lists.order)
-    )
-    assert again < plain

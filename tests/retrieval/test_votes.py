@@ -7,7 +7,7 @@ import pytest
 
 from pcretrieve.errors import InputError
 from pcretrieve.options import RetrievalOptions
-from pcretrieve.retrieval import SignatureIndex, Vote, class_vote, rank_ranges, swapping_ranks
+from pcretrieve.retrieval import SignatureIndex, Vote, class_vote, rank_ranges
 from pcretrieve.values import Signature, SignatureTable
 
 PLAIN = RetrievalOptions(whitening="none")
@@ -48,31 +48,3 @@ def test_ranks_swap_where_the_error_bar_covers_the_middle() -> None:
             np.testing.assert_array_equal(ranges, expected)
         else:
             assert (ranges[:, 1] - ranges[:, 0] >= 2).all()
-
-
-def test_the_error_bar_is_whitened_like_the_query() -> None:
-    """A whitening does not change by how many ranks one stretched direction moves a query along itself."""
-    rng = np.random.default_rng(0)
-    logs = rng.normal(size=(40, 3)) * [5, 1, 0.2]
-    table = SignatureTable(tuple(f"{row:02}" for row in range(40)), np.exp(logs), "any")
-    index = SignatureIndex(table, RetrievalOptions(whitening="pca", shrinkage=1e-6))
-    found = index.nearest("07", 10)
-    deviation = np.array([0.5, 0.1, 0.02])
-    ranges = rank_ranges(index, "07", deviation, found.ids)
-    stretched = SignatureTable(table.ids, np.exp(logs / [5, 1, 0.2]), "any")
-    other = SignatureIndex(stretched, RetrievalOptions(whitening="pca", shrinkage=1e-6))
-    again = rank_ranges(other, "07", deviation / [5, 1, 0.2], found.ids)
-    assert other.nearest("07", 10).ids == found.ids
-    np.testing.assert_allclose(ranges, again, atol=2)
-    assert (ranges[:, 1] > ranges[:, 0]).any()
-
-
-def test_runs_of_ranks_that_swap() -> None:
-    assert swapping_ranks(np.array([[1, 1], [2, 3], [2, 3], [4, 4], [5, 7], [5, 6], [6, 7]])) == [
-        (2, 3),
-        (5, 7),
-    ]
-    assert swapping_ranks(np.array([[1, 1], [2, 2]])) == []
-    assert swapping_ranks(np.empty((0, 2), dtype=np.intp)) == []
-    # One far behind could come before those between.
-    assert swapping_ranks(np.array([[1, 2], [2, 3], [1, 4], [4, 4]])) == [(1, 4)]

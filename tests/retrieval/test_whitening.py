@@ -7,16 +7,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from benchmarks.shipped import N_BODIES, log_eigenvalues
-from shapes import body, points_on
 
 import pcretrieve.retrieval
-from pcretrieve import PipelineOptions
-from pcretrieve.descriptors import describe, reduced_matrix
 from pcretrieve.errors import InputError, OptionError
 from pcretrieve.evaluation import evaluate_table
 from pcretrieve.options import RetrievalOptions, SignatureOptions
-from pcretrieve.pipeline.process import process
 from pcretrieve.retrieval import (
     Whitening,
     fit_whitening,
@@ -25,8 +20,6 @@ from pcretrieve.retrieval import (
     resolution_whitening,
     write_whitening,
 )
-from pcretrieve.retrieval.fitting import N_MODES
-from pcretrieve.retrieval.pairs import LARGEST, MOST_NEIGHBORS, N_NEIGHBORS, neighbour_pairs
 from pcretrieve.values import FloatArray, Metric, SignatureTable
 
 FITTED = ("neighbours", "pca", "within-class")
@@ -197,88 +190,7 @@ def test_classes_that_overlap_by_pose_are_separated() -> None:
     assert ignored < 0.9 * counted
 
 
-def test_shrinkage_within_classes_follows_the_number_of_shapes() -> None:
-    """Few shapes determine a covariance badly, so that more shrinkage makes other classes likelier."""
-    rng = np.random.default_rng(2)
-    mixing = rng.normal(size=(40, 40)) * np.geomspace(1, 0.03, 40)
-
-    def estimated(n_classes: int) -> float:
-        labels = [f"class {row // 4}" for row in range(4 * n_classes)]
-        logs = rng.normal(size=(4 * n_classes, 40)) @ mixing
-        return fit_whitening("within-class", logs, labels).shrinkage
-
-    assert estimated(10) > estimated(400)
-
-
-def test_pca_warns_where_neighbours_become_distant(caplog: pytest.LogCaptureFixture) -> None:
-    """Classes far apart in two of forty directions: PCA whitening turns the noise in the others up."""
-    rng = np.random.default_rng(0)
-    centres = rng.normal(size=(12, 40)) * np.r_[5, 5, np.zeros(38)]
-    fit_whitening("pca", np.repeat(centres, 6, axis=0) + 0.1 * rng.normal(size=(72, 40)))
-    assert "PCA whitening is likely to make rankings worse here" in caplog.text
-    caplog.clear()
-    fit_whitening(
-        "pca", np.repeat(5 * rng.normal(size=(12, 40)), 6, axis=0) + 0.1 * rng.normal(size=(72, 40))
-    )
-    assert not caplog.text
-
-
-# --- pairs of neighbours --------------------------------------------------------------------------------
-
-
-def classes_of(size: int, n_classes: int, *, spread: float = 0.1) -> FloatArray:
-    """Isolated classes of equal size in ten dimensions."""
-    rng = np.random.default_rng(size)
-    centres = rng.normal(size=(n_classes, 10))
-    return np.repeat(centres, size, axis=0) + spread * rng.normal(size=(size * n_classes, 10))
-
-
-def test_pairs_are_of_one_class() -> None:
-    """The number of neighbours is the size of isolated classes less one; without classes none stands out."""
-    for size in (3, 5, 10):
-        pairs = neighbour_pairs(classes_of(size, 12))
-        assert pairs.n_neighbors == size - 1
-        np.testing.assert_array_equal(pairs.first // size, pairs.second // size)
-        assert len(pairs.weights) == 12 * size * (size - 1) // 2
-    assert neighbour_pairs(np.random.default_rng(0).normal(size=(200, 10))).n_neighbors == N_NEIGHBORS
-    overlapping = neighbour_pairs(classes_of(10, 40, spread=0.35))
-    same = overlapping.first // 10 == overlapping.second // 10
-    assert 0.7 < same.mean() < 1
-    assert overlapping.weights[~same].mean() < 0.7 * overlapping.weights[same].mean()
-    large = neighbour_pairs(classes_of(5, LARGEST))  # 20,000 shapes, of which groups of near ones are taken
-    assert 100 < len(large.weights) < LARGEST * MOST_NEIGHBORS
-    assert (large.first // 5 == large.second // 5).mean() > 0.9
-
-
-def test_copies_form_no_pairs_and_the_order_of_shapes_does_not_matter() -> None:
-    logs = classes_of(5, 20, spread=0.4)
-    logs[1] = logs[0]
-    logs[6] = logs[5] + 1e-14
-    order = np.random.default_rng(1).permutation(100)
-    there, here = neighbour_pairs(logs[order]), neighbour_pairs(logs)
-    found = {frozenset(pair) for pair in zip(here.first.tolist(), here.second.tolist(), strict=True)}
-    first, second = order[there.first].tolist(), order[there.second].tolist()
-    assert {frozenset(pair) for pair in zip(first, second, strict=True)} == found
-    assert frozenset((0, 1)) not in found
-    assert here.weights.max() / here.weights.min() < 1e10
-    assert neighbour_pairs(np.ones((30, 3))).weights.size == 0
-
-
 # --- resolution -----------------------------------------------------------------------------------------
-
-
-def test_the_sample_is_what_its_script_measures_and_what_signatures_are() -> None:
-    """Order and unit of a signature are those of the sample's columns."""
-    made = log_eigenvalues("animal", 3)
-    # Rounding on another machine may move a voxel from one side of the surface to the other.
-    np.testing.assert_allclose(made, SAMPLE[:, N_BODIES + 3], rtol=0, atol=0.02)
-    assert np.abs(made[0] - made[1]).max() > 0.02
-    shape = process(points_on(body(), 6000), PipelineOptions().changed(surface={"reconstructions": 1}))
-    logs = np.log(np.abs(np.linalg.eigvalsh(reduced_matrix(shape.spectrum, N_MODES))))
-    values = describe(shape, SignatureOptions(method="r-bihdm", n_values=60)).values
-    np.testing.assert_allclose(np.log(values), logs[:60], rtol=1e-12)
-    relative = describe(shape, SignatureOptions(method="r-bihdm", n_values=60, scale="relative")).values
-    np.testing.assert_allclose(np.log(relative), logs[:60] - logs[60], rtol=1e-9, atol=1e-12)
 
 
 @pytest.mark.parametrize("scale", ["area", "relative"])
@@ -295,20 +207,3 @@ def test_what_resolution_changes_counts_less(scale: str) -> None:
         assert shares[0] == pytest.approx(1, rel=0.1)
         assert shares[1] < 0.5 or n_values == 1
         assert 0.8 * len(size) < whitening.n_fitted < 0.9 * len(size)
-
-
-def test_a_size_stays_what_it_is_and_other_signatures_were_not_measured() -> None:
-    logs = np.random.default_rng(0).normal(size=(5, SignatureOptions().n_values + 1))
-    form = resolution_whitening(SignatureOptions(method="r-bihdm")).apply(logs[:, :-1])
-    sized = resolution_whitening(SignatureOptions(method="r-bihdm", size_weight=6)).apply(logs)
-    np.testing.assert_allclose(sized, np.column_stack([form, logs[:, -1]]), rtol=1e-12)
-    for given in (
-        {},
-        {"method": "shape-dna"},
-        {"method": "r-bihdm", "n_modes": 50},
-        {"method": "r-bihdm", "scale": "absolute"},
-    ):
-        with pytest.raises(OptionError, match="'resolution' has been measured for r-bihdm with n_modes = 60"):
-            resolution_whitening(SignatureOptions.model_validate(given))
-    with pytest.raises(OptionError, match=r"shrinkage must lie in \(0, 1\], got 0"):
-        resolution_whitening(SignatureOptions(method="r-bihdm"), shrinkage=0)

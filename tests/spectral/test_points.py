@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 import shapes
 
-from pcretrieve.descriptors import r_bihdm
 from pcretrieve.errors import DegenerateMeshError
 from pcretrieve.spectral import eigenpairs, laplace_beltrami
 from pcretrieve.spectral.points import stars
@@ -45,12 +44,6 @@ def test_the_laws_of_the_matrices(points: FloatArray, mass: Any) -> None:
     assert np.linalg.eigvalsh(operator.mass.toarray())[0] > 0
 
 
-def test_a_cloud_and_its_array_are_one() -> None:
-    cloud, array = laplace_beltrami(PointCloud(SPHERE), "points"), on_points(SPHERE)
-    assert abs(cloud.stiffness - array.stiffness).max() == 0
-    assert abs(cloud.mass - array.mass).max() == 0
-
-
 @pytest.mark.parametrize(("scale", "shift"), [(1e-3, 0.0), (1.0, 10.0), (1e3, -1e4)])
 def test_moving_leaves_stiffness_and_scaling_squares_mass(scale: float, shift: float) -> None:
     turn, _ = np.linalg.qr(np.random.default_rng(1).standard_normal((3, 3)))
@@ -69,14 +62,6 @@ def test_the_order_of_the_points_does_not_matter() -> None:
 # --- triangles ----------------------------------------------------------------------------------------
 
 
-def test_the_corners_of_a_triangle_agree_on_it() -> None:
-    rng = np.random.default_rng(0)
-    points = np.column_stack([rng.random((1500, 2)), np.zeros(1500)])
-    inside = np.abs(points[:, :2] - 0.5).max(axis=1) < 0.35
-    triangles, times = np.unique(np.sort(stars(points), axis=1), axis=0, return_counts=True)
-    assert (times[inside[triangles].all(axis=1)] == 3).mean() > 0.99
-
-
 def test_no_neighbour_lies_in_the_circle_of_a_triangle() -> None:
     rng = np.random.default_rng(3)
     points = np.column_stack([rng.random((400, 2)), np.zeros(400)])
@@ -90,10 +75,6 @@ def test_no_neighbour_lies_in_the_circle_of_a_triangle() -> None:
     radius = np.linalg.norm(centre - a[:, :2], axis=1)
     nearest = np.linalg.norm(centre[:, None] - points[:, :2], axis=2).min(axis=1)
     assert (nearest > radius * (1 - 1e-6)).mean() > 0.99
-
-
-def test_a_grid_has_the_area_that_it_covers() -> None:
-    assert on_points(grid(31)).area == pytest.approx(1, rel=0.01)
 
 
 @pytest.mark.parametrize(("points", "area"), [(SPHERE, 4 * np.pi), (BODY, shapes.body(5).area)])
@@ -120,17 +101,6 @@ def test_eigenvalues_of_the_sphere_converge_at_order_two() -> None:
     assert errors[-1] < 0.005
 
 
-def test_random_points_have_the_eigenvalues_of_their_surface() -> None:
-    surface = eigenpairs(laplace_beltrami(shapes.body(5)), 30).eigenvalues[1:]
-    np.testing.assert_allclose(eigenpairs(on_points(BODY), 30).eigenvalues[1:], surface, rtol=0.05)
-
-
-def test_a_signature_straight_from_a_cloud() -> None:
-    from_cloud = r_bihdm(eigenpairs(on_points(BODY))).values
-    from_surface = r_bihdm(eigenpairs(laplace_beltrami(shapes.body(5)))).values
-    np.testing.assert_allclose(np.log(from_cloud), np.log(from_surface), atol=0.1)
-
-
 def test_normals_keep_the_sides_of_a_thin_limb_apart() -> None:
     # The distance of two sheets is less than the spacing of their points: only normals separate them.
     rng = np.random.default_rng(0)
@@ -142,18 +112,6 @@ def test_normals_keep_the_sides_of_a_thin_limb_apart() -> None:
     assert on_points(points).n_components == 1
     assert apart.n_components == 2
     assert apart.area == pytest.approx(2, rel=0.2)  # half of the neighbours that there could be
-
-
-def test_a_normal_that_disagrees_with_all_neighbours_is_not_used() -> None:
-    normals = SPHERE / np.linalg.norm(SPHERE, axis=1, keepdims=True)
-    normals[7] *= -1
-    operator = laplace_beltrami(PointCloud(SPHERE, normals), "points")
-    assert operator.n_components == 1
-    assert operator.area == pytest.approx(4 * np.pi, rel=0.01)
-
-
-def test_two_bodies_are_two_components() -> None:
-    assert on_points(np.concatenate([SPHERE, SPHERE + 10])).n_components == 2
 
 
 # --- refusals -----------------------------------------------------------------------------------------

@@ -41,21 +41,6 @@ def test_the_indicator_function_is_one_inside_and_zero_outside(unit: float) -> N
     assert values_at(cloud, outside, unit) == pytest.approx(0, abs=0.1)
 
 
-def test_it_does_not_depend_on_the_density() -> None:
-    """The upper half has a tenth of the points."""
-    cloud = shapes.oriented_points_on(EGG, 40_000)
-    kept = (cloud.points[:, 2] < 0) | (np.arange(len(cloud.points)) % 10 == 0)
-    assert values_at(cloud.select(kept), 0.7 * EGG.vertices) == pytest.approx(1, abs=0.2)
-
-
-def test_it_is_one_half_in_a_flat_hole() -> None:
-    """The solid angle of the hole is a half of all directions."""
-    turn = np.linspace(0, 2 * np.pi, 12, endpoint=False)
-    rim = np.sqrt(1 - 0.6**2)
-    disk = np.column_stack([0.3 * rim * np.cos(turn), 0.3 * rim * np.sin(turn), np.full(12, 0.6)])
-    assert values_at(without_top(0.6), disk) == pytest.approx(0.5, abs=0.1)
-
-
 def closed(cloud: PointCloud) -> tuple[float, bool]:
     """The volume of the coarse surface, and whether it has caps."""
     found = coarse_surface(cloud, SurfaceOptions(), spacing=spacing(neighborhoods(cloud.points, 9)))

@@ -39,10 +39,6 @@ def test_a_closed_surface_keeps_topology_area_and_volume(mesh: TriangleMesh) -> 
     assert not any(note.startswith(KEPT) for note in step.notes)
 
 
-def test_by_default_nothing_is_done() -> None:
-    assert remesh(BODY, RemeshOptions()) is BODY
-
-
 def kept_as_it_was(result: TriangleMesh, mesh: TriangleMesh) -> bool:
     return np.array_equal(result.vertices, mesh.vertices) and np.array_equal(result.faces, mesh.faces)
 
@@ -68,14 +64,6 @@ def test_an_answer_that_cannot_be_used_is_refused_and_said_so(
     note = only_note(result)
     assert note.startswith(KEPT)
     assert re.match(why, note.removeprefix(KEPT)), note
-
-
-def test_holes_are_closed() -> None:
-    pricked = TriangleMesh(BODY.vertices, BODY.faces[3:])
-    assert defects(pricked).boundary_edges
-    result = remesh(pricked, TETWILD)
-    assert not defects(result)
-    assert result.volume == pytest.approx(BODY.volume, rel=0.02)
 
 
 def test_without_an_answer_a_surface_with_holes_is_an_error() -> None:

@@ -8,7 +8,7 @@ import shapes
 
 from pcretrieve.errors import DegenerateMeshError, ReconstructionError
 from pcretrieve.surface import defects, repaired
-from pcretrieve.surface.repair import collapse_flat_faces, drop_repeated_faces, largest_component
+from pcretrieve.surface.repair import largest_component
 from pcretrieve.values import IntArray, TriangleMesh
 
 BALL = shapes.icosphere(2)  # 162 vertices, 320 faces
@@ -20,14 +20,6 @@ def with_more(mesh: TriangleMesh, faces: object, vertices: object = ()) -> Trian
     return TriangleMesh(points, np.concatenate([mesh.faces, added]))
 
 
-def with_needles(mesh: TriangleMesh, n: int) -> TriangleMesh:
-    """A ball with n collapsed edges, each with two degenerate faces."""
-    vertices = mesh.vertices.copy()
-    for a, b in mesh.faces[:: len(mesh.faces) // n, :2]:
-        vertices[a] = vertices[b]
-    return TriangleMesh(vertices, mesh.faces)
-
-
 def with_caps(mesh: TriangleMesh, n: int) -> TriangleMesh:
     """A ball with n bisected faces, each with a degenerate face that closes the gap at the new vertex."""
     cut = np.arange(n) * (len(mesh.faces) // n)
@@ -36,13 +28,6 @@ def with_caps(mesh: TriangleMesh, n: int) -> TriangleMesh:
     halves = np.concatenate([np.column_stack(f) for f in ((a, middle, c), (middle, b, c), (a, b, middle))])
     rest = TriangleMesh(mesh.vertices, np.delete(mesh.faces, cut, axis=0))
     return with_more(rest, halves, (mesh.vertices[a] + mesh.vertices[b]) / 2)
-
-
-def test_a_sound_mesh_needs_nothing() -> None:
-    mesh, notes = repaired(BALL)
-    assert notes == ()
-    assert not defects(mesh)
-    assert (mesh.vertices[mesh.faces] == BALL.vertices[BALL.faces]).all()
 
 
 @pytest.mark.parametrize(
@@ -80,41 +65,6 @@ def test_a_ball_with_defects_is_repaired_to_the_ball(broken: TriangleMesh, note:
     assert mesh.volume == pytest.approx(BALL.volume, rel=1e-14)
 
 
-def test_flat_faces_collapse_without_a_slit() -> None:
-    broken = with_needles(BALL, 5)
-    mesh, notes = repaired(broken)
-    assert notes == ("collapsed 10 of 320 faces, flat ones and their neighbours",)
-    assert not defects(mesh)
-    assert mesh.volume == pytest.approx(broken.volume, rel=1e-14)
-
-
-def test_flat_faces_collapse_until_none_is_left() -> None:
-    # A fan of points on one line: the first collapse leaves other faces flat.
-    line = np.column_stack([np.arange(6.0), np.zeros(6), np.zeros(6)])
-    faces = np.array([[0, k, k + 1] for k in range(1, 5)] + [[0, 5, 6]], dtype=np.int32)
-    mesh, notes = collapse_flat_faces(TriangleMesh(np.concatenate([line, [[0.0, 1.0, 0.0]]]), faces))
-    assert not mesh.flat_faces.any()
-    assert mesh.area == pytest.approx(2.5)
-    assert notes == ("collapsed 4 of 5 faces, flat ones and their neighbours",)
-
-
-def test_a_fin_is_removed_and_the_surface_remains_closed() -> None:
-    a, b = BALL.faces[0, :2]
-    tip = len(BALL.vertices)
-    fin = with_more(BALL, [[a, b, tip], [b, a, tip]], [0, 0, 3])
-    mesh, notes = repaired(fin)
-    assert not defects(mesh)
-    assert "dropped 2 of 322 faces that repeat others, or lie back to back" in notes
-    assert mesh.area == pytest.approx(BALL.area)
-
-
-def test_one_of_each_two_stays_where_a_mesh_is_two_sided_on_purpose() -> None:
-    sheet = shapes.square(4)
-    both = with_more(sheet, sheet.faces[:, ::-1])
-    mesh, _ = drop_repeated_faces(both)
-    assert mesh.faces.tolist() == sheet.faces.tolist()
-
-
 def test_two_balls_that_touch_are_split_and_the_larger_stays() -> None:
     edge, notes = repaired(shapes.two_tetrahedra("edge"))
     assert notes == (
@@ -123,31 +73,6 @@ def test_two_balls_that_touch_are_split_and_the_larger_stays() -> None:
     )
     assert not defects(edge)
     assert edge.volume == pytest.approx(1 / 6)
-
-
-@pytest.mark.parametrize("seed", range(5))
-def test_everything_at_once(seed: int) -> None:
-    body = shapes.body(3)
-    rng = np.random.default_rng(seed)
-    broken = with_caps(with_needles(body, 6), 9)
-    broken = with_more(broken, broken.faces[rng.integers(len(broken.faces), size=5)], rng.random((4, 3)))
-    broken = shapes.joined(broken, shapes.icosphere(0, 0.05), shapes.two_tetrahedra("vertex"))
-    faces = broken.faces.copy()
-    flipped = rng.random(len(faces)) < 0.2
-    faces[flipped] = faces[flipped, ::-1]
-    broken = shapes.renumbered(TriangleMesh(broken.vertices, faces), seed)
-    mesh, notes = repaired(broken)
-    assert not defects(mesh)
-    assert mesh.euler_characteristic == 2
-    assert mesh.volume == pytest.approx(with_needles(body, 6).volume, rel=1e-12)
-    assert [note.split()[0] for note in notes[:4]] == ["dropped", "collapsed", "dropped", "turned"]
-
-
-def test_holes_stay() -> None:
-    open_ball = TriangleMesh(BALL.vertices, BALL.faces[5:])
-    mesh, notes = repaired(open_ball)
-    assert notes == ()
-    assert defects(mesh) == defects(open_ball)
 
 
 @pytest.mark.parametrize(
@@ -167,14 +92,6 @@ def test_nothing_is_left_of_a_mesh_without_area(mesh: TriangleMesh) -> None:
 def test_a_one_sided_surface_is_refused() -> None:
     with pytest.raises(DegenerateMeshError, match=r"the surface is one-sided, as a Möbius strip is"):
         repaired(shapes.mobius_strip())
-
-
-def test_the_largest_component_by_area_not_by_faces() -> None:
-    small, large = shapes.icosphere(3, 0.1), shapes.icosphere(1, 1.0)
-    mesh, notes = largest_component(shapes.joined(small, large))
-    assert len(mesh.faces) == len(large.faces)
-    share = small.area / (small.area + large.area)
-    assert notes == (f"dropped 1 smaller components with {share:.2%} of the area",)
 
 
 def test_a_second_body_is_an_error_where_it_is_too_large_to_drop() -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import gc
 import os
 import signal
 import subprocess
@@ -132,13 +131,6 @@ def test_one_server_answers_again_and_again() -> None:
     assert own_server() == first
 
 
-def test_start_is_ahead_of_the_first_surface() -> None:
-    tetwild.start()
-    early = own_server()
-    ball()
-    assert own_server() == early
-
-
 @pytest.mark.parametrize(
     ("question", "message"),
     [
@@ -151,12 +143,6 @@ def test_no_answer_is_an_error_and_the_next_one_is_right(question: Callable[[], 
     with pytest.raises(RemeshError, match=message):
         question()
     assert volume(*ball()) == pytest.approx(BALL.volume, rel=0.02)
-
-
-def test_it_leaves_no_files_where_it_is_asked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(tmp_path)
-    ball()
-    assert list(tmp_path.iterdir()) == []
 
 
 # --- death --------------------------------------------------------------------------------------------
@@ -182,23 +168,6 @@ def test_its_death_over_a_surface_is_an_error() -> None:
         )
 
 
-def test_it_may_be_killed_between_two_surfaces() -> None:
-    ball()
-    first = own_server()
-    os.kill(first, signal.SIGKILL)
-    assert wait_until(lambda: not runs(first))
-    assert len(ball()[1])
-    gc.collect()  # a pipe of the killed server that was not closed would be a warning here
-
-
-def test_ctrl_c_in_the_terminal_is_not_its_business() -> None:
-    ball()
-    first = own_server()
-    os.kill(first, signal.SIGINT)
-    assert len(ball()[1])
-    assert own_server() == first
-
-
 def test_it_ends_with_an_interpreter_that_exits(client: subprocess.Popen[str]) -> None:
     (server,) = servers(client.pid)
     folder = Path(f"/proc/{server}/cwd").readlink()
@@ -214,15 +183,3 @@ def test_it_ends_with_a_client_that_is_killed(client: subprocess.Popen[str]) -> 
     client.kill()
     assert wait_until(lambda: not runs(server))
     assert wait_until(lambda: not folder.exists())
-
-
-def test_its_time_runs_though_its_client_be_dead() -> None:
-    endless = "edge_length=0.001, envelope=1e-4, optimize=True, timeout=1)"
-    code = ASK_ONCE.replace("edge_length=0.5, envelope=0.01, optimize=False, timeout=60)", endless)
-    assert endless in code
-    with subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE) as client:
-        assert wait_until(lambda: bool(servers(client.pid)))
-        (server,) = servers(client.pid)
-        time.sleep(0.5)  # its question is on its way
-        client.kill()
-    assert wait_until(lambda: not runs(server))

@@ -25,8 +25,3 @@ def test_density_is_that_of_the_area() -> None:
     assert (x / 3 + y / 2).max() <= 1 + 1e-12
     # Halving the sides about a corner leaves a quarter of the area.
     assert (x / 3 + y / 2 <= 1 / 2).mean() == pytest.approx(1 / 4, abs=0.01)
-
-
-def test_one_seed_gives_one_sample() -> None:
-    (first, _), (second, _) = (uniform_points(TRIANGLES, 10, np.random.default_rng(3)) for _ in range(2))
-    np.testing.assert_array_equal(first, second)
