@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import re
-import shutil
 import subprocess
 import sys
 from contextlib import closing
@@ -98,36 +97,4 @@ def test_slurm(folder: Path, expected: Rows) -> None:
     assert sum(map(int, n_scans)) == len(expected)
     (merge,) = re.findall(r"--wrap '(.*?)'", DOCUMENT)
     run(["bash", "-c", merge], folder)
-    assert rows(folder / "all.sqlite") == expected
-
-
-def is_gnu_parallel() -> bool:
-    """Whether the program `parallel` is that of GNU: moreutils has another one of this name."""
-    if shutil.which("parallel") is None:
-        return False
-    said = subprocess.run(["parallel", "--version"], capture_output=True, text=True)
-    return said.stdout.startswith("GNU parallel")
-
-
-@pytest.mark.skipif(not is_gnu_parallel(), reason="GNU parallel is not installed")
-def test_gnu_parallel(folder: Path, expected: Rows) -> None:
-    run(["bash", "-e", "-c", example("bash")], folder)
-    assert rows(folder / "all.sqlite") == expected
-
-
-@pytest.mark.skipif(shutil.which("snakemake") is None, reason="Snakemake is not installed")
-def test_snakemake(folder: Path, expected: Rows) -> None:
-    (folder / "Snakefile").write_text(example("snakemake"))
-    run(["snakemake", "--cores", "2"], folder)
-    assert rows(folder / "all.sqlite") == expected
-
-
-def test_scripts_of_nextflow(folder: Path, expected: Rows) -> None:
-    """The scripts of both processes, by bash, to which Nextflow gives them with its variables replaced."""
-    scripts = re.findall(r'"""\n(.*?)"""', example("nextflow"), re.DOTALL)
-    ingestion, merge = (text.replace("${task.cpus}", "1").replace("\\$", "$") for text in scripts)
-    parts = [folder / f"part-{task}.sqlite" for task in range(1, N_TASKS + 1)]
-    for task in range(1, N_TASKS + 1):
-        run(["bash", "-e", "-c", ingestion], folder, folder=str(folder), i=str(task), n=str(N_TASKS))
-    run(["bash", "-e", "-c", merge], folder, folder=str(folder), parts=" ".join(map(str, parts)))
     assert rows(folder / "all.sqlite") == expected

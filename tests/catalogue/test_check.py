@@ -11,17 +11,14 @@ from collections.abc import Iterator
 from contextlib import closing
 from pathlib import Path
 from typing import Any
-from uuid import uuid4
 
-import numpy as np
 import pytest
 import shapes
 from click.testing import CliRunner, Result
 from processes import in_this_process, wait_for
 
 import pcretrieve as pr
-from pcretrieve.catalogue import Catalogue, cache
-from pcretrieve.catalogue.arrays import packed_values
+from pcretrieve.catalogue import Catalogue
 from pcretrieve.catalogue.records import RECORDS, checksum
 from pcretrieve.cli.main import cli
 from pcretrieve.formats import write_mesh
@@ -53,14 +50,6 @@ def path(original: Path, tmp_path: Path) -> Path:
     copy = tmp_path / "c.sqlite"
     pr.backup(original, copy)
     return copy
-
-
-@pytest.fixture
-def schema(original: Path, postgresql: str) -> str:
-    """The same catalogue in a database."""
-    location = f"{postgresql}?schema=check{uuid4().hex}"
-    pr.merge_catalogues([original], location)
-    return location
 
 
 def execute(path: Path, *statements: str) -> None:
@@ -97,47 +86,7 @@ def test_a_whole_catalogue_has_no_defects(path: Path) -> None:
     assert said.stdout == f"{path}: 5 shapes, 1 failed, 0 signatures computed again, 0 defects\n"
 
 
-def half(column: str) -> str:
-    return f"substr({column}, 1, length({column}) / 2)"
-
-
-def flipped(column: str) -> str:
-    return f"CAST(substr({column}, 1, 99) || x'ff' || substr({column}, 101) AS BLOB)"
-
-
 THIRD = "WHERE shape = (SELECT number FROM shapes WHERE id = '2')"
-AGAIN = "set to be ingested again"
-DAMAGES = [  # the statement, and what the check says
-    (f"UPDATE arrays SET meshes = {flipped('meshes')} {THIRD}", "its checksum does not fit"),
-    (f"UPDATE arrays SET spectra = {half('spectra')} {THIRD}", "its checksum does not fit"),
-    (f"UPDATE arrays SET thumbnails = {half('spectra')} {THIRD}", "its thumbnail cannot be read"),
-    (f"UPDATE signatures SET value = {flipped('value')} {THIRD}", "its signature cannot"),
-    (f"UPDATE arrays SET moments = NULL {THIRD}", "its moments are missing"),
-    (f"DELETE FROM signatures {THIRD}", "its signature is missing"),
-    (f"UPDATE arrays SET meshes = spectra {THIRD}", "its arrays cannot be read"),
-    (f"UPDATE arrays SET spectra = (SELECT spectra FROM arrays LIMIT 1) {THIRD}", "its area is"),
-    ("UPDATE shapes SET n_faces = 7 WHERE id = '2'", "(642, 7, 2) in its record"),
-    ("UPDATE shapes SET content_hash = '' WHERE id = '2'", "must be 64 hexadecimal digits"),
-    ("UPDATE shapes SET error = 'E' WHERE id = '2'", "has the failure E"),
-    ("UPDATE shapes SET status = 'failed' WHERE id = '2'", "it failed, but has"),
-]
-
-
-def test_a_damaged_shape_is_named_and_set_to_be_ingested_again(path: Path, tmp_path: Path) -> None:
-    for number, (statement, words) in enumerate(DAMAGES):
-        copy = tmp_path / f"{number}.sqlite"
-        pr.backup(path, copy)
-        execute(copy, statement)
-        store_checksums(copy)
-        (found,) = pr.check(copy, sample=0).defects
-        assert (found.kind, found.shape_id, found.repair) == ("shape", "2", None)
-        assert words in found.message
-        (repaired,) = pr.check(copy, sample=0, repair=True).defects
-        assert (repaired.shape_id, repaired.repair) == ("2", AGAIN)
-        with Catalogue(copy) as store:
-            record = store.record("2")
-        assert (record.status, record.stage, record.error) == ("failed", "check", "CatalogueError")
-        assert pr.check(copy, sample=0).is_whole
 
 
 LABEL = "a class that no other shape has"
@@ -177,14 +126,6 @@ def test_a_flipped_bit_of_a_record(
             assert (mended[0].id, mended[0].path, *mended[1:]) == (whole[0].id, whole[0].path, *whole[1:])
 
 
-def test_what_was_damaged_is_processed_again(path: Path, original: Path) -> None:
-    execute(path, f"UPDATE arrays SET moments = NULL {THIRD}")
-    assert run("check", path, "--sample", "0", "--repair").exit_code == 0
-    again = pr.retry(path, stage="check", executor=in_this_process)
-    assert [record.id for record in again.done] == ["2"]
-    assert [row[1:] for row in rows_of(path)] == [row[1:] for row in rows_of(original)]
-
-
 def test_rows_of_no_shape_are_removed(path: Path) -> None:
     stray = "INSERT INTO signatures SELECT 'own', 99, value FROM signatures LIMIT 1"
     execute(path, "INSERT INTO arrays (shape) VALUES (99)", stray)
@@ -216,99 +157,7 @@ def test_a_damaged_sql_index_is_made_again(path: Path) -> None:
     assert pr.check(path, sample=0).is_whole
 
 
-def test_damaged_pages_are_named_and_left(path: Path) -> None:
-    with closing(sqlite3.connect(path)) as connection:
-        query = "SELECT rootpage FROM sqlite_master WHERE name = 'provenance'"
-        ((page,),) = connection.execute(query)
-        ((size,),) = connection.execute("PRAGMA page_size")
-    data = bytearray(path.read_bytes())
-    data[(page - 1) * size : page * size] = b"\x55" * size
-    path.write_bytes(data)
-    for options in ((), ("--repair",)):
-        said = run("check", path, *options)
-        assert said.exit_code == 1
-        assert "not repaired" in said.stdout
-        assert path.read_bytes() == data
-
-
-def test_a_signature_that_its_surfaces_do_not_give(path: Path) -> None:
-    with Catalogue(path) as store:
-        values = store.signature("2") * np.linspace(1, 1.02, len(store.signature("2")))
-    with closing(sqlite3.connect(path)) as connection, connection:
-        connection.execute(f"UPDATE signatures SET value = ? {THIRD}", (packed_values(values),))
-    assert pr.check(path, sample=0).defects == ()
-    found = pr.check(path, sample=99, repair=True)
-    assert (found.n_recomputed, found.is_whole) == (N_SHAPES, True)
-    (defect,) = found.defects
-    assert (defect.kind, defect.shape_id, defect.repair) == ("signature", "2", AGAIN)
-    assert "its signature differs from that of its stored surfaces by 2.0%" in defect.message
-
-
-def test_a_signature_of_a_file(folder: Path, tmp_path: Path) -> None:
-    for name in ("0.off", "1.off"):
-        (tmp_path / name).write_bytes((folder / name).read_bytes())
-    options = pr.PipelineOptions().changed(catalogue={"keep": ()})
-    pr.ingest(tmp_path, tmp_path / "c.sqlite", options=options, executor=in_this_process)
-    (tmp_path / "1.off").write_bytes((folder / "2.off").read_bytes())
-    found = pr.check(tmp_path / "c.sqlite")
-    assert (found.n_recomputed, found.is_whole) == (1, True)
-
-
-def test_a_damaged_index_is_removed(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(cache, "SMALLEST_KEPT", 2)
-    with Catalogue(path) as store:
-        nearest = store.index().nearest("2", k=3)
-    assert pr.check(path, sample=0).is_whole
-    file = max(path.with_name("c.sqlite.gallery").rglob("*.npy"), key=lambda file: file.stat().st_size)
-    data = bytearray(file.read_bytes())
-    data[-5] ^= 1
-    file.write_bytes(data)
-    (found,) = pr.check(path, sample=0).defects
-    assert (found.kind, found.repair) == ("index", None)
-    assert f"has changed on the disk: {file.name}" in found.message
-    assert pr.check(path, sample=0, repair=True).is_whole
-    with Catalogue(path) as store:
-        assert store.index().nearest("2", k=3) == nearest
-
-
-@pytest.mark.slow
-def test_damages_of_a_database(schema: str, tmp_path: Path) -> None:
-    psycopg = pytest.importorskip("psycopg")
-    assert pr.check(schema, sample=0, repair=True).defects == ()
-    with Catalogue(schema) as store:
-        pr.backup(store, tmp_path / "copy.sqlite")
-    assert rows_of(tmp_path / "copy.sqlite") == rows_of(schema)
-    url, _, name = schema.partition("?schema=")
-    with psycopg.connect(url, autocommit=True) as connection:
-        connection.execute(f'SET search_path = "{name}"')
-        connection.execute("DELETE FROM shapes WHERE id = '1'")
-        connection.execute(f"UPDATE arrays SET meshes = substr(meshes, 1, 99) {THIRD}")
-        connection.execute("UPDATE shapes SET label = 'round' WHERE id = '3'")
-    with pytest.raises(pr.CatalogueError, match=r"\(shape '3': its record has changed since .*--repair"):
-        pr.merge_catalogues([schema], tmp_path / "all.sqlite")
-    kinds = [(defect.kind, defect.shape_id) for defect in pr.check(schema, sample=0).defects]
-    assert kinds == [("orphan", None)] * 3 + [("shape", "2"), ("shape", "3")]
-    assert pr.check(schema, sample=0, repair=True).is_whole
-    assert pr.check(schema, sample=0).defects == ()
-    with Catalogue(schema) as store:
-        assert len(store) == N_SHAPES - 3
-        assert store.failures()[("check", "CatalogueError")] == 1
-
-
 # --- backup ---------------------------------------------------------------------------------------------
-
-
-def test_a_backup_has_the_same_rows(path: Path, tmp_path: Path) -> None:
-    copy = tmp_path / "copy.sqlite"
-    assert run("backup", path, copy).exit_code == 0
-    assert rows_of(copy) == rows_of(path)
-    assert not list(tmp_path.glob(".backup*"))
-    assert pr.check(copy, sample=0).is_whole
-    assert "exists: name a new file for the backup" in str(run("backup", path, copy).exception)
-    with pytest.raises(pr.CatalogueError, match=r"cannot write the backup .*: No such file"):
-        pr.backup(path, tmp_path / "nowhere" / "copy.sqlite")
-    with pytest.raises(pr.CatalogueError, match="there is no catalogue"):
-        pr.backup(tmp_path / "none.sqlite", tmp_path / "other.sqlite")
 
 
 WRITER = """

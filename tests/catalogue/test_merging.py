@@ -9,18 +9,15 @@ from pathlib import Path
 
 import pytest
 from benchmarks.catalogue import OPTIONS
-from click.testing import CliRunner
 from numpy.random import default_rng
 
 from pcretrieve import Catalogue, merge_catalogues
 from pcretrieve.catalogue import Merged, Record
-from pcretrieve.catalogue import merge as merging
 from pcretrieve.catalogue.records import OWN, Entry
 from pcretrieve.catalogue.rows import Rows
 from pcretrieve.catalogue.settings import settings_of
 from pcretrieve.catalogue.tables import PAYLOADS, Payload
-from pcretrieve.cli.main import cli
-from pcretrieve.errors import CatalogueError, InputError
+from pcretrieve.errors import CatalogueError
 
 Content = list[tuple[Record, dict[str, bytes], dict[Payload, bytes]]]
 
@@ -58,20 +55,6 @@ def content(location: str | Path) -> Content:
         return [(one.record, dict(one.signatures), {**one.payloads}) for one in entries]
 
 
-def test_a_merge_has_every_shape_as_its_part_has_it(
-    part: Callable[[Sequence[Entry]], Path], new_location: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(merging, "STORED_AT_ONCE", 3)
-    names = [f"shape{number}" for number in range(20)]
-    entries = [failed(name) if number % 7 == 0 else done(name) for number, name in enumerate(names)]
-    parts = [part(entries[start::3]) for start in range(3)]
-    assert merge_catalogues(parts, new_location) == Merged(20, 0)
-    assert content(new_location) == content(part(entries))
-    with Catalogue(new_location) as merged:
-        assert merged.options == OPTIONS
-        assert len(merged) == 17
-
-
 def test_a_merge_goes_on_after_an_interruption(
     part: Callable[[Sequence[Entry]], Path], new_location: str
 ) -> None:
@@ -86,18 +69,6 @@ def test_a_merge_goes_on_after_an_interruption(
     assert content(new_location) == content(whole)
     with Catalogue(new_location) as merged:
         assert merged.rows.revision() == revision
-
-
-def test_of_a_file_in_several_parts_the_first_finished_shape_stays(
-    part: Callable[[Sequence[Entry]], Path], tmp_path: Path
-) -> None:
-    late = done("a", label=None, added="2027")
-    parts = [part([failed("a")]), part([failed("b", message="first"), late]), part([done("a"), failed("b")])]
-    merge_catalogues(parts, tmp_path / "all.sqlite")
-    (a, signatures, payloads), (b, *_) = content(tmp_path / "all.sqlite")
-    assert a == replace(late.record, label="label")
-    assert (signatures, payloads) == (late.signatures, late.payloads)
-    assert b.message == "first"
 
 
 def test_parts_are_merged_in_any_grouping(part: Callable[[Sequence[Entry]], Path], tmp_path: Path) -> None:
@@ -148,22 +119,3 @@ def test_conflicts_are_named_and_nothing_is_stored(tmp_path: Path) -> None:
         with pytest.raises(CatalogueError, match=said):
             merge_catalogues(parts[1:], parts[0])
         assert [record.id for record, *_ in content(parts[0])] == ["a", "c"]
-
-
-def test_what_cannot_be_merged(part: Callable[[Sequence[Entry]], Path], tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="at least one catalogue to merge, got none"):
-        merge_catalogues([], tmp_path / "all.sqlite")
-    with pytest.raises(CatalogueError, match="there is no catalogue"):
-        merge_catalogues([part([done("a")]), tmp_path / "nothing.sqlite"], tmp_path / "all.sqlite")
-    Catalogue(tmp_path / "others.sqlite", OPTIONS.changed(spectral={"n_pairs": 91}), create=True).close()
-    with pytest.raises(CatalogueError, match=r"spectral\.n_pairs"):
-        merge_catalogues([part([done("a")]), tmp_path / "others.sqlite"], tmp_path / "new.sqlite")
-
-
-def test_the_command_merges(part: Callable[[Sequence[Entry]], Path], tmp_path: Path) -> None:
-    parts = [str(part([done("a")])), str(part([done("b"), failed("c")]))]
-    output = str(tmp_path / "all.sqlite")
-    told = CliRunner().invoke(cli, ["catalogue", "merge", *parts, "-o", output])
-    assert told.exit_code == 0, told.output
-    assert told.stderr == f"3 stored, 0 held already: {output}\n"
-    assert [record.id for record, *_ in content(output)] == ["a", "b", "c"]

@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-import json
 import os
 import shutil
 import sqlite3
-import subprocess
-import sys
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing
@@ -19,8 +16,7 @@ import shapes
 from click.testing import CliRunner
 
 from pcretrieve import Catalogue, PipelineOptions
-from pcretrieve.catalogue import Content, Record, find_defects, sqlite, stored_shapes
-from pcretrieve.catalogue.sqlite import Mount, journal_of, mount_of
+from pcretrieve.catalogue import Content, Record, stored_shapes
 from pcretrieve.catalogue.tables import SCHEMA_VERSION
 from pcretrieve.cli.main import cli
 from pcretrieve.descriptors import describe
@@ -62,22 +58,6 @@ def failure(name: str) -> Record:
 
 
 # --- options --------------------------------------------------------------------------------------------
-
-
-def test_a_catalogue_has_the_options_it_was_built_with(path: Path, tmp_path: Path) -> None:
-    with Catalogue(path) as own, Catalogue(path, OPTIONS, create=True) as same:
-        assert own.options == same.options == OPTIONS
-    with pytest.raises(CatalogueError) as raised:
-        Catalogue(path, PipelineOptions(), create=True)
-    assert raised.value.message == (
-        f"{path} was built with other options: scan.voxel: 0.005 there, 'auto' here; signature.n_values: 15 "
-        "there, 59 here. Ingest into a new catalogue, or leave the options out to use its own"
-    )
-    (tmp_path / "new.sqlite").touch()  # an empty file is none yet
-    with pytest.raises(CatalogueError, match="there is no catalogue"):
-        Catalogue(tmp_path / "new.sqlite")
-    with Catalogue(tmp_path / "new.sqlite", create=True) as store:
-        assert (store.options, len(store)) == (PipelineOptions(), 0)
 
 
 def test_of_several_that_make_one_catalogue_each_gets_the_same(tmp_path: Path) -> None:
@@ -132,18 +112,6 @@ def test_catalogues_of_other_versions(path: Path) -> None:
         execute(path, change)
         with pytest.raises(CatalogueError, match=said):
             Catalogue(path)
-
-
-def test_options_of_other_versions(path: Path) -> None:
-    """Options that are new have their defaults, which give the numbers of before."""
-    stored = OPTIONS.model_dump(exclude={"retrieval": True, "surface": {"bridge", "max_faces"}})
-    execute(path, f"UPDATE meta SET value = '{json.dumps(stored)}' WHERE key = 'options'")
-    with Catalogue(path, OPTIONS) as store:
-        assert store.options == OPTIONS
-    options = json.dumps({"surface": {"fairness": 3}})
-    execute(path, f"UPDATE meta SET value = '{options}' WHERE key = 'options'")
-    with pytest.raises(CatalogueError, match="was built by a pcretrieve with other options"):
-        Catalogue(path)
 
 
 def test_numbers_of_another_version(path: Path) -> None:
@@ -272,158 +240,3 @@ def test_damaged_bytes_are_an_error(original: Path, tmp_path: Path) -> None:
             store.mesh("ball")
         assert "is damaged (" in str(raised.value), name
         assert "): restore a copy, or" in str(raised.value), name
-
-
-# --- file systems ---------------------------------------------------------------------------------------
-
-
-def mounted(kind: str, options: str, folder: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """Let a folder be one on which another file system is mounted; the table of what is mounted."""
-    table = folder / "mountinfo"
-    place = str(folder).replace(" ", "\\040")
-    table.write_text(
-        "22 27 0:21 / / rw,relatime - ext4 /dev/vda rw\n"
-        f"23 22 0:50 / {place} rw,relatime shared:2 - {kind} server:/scans rw,{options}\n"
-    )
-    monkeypatch.setattr(sqlite, "MOUNTS", table)
-    return table
-
-
-def journal(path: Path) -> str:
-    with closing(sqlite3.connect(path)) as connection:
-        ((mode,),) = connection.execute("PRAGMA journal_mode")
-        return str(mode)
-
-
-def test_the_journal_by_the_file_system() -> None:
-    for kind, options, expected in (
-        ("ext4", "rw", "WAL"),
-        ("", "", "WAL"),
-        ("fuse.fuse-overlayfs", "rw", "WAL"),
-        ("nfs4", "vers=4.2,local_lock=none", "DELETE"),
-        ("nfs", "vers=3,nolock,local_lock=all", None),
-        ("lustre", "rw,flock", "DELETE"),
-        ("lustre", "rw,localflock", None),
-        ("lustre", "rw", None),
-        ("cifs", "rw", "DELETE"),
-        ("cifs", "rw,nobrl", None),
-        ("fuse.sshfs", "rw", None),
-        ("fuse.unheard-of", "rw", "DELETE"),
-    ):
-        assert journal_of(Mount(kind, frozenset(options.split(",")))) == expected, (kind, options)
-
-
-def test_the_file_system_of_a_path(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    folder = tmp_path / "a folder"
-    folder.mkdir()
-    mounted("nfs4", "local_lock=none", folder, monkeypatch)
-    assert mount_of(folder / "c.sqlite").kind == "nfs4"
-    assert "local_lock=none" in mount_of(folder / "c.sqlite").options
-    assert mount_of(tmp_path / "a folder beside").kind == "ext4"
-    (tmp_path / "link").symlink_to(folder)
-    assert mount_of(tmp_path / "link" / "c.sqlite").kind == "nfs4"
-    monkeypatch.setattr(sqlite, "MOUNTS", tmp_path / "none")
-    assert mount_of(folder).kind == ""
-
-
-MOUNTED = """
-import sys
-from pathlib import Path
-from pcretrieve.catalogue import Catalogue
-from pcretrieve.catalogue.sqlite import mount_of
-path = Path(sys.argv[1], "c.sqlite")
-Catalogue(path, create=True).close()
-with path.open("rb") as file:
-    print(mount_of(path).kind, file.read(20)[18])
-"""
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("command", "expected"),
-    [
-        ("mount -t tmpfs none {folder}/there", "tmpfs 2"),
-        ("bindfs {folder}/here {folder}/there", "fuse 1"),
-    ],
-)
-def test_file_systems_that_are_really_mounted(command: str, expected: str, tmp_path: Path) -> None:
-    """In a namespace of mounts; a file of version 1 has a rollback journal, of version 2 a log."""
-    if shutil.which(command.split()[0]) is None or shutil.which("unshare") is None:
-        pytest.skip(f"{command.split()[0]} and unshare are not both installed")
-    if os.geteuid() != 0:
-        pytest.skip("only root mounts file systems")
-    (tmp_path / "here").mkdir()
-    (tmp_path / "there").mkdir()
-    mount = command.format(folder=tmp_path)
-    script = f'{mount} && "$0" -c "$1" {tmp_path}/there; result=$?; umount {tmp_path}/there; exit $result'
-    done = subprocess.run(
-        ["unshare", "--mount", "sh", "-c", script, sys.executable, MOUNTED],
-        capture_output=True,
-        text=True,
-        timeout=100,
-        check=False,
-    )
-    if done.returncode and not Path("/dev/fuse").exists():
-        pytest.skip("this system has no FUSE")
-    assert done.stdout.strip() == expected, done.stderr
-
-
-def test_on_a_network_a_catalogue_has_a_rollback_journal(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """A new one, and one that was copied with a log, which it loses."""
-    path = tmp_path / "c.sqlite"
-    with Catalogue(path, create=True) as store:
-        store.put(failure("a"))
-        assert journal(path) == "wal"
-        for file in tmp_path.glob("c.sqlite*"):  # with the changes that are in the log alone
-            shutil.copy(file, tmp_path / file.name.replace("c.", "d."))
-    mounted("nfs4", "local_lock=none", tmp_path, monkeypatch)
-    with Catalogue(tmp_path / "d.sqlite") as store, Catalogue(tmp_path / "d.sqlite") as other:
-        store.put(failure("b"))
-        assert [record.id for record in other.records()] == ["a", "b"]
-    with Catalogue(tmp_path / "e.sqlite", create=True) as store:
-        store.put(failure("a"))
-        assert not list(tmp_path.glob("e.sqlite-*"))
-    assert journal(tmp_path / "d.sqlite") == journal(tmp_path / "e.sqlite") == "delete"
-
-
-WRITER = """
-import sys
-from pathlib import Path
-from pcretrieve.catalogue import Catalogue, Record, sqlite
-sqlite.MOUNTS = Path(sys.argv[2])
-with Catalogue(sys.argv[1], create=True) as store:
-    for number in range(40):
-        name = f"{sys.argv[3]}{number}"
-        store.put(Record(name, f"/{name}.ply", "", status="failed", stage="read", error="E", message="why"))
-        store.records()
-"""
-
-
-@pytest.mark.slow
-def test_two_writers_take_turns(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    table = mounted("nfs4", "local_lock=none", tmp_path, monkeypatch)
-    command = [sys.executable, "-c", WRITER, str(tmp_path / "c.sqlite"), str(table)]
-    writers = [subprocess.Popen([*command, name]) for name in "ab"]
-    assert [writer.wait(100) for writer in writers] == [0, 0]
-    with Catalogue(tmp_path / "c.sqlite") as store:
-        assert len(store.records()) == 80
-        assert find_defects(store) == []
-
-
-def test_without_locks_a_catalogue_is_only_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    path = tmp_path / "c.sqlite"
-    with Catalogue(path, create=True) as store:
-        store.put(failure("a"))
-    before = path.read_bytes()
-    mounted("fuse.sshfs", "rw", tmp_path, monkeypatch)
-    for new in (path, tmp_path / "new.sqlite"):
-        with pytest.raises(CatalogueError, match=r"type fuse\.sshfs, whose locks other computers do not see"):
-            Catalogue(new, create=True)
-    assert not (tmp_path / "new.sqlite").exists()
-    with Catalogue(path) as store:
-        assert [record.id for record in store.records()] == ["a"]
-        with pytest.raises(CatalogueError, match="cannot be written to"):
-            store.put(failure("b"))
-    assert path.read_bytes() == before

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import secrets
 from collections.abc import Iterator
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing
 from pathlib import Path
 from typing import Any
@@ -17,12 +15,12 @@ from benchmarks.synthetic import synthetic_catalogue, synthetic_id
 from click.testing import CliRunner
 from postgresql_server import has_pgvector, programs
 
-from pcretrieve import Catalogue, merge_catalogues
-from pcretrieve.catalogue import Record, cache, export_vectors, postgresql
+from pcretrieve import Catalogue
+from pcretrieve.catalogue import Record, export_vectors, postgresql
 from pcretrieve.catalogue.rows import Rows
 from pcretrieve.catalogue.vectors import VECTOR_TABLE, write_vectors
 from pcretrieve.cli.main import cli
-from pcretrieve.errors import CatalogueError, InputError, OptionError
+from pcretrieve.errors import CatalogueError, InputError
 
 pytestmark = pytest.mark.slow
 
@@ -89,40 +87,6 @@ def test_a_user_without_privileges_reads_or_is_told(location: str, url: str, ser
             rows.remove(["a"])
 
 
-def test_what_no_text_of_a_database_may_hold(location: str) -> None:
-    """A message of an error with the character 0, and a path as long as Linux allows."""
-    path = "/" + secrets.token_hex(2047)
-    with closing(Rows(location, SETTINGS, create=True)) as rows:
-        rows.put(failure("a", path=path, message="what\0said"), None, {})
-        stored = rows.put(failure("a", path=path, label="la\0bel", message="what\0said"), None, {})
-        assert rows.page(limit=9) == [stored]
-        assert (stored.path, stored.message, stored.label) == (path, "what␀said", "la␀bel")
-        rows.revise(moved={path: "/b"}, labels={"/b": "new\0"})
-        assert [(record.path, record.label) for record in rows.page(limit=9)] == [("/b", "new␀")]
-
-
-def test_of_several_that_make_one_catalogue_each_gets_the_same(location: str) -> None:
-    def put(number: int) -> str:
-        with closing(Rows(location, SETTINGS | {"by": str(number)}, create=True)) as rows:
-            rows.put(failure(f"{number}"), None, {})
-            return rows.settings()["by"]
-
-    with ThreadPoolExecutor(8) as several:
-        assert len(set(several.map(put, range(8)))) == 1
-    with closing(Rows(location, SETTINGS, create=False)) as rows:
-        assert rows.count("failed") == 8
-
-
-def test_a_catalogue_outlives_its_connections(location: str, server: Any) -> None:
-    with closing(Rows(location, SETTINGS, create=True)) as rows:
-        for ask in (lambda: rows.put(failure("a"), None, {}), lambda: rows.count("failed")):
-            server.execute(
-                "SELECT pg_terminate_backend(pid) FROM pg_stat_activity WHERE pid <> pg_backend_pid()"
-            )
-            ask()
-        assert rows.count("failed") == 1
-
-
 def test_a_writer_waits_for_another_and_says_so(
     location: str, url: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -137,20 +101,6 @@ def test_a_writer_waits_for_another_and_says_so(
         other.rollback()
         rows.put(failure("a"), None, {})
         assert rows.count("failed") == 1
-
-
-def test_a_stored_index_notices_what_others_added(
-    location: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    monkeypatch.setattr(cache, "SMALLEST_KEPT", 1)
-    synthetic_catalogue(tmp_path / "bodies.sqlite", OPTIONS, 20, seed=3)
-    merge_catalogues([tmp_path / "bodies.sqlite"], location)
-    with Catalogue(location) as store, Catalogue(location) as other:
-        assert len(store.index()) == 20
-        assert len(list(tmp_path.rglob("checksums.json"))) == 1
-        other.remove(synthetic_id(7))
-        assert synthetic_id(7) not in store.index().ids
 
 
 @pytest.mark.parametrize(
@@ -168,27 +118,6 @@ def test_a_server_that_is_not_there(url: str, said: str) -> None:
         Catalogue(url, create=True)
     assert "secret" not in str(raised.value)
     assert isinstance(CliRunner().invoke(cli, ["list", "-c", url]).exception, CatalogueError)
-
-
-def test_a_catalogue_that_cannot_be_understood(url: str, server: Any) -> None:
-    for change, said in (
-        ("SET value = '99' WHERE key = 'schema_version'", r"newer pcretrieve \(schema 99"),
-        ("SET value = 'x' WHERE key = 'schema_version'", r"is damaged \(it has no version\)"),
-        ("SET key = 'x' WHERE key = 'revision'", r"is damaged \(it has no revision\)"),
-    ):
-        schema = f"s{uuid4().hex}"
-        Rows(f"{url}?schema={schema}", SETTINGS, create=True).close()
-        server.execute(f"UPDATE {schema}.meta {change}")
-        with pytest.raises(CatalogueError, match=said):  # noqa: SIM117
-            with closing(Rows(f"{url}?schema={schema}", SETTINGS, create=False)) as rows:
-                rows.revision()
-
-
-def test_a_database_of_another_encoding_is_refused(url: str, server: Any) -> None:
-    name = f"latin{uuid4().hex}"
-    server.execute(f"CREATE DATABASE {name} ENCODING 'LATIN1' LOCALE 'C' TEMPLATE template0")
-    with pytest.raises(CatalogueError, match="must be a database with the encoding UTF8"):
-        Rows(url.replace("/postgres", f"/{name}"), SETTINGS, create=True)
 
 
 # --- vectors --------------------------------------------------------------------------------------------
@@ -232,15 +161,3 @@ def test_the_database_gives_the_order_of_the_index(url: str, bodies: Path, white
         assert connection.execute("SELECT to_regclass(%s)", [f"twice_{whitening}"]).fetchone() == (None,)
         assert connection.execute(f"SELECT count(*) FROM {VECTOR_TABLE}").fetchone() == (N_SHAPES,)
         connection.execute(f"DROP TABLE {VECTOR_TABLE}")
-
-
-def test_what_cannot_be_exported(bodies: Path) -> None:
-    with Catalogue(bodies) as catalogue:
-        with pytest.raises(OptionError, match=r"must be log .* got 'd1'"):
-            export_vectors(catalogue, "", OPTIONS.changed(retrieval={"distance": "d1"}))
-        with pytest.raises(InputError, match="cannot write to PostgreSQL"):
-            export_vectors(catalogue, "postgresql://nobody@127.0.0.1:1/none", OPTIONS)
-    for given in ([], ["--to", "postgresql://x", "-o", "y"], ["--to", "x", "--signatures"]):
-        done = CliRunner().invoke(cli, ["export", "-c", str(bodies), *given])
-        assert done.exit_code == 2
-        assert "give either --output, or --to" in done.output

@@ -2,27 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 import shapes
 from packages import install
 
-from pcretrieve import Catalogue, PipelineOptions, ingest
-from pcretrieve.catalogue import Record
-from pcretrieve.errors import (
-    OptionError,
-    PcretrieveError,
-    ReconstructionError,
-    ScanReadError,
-    StageTimeout,
-)
+from pcretrieve import Catalogue, ingest
 from pcretrieve.formats import write_mesh
-from pcretrieve.ingestion.attempts import Attempt, next_attempt
-
-DEFAULTS = PipelineOptions()
-FIRST = Attempt(Path("a.ply"), Record("a", "/a.ply", ""))
 
 # A reader whose process ends at the first attempts: as often as the name of the file says. Each attempt of an
 # ingest is in up to two processes, because the executor tries a scan again whose worker has ended.
@@ -39,45 +26,6 @@ def read(path):
     egg = read_scan(path.with_name("egg.off"))
     return RawScan(egg.vertices, faces=egg.faces)
 """
-
-
-def changes(error: PcretrieveError, options: PipelineOptions = DEFAULTS) -> list[dict[str, object]]:
-    """The options that each further attempt changes, if all of them fail with one error."""
-
-    def attempts() -> Iterator[dict[str, object]]:
-        upcoming = next_attempt(FIRST, error, options)
-        while upcoming is not None:
-            yield dict(upcoming.changes)
-            upcoming = next_attempt(upcoming, error, options)
-
-    return list(attempts())
-
-
-CHEAPER = {"surface": {"reconstructions": 1, "cell": 0.006}}
-FALLBACK = {"surface": {"method": "poisson"}}
-
-
-@pytest.mark.parametrize(
-    ("error", "expected"),
-    [
-        (StageTimeout("not finished"), [{}, CHEAPER, FALLBACK]),
-        (ReconstructionError("no body"), [CHEAPER, FALLBACK]),  # which another process would find too
-        (ScanReadError("not a PLY file"), [{}]),
-        (OptionError("no such element"), []),
-    ],
-    ids=lambda value: type(value).__name__,
-)
-def test_each_attempt_changes_what_may_help(error: PcretrieveError, expected: list[object]) -> None:
-    assert changes(error) == expected
-
-
-def test_settings_are_never_dearer_than_those_of_the_catalogue() -> None:
-    late = StageTimeout("not finished")
-    coarse = DEFAULTS.changed(surface={"cell": 0.01, "reconstructions": 1})
-    assert changes(late, coarse) == [{}, FALLBACK]
-    poisson = DEFAULTS.changed(surface={"method": "poisson"}, remesh={"method": "tetwild", "optimize": True})
-    assert changes(late, poisson) == [{}, {"remesh": {"optimize": False}}, {"surface": {"method": "growth"}}]
-    assert changes(late, DEFAULTS.changed(surface={"mode": "keep"})) == [{}]
 
 
 @pytest.fixture

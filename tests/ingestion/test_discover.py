@@ -8,9 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from pcretrieve.catalogue import numbered_id
 from pcretrieve.errors import InputError, ScanReadError
-from pcretrieve.ingestion.discover import content_hash, discover, printable, shape_ids
+from pcretrieve.ingestion.discover import content_hash, discover, printable
 
 # The user without rights, on Linux.
 NOBODY = 65534
@@ -57,11 +56,6 @@ def test_files_folders_and_globs(arguments: list[str], found: list[str], folder:
     assert names(*arguments) == found
 
 
-def test_a_name_with_brackets_is_a_name_first(folder: Path) -> None:
-    (folder / "scan[1].ply").write_text("1 2 3\n")
-    assert names("scan[1].ply") == ["scan[1].ply"]
-
-
 @pytest.mark.parametrize(
     ("manifest", "text"),
     [
@@ -77,24 +71,6 @@ def test_paths_in_a_manifest_are_relative_to_its_folder(manifest: str, text: str
     assert names(f"deep/{manifest}") == ["a.ply", "deep/c.xyz", "deep/gone.ply"]
 
 
-def test_manifests_by_a_glob_of_their_own(folder: Path) -> None:
-    (folder / "one.txt").write_text("a.ply\n")
-    (folder / "two.txt").write_text("b.OBJ\n")
-    assert names("*.txt") == ["a.ply", "b.OBJ"]
-
-
-TABLE = "1.0, 2.0, 3.0\n" * 5
-
-
-@pytest.mark.parametrize("name", ["points.txt", "points.csv"])
-@pytest.mark.parametrize("argument", ["deep/{}", "deep", "deep/*.{}"])
-def test_a_table_of_points_is_a_scan_and_no_manifest(name: str, argument: str, folder: Path) -> None:
-    (folder / "deep" / name).write_text(TABLE)
-    (folder / "deep" / "c.xyz").unlink()
-    (folder / "deep" / "er" / "d.off").unlink()
-    assert names(argument.format(name if argument == "deep/{}" else name[-3:])) == [f"deep/{name}"]
-
-
 def test_a_folder_says_what_it_leaves_unread(folder: Path, caplog: pytest.LogCaptureFixture) -> None:
     for name in ("1.fbx", "deep/2.FBX", "deep/er/3.step", "a.jpg", "b.jpg", "c.jpg", "LICENSE"):
         (folder / name).write_text("1 2 3\n")
@@ -103,45 +79,6 @@ def test_a_folder_says_what_it_leaves_unread(folder: Path, caplog: pytest.LogCap
         "left unread in .: 2 .fbx (export them as .glb), 1 .step (export them as .stl), 3 .jpg, 1 .csv, "
         "1 .md, 1 without a suffix"
     ]
-
-
-def test_files_that_are_read_as_something_else_are_not_left_unread(
-    folder: Path, caplog: pytest.LogCaptureFixture
-) -> None:
-    discover([folder], beside=["labels.csv", folder / "deep" / ".." / "notes.md"])
-    assert caplog.messages == []
-
-
-def test_a_folder_of_many_kinds_of_files_says_so_in_one_line(
-    folder: Path, caplog: pytest.LogCaptureFixture
-) -> None:
-    for k in range(20):
-        (folder / f"a.x{k:02d}").touch()
-    discover(["."])
-    assert [message.count(",") for message in caplog.messages] == [8]
-    assert caplog.messages[0].endswith(", 14 others")
-
-
-def test_a_folder_with_nothing_but_unread_files_says_that_too(folder: Path) -> None:
-    (folder / "hollow").mkdir()
-    (folder / "hollow" / "a.fbx").touch()
-    with pytest.raises(InputError, match=r"no scans, but 1 \.fbx \(export them as \.glb\); known"):
-        discover(["hollow"])
-
-
-def test_files_that_belong_to_a_scan_are_not_left_unread(
-    folder: Path, caplog: pytest.LogCaptureFixture
-) -> None:
-    (folder / "hidden").mkdir()
-    (folder / "hidden" / "a.part").write_text("1 2 3\n")
-    (folder / "hidden" / "all.conf").write_text("bmesh a.part 0 0 0 0 0 0 1\n")
-    assert names("hidden") == ["hidden/all.conf"]
-    assert caplog.messages == []
-
-
-def test_links_that_lead_nowhere_are_not_passed_over(folder: Path) -> None:
-    (folder / "deep" / "link.ply").symlink_to("nowhere")
-    assert "deep/link.ply" in names("deep")
 
 
 def test_views_belong_to_their_conf(folder: Path) -> None:
@@ -174,12 +111,6 @@ def test_what_means_no_scans(argument: str, words: str, folder: Path) -> None:
     (folder / "long.csv").write_text("file\n" + "x" * 200_000)
     with pytest.raises(InputError, match=words):
         discover([argument])
-
-
-def test_a_conf_that_never_ends_stops_nothing(folder: Path) -> None:
-    os.mkfifo(folder / "pipe.conf")
-    (folder / "endless.conf").symlink_to("/dev/zero")
-    assert names(".") == ["a.ply", "b.OBJ", "deep/c.xyz", "deep/er/d.off", "endless.conf", "pipe.conf"]
 
 
 @pytest.mark.parametrize("suffix", [".txt", ".csv"])
@@ -215,19 +146,6 @@ def test_a_folder_that_may_not_be_read_is_named(locked: Path, caplog: pytest.Log
 
 
 # --- identity -------------------------------------------------------------------------------------------
-
-
-def test_files_are_identified_by_content_not_by_name(folder: Path) -> None:
-    (folder / "copy.ply").write_bytes((folder / "a.ply").read_bytes())
-    assert content_hash(folder / "copy.ply") == content_hash(folder / "a.ply")
-    assert content_hash(folder / "b.OBJ") != content_hash(folder / "a.ply")
-
-
-def test_a_conf_changes_with_each_of_its_views(folder: Path) -> None:
-    (folder / "one.conf").write_text("bmesh a.ply 0 0 0 0 0 0 1\n")
-    before = content_hash(folder / "one.conf")
-    (folder / "a.ply").write_text("4 5 6\n")
-    assert content_hash(folder / "one.conf") != before
 
 
 @pytest.mark.parametrize(
@@ -272,30 +190,6 @@ def test_content_that_cannot_be_had(name: str, words: str, folder: Path) -> None
         content_hash(folder / name)
 
 
-def test_ids_are_names_numbered_where_they_meet() -> None:
-    ids = shape_ids(["/a/cat.ply", "/b/cat.ply", "/b/dog.ply", "/c/cat.obj"], {})
-    assert list(ids.values()) == ["cat", "cat-2", "dog", "cat-3"]
-
-
-def test_ids_stay_with_their_paths() -> None:
-    taken = {"cat": "/old/cat.ply", "cat-2": "/b/cat.ply"}
-    assert shape_ids(["/a/cat.ply", "/b/cat.ply"], taken) == {"/a/cat.ply": "cat-3", "/b/cat.ply": "cat-2"}
-
-
 def test_names_that_are_not_utf8_can_be_printed() -> None:
     assert printable("Körper 雪.ply") == "Körper 雪.ply"
     assert printable(os.fsdecode(b"latin-\xe9.ply")) == "latin-\\xe9.ply"
-
-
-def test_ids_of_one_name_in_many_folders_are_tried_once_each(monkeypatch: pytest.MonkeyPatch) -> None:
-    tried: list[str] = []
-
-    def counted(stem: str, number: int) -> str:
-        tried.append(numbered_id(stem, number))
-        return tried[-1]
-
-    monkeypatch.setattr("pcretrieve.catalogue.numbered_id", counted)
-    taken = shape_ids([f"/old/{folder}/scan.ply" for folder in range(1000)], {})
-    ids = shape_ids([f"/new/{folder}/scan.ply" for folder in range(1000)], {v: k for k, v in taken.items()})
-    assert list(ids.values()) == [f"scan-{number}" for number in range(1001, 2001)]
-    assert len(tried) == 3000  # the second thousand passes the first one once

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import shutil
 import subprocess
 import sys
 from collections.abc import Mapping
@@ -15,7 +14,6 @@ import pytest
 import shapes
 from packages import install
 
-from pcretrieve import Catalogue
 from pcretrieve.formats import write_mesh
 
 PATIENCE = 300  # seconds
@@ -96,22 +94,6 @@ EXPECTED = {
     "be_speechless": ("UnexpectedError", "read", "Speechless: an exception without words"),
 }
 
-# What the time of day is, by a clock that jumps by two days at each look; other clocks run on.
-JUMPING_CLOCK = """
-#define _GNU_SOURCE
-#include <dlfcn.h>
-#include <time.h>
-
-int clock_gettime(clockid_t clock, struct timespec *now) {
-    static int (*actual)(clockid_t, struct timespec *);
-    static unsigned looks;
-    if (!actual) actual = (int (*)(clockid_t, struct timespec *))dlsym(RTLD_NEXT, "clock_gettime");
-    int result = actual(clock, now);
-    if (clock == CLOCK_REALTIME) now->tv_sec += looks++ % 2 ? 86400 : -86400;
-    return result;
-}
-"""
-
 
 def ingested(folder: Path, environment: Mapping[str, str]) -> dict[str, Any]:
     """Ingest the scans of a folder with the package beside them; the JSON document."""
@@ -161,17 +143,3 @@ def test_each_fault_is_one_row_with_words(deed: str, answer: dict[str, Any]) -> 
     (failure,) = (failure for failure in answer["failed"] if failure["id"] == deed)
     assert (failure["error"], failure["stage"]) == (error, stage), failure["message"]
     assert words in failure["message"]
-
-
-@pytest.mark.skipif(not shutil.which("cc"), reason="needs a C compiler, for a clock that jumps")
-def test_jumps_of_the_clock_change_no_time_limit(tmp_path: Path) -> None:
-    write_scans(tmp_path, ("loop",))
-    (tmp_path / "clock.c").write_text(JUMPING_CLOCK)
-    compiled = ["cc", "-shared", "-fPIC", "-o", tmp_path / "clock.so", tmp_path / "clock.c", "-ldl"]
-    subprocess.run([*map(str, compiled)], check=True)
-    answer = ingested(tmp_path, {"LD_PRELOAD": str(tmp_path / "clock.so")})
-    assert answer["done"] == ["a", "z"]
-    (failure,) = answer["failed"]
-    assert "not finished within 5 s" in failure["message"]
-    with Catalogue(tmp_path / "c.sqlite") as catalogue:
-        assert len({record.added[:10] for record in catalogue.records()}) > 1  # the clock did jump

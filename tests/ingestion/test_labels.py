@@ -9,8 +9,6 @@ import pytest
 from pcretrieve.errors import BenchmarkError
 from pcretrieve.ingestion.labels import match_labels, read_labels
 
-DATA = Path(__file__).parents[2].parent / "shared" / "data"
-
 CLA = "PSB 1\n2 3\n\ncat 0 2\n5\n12\n\ndog 0 1\n7\n"
 
 
@@ -59,11 +57,6 @@ def test_what_cannot_be_read(content: bytes, words: str, tmp_path: Path) -> None
     assert str(tmp_path / "labels") in raised.value.message
 
 
-def test_a_file_that_is_not_there(tmp_path: Path) -> None:
-    with pytest.raises(BenchmarkError, match="No such file or directory"):
-        read_labels(tmp_path / "gone.csv")
-
-
 PATHS = {
     "stand": "/data/ann/stand.ply",
     "stand-2": "/data/bob/stand.ply",
@@ -88,32 +81,3 @@ PATHS = {
 )
 def test_a_name_stands_for_one_shape(name: str, shape: str) -> None:
     assert match_labels({name: "x"}, PATHS) == ({shape: "x"}, [])
-
-
-@pytest.mark.parametrize("name", ["cat", "nn/stand.ply", "T5.ply", "6", "/stand.ply", "T", ""])
-def test_names_that_match_no_shape_are_returned(name: str) -> None:
-    assert match_labels({name: "x", "T15": "y"}, PATHS) == ({"T15": "y"}, [name])
-
-
-def test_a_name_that_could_be_several_is_refused() -> None:
-    with pytest.raises(BenchmarkError, match=r"'stand\.ply' stands for 2, such as /data/ann/stand\.ply"):
-        match_labels({"stand.ply": "x"}, PATHS)
-    with pytest.raises(BenchmarkError, match="'5' stands for 2"):
-        match_labels({"5": "x"}, {"cat5": "/cat5.off", "dog5": "/dog5.off"})
-
-
-def test_a_shape_with_two_classes_is_refused() -> None:
-    with pytest.raises(BenchmarkError, match=r"T5\.obj is labelled 'cat' and 'dog'"):
-        match_labels({"T5": "cat", "5": "dog"}, PATHS)
-    assert match_labels({"T5": "cat", "5": "cat"}, PATHS) == ({"T5": "cat"}, [])
-
-
-@pytest.mark.skipif(
-    not DATA.is_dir(), reason="needs the SHREC'11 labels beside the checkout, in ../shared/data"
-)
-def test_both_label_files_of_shrec11_say_the_same() -> None:
-    folder = DATA / "shrec11"
-    paths = {path.stem: str(path) for path in folder.glob("T*.obj")}
-    table, unknown = match_labels(read_labels(folder / "labels.csv"), paths)
-    assert (len(table), len(set(table.values())), unknown) == (600, 30, [])
-    assert match_labels(read_labels(folder / "test.cla"), paths) == (table, [])

@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-import logging
 from pathlib import Path
 
 import pytest
 
-from pcretrieve.errors import BenchmarkError, InputError
-from pcretrieve.evaluation import MEASURES, PUBLISHED
-from pcretrieve.ingestion.labels import LAYOUTS, discover_labelled, labels_of, match_labels
-
-DATA = Path(__file__).parents[2].parent / "shared" / "data"
+from pcretrieve.errors import BenchmarkError
+from pcretrieve.ingestion.labels import labels_of, match_labels
 
 
 @pytest.mark.parametrize(
@@ -33,22 +29,6 @@ def test_classes_in_names(layout: str, path: str, label: str | None) -> None:
     found = labels_of(layout, [path, other])
     assert {name: found[name] for name in found.keys() - {other}} == expected
     assert other in found
-
-
-@pytest.mark.parametrize("layout", ["faust", "tosca"])
-def test_a_whole_set_has_its_counts(layout: str, caplog: pytest.LogCaptureFixture) -> None:
-    sizes = {"cat": 11, "dog": 9, "wolf": 3, "horse": 8, "centaur": 6, "gorilla": 4, "victoria": 12}
-    sizes |= {"david": 7, "michael": 20}
-    files = {
-        "faust": [f"/f/tr_reg_{number:03}.ply" for number in range(100)],
-        "tosca": [f"/t/{name}{number}.off" for name, n in sizes.items() for number in range(n)],
-    }[layout]
-    with caplog.at_level(logging.WARNING, "pcretrieve"):
-        assert len(labels_of(layout, files)) == len(files)
-        assert not caplog.records
-        labels_of(layout, files[1:])
-    assert f"of which {len(files) - 1} in" in caplog.text
-    assert LAYOUTS[layout].published in caplog.text
 
 
 def write(path: Path, text: str = "") -> Path:
@@ -73,40 +53,6 @@ def test_a_label_file_beside_the_scans_or_above(tmp_path: Path) -> None:
         labels_of("psb", scans)
 
 
-def test_labels_csv_beside_the_scans(tmp_path: Path) -> None:
-    scans = [write(tmp_path / name) for name in ("a.ply", "b.ply", "c.ply")]
-    with pytest.raises(
-        BenchmarkError, match=r"its classes in labels\.csv, which is not in .*, nor in the two"
-    ):
-        labels_of("csv", scans)
-    write(tmp_path / "labels.csv", "file,class\na.ply,X\nb.ply,Y\nelsewhere.ply,Y\n")
-    assert labels_of("csv", scans) == {str(scans[0]): "X", str(scans[1]): "Y"}
-
-
-def test_a_file_is_named_with_its_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(tmp_path)
-    write(tmp_path / "tosca", "file,class\nx.ply,X\n")
-    assert labels_of("./tosca", ["/x.ply"]) == {"x.ply": "X"}
-    with pytest.raises(BenchmarkError, match=r"one of the layout tosca \(published at http"):
-        labels_of("tosca", ["/x.ply"])
-
-
-def test_a_set_that_is_missing_is_published_somewhere(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"published at https://www\.itl\.nist\.gov/"):
-        discover_labelled([tmp_path / "shrec11"], "shrec11")
-    write(tmp_path / "T0.obj")
-    with pytest.raises(BenchmarkError, match=r"test\.cla or labels\.csv, .* \(published at https://www\.itl"):
-        discover_labelled([tmp_path / "T0.obj"], "shrec11")
-
-
-def test_published_measures_are_of_layouts() -> None:
-    assert PUBLISHED.keys() <= LAYOUTS.keys()
-    for rows in PUBLISHED.values():
-        for row in rows:
-            assert len(row.measures) == len(MEASURES)
-            assert all(value is None or 0 < value <= 1 for value in row.measures)
-
-
 def test_one_label_file_for_two_sets_is_refused() -> None:
     """The numbers are ids in the set that was ingested first; the other one got the next free ids."""
     paths = {"0": "/Real/0.obj", "1": "/Real/1.obj", "0-2": "/Synthetic/0.obj", "1-2": "/Synthetic/1.obj"}
@@ -117,11 +63,3 @@ def test_one_label_file_for_two_sets_is_refused() -> None:
         match_labels(numbers, paths)
     both = numbers | {"0-2": "cyd", "1-2": "dan"}
     assert match_labels(both, paths) == (both, [])
-
-
-@pytest.mark.skipif(not DATA.is_dir(), reason="needs SHREC'11 beside the checkout, in ../shared/data")
-def test_shrec11_is_whole(caplog: pytest.LogCaptureFixture) -> None:
-    with caplog.at_level(logging.WARNING, "pcretrieve"):
-        scans, labels = discover_labelled([DATA / "shrec11"], "shrec11")
-    assert len(scans) == len(labels) == 600
-    assert not caplog.records

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import shutil
-import tempfile
 from collections.abc import Iterator
 from functools import partial
 from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
@@ -20,7 +19,7 @@ from click.testing import CliRunner
 from pcretrieve import Catalogue, ingest, read_scan, write_mesh
 from pcretrieve.cli.main import cli
 from pcretrieve.errors import InputError, ScanReadError
-from pcretrieve.ingestion.discover import content_hash, discover, printable
+from pcretrieve.ingestion.discover import discover
 
 fsspec = pytest.importorskip("fsspec", reason="fsspec is not installed (the extra remote)")
 
@@ -91,36 +90,6 @@ def memory(folder: Path) -> Iterator[str]:
     store.rm(name, recursive=True)
 
 
-@pytest.fixture(params=["file", "memory", "http", "s3"])
-def url(request: pytest.FixtureRequest, folder: Path) -> str:
-    return f"file://{folder}" if request.param == "file" else str(request.getfixturevalue(request.param))
-
-
-def test_folders_and_patterns_are_listed(url: str, caplog: pytest.LogCaptureFixture) -> None:
-    found = [printable(path) for path in discover([f"{url}/"])]
-    assert found == [f"{url}/egg.ply", f"{url}/more/cigar.off"]
-    assert f"left unread in {url}: 1 .csv, 1 .jpg" in caplog.text
-    assert [printable(path) for path in discover([f"{url}/more/*.off"])] == [f"{url}/more/cigar.off"]
-    with pytest.raises(InputError, match=r"more/\*\.stl names no scans"):
-        discover([f"{url}/more/*.stl"])
-
-
-def test_a_scan_is_read_from_a_copy_that_does_not_stay(
-    url: str, folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
-    read, expected = read_scan(f"{url}/egg.ply"), read_scan(folder / "egg.ply")
-    np.testing.assert_array_equal(read.to_open3d().vertices, expected.to_open3d().vertices)
-    assert not list(tmp_path.iterdir())
-
-
-def test_a_missing_file_is_an_error_of_this_scan(url: str) -> None:
-    with pytest.raises(ScanReadError, match=rf"{url}/more/none\.ply: there is no such file"):
-        read_scan(f"{url}/more/none.ply")
-    with pytest.raises(ScanReadError, match=rf"{url}/more/none\.ply: there is no such file"):
-        content_hash(Path(f"{url}/more/none.ply"))
-
-
 def test_ingest_skips_what_it_has_until_the_content_changes(memory: str, tmp_path: Path) -> None:
     # A file system in memory is that of this process: the scans are processed here too.
     def here(function: Any, items: Any, /, **_: object) -> Any:
@@ -148,13 +117,6 @@ def test_ingest_of_a_bucket_equals_that_of_a_folder(s3: str, folder: Path, tmp_p
         assert sorted(record.path for record in made.records()) == [f"{s3}/egg.ply", f"{s3}/more/cigar.off"]
     ended = CliRunner().invoke(cli, ["ingest", s3, "-c", str(tmp_path / "s3.sqlite")])
     assert "2 held already" in ended.output, ended.output
-
-
-def test_a_manifest_may_name_urls(http: str, folder: Path, tmp_path: Path) -> None:
-    shutil.copy(folder / "egg.ply", tmp_path)
-    (tmp_path / "list.txt").write_text(f"egg.ply\n{http}/more/cigar.off\n")
-    found = [printable(path) for path in discover([tmp_path / "list.txt"])]
-    assert found == [str(tmp_path / "egg.ply"), f"{http}/more/cigar.off"]
 
 
 def test_files_that_a_scan_names_are_copied_too(http: str, folder: Path) -> None:
@@ -190,10 +152,3 @@ def test_parts_outside_the_folder_of_a_scan_are_not_written(http: str, folder: P
 def test_stores_that_are_not_there(name: str, words: str) -> None:
     with pytest.raises(InputError, match=words):
         discover([name])
-
-
-def test_folders_with_colons_are_no_urls(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "a:b").mkdir()
-    write_mesh(shapes.ellipsoid((1, 2, 3), subdivisions=2), tmp_path / "a:b" / "c.ply")
-    assert discover(["a:b/c.ply"]) == [tmp_path / "a:b" / "c.ply"]

@@ -9,13 +9,10 @@ import sys
 import time
 from pathlib import Path
 
-import numpy as np
-import pytest
 import shapes
 
-from pcretrieve import Catalogue, signature
+from pcretrieve import Catalogue
 from pcretrieve.formats import write_mesh
-from pcretrieve.simulation import write_ply
 from pcretrieve.values import TriangleMesh
 
 N_SHAPES = 12
@@ -56,26 +53,3 @@ def test_ctrl_c_keeps_what_is_finished_and_the_same_command_goes_on(tmp_path: Pa
     assert len(answer["done"]) == N_SHAPES - len(kept)
     again = json.loads(subprocess.run(command(tmp_path), capture_output=True, check=True).stdout)["result"]
     assert (len(again["held"]), again["done"]) == (N_SHAPES, [])
-
-
-def test_a_shape_that_takes_too_long_is_given_up_and_the_others_are_not(tmp_path: Path) -> None:
-    write_ply(tmp_path / "slow.ply", shapes.points_on(shapes.body(), 20_000))
-    write_mesh(shapes.icosphere(3), tmp_path / "quick.off")
-    # Millions of tetrahedra, under a limit of seconds that includes a worker's imports.
-    (tmp_path / "fine.toml").write_text(
-        "[remesh]\nmethod = 'tetwild'\n"
-        "optimize = true\nedge_length = 0.002\nenvelope = 1e-5\ntimeout = 3600\n"
-    )
-    limited = [*command(tmp_path), "--config", str(tmp_path / "fine.toml"), "--timeout", "20"]
-    ended = subprocess.run(limited, capture_output=True, check=False)
-    answer = json.loads(ended.stdout)["result"]
-    assert ended.returncode == 3
-    assert answer["done"] == ["quick"]
-    assert [failure["error"] for failure in answer["failed"]] == ["StageTimeout"]
-
-
-@pytest.mark.parametrize("unit", [1e-3, 1e3])
-def test_the_unit_of_a_scan_does_not_matter(unit: float) -> None:
-    points = shapes.points_on(shapes.body(), 8000, noise=1e-3)
-    metres, other = signature(points), signature(points * unit)
-    np.testing.assert_allclose(np.log(other.values), np.log(metres.values), atol=0.02)

@@ -13,13 +13,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 import shapes
-from processes import all_workers_ended, wait_for
+from processes import wait_for
 
-from pcretrieve import Catalogue, __version__, ingest
-from pcretrieve.catalogue import Record
+from pcretrieve import Catalogue, ingest
 from pcretrieve.formats import write_mesh
-from pcretrieve.ingestion import plan
-from pcretrieve.ingestion.discover import content_hash, discover
 from pcretrieve.ingestion.run import Summary
 from pcretrieve.simulation import write_ply
 
@@ -59,11 +56,6 @@ def filled(folder: Path, catalogue: Catalogue) -> Catalogue:
     return catalogue
 
 
-def test_rows_state_the_version_of_the_package_that_made_them(filled: Catalogue) -> None:
-    """Not that of its metadata, which a source folder on the path lacks, or has of another version."""
-    assert {record.versions["pcretrieve"] for record in filled.records()} == {__version__}
-
-
 def again(folder: Path, catalogue: Catalogue, **options: object) -> Summary:
     return ingest(folder, catalogue, **options)  # type: ignore[arg-type]
 
@@ -81,14 +73,6 @@ def test_one_content_is_processed_once(folder: Path, catalogue: Catalogue) -> No
     assert sorted(seen) == ["a", "a", "b"]  # once for each file
 
 
-def test_under_another_suffix_the_same_bytes_are_another_scan(tmp_path: Path, catalogue: Catalogue) -> None:
-    """Or a broken file could keep a good one out."""
-    content = egg(tmp_path / "z.off", 2)
-    (tmp_path / "a.ply").write_bytes(content)
-    summary = ingest(discover([tmp_path / "a.ply", tmp_path / "z.off"]), catalogue)
-    assert (ids([*summary.failed]), ids([*summary.done])) == (["a"], ["z"])
-
-
 def test_a_file_that_changed_is_processed_again(folder: Path, filled: Catalogue) -> None:
     """A duplicate of the old content of the file is then processed."""
     before = filled.signatures()
@@ -100,23 +84,6 @@ def test_a_file_that_changed_is_processed_again(folder: Path, filled: Catalogue)
     np.testing.assert_array_equal(after.values[2], before.values[0])
     assert not np.allclose(after.values[0], before.values[0])
     assert filled.record("a").label == "short"
-
-
-def test_files_that_swap_their_names_swap_their_signatures(folder: Path, filled: Catalogue) -> None:
-    before = filled.signatures().values
-    (folder / "a.off").rename(folder / "x")
-    (folder / "b.off").rename(folder / "a.off")
-    (folder / "x").rename(folder / "b.off")
-    (folder / "copy.off").unlink()
-    again(folder, filled)
-    np.testing.assert_array_equal(filled.signatures().values, before[::-1])
-
-
-def test_a_file_that_becomes_a_copy_leaves_the_catalogue(folder: Path, filled: Catalogue) -> None:
-    (folder / "b.off").write_bytes((folder / "a.off").read_bytes())
-    summary = again(folder, filled)
-    assert (summary.done, ids([*summary.held]), len(summary.duplicates)) == ([], ["a"], 2)
-    assert filled.signatures().ids == ("a",)
 
 
 def test_a_folder_that_moves_takes_its_shapes_along(folder: Path, filled: Catalogue) -> None:
@@ -169,77 +136,7 @@ def test_a_file_out_of_reach_keeps_what_was_made_of_it(folder: Path, filled: Cat
     assert ids([*again(folder, filled).held]) == ["a"]
 
 
-def test_files_cut_off_to_the_same_content_keep_what_was_made_of_them(
-    folder: Path, filled: Catalogue
-) -> None:
-    """The second of them is a copy of the first, but the first one's content is no scan."""
-    before = filled.records()
-    for name in ("a", "b"):
-        (folder / f"{name}.off").write_text("OFF\n")
-    summary = again(folder, filled)
-    assert (ids([*summary.failed]), [path.name for path, _ in summary.duplicates]) == (["a"], ["b.off"])
-    assert [record for record in filled.records() if record.id != "copy"] == before
-
-
-def test_files_are_read_as_their_turn_comes(
-    tmp_path: Path, catalogue: Catalogue, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Work begins before the last file is hashed: a file that changes until then is taken as it is then."""
-    monkeypatch.setattr(plan, "FILES_AT_ONCE", 2)
-    paths = [tmp_path / f"{number}.off" for number in range(8)]
-    for number, path in enumerate(paths):
-        egg(path, 1.5 + number / 8)
-    seen: list[str] = []
-
-    def change_the_last(record: Record) -> None:
-        if not seen:
-            egg(paths[-1], 3)
-        seen.append(record.id)
-
-    summary = ingest(paths, catalogue, on_shape=change_the_last)
-    assert len(summary.done) == len(seen) == len(paths)
-    assert catalogue.record("7").content_hash == content_hash(paths[-1])
-
-
-def test_a_copy_of_a_file_that_comes_later_is_known_by_what_that_file_holds_now(
-    folder: Path, filled: Catalogue, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """The copy is planned before the turn of the file whose content it was."""
-    monkeypatch.setattr(plan, "FILES_AT_ONCE", 1)
-    (folder / "0.off").write_bytes((folder / "a.off").read_bytes())
-    (folder / "1.off").write_bytes((folder / "b.off").read_bytes())
-    (folder / "copy.off").unlink()
-    egg(folder / "a.off", 3)
-    summary = again(folder, filled)
-    assert ids([*summary.done]) == ["0", "a"]
-    assert [(path.name, original.id) for path, original in summary.duplicates] == [("1.off", "b")]
-
-
 # --- several ingests at once ----------------------------------------------------------------------------
-
-
-def test_an_ingest_within_another_takes_none_of_its_ids(folder: Path, catalogue: Catalogue) -> None:
-    """Another folder is stored between the plan and the first shape of this one."""
-    other = folder.parent / "other"
-    other.mkdir()
-    for number, name in enumerate(("a", "b")):
-        egg(other / f"{name}.off", 3 + number)
-    plan_made = False
-
-    def interfere(record: object) -> None:
-        nonlocal plan_made
-        if not plan_made:
-            plan_made = True
-            assert len(again(other, catalogue).done) == 2
-
-    summary = again(folder, catalogue, on_shape=interfere)
-    assert len(summary.done) == 2
-    records = catalogue.records()
-    assert [record.id for record in records] == ["a", "a-2", "b", "b-2"]
-    assert {record.path for record in records} == {
-        *(str(other / f"{name}.off") for name in "ab"),
-        *(str(folder / f"{name}.off") for name in "ab"),
-    }
 
 
 @pytest.mark.parametrize("same", [False, True], ids=["other files of the same names", "the same files"])
@@ -272,152 +169,6 @@ def test_two_processes_that_ingest_at_once_store_every_shape_once(
     assert sorted(record.path for record in records) == sorted(
         str(folder / f"{number}.off") for folder in expected for number in range(4)
     )
-
-
-# --- shapes that hang, die, fill the memory -----------------------------------------------------------
-
-VICIOUS = """
-import ctypes, os, signal, sys, time
-import numpy as np
-from pcretrieve.errors import InputError, ScanReadError
-
-def read(path):
-    return DEEDS[path.stem]()
-
-def hang():
-    time.sleep(1000)
-
-def die():
-    os.kill(os.getpid(), signal.SIGKILL)
-
-def leave():
-    os._exit(7)
-
-def fill_the_memory():
-    return np.ones(1 << 29)
-
-def divide():
-    return 1 / 0
-
-def leave_in_peace():
-    sys.exit(0)
-
-def interrupt():
-    raise KeyboardInterrupt
-
-def refuse():
-    raise InputError("no such thing")
-
-class Odd(ScanReadError):  # fit for pickling, but not for unpickling
-    def __init__(self):
-        super().__init__("odd")
-
-def be_odd():
-    raise Odd
-
-def crash():
-    os.write(2, b"double \\033[31mfree\\n\\n")
-    ctypes.string_at(0)
-
-def flood():
-    while True:
-        os.write(1, b"water " * 10_000)
-
-def shout():
-    print("from Python")
-    os.write(1, b"from elsewhere")
-    raise ScanReadError("hoarse")
-
-DEEDS = {name: deed for name, deed in globals().items() if callable(deed)}
-"""
-
-CAUSES = {
-    "hang": ("StageTimeout", "worker", "not finished within 5 s: raise --timeout"),
-    "die": ("WorkerDied", "worker", "ended with SIGKILL"),
-    "leave": ("WorkerDied", "worker", "ended with exit code 7"),
-    "crash": ("WorkerDied", "worker", "ended with SIGSEGV"),
-    "flood": ("StageTimeout", "worker", "before this it printed: "),
-    "fill_the_memory": ("MemoryExceeded", "read", "raise that, or thin the scan"),
-    "leave_in_peace": ("ScanReadError", "read", "SystemExit: 0"),
-    "interrupt": ("UnexpectedError", "read", "KeyboardInterrupt: "),
-    "refuse": ("ScanReadError", "read", "no such thing"),
-    "be_odd": ("ScanReadError", "read", "odd"),
-    "shout": ("ScanReadError", "read", "hoarse"),
-    "divide": (
-        "ScanReadError",
-        "read",
-        "of the package vicious failed, ZeroDivisionError: division by zero",
-    ),
-}
-
-
-@pytest.fixture
-def vicious(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """An installed reader of .vicious files, which does to its process what the file's name says."""
-    site = tmp_path / "site"
-    (site / "vicious-1.0.dist-info").mkdir(parents=True)
-    (site / "vicious-1.0.dist-info" / "METADATA").write_text(
-        "Metadata-Version: 2.1\nName: vicious\nVersion: 1\n"
-    )
-    (site / "vicious-1.0.dist-info" / "entry_points.txt").write_text(
-        "[pcretrieve.readers]\n.vicious = vicious:read\n"
-    )
-    (site / "vicious.py").write_text(VICIOUS)
-    monkeypatch.syspath_prepend(site)
-
-
-@pytest.mark.usefixtures("vicious")
-def test_one_shape_takes_no_other_with_it(folder: Path, catalogue: Catalogue) -> None:
-    for deed in CAUSES:
-        (folder / f"{deed}.vicious").write_text(deed)
-    summary = again(folder, catalogue, workers=2, timeout=5, memory=1)
-    assert ids([*summary.done]) == ["a", "b"]
-    failed = {record.id: record for record in summary.failed}
-    assert failed.keys() == CAUSES.keys()
-    for deed, (error, stage, words) in CAUSES.items():
-        assert (failed[deed].error, failed[deed].stage) == (error, stage)
-        assert words in str(failed[deed].message)
-    assert str(failed["crash"].message).endswith("; before this it printed: double [31mfree")
-    assert "water water" in str(failed["flood"].message)
-    assert len(str(failed["flood"].message)) < 1500
-    assert all_workers_ended()
-
-
-@pytest.mark.usefixtures("vicious")
-def test_json_is_all_that_standard_output_gets(folder: Path, tmp_path: Path) -> None:
-    """Also if readers print, and if names of duplicates are not UTF-8."""
-    (folder / "shout.vicious").write_text("shout")
-    odd = Path(os.fsdecode(os.fsencode(folder) + b"/latin-\xe9.off"))
-    odd.write_bytes((folder / "b.off").read_bytes())
-    command = [sys.executable, "-m", "pcretrieve", "ingest", folder, "-c", tmp_path / "c.sqlite", "--json"]
-    path = os.pathsep.join([str(tmp_path / "site"), *filter(None, [os.environ.get("PYTHONPATH")])])
-    ended = subprocess.run(
-        [*map(str, command), "--log-file", str(tmp_path / "log")],
-        capture_output=True,
-        check=False,
-        env=os.environ | {"PYTHONPATH": path},
-    )
-    assert ended.returncode == 3
-    answer = json.loads(ended.stdout)["result"]
-    assert [failure["message"].split(": ")[-1] for failure in answer["failed"]] == ["hoarse"]
-    assert {Path(copy["path"]).name for copy in answer["duplicates"]} == {"copy.off", "latin-\\xe9.off"}
-    # What the reader of a scan prints is in the log, with the name of the scan.
-    (line,) = [line for line in (tmp_path / "log").read_text().splitlines() if "printed" in line]
-    assert "shout.vicious: its libraries printed: " in line
-    for words in ("from Python", "from elsewhere"):
-        assert words in line
-        assert words.encode() not in ended.stderr
-
-
-def test_an_interrupt_keeps_what_is_stored_and_ends_the_workers(folder: Path, catalogue: Catalogue) -> None:
-    def interrupt(record: object) -> None:
-        raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        again(folder, catalogue, on_shape=interrupt)
-    assert all_workers_ended()
-    assert len(again(folder, catalogue).held) <= 1  # the copy was told of first, perhaps
-    assert catalogue.signatures().ids == ("a", "b")
 
 
 # --- processes ------------------------------------------------------------------------------------------

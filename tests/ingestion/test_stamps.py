@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 import shapes
 from processes import in_this_process
-from scene_files import write_gltf
 
 import pcretrieve as pr
 from pcretrieve.formats import write_mesh
@@ -80,16 +79,6 @@ def test_a_change_is_noticed_though_size_and_time_are_put_back(folder: Path, ing
     assert ingested()[0] == ["1.off"]
 
 
-def test_a_file_that_was_touched_or_renamed_is_hashed_once_more(folder: Path, ingested: Ingested) -> None:
-    ingested()
-    (folder / "1.off").touch()
-    (folder / "2.off").rename(folder / "other.off")
-    assert ingested() == (["1.off", "other.off"], [])
-    assert ingested() == ([], [])
-    with pr.Catalogue(folder.with_name("c.sqlite")) as store:
-        assert store.record("2").path == str(folder / "other.off")
-
-
 def test_a_file_that_may_change_again_at_the_same_time_has_no_stamp(
     folder: Path, ingested: Ingested, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -103,21 +92,6 @@ def test_a_file_that_may_change_again_at_the_same_time_has_no_stamp(
     os.utime(folder / "0.off", (later, later))
     assert ingested() == (["0.off", "1.off", "2.off"], [])
     assert ingested() == (["0.off"], [])
-
-
-def test_a_file_that_is_written_while_it_is_hashed_has_no_stamp(
-    folder: Path, ingested: Ingested, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def written_meanwhile(file: Path) -> str:
-        found = file_hash(file)
-        with file.open("a") as opened:
-            opened.write("# written meanwhile\n")
-        return found
-
-    with monkeypatch.context() as changed:
-        changed.setattr(plan, "file_hash", written_meanwhile)
-        ingested()
-    assert ingested() == (["0.off", "1.off", "2.off"], ["0", "1", "2"])
 
 
 def test_a_view_of_a_conf_file_is_a_part_of_it(tmp_path: Path) -> None:
@@ -134,23 +108,3 @@ def test_a_view_of_a_conf_file_is_a_part_of_it(tmp_path: Path) -> None:
     assert stamp_of(conf) != before
     (tmp_path / "b.ply").unlink()
     assert stamp_of(conf) is None
-
-
-def test_a_scan_of_several_in_a_file_that_has_no_row(folder: Path, ingested: Ingested) -> None:
-    for path in folder.iterdir():
-        path.unlink()
-    file = folder / "two.gltf"
-    write_gltf(file, shapes.icosphere(2), [{"mesh": 0}, {"mesh": 0, "scale": [1, 1, 2]}])
-    hashed, first = ingested()
-    assert (set(hashed), len(first)) == ({"two.gltf"}, 2)
-    assert ingested() == ([], [])
-    with pr.Catalogue(folder.with_name("c.sqlite")) as store:
-        store.remove(first[0])
-    assert ingested() == (["two.gltf"], [first[0]])
-
-
-def test_a_failure_is_known_too_and_an_unreadable_file_is_not(folder: Path, ingested: Ingested) -> None:
-    (folder / "0.off").write_text("OFF\n")
-    (folder / "1.off").write_text("")
-    assert ingested()[1] == ["2"]
-    assert ingested() == (["1.off"], [])

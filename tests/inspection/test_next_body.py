@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 import shapes
 
-from pcretrieve import Catalogue, PipelineOptions, TriangleMesh, ingest, inspect, signature
-from pcretrieve.errors import InputError
+from pcretrieve import Catalogue, PipelineOptions, TriangleMesh, ingest, signature
 from pcretrieve.formats import write_mesh
 from pcretrieve.pipeline.inspecting import inspect_scan
 
@@ -64,32 +63,3 @@ def test_the_next_body_is_the_nearest_shape_of_another_class(folder: Path, label
     )
     assert "b1 (class b)" in seen.next_body.source
     assert f"the nearest shape is a1 (class a), {gap(2.02, 2.0):.2g} away" in seen.next_body.source
-
-
-def test_a_scan_that_the_catalogue_has_is_not_its_own_neighbour(folder: Path, labelled: Catalogue) -> None:
-    seen = inspect(folder / "b1.off", n_rescans=0, catalogue=labelled, page=folder / "page.html")
-    assert (seen.next_body.id, seen.next_body.label) == ("a2", "a")
-    assert seen.next_body.distance == pytest.approx(gap(2.4, 2.1), rel=1e-4)
-    text = (folder / "page.html").read_text("utf-8")
-    assert seen.summary in text
-    assert "The next body in the catalogue is a2 (class a)" in text
-
-
-def test_without_classes_the_nearest_shape_counts_and_without_shapes_people(folder: Path) -> None:
-    with catalogue(folder, "plain.sqlite", {}) as store:
-        seen = inspect_scan(folder / "new.ply", n_rescans=0, catalogue=store).next_body
-        assert (seen.id, seen.label) == ("a1", None)
-        assert seen.source.endswith("its class is not known, it may be the same body.")
-    with catalogue(folder, "one.sqlite", {f"{name}.off": "a" for name in LENGTHS}) as store:
-        alone = inspect_scan(folder / "new.ply", n_rescans=0, catalogue=store).next_body
-        assert (alone.distance, alone.id) == (0.5, None)
-        assert "no other body" in alone.source
-
-
-def test_signatures_that_are_not_logarithms(folder: Path) -> None:
-    histograms = OPTIONS.changed(signature={"method": "dl"}, spectral={"n_pairs": 61})
-    with (
-        catalogue(folder, "histograms.sqlite", {}, histograms) as store,
-        pytest.raises(InputError, match="not compared: leave out the catalogue"),
-    ):
-        inspect_scan(folder / "new.ply", n_rescans=0, catalogue=store)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +9,7 @@ import pytest
 import shapes
 
 from pcretrieve import PipelineOptions, PointCloud, TriangleMesh, reconstruct, signature
-from pcretrieve.errors import InputError, ReconstructionError, ScanReadError
+from pcretrieve.errors import ReconstructionError, ScanReadError
 from pcretrieve.pipeline.process import process
 
 POINTS = shapes.points_on(shapes.body(), 8000)
@@ -26,17 +25,6 @@ def test_a_mesh_has_one_signature_in_any_unit_and_place() -> None:
         np.testing.assert_allclose(signature(other).values, values, rtol=1e-6)
 
 
-@pytest.mark.parametrize("element", ["cubic", "intrinsic-delaunay"])
-def test_every_element_of_a_surface_can_be_asked_for(element: str) -> None:
-    body = shapes.body(4)
-    options = PipelineOptions().changed(spectral={"element": element})
-    values = signature(body, options).values
-    # The error of an element grows with the frequency.
-    np.testing.assert_allclose(np.log(values[:23]), np.log(signature(body).values[:23]), atol=0.1)
-    # The compact shape descriptor, the second half, is of linear elements always.
-    assert (values != signature(body).values)[:59].all()
-
-
 @pytest.mark.parametrize("scan", [POINTS, shapes.body(4)], ids=["cloud", "mesh"])
 def test_points_need_no_surface(scan: object) -> None:
     options = PipelineOptions().changed(spectral={"element": "points"})
@@ -50,28 +38,6 @@ def test_points_need_no_surface(scan: object) -> None:
     assert shape.mesh.volume == pytest.approx(body.volume, rel=0.05)  # its faces point outwards
     error = np.log(signature(scan, options).values) - np.log(signature(body).values)
     assert np.abs(error[:23]).max() < 0.15  # which grows with the frequency
-
-
-def test_of_points_in_two_pieces_the_larger_is_kept() -> None:
-    options = PipelineOptions().changed(spectral={"element": "points"})
-    piece = 0.3 * shapes.points_on(shapes.icosphere(2), 300) + [0, 0, 5]
-    both = process(np.concatenate([POINTS, piece]), options)
-    assert both.area == pytest.approx(process(POINTS, options).area, rel=0.03)
-    assert both.mesh.vertices[:, 2].max() < 4
-    (note,) = [note for step in both.provenance if step.stage == "spectrum" for note in step.notes]
-    assert re.match(r"dropped \d+ loose pieces with \d\.\d% of the points", note)
-    with pytest.raises(
-        ReconstructionError, match="the scan holds two bodies or more: a second piece has 50%"
-    ):
-        process(np.concatenate([POINTS, np.add(POINTS, [0, 0, 8])]), options)
-
-
-def test_a_cloud_has_one_signature_from_its_points_in_any_unit_and_place() -> None:
-    options = PipelineOptions().changed(spectral={"element": "points"})
-    here = signature(POINTS, options).values
-    for scale, shift in ((1e-3, 0.0), (1e3, 1e7)):
-        there = signature(scale * POINTS + shift, options).values
-        np.testing.assert_allclose(np.log(there), np.log(here), atol=0.02)
 
 
 @pytest.mark.parametrize("shift", [1e3, 1e6, 1e9])
@@ -93,11 +59,6 @@ def test_an_error_names_its_scan_and_its_stage(tmp_path: Path) -> None:
     assert str(raised.value).startswith("[few.xyz / crop] a scan needs at least 100 points, got 2")
     with pytest.raises(ScanReadError, match=r"^\[gone\.ply / read\] cannot read .*gone\.ply"):
         signature(tmp_path / "gone.ply")
-
-
-def test_what_is_no_scan_is_the_callers_fault() -> None:
-    with pytest.raises(InputError, match=r"a scan must be a path, an \(n, 3\) array, .* got dict"):
-        reconstruct({"points": POINTS})
 
 
 def test_an_empty_cloud() -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -14,9 +13,7 @@ import pcretrieve as pr
 from pcretrieve import TriangleMesh
 from pcretrieve.catalogue import Catalogue
 from pcretrieve.cli.main import cli
-from pcretrieve.errors import InputError, OptionError
-from pcretrieve.formats import as_scan, write_mesh
-from pcretrieve.options import PipelineOptions
+from pcretrieve.formats import write_mesh
 
 BODY = shapes.body(2)
 SIZED = {"signature": {"size_weight": 6}}
@@ -42,45 +39,6 @@ def test_the_size_is_that_in_metres(files: dict[str, Path]) -> None:
     # A file that has a unit is not converted again.
     np.testing.assert_allclose(pr.signature(files["m"], options).values, in_metres, rtol=1e-4)
     assert pr.signature(files["mm"], SIZED).values[-1] > 1e6 * in_metres[-1]
-
-
-def test_what_is_converted_is_converted_once() -> None:
-    once = as_scan(scaled(1000), "mm")
-    assert isinstance(once, TriangleMesh)
-    np.testing.assert_allclose(once.vertices, BODY.vertices)
-    assert once.provenance[-1].notes == ("converted the coordinates from mm to m",)
-    assert as_scan(once, "mm") is once
-    assert as_scan(once, "none") is once
-
-
-def test_the_unit_is_part_of_the_digest_only_if_it_is_given() -> None:
-    options = PipelineOptions()
-    assert options.changed(scan={"unit": "mm"}).digest != options.digest
-    assert options.changed(scan={"unit": "none"}).digest == options.digest
-    # The unit of a signature is in the signature itself.
-    assert options.changed(scan={"unit": "mm"}).signature_digest == options.signature_digest
-    with pytest.raises(OptionError, match="unit"):
-        options.changed(scan={"unit": "parsec"})
-
-
-@pytest.mark.parametrize(
-    ("options", "unit"),
-    [
-        ({}, {"m": None, "mm": None}),
-        (SIZED, {"m": "m", "mm": "unknown"}),
-        ({"signature": {"scale": "absolute"}}, {"m": "m", "mm": "unknown"}),
-        ({**SIZED, "scan": {"unit": "mm"}}, {"m": "m", "mm": "m"}),
-    ],
-)
-def test_a_signature_with_a_size_has_its_unit(
-    options: dict[str, Any], unit: dict[str, str | None], files: dict[str, Path]
-) -> None:
-    assert {name: pr.signature(path, options).unit for name, path in files.items()} == unit
-
-
-def test_there_is_no_other_unit() -> None:
-    with pytest.raises(InputError, match="unit of sizes must be None, 'm' or 'unknown', got 'mm'"):
-        pr.Signature(np.ones(2), "r-bihdm", unit="mm")  # type: ignore[arg-type]
 
 
 def test_ingest_with_a_unit(files: dict[str, Path], tmp_path: Path) -> None:
