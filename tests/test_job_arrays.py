@@ -87,6 +87,7 @@ def run(arguments: list[str], place: Path, **variables: str) -> str:
     return done.stderr
 
 
+@pytest.mark.slow
 def test_slurm(folder: Path, expected: Rows) -> None:
     n_scans = []
     for task in range(1, N_TASKS + 1):

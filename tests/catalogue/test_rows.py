@@ -87,6 +87,7 @@ def test_a_path_keeps_its_id_and_an_id_that_is_taken_gets_a_number(rows: Rows) -
     assert rows.put(record("e"), signature("e"), ARRAYS) == record("e")
 
 
+@pytest.mark.slow
 def test_a_catalogue_in_a_database_answers_as_a_file(postgresql: str, tmp_path: Path) -> None:
     """Ingest, query, evaluate and other descriptors."""
     eggs = [tmp_path / f"egg{number}.off" for number in range(4)]

@@ -57,6 +57,7 @@ def wait_for(file: Path, number: int) -> int:
     return number
 
 
+@pytest.mark.slow
 def test_a_scan_that_ends_one_dask_worker_after_the_other_fails_alone(own_cluster: DaskCluster) -> None:
     """The nannies start the workers again, until the scheduler gives the chunk up."""
     outcomes = dict(DaskExecutor(scheduler_file=own_cluster.file)(end_dask_worker, range(6), **LIMITS))
@@ -68,6 +69,7 @@ def lose_computer(cluster: DaskCluster) -> None:
     cluster.kill(cluster.workers[0])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("lose", [lose_computer])
 def test_chunks_of_a_lost_computer_are_processed_by_another_one(
     lose: Callable[[DaskCluster], None], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -92,6 +94,7 @@ def test_chunks_of_a_lost_computer_are_processed_by_another_one(
     assert sorted(found) == [(number, number) for number in range(4)]
 
 
+@pytest.mark.slow
 def test_a_scheduler_that_ends_is_an_error_with_words(
     own_cluster: DaskCluster, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -103,6 +106,7 @@ def test_a_scheduler_that_ends_is_an_error_with_words(
         list(outcomes)
 
 
+@pytest.mark.slow
 def test_workers_of_other_versions_are_an_error(
     cluster: DaskCluster, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -136,6 +140,7 @@ def command(*arguments: object) -> list[str]:
     return [sys.executable, "-m", "pcretrieve", "ingest", *map(str, arguments)]
 
 
+@pytest.mark.slow
 def test_ingest_gives_the_same_catalogue_as_on_one_computer(cluster: DaskCluster, tmp_path: Path) -> None:
     paths = scans(tmp_path / "scans", 4)
     ended = subprocess.run(

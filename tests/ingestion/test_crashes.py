@@ -111,6 +111,7 @@ def start(scans: Path, new_location: str, tmp_path: Path) -> Callable[..., subpr
     return started
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("executor", EXECUTORS)
 def test_killed_at_any_moment(
     executor: str,

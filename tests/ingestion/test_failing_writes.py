@@ -156,7 +156,7 @@ print(json.dumps({"writes": seen, "refused": refused, "silent": silent, "n_store
 """
 
 
-@pytest.mark.parametrize("kind", ["", "nfs4"])
+@pytest.mark.parametrize("kind", ["", pytest.param("nfs4", marks=pytest.mark.slow)])
 def test_every_write_fails_once(kind: str, tmp_path: Path) -> None:
     """With a write-ahead log, and with the rollback journal of network file systems."""
     compiler = shutil.which("cc")

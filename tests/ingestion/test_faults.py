@@ -132,11 +132,13 @@ def answer(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     return ingested(folder, {})
 
 
+@pytest.mark.slow
 def test_the_batch_goes_on(answer: dict[str, Any]) -> None:
     assert answer["done"] == ["a", "z"]
     assert sorted(failure["id"] for failure in answer["failed"]) == sorted(EXPECTED)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("deed", EXPECTED)
 def test_each_fault_is_one_row_with_words(deed: str, answer: dict[str, Any]) -> None:
     error, stage, words = EXPECTED[deed]

@@ -106,6 +106,7 @@ def test_ingest_skips_what_it_has_until_the_content_changes(memory: str, tmp_pat
     assert [record.path for record in again.done] == [f"{memory}/more/cigar.off"]
 
 
+@pytest.mark.slow
 def test_ingest_of_a_bucket_equals_that_of_a_folder(s3: str, folder: Path, tmp_path: Path) -> None:
     """The worker processes make the copies."""
     arguments = ("--surface", "keep", "--labels", str(folder / "labels.csv"), "--json")

@@ -139,6 +139,7 @@ def test_a_file_out_of_reach_keeps_what_was_made_of_it(folder: Path, filled: Cat
 # --- several ingests at once ----------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("same", [False, True], ids=["other files of the same names", "the same files"])
 def test_two_processes_that_ingest_at_once_store_every_shape_once(
     same: bool, new_location: str, tmp_path: Path
@@ -195,6 +196,7 @@ def runs_tetwild(pid: int) -> bool:
         return False
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not Path("/proc/self/environ").exists(), reason="needs /proc to see other processes")
 @pytest.mark.parametrize(
     ("send", "code"),

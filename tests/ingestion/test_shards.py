@@ -32,6 +32,7 @@ def folder(tmp_path: Path) -> Path:
 SHARDS = [f"{number}/{N_SHARDS}" for number in range(1, N_SHARDS + 1)]
 
 
+@pytest.mark.slow
 def test_shards_make_together_what_one_ingest_makes(folder: Path, tmp_path: Path) -> None:
     ingest(folder, tmp_path / "whole.sqlite", workers=1)
     with Catalogue(tmp_path / "whole.sqlite") as whole:

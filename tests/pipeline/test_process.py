@@ -40,6 +40,7 @@ def test_points_need_no_surface(scan: object) -> None:
     assert np.abs(error[:23]).max() < 0.15  # which grows with the frequency
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("shift", [1e3, 1e6, 1e9])
 def test_a_cloud_far_from_the_origin_is_the_same_body(shift: float) -> None:
     """As map coordinates are; Open3D's single precision alone would lose it, or crash."""
@@ -66,6 +67,7 @@ def test_an_empty_cloud() -> None:
         reconstruct(np.empty((0, 3)))
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(
     not DATA.is_dir(), reason="needs the Stanford dragon beside the checkout, in ../shared/data"
 )
