@@ -36,6 +36,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
+@pytest.mark.slow
 def test_a_retry_stores_the_shape_and_says_what_was_changed(
     folder: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
