@@ -15,6 +15,8 @@ import shapes
 from pcretrieve.formats import write_mesh
 from pcretrieve.values import FloatArray, TriangleMesh
 
+pytestmark = pytest.mark.slow
+
 GOOD = ("copy_of_good", "zwei-Körper-é", "inside_out", "some_nan")
 
 # What the message of each must name.

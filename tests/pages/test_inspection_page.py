@@ -71,12 +71,6 @@ def empty(failure: Failure) -> Inspection:
     )  # fmt: skip
 
 
-def pictures(seen: Inspection, title: str) -> list[NDArray[np.float64]]:
-    """(h, w, 4) each, in [0, 1]."""
-    (row,) = [row for row in rows_of(seen) if row.title == title]
-    return arrays(row)
-
-
 def arrays(row: Row) -> list[NDArray[np.float64]]:
     return [np.asarray(picture, dtype=np.float64) / 255 for picture in row.pictures]
 
