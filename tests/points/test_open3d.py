@@ -91,3 +91,9 @@ def test_points_give_the_same_in_any_unit(unit: float) -> None:
         (feature_histograms(scale * POINTS, POINTS, radius=0.3 * scale) for scale in (unit, 1.0)),
     ):
         np.testing.assert_array_equal(found, expected)
+
+
+def test_arrays_outlive_their_geometry(o3d: Any) -> None:
+    points, _, _ = geometry_arrays(o3d.geometry.PointCloud(o3d.utility.Vector3dVector(POINTS)))
+    assert (points == POINTS).all()
+    assert points.flags.owndata

@@ -54,3 +54,8 @@ def test_depth_grows_and_direction_points_to_the_outside() -> None:
         np.testing.assert_allclose(np.linalg.norm(towards, axis=1), 1)
         assert np.einsum("ij,ij->i", towards, rays).min() > 0.7
     assert (outside.direction_at(1.3 * rays) == 0).all()
+
+
+def test_a_hole_wider_than_the_gap_leaks() -> None:
+    outside = flood(shell(1.6 * GAP), cell=CELL, gap=GAP)
+    assert outside.reached[outside.grid.index(np.zeros((1, 3)))].all()

@@ -11,7 +11,7 @@ import shapes
 from scipy.spatial.transform import Rotation
 
 from pcretrieve import PointCloud, TriangleMesh
-from pcretrieve.errors import InputError, ReconstructionError
+from pcretrieve.errors import InputError, OptionError, ReconstructionError
 from pcretrieve.options import MergeOptions
 from pcretrieve.points.register import Merged, merge_views
 from pcretrieve.points.register.alignment import moved
@@ -202,3 +202,8 @@ def test_what_cannot_be_merged_says_why(
 ) -> None:
     with pytest.raises(raised, match=words):
         merge_views(clouds, MergeOptions(**options), poses=poses)
+
+
+def test_options_have_limits() -> None:
+    with pytest.raises(OptionError, match="max_range"):
+        MergeOptions(max_range=0)

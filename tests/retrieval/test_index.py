@@ -191,3 +191,15 @@ def test_no_signature_lies_within_a_distance_and_beyond_its_limit(name: str) -> 
                 assert all((each[within] <= limit).all() for each in found)
                 for block, rows in zip(blocks, made.rows, strict=True):
                     assert block <= limit or not np.isin(within, rows).any()
+
+
+@pytest.mark.parametrize("scan", SCANS)
+def test_queries_beyond_single_precision_leave_nothing_out(scan: Callable[..., int]) -> None:
+    gallery = galleries()["spread"]
+    made = LowerBounds.of(gallery)
+    assert made._limit(1e30) == np.inf
+    assert np.isfinite(bounds_of_all(made, gallery[3], scan)).all()
+    near = np.empty(made.rows.size, np.int32)
+    query = (np.full(N_VALUES, 1e30) - made.mean) @ made.axes
+    rows, _ = made._to_rows(query, np.array([0]), np.inf, scan)
+    assert sorted(rows) == list(range(len(gallery))) and len(near) >= len(rows)

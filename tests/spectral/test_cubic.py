@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import shapes
 
-from pcretrieve.spectral import laplace_beltrami
+from pcretrieve.spectral import eigenpairs, laplace_beltrami
 from pcretrieve.spectral.elements import (
     CUBIC_REFERENCE,
     LINEAR_REFERENCE,
@@ -126,3 +126,12 @@ def test_energy_and_norm_of_a_cubic_function_are_exact(seed: int) -> None:
     # ∫ (3x² + 2y²)² + (4xy)², and ∫ u²
     assert u @ operator.stiffness @ u == pytest.approx(9 / 5 + 12 / 9 + 4 / 5 + 16 / 9, rel=1e-13)
     assert u @ operator.mass @ u == pytest.approx(1 / 7 + 4 / 15 + 4 / 15, rel=1e-13)
+
+
+def test_lumped_mass_costs_two_orders() -> None:
+    errors = [
+        eigenpairs(laplace_beltrami(shapes.square(n), "cubic", mass="lumped"), 4).eigenvalues[1] / np.pi**2
+        - 1
+        for n in (6, 12)
+    ]
+    assert np.log2(errors[0] / errors[1]) == pytest.approx(4, abs=0.2)

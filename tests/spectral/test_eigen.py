@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 from typing import Literal, get_args
 
 import numpy as np
@@ -10,6 +11,7 @@ import pytest
 import shapes
 from scipy.linalg import eigh
 from scipy.sparse import block_diag, csc_array
+from scipy.sparse.linalg import eigsh
 
 from pcretrieve.errors import (
     ExtraZeroModes,
@@ -17,8 +19,9 @@ from pcretrieve.errors import (
     NonFiniteSpectrum,
     OptionError,
     SpectrumError,
+    SpectrumNotConverged,
 )
-from pcretrieve.spectral import eigenpairs, krylov, laplace_beltrami
+from pcretrieve.spectral import eigen, eigenpairs, krylov, laplace_beltrami
 from pcretrieve.values import Eigenpairs, FloatArray, LaplaceBeltrami
 
 Solver = Literal["krylov", "arpack"]
@@ -225,3 +228,16 @@ def test_a_stiffness_that_is_not_symmetric(solver: Solver) -> None:
     skewed[0, 5] += 1
     with pytest.raises(SpectrumError):
         eigenpairs(LaplaceBeltrami(csc_array(skewed), BODY.mass), 12, solver=solver)
+
+
+def test_a_tolerance_beyond_arithmetic() -> None:
+    with pytest.raises(
+        SpectrumNotConverged, match=r"residuals must fall below 1e-25, got .* after 82 blocks"
+    ):
+        eigenpairs(BODY, 12, tolerance=1e-25)
+
+
+def test_arpack_that_runs_out_of_iterations(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(eigen, "eigsh", partial(eigsh, maxiter=1, ncv=72))
+    with pytest.raises(SpectrumNotConverged, match=r"ARPACK .*No convergence"):
+        eigenpairs(BODY, 61, solver="arpack")

@@ -227,3 +227,19 @@ def test_a_face_without_area_has_no_gradient(
 ) -> None:
     with pytest.raises(DegenerateMeshError, match=message):
         laplace_beltrami(TriangleMesh(vertices, np.array(faces, dtype=np.int32)), element)
+
+
+@pytest.mark.parametrize("element", ["linear", "cubic"])
+@surfaces
+def test_lumped_mass_is_the_row_sums(mesh: TriangleMesh, element: Any) -> None:
+    consistent = laplace_beltrami(mesh, element, mass="consistent").mass
+    lumped = laplace_beltrami(mesh, element, mass="lumped").mass
+    assert lumped.nnz == lumped.shape[0]
+    np.testing.assert_allclose(lumped.diagonal(), consistent.sum(axis=1), rtol=1e-12)
+
+
+def test_a_surface_that_is_all_boundary() -> None:
+    with pytest.raises(DegenerateMeshError, match="needs nodes inside, got all on the boundary: refine it"):
+        laplace_beltrami(shapes.square(1), boundary="dirichlet")
+    # Its cubic elements have nodes inside: four on the diagonal and in the middles of its two faces.
+    assert laplace_beltrami(shapes.square(1), "cubic", boundary="dirichlet").mass.shape == (4, 4)

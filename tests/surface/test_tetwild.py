@@ -183,3 +183,11 @@ def test_it_ends_with_a_client_that_is_killed(client: subprocess.Popen[str]) -> 
     client.kill()
     assert wait_until(lambda: not runs(server))
     assert wait_until(lambda: not folder.exists())
+
+
+def test_ctrl_c_in_the_terminal_is_not_its_business() -> None:
+    ball()
+    first = own_server()
+    os.kill(first, signal.SIGINT)
+    assert len(ball()[1])
+    assert own_server() == first

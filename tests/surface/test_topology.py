@@ -140,3 +140,9 @@ def test_boundaries_of_random_solids_become_manifolds(seed: int, share: float) -
         one = compact(split.vertices, split.faces[piece == number])
         assert not defects(one)
         assert one.euler_characteristic in range(2, -100, -2)  # 2 − 2 genus
+
+
+def test_components_come_by_area_and_loose_vertices_are_none() -> None:
+    mesh = shapes.joined(shapes.icosphere(0, 0.5), shapes.icosphere(1, 2.0), shapes.icosphere(0, 1.0))
+    mesh = TriangleMesh(np.concatenate([mesh.vertices, np.ones((3, 3))]), mesh.faces)
+    assert components(mesh).tolist() == [2] * 20 + [0] * 80 + [1] * 20
