@@ -84,7 +84,7 @@ from pathlib import Path
 from processes import in_this_process
 from pcretrieve.catalogue import Catalogue, find_defects, sqlite
 from pcretrieve.errors import CatalogueError
-from pcretrieve import ingest
+from pcretrieve import ingest as ingest_scans
 
 scans, step, mounts = Path(sys.argv[1]), int(sys.argv[2]), sys.argv[3]
 if mounts:
@@ -103,7 +103,7 @@ def remembered(function, items, /, **limits):
 
 def ingest():
     with Catalogue(path, create=True) as store:
-        ingest(sorted(scans.iterdir()), store, executor=remembered, workers=1)
+        ingest_scans(sorted(scans.iterdir()), store, executor=remembered, workers=1)
 
 def stored():
     with Catalogue(path) as store:

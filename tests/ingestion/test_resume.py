@@ -26,6 +26,7 @@ def command(folder: Path) -> list[str]:
     ]
 
 
+@pytest.mark.slow
 def test_ctrl_c_keeps_what_is_finished_and_the_same_command_goes_on(tmp_path: Path) -> None:
     for number in range(N_SHAPES):
         ball = shapes.icosphere(4)
