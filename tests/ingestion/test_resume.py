@@ -9,6 +9,7 @@ import sys
 import time
 from pathlib import Path
 
+import pytest
 import shapes
 
 from pcretrieve import Catalogue
