@@ -66,7 +66,7 @@ def test_every_public_name_is_there_and_documented(name: str) -> None:
         assert "Parameters\n---" in documentation
         assert "Raises\n---" in documentation
         for parameter in inspect.signature(value).parameters:
-            assert re.search(rf"^{parameter} : ", documentation, re.MULTILINE), parameter
+            assert re.search(rf"^(\w+, )*{parameter}(, \w+)* : ", documentation, re.MULTILINE), parameter
 
 
 def test_there_are_no_other_names() -> None:

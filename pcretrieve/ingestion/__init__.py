@@ -4,8 +4,24 @@ In come files, folders, globs and manifests; out comes one row of a catalogue fo
 executor, by default in isolated worker processes.
 """
 
+from pcretrieve.ingestion.arrivals import watch
 from pcretrieve.ingestion.cluster import DaskExecutor
 from pcretrieve.ingestion.pool import Executor, Isolation, in_processes
-from pcretrieve.ingestion.progress import BatchStatus
+from pcretrieve.ingestion.problems import report_problem
+from pcretrieve.ingestion.progress import BatchStatus, status
+from pcretrieve.ingestion.recomputing import check
+from pcretrieve.ingestion.run import ingest, retry
 
-__all__ = ["BatchStatus", "DaskExecutor", "Executor", "Isolation", "in_processes"]
+__all__ = [
+    "BatchStatus",
+    "DaskExecutor",
+    "Executor",
+    "Isolation",
+    "check",
+    "in_processes",
+    "ingest",
+    "report_problem",
+    "retry",
+    "status",
+    "watch",
+]

@@ -15,6 +15,7 @@ from pcretrieve.simulation.scanner import (
     scan_views,
 )
 from pcretrieve.simulation.skeleton import Bone, Contact, Pose, RoundCone, Subject
+from pcretrieve.simulation.turning import TurningOptions, turning_frames, write_frames
 
 __all__ = [
     "POSES",
@@ -25,6 +26,7 @@ __all__ = [
     "RigOptions",
     "RoundCone",
     "Subject",
+    "TurningOptions",
     "UniformOptions",
     "body",
     "camera_pose",
@@ -33,7 +35,9 @@ __all__ = [
     "scan",
     "scan_uniformly",
     "scan_views",
+    "turning_frames",
     "write_conf",
+    "write_frames",
     "write_pcd",
     "write_ply",
 ]

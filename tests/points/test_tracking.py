@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 import shapes
-from benchmarks.turning import TurningOptions, turning_frames, write_frames
 
 import pcretrieve
 from pcretrieve import PointCloud, TriangleMesh
@@ -17,6 +16,7 @@ from pcretrieve.draw.open3d import RayScene
 from pcretrieve.options import PipelineOptions
 from pcretrieve.points.register import Merged, merge_views
 from pcretrieve.points.register.alignment import moved
+from pcretrieve.simulation.turning import TurningOptions, turning_frames, write_frames
 from pcretrieve.values import FloatArray
 
 CAMERA = TurningOptions(n_frames=30, width=120, height=160, focal=170.0)

@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 import shapes
-from benchmarks.turning import TurningOptions, turning_frames
 from PIL import Image
 from scipy.spatial.transform import Rotation
 
@@ -16,6 +15,7 @@ import pcretrieve
 from pcretrieve.errors import ScanReadError
 from pcretrieve.formats import image_poses, trajectory_file
 from pcretrieve.points.register.alignment import moved
+from pcretrieve.simulation.turning import TurningOptions, turning_frames
 from pcretrieve.values import FloatArray
 
 # The camera that TUM recommends as a default, and its unit of depth; 1/m.

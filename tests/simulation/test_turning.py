@@ -8,12 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 import shapes
-from benchmarks.turning import TurningOptions, turning_frames, write_frames
 
 from pcretrieve import PointCloud, read_scan
 from pcretrieve.draw.open3d import RayScene
 from pcretrieve.errors import OptionError
 from pcretrieve.points.register.alignment import moved
+from pcretrieve.simulation.turning import TurningOptions, turning_frames, write_frames
 
 EXACT = TurningOptions(n_frames=3, turn=90.0, width=60, height=80, focal=85.0, noise=0.0, flying_share=0.0)
 
