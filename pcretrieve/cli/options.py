@@ -133,7 +133,7 @@ def option(
     chosen = click.Choice(kind) if isinstance(kind, tuple) else kind
     names += [into] if into else []
     return click.option(
-        *names, cls=Option, type=chosen, metavar=metavar, is_flag=is_flag, help=text, **settings
+        *names, cls=Option, type=chosen, metavar=metavar, is_flag=is_flag or None, help=text, **settings
     )
 
 
