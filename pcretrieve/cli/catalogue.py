@@ -44,7 +44,7 @@ def list_command(
     \b
     pcretrieve list --catalogue bodies.sqlite --failed
     """
-    with pr.Catalogue(catalogue) as store:
+    with pr.Catalogue(catalogue, any_numbers=True) as store:
         pages = store.pages(
             status="failed" if failed else None, doubtful=doubtful, offset=offset, limit=limit
         )
@@ -102,7 +102,7 @@ def show_command(shape_id: str, catalogue: str, as_json: bool) -> None:
     \b
     pcretrieve show cat0 --catalogue bodies.sqlite
     """
-    with pr.Catalogue(catalogue) as store:
+    with pr.Catalogue(catalogue, any_numbers=True) as store:
         record, stored = store.record(shape_id), store.stored_bytes(shape_id)
     if as_json:
         out.write_document(asdict(record) | {"seconds": round(record.seconds, 3), "stored_bytes": stored})
@@ -292,7 +292,8 @@ def export_command(
     given = opt.given_flags(comparison)
     if given and not signatures and not to:
         raise click.UsageError(f"{given} is for --signatures and --to: meshes have no such options")
-    with opt.opened(catalogue, comparison) as (store, options):
+    of_meshes = not signatures and not to
+    with opt.opened(catalogue, comparison, any_numbers=of_meshes) as (store, options):
         files = []
         if output is None:
             _export_to_database(store, str(to), options, shape_ids)

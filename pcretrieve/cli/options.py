@@ -418,11 +418,13 @@ def changes(flags: dict[str, Any]) -> dict[str, dict[str, Any]]:
 
 
 @contextmanager
-def opened(catalogue: str, flags: dict[str, Any]) -> Iterator[tuple[Catalogue, PipelineOptions]]:
+def opened(
+    catalogue: str, flags: dict[str, Any], *, any_numbers: bool = False
+) -> Iterator[tuple[Catalogue, PipelineOptions]]:
     """A catalogue, and the options with which a command compares its shapes."""
     from pcretrieve import Catalogue
 
-    with Catalogue(catalogue) as store:
+    with Catalogue(catalogue, any_numbers=any_numbers) as store:
         options = load_options(flags.get("config"), base=store.options).changed(**changes(flags))
         if options.signature.compares_sizes:
             _warn_of_mixed_units(store)
