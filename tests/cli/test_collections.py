@@ -66,7 +66,7 @@ def test_a_map_is_a_picture_or_a_page(catalogue: Path, tmp_path: Path) -> None:
     with Image.open(picture) as opened:
         assert opened.size[0] > 600
     text = page.read_text("utf-8")
-    assert len(re.findall(r"<path role="img" tabindex", text)) == 12
+    assert len(re.findall(r'<path role="img" tabindex', text)) == 12
     assert "&lt;kind 0&gt;" in text and "<kind 0>" not in text
     assert text.count("class unknown") == 1
     embedded = re.search(r'id="pictures">(.*?)</script>', text, re.DOTALL)
