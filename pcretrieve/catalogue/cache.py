@@ -31,7 +31,7 @@ logger = logging.getLogger(__name__)
 # Version of the arrays of an index, which is incremented when their meaning changes.
 FORMAT = 8
 
-# Smallest number of shapes for which an index is stored. See docs/decisions.md, SMALLEST_KEPT.
+# Smallest number of shapes for which an index is stored.
 SMALLEST_KEPT = 1_000
 
 # Smallest number of bytes of an array that is mapped into memory; smaller arrays are read.

@@ -39,8 +39,7 @@ MEASURED = 5000
 FILLED = 4
 
 # Distance to the nearest point beyond which a face was filled in where points are sparse, in spacings there.
-# As often exceeded as FILLED, if points are random: their nearest neighbours are half a spacing apart. See
-# docs/decisions.md, FILLED_OF_SPARSE.
+# As often exceeded as FILLED, if points are random: their nearest neighbours are half a spacing apart.
 FILLED_OF_SPARSE = 2
 
 # Largest cosine of the angle between the normal of a face that was filled in and that of the nearest point

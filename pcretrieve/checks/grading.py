@@ -20,11 +20,10 @@ OUTCOMES: tuple[Outcome, ...] = ("failed", "look", "passed")
 #: Of a check, the largest value with which it is passed, and the largest with which it is not failed.
 Limits = tuple[float, float]
 
-#: Distance ``log`` of a body to the most similar other body, as of people: docs/decisions.md, NEXT_BODY.
+#: Distance ``log`` of a body to the most similar other body, as of people.
 NEXT_BODY = 0.5
 
-# Largest uncertainty of a sound shape, and of a doubtful one, relative to the distance to the next body. See
-# docs/decisions.md, DOUBTFUL.
+# Largest uncertainty of a sound shape, and of a doubtful one, relative to the distance to the next body.
 DOUBTFUL = 0.5
 UNUSABLE = 1.5
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from pcretrieve.checks.grading import NEXT_BODY, Check, Limits, Outcome, graded, verdict_of
 from pcretrieve.values import Failure, FloatArray, PointCloud, Signature, Step, TriangleMesh, Verdict
 
-# What scans of known quality have: see docs/decisions.md, SPREAD.
+# What scans of known quality have.
 SPREAD: Limits = (0.15, 0.5)
 
 # Parts in words, and the smallest ratio of each, midway to the part before.

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from pcretrieve.checks.grading import Check, Limits, graded, percent
 from pcretrieve.values import FloatArray, PointCloud
 
-# What scans of known quality have: see docs/decisions.md, SPACING, and the rows below it.
+# What scans of known quality have:, and the rows below it.
 SPACING: Limits = (0.005, 0.015)
 OUTLIERS: Limits = (0.04, 0.15)
 DISAGREEING: Limits = (0.05, 0.25)

@@ -11,7 +11,7 @@ from pcretrieve.checks.grading import Check, Limits, graded, percent
 from pcretrieve.surface import defects
 from pcretrieve.values import Shape, Step, TriangleMesh
 
-# What scans of known quality have: see docs/decisions.md, UNSUPPORTED, and the rows below it.
+# What scans of known quality have:, and the rows below it.
 UNSUPPORTED: Limits = (0.01, 0.15)
 LOST: Limits = (0.005, 0.05)
 NOISE: Limits = (0.0025, 0.01)
@@ -19,7 +19,7 @@ ENDS: Limits = (0.005, 0.03)
 GAPS: Limits = (0.008, 0.025)
 
 # Log-signature error for each unit of these measurements; that of gaps is for their square, that of ends for
-# what exceeds the ends that noise and small holes give. See docs/decisions.md, DOUBTFUL.
+# what exceeds the ends that noise and small holes give.
 ERROR_OF_FILLED = 2.0
 ERROR_OF_LOST = 5.0
 ERROR_OF_NOISE = 100.0
@@ -27,16 +27,13 @@ ERROR_OF_ENDS = 75.0
 ENDS_OF_NOISE = 0.0015
 ERROR_OF_GAPS = 2900.0
 
-# Log-signature error of a base if the ground was not seen: what was cut off there may be legs. See
-# docs/decisions.md, ERROR_OF_BASE.
+# Log-signature error of a base if the ground was not seen: what was cut off there may be legs.
 ERROR_OF_BASE = 0.3
 
-# Log-signature error of one cut or bridge; those of several are independent. See docs/decisions.md,
-# ERROR_OF_CUT.
+# Log-signature error of one cut or bridge; those of several are independent.
 ERROR_OF_CUT = 0.15
 
-# Log-signature error of a surface with holes, and of a mesh whose parts are welded. See docs/decisions.md,
-# ERROR_OF_HOLES.
+# Log-signature error of a surface with holes, and of a mesh whose parts are welded.
 ERROR_OF_HOLES = 0.3
 ERROR_OF_WELDS = 0.3
 
@@ -44,14 +41,13 @@ ERROR_OF_WELDS = 0.3
 # neighbours and have no effect: the mesh is doubtful, and not unusable for that reason alone.
 WELDS_OF_PARTS = 5
 
-# Smallest ratio of the first two positive eigenvalues of one body. See docs/decisions.md, NECK.
+# Smallest ratio of the first two positive eigenvalues of one body.
 NECK = 0.2
 NECK_ERROR = 0.45
 
 # Number of eigenvalues that are compared between surfaces, as many as the values of the paper's signature.
 N_COMPARED = 23
 
-# See docs/decisions.md, DISAGREEMENT.
 DISAGREEMENT: Limits = (0.08, 0.4)
 
 # Ratio of the deviation of this signature over surfaces to that of the eigenvalues.

@@ -54,7 +54,7 @@ def bihdm_sampled(
     Equation (8) as the authors compute it, by the Nyström method: the operator is replaced by the matrix of
     the squared biharmonic distances between sample points, here all vertices. Densely sampled parts of a
     surface weigh more, for which rankings are worse. `bihdm` is the exact limit of infinitely many points,
-    evenly spread; its rankings are as good as those of R-BiHDM. See docs/decisions.md, bihdm_sampled.
+    evenly spread; its rankings are as good as those of R-BiHDM.
 
     Returns Signature: values : (L,) float64, in the units of `r_bihdm`.
     """
@@ -181,8 +181,7 @@ def geodesic_matrix(mesh: TriangleMesh, *, weighted: bool = True) -> FloatArray:
     D holds the geodesic distances between the vertices of the simplified surface, and M is its lumped mass
     matrix. Smeets et al. take the eigenvalues of D, in which densely sampled parts of a surface weigh more;
     up to a factor they are those of the matrix with each of the n vertices weighing A / n (`weighted` false).
-    The distances are computed by the heat method [1]_ and averaged over the two directions; see
-    docs/decisions.md, geodesic_matrix, for other methods.
+    The distances are computed by the heat method [1]_ and averaged over the two directions.
 
     Returns (n, n) float64: symmetric, zero on the diagonal, unit length³. n is the number of vertices after
         simplification to at most 1000 faces.

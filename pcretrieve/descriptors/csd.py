@@ -11,7 +11,7 @@ from pcretrieve.errors import OptionError
 from pcretrieve.options import Scale
 from pcretrieve.values import Eigenpairs, FloatArray, ModalSpectrum, Signature
 
-# One value in three is of the heat kernel: Chiotellis et al. take 50 and 100. See docs/decisions.md, CSD.
+# One value in three is of the heat kernel: Chiotellis et al. take 50 and 100.
 HEAT_SHARE = 3
 
 # The heat kernel is sampled at 97 times, whose differences have 49 frequencies.
@@ -123,8 +123,7 @@ WKS = Descriptor(
 
 
 # A power of a value is a factor of its logarithm. The ratio of the two powers balances the variances of the
-# two parts; their size makes distances between shapes as large as those of R-BiHDM alone. See
-# docs/decisions.md, POWERS.
+# two parts; their size makes distances between shapes as large as those of R-BiHDM alone.
 R_BIHDM_POWER = 0.6
 CSD_POWER = 3.0
 

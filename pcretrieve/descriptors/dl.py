@@ -19,7 +19,7 @@ from pcretrieve.descriptors.bags import scale_invariant_heat
 from pcretrieve.descriptors.descriptor import Descriptor
 from pcretrieve.values import Eigenpairs, FloatArray, Signature
 
-# Number of atoms, as published, and of frequencies of the point descriptor. See docs/decisions.md, DL.
+# Number of atoms, as published, and of frequencies of the point descriptor.
 N_ATOMS = 32
 N_FREQUENCIES = 19
 
@@ -29,7 +29,7 @@ ATOMS = "dl_atoms.npy"
 def dl(pairs: Eigenpairs, *, supervised: bool = False) -> Signature:
     """The mean absolute sparse code of a surface [1]_.
 
-    The open settings, and deviations from the article (see docs/decisions.md, DL): scale-invariant heat
+    The open settings, and deviations from the article: scale-invariant heat
     kernel signatures of unit length, of 19 frequencies, as the point descriptor; λ = 0.1; codes after 100
     steps of FISTA; dictionaries that are learned from simulated bodies instead of the gallery, the supervised
     one with individuals as classes and a margin of 0.3 of the gap between classes; and the Hellinger distance
@@ -85,10 +85,10 @@ DL = _record("dl", 0.065, supervised=False)
 DL_SUPERVISED = _record("dl-supervised", 0.067, supervised=True)
 
 
-# λ of the lasso, for point descriptors and atoms of unit length. See docs/decisions.md, DL.
+# λ of the lasso, for point descriptors and atoms of unit length.
 PENALTY = 0.1
 
-# Steps of FISTA. See docs/decisions.md, DL.
+# Steps of FISTA.
 N_ITERATIONS = 100
 
 

@@ -9,7 +9,7 @@ two surfaces twice, in the one and in the other order, and take the smaller dist
 a word in two parts that the other sign would exchange are sorted, the larger first: the values then do not
 depend on the sign, one vector describes a surface, and every index, whitening and file of pcretrieve takes it
 as it takes others. Since sorting chooses the better order for each pair of parts and each word, the distance
-is at most the smaller one of the two. See docs/decisions.md, ISPM.
+is at most the smaller one of the two.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from pcretrieve.values import Eigenpairs, FloatArray, Signature
 
 __all__ = ["ISPM", "ispm", "wavelet_signatures"]
 
-# Number of levels of the pyramid: 1, 2, 4 and 8 parts, which have one weight. See docs/decisions.md, ISPM.
+# Number of levels of the pyramid: 1, 2, 4 and 8 parts, which have one weight.
 N_LEVELS = 4
 
 # Ratio of the largest eigenvalue to the scale of the scaling function (Hammond et al., section 8.1).
@@ -41,7 +41,7 @@ SAMPLE = "wavelet_sample.npy"
 def ispm(pairs: Eigenpairs, n_words: int = 59, n_modes: int = 60) -> Signature:
     """Intrinsic spatial pyramid matching of spectral graph wavelet signatures [1]_.
 
-    The open settings, and deviations from the article (see docs/decisions.md, ISPM): 60 eigenpairs instead of
+    The open settings, and deviations from the article: 60 eigenpairs instead of
     200, which meshes of 500 faces do not have; words from simulated bodies instead of the gallery; σ of the
     soft assignment as large as the median gap between neighbouring words; levels of 1, 2, 4 and 8 parts, with
     equal weights; parts of equal area instead of equal numbers of vertices, so that they do not depend on the

@@ -55,8 +55,7 @@ def r_bihdm(
     n_values : int, default 59
         L, the number of values, at most `n_modes`. The paper takes 10 to 30; see docs/decisions.md, n_values.
     n_modes : int, default 60
-        m, the number of modes at which the matrix is truncated. The paper asks for m > max(60, 2 L); see
-        docs/decisions.md, n_modes.
+        m, the number of modes at which the matrix is truncated. The paper asks for m > max(60, 2 L).
     scale : {"area", "relative", "absolute"}, default "area"
         What the eigenvalues are divided by: the squared area, μ_0 as in equation (10), or nothing. See
         docs/decisions.md, scale.

@@ -36,8 +36,7 @@ def shape_dna(
         L, the number of values.
     normalized_by : {"area", "first", "nothing"}, default "area"
         Normalisation of the eigenvalues: by the area A, by λ_1, or none. ``first`` leaves λ_1 itself out,
-        because it becomes 1; with 11 values it is the run OrigM-n12-norm1 of SHREC'11, see docs/decisions.md,
-        normalized_by.
+        because it becomes 1; with 11 values it is the run OrigM-n12-norm1 of SHREC'11.
 
     Returns
     -------
@@ -74,7 +73,7 @@ def shape_dna_values(pairs: Eigenpairs | ModalSpectrum, n_values: int = 59) -> S
 
     With 11 values it is the run OrigM-n12-norm1 [1]_, the best of Shape-DNA: 12 eigenvalues of the original
     meshes, divided by the first of them. The factors 1/j, by Weyl's law, are what reproduces its published
-    measures, see docs/decisions.md, normalized_by.
+    measures.
 
     References
     ----------

@@ -118,8 +118,7 @@ def _view(path: Path, view: Path, read_view: Callable[[Path], RawScan]) -> RawSc
     """A view in its own frame.
 
     Range scanners, such as those of the Stanford repository, write heights over a plane: the sensor looks in
-    the direction −z. In a view without sensor positions it is placed far along the z axis. See
-    docs/decisions.md, seen_from_front.
+    the direction −z. In a view without sensor positions it is placed far along the z axis.
     """
     try:
         if view.suffix.lower() == path.suffix.lower():

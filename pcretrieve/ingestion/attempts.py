@@ -29,7 +29,7 @@ from pcretrieve.values import Step
 Changes = dict[str, dict[str, Any]]
 
 # The edge of voxels with which a scan is tried again, in place of ``auto``: that of the second, coarser
-#: surface of noisy scans. See docs/decisions.md, COARSE_CELL.
+#: surface of noisy scans.
 COARSE_CELL = 0.006
 
 # Errors that may have been caused by the computer, or by earlier scans of the process, not by the scan alone.

@@ -4,8 +4,7 @@ Dask distributes *chunks* of scans, which take about a minute each, so that its 
 tasks for a million scans. A chunk is processed in a child process of the Dask worker, as in an ingest on one
 computer, so that no scan ends or blocks the Dask worker; the child process stays for the next chunk. The
 scans are read from the file system, which all computers of the cluster must share; the results are sent to
-the process that has started the ingest, which alone writes the catalogue. See docs/decisions.md,
-CHUNK_SECONDS.
+the process that has started the ingest, which alone writes the catalogue.
 """
 
 from __future__ import annotations
@@ -292,7 +291,7 @@ def _outcomes_of(
     # would outlive them. The processes of `Isolation` end with their parent process.
     multiprocessing.current_process().daemon = False
     # Dask has its worker processes give freed memory back at once, which would slow the child processes down
-    # by a factor of 1.7: docs/decisions.md, MALLOC_TRIM_THRESHOLD_.
+    # by a factor of 1.7.
     os.environ.pop("MALLOC_TRIM_THRESHOLD_", None)
     started = time.monotonic()
     key = threading.get_ident(), ingest

@@ -28,7 +28,7 @@ Item = TypeVar("Item")
 Answer = TypeVar("Answer")
 
 # Number of items after which a worker is replaced, because cholespy does not free the workspace of its first
-# solve with a factor. See docs/decisions.md, MAX_ITEMS.
+# solve with a factor.
 MAX_ITEMS = 200
 
 # Number of workers that may fail to start, one after the other.

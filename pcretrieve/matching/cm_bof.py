@@ -19,7 +19,7 @@ from pcretrieve.matching.opencv import sift_descriptors
 from pcretrieve.surface.open3d import simplify
 from pcretrieve.values import FloatArray, IntArray, Shape, TriangleMesh
 
-# Number of faces to which a surface is simplified first. See docs/decisions.md, VOCABULARY.
+# Number of faces to which a surface is simplified first.
 N_FACES = 1000
 
 # Number of iterations of SMACOF. The stress changes by less than 1 % in further ones.
@@ -166,7 +166,7 @@ def _posed(mesh: TriangleMesh) -> TriangleMesh:
     return TriangleMesh(vertices * [1.0, 1.0, side], mesh.faces)
 
 
-# Side of the pictures in pixels. See docs/decisions.md, VOCABULARY.
+# Side of the pictures in pixels.
 N_PIXELS = 128
 
 # Margin on each side of a picture, relative to half of its width.
@@ -257,7 +257,7 @@ def _drawn(pixels: FloatArray, faces: IntArray, side: int) -> FloatArray:
     return picture
 
 
-# Number of visual words. See docs/decisions.md, VOCABULARY.
+# Number of visual words.
 VOCABULARY = 1500
 
 
@@ -292,7 +292,7 @@ def view_descriptors(shape: Shape) -> ViewDescriptors:
     Of the settings that the article leaves open, or that differ: shortest paths over faces instead of fast
     marching; forms of at most 1000 faces, which are drawn themselves; pictures of 128 × 128 pixels instead of
     256 × 256; principal axes without the measure of rectilinearity; and OpenCV's default settings of SIFT.
-    See docs/decisions.md, VOCABULARY. Requires the extra ``pcretrieve[views]``.
+    Requires the extra ``pcretrieve[views]``.
 
     References
     ----------

@@ -95,7 +95,7 @@ def heat_points(shape: Shape) -> HeatPoints:
 def word_frequencies(gallery: Sequence[HeatPoints]) -> Callable[[HeatPoints], FloatArray]:
     """Learn a vocabulary from a gallery [1]_, sections 3 and 4.
 
-    The open settings, and deviations from the article (see docs/decisions.md, N_WORDS): 48 words, which are
+    The open settings, and deviations from the article: 48 words, which are
     the cluster centres (k-means from a fixed start) of random points of the gallery, drawn in proportion to
     area; soft assignment with σ twice the median gap between neighbouring words.
 

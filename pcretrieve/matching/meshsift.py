@@ -27,10 +27,10 @@ FEWEST_FACES = 5000
 # Number of faces to which finer surfaces are simplified, so that the scales of two surfaces are comparable.
 N_FACES = 10_000
 
-# Largest number of keypoints of a surface. See docs/decisions.md, RATIO.
+# Largest number of keypoints of a surface.
 MOST_KEYPOINTS = 200
 
-# Largest ratio of the angle to the nearest feature to that to the second one. See docs/decisions.md, RATIO.
+# Largest ratio of the angle to the nearest feature to that to the second one.
 RATIO = 0.85
 
 # Radii in units of 3σ: of the neighbourhood that gives the direction and of its weights, of a patch, and of
@@ -75,7 +75,7 @@ def mesh_features(shape: Shape) -> MeshFeatures:
 
     Of the settings that the article leaves open: six levels, with scales of 1.2 to 6.5 mean lengths of edges;
     curvatures by least squares; 200 keypoints at most; the position of a neighbour in the tangent plane by
-    its geodesic distance and its projected direction. See docs/decisions.md, RATIO. Finer surfaces are
+    its geodesic distance and its projected direction. Finer surfaces are
     simplified to 10,000 faces. Local features need a fine surface: with fewer than 5,000 faces a warning is
     logged, once.
 
@@ -121,7 +121,7 @@ def match_distance(query: MeshFeatures, other: MeshFeatures) -> float:
     Two features match if each is the nearest of the other among the features of the other surface, and the
     angle between them is at most .85 of the angle to the second nearest. The share is the mean number of
     matches by the second nearest of both surfaces, divided by the larger number of features. The smaller
-    number lets surfaces with few features be near to all others. See docs/decisions.md, RATIO.
+    number lets surfaces with few features be near to all others.
     """
     cosines = query.descriptors @ other.descriptors.T
     nearest, is_clear = _nearest(cosines)

@@ -18,7 +18,6 @@ from pcretrieve.values import FloatArray, PointCloud, Step
 FEWEST_POINTS = 100
 
 # Smallest ratio of singular values of the centred points, below which the points are collinear or coplanar.
-# See docs/decisions.md, SMALLEST_THICKNESS.
 SMALLEST_THICKNESS = 1e-3
 
 # Edge of the voxels for averaging, relative to the diagonal: of dense clouds, which have at least DENSE

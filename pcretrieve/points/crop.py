@@ -21,14 +21,14 @@ SAME_RANGE = 1e-5
 MEASURED = 0.5
 FEWEST_READINGS = 2
 
-# Distance from the median point, in median distances, beyond which a point is an error: docs/decisions.md,
-# FAR_AWAY. They are not removed if there are more than this fraction of them, because they may be a second
+# Distance from the median point, in median distances, beyond which a point is an error. They are not
+# removed if there are more than this fraction of them, because they may be a second
 # body.
 FAR_AWAY = 20
 MOST_FAR_POINTS = 0.05
 
 # Strays are outside a box: that from this quantile of each coordinate to 1 − the quantile, with a margin on
-# every side, relative to the diagonal of the box. See docs/decisions.md, STRAY_MARGIN.
+# every side, relative to the diagonal of the box.
 STRAY_QUANTILE = 0.005
 STRAY_MARGIN = 0.25
 

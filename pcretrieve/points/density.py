@@ -25,7 +25,7 @@ from pcretrieve.values import FloatArray, PointCloud
 Mask = NDArray[np.bool_]
 
 # Spacing from which a point is sparse, in voxels; and the smallest fraction of the surface that sparse points
-# represent for points to be interpolated. See docs/decisions.md, SPARSE.
+# represent for points to be interpolated.
 SPARSE = 2.0
 LEAST_SPARSE = 0.05
 
@@ -38,7 +38,7 @@ RADIUS = 1.5
 
 # The distance of neighbour k is proportional to k^(1/2) on a surface, and to k^(1/3) in a volume; the
 # exponent is near 0 for a point off a dense surface. It is measured between the neighbours SPACING_NEIGHBORS
-# and FARTHER. The smallest one of points of a surface: see docs/decisions.md, LEAST_GROWTH.
+# and FARTHER. The smallest one of points of a surface.
 FARTHER = 20
 LEAST_GROWTH = 0.39
 

@@ -34,8 +34,7 @@ LOWEST = 0.02
 STANDING = 0.05
 
 # The ground must be seen around the body: farther from its middle than the quantile of its points, times the
-# factor, in most of the sectors. The soles of a closed body are not: they end where its sides begin. See
-# docs/decisions.md, N_AROUND.
+# factor, in most of the sectors. The soles of a closed body are not: they end where its sides begin.
 N_SECTORS = 8
 N_AROUND = 6
 OUTLINE = 0.99

@@ -16,7 +16,7 @@ Index = NDArray[np.intp]
 Shape = tuple[int, int, int]
 
 # Mean number of points in an occupied cell of the grid, relative to the number of neighbours, by which most
-# neighbourhoods are in a cell and those around it; and its smallest value. See docs/decisions.md, OCCUPANCY.
+# neighbourhoods are in a cell and those around it; and its smallest value.
 OCCUPANCY = 0.25
 LEAST_OCCUPANCY = 1.0
 

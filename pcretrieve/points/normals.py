@@ -39,14 +39,12 @@ FLOOD_CELL = 1.3
 WIDER = 1.4
 
 # Smallest fraction of pairs of neighbours with consistent normals, below which the flood fill has leaked into
-# the body: of the pairs whose normals are parallel up to this cosine, because noise turns the others. See
-# docs/decisions.md, LEAST_AGREEMENT.
+# the body: of the pairs whose normals are parallel up to this cosine, because noise turns the others.
 LEAST_AGREEMENT = 0.95
 PARALLEL = 0.7
 
 # The flood fill contradicts a sensor if the cosine between its direction and that to the sensor is below
-# −OPPOSED. It has leaked into the body if it contradicts more than a fraction of them: see
-# docs/decisions.md, MOST_OPPOSED.
+# −OPPOSED. It has leaked into the body if it contradicts more than a fraction of them.
 OPPOSED = 0.3
 MOST_OPPOSED = 0.05
 

@@ -48,7 +48,7 @@ N_LEADING = 24
 N_DIVIDING = 8
 
 # Largest number of points in a block, of which blocks have a multiple of 64, so that they fill the vector
-# registers of a processor. See docs/decisions.md, BLOCK_SIZE.
+# registers of a processor.
 BLOCK_SIZE = 1024
 VECTOR = 64
 
@@ -69,11 +69,11 @@ LARGEST_SINGLE = float(np.finfo(np.float32).max)
 HALF_CELL = 0.5 + 10 * 3 * 2 * N_CELLS * SINGLE
 
 # Exact distances in the second step, relative to k, and largest number of shapes, relative to k, for which no
-# smaller radius is computed after the last turn. See docs/decisions.md, N_FIRST.
+# smaller radius is computed after the last turn.
 N_FIRST = 4
 N_LAST = 16
 
-# Number of blocks of the first turn, and its growth from turn to turn. See docs/decisions.md, N_BLOCKS.
+# Number of blocks of the first turn, and its growth from turn to turn.
 N_BLOCKS = 2
 GROWTH = 16
 

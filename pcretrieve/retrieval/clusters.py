@@ -12,7 +12,7 @@ from pcretrieve.errors import OptionError
 from pcretrieve.retrieval.index import SignatureIndex
 from pcretrieve.values import FloatArray, Neighbors
 
-# Effective number of neighbours of a point of t-SNE. See docs/decisions.md, PERPLEXITY.
+# Effective number of neighbours of a point of t-SNE.
 PERPLEXITY = 30.0
 
 # Least number of points of t-SNE, which starts at the principal components; fewer are projected on these.

@@ -23,8 +23,9 @@ from pcretrieve.values import FloatArray
 # Number of signatures that are processed together, so that intermediate arrays have a few MB.
 CHUNK = 2**15
 
-# Regularisation of the covariance, which limits the amplification of noise in directions of small variance.
-# See docs/decisions.md, DEFAULT_SHRINKAGE. For within-class it is estimated instead.
+# Regularisation of the covariance, which limits the amplification of noise in directions of small
+# variance. For
+# within-class it is estimated instead.
 DEFAULT_SHRINKAGE = {
     "neighbours": 0.20,  # intensity towards the mean variance times the identity
     "pca": 0.01,  # times the largest eigenvalue, added to all eigenvalues (Tikhonov)
@@ -43,11 +44,11 @@ UNTESTED = 0.1
 LEAST_VARIANCE = 1e-9
 
 # Shrinkage of the covariance of neighbours towards the covariance of changes of resolution, where that is
-# known, and the remaining shrinkage towards the identity. See docs/decisions.md, PRIOR_SHARE.
+# known, and the remaining shrinkage towards the identity.
 PRIOR_SHARE = 0.3
 SHRINKAGE_WITH_PRIOR = 0.03
 
-# Least numbers of shapes and of pairs for a whitening by neighbours. See docs/decisions.md, LEAST_SHAPES.
+# Least numbers of shapes and of pairs for a whitening by neighbours.
 LEAST_SHAPES = 24
 LEAST_PAIRS = 10
 

@@ -66,7 +66,7 @@ logger = logging.getLogger(__name__)
 LEAST_CLASSES = 5
 
 # Mean squared difference of neighbouring shapes as a share of the total variance, after PCA whitening, above
-# which PCA whitening is likely to do harm. See docs/decisions.md, PCA_NOISE.
+# which PCA whitening is likely to do harm.
 PCA_NOISE = 0.1
 
 # (2, n, m + 1) float32, written by scripts/sample_resolution: logarithms of |μ_1| … |μ_m| and μ_0, divided by
@@ -75,7 +75,7 @@ SAMPLE = "resolution.npy"
 
 # Fraction of the bodies, those with the smallest change, of which the covariance is computed (trimming). In
 # the others limbs fused, or a tail was lost, at one of the voxel edges, and these few outliers would dominate
-# the covariance. See docs/decisions.md, MOST.
+# the covariance.
 MOST = 0.85
 
 # The signatures for which the changes caused by resolution were measured.

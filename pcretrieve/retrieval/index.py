@@ -44,11 +44,10 @@ from pcretrieve.retrieval.whitening import Whitening
 from pcretrieve.values import FloatArray, Metric, Neighbors, Signature, SignatureTable, SizeUnit
 
 # Largest number of shapes that are all compared with each query, which takes as long as to find a few of them
-# by lower bounds. See docs/decisions.md, N_ALL.
+# by lower bounds.
 N_ALL = 1000
 
 # Number of queries that an index answers without compiled code: numba takes longer to load than they take.
-# See docs/decisions.md, N_INTERPRETED.
 N_INTERPRETED = 10
 
 # Tolerance of the lower bound. The rounding error of a sum of L products of numbers of magnitude s is at most

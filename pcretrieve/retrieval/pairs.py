@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from scipy.sparse import csr_array
 
 # Largest number k of neighbours that is tried, and k where no number stands out: the neighbourhoods of an
-# isolated class of c shapes are equal for k = c − 1. See docs/decisions.md, N_NEIGHBORS.
+# isolated class of c shapes are equal for k = c − 1.
 MOST_NEIGHBORS = 12
 N_NEIGHBORS = 5
 

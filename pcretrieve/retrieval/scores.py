@@ -182,7 +182,7 @@ def isotonic_shares(same: FloatArray, total: FloatArray) -> tuple[FloatArray, ND
         weighted by `total`.
     Returns blocks : (b,) intp: the number of the pool of each interval, ascending from 0.
     """
-    # Not by scikit-learn, whose import takes longer: see docs/decisions.md, isotonic_shares.
+    # Not by scikit-learn, whose import takes longer.
     pools: list[tuple[float, float, int]] = []  # pairs of one class, all pairs, intervals
     for one, every in zip(same.tolist(), total.tolist(), strict=True):
         pool = (one, every, 1)
@@ -260,7 +260,7 @@ def _left_out(
 
 def _mutual_pairs(sample: PairSample, whitening: Whitening, distance: str) -> _Pairs:
     """All pairs, of which those of mutual neighbours stand for pairs of one class."""
-    # Against all other pairs, not distant ones alone: see docs/decisions.md, _mutual_pairs.
+    # Against all other pairs, not distant ones alone.
     points = whitening.apply(sample.logs)
     n = len(points)
     found = neighbour_pairs(points)

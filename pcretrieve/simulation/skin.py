@@ -22,8 +22,7 @@ SMOOTHING_STEPS = 5
 # Step of the finite differences of the implicit function; cells.
 GRADIENT_STEP = 0.01
 
-# The constant c of Baran and Popović: with a larger value vertices follow the nearest bone more closely. See
-# docs/decisions.md, ATTACHMENT.
+# The constant c of Baran and Popović: with a larger value vertices follow the nearest bone more closely.
 ATTACHMENT = 2.0
 
 

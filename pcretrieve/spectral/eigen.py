@@ -23,11 +23,11 @@ from pcretrieve.values import Eigenpairs, FloatArray, LaplaceBeltrami
 # The shift σ of shift-invert iteration, times the area. S is singular, and S − σM is
 # factorised instead with σ < 0. |σ| is small enough that it is near to λ_1 (about 10
 # / area), and large enough that S − σM is well conditioned and θ_0 does not exceed
-# the other θ by orders of magnitude. See docs/decisions.md, RELATIVE_SHIFT.
+# the other θ by orders of magnitude.
 RELATIVE_SHIFT = -1.0
 
 # Number of additional eigenpairs that ARPACK computes. Lanczos iteration with single vectors finds the copies
-# of a multiple eigenvalue one after another, and the last of them late. See docs/decisions.md, GUARD_PAIRS.
+# of a multiple eigenvalue one after another, and the last of them late.
 GUARD_PAIRS = 8
 
 # Largest residual ‖S φ − λ M φ‖ / (λ ‖M φ‖) that is accepted; on valid surfaces it is near the tolerance.
@@ -62,7 +62,7 @@ def eigenpairs(
     tolerance : float, default 1e-4
         Largest residual ‖T φ − θ φ‖ / θ of T = (S − σM)⁻¹M, with θ = 1/(λ − σ) and σ = −1/area; above 0, at
         most 1e-3. `Eigenpairs.largest_residual`, the residual of S φ = λ M φ, is of about the same size. The
-        error of eigenvalues is of the order of its square: see docs/decisions.md, tolerance. ARPACK always
+        error of eigenvalues is of the order of its square. ARPACK always
         iterates to rounding accuracy.
 
     Returns

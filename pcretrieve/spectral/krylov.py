@@ -26,7 +26,7 @@ from pcretrieve.values import FloatArray
 BLOCK = 8
 
 # Size of the basis: a multiple of the number of pairs, and a constant. Large enough that the iteration
-# usually converges without a restart. See docs/decisions.md, VECTORS_PER_PAIR.
+# usually converges without a restart.
 VECTORS_PER_PAIR = 3
 SPARE_VECTORS = 12 * BLOCK
 
@@ -35,8 +35,7 @@ VECTORS_PER_PAIR_AT_FIRST_LOOK = 2.3
 SPARE_VECTORS_AT_FIRST_LOOK = 5 * BLOCK
 
 # Factor by which one block reduces the residuals. A convergence test takes a considerable part of the time of
-# a block; the next test is therefore made when the residuals are expected to be below the tolerance. See
-# docs/decisions.md, FALL_PER_BLOCK.
+# a block; the next test is therefore made when the residuals are expected to be below the tolerance.
 FALL_PER_BLOCK = 4
 
 # Largest number of vectors to which T is applied, in units of the size of the basis.
@@ -50,8 +49,7 @@ LARGEST_LOSS = 5.0
 MOST_ROUNDS = 6
 
 # Largest estimated entry of QᵀMQ − I, beyond which a block is orthogonalised against the whole basis (partial
-# reorthogonalisation). √ε would suffice for the eigenvalues, but would not save reorthogonalisations: see
-# docs/decisions.md, LARGEST_LOST.
+# reorthogonalisation). √ε would suffice for the eigenvalues, but would not save reorthogonalisations.
 LARGEST_LOST = 3e-11
 
 # Number of columns of the basis that a product overwrites at once, because a copy of

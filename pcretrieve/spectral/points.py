@@ -13,7 +13,7 @@ from pcretrieve.values import FloatArray, IntArray, PointCloud, TriangleMesh
 
 # Number of neighbours among which the triangles of a point are searched, and to which its tangent plane is
 # fitted if the cloud has no normals. With fewer neighbours triangles are missed, with more the neighbourhood
-# includes points of the opposite side of a thin limb. See docs/decisions.md, NEIGHBORS.
+# includes points of the opposite side of a thin limb.
 NEIGHBORS = 30
 PLANE_NEIGHBORS = 12
 
@@ -37,7 +37,7 @@ def points(cloud: PointCloud) -> Assembled:
     are not used, so that the two sides of a thin limb are not connected. The matrices of each triangle are
     divided by three, because each of its corners should generate it; if all three do, the result is that of
     linear elements on the Delaunay triangulation. The area 1ᵀM·1 is too small at the boundary of an open
-    surface, and too large for noisy points: see docs/decisions.md, points.
+    surface, and too large for noisy points.
 
     The matrices that robust_laplacian makes of such triangles [2]_ are not used: they depend on the position
     of the cloud, through the rounding by which the copies of a triangle are ordered around its sides, and

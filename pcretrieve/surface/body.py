@@ -44,15 +44,14 @@ WIDER = (1.4, 2.0)
 # Rounds of Taubin smoothing of the surface that no points support: in holes, at cuts and at bridges.
 SMOOTHING = 8
 
-# Largest fraction of the vertices that no points support. See docs/decisions.md, MOST_INVENTED.
+# Largest fraction of the vertices that no points support.
 MOST_INVENTED = 0.3
 
-# Largest `_one_sidedness` of the surface that no points support. See docs/decisions.md, MOST_ONE_SIDED.
+# Largest `_one_sidedness` of the surface that no points support.
 MOST_ONE_SIDED = 0.15
 
 # Edge of the voxels in units of the noise of the points, and its limits relative to the diagonal. Small
-# voxels separate fingers if the points are exact, but give a rough surface if the points are noisy. See
-# docs/decisions.md, NOISES.
+# voxels separate fingers if the points are exact, but give a rough surface if the points are noisy.
 NOISES = 6.5
 FINEST = 0.0033
 COARSEST = 0.0045

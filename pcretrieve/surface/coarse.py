@@ -175,7 +175,7 @@ LEVEL = 0.65
 
 # The level sets of the indicator function are close to each other at the points, and far apart in holes. A
 # hole is large if a place outside, where the function exceeds this level, is farther than this distance,
-# relative to the diagonal, from all points. See docs/decisions.md, WIDE.
+# relative to the diagonal, from all points.
 FRINGE = 0.25
 WIDE = 0.036
 
@@ -185,7 +185,7 @@ LEAST_SHARE = 0.02
 
 # Side of the cube of the coarse Poisson surface, relative to the longest side of the bounding box. Larger
 # than the default of 1.1, so that holes at the border of the bounding box can be closed outside it; and
-# larger again, if the surface is not closed, as where a body stands. See docs/decisions.md, BASE_SCALE.
+# larger again, if the surface is not closed, as where a body stands.
 FILL_SCALE = 1.5
 BASE_SCALE = 2.0
 

@@ -17,7 +17,7 @@ REACH = 3.0
 SPREAD = 1.5
 
 # β of the fit (Guennebaud et al. 2008): the factor of the quadratic coefficient of the fitted sphere. β = 1
-# is the least-squares sphere, β = 0 a plane. Small β shrinks thin limbs. See docs/decisions.md, CURVATURE.
+# is the least-squares sphere, β = 0 a plane. Small β shrinks thin limbs.
 CURVATURE = 1.6
 
 # Smallest weighted variance of the points of a neighbourhood for a sphere to be fitted, in voxels². Otherwise
@@ -35,7 +35,7 @@ HIDDEN_CELLS = 4.5
 
 # A component of hidden points is a fold, such as a closed mouth, if it has at least this many voxels and at
 # most this fraction of the voxels around it is outside. The rim of a contact between limbs is open, that of a
-# fold is mostly closed. See docs/decisions.md, LEAST_OPEN.
+# fold is mostly closed.
 LEAST_FOLD = 100
 LEAST_OPEN = 0.135
 

@@ -28,7 +28,6 @@ LEAST_LEAN = 0.3
 
 # Smallest difference of geodesic distances, in steps, by which two adjacent voxels belong to two parts that
 # touch. Larger than the detour around the surfels at the rim of a fold, which extend two voxels beyond it.
-# See docs/decisions.md, DETOUR.
 DETOUR = 6
 
 # Largest distance between two points that face each other across the gap at the rim of a contact, in voxels,
@@ -45,12 +44,12 @@ FACED = 0.9
 
 # Radius of the surfels that continue the wall inwards from a rim, in voxels, and the smallest difference of
 # geodesic distances of two voxels that these surfels separate. It is larger than the detour around such a
-# surfel that ends inside the body. See docs/decisions.md, CONTINUED.
+# surfel that ends inside the body.
 CONTINUED = 6.0
 LONG_DETOUR = 14
 
 # Largest number of voxels in contact layers, relative to the boundary voxels of the body. More of them are
-# caused by noise, and all are then ignored. See docs/decisions.md, MOST_CONTACTS.
+# caused by noise, and all are then ignored.
 MOST_CONTACTS = 0.08
 
 

@@ -368,8 +368,7 @@ def _collapsed(
 def reduced(mesh: TriangleMesh, options: SurfaceOptions) -> TriangleMesh:
     """A surface with at most `max_faces` faces.
 
-    The time and memory of a spectrum grow faster than the number of faces, while its error is small already:
-    see docs/decisions.md, max_faces.
+    The time and memory of a spectrum grow faster than the number of faces, while its error is small already.
     """
     if len(mesh.faces) <= options.max_faces:
         return mesh

@@ -224,7 +224,7 @@ def defects(mesh: TriangleMesh) -> Defects:
     """Count the defects of a mesh.
 
     Self-intersections are not counted: the Laplace–Beltrami operator does not depend on them, and their
-    detection takes a hundred times longer than everything else (docs/decisions.md, defects).
+    detection takes a hundred times longer than everything else.
     """
     if _is_sound(mesh):
         return SOUND

@@ -145,7 +145,7 @@ COARSE, FINE = (4.0, 4.0, 3.0, 3.0, 2.0, 2.0, 1.5, 1.0), (2.0, 1.5, 1.0, 1.0, 1.
 JOINING = (3.0, 2.0, 1.5, 1.0)
 
 # A match is rejected if its root mean square distance is more than LOOSE times that of the best match, and
-# more than TIGHT times the option `reach`. See docs/decisions.md, LOOSE.
+# more than TIGHT times the option `reach`.
 LOOSE, TIGHT = 2.0, 0.25
 
 # Number of searches. Views that are not in one group after the first are matched

@@ -22,7 +22,7 @@ from pcretrieve.values import FloatArray
 TRACKING, NEAR = (4.0, 3.0, 2.0, 1.5, 1.0), (1.0, 1.0)
 
 # A frame is tracked if it shares this fraction of its points with the key frame. It becomes a key frame if it
-# shares less than the second fraction, because it then adds surface. See docs/decisions.md, NEW_SURFACE.
+# shares less than the second fraction, because it then adds surface.
 TRACKED = 0.6
 NEW_SURFACE = 0.85
 
