@@ -118,7 +118,7 @@ def _run(name: str, scans: Path) -> Run:
             scans,
             Path(folder) / "catalogue.sqlite",
             workers=2 if name in (TWO_WORKERS, DASK) else 1,
-            executor=executors.get(name, "processes"),
+            executor=executors.get(name),
             on_shape=lambda record: ends.append(time.perf_counter()),
         )
     if summary.failed:
