@@ -25,7 +25,7 @@ import numpy as np
 from benchmarks.measuring import Column, Table, argument_parser, positive, print_lines, use_one_core
 from pcretrieve import ingest
 from pcretrieve.errors import BenchmarkError
-from pcretrieve.ingestion import DaskExecutor, Executor
+from pcretrieve.ingestion import DaskExecutor, Executor, in_processes
 from pcretrieve.simulation import POSES, UniformOptions, body, make_subject, scan_uniformly, write_ply
 
 __all__ = ["EXECUTORS", "Run", "main", "run_of"]
@@ -118,7 +118,7 @@ def _run(name: str, scans: Path) -> Run:
             scans,
             Path(folder) / "catalogue.sqlite",
             workers=2 if name in (TWO_WORKERS, DASK) else 1,
-            executor=executors.get(name),
+            executor=executors.get(name, in_processes),
             on_shape=lambda record: ends.append(time.perf_counter()),
         )
     if summary.failed:
