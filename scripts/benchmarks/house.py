@@ -127,30 +127,20 @@ def code_lines(path: Path) -> int:
 
 
 def option_names() -> list[str]:
-    """Names of all options, as `pcretrieve options` prints them."""
-    done = subprocess.run(
-        [sys.executable, "-m", "pcretrieve", "options"], capture_output=True, text=True, check=True, cwd=ROOT
-    )
-    return re.findall(r"^#? ?(\w+) = ", done.stdout, re.MULTILINE)
+    """Names of all options with their tables."""
+    from pcretrieve import PipelineOptions
+
+    tables = {name: getattr(PipelineOptions(), name) for name in PipelineOptions.model_fields}
+    return [f"{table}.{name}" for table, options in tables.items() for name in type(options).model_fields]
 
 
 def entry_point_groups() -> set[str]:
-    """Groups of entry points that the package reads."""
-    text = "\n".join(path.read_text(encoding="utf-8") for path in sources())
-    return set(
-        re.findall(r'"(pcretrieve\.(?:readers|descriptors|signatures|matchers|elements|stores|\w+s))"', text)
-    ) & {
-        f"pcretrieve.{name}"
-        for name in (
-            "readers",
-            "descriptors",
-            "signatures",
-            "matchers",
-            "elements",
-            "distances",
-            "stores",
-            "executors",
-        )
+    """Groups of entry points that the package reads: what the records `Names` are made with."""
+    calls = [node for path in sources() for node in ast.walk(tree(path)) if isinstance(node, ast.Call)]
+    return {
+        str(call.args[1].value)
+        for call in calls
+        if ast.unparse(call.func) == "Names" and len(call.args) > 1 and isinstance(call.args[1], ast.Constant)
     }
 
 
