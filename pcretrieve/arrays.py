@@ -14,6 +14,9 @@ FloatArray: TypeAlias = NDArray[np.float64]
 #: Whole numbers of 32 bits: the vertex numbers of faces.
 IntArray: TypeAlias = NDArray[np.int32]
 
+#: The axes of files that may point upwards on pictures.
+UPWARD = ("x", "-x", "y", "-y", "z", "-z")
+
 # Largest distance of the middle of the points from the origin of their frame, in sizes of the frame: for
 # computations in single and in double precision. In single precision a coordinate has 24 binary digits, all
 # of which are needed to distinguish points. In double precision covariances are differences of mean squares,

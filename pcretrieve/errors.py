@@ -18,35 +18,11 @@ identifier of the shape. `str(error)` is then, for example, ``[T17 / remesh] no 
 from __future__ import annotations
 
 import traceback
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
+from difflib import get_close_matches
 from enum import Enum
 from pathlib import Path
-
-__all__ = [
-    "BenchmarkError",
-    "CatalogueError",
-    "DegenerateMeshError",
-    "ExtraZeroModes",
-    "InputError",
-    "MemoryExceeded",
-    "NegativeEigenvalues",
-    "NonFiniteSpectrum",
-    "OptionError",
-    "PcretrieveError",
-    "ReconstructionError",
-    "RemeshError",
-    "ScanReadError",
-    "ShapeError",
-    "SpectrumError",
-    "SpectrumNotConverged",
-    "Stage",
-    "StageTimeout",
-    "UnexpectedError",
-    "WorkerDied",
-    "in_stage",
-    "shape_error",
-]
 
 # The folder of the sources of pcretrieve. Messages name the last line of a traceback that is in this folder.
 PACKAGE = str(Path(__file__).parent)
@@ -191,6 +167,9 @@ def in_stage(stage: str) -> Iterator[None]:
     try:
         yield
     except PcretrieveError as error:
+        if type(error) is InputError and stage != Stage.READ:
+            # The arguments have been checked before: the shape has led to values that are not valid.
+            raise ShapeError(error.message, stage=stage) from error
         error.stage = error.stage or stage
         raise
     except Exception as error:
@@ -231,3 +210,15 @@ def _words(error: BaseException) -> str:
         return str(error)
     except Exception:  # noqa: BLE001
         return "an exception without words"
+
+
+# Smallest share of common characters of a name that is suggested (the ratio of difflib). Names that differ by
+# one or two mistakes in typing have more.
+SIMILARITY = 0.7
+
+
+def did_you_mean(name: str, known: Iterable[str]) -> str:
+    """The question whether another name was meant."""
+    names = {other.casefold(): other for other in known}
+    close = get_close_matches(name.casefold(), names, n=1, cutoff=SIMILARITY)
+    return f"; did you mean {names[close[0]]!r}?" if close else ""

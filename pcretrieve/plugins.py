@@ -2,7 +2,7 @@
 
 A package that is installed beside pcretrieve names its additions in its metadata::
 
-    [project.entry-points."pcretrieve.signatures"]
+    [project.entry-points."pcretrieve.descriptors"]
     diameter = "other_package:DIAMETER"
 
 Names are read from the metadata alone; a package is imported when one of its names is asked for. A package
@@ -17,12 +17,9 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cache
 from importlib.metadata import EntryPoint, entry_points
-from typing import Generic, Protocol, TypeVar
+from typing import Generic, TypeVar
 
-from pcretrieve.errors import InputError, OptionError, ShapeError
-from pcretrieve.suggestions import did_you_mean
-
-__all__ = ["Named", "Names", "Registry", "named"]
+from pcretrieve.errors import InputError, OptionError, ShapeError, did_you_mean
 
 Record = TypeVar("Record")
 
@@ -52,41 +49,13 @@ class Names:
         return name
 
 
-class Named(Protocol):
-    """A record that states its own name."""
-
-    @property
-    def name(self) -> str:
-        """The name by which options refer to the record."""
-
-
-NamedRecord = TypeVar("NamedRecord", bound=Named)
-
-
-def named(kind: type[NamedRecord]) -> Callable[[str, object], NamedRecord]:
-    """The check of a `Registry` of records that state their own names.
-
-    Returns function of (str, object) that returns a record: raises TypeError if the object is not of that
-        class, or has another name than its entry point.
-    """
-
-    def checked(name: str, added: object) -> NamedRecord:
-        if not isinstance(added, kind):
-            raise TypeError(f"must be of the class {kind.__name__}, got {added!r}")
-        if added.name != name:
-            raise TypeError(f"must have the name of its entry point, got a record named {added.name!r}")
-        return added
-
-    return checked
-
-
 @dataclass(frozen=True)
 class Registry(Generic[Record]):
     """The records of one kind by name: those of pcretrieve, and those that other packages add.
 
     checked: function of (str, object) that returns a Record, makes a record of the name of an entry point and
         the object that it leads to, or raises TypeError with a message that begins with what the object must
-        be. See `named`.
+        be.
     """
 
     names: Names

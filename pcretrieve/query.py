@@ -23,6 +23,7 @@ from pcretrieve.errors import (
     PcretrieveError,
     ScanReadError,
     ShapeError,
+    did_you_mean,
 )
 from pcretrieve.options import OptionsLike, PipelineOptions
 from pcretrieve.retrieval import (
@@ -41,7 +42,6 @@ from pcretrieve.retrieval import (
     reranked_neighbors,
     swapping_ranks,
 )
-from pcretrieve.suggestions import did_you_mean
 from pcretrieve.values import FloatArray, Neighbors, Signature, Verdict
 from pcretrieve.values.base import Value
 

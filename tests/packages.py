@@ -14,9 +14,6 @@ if sys.version_info >= (3, 11):
 else:
     import tomli as tomllib
 
-# One of every kind that a package can add to pcretrieve.
-ADDITION = Path(__file__).with_name("addition")
-
 
 def install(
     site: Path, name: str, modules: Mapping[str, str], entry_points: str, monkeypatch: pytest.MonkeyPatch
@@ -30,13 +27,6 @@ def install(
         (site / f"{module}.py").write_text(text, encoding="utf-8")
         monkeypatch.delitem(sys.modules, module, raising=False)
     monkeypatch.syspath_prepend(site)
-
-
-def install_addition(site: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Install the package that adds one of every kind."""
-    text = (ADDITION / "addition.py").read_text(encoding="utf-8")
-    entry_points = (ADDITION / "entry_points.txt").read_text(encoding="utf-8")
-    install(site, "addition", {"addition": text}, entry_points, monkeypatch)
 
 
 # --- the package of CONTRIBUTING.md ---------------------------------------------------------------------

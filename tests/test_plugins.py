@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import get_args
 
+import click
 import pytest
 from packages import install
 
+from pcretrieve.cli.search import matrix_command
 from pcretrieve.descriptors import DESCRIPTORS
 from pcretrieve.errors import InputError, OptionError, ShapeError, Stage
 from pcretrieve.matching import MATCHERS
-from pcretrieve.plugins import Named, Names, Registry
-from pcretrieve.points import POINT_FILTERS
+from pcretrieve.options import METHODS, RetrievalOptions, SpectralOptions
+from pcretrieve.plugins import Names, Registry
+from pcretrieve.retrieval import DISTANCES
 from pcretrieve.spectral import ELEMENTS
-from pcretrieve.surface import SURFACE_FILTERS, SURFACE_METHODS
 
 GROUP = "pcretrieve.tests"
 POINTS = f"""
@@ -47,15 +50,19 @@ def installed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path / "site"
 
 
-@pytest.mark.parametrize(
-    "registry",
-    [POINT_FILTERS, SURFACE_METHODS, SURFACE_FILTERS, DESCRIPTORS, ELEMENTS, MATCHERS],
-    ids=lambda registry: registry.names.kind,
-)
-def test_names_are_those_of_the_records(registry: Registry[Named]) -> None:
-    """Options know the names by a table of their own, since records take long to import."""
-    assert tuple(registry.own) == registry.names.own
-    assert tuple(record.name for record in registry.own.values()) == registry.names.own
+def test_names_are_those_of_the_records() -> None:
+    """Options know the names by tables of their own, since records take long to import."""
+    assert tuple(DESCRIPTORS.own) == tuple(METHODS)
+    assert [record.name for record in DESCRIPTORS.own.values()] == [*METHODS]
+    assert {name: record.has_size for name, record in DESCRIPTORS.own.items()} == METHODS
+    for options, name, records in (
+        (SpectralOptions, "element", ELEMENTS),
+        (RetrievalOptions, "distance", DISTANCES),
+    ):
+        assert get_args(options.model_fields[name].annotation) == tuple(records)
+    matcher = next(each for each in matrix_command.params if each.name == "matcher")
+    assert isinstance(matcher.type, click.Choice)
+    assert tuple(matcher.type.choices) == tuple(MATCHERS)
 
 
 def test_without_packages_there_are_those_of_pcretrieve() -> None:

@@ -20,9 +20,8 @@ from numpy.typing import NDArray
 from pcretrieve.catalogue.records import Record
 from pcretrieve.catalogue.rows import Rows
 from pcretrieve.catalogue.tables import Payload, damaged
-from pcretrieve.errors import InputError
+from pcretrieve.errors import InputError, did_you_mean
 from pcretrieve.options import PipelineOptions
-from pcretrieve.suggestions import did_you_mean
 from pcretrieve.values import FloatArray, ModalSpectrum, Need, Shape, Step, Surface, TriangleMesh
 
 DTYPES = tuple(np.dtype(name) for name in ("<f8", "<i4", "<i8", "|i1", "|u1"))

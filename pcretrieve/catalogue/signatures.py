@@ -14,8 +14,7 @@ from pcretrieve.catalogue.arrays import intact, packed_values, read_shape, unpac
 from pcretrieve.catalogue.records import OWN, Record
 from pcretrieve.catalogue.rows import Revision, Rows
 from pcretrieve.errors import InputError, ShapeError
-from pcretrieve.names import METHODS
-from pcretrieve.options import PipelineOptions
+from pcretrieve.options import METHODS, PipelineOptions
 from pcretrieve.retrieval import (
     CHUNK,
     MadeBy,

@@ -14,7 +14,7 @@ from uuid import uuid4
 
 from pcretrieve.errors import CatalogueError
 
-SCHEMA_VERSION = 6
+SCHEMA_VERSION = 7
 
 #: The parts that are stored of a shape besides its record and its signatures; each can be read separately.
 Payload = Literal["spectra", "moments", "overlaps", "thumbnails", "meshes"]

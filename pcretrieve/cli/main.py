@@ -21,8 +21,7 @@ from pcretrieve import __version__
 from pcretrieve.cli.messages import Printed, say, silence, stop_waiting, tell_of_waiting
 from pcretrieve.cli.options import EXIT_ERROR, EXIT_INTERRUPTED, exit_code
 from pcretrieve.cli.output import JSON_FLAG, write_error
-from pcretrieve.errors import OptionError, PcretrieveError
-from pcretrieve.suggestions import did_you_mean
+from pcretrieve.errors import OptionError, PcretrieveError, did_you_mean
 
 # Shells report a program that was ended by a signal with this number plus the number of the signal.
 EXIT_SIGNAL = 128

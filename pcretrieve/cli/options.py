@@ -9,7 +9,6 @@ import os
 import textwrap
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -19,7 +18,8 @@ from click.shell_completion import CompletionItem
 from pcretrieve.cli.messages import say
 from pcretrieve.cli.output import JSON_FLAG, print_text, write_document, write_error
 from pcretrieve.errors import OptionError, PcretrieveError
-from pcretrieve.names import NAMES, UPWARD
+from pcretrieve.options import DESCRIPTOR_NAMES
+from pcretrieve.values import UPWARD
 
 if TYPE_CHECKING:
     from pcretrieve import Catalogue, DistanceMatrix, PipelineOptions
@@ -212,11 +212,10 @@ def _shapes(context: click.Context) -> list[tuple[str, str | None]]:
         return []
 
 
-class RecordName(click.ParamType):  # type: ignore[type-arg]  # generic since click 8.3 only
-    """The name of a record such as a descriptor: the help lists the names, the library checks them."""
+class Method(click.ParamType):  # type: ignore[type-arg]  # generic since click 8.3 only
+    """The name of a descriptor: the help lists the names, the library checks them."""
 
-    def __init__(self, kind: str) -> None:
-        self.name = kind
+    name = "descriptor"
 
     def get_metavar(self, param: click.Parameter, ctx: click.Context | None = None) -> str:
         """What the help shows in place of the names, of which there may be many."""
@@ -226,12 +225,7 @@ class RecordName(click.ParamType):  # type: ignore[type-arg]  # generic since cl
         self, ctx: click.Context, param: click.Parameter, incomplete: str
     ) -> list[CompletionItem]:
         """The names that begin with what is typed."""
-        return _items(NAMES[self.name].all(), incomplete)
-
-
-def names_of(kind: str) -> str:
-    """The names of all records of a kind, for the help."""
-    return f"Names: {', '.join(NAMES[kind].all())}."
+        return _items(DESCRIPTOR_NAMES.all(), incomplete)
 
 
 class LabelFilter(click.ParamType):  # type: ignore[type-arg]  # generic since click 8.3 only
@@ -338,9 +332,9 @@ matrix_option = option(
 method_option = option(
     "--method",
     "Descriptor, or several joined by +.  [default: combined, or the catalogue's]",
-    RecordName("descriptor"),
+    Method(),
     rare=True,
-    details=partial(names_of, "descriptor"),
+    details=lambda: f"Names: {', '.join(DESCRIPTOR_NAMES.all())}.",
 )
 n_values_option = option(
     "--n-values L",
@@ -391,9 +385,8 @@ _distance_option = option(
     "--distance",
     "Euclidean distance of log-signatures (log), or D1 or D2 of the paper.  [default: log, or the "
     "catalogue's]",
-    RecordName("distance"),
+    click.Choice(["log", "d1", "d2"]),
     rare=True,
-    details=partial(names_of, "distance"),
 )
 
 

@@ -259,8 +259,7 @@ def _isolated(options: pr.PipelineOptions, with_picture: bool, up: str | None, s
 @opt.option(
     "--matcher",
     "Compare pairs of surfaces, not signatures.",
-    opt.RecordName("matcher"),
-    details=partial(opt.names_of, "matcher"),
+    click.Choice(["heat-hausdorff", "hks-bow-gallery", "mds-cm-bof", "meshsift"]),
 )
 @opt.comparison_options
 @opt.json_option

@@ -1,9 +1,9 @@
 """The table of descriptors, and their application to shapes.
 
-Another package adds a descriptor by an entry point of the group ``pcretrieve.signatures`` that names a record
-`Descriptor`::
+Another package adds a descriptor by an entry point of the group ``pcretrieve.descriptors`` that names a
+record `Descriptor`::
 
-    [project.entry-points."pcretrieve.signatures"]
+    [project.entry-points."pcretrieve.descriptors"]
     diameter = "other_package:DIAMETER"
 
     DIAMETER = Descriptor("diameter", make=diameter, needs=("mesh",), length=lambda options: 1)
@@ -32,20 +32,21 @@ from pcretrieve.descriptors.ispm import ISPM
 from pcretrieve.descriptors.r_bihdm import R_BIHDM
 from pcretrieve.descriptors.shape_dna import SHAPE_DNA, SHAPE_DNA_NORM1, SHAPE_DNA_VALUES
 from pcretrieve.errors import OptionError, ShapeError, Stage
-from pcretrieve.names import NAMES, fused_names
-from pcretrieve.options import SignatureOptions
-from pcretrieve.plugins import Registry, named
+from pcretrieve.options import DESCRIPTOR_NAMES, SignatureOptions, fused_names
+from pcretrieve.plugins import Registry
 from pcretrieve.spectral import unit_eigenpairs
 from pcretrieve.values import UNIT, Eigenpairs, Shape, Signature, SizeUnit, Surface
-
-__all__ = ["DESCRIPTORS", "describe", "signature_length"]
 
 
 def _checked(name: str, added: object) -> Descriptor:
     """The record of another package, or a record for its function."""
     if callable(added):
         return Descriptor(name, added, needs=("spectrum", "overlaps", "mesh"))
-    return named(Descriptor)(name, added)
+    if not isinstance(added, Descriptor):
+        raise TypeError(f"must be of the class Descriptor, got {added!r}")
+    if added.name != name:
+        raise TypeError(f"must have the name of its entry point, got a record named {added.name!r}")
+    return added
 
 
 class _Descriptors(Registry[Descriptor]):
@@ -68,7 +69,7 @@ class _Descriptors(Registry[Descriptor]):
 
 
 DESCRIPTORS: Registry[Descriptor] = _Descriptors(
-    NAMES["descriptor"],
+    DESCRIPTOR_NAMES,
     {
         record.name: record
         for record in (

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from pcretrieve.arrays import FloatArray, IntArray
+from pcretrieve.arrays import UPWARD, FloatArray, IntArray
 from pcretrieve.errors import OptionError
-from pcretrieve.names import UPWARD
 
 # Tie-breaker for shapes whose principal axes are not unique, such as a sphere: a
 # bias towards the axes of the file. As a fraction of the total variance, and as a

@@ -21,7 +21,7 @@ from pcretrieve.evaluation.measures import (
 )
 from pcretrieve.evaluation.published import PUBLISHED, Published
 from pcretrieve.ingestion.labels import LAYOUTS
-from pcretrieve.matching import MATCHERS, DistanceMatrix, PairwiseIndex, distance_matrix
+from pcretrieve.matching import DistanceMatrix, Matcher, PairwiseIndex, distance_matrix, known_matcher
 from pcretrieve.options import OptionsLike, PipelineOptions
 from pcretrieve.retrieval import Ranking, SignatureIndex, Whitening, write_whitening
 from pcretrieve.values import Failure, FloatArray, SignatureTable
@@ -215,7 +215,7 @@ def matrix(
     catalogue: CatalogueLike,
     *,
     options: OptionsLike = None,
-    matcher: str | None = None,
+    matcher: str | Matcher | None = None,
     on_failure: Callable[[Failure], None] = lambda failure: None,
 ) -> DistanceMatrix:
     """All distances between the shapes of a catalogue that did not fail.
@@ -226,8 +226,9 @@ def matrix(
         The shapes. Shapes to which the matcher cannot be applied are left out.
     options : OptionsLike, optional
         Signature, distance and whitening. By default the options of the catalogue.
-    matcher : str, optional
-        A method such as ``heat-hausdorff``, which compares pairs of shapes without signatures.
+    matcher : str or Matcher, optional
+        A method, one's own or by a name such as ``heat-hausdorff``, which compares pairs of shapes without
+        signatures.
     on_failure : function, optional
         Called with the failure of each shape to which the matcher cannot be applied.
 
@@ -255,8 +256,8 @@ def matrix(
             whitening = store.whitening(chosen)
             ranking = SignatureIndex(store.signatures(chosen), chosen.retrieval, whitening=whitening)
         else:
-            needs = MATCHERS[matcher].needs
-            ranking = PairwiseIndex(MATCHERS[matcher], labels, lambda shape_id: store.shape(shape_id, needs))
+            method = known_matcher(matcher)
+            ranking = PairwiseIndex(method, labels, lambda shape_id: store.shape(shape_id, method.needs))
             for failure in ranking.failures:
                 on_failure(failure)
         return distance_matrix(ranking, tuple(labels[shape_id] for shape_id in ranking.ids))

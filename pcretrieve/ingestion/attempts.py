@@ -104,8 +104,6 @@ def _cheaper(error: PcretrieveError, options: PipelineOptions) -> Changes | None
         cell = options.surface.cell
         coarse = COARSE_CELL if cell == "auto" else cell
         change["surface"] = {"reconstructions": 1, "cell": max(COARSE_CELL, coarse)}
-    if options.remesh.method == "tetwild":
-        change["remesh"] = {"optimize": False}
     return {
         table: values
         for table, values in change.items()
@@ -121,7 +119,7 @@ def _fallback(error: PcretrieveError, options: PipelineOptions) -> Changes | Non
 
 def _reconstructs(options: PipelineOptions) -> bool:
     """Whether surfaces are reconstructed, at least of scans that are no closed meshes."""
-    return options.surface.mode != "keep" and "surface" in options.pipeline.stages
+    return options.surface.mode != "keep"
 
 
 def _words(change: Changes, options: PipelineOptions) -> list[str]:

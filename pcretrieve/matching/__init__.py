@@ -3,7 +3,7 @@
 A distance matrix ranks a gallery as an index of signatures does; its files are those of SHREC tracks.
 """
 
-from pcretrieve.matching.matcher import MATCHERS, Matcher
+from pcretrieve.matching.matcher import MATCHERS, Matcher, known_matcher
 from pcretrieve.matching.matrix import DistanceMatrix, distance_matrix, ids_path, read_matrix, write_matrix
 from pcretrieve.matching.pairs import PairwiseIndex
 
@@ -14,6 +14,7 @@ __all__ = [
     "PairwiseIndex",
     "distance_matrix",
     "ids_path",
+    "known_matcher",
     "read_matrix",
     "write_matrix",
 ]

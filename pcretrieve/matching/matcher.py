@@ -1,9 +1,4 @@
-"""The record that declares a pairwise matcher, and the table of matchers.
-
-Another package adds a matcher by an entry point of the group ``pcretrieve.matchers`` that names a record
-`Matcher`; the name of the entry point is then a value of the option `--matcher`. The names of pcretrieve's
-own matchers are reserved.
-"""
+"""The record that declares a pairwise matcher, and the matchers by name."""
 
 from __future__ import annotations
 
@@ -18,8 +13,6 @@ from pcretrieve.errors import OptionError
 from pcretrieve.matching.cm_bof import clock_distance, view_descriptors, view_words
 from pcretrieve.matching.heat import heat_distance, heat_points, heat_set, word_distance, word_frequencies
 from pcretrieve.matching.meshsift import match_distance, mesh_features
-from pcretrieve.names import NAMES
-from pcretrieve.plugins import Registry, named
 from pcretrieve.values import IntArray, Need, Shape
 
 
@@ -74,11 +67,17 @@ MDS_CM_BOF = Matcher("mds-cm-bof", view_descriptors, clock_distance, needs=("mes
 MESHSIFT = Matcher("meshsift", mesh_features, match_distance, needs=("mesh",))
 
 
-MATCHERS: Registry[Matcher] = Registry(
-    NAMES["matcher"],
-    {matcher.name: matcher for matcher in (HEAT_HAUSDORFF, HKS_BOW_GALLERY, MDS_CM_BOF, MESHSIFT)},
-    named(Matcher),
-)
+#: The matchers of pcretrieve by name.
+MATCHERS = {matcher.name: matcher for matcher in (HEAT_HAUSDORFF, HKS_BOW_GALLERY, MDS_CM_BOF, MESHSIFT)}
+
+
+def known_matcher(matcher: str | Matcher) -> Matcher:
+    """The matcher of a name, or the one that is given."""
+    if isinstance(matcher, Matcher):
+        return matcher
+    if matcher not in MATCHERS:
+        raise OptionError(f"there is no matcher {matcher!r}; there are {', '.join(MATCHERS)}")
+    return MATCHERS[matcher]
 
 
 @njit(cache=True)

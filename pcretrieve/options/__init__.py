@@ -6,21 +6,36 @@ option names another unit, so that the signature of a scan does not depend on th
 measurements behind the default values are in docs/decisions.md.
 """
 
-from pcretrieve.options.catalogue import CatalogueOptions
-from pcretrieve.options.description import describe_options, options_difference
-from pcretrieve.options.filters import PointFilter, SurfaceFilter
-from pcretrieve.options.merge import MergeOptions
-from pcretrieve.options.model import Options
-from pcretrieve.options.pipeline import NUMBERS_VERSION, OptionsLike, PipelineOptions
-from pcretrieve.options.presets import PRESETS
-from pcretrieve.options.retrieval import RerankKind, RetrievalOptions, Shrinkage, WhiteningKind
-from pcretrieve.options.scan import ScanOptions
-from pcretrieve.options.signature import Scale, SignatureOptions, SpectralOptions
-from pcretrieve.options.stages import DEFAULT_STAGES, StageOptions, check_chain, link_of
-from pcretrieve.options.surface import RemeshOptions, SurfaceOptions
+from pcretrieve.options.pipeline import (
+    NUMBERS_VERSION,
+    PRESETS,
+    OptionsLike,
+    PipelineOptions,
+    describe_options,
+    options_difference,
+)
+from pcretrieve.options.tables import (
+    DESCRIPTOR_NAMES,
+    METHODS,
+    CatalogueOptions,
+    MergeOptions,
+    Options,
+    RemeshOptions,
+    RerankKind,
+    RetrievalOptions,
+    Scale,
+    ScanOptions,
+    Shrinkage,
+    SignatureOptions,
+    SpectralOptions,
+    SurfaceOptions,
+    WhiteningKind,
+    fused_names,
+)
 
 __all__ = [
-    "DEFAULT_STAGES",
+    "DESCRIPTOR_NAMES",
+    "METHODS",
     "NUMBERS_VERSION",
     "PRESETS",
     "CatalogueOptions",
@@ -28,7 +43,6 @@ __all__ = [
     "Options",
     "OptionsLike",
     "PipelineOptions",
-    "PointFilter",
     "RemeshOptions",
     "RerankKind",
     "RetrievalOptions",
@@ -37,12 +51,9 @@ __all__ = [
     "Shrinkage",
     "SignatureOptions",
     "SpectralOptions",
-    "StageOptions",
-    "SurfaceFilter",
     "SurfaceOptions",
     "WhiteningKind",
-    "check_chain",
     "describe_options",
-    "link_of",
+    "fused_names",
     "options_difference",
 ]

@@ -5,31 +5,29 @@ from __future__ import annotations
 import hashlib
 import json
 import sys
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from inspect import cleandoc
 from pathlib import Path
 from typing import Any, TypeAlias
 
-from pydantic import model_validator
-
-from pcretrieve.errors import OptionError
-from pcretrieve.names import NAMES
-from pcretrieve.options.catalogue import CatalogueOptions
-from pcretrieve.options.merge import MergeOptions
-from pcretrieve.options.model import Options
-from pcretrieve.options.presets import PRESETS
-from pcretrieve.options.retrieval import RetrievalOptions
-from pcretrieve.options.scan import ScanOptions
-from pcretrieve.options.signature import Scale, SignatureOptions, SpectralOptions
-from pcretrieve.options.stages import StageOptions, check_chain, link_of, with_method
-from pcretrieve.options.surface import RemeshOptions, SurfaceOptions
-from pcretrieve.suggestions import did_you_mean
+from pcretrieve.errors import OptionError, did_you_mean
+from pcretrieve.options.tables import (
+    CatalogueOptions,
+    MergeOptions,
+    Options,
+    RemeshOptions,
+    RetrievalOptions,
+    Scale,
+    ScanOptions,
+    SignatureOptions,
+    SpectralOptions,
+    SurfaceOptions,
+)
 
 if sys.version_info >= (3, 11):
     import tomllib
 else:
     import tomli as tomllib
-
-__all__ = ["NUMBERS_VERSION", "OptionsLike", "PipelineOptions"]
 
 # Version of the numerical results, part of the digest. It is incremented when a change of the code, not of an
 # option, changes a signature, because signatures of different versions must not be compared. The changes are
@@ -39,11 +37,48 @@ NUMBERS_VERSION = 11
 #: What public functions take for options: see `PipelineOptions.of`.
 OptionsLike: TypeAlias = "PipelineOptions | Mapping[str, Any] | str | Path | None"
 
+# The options that differ from the defaults for scans of a common source. The measurements behind each preset
+# are in docs/decisions.md, PRESETS.
+PRESETS: dict[str, dict[str, dict[str, Any]]] = {
+    # A ring of cameras around a person. People have genus 0: handles appear only where limbs touch, and are
+    # cut. All scans are in the unit of the scanner, so that sizes are comparable too.
+    "body-scanner": {"surface": {"genus": "sphere"}, "signature": {"size_weight": 6.0}},
+    # A hand-held scanner moved around the body: many outliers, and large holes in places that it missed.
+    "handheld": {
+        "scan": {"outlier_std": 1.5, "flood_gap": 0.03},
+        "surface": {"gap": 0.03},
+    },
+    # Frames of a depth sensor: noise of 0.3 % of the diagonal and more, and a room around the body.
+    "depth-camera": {
+        "scan": {"voxel": 0.004, "outlier_std": 1.5, "normal_neighbors": 30, "flood_gap": 0.03},
+        "surface": {"cell": 0.006, "gap": 0.03},
+        "merge": {"sensor": "origin", "background": "planes", "keep_largest": True, "voxel": 0.003},
+    },
+    # Meshes from modelling software, or cleaned by hand: repaired, but not reconstructed.
+    "clean-mesh": {"surface": {"mode": "keep"}},
+    # The setting of Ye and Yu for the non-rigid track of SHREC'11.
+    "paper": {
+        "signature": {"method": "r-bihdm", "n_values": 23, "scale": "relative"},
+        "retrieval": {"distance": "d2", "whitening": "none"},
+        "surface": {"mode": "keep"},
+    },
+    # The textbook chain, for comparison: normals oriented along a minimum spanning tree, screened Poisson
+    # reconstruction by Open3D, remeshing by fTetWild, linear elements, and R-BiHDM signatures, whitened
+    # by PCA.
+    "classic": {
+        "scan": {"orientation": "tangent-plane"},
+        "surface": {"method": "poisson"},
+        "remesh": {"method": "tetwild"},
+        "spectral": {"element": "linear"},
+        "signature": {"method": "r-bihdm"},
+        "retrieval": {"whitening": "pca"},
+    },
+}
+
 
 class PipelineOptions(Options):
     """The options of all stages. `PipelineOptions()` are the defaults; docs/decisions.md has the reasons."""
 
-    pipeline: StageOptions = StageOptions()
     scan: ScanOptions = ScanOptions()
     surface: SurfaceOptions = SurfaceOptions()
     remesh: RemeshOptions = RemeshOptions()
@@ -52,19 +87,6 @@ class PipelineOptions(Options):
     retrieval: RetrievalOptions = RetrievalOptions()
     catalogue: CatalogueOptions = CatalogueOptions()
     merge: MergeOptions = MergeOptions()
-
-    @model_validator(mode="before")
-    @classmethod
-    def _with_method(cls, values: Any) -> Any:
-        return with_method(values)
-
-    @model_validator(mode="after")
-    def _leads_to_a_spectrum(self) -> PipelineOptions:
-        stages, element = self.pipeline.stages, self.spectral.element
-        # Whether the element of another package is of points, its record says when a scan is processed.
-        added = element not in NAMES["element"].own
-        check_chain(stages, of_points="surface" not in stages if added else element == "points")
-        return self
 
     @classmethod
     def from_toml(cls, path: str | Path, base: PipelineOptions | None = None) -> PipelineOptions:
@@ -208,34 +230,10 @@ class PipelineOptions(Options):
             If there is no such option, or its value is not allowed.
         """
         values = self.model_dump()
-        for stage, changes in with_method(stages).items():
-            known = isinstance(changes, dict) and stage in values
-            values[stage] = _laid_over(values[stage], changes) if known else changes
-        chain = values["pipeline"]
-        if isinstance(chain, dict) and isinstance(chain["stages"], (list, tuple)):
-            # The options of a filter that is no longer in the chain are left out with it.
-            given = ("stages", *chain["stages"], *stages.get("pipeline", {}))
-            values["pipeline"] = {name: value for name, value in chain.items() if name in given}
+        for stage, changes in stages.items():
+            known = isinstance(changes, Mapping) and stage in values
+            values[stage] = values[stage] | dict(changes) if known else changes
         return type(self)(**values)
-
-    def of_stage(self, stage: str) -> Options:
-        """The options of one stage.
-
-        Parameters
-        ----------
-        stage : str
-            A name in `pipeline.stages`.
-
-        Returns
-        -------
-        Options
-            Such as `scan` for the stage ``clean``.
-        """
-        link = link_of(stage)
-        if not link.table:
-            return self.pipeline.tables.get(stage, link.options())
-        found: Options = getattr(self, link.table)
-        return found
 
     @property
     def digest(self) -> str:
@@ -247,10 +245,7 @@ class PipelineOptions(Options):
         `merge`, which makes the file of a scan before the pipeline.
         """
         values = self.model_dump(exclude={"signature", "retrieval", "catalogue", "merge"})
-        # Without the default chain, so that digests of catalogues of versions without chains do not change.
-        if self.pipeline == StageOptions():
-            del values["pipeline"]
-        # Without the default unit and the default limit of faces, for the same reason.
+        # Without the default unit and the default limit of faces, which older catalogues do not name.
         if self.scan.unit == "none":
             del values["scan"]["unit"]
         if self.surface.max_faces == SurfaceOptions().max_faces:
@@ -290,12 +285,37 @@ class PipelineOptions(Options):
         return hashlib.sha256((unitless.digest + signature).encode()).hexdigest()[:16]
 
 
-def _laid_over(values: dict[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
-    """Values, some of which are replaced; in nested tables, some of the values of the table."""
-    replaced = {
-        name: _laid_over(values[name], change)
-        if isinstance(values.get(name), dict) and isinstance(change, Mapping)
-        else change
-        for name, change in changes.items()
-    }
-    return values | replaced
+def options_difference(stored: PipelineOptions, given: PipelineOptions) -> list[str]:
+    """The options, without those of retrieval and `merge`, that differ between a catalogue and a request.
+
+    Returns list of str: one line for each option, such as ``surface.poisson_depth: 7 there, 8 here``.
+    """
+    there, here = stored.model_dump(exclude={"retrieval", "merge"}), given.model_dump()
+    return [
+        f"{table}.{name}: {value!r} there, {here[table][name]!r} here"
+        for table, values in there.items()
+        for name, value in values.items()
+        if value != here[table][name]
+    ]
+
+
+def describe_options(options: PipelineOptions) -> str:
+    """Options as TOML for `PipelineOptions.from_toml`, with the description of each as a comment."""
+    return "\n".join(
+        line for name in type(options).model_fields for line in _table(name, getattr(options, name))
+    )
+
+
+def _table(name: str, options: Options) -> Iterator[str]:
+    yield from _comment(options.__doc__)
+    yield f"[{name}]"
+    for option, info in type(options).model_fields.items():
+        yield from _comment(info.description)
+        # TOML has no null.
+        value = getattr(options, option)
+        yield f"# {option} =" if value is None else f"{option} = {json.dumps(value)}"
+    yield ""
+
+
+def _comment(text: str | None) -> list[str]:
+    return [f"# {line}".rstrip() for line in cleandoc(text or "").splitlines()]

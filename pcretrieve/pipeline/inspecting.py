@@ -25,7 +25,7 @@ from pcretrieve.descriptors import describe
 from pcretrieve.errors import InputError, OptionError, ShapeError
 from pcretrieve.formats import ScanLike, as_scan
 from pcretrieve.formats.identity import content_hash, printable
-from pcretrieve.options import DEFAULT_STAGES, OptionsLike, PipelineOptions
+from pcretrieve.options import OptionsLike, PipelineOptions
 from pcretrieve.pipeline.process import placed, shape_of, signature
 from pcretrieve.pipeline.stages import Seen, stages
 from pcretrieve.points import outliers
@@ -38,8 +38,8 @@ if TYPE_CHECKING:
 # Number of points in each rescan, relative to all points.
 RESCAN_SHARE = 0.9
 
-# Distance to the nearest point that a filter of another package left, beyond which this filter removed a
-# point, in median distances between nearest neighbours. A filter may move points that it keeps.
+# Distance to the nearest point that the stage clean left, beyond which it removed a point, in median
+# distances between nearest neighbours: voxels move the points that they keep.
 DROPPED = 1.1
 
 
@@ -252,7 +252,7 @@ def _removed_after(removed: _Removed, before: Seen, seen: Seen, options: Pipelin
     dropped = removed.dropped.copy()
     if stage == "clean" and len(given.points) == left.sum():
         dropped[left] = outliers(given, options.scan)
-    elif stage == "clean" or stage not in DEFAULT_STAGES:
+    elif stage == "clean":
         reach = DROPPED * _median_spacing(seen.cloud.points)
         dropped |= left & (_distance(seen.cloud, points) > reach)
     return removed._replace(dropped=dropped)

@@ -4,15 +4,11 @@ In comes a point cloud with background and outliers; out goes a filtered cloud o
 point outwards.
 """
 
-from pcretrieve.options import PointFilter
 from pcretrieve.points.clean import check_extent, clean, outliers
 from pcretrieve.points.crop import crop, kept_points
-from pcretrieve.points.filters import POINT_FILTERS
 from pcretrieve.points.normals import oriented_normals
 
 __all__ = [
-    "POINT_FILTERS",
-    "PointFilter",
     "check_extent",
     "clean",
     "crop",

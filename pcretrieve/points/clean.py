@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcretrieve.errors import ReconstructionError, Stage
-from pcretrieve.options import PointFilter, ScanOptions
+from pcretrieve.options import ScanOptions
 from pcretrieve.points.density import FARTHER, is_of_surface
 from pcretrieve.points.neighbors import neighborhoods, voxel_numbers
 from pcretrieve.values import FloatArray, PointCloud, Step
@@ -50,9 +50,6 @@ def clean(cloud: PointCloud, options: ScanOptions) -> PointCloud:
         "outliers": n_outliers,
     }
     return kept.after(Step("clean", time.perf_counter() - started, sizes, notes))
-
-
-CLEAN = PointFilter("clean", clean, ScanOptions)
 
 
 def outliers(cloud: PointCloud, options: ScanOptions) -> NDArray[np.bool_]:

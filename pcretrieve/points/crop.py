@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcretrieve.errors import ReconstructionError, Stage
-from pcretrieve.options import PointFilter, ScanOptions
+from pcretrieve.options import ScanOptions
 from pcretrieve.points.clean import FEWEST_POINTS, check_extent
 from pcretrieve.points.ground import Ground, ground_of
 from pcretrieve.values import FloatArray, PointCloud, Step, bounding_diagonal
@@ -75,9 +75,6 @@ def crop(cloud: PointCloud, options: ScanOptions) -> PointCloud:
         sizes |= {f"ground_{axis}": float(x) for axis, x in zip("xyz", kept.ground.place, strict=True)}
         sizes |= {f"up_{axis}": float(x) for axis, x in zip("xyz", kept.ground.up, strict=True)}
     return cropped.after(Step("crop", time.perf_counter() - started, sizes, kept.notes))
-
-
-CROP = PointFilter("crop", crop, ScanOptions)
 
 
 def kept_points(cloud: PointCloud, options: ScanOptions, *, of_view: bool = False) -> Kept:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcretrieve.errors import ReconstructionError, Stage
-from pcretrieve.options import PointFilter, ScanOptions
+from pcretrieve.options import ScanOptions
 from pcretrieve.points import open3d
 from pcretrieve.points.density import disks, local_spacings, sparse_points
 from pcretrieve.points.neighbors import (
@@ -75,10 +75,6 @@ def oriented_normals(cloud: PointCloud, options: ScanOptions) -> PointCloud:
     oriented, notes = ORIENTATIONS[method](cloud, options)
     step = Step("orient", time.perf_counter() - started, {"points": len(oriented)}, notes)
     return replace(cloud, normals=oriented).after(step)
-
-
-# Open3D works in single precision: far from the origin it loses the shape, or crashes.
-ORIENT = PointFilter("orient", oriented_normals, ScanOptions, gives="normals", near_origin=True)
 
 
 def _by_viewpoint(cloud: PointCloud, options: ScanOptions) -> tuple[FloatArray, tuple[str, ...]]:

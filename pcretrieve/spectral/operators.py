@@ -8,9 +8,7 @@ import numpy as np
 from scipy.sparse import csc_array, diags_array
 from scipy.sparse.csgraph import connected_components
 
-from pcretrieve.errors import DegenerateMeshError, InputError, OptionError, Stage
-from pcretrieve.names import NAMES
-from pcretrieve.plugins import Registry, named
+from pcretrieve.errors import DegenerateMeshError, InputError, OptionError, Stage, in_stage
 from pcretrieve.spectral.eigen import eigenpairs
 from pcretrieve.spectral.elements import CUBIC, LINEAR, Assembled, Element, Mass
 from pcretrieve.spectral.intrinsic_delaunay import INTRINSIC_DELAUNAY
@@ -18,16 +16,13 @@ from pcretrieve.spectral.points import POINTS
 from pcretrieve.values import Eigenpairs, LaplaceBeltrami, PointCloud, TriangleMesh
 from pcretrieve.values.conversion import GeometryLike, as_geometry
 
-ELEMENTS: Registry[Element] = Registry(
-    NAMES["element"],
-    {element.name: element for element in (LINEAR, CUBIC, INTRINSIC_DELAUNAY, POINTS)},
-    named(Element),
-)
+#: The elements of pcretrieve by name.
+ELEMENTS = {element.name: element for element in (LINEAR, CUBIC, INTRINSIC_DELAUNAY, POINTS)}
 
 
 def laplace_beltrami(
     surface: GeometryLike,
-    element: str = "linear",
+    element: str | Element = "linear",
     *,
     mass: Mass | None = None,
     boundary: Literal["neumann", "dirichlet"] = "neumann",
@@ -39,11 +34,11 @@ def laplace_beltrami(
     surface : GeometryLike
         What stands for a TriangleMesh, or for the element ``points`` a PointCloud (see `as_geometry`): a
         surface, with or without boundary, in which every vertex is in a face; or the points of one.
-    element : str, default "linear"
-        Discretisation, by the name of an `Element`. ``linear``: linear Lagrange elements, order 2.
+    element : str or Element, default "linear"
+        Discretisation, one's own or by name. ``linear``: linear Lagrange elements, order 2.
         ``cubic``: cubic ones, order 6 on flat surfaces. ``intrinsic-delaunay``: linear elements on the
         intrinsic Delaunay triangulation, for badly shaped and non-manifold triangles. ``points``: linear
-        elements on local triangulations of points. Other packages add more. The sources are in
+        elements on local triangulations of points. The sources are in
         `pcretrieve.spectral.elements`, `.cubic`, `.intrinsic_delaunay` and `.points`.
     mass : {"consistent", "lumped"}, optional
         ``consistent``: ∫ φ_i φ_j. ``lumped``: its row sums on the diagonal. With lumped mass the reduced
@@ -72,14 +67,16 @@ def laplace_beltrami(
         component has no boundary, or there is no interior node.
     """
     geometry = as_geometry(surface)
-    record = ELEMENTS[element]
+    if isinstance(element, str):
+        _one_of("element", element, tuple(ELEMENTS))
+    record = ELEMENTS[element] if isinstance(element, str) else element
     _one_of("mass", mass, (None, "consistent", "lumped"))
     _one_of("boundary", boundary, ("neumann", "dirichlet"))
     if mass not in (None, *record.masses):
-        raise OptionError(f"element {element!r} has {record.masses[0]} mass only, got mass={mass!r}")
+        raise OptionError(f"element {record.name!r} has {record.masses[0]} mass only, got mass={mass!r}")
     if record.needs == "points" and boundary == "dirichlet":
         raise OptionError(
-            f"element {element!r} has boundary='neumann' only: a cloud does not say where it ends"
+            f"element {record.name!r} has boundary='neumann' only: a cloud does not say where it ends"
         )
     assembled = _assembled(record, geometry)
 
@@ -114,10 +111,8 @@ def _assembled(record: Element, surface: TriangleMesh | PointCloud) -> Assembled
         raise InputError(f"element {record.name!r} needs a TriangleMesh, got {type(surface).__name__}")
     if record.needs == "points" and isinstance(surface, TriangleMesh):
         raise InputError(f"element {record.name!r} needs a PointCloud or an (n, 3) array, got a TriangleMesh")
-    with ELEMENTS.blamed(record.name, Stage.SPECTRUM):
+    with in_stage(Stage.SPECTRUM):
         assembled = record.assemble(surface)
-        if not isinstance(assembled, Assembled):
-            raise TypeError(f"an element must give an Assembled, got {assembled!r}")
         LaplaceBeltrami(assembled.stiffness, assembled.mass)  # raises, if it is not such an operator
         return assembled
 

@@ -7,7 +7,7 @@ import time
 import numpy as np
 
 from pcretrieve.errors import RemeshError, ShapeError
-from pcretrieve.options import RemeshOptions, SurfaceFilter
+from pcretrieve.options import RemeshOptions
 from pcretrieve.surface import tetwild
 from pcretrieve.surface.repair import repaired
 from pcretrieve.surface.topology import compact, defects, edges_of, face_groups
@@ -17,12 +17,14 @@ from pcretrieve.values import FloatArray, IntArray, Step, TriangleMesh
 OUTWARD_FACES = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])
 
 
-def remesh(mesh: TriangleMesh, options: RemeshOptions) -> TriangleMesh:
+def remesh(mesh: TriangleMesh, options: RemeshOptions, *, optimize: bool = False) -> TriangleMesh:
     """The boundary of the tetrahedral mesh that fTetWild generates inside a surface.
 
     The boundary is used if, after repair, it is a closed manifold, and its area and volume differ by at most
     ``options.max_change`` from those of the input (if the input has holes, only the area is compared).
     Otherwise the input is returned, with the reason in its provenance.
+
+    optimize: optimise the quality of the tetrahedra; slow, without benefit for the signature.
     """
     if options.method == "none":
         return mesh
@@ -33,7 +35,7 @@ def remesh(mesh: TriangleMesh, options: RemeshOptions) -> TriangleMesh:
             mesh.faces,
             edge_length=options.edge_length,
             envelope=options.envelope,
-            optimize=options.optimize,
+            optimize=optimize,
             timeout=options.timeout,
         )
         result, notes = repaired(compact(nodes, boundary_faces(nodes, tetrahedra)))
@@ -51,10 +53,6 @@ def remesh(mesh: TriangleMesh, options: RemeshOptions) -> TriangleMesh:
         notes,
     )
     return TriangleMesh(result.vertices, result.faces, (*mesh.provenance, step))
-
-
-# A mesh that is used without reconstruction keeps its triangles, however they are.
-REMESH = SurfaceFilter("remesh", remesh, RemeshOptions, near_origin=True, of_kept=False)
 
 
 def boundary_faces(nodes: FloatArray, tetrahedra: IntArray) -> IntArray:

@@ -8,7 +8,7 @@ check it again. Two values are equal if their arrays are, whatever their provena
 - the Laplace–Beltrami operator is positive semi-definite (−Δ u = λ u), eigenvalues ascend from λ_0 = 0.
 """
 
-from pcretrieve.arrays import FloatArray, IntArray
+from pcretrieve.arrays import UPWARD, FloatArray, IntArray
 from pcretrieve.values.geometry import PointCloud, Step, TriangleMesh, bounding_diagonal
 from pcretrieve.values.shapes import Failure, Need, Shape, Surface
 from pcretrieve.values.signatures import Metric, Neighbors, Signature, SignatureTable
@@ -19,6 +19,7 @@ from pcretrieve.values.verdicts import Judgement, Verdict
 __all__ = [
     "METRES",
     "UNIT",
+    "UPWARD",
     "Eigenpairs",
     "Failure",
     "FloatArray",

@@ -5,8 +5,6 @@ from __future__ import annotations
 import math
 from typing import Literal
 
-__all__ = ["METRES", "UNIT", "SizeUnit", "unit_of"]
-
 #: Name of the length of the unit, in metres, among the sizes of the step ``read`` of the provenance. It is 1
 #: for all scans whose unit is known, because they are converted to metres when they are read.
 UNIT = "metres_per_unit"

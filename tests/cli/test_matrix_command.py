@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -73,8 +72,5 @@ def test_a_matcher_leaves_nothing_else_to_be_chosen(folder: Path, tmp_path: Path
     asked = ("matrix", "-c", folder / "c.sqlite", "-o", tmp_path / "run.txt", "--matcher")
     refused = run(*asked, "heat-hausdorff", "--n-values", 9, code=2)
     assert "a matcher has no signatures: leave out --n-values" in refused.stderr
-    unknown = run(*asked, "sift", code=1).exception
-    assert "there is no matcher 'sift'; there are heat-hausdorff" in str(unknown)
-    shown = re.sub(r"(-?)\n *", r"\1", run("matrix", "--help-all").output).replace(" ", "")
-    assert "Names:heat-hausdorff,hks-bow-gallery,mds-cm-bof,meshsift." in shown
+    assert "'sift' is not one of 'heat-hausdorff'" in run(*asked, "sift", code=2).stderr
     assert not list(tmp_path.iterdir())

@@ -25,7 +25,7 @@ build-backend = "setuptools.build_meta"
 [project]
 name = "pcretrieve-girth"
 version = "1.0"
-[project.entry-points."pcretrieve.signatures"]
+[project.entry-points."pcretrieve.descriptors"]
 girth = "girth:girth"
 clumsy = "girth:clumsy"
 hollow = "girth:hollow"

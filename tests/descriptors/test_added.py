@@ -67,7 +67,7 @@ SHORT = Descriptor("short", extent, needs=("mesh",), length=lambda options: opti
 MOODY = Descriptor("moody", lowest, needs=("mesh",), length=three)
 '''
 ENTRY_POINTS = """
-[pcretrieve.signatures]
+[pcretrieve.descriptors]
 extent = theirs:extent
 lowest = theirs:LOWEST
 center = theirs:CENTER

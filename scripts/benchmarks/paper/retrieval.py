@@ -272,7 +272,7 @@ def table_2(*, full: bool) -> Iterator[str]:
     )
     methods: list[tuple[Kind, str]] = [("process", "spectrum and checks")]
     methods += [("descriptor", name) for name in DESCRIPTORS.own]
-    methods += [("matcher", name) for name in MATCHERS.own]
+    methods += [("matcher", name) for name in MATCHERS]
     tasks = [Task(*method, size) for method in methods for size in sizes]
     costs = dict(
         in_processes(_cost, progress(tasks, "table2"), workers=1, timeout=TIMEOUTS[full], memory=MEMORY)

@@ -310,7 +310,7 @@ REMOVED = (0.01, 0.02, 0.03)
 
 # With optimisation of the tetrahedra: without it, the surface has three times as many faces as the input, and
 # many handles.
-REMESHING = RemeshOptions(method="tetwild", optimize=True, timeout=600)
+REMESHING = RemeshOptions(method="tetwild", timeout=600)
 METHODS = ("r-bihdm", "bihdm", "shape-dna", "wks", "hks-bow", "combined")
 
 Poses = Mapping[str, tuple[TriangleMesh, TriangleMesh]]
@@ -361,7 +361,7 @@ def perturbed(
     yield "half faces", simplified(mesh, len(mesh.faces) // 2)
     if not remeshed:
         return
-    surface = remesh(mesh, REMESHING)
+    surface = remesh(mesh, REMESHING, optimize=True)
     if np.array_equal(surface.faces, mesh.faces):
         raise BenchmarkError(f"fTetWild's surface could not be used: {surface.provenance[-1].notes}")
     yield "fTetWild", surface
