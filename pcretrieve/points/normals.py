@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from pcretrieve.arrays import DOUBLE_OFFSET, Frame
+from pcretrieve.draw.open3d import library, open3d_cloud
 from pcretrieve.errors import ReconstructionError, Stage
 from pcretrieve.options import ScanOptions
-from pcretrieve.points import open3d
 from pcretrieve.points.density import disks, local_spacings, sparse_points
 from pcretrieve.points.neighbors import (
     SPACING_NEIGHBORS,
@@ -52,12 +52,11 @@ MOST_OPPOSED = 0.05
 N_COMPARED = 8
 
 
-def oriented_normals(cloud: PointCloud, options: ScanOptions) -> PointCloud:
-    """Estimate normals, and orient them outwards.
+Oriented = tuple[FloatArray, tuple[str, ...]]  # normals and notes
 
-    Returns PointCloud: the points with unit normals that point out of the body, and a step ``orient`` in the
-        provenance.
-    """
+
+def oriented_normals(cloud: PointCloud, options: ScanOptions) -> PointCloud:
+    """The points with unit normals that point out of the body, and a step ``orient`` in the provenance."""
     started = time.perf_counter()
     method = options.orientation
     if method == "auto":
@@ -72,12 +71,13 @@ def oriented_normals(cloud: PointCloud, options: ScanOptions) -> PointCloud:
         return cloud.after(
             Step("orient", time.perf_counter() - started, {}, ("used the file's own normals",))
         )
-    oriented, notes = ORIENTATIONS[method](cloud, options)
+    orientations = {"viewpoint": _by_viewpoint, "flood": _by_flood, "tangent-plane": _by_tangent_planes}
+    oriented, notes = orientations[method](cloud, options)
     step = Step("orient", time.perf_counter() - started, {"points": len(oriented)}, notes)
     return replace(cloud, normals=oriented).after(step)
 
 
-def _by_viewpoint(cloud: PointCloud, options: ScanOptions) -> tuple[FloatArray, tuple[str, ...]]:
+def _by_viewpoint(cloud: PointCloud, options: ScanOptions) -> Oriented:
     """Normals towards the sensors; at grazing incidence the flood fill decides."""
     if cloud.viewpoints is None:
         raise ReconstructionError(
@@ -97,15 +97,41 @@ def _by_viewpoint(cloud: PointCloud, options: ScanOptions) -> tuple[FloatArray, 
     return _guided_normals(cloud.points, towards, neighbors, options), notes
 
 
-def _by_tangent_planes(cloud: PointCloud, options: ScanOptions) -> tuple[FloatArray, tuple[str, ...]]:
-    normals = open3d.estimate_normals(cloud.points, n_neighbors=options.normal_neighbors)
-    oriented = open3d.orient_by_tangent_planes(cloud.points, normals, n_neighbors=options.normal_neighbors)
+def _by_tangent_planes(cloud: PointCloud, options: ScanOptions) -> Oriented:
+    normals = estimate_normals(cloud.points, n_neighbors=options.normal_neighbors)
+    oriented = orient_by_tangent_planes(cloud.points, normals, n_neighbors=options.normal_neighbors)
     # The outward normal of the highest point points upwards.
     top = cloud.points[:, 2].argmax()
     return (-oriented if oriented[top, 2] < 0 else oriented), ()
 
 
-def _by_flood(cloud: PointCloud, options: ScanOptions) -> tuple[FloatArray, tuple[str, ...]]:
+def estimate_normals(points: FloatArray, *, n_neighbors: int) -> FloatArray:
+    """(n, 3) unit normals, of arbitrary sign, of the least-squares planes of the neighbours of each point."""
+    cloud = open3d_cloud(Frame.around(points, offset=DOUBLE_OFFSET).inward(points))
+    cloud.estimate_normals(library().geometry.KDTreeSearchParamKNN(n_neighbors))
+    return np.array(cloud.normals)
+
+
+def orient_by_tangent_planes(points: FloatArray, normals: FloatArray, *, n_neighbors: int) -> FloatArray:
+    """The unit normals, or their opposites, consistent along a minimum spanning tree of tangent planes [1]_.
+
+    References
+    ----------
+    .. [1] Hoppe et al., "Surface reconstruction from unorganized points", SIGGRAPH 1992.
+    """
+    cloud = open3d_cloud(Frame.around(points, offset=DOUBLE_OFFSET).inward(points), normals)
+    try:
+        cloud.orient_normals_consistent_tangent_plane(n_neighbors)
+    except RuntimeError as error:  # from Qhull: the points coincide in its precision
+        raise ReconstructionError(
+            f"tangent planes need a Delaunay triangulation, and {len(points)} points have none: look for "
+            "points that coincide or lie far from the body, and drop them",
+            stage=Stage.ORIENT,
+        ) from error
+    return np.array(cloud.normals)
+
+
+def _by_flood(cloud: PointCloud, options: ScanOptions) -> Oriented:
     """Normals towards the nearest outside; by tangent planes, if every flood fill leaks."""
     neighbors = _neighbors(cloud.points, options)
     _, oriented, notes = _tight_flood(cloud, neighbors, options)
@@ -120,10 +146,8 @@ def _tight_flood(
 ) -> tuple[Outside | None, FloatArray | None, tuple[str, ...]]:
     """Repeat the flood fill with larger closed holes until it does not leak into the body.
 
-    A leak is detected by the normals towards the outside, which are then inconsistent between neighbours.
-
-    Returns normals : (n, 3) float64 or None: unit normals towards the outside; None if every flood fill
-        leaked.
+    A leak is detected by the normals towards the outside, which are then inconsistent between neighbours. The
+    outside and the normals are None if every flood fill leaked.
     """
     cell = max(options.flood_cell * cloud.diagonal, FLOOD_CELL * spacing(neighbors.some()))
     gap = options.flood_gap
@@ -166,12 +190,9 @@ def _guided_normals(
     """Normals of weighted least-squares planes of the neighbours on the same side of the body.
 
     In ears, fingers and tails, a neighbourhood contains points of both sides, and its least-squares plane is
-    wrong. Neighbours are therefore weighted by the agreement of their guide
-    directions with that of the point.
+    wrong. Neighbours are therefore weighted by the agreement of their guides with that of the point.
 
-    points: (n, 3) float64, coordinates.
     guide: (n, 3) float64, approximate unit direction to the outside at each point; zero if unknown.
-    Returns (n, 3) float64: unit normals, with the orientation of the guide.
     """
     k = options.normal_neighbors
     near = np.ascontiguousarray(neighbors.near[:, :k])
@@ -190,12 +211,3 @@ def _agreement(oriented: FloatArray, neighbors: Neighborhoods, shallow: NDArray[
 def _neighbors(points: FloatArray, options: ScanOptions) -> Neighborhoods:
     """The neighbours that serve the normals, their agreement and the spacing."""
     return neighborhoods(points, max(options.normal_neighbors, N_COMPARED + 1, SPACING_NEIGHBORS + 1))
-
-
-Orientation = Callable[[PointCloud, ScanOptions], tuple[FloatArray, tuple[str, ...]]]
-
-ORIENTATIONS: dict[str, Orientation] = {
-    "viewpoint": _by_viewpoint,
-    "flood": _by_flood,
-    "tangent-plane": _by_tangent_planes,
-}

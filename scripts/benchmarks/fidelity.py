@@ -53,7 +53,7 @@ from pcretrieve.ingestion import Isolation
 from pcretrieve.options import PipelineOptions, RetrievalOptions, WhiteningKind
 from pcretrieve.pipeline.process import process, signature
 from pcretrieve.points import clean, oriented_normals
-from pcretrieve.points.open3d import estimate_normals, orient_by_tangent_planes
+from pcretrieve.points.normals import estimate_normals, orient_by_tangent_planes
 from pcretrieve.retrieval import is_measured, log_signatures, resolution_whitening
 from pcretrieve.spectral import eigenpairs, laplace_beltrami
 from pcretrieve.surface import defects, tetwild

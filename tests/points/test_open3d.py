@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 import shapes
 
-from pcretrieve.points import open3d as adapter
-from pcretrieve.points.open3d import feature_histograms
+from pcretrieve.points.normals import estimate_normals, orient_by_tangent_planes
+from pcretrieve.points.register.groups import feature_histograms
 from pcretrieve.surface.open3d import simplify
 from pcretrieve.values import FloatArray
 from pcretrieve.values.conversion import geometry_arrays
@@ -71,7 +71,7 @@ def test_every_geometry_gives_the_arrays_it_was_made_of(o3d: Any) -> None:
 def test_locked_arrays_go_in_and_stay_as_they_are() -> None:
     points = POINTS.copy()
     points.flags.writeable = False
-    adapter.estimate_normals(points, n_neighbors=10)
+    estimate_normals(points, n_neighbors=10)
     simplify(BALL.vertices, BALL.faces, n_faces=300)
     assert (points == POINTS).all()
 
@@ -86,8 +86,8 @@ UNITS = [2.0**-150, 2.0**-40, 2.0**10, 2.0**70, 2.0**150]
 def test_points_give_the_same_in_any_unit(unit: float) -> None:
     scaled = unit * POINTS
     for found, expected in (
-        (adapter.estimate_normals(points, n_neighbors=20) for points in (scaled, POINTS)),
-        (adapter.orient_by_tangent_planes(points, POINTS, n_neighbors=12) for points in (scaled, POINTS)),
+        (estimate_normals(points, n_neighbors=20) for points in (scaled, POINTS)),
+        (orient_by_tangent_planes(points, POINTS, n_neighbors=12) for points in (scaled, POINTS)),
         (feature_histograms(scale * POINTS, POINTS, radius=0.3 * scale) for scale in (unit, 1.0)),
     ):
         np.testing.assert_array_equal(found, expected)

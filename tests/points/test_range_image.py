@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pcretrieve.points.register.range_image import RangeImage
+from pcretrieve.points.register.views import RangeImage
 from pcretrieve.values import FloatArray
 
 SENSOR = np.array([0.0, 0.0, 5.0])

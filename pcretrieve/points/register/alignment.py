@@ -1,14 +1,16 @@
-"""Rigid motions of points and directions."""
+"""Views and their poses → refined poses, and how far the views agree."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TypeAlias
+from dataclasses import dataclass
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
+from numpy.typing import NDArray
 
-from pcretrieve.points.register.range_image import LEAST_COSINE
-from pcretrieve.points.register.views import View
+from pcretrieve.options import MergeOptions
+from pcretrieve.points.register.views import LEAST_COSINE, View
 from pcretrieve.values import FloatArray
 
 #: Rigid motions, (4, 4) float64, of views into a common frame, by the number of the view.
@@ -16,22 +18,12 @@ Poses: TypeAlias = Mapping[int, FloatArray]
 
 
 def moved(motion: FloatArray, points: FloatArray) -> FloatArray:
-    """Apply rigid motions to points.
-
-    motion: (4, 4) or (m, 4, 4) float64, one motion, or m motions.
-    points: (n, 3) float64, coordinates.
-    Returns (n, 3) or (m, n, 3) float64: coordinates after the motion, or after each motion.
-    """
+    """(n, 3) points after a rigid motion (4, 4); (m, n, 3) after each of (m, 4, 4) motions."""
     return np.asarray(turned(motion, points) + motion[..., None, :3, 3])
 
 
 def turned(motion: FloatArray, directions: FloatArray) -> FloatArray:
-    """Apply the rotations of rigid motions to directions.
-
-    motion: (4, 4) or (m, 4, 4) float64, one motion, or m motions.
-    directions: (n, 3) float64, vectors.
-    Returns (n, 3) or (m, n, 3) float64: vectors after the rotation, or after each rotation.
-    """
+    """(n, 3) directions after the rotation of a motion (4, 4); (m, n, 3) after each of (m, 4, 4)."""
     return np.asarray(directions @ np.swapaxes(motion[..., :3, :3], -1, -2))
 
 
@@ -42,24 +34,21 @@ BESIDE = 2
 FREEDOMS = 6
 
 
-def paired(
+def _paired(
     first: View, second: View, first_pose: FloatArray, second_pose: FloatArray, reach: float
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Point-to-plane correspondences of two views: nearest neighbours with similar normals.
 
-    first_pose, second_pose: (4, 4) float64, their poses in the common frame.
-    reach: largest distance between a point and the tangent plane of its nearest neighbour; unit of the
-        points.
-    Returns points : (p, 3) float64: points of the sample of `second`, in the common frame.
-    Returns planes : (p, 3) float64: unit normals of their nearest neighbours in `first`, in the common frame.
-    Returns distance : (p,) float64: signed distances from the tangent planes, positive on the side of the
-        normal; unit of the points.
+    reach: largest distance between a point and the tangent plane of its nearest neighbour.
+    Returns points, planes : (p, 3) float64: points of the sample of `second`, and unit normals of their
+        nearest neighbours in `first`, in the common frame.
+    Returns distance : (p,) float64: from the tangent planes, positive on the side of the normal.
     """
     motion = np.linalg.inv(first_pose) @ second_pose  # from the frame of `second` to that of `first`
     points = moved(motion, second.points[second.sample])
     normals = turned(motion, second.normals[second.sample])
-    # Near the boundary of a view, and between its points, the nearest point is not
-    # at the foot of the perpendicular.
+    # Near the boundary of a view, and between its points, the nearest point is not at the foot of the
+    # perpendicular.
     bound = np.hypot(reach, BESIDE * first.spacing)
     nearest = np.asarray(first.tree.query(points, distance_upper_bound=bound)[1])
     near = nearest < len(first.cloud.points)
@@ -71,19 +60,17 @@ def paired(
 
 
 def adjusted(
-    views: Sequence[View], poses: Poses, *, fixed: Sequence[int], reaches: Sequence[float]
+    views: Sequence[View], poses: Poses, *, fixed: Sequence[int], steps: Sequence[float], reach: float
 ) -> dict[int, FloatArray]:
     """Refine the poses of several views simultaneously, by point-to-plane ICP [1]_ [2]_.
 
-    Each step minimises the distances of points from the tangent planes of their nearest
-    neighbours in all other views, by Gauss–Newton. All pairs of views are used in one
-    system, so that errors do not accumulate around the body. The twist (ω, v) of a view
-    moves its points by ω × x + v. The distance n · (x_j − x_i) therefore has the gradient g
-    = (x × n, n) with respect to the twist of view j, and −g with respect to that of view i.
+    Each step minimises the distances of points from the tangent planes of their nearest neighbours in all
+    other views, by Gauss–Newton. All pairs of views are used in one system, so that errors do not accumulate
+    around the body. The twist (ω, v) of a view moves its points by ω × x + v. The distance n · (x_j − x_i)
+    therefore has the gradient g = (x × n, n) with respect to the twist of view j, and −g with respect to that
+    of view i.
 
-    poses: mapping of int to (4, 4) float64, poses of the views to be registered, by number.
-    reaches: largest distance of correspondences, one for each step; unit of the points.
-    Returns dict of int to (4, 4) float64: the refined poses.
+    steps: largest distance of correspondences in each step, in units of `reach`.
 
     References
     ----------
@@ -95,16 +82,17 @@ def adjusted(
     free = [number for number in poses if number not in fixed]
     column = {number: slice(6 * k, 6 * k + 6) for k, number in enumerate(free)}
     pairs = [(i, j) for i in poses for j in poses if i != j and (i in column or j in column)]
-    for reach in reaches:
+    for step in steps:
+        farthest = step * reach
         matrix, right = np.zeros((6 * len(free), 6 * len(free))), np.zeros(6 * len(free))
         middle = np.array([moved(changed[n], views[n].points).mean(axis=0) for n in poses]).mean(axis=0)
         for i, j in pairs:
-            points, planes, distance = paired(views[i], views[j], changed[i], changed[j], reach)
+            points, planes, distance = _paired(views[i], views[j], changed[i], changed[j], farthest)
             if len(points) < FREEDOMS:
                 continue
             # Tukey's biweight, which is zero at the largest distance: the cost is continuous.
-            weight = (1 - (distance / reach) ** 2) ** 2
-            arm = (points - middle) / reach  # scaled, so that ω and v have the same unit
+            weight = (1 - (distance / farthest) ** 2) ** 2
+            arm = (points - middle) / farthest  # scaled, so that ω and v have the same unit
             gradient = np.concatenate([np.cross(arm, planes), planes], axis=1)  # (p, 6)
             block = gradient.T @ (weight[:, None] * gradient)
             pull = gradient.T @ (weight * distance)
@@ -118,11 +106,11 @@ def adjusted(
         # The minimum-norm solution: undetermined motions, such as a slide along a plane, are zero.
         twist = np.linalg.lstsq(matrix, right, rcond=1e-9)[0].astype(np.float64)
         for number, at in column.items():
-            changed[number] = _twist(twist[at], middle, reach) @ changed[number]
+            changed[number] = _motion(twist[at], middle, farthest) @ changed[number]
     return changed
 
 
-def _twist(twist: FloatArray, middle: FloatArray, length: float) -> FloatArray:
+def _motion(twist: FloatArray, middle: FloatArray, length: float) -> FloatArray:
     """The (4, 4) rigid motion of a twist (ω · length, v) about the point `middle`."""
     from scipy.spatial.transform import Rotation
 
@@ -130,3 +118,75 @@ def _twist(twist: FloatArray, middle: FloatArray, length: float) -> FloatArray:
     motion[:3, :3] = Rotation.from_rotvec(twist[:3] / length).as_matrix()
     motion[:3, 3] = middle + twist[3:] - motion[:3, :3] @ middle
     return motion
+
+
+class Verification(NamedTuple):
+    """What the range images of two groups of views say of each other.
+
+    contradiction: number of points in space observed as empty, relative to the number of points that agree.
+    """
+
+    share: float
+    contradiction: float
+
+    def holds(self, options: MergeOptions) -> bool:
+        """Whether the groups fit each other."""
+        return self.share >= options.min_overlap and self.contradiction <= options.max_contradiction
+
+
+def verification(views: Sequence[View], group: Poses, other: Poses, reach: float) -> Verification:
+    """Verify the poses of two groups of views, in one frame, by the range images of all of them."""
+    said = _seen_by(views, group, other, reach) + _seen_by(views, other, group, reach)
+    n_agreeing = sum(int(agrees.sum()) for agrees, _ in said)
+    n_contradicting = sum(int(contradicts.sum()) for _, contradicts in said)
+    share = max(float(agrees.mean()) for agrees, _ in said)
+    return Verification(share, n_contradicting / n_agreeing if n_agreeing else np.inf)
+
+
+def _seen_by(
+    views: Sequence[View], group: Poses, other: Poses, reach: float
+) -> list[tuple[NDArray[np.bool_], NDArray[np.bool_]]]:
+    """For each view of a group, masks of points that agree with the other group and that contradict it."""
+    answers = []
+    for number, pose in group.items():
+        view = views[number]
+        agrees, contradicts = np.zeros((2, len(view.sample)), dtype=bool)
+        for known, place in other.items():
+            motion = np.linalg.inv(place) @ pose
+            points, normals = view.points[view.sample], view.normals[view.sample]
+            said = views[known].image.compare(moved(motion, points), turned(motion, normals), tolerance=reach)
+            agrees |= said.agrees
+            contradicts |= said.contradicts
+        answers.append((agrees, contradicts & ~agrees))
+    return answers
+
+
+def shared(views: Sequence[View], poses: Poses, number: int, reach: float) -> float:
+    """The fraction of the points of a view that agree with the other views."""
+    others = {other: pose for other, pose in poses.items() if other != number}
+    return float(_seen_by(views, {number: poses[number]}, others, reach)[0][0].mean())
+
+
+@dataclass(frozen=True, slots=True)
+class Overlap:
+    """The overlap of two registered views.
+
+    share: fraction of the points of one of them.
+    rms: root mean square distance of the correspondences, point to plane; unit of the file.
+    """
+
+    first: int
+    second: int
+    share: float
+    rms: float
+
+
+def overlap(views: Sequence[View], poses: Poses, first: int, second: int, reach: float) -> Overlap:
+    """The overlap of two views, with correspondences up to the distance `reach`."""
+    shares, distances = [], []
+    for here, there in ((first, second), (second, first)):
+        distance = _paired(views[here], views[there], poses[here], poses[there], reach)[2]
+        shares.append(len(distance) / len(views[there].sample))
+        distances.append(distance)
+    squares = np.concatenate(distances) ** 2
+    return Overlap(first, second, max(shares), float(np.sqrt(squares.mean())) if len(squares) else np.nan)

@@ -1,4 +1,4 @@
-"""Two views → candidates of the rigid motion between them, by feature matching and random sampling."""
+"""Views → groups that fit each other, by feature matching, random sampling and verified motions."""
 
 from __future__ import annotations
 
@@ -9,27 +9,38 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from pcretrieve.arrays import DOUBLE_OFFSET, Frame
+from pcretrieve.draw.open3d import library, open3d_cloud
 from pcretrieve.errors import ReconstructionError, Stage
 from pcretrieve.options import MergeOptions
-from pcretrieve.points.register.agreement import Overlap, overlap, verification
-from pcretrieve.points.register.alignment import Poses, adjusted, moved, turned
-from pcretrieve.points.register.views import View, features_of
+from pcretrieve.points.register.alignment import (
+    Overlap,
+    Poses,
+    adjusted,
+    moved,
+    overlap,
+    turned,
+    verification,
+)
+from pcretrieve.points.register.views import View
 from pcretrieve.values import FloatArray
+
+# Radius of the neighbourhood of a feature, in voxels. It is of the size of distinctive parts of a body.
+FEATURE_RADIUS = 6
 
 # Number of points of a view, those with the most distinctive features, that are matched with another view,
 # and number of matches of each point.
 KEY_POINTS, LOOK_ALIKES = 1500, 4
 
-# Smallest distance of two points that determine a motion, in voxels; and the largest
-# differences of two corresponding pairs of points: of their distances, in voxels,
-# and of the cosines between their line and their normals.
+# Smallest distance of two points that determine a motion, in voxels; and the largest differences of two
+# corresponding pairs of points: of their distances, in voxels, and of the cosines between their line and
+# their normals.
 SHORTEST_PAIR, PAIR_LENGTH, PAIR_COSINE = 10, 1.5, 0.2
 
 # Number of motions that are scored, and number of points of each view for the score.
 MOST_MOTIONS, FEW_POINTS = 1500, 200
 
-# Tolerance of the score, in units of the option `reach`; larger than 1, because the
-# candidates are approximate.
+# Tolerance of the score, in units of `reach`; larger than 1, because the candidates are approximate.
 ROUGH = 2
 
 # Largest difference of two motions that are refined to the same motion: cosine of the angle (25 degrees), and
@@ -37,28 +48,37 @@ ROUGH = 2
 SAME_COSINE, SAME_CELLS = 0.906, 10
 
 
-def candidate_motions(
-    first: View,
-    second: View,
+def feature_histograms(points: FloatArray, normals: FloatArray, *, radius: float) -> FloatArray:
+    """(k, 33) fast point feature histograms (FPFH) [1]_ of oriented points, invariant to rigid motion.
+
+    References
+    ----------
+    .. [1] Rusu et al., "Fast point feature histograms (FPFH) for 3D registration", ICRA 2009.
+    """
+    o3d = library()
+    frame = Frame.around(points, offset=DOUBLE_OFFSET)
+    search = o3d.geometry.KDTreeSearchParamRadius(radius / frame.size)
+    cloud = open3d_cloud(frame.inward(points), normals)
+    return np.array(o3d.pipelines.registration.compute_fpfh_feature(cloud, search).data.T)
+
+
+def _candidates(
+    views: tuple[View, View],
     features: tuple[FloatArray, FloatArray],
-    scale: float,
+    cell: float,
+    reach: float,
     options: MergeOptions,
     rng: np.random.Generator,
 ) -> FloatArray:
-    """Candidates of the rigid motion between two views.
+    """Candidates of the motion of the second view into the frame of the first: (m, 4, 4), the best first.
 
     Two oriented points determine a rigid motion. Random pairs of points of one view are matched with pairs of
     points of the other view that have similar features, equal distances and equal angles between their
     normals. The resulting motions are scored by the range images of both views: by the points that agree,
     minus the points that contradict.
-
-    features: tuple of (k, 33) float64, the features of their points.
-    scale: the length to which relative options refer; unit of the points.
-    Returns (m, 4, 4) float64: at most `n_candidates` distinct motions of `second` into the frame of `first`,
-        highest score first.
     """
-    cell = options.cell * scale
-    here, there = _look_alikes(*features)  # (l,), (l,)
+    first, second = views
+    here, there = _look_alikes(*features)
     one, two = rng.integers(len(here), size=(2, options.n_tries))
     length, cosines, frame, middle = _pairs(first, here[one], here[two])
     other_length, other_cosines, other_frame, other_middle = _pairs(second, there[one], there[two])
@@ -73,20 +93,15 @@ def candidate_motions(
     motions: FloatArray = np.tile(np.eye(4), (len(chosen), 1, 1))
     motions[:, :3, :3] = frame[chosen] @ other_frame[chosen].transpose(0, 2, 1)
     motions[:, :3, 3] = middle[chosen] - np.einsum("mij,mj->mi", motions[:, :3, :3], other_middle[chosen])
-    tolerance = ROUGH * options.reach * scale
-    score = _scores(first, second, motions, tolerance)
-    score += _scores(second, first, np.linalg.inv(motions).astype(np.float64), tolerance)
+    score = _scores(first, second, motions, ROUGH * reach)
+    score += _scores(second, first, np.linalg.inv(motions).astype(np.float64), ROUGH * reach)
     order = np.argsort(-score, kind="stable")
     best = motions[order[score[order] > 0]]
-    return best[distinct(best, second, cell, most=options.n_candidates)]
+    return best[_distinct(best, second, cell, most=options.n_candidates)]
 
 
-def distinct(motions: FloatArray, view: View, cell: float, *, most: int) -> list[int]:
-    """Select distinct motions of a view.
-
-    motions: (m, 4, 4) float64, motions, best first.
-    cell: edge of a voxel; unit of the points.
-    """
+def _distinct(motions: FloatArray, view: View, cell: float, *, most: int) -> list[int]:
+    """Select distinct motions of a view from (m, 4, 4) motions, the best first."""
     kept: list[int] = []
     middles = moved(motions, view.points.mean(axis=0, keepdims=True))[:, 0]  # (m, 3)
     for number, motion in enumerate(motions):
@@ -106,9 +121,7 @@ def _look_alikes(first: FloatArray, second: FloatArray) -> tuple[NDArray[np.intp
     for features, others in ((first, second), (second, first)):
         # Features near the mean, such as those of a plane, are not distinctive.
         keys = np.argsort(-np.linalg.norm(features - usual, axis=1), kind="stable")[:KEY_POINTS]
-        distance = (others**2).sum(axis=1) - 2 * features[
-            keys
-        ] @ others.T  # (keys, n): squared, minus a constant
+        distance = (others**2).sum(axis=1) - 2 * features[keys] @ others.T  # squared, minus a constant
         n = min(LOOK_ALIKES, len(others))
         alike.append((np.repeat(keys, n), np.argpartition(distance, n - 1, axis=1)[:, :n].ravel()))
     (here, there), (back, forth) = alike
@@ -133,23 +146,22 @@ def _pairs(
 def _scores(first: View, second: View, motions: FloatArray, tolerance: float) -> FloatArray:
     """(m,) fraction of points of `second` that agree with the image of `first`, minus contradictions."""
     few = second.sample[:FEW_POINTS]
-    said = first.image.compare(
-        moved(motions, second.points[few]), turned(motions, second.normals[few]), tolerance=tolerance
-    )
+    points, normals = moved(motions, second.points[few]), turned(motions, second.normals[few])
+    said = first.image.compare(points, normals, tolerance=tolerance)
     return np.asarray(said.agrees.mean(axis=1) - said.contradicts.mean(axis=1))
 
 
-# Largest distances of correspondences in the steps of a refinement, in units of the option `reach`: of a
-# match, of the final poses, and of two groups.
+# Largest distances of correspondences in the steps of a refinement, in units of `reach`: of a match, of the
+# final poses, and of two groups.
 COARSE, FINE = (4.0, 4.0, 3.0, 3.0, 2.0, 2.0, 1.5, 1.0), (2.0, 1.5, 1.0, 1.0, 1.0, 0.7, 0.7, 0.5, 0.5, 0.5)
 JOINING = (3.0, 2.0, 1.5, 1.0)
 
 # A match is rejected if its root mean square distance is more than LOOSE times that of the best match, and
-# more than TIGHT times the option `reach`.
+# more than TIGHT times `reach`.
 LOOSE, TIGHT = 2.0, 0.25
 
-# Number of searches. Views that are not in one group after the first are matched
-# again, with other random samples.
+# Number of searches. Views that are not in one group after the first are matched again, with other random
+# samples.
 ROUNDS = 2
 
 
@@ -172,37 +184,39 @@ class _Match(NamedTuple):
 def largest_group(
     views: Sequence[View],
     groups: Sequence[Poses],
-    scale: float,
+    cell: float,
+    reach: float,
     options: MergeOptions,
     rng: np.random.Generator,
     on_pair: Callable[[int, int], None] | None,
 ) -> dict[int, FloatArray]:
     """Match all pairs of views of different groups, and merge the groups that fit each other.
 
-    groups: sequence of mappings of int to (4, 4) float64, the poses of the views that are registered to each
-        other already, by number; of a view alone, any.
-    scale: the length to which relative options refer; unit of the points.
+    groups: the poses of the views that are registered to each other already; of a view alone, any.
     Returns dict of int to (4, 4) float64: poses of the views of the largest group, by number, in the frame of
         the first of them.
     """
-    reach = options.reach * scale
     joined = [dict(group) for group in groups]
     matches: list[_Match] = []
     features: dict[int, FloatArray] = {}
     n_done = 0
     for _ in range(ROUNDS):
-        pairs = [
+        pairs = sorted(
             (min(i, j), max(i, j)) for group, other in combinations(joined, 2) for i in group for j in other
-        ]
-        for left, (first, second) in zip(range(len(pairs) - 1, -1, -1), sorted(pairs), strict=True):
+        )
+        n_all = n_done + len(pairs)
+        for first, second in pairs:
             for number in (first, second):
                 if number not in features:
-                    features[number] = features_of(views[number], options.cell * scale)
-            pair = features[first], features[second]
-            matches += _matches(views, first, second, pair, scale, options, rng)
+                    points, normals = views[number].points, views[number].normals
+                    features[number] = feature_histograms(points, normals, radius=FEATURE_RADIUS * cell)
+            motions = _candidates(
+                (views[first], views[second]), (features[first], features[second]), cell, reach, options, rng
+            )
+            matches += _matches(views, first, second, motions, cell, reach, options)
             n_done += 1
             if on_pair is not None:
-                on_pair(n_done, n_done + left)
+                on_pair(n_done, n_all)
         joined = _grouped(views, matches, joined, reach, options)
     largest = max(joined, key=len)
     if len(largest) == 1:
@@ -210,7 +224,7 @@ def largest_group(
             f"no two of the {len(views)} views share a surface: scan with more overlap, or lower min_overlap",
             stage=Stage.MERGE,
         )
-    poses = settled(views, largest, FINE, reach)
+    poses = adjusted(views, largest, fixed=[min(largest)], steps=FINE, reach=reach)
     root = np.linalg.inv(poses[min(poses)])
     return {number: root @ pose for number, pose in poses.items()}
 
@@ -219,25 +233,21 @@ def _matches(
     views: Sequence[View],
     first: int,
     second: int,
-    features: tuple[FloatArray, FloatArray],
-    scale: float,
+    motions: FloatArray,
+    cell: float,
+    reach: float,
     options: MergeOptions,
-    rng: np.random.Generator,
 ) -> list[_Match]:
     """Distinct, refined motions of one view onto another that the range images of both verify."""
     found = []
-    reach = options.reach * scale
     here = {first: np.eye(4)}
-    for motion in candidate_motions(views[first], views[second], features, scale, options, rng):
-        both = adjusted(
-            views, here | {second: motion}, fixed=[first], reaches=np.multiply(COARSE, reach).tolist()
-        )
+    for motion in motions:
+        both = adjusted(views, here | {second: motion}, fixed=[first], steps=COARSE, reach=reach)
         if verification(views, here, {second: both[second]}, reach).holds(options):
             found.append(_Match(overlap(views, both, first, second, reach), both[second]))
     found.sort(key=lambda match: match.rank)
-    motions = np.array([match.motion for match in found]).reshape(-1, 4, 4)
-    kept = distinct(motions, views[second], options.cell * scale, most=len(found))
-    return [found[number] for number in kept]
+    refined = np.array([match.motion for match in found]).reshape(-1, 4, 4)
+    return [found[number] for number in _distinct(refined, views[second], cell, most=len(found))]
 
 
 def _grouped(
@@ -260,21 +270,8 @@ def _grouped(
             continue
         motion = group[first] @ match.motion @ np.linalg.inv(other[second])
         both = group | {number: motion @ pose for number, pose in other.items()}
-        both = adjusted(views, both, fixed=list(group), reaches=np.multiply(JOINING, reach).tolist())
-        brought = {number: both[number] for number in other}
-        if verification(views, group, brought, reach).holds(options):
+        both = adjusted(views, both, fixed=list(group), steps=JOINING, reach=reach)
+        if verification(views, group, {number: both[number] for number in other}, reach).holds(options):
             joined = [known for known in joined if known is not group and known is not other]
-            joined.append(settled(views, both, FINE[:4], reach))
+            joined.append(adjusted(views, both, fixed=[min(both)], steps=FINE[:4], reach=reach))
     return joined
-
-
-def settled(
-    views: Sequence[View], poses: Poses, reaches: Sequence[float], reach: float
-) -> dict[int, FloatArray]:
-    """Refine the poses of all views except the first.
-
-    poses: mapping of int to (4, 4) float64, the poses of the views of one group, by number.
-    reaches: largest distance of correspondences in each step, in units of `reach`, such as `FINE`.
-    Returns dict of int to (4, 4) float64: the refined poses.
-    """
-    return adjusted(views, poses, fixed=[min(poses)], reaches=np.multiply(reaches, reach).tolist())

@@ -12,12 +12,14 @@ import numpy as np
 from pcretrieve.errors import InputError
 from pcretrieve.options import MergeOptions
 from pcretrieve.points.clean import averaged
-from pcretrieve.points.register.agreement import Overlap, overlaps, shared
-from pcretrieve.points.register.alignment import moved, turned
-from pcretrieve.points.register.groups import COARSE, FINE, largest_group, settled
+from pcretrieve.points.register.alignment import Overlap, adjusted, moved, overlap, shared, turned
+from pcretrieve.points.register.groups import COARSE, FINE, largest_group
 from pcretrieve.points.register.tracking import followed, posed_track, tracks
 from pcretrieve.points.register.views import prepared
 from pcretrieve.values import FloatArray, PointCloud, Step
+
+# Smallest overlap of two views that is reported; fraction of the points of one of them.
+LEAST_SHARE = 0.02
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -55,35 +57,15 @@ def merge_views(
     poses: FloatArray | None = None,
     on_pair: Callable[[int, int], None] | None = None,
 ) -> Merged:
-    """Register range scans, and merge them into one cloud.
+    """Register range scans, each in a frame of its own and all in one unit, and merge them into one cloud.
 
-    Parameters
-    ----------
-    views : sequence of PointCloud, length v
-        The points that one sensor measured from one position, each view in a frame
-        of its own; all in one unit.
-    options : MergeOptions
-        The parameters of the registration.
-    poses : (v, 4, 4) float64, optional
-        Rigid motions of the views into a common frame. They are refined if ``options.refine`` is set, by key
-        frames if views hardly differ, and no view is left out. Without them all poses are searched, and views
-        that are not in the largest group are left out, with a note in the provenance.
-    on_pair : function, optional
-        Called with the number of pairs of views that have been matched, and the number of all pairs. Pairs of
-        views in different groups are matched twice.
-
-    Returns
-    -------
-    Merged
-        The merged cloud and the poses. Equal views and options give equal results, bit for bit.
-
-    Raises
-    ------
-    InputError
-        If there are fewer than two views, the poses are not one rigid motion for each view, a view has more
-        than one sensor position, or ``max_range`` is given and the position of the sensor is not known.
-    ReconstructionError
-        If a view has too few points, or no two views overlap.
+    poses: (v, 4, 4) float64, optional, rigid motions of the views into a common frame. They are refined if
+        ``options.refine`` is set, by key frames if views hardly differ, and no view is left out. Without them
+        all poses are searched, and views that are not in the largest group are left out, with a note in the
+        provenance.
+    on_pair: called with the number of pairs of views that have been matched, and the number of all pairs.
+        Pairs of views in different groups are matched twice.
+    Returns Merged: equal views and options give equal results, bit for bit.
     """
     started = time.perf_counter()
     if len(views) < 2:
@@ -92,20 +74,22 @@ def merge_views(
         _check_poses(poses, len(views))
     rng = np.random.default_rng(options.seed)
     ready, scale = prepared(views, options, rng)
-    reach = options.reach * scale
+    cell, reach = options.cell * scale, options.reach * scale
     notes = []
     if poses is None:
-        found = tracks(ready, scale, options)
-        groups = [settled(ready, track.key_poses, COARSE, reach) for track in found]
-        keys = largest_group(ready, groups, scale, options, rng, on_pair)
-        placed, key_of = followed(ready, keys, found, scale, options)
+        found = tracks(ready, reach, options)
+        starts = [track.key_poses for track in found]
+        groups = [adjusted(ready, keys, fixed=[min(keys)], steps=COARSE, reach=reach) for keys in starts]
+        keys = largest_group(ready, groups, cell, reach, options, rng, on_pair)
+        placed, key_of = followed(ready, keys, found, reach, options)
     else:
         placed = dict(enumerate(np.array(poses, dtype=np.float64)))
         keys, key_of = placed, {number: number for number in placed}
         if options.refine:
-            track = posed_track(ready, placed, scale, options)
-            keys = settled(ready, track.key_poses, (*COARSE, *FINE), reach)
-            placed, key_of = followed(ready, keys, [track], scale, options, verified=False)
+            track = posed_track(ready, placed, reach, options)
+            keys = track.key_poses
+            keys = adjusted(ready, keys, fixed=[min(keys)], steps=(*COARSE, *FINE), reach=reach)
+            placed, key_of = followed(ready, keys, [track], reach, None)
     if len(keys) < len(placed):
         notes.append(f"registered {len(placed)} views of a sequence by {len(keys)} key frames")
 
@@ -123,8 +107,11 @@ def merge_views(
         cloud = averaged(cloud, options.voxel * scale)
     sizes = {"views": float(len(views)), "placed": float(len(placed)), "points": float(len(cloud.points))}
     step = Step("merge", time.perf_counter() - started, sizes, tuple(notes))
-    pairs = [*combinations(sorted(keys), 2), *((key, view) for view, key in key_of.items() if key != view)]
-    return Merged(cloud.after(step), all_poses, shares, overlaps(ready, placed, pairs, reach), scale)
+    pairs = [*combinations(keys, 2), *((key, view) for view, key in key_of.items() if key != view)]
+    ordered = sorted((min(pair), max(pair)) for pair in pairs)
+    overlaps = [overlap(ready, placed, first, second, reach) for first, second in ordered]
+    reported = tuple(pair for pair in overlaps if pair.share >= LEAST_SHARE)
+    return Merged(cloud.after(step), all_poses, shares, reported, scale)
 
 
 def _check_poses(poses: FloatArray, n_views: int) -> None:

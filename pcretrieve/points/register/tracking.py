@@ -12,8 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from pcretrieve.options import MergeOptions
-from pcretrieve.points.register.agreement import Verification, verification
-from pcretrieve.points.register.alignment import Poses, adjusted
+from pcretrieve.points.register.alignment import Poses, Verification, adjusted, verification
 from pcretrieve.points.register.views import View
 from pcretrieve.values import FloatArray
 
@@ -33,7 +32,8 @@ NEAREST_KEYS = 3
 class Track(NamedTuple):
     """Views that were registered one after another.
 
-    poses: dict of int to (4, 4) float64, poses of the views by number, in the frame of the first of them.
+    poses: poses of the views by number, in the frame of the first of them.
+    keys: number of the key frame of each view; that of a key frame is its own.
     """
 
     poses: dict[int, FloatArray]
@@ -45,37 +45,33 @@ class Track(NamedTuple):
         return {number: self.poses[number] for number, key in self.keys.items() if number == key}
 
 
-def tracks(views: Sequence[View], scale: float, options: MergeOptions) -> list[Track]:
+def tracks(views: Sequence[View], reach: float, options: MergeOptions) -> list[Track]:
     """Register each view to the views before it, as far as they overlap almost completely.
 
     A view is registered by point-to-plane ICP to the key frame of the view before, from the pose of constant
     velocity, so that errors add up from key frame to key frame only. The result is verified by the range
     images of both, as all matches are. Where this fails, the view before becomes a key frame; where that
     fails too, the view begins a track of its own. A view after an interruption may continue the last track.
-
-    scale: the length to which relative options refer; unit of the points.
     """
     found: list[Track] = []
     for number in range(len(views)):
         last = [track for track in found[-1:] if len(track.poses) == 1]
         longer = [track for track in reversed(found) if len(track.poses) > 1][:1]
-        if not any(_continued(views, track, number, scale, options) for track in [*longer, *last]):
+        if not any(_continued(views, track, number, reach, options) for track in [*longer, *last]):
             found.append(Track({number: np.eye(4)}, {number: number}))
     return found
 
 
-def _continued(views: Sequence[View], track: Track, number: int, scale: float, options: MergeOptions) -> bool:
+def _continued(views: Sequence[View], track: Track, number: int, reach: float, options: MergeOptions) -> bool:
     """Add a view to a track, if it can be registered to the last view of the track, or to its key frame."""
     *_, last = track.poses
     before = list(track.poses)[-2:]
     velocity = np.linalg.inv(track.poses[before[0]]) @ track.poses[last]
-    gap = number - last
-    guess = track.poses[last] @ (velocity if len(before) == 2 and gap == 1 else np.eye(4))
+    guess = track.poses[last] @ (velocity if len(before) == 2 and number == last + 1 else np.eye(4))
     for key in dict.fromkeys((track.keys[last], last)):
         here = {key: track.poses[key]}
-        reaches = np.multiply(TRACKING, options.reach * scale).tolist()
-        pose = adjusted(views, here | {number: guess}, fixed=[key], reaches=reaches)[number]
-        found = verification(views, here, {number: pose}, options.reach * scale)
+        pose = adjusted(views, here | {number: guess}, fixed=[key], steps=TRACKING, reach=reach)[number]
+        found = verification(views, here, {number: pose}, reach)
         if _is_tracked(found, options):
             track.keys[key] = key
             track.poses[number] = pose
@@ -88,16 +84,12 @@ def _is_tracked(found: Verification, options: MergeOptions) -> bool:
     return found.share >= TRACKED and found.contradiction <= options.max_contradiction
 
 
-def posed_track(views: Sequence[View], poses: Poses, scale: float, options: MergeOptions) -> Track:
-    """Choose the key frames of views with poses.
-
-    poses: mapping of int to (4, 4) float64, their poses, by number.
-    scale: the length to which relative options refer; unit of the points.
-    """
+def posed_track(views: Sequence[View], poses: Poses, reach: float, options: MergeOptions) -> Track:
+    """Choose the key frames of views with poses."""
     track = Track(dict(poses), {})
     key = min(poses)
     for number in poses:
-        found = verification(views, {key: poses[key]}, {number: poses[number]}, options.reach * scale)
+        found = verification(views, {key: poses[key]}, {number: poses[number]}, reach)
         key = key if _is_tracked(found, options) and found.share >= NEW_SURFACE else number
         track.keys[number] = key
     return track
@@ -107,19 +99,16 @@ def followed(
     views: Sequence[View],
     keys: Poses,
     tracked: Sequence[Track],
-    scale: float,
-    options: MergeOptions,
-    *,
-    verified: bool = True,
+    reach: float,
+    options: MergeOptions | None,
 ) -> tuple[dict[int, FloatArray], Mapping[int, int]]:
     """Register the views of tracks to their key frames, which do not move.
 
-    keys: mapping of int to (4, 4) float64, poses of the key frames, by number, in the common frame.
-    scale: the length to which relative options refer; unit of the points.
-    Returns poses : dict of int to (4, 4) float64: poses of the key frames and of the views that could be
-        registered to them, by number, ascending.
+    keys: poses of the key frames, by number, in the common frame.
+    options: those by which the poses are verified; None to accept them all.
+    Returns poses, key_of: pose and key frame of each view that could be registered, and of the key frames, by
+        number; the poses ascending.
     """
-    reach = options.reach * scale
     poses, key_of = dict(keys), {number: number for number in keys}
     for track in tracked:
         for number, key in track.keys.items():
@@ -127,11 +116,9 @@ def followed(
                 continue
             guess = keys[key] @ np.linalg.inv(track.poses[key]) @ track.poses[number]
             near = _nearest(views, keys, guess, number)
-            both = adjusted(
-                views, near | {number: guess}, fixed=list(near), reaches=np.multiply(NEAR, reach).tolist()
-            )
-            if not verified or verification(views, near, {number: both[number]}, reach).holds(options):
-                poses[number], key_of[number] = both[number], key
+            pose = adjusted(views, near | {number: guess}, fixed=list(near), steps=NEAR, reach=reach)[number]
+            if options is None or verification(views, near, {number: pose}, reach).holds(options):
+                poses[number], key_of[number] = pose, key
     return dict(sorted(poses.items())), key_of
 
 

@@ -1,4 +1,4 @@
-"""Range scans → their foreground: the body, without floors, walls and far points."""
+"""Range scans → views: the points of the body, without floors and walls, and their range images."""
 
 from __future__ import annotations
 
@@ -11,20 +11,15 @@ from numpy.typing import NDArray
 from pcretrieve.errors import InputError, ReconstructionError, Stage
 from pcretrieve.formats.conf import SENSOR_DISTANCE
 from pcretrieve.options import MergeOptions, ScanOptions
-from pcretrieve.points import kept_points, open3d
-from pcretrieve.points.ground import fitted_plane
-from pcretrieve.points.open3d import feature_histograms
-from pcretrieve.points.register.range_image import RangeImage
+from pcretrieve.points.crop import kept_points
+from pcretrieve.points.ground import COMPARED, N_NEAR, N_PLANES, fitted_plane
+from pcretrieve.points.normals import estimate_normals
 from pcretrieve.values import FloatArray, PointCloud, bounding_diagonal
 
 # Fewest neighbours for a normal; a view must have more points.
 NORMAL_NEIGHBORS = 16
 
-# Number of points by which planes are compared, number of planes, number of neighbours among the compared
-# points to which each is fitted, and largest number of planes that are removed.
-COMPARED = 2000
-N_PLANES = 400
-N_NEAR = 100
+# Largest number of planes that are removed as background.
 MOST_PLANES = 4
 
 # Largest distance of a point from the plane to which it belongs: four standard deviations of the points to
@@ -46,19 +41,82 @@ LEAST_LEFT = 0.03
 # with noise, .5 of a slice of a body.
 LEAST_CENTRAL = 0.9
 
+# Number of points of each view for registration and verification.
+SOME_POINTS = 1000
 
-def foreground(cloud: PointCloud, sensor: FloatArray, number: int, options: MergeOptions) -> FloatArray:
-    """The points of a view that are of the body.
 
-    sensor: (3,) float64, its position.
-    Returns (n, 3) float64: the points within `max_range`, in front of the planes of the background, and of
-        the largest component, if these options are set.
+class View(NamedTuple):
+    """A range scan: the points that one sensor measured from one position, prepared for registration.
+
+    points, normals: (k, 3) float64, one point in each voxel.
+    sample: (s,) int, positions of a random sample of these points.
+    tree: k-d tree of all points.
+    feet: (n, 3) float64, the points of the tangent planes: the foot of the perpendicular from each point of
+        the cloud to the least-squares plane of its neighbours.
+    spacing: median distance from a point to its nearest neighbour; unit of the file.
     """
+
+    cloud: PointCloud
+    points: FloatArray
+    normals: FloatArray
+    sample: NDArray[np.intp]
+    image: RangeImage
+    tree: Any
+    feet: FloatArray
+    spacing: float
+
+
+def prepared(
+    clouds: Sequence[PointCloud], options: MergeOptions, rng: np.random.Generator
+) -> tuple[list[View], float]:
+    """The views, and the median of their diagonals, to which relative options refer; unit of the files."""
+    sensors = [_sensor(cloud, number, options) for number, cloud in enumerate(clouds)]
+    fronts = [
+        _foreground(cloud, sensor, number, options)
+        for number, (cloud, sensor) in enumerate(zip(clouds, sensors, strict=True))
+    ]
+    scale = float(np.median([bounding_diagonal(points) for points in fronts]))
+    views = [
+        _view(points, sensor, options, options.cell * scale, rng)
+        for points, sensor in zip(fronts, sensors, strict=True)
+    ]
+    return views, scale
+
+
+def _sensor(view: PointCloud, number: int, options: MergeOptions) -> FloatArray:
+    """(3,) position of the sensor; a conventional one, if the view has none."""
+    if not len(view.points):
+        raise ReconstructionError(f"view {number} has no points: leave it out", stage=Stage.MERGE)
+    if view.viewpoints is not None:
+        if bounding_diagonal(view.viewpoints) > options.reach * view.diagonal:
+            raise InputError(
+                f"a view must be seen by one sensor, view {number} was seen by several: merge the scans that "
+                "it was made of"
+            )
+        return np.asarray(view.viewpoints.mean(axis=0))
+    if options.sensor == "origin":
+        return np.zeros(3)
+    if options.max_range is not None:
+        raise InputError(
+            f"max_range is measured from the sensor, and view {number} does not say where that is: take "
+            "sensor 'origin' if it is the origin of its frame"
+        )
+    middle = (view.points.min(axis=0) + view.points.max(axis=0)) / 2
+    return np.asarray(middle + np.array([0, 0, SENSOR_DISTANCE * view.diagonal]))
+
+
+def _foreground(cloud: PointCloud, sensor: FloatArray, number: int, options: MergeOptions) -> FloatArray:
+    """The (n, 3) points within `max_range`, in front of the background, and of the largest component."""
     near = ScanOptions(max_range="none" if options.max_range is None else options.max_range)
     kept = kept_points(PointCloud(cloud.points, viewpoints=sensor), near, of_view=True)
     points: FloatArray = cloud.points[kept.points]
     if options.background == "planes":
-        points = _in_front_of_planes(points, sensor)
+        rng = np.random.default_rng(0)
+        for _ in range(MOST_PLANES):
+            behind = _background_plane(points, sensor, rng)
+            if behind is None:
+                break
+            points = points[~behind]
     if options.keep_largest and len(points):
         largest = ScanOptions(keep_largest=True)
         points = points[kept_points(PointCloud(points, viewpoints=sensor), largest, of_view=True).points]
@@ -68,17 +126,6 @@ def foreground(cloud: PointCloud, sensor: FloatArray, number: int, options: Merg
             f"{len(points)}: leave it out, or raise max_range",
             stage=Stage.MERGE,
         )
-    return points
-
-
-def _in_front_of_planes(points: FloatArray, sensor: FloatArray) -> FloatArray:
-    """The points in front of the largest planes behind which there is nothing."""
-    rng = np.random.default_rng(0)
-    for _ in range(MOST_PLANES):
-        mask = _background_plane(points, sensor, rng)
-        if mask is None:
-            break
-        points = points[~mask]
     return points
 
 
@@ -123,99 +170,6 @@ def _fitted_planes(points: FloatArray, rng: np.random.Generator) -> tuple[FloatA
     return normals, np.einsum("pi,pi->p", normals, centres), np.sqrt(np.maximum(squares[:, 0], 0))
 
 
-# Radius of the neighbourhood of a feature, in voxels. It is of the size of distinctive parts of a body.
-FEATURE_RADIUS = 6
-
-# Number of points of each view for registration and verification.
-SOME_POINTS = 1000
-
-
-class View(NamedTuple):
-    """A range scan: the points that one sensor measured from one position, prepared for registration.
-
-    points, normals: (k, 3) float64, one point in each voxel.
-    sample: (s,) int, positions of a random sample of these points.
-    feet: (n, 3) float64, the points of the tangent planes: the foot of the perpendicular from each point of
-        the cloud to the least-squares plane of its neighbours.
-    spacing: median distance from a point to its nearest neighbour; unit of the file.
-    """
-
-    cloud: PointCloud
-    points: FloatArray
-    normals: FloatArray
-    sample: NDArray[np.intp]
-    image: RangeImage
-    tree: Any
-    feet: FloatArray
-    spacing: float
-
-
-def prepared(
-    clouds: Sequence[PointCloud], options: MergeOptions, rng: np.random.Generator
-) -> tuple[list[View], float]:
-    """Prepare range scans for registration.
-
-    clouds: the points that one sensor measured from one position, each in a frame of its own; all in one
-        unit.
-    Returns scale : float: median diagonal of the views, to which relative options refer; unit of the points.
-    """
-    sensors = [_sensor(cloud, number, options) for number, cloud in enumerate(clouds)]
-    fronts = [
-        foreground(cloud, sensor, number, options)
-        for number, (cloud, sensor) in enumerate(zip(clouds, sensors, strict=True))
-    ]
-    scale = float(np.median([bounding_diagonal(points) for points in fronts]))
-    views = [
-        _view(points, sensor, options, options.cell * scale, rng)
-        for points, sensor in zip(fronts, sensors, strict=True)
-    ]
-    return views, scale
-
-
-def one_of_each_cell(points: FloatArray, cell: float) -> NDArray[np.intp]:
-    """Voxel-grid subsampling: the first point in each voxel.
-
-    points: (n, 3) float64, coordinates.
-    cell: edge of a voxel, unit of the points; 0 selects every point.
-    Returns (k,) int: positions of the points, ascending.
-    """
-    if not cell:
-        return np.arange(len(points))
-    _, first = np.unique(np.floor(points / cell), axis=0, return_index=True)
-    return np.sort(first)
-
-
-def _sensor(view: PointCloud, number: int, options: MergeOptions) -> FloatArray:
-    """(3,) position of the sensor; a conventional one, if the view has none."""
-    if not len(view.points):
-        raise ReconstructionError(f"view {number} has no points: leave it out", stage=Stage.MERGE)
-    if view.viewpoints is not None:
-        if bounding_diagonal(view.viewpoints) > options.reach * view.diagonal:
-            raise InputError(
-                f"a view must be seen by one sensor, view {number} was seen by several: merge the scans that "
-                "it was made of"
-            )
-        return np.asarray(view.viewpoints.mean(axis=0))
-    if options.sensor == "origin":
-        return np.zeros(3)
-    if options.max_range is not None:
-        raise InputError(
-            f"max_range is measured from the sensor, and view {number} does not say where that is: take "
-            "sensor 'origin' if it is the origin of its frame"
-        )
-    middle = (view.points.min(axis=0) + view.points.max(axis=0)) / 2
-    return np.asarray(middle + np.array([0, 0, SENSOR_DISTANCE * view.diagonal]))
-
-
-def features_of(view: View, cell: float) -> FloatArray:
-    """Features of the points of a view that are matched.
-
-    cell: edge of the voxels of which each gave one point; unit of the points.
-    Returns (k, 33) float64: fast point feature histograms of `View.points`.
-    """
-    return feature_histograms(view.points, view.normals, radius=FEATURE_RADIUS * cell)
-
-
 def _view(
     points: FloatArray, sensor: FloatArray, options: MergeOptions, cell: float, rng: np.random.Generator
 ) -> View:
@@ -223,9 +177,9 @@ def _view(
     from scipy.spatial import cKDTree
 
     k = min(options.normal_neighbors, len(points))
-    normals = open3d.estimate_normals(points, n_neighbors=k)
+    normals = estimate_normals(points, n_neighbors=k)
     normals[np.einsum("ij,ij->i", normals, sensor - points) < 0] *= -1
-    few = one_of_each_cell(points, cell)
+    few = np.sort(np.unique(np.floor(points / cell), axis=0, return_index=True)[1])  # one in each voxel
     tree = cKDTree(points)
     distance, near = map(np.asarray, tree.query(points, k=k))  # (n, k), (n, k)
     height = np.einsum("ij,ij->i", points[near].mean(axis=1) - points, normals)
@@ -239,3 +193,93 @@ def _view(
         points + height[:, None] * normals,
         float(np.median(distance[few, 1])),
     )
+
+
+# Edge of a pixel, in median distances of neighbouring rays, so that most pixels inside the silhouette contain
+# a point; largest number of pixels along a side; and number of rays that are sampled for the median distance.
+PIXEL = 2.0
+LARGEST_SIDE = 512
+SAMPLE = 2000
+
+# Smallest cosine of the angle between the normals of corresponding points: 60 degrees.
+LEAST_COSINE = 0.5
+
+
+class Comparison(NamedTuple):
+    """The comparison of points with a range image. A point that is occluded is in neither mask.
+
+    agrees: (..., n) bool, points on the measured surface, with a similar normal.
+    contradicts: (..., n) bool, points in space that the sensor observed as empty: between the sensor and the
+        measured surface.
+    """
+
+    agrees: NDArray[np.bool_]
+    contradicts: NDArray[np.bool_]
+
+
+class RangeImage:
+    """The central projection of points onto an image plane of their sensor.
+
+    points, normals: (n, 3) float64, coordinates, and unit normals that point towards the sensor.
+    sensor: (3,) float64, position of the sensor; unit of the points.
+    """
+
+    def __init__(self, points: FloatArray, normals: FloatArray, sensor: FloatArray) -> None:
+        from scipy import ndimage
+        from scipy.spatial import cKDTree
+
+        self._points, self._normals, self._sensor = points, normals, sensor
+        ahead = points.mean(axis=0) - sensor
+        ahead /= np.linalg.norm(ahead)
+        right = np.cross(ahead, np.eye(3)[np.abs(ahead).argmin()])
+        right /= np.linalg.norm(right)
+        self._axes = np.stack([right, np.cross(ahead, right), ahead], axis=1)  # (3, 3)
+        rays, depth = self._project(points)
+        seen = rays[depth > 0]
+        some = seen[:: max(1, len(rays) // SAMPLE)]
+        spacing = np.asarray(cKDTree(seen).query(some, k=2)[0])[:, 1]
+        self._low = seen.min(axis=0)
+        extent = np.ptp(seen, axis=0)
+        self._pixel = max(PIXEL * float(np.median(spacing)), float(extent.max()) / LARGEST_SIDE)
+        # A border of empty pixels, to which all points outside the image are mapped.
+        self._shape = np.floor(extent / self._pixel).astype(np.int64) + 3
+        nearest = np.full(self._shape, -1)
+        order = np.argsort(-depth, kind="stable")  # the nearest point in a pixel is written last
+        nearest.ravel()[self._pixels(rays, depth)[order]] = order
+        nearest[[0, -1], :] = nearest[:, [0, -1]] = -1
+        self._nearest = nearest.ravel()
+        # The smallest depth in each pixel and its eight neighbours, so that points of an inclined surface, or
+        # at a depth edge, do not contradict the image.
+        nearest_depth = np.where(nearest >= 0, depth[nearest], np.inf)
+        self._front = np.asarray(ndimage.minimum_filter(nearest_depth, size=3, mode="nearest")).ravel()
+
+    def _project(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """(..., 2) image coordinates, and (...) distances to the sensor; negative behind the sensor."""
+        seen = (points - self._sensor) @ self._axes  # (..., 3)
+        ahead = np.where(seen[..., 2] > 0, seen[..., 2], np.nan)
+        depth = np.linalg.norm(seen, axis=-1)
+        return seen[..., :2] / ahead[..., None], np.where(seen[..., 2] > 0, depth, -1.0)
+
+    def _pixels(self, rays: FloatArray, depth: FloatArray) -> NDArray[np.int64]:
+        """(...) number of the pixel of each ray; 0, an empty pixel, outside the image."""
+        index = np.nan_to_num((rays - self._low) / self._pixel, nan=-1.0)
+        index = np.clip(np.floor(index), -1, self._shape - 2).astype(np.int64) + 1  # (..., 2)
+        return np.where(depth > 0, index[..., 0] * self._shape[1] + index[..., 1], 0)
+
+    def compare(self, points: FloatArray, normals: FloatArray, *, tolerance: float) -> Comparison:
+        """Compare (..., n, 3) points and unit normals, in the frame of the view, with the image.
+
+        tolerance: largest distance of a point that agrees from the tangent plane of the measured point, and
+            smallest distance of a point that contradicts in front of the measured points around its ray.
+        """
+        rays, depth = self._project(points)
+        pixel = self._pixels(rays, depth)
+        nearest = self._nearest[pixel]
+        there = nearest >= 0
+        offset = points - self._points[nearest]
+        facing = self._normals[nearest]
+        on_plane = np.abs(np.einsum("...j,...j->...", offset, facing)) < tolerance
+        near = np.linalg.norm(offset, axis=-1) < tolerance + 2 * self._pixel * depth
+        alike = np.einsum("...j,...j->...", normals, facing) > LEAST_COSINE
+        in_front = depth < self._front[pixel] - tolerance
+        return Comparison(there & on_plane & near & alike, there & in_front)
