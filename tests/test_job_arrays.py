@@ -6,14 +6,12 @@ import os
 import re
 import subprocess
 import sys
-from contextlib import closing
 from pathlib import Path
 
 import pytest
 import shapes
 
-from pcretrieve import ingest
-from pcretrieve.catalogue.rows import Rows as StoredRows
+from pcretrieve import Catalogue, ingest
 from pcretrieve.formats import write_mesh
 
 DOCUMENT = (Path(__file__).parents[1] / "docs" / "batches.md").read_text(encoding="utf-8")
@@ -44,7 +42,7 @@ def scans(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def rows(catalogue: Path) -> Rows:
     """Id, status, content and signatures of each scan."""
-    with closing(StoredRows(str(catalogue), {}, create=False)) as stored:
+    with Catalogue(catalogue) as stored:
         return [
             (entry.record.id, entry.record.status, entry.record.content_hash, dict(entry.signatures))
             for entry in stored.entries([origin.id for origin in stored.origins()])

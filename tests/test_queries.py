@@ -86,7 +86,7 @@ def test_signatures_that_were_computed_are_kept(catalogue: Catalogue) -> None:
     first = catalogue.signatures(options)
     with Catalogue(catalogue.location) as other:
         statements: list[str] = []
-        other.rows.database._connection.set_trace_callback(statements.append)
+        other.database._connection.set_trace_callback(statements.append)
         assert other.signatures(options) == first
         assert not [text for text in statements if "arrays" in text]
         new = egg(N_SHAPES)
@@ -97,6 +97,8 @@ def test_signatures_that_were_computed_are_kept(catalogue: Catalogue) -> None:
         )
         statements.clear()
         table = other.signatures(options)
-        assert len([text for text in statements if text.startswith('SELECT "spectra", "moments"')]) == 2
+        assert (
+            len([text for text in statements if text.startswith('SELECT shape, "spectra", "moments"')]) == 2
+        )
     expected = [describe(egg(number), options.signature).values for number in (1, 1, 2, 3, 4, 5, N_SHAPES)]
     assert table.values.tolist() == [values.tolist() for values in expected]

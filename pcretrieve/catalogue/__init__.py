@@ -3,8 +3,8 @@
 In come records and processed shapes; out come records, shapes, tables of signatures, whitenings and indexes.
 """
 
-from pcretrieve.catalogue.catalogue import Catalogue, CatalogueLike, opened, stored_records, stored_shapes
-from pcretrieve.catalogue.defects import Defect, find_defects, set_to_be_ingested_again
+from pcretrieve.catalogue.catalogue import Catalogue, CatalogueLike, opened
+from pcretrieve.catalogue.check import Defect, find_defects, set_to_be_ingested_again
 from pcretrieve.catalogue.merge import Merged, backup, merge_catalogues
 from pcretrieve.catalogue.records import Content, Origin, Record, numbered_id
 from pcretrieve.catalogue.vectors import export_vectors
@@ -24,6 +24,4 @@ __all__ = [
     "numbered_id",
     "opened",
     "set_to_be_ingested_again",
-    "stored_records",
-    "stored_shapes",
 ]

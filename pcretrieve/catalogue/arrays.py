@@ -9,20 +9,16 @@ from __future__ import annotations
 
 import struct
 import zlib
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pcretrieve.catalogue.records import Record
-from pcretrieve.catalogue.rows import Rows
 from pcretrieve.catalogue.tables import Payload, damaged
-from pcretrieve.errors import InputError, did_you_mean
 from pcretrieve.options import PipelineOptions
-from pcretrieve.values import FloatArray, ModalSpectrum, Need, Shape, Step, Surface, TriangleMesh
+from pcretrieve.values import FloatArray, ModalSpectrum, Shape, Step, Surface, TriangleMesh
 
 DTYPES = tuple(np.dtype(name) for name in ("<f8", "<i4", "<i8", "|i1", "|u1"))
 
@@ -35,9 +31,6 @@ LEVEL = 1
 # Header of an array: its type, its number of dimensions, whether it is compressed, its length in bytes.
 HEADER = struct.Struct("<BBBI")
 CHECKSUM = struct.Struct("<I")
-
-# Number of ids that are compared with an unknown one, which takes less than 0.1 s.
-N_COMPARED = 2000
 
 
 def packed(arrays: Sequence[NDArray[Any]]) -> bytes:
@@ -85,32 +78,32 @@ def packed_symmetric(matrices: FloatArray) -> bytes:
     matrices: (s, k, k) float64, matrices that are symmetric except for rounding errors, which are stored too.
     """
     bits = np.ascontiguousarray(matrices).view(np.int64)
-    upper, lower = np.triu_indices(bits.shape[1]), np.tril_indices(bits.shape[1], -1)
+    upper, lower = _triangles(bits.shape[1])
     # The bits of neighbouring numbers are neighbouring integers, so that rounding errors are small integers.
-    moved = bits[_each(lower)] - bits.transpose(0, 2, 1)[_each(lower)]
+    moved = bits[lower] - bits.transpose(0, 2, 1)[lower]
     small = moved.astype(np.int8)
-    return packed([matrices[_each(upper)], small if (small == moved).all() else moved])
+    return packed([matrices[upper], small if (small == moved).all() else moved])
 
 
 def unpacked_symmetric(blob: bytes) -> FloatArray:
-    """The inverse of `packed_symmetric`.
-
-    Returns (s, k, k) float64: the same matrices, to the bit.
-    """
+    """The inverse of `packed_symmetric`: (s, k, k) float64, the same matrices, to the bit."""
     above, moved = unpacked(blob)
-    n, n_above = above.shape
-    k = int(np.sqrt(2 * n_above))
-    upper, lower = np.triu_indices(k), np.tril_indices(k, -1)
-    bits = np.empty((n, k, k), np.int64)
-    bits[_each(upper)] = above.view(np.int64)
-    bits[_each(lower)] = bits.transpose(0, 2, 1)[_each(lower)] + moved
+    k = int(np.sqrt(2 * above.shape[1]))
+    upper, lower = _triangles(k)
+    bits = np.empty((len(above), k, k), np.int64)
+    bits[upper] = above.view(np.int64)
+    bits[lower] = bits.transpose(0, 2, 1)[lower] + moved
     return bits.view(np.float64)
 
 
-def packed_values(values: FloatArray) -> bytes:
-    """Convert the values of a signature to bytes that are fast to read.
+def _triangles(k: int) -> tuple[tuple[Any, ...], tuple[Any, ...]]:
+    """The indices of the upper triangles with their diagonals, and of the lower, in (s, k, k)."""
+    return (slice(None), *np.triu_indices(k)), (slice(None), *np.tril_indices(k, -1))
 
-    values: (L,) float64, the values.
+
+def packed_values(values: FloatArray) -> bytes:
+    """Convert the values (L,) of a signature to bytes that are fast to read.
+
     Returns bytes: 8 (L + 1) bytes: the values, and the exclusive or of their bits as a checksum.
     """
     words = np.ascontiguousarray(values, "<f8").view("<u8")
@@ -118,22 +111,13 @@ def packed_values(values: FloatArray) -> bytes:
 
 
 def unpacked_values(rows: NDArray[np.uint8], n_values: int) -> FloatArray:
-    """The inverse of `packed_values`, for many signatures.
-
-    rows: (N, b) uint8, one result of `packed_values` in each row.
-    Returns (N, L) float64: the same values, to the bit.
-    """
+    """The inverse of `packed_values` for N signatures: (N, b) uint8 → (N, L) float64, to the bit."""
     if rows.size != 8 * len(rows) * (n_values + 1):
         raise ValueError(f"there must be {n_values} values")
     words = np.ascontiguousarray(rows).reshape(len(rows), 8 * (n_values + 1)).view("<u8")  # (N, L + 1)
     if (np.bitwise_xor.reduce(words[:, :-1], axis=1) != words[:, -1]).any():
         raise ValueError("its checksum does not fit")
     return words[:, :-1].view(np.float64)
-
-
-def _each(entries: tuple[NDArray[np.intp], NDArray[np.intp]]) -> tuple[Any, ...]:
-    """The index of entries in each matrix of an array of matrices."""
-    return (slice(None), *entries)
 
 
 def _planes(array: NDArray[Any]) -> bytes:
@@ -173,62 +157,6 @@ def payloads_of(shape: Shape, options: PipelineOptions) -> dict[Payload, bytes]:
         meshes = [array for part in parts for array in (part.mesh.vertices, part.mesh.faces)]
         stored["meshes"] = packed(meshes)
     return stored
-
-
-def read_shape(
-    rows: Rows, own: PipelineOptions, shape_id: str, needs: Collection[Need]
-) -> tuple[Record, Shape]:
-    """Read a shape with some of its parts, and its record, in one transaction.
-
-    Overlaps that were not stored are computed from the mesh. Parts that were not stored, and cannot be
-    computed, are missing in the shape.
-    """
-    overlaps, with_mesh = "overlaps" in needs, bool({"mesh", "eigenvectors"} & set(needs))
-    names: list[Payload] = ["spectra"]
-    names += ["moments"] if overlaps or "spectrum" in needs else []
-    names += ["overlaps"] if overlaps else []
-    names += ["meshes"] if overlaps or with_mesh else []
-    found = rows.read(shape_id, names)
-    if found is None:
-        raise unknown(rows, shape_id)
-    record, stored = found
-    if record.status != "done":
-        raise InputError(f"shape {shape_id!r} has no surface: it failed in {record.stage}: {record.message}")
-    with intact(rows.location, f"shape {shape_id!r}"):
-        shape = stored_shape(stored, record.steps)
-    surfaces = shape.surfaces
-    if overlaps and "overlaps" not in stored:
-        surfaces = tuple(_with_overlaps(surface, own.spectral.element) for surface in surfaces)
-    if not with_mesh:
-        surfaces = tuple(replace(surface, mesh=None) for surface in surfaces)
-    return record, replace(shape, surfaces=surfaces, verdict=record.verdict)
-
-
-def _with_overlaps(surface: Surface, element: str) -> Surface:
-    """The surface with the overlaps of its eigenfunctions, from the mesh; unchanged without a mesh."""
-    if surface.mesh is None or surface.spectrum is None:
-        return surface
-    from threadpoolctl import threadpool_limits
-
-    from pcretrieve.spectral import unit_eigenpairs
-
-    with threadpool_limits(limits=1):  # as in the pipeline, so that rounding errors are the same
-        pairs = unit_eigenpairs(surface.mesh, len(surface.spectrum.eigenvalues), element)
-        overlaps = ModalSpectrum.of(pairs).overlaps
-    return replace(surface, spectrum=replace(surface.spectrum, overlaps=overlaps))
-
-
-def unknown(rows: Rows, shape_id: str) -> InputError:
-    """The error for an id that a store does not have."""
-    return InputError(
-        f"{rows.location} holds no shape {shape_id!r}; `pcretrieve list` names them"
-        f"{suggested_id(rows, shape_id)}"
-    )
-
-
-def suggested_id(rows: Rows, shape_id: str) -> str:
-    """The question whether the id of another shape was meant, as `did_you_mean` asks it."""
-    return did_you_mean(shape_id, (record.id for record in rows.page(limit=N_COMPARED)))
 
 
 def stored_shape(payloads: Mapping[Payload, bytes], provenance: tuple[Step, ...]) -> Shape:

@@ -11,6 +11,7 @@ from __future__ import annotations
 import hashlib
 import json
 import logging
+import math
 import os
 import shutil
 import time
@@ -23,8 +24,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pcretrieve.catalogue.rows import Revision
-from pcretrieve.retrieval import SignatureIndex
+from pcretrieve.options import METHODS, PipelineOptions
+from pcretrieve.retrieval import SignatureIndex, read_whitening
 
 logger = logging.getLogger(__name__)
 
@@ -50,6 +51,17 @@ UNFINISHED = ".unfinished-"
 ABANDONED = 3600.0
 
 
+def signatures_digest(options: PipelineOptions) -> str:
+    """The digest of the signatures that are compared by some options."""
+    # With the version of the package of the descriptor, because other versions may give other values.
+    method = options.signature.method
+    if method in METHODS:
+        return options.compared_digest
+    from pcretrieve.descriptors import DESCRIPTORS
+
+    return options.compared_digest + DESCRIPTORS.version(method)
+
+
 class IndexCache:
     """The stored indexes of one catalogue, which several processes may use at the same time.
 
@@ -69,21 +81,17 @@ class IndexCache:
         self._last: tuple[str, SignatureIndex] | None = None
 
     def index(
-        self,
-        request: str,
-        revision: Revision,
-        make: Callable[[], tuple[SignatureIndex, Revision]],
+        self, options: PipelineOptions, revision: str, make: Callable[[], tuple[SignatureIndex, str]]
     ) -> SignatureIndex:
         """Open the stored index of a state of the catalogue, or compute and store it."""
-        request = f"{FORMAT} {request}"
-        name = _name(request, revision)
+        name = _name(options, revision)
         if self._last is None or self._last[0] != name:
             index = self._opened(name)
             if index is None:
                 index, revision = make()
-                name = _name(request, revision)
+                name = _name(options, revision)
                 if len(index) >= SMALLEST_KEPT:
-                    self._keep(name, revision, index)
+                    self._keep(name, index)
                     # The stored index replaces the one in memory, which is then freed.
                     index = self._opened(name) or index
             self._last = name, index
@@ -93,8 +101,13 @@ class IndexCache:
         """Yield the stored indexes whose bytes have changed since they were written, and how."""
         for folder in self._folders:
             for kept in sorted(folder.iterdir()) if folder.is_dir() else ():
-                if not kept.name.startswith(UNFINISHED) and (fault := _fault(kept)):
-                    yield kept, fault
+                try:
+                    if not kept.name.startswith(UNFINISHED):
+                        _arrays(kept, checked=math.inf)
+                except FileNotFoundError:
+                    continue  # another process removes it at this moment
+                except Exception as error:  # noqa: BLE001  as in `_opened`
+                    yield kept, f"cannot be read: {error}"
 
     def _opened(self, name: str) -> SignatureIndex | None:
         for folder in self._folders:
@@ -109,27 +122,34 @@ class IndexCache:
                 shutil.rmtree(kept, ignore_errors=True)
         return None
 
-    def _keep(self, name: str, revision: Revision, index: SignatureIndex) -> None:
+    def _keep(self, name: str, index: SignatureIndex) -> None:
         """Store an index in the first folder that can be written, and remove indexes of other states."""
         for folder in self._folders:
             try:
                 folder.mkdir(parents=True, exist_ok=True)
                 _write(folder, name, index.to_arrays())
-                _tidy(folder, revision)
+                _tidy(folder, name)
                 return
             except OSError as error:
                 logger.info("an index is not stored in %s: %s", folder, error)
 
 
-def _name(request: str, revision: Revision) -> str:
-    return f"{_digest(request)}-{_digest(revision.state())}"
+def _name(options: PipelineOptions, revision: str) -> str:
+    """A name of everything that an index depends on; that of the shapes is after the hyphen."""
+    retrieval = options.retrieval
+    calibrated = ""
+    if retrieval.calibration is not None:
+        calibrated = hashlib.sha256(read_whitening(Path(retrieval.calibration)).matrix.tobytes()).hexdigest()
+    compared = f"{retrieval.distance} {retrieval.whitening} {retrieval.shrinkage} {calibrated}"
+    return f"{_digest(f'{FORMAT} {signatures_digest(options)} {compared}')}-{_digest(revision)}"
 
 
 def _digest(text: str) -> str:
     return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 
-def _arrays(folder: Path) -> dict[str, NDArray[Any]]:
+def _arrays(folder: Path, checked: float = CHECKED) -> dict[str, NDArray[Any]]:
+    """The arrays of an index; those of at most `checked` bytes are compared with their checksums."""
     sums = json.loads((folder / CHECKSUMS).read_text("utf-8"))
     arrays = {}
     for name in sorted(sums):
@@ -137,23 +157,10 @@ def _arrays(folder: Path) -> dict[str, NDArray[Any]]:
         if not file.is_file():
             raise ValueError(f"{name} is missing")
         size = file.stat().st_size
-        if size <= CHECKED and zlib.crc32(file.read_bytes()) != sums[name]:
+        if size <= checked and zlib.crc32(file.read_bytes()) != sums[name]:
             raise ValueError(f"{name} was changed")
         arrays[file.stem] = np.load(file, mmap_mode="r" if size >= MAPPED else None, allow_pickle=False)
     return arrays
-
-
-def _fault(folder: Path) -> str | None:
-    """How a stored index has changed; None if it has not, or another process removes it at this moment."""
-    try:
-        sums = json.loads((folder / CHECKSUMS).read_text("utf-8"))
-        changed = [name for name, given in sums.items() if zlib.crc32((folder / name).read_bytes()) != given]
-    except FileNotFoundError as error:
-        is_there = (folder / CHECKSUMS).exists()
-        return f"lacks the file {Path(error.filename).name}" if is_there else None
-    except (OSError, ValueError, AttributeError) as error:
-        return f"cannot be read: {error}"
-    return f"has changed on the disk: {', '.join(changed)}" if changed else None
 
 
 def _write(folder: Path, name: str, arrays: Mapping[str, NDArray[Any]]) -> None:
@@ -176,13 +183,12 @@ def _write(folder: Path, name: str, arrays: Mapping[str, NDArray[Any]]) -> None:
         shutil.rmtree(unfinished, ignore_errors=True)
 
 
-def _tidy(folder: Path, revision: Revision) -> None:
-    """Remove indexes of other states, and incomplete folders of killed processes."""
-    current = _digest(revision.state())
+def _tidy(folder: Path, name: str) -> None:
+    """Remove indexes of other states than that of `name`, and incomplete folders of killed processes."""
     for kept in folder.iterdir():
         if kept.name.startswith(UNFINISHED):
             stale = kept.stat().st_mtime < time.time() - ABANDONED
         else:
-            stale = kept.name.rpartition("-")[2] != current
+            stale = kept.name.rpartition("-")[2] != name.rpartition("-")[2]
         if stale:
             shutil.rmtree(kept, ignore_errors=True)

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Mapping
+import logging
+from collections.abc import Collection, Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
+from datetime import datetime, timezone
 from pathlib import Path
-from types import TracebackType
 from typing import TypeAlias
 
 import numpy as np
@@ -15,27 +17,57 @@ from pcretrieve.catalogue.arrays import (
     packed,
     packed_values,
     payloads_of,
-    read_shape,
-    suggested_id,
-    unknown,
+    stored_shape,
     unpacked,
     unpacked_values,
 )
-from pcretrieve.catalogue.cache import IndexCache
-from pcretrieve.catalogue.records import OWN, Content, Origin, Record, Status, completed
+from pcretrieve.catalogue.cache import IndexCache, signatures_digest
+from pcretrieve.catalogue.records import (
+    OWN,
+    Content,
+    Entry,
+    Record,
+    row_of,
+    settings_of,
+    stored_options,
+)
 from pcretrieve.catalogue.rows import Rows
-from pcretrieve.catalogue.settings import fitting_options, settings_of, stored_options
-from pcretrieve.catalogue.signatures import index_name, made_before, made_index, signature_table
-from pcretrieve.errors import CatalogueError, ShapeError
-from pcretrieve.options import PipelineOptions
-from pcretrieve.retrieval import SignatureIndex, Whitening
-from pcretrieve.values import FloatArray, Need, Shape, SignatureTable, TriangleMesh
+from pcretrieve.catalogue.tables import PAYLOADS, Payload
+from pcretrieve.errors import CatalogueError, InputError, ShapeError
+from pcretrieve.options import PipelineOptions, options_difference
+from pcretrieve.retrieval import (
+    CHUNK,
+    MadeBy,
+    Names,
+    SignatureIndex,
+    Whitening,
+    check_comparable,
+    coordinates,
+    fit_scores,
+    fit_whitening,
+    pair_sample,
+    read_whitening,
+    resolution_covariance,
+    resolution_whitening,
+)
+from pcretrieve.values import (
+    FloatArray,
+    ModalSpectrum,
+    Need,
+    Shape,
+    SignatureTable,
+    SizeUnit,
+    Surface,
+    TriangleMesh,
+)
 
-# Number of records that are read at a time.
-PAGE = 1000
+logger = logging.getLogger(__name__)
+
+# Number of computed signatures that are stored together, so that few are lost after an interruption.
+KEPT_AT_ONCE = 100
 
 
-class Catalogue:
+class Catalogue(Rows):
     """Shapes with their provenance, spectra, signatures and meshes.
 
     Parameters
@@ -82,113 +114,19 @@ class Catalogue:
         create: bool = False,
         any_numbers: bool = False,
     ) -> None:
-        self.rows = Rows(location, settings_of(options or PipelineOptions()), create=create)
-        self.location: str = self.rows.location
+        super().__init__(location, settings_of(options or PipelineOptions()), create=create)
         try:
-            self.options = stored_options(
-                self.location, self.rows.settings(), options, any_numbers=any_numbers
-            )
+            self.options = stored_options(self.location, self.settings(), options, any_numbers=any_numbers)
         except BaseException:
             self.close()
             raise
-        self.cache = IndexCache(self.location, self.rows.database.folder)
-
-    def __enter__(self) -> Catalogue:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
-
-    def close(self) -> None:
-        """Close the file or the connection."""
-        self.rows.close()
-
-    # --- records ----------------------------------------------------------------------------------------
-
-    def __len__(self) -> int:
-        return self.rows.count("done")
-
-    def pages(
-        self,
-        *,
-        status: Status | None = None,
-        doubtful: bool = False,
-        offset: int = 0,
-        limit: int | None = None,
-    ) -> Iterator[list[Record]]:
-        """The records, including failed ones, in ascending order of id, in pages that are read one by one."""
-        after, left = "", limit
-        while left is None or left > 0:
-            size = PAGE if left is None else min(PAGE, left)
-            page = self.rows.page(after=after, offset=offset, limit=size, status=status, doubtful=doubtful)
-            if page:
-                yield page
-            if len(page) < size:
-                return
-            after, offset = page[-1].id, 0
-            left = None if left is None else left - size
-
-    def records(self, *, status: Status | None = None) -> list[Record]:
-        """All records, or those of one status, in ascending order of id."""
-        return [record for page in self.pages(status=status) for record in page]
-
-    def origins(self) -> list[Origin]:
-        """The id, the file, the class and the status of every shape, in ascending order of id."""
-        return self.rows.origins()
-
-    def outlines(self) -> list[Record]:
-        """All records as `origins` has them, without their provenance, which are read much faster."""
-        return [
-            Record(row.id, row.path, row.content_hash, row.label, row.status, stamp=row.stamp)
-            for row in self.origins()
-        ]
-
-    def times(self) -> dict[str, str]:
-        """When each shape, or its failure, was stored, by id: UTC, as 2026-01-31T12:00:00+00:00."""
-        return self.rows.times()
-
-    def several(self, shape_ids: Collection[str]) -> list[Record]:
-        """The records of some ids, in ascending order of id; unknown ids are ignored."""
-        return self.rows.by("id", shape_ids)
-
-    def get(self, shape_id: str) -> Record | None:
-        """The record of a shape; None if there is no shape of this id."""
-        return next(iter(self.several([shape_id])), None)
-
-    def record(self, shape_id: str) -> Record:
-        """The record of a shape; InputError if there is no shape of this id."""
-        record = self.get(shape_id)
-        if record is None:
-            raise unknown(self.rows, shape_id)
-        return record
-
-    def suggested(self, shape_id: str) -> str:
-        """The question whether the id of another shape was meant; empty if no id is similar."""
-        return suggested_id(self.rows, shape_id)
-
-    def labelled(self, labels: Collection[str]) -> list[str]:
-        """The ids of the shapes of some classes that did not fail, in ascending order."""
-        return self.rows.labelled(labels)
-
-    def with_content(self, content_hash: str) -> list[Record]:
-        """The records of files with this content, including failed ones, in ascending order of id."""
-        return self.rows.by("content_hash", [content_hash])
-
-    def failures(self) -> dict[tuple[str, str], int]:
-        """The number of failed shapes by stage and kind of error: `Record.stage` and `Record.error`."""
-        return self.rows.failures()
-
-    def areas(self) -> dict[float | None, tuple[float, float]]:
-        """The smallest and the largest area of a shape, by `Record.metres_per_unit`."""
-        return self.rows.areas()
+        self.cache = IndexCache(self.location, self.database.folder)
 
     # --- shapes -----------------------------------------------------------------------------------------
 
     def shape(self, shape_id: str, needs: tuple[Need, ...] = ("spectrum", "mesh")) -> Shape:
         """Read a shape with some of its parts."""
-        return read_shape(self.rows, self.options, shape_id, needs)[1]
+        return self._read(shape_id, needs)[1]
 
     def mesh(self, shape_id: str) -> TriangleMesh:
         """The mesh of a shape's first surface, unit length of the file; ShapeError if it was not stored."""
@@ -201,100 +139,75 @@ class Catalogue:
 
     def thumbnail(self, shape_id: str) -> bytes | None:
         """The picture of a shape that was stored with it, a PNG file."""
-        found = self.rows.read(shape_id, ["thumbnails"])
-        if found is None:
-            raise unknown(self.rows, shape_id)
-        stored = found[1].get("thumbnails")
+        stored = self._entry(shape_id, ["thumbnails"]).payloads.get("thumbnails")
         with intact(self.location, f"the thumbnail of {shape_id!r}"):
             return None if stored is None else unpacked(stored)[0].tobytes()
 
     def signature(self, shape_id: str) -> FloatArray:
         """The signature (L,) of a shape by the options of the catalogue, as it is stored."""
-        for entry in self.rows.entries([shape_id]):
-            if OWN in entry.signatures:
-                value = np.frombuffer(entry.signatures[OWN], np.uint8)
-                with intact(self.location, f"the signature of {shape_id!r}"):
-                    values: FloatArray = unpacked_values(value[np.newaxis], len(value) // 8 - 1)[0]
-                    return values
-        raise unknown(self.rows, shape_id)
+        stored = self._entry(shape_id, ()).signatures.get(OWN)
+        if stored is None:
+            raise self.unknown(shape_id)
+        with intact(self.location, f"the signature of {shape_id!r}"):
+            row = np.frombuffer(stored, np.uint8)[np.newaxis]
+            values: FloatArray = unpacked_values(row, len(stored) // 8 - 1)[0]
+            return values
 
     def stored_bytes(self, shape_id: str) -> dict[str, int]:
         """The sizes in bytes of a shape's record, signatures and arrays; InputError if there is no shape."""
-        self.record(shape_id)
-        return self.rows.sizes(shape_id)
-
-    # --- changes ----------------------------------------------------------------------------------------
+        entry = self._entry(shape_id, PAYLOADS)
+        texts = (str(value) for value in row_of(entry.record).values() if value is not None)
+        sizes = dict.fromkeys(("record", "signatures", *PAYLOADS), 0)
+        sizes["record"] = sum(len(text.encode()) for text in texts)
+        sizes["signatures"] = sum(map(len, entry.signatures.values()))
+        return sizes | {name: len(arrays) for name, arrays in entry.payloads.items()}
 
     def put(self, record: Record, content: Content | None = None) -> Record:
-        """Store a shape by its path, in one transaction.
+        """Store a shape, or with no content its failure, by its path, in one transaction.
 
         The id is assigned in this transaction, because other processes may have stored shapes since `record`
         was made: a path that the catalogue has keeps its id, and an id that belongs to another path gets the
         next free number. A failure never replaces a finished shape.
 
-        Parameters
-        ----------
-        record : Record
-            Path, content hash, label and provenance of the shape.
-        content : Content, optional
-            The shape and its signature; None for a shape that failed.
+        record: path, content hash, label and provenance of the shape.
 
-        Returns
-        -------
-        Record
-            The record that the catalogue now has for this path.
+        Returns Record: the one that the catalogue now has for this path.
         """
-        record = completed(record, content, self.options.digest)
+        added = datetime.now(timezone.utc).isoformat(timespec="seconds")
+        record = replace(record, options_digest=self.options.digest, added=added)
         if content is None:
-            return self.rows.put(record, None, {})
-        payloads = payloads_of(content.shape, self.options)
+            return self.store(Entry(record, {}, {}))
+        shape, mesh = content.shape, content.shape.mesh
+        record = replace(
+            record,
+            area=shape.area,
+            n_vertices=len(mesh.vertices),
+            n_faces=len(mesh.faces),
+            euler=mesh.euler_characteristic,
+            verdict=shape.verdict,
+        )
+        payloads = payloads_of(shape, self.options)
         if content.thumbnail is not None:
             payloads["thumbnails"] = packed([np.frombuffer(content.thumbnail, np.uint8)])
-        return self.rows.put(record, packed_values(content.signature), payloads)
+        return self.store(Entry(record, {OWN: packed_values(content.signature)}, payloads))
 
     def keep_thumbnail(self, record: Record, picture: bytes) -> bool:
-        """Store the picture of a shape, a PNG file, in the place of an earlier one.
+        """Store the picture of a shape, a PNG file, unless the shape has been replaced since it was read.
 
         Returns bool: whether it could be written. No error is raised, because a picture can be drawn again.
         """
-        if not self.rows.database.is_writable:
+        if not self.database.is_writable:
             return False
         try:
-            self.rows.keep_payload("thumbnails", record, packed([np.frombuffer(picture, np.uint8)]))
+            with self.database.writing():
+                self.database.execute(
+                    "UPDATE arrays SET thumbnails = ? WHERE shape = "
+                    "(SELECT number FROM shapes WHERE id = ? AND content_hash = ? AND status = 'done')",
+                    [packed([np.frombuffer(picture, np.uint8)]), record.id, record.content_hash],
+                )
         except CatalogueError:  # another process has locked it, or the disk is full
             return False
         return True
-
-    def remove(self, *shape_ids: str) -> None:
-        """Remove shapes; InputError, without a change, if one of the ids does not exist."""
-        for shape_id in shape_ids:
-            self.record(shape_id)
-        self.rows.remove(shape_ids)
-
-    def revise(
-        self,
-        *,
-        moved: Mapping[str, str] | None = None,
-        removed: Collection[str] = (),
-        labels: Mapping[str, str] | None = None,
-        stamps: Mapping[str, str] | None = None,
-    ) -> None:
-        """Rename, remove, label and stamp shapes by path, in one transaction.
-
-        Unknown paths are ignored, because another process may have renamed or removed the same shapes.
-
-        Parameters
-        ----------
-        moved : mapping of str to str, optional
-            New path by old path. If the catalogue has the new path already, nothing is renamed.
-        removed : collection of str, optional
-            Paths of the shapes that are removed.
-        labels : mapping of str to str, optional
-            Class by path; by the new path, if a file was renamed.
-        stamps : mapping of str to str, optional
-            `Record.stamp` by path; by the new path, if a file was renamed.
-        """
-        self.rows.revise(moved=moved, removed=removed, labels=labels, stamps=stamps)
 
     # --- signatures -------------------------------------------------------------------------------------
 
@@ -320,7 +233,14 @@ class Catalogue:
         ShapeError
             If a part of a shape that the descriptor needs was not stored.
         """
-        return signature_table(self.rows, self.options, self._fitting(options))
+        from pcretrieve.descriptors import DESCRIPTORS
+
+        options = self._fitting(options)
+        descriptor = DESCRIPTORS[options.signature.method]
+        unit = self._unit_of_sizes(options)
+        _, ids, labels, values = self._values(options)
+        made_by = descriptor.name, options.compared_digest
+        return SignatureTable(tuple(ids), values, *made_by, tuple(labels), descriptor.metric, unit)
 
     def index(self, options: PipelineOptions | None = None) -> SignatureIndex:
         """The index of the signatures of the catalogue, with the whitening of the options.
@@ -345,12 +265,8 @@ class Catalogue:
         InputError
             If the catalogue has no shapes, or too few for the whitening.
         """
-        options = self._fitting(options)
-        return self.cache.index(
-            index_name(options),
-            self.rows.revision(),
-            lambda: made_index(self.rows, self.options, options),
-        )
+        chosen = self._fitting(options)
+        return self.cache.index(chosen, self.revision(), lambda: self._made_index(chosen))
 
     def whitening(self, options: PipelineOptions | None = None) -> Whitening:
         """The whitening of the signatures of the catalogue, an affine map of log-signatures.
@@ -359,11 +275,176 @@ class Catalogue:
         catalogue. Options and errors are those of `index`.
         """
         options = self._fitting(options)
-        return made_before(options) or self.index(options).whitening
+        return _made_before(options) or self.index(options).whitening
+
+    # --- inside -----------------------------------------------------------------------------------------
 
     def _fitting(self, options: PipelineOptions | None) -> PipelineOptions:
         """The options of a request, after a check that they need no other spectra than the stored ones."""
-        return fitting_options(self.location, self.options, options or self.options)
+        options = options or self.options
+        if options.digest != self.options.digest:
+            difference = "; ".join(options_difference(self.options, options))
+            raise CatalogueError(
+                f"{self.location} was built with other options: {difference}. Only the options in "
+                "[signature] and [retrieval] can be changed: start from Catalogue.options"
+            )
+        return options
+
+    def _entry(self, shape_id: str, payloads: Collection[Payload]) -> Entry:
+        for entry in self.entries([shape_id], payloads=payloads):
+            return entry
+        raise self.unknown(shape_id)
+
+    def _read(self, shape_id: str, needs: Collection[Need]) -> tuple[Record, Shape]:
+        """A record and its shape with some parts.
+
+        Overlaps that were not stored are computed from the mesh. Parts that were not stored, and cannot be
+        computed, are missing in the shape.
+        """
+        overlaps, with_mesh = "overlaps" in needs, bool({"mesh", "eigenvectors"} & set(needs))
+        names: list[Payload] = ["spectra"]
+        names += ["moments"] if overlaps or "spectrum" in needs else []
+        names += ["overlaps"] if overlaps else []
+        names += ["meshes"] if overlaps or with_mesh else []
+        entry = self._entry(shape_id, names)
+        record, stored = entry.record, entry.payloads
+        if record.status != "done":
+            raise InputError(
+                f"shape {shape_id!r} has no surface: it failed in {record.stage}: {record.message}"
+            )
+        with intact(self.location, f"shape {shape_id!r}"):
+            shape = stored_shape(stored, record.steps)
+        surfaces = shape.surfaces
+        if overlaps and "overlaps" not in stored:
+            surfaces = tuple(_with_overlaps(one, self.options.spectral.element) for one in surfaces)
+        if not with_mesh:
+            surfaces = tuple(replace(surface, mesh=None) for surface in surfaces)
+        return record, replace(shape, surfaces=surfaces, verdict=record.verdict)
+
+    def _values(self, options: PipelineOptions) -> tuple[str, list[str], list[str | None], FloatArray]:
+        """Revision, ids, labels and signatures (N, L); those that are not stored are computed and stored."""
+        # Imported here, because other functions do not need this slow import.
+        from pcretrieve.descriptors import signature_length
+
+        is_own = options.compared_digest == self.options.signature_digest
+        digest = OWN if is_own else signatures_digest(options)
+        n_values = signature_length(options.signature)
+        with intact(self.location, "a signature"):
+            revision, ids, labels, packed, has = self.listed(digest)
+            if has.any() and has.all():
+                return revision, ids, labels, unpacked_values(packed, n_values)
+            values = np.empty((len(ids), n_values))
+            values[has] = unpacked_values(packed[has], n_values)
+        missing = np.flatnonzero(~has)
+        made = self._described(digest, options, [ids[row] for row in missing])
+        for row, values_now in zip(missing, made, strict=True):
+            values[row] = values_now
+        return revision, ids, labels, values
+
+    def _described(self, digest: str, options: PipelineOptions, ids: Sequence[str]) -> list[FloatArray]:
+        """Compute the signatures (L,) of some shapes, and store them if the catalogue can be written to."""
+        from pcretrieve.descriptors import DESCRIPTORS, describe
+
+        needs = DESCRIPTORS[options.signature.method].needs
+        made: list[FloatArray] = []
+        for start in range(0, len(ids), KEPT_AT_ONCE):
+            unkept: list[tuple[Record, bytes]] = []
+            try:
+                for shape_id in ids[start : start + KEPT_AT_ONCE]:
+                    record, shape = self._read(shape_id, needs)
+                    try:
+                        made.append(describe(shape, options.compared).values)
+                    except ShapeError as error:
+                        error.shape_id = shape_id
+                        raise
+                    unkept.append((record, packed_values(made[-1])))
+            finally:
+                if unkept and self.database.is_writable:
+                    self.keep(digest, unkept)
+            if len(unkept) == KEPT_AT_ONCE:
+                logger.info("%s: %d of %d shapes", options.signature.method, len(made), len(ids))
+        return made
+
+    def _unit_of_sizes(self, options: PipelineOptions) -> SizeUnit | None:
+        """The one unit of the sizes in all signatures; None if they do not depend on sizes."""
+        if not options.signature.compares_sizes:
+            return None
+        units = self.areas().keys()
+        if None in units and len(units) > 1:
+            raise InputError(
+                f"sizes must be in one unit to be compared: in {self.location} some shapes are in metres, "
+                "the unit of others is unknown; ingest all into a new catalogue with --unit (scan.unit), the "
+                "unit of the files that have none, or compare the form alone (size_weight = 0, and the scale "
+                "area)"
+            )
+        return "unknown" if None in units else "m"
+
+    def _made_index(self, options: PipelineOptions) -> tuple[SignatureIndex, str]:
+        """Compute the index of the signatures by some options, and name the state that it belongs to.
+
+        Except for within-class whitening, at most two arrays of the size of the table are in memory at a
+        time.
+        """
+        from pcretrieve.descriptors import DESCRIPTORS
+
+        descriptor, retrieval = DESCRIPTORS[options.signature.method], options.retrieval
+        unit = self._unit_of_sizes(options)
+        check_comparable(descriptor.name, descriptor.metric, retrieval.distance)
+        revision, ids, labels, values = self._values(options)
+        # In place, because the table is not used afterwards.
+        for start in range(0, len(values), CHUNK):
+            block = slice(start, start + CHUNK)
+            values[block] = coordinates(values[block], descriptor.metric)
+        names = Names.of(ids)
+        del ids
+        whitening = _made_before(options)
+        if whitening is None and len(values):
+            whitening = fit_whitening(
+                retrieval.whitening,
+                values,
+                labels,
+                shrinkage=retrieval.shrinkage,
+                prior=resolution_covariance(options.compared),
+                metric=descriptor.metric,
+                options_digest=options.compared_digest,
+            )
+        sample = pair_sample(values, labels)  # before the values are whitened in place
+        made_by = MadeBy(descriptor.name, options.compared_digest, descriptor.metric, unit)
+        index = SignatureIndex.of_coordinates(names, values, labels, made_by, retrieval, whitening)
+        scores = fit_scores(
+            sample,
+            index.whitening,
+            distance=retrieval.distance,
+            shrinkage=retrieval.shrinkage,
+            metric=descriptor.metric,
+        )
+        return index.scored(scores), revision
+
+
+def _made_before(options: PipelineOptions) -> Whitening | None:
+    """The whitening ``resolution``, or one of a file, which are not fitted to the shapes of the catalogue."""
+    retrieval, digest = options.retrieval, options.compared_digest
+    if retrieval.calibration is not None:
+        whitening = read_whitening(Path(retrieval.calibration))
+        whitening.check_made_for(digest)
+        return whitening
+    if retrieval.whitening != "resolution":
+        return None
+    return resolution_whitening(options.compared, shrinkage=retrieval.shrinkage, options_digest=digest)
+
+
+def _with_overlaps(surface: Surface, element: str) -> Surface:
+    """The surface with the overlaps of its eigenfunctions, from the mesh; unchanged without a mesh."""
+    if surface.mesh is None or surface.spectrum is None:
+        return surface
+    from threadpoolctl import threadpool_limits
+
+    from pcretrieve.spectral import unit_eigenpairs
+
+    with threadpool_limits(limits=1):  # as in the pipeline, so that rounding errors are the same
+        pairs = unit_eigenpairs(surface.mesh, len(surface.spectrum.eigenvalues), element)
+        overlaps = ModalSpectrum.of(pairs).overlaps
+    return replace(surface, spectrum=replace(surface.spectrum, overlaps=overlaps))
 
 
 #: A catalogue, or its path or URL.
@@ -380,16 +461,3 @@ def opened(
     else:
         with Catalogue(catalogue, options, create=create) as store:
             yield store
-
-
-def stored_shapes(location: str | Path) -> Catalogue:
-    """Open a catalogue to list, show and export its shapes, also one with other numerical results."""
-    return Catalogue(location, any_numbers=True)
-
-
-def stored_records(catalogue: CatalogueLike, options: PipelineOptions | None = None) -> list[Record]:
-    """The records in ascending order of id; none of a file that does not exist, which is not made."""
-    if not isinstance(catalogue, Catalogue) and "://" not in str(catalogue) and not Path(catalogue).exists():
-        return []
-    with opened(catalogue, options) as store:
-        return store.records()

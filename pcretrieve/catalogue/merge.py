@@ -12,9 +12,8 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from pcretrieve.catalogue.catalogue import Catalogue, CatalogueLike, opened
-from pcretrieve.catalogue.records import Origin
+from pcretrieve.catalogue.records import Origin, check_options
 from pcretrieve.catalogue.rows import Rows, file_of
-from pcretrieve.catalogue.settings import settings_of, stored_options
 from pcretrieve.catalogue.sqlite import check_tables, connect, translated
 from pcretrieve.errors import CatalogueError, InputError
 
@@ -70,8 +69,8 @@ def merge_catalogues(parts: Sequence[CatalogueLike], output: CatalogueLike) -> M
         sources = [stack.enter_context(opened(part)) for part in parts]
         target = stack.enter_context(opened(output, sources[0].options, create=True))
         for part in sources:
-            stored_options(part.location, settings_of(part.options), target.options)
-        return _merge(target.rows, [part.rows for part in sources])
+            check_options(part.location, part.options, target.options)
+        return _merge(target, sources)
 
 
 def backup(catalogue: CatalogueLike, file: str | Path) -> int:
@@ -107,9 +106,9 @@ def backup(catalogue: CatalogueLike, file: str | Path) -> int:
             if source is not None:
                 _copy_file(source, unfinished)
             elif isinstance(catalogue, Catalogue):  # whose location has no password
-                _copy_rows(catalogue.rows, unfinished)
+                _copy_rows(catalogue, unfinished)
             else:
-                with closing(Rows(location, {}, create=False)) as rows:
+                with Rows(location, {}, create=False) as rows:
                     _copy_rows(rows, unfinished)
             with unfinished.open("rb") as written:
                 os.fsync(written.fileno())
@@ -144,7 +143,7 @@ def _copy_rows(rows: Rows, target: Path) -> None:
     """Copy the shapes of a database."""
     stored = rows.settings()
     settings = {name: stored[name] for name in ("options", "numbers_version")}
-    with closing(Rows(target, settings, create=True)) as copy:
+    with Rows(target, settings, create=True) as copy:
         _merge(copy, [rows])
 
 

@@ -6,11 +6,11 @@ psycopg is installed by the extra ``postgresql`` (``pip install pcretrieve[postg
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, nullcontext
+from contextlib import contextmanager
 from typing import Any
 from urllib.parse import parse_qsl, urlencode, urlsplit
 
-from pcretrieve.catalogue.tables import POSTGRESQL, definitions, inserting, new_settings
+from pcretrieve.catalogue.tables import PAYLOADS, definitions, inserting, new_settings
 from pcretrieve.errors import CatalogueError
 
 # The schema of the tables, unless the URL names another one.
@@ -28,6 +28,18 @@ LOCK = "SELECT value FROM meta WHERE key = 'revision' FOR UPDATE"
 # The lock while there is no table to lock: a number that no other program is likely to use.
 CREATION_LOCK = "SELECT pg_advisory_xact_lock(7205759403792794)"
 
+DEFINITIONS = definitions(
+    text='text COLLATE "C"',  # by code point, as in Python and in SQLite
+    octets="bytea",
+    ordered="",
+    # By a hash, because an entry of other indexes must be shorter than a path may be.
+    further=[
+        "ALTER TABLE shapes ADD CONSTRAINT shapes_by_path EXCLUDE USING hash (path WITH =)",
+        # The arrays are compressed already.
+        *(f'ALTER TABLE arrays ALTER COLUMN "{name}" SET STORAGE EXTERNAL' for name in PAYLOADS),
+    ],
+)
+
 # Advice by the SQLSTATE of an error.
 ADVICE = {
     "55P03": "is locked by another process: wait until that has finished",
@@ -42,7 +54,7 @@ ADVICE = {
 class PostgresqlDatabase:
     """A schema of a PostgreSQL database, with the operations of `SqliteDatabase`."""
 
-    dialect = POSTGRESQL
+    scanned = ""
     folder = None
 
     def __init__(self, url: str, settings: Mapping[str, str], *, create: bool) -> None:
@@ -119,14 +131,6 @@ class PostgresqlDatabase:
         """None that a client can see."""
         return []
 
-    def is_reindexed(self) -> bool:
-        """Whether the SQL indexes were made again, which is not done here."""
-        return False
-
-    def escaping(self) -> nullcontext[None]:
-        """Texts are always UTF-8."""
-        return nullcontext()
-
     @contextmanager
     def _transaction(self, isolation: str) -> Iterator[None]:
         self.execute(f"BEGIN ISOLATION LEVEL {isolation}")
@@ -191,7 +195,7 @@ class PostgresqlDatabase:
             # Not IF NOT EXISTS, which needs the privilege to create schemas if the schema exists too.
             if not self.execute("SELECT 1 FROM pg_namespace WHERE nspname = ?", [self._schema]):
                 self._connection.execute(sql.SQL("CREATE SCHEMA {}").format(sql.Identifier(self._schema)))
-            for statement in definitions(self.dialect):
+            for statement in DEFINITIONS:
                 self.execute(statement)
             self.each(inserting("meta"), new_settings(settings).items())
 

@@ -1,17 +1,18 @@
-"""The record of a shape, the content that is stored with it, and their rows."""
+"""The record of a shape and the options of a catalogue, and their rows."""
 
 from __future__ import annotations
 
 import json
 import zlib
+from bisect import bisect_left
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, fields, replace
-from datetime import datetime, timezone
+from dataclasses import dataclass, field, fields
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
-from pcretrieve.catalogue.tables import TABLES, Payload, damaged
-from pcretrieve.errors import CatalogueError
+from pcretrieve.catalogue.tables import TABLES, Payload, changed_row, damaged
+from pcretrieve.errors import CatalogueError, OptionError
+from pcretrieve.options import NUMBERS_VERSION, PipelineOptions, options_difference
 from pcretrieve.values import UNIT, FloatArray, Shape, Step, Verdict
 
 Status = Literal["done", "failed"]
@@ -74,8 +75,7 @@ class Record:
         return sum(step.seconds for step in self.steps)
 
 
-@dataclass(frozen=True, slots=True)
-class Origin:
+class Origin(NamedTuple):
     """Of which file a row is, without its provenance."""
 
     id: str
@@ -95,27 +95,6 @@ class Entry:
     payloads: Mapping[Payload, bytes]
 
 
-class ChangedRow(CatalogueError):
-    """Texts or numbers of a row that are not those that were stored, as by a flipped bit on the disk."""
-
-
-def completed(record: Record, content: Content | None, options_digest: str) -> Record:
-    """Complete a record before it is stored."""
-    added = datetime.now(timezone.utc).isoformat(timespec="seconds")
-    record = replace(record, options_digest=options_digest, added=added)
-    if content is None:
-        return record
-    mesh = content.shape.mesh
-    return replace(
-        record,
-        area=content.shape.area,
-        n_vertices=len(mesh.vertices),
-        n_faces=len(mesh.faces),
-        euler=mesh.euler_characteristic,
-        verdict=content.shape.verdict,
-    )
-
-
 def numbered_id(stem: str, number: int) -> str:
     """The id of one of several files of the same name: ``cat``, ``cat-2``, ``cat-3``."""
     return stem if number == 1 else f"{stem}-{number}"
@@ -128,18 +107,12 @@ def free_id(record: Record, is_taken: Callable[[str], bool]) -> str:
     """
     if not is_taken(record.id):
         return record.id
-    stem = Path(record.path).stem
-    free = 1
-    while is_taken(numbered_id(stem, free)):
-        free *= 2
-    taken = free // 2
-    while free - taken > 1:
-        middle = (free + taken) // 2
-        if is_taken(numbered_id(stem, middle)):
-            taken = middle
-        else:
-            free = middle
-    return numbered_id(stem, free)
+    stem, last = Path(record.path).stem, 1
+    while is_taken(numbered_id(stem, last)):
+        last *= 2
+    numbers = range(last // 2 + 1, last)
+    first = bisect_left(numbers, True, key=lambda number: not is_taken(numbered_id(stem, number)))
+    return numbered_id(stem, numbers.start + first)
 
 
 # --- rows -----------------------------------------------------------------------------------------------
@@ -188,19 +161,61 @@ def row_of(record: Record) -> dict[str, Any]:
 def record_of(row: Sequence[Any], location: str) -> Record:
     """The record of a row of the result of the query `RECORDS`."""
     values = dict(zip(SHAPE_COLUMNS + PROVENANCE_COLUMNS, row[1:], strict=True))
-    if values["steps"] is None:
-        raise damaged(location, f"shape {values['id']!r} has no readable provenance")
-    if checksum(values) != values["checksum"]:
-        raise ChangedRow(
-            f"{location} is damaged (shape {values['id']!r}: its record has changed since it was stored): "
-            "restore a copy, or repair it with `pcretrieve check --repair`"
-        )
+    # Without steps, there is no row of its provenance.
+    if values["steps"] is None or checksum(values) != values["checksum"]:
+        raise changed_row(location, f"shape {values['id']!r}: its record has changed since it was stored")
+    verdict = None
+    if values["judgement"] is not None:
+        verdict = Verdict(values["judgement"], values["uncertainty"], json.loads(values["reasons"]))
+    decoded = {
+        "steps": tuple(Step(**s | {"notes": tuple(s["notes"])}) for s in json.loads(values["steps"])),
+        "versions": json.loads(values["versions"]),
+        "verdict": verdict,
+    }
+    return Record(**{name: values[name] for name in FIELDS} | decoded)
+
+
+# --- options ---------------------------------------------------------------------------------------------
+
+
+def settings_of(options: PipelineOptions) -> dict[str, str]:
+    """The settings of a catalogue that is built with some options."""
+    return {"options": options.model_dump_json(), "numbers_version": str(NUMBERS_VERSION)}
+
+
+def stored_options(
+    location: str,
+    settings: Mapping[str, str],
+    given: PipelineOptions | None = None,
+    *,
+    any_numbers: bool = False,
+) -> PipelineOptions:
+    """The options that a catalogue was built with."""
     try:
-        steps = [Step(**step | {"notes": tuple(step["notes"])}) for step in json.loads(values["steps"])]
-        verdict = None
-        if values["judgement"] is not None:
-            verdict = Verdict(values["judgement"], values["uncertainty"], json.loads(values["reasons"]))
-        decoded = {"steps": tuple(steps), "versions": json.loads(values["versions"]), "verdict": verdict}
-        return Record(**{name: values[name] for name in FIELDS} | decoded)
-    except (ValueError, TypeError, KeyError) as error:
-        raise damaged(location, f"shape {values['id']!r} has no readable provenance") from error
+        values, numbers = json.loads(settings["options"]), int(settings["numbers_version"])
+        own = PipelineOptions(**values)
+    except OptionError as error:
+        raise CatalogueError(
+            f"{location} was built by a pcretrieve with other options ({error.message}): ingest into a "
+            "new catalogue, or use that version"
+        ) from error
+    except (KeyError, TypeError, ValueError) as error:
+        raise damaged(location, "it has no readable options") from error
+    if numbers != NUMBERS_VERSION and not any_numbers:
+        raise CatalogueError(
+            f"{location} was built by a pcretrieve whose numbers differ (version {numbers} there, "
+            f"{NUMBERS_VERSION} here): ingest into a new catalogue; `list`, `show` and `export` read this one"
+        )
+    if given is not None:
+        check_options(location, own, given)
+    return own
+
+
+def check_options(location: str, own: PipelineOptions, given: PipelineOptions) -> None:
+    """Check that shapes that are processed by some options can be stored in a catalogue."""
+    if (given.signature_digest, given.catalogue) != (own.signature_digest, own.catalogue):
+        difference = "; ".join(options_difference(own, given))
+        raise CatalogueError(
+            f"{location} was built with other options: {difference}. Ingest into a new catalogue, or leave "
+            "the options out to use its own"
+        )

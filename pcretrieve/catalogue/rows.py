@@ -7,18 +7,17 @@ from __future__ import annotations
 
 import re
 from collections.abc import Collection, Iterable, Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import islice
 from operator import lt
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 from uuid import uuid4
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pcretrieve.catalogue.records import (
-    OWN,
     PROVENANCE_COLUMNS,
     RECORDS,
     SHAPE_COLUMNS,
@@ -33,31 +32,26 @@ from pcretrieve.catalogue.records import (
 )
 from pcretrieve.catalogue.sqlite import SqliteDatabase
 from pcretrieve.catalogue.tables import PAYLOADS, Payload, check_version, damaged, inserting
-from pcretrieve.errors import OptionError
+from pcretrieve.errors import InputError, OptionError, did_you_mean
 
 if TYPE_CHECKING:
+    from typing_extensions import Self
+
     from pcretrieve.catalogue.postgresql import PostgresqlDatabase
 
 # Number of parameters of a query, of which SQLite allows 999 in early versions.
 PARAMETERS = 500
 
+# Number of records that are read at a time.
+PAGE = 1000
+
+# Number of ids that are compared with an unknown one, which takes less than 0.1 s.
+N_COMPARED = 2000
+
 SCHEME = re.compile(r"([a-z][a-z0-9+.-]*)://")
 
 
-@dataclass(frozen=True, slots=True)
-class Revision:
-    """Names of a state of a catalogue. Two states have the same names only if they have the same shapes."""
-
-    shapes: str
-    labels: str
-
-    def state(self) -> str:
-        """A name of the state of the shapes and their labels."""
-        return f"{self.shapes} {self.labels}"
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Listed:
+class Listed(NamedTuple):
     """Signatures of all shapes that did not fail, in one state of the catalogue.
 
     ids: identifiers of the shapes, in ascending order.
@@ -67,7 +61,7 @@ class Listed:
         stored are zero.
     """
 
-    revision: Revision
+    revision: str
     ids: list[str]
     labels: list[str | None]
     packed: NDArray[np.uint8]
@@ -102,155 +96,191 @@ class Rows:
 
             self.database = PostgresqlDatabase(str(location), settings, create=create)
         #: The path of a file, or a URL without a password, as messages name the catalogue.
-        self.location = self.database.location
+        self.location: str = self.database.location
         try:
             check_version(self.location, self.settings())
         except BaseException:
             self.close()
             raise
 
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *raised: object) -> None:
+        self.close()
+
     def close(self) -> None:
-        """Release the database."""
+        """Close the file or the connection."""
         self.database.close()
 
-    # --- the catalogue ----------------------------------------------------------------------------------
-
     def settings(self) -> dict[str, str]:
-        """The settings with which the catalogue was created, its version and the names of its state."""
+        """The settings with which the catalogue was created, its version and the name of its state."""
         return dict(self._all("SELECT key, value FROM meta"))
 
-    def revision(self) -> Revision:
-        """The present state of the catalogue."""
-        settings = self.settings()
-        try:
-            return Revision(settings["revision"], settings["label_revision"])
-        except KeyError as error:
-            raise damaged(self.location, f"it has no {error.args[0]}") from error
+    def revision(self) -> str:
+        """A name of the state of the shapes and their labels, which no other state has."""
+        for (revision,) in self._all("SELECT value FROM meta WHERE key = 'revision'"):
+            return str(revision)
+        raise damaged(self.location, "it has no revision")
 
-    def count(self, status: Status) -> int:
-        """The number of shapes with a status."""
-        return int(self._all("SELECT count(*) FROM shapes WHERE status = ?", [status])[0][0])
+    # --- records ----------------------------------------------------------------------------------------
+
+    def __len__(self) -> int:
+        return int(self._all("SELECT count(*) FROM shapes WHERE status = 'done'")[0][0])
+
+    def pages(
+        self,
+        *,
+        status: Status | None = None,
+        doubtful: bool = False,
+        offset: int = 0,
+        limit: int | None = None,
+    ) -> Iterator[list[Record]]:
+        """The records, including failed ones, in ascending order of id, in pages that are read one by one."""
+        chosen = "AND status = ?" if status else ""
+        # In the words of the index.
+        chosen += " AND judgement <> 'sound'" if doubtful else ""
+        query = f"{RECORDS} WHERE id > ? {chosen} ORDER BY id LIMIT ? OFFSET ?"
+        after, left = "", limit
+        while left is None or left > 0:
+            size = PAGE if left is None else min(PAGE, left)
+            rows = self._all(query, [after, *([status] if status else []), size, offset])
+            if rows:
+                yield [record_of(row, self.location) for row in rows]
+            if len(rows) < size:
+                return
+            after, offset = rows[-1][1], 0
+            left = None if left is None else left - size
+
+    def records(self, *, status: Status | None = None) -> list[Record]:
+        """All records, or those of one status, in ascending order of id."""
+        return [record for page in self.pages(status=status) for record in page]
+
+    def origins(self) -> list[Origin]:
+        """The id, the file, the class and the status of every shape, in ascending order of id."""
+        rows = self._all("SELECT id, path, content_hash, label, status, stamp FROM shapes ORDER BY id")
+        return [Origin._make(row) for row in rows]
+
+    def outlines(self) -> list[Record]:
+        """All records as `origins` has them, without their provenance, which are read much faster."""
+        return [Record(*one[:5], stamp=one.stamp) for one in self.origins()]
+
+    def times(self) -> dict[str, str]:
+        """When each shape, or its failure, was stored, by id: UTC, as 2026-01-31T12:00:00+00:00."""
+        return dict(self._all("SELECT id, added FROM shapes JOIN provenance ON shape = number"))
+
+    def several(self, shape_ids: Collection[str]) -> list[Record]:
+        """The records of some ids, in ascending order of id; unknown ids are ignored."""
+        return self._records("id", shape_ids)
+
+    def get(self, shape_id: str) -> Record | None:
+        """The record of a shape; None if there is no shape of this id."""
+        return next(iter(self.several([shape_id])), None)
+
+    def record(self, shape_id: str) -> Record:
+        """The record of a shape; InputError if there is no shape of this id."""
+        record = self.get(shape_id)
+        if record is None:
+            raise self.unknown(shape_id)
+        return record
+
+    def unknown(self, shape_id: str) -> InputError:
+        """The error for an id that the catalogue does not have."""
+        return InputError(
+            f"{self.location} holds no shape {shape_id!r}; `pcretrieve list` names them"
+            f"{self.suggested(shape_id)}"
+        )
+
+    def suggested(self, shape_id: str) -> str:
+        """The question whether the id of another shape was meant; empty if no id is similar."""
+        first = self._all("SELECT id FROM shapes ORDER BY id LIMIT ?", [N_COMPARED])
+        return did_you_mean(shape_id, (known for (known,) in first))
+
+    def labelled(self, labels: Collection[str]) -> list[str]:
+        """The ids of the shapes of some classes that did not fail, in ascending order."""
+        query = f"SELECT id, status FROM shapes{self.database.scanned}"
+        return sorted(one for one, status in self._each(query, "label", labels) if status == "done")
+
+    def with_content(self, content_hash: str) -> list[Record]:
+        """The records of files with this content, including failed ones, in ascending order of id."""
+        return self._records("content_hash", [content_hash])
 
     def failures(self) -> dict[tuple[str, str], int]:
-        """The number of failed shapes by stage and kind of error."""
+        """The number of failed shapes by stage and kind of error: `Record.stage` and `Record.error`."""
         query = "SELECT stage, error, count(*) FROM shapes WHERE status = 'failed' GROUP BY stage, error"
         return {(stage, error): number for stage, error, number in self._all(query)}
 
     def areas(self) -> dict[float | None, tuple[float, float]]:
-        """The smallest and the largest area of the shapes that did not fail, by `Record.metres_per_unit`."""
+        """The smallest and the largest area of a shape, by `Record.metres_per_unit`."""
         query = "SELECT metres_per_unit, min(area), max(area) FROM shapes WHERE status = 'done' GROUP BY 1"
         return {unit: (smallest, largest) for unit, smallest, largest in self._all(query)}
 
-    # --- records ----------------------------------------------------------------------------------------
-
-    def page(
-        self,
-        *,
-        after: str = "",
-        offset: int = 0,
-        limit: int,
-        status: Status | None = None,
-        doubtful: bool = False,
-    ) -> list[Record]:
-        """Some records in ascending order of id."""
-        values: list[object] = [after, *([status] if status else []), limit, offset]
-        chosen = "AND status = ? " if status else ""
-        # In the words of the index.
-        chosen += "AND judgement <> 'sound' " if doubtful else ""
-        rows = self._all(f"{RECORDS} WHERE id > ? {chosen} ORDER BY id LIMIT ? OFFSET ?", values)
-        return [record_of(row, self.location) for row in rows]
-
-    def by(self, column: str, values: Collection[str]) -> list[Record]:
-        """The records with some ids, paths or content hashes, in ascending order of id."""
-        found = (record_of(row, self.location) for row in self._each(RECORDS, column, values))
-        return sorted(found, key=lambda record: record.id)
-
-    def origins(self) -> list[Origin]:
-        """The origins of all shapes, including failed ones, in ascending order of id."""
-        rows = self._all("SELECT id, path, content_hash, label, status, stamp FROM shapes ORDER BY id")
-        return [Origin(*row) for row in rows]
-
-    def times(self) -> dict[str, str]:
-        """When each shape, or its failure, was stored, by id."""
-        return dict(self._all("SELECT id, added FROM shapes JOIN provenance ON shape = number"))
-
-    def labelled(self, labels: Collection[str]) -> list[str]:
-        """The ids of the shapes of some classes that did not fail, in ascending order."""
-        query = f"SELECT id, status FROM shapes{self.database.dialect.scanned}"
-        return sorted(one for one, status in self._each(query, "label", labels) if status == "done")
-
-    def numbers(self) -> list[int]:
-        """The numbers of all shapes, in ascending order of id."""
-        return [number for (number,) in self._all("SELECT number FROM shapes ORDER BY id")]
-
     # --- everything of a shape --------------------------------------------------------------------------
 
-    def entries(self, ids: Collection[str] | Collection[int], column: str = "id") -> list[Entry]:
-        """Everything that is stored of shapes of some ids or numbers, in ascending order of id."""
+    def entries(
+        self,
+        ids: Collection[str] | Collection[int],
+        column: str = "id",
+        payloads: Collection[Payload] = PAYLOADS,
+    ) -> list[Entry]:
+        """What is stored of shapes of some ids or numbers, with some payloads, in ascending order of id."""
         signatures: dict[int, dict[str, bytes]] = {}
-        payloads: dict[int, dict[Payload, bytes]] = {}
+        arrays: dict[int, dict[Payload, bytes]] = {}
         with self.database.reading():
             records = {row[0]: record_of(row, self.location) for row in self._each(RECORDS, column, ids)}
             known = "digest IN (SELECT digest FROM descriptors)"
             query = f"SELECT shape, digest, value FROM signatures WHERE {known} AND"
             for number, digest, value in self._each(query, "shape", records):
                 signatures.setdefault(number, {})[digest] = value
-            query = f"SELECT shape, {_listed(PAYLOADS)} FROM arrays"
-            for number, *arrays in self._each(query, "shape", records):
-                payloads[number] = _present(PAYLOADS, arrays)
+            if payloads:
+                query = f"SELECT shape, {_quoted(payloads)} FROM arrays"
+                for number, *stored in self._each(query, "shape", records):
+                    given = zip(payloads, stored, strict=True)
+                    arrays[number] = {name: value for name, value in given if value is not None}
         entries = (
-            Entry(record, signatures.get(number, {}), payloads.get(number, {}))
+            Entry(record, signatures.get(number, {}), arrays.get(number, {}))
             for number, record in records.items()
         )
         return sorted(entries, key=lambda entry: entry.record.id)
 
-    def read(self, shape_id: str, names: Collection[Payload]) -> tuple[Record, dict[Payload, bytes]] | None:
-        """A record, and those of some payloads that are stored; None if there is no shape of this id."""
-        with self.database.reading():
-            for row in self._each(RECORDS, "id", [shape_id]):
-                query = f"SELECT {_listed(names)} FROM arrays WHERE shape = ?"
-                arrays = next(iter(self._all(query, row[:1])), ())
-                return record_of(row, self.location), _present(names, arrays)
-        return None
-
-    def sizes(self, shape_id: str) -> dict[str, int]:
-        """The number of bytes of each payload of a shape, of its ``signatures``, and of its ``record``."""
-        sizes = dict.fromkeys(("record", "signatures", *PAYLOADS), 0)
-        for entry in self.entries([shape_id]):
-            texts = (str(value) for value in row_of(entry.record).values() if value is not None)
-            sizes["record"] = sum(len(text.encode()) for text in texts)
-            sizes["signatures"] = sum(map(len, entry.signatures.values()))
-            sizes |= {name: len(arrays) for name, arrays in entry.payloads.items()}
-        return sizes
-
-    def put(self, record: Record, signature: bytes | None, payloads: Mapping[Payload, bytes]) -> Record:
+    def store(self, entry: Entry) -> Record:
         """Store a shape by its path, and replace an earlier shape of this path.
 
         A path that the catalogue has keeps its id; an id that belongs to another path is replaced by one with
         the next free number. A failure never replaces a finished shape.
         """
+        record = entry.record
         with self.database.writing():
             earlier = self._all("SELECT id, status FROM shapes WHERE path = ?", [record.path])
             shape_id, status = earlier[0] if earlier else (free_id(record, self._is_taken), None)
             if not (status == "done" and record.status == "failed"):
-                signatures = {} if signature is None else {OWN: signature}
-                self._store([Entry(replace(record, id=shape_id), signatures, payloads)])
+                self._insert([replace(entry, record=replace(record, id=shape_id))])
                 if "done" in (status, record.status):
-                    self._changed("revision")
-            return self.by("id", [shape_id])[0]
+                    self._changed()
+            return self.record(shape_id)
 
     def add(self, entries: Collection[Entry]) -> None:
         """Store shapes as they are, and replace earlier shapes of the same paths."""
         with self.database.writing():
-            self._store(entries)
-            self._changed("revision")
+            self._insert(entries)
+            self._changed()
 
-    def remove(self, ids: Collection[str] | Collection[int], column: str = "id") -> None:
-        """Remove shapes of some ids or numbers; others are ignored."""
+    def remove(self, *shape_ids: str) -> None:
+        """Remove shapes; InputError, without a change, if one of the ids does not exist."""
         with self.database.writing():
-            self._forget(column, ids)
-            self._changed("revision")
+            known = {one for (one,) in self._each("SELECT id FROM shapes", "id", shape_ids)}
+            for shape_id in shape_ids:
+                if shape_id not in known:
+                    raise self.unknown(shape_id)
+            self._delete("id", shape_ids)
+            self._changed()
         self.database.shrink()
+
+    def forget(self, number: int) -> None:
+        """Remove the shape of a number, the record of which need not be readable."""
+        with self.database.writing():
+            self._delete("number", [number])
+            self._changed()
 
     def revise(
         self,
@@ -260,31 +290,38 @@ class Rows:
         labels: Mapping[str, str] | None = None,
         stamps: Mapping[str, str] | None = None,
     ) -> None:
-        """Rename, remove, label and stamp shapes by path, in this order; unknown paths are ignored."""
+        """Rename, remove, label and stamp shapes by path, in this order, in one transaction.
+
+        Unknown paths are ignored, because another process may have renamed or removed the same shapes; and a
+        shape is not renamed to a path that the catalogue has already.
+
+        moved: new path by old path.
+        labels, stamps: class, and `Record.stamp`, by path; by the new path, if a file was renamed.
+        """
         with self.database.writing():
             if moved:
                 self._rewrite("path", moved)
             if removed:
-                self._forget("path", removed)
-                self._changed("revision")
+                self._delete("path", removed)
             if labels:
                 self._rewrite("label", labels)
-                self._changed("label_revision")
+            if removed or labels:
+                self._changed()
             if stamps:
                 values = ((stamp, path) for path, stamp in stamps.items())
                 self.database.each("UPDATE shapes SET stamp = ? WHERE path = ?", values)
 
     # --- signatures and pictures ------------------------------------------------------------------------
 
-    def signatures(self, digest: str) -> Listed:
-        """The signatures that are stored under a digest; `OWN` for the signatures given to `put`."""
+    def listed(self, digest: str) -> Listed:
+        """The signatures that are stored under a digest; `OWN` for those by the options of the catalogue."""
         numbers: list[int] = []
         ids: list[str] = []
         labels: list[str | None] = []
         known: dict[str | None, str | None] = {}
         # A scan of the table is faster than the index of the status, by which each shape is looked up.
         query = (
-            f"SELECT number, id, label FROM shapes{self.database.dialect.scanned} WHERE status = 'done' "
+            f"SELECT number, id, label FROM shapes{self.database.scanned} WHERE status = 'done' "
             "ORDER BY number"
         )
         with self.database.reading():
@@ -315,24 +352,20 @@ class Rows:
                 ((digest, value, record.id, record.content_hash) for record, value in signatures),
             )
 
-    def keep_payload(self, name: Payload, record: Record, arrays: bytes) -> None:
-        """Store a payload of a shape, unless the shape has been replaced or removed since it was read."""
-        with self.database.writing():
-            self.database.execute(
-                f"UPDATE arrays SET {_listed([name])} = ? WHERE shape = "
-                "(SELECT number FROM shapes WHERE id = ? AND content_hash = ? AND status = 'done')",
-                [arrays, record.id, record.content_hash],
-            )
-
     # --- inside -----------------------------------------------------------------------------------------
 
-    def _changed(self, revision: str) -> None:
-        """Give the new state a name that no earlier state had, not even before a copy was restored."""
-        self.database.execute("UPDATE meta SET value = ? WHERE key = ?", [uuid4().hex, revision])
+    def _records(self, column: str, values: Collection[str]) -> list[Record]:
+        """The records with some ids, paths or content hashes, in ascending order of id."""
+        found = (record_of(row, self.location) for row in self._each(RECORDS, column, values))
+        return sorted(found, key=lambda record: record.id)
 
-    def _store(self, entries: Collection[Entry]) -> None:
+    def _changed(self) -> None:
+        """Give the new state a name that no earlier state had, not even before a copy was restored."""
+        self.database.execute("UPDATE meta SET value = ? WHERE key = 'revision'", [uuid4().hex])
+
+    def _insert(self, entries: Collection[Entry]) -> None:
         """Insert shapes, each instead of the shape of its path, if there is one."""
-        self._forget("path", [entry.record.path for entry in entries])
+        self._delete("path", [entry.record.path for entry in entries])
         ((last,),) = self._all("SELECT coalesce(max(number), 0) FROM shapes")
         numbered = list(enumerate(entries, last + 1))
         rows = [(number, row_of(entry.record)) for number, entry in numbered]
@@ -347,7 +380,7 @@ class Rows:
             if stored:
                 self.database.each(inserting(table), stored)
 
-    def _forget(self, column: str, values: Collection[str] | Collection[int]) -> None:
+    def _delete(self, column: str, values: Collection[str] | Collection[int]) -> None:
         chosen = list(self._each("SELECT number FROM shapes", column, values))
         if chosen:
             for name in ("provenance", "arrays"):
@@ -361,7 +394,7 @@ class Rows:
 
     def _rewrite(self, name: str, values: Mapping[str, str]) -> None:
         """Change the path or the label of shapes by path; a path that another shape has is not given."""
-        rows = {record.path: row_of(record) for record in self.by("path", values)}
+        rows = {record.path: row_of(record) for record in self._records("path", values)}
         sums = {path: checksum(rows[path] | {name: values[path]}) for path in values if path in rows}
         changes = [(values[path], total, path) for path, total in sums.items()]
         statement = f"UPDATE shapes SET {name} = ?, checksum = ? WHERE path = ?"
@@ -382,8 +415,6 @@ class Rows:
         packed = np.zeros((len(numbers), 0), np.uint8)
         query = "SELECT shape, value FROM signatures WHERE digest = ? ORDER BY shape"
         for shapes, values in self.database.columns(query, [digest]):
-            if len({*map(len, values)}) > 1 or packed.shape[1] not in (0, len(values[0])):
-                raise damaged(self.location, "signatures by the same options have several lengths")
             if not packed.shape[1]:
                 packed = np.zeros((len(numbers), len(values[0])), np.uint8)
             at = np.searchsorted(numbers, shapes)
@@ -409,10 +440,5 @@ class Rows:
         return self.database.execute(query, list(values))
 
 
-def _listed(names: Iterable[Payload]) -> str:
+def _quoted(names: Iterable[Payload]) -> str:
     return ", ".join(f'"{name}"' for name in names)
-
-
-def _present(names: Iterable[Payload], arrays: Iterable[bytes | None]) -> dict[Payload, bytes]:
-    """Those of some payloads that are stored."""
-    return {name: stored for name, stored in zip(names, arrays, strict=False) if stored is not None}

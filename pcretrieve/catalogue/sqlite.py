@@ -18,7 +18,7 @@ from os.path import samestat
 from pathlib import Path
 from typing import Any, Literal
 
-from pcretrieve.catalogue.tables import SQLITE, damaged, definitions, inserting, new_settings
+from pcretrieve.catalogue.tables import changed_row, damaged, definitions, inserting, new_settings
 from pcretrieve.errors import CatalogueError
 
 logger = logging.getLogger(__name__)
@@ -34,6 +34,13 @@ READ_AT_ONCE = 1000
 
 # Largest number of defects of pages that are listed.
 LISTED = 20
+
+DEFINITIONS = definitions(
+    text="text",
+    octets="blob",
+    ordered=" WITHOUT ROWID",
+    further=["CREATE UNIQUE INDEX shapes_by_path ON shapes (path)"],
+)
 
 ADVICE = {
     "locked": "is locked by another process: wait until that has finished",
@@ -108,7 +115,8 @@ def journal_of(mount: Mount) -> Literal["WAL", "DELETE"] | None:
 class SqliteDatabase:
     """An SQLite file."""
 
-    dialect = SQLITE
+    #: After the name of a table that is faster to read as a whole than by an index.
+    scanned = " NOT INDEXED"
 
     def __init__(self, path: Path, settings: Mapping[str, str], *, create: bool) -> None:
         self._path = path
@@ -191,26 +199,6 @@ class SqliteDatabase:
         lines = [line for (text,) in rows for line in text.splitlines() if not line.startswith("***")]
         return [] if lines == ["ok"] else lines
 
-    def is_reindexed(self) -> bool:
-        """Make the SQL indexes again; whether the file has no fault then. Otherwise it stays as it was."""
-        try:
-            with self._transaction("IMMEDIATE"):
-                self._connection.execute("REINDEX")
-                if faults := self.faults():
-                    raise CatalogueError(faults[0])
-        except CatalogueError:
-            return False
-        return True
-
-    @contextmanager
-    def escaping(self) -> Iterator[None]:
-        """Read texts that are not UTF-8 with escaped bytes, which their checksum shows."""
-        self._connection.text_factory = lambda text: text.decode("utf-8", "backslashreplace")
-        try:
-            yield
-        finally:
-            self._connection.text_factory = str
-
     @contextmanager
     def _transaction(self, kind: str) -> Iterator[None]:
         with translated(self._path):
@@ -228,7 +216,7 @@ class SqliteDatabase:
             self.execute(f"PRAGMA journal_mode = {journal_of(mount_of(self._path)) or 'DELETE'}")
             with self._transaction("IMMEDIATE"):
                 if not self._tables():  # another process may have created them in the meantime
-                    for statement in definitions(self.dialect):
+                    for statement in DEFINITIONS:
                         self.execute(statement)
                     self.each(inserting("meta"), new_settings(settings).items())
         check_tables(self._path, self._tables())
@@ -286,7 +274,9 @@ def translated(path: Path) -> Iterator[None]:
         yield
     except sqlite3.Error as error:
         text = str(error)
-        if "malformed" in text or "decode to UTF-8" in text:
+        if "decode to UTF-8" in text:
+            raise changed_row(str(path), text) from error
+        if "malformed" in text:
             raise damaged(str(path), text) from error
         advice = next((advice for words, advice in ADVICE.items() if words in text), None)
         message = f"{path} {advice}" if advice else f"cannot use the catalogue {path}: {text}"

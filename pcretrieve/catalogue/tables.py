@@ -7,8 +7,7 @@ stored id.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
 from typing import Literal
 from uuid import uuid4
 
@@ -24,7 +23,7 @@ PAYLOADS: tuple[Payload, ...] = ("spectra", "moments", "overlaps", "thumbnails",
 # single shapes only is in further tables, by the number of the shape.
 TABLES = {
     "meta": {
-        # options (JSON), numbers_version, schema_version, revision, label_revision
+        # options (JSON), numbers_version, schema_version, revision
         "key": "{text} PRIMARY KEY",
         "value": "{text} NOT NULL",
     },
@@ -61,17 +60,17 @@ TABLES = {
     "signatures": {
         "digest": "{text} NOT NULL",  # of the options; "own" for those of the catalogue
         "shape": "integer NOT NULL",
-        "value": "{bytes} NOT NULL",  # (L,) float64, little-endian, and a checksum
+        "value": "{octets} NOT NULL",  # (L,) float64, little-endian, and a checksum
     },
     # Arrays of the s surfaces of a shape, as pcretrieve.catalogue.arrays packs them. The smallest are first,
     # because SQLite reads a row up to the column that is asked for.
     "arrays": {
         "shape": "integer PRIMARY KEY",
-        "spectra": "{bytes}",  # areas (s,), unit length² of the file; eigenvalues (s, k) of unit area
-        "moments": "{bytes}",  # (s, k, k) ⟨φ_i², φ_j⟩ of unit area
-        "overlaps": "{bytes}",  # (s, k, k) ⟨φ_i², φ_j²⟩ of unit area
-        "thumbnails": "{bytes}",  # bytes of a PNG file: a picture of the first surface
-        "meshes": "{bytes}",  # vertices and faces of each surface in turn, unit length of the file
+        "spectra": "{octets}",  # areas (s,), unit length² of the file; eigenvalues (s, k) of unit area
+        "moments": "{octets}",  # (s, k, k) ⟨φ_i², φ_j⟩ of unit area
+        "overlaps": "{octets}",  # (s, k, k) ⟨φ_i², φ_j²⟩ of unit area
+        "thumbnails": "{octets}",  # bytes of a PNG file: a picture of the first surface
+        "meshes": "{octets}",  # vertices and faces of each surface in turn, unit length of the file
     },
 }
 
@@ -84,49 +83,21 @@ INDEXES = (
 )
 
 
-@dataclass(frozen=True)
-class Dialect:
-    """The words in which two databases differ."""
+def definitions(*, text: str, octets: str, ordered: str, further: Sequence[str]) -> list[str]:
+    """The statements that create all tables in the words of one database.
 
-    text: str
-    bytes: str
-    ordered: str  # of a table whose rows are in the order of its key
-    further: tuple[str, ...]  # statements after those that create the tables
-    scanned: str  # of a table that is faster to read as a whole than by an index
-
-
-SQLITE = Dialect(
-    text="text",
-    bytes="blob",
-    ordered=" WITHOUT ROWID",
-    further=("CREATE UNIQUE INDEX shapes_by_path ON shapes (path)",),
-    scanned=" NOT INDEXED",
-)
-POSTGRESQL = Dialect(
-    text='text COLLATE "C"',  # by code point, as in Python and in SQLite
-    bytes="bytea",
-    ordered="",
-    # By a hash, because an entry of other indexes must be shorter than a path may be.
-    further=(
-        "ALTER TABLE shapes ADD CONSTRAINT shapes_by_path EXCLUDE USING hash (path WITH =)",
-        # The arrays are compressed already.
-        *(f'ALTER TABLE arrays ALTER COLUMN "{name}" SET STORAGE EXTERNAL' for name in PAYLOADS),
-    ),
-    scanned="",
-)
-
-
-def definitions(dialect: Dialect) -> list[str]:
-    """The statements that create all tables."""
+    ordered: of a table whose rows are in the order of its key.
+    further: statements after those that create the tables.
+    """
     statements = []
     for table, columns in TABLES.items():
         # In quotes, because "overlaps" is a word of PostgreSQL.
         lines = [f'"{name}" {kind}' for name, kind in columns.items()]
         if table in KEYS:
             lines.append(f"PRIMARY KEY ({', '.join(KEYS[table])})")
-        created = f"CREATE TABLE {table} ({', '.join(lines)})".format(text=dialect.text, bytes=dialect.bytes)
-        statements.append(created + (dialect.ordered if table in KEYS else ""))
-    return [*statements, *INDEXES, *dialect.further]
+        created = f"CREATE TABLE {table} ({', '.join(lines)})".format(text=text, octets=octets)
+        statements.append(created + (ordered if table in KEYS else ""))
+    return [*statements, *INDEXES, *further]
 
 
 def inserting(table: str) -> str:
@@ -136,28 +107,37 @@ def inserting(table: str) -> str:
 
 def new_settings(settings: Mapping[str, str]) -> dict[str, str]:
     """The rows of the table meta of a new catalogue."""
-    names = {"revision": uuid4().hex, "label_revision": uuid4().hex}
-    return {**settings, "schema_version": str(SCHEMA_VERSION), **names}
+    return {**settings, "schema_version": str(SCHEMA_VERSION), "revision": uuid4().hex}
 
 
 def check_version(location: str, settings: Mapping[str, str]) -> None:
     """Check that the tables of a catalogue are those of this version."""
-    version = settings.get("schema_version", "")
-    if version == str(SCHEMA_VERSION):
-        return
-    if not settings or not (version.isdecimal() or not version):
+    version = settings.get("schema_version", "0")
+    if not settings or not version.isdecimal():
         raise damaged(location, "it has no version")
-    if version and int(version) > SCHEMA_VERSION:
+    if int(version) > SCHEMA_VERSION:
         raise CatalogueError(
             f"{location} was written by a newer pcretrieve (schema {version}, this one knows "
             f"{SCHEMA_VERSION}): upgrade pcretrieve"
         )
-    raise CatalogueError(
-        f"{location} was written by an older pcretrieve, whose tables this one does not know: ingest into a "
-        "new catalogue, or use that version"
-    )
+    if int(version) < SCHEMA_VERSION:
+        raise CatalogueError(
+            f"{location} was written by an older pcretrieve, whose tables this one does not know: ingest "
+            "into a new catalogue, or use that version"
+        )
 
 
 def damaged(location: str, how: str) -> CatalogueError:
     """The error for a catalogue with invalid content."""
     return CatalogueError(f"{location} is damaged ({how}): restore a copy, or ingest into a new catalogue")
+
+
+class ChangedRow(CatalogueError):
+    """Texts or numbers of a row that are not those that were stored, as by a flipped bit on the disk."""
+
+
+def changed_row(location: str, how: str) -> ChangedRow:
+    """The error for a row that `pcretrieve check --repair` removes."""
+    return ChangedRow(
+        f"{location} is damaged ({how}): restore a copy, or repair it with `pcretrieve check --repair`"
+    )

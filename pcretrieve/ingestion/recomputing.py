@@ -61,9 +61,9 @@ def check(
     """Check whether a catalogue is whole.
 
     The check reads everything: pages and SQL indexes of an SQLite file; rows of no shape; of each shape,
-    whether its record is as it was stored and agrees with its arrays, and whether all arrays and signatures
-    are there with the right checksums; and the stored indexes. Signatures of a sample are computed again,
-    from the stored surfaces or from files that are unchanged.
+    whether its record is as it was stored, and all arrays and signatures are there with the right checksums;
+    and the stored indexes. Signatures of a sample are computed again, from the stored surfaces or from files
+    that are unchanged.
 
     Parameters
     ----------

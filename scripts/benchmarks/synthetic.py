@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 import statistics
 from collections.abc import Collection, Iterator
-from contextlib import closing
 from dataclasses import replace
 from functools import partial
 from importlib import resources
@@ -17,11 +16,9 @@ from numpy.random import Generator
 from scipy.spatial import ConvexHull
 
 from benchmarks.measuring import timed
-from pcretrieve.catalogue import Record, merge_catalogues
+from pcretrieve.catalogue import Catalogue, Record, merge_catalogues
 from pcretrieve.catalogue.arrays import packed_values
 from pcretrieve.catalogue.records import OWN, Entry
-from pcretrieve.catalogue.rows import Rows
-from pcretrieve.catalogue.settings import settings_of
 from pcretrieve.errors import BenchmarkError
 from pcretrieve.formats import write_mesh
 from pcretrieve.options import PipelineOptions
@@ -63,10 +60,10 @@ def synthetic_catalogue(path: Path, options: PipelineOptions, n_shapes: int, see
     surface causes; between classes, of the bodies.
     """
     signatures = _signatures(options.signature.n_values, n_shapes, np.random.default_rng(seed))
-    with closing(Rows(path, settings_of(options), create=True)) as rows:
+    with Catalogue(path, options, create=True) as catalogue:
         for start in range(0, n_shapes, BLOCK):
             numbers = range(start, min(start + BLOCK, n_shapes))
-            rows.add([_entry(number, next(signatures), options) for number in numbers])
+            catalogue.add([_entry(number, next(signatures), options) for number in numbers])
 
 
 def _entry(number: int, values: FloatArray, options: PipelineOptions) -> Entry:
@@ -185,18 +182,19 @@ def written_in(path: Path, n_shapes: int, n_repeats: int) -> WritingTimes:
     Returns WritingTimes: median times; seconds.
     """
     times = []
-    with closing(Rows(path, {}, create=False)) as rows:
-        stored = rows.entries([record.id for record in rows.page(limit=n_shapes)])
+    with Catalogue(path) as catalogue:
+        (page,) = catalogue.pages(limit=n_shapes)
+        stored = catalogue.entries([record.id for record in page])
         new = [
             replace(entry, record=replace(entry.record, id=f"new-{at}", path=f"/new/{at}.ply"))
             for at, entry in enumerate(stored)
         ]
         ids = [entry.record.id for entry in new]
         for _ in range(n_repeats):
-            together, _ = timed(partial(rows.add, new))
-            removal, _ = timed(partial(rows.remove, ids))
-            single, _ = timed(partial(_put, rows, new))
-            rows.remove(ids)
+            together, _ = timed(partial(catalogue.add, new))
+            removal, _ = timed(partial(catalogue.remove, *ids))
+            single, _ = timed(partial(_store, catalogue, new))
+            catalogue.remove(*ids)
             times.append((together, single, removal))
     return WritingTimes(*map(statistics.median, zip(*times, strict=True)))
 
@@ -212,16 +210,16 @@ def merged_in(folder: Path, options: PipelineOptions, n_shapes: int, n_parts: in
         )
     synthetic_catalogue(folder / "whole.sqlite", options, n_shapes, seed)
     parts = [folder / f"part-{number}.sqlite" for number in range(n_parts)]
-    with closing(Rows(folder / "whole.sqlite", {}, create=False)) as rows:
-        ids = [origin.id for origin in rows.origins()]
+    with Catalogue(folder / "whole.sqlite") as whole:
+        ids = [origin.id for origin in whole.origins()]
         for number, part in enumerate(parts):
-            with closing(Rows(part, settings_of(options), create=True)) as store:
+            with Catalogue(part, options, create=True) as store:
                 chosen = ids[number::n_parts]
                 for start in range(0, len(chosen), COPIED_AT_ONCE):
-                    store.add(rows.entries(chosen[start : start + COPIED_AT_ONCE]))
+                    store.add(whole.entries(chosen[start : start + COPIED_AT_ONCE]))
     return timed(lambda: merge_catalogues(parts, folder / "all.sqlite"))[0]
 
 
-def _put(rows: Rows, entries: Collection[Entry]) -> None:
+def _store(catalogue: Catalogue, entries: Collection[Entry]) -> None:
     for entry in entries:
-        rows.put(entry.record, entry.signatures[OWN], entry.payloads)
+        catalogue.store(entry)

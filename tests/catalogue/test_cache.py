@@ -80,7 +80,7 @@ def test_an_index_that_was_kept_answers_as_one_made_anew(
     assert len(kept(catalogue)) == 1
     with Catalogue(catalogue.location) as other:
         statements: list[str] = []
-        other.rows.database._connection.set_trace_callback(statements.append)
+        other.database._connection.set_trace_callback(statements.append)
         index = other.index(options)
         assert other.whitening(options) == index.whitening
         assert not [text for text in statements if "signatures" in text], "it was computed again"

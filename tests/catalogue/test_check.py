@@ -74,7 +74,7 @@ def run(*arguments: str | Path) -> Result:
 def rows_of(location: str | Path) -> list[Any]:
     """Everything that is stored of each shape."""
     with Catalogue(location) as store:
-        entries = store.rows.entries([record.id for record in store.records()])
+        entries = store.entries([record.id for record in store.records()])
         return [(entry.record, dict(entry.signatures), dict(entry.payloads)) for entry in entries]
 
 
@@ -166,7 +166,7 @@ from dataclasses import replace
 from pcretrieve import Catalogue
 
 with Catalogue(sys.argv[1]) as store:
-    (entry,) = store.rows.entries(["2"])
+    (entry,) = store.entries(["2"])
     number = 0
     while True:
         number += 1
@@ -174,7 +174,7 @@ with Catalogue(sys.argv[1]) as store:
             replace(entry, record=replace(entry.record, id=f"{side}{number}", path=f"/{side}{number}"))
             for side in "ab"
         ]
-        store.rows.add(pair)
+        store.add(pair)
 """
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 
@@ -14,8 +13,6 @@ from numpy.random import default_rng
 from pcretrieve import Catalogue, merge_catalogues
 from pcretrieve.catalogue import Merged, Record
 from pcretrieve.catalogue.records import OWN, Entry
-from pcretrieve.catalogue.rows import Rows
-from pcretrieve.catalogue.settings import settings_of
 from pcretrieve.catalogue.tables import PAYLOADS, Payload
 from pcretrieve.errors import CatalogueError
 
@@ -41,8 +38,8 @@ def part(tmp_path: Path) -> Callable[[Sequence[Entry]], Path]:
 
     def make(entries: Sequence[Entry]) -> Path:
         path = tmp_path / f"part-{next(number)}.sqlite"
-        with closing(Rows(path, settings_of(OPTIONS), create=True)) as rows:
-            rows.add(entries)
+        with Catalogue(path, OPTIONS, create=True) as store:
+            store.add(entries)
         return path
 
     return make
@@ -50,8 +47,8 @@ def part(tmp_path: Path) -> Callable[[Sequence[Entry]], Path]:
 
 def content(location: str | Path) -> Content:
     """Everything that a catalogue has, in ascending order of id."""
-    with closing(Rows(location, {}, create=False)) as rows:
-        entries = rows.entries([origin.id for origin in rows.origins()])
+    with Catalogue(location) as store:
+        entries = store.entries([origin.id for origin in store.origins()])
         return [(one.record, dict(one.signatures), {**one.payloads}) for one in entries]
 
 
@@ -64,11 +61,11 @@ def test_a_merge_goes_on_after_an_interruption(
     merge_catalogues([part(entries[:2])], new_location)
     assert merge_catalogues([whole], new_location) == Merged(2, 2)
     with Catalogue(new_location) as merged:
-        revision = merged.rows.revision()
+        revision = merged.revision()
     assert merge_catalogues([whole, whole], new_location) == Merged(0, 4)
     assert content(new_location) == content(whole)
     with Catalogue(new_location) as merged:
-        assert merged.rows.revision() == revision
+        assert merged.revision() == revision
 
 
 def test_parts_are_merged_in_any_grouping(part: Callable[[Sequence[Entry]], Path], tmp_path: Path) -> None:
@@ -111,8 +108,8 @@ def test_conflicts_are_named_and_nothing_is_stored(tmp_path: Path) -> None:
         parts = [folder / "part-0.sqlite", folder / "part-1.sqlite"]
         entries = [[done("a"), done("c")], [done("a", **changes), done("d")]]
         for path, stored in zip(parts, entries, strict=True):
-            with closing(Rows(path, settings_of(OPTIONS), create=True)) as rows:
-                rows.add(stored)
+            with Catalogue(path, OPTIONS, create=True) as store:
+                store.add(stored)
         with pytest.raises(CatalogueError, match=f"with conflicts cannot be merged: {said}"):
             merge_catalogues(parts, folder / "all.sqlite")
         assert content(folder / "all.sqlite") == []

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import closing
 from pathlib import Path
 from typing import Any
 from uuid import uuid4
@@ -17,6 +16,7 @@ from postgresql_server import has_pgvector, programs
 
 from pcretrieve import Catalogue
 from pcretrieve.catalogue import Record, export_vectors, postgresql
+from pcretrieve.catalogue.records import Entry
 from pcretrieve.catalogue.rows import Rows
 from pcretrieve.catalogue.vectors import VECTOR_TABLE, write_vectors
 from pcretrieve.cli.main import cli
@@ -51,26 +51,26 @@ def quoted(location: str) -> str:
     return location.partition("=")[2].replace('"', '""')
 
 
-def failure(name: str, **changes: Any) -> Record:
-    return Record(name, changes.pop("path", f"/{name}"), "", status="failed", **changes)
+def failure(name: str) -> Entry:
+    return Entry(Record(name, f"/{name}", "", status="failed"), {}, {})
 
 
 def test_two_schemas_are_two_catalogues(url: str, server: Any) -> None:
     names = ["people", 'Some "people"', "people; DROP SCHEMA people"]
     for number, name in enumerate(names):
-        with closing(Rows(f"{url}?schema={name}", SETTINGS, create=True)) as rows:
+        with Rows(f"{url}?schema={name}", SETTINGS, create=True) as rows:
             for shape in range(number + 1):
-                rows.put(failure(f"{shape}"), None, {})
+                rows.store(failure(f"{shape}"))
     for number, name in enumerate(names):
-        with closing(Rows(f"{url}?schema={name}", SETTINGS, create=False)) as rows:
-            assert rows.count("failed") == number + 1
+        with Rows(f"{url}?schema={name}", SETTINGS, create=False) as rows:
+            assert len(rows.records()) == number + 1
     schemas = {name for (name,) in server.execute("SELECT nspname FROM pg_namespace").fetchall()}
     assert schemas >= set(names)
 
 
 def test_a_user_without_privileges_reads_or_is_told(location: str, url: str, server: Any) -> None:
-    with closing(Rows(location, SETTINGS, create=True)) as rows:
-        rows.put(failure("a"), None, {})
+    with Rows(location, SETTINGS, create=True) as rows:
+        rows.store(failure("a"))
     reader = f"reader{uuid4().hex}"
     server.execute(f"CREATE ROLE {reader} LOGIN")
     others = location.replace("tester", reader)
@@ -80,11 +80,11 @@ def test_a_user_without_privileges_reads_or_is_told(location: str, url: str, ser
         Rows(f"{url.replace('tester', reader)}?schema=new", SETTINGS, create=True)
     server.execute(f'GRANT USAGE ON SCHEMA "{quoted(location)}" TO {reader}')
     server.execute(f'GRANT SELECT ON ALL TABLES IN SCHEMA "{quoted(location)}" TO {reader}')
-    with closing(Rows(others, SETTINGS, create=False)) as rows:
-        assert [record.id for record in rows.page(limit=9)] == ["a"]
+    with Rows(others, SETTINGS, create=False) as rows:
+        assert [record.id for record in rows.records()] == ["a"]
         assert not rows.database.is_writable
         with pytest.raises(CatalogueError, match="cannot be used by this user"):
-            rows.remove(["a"])
+            rows.remove("a")
 
 
 def test_a_writer_waits_for_another_and_says_so(
@@ -93,14 +93,14 @@ def test_a_writer_waits_for_another_and_says_so(
     import psycopg
 
     monkeypatch.setattr(postgresql, "LOCK_TIMEOUT", 0.05)
-    with closing(Rows(location, SETTINGS, create=True)) as rows, psycopg.connect(url) as other:
+    with Rows(location, SETTINGS, create=True) as rows, psycopg.connect(url) as other:
         other.execute(f"SELECT value FROM \"{quoted(location)}\".meta WHERE key = 'revision' FOR UPDATE")
-        assert rows.count("failed") == 0
+        assert len(rows.records()) == 0
         with pytest.raises(CatalogueError, match="is locked by another process: wait until"):
-            rows.put(failure("a"), None, {})
+            rows.store(failure("a"))
         other.rollback()
-        rows.put(failure("a"), None, {})
-        assert rows.count("failed") == 1
+        rows.store(failure("a"))
+        assert len(rows.records()) == 1
 
 
 @pytest.mark.parametrize(

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,9 +11,8 @@ import shapes
 from processes import in_this_process
 
 from pcretrieve import Catalogue, PipelineOptions, evaluate, ingest
-from pcretrieve.catalogue.records import Origin, Record
+from pcretrieve.catalogue.records import OWN, Entry, Origin, Record, settings_of
 from pcretrieve.catalogue.rows import Rows
-from pcretrieve.catalogue.settings import settings_of
 from pcretrieve.catalogue.tables import Payload
 from pcretrieve.errors import CatalogueError, OptionError
 from pcretrieve.formats import write_mesh
@@ -36,17 +34,21 @@ def failure(name: str) -> Record:
     return Record(name, f"/{name}.ply", "", status="failed", stage="clean", error="Bad", message="why")
 
 
-def signature(name: str) -> bytes:
-    return name.encode() * 16
+def done(name: str, signed: str | None = None, **changes: object) -> Entry:
+    return Entry(record(name, **changes), {OWN: (signed or name).encode() * 16}, ARRAYS)
+
+
+def failed(name: str, **changes: object) -> Entry:
+    return Entry(replace(failure(name), **changes), {}, {})  # type: ignore[arg-type]
 
 
 @pytest.fixture
 def rows(new_location: str) -> Iterator[Rows]:
     """Four finished shapes, put in another order than that of their ids, and a failed one."""
-    with closing(Rows(new_location, SETTINGS, create=True)) as store:
+    with Rows(new_location, SETTINGS, create=True) as store:
         for name in IDS:
-            assert store.put(record(name), signature(name), ARRAYS) == record(name)
-        store.put(failure("e"), None, {})
+            assert store.store(done(name)) == record(name)
+        store.store(failed("e"))
         yield store
 
 
@@ -54,37 +56,38 @@ def ids(records: list[Record]) -> list[str]:
     return [found.id for found in records]
 
 
-def test_records_are_found(rows: Rows, new_location: str) -> None:
+def test_records_are_found(rows: Rows, new_location: str, monkeypatch: pytest.MonkeyPatch) -> None:
     assert SETTINGS.items() <= rows.settings().items()
     assert rows.database.is_writable
-    with closing(Rows(new_location, {"options": "others"}, create=True)) as again:
+    with Rows(new_location, {"options": "others"}, create=True) as again:
         assert again.settings() == rows.settings()
-        assert again.page(limit=10) == rows.page(limit=10)
-    assert rows.page(limit=10) == [record("a"), record("b"), record("c"), record("d"), failure("e")]
-    assert ids(rows.page(after="a", offset=1, limit=2)) == ["c", "d"]
-    assert ids(rows.page(limit=10, status="failed")) == ["e"]
-    assert ids(rows.page(after="aa", limit=1, status="done")) == ["b"]
+        assert again.records() == rows.records()
+    assert rows.records() == [record("a"), record("b"), record("c"), record("d"), failure("e")]
+    monkeypatch.setattr("pcretrieve.catalogue.rows.PAGE", 2)
+    assert [ids(page) for page in rows.pages(offset=1, limit=3)] == [["b", "c"], ["d"]]
+    assert [ids(page) for page in rows.pages(status="done")] == [["a", "b"], ["c", "d"]]
+    assert ids(rows.records(status="failed")) == ["e"]
     assert rows.origins()[1] == Origin("b", "/b.ply", "hash-b", "label", "done")
     assert rows.origins()[4] == Origin("e", "/e.ply", "", None, "failed")
-    assert rows.times() == {found.id: found.added for found in rows.page(limit=10)}
-    rows.put(record("f", content_hash="hash-b"), signature("f"), {})
-    assert ids(rows.by("id", ["d", "nobody", "a", "d"])) == ["a", "d"]
-    assert ids(rows.by("content_hash", ["hash-b", "hash-a", "none"])) == ["a", "b", "f"]
-    rows.put(record("g", label=None), signature("g"), {})
-    rows.put(record("h", label="other"), signature("h"), {})
-    rows.put(replace(failure("i"), label="label"), None, {})
+    assert rows.times() == {found.id: found.added for found in rows.records()}
+    rows.store(done("f", content_hash="hash-b"))
+    assert ids(rows.several(["d", "nobody", "a", "d"])) == ["a", "d"]
+    assert ids(rows.with_content("hash-b")) == ["b", "f"]
+    rows.store(done("g", label=None))
+    rows.store(done("h", label="other"))
+    rows.store(failed("i", label="label"))
     assert rows.labelled(["other", "label", "nobody"]) == ["a", "b", "c", "d", "f", "h"]
     assert rows.labelled([]) == []
 
 
 def test_a_path_keeps_its_id_and_an_id_that_is_taken_gets_a_number(rows: Rows) -> None:
-    again = rows.put(record("f", path="/a.ply", content_hash="new"), signature("f"), {})
+    again = rows.store(done("f", path="/a.ply", content_hash="new"))
     assert (again.id, again.content_hash) == ("a", "new")
-    others = [rows.put(record("a", path=f"/{place}/a.ply"), signature("a"), {}).id for place in range(20)]
+    others = [rows.store(done("a", path=f"/{place}/a.ply")).id for place in range(20)]
     assert others == [f"a-{number}" for number in range(2, 22)]
-    assert rows.put(failure("b"), None, {}) == record("b"), "a failure replaces a failure only"
-    assert rows.put(replace(failure("e"), message="again"), None, {}).message == "again"
-    assert rows.put(record("e"), signature("e"), ARRAYS) == record("e")
+    assert rows.store(failed("b")) == record("b"), "a failure replaces a failure only"
+    assert rows.store(failed("e", message="again")).message == "again"
+    assert rows.store(done("e")) == record("e")
 
 
 @pytest.mark.slow
@@ -112,7 +115,7 @@ def test_a_catalogue_in_a_database_answers_as_a_file(postgresql: str, tmp_path: 
 
 def test_locations(tmp_path: Path) -> None:
     options = PipelineOptions().changed(signature={"n_values": 9})
-    with closing(Rows(tmp_path / "c.sqlite", settings_of(options), create=True)) as rows:
+    with Rows(tmp_path / "c.sqlite", settings_of(options), create=True) as rows:
         assert rows.location == str(tmp_path / "c.sqlite")
     with Catalogue(f"sqlite://{tmp_path / 'c.sqlite'}") as store:
         assert (store.location, store.options) == (str(tmp_path / "c.sqlite"), options)

@@ -13,7 +13,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
-from contextlib import closing, suppress
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -24,7 +24,6 @@ from processes import PATIENCE, living, wait_for
 
 from pcretrieve import Catalogue, ingest
 from pcretrieve.catalogue import find_defects
-from pcretrieve.catalogue.rows import Rows
 from pcretrieve.errors import CatalogueError
 from pcretrieve.formats import write_mesh
 
@@ -61,9 +60,9 @@ def undisturbed(scans: Path) -> Everything:
 
 def everything(location: str) -> Everything:
     """The row, the signatures and the payloads of each shape, without times."""
-    with closing(Rows(location, {}, create=False)) as rows:
+    with Catalogue(location) as store:
         found = {}
-        for entry in rows.entries([origin.id for origin in rows.origins()]):
+        for entry in store.entries([origin.id for origin in store.origins()]):
             steps = tuple(replace(step, seconds=0.0) for step in entry.record.steps)
             record = replace(entry.record, steps=steps, added="", stamp=None)
             found[record.id] = (record, dict(entry.signatures), dict(entry.payloads))

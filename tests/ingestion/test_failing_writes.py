@@ -108,7 +108,7 @@ def ingest():
 def stored():
     with Catalogue(path) as store:
         assert find_defects(store) == [], find_defects(store)
-        entries = store.rows.entries([record.id for record in store.records()])
+        entries = store.entries([record.id for record in store.records()])
         return [
             (replace(e.record, added="", stamp=None), dict(e.signatures), dict(e.payloads)) for e in entries
         ]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import shutil
-from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,7 +10,6 @@ import pytest
 import shapes
 
 from pcretrieve import Catalogue, ingest, merge_catalogues
-from pcretrieve.catalogue.rows import Rows
 from pcretrieve.formats import write_mesh
 
 N_SHARDS = 3
@@ -53,9 +51,9 @@ def test_shards_make_together_what_one_ingest_makes(folder: Path, tmp_path: Path
 
 def everything(location: Path) -> list[object]:
     """All that a catalogue has, except for times."""
-    with closing(Rows(location, {}, create=False)) as rows:
+    with Catalogue(location) as store:
         found: list[object] = []
-        for entry in rows.entries([origin.id for origin in rows.origins()]):
+        for entry in store.entries([origin.id for origin in store.origins()]):
             steps = tuple(replace(step, seconds=0.0) for step in entry.record.steps)
             record = replace(entry.record, steps=steps, added="", stamp=None)
             found.append((record, dict(entry.signatures), dict(entry.payloads)))

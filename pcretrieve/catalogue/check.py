@@ -1,0 +1,163 @@
+"""Checks of a stored catalogue: the database, its rows and arrays; and repairs that lose nothing else."""
+
+from __future__ import annotations
+
+import shutil
+import struct
+import zlib
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from functools import partial
+from typing import Literal
+
+import numpy as np
+
+from pcretrieve.catalogue.arrays import stored_shape, unpacked, unpacked_values
+from pcretrieve.catalogue.catalogue import Catalogue
+from pcretrieve.catalogue.records import OWN, Entry, Record
+from pcretrieve.catalogue.tables import ChangedRow, Payload
+from pcretrieve.errors import CatalogueError, ShapeError, Stage
+
+
+@dataclass(frozen=True, slots=True)
+class Defect:
+    """Something that is wrong in a catalogue."""
+
+    kind: Literal["database", "orphan", "shape", "signature", "index"]
+    shape_id: str | None
+    message: str
+    repair: str | None = None
+
+
+def find_defects(
+    catalogue: Catalogue, *, repair: bool = False, on_shapes: Callable[[int], None] = lambda number: None
+) -> list[Defect]:
+    """Check the database, everything that is stored of each shape, and the stored indexes.
+
+    repair: remove rows of no shape, damaged records and damaged indexes, make SQL indexes again, and replace
+        shapes with damaged arrays by failures in the stage ``check``, whose files the next ingest processes.
+    on_shapes: called with the number of shapes that have been checked since the last call.
+
+    Returns list of Defect: those of the database, of the shapes in ascending order of id, and of the indexes.
+    """
+    found = _database_defects(catalogue, repair=repair)
+    # A file with damaged pages is neither read further nor changed, because that may damage it further.
+    if all(defect.repair or defect.kind != "database" for defect in found):
+        for (number,) in catalogue.database.execute("SELECT number FROM shapes ORDER BY id"):
+            found += _shape_defects(catalogue, number, repair=repair)
+            on_shapes(1)
+    for folder, fault in catalogue.cache.faults():
+        if repair:
+            shutil.rmtree(folder, ignore_errors=True)
+        done = "removed, and made again when it is needed" if repair else None
+        found.append(Defect("index", None, f"the stored index {folder} {fault}", done))
+    return found
+
+
+def set_to_be_ingested_again(catalogue: Catalogue, record: Record, message: str) -> str | None:
+    """Replace a shape by a failure in the stage ``check``, whose file the next ingest processes again.
+
+    Returns str or None: what was done, in words; None if the catalogue cannot be written to.
+    """
+    failure = Record(
+        record.id,
+        record.path,
+        "",  # of no file, so that the next ingest of the path processes it
+        record.label,
+        "failed",
+        str(Stage.CHECK),
+        CatalogueError.__name__,
+        f"what was stored of it was damaged: {message}",
+    )
+    try:
+        catalogue.add([Entry(failure, {}, {})])
+    except CatalogueError:
+        return None
+    return "set to be ingested again"
+
+
+def _database_defects(catalogue: Catalogue, *, repair: bool) -> list[Defect]:
+    """Defects of the pages and the SQL indexes, and rows of no shape."""
+    database = catalogue.database
+    # Outside of a transaction, because one that has met a damaged page cannot be ended without an error.
+    if faults := database.faults():
+        done = "SQL indexes made again" if repair and _is_reindexed(catalogue) else None
+        found = [Defect("database", None, fault, done) for fault in faults]
+        if done is None:
+            return found
+    else:
+        found = []
+    with database.writing() if repair else database.reading():
+        for table in ("provenance", "arrays", "signatures"):
+            condition = f"FROM {table} WHERE NOT EXISTS (SELECT 1 FROM shapes WHERE number = shape)"
+            ((number,),) = database.execute(f"SELECT count(*) {condition}")
+            if number and repair:
+                database.execute(f"DELETE {condition}")
+            if number:
+                done = "removed" if repair else None
+                found.append(Defect("orphan", None, f"{number} rows of {table} are of no shape", done))
+    return found
+
+
+def _is_reindexed(catalogue: Catalogue) -> bool:
+    """Make the SQL indexes again; whether the file has no fault then. Otherwise it stays as it was."""
+    try:
+        with catalogue.database.writing():
+            catalogue.database.execute("REINDEX")
+            if faults := catalogue.database.faults():
+                raise CatalogueError(faults[0])
+    except CatalogueError:
+        return False
+    return True
+
+
+def _shape_defects(catalogue: Catalogue, number: int, *, repair: bool) -> list[Defect]:
+    try:
+        for entry in catalogue.entries([number], "number"):
+            if faults := "; ".join(_faults(catalogue, entry)):
+                done = set_to_be_ingested_again(catalogue, entry.record, faults) if repair else None
+                return [Defect("shape", entry.record.id, faults, done)]
+    # Of a damaged record, not even the path and the id can be relied on, by which an ingest would replace it.
+    except ChangedRow:
+        shape_id = _stored_id(catalogue, number)
+        if repair:
+            catalogue.forget(number)
+        done = "removed: ingest its file again" if repair else None
+        return [Defect("shape", shape_id, "its record has changed since it was stored", done)]
+    return []
+
+
+def _stored_id(catalogue: Catalogue, number: int) -> str:
+    try:
+        return str(catalogue.database.execute("SELECT id FROM shapes WHERE number = ?", [number])[0][0])
+    except ChangedRow:
+        return f"number {number}"
+
+
+def _faults(catalogue: Catalogue, entry: Entry) -> Iterator[str]:
+    """What is wrong with the signatures and arrays of a shape."""
+    from pcretrieve.descriptors import signature_length
+
+    if entry.record.status == "failed":
+        return
+    options, stored = catalogue.options, entry.payloads
+    needed: tuple[Payload, ...] = ("spectra", "moments", *options.catalogue.keep)
+    if missing := [name for name in needed if name not in stored]:
+        yield f"its {' and '.join(missing)} are missing"
+    if OWN not in entry.signatures:
+        yield "its signature is missing"
+    reading: list[tuple[str, Callable[[], object]]] = []
+    for digest, value in entry.signatures.items():
+        name = "its signature" if digest == OWN else f"its signature by the options {digest}"
+        n_values = signature_length(options.signature) if digest == OWN else len(value) // 8 - 1
+        row = np.frombuffer(value, np.uint8)[np.newaxis]
+        reading.append((name, partial(unpacked_values, row, n_values)))
+    if "spectra" in stored:
+        reading.append(("its arrays", partial(stored_shape, stored, entry.record.steps)))
+    if "thumbnails" in stored:
+        reading.append(("its thumbnail", partial(unpacked, stored["thumbnails"])))
+    for what, read in reading:
+        try:
+            read()
+        except (KeyError, ValueError, ShapeError, struct.error, zlib.error) as error:
+            yield f"{what} cannot be read: {error}"
