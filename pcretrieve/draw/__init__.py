@@ -1,12 +1,23 @@
 """Pictures of surfaces and point clouds.
 
 In come arrays of vertices and faces, or of points; out come shaded pictures, made by ray casting without a
-display. The virtual camera, the lamps and the ray casting of all pictures are here.
+display, and figures by matplotlib.
 """
 
 from pcretrieve.draw.axes import FEWEST_BODIES, NEAR_AXIS, body_axes, common_axis, upward
-from pcretrieve.draw.camera import MARGIN, Camera, cameras_around, cameras_framing
-from pcretrieve.draw.pictures import CLAY, Colour, css, point_picture, rgb, surface_picture
+from pcretrieve.draw.pictures import (
+    CLAY,
+    DARKEST,
+    MARGIN,
+    Camera,
+    Colour,
+    cameras_around,
+    cameras_framing,
+    depth_picture,
+    point_picture,
+    rgb,
+    surface_picture,
+)
 from pcretrieve.draw.thumbnail import (
     THUMBNAIL_PIXELS,
     cloud_thumbnail,
@@ -18,6 +29,7 @@ from pcretrieve.draw.thumbnail import (
 
 __all__ = [
     "CLAY",
+    "DARKEST",
     "FEWEST_BODIES",
     "MARGIN",
     "NEAR_AXIS",
@@ -29,7 +41,7 @@ __all__ = [
     "cameras_framing",
     "cloud_thumbnail",
     "common_axis",
-    "css",
+    "depth_picture",
     "direction_upwards",
     "picture_html",
     "point_picture",

@@ -7,9 +7,9 @@ import numpy as np
 from pcretrieve.arrays import UPWARD, FloatArray, IntArray
 from pcretrieve.errors import OptionError
 
-# Tie-breaker for shapes whose principal axes are not unique, such as a sphere: a
-# bias towards the axes of the file. As a fraction of the total variance, and as a
-# skewness, it is far above rounding errors and not visible.
+# Tie-breaker for shapes whose principal axes are not unique, such as a sphere: a bias towards the axes of the
+# file. As a fraction of the total variance, and as a skewness, it is far above rounding errors and not
+# visible.
 TIE = 1e-6
 
 # Factor of the odd moments of the axis of least variance when the axis from left to right is looked for,
@@ -25,10 +25,7 @@ FEWEST_BODIES = 10
 
 
 def upward(axis: str | None) -> FloatArray | None:
-    """The direction of an axis of a file.
-
-    Returns (3,) float64 or None: its direction, of length 1; None for None.
-    """
+    """(3,) the direction of an axis of a file, such as ``-y``; None for None."""
     if axis is None:
         return None
     if axis not in UPWARD:
@@ -44,10 +41,9 @@ def common_axis(directions: FloatArray) -> FloatArray | None:
     Directions are wrong for some bodies, but not all along one axis. Of 76 bodies of TOSCA, whose files have
     the z axis upwards, 40 are found to stand along it, and at most 7 along each other one.
 
-    directions: (n, 3) float64, the direction upwards of each body, of length 1.
-    Returns (3,) float64 or None: an axis x, y or z or its opposite, along which at least 4 of 10 bodies
-        stand, and three times as many as along each other one; None if there is none, or there are too few
-        bodies.
+    directions: (n, 3), the direction upwards of each body, of length 1.
+    Returns (3,) or None: an axis along which at least 4 of 10 bodies stand, and three times as many as along
+        each other one.
     """
     axes = np.stack([direction for name in UPWARD if (direction := upward(name)) is not None])
     along = (directions.reshape(-1, 3) @ axes.T > np.cos(NEAR_AXIS)).sum(axis=0)
@@ -58,13 +54,7 @@ def common_axis(directions: FloatArray) -> FloatArray | None:
 
 
 def body_axes(vertices: FloatArray, faces: IntArray, up: FloatArray | None = None) -> FloatArray:
-    """The axes of a camera in front of a body, by the principal axes of its surface.
-
-    vertices: (n, 3) float64, vertices of the surface, in any unit.
-    faces: (m, 3) int32, of positive total area.
-    up: (3,) float64, optional, the direction upwards, of length 1; by default found from the surface.
-    Returns (3, 3) float64: orthonormal rows, as from `principal_axes`.
-    """
+    """(3, 3) the axes of a camera in front of a surface of positive area, as from `principal_axes`."""
     a, b, c = (vertices[faces[:, k]] for k in range(3))
     areas = np.linalg.norm(np.cross(b - a, c - a), axis=1) / 2  # (m,)
     # The midpoints of the edges, each with a third of the area, integrate quadratics over a triangle exactly.
@@ -81,12 +71,10 @@ def principal_axes(points: FloatArray, weights: FloatArray, up: FloatArray | Non
     right: people stand, and arms that are stretched to the sides are level. If that axis is the direction of
     view, as of an animal with four legs, up is the more skewed of the other two.
 
-    points: (n, 3) float64, coordinates, in any unit.
-    weights: (n,) float64, weights of the points, with the sum 1.
-    up: (3,) float64, optional, the direction upwards, of length 1.
-    Returns (3, 3) float64: orthonormal, right-handed rows: the directions to the right, upwards, and towards
-        the camera. If the principal axes are not unique, the rows are as near as possible to the axes x, y
-        and z.
+    weights: (n,), with the sum 1.
+    up: (3,), of length 1.
+    Returns (3, 3): orthonormal, right-handed rows: the directions to the right, upwards, and towards the
+        camera; as near as possible to the axes x, y and z where the principal axes are not unique.
     """
     points = points - weights @ points
     variance = weights @ (points**2).sum(axis=1)
@@ -116,9 +104,8 @@ def _upwards(points: FloatArray, weights: FloatArray, axes: FloatArray) -> Float
     symmetric = int(np.argmin([THINNEST * odd[0], odd[1] + TIE, odd[2] + TIE]))
     if symmetric == 0:
         skewed = [abs(_skewness(points, weights, axis)) for axis in (middle, longest)]
-        up = longest if skewed[1] + TIE >= skewed[0] else middle
-    else:
-        up = longest if symmetric == 1 else middle
+        symmetric = 1 if skewed[1] + TIE >= skewed[0] else 2
+    up = longest if symmetric == 1 else middle
     upwards: FloatArray = -up if _skewness(points, weights, up) > TIE * up[1] else up
     return upwards
 

@@ -3,10 +3,9 @@
 Open3D is run on one thread: its parallel Poisson reconstruction is not reproducible and crashes in long runs
 (Open3D issues 6828 and 7229). A batch processes several shapes in parallel instead.
 
-Poisson reconstruction and ray casting compute in single precision: squares of lengths overflow beyond
-1e19 and vanish below 1e-22; Open3D then gives NaN, or ends the process by a segmentation fault. All functions
-that call Open3D therefore transform coordinates to a `Frame` of unit size before Open3D sees them, and
-transform results back.
+Poisson reconstruction and ray casting compute in single precision: squares of lengths overflow beyond 1e19
+and vanish below 1e-22; Open3D then gives NaN, or ends the process by a segmentation fault. All functions that
+call it therefore transform coordinates to a `Frame` of unit size before, and results back.
 """
 
 from __future__ import annotations
@@ -33,31 +32,25 @@ IMPORTING = RLock()
 def library() -> Any:
     """Import Open3D."""
     with IMPORTING:
-        return _quiet_library()
+        return _imported()
 
 
 @cache
-def _quiet_library() -> Any:
-    open3d = _imported()
+def _imported() -> Any:
+    """Import Open3D without its viewer in a browser, which needs dash and plotly: half of the time."""
+    is_first = "open3d" not in sys.modules
+    if is_first:
+        sys.modules[VIEWER] = stand_in = ModuleType(VIEWER)
+        stand_in.__getattr__ = _later  # type: ignore[method-assign]
+    try:
+        import open3d
+    finally:
+        if is_first:
+            del sys.modules[VIEWER]
     open3d.utility.set_verbosity_level(open3d.utility.VerbosityLevel.Error)
     # OMP_NUM_THREADS has no effect from 0.20 on; older versions have no set_max_threads.
     if hasattr(open3d.utility, "set_max_threads"):
         open3d.utility.set_max_threads(1)
-    return open3d
-
-
-def _imported() -> Any:
-    """Import Open3D without its viewer in a browser, which needs dash and plotly: half of the time."""
-    if "open3d" in sys.modules:
-        import open3d
-
-        return open3d
-    sys.modules[VIEWER] = stand_in = ModuleType(VIEWER)
-    stand_in.__getattr__ = _later  # type: ignore[method-assign]
-    try:
-        import open3d
-    finally:
-        del sys.modules[VIEWER]
     return open3d
 
 
@@ -74,34 +67,21 @@ def _vectors(values: FloatArray) -> Any:
 
 
 def open3d_cloud(points: FloatArray, normals: FloatArray | None = None) -> Any:
-    """A point cloud of Open3D.
-
-    points: (n, 3) float64, in any unit.
-    normals: (n, 3) float64, optional, normals of the points.
-    """
-    o3d = library()
-    cloud = o3d.geometry.PointCloud(_vectors(points))
+    """A point cloud of Open3D, with (n, 3) points and normals."""
+    cloud = library().geometry.PointCloud(_vectors(points))
     if normals is not None:
         cloud.normals = _vectors(normals)
     return cloud
 
 
 def open3d_mesh(vertices: FloatArray, faces: IntArray) -> Any:
-    """A triangle mesh of Open3D.
-
-    vertices: (n, 3) float64, in any unit.
-    faces: (m, 3) int32, vertex numbers.
-    """
+    """A triangle mesh of Open3D."""
     o3d = library()
     return o3d.geometry.TriangleMesh(_vectors(vertices), o3d.utility.Vector3iVector(faces.copy()))
 
 
 class RayScene:
-    """A surface for ray casting and distance queries, in single precision.
-
-    vertices: (n, 3) float64, coordinates.
-    faces: (m, 3) int32, vertex numbers of each face.
-    """
+    """A surface for ray casting and distance queries, in single precision."""
 
     def __init__(self, vertices: FloatArray, faces: IntArray) -> None:
         o3d = library()
@@ -116,12 +96,11 @@ class RayScene:
     def cast(self, origins: FloatArray, directions: FloatArray) -> tuple[FloatArray, FloatArray, IntArray]:
         """The first intersection of each ray with the surface.
 
-        origins, directions: (k, 3) float64, origins and directions of the rays; the directions may have any
-            length.
-        Returns distance : (k,) float64: distance from the origin in units of the length of the direction;
-            infinite if there is none.
-        Returns normals : (k, 3) float64: unit normals of the faces, by their orientation.
-        Returns face : (k,) int32: numbers of the faces; −1 if there is no intersection.
+        origins, directions: (k, 3); the directions may have any length.
+        Returns distance: (k,), from the origin in units of the length of the direction; infinite if there is
+            none.
+        Returns normals: (k, 3), unit normals of the faces, by their orientation.
+        Returns face: (k,), numbers of the faces; −1 if there is none.
         """
         length = power_of_two(float(np.abs(directions).max(initial=0)))
         rays = np.concatenate([self._frame.inward(origins), directions / length], axis=1)  # (k, 6)

@@ -1,14 +1,16 @@
-"""Pictures of points and surfaces in given colours, and the lamps."""
+"""Pictures of points and surfaces by a virtual camera and two lamps, by ray casting."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from PIL import Image, ImageDraw
 
 from pcretrieve.arrays import FloatArray, IntArray
-from pcretrieve.draw.camera import SUPERSAMPLING, Camera, pooled, visible_faces
+from pcretrieve.draw.axes import principal_axes
+from pcretrieve.draw.open3d import RayScene
 
 #: Red, green and blue in [0, 1].
 Colour = tuple[float, float, float]
@@ -16,14 +18,106 @@ Colour = tuple[float, float, float]
 #: The colour of surfaces: a light clay, visible on white and on black; sRGB in [0, 1].
 CLAY = (0.86, 0.80, 0.74)
 
+#: Margin on each side of a picture, relative to its width.
+MARGIN = 0.04
+
+# Number of rays along each side of a pixel, for antialiasing: four rays give five levels of coverage.
+SUPERSAMPLING = 2
+
+# Azimuths of the cameras around a body, to the right of its front, and their elevation; degrees.
+AZIMUTHS = (20, 110, 200, 290)
+ELEVATION = 15
+
+# Smallest size of the field of view, relative to the size of the body.
+SMALL = 1e-3
+
 # Directions to the two lamps in the frame of the camera (right, up, towards), and their strengths: a key
 # light from the upper left, and a weak fill light from the right.
 LIGHTS = (((-0.5, 0.7, 0.8), 0.72), ((0.9, 0.1, 0.5), 0.22))
 AMBIENT = 0.26
 
+# Brightness of the points farthest from the camera; the nearest have 1.
+DARKEST = 0.35
+
 # Limits of the side of the square of a point: the smallest in pixels, so that no point is lost; the largest
 # relative to half of the side of the picture, for sparse points.
 LEAST_WIDTH, LARGEST_WIDTH = 1.5, 0.05
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Camera:
+    """An orthographic camera.
+
+    axes: (3, 3), orthonormal rows: the directions to the right, upwards, and towards the camera.
+    centre: (3,), the point in the centre of the picture; unit of the scan.
+    half: half of the side of the field of view; unit of the scan.
+    """
+
+    axes: FloatArray
+    centre: FloatArray
+    half: float
+
+    def seen(self, points: FloatArray) -> FloatArray:
+        """(n, 3) image coordinates, right, up and towards the camera; the field of view is [-1, 1]²."""
+        seen: FloatArray = (points - self.centre) @ self.axes.T / self.half
+        return seen
+
+
+def cameras_around(points: FloatArray) -> list[Camera]:
+    """Cameras on four sides of a body, with one scale and all points in the field of view."""
+    axes = principal_axes(points, np.full(len(points), 1 / len(points)))
+    return cameras_framing(points, [rotation(azimuth, ELEVATION) @ axes for azimuth in AZIMUTHS])
+
+
+def cameras_framing(points: FloatArray, directions: Iterable[FloatArray]) -> list[Camera]:
+    """Cameras with given axes, with one scale and all points in the field of view."""
+    size = float(np.linalg.norm(np.ptp(points, axis=0))) or 1.0  # the size of equal points
+    framed = []
+    for axes in directions:
+        seen = points @ axes.T  # (n, 3)
+        low, high = seen.min(axis=0), seen.max(axis=0)
+        framed.append(Camera(axes, (low + high) / 2 @ axes, (high - low)[:2].max() / 2))
+    widest = max(SMALL * size, *(camera.half for camera in framed)) / (1 - 2 * MARGIN)
+    return [Camera(camera.axes, camera.centre, widest) for camera in framed]
+
+
+def rotation(azimuth: float, elevation: float) -> FloatArray:
+    """The axes of a camera to the right of the front of a body, and above it, by degrees."""
+    a, e = np.radians([azimuth, elevation])
+    right = np.array([np.cos(a), 0.0, -np.sin(a)])
+    towards = np.array([np.sin(a) * np.cos(e), np.sin(e), np.cos(a) * np.cos(e)])
+    return np.stack([right, np.cross(towards, right), towards])
+
+
+def visible_faces(vertices: FloatArray, faces: IntArray, size: int) -> IntArray:
+    """The first face on each ray of a camera.
+
+    vertices: (n, 3), image coordinates; the rays are parallel to −z, in the field of view [-1, 1]².
+    size: side of the picture; pixels.
+    Returns (s, s): numbers of the faces, −1 for none; s is `size` times `SUPERSAMPLING`; the top row first.
+    """
+    n = SUPERSAMPLING * size
+    ticks = (2 * np.arange(n) + 1) / n - 1
+    seen = np.full((n, n), -1, np.int32)
+    if not len(vertices):
+        return seen
+    # Rays beside the bounding box of the surface, which hit nothing, are not cast.
+    (left, low, _), (right, high, top) = vertices.min(axis=0), vertices.max(axis=0)
+    columns = slice(*np.searchsorted(ticks, [left, right]))
+    rows = slice(*np.searchsorted(ticks, [-high, -low]))
+    x, y = np.meshgrid(ticks[columns], -ticks[rows])
+    origins = np.column_stack([x.ravel(), y.ravel(), np.full(x.size, max(top, 0) + 1)])  # (k, 3)
+    _, _, face = RayScene(vertices, faces).cast(origins, np.broadcast_to([0.0, 0.0, -1.0], origins.shape))
+    seen[rows, columns] = face.reshape(x.shape)
+    return seen
+
+
+def pooled(rays: FloatArray) -> FloatArray:
+    """The means over the rays of each pixel, of values in the order of `visible_faces`."""
+    size = len(rays) // SUPERSAMPLING
+    blocks = rays.reshape(size, SUPERSAMPLING, size, SUPERSAMPLING, *rays.shape[2:])
+    means: FloatArray = blocks.mean(axis=(1, 3))
+    return means
 
 
 def point_picture(
@@ -31,19 +125,24 @@ def point_picture(
 ) -> Image.Image:
     """A picture of points, drawn as squares that face the camera.
 
-    points: (n, 3) float64, coordinates; unit of the camera.
-    colours: (n, 3) float64, red, green and blue in [0, 1].
+    colours: (n, 3), red, green and blue in [0, 1].
     width: side of a square, within limits; unit of the camera.
     size: side of the picture; pixels.
     """
-    half = max(min(width / camera.half, LARGEST_WIDTH), 2 * LEAST_WIDTH / size) / 2
-    corners = half * np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]])
+    reach = max(min(width / camera.half, LARGEST_WIDTH), 2 * LEAST_WIDTH / size) / 2
+    corners = reach * np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]])
     vertices = (camera.seen(points)[:, None] + corners).reshape(-1, 3)  # (4n, 3)
-    first = 4 * np.arange(len(points), dtype=np.int32)  # (n,)
-    faces = np.concatenate(
-        [np.column_stack([first, first + 1, first + 2]), np.column_stack([first, first + 2, first + 3])]
-    )
+    first = 4 * np.arange(len(points), dtype=np.int32)[:, None]  # (n, 1)
+    faces = np.concatenate([first + np.array(half, np.int32) for half in ([0, 1, 2], [0, 2, 3])])
     return _picture(vertices, faces, np.tile(colours, (2, 1)), size)
+
+
+def depth_picture(
+    points: FloatArray, colour: Colour, camera: Camera, *, width: float, size: int
+) -> Image.Image:
+    """A picture of points of one colour, which are darker at the far end."""
+    bright = DARKEST + (1 - DARKEST) * (np.clip(camera.seen(points)[:, 2:], -1, 1) + 1) / 2  # (n, 1)
+    return point_picture(points, bright * colour, camera, width=width, size=size)
 
 
 def surface_picture(
@@ -57,17 +156,13 @@ def surface_picture(
 ) -> Image.Image:
     """A picture of a surface, lit by the lamps of `face_brightness`.
 
-    vertices: (n, 3) float64, vertices of the surface; unit of the camera.
-    faces: (m, 3) int32, vertex numbers of the triangles.
-    colours: (m, 3) float64, colours of the faces; red, green and blue in [0, 1].
+    colours: (m, 3), colours of the faces; red, green and blue in [0, 1].
     size: side of the picture; pixels.
-    rings: sequence of ((k, 3) positions, colour), positions around which rings are drawn, also behind the
-        surface.
+    rings: (k, 3) positions around which rings are drawn, also behind the surface, and their colour.
     """
     seen = camera.seen(vertices)
     picture = _picture(seen, faces, colours * face_brightness(seen, faces)[:, None], size)
-    pen = ImageDraw.Draw(picture)
-    radius = size / 45
+    pen, radius = ImageDraw.Draw(picture), size / 45
     for positions, colour in rings:
         for x, y in (camera.seen(positions)[:, :2] * [1, -1] + 1) * size / 2:
             box = (x - radius, y - radius, x + radius, y + radius)
@@ -76,11 +171,9 @@ def surface_picture(
 
 
 def face_brightness(vertices: FloatArray, faces: IntArray) -> FloatArray:
-    """The brightness of the faces of a matt surface by Lambert's law; both sides of a face look alike.
+    """(m,) the brightness in [0, 1] of a matt surface by Lambert's law; both sides of a face look alike.
 
-    vertices: (n, 3) float64, coordinates in the frame of the camera: right, up, towards.
-    faces: (m, 3) int32, vertex numbers of the triangles.
-    Returns (m,) float64: in [0, 1].
+    vertices: (n, 3), coordinates in the frame of the camera: right, up, towards.
     """
     a, b, c = (vertices[faces[:, k]] for k in range(3))
     normals = np.cross(b - a, c - a)  # (m, 3)
@@ -97,11 +190,6 @@ def rgb(colour: Colour) -> tuple[int, int, int]:
     """A colour as three integers from 0 to 255."""
     red, green, blue = (round(255 * part) for part in colour)
     return red, green, blue
-
-
-def css(colour: Colour) -> str:
-    """A colour as a hexadecimal value of CSS."""
-    return "#" + bytes(rgb(colour)).hex()
 
 
 def _picture(vertices: FloatArray, faces: IntArray, colours: FloatArray, size: int) -> Image.Image:

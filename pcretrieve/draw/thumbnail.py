@@ -11,21 +11,30 @@ import numpy as np
 from PIL import Image
 from PIL.PngImagePlugin import PngInfo
 
-from pcretrieve.arrays import FloatArray, IntArray
+from pcretrieve.arrays import FloatArray, IntArray, diagonal
 from pcretrieve.draw.axes import body_axes
-from pcretrieve.draw.camera import (
+from pcretrieve.draw.pictures import (
+    CLAY,
     MARGIN,
     SUPERSAMPLING,
     cameras_around,
+    depth_picture,
+    face_brightness,
     pooled,
     rotation,
     visible_faces,
 )
-from pcretrieve.draw.pictures import CLAY, face_brightness, point_picture
 from pcretrieve.errors import DegenerateMeshError, Stage
 
 # Side of the pictures that catalogues keep, and from which smaller ones are made; pixels.
 THUMBNAIL_PIXELS = 200
+
+# Side of the pictures of clouds, pixels, and the largest number of points that are drawn.
+CLOUD_PIXELS = 160
+MOST_POINTS = 20_000
+
+# Angles of the camera to the right of the front of a body, and above it; degrees.
+AZIMUTH, ELEVATION = 20.0, 10.0
 
 # How a picture was drawn, and which direction is upwards in it, which its PNG file says. To be changed when
 # bodies are drawn differently, so that pictures of earlier versions in catalogues are drawn again.
@@ -37,48 +46,29 @@ DIRECTION = re.compile(rb"Comment\0" + DRAWN_BY.encode() + rb"((?: -?[0-9]\.[0-9
 N_COVERAGES = SUPERSAMPLING**2
 N_LEVELS = 255 // N_COVERAGES
 
-# Largest number of points that are drawn.
-MOST_POINTS = 20_000
-
-# Brightness of the points farthest from the camera; the nearest have 1.
-DARKEST = 0.35
-
 
 def thumbnail(
-    vertices: FloatArray,
-    faces: IntArray,
-    *,
-    up: FloatArray | None = None,
-    size: int = THUMBNAIL_PIXELS,
-    azimuth: float = 20.0,
-    elevation: float = 10.0,
+    vertices: FloatArray, faces: IntArray, *, up: FloatArray | None = None, size: int = THUMBNAIL_PIXELS
 ) -> bytes:
-    """A picture of a surface from its front.
+    """A picture of a surface from its front, which fills the picture up to `MARGIN`.
 
-    The projection is orthographic, with two lamps, and both sides of a face look alike. The camera is
-    relative to `body_axes`, and the body fills the picture up to `MARGIN`, so that the picture is invariant
-    to rigid motion and scaling of the body.
+    It is invariant to rigid motion and scaling of the body, because the camera is relative to `body_axes`.
 
-    vertices: (n, 3) float64, vertices of the surface, in any unit.
-    faces: (m, 3) int32, vertex numbers of the triangles.
-    up: (3,) float64, optional, the direction upwards, such as `TriangleMesh.up`, of length 1; by default
-        found by `body_axes`.
+    up: (3,), optional, the direction upwards, such as `TriangleMesh.up`, of length 1.
     size: side of the square picture; pixels.
-    azimuth, elevation: angles of the camera to the right of the front of `body_axes`, and above it; degrees.
     Returns bytes: a PNG file with a palette and a transparent background; 6 to 10 kB at 200 pixels.
     """
     a, b, c = (vertices[faces[:, k]] for k in range(3))
     area = float(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum() / 2)
-    diagonal = float(np.linalg.norm(np.ptp(vertices, axis=0))) if len(vertices) else 0.0
     # Rays are cast in single precision, and do not hit thinner surfaces.
-    if not area > np.finfo(np.float32).eps * diagonal**2:
+    if not len(faces) or not area > np.finfo(np.float32).eps * diagonal(vertices) ** 2:
         raise DegenerateMeshError(
             f"a surface must have area to be drawn, got {len(faces)} faces with an area of {area:.3g}; leave "
             "its picture out",
             stage=Stage.THUMBNAIL,
         )
     axes = body_axes(vertices, faces, up)
-    framed = _framed(vertices @ (rotation(azimuth, elevation) @ axes).T, faces)
+    framed = _framed(vertices @ (rotation(AZIMUTH, ELEVATION) @ axes).T, faces)
     face = visible_faces(framed, faces, size)
     covered = (face >= 0).astype(np.float64)
     return _png(pooled(np.append(face_brightness(framed, faces), 0.0)[face]), pooled(covered), axes[1])
@@ -96,28 +86,21 @@ def resized(picture: bytes, size: int) -> bytes:
 
 
 def direction_upwards(picture: bytes) -> FloatArray | None:
-    """The direction that is upwards in a thumbnail.
+    """(3,) the direction that is upwards in a thumbnail, to four decimals, in the file of the surface.
 
-    Returns (3,) float64 or None: the direction in the file of the surface, of length 1 but for four decimals;
-        None for a picture that this version of pcretrieve would draw differently.
+    None for a picture that this version of pcretrieve would draw differently.
     """
     found = DIRECTION.search(picture[:2048])
     return None if found is None else np.array(found[1].split(), np.float64)
 
 
-def cloud_thumbnail(points: FloatArray, *, size: int = 160) -> bytes:
-    """A picture of a point cloud from its front; nearer points are brighter.
-
-    points: (n, 3) float64, at least one point.
-    size: side of the square picture; pixels.
-    """
+def cloud_thumbnail(points: FloatArray) -> bytes:
+    """A picture of at least one point from the front of the cloud; nearer points are brighter."""
     shown = points[:: -(-len(points) // MOST_POINTS)]
     camera = cameras_around(shown)[0]
-    depth = camera.seen(shown)[:, 2:]  # (n, 1)
-    bright = DARKEST + (1 - DARKEST) * (np.clip(depth, -1, 1) + 1) / 2
     spacing = 2 * camera.half / np.sqrt(len(shown))
     file = BytesIO()
-    point_picture(shown, bright * CLAY, camera, width=spacing, size=size).save(file, "PNG", optimize=True)
+    depth_picture(shown, CLAY, camera, width=spacing, size=CLOUD_PIXELS).save(file, "PNG", optimize=True)
     return file.getvalue()
 
 
@@ -157,10 +140,9 @@ def _png(shade: FloatArray, coverage: FloatArray, up: FloatArray | None) -> byte
     alphas = np.concatenate([[0], np.repeat(np.linspace(0, 255, N_COVERAGES + 1)[1:], N_LEVELS)])
     picture = Image.fromarray(number.astype(np.uint8))
     picture.putpalette(np.round(colours).astype(np.uint8).tobytes())
-    file = BytesIO()
     drawn_by = PngInfo()
     if up is not None:
         drawn_by.add_text("Comment", " ".join([DRAWN_BY, *(f"{value:.4f}" for value in up)]))
-    transparency = np.round(alphas).astype(np.uint8).tobytes()
+    file, transparency = BytesIO(), np.round(alphas).astype(np.uint8).tobytes()
     picture.save(file, "PNG", transparency=transparency, pnginfo=drawn_by)
     return file.getvalue()

@@ -12,6 +12,7 @@ from urllib.parse import quote
 import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
+from pcretrieve.draw import Colour, rgb
 from pcretrieve.values import FloatArray
 from pcretrieve.values.files import write_file
 
@@ -41,6 +42,7 @@ def _environment() -> Environment:
     )
     environment.filters["three_digits"] = _three_digits
     environment.filters["base64"] = encoded
+    environment.filters["css"] = _css
     environment.filters["in_address"] = _in_address
     environment.globals["counted"] = _counted
     return environment
@@ -55,6 +57,11 @@ def _three_digits(value: float) -> str:
 def encoded(content: bytes) -> str:
     """Bytes as base64."""
     return b64encode(content).decode("ascii")
+
+
+def _css(colour: Colour) -> str:
+    """A colour as a hexadecimal value of CSS."""
+    return "#" + bytes(rgb(colour)).hex()
 
 
 def _in_address(name: str) -> str:

@@ -14,11 +14,12 @@ from PIL import Image, ImageDraw
 from pcretrieve.checks import Inspection
 from pcretrieve.draw import (
     CLAY,
+    DARKEST,
     Camera,
     Colour,
     cameras_around,
     cameras_framing,
-    css,
+    depth_picture,
     point_picture,
     rgb,
     surface_picture,
@@ -65,10 +66,6 @@ AROUND = 1.0
 # overlap, and hide the points behind them.
 SKIN_WIDTH = 3.5
 
-# Smallest brightness. Points without normals are shaded by depth, from this brightness at the far end to 1 at
-# the near end.
-DARKEST = 0.35
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Row:
@@ -91,8 +88,7 @@ class Row:
             file = BytesIO()
             picture.quantize(N_COLOURS).save(file, "PNG", optimize=True)
             files.append(file.getvalue())
-        key = [(css(colour), words) for colour, words in self.key]
-        return {"title": self.title, "key": key, "pictures": files}
+        return {"title": self.title, "key": self.key, "pictures": files}
 
 
 def inspection_cameras(it: Inspection) -> list[Camera]:
@@ -134,7 +130,7 @@ def _overview_row(scan: PointCloud, it: Inspection) -> Row:
         for corner in ((-1, -1), (-1, 1), (1, -1), (1, 1))
     ]
     pictures = []
-    cameras = cameras_framing(np.concatenate([scan.points[near], corners]), close)
+    cameras = cameras_framing(np.concatenate([scan.points[near], corners]), [one.axes for one in close])
     for camera, body in zip(cameras, close, strict=True):
         picture = Image.new("RGBA", (PICTURE_PIXELS, PICTURE_PIXELS))
         for points, colour in ((scan.points[it.cut_away], CUT_AWAY), (scan.points[it.dropped], DROPPED)):
@@ -182,11 +178,8 @@ def _outside(points: FloatArray, cameras: Sequence[Camera]) -> NDArray[np.bool_]
 
 def _shaded(points: FloatArray, colour: Colour, camera: Camera, it: Inspection) -> Image.Image:
     """Points that are darker at the far end."""
-    depth = camera.seen(points)[:, 2:]
-    bright = DARKEST + (1 - DARKEST) * (np.clip(depth, -1, 1) + 1) / 2  # (n, 1)
-    return point_picture(
-        points, bright * colour, camera, width=SKIN_WIDTH / 2 * it.spacing, size=PICTURE_PIXELS
-    )
+    width = SKIN_WIDTH / 2 * it.spacing
+    return depth_picture(points, colour, camera, width=width, size=PICTURE_PIXELS)
 
 
 def _removed(points: FloatArray, colour: Colour, camera: Camera, it: Inspection) -> Image.Image:

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pcretrieve.draw import CLAY, Colour, body_axes, css
+from pcretrieve.draw import CLAY, Colour, body_axes
 from pcretrieve.pages.html import encoded
 from pcretrieve.values import FloatArray, TriangleMesh
 
@@ -46,7 +46,7 @@ class Cube(NamedTuple):
         """A layer of those of (n, 3) points that are in the cube, with a width in the unit of the scan."""
         grid = (points[self.holds(points)] - self.centre + self.half) / (2 * self.half) * FULL_SCALE
         at = encoded(np.round(grid).astype("<u2").tobytes())
-        facts = {"name": name, "label": label, "colour": colour, "css": css(colour)}
+        facts = {"name": name, "label": label, "colour": colour}
         return facts | {"width": width / self.half, "at": at} | more
 
 

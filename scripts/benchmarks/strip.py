@@ -12,7 +12,7 @@ import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
 from pcretrieve.catalogue import Catalogue
-from pcretrieve.draw import CLAY, cameras_around, point_picture, rgb, surface_picture
+from pcretrieve.draw import CLAY, cameras_around, depth_picture, rgb, surface_picture
 from pcretrieve.formats import read_scan
 from pcretrieve.pipeline.process import reconstruct
 from pcretrieve.query import search
@@ -65,8 +65,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
 def _cloud(points: FloatArray) -> Image.Image:
     points = points[:: -(-len(points) // MOST_POINTS)]
     camera = cameras_around(points)[0]
-    bright = 0.35 + 0.65 * (np.clip(camera.seen(points)[:, 2:], -1, 1) + 1) / 2
-    return point_picture(points, bright * BLUE, camera, width=0.0, size=SIDE)
+    return depth_picture(points, BLUE, camera, width=0.0, size=SIDE)
 
 
 def _surface(vertices: FloatArray, faces: IntArray) -> Image.Image:

@@ -186,6 +186,6 @@ def test_a_cloud_looks_like_its_surface() -> None:
     mesh = pear()
     corners = mesh.vertices[mesh.faces[mesh.face_areas > 0]]
     points = corners.mean(axis=1)
-    seen = pixels(draw.cloud_thumbnail(points, size=80))[:, :, 3] > 0
+    seen = pixels(draw.cloud_thumbnail(points))[:, :, 3] > 0
     assert 0.1 < seen.mean() < 0.8
-    np.testing.assert_array_equal(seen, pixels(draw.cloud_thumbnail(1000 * points + 5, size=80))[:, :, 3] > 0)
+    np.testing.assert_array_equal(seen, pixels(draw.cloud_thumbnail(1000 * points + 5))[:, :, 3] > 0)
