@@ -49,6 +49,34 @@ class Names:
         return name
 
 
+#: The descriptors of pcretrieve by name, and whether their values have a size, without which the scale
+#: "absolute" is not defined. The records in `pcretrieve.descriptors` say more, but take long to import.
+METHODS: dict[str, bool] = {
+    "r-bihdm": True,
+    "bihdm": True,
+    "bihdm-sampled": True,
+    "shape-dna": True,
+    "shape-dna-norm1": False,
+    "shape-dna-norm1-values": False,
+    "sd-gdm": True,
+    "sd-gdm-sampled": True,
+    "hks-bow": False,
+    "hks-bow-spatial": False,
+    "si-hks-bow": False,
+    "si-hks-bow-spatial": False,
+    "dl": False,
+    "dl-supervised": False,
+    "wks": False,
+    "csd": False,
+    "ispm": False,
+    "hapt": False,
+    "combined": True,
+}
+
+#: The names of the descriptors, of pcretrieve and of other packages.
+DESCRIPTOR_NAMES = Names("descriptor", "pcretrieve.descriptors", tuple(METHODS))
+
+
 @dataclass(frozen=True)
 class Registry(Generic[Record]):
     """The records of one kind by name: those of pcretrieve, and those that other packages add.

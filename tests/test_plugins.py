@@ -13,8 +13,8 @@ from pcretrieve.cli.search import matrix_command
 from pcretrieve.descriptors import DESCRIPTORS
 from pcretrieve.errors import InputError, OptionError, ShapeError, Stage
 from pcretrieve.matching import MATCHERS
-from pcretrieve.options import METHODS, RetrievalOptions, SpectralOptions
-from pcretrieve.plugins import Names, Registry
+from pcretrieve.options import RetrievalOptions, SpectralOptions
+from pcretrieve.plugins import METHODS, Names, Registry
 from pcretrieve.retrieval import DISTANCES
 from pcretrieve.spectral import ELEMENTS
 

@@ -24,7 +24,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pcretrieve.options import METHODS, PipelineOptions
+from pcretrieve.options import PipelineOptions
+from pcretrieve.plugins import METHODS
 from pcretrieve.retrieval import SignatureIndex, read_whitening
 
 logger = logging.getLogger(__name__)

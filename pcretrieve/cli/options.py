@@ -18,8 +18,7 @@ from click.shell_completion import CompletionItem
 from pcretrieve.cli.messages import say
 from pcretrieve.cli.output import JSON_FLAG, print_text, write_document, write_error
 from pcretrieve.errors import OptionError, PcretrieveError
-from pcretrieve.options import DESCRIPTOR_NAMES
-from pcretrieve.values import UPWARD
+from pcretrieve.plugins import DESCRIPTOR_NAMES
 
 if TYPE_CHECKING:
     from pcretrieve import Catalogue, DistanceMatrix, PipelineOptions
@@ -271,7 +270,7 @@ labels_option = option("--labels CSV|LAYOUT", "Use these classes, not the stored
 up_option = option(
     "--up",
     "Turn pictures so that this axis of the files points up.  [default: found for each shape]",
-    UPWARD,
+    click.Choice(["x", "-x", "y", "-y", "z", "-z"]),
     rare=True,
 )
 config_option = option(

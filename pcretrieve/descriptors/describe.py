@@ -32,8 +32,8 @@ from pcretrieve.descriptors.ispm import ISPM
 from pcretrieve.descriptors.r_bihdm import R_BIHDM
 from pcretrieve.descriptors.shape_dna import SHAPE_DNA, SHAPE_DNA_NORM1, SHAPE_DNA_VALUES
 from pcretrieve.errors import OptionError, ShapeError, Stage
-from pcretrieve.options import DESCRIPTOR_NAMES, SignatureOptions, fused_names
-from pcretrieve.plugins import Registry
+from pcretrieve.options import SignatureOptions, fused_names
+from pcretrieve.plugins import DESCRIPTOR_NAMES, Registry
 from pcretrieve.spectral import unit_eigenpairs
 from pcretrieve.values import UNIT, Eigenpairs, Shape, Signature, SizeUnit, Surface
 

@@ -15,8 +15,6 @@ from pcretrieve.options.pipeline import (
     options_difference,
 )
 from pcretrieve.options.tables import (
-    DESCRIPTOR_NAMES,
-    METHODS,
     CatalogueOptions,
     MergeOptions,
     Options,
@@ -34,8 +32,6 @@ from pcretrieve.options.tables import (
 )
 
 __all__ = [
-    "DESCRIPTOR_NAMES",
-    "METHODS",
     "NUMBERS_VERSION",
     "PRESETS",
     "CatalogueOptions",

@@ -15,7 +15,7 @@ from pydantic import (
 )
 
 from pcretrieve.errors import OptionError
-from pcretrieve.plugins import Names
+from pcretrieve.plugins import DESCRIPTOR_NAMES, METHODS
 
 Share = Annotated[float, Field(ge=0, le=1)]
 Length = Annotated[float, Field(ge=0, lt=1)]
@@ -224,33 +224,6 @@ class SpectralOptions(Options):
 
 
 Scale = Literal["relative", "area", "absolute"]
-
-#: The descriptors of pcretrieve by name, and whether their values have a size, without which the scale
-#: "absolute" is not defined. The records in `pcretrieve.descriptors` say more, but take long to import.
-METHODS: dict[str, bool] = {
-    "r-bihdm": True,
-    "bihdm": True,
-    "bihdm-sampled": True,
-    "shape-dna": True,
-    "shape-dna-norm1": False,
-    "shape-dna-norm1-values": False,
-    "sd-gdm": True,
-    "sd-gdm-sampled": True,
-    "hks-bow": False,
-    "hks-bow-spatial": False,
-    "si-hks-bow": False,
-    "si-hks-bow-spatial": False,
-    "dl": False,
-    "dl-supervised": False,
-    "wks": False,
-    "csd": False,
-    "ispm": False,
-    "hapt": False,
-    "combined": True,
-}
-
-#: The names of the descriptors, of pcretrieve and of other packages.
-DESCRIPTOR_NAMES = Names("descriptor", "pcretrieve.descriptors", tuple(METHODS))
 
 
 def fused_names(method: str) -> tuple[str, ...]:

@@ -9,12 +9,11 @@ check it again. Two values are equal if their arrays are, whatever their provena
 """
 
 from pcretrieve.arrays import UPWARD, FloatArray, IntArray
+from pcretrieve.values.base import METRES, UNIT, SizeUnit, unit_of
 from pcretrieve.values.geometry import PointCloud, Step, TriangleMesh, bounding_diagonal
-from pcretrieve.values.shapes import Failure, Need, Shape, Surface
+from pcretrieve.values.shapes import Failure, Judgement, Need, Shape, Surface, Verdict
 from pcretrieve.values.signatures import Metric, Neighbors, Signature, SignatureTable
 from pcretrieve.values.spectra import Eigenpairs, LaplaceBeltrami, ModalSpectrum
-from pcretrieve.values.units import METRES, UNIT, SizeUnit, unit_of
-from pcretrieve.values.verdicts import Judgement, Verdict
 
 __all__ = [
     "METRES",

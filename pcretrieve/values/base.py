@@ -1,16 +1,25 @@
-"""The base class of all immutable values: read-only arrays, equality by value, and pickling."""
+"""The base class of all immutable values: read-only arrays, equality by value, pickling; units of length."""
 
 from __future__ import annotations
 
+import math
 from dataclasses import fields
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pcretrieve.errors import InputError
 
-__all__ = ["Value", "as_array", "locked", "numbers"]
+#: Name of the length of the unit, in metres, among the sizes of the step ``read`` of the provenance. It is 1
+#: for all scans whose unit is known, because they are converted to metres when they are read.
+UNIT = "metres_per_unit"
+
+#: Metres of each unit of length, by its symbol.
+METRES = {"um": 1e-6, "mm": 1e-3, "cm": 1e-2, "dm": 1e-1, "m": 1.0, "km": 1e3, "in": 0.0254, "ft": 0.3048}
+
+#: Unit of length of the sizes in signatures: metres, or the unit of a file whose format does not have one.
+SizeUnit = Literal["m", "unknown"]
 
 
 class Value:
@@ -91,3 +100,8 @@ def as_array(values: NDArray[Any], dtype: Any = None, copy: bool | None = None) 
     if copy is False and converts:
         raise ValueError(f"values of type {values.dtype} must be copied to become {np.dtype(dtype)}")
     return values.astype(dtype if converts else values.dtype) if copy or converts else values
+
+
+def unit_of(metres: float) -> str | None:
+    """The symbol, a key of `METRES`, of the unit of this length, to six digits; None if there is none."""
+    return next((unit for unit, length in METRES.items() if math.isclose(length, metres, rel_tol=1e-6)), None)

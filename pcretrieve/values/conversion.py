@@ -14,17 +14,6 @@ from numpy.typing import ArrayLike, NDArray
 from pcretrieve.errors import InputError
 from pcretrieve.values.geometry import PointCloud, TriangleMesh
 
-__all__ = [
-    "CloudLike",
-    "GeometryLike",
-    "HasFaces",
-    "HasPoints",
-    "MeshLike",
-    "as_cloud",
-    "as_geometry",
-    "as_mesh",
-]
-
 # Corners of a triangle. PyVista writes this number before the vertices of each face.
 N_CORNERS = 3
 

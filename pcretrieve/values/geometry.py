@@ -12,8 +12,6 @@ from pcretrieve.arrays import FloatArray, IntArray
 from pcretrieve.errors import DegenerateMeshError, InputError
 from pcretrieve.values.base import Value, locked, numbers
 
-__all__ = ["PointCloud", "Step", "TriangleMesh", "bounding_diagonal"]
-
 # Smallest ratio of the area of a face to the square of its longest edge. Below it cotangents of the angles
 # exceed 1e8, and rounding errors of the stiffness matrix reach the size of its small eigenvalues.
 SMALLEST_ASPECT = 1e-9

@@ -11,10 +11,7 @@ from numpy.typing import NDArray
 
 from pcretrieve.arrays import FloatArray
 from pcretrieve.errors import InputError
-from pcretrieve.values.base import Value, as_array, locked
-from pcretrieve.values.units import SizeUnit
-
-__all__ = ["Metric", "Neighbors", "Signature", "SignatureTable"]
+from pcretrieve.values.base import SizeUnit, Value, as_array, locked
 
 # How the values of two signatures are compared: by their logarithms, for positive values; as they are, for
 # any; or as histograms, whose bins are not negative.

@@ -14,8 +14,6 @@ from pcretrieve.values.base import Value, locked
 if TYPE_CHECKING:
     from scipy.sparse import csc_array
 
-__all__ = ["Eigenpairs", "LaplaceBeltrami", "ModalSpectrum"]
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LaplaceBeltrami(Value):
