@@ -24,7 +24,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
 PACKAGE = ROOT / "pcretrieve"
-SOURCES = (".py", ".html", ".css", ".js", ".sql")
+SOURCES = (".py", ".pyi", ".html", ".css", ".js", ".sql")
 
 # Written into a folder of PYTHONPATH: notes the frames of pcretrieve when a process starts and at the solver.
 HOOK = """
@@ -52,7 +52,7 @@ def sources() -> list[Path]:
 
 
 def room(path: Path) -> str:
-    return path.relative_to(PACKAGE).parts[0].removesuffix(".py")
+    return path.relative_to(PACKAGE).parts[0].partition(".")[0]
 
 
 def tree(path: Path) -> ast.Module:
