@@ -33,9 +33,9 @@ def scans_options(command: opt.Decorated) -> opt.Decorated:
 
 def alone(function: Callable[..., Answer], *arguments: Any, timeout: float, memory: float | None) -> Answer:
     """Call a function in a process of its own, which may crash, hang or fill the memory."""
-    from pcretrieve.ingestion import Isolation
+    from pcretrieve.ingestion import alone as call_alone
 
-    return Isolation(timeout, memory).call(function, *arguments)
+    return call_alone(function, *arguments, timeout=timeout, memory=memory)
 
 
 def each_scan(
@@ -48,8 +48,8 @@ def each_scan(
     **limits: Any,
 ) -> Iterator[tuple[Path, Answer | Failure]]:
     """Apply a function to scans in processes, in their order, and show progress if there are several."""
+    from pcretrieve.ingestion import in_processes
     from pcretrieve.ingestion.discover import printable
-    from pcretrieve.ingestion.pool import in_processes
 
     finished: dict[Path, Answer | Failure] = {}
     n_yielded = 0

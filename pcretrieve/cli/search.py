@@ -229,11 +229,11 @@ def _described(
 ) -> Iterator[tuple[Path, Described | PcretrieveError]]:
     """The signatures of scans, each computed in a worker process."""
     # Imported here, because it is not needed for shapes that the catalogue has.
-    from pcretrieve.ingestion import Isolation
+    from pcretrieve.ingestion import in_processes
     from pcretrieve.ingestion.discover import printable
 
     isolated = partial(_isolated, options, with_pictures, up)
-    for scan, outcome in Isolation(timeout, memory).each(isolated, scans):
+    for scan, outcome in in_processes(isolated, scans, workers=1, timeout=timeout, memory=memory):
         if not isinstance(outcome, PcretrieveError) and outcome.verdict and not outcome.verdict.is_sound:
             say(f"{shown_path(printable(scan))} is {outcome.verdict}")
         yield scan, outcome

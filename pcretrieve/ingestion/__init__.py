@@ -6,7 +6,7 @@ executor, by default in isolated worker processes.
 
 from pcretrieve.ingestion.arrivals import watch
 from pcretrieve.ingestion.cluster import DaskExecutor
-from pcretrieve.ingestion.pool import Executor, Isolation, in_processes
+from pcretrieve.ingestion.pool import Executor, TemporaryFolder, alone, in_processes
 from pcretrieve.ingestion.problems import report_problem
 from pcretrieve.ingestion.progress import BatchStatus, status
 from pcretrieve.ingestion.recomputing import check
@@ -16,7 +16,8 @@ __all__ = [
     "BatchStatus",
     "DaskExecutor",
     "Executor",
-    "Isolation",
+    "TemporaryFolder",
+    "alone",
     "check",
     "in_processes",
     "ingest",

@@ -1,29 +1,48 @@
 """The application of a function to many items by worker processes, with one outcome for each item.
 
-In come a function and items; out comes, of each item, what the function returned, or an error of pcretrieve.
-Crashes of native code, endless loops and a lack of memory end the process of one item only.
+Crashes of native code, endless loops and a lack of memory end the process of one item only. Each worker has
+pipes of its own, and workers do not share locks. A worker can therefore be killed at any moment, even while
+it sends an answer, without an effect on other workers. What the code in a worker prints goes through a third
+pipe and is kept with the item. Its temporary files are in a folder that is removed with the worker. The
+parent process holds a lock on this folder, which the system releases when the parent ends, however that
+happens: a folder that is not locked belongs to nobody.
 """
 
 from __future__ import annotations
 
+import ctypes
+import fcntl
 import logging
+import multiprocessing
 import os
+import pickle
+import resource
+import shutil
+import signal
+import struct
+import sys
+import tempfile
 import time
 from collections import deque
 from collections.abc import Callable, Generator, Iterable
-from dataclasses import dataclass
-from functools import partial
-from itertools import islice
-from multiprocessing import connection
+from contextlib import suppress
+from functools import cache, partial
+from multiprocessing import connection, resource_tracker
+from multiprocessing.connection import Connection
 from pathlib import Path
-from typing import Any, Generic, ParamSpec, Protocol, TypeVar
+from typing import Any, Generic, Protocol, TypeVar
 
-from pcretrieve.errors import MemoryExceeded, PcretrieveError, WorkerDied
-from pcretrieve.ingestion.worker import Worker
+from pcretrieve.errors import (
+    MemoryExceeded,
+    PcretrieveError,
+    StageTimeout,
+    UnexpectedError,
+    WorkerDied,
+    shape_error,
+)
 
 logger = logging.getLogger(__name__)
 
-Arguments = ParamSpec("Arguments")
 Item = TypeVar("Item")
 Answer = TypeVar("Answer")
 
@@ -37,6 +56,39 @@ MAX_FAILED_STARTS = 5
 # Number of attempts for an item that lacked memory, or whose worker ended. The second attempt is in a new
 # worker, because earlier items or other programs may have used the memory.
 MAX_ATTEMPTS = 2
+
+GIB = 1 << 30
+
+# An answer is its length, followed by a pickle. The first answer only says that the worker is ready.
+LENGTH = struct.Struct("<q")
+
+# Bytes that a pipe gives in one read at most, and number of reads at once: a worker may print without an end.
+PIPE = 1 << 16
+READS = 16
+
+# Number of bytes that are kept of what is printed while a worker has an item: the last ones.
+PRINTED = 1000
+
+# Errors whose cause may be in what the code of other libraries has printed.
+OF_UNKNOWN_CAUSE = (StageTimeout, WorkerDied, MemoryExceeded, UnexpectedError)
+
+# Longest times; seconds. A worker waits with a part of its answer while the parent reads another answer; a
+# killed process cannot end while it waits for a disk or a network; most processes that close their pipe do so
+# by ending, and their own exit code says more than that of a kill.
+START_TIMEOUT = 120.0  # until a worker is ready
+ANSWER_TIMEOUT = 10.0  # for each further part of an answer
+KILL_TIMEOUT = 5.0  # until a killed process has ended
+EXIT_TIMEOUT = 2.0  # until a process that has closed its pipe is killed
+
+# Beginning of the names of temporary folders.
+PREFIX = "pcretrieve-worker-"
+
+# <sys/prctl.h>
+PR_SET_PDEATHSIG = 1
+
+# What the kernel adds to the memory of a worker before it chooses a process to kill for lack of memory, so
+# that it does not choose the parent; thousandths of all memory.
+OOM_SCORE = 500
 
 
 class Executor(Protocol):
@@ -63,134 +115,99 @@ class Executor(Protocol):
         ...
 
 
-@dataclass(frozen=True, slots=True)
-class Isolation:
-    """Calls functions in other processes, on one thread each.
-
-    Functions, arguments and answers must be picklable. A function that imports modules when it is called
-    saves the calling process these imports.
-
-    timeout: longest time for one call; seconds.
-    memory: largest heap of a process; GiB.
-    """
-
-    timeout: float = 600.0
-    memory: float | None = None
-
-    def call(
-        self,
-        function: Callable[Arguments, Answer],
-        /,
-        *arguments: Arguments.args,
-        **named: Arguments.kwargs,
-    ) -> Answer:
-        """Call a function once."""
-        ((_, outcome),) = self.each(_called, [partial(function, *arguments, **named)])
-        if isinstance(outcome, PcretrieveError):
-            raise outcome
-        return outcome
-
-    def each(
-        self,
-        function: Callable[[Item], Answer],
-        items: Iterable[Item],
-        *,
-        workers: int = 1,
-        idle: list[Worker[Item, Answer]] | None = None,
-    ) -> Generator[tuple[Item, Answer | PcretrieveError], None, None]:
-        """Call a function with each of many items, and yield each outcome as soon as it is known.
-
-        What the libraries print that the function calls is not shown: its end is logged at the level INFO,
-        and is in the messages of errors whose cause is unknown. Workers in `idle`, of earlier calls with the
-        same function, are used first, and those that are left at the end are put there.
-        """
-        queue = _Queue(items)
-        crew: list[Worker[Item, Answer]] = []
-        failed_starts = 0
-        try:
-            while True:
-                while len(crew) < workers and queue.holds(1 + sum(not worker.n_items for worker in crew)):
-                    if idle and queue.feed(idle[-1], self.timeout):
-                        crew.append(idle.pop())
-                    else:
-                        crew.append(Worker(function, self.memory))
-                if not crew:
-                    return
-                first_deadline = min(worker.deadline for worker in crew)
-                events = [event for worker in crew for event in worker.events]
-                connection.wait(events, max(0.0, first_deadline - time.monotonic()))
-                finished = []
-                for worker in tuple(crew):
-                    news = worker.news()
-                    if news is None:
-                        continue
-                    if not worker.n_items:
-                        failed_starts = failed_starts + 1 if worker.is_gone else 0
-                        if failed_starts == MAX_FAILED_STARTS:
-                            raise PcretrieveError(_no_start(worker))
-                    elif not queue.takes_back(worker, *news):
-                        if worker.printed:
-                            logger.info("%s: its libraries printed: %s", _name(worker.item), worker.printed)
-                        finished.append((worker.item, *news))
-                    if worker.is_gone or not queue.feed(worker, self.timeout):
-                        crew.remove(worker)
-                        if idle is None or worker.is_gone or worker.n_items >= MAX_ITEMS:
-                            worker.stop()
-                        else:
-                            idle.append(worker)
-                yield from finished
-        finally:
-            for worker in crew:
-                worker.stop()
-
-
 def in_processes(
     function: Callable[[Item], Answer],
     items: Iterable[Item],
     /,
     *,
-    workers: int | None,
-    timeout: float,
-    memory: float | None,
+    workers: int | None = None,
+    timeout: float = 600.0,
+    memory: float | None = None,
+    idle: list[Worker[Item, Answer]] | None = None,
 ) -> Generator[tuple[Item, Answer | PcretrieveError], None, None]:
-    """The default `Executor`: processes on this computer, by default one for each core."""
-    return Isolation(timeout, memory).each(function, items, workers=workers or len(os.sched_getaffinity(0)))
+    """The default `Executor`: processes of one thread each on this computer, by default one for each core.
+
+    Functions, items and answers must be picklable. What the libraries print that the function calls is not
+    shown: its end is logged at the level INFO, and is in the messages of errors whose cause is unknown.
+    Workers in `idle`, of earlier calls with the same function, are used first, and those that are left at the
+    end are put there.
+    """
+    most = workers or len(os.sched_getaffinity(0))
+    first = ((item, 1) for item in items)
+    again: deque[tuple[Item, int]] = deque()  # for new workers, with the number of the attempt
+    crew: list[Worker[Item, Answer]] = []
+    failed_starts = 0
+    try:
+        while True:
+            while len(crew) < most and (task := again.popleft() if again else next(first, None)):
+                if idle and task[1] == 1:
+                    crew.append(idle.pop())
+                    crew[-1].take(*task, timeout)
+                else:
+                    crew.append(Worker(function, memory, *task))
+            if not crew:
+                return
+            pause = min(worker.deadline for worker in crew) - time.monotonic()
+            connection.wait([event for worker in crew for event in worker.events], max(0.0, pause))
+            finished = []
+            for worker in tuple(crew):
+                if (news := worker.news()) is None:
+                    continue
+                if not worker.n_items:
+                    failed_starts = failed_starts + 1 if worker.is_gone else 0
+                    if failed_starts == MAX_FAILED_STARTS:
+                        raise PcretrieveError(_no_start(worker))
+                    if not worker.is_gone:
+                        worker.take(worker.item, worker.attempt, timeout)
+                        continue
+                    again.append((worker.item, worker.attempt))
+                elif _is_tried_again(worker, *news):
+                    worker.stop()
+                    again.append((worker.item, worker.attempt + 1))
+                else:
+                    if worker.printed:
+                        logger.info("%s: its libraries printed: %s", _name(worker.item), worker.printed)
+                    finished.append((worker.item, *news))
+                is_worn = worker.is_gone or worker.n_items >= MAX_ITEMS
+                if not is_worn and (task := next(first, None)):
+                    worker.take(*task, timeout)
+                    continue
+                crew.remove(worker)
+                if idle is None or is_worn:
+                    worker.stop()
+                else:
+                    idle.append(worker)
+            yield from finished
+    finally:
+        for worker in crew:
+            worker.stop()
 
 
-class _Queue(Generic[Item]):
-    """The items that no worker has taken yet, each read when a worker is ready for it."""
+def alone(
+    function: Callable[..., Answer], /, *arguments: Any, timeout: float = 600.0, memory: float | None = None
+) -> Answer:
+    """Call a function once, in a process of its own.
 
-    def __init__(self, items: Iterable[Item]) -> None:
-        self._items = iter(items)
-        self._ahead: deque[Item] = deque()
-        self._again: deque[tuple[Item, int]] = deque()  # with the number of the next attempt
+    A function that imports modules when it is called saves the calling process these imports.
 
-    def holds(self, n: int) -> bool:
-        """Whether there are at least `n` items for new workers."""
-        self._ahead.extend(islice(self._items, max(0, n - len(self._again) - len(self._ahead))))
-        return len(self._ahead) + len(self._again) >= n
+    timeout: seconds.
+    memory: largest heap of the process; GiB.
+    """
+    call = partial(function, *arguments)
+    ((_, outcome),) = in_processes(_called, [call], workers=1, timeout=timeout, memory=memory)
+    if isinstance(outcome, PcretrieveError):
+        raise outcome
+    return outcome
 
-    def feed(self, worker: Worker[Item, Any], timeout: float) -> bool:
-        """Give a worker an item; False if the worker must be replaced, or is not needed any more."""
-        if worker.n_items >= MAX_ITEMS:
-            return False
-        if self._again and not worker.n_items:
-            item, attempt = self._again.popleft()
-            worker.take(item, timeout, attempt)
-            return True
-        upcoming = [self._ahead.popleft()] if self._ahead else list(islice(self._items, 1))
-        for item in upcoming:
-            worker.take(item, timeout)
-        return bool(upcoming)
 
-    def takes_back(self, worker: Worker[Item, Any], outcome: object) -> bool:
-        """Stop a worker whose item may have failed because other data were in memory, and keep the item."""
-        crowded = isinstance(outcome, MemoryExceeded) and worker.n_items > 1
-        if not (crowded or isinstance(outcome, WorkerDied)) or worker.attempt >= MAX_ATTEMPTS:
-            return False
-        worker.stop()
-        self._again.append((worker.item, worker.attempt + 1))
-        return True
+def _called(task: Callable[[], Answer]) -> Answer:
+    return task()
+
+
+def _is_tried_again(worker: Worker[Any, Any], outcome: object) -> bool:
+    """Whether an item may have failed because other data were in memory, and has not been tried twice."""
+    crowded = isinstance(outcome, MemoryExceeded) and worker.n_items > 1
+    return (crowded or isinstance(outcome, WorkerDied)) and worker.attempt < MAX_ATTEMPTS
 
 
 def _no_start(worker: Worker[Any, Any]) -> str:
@@ -207,5 +224,255 @@ def _name(item: object) -> str:
     return path.name if isinstance(path, Path) else "a call"
 
 
-def _called(task: Callable[[], Answer]) -> Answer:
-    return task()
+class Worker(Generic[Item, Answer]):
+    """A worker process, in the parent that has started it.
+
+    item: what the worker works on, or was given last; while it starts, what it will be given first.
+    attempt: number of this attempt to process the item.
+    n_items: number of items that the worker was given; 0 while it starts.
+    deadline: time at which the item, or the start, has exceeded its limit; seconds of the monotonic clock.
+    """
+
+    def __init__(
+        self, function: Callable[[Item], Answer], memory: float | None, item: Item, attempt: int
+    ) -> None:
+        self.item, self.attempt, self.n_items = item, attempt, 0
+        # Open3D has threads, so workers must be spawned, not forked.
+        context = multiprocessing.get_context("spawn")
+        items, self._items = context.Pipe(duplex=False)
+        self._answers, answers = context.Pipe(duplex=False)
+        self._output, output = context.Pipe(duplex=False)
+        for pipe in (self._answers, self._output):
+            os.set_blocking(pipe.fileno(), False)
+        self._printed = bytearray()
+        self._arrived = bytearray()
+        self._limit = START_TIMEOUT
+        self.deadline = time.monotonic() + START_TIMEOUT
+        self.is_gone = False
+        self._is_silent = False  # at the end of the pipe of output
+        self._folder = TemporaryFolder()
+        self._process = context.Process(
+            target=_serve, args=(items, answers, output, self._folder.path, memory, function)
+        )
+        # The terminal sends Ctrl-C to all processes, and the parent handles it: the worker blocks it from its
+        # first moment. The resource tracker, which is started with the first worker, would unblock it.
+        resource_tracker.ensure_running()
+        before = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])
+        try:
+            self._process.start()
+        finally:
+            signal.pthread_sigmask(signal.SIG_SETMASK, before)
+            # Only the worker has these ends open: after it has ended, reading and writing fail.
+            items.close()
+            answers.close()
+            output.close()
+
+    @property
+    def events(self) -> tuple[Connection[Any, Any] | int, ...]:
+        """The handles to wait for: an answer, output, and the end of the process."""
+        return self._answers, self._process.sentinel, *([] if self._is_silent else [self._output])
+
+    @property
+    def printed(self) -> str:
+        """The end of what was printed since the item was taken, with `` | `` between lines; often empty."""
+        lines = self._printed.decode("utf-8", "replace").splitlines()
+        words = ("".join(sign for sign in line if sign.isprintable()).strip() for line in lines)
+        return " | ".join(word for word in words if word)
+
+    def take(self, item: Item, attempt: int, timeout: float) -> None:
+        """Send an item to the worker, which must be ready for it; `timeout` in seconds."""
+        self.item, self.attempt = item, attempt
+        self.n_items += 1
+        self._printed.clear()
+        self._limit = timeout
+        self.deadline = time.monotonic() + timeout
+        with suppress(OSError):  # the worker has ended, which `news` will report
+            self._items.send(item)
+
+    def news(self) -> tuple[Answer | PcretrieveError] | None:
+        """The outcome of the item, or of the start, in a tuple; None while the worker is busy."""
+        has_ended = not self._process.is_alive()
+        n_before = len(self._arrived)
+        is_at_end = _drain(self._answers, self._arrived)
+        if len(self._arrived) > n_before:
+            self.deadline = max(self.deadline, time.monotonic() + ANSWER_TIMEOUT)
+        self._listen()  # after the answer, before which the worker has printed
+        n_arrived = len(self._arrived) - LENGTH.size
+        outcome: Answer | PcretrieveError
+        if n_arrived >= 0 and n_arrived == LENGTH.unpack_from(self._arrived)[0]:
+            message = bytes(self._arrived[LENGTH.size :])
+            self._arrived.clear()
+            try:
+                outcome = pickle.loads(message)
+            except Exception as error:  # noqa: BLE001  a class of a plug-in may be picklable, but not unpicklable
+                outcome = shape_error(error)
+        elif has_ended or is_at_end:
+            self._process.join(EXIT_TIMEOUT)
+            outcome = WorkerDied(
+                f"the process that worked on it ended with {_exit_text(self.stop())}, perhaps for lack of "
+                "memory: raise --memory if you gave it, or have fewer processes work at a time"
+            )
+        elif time.monotonic() >= self.deadline:
+            self.stop()
+            outcome = StageTimeout(f"not finished within {self._limit:g} s: raise --timeout")
+        else:
+            return None
+        if isinstance(outcome, OF_UNKNOWN_CAUSE) and self.printed:
+            outcome.message += f"; before this it printed: {self.printed}"
+        return (outcome,)
+
+    def stop(self) -> int | None:
+        """Kill the process, if it is running, and return its exit code."""
+        if not self.is_gone:
+            self.is_gone = True
+            self._process.kill()
+            self._process.join(KILL_TIMEOUT)
+            self._items.close()
+            self._answers.close()
+            self._listen()
+            self._output.close()
+            self._is_silent = True
+            self._folder.remove()
+        return self._process.exitcode
+
+    def _listen(self) -> None:
+        """Read what has been printed."""
+        if not self._is_silent:
+            self._is_silent = _drain(self._output, self._printed)
+            del self._printed[:-PRINTED]
+
+
+def _drain(pipe: Connection[Any, Any], into: bytearray) -> bool:
+    """Append what a pipe has, without waiting for more; whether its other end is closed."""
+    with suppress(BlockingIOError):
+        for _ in range(READS):
+            part = os.read(pipe.fileno(), PIPE)
+            if not part:
+                return True
+            into += part
+    return False
+
+
+def _exit_text(code: int | None) -> str:
+    """The exit code or the signal of a process as text: ``exit code 1``, ``SIGKILL``."""
+    names = {-number: number.name for number in signal.Signals}
+    return "no exit code" if code is None else names.get(code, f"exit code {code}")
+
+
+# --- temporary files ----------------------------------------------------------------------------------
+
+
+class TemporaryFolder:
+    """A folder for the temporary files of one worker, in the parent process; none if it cannot be made.
+
+    The first folder of a process also removes folders that processes of the same user have left behind.
+    """
+
+    def __init__(self) -> None:
+        remove_abandoned()
+        self.path: str | None = None
+        self._lock: int | None = None
+        with suppress(OSError):
+            path = tempfile.mkdtemp(prefix=PREFIX)
+            # Another process may take a folder that is not locked yet for that of an ended one.
+            self._lock = _locked(Path(path))
+            self.path = None if self._lock is None else path
+
+    def remove(self) -> None:
+        """Remove the folder with all files in it."""
+        if self.path is not None and self._lock is not None:
+            shutil.rmtree(self.path, ignore_errors=True)
+            os.close(self._lock)
+            self.path = self._lock = None
+
+
+@cache
+def remove_abandoned() -> None:
+    """Remove the folders of workers whose parent processes have ended."""
+    with suppress(OSError):
+        for path in Path(tempfile.gettempdir()).glob(f"{PREFIX}*"):
+            lock = _locked(path)
+            if lock is not None:
+                shutil.rmtree(path, ignore_errors=True)
+                os.close(lock)
+
+
+def _locked(path: Path) -> int | None:
+    """The descriptor of a folder of this user, which is locked now; None if it is gone, or locked already."""
+    try:
+        descriptor = os.open(path, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
+    except OSError:
+        return None
+    with suppress(OSError):
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        if os.fstat(descriptor).st_uid == os.geteuid() and path.exists():
+            return descriptor
+    os.close(descriptor)
+    return None
+
+
+# --- in the worker process ----------------------------------------------------------------------------
+
+
+def _serve(
+    items: Connection[Any, Any],
+    answers: Connection[Any, Any],
+    output: Connection[Any, Any],
+    folder: str | None,
+    memory: float | None,
+    function: Callable[[Item], Answer],
+) -> None:
+    """Answer items until the parent process ends: what a worker process does."""
+    for standard in (1, 2):
+        os.dup2(output.fileno(), standard)
+    output.close()
+    if not _prepare(folder, memory):
+        return
+    own = os.getpid()
+    with suppress(EOFError, BrokenPipeError):  # the parent has ended, on a system other than Linux
+        _send(answers, pickle.dumps(True))
+        while True:
+            item = items.recv()
+            try:
+                answer = pickle.dumps(function(item))
+            except BaseException as error:  # noqa: BLE001  a plug-in may raise anything, also SystemExit
+                answer = pickle.dumps(shape_error(error))
+            for stream in (sys.stdout, sys.stderr):
+                with suppress(Exception):  # a plug-in may have closed or replaced it
+                    stream.flush()
+            ctypes.CDLL(None).fflush(None)  # what C libraries have printed, and hold in memory
+            if os.getpid() != own:
+                # A child process that the function has forked, and in which the function returned too: its
+                # answer would be taken for that of the next item.
+                os._exit(1)
+            _send(answers, answer)
+
+
+def _prepare(folder: str | None, memory: float | None) -> bool:
+    """Set the limits and the temporary folder of this process; False if its parent has ended already."""
+    if sys.platform == "linux":
+        # The kernel kills this process when its parent ends, also during a computation. Other systems let it
+        # continue until it next reads from or writes to a pipe. The parent is the thread that started it.
+        ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
+    parent = multiprocessing.parent_process()
+    if parent is None or os.getppid() != parent.pid:
+        return False
+    with suppress(OSError), Path("/proc/self/oom_score_adj").open("w", encoding="ascii") as file:
+        file.write(f"{OOM_SCORE}\n")
+    if folder is not None:
+        # Of Python, and of native code and child processes.
+        os.environ["TMPDIR"] = tempfile.tempdir = folder
+    from threadpoolctl import threadpool_limits
+
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    threadpool_limits(limits=1)
+    if memory is not None:
+        limit = int(memory * GIB)
+        resource.setrlimit(resource.RLIMIT_DATA, (limit, limit))
+    return True
+
+
+def _send(answers: Connection[Any, Any], message: bytes) -> None:
+    rest = memoryview(LENGTH.pack(len(message)) + message)
+    while rest:
+        rest = rest[os.write(answers.fileno(), rest) :]

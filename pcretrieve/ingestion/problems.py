@@ -16,7 +16,7 @@ from pcretrieve.errors import PcretrieveError
 from pcretrieve.formats import check_output, parts_of, split_member
 from pcretrieve.formats.identity import content_hash
 from pcretrieve.ingestion.plan import versions
-from pcretrieve.ingestion.pool import Isolation
+from pcretrieve.ingestion.pool import alone
 from pcretrieve.options import OptionsLike, PipelineOptions, describe_options
 from pcretrieve.pipeline.inspecting import inspect_scan
 from pcretrieve.values.files import write_file
@@ -79,7 +79,7 @@ def report_problem(
     }
     log = "The process ended before it returned its log.\n"
     try:
-        measured, log = Isolation(timeout, memory).call(_measured, scan, options)
+        measured, log = alone(_measured, scan, options, timeout=timeout, memory=memory)
         found |= measured
     except PcretrieveError as error:  # the process crashed, or exceeded its limits
         found["failure"] = {"stage": error.stage, "error": type(error).__name__, "message": error.message}

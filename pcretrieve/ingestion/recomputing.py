@@ -24,7 +24,7 @@ from pcretrieve.catalogue import (
 from pcretrieve.errors import CatalogueError, PcretrieveError, ShapeError
 from pcretrieve.formats.identity import content_hash
 from pcretrieve.ingestion.attempts import content_of
-from pcretrieve.ingestion.pool import Isolation
+from pcretrieve.ingestion.pool import in_processes
 from pcretrieve.options import PipelineOptions
 from pcretrieve.pipeline.process import signature_of_surfaces
 from pcretrieve.values import FloatArray, TriangleMesh
@@ -123,8 +123,8 @@ def _recomputed(
 
     timeout: longest time for one shape; seconds.
     """
-    isolation = Isolation(timeout=timeout)
-    with closing(isolation.each(partial(_again, catalogue.options), _tasks(catalogue, records))) as outcomes:
+    again = partial(_again, catalogue.options)
+    with closing(in_processes(again, _tasks(catalogue, records), workers=1, timeout=timeout)) as outcomes:
         for task, outcome in outcomes:
             if isinstance(outcome, PcretrieveError):
                 yield task.record, f"its signature cannot be computed again: {outcome.message}"

@@ -17,9 +17,8 @@ from pcretrieve.ingestion.attempts import Attempt, next_attempt, work_on
 from pcretrieve.ingestion.discover import scans_of
 from pcretrieve.ingestion.labels import discover_labelled
 from pcretrieve.ingestion.plan import Plan, Planner, failed
-from pcretrieve.ingestion.pool import Executor, in_processes
+from pcretrieve.ingestion.pool import Executor, in_processes, remove_abandoned
 from pcretrieve.ingestion.progress import CountsFile
-from pcretrieve.ingestion.worker import remove_abandoned
 from pcretrieve.options import OptionsLike, PipelineOptions
 from pcretrieve.pipeline.stages import log_steps, scan_name
 

@@ -16,8 +16,7 @@ from typing import Any, Literal
 
 from pcretrieve.catalogue import Record
 from pcretrieve.errors import MemoryExceeded, PcretrieveError, StageTimeout, WorkerDied, shape_error
-from pcretrieve.ingestion import Isolation
-from pcretrieve.ingestion.worker import TemporaryFolder
+from pcretrieve.ingestion import TemporaryFolder, in_processes
 from pcretrieve.options import PipelineOptions
 from pcretrieve.query import Described
 from pcretrieve.web.keeping import Collection, described, inspection_page, stages_of
@@ -76,15 +75,16 @@ class Jobs:
         location: str,
         title: str,
         options: PipelineOptions,
-        limits: Isolation,
         *,
+        timeout: float,
+        memory: float | None,
         up: str | None = None,
         collection: Collection | None = None,
     ) -> None:
         self.collection = collection
         self._described = partial(described, options, up)
         self._inspected = partial(inspection_page, location, title, options)
-        self._isolation = limits
+        self._limits: dict[str, Any] = {"workers": 1, "timeout": timeout, "memory": memory}
         self._idle: list[Any] = []
         self._idle_inspecting: list[Any] = []
         # Two threads, so that no answer waits for an inspection.
@@ -147,7 +147,7 @@ class Jobs:
         job.state = "running"
         outcome: Described | PcretrieveError
         try:
-            ((_, outcome),) = self._isolation.each(self._described, [scan], idle=self._idle)
+            ((_, outcome),) = in_processes(self._described, [scan], idle=self._idle, **self._limits)
             job.stages = stages_of(job.folder)
         except Exception as error:  # noqa: BLE001  processes cannot be started, or the disk is full
             outcome = shape_error(error)
@@ -173,7 +173,8 @@ class Jobs:
         page = None
         try:
             items = [(job.name, f"/scan/{job.id}", scan)]
-            ((_, outcome),) = self._isolation.each(self._inspected, items, idle=self._idle_inspecting)
+            running = in_processes(self._inspected, items, idle=self._idle_inspecting, **self._limits)
+            ((_, outcome),) = running
             page = outcome if isinstance(outcome, bytes) else None
         except Exception as error:  # noqa: BLE001  as above
             outcome = shape_error(error)

@@ -89,7 +89,6 @@ def serve(
         If the catalogue cannot be opened, or the options require other spectra than it has.
     """
     # Imported here, because the server alone needs the web framework.
-    from pcretrieve.ingestion import Isolation
     from pcretrieve.pages.thumbnails import Thumbnails
     from pcretrieve.web.application import Readers, Site, application
     from pcretrieve.web.guard import Guard
@@ -110,7 +109,7 @@ def serve(
     location, jobs = str(catalogue), None
     if not read_only:
         kept = None if keep is None else Collection(location, Path(keep).absolute(), timeout, memory)
-        jobs = Jobs(location, title, scanned, Isolation(timeout, memory), up=up, collection=kept)
+        jobs = Jobs(location, title, scanned, timeout=timeout, memory=memory, up=up, collection=kept)
     searching, drawing = Readers(location, 1), Readers(location, N_DRAWING)
     site = Site(searching, drawing, title, chosen, jobs, most_bytes, Thumbnails(up))
     try:

@@ -49,7 +49,7 @@ from pcretrieve.draw.open3d import RayScene, open3d_cloud
 from pcretrieve.errors import BenchmarkError, InputError, PcretrieveError
 from pcretrieve.evaluation import evaluate_table
 from pcretrieve.formats import read_scan
-from pcretrieve.ingestion import Isolation
+from pcretrieve.ingestion import in_processes
 from pcretrieve.options import PipelineOptions, RetrievalOptions, WhiteningKind
 from pcretrieve.pipeline.process import process, signature
 from pcretrieve.points import clean, oriented_normals
@@ -583,7 +583,8 @@ def answers(
 ) -> list[Answer | None]:
     """Call a function once for each tuple of arguments, each in a process."""
     found: list[Answer | None] = [None] * len(arguments)
-    running = Isolation(TIMEOUT).each(partial(_called, function), enumerate(arguments), workers=workers)
+    calls = partial(_called, function)
+    running = in_processes(calls, enumerate(arguments), workers=workers, timeout=TIMEOUT)
     with closing(running):
         for (number, given), outcome in tqdm(running, title, len(arguments), disable=None, leave=False):
             if isinstance(outcome, PcretrieveError):

@@ -18,7 +18,6 @@ from __future__ import annotations
 
 import argparse
 import io
-import os
 import warnings
 from collections.abc import Iterator, Sequence
 from importlib import resources
@@ -46,7 +45,7 @@ from pcretrieve.descriptors.dl import (
 from pcretrieve.descriptors.ispm import SAMPLE as WAVELET_SAMPLE
 from pcretrieve.descriptors.ispm import wavelet_signatures
 from pcretrieve.errors import InputError, PcretrieveError
-from pcretrieve.ingestion import Isolation
+from pcretrieve.ingestion import in_processes
 from pcretrieve.options import PipelineOptions
 from pcretrieve.pipeline.process import process
 from pcretrieve.retrieval.fitting import SAMPLE as RESOLUTION_SAMPLE
@@ -118,7 +117,7 @@ RESOLUTION_SEED = 2016
 def resolution() -> None:
     """Compute the sample, and write it into the package."""
     bodies = [(family, number) for family in POSES for number in range(N_BODIES)]
-    running = Isolation().each(_of_body, bodies, workers=len(os.sched_getaffinity(0)))
+    running = in_processes(_of_body, bodies)
     found: dict[tuple[str, int], FloatArray] = {}
     for which, outcome in tqdm(running, total=len(bodies), unit="body"):
         if isinstance(outcome, PcretrieveError):

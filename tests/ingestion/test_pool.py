@@ -19,7 +19,7 @@ from pcretrieve.errors import (
     UnexpectedError,
     in_stage,
 )
-from pcretrieve.ingestion import Isolation, in_processes, pool, worker
+from pcretrieve.ingestion import in_processes, pool
 
 HALF_THE_MEMORY = 1 << 29  # bytes, of 1 GiB
 PATIENCE = 60  # seconds
@@ -82,13 +82,15 @@ def test_every_item_has_its_outcome_and_no_process_is_left(monkeypatch: pytest.M
     """Workers are as many as there are items, and items are read as they are needed."""
     started: list[object] = []
 
-    class Counted(worker.Worker[int, tuple[int, int]]):
-        def __init__(self, function: Callable[[int], tuple[int, int]], memory: float | None) -> None:
-            super().__init__(function, memory)
+    class Counted(pool.Worker[int, tuple[int, int]]):
+        def __init__(
+            self, function: Callable[[int], tuple[int, int]], memory: float | None, item: int, attempt: int
+        ) -> None:
+            super().__init__(function, memory, item, attempt)
             started.append(self)
 
     monkeypatch.setattr(pool, "Worker", Counted)
-    assert len(list(in_processes(own_process, range(2), workers=8, timeout=PATIENCE, memory=None))) == 2
+    assert len(list(in_processes(own_process, range(2), workers=8, timeout=PATIENCE))) == 2
     assert len(started) == 2
     read: list[int] = []
 
@@ -98,7 +100,7 @@ def test_every_item_has_its_outcome_and_no_process_is_left(monkeypatch: pytest.M
             yield item
 
     with pytest.raises(InputError, match="no reader"):
-        for item, outcome in (running := Isolation().each(own_process, items(), workers=2)):
+        for item, outcome in (running := in_processes(own_process, items(), workers=2)):
             assert isinstance(outcome, tuple)
             assert outcome[0] == item
             if item == 5:
@@ -113,7 +115,7 @@ def test_every_item_has_its_outcome_and_no_process_is_left(monkeypatch: pytest.M
 
 
 def test_every_exception_and_every_bad_answer_is_the_outcome_of_its_item() -> None:
-    found = dict(Isolation().each(do, [*RAISED, "lock", "none", "explosive"]))
+    found = dict(in_processes(do, [*RAISED, "lock", "none", "explosive"], workers=1))
     assert found["none"] is None
     for name, (_, kind) in RAISED.items():
         outcome = found[name]
@@ -127,8 +129,7 @@ def test_every_exception_and_every_bad_answer_is_the_outcome_of_its_item() -> No
 
 
 def test_what_lacks_memory_in_a_used_worker_is_tried_in_a_fresh_one() -> None:
-    limited = Isolation(memory=1)
-    assert dict(limited.each(keep_half_the_memory, range(3))) == {0: 0, 1: 1, 2: 2}
-    ((_, outcome),) = limited.each(take_all_the_memory, [0])
+    assert dict(in_processes(keep_half_the_memory, range(3), workers=1, memory=1)) == {0: 0, 1: 1, 2: 2}
+    ((_, outcome),) = in_processes(take_all_the_memory, [0], memory=1)
     assert isinstance(outcome, MemoryExceeded)
     assert "--memory" in outcome.message
