@@ -7,7 +7,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pcretrieve.values import FloatArray, IntArray, PointCloud, TriangleMesh
+from pcretrieve.values import FloatArray, IntArray, PointCloud, Shape, Surface, TriangleMesh
 
 # Faces of a tetrahedron whose corners 1, 2, 3 run anticlockwise seen from outside its corner 0.
 TETRAHEDRON_FACES = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])
@@ -139,6 +139,11 @@ def moved(mesh: TriangleMesh, seed: int, *, scale: float = 1.0) -> TriangleMesh:
     turn, _ = np.linalg.qr(rng.standard_normal((3, 3)))
     turn *= np.sign(np.linalg.det(turn))
     return TriangleMesh(scale * (mesh.vertices @ turn.T + 10 * rng.standard_normal(3)), mesh.faces)
+
+
+def shape(mesh: TriangleMesh) -> Shape:
+    """A shape of one surface, without a spectrum."""
+    return Shape((Surface(mesh.area or 1.0, mesh=mesh),))
 
 
 def joined(*meshes: TriangleMesh) -> TriangleMesh:

@@ -3,9 +3,8 @@
 A distance matrix ranks a gallery as an index of signatures does; its files are those of SHREC tracks.
 """
 
-from pcretrieve.matching.matcher import MATCHERS, Matcher, known_matcher
+from pcretrieve.matching.matcher import MATCHERS, Matcher, PairwiseIndex, known_matcher
 from pcretrieve.matching.matrix import DistanceMatrix, distance_matrix, ids_path, read_matrix, write_matrix
-from pcretrieve.matching.pairs import PairwiseIndex
 
 __all__ = [
     "MATCHERS",

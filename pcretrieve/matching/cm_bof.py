@@ -1,10 +1,14 @@
-"""Canonical forms: surfaces whose Euclidean distances are the geodesic distances of a bending surface."""
+"""MDS-CM-BOF: pictures of canonical forms, compared by bags of features in the best of 24 positions.
+
+The canonical form of a surface is one whose Euclidean distances are the geodesic distances of the surface, so
+that bent limbs become straight.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from functools import cache, partial
-from itertools import pairwise, permutations, product
+from itertools import permutations, product
 from typing import NamedTuple
 
 import numpy as np
@@ -14,8 +18,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import dijkstra
 from scipy.spatial.distance import cdist
 
-from pcretrieve.errors import DegenerateMeshError, Stage
-from pcretrieve.matching.opencv import sift_descriptors
+from pcretrieve.errors import DegenerateMeshError, OptionError, Stage
 from pcretrieve.surface.open3d import simplify
 from pcretrieve.values import FloatArray, IntArray, Shape, TriangleMesh
 
@@ -27,24 +30,17 @@ N_ITERATIONS = 30
 
 
 def canonical_form(mesh: TriangleMesh) -> TriangleMesh:
-    """The canonical form of a surface [1]_: bent limbs become straight.
+    """The canonical form of a surface (Elad and Kimmel, IEEE TPAMI 25, 2003), of radius 1.
 
-    The vertices are placed such that their Euclidean distances approximate their geodesic distances, by least
-    squares (`scaled_coordinates`). Distances do not tell a form from its mirror image: of the two, the one is
-    taken whose enclosed volume is positive, as that of the surface is if its faces are oriented outwards.
-
-    References
-    ----------
-    .. [1] A. Elad and R. Kimmel, "On bending invariant signatures for surfaces", IEEE Transactions on Pattern
-       Analysis and Machine Intelligence 25 (2003).
+    Distances do not tell a form from its mirror image: of the two, the one is taken whose enclosed volume is
+    positive, as that of the surface is if its faces are oriented outwards.
     """
     if not mesh.area > 0:
         raise DegenerateMeshError(
             f"no face of {len(mesh.faces)} has an area: give a surface", stage=Stage.SIGNATURE
         )
     coarse = coarser(mesh, N_FACES)
-    points = scaled_coordinates(geodesic_distances(coarse))
-    return _posed(TriangleMesh(points, coarse.faces))
+    return _posed(TriangleMesh(scaled_coordinates(geodesic_distances(coarse)), coarse.faces))
 
 
 def coarser(mesh: TriangleMesh, n_faces: int) -> TriangleMesh:
@@ -62,12 +58,10 @@ def coarser(mesh: TriangleMesh, n_faces: int) -> TriangleMesh:
 
 
 def geodesic_distances(mesh: TriangleMesh) -> FloatArray:
-    """Geodesic distances between the vertices of a surface, by shortest paths.
+    """(n, n) geodesic distances between the vertices, by shortest paths; symmetric.
 
     The paths follow the edges, and the diagonals of each two adjacent faces, which are unfolded into one
     plane. They are longer than geodesics by 3 % in the mean on a sphere, and need no solver.
-
-    Returns (n, n) float64: symmetric; unit length.
     """
     n = len(mesh.vertices)
     if n < 4:
@@ -81,15 +75,14 @@ def geodesic_distances(mesh: TriangleMesh) -> FloatArray:
     # The shortest of the links between two vertices, since a sparse matrix would add them up.
     first = np.diff(low * n + high, prepend=-1) > 0
     graph = coo_array((lengths[first], (low[first], high[first])), shape=(n, n)).tocsr()
-    distances: FloatArray = dijkstra(graph, directed=False)
+    distances = dijkstra(graph, directed=False)
     if apart := int(np.isinf(distances[0]).sum()):
         raise DegenerateMeshError(
             f"a canonical form needs a connected surface, {apart} of {n} vertices are not connected to the "
             "first: keep one component",
             stage=Stage.SIGNATURE,
         )
-    both: FloatArray = np.minimum(distances, distances.T)
-    return both
+    return np.asarray(np.minimum(distances, distances.T))
 
 
 def _links(mesh: TriangleMesh) -> tuple[NDArray[np.int64], FloatArray]:
@@ -120,19 +113,11 @@ def _links(mesh: TriangleMesh) -> tuple[NDArray[np.int64], FloatArray]:
 
 
 def scaled_coordinates(distances: FloatArray) -> FloatArray:
-    """Points in space whose distances approximate given ones: metric multidimensional scaling.
+    """(n, 3) points whose distances approximate given ones (n, n): metric multidimensional scaling.
 
-    Thirty iterations of SMACOF [1]_, which minimises the sum of the squared differences of all distances,
-    from the solution of classical scaling.
-
-    distances: (n, n) float64, symmetric, finite, zero on the diagonal; n is at least 4.
-    Returns (n, 3) float64: the points, in the unit of the distances; determined up to rotations, reflections
-        and translations.
-
-    References
-    ----------
-    .. [1] J. de Leeuw, "Applications of convex analysis to multidimensional scaling", Recent Developments in
-       Statistics (1977).
+    SMACOF (de Leeuw, 1977) minimises the sum of the squared differences of all distances, from the solution
+    of classical scaling. n is at least 4. The points are determined up to rotations, reflections and
+    translations.
     """
     n = len(distances)
     squares = distances**2
@@ -198,11 +183,7 @@ def _subdivided(point: IntArray) -> FloatArray:
 
 @cache
 def exchanges() -> IntArray:
-    """What the 24 rotations of an octahedron do to the directions.
-
-    Returns (24, 66) int32: the number of the direction to which each rotation turns each direction. The
-        identity is among them.
-    """
+    """(24, 66) numbers of the directions to which the rotations of an octahedron turn each direction."""
     views = directions()
     rows = []
     for order in permutations(range(3)):
@@ -215,25 +196,20 @@ def exchanges() -> IntArray:
 
 
 def depth_pictures(mesh: TriangleMesh) -> Iterator[FloatArray]:
-    """Depth pictures of a surface from all directions, by orthographic projection.
+    """Depth pictures (128, 128) of a surface within the unit sphere, from all `directions`.
 
-    mesh: within the unit sphere.
-    Yields (128, 128) float64: for each of `directions`: (1 + z) / 2 at the point nearest to the camera, with
-        z the coordinate towards the camera; 0 where there is no surface.
+    The projection is orthographic. The value is (1 + z) / 2 at the point nearest to the camera, with z the
+    coordinate towards the camera; 0 where there is no surface.
     """
     scale = (1 - MARGIN) * (N_PIXELS - 1) / 2
     for towards in directions():
-        seen = mesh.vertices @ _camera(towards).T  # (n, 3)
+        upright = np.eye(3)[2] if abs(towards[2]) < 1 - 1e-9 else np.eye(3)[1]
+        right = np.cross(upright, towards)
+        right /= np.linalg.norm(right)
+        camera = np.stack([right, np.cross(towards, right), towards])  # (3, 3): to the right, upwards, nearer
+        seen = mesh.vertices @ camera.T  # (n, 3)
         pixels = np.column_stack([seen[:, :2] * scale + (N_PIXELS - 1) / 2, (1 + seen[:, 2]) / 2])
         yield _drawn(pixels, mesh.faces, N_PIXELS)
-
-
-def _camera(towards: FloatArray) -> FloatArray:
-    """(3, 3) orthonormal rows: to the right, upwards, and the given direction, towards the camera."""
-    upright = np.eye(3)[2] if abs(towards[2]) < 1 - 1e-9 else np.eye(3)[1]
-    right = np.cross(upright, towards)
-    right /= np.linalg.norm(right)
-    return np.stack([right, np.cross(towards, right), towards])
 
 
 @njit(cache=True)
@@ -257,19 +233,12 @@ def _drawn(pixels: FloatArray, faces: IntArray, side: int) -> FloatArray:
     return picture
 
 
-# Number of visual words.
+# Number of visual words, and of values of a SIFT descriptor: 4 × 4 cells of 8 directions.
 VOCABULARY = 1500
+SIFT_LENGTH = 128
 
-
-class ViewDescriptors(NamedTuple):
-    """The SIFT descriptors in the views of a canonical form.
-
-    starts: (67,) int32, the descriptors of view k are the rows ``starts[k]`` to ``starts[k + 1]``.
-    descriptors: (p, 128) uint8, the descriptors.
-    """
-
-    starts: IntArray
-    descriptors: NDArray[np.uint8]
+# The (k, 128) SIFT descriptors of each view of a form; k is 0 for a view without keypoints.
+ViewDescriptors = list[NDArray[np.uint8]]
 
 
 class ViewWords(NamedTuple):
@@ -292,7 +261,6 @@ def view_descriptors(shape: Shape) -> ViewDescriptors:
     Of the settings that the article leaves open, or that differ: shortest paths over faces instead of fast
     marching; forms of at most 1000 faces, which are drawn themselves; pictures of 128 × 128 pixels instead of
     256 × 256; principal axes without the measure of rectilinearity; and OpenCV's default settings of SIFT.
-    Requires the extra ``pcretrieve[views]``.
 
     References
     ----------
@@ -300,19 +268,39 @@ def view_descriptors(shape: Shape) -> ViewDescriptors:
        clock matching and bag-of-features", Machine Vision and Applications 24 (2013); and Z. Lian et al.,
        "Non-rigid 3D shape retrieval using multidimensional scaling and bag-of-features", ICIP 2010.
     """
-    # Imported here because the module's numba functions are compiled on import.
-
-    views = list(sift_descriptors(depth_pictures(canonical_form(shape.mesh))))
-    starts = np.cumsum([0, *map(len, views)])
-    return ViewDescriptors(starts.astype(np.int32), np.concatenate(views).astype(np.uint8))
+    try:
+        import cv2
+    except ImportError as error:
+        raise OptionError(
+            "SIFT needs OpenCV, which is not installed: pip install 'pcretrieve[views]'"
+        ) from error
+    cv2.setNumThreads(1)
+    sift = cv2.SIFT.create()
+    views = []
+    for picture in depth_pictures(canonical_form(shape.mesh)):
+        _, found = sift.detectAndCompute(np.round(255 * picture).astype(np.uint8), None)
+        # OpenCV gives whole numbers from 0 to 255 in single precision, or None.
+        views.append(np.asarray([] if found is None else found, np.uint8).reshape(-1, SIFT_LENGTH))
+    return views
 
 
 def view_words(gallery: Sequence[ViewDescriptors]) -> Callable[[ViewDescriptors], ViewWords]:
     """Draw the visual words from the descriptors of a gallery, at random, as published."""
     rng = np.random.default_rng(0)
-    every = np.concatenate([shape.descriptors for shape in gallery])  # (p, 128)
+    every = np.concatenate([view for views in gallery for view in views])  # (p, 128)
     words = every[rng.choice(len(every), min(VOCABULARY, len(every)), replace=False)]
     return partial(_counted, words.astype(np.float64))
+
+
+def _counted(vocabulary: FloatArray, views: ViewDescriptors) -> ViewWords:
+    """How often each word is the nearest one to the descriptors of each view."""
+    squares = (vocabulary**2).sum(axis=1)
+    products = np.concatenate(views).astype(np.float64) @ vocabulary.T  # (p, W)
+    nearest = np.split((squares - 2 * products).argmin(axis=1), np.cumsum([len(view) for view in views[:-1]]))
+    found = [np.unique(numbers, return_counts=True) for numbers in nearest]
+    starts = np.cumsum([0, *(len(words) for words, _ in found)])
+    words, counts = (np.concatenate(parts) for parts in zip(*found, strict=True))
+    return ViewWords(starts.astype(np.int32), words.astype(np.int32), counts.astype(np.int32))
 
 
 def clock_distance(query: ViewWords, other: ViewWords) -> float:
@@ -322,18 +310,45 @@ def clock_distance(query: ViewWords, other: ViewWords) -> float:
     without words. The distances of corresponding views are averaged, for each of the 24 rotations of an
     octahedron, and the smallest average is the distance.
     """
-    # Imported here because the module's numba functions are compiled on import.
-    from pcretrieve.matching.matcher import smallest_mean
-
-    return float(smallest_mean(*query, *other, exchanges()))
+    return float(_smallest_mean(*query, *other, exchanges()))
 
 
-def _counted(vocabulary: FloatArray, made: ViewDescriptors) -> ViewWords:
-    """How often each word is the nearest one to the descriptors of each view."""
-    squares = (vocabulary**2).sum(axis=1)
-    products = made.descriptors.astype(np.float64) @ vocabulary.T  # (p, W)
-    nearest = (squares - 2 * products).argmin(axis=1)
-    found = [np.unique(nearest[start:end], return_counts=True) for start, end in pairwise(made.starts)]
-    starts = np.cumsum([0, *(len(words) for words, _ in found)])
-    words, counts = (np.concatenate(parts) for parts in zip(*found, strict=True))
-    return ViewWords(starts.astype(np.int32), words.astype(np.int32), counts.astype(np.int32))
+@njit(cache=True)
+def _smallest_mean(
+    starts: IntArray,
+    words: IntArray,
+    counts: IntArray,
+    other_starts: IntArray,
+    other_words: IntArray,
+    other_counts: IntArray,
+    exchanges: IntArray,
+) -> float:
+    """The smallest mean distance of the histograms of two forms, over the rows of `exchanges`."""
+    n_views = len(starts) - 1
+    # Several rotations compare the same two views, whose distance is computed once.
+    known = np.full((n_views, n_views), -1.0)
+    smallest = np.inf
+    for rotation in range(len(exchanges)):
+        total = 0.0
+        for view in range(n_views):
+            turned = exchanges[rotation, view]
+            if known[turned, view] < 0:
+                i, end = starts[turned], starts[turned + 1]
+                j, other_end = other_starts[view], other_starts[view + 1]
+                size = counts[i:end].sum()
+                other_size = other_counts[j:other_end].sum()
+                common = 0
+                while i < end and j < other_end:
+                    if words[i] == other_words[j]:
+                        common += min(counts[i], other_counts[j])
+                        i += 1
+                        j += 1
+                    elif words[i] < other_words[j]:
+                        i += 1
+                    else:
+                        j += 1
+                larger = max(size, other_size)
+                known[turned, view] = 1 - common / larger if larger > 0 else 0.0
+            total += known[turned, view]
+        smallest = min(smallest, total)
+    return smallest / n_views

@@ -66,36 +66,12 @@ class DistanceMatrix(Value):
         return DistanceMatrix(tuple(ids), self.values[np.ix_(chosen, chosen)], labels)
 
     def blocks(self, queries: Positions | None = None) -> Iterator[DistanceBlock]:
-        """Distances from shapes of the gallery to all of the gallery.
-
-        Parameters
-        ----------
-        queries : (Q,) intp, optional
-            Positions in `ids`. By default all.
-
-        Yields
-        ------
-        DistanceBlock
-            All queries, in one block.
-        """
+        """Distances from shapes of the gallery, by default all, to all of the gallery, in one block."""
         rows = np.arange(len(self)) if queries is None else queries
         yield DistanceBlock(rows, self.values[rows])
 
     def nearest(self, shape_id: str, k: int = 10) -> Neighbors:
-        """The shapes nearest to a shape of the gallery, itself included.
-
-        Parameters
-        ----------
-        shape_id : str
-            One of `ids`.
-        k : int, default 10
-            Number of shapes, at least 1; all if there are fewer.
-
-        Returns
-        -------
-        Neighbors
-            Nearest first, equally near shapes in alphabetical order.
-        """
+        """The k shapes nearest to a shape of the gallery, itself included."""
         return nearest_of(self.ids, self.values[position_of(self.ids, shape_id)], k)
 
 
@@ -174,7 +150,7 @@ def read_matrix(path: str | Path) -> DistanceMatrix:
     path = Path(path)
     beside = ids_path(path)
     try:
-        values = _npy(path) if path.suffix == ".npy" else _text(path)
+        values = _read(path)
     except OSError as error:
         raise InputError(f"cannot read the distance matrix {path}: {error.strerror or error}") from error
     except UnicodeDecodeError as error:
@@ -199,13 +175,10 @@ def read_matrix(path: str | Path) -> DistanceMatrix:
         raise InputError(f"{path}: {error.message}") from error
 
 
-def _npy(path: Path) -> NDArray[Any]:
-    """The array of a file; mapped into memory, because a header may declare more than the file has."""
-    array: NDArray[Any] = np.load(path, mmap_mode="r", allow_pickle=False)
-    return array
-
-
-def _text(path: Path) -> NDArray[Any]:
+def _read(path: Path) -> NDArray[Any]:
+    if path.suffix == ".npy":
+        # Mapped into memory, because a header may declare more than the file has.
+        return np.asarray(np.load(path, mmap_mode="r", allow_pickle=False))
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", message=".*input contained no data")
         return np.loadtxt(path, ndmin=2, encoding="utf-8")

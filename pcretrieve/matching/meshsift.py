@@ -55,14 +55,8 @@ HIGH = 0.8
 LARGEST = 0.25
 
 
-class MeshFeatures(NamedTuple):
-    """The local features of a surface.
-
-    descriptors: (k, 144) float32, unit vectors: for nine patches, 8 bins of the shape index and 8 bins of the
-        slant of the normals.
-    """
-
-    descriptors: NDArray[np.float32]
+# Unit vectors (k, 144): for nine patches, 8 bins of the shape index and 8 bins of the slant of the normals.
+MeshFeatures = NDArray[np.float32]
 
 
 def mesh_features(shape: Shape) -> MeshFeatures:
@@ -75,9 +69,7 @@ def mesh_features(shape: Shape) -> MeshFeatures:
 
     Of the settings that the article leaves open: six levels, with scales of 1.2 to 6.5 mean lengths of edges;
     curvatures by least squares; 200 keypoints at most; the position of a neighbour in the tangent plane by
-    its geodesic distance and its projected direction. Finer surfaces are
-    simplified to 10,000 faces. Local features need a fine surface: with fewer than 5,000 faces a warning is
-    logged, once.
+    its geodesic distance and its projected direction; simplification to 10,000 faces.
 
     References
     ----------
@@ -94,8 +86,8 @@ def mesh_features(shape: Shape) -> MeshFeatures:
         _warn_once()
     mesh = coarser(TriangleMesh(shape.mesh.vertices / np.sqrt(shape.mesh.area), shape.mesh.faces), N_FACES)
     scale_space = levels(mesh)
-    points = keypoints(scale_space, mesh, MOST_KEYPOINTS)
-    if not len(points.vertices):
+    vertices, levels_of = keypoints(scale_space, mesh, MOST_KEYPOINTS)
+    if not len(vertices):
         raise DegenerateMeshError(
             f"the surface of {len(mesh.faces)} faces has no keypoints: give a finer or less regular one",
             stage=Stage.SIGNATURE,
@@ -105,14 +97,14 @@ def mesh_features(shape: Shape) -> MeshFeatures:
     areas = np.zeros(len(mesh.vertices))
     np.add.at(areas, mesh.faces, mesh.face_areas[:, np.newaxis] / 3)
     for number, level in enumerate(scale_space):
-        chosen = points.vertices[points.levels == number]
+        chosen = vertices[levels_of == number]
         if len(chosen):
             reach = (DISC + PATCH) * 3 * level.scale
             apart = dijkstra(graph, directed=False, indices=chosen, limit=reach)  # (k, n)
             for vertex, distances in zip(chosen, apart, strict=True):
                 near = np.flatnonzero(np.isfinite(distances))
                 described += _described(int(vertex), near, distances[near], level, areas[near])
-    return MeshFeatures(np.array(described, dtype=np.float32))
+    return np.array(described, dtype=np.float32)
 
 
 def match_distance(query: MeshFeatures, other: MeshFeatures) -> float:
@@ -123,7 +115,7 @@ def match_distance(query: MeshFeatures, other: MeshFeatures) -> float:
     matches by the second nearest of both surfaces, divided by the larger number of features. The smaller
     number lets surfaces with few features be near to all others.
     """
-    cosines = query.descriptors @ other.descriptors.T
+    cosines = query @ other.T
     nearest, is_clear = _nearest(cosines)
     back, is_clear_back = _nearest(np.ascontiguousarray(cosines.T))
     is_mutual = back[nearest] == np.arange(len(nearest))
@@ -211,8 +203,7 @@ def _directions(angles: FloatArray, weights: FloatArray) -> FloatArray:
     top = np.flatnonzero((smooth > before) & (smooth >= after) & (smooth >= HIGH * smooth.max()))
     bend = before[top] - 2 * smooth[top] + after[top]
     shift = np.where(bend < 0, (before[top] - after[top]) / np.where(bend < 0, 2 * bend, 1), 0)
-    refined: FloatArray = np.radians(top + 0.5 + shift)
-    return refined
+    return np.asarray(np.radians(top + 0.5 + shift))
 
 
 # Number of levels, and the number of averagings after which each is taken: the scale grows by 2^(1/2) each.
@@ -223,11 +214,8 @@ MEAN_SQUARE = 2 / 3
 
 
 class Level(NamedTuple):
-    """A smoothed surface.
+    """A smoothed surface: the width σ of the smoothing, vertices (n, 3) and unit normals (n, 3).
 
-    scale: σ, the width of the smoothing; unit length.
-    vertices: (n, 3) float64, the smoothed vertices; unit length.
-    normals: (n, 3) float64, unit normals of the smoothed surface.
     curvatures: (n, 2) float64, principal curvatures, the larger one first; 1 / unit length, positive where
         the surface is convex.
     """
@@ -237,30 +225,14 @@ class Level(NamedTuple):
     normals: FloatArray
     curvatures: FloatArray
 
-    @property
-    def mean_curvatures(self) -> FloatArray:
-        """(n,) mean curvatures; 1 / unit length."""
-        means: FloatArray = self.curvatures.mean(axis=1)
-        return means
-
-
-class Keypoints(NamedTuple):
-    """Extrema of the scale space.
-
-    vertices: (k,) int32, numbers of the vertices, the strongest extremum first.
-    levels: (k,) int32, numbers of the levels.
-    """
-
-    vertices: IntArray
-    levels: IntArray
-
 
 def levels(mesh: TriangleMesh) -> list[Level]:
     """Smooth a surface step by step, and compute the curvatures of each step."""
     links = adjacency(mesh)
     average = links + diags_array(np.ones(len(mesh.vertices)))
     average = diags_array(1 / average.sum(axis=1)) @ average
-    edge = _mean_edge(mesh, links)
+    starts = np.repeat(np.arange(len(mesh.vertices)), np.diff(links.indptr))
+    edge = float(np.linalg.norm(mesh.vertices[starts] - mesh.vertices[links.indices], axis=1).mean())
     made = []
     smooth, done = mesh.vertices, 0
     for n in N_AVERAGINGS:
@@ -273,10 +245,7 @@ def levels(mesh: TriangleMesh) -> list[Level]:
 
 
 def adjacency(mesh: TriangleMesh) -> csr_array:
-    """The (n, n) matrix with 1 for each two vertices that share an edge.
-
-    Returns (n, n) csr_array of float64: symmetric, 0 on the diagonal.
-    """
+    """(n, n) matrix with 1 for each two vertices that share an edge."""
     starts, ends = mesh.faces.ravel(), mesh.faces[:, [1, 2, 0]].ravel()
     n = len(mesh.vertices)
     both = np.concatenate([starts, ends]), np.concatenate([ends, starts])
@@ -285,9 +254,12 @@ def adjacency(mesh: TriangleMesh) -> csr_array:
     return links
 
 
-def keypoints(scale_space: list[Level], mesh: TriangleMesh, most: int) -> Keypoints:
-    """The vertices at which the change of the mean curvature with the scale is an extremum."""
-    curved = np.array([level.scale * level.mean_curvatures for level in scale_space])  # (s, n)
+def keypoints(scale_space: list[Level], mesh: TriangleMesh, most: int) -> tuple[IntArray, IntArray]:
+    """Vertices (k,) and levels (k,) at which the change of the mean curvature with the scale is an extremum.
+
+    The strongest extrema come first.
+    """
+    curved = np.array([level.scale * level.curvatures.mean(axis=1) for level in scale_space])  # (s, n)
     change = np.diff(curved, axis=0)  # (s − 1, n)
     links = adjacency(mesh)
     starts = links.indptr[:-1]
@@ -302,13 +274,7 @@ def keypoints(scale_space: list[Level], mesh: TriangleMesh, most: int) -> Keypoi
         found[row] |= change[row] < np.minimum(low[around].min(axis=0), others.min(axis=0))
     level, vertex = np.nonzero(found)
     strongest = np.argsort(-np.abs(change[level, vertex]), kind="stable")[:most]
-    return Keypoints(vertex[strongest].astype(np.int32), level[strongest].astype(np.int32))
-
-
-def _mean_edge(mesh: TriangleMesh, links: csr_array) -> float:
-    """Mean length of the edges; unit length."""
-    starts = np.repeat(np.arange(len(mesh.vertices)), np.diff(links.indptr))
-    return float(np.linalg.norm(mesh.vertices[starts] - mesh.vertices[links.indices], axis=1).mean())
+    return vertex[strongest].astype(np.int32), level[strongest].astype(np.int32)
 
 
 def _curvatures(mesh: TriangleMesh, links: csr_array) -> tuple[FloatArray, FloatArray]:
@@ -330,18 +296,12 @@ def _curvatures(mesh: TriangleMesh, links: csr_array) -> tuple[FloatArray, Float
     turn = (normals[ends] - normals[starts]) / length[:, np.newaxis]
     u, v = (np.einsum("ij,ij->i", along, plane[starts]) for plane in (first, second))
     du, dv = (np.einsum("ij,ij->i", turn, plane[starts]) for plane in (first, second))
-    # Unknowns a, b, c of (du, dv) = [[a, b], [b, c]] (u, v).
-    columns = {"uu": u * u, "uv": u * v, "vv": v * v, "udu": u * du, "vdv": v * dv, "mix": v * du + u * dv}
-    sums = {name: np.bincount(starts, values, n) for name, values in columns.items()}
+    # Unknowns a, b, c of (du, dv) = [[a, b], [b, c]] (u, v), by the normal equations.
+    products = (u * u, u * v, v * v, u * du, v * du + u * dv, v * dv)
+    uu, uv, vv, *right = (np.bincount(starts, product, n) for product in products)
     zero = np.zeros(n)
-    matrix = np.array(
-        [
-            [sums["uu"], sums["uv"], zero],
-            [sums["uv"], sums["uu"] + sums["vv"], sums["uv"]],
-            [zero, sums["uv"], sums["vv"]],
-        ]
-    ).transpose(2, 0, 1) + 1e-9 * np.eye(3)  # (n, 3, 3); regular for a vertex with one edge, too
-    right = np.column_stack([sums["udu"], sums["mix"], sums["vdv"]])
-    a, b, c = np.linalg.solve(matrix, right[:, :, np.newaxis])[:, :, 0].T
+    matrix = np.array([[uu, uv, zero], [uv, uu + vv, uv], [zero, uv, vv]]).transpose(2, 0, 1)  # (n, 3, 3)
+    matrix = matrix + 1e-9 * np.eye(3)  # regular for a vertex with one edge, too
+    a, b, c = np.linalg.solve(matrix, np.column_stack(right)[:, :, np.newaxis])[:, :, 0].T
     middle, spread = (a + c) / 2, np.hypot((a - c) / 2, b)
     return normals, np.column_stack([middle + spread, middle - spread])

@@ -29,9 +29,6 @@ def a_table(n: int = 40) -> SignatureTable:
     return SignatureTable(ids, values, "r-bihdm", "3f2a", tuple("ABCD"[number % 4] for number in range(n)))
 
 
-# --- values -------------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
@@ -47,28 +44,27 @@ def test_what_is_no_distance_matrix(arguments: Any, message: str) -> None:
         DistanceMatrix(*arguments)
 
 
-@pytest.mark.parametrize("distance", DISTANCES)
-def test_the_matrix_of_an_index_ranks_as_the_index_does(distance: str) -> None:
+def test_the_matrix_of_an_index_ranks_as_the_index_does() -> None:
     table = a_table()
-    index: Ranking = SignatureIndex(table, RetrievalOptions(distance=distance, whitening="pca"))
-    matrix = distance_matrix(index)
-    for shape_id in table.ids:
-        assert matrix.nearest(shape_id, 7) == index.nearest(shape_id, 7)
     label_of = dict(zip(table.ids, table.labels, strict=True))
-    labels = [label_of[shape_id] for shape_id in index.ids]
-    assert rank(matrix, labels) == rank(index, labels)
+    for distance in DISTANCES:
+        index: Ranking = SignatureIndex(table, RetrievalOptions(distance=distance, whitening="pca"))
+        matrix = distance_matrix(index)
+        for shape_id in table.ids:
+            assert matrix.nearest(shape_id, 7) == index.nearest(shape_id, 7)
+        labels = [label_of[shape_id] for shape_id in index.ids]
+        assert rank(matrix, labels) == rank(index, labels)
 
 
-# --- files --------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("name", ["run.txt", "run.npy", "run"])
-def test_a_file_restores_every_bit(name: str, tmp_path: Path) -> None:
+def test_a_file_restores_every_bit(tmp_path: Path) -> None:
     matrix = distance_matrix(SignatureIndex(a_table()))
-    write_matrix(matrix, tmp_path / name)
-    assert read_matrix(tmp_path / name) == matrix
-    assert (tmp_path / "run.ids").read_text().split() == list(matrix.ids)
-    assert sorted(path.name for path in tmp_path.iterdir()) == sorted([name, "run.ids"])
+    for number, name in enumerate(("run.txt", "run.npy", "run")):
+        folder = tmp_path / str(number)
+        folder.mkdir()
+        write_matrix(matrix, folder / name)
+        assert read_matrix(folder / name) == matrix
+        assert (folder / "run.ids").read_text().split() == list(matrix.ids)
+        assert {path.name for path in folder.iterdir()} == {name, "run.ids"}
 
 
 def test_a_matrix_of_a_track_is_plain_rows_of_numbers(tmp_path: Path) -> None:

@@ -1,8 +1,9 @@
-"""Pairwise matchers: what their records declare, and that they rank as any other source of distances."""
+"""Pairwise matchers: they rank as any other source of distances, by what they learn from the gallery too."""
 
 from __future__ import annotations
 
 import pickle
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -11,20 +12,13 @@ import shapes
 
 from pcretrieve.errors import ShapeError
 from pcretrieve.matching import MATCHERS, Matcher, PairwiseIndex, distance_matrix
-from pcretrieve.matching.heat import HeatSet, heat_distance, heat_set
+from pcretrieve.matching.heat import HeatPoints, heat_distance, heat_set
 from pcretrieve.retrieval import Ranking
-from pcretrieve.values import FloatArray, Shape, Surface, TriangleMesh
-
-OWN = ("heat-hausdorff", "hks-bow-gallery", "mds-cm-bof", "meshsift")
-HEAT = MATCHERS["heat-hausdorff"]
-
-
-def shape(mesh: TriangleMesh) -> Shape:
-    return Shape((Surface(mesh.area, mesh=mesh),))
+from pcretrieve.values import FloatArray, Shape
 
 
 def egg(length: float, *, subdivisions: int = 3) -> Shape:
-    return shape(shapes.ellipsoid((1, 1, length), subdivisions=subdivisions))
+    return shapes.shape(shapes.ellipsoid((1, 1, length), subdivisions=subdivisions))
 
 
 def width_of(shape: Shape) -> float:
@@ -98,6 +92,25 @@ def test_a_shape_that_a_matcher_fails_on_is_left_out() -> None:
         index.query(egg(2, subdivisions=1))
 
 
+def relative_to_the_longest(gallery: Sequence[float]) -> Callable[[float], float]:
+    longest = max(gallery)
+    return lambda length: length / longest
+
+
+def test_distances_are_those_of_what_the_gallery_taught() -> None:
+    def apart(query: float, other: float) -> float:
+        return abs(query - other)
+
+    matcher = Matcher("relative", width_of, apart, needs=("mesh",), learn=relative_to_the_longest)
+    index = lengths(matcher)
+    assert index.features == pytest.approx((0.5, 1, 0.75, 0.75))
+    assert distance_matrix(index).values[1] == pytest.approx([0.5, 0, 0.25, 0.25])
+    # A query is measured by the gallery, and teaches it nothing.
+    found = index.query(egg(3.0, subdivisions=1), 4)
+    assert found.ids == ("a", "b", "d", "c")
+    assert found.distances == pytest.approx((0.5, 0.75, 0.75, 1))
+
+
 # --- heat kernel signatures -----------------------------------------------------------------------------
 
 
@@ -109,7 +122,7 @@ def by_hand(query: FloatArray, other: FloatArray) -> float:
 def test_the_distance_is_the_larger_mean_of_smallest_distances() -> None:
     rng = np.random.default_rng(0)
     one, two = rng.normal(size=(7, 6)), rng.normal(size=(5, 6)) + 1
-    sets = [HeatSet(features, np.full(len(features), 1 / len(features))) for features in (one, two)]
+    sets = [HeatPoints(features, np.full(len(features), 1 / len(features))) for features in (one, two)]
     expected = max(by_hand(one, two), by_hand(two, one))
     assert heat_distance(*sets) == pytest.approx(expected)
     assert heat_distance(*sets) == heat_distance(*sets[::-1])
@@ -118,9 +131,27 @@ def test_the_distance_is_the_larger_mean_of_smallest_distances() -> None:
 
 def test_size_place_and_order_of_vertices_do_not_count() -> None:
     mesh = shapes.ellipsoid((1, 1.2, 2), subdivisions=3)
-    order = np.random.default_rng(0).permutation(len(mesh.vertices))
-    back = np.argsort(order)
-    vertices = shapes.moved(mesh, 3).vertices[order] * 10
-    other = TriangleMesh(vertices, back[mesh.faces].astype(np.int32))
-    apart = heat_distance(heat_set(shape(mesh)), heat_set(shape(other)))
-    assert apart < 0.02 * heat_distance(heat_set(shape(mesh)), heat_set(egg(2.5)))
+    other = shapes.renumbered(shapes.moved(mesh, 3, scale=10), 0)
+    made = heat_set(shapes.shape(mesh))
+    assert heat_distance(made, heat_set(shapes.shape(other))) < 0.02 * heat_distance(made, heat_set(egg(2.5)))
+
+
+def test_words_of_a_gallery_are_shares_of_the_surface_by_which_a_moved_copy_is_nearest() -> None:
+    meshes = {
+        "egg": shapes.ellipsoid((1, 1, 1.5), subdivisions=3),
+        "long": shapes.ellipsoid((1, 1, 3), subdivisions=3),
+        "body": shapes.body(3),
+    }
+    meshes |= {f"{name} again": shapes.moved(mesh, 1) for name, mesh in meshes.items()}
+    index = PairwiseIndex(
+        MATCHERS["hks-bow-gallery"], meshes, lambda shape_id: shapes.shape(meshes[shape_id])
+    )
+    for frequencies in index.features:
+        assert frequencies.shape == (48,)
+        assert frequencies.sum() == pytest.approx(1)
+        assert (frequencies >= 0).all()
+    for name in ("egg", "long", "body"):
+        assert index.nearest(name, 2).ids[1] == f"{name} again"
+    assert np.abs(index.features[0] - index.features[2]).sum() > 0.1
+    query = shapes.shape(shapes.moved(meshes["long"], 2))
+    assert pickle.loads(pickle.dumps(index)).query(query) == index.query(query)
