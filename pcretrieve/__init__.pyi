@@ -1,7 +1,7 @@
 # What `import pcretrieve` offers. Type checkers read this file, and `__init__.py` imports each name from the
 # module named here when it is first used.
 
-from .catalogue import Catalogue, backup, merge_catalogues
+from .catalogue import Catalogue, Record, backup, export_vectors, merge_catalogues
 from .checks import Inspection
 from .descriptors import Descriptor, describe, r_bihdm, shape_dna
 from .errors import (
@@ -29,14 +29,20 @@ from .estimators import (
     SignatureTransformer,
     WithinClassWhitening,
 )
-from .evaluation import RetrievalMeasures, calibrate, compare, evaluate, matrix
+from .evaluation import Comparison, Evaluation, RetrievalMeasures, calibrate, compare, evaluate, matrix
 from .formats import read_scan, write_cloud, write_mesh, write_signatures
-from .ingestion import DaskExecutor
-from .ingestion.arrivals import watch
-from .ingestion.problems import report_problem
-from .ingestion.progress import status
-from .ingestion.recomputing import check
-from .ingestion.run import ingest, retry
+from .ingestion import (
+    BatchStatus,
+    Check,
+    DaskExecutor,
+    Summary,
+    check,
+    ingest,
+    report_problem,
+    retry,
+    status,
+    watch,
+)
 from .ingestion.views import merge_views
 from .matching import DistanceMatrix, read_matrix, write_matrix
 from .options import MergeOptions, PipelineOptions
@@ -67,14 +73,18 @@ __version__: str
 
 __all__ = [
     "Answer",
+    "BatchStatus",
     "BenchmarkError",
     "Catalogue",
     "CatalogueError",
+    "Check",
+    "Comparison",
     "DaskExecutor",
     "DegenerateMeshError",
     "Descriptor",
     "DistanceMatrix",
     "Eigenpairs",
+    "Evaluation",
     "InputError",
     "Inspection",
     "LaplaceBeltrami",
@@ -89,6 +99,7 @@ __all__ = [
     "PipelineOptions",
     "PointCloud",
     "ReconstructionError",
+    "Record",
     "RemeshError",
     "ResolutionWhitening",
     "RetrievalMeasures",
@@ -103,6 +114,7 @@ __all__ = [
     "SpectrumError",
     "StageTimeout",
     "Step",
+    "Summary",
     "Surface",
     "TriangleMesh",
     "UnexpectedError",
@@ -121,6 +133,7 @@ __all__ = [
     "duplicates",
     "eigenpairs",
     "evaluate",
+    "export_vectors",
     "ingest",
     "inspect",
     "laplace_beltrami",

@@ -6,9 +6,10 @@ and their distances.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -56,10 +57,8 @@ __all__ = [
     "answer_to",
     "answers",
     "cluster",
-    "described",
+    "described_scan",
     "duplicates",
-    "pictured",
-    "result_rows",
     "search",
     "search_many",
     "without_labels",
@@ -83,6 +82,8 @@ class Question:
     min_score: least score of a result, between 0 and 1.
     unit: unit of the files of the queries, None for that of the options of the catalogue.
     matrix: distances that replace those of signatures, for queries that the catalogue has.
+    timeout, memory: limits of the process of a scan, seconds and GiB; without a timeout, it is this process.
+    has_picture, up: as for `described_scan`.
     """
 
     options: PipelineOptions
@@ -92,6 +93,10 @@ class Question:
     min_score: float | None = None
     unit: str | None = None
     matrix: DistanceMatrix | None = None
+    timeout: float | None = None
+    memory: float | None = None
+    has_picture: bool = False
+    up: str | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "k", checked_k(self.k))
@@ -172,11 +177,22 @@ class Answer(Value):
             parts.append(f"ranks {runs} could swap" if runs else "no ranks could swap")
         return "; ".join(parts) or f"nearest {self.records[0].id}"
 
-
-# Describes scans by some options, in their order, each by its signature or its error.
-DescribeScans = Callable[
-    [Sequence[Path], PipelineOptions], Iterable["tuple[Path, Described | PcretrieveError]"]
-]
+    def rows(self) -> list[dict[str, Any]]:
+        """The results, with the names that commands and the search page give their columns."""
+        known, ranges = self.neighbors.scores, self.rank_ranges
+        return [
+            {
+                "rank": row + 1,
+                "id": record.id,
+                "path": record.path,
+                "label": record.label,
+                "distance": float(self.neighbors.distances[row]),
+                "score": None if known is None else float(known[row]),
+                "rank_range": None if ranges is None else ranges[row].tolist(),
+                "verdict": None if record.verdict is None else asdict(record.verdict),
+            }
+            for row, record in enumerate(self.records)
+        ]
 
 
 def search(
@@ -241,7 +257,7 @@ def search(
         if not isinstance(query, (str, Path, Signature)):
             query = _signature_of(store, query, question)
         asked = _query_of(store, query, question)
-        ((_, outcome),) = _resolved(store, [asked], question, described)
+        ((_, outcome),) = _resolved(store, [asked], question)
         if isinstance(outcome, ShapeError):
             raise outcome
         signature = outcome.signature if isinstance(outcome, Described) else outcome
@@ -259,6 +275,8 @@ def search_many(
     labels: Collection[str] | None = None,
     exclude_self: bool = False,
     min_score: float | None = None,
+    timeout: float | None = None,
+    memory: float | None = None,
 ) -> Iterator[tuple[str, Answer | ShapeError]]:
     """Answer several queries, in their order.
 
@@ -270,13 +288,17 @@ def search_many(
         Each as in `search`, or a folder, which stands for all scans in it. A str that is the id of a shape is
         that shape, also if there is a folder of this name.
     k : int, default 10
-        This and the following parameters are those of `search`, for each query.
+        This and the following parameters up to `min_score` are those of `search`, for each query.
     options : OptionsLike, optional
     matrix : DistanceMatrix, optional
     unit : str, optional
     labels : collection of str, optional
     exclude_self : bool, default False
     min_score : float, optional
+    timeout : float, optional
+        Longest time for each scan, which is then processed in another process, not in this one; seconds.
+    memory : float, optional
+        Largest heap of that process; GiB.
 
     Yields
     ------
@@ -294,18 +316,16 @@ def search_many(
     """
     with opened(catalogue) as store:
         chosen = PipelineOptions.of(options, store.options)
-        yield from answers(store, queries, Question(chosen, k, labels, exclude_self, min_score, unit, matrix))
+        how = (matrix, timeout, memory)
+        yield from answers(store, queries, Question(chosen, k, labels, exclude_self, min_score, unit, *how))
 
 
 def answers(
-    catalogue: Catalogue,
-    queries: Iterable[str | Path | Signature],
-    question: Question,
-    describe_scans: DescribeScans | None = None,
+    catalogue: Catalogue, queries: Iterable[str | Path | Signature], question: Question
 ) -> Iterator[tuple[str, Answer | ShapeError]]:
-    """Answer several queries as `search_many`, with scans described elsewhere than in this process."""
+    """Answer several queries as `search_many`."""
     asked = [each for query in queries for each in _expanded(catalogue, query, question)]
-    for name, outcome in _resolved(catalogue, asked, question, describe_scans or described):
+    for name, outcome in _resolved(catalogue, asked, question):
         if isinstance(outcome, ShapeError):
             yield name, outcome
         else:
@@ -330,27 +350,6 @@ def answer_to(catalogue: Catalogue, query: str | Described, question: Question) 
         if deviation is not None:
             ranges = rank_ranges(index, signature, deviation, wide.ids)[: len(found)]
     return Answer(found, records, class_vote(voters, weights), ranges, query)
-
-
-def result_rows(answer: Answer) -> list[dict[str, Any]]:
-    """The results of one query, with the names that commands and the search page give their columns."""
-    known, ranges = answer.neighbors.scores, answer.rank_ranges
-    scores = [None] * len(answer.records) if known is None else known.tolist()
-    return [
-        {
-            "rank": rank,
-            "id": record.id,
-            "path": record.path,
-            "label": record.label,
-            "distance": gap,
-            "score": score,
-            "rank_range": None if ranges is None else ranges[rank - 1].tolist(),
-            "verdict": None if record.verdict is None else asdict(record.verdict),
-        }
-        for rank, (record, gap, score) in enumerate(
-            zip(answer.records, answer.neighbors.distances.tolist(), scores, strict=True), start=1
-        )
-    ]
 
 
 def duplicates(
@@ -458,32 +457,37 @@ def without_labels(options: PipelineOptions) -> PipelineOptions:
     return options
 
 
-def described(
-    scans: Sequence[Path], options: PipelineOptions
-) -> Iterator[tuple[Path, Described | PcretrieveError]]:
-    """The signatures of scans, computed in this process."""
+def described_scan(options: PipelineOptions, has_picture: bool, up: str | None, scan: Path) -> Described:
+    """Process a scan, and draw a thumbnail of it on request, in which the axis `up` points upwards."""
     # Imported here, because shapes of the catalogue are found without the stages.
-    from pcretrieve.pipeline.process import described_shape
-
-    for scan in scans:
-        try:
-            signature, shape = described_shape(scan, options)
-            yield scan, Described(signature, shape.verdict)
-        except ShapeError as error:
-            yield scan, error
-
-
-def pictured(scan: Path, options: PipelineOptions, up: str | None = None) -> Described:
-    """Process a scan, and draw a thumbnail of its surface."""
-    from pcretrieve.draw import thumbnail, upward
     from pcretrieve.pipeline.process import described_shape
 
     signature, shape = described_shape(scan, options)
     mesh, picture = shape.surfaces[0].mesh, None
-    if mesh is not None:
+    if has_picture and mesh is not None:
+        from pcretrieve.draw import thumbnail, upward
+
         with suppress(DegenerateMeshError):
             picture = thumbnail(mesh.vertices, mesh.faces, up=mesh.up if up is None else upward(up))
     return Described(signature, shape.verdict, picture)
+
+
+def _described(
+    scans: Sequence[Path], question: Question, options: PipelineOptions
+) -> Iterator[tuple[Path, Described | PcretrieveError]]:
+    """The signature of each scan, or its error, in their order."""
+    of_scan = partial(described_scan, options, question.has_picture, question.up)
+    if scans and question.timeout is not None:
+        # Imported here, because it is not needed for shapes that the catalogue has.
+        from pcretrieve.ingestion import in_processes
+
+        yield from in_processes(of_scan, scans, workers=1, timeout=question.timeout, memory=question.memory)
+        return
+    for scan in scans:
+        try:
+            yield scan, of_scan(scan)
+        except ShapeError as error:
+            yield scan, error
 
 
 def _signature_of(catalogue: Catalogue, scan: ScanLike, question: Question) -> Signature:
@@ -556,10 +560,7 @@ def _stored(catalogue: Catalogue, shape_id: str) -> str:
 
 
 def _resolved(
-    catalogue: Catalogue,
-    queries: Sequence[tuple[str, str | Path | Signature]],
-    question: Question,
-    describe_scans: DescribeScans,
+    catalogue: Catalogue, queries: Sequence[tuple[str, str | Path | Signature]], question: Question
 ) -> Iterator[tuple[str, str | Described | ShapeError]]:
     """For each query the id of its shape, or its signature, or why it has none."""
     for name, query in queries:
@@ -569,7 +570,7 @@ def _resolved(
                 "leave out the matrix, or ingest the scan and make the matrix again"
             )
     scans = [query for _, query in queries if isinstance(query, Path)]
-    outcomes = iter(describe_scans(scans, question.scan_options(catalogue)) if scans else ())
+    outcomes = _described(scans, question, question.scan_options(catalogue))
     for name, query in queries:
         if isinstance(query, Path):
             _, outcome = next(outcomes)

@@ -25,11 +25,31 @@ def export_vectors(
     shape_ids: Sequence[str] = (),
     table: str = VECTOR_TABLE,
 ) -> int:
-    """Write whitened log-signatures to a table of a PostgreSQL server with the extension pgvector.
+    """Write whitened log-signatures, and return their number, to a new table with the extension pgvector.
 
     Their Euclidean distance, the operator ``<->`` of pgvector, is the distance ``log`` of `SignatureIndex`:
     ``ORDER BY signature <-> query, id`` gives its order, except where distances are equal in single
     precision. A column without an index of pgvector is searched exactly.
+
+    Parameters
+    ----------
+    catalogue : Catalogue
+        The shapes.
+    url : str
+        The database, ``postgresql://user@host/name``.
+    options : PipelineOptions, optional
+        Signature and whitening. By default the options of the catalogue.
+    shape_ids : sequence of str, optional
+        The shapes; by default all that did not fail.
+    table : str, default "pcretrieve_signatures"
+        The name of the new table.
+
+    Raises
+    ------
+    OptionError
+        If the distance is not ``log``.
+    InputError
+        If psycopg is not installed, or the table cannot be made.
     """
     options = options or catalogue.options
     if (distance := options.retrieval.distance) != "log":
@@ -46,10 +66,7 @@ def export_vectors(
 def write_vectors(
     url: str, table: str, ids: Sequence[str], labels: Sequence[str | None], vectors: FloatArray
 ) -> None:
-    """Create a table with the columns ``id``, ``label`` and ``signature``, in one transaction.
-
-    vectors: (N, L) float64, the vectors, which are stored in single precision.
-    """
+    """Create a table with id, label and signature (N, L) of each shape, in one transaction."""
     try:
         import psycopg
         from psycopg import sql

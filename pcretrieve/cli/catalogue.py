@@ -6,7 +6,7 @@ import sys
 from collections import Counter
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
@@ -14,10 +14,7 @@ import pcretrieve as pr
 from pcretrieve.cli import options as opt
 from pcretrieve.cli import output as out
 from pcretrieve.cli.messages import Progress, say, shown_path, without_password
-
-if TYPE_CHECKING:
-    from pcretrieve.catalogue import Record
-    from pcretrieve.ingestion.recomputing import Check
+from pcretrieve.errors import InputError
 
 MIB = 1 << 20
 
@@ -34,9 +31,7 @@ DOUBTFUL = (ID, out.Column("VERDICT"), CLASS, FILE, out.Column("REASON", "words"
 @opt.option("--limit N", "List at most N shapes.", opt.COUNT)
 @opt.option("--offset N", "Skip N shapes.", opt.NUMBER, default=0)
 @opt.json_option
-def list_command(
-    catalogue: str, failed: bool, doubtful: bool, limit: int | None, offset: int, as_json: bool
-) -> None:
+def list_command(catalogue: str, failed: bool, as_json: bool, **chosen: Any) -> None:
     """List shapes: id, verdict, class, Euler characteristic, seconds, path.
 
     The verdict is sound, doubtful, unusable or failed; done means that the shape was not judged.
@@ -44,51 +39,52 @@ def list_command(
     \b
     pcretrieve list --catalogue bodies.sqlite --failed
     """
+    counts: Counter[str] = Counter()
     with pr.Catalogue(catalogue, any_numbers=True) as store:
-        pages = store.pages(
-            status="failed" if failed else None, doubtful=doubtful, offset=offset, limit=limit
-        )
+        pages = store.pages(status="failed" if failed else None, **chosen)
         records = (record for page in pages for record in page)
         if as_json:
-            out.write_documents(asdict(record) | {"seconds": round(record.seconds, 3)} for record in records)
+            out.write_documents(map(_facts, records))
             return
-        counts: Counter[str] = Counter()
         if failed:
-            n_rows = out.write_table(FAILED, (_failed(record) for record in records))
-        elif doubtful:
-            n_rows = out.write_table(DOUBTFUL, (_doubtful(record) for record in records))
+            n_rows = out.write_table(FAILED, map(_failed, records))
+        elif chosen["doubtful"]:
+            n_rows = out.write_table(DOUBTFUL, map(_doubtful, records))
         else:
             n_rows = out.write_table(ALL, (_row(record, counts) for record in records))
     if counts:
         found = ", ".join(f"{n} {name}" for name, n in sorted(counts.items()))
         say(f"{found}; for reasons: {', '.join(f'--{name}' for name in sorted(counts))}")
     if not n_rows:
-        which = "failed" if failed else "doubtful" if doubtful else "stored"
-        say(f"no shape is {which} in {catalogue}" + (f" after the first {offset}" if offset else ""))
+        which = "failed" if failed else "doubtful" if chosen["doubtful"] else "stored"
+        after = f" after the first {chosen['offset']}" if chosen["offset"] else ""
+        say(f"no shape is {which} in {catalogue}{after}")
 
 
-def _row(record: Record, counts: Counter[str]) -> tuple[str, ...]:
-    """A row of all shapes; those that have reasons are counted by the opt.option that lists them."""
-    if record.status == "failed":
-        counts["failed"] += 1
-    elif record.is_doubtful:
-        counts["doubtful"] += 1
+def _facts(record: pr.Record) -> dict[str, object]:
+    return asdict(record) | {"seconds": round(record.seconds, 3)}
+
+
+def _row(record: pr.Record, counts: Counter[str]) -> tuple[str, ...]:
+    """A row of all shapes; those that have reasons are counted by the option that lists them."""
+    if record.status == "failed" or record.is_doubtful:
+        counts["failed" if record.status == "failed" else "doubtful"] += 1
     euler = "-" if record.euler is None else str(record.euler)
     label, file = record.label or "-", shown_path(record.path)
     return record.id, _verdict(record), label, euler, f"{record.seconds:.2f}", file
 
 
-def _failed(record: Record) -> tuple[str, ...]:
+def _failed(record: pr.Record) -> tuple[str, ...]:
     reason = (record.message or "").removeprefix(f"{record.path}: ")
     return record.id, record.stage or "-", record.label or "-", shown_path(record.path), reason
 
 
-def _doubtful(record: Record) -> tuple[str, ...]:
+def _doubtful(record: pr.Record) -> tuple[str, ...]:
     label, file = record.label or "-", shown_path(record.path)
     return record.id, _verdict(record), label, file, str(record.verdict or "")
 
 
-def _verdict(record: Record) -> str:
+def _verdict(record: pr.Record) -> str:
     return record.verdict.judgement if record.verdict else record.status
 
 
@@ -105,18 +101,15 @@ def show_command(shape_id: str, catalogue: str, as_json: bool) -> None:
     with pr.Catalogue(catalogue, any_numbers=True) as store:
         record, stored = store.record(shape_id), store.stored_bytes(shape_id)
     if as_json:
-        out.write_document(asdict(record) | {"seconds": round(record.seconds, 3), "stored_bytes": stored})
+        out.write_document(_facts(record) | {"stored_bytes": stored})
         return
-    rows = []
-    for name, value in asdict(record).items():
-        if name == "versions":
-            value = ", ".join(f"{package} {version}" for package, version in record.versions.items())
-        if name == "verdict":
-            value = None if record.status == "failed" else str(record.verdict or "not judged")
-        if name == "path":
-            value = shown_path(record.path)
-        if name != "steps" and value is not None:
-            rows.append((name, str(value)))
+    shown = asdict(record) | {
+        "path": shown_path(record.path),
+        "versions": ", ".join(f"{package} {version}" for package, version in record.versions.items()),
+        "verdict": None if record.status == "failed" else str(record.verdict or "not judged"),
+        "steps": None,
+    }
+    rows = [(name, str(value)) for name, value in shown.items() if value is not None]
     parts = ", ".join(f"{name} {size / 1000:.1f}" for name, size in stored.items() if size)
     rows.append(("stored", f"{sum(stored.values()) / 1000:.1f} kB" + (f": {parts}" if parts else "")))
     out.write_table((out.Column(""), out.Column("", "words")), rows)
@@ -210,15 +203,15 @@ def check_command(catalogue: str, sample: int, repair: bool, as_json: bool) -> N
         result = pr.check(store, sample=sample, repair=repair, on_shapes=advance)
         options = store.options
     if as_json:
-        document = {"catalogue": without_password(catalogue), "is_whole": result.is_whole} | asdict(result)
-        out.write_document(document, options=options)
+        whole = {"catalogue": without_password(catalogue), "is_whole": result.is_whole}
+        out.write_document(whole | asdict(result), options=options)
     else:
         _write_check(catalogue, result)
     if not result.is_whole:
         sys.exit(opt.EXIT_ERROR)
 
 
-def _write_check(catalogue: str, result: Check) -> None:
+def _write_check(catalogue: str, result: pr.Check) -> None:
     out.write_table(
         (out.Column("SHAPE"), out.Column("DEFECT", "words"), out.Column("REPAIR", "words")),
         ((one.shape_id or "-", one.message, one.repair or "not repaired") for one in result.defects),
@@ -289,62 +282,44 @@ def export_command(
     """
     if (output is None) == (to is None) or (to and signatures):
         raise click.UsageError("give either --output, or --to for signatures in a database")
-    given = opt.given_flags(comparison)
-    if given and not signatures and not to:
-        raise click.UsageError(f"{given} is for --signatures and --to: meshes have no such options")
-    of_meshes = not signatures and not to
+    if of_meshes := not signatures and to is None:
+        opt.refuse(comparison, "meshes have no such options, which are for --signatures and --to")
+    files: list[Path] = []
     with opt.opened(catalogue, comparison, any_numbers=of_meshes) as (store, options):
-        files = []
-        if output is None:
-            _export_to_database(store, str(to), options, shape_ids)
-        elif signatures:
+        if to is not None:
+            n_written = pr.export_vectors(store, to, options, shape_ids=shape_ids)
+            say(f"wrote {n_written} signatures to the table pcretrieve_signatures")
+        elif signatures and output is not None:
             table = store.signatures(options)
             pr.write_signatures(table.select(shape_ids) if shape_ids else table, output)
             files = [output]
-        else:
-            files = _export_meshes(store, shape_ids, output, as_json)
+        elif output is not None:
+            files = _export_meshes(store, shape_ids, output)
     if as_json:
-        has_options = output is None or signatures
-        out.write_document({"files": [str(file) for file in files]}, options=options if has_options else None)
-    elif signatures:
-        out.write_line(str(output))
-    elif output is not None and output.is_dir():
+        out.write_document({"files": files}, options=None if of_meshes else options)
+        return
+    for file in files:
+        out.write_line(str(file))
+    if of_meshes and output is not None and output.is_dir():
         say(f"wrote {len(files)} meshes to {output}")
 
 
-def _export_to_database(store: pr.Catalogue, url: str, options: Any, shape_ids: tuple[str, ...]) -> None:
-    from pcretrieve.catalogue import export_vectors
-
-    n_written = export_vectors(store, url, options, shape_ids=shape_ids)
-    say(f"wrote {n_written} signatures to the table pcretrieve_signatures")
-
-
-def _export_meshes(
-    store: pr.Catalogue, shape_ids: tuple[str, ...], output: Path, as_json: bool
-) -> list[Path]:
-    """Write meshes, and print their files."""
-    files = _mesh_files(store, shape_ids, output)
-    for path, shape_id in files.items():
-        pr.write_mesh(store.mesh(shape_id), path)
-        if not as_json:
-            out.write_line(str(path))
-    return list(files)
-
-
-def _mesh_files(store: pr.Catalogue, shape_ids: tuple[str, ...], output: Path) -> dict[Path, str]:
-    """The file of each mesh, in a folder that is made; raises if one of the meshes is missing."""
-    from pcretrieve.errors import InputError
-
+def _export_meshes(store: pr.Catalogue, shape_ids: tuple[str, ...], output: Path) -> list[Path]:
+    """Write a mesh of one shape, or a folder of meshes; nothing, if one of the meshes is missing."""
     if len(shape_ids) == 1 and output.suffix and not output.is_dir():
-        return {output: shape_ids[0]}
+        pr.write_mesh(store.mesh(shape_ids[0]), output)
+        return [output]
     for shape_id in shape_ids:
         store.mesh(shape_id)
     try:
         output.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise InputError(f"cannot make the folder {output}: {error.strerror}") from error
-    chosen = shape_ids or [record.id for record in store.records(status="done")]
-    return {output / _file_name(shape_id): shape_id for shape_id in chosen}
+    files = []
+    for shape_id in shape_ids or [record.id for record in store.records(status="done")]:
+        files.append(output / _file_name(shape_id))
+        pr.write_mesh(store.mesh(shape_id), files[-1])
+    return files
 
 
 def _file_name(shape_id: str) -> str:

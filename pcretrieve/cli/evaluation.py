@@ -6,22 +6,22 @@ import os
 from collections.abc import Iterable
 from dataclasses import fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
 import pcretrieve as pr
 from pcretrieve.cli import options as opt
 from pcretrieve.cli import output as out
-from pcretrieve.cli.messages import say, shown_path
-
-if TYPE_CHECKING:
-    from pcretrieve.evaluation import Comparison, Evaluation
+from pcretrieve.cli.messages import say
 
 # The columns of rows of measures, and of what they are the measures of.
-COLUMNS = (
-    *(out.Column(name, "number") for name in ("NN", "FT", "ST", "E", "DCG", "mAP")),
-    out.Column("", "words"),
+HEADINGS = ("NN", "FT", "ST", "E", "DCG", "mAP")
+COLUMNS = (*(out.Column(name, "number") for name in HEADINGS), out.Column("", "words"))
+MEASURES = tuple(name.lower() for name in HEADINGS)
+PRECISIONS = (
+    *(out.Column("ID"), out.Column("CLASS")),
+    *(out.Column(name, "number") for name in ("A", "B")),
 )
 
 # The options of `compare` that are for both results.
@@ -70,7 +70,8 @@ def evaluate_command(
     pcretrieve evaluate --catalogue shrec11.sqlite --labels shrec11
     pcretrieve evaluate --matrix run1.txt --labels shrec11.cla
     """
-    distances = opt.read_distances(matrix, comparison, reranks=True)
+    reranks = {name: value for name, value in comparison.items() if name != "rerank"}
+    distances = opt.read_distances(matrix, reranks)
     options = None
     if catalogue is None and (distances is None or labels is None):
         catalogue = os.environ.get(opt.CATALOGUE_VARIABLE) or None
@@ -85,7 +86,7 @@ def evaluate_command(
         raise click.UsageError("--sound-only needs --catalogue, which has the verdicts")
     else:
         found = pr.evaluate(distances, options=opt.changes(comparison), labels=labels)
-    how = _how(found, options, matrix, comparison)
+    how = _how(found, options, matrix, comparison["rerank"])
     if folder is not None:
         found.write(folder)
         say(f"queries, classes, confusion and precision_recall: .csv files in {folder}")
@@ -97,11 +98,11 @@ def evaluate_command(
 
 
 def _how(
-    found: Evaluation, options: pr.PipelineOptions | None, matrix: Path | None, comparison: dict[str, Any]
+    found: pr.Evaluation, options: pr.PipelineOptions | None, matrix: Path | None, rerank: str | None
 ) -> dict[str, object]:
     """How shapes were ranked."""
     if options is None or found.ranked.table is None:
-        rerank = (comparison["rerank"] or "none") if options is None else options.retrieval.rerank
+        rerank = rerank or "none" if options is None else options.retrieval.rerank
         return {"matrix": str(matrix), "rerank": rerank}
     return {
         "method": found.ranked.table.kind,
@@ -115,43 +116,42 @@ def _how(
     }
 
 
-def _evaluation_document(found: Evaluation, how: dict[str, object], per_class: bool) -> dict[str, object]:
+def _evaluation_document(found: pr.Evaluation, how: dict[str, object], per_class: bool) -> dict[str, object]:
     """The JSON document of an evaluation."""
-    from pcretrieve.evaluation import LEVEL, MEASURES
-
-    def named(values: Iterable[float | None]) -> dict[str, float | None]:
-        return dict(zip(MEASURES, values, strict=True))
-
     low, high = found.interval.tolist()
-    document = {part.name: getattr(found, part.name) for part in fields(pr.RetrievalMeasures)}
-    document |= {"n_failed": found.ranked.n_failed, "n_shapes": found.ranked.rankings.n_gallery} | how
-    document["interval"] = {"level": LEVEL, "low": named(low), "high": named(high)}
     macro = found.macro
+    document: dict[str, object] = {
+        part.name: getattr(found, part.name) for part in fields(pr.RetrievalMeasures)
+    }
+    document |= {"n_failed": found.ranked.n_failed, "n_shapes": found.ranked.rankings.n_gallery} | how
+    document["interval"] = {"level": found.level, "low": _named(low), "high": _named(high)}
     document["macro"] = {name: getattr(macro, name) for name in MEASURES}
     if per_class:
         document["classes"] = [
             {"label": one.label, "n_queries": one.n_queries}
-            | named(one.means.tolist())
+            | _named(one.means.tolist())
             | {"confused": [{"label": label, "n_queries": n} for label, n in one.confused]}
             for one in found.classes
         ]
     if found.published:
         document["published"] = [
-            {"method": one.method, "source": one.source} | named(one.measures) for one in found.published
+            {"method": one.method, "source": one.source} | _named(one.measures) for one in found.published
         ]
     return document
 
 
-def _rows(found: Evaluation, rerank: str, per_class: bool) -> list[tuple[str, ...]]:
-    """The rows of the table of an evaluation."""
-    from pcretrieve.evaluation import LEVEL, MEASURES
+def _named(values: Iterable[float | None]) -> dict[str, float | None]:
+    return dict(zip(MEASURES, values, strict=True))
 
+
+def _rows(found: pr.Evaluation, rerank: str, per_class: bool) -> list[tuple[str, ...]]:
+    """The rows of the table of an evaluation."""
     low, high = found.interval
     means = [(found, "micro-average"), (found.macro, "macro-average")]
     if rerank != "none":
         means[:1] = [(found.plain, "micro-average, plain"), (found, f"micro-average, {rerank}")]
     rows = [(*_numbers(getattr(one, name) for name in MEASURES), words) for one, words in means]
-    rows[-1:-1] = [(*_numbers(low), f"  {LEVEL:.0%} interval from"), (*_numbers(high), "  to")]
+    rows[-1:-1] = [(*_numbers(low), f"  {found.level:.0%} interval from"), (*_numbers(high), "  to")]
     for one in found.classes if per_class else ():
         others = ", ".join(f"{label or 'no class'} {n}" for label, n in one.confused)
         nearest = f"; nearest {others}" if others else ""
@@ -161,7 +161,7 @@ def _rows(found: Evaluation, rerank: str, per_class: bool) -> list[tuple[str, ..
     return rows
 
 
-def _say_how(found: Evaluation, how: dict[str, object]) -> None:
+def _say_how(found: pr.Evaluation, how: dict[str, object]) -> None:
     rankings, whitening = found.ranked.rankings, found.ranked.whitening
     by = f"scale {how['scale']}" if "scale" in how else f"distances of {how['matrix']}"
     if how.get("size_weight"):
@@ -196,7 +196,7 @@ def compare_command(
     """Compare two results for the same shapes, query by query.
 
     A and B are catalogues, distance matrices, or files queries.csv of `evaluate --csv`. The table has the
-    measures of both, and the differences B minus A with 95 % confidence intervals. Give an opt.option such as
+    measures of both, and the differences B minus A with 95 % confidence intervals. Give an option such as
     --whitening once for both, or twice: for A and for B.
 
     \b
@@ -219,11 +219,8 @@ def compare_command(
     changed = [one for one in found.changes[:n_changes] if one.first != one.second]
     if changed:
         out.write_line("average precision of the most changed shapes:")
-        precisions = ((one.shape_id, one.label, f"{one.first:.4f}", f"{one.second:.4f}") for one in changed)
-        out.write_table(
-            (out.Column("ID"), out.Column("CLASS"), out.Column("A", "number"), out.Column("B", "number")),
-            precisions,
-        )
+        rows = ((one.shape_id, one.label, f"{one.first:.4f}", f"{one.second:.4f}") for one in changed)
+        out.write_table(PRECISIONS, rows)
     n_first, n_second = len(found.only_first), len(found.only_second)
     left = f"; left out are {n_first} in A only and {n_second} in B only" if n_first + n_second else ""
     say(f"{len(found.changes)} queries in both{left}")
@@ -239,10 +236,8 @@ def _options_of(comparison: dict[str, tuple[Any, ...]], number: int) -> dict[str
     return opt.changes(chosen)
 
 
-def _comparison_document(found: Comparison, n_changes: int) -> dict[str, object]:
+def _comparison_document(found: pr.Comparison, n_changes: int) -> dict[str, object]:
     """The JSON document of a comparison."""
-    from pcretrieve.evaluation import MEASURES
-
     rows = {
         "first": found.first,
         "second": found.second,
@@ -250,14 +245,10 @@ def _comparison_document(found: Comparison, n_changes: int) -> dict[str, object]
         "low": found.interval[0],
         "high": found.interval[1],
     }
-    # The head of the document has the options of one computation, and here are two, or none of files.
-    one, two = (
-        None if options is None else options.model_dump(mode="json")
-        for options in (found.first_options, found.second_options)
-    )
-    return {name: dict(zip(MEASURES, row.tolist(), strict=True)) for name, row in rows.items()} | {
-        "first_options": one,
-        "second_options": two,
+    return {name: _named(row.tolist()) for name, row in rows.items()} | {
+        # The head of the document has the options of one computation, and here are two, or none of files.
+        "first_options": found.first_options,
+        "second_options": found.second_options,
         "level": found.level,
         "n_queries": len(found.changes),
         "only_first": found.only_first,
@@ -279,9 +270,9 @@ for _parameter in compare_command.params:
 @opt.command("calibrate")
 @opt.catalogue_option
 @opt.option("--output -o FILE", "Write this file, such as metric.npz.", opt.PATH, required=True)
-@opt.comparison_options
+@opt.on_catalogue
 @opt.json_option
-def calibrate_command(catalogue: str, output: Path, as_json: bool, **comparison: Any) -> None:
+def calibrate_command(store: pr.Catalogue, options: pr.PipelineOptions, output: Path, as_json: bool) -> None:
     """Learn from labelled scans which differences to ignore.
 
     Scan some bodies several times, in the way you will scan later: three people in ten poses will do. Use the
@@ -292,8 +283,7 @@ def calibrate_command(catalogue: str, output: Path, as_json: bool, **comparison:
     pcretrieve calibrate --catalogue three.sqlite -o metric.npz
     pcretrieve query --catalogue bodies.sqlite new_scan.ply --whitening metric.npz
     """
-    with opt.opened(catalogue, comparison) as (store, options):
-        whitening = pr.calibrate(store, output, options=options)
+    whitening = pr.calibrate(store, output, options=options)
     say(f"{output}: {whitening.reason}")
     if as_json:
         out.write_document({"whitening": str(output), "reason": whitening.reason}, options=options)
@@ -302,7 +292,9 @@ def calibrate_command(catalogue: str, output: Path, as_json: bool, **comparison:
 @opt.command("report")
 @opt.catalogue_option
 @opt.option("--output -o PAGE", "Write this HTML page.", opt.PATH, required=True)
-@opt.option("--queries N", "Show at most N queries, the worst first.  [default: 1000]", opt.COUNT)
+@opt.option(
+    "--queries N", "Show at most N queries, the worst first.", opt.COUNT, into="n_queries", default=1000
+)
 @opt.option("-k N", "Number of results of each query.", opt.COUNT, into="k", default=5)
 @opt.option(
     "--versus RESULT",
@@ -311,18 +303,10 @@ def calibrate_command(catalogue: str, output: Path, as_json: bool, **comparison:
 )
 @opt.up_option
 @opt.matrix_option
-@opt.comparison_options
+@opt.on_catalogue
 @opt.json_option
 def report_command(
-    catalogue: str,
-    output: Path,
-    queries: int | None,
-    k: int,
-    versus: str | None,
-    up: str | None,
-    matrix: Path | None,
-    as_json: bool,
-    **comparison: Any,
+    store: pr.Catalogue, options: pr.PipelineOptions, output: Path, as_json: bool, **shown: Any
 ) -> None:
     """Write an HTML page of all queries with their results and measures, the worst first.
 
@@ -334,11 +318,5 @@ def report_command(
     pcretrieve evaluate --catalogue bodies.sqlite --whitening none --csv none/
     pcretrieve report -c bodies.sqlite --versus none/queries.csv -o bodies.html
     """
-    distances = opt.read_distances(matrix, comparison)
-    shown: dict[str, Any] = {"k": k, "versus": versus, "up": up} | ({"n_queries": queries} if queries else {})
-    with opt.opened(catalogue, comparison) as (store, options):
-        page = pr.report(store, output, options=options, matrix=distances, **shown)
-    if as_json:
-        out.write_document({"page": str(page)}, options=options)
-    else:
-        out.write_line(shown_path(str(page)))
+    page = pr.report(store, output, options=options, **shown)
+    out.write_page(page, as_json, options)

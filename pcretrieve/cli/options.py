@@ -9,19 +9,18 @@ import os
 import textwrap
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
+from functools import wraps
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import Any, TypeVar
 
 import click
 from click.shell_completion import CompletionItem
 
+import pcretrieve as pr
 from pcretrieve.cli.messages import say
 from pcretrieve.cli.output import JSON_FLAG, print_text, write_document, write_error
 from pcretrieve.errors import OptionError, PcretrieveError
 from pcretrieve.plugins import DESCRIPTOR_NAMES
-
-if TYPE_CHECKING:
-    from pcretrieve import Catalogue, DistanceMatrix, PipelineOptions
 
 Decorated = TypeVar("Decorated", bound=Callable[..., Any])
 
@@ -38,8 +37,9 @@ ALL = "pcretrieve.help_all"
 
 LABEL = "label="
 
-# The names of flags that are options of retrieval; others are options of signatures.
+# The names of `comparison_options`: those that are options of retrieval, and all.
 RETRIEVAL_FLAGS = ("distance", "whitening", "rerank")
+COMPARISON = ("config", "method", "n_values", "scale", "size_weight", *RETRIEVAL_FLAGS)
 
 WHITENING_NAMES = ("auto", "none", "resolution", "neighbours", "pca", "within-class")
 
@@ -199,13 +199,11 @@ def _items(names: Iterable[str], incomplete: str) -> list[CompletionItem]:
 
 def _shapes(context: click.Context) -> list[tuple[str, str | None]]:
     """Id and class of the shapes of the catalogue of a command; none, if it cannot be read."""
-    from pcretrieve import Catalogue
-
     location = context.params.get("catalogue") or os.environ.get(CATALOGUE_VARIABLE)
     if not location:
         return []
     try:
-        with Catalogue(location) as store:
+        with pr.Catalogue(location) as store:
             return [(record.id, record.label) for record in store.outlines()]
     except (PcretrieveError, OSError):
         return []
@@ -227,16 +225,14 @@ class Method(click.ParamType):  # type: ignore[type-arg]  # generic since click 
         return _items(DESCRIPTOR_NAMES.all(), incomplete)
 
 
-class LabelFilter(click.ParamType):  # type: ignore[type-arg]  # generic since click 8.3 only
-    """A condition ``label=CLASS`` on the shapes that are searched."""
-
-    name = "label=CLASS"
-
-    def convert(self, value: str, param: click.Parameter | None, ctx: click.Context | None) -> str:
-        """The class of a condition."""
-        if not value.startswith(LABEL):
-            self.fail(f"must be label=CLASS, got {value!r}", param, ctx)
-        return value.removeprefix(LABEL)
+def classes_of(
+    context: click.Context, parameter: click.Parameter, conditions: tuple[str, ...]
+) -> list[str] | None:
+    """The classes of conditions ``label=CLASS`` on the shapes that are searched; None for all shapes."""
+    for condition in conditions:
+        if not condition.startswith(LABEL):
+            raise click.BadParameter(f"must be label=CLASS, got {condition!r}", context, parameter)
+    return [condition.removeprefix(LABEL) for condition in conditions] or None
 
 
 # --- options of many commands --------------------------------------------------------------------------
@@ -308,12 +304,10 @@ def load_options(
     surface: str | None = None,
     unit: str | None = None,
     *,
-    base: PipelineOptions | None = None,
-) -> PipelineOptions:
+    base: pr.PipelineOptions | None = None,
+) -> pr.PipelineOptions:
     """The options of a command with ``--config``, ``--surface`` and ``--unit``."""
-    from pcretrieve.options import PipelineOptions
-
-    options = PipelineOptions.of(config, base)
+    options = pr.PipelineOptions.of(config, base)
     if surface is not None:
         options = options.changed(surface={"mode": surface})
     return options if unit is None else options.changed(scan={"unit": unit})
@@ -396,54 +390,63 @@ def comparison_options(command: Decorated) -> Decorated:
     return _distance_option(_whitening_option(_rerank_option(command)))
 
 
+def on_catalogue(command: Callable[..., None]) -> Callable[..., None]:
+    """Add the same, and give a command the opened catalogue, the options, and the distances of a matrix."""
+
+    @wraps(command)
+    def opening(catalogue: str, **given: Any) -> None:
+        flags = taken(given)
+        if "matrix" in given:
+            given["matrix"] = read_distances(given["matrix"], flags)
+        with opened(catalogue, flags) as (store, options):
+            command(store, options, **given)
+
+    return comparison_options(opening)
+
+
+def taken(given: dict[str, Any]) -> dict[str, Any]:
+    """Take the values of `comparison_options` from those that a command was given."""
+    return {name: given.pop(name) for name in COMPARISON if name in given}
+
+
 def changes(flags: dict[str, Any]) -> dict[str, dict[str, Any]]:
     """The options that `comparison_options` change, by table, without ``--config``."""
     given = {name: value for name, value in flags.items() if value is not None and name != "config"}
-    tables: dict[str, dict[str, Any]] = {"signature": {}, "retrieval": {}}
-    for name, value in given.items():
-        tables["retrieval" if name in RETRIEVAL_FLAGS else "signature"][name] = value
+    retrieval = {name: given.pop(name) for name in RETRIEVAL_FLAGS if name in given}
     # A whitening by name replaces a file that the configuration names, and vice versa.
-    if "whitening" in given:
-        is_name = given["whitening"] in WHITENING_NAMES
-        tables["retrieval"]["calibration"] = None if is_name else tables["retrieval"].pop("whitening")
-    return tables
+    if "whitening" in retrieval:
+        is_name = retrieval["whitening"] in WHITENING_NAMES
+        retrieval["calibration"] = None if is_name else retrieval.pop("whitening")
+    return {"signature": given, "retrieval": retrieval}
 
 
 @contextmanager
 def opened(
     catalogue: str, flags: dict[str, Any], *, any_numbers: bool = False
-) -> Iterator[tuple[Catalogue, PipelineOptions]]:
+) -> Iterator[tuple[pr.Catalogue, pr.PipelineOptions]]:
     """A catalogue, and the options with which a command compares its shapes."""
-    from pcretrieve import Catalogue
-
-    with Catalogue(catalogue, any_numbers=any_numbers) as store:
+    with pr.Catalogue(catalogue, any_numbers=any_numbers) as store:
         options = load_options(flags.get("config"), base=store.options).changed(**changes(flags))
         if options.signature.compares_sizes:
             _warn_of_mixed_units(store)
         yield store, options
 
 
-def read_distances(
-    path: Path | None, flags: dict[str, Any], *, reranks: bool = False
-) -> DistanceMatrix | None:
-    """The distance matrix that ``--matrix`` names."""
+def read_distances(path: Path | None, flags: dict[str, Any]) -> pr.DistanceMatrix | None:
+    """The distance matrix that ``--matrix`` names, in place of what flags determine."""
     if path is None:
         return None
-    without = {name: value for name, value in flags.items() if name != "rerank" or not reranks}
-    if given := given_flags(without):
-        raise click.UsageError(f"a matrix holds distances already: leave out {given}")
-    from pcretrieve import read_matrix
-
-    return read_matrix(path)
+    refuse(flags, "a matrix holds distances already")
+    return pr.read_matrix(path)
 
 
-def given_flags(flags: dict[str, Any]) -> str:
-    """The options among `comparison_options` that a command was given."""
-    given = [name for name, value in flags.items() if value is not None]
-    return ", ".join(f"--{name.replace('_', '-')}" for name in given)
+def refuse(flags: dict[str, Any], reason: str) -> None:
+    """End with a usage error if a command was given some of these options."""
+    if given := [f"--{name.replace('_', '-')}" for name, value in flags.items() if value is not None]:
+        raise click.UsageError(f"{reason}: leave out {', '.join(given)}")
 
 
-def _warn_of_mixed_units(store: Catalogue) -> None:
+def _warn_of_mixed_units(store: pr.Catalogue) -> None:
     smallest, largest = store.areas().get(None, (1.0, 1.0))
     if largest > MIXED_UNITS * smallest:
         say(

@@ -8,6 +8,7 @@ import shutil
 import sys
 import textwrap
 from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import fields, is_dataclass
 from itertools import islice, zip_longest
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -15,13 +16,12 @@ from unicodedata import combining, east_asian_width
 
 import click
 
-from pcretrieve import __version__
-from pcretrieve.cli.messages import ESCAPES, broken, escaped, stop_waiting, without_password
+import pcretrieve as pr
+from pcretrieve.cli.messages import ESCAPES, broken, escaped, shown_path, stop_waiting, without_password
 from pcretrieve.errors import PcretrieveError
 
 if TYPE_CHECKING:
-    from pcretrieve.options import PipelineOptions
-    from pcretrieve.values import Step
+    from pcretrieve.values import Failure
 
 #: The option of commands that print documents.
 JSON_FLAG = "--json"
@@ -101,7 +101,7 @@ def write_table(columns: Sequence[Column], rows: Iterable[Sequence[str]]) -> int
     return n_rows
 
 
-def write_steps(steps: Iterable[Step]) -> None:
+def write_steps(steps: Iterable[pr.Step]) -> None:
     """Print provenance: a row for each step, and one for each note."""
     rows = []
     for step in steps:
@@ -170,12 +170,20 @@ def _shortened(text: str, width: int) -> str:
     return f"{first}…{last}"
 
 
-def write_document(result: object, *, options: PipelineOptions | None = None) -> None:
+def write_document(result: object, *, options: pr.PipelineOptions | None = None) -> None:
     """Print the document of a command: what was asked, by which version, and the result."""
     print_text(_text(_head(click.get_current_context(), options) | {"result": result}))
 
 
-def write_documents(results: Iterable[object], *, options: PipelineOptions | None = None) -> None:
+def write_page(page: Path, as_json: bool, options: pr.PipelineOptions) -> None:
+    """Print the path of a page that a command has written, or its document."""
+    if as_json:
+        write_document({"page": page}, options=options)
+    else:
+        write_line(shown_path(str(page)))
+
+
+def write_documents(results: Iterable[object], *, options: pr.PipelineOptions | None = None) -> None:
     """Print the document of a command whose result is a list, each element as soon as it is computed."""
     context = click.get_current_context()
     for result in results:
@@ -193,19 +201,22 @@ def write_documents(results: Iterable[object], *, options: PipelineOptions | Non
 
 def write_error(context: click.Context, error: PcretrieveError | click.ClickException, code: int) -> None:
     """Print the document of a command that fails."""
-    facts = {
-        "error": type(error).__name__,
-        "stage": error.stage if isinstance(error, PcretrieveError) else None,
-        "message": error.message,
-        "exit_code": code,
-    }
+    facts = failure_facts(error) | {"exit_code": code}
     if BEGUN in context.meta:
         print_text("\n  ]," + _text(facts)[len("{") :])
     else:
         print_text(_text(_head(context, None) | facts))
 
 
-def _head(context: click.Context, options: PipelineOptions | None) -> dict[str, Any]:
+def failure_facts(
+    failure: PcretrieveError | click.ClickException | pr.Record | Failure,
+) -> dict[str, object]:
+    """What failed, for JSON: the name of the exception, the stage, if there is one, and the message."""
+    kind = type(failure).__name__ if isinstance(failure, Exception) else failure.error
+    return {"error": kind, "stage": getattr(failure, "stage", None), "message": failure.message}
+
+
+def _head(context: click.Context, options: pr.PipelineOptions | None) -> dict[str, Any]:
     words = context.command_path.split()
     arguments = {}
     for parameter in context.command.params:
@@ -214,9 +225,9 @@ def _head(context: click.Context, options: PipelineOptions | None) -> dict[str, 
             arguments[_name(parameter)] = without_password(value) if isinstance(value, str) else value
     return {
         "command": " ".join(words[1:]),
-        "version": __version__,
+        "version": pr.__version__,
         "arguments": arguments,
-        "options": None if options is None else options.model_dump(mode="json"),
+        "options": options,
     }
 
 
@@ -231,8 +242,12 @@ def _text(document: object) -> str:
     return json.dumps(document, indent=2, ensure_ascii=False, default=_plain).translate(ESCAPES_IN_JSON)
 
 
-def _plain(value: object) -> str:
-    """The text of a value that JSON does not have, such as a path."""
+def _plain(value: object) -> object:
+    """What JSON has for a value of the library, an array or a path."""
+    if is_dataclass(value):
+        return {part.name: getattr(value, part.name) for part in fields(value)}
     if isinstance(value, Path):
         return str(value)
-    raise TypeError(f"no JSON for {type(value).__name__}")
+    if isinstance(value, pr.PipelineOptions):
+        return value.model_dump(mode="json")
+    return value.tolist()  # type: ignore[attr-defined]

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import asdict
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -15,13 +14,12 @@ import pcretrieve as pr
 from pcretrieve.cli import options as opt
 from pcretrieve.cli import output as out
 from pcretrieve.cli.messages import failure_line, say, shown_path
-from pcretrieve.cli.scans import failure_document
-from pcretrieve.errors import PcretrieveError, ShapeError
+from pcretrieve.errors import ShapeError
 
 if TYPE_CHECKING:
-    from pcretrieve.query import Described, Question
     from pcretrieve.values import Failure
 
+    # The name of each query, and its answer or its error.
     Outcomes = Iterator[tuple[str, pr.Answer | ShapeError]]
 
 CSV_COLUMNS = ("query", "rank", "id", "label", "distance", "score", "path")
@@ -33,6 +31,11 @@ COLUMNS = (
 # Of a result whose signature is doubtful or unusable; `show` and --json give the reasons.
 DOUBT = out.Column("VERDICT")
 
+PAIR = (
+    *(out.Column(heading, "number") for heading in ("DISTANCE", "LIMIT")),
+    *(out.Column("FIRST"), out.Column("SECOND")),
+)
+
 
 @opt.command("query")
 @click.argument(
@@ -41,11 +44,12 @@ DOUBT = out.Column("VERDICT")
 @opt.catalogue_option
 @opt.option("-k N", "Number of results.", opt.COUNT, into="k", default=10)
 @opt.option(
-    "--filter",
+    "--filter label=CLASS",
     "Search this class only; several times: these classes.",
-    opt.LabelFilter(),
+    str,
     into="labels",
     multiple=True,
+    callback=opt.classes_of,
     shell_complete=opt.complete_labels,
 )
 @opt.option("--exclude-self", "Leave stored queries out of their results.")
@@ -53,7 +57,7 @@ DOUBT = out.Column("VERDICT")
     "--min-score SHARE", 'Hide results below this score; "no match" if none is left.', click.FloatRange(0, 1)
 )
 @opt.matrix_option
-@opt.comparison_options
+@opt.on_catalogue
 @opt.unit_option
 @opt.limit_options
 @opt.json_option
@@ -61,21 +65,14 @@ DOUBT = out.Column("VERDICT")
 @opt.option("--html PAGE", "Write an HTML page of all queries too, with pictures.", opt.PATH, into="page")
 @opt.up_option
 def query_command(
+    store: pr.Catalogue,
+    options: pr.PipelineOptions,
     queries: tuple[str, ...],
-    catalogue: str,
-    k: int,
-    labels: tuple[str, ...],
-    exclude_self: bool,
-    min_score: float | None,
-    matrix: Path | None,
-    unit: str | None,
-    timeout: float,
-    memory: float | None,
     as_json: bool,
     as_csv: bool,
     page: Path | None,
     up: str | None,
-    **comparison: Any,
+    **asked: Any,
 ) -> None:
     """Find the shapes most similar to a scan, nearest first.
 
@@ -88,90 +85,72 @@ def query_command(
     pcretrieve query --catalogue bodies.sqlite cat0 dog1 --filter label=cat
     pcretrieve query --catalogue bodies.sqlite new_scan.ply --html page.html
     """
-    from pcretrieve.query import Question, answers
-
     if as_json and as_csv:
         raise click.UsageError("choose one of --json and --csv")
+    found = pr.search_many(store, queries, options=options, **asked)
     if page is not None:
-        _check_page(page, (*queries, catalogue))
-    distances = opt.read_distances(matrix, comparison)
+        known: list[tuple[str, pr.Answer | ShapeError]] = []
+        asked["on_answer"] = lambda name, answer: known.append((name, answer))
+        written = pr.query_page(store, queries, page, options=options, up=up, **asked)
+        say(f"page: {shown_path(str(written))}", indent=None)
+        found = iter(known)
+    is_alone = len(queries) == 1 and not Path(queries[0]).is_dir()
     failures: list[ShapeError] = []
-    with opt.opened(catalogue, comparison) as (store, options):
-        question = Question(options, k, labels or None, exclude_self, min_score, unit, distances)
-        describe = partial(_described, timeout, memory, page is not None, up)
-        found = answers(store, queries, question, describe)
-        if page is not None:
-            found = _written(page, store, list(found), question, up)
-        is_alone = len(queries) == 1 and not Path(queries[0]).is_dir()
-        outcomes = _with_messages(found, failures, is_alone=is_alone)
-        if as_json:
-            out.write_documents(_documents(outcomes, store, question), options=options)
-        elif as_csv:
-            _write_csv(outcomes)
-        else:
-            _write_tables(outcomes, headed=not is_alone)
-            _say_how(store, question)
+    outcomes = _with_messages(found, failures, is_alone=is_alone)
+    if as_json:
+        how = _how(store, options, asked["matrix"])
+        out.write_documents(_documents(outcomes, how), options=options)
+    elif as_csv:
+        _write_csv(outcomes)
+    else:
+        _write_tables(outcomes, headed=not is_alone)
+        if asked["matrix"] is None:
+            _say_how(store, options, asked["labels"])
     opt.exit_if(failures)
 
 
-def _check_page(page: Path, names: Sequence[str]) -> None:
-    from pcretrieve.formats import check_output
-
-    check_output(page, [Path(name) for name in names])
-
-
-def _written(
-    page: Path,
-    store: pr.Catalogue,
-    known: list[tuple[str, pr.Answer | ShapeError]],
-    question: Question,
-    up: str | None,
-) -> Outcomes:
-    """The answers, after they were written on a page, before the first is printed."""
-    from pcretrieve.ingestion.discover import printable
-    from pcretrieve.pages import write_query_page
-
-    written = write_query_page(page, store, known, question, up=up)
-    say(f"page: {shown_path(printable(written))}", indent=None)
-    return iter(known)
-
-
 def _with_messages(outcomes: Outcomes, failures: list[ShapeError], *, is_alone: bool) -> Outcomes:
-    """The outcomes of the queries; failures are printed and collected, that of a query alone is raised."""
+    """The outcomes; messages tell of failures and doubtful queries, and a failure alone is raised."""
     for name, outcome in outcomes:
         if isinstance(outcome, ShapeError):
             if is_alone:
                 raise outcome
             failures.append(outcome)
             say(f"failed: {outcome}")
+        else:
+            verdict = getattr(outcome.query, "verdict", None)  # of a scan that the catalogue does not have
+            if verdict and not verdict.is_sound:
+                say(f"{shown_path(name)} is {verdict}")
         yield name, outcome
 
 
-def _documents(outcomes: Outcomes, store: pr.Catalogue, question: Question) -> Iterator[dict[str, Any]]:
-    """The outcome of each query, for JSON; with a matrix, there is no distance and no whitening."""
-    from pcretrieve.query import result_rows
+def _how(
+    store: pr.Catalogue, options: pr.PipelineOptions, matrix: pr.DistanceMatrix | None
+) -> dict[str, str | None]:
+    """How shapes are compared, for JSON; with a matrix, there is no distance and no whitening."""
+    if matrix is not None:
+        return {"distance": None, "whitening": None}
+    return {"distance": options.retrieval.distance, "whitening": store.whitening(options).reason}
 
-    how: dict[str, str | None] = {"distance": None, "whitening": None}
-    if question.matrix is None:
-        reason = store.whitening(question.options).reason
-        how = {"distance": question.options.retrieval.distance, "whitening": reason}
+
+def _documents(outcomes: Outcomes, how: dict[str, str | None]) -> Iterator[dict[str, Any]]:
+    """The outcome of each query, for JSON."""
     for name, outcome in outcomes:
         if isinstance(outcome, ShapeError):
-            error = {"error": type(outcome).__name__, "stage": outcome.stage, "message": outcome.message}
-            yield {"query": name} | error
+            yield {"query": name} | out.failure_facts(outcome)
         else:
             vote = None if outcome.vote is None else asdict(outcome.vote)
-            found = {"results": result_rows(outcome), "vote": vote, "verdict": str(outcome)}
+            found = {"results": outcome.rows(), "vote": vote, "verdict": str(outcome)}
             yield {"query": name} | found | how
+
+
+def _answers(outcomes: Outcomes) -> Iterator[tuple[str, pr.Answer]]:
+    return ((name, outcome) for name, outcome in outcomes if not isinstance(outcome, ShapeError))
 
 
 def _write_tables(outcomes: Outcomes, *, headed: bool) -> None:
     """A table of the results, below a line with the query if there are several, and the verdict."""
-    from pcretrieve.query import result_rows
-
-    for name, answer in outcomes:
-        if isinstance(answer, ShapeError):
-            continue
+    for name, answer in _answers(outcomes):
         if headed:
             out.write_line(shown_path(name))
         columns = COLUMNS + ((DOUBT,) if any(record.is_doubtful for record in answer.records) else ())
@@ -188,67 +167,25 @@ def _write_tables(outcomes: Outcomes, *, headed: bool) -> None:
                 if record.verdict and record.is_doubtful
                 else "",
             )
-            for row, record in zip(result_rows(answer), answer.records, strict=True)
+            for row, record in zip(answer.rows(), answer.records, strict=True)
         )
         out.write_table(columns, (cells[: len(columns)] for cells in rows))
         out.write_words(str(answer))
 
 
-def _say_how(store: pr.Catalogue, question: Question) -> None:
-    """Say how shapes were compared, unless by a matrix."""
-    if question.matrix is not None:
-        return
-    index = store.index(question.options)
-    how = "all shapes of the classes compared" if question.labels else index.search
-    say(f"nearest: {how}")
-    say(f"whitening: {store.whitening(question.options).reason}")
+def _say_how(store: pr.Catalogue, options: pr.PipelineOptions, labels: list[str] | None) -> None:
+    index = store.index(options)
+    say(f"nearest: {'all shapes of the classes compared' if labels else index.search}")
+    say(f"whitening: {store.whitening(options).reason}")
     say(f"score: {index.scores.reason if index.scores else 'none, because labels and shapes are too few'}")
 
 
 def _write_csv(outcomes: Outcomes) -> None:
     """One row for each result of each query."""
-    from pcretrieve.query import result_rows
     from pcretrieve.values.files import csv_text
 
-    rows = (
-        {"query": name, **row}
-        for name, answer in outcomes
-        if not isinstance(answer, ShapeError)
-        for row in result_rows(answer)
-    )
+    rows = ({"query": name, **row} for name, answer in _answers(outcomes) for row in answer.rows())
     out.write_csv(csv_text(CSV_COLUMNS, ([row[column] for column in CSV_COLUMNS] for row in rows)))
-
-
-def _described(
-    timeout: float,
-    memory: float | None,
-    with_pictures: bool,
-    up: str | None,
-    scans: Sequence[Path],
-    options: pr.PipelineOptions,
-) -> Iterator[tuple[Path, Described | PcretrieveError]]:
-    """The signatures of scans, each computed in a worker process."""
-    # Imported here, because it is not needed for shapes that the catalogue has.
-    from pcretrieve.ingestion import in_processes
-    from pcretrieve.ingestion.discover import printable
-
-    isolated = partial(_isolated, options, with_pictures, up)
-    for scan, outcome in in_processes(isolated, scans, workers=1, timeout=timeout, memory=memory):
-        if not isinstance(outcome, PcretrieveError) and outcome.verdict and not outcome.verdict.is_sound:
-            say(f"{shown_path(printable(scan))} is {outcome.verdict}")
-        yield scan, outcome
-
-
-def _isolated(options: pr.PipelineOptions, with_picture: bool, up: str | None, scan: Path) -> Described:
-    """The signature of a scan and the verdict on it, in a worker process, which imports the stages."""
-    from pcretrieve.query import described, pictured
-
-    if with_picture:
-        return pictured(scan, options, up)
-    ((_, outcome),) = described([scan], options)
-    if isinstance(outcome, PcretrieveError):
-        raise outcome
-    return outcome
 
 
 @opt.command("matrix")
@@ -276,20 +213,20 @@ def matrix_command(
     pcretrieve matrix --catalogue bodies.sqlite -o bodies.txt
     pcretrieve evaluate --catalogue bodies.sqlite --matrix bodies.txt
     """
-    if matcher is not None and (given := opt.given_flags(comparison)):
-        raise click.UsageError(f"a matcher has no signatures: leave out {given}")
+    if matcher is not None:
+        opt.refuse(comparison, "a matcher has no signatures")
     if comparison["rerank"] is not None:
         raise click.UsageError("distances are not re-ranked: leave out --rerank, and give it to `evaluate`")
     failures: list[Failure] = []
     with opt.opened(catalogue, comparison) as (store, options):
         found = pr.matrix(store, options=options, matcher=matcher, on_failure=failures.append)
     pr.write_matrix(found, output)
-    for failure in failures:
-        say(failure_line(failure))
+    for one in failures:
+        say(failure_line(one))
     ids = str(output.with_suffix(".ids"))
     say(f"{len(found)} shapes: distances in {output}, ids in {ids}")
     if as_json:
-        failed = [{"id": one.shape_id} | failure_document(one) for one in failures]
+        failed = [{"id": one.shape_id} | out.failure_facts(one) for one in failures]
         files = {"matrix": str(output), "ids": ids}
         out.write_document(files | {"n_shapes": len(found), "failed": failed}, options=options)
     opt.exit_if(failures)
@@ -302,9 +239,11 @@ def matrix_command(
     "Find pairs up to this distance.  [default: the error bars of both]",
     click.FloatRange(min=0),
 )
-@opt.comparison_options
+@opt.on_catalogue
 @opt.json_option
-def duplicates_command(catalogue: str, threshold: float | None, as_json: bool, **comparison: Any) -> None:
+def duplicates_command(
+    store: pr.Catalogue, options: pr.PipelineOptions, threshold: float | None, as_json: bool
+) -> None:
     """Find shapes that look the same, such as two scans of one body in one pose.
 
     The table has the distance, its limit and both ids, nearest first. Without --threshold, distances are
@@ -313,18 +252,12 @@ def duplicates_command(catalogue: str, threshold: float | None, as_json: bool, *
     \b
     pcretrieve duplicates --catalogue bodies.sqlite
     """
-    with opt.opened(catalogue, comparison) as (store, options):
-        pairs = pr.duplicates(store, options=options, threshold=threshold)
+    pairs = pr.duplicates(store, options=options, threshold=threshold)
     if as_json:
         out.write_document([pair._asdict() for pair in pairs], options=options)
         return
     out.write_table(
-        (
-            out.Column("DISTANCE", "number"),
-            out.Column("LIMIT", "number"),
-            out.Column("FIRST"),
-            out.Column("SECOND"),
-        ),
+        PAIR,
         ((f"{one.distance:#.4g}", f"{one.limit:#.4g}", one.first, one.second) for one in pairs),
     )
     say(f"{len(pairs)} {'pair' if len(pairs) == 1 else 'pairs'}")
@@ -336,10 +269,10 @@ def duplicates_command(catalogue: str, threshold: float | None, as_json: bool, *
 @opt.option(
     "--output -o CSV", "Write this file.  [default: standard output; a terminal shows a table]", opt.PATH
 )
-@opt.comparison_options
+@opt.on_catalogue
 @opt.json_option
 def cluster_command(
-    catalogue: str, min_size: int, output: Path | None, as_json: bool, **comparison: Any
+    store: pr.Catalogue, options: pr.PipelineOptions, min_size: int, output: Path | None, as_json: bool
 ) -> None:
     """Group similar shapes, without using their classes.
 
@@ -350,8 +283,7 @@ def cluster_command(
     """
     from pcretrieve.values.files import csv_text, write_file
 
-    with opt.opened(catalogue, comparison) as (store, options):
-        labels = pr.cluster(store, options=options, min_size=min_size)
+    labels = pr.cluster(store, options=options, min_size=min_size)
     text = csv_text(("id", "label"), labels.items())
     if output is not None:
         write_file(output, text.encode())
@@ -373,9 +305,11 @@ def cluster_command(
 @opt.catalogue_option
 @opt.option("--output -o PNG|HTML", "Write this picture or this page.", opt.PATH, required=True)
 @opt.up_option
-@opt.comparison_options
+@opt.on_catalogue
 @opt.json_option
-def map_command(catalogue: str, output: Path, up: str | None, as_json: bool, **comparison: Any) -> None:
+def map_command(
+    store: pr.Catalogue, options: pr.PipelineOptions, output: Path, up: str | None, as_json: bool
+) -> None:
     """Plot a 2-D map of shapes: similar ones lie near each other.
 
     A page (.html) shows name and thumbnail of the shape under the pointer. A picture (.png) needs matplotlib.
@@ -383,9 +317,5 @@ def map_command(catalogue: str, output: Path, up: str | None, as_json: bool, **c
     \b
     pcretrieve map --catalogue bodies.sqlite -o bodies.html
     """
-    with opt.opened(catalogue, comparison) as (store, options):
-        page = pr.draw_map(store, output, options=options, up=up)
-    if as_json:
-        out.write_document({"page": str(page)}, options=options)
-    else:
-        out.write_line(shown_path(str(page)))
+    page = pr.draw_map(store, output, options=options, up=up)
+    out.write_page(page, as_json, options)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
+from typing import ClassVar
 
 from pcretrieve.catalogue import Catalogue, CatalogueLike, opened
 from pcretrieve.errors import BenchmarkError, InputError
@@ -13,6 +14,7 @@ from pcretrieve.evaluation.classes import ClassMeasures, class_measures
 from pcretrieve.evaluation.comparison import Comparison, compare_scores, result_scores, write_evaluation
 from pcretrieve.evaluation.folds import rank_table
 from pcretrieve.evaluation.measures import (
+    LEVEL,
     QueryScores,
     RetrievalMeasures,
     bootstrap_interval,
@@ -33,6 +35,7 @@ class Evaluation(RetrievalMeasures):
 
     ranked: RankedCatalogue = field(repr=False)
     layout: str = field(default="", repr=False)
+    level: ClassVar[float] = LEVEL
 
     @property
     def macro(self) -> RetrievalMeasures:
@@ -46,7 +49,7 @@ class Evaluation(RetrievalMeasures):
 
     @property
     def interval(self) -> FloatArray:
-        """(2, 6) float64, lower and upper ends of the confidence intervals (`LEVEL`) of the measures."""
+        """(2, 6) float64, lower and upper ends of the confidence intervals (`level`) of the measures."""
         return bootstrap_interval(query_scores(self.ranked.rankings).columns)
 
     @property

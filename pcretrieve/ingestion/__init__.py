@@ -9,13 +9,15 @@ from pcretrieve.ingestion.cluster import DaskExecutor
 from pcretrieve.ingestion.pool import Executor, TemporaryFolder, alone, in_processes
 from pcretrieve.ingestion.problems import report_problem
 from pcretrieve.ingestion.progress import BatchStatus, status
-from pcretrieve.ingestion.recomputing import check
-from pcretrieve.ingestion.run import ingest, retry
+from pcretrieve.ingestion.recomputing import Check, check
+from pcretrieve.ingestion.run import Summary, ingest, retry
 
 __all__ = [
     "BatchStatus",
+    "Check",
     "DaskExecutor",
     "Executor",
+    "Summary",
     "TemporaryFolder",
     "alone",
     "check",

@@ -5,19 +5,19 @@ It is one self-contained HTML file: pictures are inlined, and the page makes no 
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Iterator, Sequence
-from functools import partial
+from collections.abc import Callable, Collection, Iterable
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from pcretrieve import __version__
 from pcretrieve.catalogue import Catalogue, CatalogueLike, Record, opened
 from pcretrieve.errors import ShapeError
+from pcretrieve.formats import check_output
 from pcretrieve.matching import DistanceMatrix
 from pcretrieve.options import OptionsLike, PipelineOptions
 from pcretrieve.pages.html import write_page
 from pcretrieve.pages.thumbnails import Thumbnails
-from pcretrieve.query import Answer, Described, Question, answers, pictured, result_rows
+from pcretrieve.query import Answer, Described, Question, answers
 from pcretrieve.retrieval import swapping_ranks
 from pcretrieve.values import Signature, Verdict
 
@@ -55,7 +55,10 @@ def query_page(
     labels: Collection[str] | None = None,
     exclude_self: bool = False,
     min_score: float | None = None,
+    timeout: float | None = None,
+    memory: float | None = None,
     up: str | None = None,
+    on_answer: Callable[[str, Answer | ShapeError], None] = lambda name, answer: None,
 ) -> Path:
     """Answer one or more queries on an HTML page, with pictures.
 
@@ -68,15 +71,19 @@ def query_page(
     path : str or Path
         The HTML file. It needs no other file.
     k : int, default 10
-        This and the following parameters but the last are those of `search`, for each query.
+        This and the following parameters up to `memory` are those of `search_many`.
     options : OptionsLike, optional
     matrix : DistanceMatrix, optional
     unit : str, optional
     labels : collection of str, optional
     exclude_self : bool, default False
     min_score : float, optional
+    timeout : float, optional
+    memory : float, optional
     up : {"x", "-x", "y", "-y", "z", "-z"}, optional
         The axis of the files that points upwards on pictures; by default found for each shape.
+    on_answer : function, optional
+        Called with the name and the answer or the error of each query, when the page is written.
 
     Returns
     -------
@@ -92,10 +99,17 @@ def query_page(
     """
     with opened(catalogue) as store:
         chosen = PipelineOptions.of(options, store.options)
-        question = Question(chosen, k, labels, exclude_self, min_score, unit, matrix)
-        many = [queries] if isinstance(queries, (str, Path)) else queries
-        outcomes = answers(store, many, question, partial(_pictured, up))
-        return write_query_page(path, store, outcomes, question, up=up)
+        how = (matrix, timeout, memory, True, up)
+        question = Question(chosen, k, labels, exclude_self, min_score, unit, *how)
+        many = [queries] if isinstance(queries, (str, Path)) else [*queries]
+        check_output(
+            Path(path), [Path(store.location), *(Path(one) for one in many if isinstance(one, (str, Path)))]
+        )
+        outcomes = list(answers(store, many, question))
+        written = write_query_page(path, store, outcomes, question, up=up)
+        for name, outcome in outcomes:
+            on_answer(name, outcome)
+        return written
 
 
 def write_query_page(
@@ -159,18 +173,7 @@ def _panel(catalogue: Catalogue, name: str, answer: Answer, thumbnails: Thumbnai
         picture, verdict = query.picture, query.verdict
     results = [
         row | {"picture": thumbnails.of(catalogue, found)}
-        for row, found in zip(result_rows(answer), answer.records, strict=True)
+        for row, found in zip(answer.rows(), answer.records, strict=True)
     ]
     swaps = [] if answer.rank_ranges is None else swapping_ranks(answer.rank_ranges)
     return _Panel(name, record, picture, verdict, answer, results, swaps)
-
-
-def _pictured(
-    up: str | None, scans: Sequence[Path], options: PipelineOptions
-) -> Iterator[tuple[Path, Described | ShapeError]]:
-    """The signatures and the pictures of scans, computed in this process."""
-    for scan in scans:
-        try:
-            yield scan, pictured(scan, options, up)
-        except ShapeError as error:
-            yield scan, error

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 from pcretrieve import __version__
 from pcretrieve.catalogue import Catalogue, Record
 from pcretrieve.options import PipelineOptions
-from pcretrieve.query import Answer, Described, Question, answer_to, result_rows
+from pcretrieve.query import Answer, Described, Question, answer_to
 from pcretrieve.values.files import csv_text
 from pcretrieve.web.requests import Listing, NotFound, Similar
 
@@ -142,7 +142,7 @@ def similar_document(
     return {
         "query": name,
         "arguments": asked.model_dump(),
-        "results": [_without_path(row) for row in result_rows(answer)],
+        "results": [_without_path(row) for row in answer.rows()],
         "vote": None if answer.vote is None else asdict(answer.vote),
         "verdict": str(answer),
         "distance": options.retrieval.distance,
@@ -153,7 +153,7 @@ def similar_document(
 
 def similar_csv(name: str, answer: Answer) -> str:
     """An answer as a table."""
-    rows = [{"query": name, **_without_path(row)} for row in result_rows(answer)]
+    rows = [{"query": name, **_without_path(row)} for row in answer.rows()]
     return csv_text(CSV_COLUMNS, ([row[column] for column in CSV_COLUMNS] for row in rows))
 
 

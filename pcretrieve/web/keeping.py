@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 from pcretrieve import Catalogue, PipelineOptions, ingest
 from pcretrieve.errors import InputError
-from pcretrieve.query import Described, pictured
+from pcretrieve.query import Described, described_scan
 from pcretrieve.web.documents import without_folders
 
 if TYPE_CHECKING:
@@ -35,7 +35,7 @@ def described(options: PipelineOptions, up: str | None, scan: Path) -> Described
     stages.setLevel(logging.INFO)
     stages.addHandler(handler)
     try:
-        return pictured(scan, options, up)
+        return described_scan(options, True, up, scan)
     finally:
         stages.removeHandler(handler)
         handler.close()
