@@ -8,13 +8,7 @@ from pathlib import Path
 ROOT = Path(os.environ.get("PCRETRIEVE_ROOT", Path(__file__).resolve().parents[1]))
 sys.path[:0] = [str(ROOT), str(Path(__file__).parent)]
 
-from pygments.lexers import GroovyLexer, PythonLexer  # noqa: E402
-from sphinx.highlighting import lexers  # noqa: E402
-
 from pcretrieve import __version__  # noqa: E402
-
-# Snakemake's language is Python with rules, and that of Nextflow is Groovy with processes.
-lexers |= {"snakemake": PythonLexer(), "nextflow": GroovyLexer()}
 
 project = "pcretrieve"
 author = "pcretrieve developers"
