@@ -36,19 +36,13 @@ from pcretrieve.catalogue.tables import PAYLOADS, Payload
 from pcretrieve.errors import CatalogueError, InputError, ShapeError
 from pcretrieve.options import PipelineOptions, options_difference
 from pcretrieve.retrieval import (
-    CHUNK,
-    MadeBy,
-    Names,
     SignatureIndex,
     Whitening,
-    check_comparable,
-    coordinates,
     fit_scores,
-    fit_whitening,
-    pair_sample,
     read_whitening,
     resolution_covariance,
     resolution_whitening,
+    table_whitening,
 )
 from pcretrieve.values import (
     FloatArray,
@@ -233,14 +227,7 @@ class Catalogue(Rows):
         ShapeError
             If a part of a shape that the descriptor needs was not stored.
         """
-        from pcretrieve.descriptors import DESCRIPTORS
-
-        options = self._fitting(options)
-        descriptor = DESCRIPTORS[options.signature.method]
-        unit = self._unit_of_sizes(options)
-        _, ids, labels, values = self._values(options)
-        made_by = descriptor.name, options.compared_digest
-        return SignatureTable(tuple(ids), values, *made_by, tuple(labels), descriptor.metric, unit)
+        return self._table(self._fitting(options))[0]
 
     def index(self, options: PipelineOptions | None = None) -> SignatureIndex:
         """The index of the signatures of the catalogue, with the whitening of the options.
@@ -321,6 +308,17 @@ class Catalogue(Rows):
             surfaces = tuple(replace(surface, mesh=None) for surface in surfaces)
         return record, replace(shape, surfaces=surfaces, verdict=record.verdict)
 
+    def _table(self, options: PipelineOptions) -> tuple[SignatureTable, str]:
+        """The signatures by some options, and a name of the state of the catalogue that they belong to."""
+        from pcretrieve.descriptors import DESCRIPTORS
+
+        descriptor = DESCRIPTORS[options.signature.method]
+        unit = self._unit_of_sizes(options)
+        revision, ids, labels, values = self._values(options)
+        made_by = descriptor.name, options.compared_digest
+        table = SignatureTable(tuple(ids), values, *made_by, tuple(labels), descriptor.metric, unit)
+        return table, revision
+
     def _values(self, options: PipelineOptions) -> tuple[str, list[str], list[str | None], FloatArray]:
         """Revision, ids, labels and signatures (N, L); those that are not stored are computed and stored."""
         # Imported here, because other functions do not need this slow import.
@@ -385,40 +383,13 @@ class Catalogue(Rows):
         Except for within-class whitening, at most two arrays of the size of the table are in memory at a
         time.
         """
-        from pcretrieve.descriptors import DESCRIPTORS
-
-        descriptor, retrieval = DESCRIPTORS[options.signature.method], options.retrieval
-        unit = self._unit_of_sizes(options)
-        check_comparable(descriptor.name, descriptor.metric, retrieval.distance)
-        revision, ids, labels, values = self._values(options)
-        # In place, because the table is not used afterwards.
-        for start in range(0, len(values), CHUNK):
-            block = slice(start, start + CHUNK)
-            values[block] = coordinates(values[block], descriptor.metric)
-        names = Names.of(ids)
-        del ids
-        whitening = _made_before(options)
-        if whitening is None and len(values):
-            whitening = fit_whitening(
-                retrieval.whitening,
-                values,
-                labels,
-                shrinkage=retrieval.shrinkage,
-                prior=resolution_covariance(options.compared),
-                metric=descriptor.metric,
-                options_digest=options.compared_digest,
-            )
-        sample = pair_sample(values, labels)  # before the values are whitened in place
-        made_by = MadeBy(descriptor.name, options.compared_digest, descriptor.metric, unit)
-        index = SignatureIndex.of_coordinates(names, values, labels, made_by, retrieval, whitening)
-        scores = fit_scores(
-            sample,
-            index.whitening,
-            distance=retrieval.distance,
-            shrinkage=retrieval.shrinkage,
-            metric=descriptor.metric,
-        )
-        return index.scored(scores), revision
+        table, revision = self._table(options)
+        if not len(table):
+            raise InputError("an index needs at least 1 shape, got an empty table; ingest shapes first")
+        retrieval, prior = options.retrieval, resolution_covariance(options.compared)
+        whitening = _made_before(options) or table_whitening(table, retrieval, prior=prior)
+        scores = fit_scores(table, whitening, retrieval)
+        return SignatureIndex(table, retrieval, whitening=whitening, scores=scores), revision
 
 
 def _made_before(options: PipelineOptions) -> Whitening | None:

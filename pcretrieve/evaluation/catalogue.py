@@ -80,7 +80,7 @@ def rank_catalogue(
         prior = resolution_covariance(options.compared)
         is_measured = retrieval.whitening == "resolution" or retrieval.calibration is not None
         made = catalogue.whitening(options) if is_measured else None
-        whitening = table_whitening(table, retrieval, made, prior=prior)
+        whitening = made or table_whitening(table, retrieval, prior=prior)
         reason = whitening.reason + (
             ", without labels"
             if whitening.kind in ("none", "neighbours") and options.retrieval.whitening == "auto"

@@ -13,14 +13,7 @@ from pcretrieve.errors import BenchmarkError
 from pcretrieve.evaluation.measures import query_scores
 from pcretrieve.evaluation.rankings import Rankings
 from pcretrieve.options import RetrievalOptions
-from pcretrieve.retrieval import (
-    Positions,
-    fit_scores,
-    pair_sample,
-    pairwise,
-    table_coordinates,
-    table_whitening,
-)
+from pcretrieve.retrieval import Positions, fit_scores, pairwise, table_coordinates, table_whitening
 from pcretrieve.values import FloatArray, SignatureTable
 
 
@@ -128,16 +121,9 @@ def no_match_measures(
             shapes = replace(shapes, labels=(None,) * len(ids))
         whitening = table_whitening(shapes, options, prior=prior)
         used.add(whitening.kind)
-        logs = table_coordinates(shapes, options.distance)
-        scores = fit_scores(
-            pair_sample(logs, shapes.labels),
-            whitening,
-            distance=options.distance,
-            shrinkage=options.shrinkage,
-            metric=table.metric,
-        )
-        points = whitening.apply(table_coordinates(table, options.distance)[queries])
-        distances = pairwise(options.distance, points, whitening.apply(logs))
+        scores = fit_scores(shapes, whitening, options)
+        points = whitening.apply(table_coordinates(table, options.distance))
+        distances = pairwise(options.distance, points[queries], points[gallery])
         nearest = distances.argmin(axis=1)
         labels = np.array(table.labels, dtype=object)
         ours, found = labels[queries], labels[gallery[nearest]]

@@ -1,35 +1,24 @@
 """Signatures → ranked shapes: distances, whitening, and an exact nearest-neighbour index."""
 
 from pcretrieve.retrieval.clusters import NearPair, cluster_numbers, near_pairs, plane_map
-from pcretrieve.retrieval.covariances import CHUNK, LEAST_SHAPES
+from pcretrieve.retrieval.covariances import LEAST_SHAPES
 from pcretrieve.retrieval.distances import (
+    BLOCK_DISTANCES,
     DISTANCES,
     Distance,
-    check_comparable,
-    coordinates,
-    known_distance,
-    log_signatures,
-    pairwise,
-    table_coordinates,
-)
-from pcretrieve.retrieval.fitting import (
-    fit_whitening,
-    is_measured,
-    resolution_covariance,
-    resolution_whitening,
-    table_whitening,
-)
-from pcretrieve.retrieval.index import N_INTERPRETED, MadeBy, Names, SignatureIndex
-from pcretrieve.retrieval.ranking import (
-    BLOCK_DISTANCES,
     DistanceBlock,
     Positions,
     Ranking,
     checked_k,
+    coordinates,
+    known_distance,
     nearest_of,
+    pairwise,
     pairwise_blocks,
     position_of,
+    table_coordinates,
 )
+from pcretrieve.retrieval.index import N_INTERPRETED, SignatureIndex
 from pcretrieve.retrieval.reranking import (
     N_NEAR,
     N_RERANKED,
@@ -38,14 +27,24 @@ from pcretrieve.retrieval.reranking import (
     rerank,
     reranked_neighbors,
 )
-from pcretrieve.retrieval.scores import MatchScores, fit_scores, pair_sample
+from pcretrieve.retrieval.scores import MatchScores, fit_scores
 from pcretrieve.retrieval.votes import Vote, class_vote, rank_ranges, swapping_ranks
-from pcretrieve.retrieval.whitening import CALIBRATED, WHITENINGS, Whitening, read_whitening, write_whitening
+from pcretrieve.retrieval.whitening import (
+    CALIBRATED,
+    WHITENINGS,
+    Whitening,
+    fit_whitening,
+    is_measured,
+    read_whitening,
+    resolution_covariance,
+    resolution_whitening,
+    table_whitening,
+    write_whitening,
+)
 
 __all__ = [
     "BLOCK_DISTANCES",
     "CALIBRATED",
-    "CHUNK",
     "DISTANCES",
     "LEAST_SHAPES",
     "N_INTERPRETED",
@@ -55,9 +54,7 @@ __all__ = [
     "WHITENINGS",
     "Distance",
     "DistanceBlock",
-    "MadeBy",
     "MatchScores",
-    "Names",
     "NearPair",
     "NeighbourLists",
     "Positions",
@@ -65,7 +62,6 @@ __all__ = [
     "SignatureIndex",
     "Vote",
     "Whitening",
-    "check_comparable",
     "checked_k",
     "class_vote",
     "cluster_numbers",
@@ -74,10 +70,8 @@ __all__ = [
     "fit_whitening",
     "is_measured",
     "known_distance",
-    "log_signatures",
     "near_pairs",
     "nearest_of",
-    "pair_sample",
     "pairwise",
     "pairwise_blocks",
     "plane_map",

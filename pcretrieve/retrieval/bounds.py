@@ -27,17 +27,21 @@ References
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, fields
-from typing import Any
+from collections.abc import Callable, Iterator
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pcretrieve.retrieval.covariances import CHUNK, scatter_matrix
+from pcretrieve.retrieval.covariances import scatter_matrix
+from pcretrieve.retrieval.distances import CHUNK, Positions
 from pcretrieve.values import FloatArray
 
 Rows = NDArray[np.int32]
+Singles = NDArray[np.float32]
+
+# What `scan` is, and what it is compiled to.
+Scan = Callable[..., tuple[Rows, Singles]]
 
 # Number of principal directions that the bounds are computed from. With fewer the bounds are looser and more
 # shapes need an exact distance; with more the bounds take longer. See docs/decisions.md, N_LEADING.
@@ -82,8 +86,7 @@ GROWTH = 16
 N_TOGETHER = 32
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class LowerBounds:
+class LowerBounds(NamedTuple):
     """The blocks of a table of points, of which each has at most S.
 
     mean: (L,) float64, mean of the points, which is subtracted from each.
@@ -131,25 +134,20 @@ class LowerBounds:
         return cls(mean, axes, rows, low, high, step, codes)
 
     def fits(self, points: FloatArray) -> bool:
-        """Whether the arrays have the shapes of the bounds of a table (N, L)."""
-        n_blocks, size = self.rows.shape
-        n_axes = self.axes.shape[1]
+        """Whether the arrays are those of a table (N, L), which compiled code does not check."""
+        (n_blocks, size), (n_values, n_axes) = self.rows.shape, self.axes.shape
         return (
-            (int(np.count_nonzero(self.rows != NO_ROW)), len(self.mean)) == points.shape
-            and self.axes.shape[0] == len(self.mean)
+            points.shape == (np.count_nonzero(self.rows != NO_ROW), n_values)
+            and self.mean.shape == (n_values,)
             and self.low.shape == self.high.shape == self.step.shape == (n_blocks, n_axes)
             and self.codes.shape == (n_blocks, n_axes, size)
         )
 
-    def candidates(
-        self, point: FloatArray, k: int, radius: Callable[[Rows], float], scan: Callable[..., int]
-    ) -> NDArray[np.intp]:
-        """The shapes that can be among the k nearest.
+    def candidates(self, point: FloatArray, k: int, radius: Callable[[Rows], float], scan: Scan) -> Positions:
+        """The rows (n,), ascending, that include the `k` nearest and all at equal distance.
 
         point: (L,) float64, the query.
         radius: function of (n,) rows that returns a distance within which at least `k` of them lie.
-        scan: the function `scan`, or that of `pcretrieve.retrieval.compiled`.
-        Returns (n,) intp: rows, ascending, that include the `k` nearest and all rows at equal distance.
         """
         query = (point - self.mean) @ self.axes  # (D,)
         to_blocks = self._to_blocks(query)
@@ -164,7 +162,10 @@ class LowerBounds:
             is_last = start >= len(order) or to_blocks[order[start]] > limit
             if is_last and len(rows) <= N_LAST * k:
                 break
-            limit = min(limit, self._limit(radius(_first(rows, to_rows, N_FIRST * k))))
+            first = rows
+            if N_FIRST * k < len(rows):
+                first = rows[np.argpartition(to_rows, N_FIRST * k - 1)[: N_FIRST * k]]
+            limit = min(limit, self._limit(radius(first)))
             near = ~(to_rows > limit)
             rows, to_rows = rows[near], to_rows[near]
         return np.sort(rows).astype(np.intp)
@@ -178,14 +179,11 @@ class LowerBounds:
         return bounds
 
     def _to_rows(
-        self, query: FloatArray, chosen: NDArray[np.intp], limit: float, scan: Callable[..., int]
-    ) -> tuple[Rows, NDArray[np.float32]]:
+        self, query: FloatArray, chosen: Positions, limit: float, scan: Scan
+    ) -> tuple[Rows, Singles]:
         """The rows (n,) in some blocks, and squares of lower bounds of their distances, up to a limit."""
-        near = np.empty(len(chosen) * self.rows.shape[1], np.int32)
-        bounds = np.empty(len(near), np.float32)
-        blocks = self.codes, self.rows, self.low, self.step
-        n = scan(*blocks, chosen, query, HALF_CELL, np.float32(limit), near, bounds)
-        return near[:n], bounds[:n]
+        cells = self.codes, self.rows, self.low, self.step
+        return scan(*cells, chosen, query, HALF_CELL, np.float32(limit))
 
     def _limit(self, radius: float) -> float:
         """The largest bound that a point within a radius can have."""
@@ -193,35 +191,22 @@ class LowerBounds:
         limit = (radius * radius) * (1 + 4 * (int(self.axes.shape[1]) + 8) * SINGLE)
         return limit if limit < LARGEST_SINGLE else math.inf
 
-    def to_arrays(self) -> dict[str, NDArray[Any]]:
-        """The attributes as arrays by name: the input of `from_arrays`."""
-        return {field.name: getattr(self, field.name) for field in fields(self)}
-
-    @classmethod
-    def from_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> LowerBounds:
-        """The bounds that `to_arrays` has written as arrays."""
-        return cls(**{field.name: arrays[field.name] for field in fields(cls)})
-
 
 def scan(
     codes: NDArray[np.uint8],
     rows: Rows,
     low: FloatArray,
     step: FloatArray,
-    blocks: NDArray[np.intp],
+    blocks: Positions,
     query: FloatArray,
     half: float,
     limit: np.float32,
-    near: Rows,
-    bounds: NDArray[np.float32],
-) -> int:
-    """Find the rows of some blocks whose squared distance to their cells is at most a limit.
+) -> tuple[Rows, Singles]:
+    """The rows of some blocks whose squared distance to their cells is at most a limit, and these squares.
 
     half: half the length of a cell, relative to it.
-    near, bounds: (b * S,), overwritten by the rows that are found, and by the squares of their distances.
-    Returns int: how many are found.
     """
-    found = 0
+    near, bounds = [np.empty(0, np.int32)], [np.empty(0, np.float32)]
     for first in range(0, len(blocks), N_TOGETHER):
         part = blocks[first : first + N_TOGETHER]
         offset = (low[part] - query + step[part] / 2).astype(np.float32)
@@ -232,10 +217,9 @@ def scan(
                 apart = np.abs(codes[part, axis] * single[:, axis, np.newaxis] + offset[:, axis, np.newaxis])
                 total += np.maximum(apart - ends[:, axis, np.newaxis], 0) ** 2
         within = ~(total > limit) & (rows[part] != NO_ROW)
-        some = slice(found, found + np.count_nonzero(within))
-        near[some], bounds[some] = rows[part][within], total[within]
-        found = some.stop
-    return found
+        near.append(rows[part][within])
+        bounds.append(total[within])
+    return np.concatenate(near), np.concatenate(bounds)
 
 
 def _leaves(leading: NDArray[np.float32], members: Rows) -> Iterator[Rows]:
@@ -250,8 +234,3 @@ def _leaves(leading: NDArray[np.float32], members: Rows) -> Iterator[Rows]:
     order = np.argpartition(leading[axis, members], half)
     yield from _leaves(leading, members[order[:half]])
     yield from _leaves(leading, members[order[half:]])
-
-
-def _first(rows: Rows, bounds: NDArray[np.float32], n: int) -> Rows:
-    """The `n` rows with the smallest bounds, or all rows if there are fewer."""
-    return rows[np.argpartition(bounds, n - 1)[:n]] if n < len(rows) else rows

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -40,7 +39,13 @@ def cluster_numbers(index: SignatureIndex, *, min_size: int = 3) -> NDArray[np.i
     """
     if min_size < 2:
         raise OptionError(f"min_size must be at least 2, got {min_size}")
-    found = _density_clusters(index.points, min_size)
+    if len(index) < min_size:
+        return np.zeros(len(index), dtype=np.intp)
+    from sklearn.cluster import HDBSCAN
+
+    # Clusters from the excess of mass (Campello, Moulavi and Sander, 2013); −1 between clusters.
+    method = HDBSCAN(min_cluster_size=min_size, cluster_selection_method="eom", copy=True)
+    found = np.asarray(method.fit_predict(index.points), dtype=np.intp)
     sizes = np.bincount(found[found >= 0], minlength=int(found.max(initial=-1)) + 1)
     first = [int(np.argmax(found == number)) for number in range(len(sizes))]
     order = sorted(range(len(sizes)), key=lambda number: (-sizes[number], first[number]))
@@ -52,9 +57,8 @@ def cluster_numbers(index: SignatureIndex, *, min_size: int = 3) -> NDArray[np.i
 def plane_map(index: SignatureIndex, rows: NDArray[np.intp] | None = None) -> FloatArray:
     """Places in the plane at which shapes with near whitened signatures are near (t-SNE).
 
-    rows: (n,) int, optional, rows of the index: only these shapes are placed.
-    Returns (N, 2) float64: the place of each shape of the index, or of each row, within [0, 1]²; its axes
-        have no meaning.
+    rows: (n,) intp, optional, rows of the index: only these shapes are placed.
+    Returns (N, 2) float64: the places, within [0, 1]²; only which are near each other has a meaning.
     """
     points = index.points
     places = _embedding(points if rows is None else points[rows])
@@ -89,27 +93,8 @@ def _apart(places: FloatArray, gap: float) -> FloatArray:
     return places
 
 
-def _density_clusters(points: FloatArray, min_size: int) -> NDArray[np.intp]:
-    """Clusters of dense points by HDBSCAN, from the excess of mass (Campello, Moulavi and Sander, 2013).
-
-    points: (N, d) float64, the points.
-    Returns (N,) intp: the number of the cluster of each point, from 0; −1 for points between clusters.
-    """
-    if len(points) < min_size:
-        return np.full(len(points), -1)
-    from sklearn.cluster import HDBSCAN
-
-    found = HDBSCAN(min_cluster_size=min_size, cluster_selection_method="eom", copy=True).fit_predict(points)
-    return np.asarray(found, dtype=np.intp)
-
-
 def _embedding(points: FloatArray) -> FloatArray:
-    """Places in the plane at which near points are near, by t-SNE (van der Maaten and Hinton, 2008).
-
-    points: (N, d) float64, the points.
-    Returns (N, 2) float64: the places, centred; only which are near each other has a meaning. Equal for equal
-        points and order.
-    """
+    """Places (N, 2) at which near points (N, d) are near, by t-SNE (van der Maaten and Hinton, 2008)."""
     centred = points - points.mean(axis=0)
     directions, sizes, _ = np.linalg.svd(centred, full_matrices=False)
     principal = np.zeros((len(points), 2))
@@ -140,25 +125,16 @@ def near_pairs(index: SignatureIndex, errors: FloatArray) -> list[NearPair]:
 
     errors: (N,) float64, the error of each shape of the index, comparable to its distance; not negative.
     """
-    largest = float(errors.max(initial=0))
-    found = [
-        pair
-        for row, shape_id in enumerate(index.ids)
-        for pair in _pairs_of(index, shape_id, float(errors[row]), largest, errors)
-    ]
+    error_of = dict(zip(index.ids, errors.tolist(), strict=True))
+    largest = max(error_of.values(), default=0.0)
+    found = []
+    for shape_id, error in error_of.items():
+        near = _within(index, shape_id, float(np.hypot(error, largest)))
+        for other, distance in zip(near.ids, near.distances.tolist(), strict=True):
+            limit = float(np.hypot(error, error_of[other]))
+            if other > shape_id and distance <= limit:
+                found.append(NearPair(shape_id, other, distance, limit))
     return sorted(found, key=lambda pair: (pair.distance, pair.first, pair.second))
-
-
-def _pairs_of(
-    index: SignatureIndex, shape_id: str, error: float, largest: float, errors: FloatArray
-) -> Iterator[NearPair]:
-    """The near pairs of a shape with shapes after it in alphabetical order."""
-    near = _within(index, shape_id, float(np.hypot(error, largest)))
-    for other, distance in zip(near.ids, near.distances.tolist(), strict=True):
-        if other > shape_id:
-            limit = float(np.hypot(error, errors[index.ids.index(other)]))
-            if distance <= limit:
-                yield NearPair(shape_id, other, distance, limit)
 
 
 def _within(index: SignatureIndex, shape_id: str, radius: float) -> Neighbors:

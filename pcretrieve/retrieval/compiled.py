@@ -20,12 +20,12 @@ def scan(
     query: FloatArray,
     half: float,
     limit: np.float32,
-    near: NDArray[np.int32],
-    bounds: NDArray[np.float32],
-) -> int:
-    """Find the rows of some blocks by their lower bounds, as `pcretrieve.retrieval.bounds.scan`."""
+) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
+    """The rows of some blocks and their lower bounds, as by `pcretrieve.retrieval.bounds.scan`."""
     n_axes, size = codes.shape[1:]
     zero = np.float32(0)
+    near = np.empty(len(blocks) * size, np.int32)
+    bounds = np.empty(len(near), np.float32)
     total = np.empty(size, np.float32)
     found = 0
     for block in blocks:
@@ -43,4 +43,4 @@ def scan(
                 near[found] = rows[block, i]
                 bounds[found] = total[i]
                 found += 1
-    return found
+    return near[:found], bounds[:found]

@@ -16,16 +16,12 @@ import numpy as np
 
 from pcretrieve.errors import InputError, OptionError
 from pcretrieve.options import Shrinkage
+from pcretrieve.retrieval.distances import CHUNK, Positions
 from pcretrieve.retrieval.pairs import neighbour_pairs
-from pcretrieve.retrieval.ranking import Positions
 from pcretrieve.values import FloatArray
 
-# Number of signatures that are processed together, so that intermediate arrays have a few MB.
-CHUNK = 2**15
-
-# Regularisation of the covariance, which limits the amplification of noise in directions of small
-# variance. For
-# within-class it is estimated instead.
+# Regularisation of the covariance, which limits the amplification of noise in directions of small variance.
+# Within classes it is estimated instead.
 DEFAULT_SHRINKAGE = {
     "neighbours": 0.20,  # intensity towards the mean variance times the identity
     "pca": 0.01,  # times the largest eigenvalue, added to all eigenvalues (Tikhonov)
@@ -53,15 +49,15 @@ LEAST_SHAPES = 24
 LEAST_PAIRS = 10
 
 
-class CovarianceFit(NamedTuple):
+class Fit(NamedTuple):
     """What a whitening is made of.
 
     shapes: (n, L) float64, the shapes of the fit.
-    covariance: (L, L) float64, regularised.
+    covariance: (L, L) float64, regularised; None if nothing can be learned.
     """
 
     shapes: FloatArray
-    covariance: FloatArray
+    covariance: FloatArray | None
     shrinkage: float
     reason: str
 
@@ -93,7 +89,12 @@ def scatter_matrix(logs: FloatArray, mean: FloatArray) -> FloatArray:
     return scatter
 
 
-def shrunk(covariance: FloatArray, intensity: float, *, one_unit: bool = True) -> FloatArray:
+def covariance_of(logs: FloatArray) -> FloatArray:
+    """The covariance (L, L) of many shapes (N, L)."""
+    return scatter_matrix(logs, logs.mean(axis=0)) / (len(logs) - 1)
+
+
+def _shrunk(covariance: FloatArray, intensity: float, *, one_unit: bool = True) -> FloatArray:
     """A covariance C shrunk towards that of uncorrelated values, (1 − s) C + s T.
 
     one_unit: whether all values have one unit. The target T is then tr(C)/L I, otherwise the diagonal of C.
@@ -105,38 +106,27 @@ def shrunk(covariance: FloatArray, intensity: float, *, one_unit: bool = True) -
     return result
 
 
-class _Residuals(NamedTuple):
-    """The differences of shapes from the mean of their class.
-
-    rows: (n,) intp, positions of the shapes in classes of at least two shapes, class after class.
-    classes: (n,) intp, number of the class of each of these shapes, ascending.
-    values: (n, L) float64, the residuals.
-    """
-
-    rows: Positions
-    classes: Positions
-    values: FloatArray
-
-
 def within_class_covariance(
     logs: FloatArray, labels: Sequence[str | None] | None, shrinkage: Shrinkage, *, one_unit: bool
-) -> CovarianceFit:
+) -> Fit:
     """The shapes in classes of at least two shapes, and their shrunk pooled covariance.
 
     logs: (N, L) float64, log-signatures.
     """
-    residuals = _residuals(logs, labels)
-    fitted = logs[residuals.rows]
+    members = _members(labels or ())
+    fitted = logs[np.concatenate(members)]  # class after class
     check_distinct("within-class", fitted)
-    pooled = _pooled(residuals.values, residuals.classes)
+    classes = np.repeat(np.arange(len(members)), [len(rows) for rows in members])
+    residuals = np.concatenate([logs[rows] - logs[rows].mean(axis=0) for rows in members])
+    pooled = _pooled(residuals, classes)
     if np.trace(pooled) == 0:
         raise InputError(
             "within-class whitening needs shapes that differ within their class, got equal signatures in "
             "every class; use the whitening 'pca' or 'none'"
         )
-    used = _likeliest_shrinkage(residuals, one_unit=one_unit) if shrinkage == "auto" else float(shrinkage)
-    reason = f"within-class: {residuals.classes[-1] + 1} classes of {len(fitted)} shapes"
-    return CovarianceFit(fitted, shrunk(pooled, used, one_unit=one_unit), used, reason)
+    used = shrinkage if shrinkage != "auto" else _likeliest_shrinkage(residuals, classes, one_unit=one_unit)
+    reason = f"within-class: {len(members)} classes of {len(fitted)} shapes"
+    return Fit(fitted, _shrunk(pooled, used, one_unit=one_unit), used, reason)
 
 
 def check_distinct(kind: str, logs: FloatArray) -> None:
@@ -148,11 +138,8 @@ def check_distinct(kind: str, logs: FloatArray) -> None:
         )
 
 
-def _residuals(logs: FloatArray, labels: Sequence[str | None] | None) -> _Residuals:
-    """Subtract the mean of its class from each labelled shape."""
-    if labels is None or len(labels) != len(logs):
-        given = "none" if labels is None else str(len(labels))
-        raise InputError(f"within-class whitening needs one label per shape ({len(logs)}), got {given}")
+def _members(labels: Sequence[str | None]) -> list[list[int]]:
+    """The rows of each class of at least two shapes."""
     rows: dict[str, list[int]] = {}
     for row, label in enumerate(labels):
         if label is not None:
@@ -163,9 +150,7 @@ def _residuals(logs: FloatArray, labels: Sequence[str | None] | None) -> _Residu
             f"within-class whitening needs a class with at least 2 shapes, got {len(rows)} classes and none "
             "so large; label more shapes, or use the whitening 'pca' or 'none'"
         )
-    numbers = np.repeat(np.arange(len(classes)), [len(members) for members in classes])
-    values = np.concatenate([logs[members] - logs[members].mean(axis=0) for members in classes])
-    return _Residuals(np.concatenate([np.array(members) for members in classes]), numbers, values)
+    return classes
 
 
 def _pooled(values: FloatArray, classes: Positions) -> FloatArray:
@@ -174,41 +159,38 @@ def _pooled(values: FloatArray, classes: Positions) -> FloatArray:
     return covariance
 
 
-def _likeliest_shrinkage(residuals: _Residuals, *, one_unit: bool) -> float:
-    """The shrinkage at which the residuals of classes that are left out are most likely."""
-    n_classes = int(residuals.classes[-1]) + 1
+def _likeliest_shrinkage(residuals: FloatArray, classes: Positions, *, one_unit: bool) -> float:
+    """The shrinkage at which the residuals (n, L) of classes that are left out are most likely."""
+    n_classes = int(classes[-1]) + 1
     n_groups = min(N_GROUPS, n_classes)
     if n_groups < 2:
         return UNTESTED
     group = np.random.default_rng(SEED).permutation(n_classes) % n_groups
     likelihood = np.zeros(len(INTENSITIES))
     for left_out in range(n_groups):
-        held = group[residuals.classes] == left_out
-        pooled = _pooled(residuals.values[~held], residuals.classes[~held])
-        tested = _pooled(residuals.values[held], residuals.classes[held])
+        is_out = group[classes] == left_out
+        pooled, tested = (_pooled(residuals[some], classes[some]) for some in (~is_out, is_out))
         if np.trace(pooled) == 0:
             continue
-        n_free = held.sum() - (group == left_out).sum()
+        n_free = is_out.sum() - (group == left_out).sum()
         for number, intensity in enumerate(INTENSITIES):
-            covariance = shrunk(pooled, intensity, one_unit=one_unit)
+            covariance = _shrunk(pooled, intensity, one_unit=one_unit)
             deviance = np.linalg.slogdet(covariance)[1] + np.trace(np.linalg.solve(covariance, tested))
             likelihood[number] -= n_free * deviance
     return INTENSITIES[int(np.argmax(likelihood))]
 
 
 def neighbour_covariance(
-    logs: FloatArray,
-    shrinkage: Shrinkage,
-    n_neighbors: int | Literal["auto"],
-    prior: FloatArray | None,
-) -> CovarianceFit | str:
-    """The covariance of the differences of neighbours, or why there is none.
+    logs: FloatArray, shrinkage: Shrinkage, n_neighbors: int | Literal["auto"], prior: FloatArray | None
+) -> Fit:
+    """The covariance of the differences of neighbours.
 
     logs: (N, L) float64, log-signatures.
     prior: (L, L) float64 or None, as in `fit_whitening`.
     """
     if len(logs) < LEAST_SHAPES:
-        return f"none, because {len(logs)} shapes are too few to learn from neighbours ({LEAST_SHAPES})"
+        reason = f"none, because {len(logs)} shapes are too few to learn from neighbours ({LEAST_SHAPES})"
+        return Fit(logs, None, 0.0, reason)
     if shrinkage == "auto":
         used = DEFAULT_SHRINKAGE["neighbours"] if prior is None else SHRINKAGE_WITH_PRIOR
     else:
@@ -216,11 +198,12 @@ def neighbour_covariance(
     pairs = neighbour_pairs(logs, n_neighbors)
     n_pairs = len(pairs.weights)
     if n_pairs < LEAST_PAIRS:
-        return f"none, because only {n_pairs} pairs of shapes are mutual neighbours ({LEAST_PAIRS})"
+        reason = f"none, because only {n_pairs} pairs of shapes are mutual neighbours ({LEAST_PAIRS})"
+        return Fit(logs, None, 0.0, reason)
     differences = logs[pairs.first] - logs[pairs.second]  # (P, L)
     covariance = (differences * pairs.weights[:, np.newaxis]).T @ differences
     covariance /= np.trace(covariance)
     if prior is not None:
         covariance = (1 - PRIOR_SHARE) * covariance + PRIOR_SHARE * prior
     reason = f"neighbours: {n_pairs} pairs, each among the other's {pairs.n_neighbors} nearest"
-    return CovarianceFit(logs, shrunk(covariance, used), used, reason)
+    return Fit(logs, _shrunk(covariance, used), used, reason)

@@ -1,4 +1,4 @@
-"""Distances between signatures, as functions of the difference of their coordinates.
+"""Distances between signatures, as functions of the difference of their coordinates, and what ranks by them.
 
 The coordinates of a signature are the logarithms of its values, if that is its metric. Let a and b be two
 signatures and x = log a − log b, element by element. Then
@@ -22,18 +22,26 @@ References
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import get_args
+from typing import NamedTuple, Protocol, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pcretrieve.errors import InputError, OptionError
-from pcretrieve.values import FloatArray, Metric, SignatureTable
+from pcretrieve.values import FloatArray, Metric, Neighbors, SignatureTable
+
+Positions = NDArray[np.intp]
 
 # Number of differences in memory at once: 1 MiB, which fits the processor's second-level cache.
 CHUNK_VALUES = 2**17
+
+# Number of signatures that are processed together, so that intermediate arrays have a few MB.
+CHUNK = 2**15
+
+# Number of distances that are in memory at once: 32 MB.
+BLOCK_DISTANCES = 2**22
 
 
 def _d1(x: FloatArray) -> FloatArray:
@@ -110,11 +118,6 @@ def coordinates(values: ArrayLike, metric: Metric = "logarithms") -> FloatArray:
     return roots
 
 
-def log_signatures(values: ArrayLike) -> FloatArray:
-    """Natural logarithms (…, L) of signature values, which are positive and finite; dimensionless."""
-    return coordinates(values, "logarithms")
-
-
 def table_coordinates(table: SignatureTable, distance: str | Distance) -> FloatArray:
     """The coordinates (N, L) of the signatures in a table, for a distance."""
     check_comparable(table.kind, table.metric, distance)
@@ -142,10 +145,6 @@ def pairwise(distance: str | Distance, queries: FloatArray, gallery: FloatArray)
     Returns (Q, N) float64: dimensionless.
     """
     between = known_distance(distance).between
-    if queries.ndim != 2 or gallery.ndim != 2 or queries.shape[1] != gallery.shape[1]:
-        raise InputError(
-            f"queries and gallery must have shapes (Q, L) and (N, L), got {queries.shape} and {gallery.shape}"
-        )
     n_values = max(1, gallery.shape[1])
     columns = max(1, min(len(gallery), CHUNK_VALUES // n_values))
     rows = max(1, CHUNK_VALUES // (n_values * columns))
@@ -170,3 +169,66 @@ def _checked(values: ArrayLike, kind: str, holds: Callable[[FloatArray], NDArray
             f"{array.size}); compute the signature again"
         )
     return array
+
+
+class DistanceBlock(NamedTuple):
+    """Some rows of a distance matrix, so that the matrix need not be in memory as a whole.
+
+    queries: (q,) intp, positions of the queries in the gallery.
+    distances: (q, N) float64, distances from each query to every shape of the gallery, in the order of the
+        gallery, the query itself included.
+    """
+
+    queries: Positions
+    distances: FloatArray
+
+
+class Ranking(Protocol):
+    """A gallery of shapes and a distance, which need not be symmetric, from each of them to all."""
+
+    @property
+    def ids(self) -> Sequence[str]:
+        """The gallery; identifiers are distinct."""
+
+    def blocks(self, queries: Positions | None = None) -> Iterator[DistanceBlock]:
+        """Distances from shapes of the gallery, by default from all, to all of the gallery."""
+
+    def nearest(self, shape_id: str, k: int = 10) -> Neighbors:
+        """The shapes nearest to a shape of the gallery, itself included."""
+
+
+def pairwise_blocks(
+    distance: str | Distance, gallery: FloatArray, queries: Positions
+) -> Iterator[DistanceBlock]:
+    """Distances from some signatures of a gallery (N, L) to all of them, a few queries at a time."""
+    rows = max(1, BLOCK_DISTANCES // max(1, len(gallery)))
+    for start in range(0, len(queries), rows):
+        chunk = queries[start : start + rows]
+        yield DistanceBlock(chunk, pairwise(distance, gallery[chunk], gallery))
+
+
+def nearest_of(ids: Sequence[str], distances: FloatArray, k: int) -> Neighbors:
+    """The nearest shapes by their distances (N,), which are not NaN."""
+    k = checked_k(k)
+    # Shapes as near as the k-th are candidates too: which of them come first is decided by their ids.
+    limit = np.partition(distances, k - 1)[k - 1] if k < len(distances) else np.inf
+    near: list[int] = np.flatnonzero(distances <= limit).tolist()
+    rows = sorted(near, key=lambda row: (distances[row], ids[row]))[:k]
+    return Neighbors(tuple(ids[row] for row in rows), distances[rows])
+
+
+def checked_k(k: int, name: str = "k") -> int:
+    """A number of neighbours, or of something else, after a check."""
+    if isinstance(k, bool) or not isinstance(k, (int, np.integer)) or k < 1:
+        raise OptionError(f"{name} must be a whole number of at least 1, got {k!r}")
+    return int(k)
+
+
+def position_of(ids: Sequence[str], shape_id: str) -> int:
+    """The position of a shape in a gallery."""
+    try:
+        return ids.index(shape_id)
+    except ValueError as error:
+        raise InputError(
+            f"the query must be one of the {len(ids)} ranked shapes, got {shape_id!r}"
+        ) from error

@@ -12,14 +12,12 @@ References
 
 from __future__ import annotations
 
-import copy
 import math
 from bisect import bisect_left
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import partial
-from typing import Any, NamedTuple, cast, overload
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -28,19 +26,22 @@ from pcretrieve.errors import InputError
 from pcretrieve.options import RetrievalOptions
 from pcretrieve.retrieval import bounds
 from pcretrieve.retrieval.bounds import LowerBounds, Rows
-from pcretrieve.retrieval.covariances import CHUNK
-from pcretrieve.retrieval.distances import Distance, coordinates, known_distance, pairwise, table_coordinates
-from pcretrieve.retrieval.fitting import fit_whitening
-from pcretrieve.retrieval.ranking import (
+from pcretrieve.retrieval.distances import (
+    CHUNK,
+    Distance,
     DistanceBlock,
     Positions,
+    check_comparable,
     checked_k,
+    coordinates,
+    known_distance,
     nearest_of,
+    pairwise,
     pairwise_blocks,
     position_of,
 )
 from pcretrieve.retrieval.scores import MatchScores
-from pcretrieve.retrieval.whitening import Whitening
+from pcretrieve.retrieval.whitening import Whitening, table_whitening
 from pcretrieve.values import FloatArray, Metric, Neighbors, Signature, SignatureTable, SizeUnit
 
 # Largest number of shapes that are all compared with each query, which takes as long as to find a few of them
@@ -82,14 +83,10 @@ class Names(Sequence[str]):
     def __len__(self) -> int:
         return len(self.ends)
 
-    @overload
-    def __getitem__(self, position: int) -> str: ...
-    @overload
-    def __getitem__(self, position: slice) -> list[str]: ...
-    def __getitem__(self, position: int | slice) -> str | list[str]:
+    def __getitem__(self, position: Any) -> Any:
         if isinstance(position, slice):
-            return [self[number] for number in range(*position.indices(len(self)))]
-        number = range(len(self.ends))[position]
+            return [self[number] for number in range(len(self))[position]]
+        number = range(len(self))[position]
         start = self.ends[number - 1] if number else 0
         return str(self.text[start : self.ends[number]].data, "utf-8")
 
@@ -105,7 +102,7 @@ class Names(Sequence[str]):
         return row
 
 
-class MadeBy(NamedTuple):
+class _MadeBy(NamedTuple):
     """How the signatures of a table were made."""
 
     kind: str
@@ -148,6 +145,8 @@ class SignatureIndex:
         A whitening made before, such as `resolution_whitening`, instead of the one that `options` name.
     distance : Distance, optional
         A distance of one's own, instead of the one that `options` name.
+    scores : MatchScores, optional
+        The calibrated score of a distance, such as `fit_scores` estimates.
 
     Attributes
     ----------
@@ -175,68 +174,27 @@ class SignatureIndex:
         *,
         whitening: Whitening | None = None,
         distance: Distance | None = None,
+        scores: MatchScores | None = None,
     ) -> None:
+        if not len(table):
+            raise InputError("an index needs at least 1 shape, got an empty table; ingest shapes first")
         options = options or RetrievalOptions()
-        measure = distance or known_distance(options.distance)
-        made_by = MadeBy(table.kind, table.digest, table.metric, table.unit)
-        points = table_coordinates(table, measure)
-        whitening = _fitted(options, points, table.labels, made_by, whitening)
+        self._distance = distance or known_distance(options.distance)
+        check_comparable(table.kind, table.metric, self._distance)
+        self._made_by = _MadeBy(table.kind, table.digest, table.metric, table.unit)
+        self.whitening = whitening or table_whitening(table, options)
+        self.whitening.check_made_for(table.digest)
+        self.scores = scores
         by_id = sorted(range(len(table)), key=table.ids.__getitem__)
-        ids = Names.of(table.ids[row] for row in by_id)
-        self._hold(made_by, ids, _whitened(points[by_id], whitening, made_by), whitening, measure)
-
-    @classmethod
-    def of_coordinates(
-        cls,
-        ids: Names,
-        points: FloatArray,
-        labels: Sequence[str | None],
-        made_by: MadeBy,
-        options: RetrievalOptions,
-        whitening: Whitening | None = None,
-    ) -> SignatureIndex:
-        """The index of a large table, without the copies that a table makes of its values.
-
-        Parameters
-        ----------
-        ids : Names, length N
-            At least one, distinct.
-        points : (N, L) float64
-            Coordinates of the signatures, as in `pcretrieve.retrieval.coordinates`. They are overwritten, and
-            become part of the index.
-        labels : sequence of (str or None), length N
-            Classes; needed only for a whitening that is fitted to them.
-        made_by : MadeBy
-            How the signatures were made.
-        options, whitening : object
-            As for the index of a table.
-
-        Returns
-        -------
-        SignatureIndex
-            It gives the answers of the index of the table.
-        """
-        index = cls.__new__(cls)
-        whitening = _fitted(options, points, labels, made_by, whitening)
-        distance = known_distance(options.distance)
-        index._hold(made_by, ids, _whitened(points, whitening, made_by), whitening, distance)
-        return index
-
-    def _hold(
-        self,
-        made_by: MadeBy,
-        ids: Names,
-        points: FloatArray,
-        whitening: Whitening,
-        distance: Distance,
-    ) -> None:
-        """Set the attributes, and bound the distances to the points."""
-        self._made_by, self.ids, self.points, self.whitening = made_by, ids, points, whitening
-        self._distance = distance
-        self.scores: MatchScores | None = None
-        self._size = max(1.0, float(points.max()), -float(points.min()))
-        is_large = len(points) > N_ALL and distance.exceeds_log
-        self._bounds = LowerBounds.of(points) if is_large else None
+        self.ids = Names.of(table.ids[row] for row in by_id)
+        self.points: FloatArray = np.empty(table.values.shape)
+        for start in range(0, len(by_id), CHUNK):
+            some = slice(start, start + CHUNK)
+            logs = coordinates(table.values[by_id[some]], table.metric)
+            self.points[some] = self.whitening.apply(logs)
+        self._size = max(1.0, float(self.points.max()), -float(self.points.min()))
+        is_large = len(table) > N_ALL and self._distance.exceeds_log
+        self._bounds = LowerBounds.of(self.points) if is_large else None
         # Counted without a lock: two threads that count the same query change no answer.
         self._n_answered = 0
 
@@ -244,12 +202,6 @@ class SignatureIndex:
     def distance(self) -> str:
         """The name of the distance."""
         return self._distance.name
-
-    def scored(self, scores: MatchScores | None) -> SignatureIndex:
-        """The index with scores of distances, such as `fit_scores` estimates."""
-        other = copy.copy(self)
-        other.scores = scores
-        return other
 
     @property
     def search(self) -> str:
@@ -293,29 +245,12 @@ class SignatureIndex:
             value is not positive and finite.
         """
         k = checked_k(k)
-        return self._nearest(self.point_of(signature), k)
-
-    def query_many(
-        self, signatures: Iterable[Signature | ArrayLike], k: int = 10, *, n_threads: int = 1
-    ) -> list[Neighbors]:
-        """The nearest neighbours of each of Q signatures, in order.
-
-        Parameters
-        ----------
-        signatures : iterable of Signature or (Q, L) array_like
-            The queries, each as in `query`.
-        k : int, default 10
-            Number of neighbours of each query, at least 1.
-        n_threads : int, default 1
-            Number of queries that are answered at a time, at least 1.
-
-        Returns
-        -------
-        list of Neighbors, length Q
-            The result of `query` for each signature.
-        """
-        with ThreadPoolExecutor(checked_k(n_threads, "n_threads")) as threads:
-            return list(threads.map(partial(self.query, k=k), signatures))
+        point = self.point_of(signature)
+        candidates = self._candidates(point, min(k, len(self)))
+        distances = pairwise(self._distance, point, self.points[candidates])[0]
+        # Candidates ascend, and so do their ids: a stable sort leaves equal distances in the ids' order.
+        first = np.argsort(distances, kind="stable")[:k]
+        return Neighbors(tuple(self.ids[row] for row in candidates[first]), distances[first])
 
     def nearest(self, shape_id: str, k: int = 10) -> Neighbors:
         """The nearest neighbours of a shape of the table, itself included, as `query` gives them."""
@@ -361,14 +296,6 @@ class SignatureIndex:
         rows: FloatArray = self.points[[position_of(self.ids, shape_id) for shape_id in ids]]
         return rows
 
-    def _nearest(self, point: FloatArray, k: int) -> Neighbors:
-        """The `k` nearest neighbours of whitened coordinates (1, L)."""
-        candidates = self._candidates(point, min(k, len(self)))
-        distances = pairwise(self._distance, point, self.points[candidates])[0]
-        # Candidates ascend, and so do their ids: a stable sort leaves equal distances in the ids' order.
-        first = np.argsort(distances, kind="stable")[:k]
-        return Neighbors(tuple(self.ids[row] for row in candidates[first]), distances[first])
-
     def _candidates(self, point: FloatArray, k: int) -> NDArray[np.intp]:
         """Rows, ascending, that include the `k` nearest to a point and all rows at equal distance."""
         if self._bounds is None:
@@ -399,10 +326,10 @@ class SignatureIndex:
             "id_ends": self.ids.ends,
         }
         arrays |= {name: np.array(text or "") for name, text in self._made_by._asdict().items()}
-        arrays |= {} if self._bounds is None else self._bounds.to_arrays()
-        arrays |= {f"{WHITENING}{name}": array for name, array in self.whitening.to_arrays().items()}
-        if self.scores is not None:
-            arrays |= {f"{SCORES}{name}": array for name, array in self.scores.to_arrays().items()}
+        arrays |= {} if self._bounds is None else self._bounds._asdict()
+        for prefix, value in ((WHITENING, self.whitening), (SCORES, self.scores)):
+            stored = {} if value is None else value.to_arrays()
+            arrays |= {f"{prefix}{name}": array for name, array in stored.items()}
         return arrays
 
     @classmethod
@@ -430,14 +357,15 @@ class SignatureIndex:
         )
         index = cls.__new__(cls)
         try:
-            kind, digest, metric, unit = (str(arrays[name]) for name in MadeBy._fields)
-            index._made_by = MadeBy(kind, digest, cast("Metric", metric), cast("SizeUnit", unit) or None)
+            kind, digest, metric, unit = (str(arrays[name]) for name in _MadeBy._fields)
+            index._made_by = _MadeBy(kind, digest, cast("Metric", metric), cast("SizeUnit", unit) or None)
             index.ids = Names(arrays["id_text"], arrays["id_ends"])
             index.points, index._size = arrays["gallery"], float(arrays["size"])
             index._distance = known_distance(str(arrays["distance"]))
             index.whitening = Whitening.from_arrays(fitted)
             index.scores = MatchScores.from_arrays(scored) if scored else None
-            index._bounds = LowerBounds.from_arrays(arrays) if "codes" in arrays else None
+            has_bounds = "codes" in arrays
+            index._bounds = LowerBounds(*map(arrays.__getitem__, LowerBounds._fields)) if has_bounds else None
         except KeyError as error:
             raise InputError(f"the arrays of an index must include {error.args[0]!r}") from error
         index._n_answered = 0
@@ -445,32 +373,3 @@ class SignatureIndex:
         if not fits or len(index.ids) != len(index.points):
             raise InputError("the arrays of an index must be of one table, got several; build it again")
         return index
-
-
-def _fitted(
-    options: RetrievalOptions,
-    points: FloatArray,
-    labels: Sequence[str | None],
-    made_by: MadeBy,
-    whitening: Whitening | None,
-) -> Whitening:
-    """The whitening that is given, or the one that options name, fitted to coordinates (N, L)."""
-    if not len(points):
-        raise InputError("an index needs at least 1 shape, got an empty table; ingest shapes first")
-    return whitening or fit_whitening(
-        options.whitening,
-        points,
-        labels,
-        shrinkage=options.shrinkage,
-        metric=made_by.metric,
-        options_digest=made_by.digest,
-    )
-
-
-def _whitened(points: FloatArray, whitening: Whitening, made_by: MadeBy) -> FloatArray:
-    """Coordinates (N, L), which are whitened in place."""
-    whitening.check_made_for(made_by.digest)
-    for start in range(0, len(points), CHUNK):
-        chunk = slice(start, start + CHUNK)
-        points[chunk] = whitening.apply(points[chunk])
-    return points

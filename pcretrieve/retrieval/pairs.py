@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import numpy as np
 
-from pcretrieve.retrieval.ranking import BLOCK_DISTANCES, DistanceBlock, Positions
+from pcretrieve.retrieval.distances import BLOCK_DISTANCES, DistanceBlock, Positions
 from pcretrieve.retrieval.reranking import nearest_matrix, neighbour_lists, rerank
 from pcretrieve.values import FloatArray
 

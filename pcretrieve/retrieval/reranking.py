@@ -16,18 +16,20 @@ References
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-from typing import TYPE_CHECKING, NamedTuple, Protocol, get_args
+from collections.abc import Iterable
+from typing import TYPE_CHECKING, NamedTuple, get_args
 
 import numpy as np
 
 from pcretrieve.errors import OptionError
 from pcretrieve.options import RerankKind
-from pcretrieve.retrieval.ranking import DistanceBlock, Positions
+from pcretrieve.retrieval.distances import DistanceBlock, Positions
 from pcretrieve.values import FloatArray, Neighbors
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
+
+    from pcretrieve.retrieval.index import SignatureIndex
 
 RERANKINGS: tuple[str, ...] = get_args(RerankKind)
 
@@ -95,7 +97,7 @@ def rerank(
     """Sort the lists of some shapes again.
 
     rows: (Q,) intp, optional, the queries, positions in the gallery. By default all.
-    parameters: (int, int, float), optional, k₁, k₂ and λ of ``k-reciprocal``, as in `k_reciprocal`.
+    parameters: k₁, k₂ and λ, as in `k_reciprocal`.
     Returns (Q, K) intp: the shapes of the lists of the queries in their new order; the first two, which are
         the query and the shape nearest to it, keep their places.
     """
@@ -110,20 +112,10 @@ def rerank(
     return np.take_along_axis(lists.order[rows], order, axis=1)
 
 
-class Gallery(Protocol):
-    """Shapes between which there are distances."""
-
-    def between(self, ids: Sequence[str]) -> FloatArray:
-        """Distances between some shapes of the gallery.
-
-        Returns (m, m) float64: the distance from each of them to each.
-        """
-
-
 def reranked_neighbors(
-    gallery: Gallery, found: Neighbors, method: str, *, shape_id: str | None = None
+    gallery: SignatureIndex, found: Neighbors, method: str, *, shape_id: str | None = None
 ) -> Neighbors:
-    """Sort the results of one query again."""
+    """Sort the results of one query again, which is itself the shape of an id, if it has one."""
     if method == "none" or len(found) < 3:
         return found
     n = len(found)
@@ -149,11 +141,7 @@ def reranked_neighbors(
 
 
 def local_scaling(lists: NeighbourLists, rows: Positions) -> FloatArray:
-    """Distances divided by the geometric mean of the radii of both shapes.
-
-    rows: (Q,) intp, the queries.
-    Returns (Q, K) float64: the scaled distances of the shapes in the lists of the queries; dimensionless.
-    """
+    """Distances (Q, K) of queries (Q,), divided by the geometric mean of the radii of both shapes."""
     radius = lists.distances[:, 1 : N_RADIUS + 1].mean(axis=1)  # (N,)
     root = np.sqrt(np.maximum(radius, np.finfo(np.float64).tiny))
     scaled: FloatArray = lists.distances[rows] / (root[rows, None] * root[lists.order[rows]])
@@ -166,10 +154,10 @@ def k_reciprocal(
     """Jaccard distances of the k-reciprocal neighbourhoods, plus a share of the original distances.
 
     rows: (Q,) intp, the queries.
-    parameters: (int, int, float), default (12, 4, .3), k₁ and k₂, the sizes of the reciprocal sets and of the
-        query expansion, and λ, the weight of the original distance beside the Jaccard distance.
-    Returns (Q, K) float64: the distances of the shapes in the lists of the queries; dimensionless. The
-        original distances are divided by the mean distance in the list of the query.
+    parameters: k₁ and k₂, the sizes of the reciprocal sets and of the query expansion, and λ, the weight of
+        the original distance, relative to the mean distance in the list of the query, beside the Jaccard
+        distance.
+    Returns (Q, K) float64: the distances of the shapes in the lists of the queries; dimensionless.
     """
     from scipy.sparse import csr_array  # imported here, because an index without whitening does not need it
 
@@ -210,10 +198,9 @@ def k_reciprocal(
 
 
 def nearest_matrix(order: Positions, k: int) -> csr_array:
-    """The graph of the nearest neighbours, with an edge from each shape to itself.
+    """The graph of nearest neighbours (N, N): 1 where the column is the row, or among its k nearest.
 
     order: (N, K) intp, positions, nearest first; the first one is the shape itself.
-    Returns (N, N) csr_array of float64: 1 where the column is the row, or among its k nearest; else 0.
     """
     from scipy.sparse import csr_array
 

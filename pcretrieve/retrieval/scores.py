@@ -18,22 +18,21 @@ References
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pcretrieve.errors import InputError
-from pcretrieve.options import Shrinkage
+from pcretrieve.options import RetrievalOptions
 from pcretrieve.retrieval.covariances import LEAST_SHAPES
-from pcretrieve.retrieval.distances import pairwise
-from pcretrieve.retrieval.fitting import fit_whitening
+from pcretrieve.retrieval.distances import Positions, coordinates, pairwise
 from pcretrieve.retrieval.pairs import near_groups, neighbour_pairs
-from pcretrieve.retrieval.whitening import Whitening
-from pcretrieve.values import FloatArray, Metric
-from pcretrieve.values.base import Value, locked
+from pcretrieve.retrieval.whitening import Arrays, Whitening, fit_whitening
+from pcretrieve.values import FloatArray, SignatureTable
+from pcretrieve.values.base import locked
 
 # Largest number of shapes whose pairs are counted, and the seed of the choice of their classes.
 LARGEST = 1000
@@ -56,7 +55,7 @@ TINY = float(np.finfo(np.float64).tiny)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class MatchScores(Value):
+class MatchScores(Arrays):
     """The score of a distance: the share of pairs of one class among pairs that near.
 
     distances: (m,) float64, ascending.
@@ -80,24 +79,17 @@ class MatchScores(Value):
         """The scores (n,) of distances (n,), which may be infinite."""
         return np.interp(distances, self.distances, self.scores)
 
-    def to_arrays(self) -> dict[str, NDArray[Any]]:
-        """The attributes as arrays by name."""
-        return {"distances": self.distances, "scores": self.scores, "reason": np.array(self.reason)}
 
-    @classmethod
-    def from_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> MatchScores:
-        """The inverse of `to_arrays`; KeyError if an array is missing."""
-        return cls(arrays["distances"], arrays["scores"], str(arrays["reason"]))
-
-
-class PairSample(NamedTuple):
+class _Sample(NamedTuple):
     """Shapes whose pairs are counted.
 
     logs: (n, L) float64, their log-signatures.
+    labels: their classes; none if too few shapes have one.
+    sizes: number of shapes of each class in the table.
     """
 
     logs: FloatArray
-    labels: list[str | None]
+    labels: list[str]
     sizes: Mapping[str, int]
 
 
@@ -109,16 +101,41 @@ class _Pairs(NamedTuple):
     weights: FloatArray
 
 
-def pair_sample(logs: FloatArray, labels: Sequence[str | None]) -> PairSample:
-    """Choose the shapes whose pairs are counted.
+def fit_scores(
+    table: SignatureTable, whitening: Whitening, options: RetrievalOptions | None = None
+) -> MatchScores | None:
+    """Estimate the score of a distance from the pairs of some shapes of a table; None if they are too few."""
+    options = options or RetrievalOptions()
+    sample = _sample(table)
+    n_classes = len(set(sample.labels))
+    why = "share of pairs of one class among pairs as near, of {} pairs of " + f"{n_classes} classes"
+    if n_classes and whitening.kind != "within-class":
+        parts = [_class_pairs(sample, np.arange(len(sample.labels)), whitening, options.distance)]
+    elif n_classes >= 4:
+        parts = list(_left_out(sample, options, table))
+        why += ", each left out of the whitening"
+    elif len(sample.logs) >= LEAST_SHAPES:
+        parts = [_mutual_pairs(sample.logs, whitening, options.distance)]
+        why = "share of mutual neighbours among pairs as near, of {} pairs without labels"
+    else:
+        parts = []
+    if not parts:
+        return None
+    pairs = _Pairs(*(np.concatenate(part) for part in zip(*parts, strict=True)))
+    if pairs.same.sum() < LEAST_PAIRS or pairs.same.all():
+        return None
+    return MatchScores(*_shares(pairs), why.format(len(pairs.same)))
 
-    logs: (N, L) float64, log-signatures, one in each row.
-    """
-    sizes = Counter(label for label in labels if label is not None)
+
+def _sample(table: SignatureTable) -> _Sample:
+    """Choose the shapes whose pairs are counted: whole classes, up to a number of shapes of each."""
+    sizes = Counter(label for label in table.labels if label is not None)
     n_same = sum(size * (size - 1) // 2 for size in sizes.values())
     if len(sizes) < 2 or n_same < LEAST_PAIRS:
-        rows = np.arange(len(logs)) if len(logs) <= LARGEST else near_groups(logs, LARGEST)
-        return PairSample(logs[rows], [None] * len(rows), {})
+        rows = np.arange(len(table))
+        if len(table) > LARGEST:
+            rows = near_groups(coordinates(table.values, table.metric), LARGEST)
+        return _Sample(coordinates(table.values[rows], table.metric), [], {})
     names = sorted(sizes)
     chosen: set[str] = set()
     n_chosen = 0
@@ -129,70 +146,30 @@ def pair_sample(logs: FloatArray, labels: Sequence[str | None]) -> PairSample:
         chosen.add(names[number])
         n_chosen += min(sizes[names[number]], LARGEST)
     kept: Counter[str] = Counter()
-    rows_of: list[int] = []
-    for row, label in enumerate(labels):
-        if label in chosen and label is not None and kept[label] < LARGEST:
+    rows_of: dict[int, str] = {}
+    for row, label in enumerate(table.labels):
+        if label is not None and label in chosen and kept[label] < LARGEST:
             kept[label] += 1
-            rows_of.append(row)
-    return PairSample(logs[rows_of], [labels[row] for row in rows_of], sizes)
+            rows_of[row] = label
+    return _Sample(coordinates(table.values[list(rows_of)], table.metric), list(rows_of.values()), sizes)
 
 
-def fit_scores(
-    sample: PairSample,
-    whitening: Whitening,
-    *,
-    distance: str = "log",
-    shrinkage: Shrinkage = "auto",
-    metric: Metric = "logarithms",
-) -> MatchScores | None:
-    """Estimate the score of a distance from the pairs of some shapes."""
-    labelled = any(label is not None for label in sample.labels)
-    classes = np.unique([label for label in sample.labels if label is not None])
-    if labelled and whitening.kind != "within-class":
-        pairs = _class_pairs(sample, np.arange(len(sample.labels)), whitening, distance)
-        reason = (
-            f"share of pairs of one class among pairs as near, of {len(pairs.same)} pairs of {len(classes)} "
-            "classes"
-        )
-    elif labelled and len(classes) >= 4:
-        parts = list(_left_out(sample, classes, distance, shrinkage, metric))
-        if not parts:
-            return None
-        pairs = _Pairs(*(np.concatenate(part) for part in zip(*parts, strict=True)))
-        reason = (
-            f"share of pairs of one class among pairs as near, of {len(pairs.same)} pairs of {len(classes)} "
-            "classes, each left out of the whitening"
-        )
-    elif len(sample.logs) >= LEAST_SHAPES:
-        pairs = _mutual_pairs(sample, whitening, distance)
-        reason = f"share of mutual neighbours among pairs as near, of {len(pairs.same)} pairs without labels"
-    else:
-        return None
-    if pairs.same.sum() < LEAST_PAIRS or pairs.same.all():
-        return None
-    return MatchScores(*_shares(pairs), reason)
-
-
-def isotonic_shares(same: FloatArray, total: FloatArray) -> tuple[FloatArray, NDArray[np.intp]]:
-    """Shares that do not ascend, by pool adjacent violators.
+def _pools(same: FloatArray, total: FloatArray) -> Positions:
+    """Pool intervals so that the shares `same / total` of the pools descend (pool adjacent violators).
 
     same: (b,) float64, number of pairs of one class in each interval of distances.
     total: (b,) float64, number of all pairs in it; positive.
-    Returns shares : (b,) float64: the shares that do not ascend and deviate least from ``same / total``,
-        weighted by `total`.
-    Returns blocks : (b,) intp: the number of the pool of each interval, ascending from 0.
+    Returns (b,) intp: the number of the pool of each interval, ascending from 0.
     """
     # Not by scikit-learn, whose import takes longer.
-    pools: list[tuple[float, float, int]] = []  # pairs of one class, all pairs, intervals
+    found: list[tuple[float, float, int]] = []  # pairs of one class, all pairs, intervals
     for one, every in zip(same.tolist(), total.tolist(), strict=True):
         pool = (one, every, 1)
-        while pools and pools[-1][0] * pool[1] <= pool[0] * pools[-1][1]:
-            before = pools.pop()
+        while found and found[-1][0] * pool[1] <= pool[0] * found[-1][1]:
+            before = found.pop()
             pool = (before[0] + pool[0], before[1] + pool[1], before[2] + pool[2])
-        pools.append(pool)
-    lengths = [length for _, _, length in pools]
-    shares = np.repeat([one / every for one, every, _ in pools], lengths)
-    return shares, np.repeat(np.arange(len(pools)), lengths)
+        found.append(pool)
+    return np.repeat(np.arange(len(found)), [length for _, _, length in found])
 
 
 def _shares(pairs: _Pairs) -> tuple[FloatArray, FloatArray]:
@@ -208,8 +185,7 @@ def _shares(pairs: _Pairs) -> tuple[FloatArray, FloatArray]:
     ends = np.append(ends, np.flatnonzero(same)[-1])
     ends = np.unique(np.searchsorted(distances, distances[ends], side="right"))
     number = np.searchsorted(ends, np.arange(len(distances)), side="right")
-    _, pools = isotonic_shares(*_counts(number, ours, pairs.weights[order]))
-    pool = pools[number]  # of each pair
+    pool = _pools(*_counts(number, ours, pairs.weights[order]))[number]  # of each pair
     n_same, total = _counts(pool, ours, pairs.weights[order])
     # The score of a pool is that of the mean distance of its pairs of one class; the last pool may have none.
     first = distances[np.searchsorted(pool, np.arange(len(total)))]
@@ -224,10 +200,10 @@ def _counts(number: NDArray[np.intp], ours: FloatArray, every: FloatArray) -> tu
     return np.bincount(number, ours, n).astype(np.float64), np.bincount(number, every, n).astype(np.float64)
 
 
-def _class_pairs(sample: PairSample, rows: NDArray[np.intp], whitening: Whitening, distance: str) -> _Pairs:
+def _class_pairs(sample: _Sample, rows: Positions, whitening: Whitening, distance: str) -> _Pairs:
     """The pairs of some labelled shapes, each of which stands for the pairs of the whole table."""
     points = whitening.apply(sample.logs[rows])
-    names, codes = np.unique([str(sample.labels[row]) for row in rows], return_inverse=True)
+    names, codes = np.unique([sample.labels[row] for row in rows], return_inverse=True)
     here = np.bincount(codes)[codes].astype(np.float64)  # (n,) shapes of the class, here and in the table
     there = np.array([sample.sizes[name] for name in names], dtype=np.float64)[codes]
     n_table = float(sum(sample.sizes.values()))
@@ -239,33 +215,34 @@ def _class_pairs(sample: PairSample, rows: NDArray[np.intp], whitening: Whitenin
     return _Pairs(pairwise(distance, points, points)[first, second], same, weights)
 
 
-def _left_out(
-    sample: PairSample, classes: NDArray[Any], distance: str, shrinkage: Shrinkage, metric: Metric
-) -> Iterator[_Pairs]:
+def _left_out(sample: _Sample, options: RetrievalOptions, table: SignatureTable) -> Iterator[_Pairs]:
     """The pairs of each group of classes, whitened by what shapes of the other classes differ by."""
+    classes, codes = np.unique(sample.labels, return_inverse=True)
     n_folds = min(MOST_FOLDS, len(classes) // 2)
-    fold_of = np.random.default_rng(SEED).permutation(len(classes)) % n_folds
-    fold = fold_of[np.searchsorted(classes, np.array(sample.labels, dtype=str))]
+    fold = (np.random.default_rng(SEED).permutation(len(classes)) % n_folds)[codes]
     for number in range(n_folds):
         rows, others = np.flatnonzero(fold == number), np.flatnonzero(fold != number)
         labels = [sample.labels[row] for row in others]
         try:
             fitted = fit_whitening(
-                "within-class", sample.logs[others], labels, shrinkage=shrinkage, metric=metric
+                "within-class",
+                sample.logs[others],
+                labels,
+                shrinkage=options.shrinkage,
+                metric=table.metric,
             )
         except InputError:
             continue  # the other classes have one shape each, or equal ones
-        yield _class_pairs(sample, rows, fitted, distance)
+        yield _class_pairs(sample, rows, fitted, options.distance)
 
 
-def _mutual_pairs(sample: PairSample, whitening: Whitening, distance: str) -> _Pairs:
+def _mutual_pairs(logs: FloatArray, whitening: Whitening, distance: str) -> _Pairs:
     """All pairs, of which those of mutual neighbours stand for pairs of one class."""
     # Against all other pairs, not distant ones alone.
-    points = whitening.apply(sample.logs)
-    n = len(points)
+    points = whitening.apply(logs)
     found = neighbour_pairs(points)
-    mutual = np.zeros((n, n), dtype=bool)
+    mutual = np.zeros((len(points), len(points)), dtype=bool)
     mutual[found.first, found.second] = mutual[found.second, found.first] = True
-    first, second = np.triu_indices(n, k=1)
+    first, second = np.triu_indices(len(points), k=1)
     distances = pairwise(distance, points, points)[first, second]
     return _Pairs(distances, mutual[first, second], np.ones(len(first)))

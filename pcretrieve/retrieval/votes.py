@@ -11,7 +11,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from pcretrieve.errors import InputError
 from pcretrieve.retrieval.index import SignatureIndex
 from pcretrieve.values import FloatArray, Signature
 
@@ -25,10 +24,7 @@ QUANTILES = (0.05, 0.95)
 
 @dataclass(frozen=True, slots=True)
 class Vote:
-    """The result of a vote of neighbours.
-
-    share: its share of the weight of all voters, between 0 and 1.
-    """
+    """The class with the largest share of the weight of all voters, and its lead over the next class."""
 
     label: str
     share: float
@@ -37,12 +33,7 @@ class Vote:
 
 
 def class_vote(labels: Sequence[str | None], weights: FloatArray) -> Vote | None:
-    """Let the neighbours of a query vote for its class.
-
-    weights: (k,) float64, weight of each vote, such as the score of the neighbour; not negative.
-    """
-    if len(labels) != len(weights) or (weights < 0).any():
-        raise InputError(f"weights must be {len(labels)} numbers of 0 or more, got {weights}")
+    """The class that the neighbours of a query vote for, with weights (k,) such as their scores."""
     total: dict[str, float] = {}
     for label, weight in zip(labels, weights.tolist(), strict=True):
         if label is not None:

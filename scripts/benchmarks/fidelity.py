@@ -54,7 +54,7 @@ from pcretrieve.options import PipelineOptions, RetrievalOptions, WhiteningKind
 from pcretrieve.pipeline.process import process, signature
 from pcretrieve.points import clean, oriented_normals
 from pcretrieve.points.normals import estimate_normals, orient_by_tangent_planes
-from pcretrieve.retrieval import is_measured, log_signatures, resolution_whitening
+from pcretrieve.retrieval import coordinates, is_measured, resolution_whitening
 from pcretrieve.spectral import eigenpairs, laplace_beltrami
 from pcretrieve.surface import defects, tetwild
 from pcretrieve.surface.open3d import poisson
@@ -431,9 +431,9 @@ def relative_spread(repeats: list[list[FloatArray]], values: FloatArray, labels:
         body.
     values: (n, L) float64, signatures of one scan of every body.
     """
-    logs = [log_signatures(np.array(own)) for own in repeats if own]  # (r, L) each
+    logs = [coordinates(np.array(own)) for own in repeats if own]  # (r, L) each
     within = [d for own in logs for d in np.linalg.norm(own - own.mean(axis=0), axis=1).tolist()]
-    everybody, classes = log_signatures(values), np.array(labels)
+    everybody, classes = coordinates(values), np.array(labels)
     between = np.linalg.norm(everybody[:, None] - everybody, axis=2)  # (n, n)
     between[classes[:, None] == classes] = np.inf
     return median(within) / median(between.min(axis=1, initial=np.inf).tolist())

@@ -48,7 +48,7 @@ from pcretrieve.errors import InputError, PcretrieveError
 from pcretrieve.ingestion import in_processes
 from pcretrieve.options import PipelineOptions
 from pcretrieve.pipeline.process import process
-from pcretrieve.retrieval.fitting import SAMPLE as RESOLUTION_SAMPLE
+from pcretrieve.retrieval.whitening import SAMPLE as RESOLUTION_SAMPLE
 from pcretrieve.simulation.bodies import POSES, body, make_subject
 from pcretrieve.simulation.scanner import UniformOptions, scan_uniformly
 from pcretrieve.spectral import unit_eigenpairs

@@ -19,7 +19,7 @@ from pcretrieve.descriptors import describe
 from pcretrieve.errors import CatalogueError, InputError
 from pcretrieve.options import SignatureOptions
 from pcretrieve.pipeline.process import process
-from pcretrieve.retrieval import fit_whitening, log_signatures
+from pcretrieve.retrieval import coordinates, fit_whitening
 from pcretrieve.values import Need, Shape
 
 OPTIONS = PipelineOptions()
@@ -115,7 +115,7 @@ def test_a_whitening_is_fitted_anew_once_the_shapes_change(kind: str, catalogue:
         """Also by other processes: the catalogue always gives the results of its present shapes."""
         table = catalogue.signatures(whitened(kind))
         expected = fit_whitening(
-            kind, log_signatures(table.values), table.labels, options_digest=table.digest
+            kind, coordinates(table.values), table.labels, options_digest=table.digest
         ).to_arrays()
         for _ in ("fitted", "read back"):
             answer = catalogue.whitening(whitened(kind)).to_arrays()

@@ -26,8 +26,8 @@ from pcretrieve.options import PipelineOptions, RetrievalOptions, SignatureOptio
 from pcretrieve.retrieval import (
     DISTANCES,
     SignatureIndex,
+    coordinates,
     fit_whitening,
-    log_signatures,
     pairwise,
     resolution_whitening,
 )
@@ -101,7 +101,7 @@ def test_neighbours_are_those_of_the_index(distance: str) -> None:
     ids = tuple(f"{row:02}" for row in range(60))
     plain = RetrievalOptions(distance=distance, whitening="none")
     index = SignatureIndex(SignatureTable(ids, np.exp(logs), "x"), plain)
-    logs = log_signatures(np.exp(logs))
+    logs = coordinates(np.exp(logs))
     estimator = SignatureNeighbors(distance=distance).fit(logs)
     distances, rows = estimator.kneighbors(logs[:9] + 0.01, 7)
     for point, own, nearest in zip(logs[:9] + 0.01, distances, rows, strict=True):

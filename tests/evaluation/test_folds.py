@@ -15,7 +15,7 @@ from pcretrieve.evaluation.folds import (
 from pcretrieve.evaluation.measures import evaluate_rankings
 from pcretrieve.evaluation.rankings import rank_gallery
 from pcretrieve.options import RetrievalOptions
-from pcretrieve.retrieval import DISTANCES, DistanceBlock, fit_whitening, log_signatures, pairwise
+from pcretrieve.retrieval import DISTANCES, DistanceBlock, coordinates, fit_whitening, pairwise
 from pcretrieve.values import FloatArray, SignatureTable
 
 WITHIN_CLASS = RetrievalOptions(whitening="within-class")
@@ -80,7 +80,7 @@ def test_the_whitening_has_seen_no_value_of_the_classes_it_is_scored_on() -> Non
 
 def test_the_whitening_of_a_fold_is_that_of_the_other_folds() -> None:
     table = a_table()
-    logs = log_signatures(table.values)
+    logs = coordinates(table.values)
     for fold in within_class_folds(table, RetrievalOptions(shrinkage=0.2)):
         others = np.setdiff1d(np.arange(60), fold.queries)
         expected = fit_whitening(
@@ -94,7 +94,7 @@ def test_the_whitening_of_a_fold_is_that_of_the_other_folds() -> None:
 def test_queries_are_ranked_against_the_whole_gallery(distance: str) -> None:
     table = a_table()
     matrix = distance_matrix(table, distance)
-    logs = log_signatures(table.values)
+    logs = coordinates(table.values)
     for fold in within_class_folds(table):
         whitened = fold.whitening.apply(logs)
         assert (matrix[fold.queries] == pairwise(distance, whitened[fold.queries], whitened)).all()
@@ -124,7 +124,7 @@ def test_within_class_whitening_finds_nothing_in_noise() -> None:
     for _ in range(10):
         values = rng.lognormal(size=(60, 30))
         noise = replace(table, values=values)
-        logs = log_signatures(values)
+        logs = coordinates(values)
         seen = fit_whitening("within-class", logs, table.labels, shrinkage=0.01).apply(logs)
         baseline = evaluate_table(noise, PLAIN).map
         honest.append(evaluate_table(noise, shrunk_little).map - baseline)
@@ -153,7 +153,7 @@ def test_evaluation_does_not_depend_on_the_order_of_shapes(whitening: str) -> No
 @pytest.mark.parametrize("distance", DISTANCES)
 def test_whitening_without_labels_is_fitted_on_the_whole_gallery(distance: str, whitening: str) -> None:
     table = a_table()
-    logs = log_signatures(table.values)
+    logs = coordinates(table.values)
     whitened = fit_whitening(whitening, logs).apply(logs)
     block = DistanceBlock(np.arange(60), pairwise(distance, whitened, whitened))
     expected = rank_gallery([block], table.ids, table.labels)

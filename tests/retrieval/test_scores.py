@@ -13,7 +13,6 @@ from pcretrieve.retrieval import (
     Whitening,
     fit_scores,
     fit_whitening,
-    pair_sample,
     pairwise,
     scores,
 )
@@ -30,9 +29,15 @@ def classes(n_classes: int, n_each: int, seed: int, spread: float = 0.5) -> tupl
     return centres + noise, [f"{row // n_each:03}" for row in range(n_classes * n_each)]
 
 
+def table_of(logs: FloatArray, labels: list[str]) -> SignatureTable:
+    return SignatureTable(
+        tuple(f"{row:04}" for row in range(len(logs))), np.exp(logs), "any", labels=tuple(labels)
+    )
+
+
 def fitted(logs: FloatArray, labels: list[str], kind: str = "none") -> tuple[MatchScores, Whitening]:
     whitening = fit_whitening(kind, logs, labels)
-    found = fit_scores(pair_sample(logs, labels), whitening)
+    found = fit_scores(table_of(logs, labels), whitening)
     assert found is not None
     return found, whitening
 
@@ -52,7 +57,8 @@ def test_pools_are_those_of_isotonic_regression(seed: int) -> None:
     expected = IsotonicRegression(increasing=False).fit_transform(
         np.arange(len(total)), same / total, sample_weight=total
     )
-    shares, pools = scores.isotonic_shares(same, total)
+    pools = scores._pools(same, total)
+    shares = (np.bincount(pools, same) / np.bincount(pools, total))[pools]
     np.testing.assert_allclose(shares, expected, rtol=1e-12, atol=1e-15)
     np.testing.assert_array_equal(np.diff(pools) > 0, np.diff(shares) < 0)
 
@@ -75,10 +81,9 @@ def test_scores_descend_and_are_kept_with_an_index() -> None:
     assert 0 < found.of(np.array([np.inf]))[0] < found.of(np.array([0.0]))[0] < 1
     with pytest.raises(InputError, match="scores must not ascend"):
         MatchScores(np.array([0.0, 1.0]), np.array([0.1, 0.2]), "")
-    ids = tuple(f"{row:03}" for row in range(len(logs)))
-    plain = SignatureIndex(SignatureTable(ids, np.exp(logs), "any", labels=tuple(labels)))
+    table = table_of(logs, labels)
+    plain, index = SignatureIndex(table), SignatureIndex(table, scores=found)
     assert plain.scores is None
-    index = plain.scored(found)
     again = SignatureIndex.from_arrays(index.to_arrays())
     assert again.scores == found and again.scores.reason == found.reason
     assert SignatureIndex.from_arrays(plain.to_arrays()).scores is None

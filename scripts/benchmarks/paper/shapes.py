@@ -24,7 +24,7 @@ from pcretrieve.ingestion.pool import in_processes
 from pcretrieve.options import RemeshOptions, RetrievalOptions, Scale, SignatureOptions
 from pcretrieve.points.grid import Mask
 from pcretrieve.retrieval import DistanceBlock
-from pcretrieve.retrieval.distances import log_signatures, pairwise
+from pcretrieve.retrieval.distances import coordinates, pairwise
 from pcretrieve.surface.remesh import remesh
 from pcretrieve.surface.repair import largest_component
 from pcretrieve.surface.simplify import simplified
@@ -197,7 +197,7 @@ def ranked_strips(spectra: Spectra) -> bytes:
     spectra: the spectra of the silhouettes, scaled to unit area, by file. The queries are spread over them.
     """
     paths = tuple(spectra)
-    tables = [log_signatures(_values(spectra, *shown, STRIP_LENGTH)) for shown in SHOWN]
+    tables = [coordinates(_values(spectra, *shown, STRIP_LENGTH)) for shown in SHOWN]
     queries = spread(paths, N_STRIPS)
     step = SIDE + MARGIN
     height = len(queries) * len(SHOWN) * step + MARGIN * (len(queries) + 1)
@@ -390,7 +390,7 @@ def _signatures(mesh: TriangleMesh, methods: tuple[str, ...]) -> list[FloatArray
     shape = Shape((Surface(mesh.area, unit_area_spectrum(mesh, N_MODES), mesh),))
     lengths = {"n_values": N_VALUES, "n_modes": N_MODES}
     options = (SignatureOptions(method=method, scale="relative", **lengths) for method in methods)
-    return [log_signatures(describe(shape, each).values) for each in options]
+    return [coordinates(describe(shape, each).values) for each in options]
 
 
 PERTURBATIONS = (*(f"noise {size}" for size in NOISE), *(f"holes {share:.0%}" for share in REMOVED))
@@ -461,5 +461,5 @@ def _perturbed(task: tuple[int, Path]) -> list[FloatArray]:
     meshes += [without_faces(mesh, share, rng) for share in REMOVED]
     shapes = [Shape((Surface(each.area, unit_area_spectrum(each, N_MODES), each),)) for each in meshes]
     return [
-        log_signatures(np.array([describe(shape, options).values for shape in shapes])) for options in OPTIONS
+        coordinates(np.array([describe(shape, options).values for shape in shapes])) for options in OPTIONS
     ]
