@@ -110,11 +110,11 @@ def packed_values(values: FloatArray) -> bytes:
     return words.tobytes() + np.bitwise_xor.reduce(words, keepdims=True).tobytes()
 
 
-def unpacked_values(rows: NDArray[np.uint8], n_values: int) -> FloatArray:
-    """The inverse of `packed_values` for N signatures: (N, b) uint8 → (N, L) float64, to the bit."""
-    if rows.size != 8 * len(rows) * (n_values + 1):
+def unpacked_values(blob: bytes | bytearray, n: int, n_values: int) -> FloatArray:
+    """The inverse of `packed_values` for n signatures, one after the other: (n, L) float64, to the bit."""
+    if len(blob) != 8 * n * (n_values + 1):
         raise ValueError(f"there must be {n_values} values")
-    words = np.ascontiguousarray(rows).reshape(len(rows), 8 * (n_values + 1)).view("<u8")  # (N, L + 1)
+    words = np.frombuffer(blob, "<u8").reshape(n, n_values + 1)
     if (np.bitwise_xor.reduce(words[:, :-1], axis=1) != words[:, -1]).any():
         raise ValueError("its checksum does not fit")
     return words[:, :-1].view(np.float64)

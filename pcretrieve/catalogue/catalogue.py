@@ -143,8 +143,7 @@ class Catalogue(Rows):
         if stored is None:
             raise self.unknown(shape_id)
         with intact(self.location, f"the signature of {shape_id!r}"):
-            row = np.frombuffer(stored, np.uint8)[np.newaxis]
-            values: FloatArray = unpacked_values(row, len(stored) // 8 - 1)[0]
+            values: FloatArray = unpacked_values(stored, 1, len(stored) // 8 - 1)[0]
             return values
 
     def stored_bytes(self, shape_id: str) -> dict[str, int]:
@@ -188,7 +187,7 @@ class Catalogue(Rows):
     def keep_thumbnail(self, record: Record, picture: bytes) -> bool:
         """Store the picture of a shape, a PNG file, unless the shape has been replaced since it was read.
 
-        Returns bool: whether it could be written. No error is raised, because a picture can be drawn again.
+        Returns whether it could be written. No error is raised, because a picture can be drawn again.
         """
         if not self.database.is_writable:
             return False
@@ -206,26 +205,14 @@ class Catalogue(Rows):
     # --- signatures -------------------------------------------------------------------------------------
 
     def signatures(self, options: PipelineOptions | None = None) -> SignatureTable:
-        """The signatures of all shapes that did not fail.
+        """The signatures of all shapes that did not fail, in ascending order of id, with their classes.
 
-        Parameters
-        ----------
-        options : PipelineOptions, optional
-            Options, which may have another descriptor than the options of the catalogue, from
+        options: may have another descriptor than the options of the catalogue, from
             ``catalogue.options.changed(signature=...)``. Signatures that are not stored are computed from the
             stored spectra and surfaces, and stored.
 
-        Returns
-        -------
-        SignatureTable
-            The signatures in ascending order of id, with the classes of the shapes.
-
-        Raises
-        ------
-        CatalogueError
-            If `options` require other spectra than the catalogue has.
-        ShapeError
-            If a part of a shape that the descriptor needs was not stored.
+        Raises CatalogueError if `options` require other spectra than the catalogue has, and ShapeError if a
+        part of a shape that the descriptor needs was not stored.
         """
         return self._table(self._fitting(options))[0]
 
@@ -235,22 +222,10 @@ class Catalogue(Rows):
         The index of a large catalogue is stored in a folder beside the file, or in the cache folder of the
         user, and opened from there until shapes or labels change.
 
-        Parameters
-        ----------
-        options : PipelineOptions, optional
-            As in `signatures`: ``catalogue.options.changed(retrieval={"whitening": "pca"})``.
+        options: as in `signatures`: ``catalogue.options.changed(retrieval={"whitening": "pca"})``.
 
-        Returns
-        -------
-        SignatureIndex
-            The index.
-
-        Raises
-        ------
-        CatalogueError
-            If `options` require other spectra than the catalogue has.
-        InputError
-            If the catalogue has no shapes, or too few for the whitening.
+        Raises the errors of `signatures`, and InputError if the catalogue has no shapes, or too few for the
+        whitening.
         """
         chosen = self._fitting(options)
         return self.cache.index(chosen, self.revision(), lambda: self._made_index(chosen))
@@ -328,11 +303,12 @@ class Catalogue(Rows):
         digest = OWN if is_own else signatures_digest(options)
         n_values = signature_length(options.signature)
         with intact(self.location, "a signature"):
-            revision, ids, labels, packed, has = self.listed(digest)
-            if has.any() and has.all():
-                return revision, ids, labels, unpacked_values(packed, n_values)
-            values = np.empty((len(ids), n_values))
-            values[has] = unpacked_values(packed[has], n_values)
+            revision, ids, labels, has, packed = self.listed(digest)
+            stored = unpacked_values(packed, int(has.sum()), n_values)
+        if len(stored) == len(ids):
+            return revision, ids, labels, stored
+        values = np.empty((len(ids), n_values))
+        values[has] = stored
         missing = np.flatnonzero(~has)
         made = self._described(digest, options, [ids[row] for row in missing])
         for row, values_now in zip(missing, made, strict=True):

@@ -10,8 +10,6 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Literal
 
-import numpy as np
-
 from pcretrieve.catalogue.arrays import stored_shape, unpacked, unpacked_values
 from pcretrieve.catalogue.catalogue import Catalogue
 from pcretrieve.catalogue.records import OWN, Entry, Record
@@ -150,8 +148,7 @@ def _faults(catalogue: Catalogue, entry: Entry) -> Iterator[str]:
     for digest, value in entry.signatures.items():
         name = "its signature" if digest == OWN else f"its signature by the options {digest}"
         n_values = signature_length(options.signature) if digest == OWN else len(value) // 8 - 1
-        row = np.frombuffer(value, np.uint8)[np.newaxis]
-        reading.append((name, partial(unpacked_values, row, n_values)))
+        reading.append((name, partial(unpacked_values, value, 1, n_values)))
     if "spectra" in stored:
         reading.append(("its arrays", partial(stored_shape, stored, entry.record.steps)))
     if "thumbnails" in stored:

@@ -31,7 +31,7 @@ PAGES_AT_ONCE = 1 << 18
 
 @dataclass(frozen=True, slots=True)
 class Merged:
-    """The result of a merge."""
+    """Numbers of shapes that a merge has stored, and of shapes that were there already."""
 
     n_added: int
     n_held: int
@@ -40,8 +40,9 @@ class Merged:
 def merge_catalogues(parts: Sequence[CatalogueLike], output: CatalogueLike) -> Merged:
     """Store the shapes of several catalogues in one, such as those of ``ingest(shard=...)``.
 
-    Of a path that several catalogues have, the first finished shape is kept. The merge is associative, and
-    continues after an interruption if it is started again.
+    Of a path that several catalogues have, the first finished shape is kept, or the first failure if none is
+    finished, with the label that one of them has. The merge is associative, and continues after an
+    interruption if it is started again.
 
     Parameters
     ----------
@@ -70,7 +71,7 @@ def merge_catalogues(parts: Sequence[CatalogueLike], output: CatalogueLike) -> M
         target = stack.enter_context(opened(output, sources[0].options, create=True))
         for part in sources:
             check_options(part.location, part.options, target.options)
-        return _merge(target, sources)
+        return _merge([target, *sources])
 
 
 def backup(catalogue: CatalogueLike, file: str | Path) -> int:
@@ -124,9 +125,7 @@ def backup(catalogue: CatalogueLike, file: str | Path) -> int:
 def _copy_file(source: Path, target: Path) -> None:
     """Copy an SQLite file of any schema version, with the changes of its log, in one state."""
     with closing(connect(source, create=False)) as connection:
-        with translated(source):
-            tables = connection.execute("SELECT name FROM sqlite_master WHERE type = 'table'")
-            check_tables(source, {name for (name,) in tables})
+        check_tables(source, connection)
         with translated(target), closing(sqlite3.connect(target)) as copy:
             # Within a transaction, so that parts that are copied later belong to the same state.
             connection.execute("BEGIN")
@@ -144,25 +143,18 @@ def _copy_rows(rows: Rows, target: Path) -> None:
     stored = rows.settings()
     settings = {name: stored[name] for name in ("options", "numbers_version")}
     with Rows(target, settings, create=True) as copy:
-        _merge(copy, [rows])
+        _merge([copy, rows])
 
 
-def _merge(target: Rows, parts: Sequence[Rows]) -> Merged:
-    """Store in one catalogue the shapes of others.
-
-    Of a path that several have, the first finished shape is kept, or the first failure if none is finished,
-    with the label that one of them has.
-    """
-    stores = [target, *parts]
+def _merge(stores: Sequence[Rows]) -> Merged:
+    """Store in the first catalogue the shapes of the others."""
     chosen, labels = _chosen(stores)
-    added: dict[int, list[str]] = {number: [] for number in range(len(stores))}  # ids by store
-    for number, origin in chosen.values():
-        added[number].append(origin.id)
-    n_held = len(added.pop(0))
-    n_added, n_stored = sum(map(len, added.values())), 0
-    for number, ids in added.items():
+    target, n_stored = stores[0], 0
+    n_added = sum(number > 0 for number, _ in chosen.values())
+    for number, store in enumerate(stores[1:], 1):
+        ids = [origin.id for place, origin in chosen.values() if place == number]
         for start in range(0, len(ids), STORED_AT_ONCE):
-            entries = stores[number].entries(ids[start : start + STORED_AT_ONCE])
+            entries = store.entries(ids[start : start + STORED_AT_ONCE])
             for at, entry in enumerate(entries):
                 label = labels[entry.record.path] or None
                 if entry.record.label != label:
@@ -170,11 +162,9 @@ def _merge(target: Rows, parts: Sequence[Rows]) -> Merged:
             target.add(entries)
             n_stored += len(entries)
             logger.info("stored: %d of %d shapes", n_stored, n_added)
-    held = {path: origin for path, (place, origin) in chosen.items() if place == 0}
-    new_labels = {path: labels[path] for path, origin in held.items() if labels[path] != (origin.label or "")}
-    if new_labels:
-        target.revise(labels=new_labels)
-    return Merged(n_added, n_held)
+    held = {path: origin.label or "" for path, (place, origin) in chosen.items() if place == 0}
+    target.revise(labels={path: labels[path] for path, label in held.items() if labels[path] != label})
+    return Merged(n_added, len(held))
 
 
 def _chosen(stores: Sequence[Rows]) -> tuple[dict[str, tuple[int, Origin]], dict[str, str]]:

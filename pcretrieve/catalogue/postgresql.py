@@ -10,7 +10,7 @@ from contextlib import contextmanager
 from typing import Any
 from urllib.parse import parse_qsl, urlencode, urlsplit
 
-from pcretrieve.catalogue.tables import PAYLOADS, definitions, inserting, new_settings
+from pcretrieve.catalogue.tables import PAYLOADS, READ_AT_ONCE, created
 from pcretrieve.errors import CatalogueError
 
 # The schema of the tables, unless the URL names another one.
@@ -19,34 +19,31 @@ SCHEMA = "pcretrieve"
 # Longest time to wait for another process that is writing; seconds.
 LOCK_TIMEOUT = 30.0
 
-# Number of rows that are read at a time.
-READ_AT_ONCE = 1000
-
 # The row that a process has locked while it writes.
 LOCK = "SELECT value FROM meta WHERE key = 'revision' FOR UPDATE"
 
 # The lock while there is no table to lock: a number that no other program is likely to use.
 CREATION_LOCK = "SELECT pg_advisory_xact_lock(7205759403792794)"
 
-DEFINITIONS = definitions(
-    text='text COLLATE "C"',  # by code point, as in Python and in SQLite
-    octets="bytea",
-    ordered="",
+# Text is ordered by code point, as in Python and in SQLite.
+WORDS = {"text": 'text COLLATE "C"', "octets": "bytea", "ordered": ""}
+
+FURTHER = (
     # By a hash, because an entry of other indexes must be shorter than a path may be.
-    further=[
-        "ALTER TABLE shapes ADD CONSTRAINT shapes_by_path EXCLUDE USING hash (path WITH =)",
-        # The arrays are compressed already.
-        *(f'ALTER TABLE arrays ALTER COLUMN "{name}" SET STORAGE EXTERNAL' for name in PAYLOADS),
-    ],
+    "ALTER TABLE shapes ADD CONSTRAINT shapes_by_path EXCLUDE USING hash (path WITH =)",
+    # The arrays are compressed already.
+    *(f'ALTER TABLE arrays ALTER COLUMN "{name}" SET STORAGE EXTERNAL' for name in PAYLOADS),
 )
+
+FORBIDDEN = "cannot be used by this user of the database: grant the privileges, or give another user"
 
 # Advice by the SQLSTATE of an error.
 ADVICE = {
     "55P03": "is locked by another process: wait until that has finished",
     "53100": "cannot grow, the disk of the server is full: make room and run the same command again",
     "25006": "cannot be written to: the server is read-only; give another --catalogue",
-    "3F000": "cannot be used by this user of the database: grant the privileges, or give another user",
-    "42501": "cannot be used by this user of the database: grant the privileges, or give another user",
+    "3F000": FORBIDDEN,
+    "42501": FORBIDDEN,
     "53300": "cannot be used, the server has too many connections: use fewer processes, or raise its limit",
 }
 
@@ -195,9 +192,8 @@ class PostgresqlDatabase:
             # Not IF NOT EXISTS, which needs the privilege to create schemas if the schema exists too.
             if not self.execute("SELECT 1 FROM pg_namespace WHERE nspname = ?", [self._schema]):
                 self._connection.execute(sql.SQL("CREATE SCHEMA {}").format(sql.Identifier(self._schema)))
-            for statement in DEFINITIONS:
-                self.execute(statement)
-            self.each(inserting("meta"), new_settings(settings).items())
+            for statement, values in created(settings, WORDS, FURTHER):
+                self.execute(statement, values)
 
 
 def _parsed(url: str) -> tuple[str, str, str]:
@@ -207,17 +203,16 @@ def _parsed(url: str) -> tuple[str, str, str]:
         user, _, host = parts.netloc.rpartition("@")
         if "@" in user + parts.path or parts.port == 0:
             raise ValueError(url)
-        query = parse_qsl(parts.query, keep_blank_values=True, strict_parsing=bool(parts.query))
+        query = dict(parse_qsl(parts.query, keep_blank_values=True, strict_parsing=bool(parts.query)))
     except ValueError as error:
         raise CatalogueError(
             "the URL of a catalogue must be postgresql://user@host:port/database, got one that cannot be "
             "read: quote special characters of a password, such as @ by %40"
         ) from error
-    schema = dict(query).get("schema", SCHEMA)
-    further = urlencode([(name, value) for name, value in query if name != "schema"])
+    schema = query.pop("schema", SCHEMA)
     name = user.partition(":")[0]
     shown = parts._replace(netloc=f"{name}@{host}" if name else host)
-    return parts._replace(query=further).geturl(), shown.geturl(), schema
+    return parts._replace(query=urlencode(query)).geturl(), shown.geturl(), schema
 
 
 def _storable(values: Sequence[object]) -> list[object]:

@@ -52,20 +52,17 @@ SCHEME = re.compile(r"([a-z][a-z0-9+.-]*)://")
 
 
 class Listed(NamedTuple):
-    """Signatures of all shapes that did not fail, in one state of the catalogue.
+    """The shapes that did not fail, in ascending order of id, in one state of the catalogue.
 
-    ids: identifiers of the shapes, in ascending order.
-    packed: (N, b) uint8, the bytes of each signature, in the order of the ids. The caller may overwrite the
-        array.
-    has: (N,) bool, whether a signature by these options is stored. The bytes of signatures that are not
-        stored are zero.
+    has: (N,) bool, whether a signature is stored.
+    packed: the bytes of the stored signatures, one after the other, which the caller may overwrite.
     """
 
     revision: str
     ids: list[str]
     labels: list[str | None]
-    packed: NDArray[np.uint8]
     has: NDArray[np.bool_]
+    packed: bytearray
 
 
 def file_of(location: str | Path) -> Path | None:
@@ -315,27 +312,34 @@ class Rows:
 
     def listed(self, digest: str) -> Listed:
         """The signatures that are stored under a digest; `OWN` for those by the options of the catalogue."""
-        numbers: list[int] = []
         ids: list[str] = []
         labels: list[str | None] = []
         known: dict[str | None, str | None] = {}
-        # A scan of the table is faster than the index of the status, by which each shape is looked up.
+        stored: list[bool] = []
+        packed = bytearray()
+        # In the order in which both tables are stored. A scan of the table is faster than the index of the
+        # status, by which each shape is looked up.
         query = (
-            f"SELECT number, id, label FROM shapes{self.database.scanned} WHERE status = 'done' "
-            "ORDER BY number"
+            f"SELECT id, label, value FROM shapes{self.database.scanned} "
+            "LEFT JOIN signatures ON digest = ? AND shape = number WHERE status = 'done' ORDER BY number"
         )
         with self.database.reading():
             revision = self.revision()
-            for number, shape_id, label in self.database.columns(query):
-                numbers += number
-                ids += shape_id
-                labels += map(known.setdefault, label, label)
-            by_id = np.arange(len(ids))
-            if not all(map(lt, ids, islice(ids, 1, None))):
-                by_id = np.array(sorted(by_id.tolist(), key=ids.__getitem__), np.intp)
-                ids, labels = [ids[row] for row in by_id], [labels[row] for row in by_id]
-            packed, has = self._packed(digest, np.array(numbers, np.int64), np.argsort(by_id))
-        return Listed(revision, ids, labels, packed, has)
+            for shape_ids, classes, values in self.database.columns(query, [digest]):
+                ids += shape_ids
+                labels += map(known.setdefault, classes, classes)
+                stored += [value is not None for value in values]
+                packed += b"".join(filter(None, values))
+        has = np.array(stored, np.bool_)
+        if not all(map(lt, ids, islice(ids, 1, None))):
+            by_id = sorted(range(len(ids)), key=ids.__getitem__)
+            ids, labels = [ids[row] for row in by_id], [labels[row] for row in by_id]
+            place = np.cumsum(has) - 1
+            has = has[by_id]
+            if packed:
+                rows = np.frombuffer(packed, np.uint8).reshape(np.count_nonzero(has), -1)
+                packed = bytearray(rows[place[by_id][has]].data)
+        return Listed(revision, ids, labels, has, packed)
 
     def keep(self, digest: str, signatures: Collection[tuple[Record, bytes]]) -> None:
         """Store signatures, except of shapes that have been replaced or removed since they were read.
@@ -406,24 +410,6 @@ class Rows:
 
     def _add_descriptors(self, digests: Iterable[str]) -> None:
         self.database.each(f"{inserting('descriptors')} ON CONFLICT DO NOTHING", [(one,) for one in digests])
-
-    def _packed(
-        self, digest: str, numbers: NDArray[np.int64], rows: NDArray[np.intp]
-    ) -> tuple[NDArray[np.uint8], NDArray[np.bool_]]:
-        """The signatures of shapes with ascending numbers, one in each row, and which of them exist."""
-        has = np.zeros(len(numbers), np.bool_)
-        packed = np.zeros((len(numbers), 0), np.uint8)
-        query = "SELECT shape, value FROM signatures WHERE digest = ? ORDER BY shape"
-        for shapes, values in self.database.columns(query, [digest]):
-            if not packed.shape[1]:
-                packed = np.zeros((len(numbers), len(values[0])), np.uint8)
-            at = np.searchsorted(numbers, shapes)
-            if not len(numbers) or (numbers.take(at, mode="clip") != shapes).any():
-                raise damaged(self.location, "it has signatures of no shape")
-            here = rows[at]
-            packed[here] = np.frombuffer(b"".join(values), np.uint8).reshape(len(values), -1)
-            has[here] = True
-        return packed, has
 
     def _is_taken(self, shape_id: str) -> bool:
         return bool(self._all("SELECT 1 FROM shapes WHERE id = ?", [shape_id]))

@@ -13,12 +13,11 @@ import re
 import sqlite3
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
 from os.path import samestat
 from pathlib import Path
 from typing import Any, Literal
 
-from pcretrieve.catalogue.tables import changed_row, damaged, definitions, inserting, new_settings
+from pcretrieve.catalogue.tables import READ_AT_ONCE, changed_row, created, damaged
 from pcretrieve.errors import CatalogueError
 
 logger = logging.getLogger(__name__)
@@ -29,18 +28,8 @@ LOCK_TIMEOUT = 30.0
 # Share of unused pages of a file above which it is written again without them.
 UNUSED = 0.25
 
-# Number of rows that are read at a time.
-READ_AT_ONCE = 1000
-
 # Largest number of defects of pages that are listed.
 LISTED = 20
-
-DEFINITIONS = definitions(
-    text="text",
-    octets="blob",
-    ordered=" WITHOUT ROWID",
-    further=["CREATE UNIQUE INDEX shapes_by_path ON shapes (path)"],
-)
 
 ADVICE = {
     "locked": "is locked by another process: wait until that has finished",
@@ -66,50 +55,14 @@ NETWORK: dict[str, tuple[str, ...]] = {
 }
 
 # Types without locks that other computers see.
-WITHOUT_LOCKS = {"afs", "beegfs", "ncpfs", "smbfs", "vboxsf", "fuse.afs"} | {
-    *("fuse.blobfuse", "fuse.blobfuse2"),
+WITHOUT_LOCKS = {
+    *("afs", "beegfs", "ncpfs", "smbfs", "vboxsf", "fuse.afs", "fuse.blobfuse", "fuse.blobfuse2"),
     *("fuse.davfs", "fuse.gcsfuse", "fuse.goofys", "fuse.mountpoint-s3", "fuse.rclone", "fuse.s3fs"),
     "fuse.sshfs",
 }
 
 # Types of FUSE on local disks, where memory can be shared.
 LOCAL = {"fuse.fuse-overlayfs", "fuseblk"}
-
-
-@dataclass(frozen=True, slots=True)
-class Mount:
-    """A mounted file system."""
-
-    kind: str
-    options: frozenset[str] = frozenset()
-
-
-def mount_of(path: Path) -> Mount:
-    """The file system in which a file is, or would be made."""
-    try:
-        lines = MOUNTS.read_text("utf-8", "surrogateescape").splitlines()
-    except OSError:
-        return Mount("")
-    place = Path(os.path.realpath(path))
-    found, depth = Mount(""), 0
-    for line in lines:
-        before, _, after = line.partition(" - ")
-        point = Path(re.sub(r"\\([0-7]{3})", lambda code: chr(int(code[1], 8)), before.split(" ")[4]))
-        if place.is_relative_to(point) and len(point.parts) >= depth:  # the last of several at one place
-            kind, _, options = after.split(" ", 2)
-            found, depth = Mount(kind, frozenset(options.split(","))), len(point.parts)
-    return found
-
-
-def journal_of(mount: Mount) -> Literal["WAL", "DELETE"] | None:
-    """The journal mode of SQLite in a file system; None if it can only read there."""
-    if mount.kind in WITHOUT_LOCKS or mount.options.intersection(NETWORK.get(mount.kind, ())):
-        return None
-    if mount.kind == "lustre" and "flock" not in mount.options:
-        return None  # the default of earlier versions: no locks
-    # A file system of FUSE does not say whether it is one of a network; not all of them can share memory.
-    is_shared = mount.kind in NETWORK or mount.kind.split(".")[0] == "fuse"
-    return "DELETE" if is_shared and mount.kind not in LOCAL else "WAL"
 
 
 class SqliteDatabase:
@@ -206,26 +159,28 @@ class SqliteDatabase:
             with self._connection:
                 yield
 
-    def _tables(self) -> set[str]:
-        return {name for (name,) in self.execute("SELECT name FROM sqlite_master WHERE type = 'table'")}
-
     def _prepare(self, settings: Mapping[str, str]) -> None:
         """Create the tables of a new file; check that another one is a catalogue."""
-        if not self._tables():
+        if not self.execute(TABLES_IN_FILE):
             # With a write-ahead log, other processes can read while one process writes.
-            self.execute(f"PRAGMA journal_mode = {journal_of(mount_of(self._path)) or 'DELETE'}")
+            self.execute(f"PRAGMA journal_mode = {_journal(self._path) or 'DELETE'}")
             with self._transaction("IMMEDIATE"):
-                if not self._tables():  # another process may have created them in the meantime
-                    for statement in DEFINITIONS:
-                        self.execute(statement)
-                    self.each(inserting("meta"), new_settings(settings).items())
-        check_tables(self._path, self._tables())
+                if not self.execute(TABLES_IN_FILE):  # another process may have created them in the meantime
+                    unique = "CREATE UNIQUE INDEX shapes_by_path ON shapes (path)"
+                    words = {"text": "text", "octets": "blob", "ordered": " WITHOUT ROWID"}
+                    for statement, values in created(settings, words, [unique]):
+                        self.execute(statement, values)
+        check_tables(self._path, self._connection)
 
 
-def check_tables(path: Path, tables: set[str]) -> None:
+TABLES_IN_FILE = "SELECT name FROM sqlite_master WHERE type = 'table'"
+
+
+def check_tables(path: Path, connection: sqlite3.Connection) -> None:
     """Check that a file has the tables that every version of a catalogue has."""
-    if not tables >= {"meta", "shapes"}:
-        raise CatalogueError(f"{path} is an SQLite file, but no catalogue: give another --catalogue")
+    with translated(path):
+        if not {("meta",), ("shapes",)} <= {*connection.execute(TABLES_IN_FILE)}:
+            raise CatalogueError(f"{path} is an SQLite file, but no catalogue: give another --catalogue")
 
 
 def connect(path: Path, *, create: bool) -> sqlite3.Connection:
@@ -242,12 +197,11 @@ def connect(path: Path, *, create: bool) -> sqlite3.Connection:
         raise CatalogueError(f"there is no catalogue {path}: make one with `pcretrieve ingest`")
     if not path.parent.is_dir():
         raise CatalogueError(f"there is no folder {path.parent} to put a catalogue into: make it first")
-    mount = mount_of(path)
-    if create and journal_of(mount) is None:
+    if create and _journal(path) is None:
         raise CatalogueError(
-            f"{path} is on a file system of the type {mount.kind}, whose locks other computers do not see, "
-            "so that two writers would damage it: ingest into a file on a local disk, and copy it when it is "
-            "complete (pcretrieve backup); or use PostgreSQL"
+            f"{path} is on a file system of the type {_file_system(path)[0]}, whose locks other computers do "
+            "not see, so that two writers would damage it: ingest into a file on a local disk, and copy it "
+            "when it is complete (pcretrieve backup); or use PostgreSQL"
         )
     with translated(path):
         if not size or _is_writable(path):
@@ -288,7 +242,7 @@ def translated(path: Path) -> Iterator[None]:
 
 def _is_writable(path: Path) -> bool:
     """Whether SQLite can write to a file, for which it creates further files in the same folder."""
-    if journal_of(mount_of(path)) is None:
+    if _journal(path) is None:
         return False
     effective = os.access in os.supports_effective_ids  # the user by whose rights files are opened
     return all(os.access(place, os.W_OK, effective_ids=effective) for place in (path, path.parent))
@@ -296,24 +250,50 @@ def _is_writable(path: Path) -> bool:
 
 def _connected(path: Path, mode: str) -> sqlite3.Connection:
     connection = sqlite3.connect(f"{path.absolute().as_uri()}?mode={mode}", uri=True, timeout=LOCK_TIMEOUT)
+    statements = ["PRAGMA synchronous = NORMAL"]
+    if mode.startswith("rw") and _journal(path) == "DELETE":
+        # Also for a file that was copied from a place where it had a write-ahead log.
+        statements = [
+            # A rollback journal is safe if the computer fails only if it is on the disk before the file.
+            "PRAGMA synchronous = FULL",
+            # With an exclusive lock, SQLite reads a log without memory that is shared with other processes.
+            # Python does not look for the log in the header: closing the file would release all locks.
+            "PRAGMA locking_mode = EXCLUSIVE",
+            "PRAGMA journal_mode = DELETE",
+            "PRAGMA locking_mode = NORMAL",
+        ]
     try:
-        if mode.startswith("rw") and journal_of(mount_of(path)) == "DELETE":
-            _use_rollback_journal(connection)
-        else:
-            connection.execute("PRAGMA synchronous = NORMAL")
-        connection.execute("SELECT count(*) FROM sqlite_master")
+        for statement in (*statements, "SELECT count(*) FROM sqlite_master"):
+            connection.execute(statement)
     except (sqlite3.Error, UnicodeDecodeError):
         connection.close()
         raise
     return connection
 
 
-def _use_rollback_journal(connection: sqlite3.Connection) -> None:
-    """Use a rollback journal, also for a file that was copied from a place where it had a write-ahead log."""
-    # A rollback journal is safe if the computer fails only if it is on the disk before the file is written.
-    connection.execute("PRAGMA synchronous = FULL")
-    # With an exclusive lock, SQLite reads a log without memory that is shared with other processes. Python
-    # does not look for the log in the header: closing the file would release all locks of this process.
-    connection.execute("PRAGMA locking_mode = EXCLUSIVE")
-    connection.execute("PRAGMA journal_mode = DELETE")
-    connection.execute("PRAGMA locking_mode = NORMAL")
+def _journal(path: Path) -> Literal["WAL", "DELETE"] | None:
+    """The journal mode of SQLite for a file; None if it can only be read where it is."""
+    kind, options = _file_system(path)
+    if kind in WITHOUT_LOCKS or options.intersection(NETWORK.get(kind, ())):
+        return None
+    if kind == "lustre" and "flock" not in options:
+        return None  # the default of earlier versions: no locks
+    # A file system of FUSE does not say whether it is one of a network; not all of them can share memory.
+    is_shared = kind in NETWORK or kind.split(".")[0] == "fuse"
+    return "DELETE" if is_shared and kind not in LOCAL else "WAL"
+
+
+def _file_system(path: Path) -> tuple[str, set[str]]:
+    """The type and the options of the file system in which a file is, or would be made."""
+    try:
+        lines = MOUNTS.read_text("utf-8", "surrogateescape").splitlines()
+    except OSError:
+        return "", set()
+    place, found, depth = Path(os.path.realpath(path)), ("", set[str]()), 0
+    for line in lines:
+        before, _, after = line.partition(" - ")
+        point = Path(re.sub(r"\\([0-7]{3})", lambda code: chr(int(code[1], 8)), before.split(" ")[4]))
+        if place.is_relative_to(point) and len(point.parts) >= depth:  # the last of several at one place
+            kind, _, options = after.split(" ", 2)
+            found, depth = (kind, set(options.split(","))), len(point.parts)
+    return found

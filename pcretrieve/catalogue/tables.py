@@ -7,7 +7,7 @@ stored id.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Literal
 from uuid import uuid4
 
@@ -82,32 +82,35 @@ INDEXES = (
     "CREATE INDEX doubtful_shapes ON shapes (id) WHERE judgement <> 'sound'",
 )
 
+# Number of rows that are read at a time.
+READ_AT_ONCE = 1000
 
-def definitions(*, text: str, octets: str, ordered: str, further: Sequence[str]) -> list[str]:
-    """The statements that create all tables in the words of one database.
 
-    ordered: of a table whose rows are in the order of its key.
+def created(
+    settings: Mapping[str, str], words: Mapping[str, str], further: Iterable[str]
+) -> Iterator[tuple[str, Sequence[object]]]:
+    """Yield the statements that create all tables, and that store the settings, with their parameters.
+
+    words: of the database: the types ``text`` and ``octets``, and ``ordered``, which stands after a table
+        whose rows are in the order of its key.
     further: statements after those that create the tables.
     """
-    statements = []
     for table, columns in TABLES.items():
         # In quotes, because "overlaps" is a word of PostgreSQL.
         lines = [f'"{name}" {kind}' for name, kind in columns.items()]
-        if table in KEYS:
-            lines.append(f"PRIMARY KEY ({', '.join(KEYS[table])})")
-        created = f"CREATE TABLE {table} ({', '.join(lines)})".format(text=text, octets=octets)
-        statements.append(created + (ordered if table in KEYS else ""))
-    return [*statements, *INDEXES, *further]
+        lines += [f"PRIMARY KEY ({', '.join(KEYS[table])})"] if table in KEYS else []
+        ordered = "{ordered}" if table in KEYS else ""
+        yield f"CREATE TABLE {table} ({', '.join(lines)}){ordered}".format_map(words), ()
+    for statement in (*INDEXES, *further):
+        yield statement, ()
+    names = {"schema_version": str(SCHEMA_VERSION), "revision": uuid4().hex}
+    for setting in {**settings, **names}.items():
+        yield inserting("meta"), setting
 
 
 def inserting(table: str) -> str:
     """The statement that inserts a row, with a parameter for each column."""
     return f"INSERT INTO {table} VALUES ({', '.join('?' * len(TABLES[table]))})"
-
-
-def new_settings(settings: Mapping[str, str]) -> dict[str, str]:
-    """The rows of the table meta of a new catalogue."""
-    return {**settings, "schema_version": str(SCHEMA_VERSION), "revision": uuid4().hex}
 
 
 def check_version(location: str, settings: Mapping[str, str]) -> None:
