@@ -2,7 +2,7 @@
 
 The vocabulary is the same for every gallery: its words are the cluster centres (k-means from a fixed start)
 of the point descriptors of some hundred points on simulated people, animals and hands, which are stored
-beside this file and made by ``scripts/sample_heat``. The signature of a shape therefore depends on this shape
+beside this file and made by ``scripts/sample heat``. The signature of a shape therefore depends on this shape
 alone, and signatures of different galleries are comparable. A vocabulary learned from the gallery would
 quantise the gallery better, but change every signature with every shape that is added.
 """
@@ -41,11 +41,7 @@ SAMPLE = "hks_sample.npy"
 
 
 def hks_bow(
-    pairs: Eigenpairs,
-    n_words: int = 23,
-    *,
-    spatial: bool = False,
-    scale_invariant: bool = False,
+    pairs: Eigenpairs, n_words: int = 23, *, spatial: bool = False, scale_invariant: bool = False
 ) -> Signature:
     """Bag of features of heat kernel signatures, with soft vector quantisation [1]_, sections 3 and 4.
 
@@ -78,11 +74,9 @@ def hks_bow(
         shares = in_modes[0]  # (L,): ∫ θ_w, since φ_0 = 1 on unit area
     kind = "si-hks-bow" if scale_invariant else "hks-bow"
     # The heat kernel truncated at m modes may have small negative values.
-    return Signature(
-        np.maximum(shares, 0) + SMALLEST_SHARE,
-        kind=f"{kind}-spatial" if spatial else kind,
-        digest=f"L={n_words} m={len(pairs.eigenvalues) - 1}",
-    )
+    values = np.maximum(shares, 0) + SMALLEST_SHARE
+    kind = f"{kind}-spatial" if spatial else kind
+    return Signature(values, kind=kind, digest=f"L={n_words} m={len(pairs.eigenvalues) - 1}")
 
 
 def heat_features(pairs: Eigenpairs, *, scale_invariant: bool = False) -> FloatArray:
@@ -101,11 +95,7 @@ def heat_features(pairs: Eigenpairs, *, scale_invariant: bool = False) -> FloatA
 
 
 def scale_invariant_heat(pairs: Eigenpairs, n_frequencies: int) -> FloatArray:
-    """Scale-invariant heat kernel signatures of all vertices (Bronstein and Kokkinos, CVPR 2010).
-
-    pairs: eigenpairs of a surface of unit area with n vertices.
-    Returns (n, f) float64: as `heat_features` returns them, the zero frequency first.
-    """
+    """(n, f) scale-invariant heat kernel signatures, as by `heat_features`, the zero frequency first."""
     decay = np.exp(-np.outer(pairs.eigenvalues, np.exp(LOG_TIMES)))  # (k, t)
     slopes = np.diff(np.log(pairs.eigenvectors**2 @ decay), axis=1)  # (n, t - 1)
     return np.abs(np.fft.rfft(slopes, axis=1)[:, :n_frequencies])
@@ -113,7 +103,6 @@ def scale_invariant_heat(pairs: Eigenpairs, n_frequencies: int) -> FloatArray:
 
 @cache
 def _vocabulary(n_words: int, scale_invariant: bool) -> Vocabulary:
-    """The vocabulary of the plain or of the scale-invariant heat kernel signatures of the sample."""
     sample = np.load(str(resources.files(__package__).joinpath(SAMPLE)))[int(scale_invariant)]  # (s, 6)
     return clustered(sample.astype(np.float64), n_words)
 
@@ -144,34 +133,24 @@ POINTS_PER_WORD = 8
 
 
 class Vocabulary(NamedTuple):
-    """The words of a bag of features.
-
-    words: (L, d) float64, the words, in the space of the point descriptors.
-    """
+    """The words (L, d) of a bag of features, and the median distance of a word to the nearest other one."""
 
     words: FloatArray
     gap: float
 
     def weights(self, features: FloatArray, width: float) -> FloatArray:
-        """The soft assignment of point descriptors to the words.
+        """(n, L) soft assignment of point descriptors (n, d) to the words, with σ = `width`.
 
-        features: (n, d) float64, the point descriptors.
-        width: σ, in the unit of the point descriptors.
-        Returns (n, L) float64: proportional to exp(−‖p − w‖² / 2σ²) for point descriptor p and word w; each
-            row sums to 1.
+        It is proportional to exp(−‖p − w‖² / 2σ²) for point descriptor p and word w; each row sums to 1.
         """
         squared = cdist(features, self.words, "sqeuclidean")  # (n, L)
         # Subtracting the smallest distance keeps the sum from underflowing to zero far from all words.
         nearness = np.exp(-(squared - squared.min(axis=1, keepdims=True)) / (2 * width**2))
-        belongs: FloatArray = nearness / nearness.sum(axis=1, keepdims=True)
-        return belongs
+        return np.asarray(nearness / nearness.sum(axis=1, keepdims=True))
 
 
 def clustered(sample: FloatArray, n_words: int) -> Vocabulary:
-    """The vocabulary of a sample of point descriptors, by k-means from a fixed start.
-
-    sample: (s, d) float64, point descriptors.
-    """
+    """The vocabulary of a sample (s, d) of point descriptors, by k-means from a fixed start."""
     most = len(sample) // POINTS_PER_WORD
     if not 2 <= n_words <= most:
         raise OptionError(f"n_values must be between 2 and {most} for a bag of words, got {n_words}")

@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from pcretrieve.descriptors.descriptor import Descriptor, spectrum_of
+from pcretrieve.descriptors.descriptor import Descriptor, check_modes, spectrum_of
 from pcretrieve.descriptors.r_bihdm import leading, reduced_matrix
 from pcretrieve.errors import DegenerateMeshError, OptionError
 from pcretrieve.options import Scale, SignatureOptions
@@ -17,11 +17,7 @@ from pcretrieve.values import Eigenpairs, FloatArray, ModalSpectrum, Shape, Sign
 
 
 def bihdm(
-    pairs: Eigenpairs | ModalSpectrum,
-    n_values: int = 59,
-    n_modes: int = 60,
-    *,
-    scale: Scale = "area",
+    pairs: Eigenpairs | ModalSpectrum, n_values: int = 59, n_modes: int = 60, *, scale: Scale = "area"
 ) -> Signature:
     """The BiHDM signature of a surface: equation (8), with the sum over m modes.
 
@@ -43,11 +39,7 @@ BIHDM = Descriptor(
 
 
 def bihdm_sampled(
-    pairs: Eigenpairs,
-    n_values: int = 59,
-    n_modes: int = 60,
-    *,
-    scale: Scale = "area",
+    pairs: Eigenpairs, n_values: int = 59, n_modes: int = 60, *, scale: Scale = "area"
 ) -> Signature:
     """The BiHDM signature by the matrix of distances between sample points, without weights.
 
@@ -69,28 +61,17 @@ def _bihdm_sampled(shape: Shape, o: SignatureOptions) -> Signature:
     return replace(made, values=made.values * shape.area**2) if o.measured_by == "absolute" else made
 
 
-BIHDM_SAMPLED = Descriptor(
-    name="bihdm-sampled",
-    make=_bihdm_sampled,
-    needs=("eigenvectors",),
-    spread=1.01,
-)
+BIHDM_SAMPLED = Descriptor(name="bihdm-sampled", make=_bihdm_sampled, needs=("eigenvectors",), spread=1.01)
 
 
 def sampled_matrix(pairs: Eigenpairs, n_modes: int = 60) -> FloatArray:
-    """The matrix of the squared biharmonic distances between vertices, restricted to its range.
+    """(m + 2, m + 2) matrix of the squared distances between vertices, restricted to its range; length⁴.
 
     With the rows φ_i(x)/λ_i of V and g(x) = |V(x)|², the matrix is g 1ᵀ + 1 gᵀ − 2 V Vᵀ = B C Bᵀ, where B has
-    the columns 1, g and V. If B = Q R with orthonormal columns of Q, R C Rᵀ has its non-zero eigenvalues.
-
-    Returns (m + 2, m + 2) float64: symmetric, unit length⁴: multiplied by A / n, the area for each of the n
-        vertices.
+    the columns 1, g and V. If B = Q R with orthonormal columns of Q, R C Rᵀ has its non-zero eigenvalues. It
+    is multiplied by A / n, the area for each of the n vertices.
     """
-    n_pairs = len(pairs.eigenvalues)
-    if not 1 <= n_modes < n_pairs:
-        raise OptionError(
-            f"n_modes must be between 1 and {n_pairs - 1} for {n_pairs} eigenpairs, got {n_modes}"
-        )
+    check_modes(n_modes, len(pairs.eigenvalues))
     inner = slice(1, n_modes + 1)
     places = pairs.eigenvectors[:, inner] / pairs.eigenvalues[inner]  # (n, m): V
     green = (places**2).sum(axis=1)  # (n,): g
@@ -98,8 +79,7 @@ def sampled_matrix(pairs: Eigenpairs, n_modes: int = 60) -> FloatArray:
     middle = np.diag([0.0, 0.0] + [-2.0] * n_modes)  # (m + 2, m + 2): C
     middle[0, 1] = middle[1, 0] = 1
     matrix = factor @ middle @ factor.T * (pairs.area / len(green))
-    symmetric: FloatArray = (matrix + matrix.T) / 2  # up to rounding errors the same
-    return symmetric
+    return np.asarray((matrix + matrix.T) / 2)  # up to rounding errors the same
 
 
 def full_matrix(pairs: Eigenpairs | ModalSpectrum, n_modes: int = 60) -> FloatArray:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from pcretrieve.descriptors.bags import scale_invariant_heat
-from pcretrieve.descriptors.descriptor import Descriptor, spectrum_of
+from pcretrieve.descriptors.descriptor import Descriptor, check_modes, spectrum_of
 from pcretrieve.descriptors.r_bihdm import r_bihdm
 from pcretrieve.errors import OptionError
 from pcretrieve.options import Scale
@@ -52,8 +52,7 @@ def csd(pairs: Eigenpairs, n_values: int = 59, n_modes: int = 60) -> Signature:
 
 def _mean_direction(features: FloatArray, areas: FloatArray) -> FloatArray:
     """The mean (d,) over the surface of point descriptors (n, d) scaled to unit length."""
-    mean: FloatArray = (areas / np.linalg.norm(features, axis=1)) @ features
-    return mean
+    return np.asarray((areas / np.linalg.norm(features, axis=1)) @ features)
 
 
 CSD = Descriptor(
@@ -100,11 +99,7 @@ def wave_kernel_weights(eigenvalues: FloatArray, n_energies: int, n_modes: int) 
     eigenvalues: (k,) float64, ascending, the zero eigenvalue first.
     Returns (n_energies, m) float64: each row sums to 1.
     """
-    n_pairs = len(eigenvalues)
-    if not 2 <= n_modes < n_pairs:
-        raise OptionError(
-            f"n_modes must be between 2 and {n_pairs - 1} for {n_pairs} eigenpairs, got {n_modes}"
-        )
+    check_modes(n_modes, len(eigenvalues), least=2)
     levels = np.log(eigenvalues[1 : n_modes + 1])  # (m,)
     energies = np.linspace(levels[0], levels[-1], n_energies)
     width = WIDTH * (levels[-1] - levels[0])

@@ -73,22 +73,8 @@ DESCRIPTORS: Registry[Descriptor] = _Descriptors(
     {
         record.name: record
         for record in (
-            R_BIHDM,
-            BIHDM,
-            BIHDM_SAMPLED,
-            SHAPE_DNA,
-            SHAPE_DNA_NORM1,
-            SHAPE_DNA_VALUES,
-            SD_GDM,
-            SD_GDM_SAMPLED,
-            *HEAT_KERNEL_BAGS,
-            DL,
-            DL_SUPERVISED,
-            WKS,
-            CSD,
-            ISPM,
-            HAPT,
-            COMBINED,
+            *(R_BIHDM, BIHDM, BIHDM_SAMPLED, SHAPE_DNA, SHAPE_DNA_NORM1, SHAPE_DNA_VALUES),
+            *(SD_GDM, SD_GDM_SAMPLED, *HEAT_KERNEL_BAGS, DL, DL_SUPERVISED, WKS, CSD, ISPM, HAPT, COMBINED),
         )
     },
     _checked,

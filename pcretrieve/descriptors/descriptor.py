@@ -71,6 +71,14 @@ class Descriptor:
             raise OptionError(f"spread of a descriptor must be positive, got {self.spread:g}")
 
 
+def check_modes(n_modes: int, n_pairs: int, *, least: int = 1) -> None:
+    """Raise OptionError unless there are an eigenpair for each mode and one for the constant."""
+    if not least <= n_modes < n_pairs:
+        raise OptionError(
+            f"n_modes must be between {least} and {n_pairs - 1} for {n_pairs} eigenpairs, got {n_modes}"
+        )
+
+
 def spectrum_of(shape: Shape, options: SignatureOptions) -> ModalSpectrum:
     """The spectrum of the surface on unit area; for the scale ``absolute``, in the unit of the file."""
     return shape.spectrum.scaled(shape.area) if options.measured_by == "absolute" else shape.spectrum

@@ -12,8 +12,6 @@ the surface in space, and not on its intrinsic geometry alone, so that its error
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -21,8 +19,6 @@ from pcretrieve.descriptors.descriptor import Descriptor
 from pcretrieve.errors import DegenerateMeshError
 from pcretrieve.points.grid import Grid, interior
 from pcretrieve.values import FloatArray, Signature, TriangleMesh
-
-__all__ = ["HAPT", "hapt", "projected_areas"]
 
 # R, in units of √A with the area A of the surface, each 1.38 times the one before, and the ratio c = σ / R. A
 # person of 1.7 m² has arms of .03, thighs of .06 and a head of .07. See docs/decisions.md, HAPT.
@@ -40,14 +36,6 @@ SPACING = 0.0075
 # and long triangles have many sample points, most of which are nearer to each other than the spacing.
 MOST_VOXELS = 2**24
 MOST_POINTS = 2**23
-
-
-class _Samples(NamedTuple):
-    """Points (p, 3) of a surface, their unit normals (p, 3), and the areas (p,) that they represent."""
-
-    points: FloatArray
-    normals: FloatArray
-    areas: FloatArray
 
 
 def hapt(mesh: TriangleMesh) -> Signature:
@@ -71,11 +59,7 @@ def hapt(mesh: TriangleMesh) -> Signature:
 
 
 def projected_areas(mesh: TriangleMesh, radii: FloatArray, spread: float) -> FloatArray:
-    """The multiscale area projection transform in all voxels inside a body.
-
-    radii: (r,) float64, r; in units of √A with the area A.
-    Returns (r, k) float64: the transform at the centres of k voxels, whose edge is .01 √A; dimensionless.
-    """
+    """(r, k) the transform for radii (r,), in units of √A, at the centres of all k voxels inside a body."""
     framed = _framed(mesh)
     grid = _grid(framed, margin=int(np.ceil(spread * radii.max() / CELL)) + 1)
     inside = np.flatnonzero(interior(framed, grid))  # (k,)
@@ -84,13 +68,13 @@ def projected_areas(mesh: TriangleMesh, radii: FloatArray, spread: float) -> Flo
             f"hapt needs a body with an interior, got a surface that encloses no voxel of {CELL:g} √area: "
             "close its holes, or choose a descriptor of surfaces"
         )
-    samples = _samples(framed)
+    points, normals, areas = _samples(framed)
     steps = np.array([grid.shape[1] * grid.shape[2], grid.shape[2], 1])
     transform = np.zeros((len(radii), len(inside)))
     for row, radius in zip(transform, radii, strict=True):
-        voxels = np.column_stack(grid.index(samples.points - radius * samples.normals))  # (p, 3)
+        voxels = np.column_stack(grid.index(points - radius * normals))  # (p, 3)
         held = ((voxels >= 0) & (voxels < grid.shape)).all(axis=1)
-        arrived = np.bincount(voxels[held] @ steps, samples.areas[held], int(np.prod(grid.shape)))
+        arrived = np.bincount(voxels[held] @ steps, areas[held], int(np.prod(grid.shape)))
         offsets, shares = _ball(spread * radius / CELL)
         for offset, share in zip(offsets @ steps, shares, strict=True):
             row += share * arrived[inside + offset]
@@ -127,8 +111,11 @@ def _grid(mesh: TriangleMesh, margin: int) -> Grid:
     return Grid(-reach * CELL, CELL, (n_x, n_y, n_z))
 
 
-def _samples(mesh: TriangleMesh) -> _Samples:
-    """The centres of the triangles into which each triangle is divided, at most `SPACING` wide."""
+def _samples(mesh: TriangleMesh) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Points (p, 3) of a surface, their unit normals (p, 3), and the areas (p,) that they represent.
+
+    These are the centres of the triangles into which each triangle is divided, at most `SPACING` wide.
+    """
     corners = mesh.vertices[mesh.faces]  # (m, 3, 3)
     widest = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1)  # (m,)
     n_parts = np.maximum(1, np.ceil(widest / SPACING))  # (m,) of each edge
@@ -146,10 +133,10 @@ def _samples(mesh: TriangleMesh) -> _Samples:
         points, directions = (
             np.einsum("sk,mkd->msd", weights, values[chosen]).reshape(-1, 3) for values in (corners, normals)
         )
-        parts.append(_Samples(points, directions, np.repeat(areas[chosen] / n**2, int(n**2))))
+        parts.append((points, directions, np.repeat(areas[chosen] / n**2, int(n**2))))
     points, directions, shares = (np.concatenate(column) for column in zip(*parts, strict=True))
     lengths = np.linalg.norm(directions, axis=1, keepdims=True)
-    return _Samples(points, np.divide(directions, lengths, where=lengths > 0, out=directions), shares)
+    return points, np.divide(directions, lengths, where=lengths > 0, out=directions), shares
 
 
 def _vertex_normals(mesh: TriangleMesh) -> FloatArray:

@@ -20,11 +20,8 @@ from importlib import resources
 import numpy as np
 
 from pcretrieve.descriptors.bags import Vocabulary, clustered
-from pcretrieve.descriptors.descriptor import Descriptor
-from pcretrieve.errors import OptionError
+from pcretrieve.descriptors.descriptor import Descriptor, check_modes
 from pcretrieve.values import Eigenpairs, FloatArray, Signature
-
-__all__ = ["ISPM", "ispm", "wavelet_signatures"]
 
 # Number of levels of the pyramid: 1, 2, 4 and 8 parts, which have one weight.
 N_LEVELS = 4
@@ -41,11 +38,11 @@ SAMPLE = "wavelet_sample.npy"
 def ispm(pairs: Eigenpairs, n_words: int = 59, n_modes: int = 60) -> Signature:
     """Intrinsic spatial pyramid matching of spectral graph wavelet signatures [1]_.
 
-    The open settings, and deviations from the article: 60 eigenpairs instead of
-    200, which meshes of 500 faces do not have; words from simulated bodies instead of the gallery; σ of the
-    soft assignment as large as the median gap between neighbouring words; levels of 1, 2, 4 and 8 parts, with
-    equal weights; parts of equal area instead of equal numbers of vertices, so that they do not depend on the
-    mesh; and the Hellinger distance, the distance of the square roots of the frequencies.
+    The open settings, and deviations from the article: 60 eigenpairs instead of 200, which meshes of 500
+    faces do not have; words from simulated bodies instead of the gallery; σ of the soft assignment as large
+    as the median gap between neighbouring words; levels of 1, 2, 4 and 8 parts, with equal weights; parts of
+    equal area instead of equal numbers of vertices, so that they do not depend on the mesh; and the Hellinger
+    distance, the distance of the square roots of the frequencies.
 
     pairs: at least `n_modes` + 1 eigenpairs of a connected surface on unit area.
     Returns Signature: values : (15 W,) float64, to be compared as ``histograms``: a quarter of the share of
@@ -61,12 +58,10 @@ def ispm(pairs: Eigenpairs, n_words: int = 59, n_modes: int = 60) -> Signature:
     vocabulary = _vocabulary(n_words)
     belongs = vocabulary.weights(wavelet_signatures(pairs, n_modes), vocabulary.gap)  # (n, W)
     shares = _parts(pairs, 2 ** (N_LEVELS - 1)) @ belongs  # (8, W)
-    levels = []
-    while True:
-        levels.append(_sorted_pairs(shares).ravel())
-        if len(shares) == 1:
-            break
+    levels = [_sorted_pairs(shares).ravel()]
+    while len(shares) > 1:
         shares = shares[::2] + shares[1::2]
+        levels.append(_sorted_pairs(shares).ravel())
     values = np.concatenate(levels[::-1]) / N_LEVELS
     return Signature(values, kind="ispm", digest=f"L={n_words} m={n_modes}", metric="histograms")
 
@@ -86,11 +81,7 @@ def wavelet_signatures(pairs: Eigenpairs, n_modes: int = 60) -> FloatArray:
     .. [2] D. Hammond, P. Vandergheynst and R. Gribonval, "Wavelets on graphs via spectral graph theory",
        Applied and Computational Harmonic Analysis 30 (2011).
     """
-    n_pairs = len(pairs.eigenvalues)
-    if not 2 <= n_modes < n_pairs:
-        raise OptionError(
-            f"n_modes must be between 2 and {n_pairs - 1} for {n_pairs} eigenpairs, got {n_modes}"
-        )
+    check_modes(n_modes, len(pairs.eigenvalues), least=2)
     lowest = pairs.lowest(n_modes + 1)
     lam = lowest.eigenvalues  # (m + 1,)
     largest, smallest = lam[-1], lam[-1] / EIGENVALUE_RATIO
@@ -115,8 +106,7 @@ def _parts(pairs: Eigenpairs, n_parts: int) -> FloatArray:
     after[order] = np.cumsum(areas[order])
     before = after - areas
     cuts = np.linspace(0, after[order[-1]], n_parts + 1)[:, np.newaxis]  # (n_parts + 1, 1)
-    parts: FloatArray = np.clip(after, cuts[:-1], cuts[1:]) - np.clip(before, cuts[:-1], cuts[1:])
-    return parts
+    return np.asarray(np.clip(after, cuts[:-1], cuts[1:]) - np.clip(before, cuts[:-1], cuts[1:]))
 
 
 def _sorted_pairs(shares: FloatArray) -> FloatArray:
@@ -130,7 +120,6 @@ def _sorted_pairs(shares: FloatArray) -> FloatArray:
 
 @cache
 def _vocabulary(n_words: int) -> Vocabulary:
-    """The vocabulary of the wavelet signatures of the sample."""
     sample = np.load(str(resources.files(__package__).joinpath(SAMPLE)))  # (s, 3)
     return clustered(sample.astype(np.float64), n_words)
 

@@ -36,15 +36,9 @@ from pcretrieve.errors import OptionError, SpectrumError
 from pcretrieve.options import Scale
 from pcretrieve.values import Eigenpairs, FloatArray, ModalSpectrum, Signature
 
-__all__ = ["R_BIHDM", "leading", "r_bihdm", "reduced_matrix"]
-
 
 def r_bihdm(
-    pairs: Eigenpairs | ModalSpectrum,
-    n_values: int = 59,
-    n_modes: int = 60,
-    *,
-    scale: Scale = "area",
+    pairs: Eigenpairs | ModalSpectrum, n_values: int = 59, n_modes: int = 60, *, scale: Scale = "area"
 ) -> Signature:
     """The R-BiHDM signature of a surface, equation (10).
 

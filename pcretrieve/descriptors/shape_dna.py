@@ -10,15 +10,6 @@ from pcretrieve.descriptors.descriptor import Descriptor, spectrum_of
 from pcretrieve.errors import OptionError
 from pcretrieve.values import Eigenpairs, ModalSpectrum, Signature
 
-__all__ = ["BY", "SHAPE_DNA", "SHAPE_DNA_NORM1", "SHAPE_DNA_VALUES", "shape_dna", "shape_dna_values"]
-
-# The normalisation of the spectrum for each value of the option `scale`.
-BY: dict[str, Literal["area", "nothing"]] = {
-    "relative": "area",
-    "area": "area",
-    "absolute": "nothing",
-}
-
 
 def shape_dna(
     pairs: Eigenpairs | ModalSpectrum,
@@ -87,7 +78,11 @@ def shape_dna_values(pairs: Eigenpairs | ModalSpectrum, n_values: int = 59) -> S
 
 SHAPE_DNA = Descriptor(
     name="shape-dna",
-    make=lambda shape, o: shape_dna(spectrum_of(shape, o), o.n_values, normalized_by=BY[o.measured_by]),
+    make=lambda shape, o: shape_dna(
+        spectrum_of(shape, o),
+        o.n_values,
+        normalized_by="nothing" if o.measured_by == "absolute" else "area",  # the same for `relative`
+    ),
     needs=("spectrum",),
     spread=0.52,
 )

@@ -4,8 +4,8 @@ In come a seed and options; out come triangle meshes of people, animals and hand
 virtual scans as point clouds and files.
 """
 
-from pcretrieve.simulation.bodies import POSES, SEATED, body, make_subject, on_support
-from pcretrieve.simulation.samples import write_conf, write_pcd, write_ply
+from pcretrieve.simulation.bodies import POSES, body, make_subject
+from pcretrieve.simulation.samples import write_ply
 from pcretrieve.simulation.scanner import (
     RigOptions,
     UniformOptions,
@@ -19,7 +19,6 @@ from pcretrieve.simulation.turning import TurningOptions, turning_frames, write_
 
 __all__ = [
     "POSES",
-    "SEATED",
     "Bone",
     "Contact",
     "Pose",
@@ -31,13 +30,10 @@ __all__ = [
     "body",
     "camera_pose",
     "make_subject",
-    "on_support",
     "scan",
     "scan_uniformly",
     "scan_views",
     "turning_frames",
-    "write_conf",
     "write_frames",
-    "write_pcd",
     "write_ply",
 ]

@@ -17,11 +17,12 @@ from pcretrieve.simulation.skeleton import (
     RoundCone,
     Vector,
     both,
+    left,
     limb,
     mirrored,
+    right,
+    turn,
 )
-
-__all__ = ["CELL", "MEASURES", "POSES", "skeleton"]
 
 # Mean in metres, and standard deviation relative to the mean: large, because species differ.
 MEASURES: dict[str, tuple[float, float]] = {
@@ -80,48 +81,30 @@ def _trunk(m: Mapping[str, float]) -> tuple[Bone, ...]:
     brow: Vector = (0, throat[1] + 0.25 * skull, throat[2] + 0.75 * skull)
     nose: Vector = (0, brow[1] - 0.45 * m["muzzle"], brow[2] + 0.5 * skull + m["muzzle"])
     girth = m["neck_girth"]
+
+    def ear(side: int) -> RoundCone:
+        x, y = 0.6 * skull, brow[1] + 0.6 * skull
+        tip: Vector = (side * (x + 0.4 * m["ears"]), y + m["ears"], brow[2] - 0.5 * skull)
+        return RoundCone((side * 0.6 * skull, y, brow[2] - 0.4 * skull), tip, (0.030, 0.017))
+
     face = (
         RoundCone(throat, brow, (0.9 * girth, skull)),
         RoundCone(brow, nose, (0.66 * skull, 0.40 * skull)),
-        *(
-            RoundCone(
-                (side * 0.6 * skull, brow[1] + 0.6 * skull, brow[2] - 0.4 * skull),
-                (
-                    side * (0.6 * skull + 0.4 * m["ears"]),
-                    brow[1] + 0.6 * skull + m["ears"],
-                    brow[2] - 0.5 * skull,
-                ),
-                (0.030, 0.017),
-            )
-            for side in (1, -1)
-        ),
+        ear(1),
+        ear(-1),
     )
     middle: Vector = (0, nape[1] + rise / 2, nape[2] + rise / 2)
+
+    def lower(name: str, parent: str, start: Vector, end: Vector, radii: tuple[float, float]) -> Bone:
+        return Bone(name, parent, start, end, DOWN, (RoundCone(start, end, radii),), "neck", 0.5)
+
     return (
         lying("pelvis", None, 0, "pelvis", (loins, loins)),
         lying("loins", "pelvis", 1, "spine", (loins, 0.5 * (loins + chest))),
         lying("ribs", "loins", 2, "spine", (0.5 * (loins + chest), chest)),
         lying("breast", "ribs", 3, "spine", (chest, 0.85 * chest)),
-        Bone(
-            "nape",
-            "breast",
-            nape,
-            middle,
-            DOWN,
-            (RoundCone(nape, middle, (1.35 * girth, 1.1 * girth)),),
-            "neck",
-            0.5,
-        ),
-        Bone(
-            "neck",
-            "nape",
-            middle,
-            throat,
-            DOWN,
-            (RoundCone(middle, throat, (1.1 * girth, girth)),),
-            "neck",
-            0.5,
-        ),
+        lower("nape", "breast", nape, middle, (1.35 * girth, 1.1 * girth)),
+        lower("neck", "nape", middle, throat, (1.1 * girth, girth)),
         Bone("head", "neck", throat, nose, DOWN, face, "head"),
     )
 
@@ -133,51 +116,32 @@ def _tail(m: Mapping[str, float]) -> tuple[Bone, ...]:
         head: Vector = (0, root[1] - 0.6 * step * k, root[2] - 0.8 * step * k)
         tail: Vector = (0, head[1] - 0.6 * step, head[2] - 0.8 * step)
         radii = (girth * (1 - 0.1 * k), girth * (0.9 - 0.1 * k))
-        bones.append(
-            Bone(
-                f"tail_{k}",
-                parent,
-                head,
-                tail,
-                DOWN,
-                (RoundCone(head, tail, radii, fillet=COLLINEAR if k else 0.7),),
-                "tail",
-                1 / TAIL_BONES,
-            )
-        )
+        flesh = RoundCone(head, tail, radii, fillet=COLLINEAR if k else 0.7)
+        bones.append(Bone(f"tail_{k}", parent, head, tail, DOWN, (flesh,), "tail", 1 / TAIL_BONES))
         parent = f"tail_{k}"
     return tuple(bones)
 
 
 def _hind_leg(m: Mapping[str, float]) -> tuple[Bone, ...]:
     girth = m["leg_girth"]
-    leg = limb(
-        "pelvis",
-        (0.62 * m["loin_girth"], -0.02, -0.06),
-        LEG,
-        AHEAD,
-        (
-            ("left_hip", "left_thigh", m["hind_upper"], (1.5 * girth, 0.85 * girth)),
-            ("left_knee", "left_shank", m["hind_lower"], (0.85 * girth, 0.5 * girth)),
-            ("left_hock", "left_hind_foot", m["hind_foot"], (0.5 * girth, 0.55 * girth)),
-        ),
+    pieces = (
+        ("left_hip", "left_thigh", m["hind_upper"], (1.5 * girth, 0.85 * girth)),
+        ("left_knee", "left_shank", m["hind_lower"], (0.85 * girth, 0.5 * girth)),
+        ("left_hock", "left_hind_foot", m["hind_foot"], (0.5 * girth, 0.55 * girth)),
     )
+    leg = limb("pelvis", (0.62 * m["loin_girth"], -0.02, -0.06), LEG, AHEAD, pieces)
     return (*leg[:-1], _with_paw(leg[-1], girth))
 
 
 def _fore_leg(m: Mapping[str, float]) -> tuple[Bone, ...]:
     girth = m["leg_girth"]
-    leg = limb(
-        "breast",
-        (0.62 * m["chest_girth"], -0.03, -0.08 + 0.96 * m["trunk"]),
-        LEG,
-        AHEAD,
-        (
-            ("left_shoulder", "left_upper_arm", m["fore_upper"], (1.25 * girth, 0.75 * girth)),
-            ("left_elbow", "left_forearm", m["fore_lower"], (0.75 * girth, 0.5 * girth)),
-            ("left_wrist", "left_fore_foot", m["fore_foot"], (0.5 * girth, 0.55 * girth)),
-        ),
+    pieces = (
+        ("left_shoulder", "left_upper_arm", m["fore_upper"], (1.25 * girth, 0.75 * girth)),
+        ("left_elbow", "left_forearm", m["fore_lower"], (0.75 * girth, 0.5 * girth)),
+        ("left_wrist", "left_fore_foot", m["fore_foot"], (0.5 * girth, 0.55 * girth)),
     )
+    start = (0.62 * m["chest_girth"], -0.03, -0.08 + 0.96 * m["trunk"])
+    leg = limb("breast", start, LEG, AHEAD, pieces)
     return (*leg[:-1], _with_paw(leg[-1], girth))
 
 
@@ -187,103 +151,61 @@ def _with_paw(foot: Bone, girth: float) -> Bone:
     return replace(foot, flesh=(*foot.flesh, paw))
 
 
-_HIND = both(hip=(22, 0, 0), knee=(-48, 0, 0), hock=(34, 0, 0))
-_FORE = both(shoulder=(-20, 0, 0), elbow=(26, 0, 0), wrist=(-8, 0, 0))
-_STAND = _HIND | _FORE | {"tail": (20, 0, 0)}
-_FOLDED_HIND = both(hip=(98, 8, 0), knee=(-112, 0, 0), hock=(92, 0, 0))
+_HIND = both(hip=22, knee=-48, hock=34)
+_FORE = both(shoulder=-20, elbow=26, wrist=-8)
+_STAND = _HIND | _FORE | turn(tail=20)
+_FOLDED_HIND = both(hip=(98, 8, 0), knee=-112, hock=92)
 
 POSES: dict[str, Pose] = {
     "stand": Pose(_STAND),
     "walk": Pose(
         _STAND
-        | {
-            "left_hip": (42, 0, 0),
-            "left_knee": (-46, 0, 0),
-            "right_hip": (-8, 0, 0),
-            "right_knee": (-34, 0, 0),
-            "left_shoulder": (-44, 0, 0),
-            "left_elbow": (30, 0, 0),
-            "right_shoulder": (8, 0, 0),
-            "right_elbow": (14, 0, 0),
-            "neck": (12, 0, 0),
-        }
+        | left(hip=42, knee=-46, shoulder=-44, elbow=30)
+        | right(hip=-8, knee=-34, shoulder=8, elbow=14)
+        | turn(neck=12)
     ),
     "trot": Pose(
         _STAND
-        | {
-            "left_hip": (55, 0, 0),
-            "left_knee": (-70, 0, 0),
-            "left_hock": (55, 0, 0),
-            "right_hip": (-14, 0, 0),
-            "right_knee": (-20, 0, 0),
-            "right_shoulder": (30, 0, 0),
-            "right_elbow": (30, 0, 0),
-            "right_wrist": (-45, 0, 0),
-            "left_shoulder": (-42, 0, 0),
-            "tail": (-40, 0, 0),
-        }
+        | left(hip=55, knee=-70, hock=55, shoulder=-42)
+        | right(hip=-14, knee=-20, shoulder=30, elbow=30, wrist=-45)
+        | turn(tail=-40)
     ),
     "gallop": Pose(
-        both(hip=(-38, 0, 0), knee=(-18, 0, 0), hock=(8, 0, 0), shoulder=(58, 0, 0), elbow=(4, 0, 0))
-        | {"spine": (-24, 0, 0), "neck": (22, 0, 0), "tail": (-50, 0, 0)}
+        both(hip=-38, knee=-18, hock=8, shoulder=58, elbow=4) | turn(spine=-24, neck=22, tail=-50)
     ),
     "gather": Pose(
-        both(hip=(72, 0, 0), knee=(-50, 0, 0), hock=(25, 0, 0), shoulder=(-52, 0, 0), elbow=(25, 0, 0))
-        | {"spine": (45, 0, 0), "neck": (-42, 0, 0), "tail": (-30, 0, 0)}
+        both(hip=72, knee=-50, hock=25, shoulder=-52, elbow=25) | turn(spine=45, neck=-42, tail=-30)
     ),
-    "graze": Pose(_STAND | {"neck": (78, 0, 0), "head": (28, 0, 0), "spine": (8, 0, 0)}),
-    "look_up": Pose(_STAND | {"neck": (-28, 0, 0), "head": (-38, 0, 0), "tail": (-70, 0, 0)}),
-    "look_back": Pose(
-        _STAND | {"neck": (0, 70, 0), "head": (0, 30, 0), "spine": (0, 30, 0), "tail": (0, 50, 0)}
-    ),
+    "graze": Pose(_STAND | turn(neck=78, head=28, spine=8)),
+    "look_up": Pose(_STAND | turn(neck=-28, head=-38, tail=-70)),
+    "look_back": Pose(_STAND | turn(neck=(0, 70, 0), head=(0, 30, 0), spine=(0, 30, 0), tail=(0, 50, 0))),
     "rear": Pose(
-        both(
-            hip=(-22, 0, 0),
-            knee=(-52, 0, 0),
-            hock=(36, 0, 0),
-            shoulder=(30, 0, 0),
-            elbow=(75, 0, 0),
-            wrist=(-50, 0, 0),
-        )
-        | {"pelvis": (-52, 0, 0), "spine": (-16, 0, 0), "neck": (25, 0, 0)}
+        both(hip=-22, knee=-52, hock=36, shoulder=30, elbow=75, wrist=-50)
+        | turn(pelvis=-52, spine=-16, neck=25)
     ),
     "play_bow": Pose(
-        _HIND
-        | both(shoulder=(52, 6, 0), elbow=(28, 0, 0), wrist=(-6, 0, 0))
-        | {"pelvis": (22, 0, 0), "spine": (-18, 0, 0), "neck": (-22, 0, 0), "tail": (-95, 0, 0)}
+        _HIND | both(shoulder=(52, 6, 0), elbow=28, wrist=-6) | turn(pelvis=22, spine=-18, neck=-22, tail=-95)
     ),
-    "sit": Pose(
-        _FOLDED_HIND
-        | both(shoulder=(-28, 0, 0), elbow=(22, 0, 0), wrist=(-8, 0, 0))
-        | {"pelvis": (-46, 0, 0), "neck": (30, 0, 0), "tail": (-25, 0, 0)}
-    ),
+    "sit": Pose(_FOLDED_HIND | both(shoulder=-28, elbow=22, wrist=-8) | turn(pelvis=-46, neck=30, tail=-25)),
     "lie": Pose(
-        _FOLDED_HIND
-        | both(shoulder=(-42, 4, 0), elbow=(100, 0, 0), wrist=(-4, 0, 0))
-        | {"tail": (10, 25, 0)},
+        _FOLDED_HIND | both(shoulder=(-42, 4, 0), elbow=100, wrist=-4) | turn(tail=(10, 25, 0)),
         contacts=tuple(
             Contact((f"{side}_shank",), ("loins", "ribs"), (f"{side}_hip",)) for side in ("left", "right")
         ),
     ),
     "legs_together": Pose(
-        _STAND | {"neck": (20, 0, 0)},
+        _STAND | turn(neck=20),
         contacts=(
             Contact(("left_hind_foot",), ("right_hind_foot",), ("left_hip", "right_hip")),
             Contact(("left_fore_foot",), ("right_fore_foot",), ("left_shoulder", "right_shoulder")),
         ),
     ),
     "wipe": Pose(
-        _STAND
-        | {
-            "left_shoulder": (35, -8, 0),
-            "left_elbow": (75, 0, 0),
-            "left_wrist": (-30, 0, 0),
-            "neck": (50, 0, 0),
-        },
+        _STAND | left(shoulder=(35, -8, 0), elbow=75, wrist=-30) | turn(neck=50),
         contacts=(Contact(("left_fore_foot",), ("head",), ("left_shoulder", "neck")),),
     ),
     "tail_on_thigh": Pose(
-        _STAND | {"tail": (50, 40, 0), "neck": (-10, -25, 0)},
+        _STAND | turn(tail=(50, 40, 0), neck=(-10, -25, 0)),
         contacts=(Contact(("tail_3",), ("left_thigh", "left_shank"), ("tail",)),),
     ),
 }

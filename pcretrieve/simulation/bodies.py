@@ -1,41 +1,35 @@
-"""Articulated bodies: people, four-legged animals and hands in many poses."""
+"""Articulated bodies: people, four-legged animals and hands in many poses.
+
+A body is the skin of a subject, a smooth surface round the flesh, which follows the bones by linear blend
+skinning.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
+from scipy.optimize import least_squares
+from scipy.sparse import csc_array, diags_array
+from scipy.sparse.linalg import splu
 
 from pcretrieve.errors import InputError, OptionError
 from pcretrieve.simulation import animals, hands, people
-from pcretrieve.simulation.skeleton import Bone, Pose, Subject, motions
-from pcretrieve.simulation.skin import close_contacts, follow, skin
+from pcretrieve.simulation.skeleton import Bone, Contact, Pose, Subject, bone_distance, cone_distance, motions
+from pcretrieve.spectral import laplace_beltrami
 from pcretrieve.values import FloatArray, TriangleMesh
 
 # Measures are clipped to this many standard deviations about the mean.
 LARGEST_DEVIATION = 2.0
 
 
-@dataclass(frozen=True, slots=True)
-class _Family:
-    """A family of bodies: the distributions of their measures, the function that builds them, and poses."""
+# Modules with the distributions of measures, the function that builds a skeleton, the cell, and poses.
+FAMILIES = {"person": people, "animal": animals, "hand": hands}
 
-    measures: Mapping[str, tuple[float, float]]
-    skeleton: Callable[[Mapping[str, float]], tuple[Bone, ...]]
-    cell: float
-    poses: Mapping[str, Pose]
-
-
-FAMILIES = {
-    "person": _Family(people.MEASURES, people.skeleton, people.CELL, people.POSES),
-    "animal": _Family(animals.MEASURES, animals.skeleton, animals.CELL, animals.POSES),
-    "hand": _Family(hands.MEASURES, hands.skeleton, hands.CELL, hands.POSES),
-}
-
-POSES: Mapping[str, Mapping[str, Pose]] = {name: family.poses for name, family in FAMILIES.items()}
+POSES: Mapping[str, Mapping[str, Pose]] = {name: family.POSES for name, family in FAMILIES.items()}
 """Poses by family and name. In poses with contacts (`Pose.touching`) parts of the body touch each other."""
 
 
@@ -44,12 +38,12 @@ def make_subject(family: str, rng: np.random.Generator) -> Subject:
     if family not in FAMILIES:
         raise OptionError(f"family must be one of {', '.join(FAMILIES)}, got {family!r}")
     kind = FAMILIES[family]
-    deviations = np.clip(rng.standard_normal(len(kind.measures)), -LARGEST_DEVIATION, LARGEST_DEVIATION)
+    deviations = np.clip(rng.standard_normal(len(kind.MEASURES)), -LARGEST_DEVIATION, LARGEST_DEVIATION)
     measures = {
         name: mean * (1 + spread * deviation)
-        for (name, (mean, spread)), deviation in zip(kind.measures.items(), deviations.tolist(), strict=True)
+        for (name, (mean, spread)), deviation in zip(kind.MEASURES.items(), deviations.tolist(), strict=True)
     }
-    return Subject(family, kind.skeleton(measures), kind.cell)
+    return Subject(family, kind.skeleton(measures), kind.CELL)
 
 
 def body(
@@ -58,11 +52,10 @@ def body(
     """The surface of a subject in a pose.
 
     All poses of one subject have the same faces, so that each surface is a closed manifold of Euler
-    characteristic 2, even where parts touch; there the surface may intersect itself slightly.
+    characteristic 2, even where parts touch; there the surface may intersect itself slightly. It has about
+    7000 vertices; m. The first call for a subject computes the skin, which takes some seconds.
 
-    jitter: standard deviation of these numbers; degrees.
-    Returns TriangleMesh: a surface of about 7000 vertices; m. The first call for a subject computes the skin,
-        which takes some seconds; further calls only deform it.
+    jitter: standard deviation of random changes of the angles, if there is an `rng`; degrees.
     """
     strange = sorted(pose.joints - subject.joints)
     if strange:
@@ -76,29 +69,198 @@ def body(
     return follow(own, motions(subject, close_contacts(own, pose)))
 
 
-#: Poses of people who sit on a seat.
-SEATED = ("sit", "legs_crossed")
+# Rounds of tangential smoothing after marching cubes, which suffice to remove thin triangles.
+SMOOTHING_STEPS = 5
 
-# Largest height above a support at which soft parts touch it, and extent of the hips about the origin, to the
-# sides and to the front; diagonals.
-TOUCHING = 0.015
-HIPS = (0.12, 0.05)
+# Step of the finite differences of the implicit function; cells.
+GRADIENT_STEP = 0.01
 
-# Largest vertical part of the unit normal of a surface that faces down.
-DOWN = -0.5
+# The constant c of Baran and Popović: with a larger value vertices follow the nearest bone more closely.
+ATTACHMENT = 2.0
 
 
-def on_support(mesh: TriangleMesh, points: FloatArray, *, seated: bool) -> NDArray[np.bool_]:
-    """The points of a person at which the body touches the ground or a seat.
+@dataclass(frozen=True, slots=True, eq=False)
+class Skin:
+    """A surface in the rest pose, and how it follows the bones.
 
-    points: (n, 3) float64, points on the surface, with noise; unit of the mesh.
-    Returns (n,) bool: points of faces that face down, near the lowest point of the body or of the hips.
+    weights: (n, b) float64, skinning weight of each bone for each vertex; rows sum to 1.
+    owner: (n,) intp, number of the bone whose flesh is nearest to each vertex at rest.
     """
-    x, y, z = mesh.vertices.T
-    supports = [y.min()]
-    if seated:
-        supports.append(y[(abs(x) < HIPS[0] * mesh.diagonal) & (abs(z) < HIPS[1] * mesh.diagonal)].min())
-    _, nearest = cKDTree(mesh.vertices[mesh.faces].mean(axis=1)).query(points)
-    faces_down = mesh.area_vectors[nearest, 1] < DOWN * mesh.face_areas[nearest]
-    heights = abs(points[:, 1, None] - np.array(supports)).min(axis=1)
-    return np.asarray(faces_down & (heights < TOUCHING * mesh.diagonal))
+
+    subject: Subject
+    rest: TriangleMesh
+    weights: FloatArray
+    owner: NDArray[np.intp]
+
+
+@lru_cache(maxsize=16)
+def skin(subject: Subject) -> Skin:
+    """The skin of a subject."""
+    rest = _rest_surface(subject)
+    owner = np.argmin([bone_distance(bone, rest.vertices) for bone in subject.bones], axis=0)  # (n,)
+    return Skin(subject, rest, _weights(subject, rest, owner), owner)
+
+
+def follow(skin: Skin, moved: FloatArray) -> TriangleMesh:
+    """The skin after its bones have moved, each by a rigid motion (b, 4, 4)."""
+    return TriangleMesh(blend(skin.weights, moved, skin.rest.vertices), skin.rest.faces)
+
+
+def blend(weights: FloatArray, moved: FloatArray, points: FloatArray) -> FloatArray:
+    """Linear blend skinning: (n, 3) points after the means of the motions (b, 4, 4) by weights (n, b)."""
+    mean = np.tensordot(weights, moved, axes=1)  # (n, 4, 4)
+    there: FloatArray = np.einsum("nij,nj->ni", mean[:, :3, :3], points) + mean[:, :3, 3]
+    return there
+
+
+def _rest_surface(subject: Subject) -> TriangleMesh:
+    """Zero level set of the union of all flesh, by marching cubes and tangential smoothing."""
+    from skimage.measure import marching_cubes
+
+    cones = [cone for bone in subject.bones for cone in bone.flesh]
+    ends = np.array([end for cone in cones for end in (cone.start, cone.end)])
+    # The grid contains the fillets, which extend by at most a quarter of their width.
+    reach = 1.5 * max(radius * max(cone.depth, 1) for cone in cones for radius in cone.radii)
+    axes = [
+        np.arange(low - reach, high + reach + subject.cell, subject.cell)
+        for low, high in zip(ends.min(axis=0), ends.max(axis=0), strict=True)
+    ]
+    grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)  # (x, y, z, 3)
+    vertices, faces, _, _ = marching_cubes(_flesh(subject, grid), 0.0, spacing=(subject.cell,) * 3)
+    mesh = _smoothed(subject, TriangleMesh(vertices.astype(np.float64) + grid[0, 0, 0], faces))
+    if mesh.euler_characteristic != 2:
+        raise InputError(
+            f"the flesh at rest must form one ball, of Euler characteristic 2, got "
+            f"{mesh.euler_characteristic}: separate the limbs further, or connect loose ones"
+        )
+    return mesh
+
+
+def _smoothed(subject: Subject, mesh: TriangleMesh) -> TriangleMesh:
+    """Tangential smoothing: vertices move half way to the mean of their neighbours, then to the surface."""
+    n = len(mesh.vertices)
+    links = csc_array(
+        (np.ones(mesh.faces.size), (mesh.faces.ravel(), np.roll(mesh.faces, 1, axis=1).ravel())), (n, n)
+    )
+    links = links + links.T
+    mean = diags_array(1 / links.sum(axis=1)) @ links
+    points = mesh.vertices
+    for _ in range(SMOOTHING_STEPS):
+        points = _on_surface(subject, (points + mean @ points) / 2)
+    return TriangleMesh(points, mesh.faces)
+
+
+def _on_surface(subject: Subject, points: FloatArray) -> FloatArray:
+    """(n, 3) points after one Newton step, p − f ∇f / |∇f|², towards the zero level set."""
+    step = GRADIENT_STEP * subject.cell
+    shifted = points + step * np.concatenate([np.zeros((1, 3)), np.eye(3)])[:, None]  # (4, n, 3)
+    here, *ahead = _flesh(subject, shifted)
+    gradient = (np.stack(ahead, axis=-1) - here[:, None]) / step  # (n, 3)
+    return np.asarray(points - (here / (gradient**2).sum(axis=1))[:, None] * gradient)
+
+
+def _flesh(subject: Subject, points: FloatArray) -> FloatArray:
+    """(…,) implicit function of all flesh at (…, 3) points: zero on the skin, negative inside; m."""
+    field = np.full(points.shape[:-1], np.inf)
+    for bone in subject.bones:
+        for cone in bone.flesh:
+            width = cone.fillet * min(cone.radii) * min(cone.depth, 1)
+            field = _smooth_union(field, cone_distance(cone, bone.front, points), width=width)
+    return field
+
+
+def _smooth_union(a: FloatArray, b: FloatArray, *, width: float) -> FloatArray:
+    """Smooth minimum: min(a, b) with a quadratic fillet where |a − b| < width.
+
+    The quadratic polynomial of I. Quilez, "Smooth minimum", https://iquilezles.org/articles/smin.
+    """
+    overlap = np.maximum(1 - np.abs(a - b) / width, 0)
+    return np.asarray(np.minimum(a, b) - overlap**2 * width / 4)
+
+
+def _weights(subject: Subject, rest: TriangleMesh, owner: NDArray[np.intp]) -> FloatArray:
+    """Skinning weights by heat equilibrium [1]_: (S + M H) W = M H P.
+
+    S and M are stiffness and lumped mass of the surface, P is 1 for the bone nearest to each vertex and 0
+    for others, and H = c / d² for its distance d, so that the weights change over about half of the
+    thickness of a limb. Because S·1 = 0, the rows sum to 1.
+
+    owner: (n,) intp, number of the bone whose flesh is nearest to each vertex.
+    Returns (n, b) float64: between 0 and 1.
+
+    References
+    ----------
+    .. [1] I. Baran and J. Popović, "Automatic rigging and animation of 3D characters", SIGGRAPH 2007,
+       section 4: −Δw + H w = H p.
+    """
+    operator = laplace_beltrami(rest, mass="lumped")
+    bones, points = subject.bones, rest.vertices
+    # Links have no flesh of their own: they share the flesh of the bones that they join.
+    shares = np.array([[a is b or _links(a, b) or _links(b, a) for b in bones] for a in bones])  # (b, b)
+    to_bone = np.array([_segment_distance(bone, points) for bone in bones])  # (b, n)
+    to_bone = np.where(shares[owner].T, to_bone, np.inf)
+    marks = np.eye(len(bones))[to_bone.argmin(axis=0)]  # (n, b)
+    heat = operator.mass @ diags_array(ATTACHMENT / to_bone.min(axis=0) ** 2)
+    weights: FloatArray = splu(csc_array(operator.stiffness + heat)).solve(heat @ marks)
+    # At obtuse triangles the discrete maximum principle fails: weights leave [0, 1] by a few hundredths.
+    weights = np.maximum(weights, 0)
+    weights /= weights.sum(axis=1, keepdims=True)
+    return weights
+
+
+def _links(link: Bone, bone: Bone) -> bool:
+    return not link.flesh and (link.parent == bone.name or bone.parent == link.name)
+
+
+def _segment_distance(bone: Bone, points: FloatArray) -> FloatArray:
+    """(n,) distance from the segment between the ends of a bone; m."""
+    axis = np.subtract(bone.tail, bone.head)
+    offset = points - np.array(bone.head)
+    along = np.clip(offset @ axis / (axis @ axis), 0, 1)
+    return np.asarray(np.linalg.norm(offset - along[:, None] * axis, axis=1))
+
+
+# Weight of the change of an angle (radians) against a gap (body sizes) in the least-squares problem: large
+# enough to keep the joints near the given pose, small enough to close every gap to less than a thousandth of
+# the body size.
+STIFFNESS = 0.02
+
+# Step of the finite differences, relative to each angle. The gap is not smooth in the angles, because the
+# nearest vertex of the skin changes; the step is wide enough to average over these changes.
+DIFFERENCE = 0.01
+
+
+def close_contacts(skin: Skin, pose: Pose) -> Pose:
+    """Change the angles of the joints of the contacts until these touch, by least squares.
+
+    Residuals are the gaps, in body sizes, and `STIFFNESS` times the changes of the angles, in radians.
+    """
+    joints = sorted({joint for contact in pose.contacts for joint in contact.by})
+    if not joints:
+        return pose
+    size = skin.subject.size
+    given = np.radians([pose.angles.get(joint, (0, 0, 0)) for joint in joints]).ravel()  # (3j,)
+
+    def turned(angles: FloatArray) -> Pose:
+        triples = np.degrees(angles).reshape(-1, 3).tolist()
+        changed = {joint: tuple(triple) for joint, triple in zip(joints, triples, strict=True)}
+        return replace(pose, angles={**pose.angles, **changed})
+
+    def residuals(angles: FloatArray) -> FloatArray:
+        moved = motions(skin.subject, turned(angles))
+        gaps = [_gap(skin, moved, contact) / size for contact in pose.contacts]
+        return np.concatenate([gaps, STIFFNESS * (angles - given)])
+
+    return turned(least_squares(residuals, given, diff_step=np.full(len(given), DIFFERENCE)).x)
+
+
+def _gap(skin: Skin, moved: FloatArray, contact: Contact) -> float:
+    """Signed distance from the skin of the moving part to the flesh of the other, negative inside; m."""
+    bones = skin.subject.bones
+    coming = np.isin(skin.owner, [skin.subject.number(name) for name in contact.bones])
+    points = blend(skin.weights[coming], moved, skin.rest.vertices[coming])
+    gaps = []
+    for number in map(skin.subject.number, contact.onto):
+        to_rest = np.linalg.inv(moved[number])
+        gaps.append(bone_distance(bones[number], points @ to_rest[:3, :3].T + to_rest[:3, 3]).min())
+    return float(min(gaps))

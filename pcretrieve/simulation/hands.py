@@ -10,10 +10,8 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from pcretrieve.simulation.skeleton import Bone, Contact, Pose, RoundCone, Vector, limb, vector
+from pcretrieve.simulation.skeleton import Bone, Contact, Pose, RoundCone, Vector, limb, turn, vector
 from pcretrieve.values import FloatArray
-
-__all__ = ["CELL", "MEASURES", "POSES", "skeleton"]
 
 # Mean in metres, and standard deviation relative to the mean: rounded figures of adults.
 MEASURES: dict[str, tuple[float, float]] = {
@@ -75,23 +73,12 @@ def skeleton(measures: Mapping[str, float]) -> tuple[Bone, ...]:
     for finger, a, b, angle in zip(FINGERS, x, y, fan, strict=True):
         thickness = m["finger_girth"] * (0.86 if finger == "little" else 1.0)
         radii = thickness * np.array([1.0, 0.94, 0.88, 0.78])
-        bones += _digit(
-            finger,
-            (a, b, 0),
-            (np.sin(angle), np.cos(angle), 0),
-            FRONT,
-            [m[finger] * p for p in PHALANGES],
-            radii,
-        )
+        lengths = [m[finger] * share for share in PHALANGES]
+        bones += _digit(finger, (a, b, 0), (np.sin(angle), np.cos(angle), 0), FRONT, lengths, radii)
     radii = m["thumb_girth"] * np.array([1.15, 1.0, 0.92, 0.78])
-    bones += _digit(
-        "thumb",
-        (0.26 * width, 0.16 * length, 0.006),
-        (0.74, 0.64, 0.20),
-        (-0.62, 0.25, 0.74),
-        [m["thumb"] * p for p in THUMB_BONES],
-        radii,
-    )
+    root: Vector = (0.26 * width, 0.16 * length, 0.006)
+    lengths = [m["thumb"] * share for share in THUMB_BONES]
+    bones += _digit("thumb", root, (0.74, 0.64, 0.20), (-0.62, 0.25, 0.74), lengths, radii)
     return tuple(bones)
 
 
@@ -106,8 +93,8 @@ def _digit(
     return limb("palm" if name == "thumb" else "knuckles", start, along, front, pieces)
 
 
-def _curl(fingers: tuple[str, ...], turns: tuple[float, float, float]) -> dict[str, Vector]:
-    return {f"{finger}_{k + 1}": (turn, 0, 0) for finger in fingers for k, turn in enumerate(turns)}
+def _curl(fingers: tuple[str, ...], bends: tuple[float, float, float]) -> dict[str, Vector]:
+    return turn(**{f"{finger}_{k + 1}": bend for finger in fingers for k, bend in enumerate(bends)})
 
 
 def _on_palm(*fingers: str) -> tuple[Contact, ...]:
@@ -115,25 +102,20 @@ def _on_palm(*fingers: str) -> tuple[Contact, ...]:
 
 
 _CLOSED = (80.0, 95.0, 50.0)
-_THUMB_IN: dict[str, Vector] = {"thumb_1": (24, 0, 0), "thumb_2": (30, 0, 0), "thumb_3": (38, 0, 0)}
+_THUMB_IN = turn(thumb_1=24, thumb_2=30, thumb_3=38)
 _SIDE_BY_SIDE = (("index", "middle"), ("ring", "middle"), ("little", "ring"))
 
 POSES: dict[str, Pose] = {
     "open": Pose({}),
-    "relaxed": Pose(_curl(FINGERS, (22, 28, 16)) | {"thumb_2": (12, 0, 0)}),
-    "spread": Pose(
-        {"index_1": (-6, -8, 0), "ring_1": (-6, 6, 0), "little_1": (-8, 14, 0), "thumb_1": (-16, 10, 0)}
-    ),
-    "grasp": Pose(_curl(FINGERS, (42, 48, 28)) | {"thumb_1": (20, 0, 0), "thumb_2": (22, 0, 0)}),
-    "claw": Pose(_curl(FINGERS, (-12, 75, 48)) | {"thumb_2": (30, 0, 0), "thumb_3": (35, 0, 0)}),
-    "table": Pose(_curl(FINGERS, (78, 6, 4)) | {"thumb_1": (8, 0, 0)}),
-    "wave": Pose({"wrist": (-38, 14, 0)} | _curl(FINGERS, (10, 12, 8))),
-    "flex": Pose({"wrist": (52, 0, 0)} | _curl(FINGERS, (18, 30, 18))),
-    "fan": Pose(
-        {"index_1": (0, 0, 0), "middle_1": (25, 0, 0), "ring_1": (50, 0, 0), "little_1": (72, 0, 0)}
-        | {"middle_2": (15, 0, 0), "ring_2": (32, 0, 0), "little_2": (45, 0, 0)}
-    ),
-    "thumb_out": Pose(_curl(FINGERS, (55, 72, 40)) | {"thumb_1": (-14, 0, 0), "thumb_3": (-10, 0, 0)}),
+    "relaxed": Pose(_curl(FINGERS, (22, 28, 16)) | turn(thumb_2=12)),
+    "spread": Pose(turn(index_1=(-6, -8, 0), ring_1=(-6, 6, 0), little_1=(-8, 14, 0), thumb_1=(-16, 10, 0))),
+    "grasp": Pose(_curl(FINGERS, (42, 48, 28)) | turn(thumb_1=20, thumb_2=22)),
+    "claw": Pose(_curl(FINGERS, (-12, 75, 48)) | turn(thumb_2=30, thumb_3=35)),
+    "table": Pose(_curl(FINGERS, (78, 6, 4)) | turn(thumb_1=8)),
+    "wave": Pose(turn(wrist=(-38, 14, 0)) | _curl(FINGERS, (10, 12, 8))),
+    "flex": Pose(turn(wrist=52) | _curl(FINGERS, (18, 30, 18))),
+    "fan": Pose(turn(index_1=0, middle_1=25, ring_1=50, little_1=72, middle_2=15, ring_2=32, little_2=45)),
+    "thumb_out": Pose(_curl(FINGERS, (55, 72, 40)) | turn(thumb_1=-14, thumb_3=-10)),
     "fist": Pose(_curl(FINGERS, _CLOSED) | _THUMB_IN, contacts=_on_palm(*FINGERS)),
     "point": Pose(
         _curl(FINGERS[1:], _CLOSED) | _THUMB_IN,

@@ -19,8 +19,11 @@ from pcretrieve.simulation.skeleton import (
     RoundCone,
     Vector,
     both,
+    left,
     limb,
     mirrored,
+    right,
+    turn,
     vector,
 )
 from pcretrieve.values import FloatArray
@@ -84,6 +87,10 @@ def _trunk(m: Mapping[str, float]) -> tuple[Bone, ...]:
             name, parent, (0, float(y[k]), 0), (0, float(y[k + 1]), 0), FRONT, flesh, joint, share=1 / 3
         )
 
+    def on_face(y: tuple[float, float], z: tuple[float, float], radii: tuple[float, float]) -> RoundCone:
+        start, end = ((0, chin + up * skull, ahead * skull) for up, ahead in zip(y, z, strict=True))
+        return RoundCone(start, end, radii)
+
     hips, waist, chest = m["hip_girth"], m["waist_girth"], m["chest_girth"]
     pelvis = (
         RoundCone((0, y[0] + 0.03, 0), (0, y[1], 0), (hips, 0.5 * (hips + waist)), 0.66),
@@ -103,14 +110,8 @@ def _trunk(m: Mapping[str, float]) -> tuple[Bone, ...]:
     neck = RoundCone((0, y[4] - 0.02, -0.005), (0, chin + 0.02, 0.005), (0.062, 0.056))
     face = (
         RoundCone((0, chin + 0.95 * skull, -0.01), (0, chin + 1.25 * skull, -0.012), (skull, 0.97 * skull)),
-        RoundCone(
-            (0, chin + 0.55 * skull, 0.2 * skull),
-            (0, chin + 0.9 * skull, 0.2 * skull),
-            (0.6 * skull, 0.7 * skull),
-        ),
-        RoundCone(
-            (0, chin + 0.85 * skull, 0.95 * skull), (0, chin + 1.1 * skull, 0.85 * skull), (0.017, 0.014)
-        ),
+        on_face((0.55, 0.9), (0.2, 0.2), (0.6 * skull, 0.7 * skull)),
+        on_face((0.85, 1.1), (0.95, 0.85), (0.017, 0.014)),
     )
     return (
         Bone("pelvis", None, (0, y[0], 0), (0, y[1], 0), FRONT, pelvis, "pelvis"),
@@ -129,16 +130,11 @@ def _arm(m: Mapping[str, float]) -> tuple[Bone, ...]:
     shoulder: Vector = (x, top, 0)
     yoke = RoundCone((0.05, top + 0.005, -0.01), (x - 0.02, top - 0.005, 0), (0.065, 1.2 * girth))
     clavicle = Bone("left_clavicle", "breast", (0.03, top, 0), shoulder, FRONT, (yoke,), "left_clavicle")
-    arm = limb(
-        clavicle.name,
-        shoulder,
-        ARM,
-        FRONT,
-        (
-            ("left_shoulder", "left_upper_arm", m["upper_arm"], (1.15 * girth, 0.88 * girth)),
-            ("left_elbow", "left_forearm", m["forearm"], (0.90 * girth, 0.60 * girth)),
-        ),
+    pieces = (
+        ("left_shoulder", "left_upper_arm", m["upper_arm"], (1.15 * girth, 0.88 * girth)),
+        ("left_elbow", "left_forearm", m["forearm"], (0.90 * girth, 0.60 * girth)),
     )
+    arm = limb(clavicle.name, shoulder, ARM, FRONT, pieces)
     return (clavicle, *arm, *_hand(m, arm[-1]))
 
 
@@ -172,18 +168,11 @@ def _hand(m: Mapping[str, float], forearm: Bone) -> tuple[Bone, ...]:
 
 def _leg(m: Mapping[str, float]) -> tuple[Bone, ...]:
     girth = m["leg_girth"]
-    hip = np.array([m["hips"], m["hip_height"], 0.0])
-    bones = limb(
-        "pelvis",
-        hip,
-        LEG,
-        FRONT,
-        (
-            ("left_hip", "left_thigh", m["thigh"], (girth, 0.66 * girth)),
-            ("left_knee", "left_calf", m["calf"], (0.64 * girth, 0.44 * girth)),
-        ),
+    pieces = (
+        ("left_hip", "left_thigh", m["thigh"], (girth, 0.66 * girth)),
+        ("left_knee", "left_calf", m["calf"], (0.64 * girth, 0.44 * girth)),
     )
-    *upper, calf = bones
+    *upper, calf = limb("pelvis", np.array([m["hips"], m["hip_height"], 0.0]), LEG, FRONT, pieces)
     start, end = np.array(calf.head), np.array(calf.tail)
     belly = RoundCone(
         vector(start + 0.15 * (end - start) - [0, 0, 0.015]),
@@ -193,114 +182,60 @@ def _leg(m: Mapping[str, float]) -> tuple[Bone, ...]:
     calf = replace(calf, flesh=(*calf.flesh, belly))
     x, y, z = calf.tail
     heel, toe = (x, y - 0.025, z - 0.02), (x + 0.02, y - 0.045, z + 0.72 * m["foot"])
-    foot = Bone(
-        "left_foot",
-        calf.name,
-        calf.tail,
-        toe,
-        UP,
-        (
-            RoundCone(heel, toe, (0.042, 0.038), 0.75),
-            RoundCone(calf.tail, (x + 0.01, y - 0.03, z + 0.4 * m["foot"]), (0.45 * girth, 0.036)),
-        ),
-        "left_foot",
-    )
+    sole = RoundCone(heel, toe, (0.042, 0.038), 0.75)
+    instep = RoundCone(calf.tail, (x + 0.01, y - 0.03, z + 0.4 * m["foot"]), (0.45 * girth, 0.036))
+    foot = Bone("left_foot", calf.name, calf.tail, toe, UP, (sole, instep), "left_foot")
     return (*upper, calf, foot)
 
 
-_ARMS_DOWN = both(shoulder=(0, -32, 0), elbow=(12, 0, 0))
+_ARMS_DOWN = both(shoulder=(0, -32, 0), elbow=12)
 _TRUNK = ("pelvis", "loins", "ribs", "breast")
 
 POSES: dict[str, Pose] = {
     "stand": Pose(_ARMS_DOWN),
     "cross": Pose(both(shoulder=(0, 36, 0))),
     "walk": Pose(
-        {
-            "left_shoulder": (28, -30, 0),
-            "left_elbow": (14, 0, 0),
-            "right_shoulder": (-25, -30, 0),
-            "right_elbow": (30, 0, 0),
-            "left_hip": (-18, -4, 0),
-            "left_knee": (-18, 0, 0),
-            "right_hip": (28, -4, 0),
-            "right_knee": (-12, 0, 0),
-        }
+        left(shoulder=(28, -30, 0), elbow=14, hip=(-18, -4, 0), knee=-18)
+        | right(shoulder=(-25, -30, 0), elbow=30, hip=(28, -4, 0), knee=-12)
     ),
     "run": Pose(
-        {
-            **both(elbow=(85, 0, 0)),
-            "spine": (14, 0, 8),
-            "neck": (-8, 0, 0),
-            "left_shoulder": (38, -32, 0),
-            "right_shoulder": (-38, -28, 0),
-            "left_hip": (-24, -5, 0),
-            "left_knee": (-75, 0, 0),
-            "right_hip": (62, -5, 0),
-            "right_knee": (-70, 0, 0),
-        }
+        both(elbow=85)
+        | left(shoulder=(38, -32, 0), hip=(-24, -5, 0), knee=-75)
+        | right(shoulder=(-38, -28, 0), hip=(62, -5, 0), knee=-70)
+        | turn(spine=(14, 0, 8), neck=-8)
     ),
-    "sit": Pose(
-        both(hip=(88, 4, 0), knee=(-86, 0, 0), shoulder=(38, -36, 0), elbow=(42, 0, 0)) | {"spine": (8, 0, 0)}
-    ),
-    "reach_up": Pose(both(clavicle=(0, 22, 0), shoulder=(10, 88, 0)) | {"neck": (-12, 0, 0)}),
-    "wave": Pose(_ARMS_DOWN | {"right_shoulder": (5, 30, 0), "right_elbow": (8, 88, 0), "neck": (0, -10, 0)}),
-    "bow": Pose(
-        both(hip=(38, 0, 0), knee=(-6, 0, 0), shoulder=(45, -25, 0))
-        | {"spine": (52, 0, 0), "neck": (15, 0, 0)}
-    ),
-    "point": Pose(
-        _ARMS_DOWN | {"right_clavicle": (15, 0, 0), "right_shoulder": (78, 5, 0), "neck": (0, 0, -20)}
-    ),
+    "sit": Pose(both(hip=(88, 4, 0), knee=-86, shoulder=(38, -36, 0), elbow=42) | turn(spine=8)),
+    "reach_up": Pose(both(clavicle=(0, 22, 0), shoulder=(10, 88, 0)) | turn(neck=-12)),
+    "wave": Pose(_ARMS_DOWN | right(shoulder=(5, 30, 0), elbow=(8, 88, 0)) | turn(neck=(0, -10, 0))),
+    "bow": Pose(both(hip=38, knee=-6, shoulder=(45, -25, 0)) | turn(spine=52, neck=15)),
+    "point": Pose(_ARMS_DOWN | right(clavicle=15, shoulder=(78, 5, 0)) | turn(neck=(0, 0, -20))),
     "kick": Pose(
-        both(shoulder=(0, 15, 0), elbow=(20, 0, 0))
-        | {"left_hip": (78, 0, 0), "left_knee": (-14, 0, 0), "right_knee": (-10, 0, 0), "spine": (-8, 0, 0)}
+        both(shoulder=(0, 15, 0), elbow=20) | left(hip=78, knee=-14) | right(knee=-10) | turn(spine=-8)
     ),
-    "lunge": Pose(
-        both(shoulder=(5, 20, 0))
-        | {
-            "left_hip": (75, 0, 0),
-            "left_knee": (-80, 0, 0),
-            "right_hip": (-32, 0, 0),
-            "right_knee": (-28, 0, 0),
-        }
-    ),
+    "lunge": Pose(both(shoulder=(5, 20, 0)) | left(hip=75, knee=-80) | right(hip=-32, knee=-28)),
     "hands_on_hips": Pose(
-        both(shoulder=(-12, -8, 25), elbow=(82, -25, 0), hand=(20, 0, 0)),
+        both(shoulder=(-12, -8, 25), elbow=(82, -25, 0), hand=20),
         contacts=tuple(
             Contact((f"{side}_hand",), ("pelvis", "loins"), (f"{side}_shoulder", f"{side}_elbow"))
             for side in ("left", "right")
         ),
     ),
     "arms_crossed": Pose(
-        {
-            "left_shoulder": (22, -30, 62),
-            "left_elbow": (96, 0, 0),
-            "right_shoulder": (36, -22, 62),
-            "right_elbow": (96, 0, 0),
-        },
+        left(shoulder=(22, -30, 62), elbow=96) | right(shoulder=(36, -22, 62), elbow=96),
         contacts=(
             Contact(("left_forearm", "left_hand"), _TRUNK, ("left_shoulder",)),
             Contact(("right_forearm", "right_hand"), ("left_forearm", "left_hand"), ("right_shoulder",)),
         ),
     ),
     "hands_clasped": Pose(
-        {
-            "left_shoulder": (34, -32, 58),
-            "left_elbow": (66, 0, 0),
-            "right_shoulder": (24, -32, 58),
-            "right_elbow": (66, 0, 0),
-        },
+        left(shoulder=(34, -32, 58), elbow=66) | right(shoulder=(24, -32, 58), elbow=66),
         contacts=(Contact(("left_fingers",), ("right_hand",), ("left_shoulder", "right_shoulder")),),
     ),
     "legs_crossed": Pose(
-        both(shoulder=(30, -30, 0), elbow=(40, 0, 0))
-        | {
-            "left_hip": (104, -26, 0),
-            "left_knee": (-92, 0, 0),
-            "right_hip": (86, 2, 0),
-            "right_knee": (-84, 0, 0),
-            "spine": (8, 0, 0),
-        },
+        both(shoulder=(30, -30, 0), elbow=40)
+        | left(hip=(104, -26, 0), knee=-92)
+        | right(hip=(86, 2, 0), knee=-84)
+        | turn(spine=8),
         contacts=(Contact(("left_thigh", "left_calf"), ("right_thigh",), ("left_hip",)),),
     ),
     "attention": Pose(
@@ -312,12 +247,11 @@ POSES: dict[str, Pose] = {
         ),
     ),
     "think": Pose(
-        _ARMS_DOWN | {"right_shoulder": (36, -25, 35), "right_elbow": (98, 0, 0), "neck": (14, 0, 0)},
+        _ARMS_DOWN | right(shoulder=(36, -25, 35), elbow=98) | turn(neck=14),
         contacts=(Contact(("right_fingers",), ("head",), ("right_shoulder", "right_elbow")),),
     ),
     "crouch": Pose(
-        both(hip=(96, 8, 0), knee=(-98, 0, 0), foot=(22, 0, 0), shoulder=(58, -30, 0), elbow=(30, 0, 0))
-        | {"spine": (28, 0, 0)},
+        both(hip=(96, 8, 0), knee=-98, foot=22, shoulder=(58, -30, 0), elbow=30) | turn(spine=28),
         contacts=tuple(
             Contact((f"{side}_hand",), (f"{side}_calf",), (f"{side}_shoulder", f"{side}_elbow"))
             for side in ("left", "right")

@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcretrieve.draw.open3d import RayScene
-from pcretrieve.errors import InputError, OptionError
 from pcretrieve.surface.reconstruct import uniform_points
 from pcretrieve.values import FloatArray, PointCloud, TriangleMesh
 
@@ -44,39 +43,14 @@ class RigOptions:
     hole_radius: float = 0.015
     outlier_share: float = 0.003
 
-    def __post_init__(self) -> None:
-        check_at_least(1, n_views=self.n_views, pixels=self.pixels, elevations=len(self.elevations))
-        if self.n_points is not None:
-            check_at_least(1, n_points=self.n_points)
-        if not self.distance > 0.5:
-            raise OptionError(
-                f"distance must exceed 0.5, the radius of the bounding sphere, got {self.distance}"
-            )
-        if not all(-90 < elevation < 90 for elevation in self.elevations):
-            raise OptionError(f"elevations must lie between -90 and 90 degrees, got {self.elevations}")
-        if not 0 < self.max_incidence <= 90:
-            raise OptionError(f"max_incidence must lie between 0 and 90 degrees, got {self.max_incidence}")
-        check_at_least(0, noise=self.noise, flying_reach=self.flying_reach)
-        check_at_least(0, n_holes=self.n_holes, hole_radius=self.hole_radius)
-        check_shares(flying_share=self.flying_share, outlier_share=self.outlier_share)
-
 
 def scan_views(mesh: TriangleMesh, options: RigOptions, rng: np.random.Generator) -> list[PointCloud]:
-    """Scan a surface with each camera.
-
-    Returns list of PointCloud: one for each camera, with the position of the camera as viewpoint; in the unit
-        and the frame of the mesh.
-    """
-    check_surface(mesh)
+    """Scan a surface with each camera: a cloud for each, with the position of the camera as viewpoint."""
     scene = RayScene(mesh.vertices, mesh.faces)
     holes, _ = uniform_points(mesh, options.n_holes, rng)
     poses = [camera_pose(mesh, options, view) for view in range(options.n_views)]
     seen = [_see(scene, mesh, pose, options, holes, rng) for pose in poses]
     n_seen = sum(map(len, seen))
-    if not n_seen:
-        raise InputError(
-            "the cameras must see the surface, got no point: its faces point inwards, or the holes cover it"
-        )
     if options.n_points is not None and options.n_points < n_seen:
         kept = np.zeros(n_seen, dtype=bool)
         kept[rng.choice(n_seen, options.n_points, replace=False)] = True
@@ -84,7 +58,7 @@ def scan_views(mesh: TriangleMesh, options: RigOptions, rng: np.random.Generator
         seen = [points[part] for points, part in zip(seen, np.split(kept, ends), strict=True)]
     return [
         PointCloud(
-            np.concatenate([points, outliers(mesh, round(options.outlier_share * len(points)), rng)]),
+            np.concatenate([points, _outliers(mesh, round(options.outlier_share * len(points)), rng)]),
             viewpoints=pose[:3, 3],
         )
         for pose, points in zip(poses, seen, strict=True)
@@ -101,11 +75,7 @@ def scan(mesh: TriangleMesh, options: RigOptions, rng: np.random.Generator) -> P
 
 
 def camera_pose(mesh: TriangleMesh, options: RigOptions, view: int) -> FloatArray:
-    """Position and orientation of a camera.
-
-    Returns (4, 4) float64: rigid motion from the axes of the camera (x right, y down, z ahead) to those of
-        the surface; the last column is the position of the camera.
-    """
+    """(4, 4) motion from the axes of a camera (x right, y down, z ahead) to those of the surface."""
     azimuth = 2 * np.pi * view / options.n_views
     elevation = np.radians(options.elevations[view % len(options.elevations)])
     ahead = -np.array(
@@ -114,7 +84,7 @@ def camera_pose(mesh: TriangleMesh, options: RigOptions, view: int) -> FloatArra
     right = np.array([np.cos(azimuth), 0, -np.sin(azimuth)])
     pose = np.eye(4)
     pose[:3, :3] = np.stack([right, np.cross(ahead, right), ahead], axis=1)
-    pose[:3, 3] = box_centre(mesh) - options.distance * mesh.diagonal * ahead
+    pose[:3, 3] = _box_centre(mesh) - options.distance * mesh.diagonal * ahead
     return pose
 
 
@@ -139,9 +109,8 @@ def _see(
     flying = (step > reach) & (rng.random(len(step)) < options.flying_share)
     error = rng.normal(0, options.noise * diagonal, len(depth)) / cosine
     error = np.where(flying, reach * rng.random(len(depth)), error)
-    uncovered = outside_holes(position + depth[:, None] * rays, holes, options.hole_radius * diagonal)
-    points: FloatArray = (position + (depth + error)[:, None] * rays)[uncovered]
-    return points
+    uncovered = _outside_holes(position + depth[:, None] * rays, holes, options.hole_radius * diagonal)
+    return np.asarray((position + (depth + error)[:, None] * rays)[uncovered])
 
 
 def _rays(options: RigOptions) -> FloatArray:
@@ -183,23 +152,14 @@ class UniformOptions:
     outlier_share: float = 0.003
     sensors: bool = False
 
-    def __post_init__(self) -> None:
-        check_at_least(1, n_points=self.n_points)
-        check_at_least(0, noise=self.noise, n_holes=self.n_holes, hole_radius=self.hole_radius)
-        check_shares(outlier_share=self.outlier_share)
-
 
 def scan_uniformly(mesh: TriangleMesh, options: UniformOptions, rng: np.random.Generator) -> PointCloud:
-    """Random points of a surface, uniform by area, with isotropic Gaussian noise, holes and outliers.
-
-    Returns PointCloud: the points; unit of the mesh. With viewpoints if ``options.sensors``.
-    """
-    check_surface(mesh)
+    """Random points of a surface, uniform by area, with isotropic Gaussian noise, holes and outliers."""
     points, _ = uniform_points(mesh, options.n_points, rng)
     centres, _ = uniform_points(mesh, options.n_holes, rng)
-    points = points[outside_holes(points, centres, options.hole_radius * mesh.diagonal)]
+    points = points[_outside_holes(points, centres, options.hole_radius * mesh.diagonal)]
     noisy = points + rng.normal(0, options.noise * mesh.diagonal, points.shape)
-    strange = outliers(mesh, round(options.outlier_share * options.n_points), rng)
+    strange = _outliers(mesh, round(options.outlier_share * options.n_points), rng)
     cloud = PointCloud(np.concatenate([noisy, strange]))
     if not options.sensors:
         return cloud
@@ -216,12 +176,8 @@ def _sensors(
     """Random sensor positions round a surface, one for each point, from which the point is visible.
 
     A sensor measures a point with a probability equal to the cosine of the angle of incidence, because the
-    density of pixels on an inclined surface is proportional to it.
-
-    points: (n, 3) float64, points of the surface.
-    Returns sensors : (n, 3) float64: positions.
-    Returns seen : (n,) bool: whether the sensor measures the point; False if none of `SENSOR_TRIES` positions
-        does.
+    density of pixels on an inclined surface is proportional to it. Returns positions (n, 3), and whether the
+    sensor measures the point (n,): not if none of `SENSOR_TRIES` positions does.
     """
     scene = RayScene(mesh.vertices, mesh.faces)
     steepest = np.cos(np.radians(RigOptions().max_incidence))
@@ -243,64 +199,26 @@ def _around(mesh: TriangleMesh, n: int, rng: np.random.Generator) -> FloatArray:
     """Random positions of sensors, (n, 3), uniform on a sphere round the surface."""
     directions = rng.standard_normal((n, 3))
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
-    positions: FloatArray = box_centre(mesh) + RigOptions().distance * mesh.diagonal * directions
-    return positions
+    return np.asarray(_box_centre(mesh) + RigOptions().distance * mesh.diagonal * directions)
 
 
 # Outliers lie in the bounding box of the surface, enlarged by this factor about its centre.
 OUTLIER_BOX = 1.2
 
 
-def outside_holes(points: FloatArray, centres: FloatArray, radius: float) -> NDArray[np.bool_]:
-    """Find the points outside all holes of a scan.
-
-    points: (n, 3) float64, points of the surface.
-    centres: (h, 3) float64, centres of the holes, which are balls.
-    radius: radius of the holes; unit of the points.
-    Returns (n,) bool: whether each point is in no hole.
-    """
+def _outside_holes(points: FloatArray, centres: FloatArray, radius: float) -> NDArray[np.bool_]:
+    """(n,) whether points are outside all holes of a scan, which are balls."""
     outside = np.ones(len(points), dtype=bool)
     for centre in centres:
         outside &= np.linalg.norm(points - centre, axis=1) >= radius
     return outside
 
 
-def outliers(mesh: TriangleMesh, n: int, rng: np.random.Generator) -> FloatArray:
-    """Random points in the bounding box of a surface, enlarged by a fifth.
-
-    Returns (n, 3) float64: in the unit of the mesh.
-    """
+def _outliers(mesh: TriangleMesh, n: int, rng: np.random.Generator) -> FloatArray:
+    """(n, 3) random points in the bounding box of a surface, enlarged."""
     extent = np.ptp(mesh.vertices, axis=0)
-    points: FloatArray = box_centre(mesh) + OUTLIER_BOX * extent * rng.uniform(-0.5, 0.5, (n, 3))
-    return points
+    return np.asarray(_box_centre(mesh) + OUTLIER_BOX * extent * rng.uniform(-0.5, 0.5, (n, 3)))
 
 
-def box_centre(mesh: TriangleMesh) -> FloatArray:
-    """Centre of the bounding box of a surface.
-
-    Returns (3,) float64: in the unit of the mesh.
-    """
-    centre: FloatArray = (mesh.vertices.min(axis=0) + mesh.vertices.max(axis=0)) / 2
-    return centre
-
-
-def check_surface(mesh: TriangleMesh) -> None:
-    """Check that there is a surface to scan."""
-    if not (len(mesh.faces) and mesh.area > 0):
-        raise InputError(
-            f"a scan needs a surface with area, got {len(mesh.faces)} faces without: take another mesh"
-        )
-
-
-def check_at_least(bound: int, **options: float) -> None:
-    """Check that options are not too small."""
-    for name, value in options.items():
-        if not value >= bound:
-            raise OptionError(f"{name} must be at least {bound}, got {value}")
-
-
-def check_shares(**options: float) -> None:
-    """Check that options are shares."""
-    for name, value in options.items():
-        if not 0 <= value <= 1:
-            raise OptionError(f"{name} must be a share between 0 and 1, got {value}")
+def _box_centre(mesh: TriangleMesh) -> FloatArray:
+    return np.asarray((mesh.vertices.min(axis=0) + mesh.vertices.max(axis=0)) / 2)

@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
-from pcretrieve.errors import InputError
 from pcretrieve.values import FloatArray
 
 Vector = tuple[float, float, float]
@@ -55,22 +54,6 @@ class Subject:
     bones: tuple[Bone, ...]
     cell: float
 
-    def __post_init__(self) -> None:
-        seen: set[str] = set()
-        for bone in self.bones:
-            if bone.name in seen:
-                raise InputError(f"bones must have distinct names, got {bone.name!r} twice")
-            if (bone.parent is None) != (not seen) or not (bone.parent is None or bone.parent in seen):
-                raise InputError(
-                    f"the first bone must be the only one without a parent and every parent must come before "
-                    f"its children, got {bone.name!r} on {bone.parent!r}"
-                )
-            if bone.head == bone.tail:
-                raise InputError(f"bones must have a length, got {bone.name!r} with both ends at {bone.head}")
-            if any(radius <= 0 for cone in bone.flesh for radius in cone.radii):
-                raise InputError(f"radii must be positive, got {bone.flesh} on {bone.name!r}")
-            seen.add(bone.name)
-
     @property
     def joints(self) -> frozenset[str]:
         """Names of the joints that a pose can rotate."""
@@ -100,9 +83,9 @@ class Contact:
 class Pose:
     """Joint angles.
 
-    angles: mapping of joint to (bend, spread, twist), degrees. A bone along d with front f first twists about
-        d, then bends towards f, then spreads towards f × d, which for a hanging left limb is away from the
-        body. Other joints stay at rest.
+    angles: (bend, spread, twist) by joint; degrees. A bone along d with front f first twists about d, then
+        bends towards f, then spreads towards f × d, which for a hanging left limb is away from the body.
+        Other joints stay at rest.
     """
 
     angles: Mapping[str, Vector] = field(default_factory=dict)
@@ -119,10 +102,7 @@ class Pose:
         return bool(self.contacts)
 
     def jittered(self, joints: frozenset[str], spread: float, rng: np.random.Generator) -> Pose:
-        """The pose with random changes of its angles.
-
-        spread: standard deviation of the normal distribution of each angle; degrees.
-        """
+        """The pose with normal random changes of its angles, of the standard deviation `spread`; degrees."""
         angles = {
             joint: np.add(self.angles.get(joint, (0.0, 0.0, 0.0)), rng.normal(0, spread, 3))
             for joint in sorted(joints)
@@ -131,19 +111,15 @@ class Pose:
 
 
 def vector(array: FloatArray) -> Vector:
-    """An array of three numbers as a hashable value.
-
-    array: (3,) float64, the numbers.
-    """
+    """An array of three numbers as a hashable value."""
     x, y, z = array.tolist()
     return (x, y, z)
 
 
 def motions(subject: Subject, pose: Pose) -> FloatArray:
-    """The rigid motion of each bone, from the rest pose to another pose.
+    """(b, 4, 4) rigid motion of each bone, from the rest pose to another pose.
 
-    Returns (b, 4, 4) float64: a bone rotates about its own head at rest, and then moves with its parent. The
-        root rotates about its head.
+    A bone rotates about its own head at rest, and then moves with its parent.
     """
     turns = _turns(subject, pose)  # (b, 3, 3)
     heads = np.array([bone.head for bone in subject.bones])  # (b, 3)
@@ -179,26 +155,18 @@ def _turns(subject: Subject, pose: Pose) -> FloatArray:
 
 
 def bone_distance(bone: Bone, points: FloatArray) -> FloatArray:
-    """Signed distance of points from the flesh of a bone at rest.
+    """(…,) signed distance of points (…, 3) from the flesh of a bone at rest; m.
 
-    Approximate for cones whose radii differ; a lower bound for flattened cones.
-
-    points: (…, 3) float64, in metres.
-    Returns (…,) float64: negative inside, infinite without flesh; m.
+    Negative inside, infinite without flesh. Approximate for cones whose radii differ; a lower bound for
+    flattened cones.
     """
     if not bone.flesh:
         return np.full(points.shape[:-1], np.inf)
-    distances = np.array([cone_distance(cone, bone.front, points) for cone in bone.flesh])  # (c, …)
-    nearest: FloatArray = distances.min(axis=0)
-    return nearest
+    return np.asarray(np.min([cone_distance(cone, bone.front, points) for cone in bone.flesh], axis=0))
 
 
 def cone_distance(cone: RoundCone, front: Vector, points: FloatArray) -> FloatArray:
-    """Signed distance of points from one round cone at rest, as `bone_distance`.
-
-    points: (…, 3) float64, in metres.
-    Returns (…,) float64: negative inside; m.
-    """
+    """(…,) signed distance of points (…, 3) from one round cone at rest, as by `bone_distance`."""
     offset, axis = points - np.array(cone.start), np.subtract(cone.end, cone.start)
     if cone.depth != 1:
         # A stretch along the front by 1/depth turns the ellipsoids into balls.
@@ -270,13 +238,27 @@ def mirrored(bone: Bone) -> Bone:
     )
 
 
-def both(**angles: Vector) -> dict[str, Vector]:
-    """The same angles for the left and the right joint of each name.
+Angle = float | Vector
 
-    **angles: (bend, spread, twist) by the name of the joint without its side; degrees.
-    Returns dict of str to 3 floats: angles by the name of the joint with its side; degrees.
-    """
-    return {f"{side}_{joint}": turn for joint, turn in angles.items() for side in ("left", "right")}
+
+def turn(**angles: Angle) -> dict[str, Vector]:
+    """(bend, spread, twist) by joint; degrees. A number is a bend alone."""
+    return {joint: angle if isinstance(angle, tuple) else (angle, 0, 0) for joint, angle in angles.items()}
+
+
+def left(**angles: Angle) -> dict[str, Vector]:
+    """The angles of left joints, by their names without the side."""
+    return {f"left_{joint}": angle for joint, angle in turn(**angles).items()}
+
+
+def right(**angles: Angle) -> dict[str, Vector]:
+    """The angles of right joints, by their names without the side."""
+    return {f"right_{joint}": angle for joint, angle in turn(**angles).items()}
+
+
+def both(**angles: Angle) -> dict[str, Vector]:
+    """The same angles for the left and the right joint of each name."""
+    return left(**angles) | right(**angles)
 
 
 def _right(name: str) -> str:

@@ -12,16 +12,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from pcretrieve.draw.open3d import RayScene
-from pcretrieve.errors import OptionError
-from pcretrieve.simulation.scanner import check_at_least, check_shares, check_surface
 from pcretrieve.values import FloatArray, TriangleMesh
 from pcretrieve.values.files import write_file
-
-__all__ = ["TurningOptions", "turning_frames", "write_frames"]
 
 # Depth values of one metre in the files of the images: millimetres, as most depth cameras write.
 MILLIMETRES = 1000
@@ -62,29 +57,15 @@ class TurningOptions:
     max_incidence: float = 78.0
     flying_share: float = 0.04
 
-    def __post_init__(self) -> None:
-        check_at_least(1, n_frames=self.n_frames, width=self.width, height=self.height)
-        check_at_least(0, noise=self.noise, unevenness=self.unevenness, eccentricity=self.eccentricity)
-        check_shares(flying_share=self.flying_share)
-        if not 0 < self.distance < self.wall:
-            raise OptionError(
-                f"distance must lie between 0 and wall, got {self.distance} with wall = {self.wall}"
-            )
-        if not 0 < self.max_incidence <= 90:
-            raise OptionError(f"max_incidence must lie between 0 and 90 degrees, got {self.max_incidence}")
-
 
 def turning_frames(
     mesh: TriangleMesh, options: TurningOptions, rng: np.random.Generator
 ) -> tuple[FloatArray, FloatArray]:
-    """Depth images of a turning body.
+    """Depth images (n_frames, height, width) of a turning body, and its motions (n_frames, 4, 4).
 
-    Returns images : (n_frames, height, width) float64: depth of each pixel, the coordinate z; m, 0 where
-        there is no measurement.
-    Returns motions : (n_frames, 4, 4) float64: rigid motion from the frame of the mesh to the frame of the
-        camera, for each image.
+    Images have the coordinate z; m, 0 where there is no measurement. Motions lead from the frame of the mesh
+    to that of the camera.
     """
-    check_surface(mesh)
     scene = RayScene(mesh.vertices, mesh.faces)
     steps = 1 + options.unevenness * rng.standard_normal(options.n_frames)
     angles = options.turn / options.n_frames * (np.cumsum(steps) - steps[0])  # (n_frames,)
@@ -94,10 +75,7 @@ def turning_frames(
 
 
 def write_frames(folder: Path, images: FloatArray, options: TurningOptions) -> list[Path]:
-    """Write depth images as PNG files of 16 bits, in millimetres, and ``camera.json``, as Open3D writes it.
-
-    images: (n, height, width) float64, depths; m.
-    """
+    """Write images as PNG files of 16 bits, in millimetres, and ``camera.json``, as Open3D writes it."""
     from PIL import Image
 
     folder.mkdir(parents=True, exist_ok=True)
@@ -120,8 +98,7 @@ def write_frames(folder: Path, images: FloatArray, options: TurningOptions) -> l
 def _upright(options: TurningOptions) -> FloatArray:
     """(3, 3) rotation from axes with y up, and z from the body to the camera, to those of the camera."""
     down = Rotation.from_euler("x", options.tilt, degrees=True).as_matrix()
-    result: FloatArray = down @ np.diag([1.0, -1.0, -1.0])
-    return result
+    return np.asarray(down @ np.diag([1.0, -1.0, -1.0]))
 
 
 def _motion(mesh: TriangleMesh, options: TurningOptions, angle: float) -> FloatArray:
@@ -138,13 +115,11 @@ def _motion(mesh: TriangleMesh, options: TurningOptions, angle: float) -> FloatA
 
 
 def _image(
-    scene: RayScene,
-    mesh: TriangleMesh,
-    motion: FloatArray,
-    options: TurningOptions,
-    rng: np.random.Generator,
+    scene: RayScene, mesh: TriangleMesh, motion: FloatArray, options: TurningOptions, rng: np.random.Generator
 ) -> FloatArray:
     """(height, width) depths of one frame."""
+    from scipy import ndimage
+
     u, v = ((np.arange(side) - (side - 1) / 2) / options.focal for side in (options.width, options.height))
     rays = np.stack([*(grid.ravel() for grid in np.meshgrid(u, v)), np.ones(u.size * v.size)], axis=1)
     to_body = motion[:3, :3].T
@@ -153,26 +128,21 @@ def _image(
     depth, normals, _ = scene.cast(np.broadcast_to(camera, rays.shape), rays @ to_body.T)
     normals = normals @ motion[:3, :3].T
     upright = rays @ _upright(options)  # in axes with y up
-    for axis, position, facing in ((1, -options.camera_height, 1), (2, -options.wall, 1)):
+    for axis, position in ((1, -options.camera_height), (2, -options.wall)):
         direction = upright[:, axis]
         plane = np.where(direction * position > 0, position / np.where(direction, direction, 1), np.inf)
         nearer = plane < depth
         depth = np.where(nearer, plane, depth)
-        normals[nearer] = facing * _upright(options)[:, axis]
+        normals[nearer] = _upright(options)[:, axis]
     cosine = -np.einsum("ij,ij->i", rays, normals) / np.linalg.norm(rays, axis=1)
     measured = np.isfinite(depth) & (cosine > np.cos(np.radians(options.max_incidence)))
     depth = np.where(measured, depth, 0)
-    behind = _deepest_neighbor(depth.reshape(options.height, options.width)).ravel()
+    # The largest depth of each pixel and of its four neighbours.
+    cross = ndimage.generate_binary_structure(2, 1)
+    grid = depth.reshape(options.height, options.width)
+    behind = ndimage.maximum_filter(grid, footprint=cross, mode="nearest").ravel()
     flying = (behind > (1 + 4 * options.noise) * depth) & (rng.random(len(depth)) < options.flying_share)
     error = options.noise * mesh.diagonal * (depth / options.distance) ** 2 * rng.standard_normal(len(depth))
     mixed = depth + (behind - depth) * rng.random(len(depth))
     image = np.where(measured, np.where(flying, mixed, depth + error), 0)
     return np.asarray(image.reshape(options.height, options.width))
-
-
-def _deepest_neighbor(depth: FloatArray) -> FloatArray:
-    """The largest depth of each pixel and of its four neighbours."""
-    from scipy import ndimage
-
-    cross: NDArray[np.bool_] = ndimage.generate_binary_structure(2, 1)
-    return np.asarray(ndimage.maximum_filter(depth, footprint=cross, mode="nearest"))

@@ -8,11 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from pcretrieve.errors import InputError
-from pcretrieve.simulation.scanner import check_at_least, check_shares
 from pcretrieve.values import FloatArray, IntArray, TriangleMesh
-
-__all__ = ["DamageOptions", "damaged"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,19 +23,9 @@ class DamageOptions:
     shell_radius: float = 0.15
     shell_depth: float = 0.004
 
-    def __post_init__(self) -> None:
-        check_at_least(0, n_holes=self.n_holes, n_flipped=self.n_flipped, n_flaps=self.n_flaps)
-        check_at_least(0, radius=self.radius, shell_radius=self.shell_radius, shell_depth=self.shell_depth)
-        check_shares(duplicated_share=self.duplicated_share)
-
 
 def damaged(mesh: TriangleMesh, options: DamageOptions, rng: np.random.Generator) -> TriangleMesh:
-    """Add defects to a mesh at random places. Other parts of the surface do not change.
-
-    Returns TriangleMesh: the damaged mesh, in the unit and the frame of `mesh`.
-    """
-    if not len(mesh.faces):
-        raise InputError("a mesh must have faces to be damaged, got none")
+    """Add defects to a mesh at random places. Other parts of the surface do not change."""
     middles = mesh.vertices[mesh.faces].mean(axis=1)  # (m, 3)
 
     def patch(radius: float) -> NDArray[np.bool_]:

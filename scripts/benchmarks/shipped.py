@@ -251,12 +251,7 @@ def sparse_dictionary(points: FloatArray, n_atoms: int, penalty: float) -> Float
     from sklearn.exceptions import ConvergenceWarning
 
     learning = MiniBatchDictionaryLearning(
-        n_atoms,
-        alpha=penalty,
-        max_iter=N_PASSES,
-        batch_size=BATCH_SIZE,
-        fit_algorithm="cd",
-        random_state=0,
+        n_atoms, alpha=penalty, max_iter=N_PASSES, batch_size=BATCH_SIZE, fit_algorithm="cd", random_state=0
     )
     with warnings.catch_warnings():
         # Codes of a duality gap of 1e-4 are exact enough: the next step changes the atoms.

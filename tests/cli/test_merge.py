@@ -11,11 +11,12 @@ from typing import Any
 import numpy as np
 import pytest
 import shapes
+from benchmarks.samples import write_conf, write_pcd
 from scipy.spatial.transform import Rotation
 
 from pcretrieve import PointCloud, read_scan
 from pcretrieve.points.register.alignment import moved
-from pcretrieve.simulation import RigOptions, scan_views, write_conf, write_pcd, write_ply
+from pcretrieve.simulation import RigOptions, scan_views, write_ply
 
 N_VIEWS = 6
 RIG = RigOptions(n_views=N_VIEWS, pixels=120, n_points=None)

@@ -4,11 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from benchmarks.shipped import (
-    sparse_dictionary,
-    supervised_dictionary,
-    triplet_loss,
-)
+from benchmarks.shipped import sparse_dictionary, supervised_dictionary, triplet_loss
 
 from pcretrieve.descriptors.dl import PENALTY, SurfacePoints, sparse_codes
 from pcretrieve.values import FloatArray

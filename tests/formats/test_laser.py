@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import shapes
+from benchmarks.samples import write_conf, write_pcd
 from hostile_scans import laser_scan
 from laser_files import CAN_WRITE, with_other_xml, write_e57, write_las
 from scipy.spatial.transform import Rotation
@@ -21,7 +22,6 @@ from pcretrieve.formats import is_scan, members_of, parts_of
 from pcretrieve.formats.registry import read_raw
 from pcretrieve.ingestion.discover import unread_files
 from pcretrieve.ingestion.views import read_views
-from pcretrieve.simulation import write_conf, write_pcd
 
 POINTS = shapes.points_on(shapes.ellipsoid(), 500)
 SINGLE = 1e-6

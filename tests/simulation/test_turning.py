@@ -11,7 +11,6 @@ import shapes
 
 from pcretrieve import PointCloud, read_scan
 from pcretrieve.draw.open3d import RayScene
-from pcretrieve.errors import OptionError
 from pcretrieve.points.register.alignment import moved
 from pcretrieve.simulation.turning import TurningOptions, turning_frames, write_frames
 
@@ -45,11 +44,3 @@ def test_the_body_stands_on_the_floor_and_turns_about_a_vertical_axis() -> None:
     np.testing.assert_allclose(step[:3, :3] @ up, up, atol=1e-12)
     np.testing.assert_allclose(motions[:, :3, 1], np.tile(up, (3, 1)), atol=1e-12)
     assert (moved(motions[2], mesh.vertices) @ up).min() == pytest.approx(-EXACT.camera_height)
-
-
-@pytest.mark.parametrize(
-    "values", [{"n_frames": 0}, {"distance": 5.0}, {"max_incidence": 0.0}, {"flying_share": 2.0}]
-)
-def test_options_have_limits(values: dict[str, float]) -> None:
-    with pytest.raises(OptionError):
-        TurningOptions(**values)  # type: ignore[arg-type]
