@@ -10,14 +10,6 @@ from pcretrieve.evaluation.catalogue import (
     rank_catalogue,
     rank_matrix,
 )
-from pcretrieve.evaluation.classes import (
-    ClassMeasures,
-    Confusion,
-    NoMatchMeasures,
-    class_measures,
-    confusion,
-    no_match_measures,
-)
 from pcretrieve.evaluation.comparison import (
     Change,
     Comparison,
@@ -31,10 +23,14 @@ from pcretrieve.evaluation.front import Evaluation, calibrate, compare, evaluate
 from pcretrieve.evaluation.measures import (
     LEVEL,
     MEASURES,
+    ClassMeasures,
+    Confusion,
     PrecisionRecall,
     QueryScores,
     RetrievalMeasures,
     bootstrap_interval,
+    class_measures,
+    confusion,
     evaluate_rankings,
     precision_recall,
     query_scores,
@@ -51,7 +47,6 @@ __all__ = [
     "Comparison",
     "Confusion",
     "Evaluation",
-    "NoMatchMeasures",
     "PrecisionRecall",
     "Published",
     "QueryScores",
@@ -69,7 +64,6 @@ __all__ = [
     "evaluate_rankings",
     "evaluate_table",
     "matrix",
-    "no_match_measures",
     "precision_recall",
     "query_scores",
     "rank",

@@ -8,28 +8,29 @@ from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
-from pcretrieve.catalogue import Catalogue
+from pcretrieve.catalogue import CatalogueLike, opened
 from pcretrieve.errors import BenchmarkError, InputError
 from pcretrieve.evaluation.catalogue import rank_catalogue, rank_matrix
-from pcretrieve.evaluation.classes import class_measures, confusion
 from pcretrieve.evaluation.measures import (
     LEVEL,
     MEASURES,
     QueryScores,
     bootstrap_interval,
+    class_measures,
+    confusion,
     precision_recall,
     query_scores,
 )
 from pcretrieve.evaluation.rankings import Rankings
 from pcretrieve.matching import DistanceMatrix, ids_path, read_matrix
-from pcretrieve.options import PipelineOptions
+from pcretrieve.options import OptionsLike, PipelineOptions
 from pcretrieve.values import FloatArray
 from pcretrieve.values.base import Value
 from pcretrieve.values.files import csv_text, write_file
@@ -69,13 +70,7 @@ class Comparison(Value):
     second_options: PipelineOptions | None = field(default=None, compare=False, repr=False)
 
 
-def compare_scores(
-    first: QueryScores,
-    second: QueryScores,
-    *,
-    level: float = LEVEL,
-    rng: np.random.Generator | None = None,
-) -> Comparison:
+def compare_scores(first: QueryScores, second: QueryScores) -> Comparison:
     """Compare two results query by query."""
     row = {shape_id: number for number, shape_id in enumerate(second.ids)}
     common = [number for number, shape_id in enumerate(first.ids) if shape_id in row]
@@ -104,8 +99,8 @@ def compare_scores(
         first=one.mean(axis=0),
         second=two.mean(axis=0),
         difference=(two - one).mean(axis=0),
-        interval=bootstrap_interval(two - one, level=level, rng=rng),
-        level=level,
+        interval=bootstrap_interval(two - one),
+        level=LEVEL,
         changes=tuple(changes),
         only_first=tuple(shape_id for shape_id in first.ids if shape_id not in both),
         only_second=tuple(shape_id for shape_id in second.ids if shape_id not in both),
@@ -188,23 +183,20 @@ SQLITE = b"SQLite format 3"
 
 
 def result_scores(
-    result: str | Path | Catalogue | DistanceMatrix,
-    options: Callable[[Catalogue], PipelineOptions],
-    labels: str | Path | None = None,
-) -> QueryScores:
-    """The measures of each query."""
+    result: CatalogueLike | DistanceMatrix, options: OptionsLike = None, labels: str | Path | None = None
+) -> tuple[QueryScores, PipelineOptions | None]:
+    """The measures of each query, and the options by which a catalogue was ranked; None for files."""
     if isinstance(result, (str, Path)) and Path(result).suffix.lower() == ".csv":
-        return read_scores(result)
+        return read_scores(result), None
     if isinstance(result, (str, Path)) and _is_matrix(Path(result)):
         result = read_matrix(result)
     if isinstance(result, DistanceMatrix):
         if labels is None:
             raise BenchmarkError("a distance matrix has no classes: give labels, a file of classes")
-        return query_scores(rank_matrix(result, labels).rankings)
-    if isinstance(result, Catalogue):
-        return query_scores(rank_catalogue(result, options(result), labels=labels).rankings)
-    with Catalogue(result) as store:
-        return query_scores(rank_catalogue(store, options(store), labels=labels).rankings)
+        return query_scores(rank_matrix(result, labels).rankings), None
+    with opened(result) as store:
+        chosen = PipelineOptions.of(options, store.options)
+        return query_scores(rank_catalogue(store, chosen, labels=labels).rankings), chosen
 
 
 def _is_matrix(path: Path) -> bool:

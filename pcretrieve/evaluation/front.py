@@ -7,17 +7,17 @@ from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import ClassVar
 
-from pcretrieve.catalogue import Catalogue, CatalogueLike, opened
+from pcretrieve.catalogue import CatalogueLike, opened
 from pcretrieve.errors import BenchmarkError, InputError
 from pcretrieve.evaluation.catalogue import RankedCatalogue, rank_catalogue, rank_matrix
-from pcretrieve.evaluation.classes import ClassMeasures, class_measures
 from pcretrieve.evaluation.comparison import Comparison, compare_scores, result_scores, write_evaluation
 from pcretrieve.evaluation.folds import rank_table
 from pcretrieve.evaluation.measures import (
     LEVEL,
-    QueryScores,
+    ClassMeasures,
     RetrievalMeasures,
     bootstrap_interval,
+    class_measures,
     evaluate_rankings,
     query_scores,
 )
@@ -163,21 +163,8 @@ def compare(
     InputError
         If a file cannot be read, or the results have no query in common.
     """
-
-    def scores(
-        result: CatalogueLike | DistanceMatrix, own: OptionsLike
-    ) -> tuple[QueryScores, PipelineOptions | None]:
-        used: list[PipelineOptions] = []
-
-        def noted(store: Catalogue) -> PipelineOptions:
-            used.append(PipelineOptions.of(own, store.options))
-            return used[0]
-
-        found = result_scores(result, noted, labels)
-        return found, used[0] if used else None
-
-    (one, one_options) = scores(first, options)
-    (two, two_options) = scores(second, options if second_options is None else second_options)
+    one, one_options = result_scores(first, options, labels)
+    two, two_options = result_scores(second, options if second_options is None else second_options, labels)
     return replace(compare_scores(one, two), first_options=one_options, second_options=two_options)
 
 

@@ -11,8 +11,6 @@ from collections.abc import Mapping
 from types import MappingProxyType
 from typing import NamedTuple
 
-__all__ = ["PUBLISHED", "Published"]
-
 
 class Published(NamedTuple):
     """The measures of one method."""

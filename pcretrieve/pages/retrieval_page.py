@@ -151,7 +151,7 @@ def report(
             # As the measures: with a whitening fitted to labels, the queries that they call bad would look
             # good.
             chosen = without_labels(chosen)
-        other = None if versus is None else result_scores(versus, lambda held: held.options)
+        other = None if versus is None else result_scores(versus)[0]
         records = {record.id: record for record in store.records()}
         ranking = _ranking(store, chosen, matrix)
         sizes = Counter(label for one in ranking.ids if (label := records[one].label) is not None)

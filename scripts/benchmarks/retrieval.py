@@ -40,12 +40,12 @@ from benchmarks.measuring import (
     print_lines,
     use_one_core,
 )
+from benchmarks.no_match import no_match_measures
 from benchmarks.sets import SETS, ingested, left_out, pooled_vectors, written_set
 from pcretrieve.errors import OptionError
 from pcretrieve.evaluation import (
     evaluate_rankings,
     evaluate_table,
-    no_match_measures,
     rank_table,
     rerank_table,
 )

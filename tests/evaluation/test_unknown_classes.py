@@ -7,9 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from benchmarks.no_match import no_match_measures
 
 from pcretrieve.errors import BenchmarkError
-from pcretrieve.evaluation import no_match_measures
 from pcretrieve.options import RetrievalOptions
 from pcretrieve.values import SignatureTable
 
