@@ -56,7 +56,11 @@ HOSTILE = {
         npy("{'descr': '|O', 'fortran_order': False, 'shape': (1, 3), }", PICKLE),
         "Python objects",
     ),
-    "code in the header of NPY": ("a.npy", npy("__import__('os').system('echo > pickled')", b""), "damaged"),
+    "code in the header of NPY": (
+        "a.npy",
+        npy("__import__('os').system('echo > pickled')", b""),
+        "not a complete NPY",
+    ),
     "pickle": ("a.npy", PICKLE, "not a complete NPY"),
     "shell script": ("a.php.off", b"<?php system($_GET['a']); ?>", "not a complete OFF"),
     "page": ("a.obj", b"<script>alert(1)</script>\nv <b> 0 0\n", "line 2 is 'v <b> 0 0'"),

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import io
 import zipfile
-from collections.abc import Mapping
 from pathlib import Path
 from typing import IO, Any
 
@@ -17,14 +16,17 @@ from numpy.typing import NDArray
 from pcretrieve.errors import ScanReadError
 from pcretrieve.formats.depth import camera_parts, depth_scan, has_camera
 from pcretrieve.formats.format import (
-    Format,
+    NORMAL_FIELDS,
+    POINT_FIELDS,
+    Damaged,
     Part,
     RawScan,
     are_normals,
-    incomplete,
     member_bytes,
+    scan_of_fields,
     without_zeros,
 )
+from pcretrieve.formats.pcd import NORMAL_FIELDS as PCD_NORMAL_FIELDS
 from pcretrieve.formats.text import FEWEST_POINTS, MOST_COLUMNS
 
 # Names of arrays in .npz files, the first of which is taken.
@@ -32,9 +34,6 @@ POINTS = ("points", "xyz", "vertices", "pos", "positions", "coords", "coordinate
 FACES = ("faces", "triangles", "f")
 NORMALS = ("normals", "normal", "n")
 VIEWPOINTS = ("viewpoints", "viewpoint", "sensors", "sensor")
-# Fields of an array of records: those of coordinates, and those of normals in PLY and in PCD files.
-COORDINATES = ("x", "y", "z")
-NORMAL_FIELDS = (("nx", "ny", "nz"), ("normal_x", "normal_y", "normal_z"))
 
 
 def read_npy(path: Path) -> RawScan:
@@ -46,7 +45,7 @@ def read_npy(path: Path) -> RawScan:
     the file of its camera lies beside it: see `depth_scan`.
     """
     with path.open("rb") as file:
-        array = _array(path, file, path.stat().st_size)
+        array = _array(file, path.stat().st_size)
     if _is_image(array.shape, array.dtype) and has_camera(path):
         return depth_scan(path, array)
     return without_zeros(_scan_of(array))
@@ -54,24 +53,21 @@ def read_npy(path: Path) -> RawScan:
 
 def read_npz(path: Path) -> RawScan:
     """Read the points or the mesh of a NumPy archive; rows of zeros of a cloud are dropped with a note."""
-    try:
-        with zipfile.ZipFile(path) as archive:
-            members = _members(archive)
-            points = _first(members, POINTS) or (next(iter(members)) if len(members) == 1 else None)
-            if points is None:
-                raise ScanReadError(
-                    f"it must hold an array 'points', got {', '.join(members) or 'no arrays'}"
-                )
-            found = _member(path, archive, members[points])
-            faces, normals, viewpoints = (
-                None if (name := _first(members, known)) is None else _member(path, archive, members[name])
-                for known in (FACES, NORMALS, VIEWPOINTS)
-            )
-    except (OSError, MemoryError, ScanReadError):
-        raise
-    # zipfile and the decompressor raise exceptions of many classes for damaged archives.
-    except Exception as error:
-        raise incomplete(path, error) from error
+    with zipfile.ZipFile(path) as archive:
+        members = _members(archive)
+
+        def array(known: tuple[str, ...]) -> NDArray[Any] | None:
+            """The first array of these names."""
+            for name in known:
+                if name in members:
+                    data = member_bytes(archive, members[name])
+                    return _array(io.BytesIO(data), len(data))
+            return None
+
+        found = array(POINTS if len(members) != 1 else tuple(members))
+        if found is None:
+            raise ScanReadError(f"it must hold an array 'points', got {', '.join(members) or 'no arrays'}")
+        faces, normals, viewpoints = array(FACES), array(NORMALS), array(VIEWPOINTS)
     scan = _scan_of(found)
     n = len(scan.points)
     if faces is not None:
@@ -92,27 +88,13 @@ def _vectors(array: NDArray[Any], name: str, shapes: tuple[tuple[int, ...], ...]
     return array.astype(np.float64)
 
 
-def _declared(path: Path) -> tuple[tuple[int, ...], np.dtype[Any]] | None:
-    """The shape and the type of the array in a file; None if the header is damaged."""
-    with path.open("rb") as file:
-        try:
-            return _header(file)[:2]
-        except OSError:
-            raise
-        except Exception:  # noqa: BLE001 - as in `_array`
-            return None
-
-
-def _recognise_npy(path: Path) -> bool:
+def recognise_npy(path: Path) -> bool:
     """Whether the array has the shape of a table of points."""
-    declared = _declared(path)
-    if declared is None:
-        return False
-    shape, dtype = declared
+    shape, dtype = _declared(path)
     if _is_image(shape, dtype):
         return has_camera(path)
     if dtype.names:
-        return set(COORDINATES) <= set(dtype.names)
+        return {*POINT_FIELDS.split()} <= {*dtype.names}
     return (
         dtype.kind in "fiu"
         and len(shape) in (2, 3)
@@ -121,34 +103,34 @@ def _recognise_npy(path: Path) -> bool:
     )
 
 
+def parts_of_npy(path: Path) -> tuple[Part, ...]:
+    """The file of the camera, of a depth image."""
+    return camera_parts(path) if _is_image(*_declared(path)) else ()
+
+
+def _declared(path: Path) -> tuple[tuple[int, ...], np.dtype[Any]]:
+    """The shape and the type of the array in a file."""
+    with path.open("rb") as file:
+        return _header(file)[:2]
+
+
 def _is_image(shape: tuple[int, ...], dtype: np.dtype[Any]) -> bool:
     """Whether an array may be a depth image, because it has too many columns for a table of points."""
     return len(shape) == 2 and shape[1] > MOST_COLUMNS and dtype.kind in "fiu"
 
 
-def _parts_of_npy(path: Path) -> tuple[Part, ...]:
-    """The file of the camera, of a depth image."""
-    declared = _declared(path)
-    return camera_parts(path) if declared is not None and _is_image(*declared) else ()
-
-
-def _recognise_npz(path: Path) -> bool:
-    try:
-        with zipfile.ZipFile(path) as archive:
-            return _first(_members(archive), POINTS) is not None
-    except (OSError, zipfile.BadZipFile, ValueError, NotImplementedError):
-        return False
+def recognise_npz(path: Path) -> bool:
+    """Whether an archive has an array of points."""
+    with zipfile.ZipFile(path) as archive:
+        return not {*POINTS}.isdisjoint(_members(archive))
 
 
 def _scan_of(array: NDArray[Any]) -> RawScan:
     """The points, and the normals, of an array of numbers or of records."""
     if array.dtype.names:
-        columns = {name.lower(): array[name].reshape(-1) for name in array.dtype.names}
-        fields = [names for names in (COORDINATES, *NORMAL_FIELDS) if set(names) <= columns.keys()]
-        if COORDINATES not in fields:
-            raise ScanReadError(f"records must have the fields x y z, got {' '.join(columns)}")
-        points, *normals = (_numbers(np.column_stack([columns[name] for name in names])) for names in fields)
-        return RawScan(points, normals=normals[0] if normals else None)
+        fields = {name.lower(): array[name] for name in array.dtype.names}
+        normals = NORMAL_FIELDS if {*NORMAL_FIELDS.split()} <= fields.keys() else PCD_NORMAL_FIELDS
+        return scan_of_fields(fields, lambda name: _numbers(fields[name].reshape(-1)), normals)
     if array.ndim not in (2, 3) or not 3 <= array.shape[-1] <= MOST_COLUMNS:
         raise ScanReadError(
             f"an array of points must have the shape (n, c) or (h, w, c), c from 3 to {MOST_COLUMNS}, "
@@ -174,29 +156,14 @@ def _members(archive: zipfile.ZipFile) -> dict[str, zipfile.ZipInfo]:
     }
 
 
-def _first(names: Mapping[str, object], known: tuple[str, ...]) -> str | None:
-    return next((name for name in known if name in names), None)
-
-
-def _member(path: Path, archive: zipfile.ZipFile, info: zipfile.ZipInfo) -> NDArray[Any]:
-    data = member_bytes(archive, info)
-    return _array(path, io.BytesIO(data), len(data))
-
-
-def _array(path: Path, file: IO[bytes], n_bytes: int) -> NDArray[Any]:
+def _array(file: IO[bytes], n_bytes: int) -> NDArray[Any]:
     """An array, whose size is checked before it is read."""
-    try:
-        shape, dtype, in_columns = _header(file)
-    except OSError:
-        raise
-    # The header is a Python expression, whose parser raises exceptions of many classes.
-    except Exception as error:
-        raise incomplete(path, f"its header is damaged: {error}") from error
+    shape, dtype, in_columns = _header(file)
     if dtype.hasobject:
         raise ScanReadError("it holds Python objects, which are not read: save an array of numbers")
     promised = int(np.prod([*shape, dtype.itemsize], dtype=object))
     if any(size < 0 for size in shape) or promised > n_bytes - file.tell():
-        raise incomplete(path, f"its header declares {promised} bytes, {n_bytes - file.tell()} follow")
+        raise Damaged(f"its header declares {promised} bytes, {n_bytes - file.tell()} follow")
     values = np.frombuffer(file.read(promised), dtype)
     return values.reshape(shape, order="F" if in_columns else "C")
 
@@ -207,7 +174,3 @@ def _header(file: IO[bytes]) -> tuple[tuple[int, ...], np.dtype[Any], bool]:
     read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
     shape, in_columns, dtype = read(file)
     return shape, dtype, in_columns
-
-
-NPY = Format((".npy",), read_npy, _parts_of_npy, recognise=_recognise_npy)
-NPZ = Format((".npz",), read_npz, recognise=_recognise_npz)

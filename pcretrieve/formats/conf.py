@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from pcretrieve.errors import ScanReadError
-from pcretrieve.formats.format import Format, Part, RawScan, check_file, joined, text_lines
+from pcretrieve.formats.format import Part, RawScan, check_file, joined, text_lines
 from pcretrieve.values import FloatArray
 
 if TYPE_CHECKING:
@@ -91,21 +91,18 @@ def read_poses(path: Path) -> list[tuple[Path, Rotation, FloatArray]]:
     return poses
 
 
-def conf_format(read_view: Callable[[Path], RawScan]) -> Format:
-    """The format of Stanford ``.conf`` files, whose views are read by a function."""
-
-    def read(path: Path) -> RawScan:
-        scans = [
-            _moved(_view(path, view, read_view), rotation, translation)
-            for view, rotation, translation in read_poses(path)
-        ]
-        # The notes of the views say nothing of the scan as a whole.
-        return joined(scans)._replace(faces=None, notes=(), unit=None)
-
-    return Format((".conf",), read, _views)
+def read_conf(path: Path, read_view: Callable[[Path], RawScan]) -> RawScan:
+    """Read the views of a ``.conf`` file, each by a function, in their common frame."""
+    scans = [
+        _moved(_view(path, view, read_view), rotation, translation)
+        for view, rotation, translation in read_poses(path)
+    ]
+    # The notes of the views say nothing of the scan as a whole.
+    return joined(scans)._replace(faces=None, notes=(), unit=None)
 
 
-def _views(path: Path) -> tuple[Part, ...]:
+def conf_views(path: Path) -> tuple[Part, ...]:
+    """The files of the views, with their poses."""
     parts = []
     for view, rotation, translation in read_poses(path):
         pose = np.eye(4)

@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcretrieve.errors import ScanReadError
-from pcretrieve.formats.format import DEFLATE_RATIO, Format, Part, RawScan, check_file, incomplete
+from pcretrieve.formats.format import DEFLATE_RATIO, Damaged, Part, RawScan, check_file
 from pcretrieve.formats.organised import organised_scan
 
 if sys.version_info >= (3, 11):
@@ -42,11 +42,7 @@ MILLIMETRES, METRES = 1000.0, 1.0
 NO_ANSWER = 65535
 
 # Files beside an image, or in the folder above, that hold the parameters of its camera.
-NAMES = tuple(
-    name + suffix
-    for name in ("camera", "camera_intrinsic", "intrinsic", "intrinsics")
-    for suffix in (".json", ".toml")
-)
+STEMS, SUFFIXES = ("camera", "camera_intrinsic", "intrinsic", "intrinsics"), (".json", ".toml")
 # Largest size of such a file: those of Open3D have less than a kilobyte.
 MOST_BYTES = 1 << 16
 # The file of a folder in the layout of the TUM RGB-D benchmark, which names the images in its folder depth.
@@ -69,9 +65,10 @@ class Camera(NamedTuple):
 
 
 # The defaults of OpenNI and ROS for the first Kinect, and of libfreenect2 for the second.
+ASSUMED = "assumed the camera of a {}: there is no camera.json beside the image"
 KINECTS = {
-    (640, 480): Camera((525.0, 525.0), (319.5, 239.5), note="Kinect"),
-    (512, 424): Camera((365.456, 365.456), (254.878, 205.395), note="Kinect v2"),
+    (640, 480): Camera((525.0, 525.0), (319.5, 239.5), note=ASSUMED.format("Kinect")),
+    (512, 424): Camera((365.456, 365.456), (254.878, 205.395), note=ASSUMED.format("Kinect v2")),
 }
 # The calibrations of the three cameras of the TUM benchmark, and the scale of its images.
 TUM_SCALE = 5000.0
@@ -85,9 +82,14 @@ TUM_DEFAULT = Camera((525.0, 525.0), (319.5, 239.5), TUM_SCALE, (640, 480))
 
 def _camera_file(image: Path) -> Path | None:
     """The file with the parameters of the camera of an image."""
-    own = [image.with_suffix(suffix) for suffix in (".json", ".toml")]
+    own = [image.with_suffix(suffix) for suffix in SUFFIXES]
     folder = image.absolute().parent
-    near = [place / name for place in (folder, folder.parent) for name in NAMES]
+    near = [
+        place / f"{stem}{suffix}"
+        for place in (folder, folder.parent)
+        for stem in STEMS
+        for suffix in SUFFIXES
+    ]
     listed = [folder.parent / TUM_LIST] if folder.name == "depth" else []
     return next((file for file in (*own, *near, *listed) if file.is_file()), None)
 
@@ -109,16 +111,6 @@ def camera_of(file: Path) -> Camera:
             f"the camera file {file.name} must have intrinsic_matrix as Open3D writes it, or fx fy cx cy: "
             f"{type(error).__name__} {error}"
         ) from error
-
-
-def _known_camera(width: int, height: int) -> Camera | None:
-    """The default parameters of a Kinect for images of so many pixels."""
-    camera = KINECTS.get((width, height))
-    if camera is None:
-        return None
-    return camera._replace(
-        note=f"assumed the camera of a {camera.note}: there is no camera.json beside the image"
-    )
 
 
 def _camera(tree: Any) -> Camera:
@@ -148,7 +140,7 @@ def depth_scan(path: Path, depth: NDArray[Any]) -> RawScan:
     """
     height, width = depth.shape
     file = _camera_file(path)
-    camera = _known_camera(width, height) if file is None else camera_of(file)
+    camera = KINECTS.get((width, height)) if file is None else camera_of(file)
     if camera is None:
         raise ScanReadError(
             f"a depth image of {width} × {height} pixels needs the parameters of its camera: put "
@@ -185,21 +177,19 @@ def _image(path: Path) -> Iterator[Any]:
     from PIL import Image
 
     # In memory, because Pillow allocates what a damaged chunk declares before it reads a file, up to 4 GB.
-    data = path.read_bytes()
+    data = io.BytesIO(path.read_bytes())
     try:
         with warnings.catch_warnings():
             # Pillow warns of damaged metadata, and of images that are suspiciously large.
             warnings.simplefilter("error")
-            with Image.open(io.BytesIO(data), formats=("PNG", "TIFF")) as image:
+            with Image.open(data, formats=("PNG", "TIFF")) as image:
                 yield image
-    except (MemoryError, ScanReadError):
-        raise
-    # Pillow has no exception class for damaged files: its decoders raise many, OSError among them.
-    except Exception as error:
-        raise incomplete(path, error) from error
+    except OSError as error:  # of Pillow, for damage
+        raise Damaged(str(error)) from error
 
 
-def _read_depth(path: Path) -> RawScan:
+def read_depth(path: Path) -> RawScan:
+    """Read a depth image."""
     with _image(path) as image:
         if image.mode not in DEPTH_MODES:
             raise ScanReadError(
@@ -207,20 +197,14 @@ def _read_depth(path: Path) -> RawScan:
             )
         width, height = image.size
         if width * height * MOST_PIXEL_BYTES > DEFLATE_RATIO * path.stat().st_size:
-            raise incomplete(path, f"it declares {width} × {height} pixels")
+            raise Damaged(f"it declares {width} × {height} pixels")
         depth = np.asarray(image)
     return depth_scan(path, depth)
 
 
-def _is_depth_image(path: Path) -> bool:
+def is_depth_image(path: Path) -> bool:
     """Whether an image has the channel of a depth image, and a camera."""
     if not has_camera(path):
         return False
-    try:
-        with _image(path) as image:
-            return image.mode in DEPTH_MODES
-    except ScanReadError:
-        return False
-
-
-DEPTH_IMAGE = Format((".png", ".tif", ".tiff"), _read_depth, camera_parts, recognise=_is_depth_image)
+    with _image(path) as image:
+        return image.mode in DEPTH_MODES

@@ -5,8 +5,7 @@ from __future__ import annotations
 import re
 import stat
 import zipfile
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Collection, Iterable, Sequence
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -19,6 +18,9 @@ from pcretrieve.values import FloatArray, PointCloud, TriangleMesh
 
 # Tolerance of the length of normals that a file does not name: they may have three digits.
 UNIT_TOLERANCE = 1e-2
+
+# Names of columns: of points, of normals in PLY files, and of positions of sensors, by PCL.
+POINT_FIELDS, NORMAL_FIELDS, SENSOR_FIELDS = "x y z", "nx ny nz", "vp_x vp_y vp_z"
 
 # Largest compression ratio of deflate, the usual method of archives.
 DEFLATE_RATIO = 1032
@@ -61,8 +63,12 @@ class RawScan(NamedTuple):
     unit: str | None = None
 
 
+class Damaged(Exception):
+    """A file is truncated, damaged, or not of the format of its suffix; the reason only, for `read_raw`."""
+
+
 class Extra(NamedTuple):
-    """What must be installed for a format."""
+    """The extra of pcretrieve that must be installed for a format, and its modules."""
 
     name: str
     modules: tuple[str, ...]
@@ -89,29 +95,22 @@ class Part(NamedTuple):
     pose: FloatArray | None = None
 
 
-@dataclass(frozen=True, slots=True)
-class Format:
-    """A file format.
+class Format(NamedTuple):
+    """A file format. Any of its functions may raise ScanReadError, or OSError of a file that cannot be read.
 
     Attributes
     ----------
-    suffixes : tuple of str
-        Suffixes of its files, including the dot, in lower case.
     read : function of Path that returns a RawScan
-        Reads a file, which exists, is a regular file and is not empty. Raises ScanReadError if the file is
-        invalid; an OSError is reported as a file that cannot be read.
+        Reads a file, which exists, is a regular file and is not empty.
     parts : function of Path that returns a tuple of Part
         The other files that belong to a file: its content is that of all of them, and they are no scans of
-        their own. None by default. Raises ScanReadError and OSError.
-    write_cloud : function of PointCloud that returns bytes, or None
-        The content of a file; None if the format does not store point clouds. Raises InputError if a cloud
-        lacks what the format requires.
-    write_mesh : function of TriangleMesh that returns bytes, or None
-        The same for meshes.
+        their own. None by default.
+    write_cloud, write_mesh : function of PointCloud, of TriangleMesh, that returns bytes, or None
+        The content of a file; None if the format does not store point clouds, or meshes. Raises InputError if
+        a cloud lacks what the format requires.
     recognise : function of Path that returns a bool, or None
         Whether a file is a scan, by a look at its first bytes; for suffixes that other files have too. A
-        folder stands for those files in it that are recognised. None if every file of the suffixes is a scan.
-        Raises OSError.
+        folder stands for those files in it that are recognised. None if every file of the suffix is a scan.
     names : function of Path that returns a tuple of str, or None
         The names of the scans in a file: `read` takes one of them as its second argument, and reads all of
         them as one without it. None if a file is one scan.
@@ -119,7 +118,6 @@ class Format:
         What must be installed to read the format; None if nothing more than pcretrieve.
     """
 
-    suffixes: tuple[str, ...]
     read: Callable[..., RawScan]
     parts: Callable[[Path], tuple[Part, ...]] = lambda path: ()
     write_cloud: Callable[[PointCloud], bytes] | None = None
@@ -152,30 +150,20 @@ def check_file(path: Path) -> None:
         raise ScanReadError("the file is empty: scan or export it again")
 
 
-def incomplete(path: Path, reason: object) -> ScanReadError:
-    """The error for a file that is truncated, damaged, or not of the format of its suffix."""
-    if isinstance(reason, UnicodeError):
-        reason = "it holds bytes that are no text"  # instead of the message of the codec
-    words = str(reason).splitlines() or [type(reason).__name__]
-    return ScanReadError(
-        f"not a complete {path.suffix[1:].upper()} file ({words[0]}): export or copy it again"
-    )
-
-
-def no_text(path: Path) -> ScanReadError:
-    """The error for a file that is not a text file, against its suffix."""
-    return ScanReadError(f"not a text file, though its name ends in {path.suffix}")
-
-
 def text_lines(path: Path) -> list[str]:
     """The lines of a text file."""
     try:
         text = path.read_text(encoding="utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise no_text(path) from error
-    if "\0" in text:
-        raise no_text(path)
+    except UnicodeDecodeError:
+        text = "\0"
+    check_text(path, text)
     return text.splitlines()
+
+
+def check_text(path: Path, text: str) -> None:
+    """Check that a file is a text file, as its suffix says: text has no zeros."""
+    if "\0" in text:
+        raise ScanReadError(f"not a text file, though its name ends in {path.suffix}")
 
 
 def member_bytes(archive: zipfile.ZipFile, info: zipfile.ZipInfo) -> bytes:
@@ -207,29 +195,14 @@ def distinct_names(names: Iterable[str]) -> list[str]:
 def fans(polygons: Sequence[NDArray[Any]]) -> NDArray[np.int64]:
     """(m, 3) triangles of polygons, as fans around their first corners.
 
-    polygons: sequence of (p, k) int, vertex numbers of polygons of k corners; polygons of fewer than three
-        corners are ignored.
+    polygons: sequence of (p, k) int, vertex numbers of polygons of k corners; fewer than three are ignored.
     """
     triangles = [
         corners if corners.shape[1] == 3 else corners[:, [0, k, k + 1]]
         for corners in polygons
         for k in range(1, corners.shape[1] - 1)
     ]
-    if not triangles:
-        return np.empty((0, 3), dtype=np.int64)
-    return np.concatenate(triangles, dtype=np.int64, casting="unsafe")
-
-
-def merged_vertices(
-    vertices: NDArray[Any], faces: NDArray[np.integer[Any]]
-) -> tuple[NDArray[Any], NDArray[np.integer[Any]]]:
-    """Merge vertices with equal coordinates: (p, 3) of them, in lexicographic order, and the (m, 3) faces."""
-    if faces.size and not (faces.min() >= 0 and faces.max() < len(vertices)):
-        raise ScanReadError(
-            f"faces must name vertices 0 to {len(vertices) - 1}, got {faces.min()} to {faces.max()}"
-        )
-    vertices, inverse = np.unique(vertices, axis=0, return_inverse=True)
-    return vertices, inverse.reshape(-1)[faces]
+    return np.concatenate([np.empty((0, 3), np.int64), *triangles], dtype=np.int64, casting="unsafe")
 
 
 def are_normals(vectors: NDArray[Any]) -> bool:
@@ -280,8 +253,29 @@ def joined(scans: Sequence[RawScan]) -> RawScan:
     )
 
 
-def columns_of(cloud: PointCloud, points: str, normals: str, viewpoints: str) -> tuple[list[str], FloatArray]:
-    """The names of the columns of a table, and the (n, c) arrays of a cloud as one table."""
-    arrays = ((points, cloud.points), (normals, cloud.normals), (viewpoints, cloud.viewpoints))
-    held = [(names, array) for names, array in arrays if array is not None]
-    return " ".join(names for names, _ in held).split(), np.concatenate([array for _, array in held], axis=1)
+def scan_of_fields(
+    names: Collection[str], column: Callable[[str], NDArray[Any]], normals: str = NORMAL_FIELDS
+) -> RawScan:
+    """The scan in the named columns of a table, each of which a function gives as an (n,) array."""
+
+    def table(wanted: str) -> NDArray[np.float64] | None:
+        if not {*wanted.split()} <= {*names}:
+            return None
+        columns = [column(name) for name in wanted.split()]
+        joined = np.empty((len(columns[0]), len(columns)))
+        for k, values in enumerate(columns):
+            joined[:, k] = values
+        return joined
+
+    points = table(POINT_FIELDS)
+    if points is None:
+        raise ScanReadError(f"a scan must have the fields {POINT_FIELDS}, this one has {' '.join(names)}")
+    return RawScan(points, None, table(normals), table(SENSOR_FIELDS))
+
+
+def fields_of(cloud: PointCloud, normals: str = NORMAL_FIELDS) -> tuple[list[str], FloatArray]:
+    """The names of the columns of a table, and the arrays of a cloud as one (n, c) table."""
+    arrays = ((POINT_FIELDS, cloud.points), (normals, cloud.normals), (SENSOR_FIELDS, cloud.viewpoints))
+    given = [(names, array) for names, array in arrays if array is not None]
+    table = np.concatenate([array for _, array in given], axis=1)
+    return " ".join(names for names, _ in given).split(), table

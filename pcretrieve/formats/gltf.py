@@ -16,20 +16,17 @@ from __future__ import annotations
 import base64
 import json
 import struct
-from collections.abc import Iterator
-from contextlib import contextmanager
 from functools import cache, partial
 from pathlib import Path, PurePosixPath
-from typing import Any, NamedTuple
+from typing import Any
 from urllib.parse import unquote, urlsplit
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pcretrieve.errors import ScanReadError
-from pcretrieve.formats.format import Part, RawScan, check_file, distinct_names, joined
-from pcretrieve.formats.meshes import mesh_bytes
-from pcretrieve.formats.scenes import Scene, check_size, moved, scene_format
+from pcretrieve.formats.format import Damaged, Part, RawScan, check_file, distinct_names, joined
+from pcretrieve.formats.meshes import Scene, check_size, moved
 from pcretrieve.values import FloatArray
 
 COMPONENTS = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
@@ -38,46 +35,31 @@ WIDTHS = {"SCALAR": 1, "VEC3": 3}
 TRIANGLES, STRIP, FAN = 4, 5, 6
 
 
-class Placed(NamedTuple):
-    """A mesh, by its number, and the (4, 4) motion to the frame of the scene."""
-
-    mesh: int
-    motion: FloatArray
-
-
-def _gltf(path: Path) -> Scene:
-    with _broken():
-        tree, contents, n_bytes = _document(path)
-        placed = _placed(tree, n_bytes)
-        nodes, meshes = tree["nodes"], tree["meshes"]
-        labels = (
-            nodes[node].get("name") or meshes[placed[node].mesh].get("name") or "" for node in sorted(placed)
-        )
-        names = dict(zip(sorted(placed), distinct_names(map(str, labels)), strict=True))
+def gltf_scene(path: Path) -> Scene:
+    """The bodies of a glTF or GLB file."""
+    tree, buffers, n_bytes = _document(path)
+    placed = _placed(tree, n_bytes)
+    nodes, meshes = tree["nodes"], tree["meshes"]
+    labels = (nodes[node].get("name") or meshes[placed[node][0]].get("name") or "" for node in sorted(placed))
+    names = dict(zip(sorted(placed), distinct_names(map(str, labels)), strict=True))
 
     @cache
     def parts(mesh: int) -> list[RawScan]:
-        return [_primitive(tree, contents, primitive) for primitive in meshes[mesh]["primitives"]]
+        return [_primitive(tree, buffers, primitive) for primitive in meshes[mesh]["primitives"]]
 
     def body(mesh: int, motion: FloatArray) -> RawScan:
-        with _broken():
-            empty = RawScan(np.empty((0, 3)))  # of a mesh without primitives
-            return joined([empty, *(moved(part, motion) for part in parts(mesh))])._replace(unit="m")
+        empty = RawScan(np.empty((0, 3)))  # of a mesh without primitives
+        return joined([empty, *(moved(part, motion) for part in parts(mesh))])._replace(unit="m")
 
-    return Scene(
-        {names[node]: partial(body, *found) for node, found in placed.items()},
-        tuple(names.values()),
-        is_surface=True,
-    )
+    bodies = {names[node]: partial(body, *found) for node, found in placed.items()}
+    return Scene(bodies, tuple(names.values()), is_surface=True)
 
 
-@contextmanager
-def _broken() -> Iterator[None]:
-    """Turn what a tree raises that lacks members, has some of a wrong type, or invalid references."""
-    try:
-        yield
-    except (ArithmeticError, AttributeError, LookupError, RecursionError, TypeError, ValueError) as error:
-        raise ScanReadError(f"its JSON part is broken: {type(error).__name__} {error}") from error
+def buffer_files(path: Path) -> tuple[Part, ...]:
+    """The files that hold the buffers of a glTF file."""
+    check_file(path)
+    uris = [str(buffer["uri"]) for buffer in json.loads(path.read_bytes()).get("buffers", [])]
+    return tuple(map(Part, dict.fromkeys(_file(path, uri) for uri in uris if not uri.startswith("data:"))))
 
 
 def _document(path: Path) -> tuple[Any, list[bytes], int]:
@@ -85,44 +67,36 @@ def _document(path: Path) -> tuple[Any, list[bytes], int]:
     data = path.read_bytes()
     is_glb = path.suffix.lower() == ".glb"
     text, binary = _chunks(data) if is_glb else (data, b"")
-    tree = _tree(text)
+    tree = json.loads(text)
     if not is_glb and not str(tree["asset"]["version"]).startswith("2."):
-        raise ScanReadError(f"it is not glTF 2.0, but {str(tree['asset']['version'])[:10]}")
+        raise Damaged(f"it is not glTF 2.0, but {str(tree['asset']['version'])[:10]}")
     buffers = []
     for buffer in tree.get("buffers", []):
         if is_glb and not str(buffer.get("uri", "data:")).startswith("data:"):
-            raise ScanReadError("its values lie outside of it: export it with everything in one file")
+            raise Damaged("its values lie outside of it: export it with everything in one file")
         buffers.append(binary if is_glb and "uri" not in buffer else _buffer(path, str(buffer["uri"])))
-    n_bytes = len(data) + (0 if is_glb else sum(map(len, buffers)))
-    return tree, buffers, n_bytes
+    return tree, buffers, len(data) + (0 if is_glb else sum(map(len, buffers)))
 
 
 def _chunks(data: bytes) -> tuple[bytes, bytes]:
     """The JSON part and the binary part of a GLB file."""
-    if data[:4] != b"glTF" or len(data) < 20:
-        raise ScanReadError("its first bytes are not those of glTF")
+    if data[:4] != b"glTF":
+        raise Damaged("its first bytes are not those of glTF")
     version, length, length_of_tree, kind = struct.unpack_from("<III4s", data, 4)
     if version != 2 or kind != b"JSON":
-        raise ScanReadError("it is not glTF 2.0")
+        raise Damaged("it is not glTF 2.0")
     start = 20 + length_of_tree
     if not start <= length <= len(data):
-        raise ScanReadError(f"its header declares {length} bytes, it has {len(data)}")
+        raise Damaged(f"its header declares {length} bytes, it has {len(data)}")
     text, binary = data[20:start], b""
     while start + 8 <= length and not binary:
         size, kind = struct.unpack_from("<I4s", data, start)
         start += 8 + size
         if start > length:
-            raise ScanReadError("its binary part is cut short")
+            raise Damaged("its binary part is cut short")
         if kind == b"BIN\0":
             binary = data[start - size : start]
     return text, binary
-
-
-def _tree(text: bytes) -> Any:
-    try:
-        return json.loads(text)
-    except UnicodeDecodeError as error:
-        raise ScanReadError("its JSON part holds bytes that are no text") from error
 
 
 def _buffer(path: Path, uri: str) -> bytes:
@@ -133,50 +107,39 @@ def _buffer(path: Path, uri: str) -> bytes:
         check_file(file)
         return file.read_bytes()
     except OSError as error:
-        raise ScanReadError(f"its buffer {file.name}: {error.strerror or error}") from error
+        raise Damaged(f"its buffer {file.name}: {error.strerror or error}") from error
     except ScanReadError as error:
-        raise ScanReadError(f"its buffer {file.name}: {error.message}") from error
+        raise Damaged(f"its buffer {file.name}: {error.message}") from error
 
 
 def _file(path: Path, uri: str) -> Path:
     """The file of a URI, which may not lead out of the folder of the glTF file."""
     name = PurePosixPath(unquote(uri))
     if urlsplit(uri).scheme or name.is_absolute() or ".." in name.parts or "\0" in str(name):
-        raise ScanReadError(f"its buffers must be files below its own folder, got {uri[:80]!r}")
+        raise Damaged(f"its buffers must be files below its own folder, got {uri[:80]!r}")
     return path.parent / name
 
 
-def _buffer_files(path: Path) -> tuple[Part, ...]:
-    """The files that hold the buffers of a glTF file."""
-    check_file(path)
-    try:
-        uris = [str(buffer["uri"]) for buffer in _tree(path.read_bytes()).get("buffers", [])]
-        files = dict.fromkeys(_file(path, uri) for uri in uris if not uri.startswith("data:"))
-    except (AttributeError, LookupError, RecursionError, TypeError, ValueError) as error:
-        raise ScanReadError(f"its list of buffers is damaged: {type(error).__name__} {error}") from error
-    return tuple(Part(file) for file in files)
-
-
-def _placed(tree: Any, n_bytes: int) -> dict[int, Placed]:
-    """The mesh of each node of the scene, whose sizes are checked."""
+def _placed(tree: Any, n_bytes: int) -> dict[int, tuple[int, FloatArray]]:
+    """The number of the mesh of each node, whose sizes are checked, and its (4, 4) motion to the scene."""
     nodes = tree.get("nodes", [])
-    placed: dict[int, Placed] = {}
+    placed: dict[int, tuple[int, FloatArray]] = {}
     seen = set()
     waiting = [(root, np.eye(4)) for root in tree["scenes"][tree.get("scene", 0)].get("nodes", [])]
     while waiting:
         number, motion = waiting.pop()
         if number in seen:
-            raise ScanReadError(f"node {number} has more than one parent")
+            raise Damaged(f"node {number} has more than one parent")
         seen.add(number)
         motion = motion @ _transform(nodes[number])
         waiting += [(child, motion) for child in nodes[number].get("children", [])]
         if "mesh" in nodes[number]:
-            placed[number] = Placed(nodes[number]["mesh"], motion)
+            placed[number] = nodes[number]["mesh"], motion
     sizes = {
         mesh: sum(int(tree["accessors"][accessor]["count"]) for accessor in _accessors(tree, mesh))
-        for mesh in {body.mesh for body in placed.values()}
+        for mesh in {mesh for mesh, _ in placed.values()}
     }
-    check_size(sum(sizes[body.mesh] for body in placed.values()), n_bytes)
+    check_size(sum(sizes[mesh] for mesh, _ in placed.values()), n_bytes)
     return placed
 
 
@@ -219,7 +182,7 @@ def _primitive(tree: Any, contents: list[bytes], primitive: Any) -> RawScan:
     if "indices" in primitive:
         corners = _values(tree, contents, primitive["indices"], "SCALAR")[:, 0].astype(np.int64)
         if len(corners) and not 0 <= corners.min() <= corners.max() < len(vertices):
-            raise ScanReadError(f"its faces name vertex {corners.max()}, of {len(vertices)}")
+            raise Damaged(f"its faces name vertex {corners.max()}, of {len(vertices)}")
     if mode == TRIANGLES:
         return RawScan(vertices, corners.reshape(-1, 3))
     k = np.arange(max(len(corners) - 2, 0))
@@ -232,12 +195,12 @@ def _values(tree: Any, contents: list[bytes], accessor: int, kind: str) -> NDArr
     """The (count, width) values of an accessor; normalised integers as numbers from −1 to 1."""
     declared = tree["accessors"][accessor]
     if "sparse" in declared or "bufferView" not in declared:
-        raise ScanReadError("its values are sparse or compressed: export it plainly")
+        raise Damaged("its values are sparse or compressed: export it plainly")
     if declared["type"] != kind:
-        raise ScanReadError(f"positions must be VEC3 and indices SCALAR, one is {declared['type']}")
+        raise Damaged(f"positions must be VEC3 and indices SCALAR, one is {declared['type']}")
     view = tree["bufferViews"][declared["bufferView"]]
     if not 0 <= view["buffer"] < len(contents):
-        raise ScanReadError("its values lie outside of it: export it with everything in one file")
+        raise Damaged("its values lie outside of it: export it with everything in one file")
     binary = contents[view["buffer"]]
     count, width, dtype = declared["count"], WIDTHS[kind], np.dtype(COMPONENTS[declared["componentType"]])
     stride = view.get("byteStride", width * dtype.itemsize)
@@ -245,12 +208,8 @@ def _values(tree: Any, contents: list[bytes], accessor: int, kind: str) -> NDArr
     first = start + declared.get("byteOffset", 0)
     stop = first + (count - 1) * stride + width * dtype.itemsize
     if not 0 <= start <= first <= stop <= start + view["byteLength"] <= len(binary):
-        raise ScanReadError(f"its binary part is too short for {count} values")
+        raise Damaged(f"its binary part is too short for {count} values")
     values: NDArray[Any] = np.ndarray((count, width), dtype, binary, first, (stride, dtype.itemsize))
     if declared.get("normalized", False) and dtype.kind != "f":
         return np.maximum(values / np.iinfo(dtype).max, -1)
     return values
-
-
-GLB = scene_format(".glb", _gltf, write_mesh=partial(mesh_bytes, file_type="glb"))
-GLTF = scene_format(".gltf", _gltf, parts=_buffer_files)

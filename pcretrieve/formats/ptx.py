@@ -10,7 +10,7 @@ from typing import IO, NamedTuple
 import numpy as np
 
 from pcretrieve.errors import ScanReadError
-from pcretrieve.formats.format import Format, RawScan, incomplete, joined
+from pcretrieve.formats.format import Damaged, RawScan, joined
 from pcretrieve.formats.organised import organised_scan
 from pcretrieve.formats.text import number_rows
 from pcretrieve.values import FloatArray
@@ -43,19 +43,20 @@ def read_ptx(path: Path, name: str | None = None) -> RawScan:
     with path.open(encoding="utf-8-sig", errors="replace") as file:
         for number, header in enumerate(_headers(path, file), start=1):
             if name in (None, str(number)):
-                scans.append(_scan(path, file, header))
+                scans.append(_scan(file, header))
             else:
                 _pass_over(file, header)
     return joined(scans)
 
 
-def _names(path: Path) -> tuple[str, ...]:
+def ptx_names(path: Path) -> tuple[str, ...]:
+    """The numbers of the scans in a file."""
     with path.open(encoding="utf-8-sig", errors="replace") as file:
-        n_scans = 0
-        for header in _headers(path, file):
-            n_scans += 1
+        names = []
+        for number, header in enumerate(_headers(path, file), start=1):
+            names.append(str(number))
             _pass_over(file, header)
-    return tuple(str(number) for number in range(1, n_scans + 1))
+    return tuple(names)
 
 
 def _pass_over(file: IO[str], header: Header) -> None:
@@ -82,15 +83,15 @@ def _headers(path: Path, file: IO[str]) -> Iterator[Header]:
             if np.abs(rotation @ rotation.T - np.eye(3)).max() > POSE_TOLERANCE:
                 raise ValueError("the matrix is not a rigid motion")
         except ValueError as error:
-            raise incomplete(path, f"its header is damaged: {error}") from error
+            raise Damaged(f"its header is damaged: {error}") from error
         yield Header(int(n_columns), int(n_rows), rotation, pose[3, :3])
 
 
-def _scan(path: Path, file: IO[str], header: Header) -> RawScan:
+def _scan(file: IO[str], header: Header) -> RawScan:
     n = header.n_columns * header.n_rows
     table = number_rows(islice(file, n), (0, 1, 2))
     if len(table) != n:
-        raise incomplete(path, f"its header declares {n} points, it holds {len(table)}")
+        raise Damaged(f"its header declares {n} points, it holds {len(table)}")
     measured = np.isfinite(table).all(axis=1) & table.any(axis=1)  # (n,)
     points = table @ header.rotation + header.translation
     size = header.n_columns, header.n_rows
@@ -98,6 +99,3 @@ def _scan(path: Path, file: IO[str], header: Header) -> RawScan:
         return organised_scan(points.reshape(*size, 3), measured.reshape(size), header.translation)
     except ScanReadError as error:
         raise ScanReadError(f"a scan of {size[0]} × {size[1]} readings: {error.message}") from error
-
-
-PTX = Format((".ptx",), read_ptx, names=_names)

@@ -5,9 +5,10 @@ from __future__ import annotations
 import time
 from dataclasses import replace
 from pathlib import Path
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pcretrieve.errors import ScanReadError
 from pcretrieve.formats.format import RawScan, url_of
@@ -81,43 +82,51 @@ def _scan(raw: RawScan, *, started: float) -> PointCloud | TriangleMesh:
     """A cloud or a mesh with finite points, valid faces and unit normals, from the arrays of a file."""
     raw, unit = _in_metres(raw)
     n = len(raw.points)
-    finite = np.isfinite(raw.points).all(axis=1)  # (n,)
     notes = list(raw.notes)
-    if not finite.any():
+    points, kept = raw.points, np.isfinite(raw.points)
+    if not kept.all():
+        kept = kept.all(axis=1)  # (n,)
+        points = points[kept]
+        notes.append(f"dropped {n - len(points)} of {n} points that were NaN or infinite")
+    if not len(points):
         held = f"all {n} of this one are NaN or infinite" if n else "this one has none at all"
         raise ScanReadError(f"a scan must have points with finite coordinates, {held}")
-    largest = np.abs(raw.points[finite]).max()
+    largest = np.abs(points).max()
     if largest > LARGEST_COORDINATE or 0 < largest < SMALLEST_COORDINATE:
         raise ScanReadError(
             f"coordinates must be {SMALLEST_COORDINATE:g} to {LARGEST_COORDINATE:g} in size, so that areas "
             f"and volumes are numbers too, got {largest:g}: give the scan in another unit"
         )
-    if not finite.all():
-        notes.append(f"dropped {n - finite.sum()} of {n} points that were NaN or infinite")
+
+    def of_points(rows: NDArray[Any]) -> NDArray[Any]:
+        return rows if len(points) == n else rows[kept]
+
     if raw.faces is not None:
         faces = raw.faces
         if faces.size and (faces.min() < 0 or faces.max() >= n):
             raise ScanReadError(f"faces must name vertices 0 to {n - 1}, got {faces.min()} to {faces.max()}")
-        whole = finite[faces].all(axis=1)  # (m,)
-        if whole.any():
-            renumbered = np.cumsum(finite) - 1  # (n,)
-            sizes = {"vertices": n, "faces": len(faces), **unit}
+        if len(points) < n:
+            numbers = np.cumsum(kept) - 1  # (n,), of the vertices that are left
+            faces = numbers[faces[kept[faces].all(axis=1)]]
+        if len(faces):
+            sizes = {"vertices": n, "faces": len(raw.faces), **unit}
             step = Step("read", time.perf_counter() - started, sizes, tuple(notes))
-            return TriangleMesh(raw.points[finite], renumbered[faces[whole]].astype(np.int32), (step,))
+            return TriangleMesh(points, faces.astype(np.int32), (step,))
         notes.append("took the vertices as points: no face has three of them")
 
     normals = raw.normals
     if normals is not None:
+        normals = of_points(normals)
         length = np.linalg.norm(normals, axis=1, keepdims=True)
-        usable = np.isfinite(length[finite]) & (length[finite] > 0)
+        usable = np.isfinite(length) & (length > 0)
         if usable.all():
-            normals = (normals / np.where(length > 0, length, 1))[finite]
+            normals = normals / length
         else:
             notes.append(f"ignored the file's normals: {int((~usable).sum())} of them have no direction")
             normals = None
     viewpoints = raw.viewpoints
     if viewpoints is not None:
-        viewpoints = np.broadcast_to(viewpoints, (n, 3))[finite]
+        viewpoints = of_points(np.broadcast_to(viewpoints, (n, 3)))
         if not (np.abs(viewpoints) <= LARGEST_COORDINATE).all():
             notes.append(
                 "ignored the file's sensor positions: some are NaN, infinite or beyond "
@@ -125,7 +134,7 @@ def _scan(raw: RawScan, *, started: float) -> PointCloud | TriangleMesh:
             )
             viewpoints = None
     step = Step("read", time.perf_counter() - started, {"points": n} | unit, tuple(notes))
-    return PointCloud(raw.points[finite], normals, viewpoints, (step,))
+    return PointCloud(points, normals, viewpoints, (step,))
 
 
 def _in_metres(raw: RawScan) -> tuple[RawScan, dict[str, float]]:
@@ -135,10 +144,6 @@ def _in_metres(raw: RawScan) -> tuple[RawScan, dict[str, float]]:
     metres = METRES[raw.unit]
     if metres == 1:
         return raw, {UNIT: 1.0}
-    converted = raw._replace(
-        points=raw.points * metres,
-        viewpoints=None if raw.viewpoints is None else raw.viewpoints * metres,
-        notes=(*raw.notes, f"converted the coordinates from {raw.unit} to m"),
-        unit="m",
-    )
-    return converted, {UNIT: 1.0}
+    viewpoints = None if raw.viewpoints is None else raw.viewpoints * metres
+    notes = (*raw.notes, f"converted the coordinates from {raw.unit} to m")
+    return raw._replace(points=raw.points * metres, viewpoints=viewpoints, notes=notes), {UNIT: 1.0}

@@ -2,28 +2,40 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import struct
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pcretrieve.errors import OptionError, ScanReadError, ShapeError, Stage
-from pcretrieve.formats.arrays import NPY, NPZ
-from pcretrieve.formats.conf import conf_format
-from pcretrieve.formats.depth import DEPTH_IMAGE
-from pcretrieve.formats.e57 import E57
+from pcretrieve.formats.arrays import parts_of_npy, read_npy, read_npz, recognise_npy, recognise_npz
+from pcretrieve.formats.conf import conf_views, read_conf
+from pcretrieve.formats.depth import camera_parts, is_depth_image, read_depth
 from pcretrieve.formats.format import Extra, Format, Part, RawScan, check_file, url_of
-from pcretrieve.formats.gltf import GLB, GLTF
-from pcretrieve.formats.las import LAS, LAZ
-from pcretrieve.formats.meshes import OBJ, OFF, STL
-from pcretrieve.formats.pcd import PCD
-from pcretrieve.formats.ply import PLY
-from pcretrieve.formats.ptx import PTX
-from pcretrieve.formats.scenes import COLLADA, THREE_MF
-from pcretrieve.formats.text import TEXT_FORMATS
+from pcretrieve.formats.gltf import buffer_files, gltf_scene
+from pcretrieve.formats.laser import LAZRS, e57_names, read_e57, read_las
+from pcretrieve.formats.meshes import (
+    Scene,
+    collada_scene,
+    mesh_bytes,
+    names_in_scene,
+    read_obj,
+    read_off,
+    read_scene,
+    read_stl,
+    three_mf_scene,
+)
+from pcretrieve.formats.pcd import pcd_bytes, read_pcd
+from pcretrieve.formats.ply import ply_bytes, read_ply
+from pcretrieve.formats.ptx import ptx_names, read_ptx
+from pcretrieve.formats.text import is_table, read_text, xyzn_bytes
 from pcretrieve.plugins import Names, Registry
+from pcretrieve.values import METRES
 
 # Separator between the name of a file and the name of a scan in it.
 MARK = "#"
@@ -48,8 +60,8 @@ def split_member(path: Path) -> tuple[Path, str | None]:
     """The file of a path, and the name of the scan in it, if the path names one of several."""
     file, mark, name = path.name.partition(MARK)
     if mark and name:
-        suffix = Path(file).suffix.lower()
-        if suffix in suffixes() and _format_of(suffix).names is not None:
+        found = _format_of(path.with_name(file))
+        if found is not None and found.names is not None:
             return path.with_name(file), name
     return path, None
 
@@ -66,24 +78,21 @@ def is_scan(path: Path) -> bool:
         if url_of(path) is not None:
             return False  # only a copy of the file could be looked into
         check_file(path)
-        with FORMATS.blamed(suffix, Stage.READ):
+        with FORMATS.blamed(suffix, Stage.READ), _damage(path):
             return recognise(path)
     except ScanReadError:
-        return False  # a folder, a pipe or a device, or an empty file
+        return False  # a folder, a pipe or a device, or an empty or damaged file
     except (OSError, OptionError, ShapeError):
         return True
 
 
 def members_of(path: Path) -> tuple[Path, ...]:
     """The paths of the scans in a file; none if it is one scan."""
-    suffix = path.suffix.lower()
-    if suffix not in suffixes() or missing_extra(suffix):
-        return ()
-    found = _format_of(suffix)
-    if found.names is None:
+    found = _format_of(path)
+    if found is None or found.names is None or missing_extra(path.suffix.lower()):
         return ()
     check_file(path)
-    with _reading(suffix):
+    with _reading(path):
         names = found.names(path)
     return tuple(path.with_name(f"{path.name}{MARK}{name}") for name in names) if len(names) > 1 else ()
 
@@ -91,11 +100,10 @@ def members_of(path: Path) -> tuple[Path, ...]:
 def parts_of(path: Path) -> tuple[Part, ...]:
     """The other files that belong to a file."""
     file, _ = split_member(path)
-    suffix = file.suffix.lower()
-    if suffix not in suffixes():
+    found = _format_of(file)
+    if found is None:
         return ()
-    found = _format_of(suffix)
-    with _reading(suffix):
+    with _reading(file):
         return tuple(found.parts(file))
 
 
@@ -103,7 +111,8 @@ def read_raw(path: Path) -> RawScan:
     """Read the arrays of a file, in its unit."""
     file, name = split_member(path)
     suffix = file.suffix.lower()
-    if suffix not in suffixes():
+    found = _format_of(file)
+    if found is None:
         kind = f"in {path.suffix}" if suffix else "without a suffix"
         advice = f": export the scan as {INSTEAD[suffix]}" if suffix in INSTEAD else ""
         raise ScanReadError(
@@ -115,38 +124,65 @@ def read_raw(path: Path) -> RawScan:
         )
     try:
         check_file(file)
-        found = _format_of(suffix)
-        with _reading(suffix):
-            scan = found.read(file) if name is None else _member(found, file, name)
+        with _reading(file):
+            if name is None:
+                scan = found.read(file)
+            else:
+                names = found.names(file) if found.names is not None else ()
+                if name not in names:
+                    quoted = ", ".join(names[:MOST_QUOTED])
+                    raise ScanReadError(f"the file must hold a scan {name!r}, got {quoted}")
+                scan = found.read(file, name)
             return scan if suffix in FORMATS.own else _checked(scan)
     except OSError as error:
         raise ScanReadError(f"cannot read {file}: {error.strerror or error}") from error
 
 
-def _member(found: Format, file: Path, name: str) -> RawScan:
-    names = found.names(file) if found.names is not None else ()
-    if name not in names:
-        raise ScanReadError(f"the file must hold a scan {name!r}, got {', '.join(names[:MOST_QUOTED])}")
-    return found.read(file, name)
-
-
-def _format_of(suffix: str) -> Format:
+def _format_of(file: Path) -> Format | None:
+    """The format of the suffix of a file."""
+    suffix = file.suffix.lower()
     try:
-        return FORMATS[suffix]
+        return FORMATS[suffix] if suffix in suffixes() else None
     except OptionError as error:
         raise ScanReadError(error.message) from error
 
 
 @contextmanager
-def _reading(suffix: str) -> Iterator[None]:
+def _reading(file: Path) -> Iterator[None]:
     """Turn the errors of a reader into errors of its file."""
+    suffix = file.suffix.lower()
     try:
-        with FORMATS.blamed(suffix, Stage.READ):
+        with FORMATS.blamed(suffix, Stage.READ), _damage(file):
             yield
     except ScanReadError:
         raise
     except ShapeError as error:
         raise ScanReadError(error.message) from error
+
+
+@contextmanager
+def _damage(file: Path) -> Iterator[None]:
+    """Report what a reader of pcretrieve, or its library, raises for a damaged file: any exception."""
+    try:
+        yield
+    except (OSError, MemoryError, ShapeError):
+        raise
+    except Exception as error:
+        if file.suffix.lower() not in FORMATS.own:
+            raise
+        reason = str(error).partition("\n")[0]
+        if isinstance(error, UnicodeError):
+            reason = "it holds bytes that are no text"
+        elif isinstance(error, struct.error):
+            reason = "its header is cut short"
+        elif not reason or isinstance(error, _OF_VALUES):
+            reason = f"{type(error).__name__} {reason}".strip()
+        kind = file.suffix[1:].upper()
+        raise ScanReadError(f"not a complete {kind} file ({reason}): export or copy it again") from error
+
+
+# Exceptions whose message says nothing without their name, of headers and trees that lack something.
+_OF_VALUES = (ArithmeticError, AttributeError, LookupError, RecursionError, TypeError)
 
 
 # --- formats of other packages ----------------------------------------------------------------------------
@@ -157,7 +193,7 @@ def _added(suffix: str, added: object) -> Format:
     if isinstance(added, Format):
         return added
     if callable(added):
-        return Format((suffix,), added)
+        return Format(added)
     raise TypeError(f"must be a Format, or a function that reads a file, got {type(added).__name__}")
 
 
@@ -173,9 +209,10 @@ def _checked(scan: object) -> RawScan:
     viewpoints = scan.viewpoints
     if viewpoints is not None and np.shape(viewpoints) != (3,):
         viewpoints = _rows(viewpoints, "viewpoints", len(points))
-    return RawScan(
-        points, None if faces is None else faces.astype(np.int64), normals, viewpoints, tuple(scan.notes)
-    )
+    if scan.unit not in (None, *METRES):
+        raise ValueError(f"the unit must be one of {', '.join(METRES)}, got {scan.unit!r}")
+    faces = None if faces is None else faces.astype(np.int64)
+    return RawScan(points, faces, normals, viewpoints, tuple(scan.notes), scan.unit)
 
 
 def _rows(array: object, name: str, n: int | None = None) -> NDArray[np.float64]:
@@ -185,13 +222,39 @@ def _rows(array: object, name: str, n: int | None = None) -> NDArray[np.float64]
     return rows
 
 
+# --- the table --------------------------------------------------------------------------------------------
+
+
+def _scene(read: Callable[[Path], Scene], **others: Any) -> Format:
+    return Format(partial(read_scene, read), names=partial(names_in_scene, read), **others)
+
+
+# Columns behind the coordinates of tables without a header are colours and intensities, by the suffix.
+_POINTS = Format(partial(read_text, normals=False))
+# Files of these suffixes hold other tables and texts, or pictures, too.
+_TABLE = Format(read_text, recognise=is_table)
+_IMAGE = Format(read_depth, camera_parts, recognise=is_depth_image)
 _OWN = {
-    suffix: found
-    for found in (
-        *(PLY, PCD, *TEXT_FORMATS, PTX, NPY, NPZ, LAS, LAZ, E57, DEPTH_IMAGE),
-        *(OBJ, OFF, STL, GLB, GLTF, THREE_MF, COLLADA, conf_format(read_raw)),
-    )
-    for suffix in found.suffixes
+    ".ply": Format(read_ply, write_cloud=ply_bytes, write_mesh=partial(mesh_bytes, file_type="ply")),
+    ".pcd": Format(read_pcd, write_cloud=pcd_bytes),
+    **dict.fromkeys((".xyz", ".xyzrgb", ".pts"), _POINTS),
+    ".xyzn": Format(partial(read_text, normals=True), write_cloud=xyzn_bytes),
+    **dict.fromkeys((".asc", ".csv", ".txt"), _TABLE),
+    ".ptx": Format(read_ptx, names=ptx_names),
+    ".npy": Format(read_npy, parts_of_npy, recognise=recognise_npy),
+    ".npz": Format(read_npz, recognise=recognise_npz),
+    ".las": Format(read_las),
+    ".laz": Format(read_las, extra=LAZRS),
+    ".e57": Format(read_e57, names=e57_names, extra=Extra("e57", ("pye57",))),
+    **dict.fromkeys((".png", ".tif", ".tiff"), _IMAGE),
+    ".obj": Format(read_obj, write_mesh=partial(mesh_bytes, file_type="obj")),
+    ".off": Format(read_off, write_mesh=partial(mesh_bytes, file_type="off")),
+    ".stl": Format(read_stl, write_mesh=partial(mesh_bytes, file_type="stl")),
+    ".glb": _scene(gltf_scene, write_mesh=partial(mesh_bytes, file_type="glb")),
+    ".gltf": _scene(gltf_scene, parts=buffer_files),
+    ".3mf": _scene(three_mf_scene, extra=Extra("meshes", ("lxml", "networkx"))),
+    ".dae": _scene(collada_scene, extra=Extra("meshes", ("collada",))),
+    ".conf": Format(partial(read_conf, read_view=read_raw), conf_views),
 }
 
 #: The formats by suffix. Other packages add formats by entry points of the group ``pcretrieve.readers``: the

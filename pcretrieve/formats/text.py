@@ -12,7 +12,6 @@ import io
 import re
 import warnings
 from collections.abc import Iterable
-from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
@@ -20,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcretrieve.errors import InputError, ScanReadError
-from pcretrieve.formats.format import Format, RawScan, are_normals, incomplete, no_text, without_zeros
+from pcretrieve.formats.format import Damaged, RawScan, are_normals, check_text, without_zeros
 from pcretrieve.values import PointCloud
 
 # Bytes at the start of a file from which its layout is found.
@@ -34,8 +33,6 @@ FEWEST_POINTS = 4
 # Largest number of columns of a table of points: coordinates, normals, colours, and readings of the sensor.
 # Tables with more columns are other data, such as matrices of distances.
 MOST_COLUMNS = 32
-# Significant digits of a file that is written, sufficient for single precision.
-DIGITS = 9
 
 # Separator (None for blanks and tabs) and decimal point, in the order in which they are tried.
 WRITINGS = ((None, "."), (",", "."), (";", "."), (";", ","), (None, ","))
@@ -80,7 +77,7 @@ def read_text(path: Path, *, normals: bool | None = None) -> RawScan:
         lines = file if layout.decimal == "." else (line.replace(layout.decimal, ".") for line in file)
         table = number_rows(lines, columns, layout.separator)
     if layout.promised is not None and layout.promised != len(table):
-        raise incomplete(path, f"it declares {layout.promised:.0f} points and holds {len(table)}")
+        raise Damaged(f"it declares {layout.promised:.0f} points and holds {len(table)}")
     keep = len(columns) == 6 and (layout.named or normals or are_normals(table[:, 3:]))
     return without_zeros(RawScan(table[:, :3], normals=table[:, 3:] if keep else None))
 
@@ -98,13 +95,10 @@ def number_rows(
     return table.reshape(-1, len(columns))
 
 
-def _is_table(path: Path) -> bool:
+def is_table(path: Path) -> bool:
     """Whether a text file is a table of points, by its first rows."""
-    try:
-        lines, encoding = _head(path)
-        layout = _layout(lines, encoding, n_numbers=3)
-    except ScanReadError:
-        return False
+    lines, encoding = _head(path)
+    layout = _layout(lines, encoding, n_numbers=3)
     header = lines[: layout.n_header_lines]
     names = {name for line in header for name in _names(line, layout.separator)}
     rows = [cells for line in lines[layout.n_header_lines :] if (cells := _cells(line, layout.separator))]
@@ -126,8 +120,7 @@ def _head(path: Path) -> tuple[list[str], str]:
     encoding = "utf-16" if head.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)) else "utf-8-sig"
     # A header may hold signs of units in any encoding: the numbers are the same in all of them.
     text = head.decode(encoding, errors="replace")
-    if "\0" in text:
-        raise no_text(path)
+    check_text(path, text)
     lines = list(io.StringIO(text, newline=None))
     return lines[:-1] if len(head) == HEAD_BYTES and len(lines) > 1 else lines, encoding
 
@@ -142,12 +135,10 @@ def _layout(lines: list[str], encoding: str, n_numbers: int) -> Layout:
             cells = _cells(line, separator)
             names = _names(header, separator)
             points, normals = _columns(names, COORDINATE), _columns(names, NORMAL)
-            if len(names) != len(cells):  # columns behind those that are named change nothing
+            matches = len(names) == len(cells)
+            if not matches:  # columns behind those that are named change nothing
                 matches, points, normals = points in (None, (0, 1, 2)), None, None
-            else:
-                matches = True
-            columns = points or tuple(range(n_numbers))
-            if _is_row(cells, columns, decimal):
+            if _is_row(cells, points or range(n_numbers), decimal):
                 if not matches:
                     raise ScanReadError(
                         f"its header names {len(names)} columns, its first row has {len(cells)}"
@@ -207,20 +198,12 @@ def _columns(names: tuple[str, ...], pattern: re.Pattern[str]) -> tuple[int, ...
     return None
 
 
-def _xyzn_bytes(cloud: PointCloud) -> bytes:
+def xyzn_bytes(cloud: PointCloud) -> bytes:
+    """Points and normals as lines of nine digits, sufficient for single precision."""
     if cloud.normals is None:
         raise InputError(
             "an .xyzn file must hold normals, these points have none: write .ply, or estimate them"
         )
     text = io.BytesIO()
-    np.savetxt(text, np.concatenate([cloud.points, cloud.normals], axis=1), fmt=f"%.{DIGITS}g")
+    np.savetxt(text, np.concatenate([cloud.points, cloud.normals], axis=1), fmt="%.9g")
     return text.getvalue()
-
-
-TEXT_FORMATS = (
-    # Columns behind the coordinates of these formats are colours and intensities.
-    Format((".xyz", ".xyzrgb", ".pts"), partial(read_text, normals=False)),
-    Format((".xyzn",), partial(read_text, normals=True), write_cloud=_xyzn_bytes),
-    # Files of these suffixes hold other tables and texts too.
-    Format((".asc", ".csv", ".txt"), read_text, recognise=_is_table),
-)

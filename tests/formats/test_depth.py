@@ -130,9 +130,8 @@ def test_the_default_is_the_camera_of_a_kinect_for_images_of_its_size(
     write(tmp_path / "a.png", np.round(1000 * image).astype(np.uint16))
     found = cloud(tmp_path / "a.png")
     assert is_ball(found, tolerance=1e-3)
-    assert (
-        found.provenance[0].notes[0].startswith(f"assumed the camera of a {camera.note}: there is no camera")
-    )
+    assert found.provenance[0].notes[0] == camera.note
+    assert camera.note.startswith("assumed the camera of a Kinect")
     assert not is_scan(tmp_path / "a.png")  # a 16-bit image in a folder need not be a depth image
 
 

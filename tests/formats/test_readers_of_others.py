@@ -101,7 +101,7 @@ def write(cloud):
         raise RuntimeError("too many points")
     return "".join("%g %g %g\\n" % tuple(point) for point in cloud.points).encode()
 
-read_grid = Format((".grid",), read, parts, write_cloud=write)
+read_grid = Format(read, parts, write_cloud=write)
 """
 
 
