@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 import shapes
-from sklearn.base import BaseEstimator
+from sklearn.base import BaseEstimator, clone
 from sklearn.exceptions import NotFittedError
 from sklearn.pipeline import make_pipeline
 from sklearn.utils.estimator_checks import check_estimator
@@ -31,71 +31,45 @@ from pcretrieve.retrieval import (
     pairwise,
     resolution_whitening,
 )
-from pcretrieve.values import FloatArray, SignatureTable, TriangleMesh
+from pcretrieve.values import FloatArray, SignatureTable
 
-ESTIMATORS = [
-    NeighbourWhitening(),
-    PCAWhitening(),
-    WithinClassWhitening(),
-    ResolutionWhitening(),
-    SignatureNeighbors(n_neighbors=1),
-]
+WHITENINGS = (NeighbourWhitening(), PCAWhitening(), WithinClassWhitening(), ResolutionWhitening())
 
 
-@pytest.mark.parametrize("estimator", ESTIMATORS, ids=str)
+@pytest.mark.parametrize("estimator", [*WHITENINGS, SignatureNeighbors(n_neighbors=1)], ids=str)
 def test_checks_of_scikit_learn(estimator: BaseEstimator) -> None:
     check_estimator(estimator, on_skip=None)
 
 
-def some_logs(n: int = 60, n_values: int = 8, *, seed: int = 0) -> tuple[FloatArray, list[str]]:
-    """Log-signatures of classes of six, which differ where poses do not."""
-    rng = np.random.default_rng(seed)
-    centres = rng.normal(size=(n // 6, n_values)) * np.geomspace(0.3, 0.02, n_values)
-    poses = rng.normal(size=(n, n_values)) * np.geomspace(0.02, 1.0, n_values)
-    labels = [f"class {row // 6:02}" for row in range(n)]
-    return np.repeat(centres, 6, axis=0) + poses - 3, labels
+def some_logs() -> tuple[FloatArray, list[str]]:
+    """(60, 8) log-signatures of classes of six, which differ where poses do not."""
+    rng = np.random.default_rng(0)
+    centres = rng.normal(size=(10, 8)) * np.geomspace(0.3, 0.02, 8)
+    poses = rng.normal(size=(60, 8)) * np.geomspace(0.02, 1.0, 8)
+    return np.repeat(centres, 6, axis=0) + poses - 3, [f"class {row // 6:02}" for row in range(60)]
 
 
-# --- whitenings -----------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("shrinkage", ["auto"])
-def test_whitenings_are_those_of_the_functions(shrinkage: Any) -> None:
+def test_whitenings_are_those_of_the_functions() -> None:
     logs, labels = some_logs()
-    expected = {
-        NeighbourWhitening(3, shrinkage): fit_whitening(
-            "neighbours", logs, n_neighbors=3, shrinkage=shrinkage
-        ),
-        PCAWhitening(shrinkage): fit_whitening("pca", logs, shrinkage=shrinkage),
-        WithinClassWhitening(shrinkage): fit_whitening("within-class", logs, labels, shrinkage=shrinkage),
-        ResolutionWhitening("relative", shrinkage): resolution_whitening(
-            SignatureOptions(method="r-bihdm", n_values=8, scale="relative"), shrinkage=shrinkage
-        ),
-    }
-    for estimator, whitening in expected.items():
+    relative = SignatureOptions(method="r-bihdm", n_values=8, scale="relative")
+    for estimator, whitening in (
+        (NeighbourWhitening(3, 0.2), fit_whitening("neighbours", logs, n_neighbors=3, shrinkage=0.2)),
+        (NeighbourWhitening(prior=np.eye(8) / 8), fit_whitening("neighbours", logs, prior=np.eye(8) / 8)),
+        (PCAWhitening(0.2), fit_whitening("pca", logs, shrinkage=0.2)),
+        (WithinClassWhitening(), fit_whitening("within-class", logs, labels)),
+        (ResolutionWhitening("relative"), resolution_whitening(relative)),
+    ):
         assert estimator.fit(logs, labels).whitening_ == whitening
         np.testing.assert_array_equal(estimator.transform(logs[:5]), whitening.apply(logs[:5]))
-
-
-def test_parameters_out_of_range() -> None:
-    logs, labels = some_logs()
-    for estimator in (
-        NeighbourWhitening(shrinkage=2),
-        PCAWhitening(2),
-        WithinClassWhitening(2),
-        ResolutionWhitening(shrinkage=2),
-    ):
+    for estimator in WHITENINGS:
         with pytest.raises(OptionError, match=r"shrinkage must lie in \(0, 1\], got 2"):
-            estimator.fit(logs, labels)
+            clone(estimator).set_params(shrinkage=2).fit(logs, labels)
     with pytest.raises(OptionError, match="has been measured for r-bihdm with n_modes = 60, by area or"):
         ResolutionWhitening("absolute").fit(logs)
 
 
-# --- neighbours -----------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("distance", DISTANCES)
-def test_neighbours_are_those_of_the_index(distance: str) -> None:
+def test_neighbours_are_those_of_the_index_and_within_a_radius(distance: str) -> None:
     logs, _ = some_logs()
     logs[-6:] = logs[:6]  # equally far
     ids = tuple(f"{row:02}" for row in range(60))
@@ -109,12 +83,6 @@ def test_neighbours_are_those_of_the_index(distance: str) -> None:
         assert found.ids == tuple(ids[row] for row in nearest)
         np.testing.assert_allclose(found.distances, own, rtol=1e-9)
     np.testing.assert_array_equal(estimator.kneighbors(logs[:9] + 0.01, 7, return_distance=False), rows)
-
-
-@pytest.mark.parametrize("distance", DISTANCES)
-def test_all_within_a_radius_are_found(distance: str) -> None:
-    logs, _ = some_logs()
-    estimator = SignatureNeighbors(distance=distance).fit(logs)
     apart = pairwise(distance, logs, logs)
     limit = float(np.sort(apart, axis=1)[:, 5].max())
     for queries, expected in ((logs, apart), (None, np.where(np.eye(60, dtype=bool), np.inf, apart))):
@@ -122,7 +90,8 @@ def test_all_within_a_radius_are_found(distance: str) -> None:
         for own, near, all_of in zip(distances, rows, expected, strict=True):
             assert sorted(near) == np.flatnonzero(all_of <= limit).tolist()
             np.testing.assert_array_equal(own, np.sort(all_of[near]))
-    assert [len(near) for near in estimator.radius_neighbors(radius=0.0, return_distance=False)] == [0] * 60
+    alone = estimator.radius_neighbors(radius=0.0, return_distance=False)
+    assert [len(near) for near in alone] == [1] * 6 + [0] * 48 + [1] * 6
 
 
 def test_the_score_is_the_mean_average_precision_of_new_queries() -> None:
@@ -154,21 +123,6 @@ def test_what_neighbours_cannot_be_asked() -> None:
         SignatureNeighbors().kneighbors(logs)
 
 
-# --- scans ----------------------------------------------------------------------------------------------
-
-KEEP = {"surface": {"mode": "keep"}}
-
-
-def eggs() -> tuple[list[TriangleMesh], list[str]]:
-    """Four kinds of eggs, three of each."""
-    made = [
-        shapes.ellipsoid((1 + 0.1 * number, 1, 1.2 + 0.2 * kind), subdivisions=2)
-        for kind in range(4)
-        for number in range(3)
-    ]
-    return made, [f"kind {kind}" for kind in range(4) for _ in range(3)]
-
-
 def test_what_is_no_sequence_of_scans() -> None:
     with pytest.raises(InputError, match=r"X must be a sequence of scans, got the path egg\.off: put"):
         SignatureTransformer().transform("egg.off")
@@ -180,26 +134,22 @@ def test_what_is_no_sequence_of_scans() -> None:
         SignatureTransformer(method="sift").fit([])
 
 
-# --- tools of scikit-learn ------------------------------------------------------------------------------
-
-
 def test_from_scans_to_neighbours_in_one_pipeline() -> None:
-    meshes, kinds = eggs()
-    search = make_pipeline(
-        SignatureTransformer(KEEP, n_values=9), WithinClassWhitening(), SignatureNeighbors(n_neighbors=2)
-    )
+    """Four kinds of eggs, three of each."""
+    sizes = [(1 + 0.1 * number, 1, 1.2 + 0.2 * kind) for kind in range(4) for number in range(3)]
+    meshes = [shapes.ellipsoid(size, subdivisions=2) for size in sizes]
+    kinds = [f"kind {row // 3}" for row in range(12)]
+    keep = {"surface": {"mode": "keep"}}
+    scans = SignatureTransformer(keep, n_values=9)
+    search = make_pipeline(scans, WithinClassWhitening(), SignatureNeighbors(n_neighbors=2))
     search.fit(meshes, kinds)
     new = shapes.ellipsoid((1.05, 1, 1.6), subdivisions=2)
     distances, rows = search[-1].kneighbors(search[:-1].transform([new]))
     assert {kinds[row] for row in rows[0]} == {"kind 2"}
-    table = SignatureTable(
-        tuple(f"{row:02}" for row in range(12)),
-        np.exp(SignatureTransformer(KEEP, n_values=9).transform(meshes)),
-        "r-bihdm",
-        labels=tuple(kinds),
-    )
+    ids = tuple(f"{row:02}" for row in range(12))
+    table = SignatureTable(ids, np.exp(scans.transform(meshes)), "r-bihdm", labels=tuple(kinds))
     index = SignatureIndex(table, RetrievalOptions(whitening="within-class"))
-    options = PipelineOptions().changed(**KEEP, signature={"n_values": 9})
+    options = PipelineOptions().changed(**keep, signature={"n_values": 9})
     found = index.query(pr.signature(new, options).values, 2)
-    assert found.ids == tuple(f"{row:02}" for row in rows[0])
+    assert found.ids == tuple(ids[row] for row in rows[0])
     np.testing.assert_allclose(found.distances, distances[0], rtol=1e-9)

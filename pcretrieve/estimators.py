@@ -1,0 +1,360 @@
+"""scikit-learn estimators: scans → signatures → whitened signatures → neighbours.
+
+Results and errors are those of the functions of pcretrieve. Signatures are arrays (n, L) of their logarithms,
+or of other coordinates of whose differences distances are functions, as `SignatureTransformer` gives them. A
+fitted whitening has the attribute ``whitening_``, with the mean and the matrix of the map. Only this module
+imports scikit-learn at once, and is itself imported on request only.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+from typing import Any, ClassVar, Literal, TypeAlias
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from sklearn.base import (
+    BaseEstimator,
+    ClassNamePrefixFeaturesOutMixin,
+    OneToOneFeatureMixin,
+    TransformerMixin,
+)
+from sklearn.utils.multiclass import check_classification_targets
+from sklearn.utils.validation import check_is_fitted, column_or_1d, validate_data
+from typing_extensions import Self
+
+from pcretrieve.descriptors import signature_length
+from pcretrieve.errors import InputError, OptionError
+from pcretrieve.formats import ScanLike
+from pcretrieve.options import OptionsLike, PipelineOptions, Scale, Shrinkage, SignatureOptions
+from pcretrieve.pipeline.process import signature
+from pcretrieve.retrieval import (
+    BLOCK_DISTANCES,
+    Positions,
+    Whitening,
+    coordinates,
+    fit_whitening,
+    known_distance,
+    pairwise,
+    resolution_whitening,
+)
+from pcretrieve.values import FloatArray
+
+__all__ = [
+    "NeighbourWhitening",
+    "PCAWhitening",
+    "ResolutionWhitening",
+    "SignatureNeighbors",
+    "SignatureTransformer",
+    "WithinClassWhitening",
+]
+
+Found: TypeAlias = "tuple[FloatArray, Positions] | Positions"
+
+
+class _Whitener(OneToOneFeatureMixin, TransformerMixin, BaseEstimator):  # type: ignore[misc]
+    """A whitening by `fit_whitening`. The matrix is symmetric: no value changes its meaning."""
+
+    _kind: ClassVar[str]
+    _least_samples: ClassVar[int] = 2
+    whitening_: Whitening
+
+    def fit(self, X: ArrayLike, y: object = None) -> Self:
+        """Fit the whitening to signatures X."""
+        logs = validate_data(self, X, dtype=np.float64, ensure_min_samples=self._least_samples)
+        self.whitening_ = fit_whitening(self._kind, logs, **self.get_params())
+        return self
+
+    def transform(self, X: ArrayLike) -> FloatArray:
+        """Whitened signatures (n, L) float64: W (x − mean) for each row x of X."""
+        check_is_fitted(self)
+        return self.whitening_.apply(validate_data(self, X, dtype=np.float64, reset=False))
+
+
+class NeighbourWhitening(_Whitener):
+    """Whitening by what near signatures differ by; ``neighbours`` of `RetrievalOptions.whitening`.
+
+    No classes are needed. Nothing is learned from fewer than 24 signatures, or fewer than 10 pairs of mutual
+    neighbours: the signatures stay as they are, and ``whitening_.reason`` says so.
+
+    Parameters
+    ----------
+    n_neighbors : int or "auto", default "auto"
+        Two signatures are a pair if each is among the other's `n_neighbors` nearest. auto: the number at
+        which neighbourhoods overlap most, if it stands out, else 5.
+    shrinkage : float or "auto", default "auto"
+        Shrinkage in (0, 1] of the covariance towards its mean variance times the identity. auto: .2, with a
+        prior .03.
+    prior : (L, L) float64, optional
+        A covariance of trace 1 of what should be ignored in any gallery: 30 % of the covariance.
+    """
+
+    _kind = "neighbours"
+    _least_samples = 1
+
+    def __init__(
+        self,
+        n_neighbors: int | Literal["auto"] = "auto",
+        shrinkage: Shrinkage = "auto",
+        prior: FloatArray | None = None,
+    ) -> None:
+        self.n_neighbors = n_neighbors
+        self.shrinkage = shrinkage
+        self.prior = prior
+
+
+class PCAWhitening(_Whitener):
+    """Whitening by the covariance of all signatures; ``pca`` of `RetrievalOptions.whitening`.
+
+    A warning is logged where it is likely to make rankings worse, as for bodies of one kind.
+
+    Parameters
+    ----------
+    shrinkage : float or "auto", default "auto"
+        Regularisation in (0, 1], times the largest eigenvalue of the covariance. auto: .01.
+    """
+
+    _kind = "pca"
+
+    def __init__(self, shrinkage: Shrinkage = "auto") -> None:
+        self.shrinkage = shrinkage
+
+
+class WithinClassWhitening(_Whitener):
+    """Whitening by the covariance within classes; ``within-class`` of `RetrievalOptions.whitening`.
+
+    Parameters
+    ----------
+    shrinkage : float or "auto", default "auto"
+        Shrinkage in (0, 1] of the covariance towards its mean variance times the identity. auto: the
+        intensity between .0003 and .3 at which classes that are left out are most likely.
+    """
+
+    def __init__(self, shrinkage: Shrinkage = "auto") -> None:
+        self.shrinkage = shrinkage
+
+    def fit(self, X: ArrayLike, y: ArrayLike) -> Self:  # type: ignore[override]
+        """Fit the whitening to signatures X of classes y, of which one must have two distinct signatures.
+
+        Classes are numbers or strings. None is no class; classes of one signature are ignored.
+        """
+        logs, classes = validate_data(self, X, y, dtype=np.float64, ensure_min_samples=2)
+        labels = [None if label is None else str(label) for label in classes.tolist()]
+        # Numbers must be whole, as anywhere in scikit-learn.
+        check_classification_targets(classes[np.array([label is not None for label in labels], dtype=bool)])
+        self.whitening_ = fit_whitening("within-class", logs, labels, shrinkage=self.shrinkage)
+        return self
+
+    def __sklearn_tags__(self) -> Any:
+        tags = super().__sklearn_tags__()
+        tags.target_tags.required = True
+        return tags
+
+
+class ResolutionWhitening(_Whitener):
+    """Whitening by the changes that the resolution of a surface causes; ``resolution`` of `RetrievalOptions`.
+
+    Nothing is estimated from the signatures, which must be R-BiHDM with 60 modes, at most 60 values.
+
+    Parameters
+    ----------
+    scale : {"area", "relative"}, default "area"
+        Normalisation of the signatures, as in `SignatureOptions`.
+    shrinkage : float or "auto", default "auto"
+        Regularisation in (0, 1], times the largest eigenvalue of the covariance. auto: .03.
+    """
+
+    def __init__(self, scale: Scale = "area", shrinkage: Shrinkage = "auto") -> None:
+        self.scale = scale
+        self.shrinkage = shrinkage
+
+    def fit(self, X: ArrayLike, y: object = None) -> Self:
+        """Note how many values the signatures have."""
+        n_values = validate_data(self, X, dtype=np.float64).shape[1]
+        options = SignatureOptions(method="r-bihdm", n_values=n_values, scale=self.scale)
+        self.whitening_ = resolution_whitening(options, shrinkage=self.shrinkage)
+        return self
+
+
+class SignatureNeighbors(BaseEstimator):  # type: ignore[misc]
+    """The nearest of the fitted signatures, by any distance in `pcretrieve.retrieval.DISTANCES`.
+
+    A query is compared with every fitted signature. The neighbours are those of `SignatureIndex`; equally
+    near signatures are in the order of the fitted rows.
+
+    Parameters
+    ----------
+    n_neighbors : int, default 5
+        Number of neighbours that `kneighbors` returns.
+    radius : float, default 1.0
+        Distance within which `radius_neighbors` returns neighbours; dimensionless.
+    distance : str, default "log"
+        The distance.
+    """
+
+    def __init__(self, n_neighbors: int = 5, radius: float = 1.0, distance: str = "log") -> None:
+        self.n_neighbors = n_neighbors
+        self.radius = radius
+        self.distance = distance
+
+    def fit(self, X: ArrayLike, y: ArrayLike | None = None) -> Self:
+        """Store the signatures X that are searched, and for `score` their classes y."""
+        self._fit_X = validate_data(self, X, dtype=np.float64)
+        known_distance(self.distance)
+        self._classes = None if y is None else column_or_1d(y)
+        if self._classes is not None and len(self._classes) != len(self._fit_X):
+            raise InputError(f"y must have {len(self._fit_X)} classes, one a row, got {len(self._classes)}")
+        self.n_samples_fit_ = len(self._fit_X)
+        return self
+
+    def kneighbors(
+        self, X: ArrayLike | None = None, n_neighbors: int | None = None, return_distance: bool = True
+    ) -> Found:
+        """The nearest of the fitted signatures.
+
+        Parameters
+        ----------
+        X : (Q, L) array_like, optional
+            The queries. By default the fitted signatures, each of which is then not its own neighbour.
+        n_neighbors : int, optional
+            Number of neighbours k; by default that of the constructor.
+        return_distance : bool, default True
+            Whether distances are returned too.
+
+        Returns
+        -------
+        distances : (Q, k) float64
+            Ascending in each row; only if `return_distance`.
+        indices : (Q, k) intp
+            Rows of the fitted signatures.
+        """
+        k = self.n_neighbors if n_neighbors is None else n_neighbors
+        check_is_fitted(self)
+        most = self.n_samples_fit_ - (X is None)
+        if isinstance(k, bool) or not isinstance(k, (int, np.integer)) or not 1 <= k <= most:
+            raise OptionError(f"Expected n_neighbors to be a whole number from 1 to {most}, got {k!r}")
+        rows = [(own[:k], order[:k]) for own, order in self._sorted(X)]
+        distances = np.array([own for own, _ in rows]).reshape(-1, k)
+        indices = np.array([order for _, order in rows], dtype=np.intp).reshape(-1, k)
+        return (distances, indices) if return_distance else indices
+
+    def radius_neighbors(
+        self, X: ArrayLike | None = None, radius: float | None = None, return_distance: bool = True
+    ) -> tuple[NDArray[Any], NDArray[Any]] | NDArray[Any]:
+        """The fitted signatures within a distance: as `kneighbors`, but (Q,) arrays of arrays."""
+        largest = self.radius if radius is None else radius
+        check_is_fitted(self)
+        rows = list(self._sorted(X))
+        distances, indices = (np.empty(len(rows), dtype=object) for _ in range(2))
+        for number, (own, order) in enumerate(rows):
+            n = np.searchsorted(own, largest, side="right")
+            distances[number], indices[number] = own[:n], order[:n]
+        return (distances, indices) if return_distance else indices
+
+    def score(self, X: ArrayLike, y: ArrayLike) -> float:
+        """Mean average precision of retrieving the fitted signatures of the classes y of queries X.
+
+        Queries whose class was not fitted are left out. Signatures that were whitened by the classes of the
+        queries have too high a score; `pcretrieve.evaluate` fits such a whitening on other classes.
+        """
+        check_is_fitted(self)
+        if self._classes is None:
+            raise InputError("a score needs the classes of the fitted signatures: give y to fit")
+        total, n_queries = 0.0, 0
+        for label, (_, order) in zip(column_or_1d(y), self._sorted(X), strict=True):
+            ranks = np.flatnonzero(self._classes[order] == label) + 1
+            if len(ranks):
+                # Summed one after the other, as by `pcretrieve.evaluate`.
+                total += np.cumsum(np.arange(1, len(ranks) + 1) / ranks)[-1] / len(ranks)
+                n_queries += 1
+        if not n_queries:
+            raise InputError("a score needs queries of fitted classes, got none")
+        return float(total / n_queries)
+
+    def _sorted(self, X: ArrayLike | None) -> Iterator[tuple[FloatArray, Positions]]:
+        """For each query the distances, ascending, and the rows of the fitted signatures."""
+        queries = self._fit_X if X is None else validate_data(self, X, dtype=np.float64, reset=False)
+        rows = max(1, BLOCK_DISTANCES // self.n_samples_fit_)
+        for start in range(0, len(queries), rows):
+            distances = pairwise(self.distance, queries[start : start + rows], self._fit_X)  # (rows, N)
+            # A stable sort: equal distances in the order of the rows.
+            orders = np.argsort(distances, axis=1, kind="stable")
+            for number, (order, own) in enumerate(zip(orders, distances, strict=True), start):
+                kept = order[order != number] if X is None else order
+                yield own[kept], kept
+
+
+class SignatureTransformer(ClassNamePrefixFeaturesOutMixin, TransformerMixin, BaseEstimator):  # type: ignore[misc]
+    """Scans → the logarithms of their signatures, one row a scan.
+
+    Of descriptors that are not compared by logarithms, the rows are the values themselves, or the square
+    roots of histograms. Nothing is learned from the scans. The input is a sequence of scans and no array of
+    numbers, which the tags of the estimator say.
+
+    Parameters
+    ----------
+    options : OptionsLike, optional
+        Options of all stages, a preset's name, a TOML file, or a mapping; see `PipelineOptions.of`.
+    method : str, optional
+        The descriptor; by default that of `options`.
+    n_values : int, optional
+        The number of values; by default that of `options`.
+    scale : {"auto", "area", "relative", "absolute"}, optional
+        The normalisation; by default that of `options`.
+
+    Examples
+    --------
+    >>> from sklearn.pipeline import make_pipeline
+    >>> from pcretrieve.estimators import PCAWhitening, SignatureNeighbors
+    >>> search = make_pipeline(SignatureTransformer(scale="relative"), PCAWhitening(), SignatureNeighbors())
+    """
+
+    def __init__(
+        self,
+        options: OptionsLike = None,
+        *,
+        method: str | None = None,
+        n_values: int | None = None,
+        scale: str | None = None,
+    ) -> None:
+        self.options = options
+        self.method = method
+        self.n_values = n_values
+        self.scale = scale
+
+    def fit(self, X: Iterable[ScanLike], y: object = None) -> Self:
+        """Check the parameters."""
+        self._chosen()
+        return self
+
+    def transform(self, X: Iterable[ScanLike]) -> FloatArray:
+        """The log-signatures (n, L) float64 of n files, arrays, or values of geometry, processed in turn.
+
+        Dimensionless, except for the scale ``absolute``.
+        """
+        if isinstance(X, (str, Path)):
+            raise InputError(f"X must be a sequence of scans, got the path {X}: put it into a list")
+        options = self._chosen()
+        made = [signature(scan, options) for scan in X]
+        rows = [coordinates(one.values, one.metric) for one in made]
+        return np.array(rows).reshape(-1, self._n_features_out)
+
+    @property
+    def _n_features_out(self) -> int:
+        """L, for the names of the features."""
+        return signature_length(self._chosen().signature)
+
+    def _chosen(self) -> PipelineOptions:
+        """The options, with the parameters that were given in their place."""
+        given = {"method": self.method, "n_values": self.n_values, "scale": self.scale}
+        chosen = {name: value for name, value in given.items() if value is not None}
+        options = PipelineOptions.of(self.options).changed(signature=chosen)
+        return options.model_copy(update={"signature": options.compared})
+
+    def __sklearn_tags__(self) -> Any:
+        tags = super().__sklearn_tags__()
+        tags.input_tags.two_d_array = False
+        tags.no_validation = True
+        tags.requires_fit = False
+        return tags
