@@ -46,8 +46,7 @@ from .ingestion import (
 from .ingestion.views import merge_views
 from .matching import DistanceMatrix, read_matrix, write_matrix
 from .options import MergeOptions, PipelineOptions
-from .pages import draw_map, query_page, report
-from .pages.inspecting import inspect
+from .pages import draw_map, inspect, query_page, report
 from .pipeline.inspecting import signature_spread
 from .pipeline.process import process, reconstruct, signature
 from .query import Answer, cluster, duplicates, search, search_many

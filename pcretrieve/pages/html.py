@@ -12,13 +12,13 @@ from urllib.parse import quote
 import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
-from pcretrieve.draw import Colour, rgb
+from pcretrieve.draw import rgb
 from pcretrieve.values import FloatArray
 from pcretrieve.values.files import write_file
 
 
 def page_of(template: str, **context: object) -> bytes:
-    """A page by a template of the folder ``templates``, which may include files of the folder ``assets``."""
+    """A page by a template, which may include files of the folder ``assets``."""
     page = _environment().get_template(f"templates/{template}").render(context)
     # Bytes of file names that are not UTF-8 are replaced by question marks.
     return page.encode("utf-8", errors="replace")
@@ -40,11 +40,14 @@ def _environment() -> Environment:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    environment.filters["three_digits"] = _three_digits
-    environment.filters["base64"] = encoded
-    environment.filters["css"] = _css
-    environment.filters["in_address"] = _in_address
-    environment.globals["counted"] = _counted
+    environment.filters |= {
+        "three_digits": _three_digits,
+        "base64": encoded,
+        "css": lambda colour: "#" + bytes(rgb(colour)).hex(),
+        # A name as one part of an address; slashes in it too are escaped.
+        "in_address": lambda name: quote(name, safe=""),
+    }
+    environment.globals["counted"] = lambda n, one, many: f"{n} {one if n == 1 else many}"
     return environment
 
 
@@ -59,20 +62,6 @@ def encoded(content: bytes) -> str:
     return b64encode(content).decode("ascii")
 
 
-def _css(colour: Colour) -> str:
-    """A colour as a hexadecimal value of CSS."""
-    return "#" + bytes(rgb(colour)).hex()
-
-
-def _in_address(name: str) -> str:
-    """A name as one part of an address; slashes in it too are escaped."""
-    return quote(name, safe="")
-
-
-def _counted(n: int, one: str, many: str) -> str:
-    return f"{n} {one if n == 1 else many}"
-
-
 class Curves(NamedTuple):
     """Curves with common axes in the unit square of an SVG, whose y axis points down."""
 
@@ -83,10 +72,7 @@ class Curves(NamedTuple):
 
 
 def curves(rows: Sequence[FloatArray]) -> Curves:
-    """Draw rows of numbers as curves with common axes.
-
-    rows: sequence of (n,) float64, at least one row, of finite values; rows may have different lengths.
-    """
+    """Draw at least one row of finite numbers as curves with common axes; lengths may differ."""
     every = np.concatenate(rows)
     lowest, highest = float(every.min()), float(every.max())
     n, height = max(len(row) for row in rows), (highest - lowest) or 1.0

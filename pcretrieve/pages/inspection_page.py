@@ -1,11 +1,12 @@
-"""The page of one inspected scan: the checks, the pictures, and an interactive 3D viewer.
+"""One scan, inspected: its findings, and a page of them with pictures and an interactive 3D viewer.
 
-As a file, it is self-contained: pictures, points, styles and scripts are inlined, and the page makes no
+As a file, the page is self-contained: pictures, points, styles and scripts are inlined, and it makes no
 requests. A server has styles and scripts at addresses of their own, because its pages have none inlined.
 """
 
 from __future__ import annotations
 
+from contextlib import nullcontext
 from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -13,8 +14,11 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
+from pcretrieve import Inspection, PointCloud
+from pcretrieve.catalogue import CatalogueLike, opened
 from pcretrieve.draw import CLAY, Colour, rgb
-from pcretrieve.pages.html import encoded, line_of, page_of
+from pcretrieve.options import OptionsLike
+from pcretrieve.pages.html import encoded, line_of, page_of, write_page
 from pcretrieve.pages.inspection_pictures import (
     AWAY,
     BRIDGE,
@@ -31,11 +35,10 @@ from pcretrieve.pages.inspection_pictures import (
     thinned,
 )
 from pcretrieve.pages.scene import VIEWER_SIZE, Cube
-from pcretrieve.values import PointCloud
 from pcretrieve.values.files import write_file
 
 if TYPE_CHECKING:
-    from pcretrieve import Inspection
+    from pcretrieve.formats import ScanLike
 
 # Number of points that were removed, side by side, across half of the 3D viewer.
 REMOVED_IN_VIEW = 90
@@ -52,23 +55,65 @@ class Served(NamedTuple):
     back: str
 
 
+def inspect(
+    scan: ScanLike,
+    options: OptionsLike = None,
+    *,
+    n_rescans: int = 4,
+    page: str | Path | None = None,
+    catalogue: CatalogueLike | None = None,
+) -> Inspection:
+    """Process a scan, and check the result of each stage.
+
+    Parameters
+    ----------
+    scan : ScanLike
+        A path, an array or geometry.
+    options : OptionsLike, optional
+        Options, a preset's name, a TOML file, or a mapping.
+    n_rescans : int, default 4
+        Number of surfaces that are reconstructed from nine tenths of the points, for the rescan deviation of
+        the signature; 0 for none.
+    page : str or Path, optional
+        An HTML file to which a page with the results is written.
+    catalogue : Catalogue, str or Path, optional
+        Where the next body is looked for, with whose distance the error bar of the signature is compared; its
+        options are then the defaults. Without a catalogue, this distance is that of people.
+
+    Returns
+    -------
+    Inspection
+        Points, normals, surface, checks and signature; those of the earlier stages if a stage fails.
+
+    Raises
+    ------
+    InputError
+        If `scan` cannot be converted to a cloud or a mesh, or the page cannot be written.
+    CatalogueError
+        If the options require other spectra than the catalogue has.
+    """
+    from pcretrieve.pipeline.inspecting import inspect_scan
+
+    with nullcontext() if catalogue is None else opened(catalogue) as store:
+        found = inspect_scan(scan, options, n_rescans=n_rescans, catalogue=store)
+    if page is not None:
+        write_inspection_page(found, page)
+    return found
+
+
 def inspection_html(inspection: Inspection, served: Served | None = None) -> bytes:
     """The page of an inspection."""
-    return page_of(
-        "inspection.html",
-        it=inspection,
-        rows=[row.encoded() for row in rows_of(inspection)],
-        scene=_scene(inspection),
-        plot=_plot(inspection),
-        served=served,
-    )
+    return page_of("inspection.html", **_shown(inspection, served))
 
 
 def write_inspection_page(inspection: Inspection, path: str | Path) -> Path:
     """Write the page of an inspection. An existing file is replaced in one step, or left unchanged."""
-    target = Path(path).absolute()
-    write_file(target, inspection_html(inspection))
-    return target
+    return write_page(path, "inspection.html", **_shown(inspection, None))
+
+
+def _shown(it: Inspection, served: Served | None) -> dict[str, Any]:
+    """What the template shows."""
+    return {"it": it, "rows": rows_of(it), "scene": _scene(it), "plot": _plot(it), "served": served}
 
 
 def _scene(it: Inspection) -> dict[str, Any] | None:
@@ -112,18 +157,8 @@ def _point_layers(it: Inspection, scan: PointCloud, cube: Cube) -> list[dict[str
     return layers
 
 
-class _Plot(NamedTuple):
+def _plot(it: Inspection) -> dict[str, Any] | None:
     """Logarithms of a signature in the unit square of an SVG, whose y axis points down."""
-
-    line: str
-    band: str
-    bars: list[tuple[float, float]]
-    highest: float
-    lowest: float
-    largest: float
-
-
-def _plot(it: Inspection) -> _Plot | None:
     if it.signature is None:
         return None
     logs = np.log(it.signature.values)  # (L,)
@@ -133,9 +168,15 @@ def _plot(it: Inspection) -> _Plot | None:
     largest, tiny = float(deviation.max()), np.finfo(float).tiny
     rows = (logs, logs + deviation, logs - deviation)
     line, above, below = ((high - values) / max(high - low, tiny) for values in rows)
-    band = line_of(across, above) + " " + line_of(across[::-1], below[::-1])
-    bars = list(zip(across.tolist(), (deviation / max(largest, tiny)).tolist(), strict=True))
-    return _Plot(line_of(across, line), band, bars, high, low, largest)
+    heights = (deviation / max(largest, tiny)).tolist()
+    return {
+        "line": line_of(across, line),
+        "band": line_of(across, above) + " " + line_of(across[::-1], below[::-1]),
+        "bars": list(zip(across.tolist(), heights, strict=True)),
+        "highest": high,
+        "lowest": low,
+        "largest": largest,
+    }
 
 
 def write_inspection_png(inspection: Inspection, path: str | Path) -> Path:

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from io import BytesIO
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 
-from pcretrieve.checks import Inspection
+from pcretrieve import Inspection, PointCloud, TriangleMesh
 from pcretrieve.draw import (
     CLAY,
     DARKEST,
@@ -24,10 +23,7 @@ from pcretrieve.draw import (
     rgb,
     surface_picture,
 )
-from pcretrieve.values import FloatArray, PointCloud, TriangleMesh
-
-if TYPE_CHECKING:
-    from pcretrieve import Inspection
+from pcretrieve.values import FloatArray
 
 PICTURE_PIXELS = 280
 
@@ -81,14 +77,12 @@ class Row:
         cut = [picture.crop((0, top, picture.width, bottom)) for picture in self.pictures]
         object.__setattr__(self, "pictures", cut)
 
-    def encoded(self) -> dict[str, object]:
-        """The row for the template of the page: colours as CSS, pictures as PNG with a palette."""
-        files = []
-        for picture in self.pictures:
-            file = BytesIO()
+    def files(self) -> list[bytes]:
+        """The pictures as PNG with a palette."""
+        files = [BytesIO() for _ in self.pictures]
+        for picture, file in zip(self.pictures, files, strict=True):
             picture.quantize(N_COLOURS).save(file, "PNG", optimize=True)
-            files.append(file.getvalue())
-        return {"title": self.title, "key": self.key, "pictures": files}
+        return [file.getvalue() for file in files]
 
 
 def inspection_cameras(it: Inspection) -> list[Camera]:
@@ -98,134 +92,137 @@ def inspection_cameras(it: Inspection) -> list[Camera]:
 
 def rows_of(it: Inspection) -> list[Row]:
     """The rows of pictures of an inspection."""
-    rows = []
-    if it.scan is not None and inspection_cameras(it):
-        if it.cut_away.any() or _outside(it.scan.points[it.dropped], inspection_cameras(it)).any():
-            rows.append(_overview_row(it.scan, it))
-        rows.append(_raw_row(it.scan, it))
+    if not len(it.body):
+        return []
+    seen, rows = _Views(it), []
+    if it.scan is not None:
+        if it.cut_away.any() or seen.beyond(it.scan.points[it.dropped]).any():
+            rows.append(seen.overview(it.scan))
+        rows.append(seen.points_of_the_body(it.scan))
     if it.cloud is not None and it.cloud.normals is not None:
-        rows.append(_normals_row(it.cloud, it.cloud.normals, it))
+        rows.append(seen.sides(it.cloud.points, it.cloud.normals))
     if it.mesh is not None:
-        clay = np.tile(CLAY, (len(it.mesh.faces), 1))
-        plain = [
-            surface_picture(it.mesh.vertices, it.mesh.faces, clay, camera, size=PICTURE_PIXELS)
-            for camera in inspection_cameras(it)
-        ]
-        rows.append(Row("Surface", [(CLAY, f"{len(it.mesh.faces):,} faces")], plain))
-    if it.mesh is not None and it.cloud is not None:
-        rows.append(_marks_row(it.mesh, it))
+        rows.append(seen.surface(it.mesh))
+        if it.cloud is not None:
+            rows.append(seen.marks(it.mesh))
     return rows
-
-
-def _overview_row(scan: PointCloud, it: Inspection) -> Row:
-    """All points; those too far away are at the edge of each picture, in their direction."""
-    low, high = it.body.min(axis=0), it.body.max(axis=0)
-    margin = AROUND * np.linalg.norm(high - low)
-    near = ((scan.points >= low - margin) & (scan.points <= high + margin)).all(axis=1)
-    close = inspection_cameras(it)
-    kept = thinned(scan.points[~(it.dropped | it.cut_away)])
-    corners = [
-        body.centre + body.half * np.array(corner) @ body.axes[:2]
-        for body in close
-        for corner in ((-1, -1), (-1, 1), (1, -1), (1, 1))
-    ]
-    pictures = []
-    cameras = cameras_framing(np.concatenate([scan.points[near], corners]), [one.axes for one in close])
-    for camera, body in zip(cameras, close, strict=True):
-        picture = Image.new("RGBA", (PICTURE_PIXELS, PICTURE_PIXELS))
-        for points, colour in ((scan.points[it.cut_away], CUT_AWAY), (scan.points[it.dropped], DROPPED)):
-            seen = camera.seen(thinned(points))[:, :2]  # (k, 2)
-            seen /= np.maximum(abs(seen).max(axis=1, keepdims=True) / (1 - REMOVED_WIDTH), 1)
-            at_edge = camera.centre + camera.half * seen @ camera.axes[:2]
-            picture.alpha_composite(_removed(at_edge, colour, camera, it))
-        picture.alpha_composite(_shaded(kept, KEPT, camera, it))
-        pen = ImageDraw.Draw(picture)
-        across, up = camera.seen(body.centre[None])[0, :2]
-        x, y, half = across + 1, 1 - up, body.half / camera.half
-        box = [PICTURE_PIXELS / 2 * part for part in (x - half, y - half, x + half, y + half)]
-        pen.rectangle(box, outline=rgb(FRAME))
-        pictures.append(picture)
-    n, n_cut, n_far = int(it.dropped.sum()), int(it.cut_away.sum()), int((~near).sum())
-    key = [(KEPT, f"{len(scan.points) - n - n_cut:,} points")]
-    key += [(CUT_AWAY, f"{n_cut:,} cut away")] if n_cut else []
-    key += [(DROPPED, f"{n:,} dropped as outliers")] if n else []
-    key.append((FRAME, "frame of the pictures below"))
-    far = f", {n_far:,} of them at the edge, because they are too far away" if n_far else ""
-    return Row(f"All points that were read{far}", key, pictures)
-
-
-def _raw_row(scan: PointCloud, it: Inspection) -> Row:
-    kept, dropped = thinned(scan.points[~(it.dropped | it.cut_away)]), scan.points[it.dropped]
-    pictures = []
-    for camera in inspection_cameras(it):
-        beside = _removed(thinned(dropped), DROPPED, camera, it)
-        pictures.append(Image.alpha_composite(_shaded(kept, KEPT, camera, it), beside))
-    n, n_cut = len(dropped), int(it.cut_away.sum())
-    n_outside = int(_outside(dropped, inspection_cameras(it)).sum())
-    beyond = f", {n_outside:,} of them beyond an edge in some pictures" if n_outside else ""
-    words = f"{n:,} dropped as outliers{beyond}"
-    key = [(KEPT, f"{len(scan.points) - n - n_cut:,} points"), (DROPPED, words)]
-    return Row("Points of the body", key, pictures)
-
-
-def _outside(points: FloatArray, cameras: Sequence[Camera]) -> NDArray[np.bool_]:
-    """Whether each point is not in the field of view of one of the cameras, (n,)."""
-    outside = np.zeros(len(points), dtype=np.bool_)
-    for camera in cameras:
-        outside |= (abs(camera.seen(points)[:, :2]) > 1).any(axis=1)
-    return outside
-
-
-def _shaded(points: FloatArray, colour: Colour, camera: Camera, it: Inspection) -> Image.Image:
-    """Points that are darker at the far end."""
-    width = SKIN_WIDTH / 2 * it.spacing
-    return depth_picture(points, colour, camera, width=width, size=PICTURE_PIXELS)
-
-
-def _removed(points: FloatArray, colour: Colour, camera: Camera, it: Inspection) -> Image.Image:
-    """Small translucent points."""
-    width = max(SKIN_WIDTH / 2 * it.spacing, 2 * REMOVED_WIDTH * camera.half)
-    colours = np.tile(colour, (len(points), 1))
-    picture = point_picture(points, colours, camera, width=width, size=PICTURE_PIXELS)
-    picture.putalpha(picture.getchannel("A").point(lambda opacity: round(REMOVED_OPACITY * opacity)))
-    return picture
-
-
-def _normals_row(cloud: PointCloud, normals: FloatArray, it: Inspection) -> Row:
-    pictures = []
-    for camera in inspection_cameras(it):
-        facing = normals @ camera.axes[2]  # (n,)
-        colours = (
-            np.where(facing[:, None] > 0, FACING, AWAY) * (DARKEST + (1 - DARKEST) * abs(facing))[:, None]
-        )
-        picture = point_picture(
-            cloud.points, colours, camera, width=SKIN_WIDTH * it.spacing, size=PICTURE_PIXELS
-        )
-        pictures.append(picture)
-    key = [(FACING, "outside faces you"), (AWAY, "inside faces you: a hole, or normals that point inwards")]
-    return Row("Which side is outside", key, pictures)
-
-
-def _marks_row(mesh: TriangleMesh, it: Inspection) -> Row:
-    colours = np.where(it.filled[:, None], FILLED, CLAY)
-    rings = [(it.cuts, CUT), (it.bridges, BRIDGE)]
-    pictures = [
-        surface_picture(mesh.vertices, mesh.faces, colours, camera, size=PICTURE_PIXELS, rings=rings)
-        for camera in inspection_cameras(it)
-    ]
-    shares = [
-        f"{check.name.lower()} {check.shown}"
-        for check in it.checks
-        if check.name in ("Filled in", "Closed base")
-    ]
-    key = [
-        (FILLED, f"no point nearby: {', '.join(shares)}"),
-        (CUT, f"cuts: {len(it.cuts)}"),
-        (BRIDGE, f"bridges: {len(it.bridges)}"),
-    ]
-    return Row("What was filled in, cut and bridged", key, pictures)
 
 
 def thinned(points: FloatArray) -> FloatArray:
     """`MOST_POINTS` of (n, 3) points at equal intervals in the order of the file; all if there are fewer."""
     return points[np.linspace(0, len(points) - 1, min(len(points), MOST_POINTS)).astype(np.intp)]
+
+
+class _Views:
+    """An inspection, seen from four sides."""
+
+    def __init__(self, it: Inspection) -> None:
+        self.it, self.cameras, self.skin = it, inspection_cameras(it), SKIN_WIDTH / 2 * it.spacing
+        self.n_dropped, self.n_cut = int(it.dropped.sum()), int(it.cut_away.sum())
+
+    def overview(self, scan: PointCloud) -> Row:
+        """All points; those too far away are at the edge of each picture, in their direction."""
+        low, high = self.it.body.min(axis=0), self.it.body.max(axis=0)
+        margin = AROUND * np.linalg.norm(high - low)
+        near = ((scan.points >= low - margin) & (scan.points <= high + margin)).all(axis=1)
+        corners = [
+            body.centre + body.half * np.array(corner) @ body.axes[:2]
+            for body in self.cameras
+            for corner in ((-1, -1), (-1, 1), (1, -1), (1, 1))
+        ]
+        shown = np.concatenate([scan.points[near], corners])
+        pictures = []
+        for camera, body in zip(
+            cameras_framing(shown, [one.axes for one in self.cameras]), self.cameras, strict=True
+        ):
+            picture = Image.new("RGBA", (PICTURE_PIXELS, PICTURE_PIXELS))
+            for chosen, colour in ((self.it.cut_away, CUT_AWAY), (self.it.dropped, DROPPED)):
+                seen = camera.seen(thinned(scan.points[chosen]))[:, :2]  # (k, 2)
+                seen /= np.maximum(abs(seen).max(axis=1, keepdims=True) / (1 - REMOVED_WIDTH), 1)
+                at_edge = camera.centre + camera.half * seen @ camera.axes[:2]
+                picture.alpha_composite(self._removed(at_edge, colour, camera))
+            picture.alpha_composite(self._kept(scan, camera))
+            across, up = camera.seen(body.centre[None])[0, :2]
+            x, y, half = across + 1, 1 - up, body.half / camera.half
+            box = [PICTURE_PIXELS / 2 * part for part in (x - half, y - half, x + half, y + half)]
+            ImageDraw.Draw(picture).rectangle(box, outline=rgb(FRAME))
+            pictures.append(picture)
+        key = [self._key_of_kept(scan)]
+        key += [(CUT_AWAY, f"{self.n_cut:,} cut away")] if self.n_cut else []
+        key += [(DROPPED, f"{self.n_dropped:,} dropped as outliers")] if self.n_dropped else []
+        key.append((FRAME, "frame of the pictures below"))
+        n_far = int((~near).sum())
+        far = f", {n_far:,} of them at the edge, because they are too far away" if n_far else ""
+        return Row(f"All points that were read{far}", key, pictures)
+
+    def points_of_the_body(self, scan: PointCloud) -> Row:
+        dropped = scan.points[self.it.dropped]
+
+        def drawn(camera: Camera) -> Image.Image:
+            beside = self._removed(thinned(dropped), DROPPED, camera)
+            return Image.alpha_composite(self._kept(scan, camera), beside)
+
+        n_beyond = int(self.beyond(dropped).sum())
+        beyond = f", {n_beyond:,} of them beyond an edge in some pictures" if n_beyond else ""
+        words = f"{self.n_dropped:,} dropped as outliers{beyond}"
+        return self._row("Points of the body", [self._key_of_kept(scan), (DROPPED, words)], drawn)
+
+    def sides(self, points: FloatArray, normals: FloatArray) -> Row:
+        def drawn(camera: Camera) -> Image.Image:
+            facing = (normals @ camera.axes[2])[:, None]  # (n, 1)
+            colours = np.where(facing > 0, FACING, AWAY) * (DARKEST + (1 - DARKEST) * abs(facing))
+            return point_picture(points, colours, camera, width=2 * self.skin, size=PICTURE_PIXELS)
+
+        inside = "inside faces you: a hole, or normals that point inwards"
+        return self._row("Which side is outside", [(FACING, "outside faces you"), (AWAY, inside)], drawn)
+
+    def surface(self, mesh: TriangleMesh) -> Row:
+        clay = np.tile(CLAY, (len(mesh.faces), 1))
+        return self._row(
+            "Surface",
+            [(CLAY, f"{len(mesh.faces):,} faces")],
+            lambda camera: surface_picture(mesh.vertices, mesh.faces, clay, camera, size=PICTURE_PIXELS),
+        )
+
+    def marks(self, mesh: TriangleMesh) -> Row:
+        it = self.it
+        colours, rings = np.where(it.filled[:, None], FILLED, CLAY), [(it.cuts, CUT), (it.bridges, BRIDGE)]
+        shares = [
+            f"{check.name.lower()} {check.shown}"
+            for check in it.checks
+            if check.name in ("Filled in", "Closed base")
+        ]
+        return self._row(
+            "What was filled in, cut and bridged",
+            [
+                (FILLED, f"no point nearby: {', '.join(shares)}"),
+                (CUT, f"cuts: {len(it.cuts)}"),
+                (BRIDGE, f"bridges: {len(it.bridges)}"),
+            ],
+            lambda camera: surface_picture(
+                mesh.vertices, mesh.faces, colours, camera, size=PICTURE_PIXELS, rings=rings
+            ),
+        )
+
+    def beyond(self, points: FloatArray) -> NDArray[np.bool_]:
+        """(n,) whether each point is not in the field of view of one of the cameras."""
+        outside = [(abs(camera.seen(points)[:, :2]) > 1).any(axis=1) for camera in self.cameras]
+        return np.asarray(np.any(outside, axis=0))
+
+    def _row(self, title: str, key: list[tuple[Colour, str]], drawn: Callable[[Camera], Image.Image]) -> Row:
+        return Row(title, key, [drawn(camera) for camera in self.cameras])
+
+    def _key_of_kept(self, scan: PointCloud) -> tuple[Colour, str]:
+        return KEPT, f"{len(scan.points) - self.n_dropped - self.n_cut:,} points"
+
+    def _kept(self, scan: PointCloud, camera: Camera) -> Image.Image:
+        kept = thinned(scan.points[~(self.it.dropped | self.it.cut_away)])
+        return depth_picture(kept, KEPT, camera, width=self.skin, size=PICTURE_PIXELS)
+
+    def _removed(self, points: FloatArray, colour: Colour, camera: Camera) -> Image.Image:
+        """Small translucent points."""
+        width = max(self.skin, 2 * REMOVED_WIDTH * camera.half)
+        colours = np.tile(colour, (len(points), 1))
+        picture = point_picture(points, colours, camera, width=width, size=PICTURE_PIXELS)
+        picture.putalpha(picture.getchannel("A").point(lambda opacity: round(REMOVED_OPACITY * opacity)))
+        return picture

@@ -9,9 +9,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pcretrieve.catalogue import Catalogue, CatalogueLike, opened
+from pcretrieve import Catalogue, PipelineOptions
+from pcretrieve.catalogue import CatalogueLike, opened
 from pcretrieve.errors import InputError
-from pcretrieve.options import OptionsLike, PipelineOptions
+from pcretrieve.options import OptionsLike
 from pcretrieve.pages.html import encoded, write_page
 from pcretrieve.pages.thumbnails import Thumbnails
 from pcretrieve.query import without_labels
@@ -88,12 +89,13 @@ def draw_map(
     with opened(catalogue) as store:
         index = store.index(without_labels(PipelineOptions.of(options, store.options)))
         labels = {origin.id: origin.label for origin in store.origins()}
-        groups = class_groups([labels[shape_id] for shape_id in index.ids])
+        classes = [labels[shape_id] for shape_id in index.ids]
         title = f"Map of {Path(store.location).name}"
         places = plane_map(index)
         if target.suffix.lower() == ".png":
             from pcretrieve.draw.plot import draw_places
 
+            groups = class_groups(classes)
             drawn = [(group.label, places[group.rows], group.colour, group.marker) for group in groups]
             write_file(target, draw_places(drawn, title=title))
             return target
@@ -101,32 +103,27 @@ def draw_map(
             target,
             "map.html",
             title=title,
-            drawing=map_drawing(index.ids, groups, places),
+            drawing=map_drawing(index.ids, classes, places),
             pictures=_pictures(store, list(index.ids), up),
             n_shapes=len(index),
             whitening=index.whitening.reason,
         )
 
 
-def map_drawing(ids: Sequence[str], groups: Sequence[ClassGroup], places: FloatArray) -> dict[str, object]:
-    """What the templates draw of a map.
-
-    places: (n, 2) float64, the place of each, within [0, 1]².
-    """
-    return {
-        "side": SIDE,
-        "top": SIDE - float(places[:, 1].max()) * (SIDE - 2 * MARGIN) - 2 * MARGIN,
-        "height": float(np.ptp(places[:, 1])) * (SIDE - 2 * MARGIN) + 2 * MARGIN,
-        "groups": [
-            {
-                "label": group.label,
-                "colour": group.colour,
-                "path": PATHS[group.marker],
-                "shapes": [_shape(row, ids[row], places[row]) for row in group.rows.tolist()],
-            }
-            for group in groups
-        ],
-    }
+def map_drawing(ids: Sequence[str], labels: Sequence[str | None], places: FloatArray) -> dict[str, object]:
+    """What the templates draw of a map; `places`: (n, 2), within [0, 1]²."""
+    across, up = (MARGIN + places * (SIDE - 2 * MARGIN)).T
+    down = SIDE - up  # the y axis of SVG points down
+    groups = []
+    for group in class_groups(labels):
+        shapes = [
+            {"number": row, "id": ids[row], "x": f"{across[row]:.1f}", "y": f"{down[row]:.1f}"}
+            for row in group.rows.tolist()
+        ]
+        path = PATHS[group.marker]
+        groups.append({"label": group.label, "colour": group.colour, "path": path, "shapes": shapes})
+    height = float(np.ptp(down)) + 2 * MARGIN
+    return {"side": SIDE, "top": float(down.min()) - MARGIN, "height": height, "groups": groups}
 
 
 def class_groups(labels: Sequence[str | None]) -> list[ClassGroup]:
@@ -139,12 +136,6 @@ def class_groups(labels: Sequence[str | None]) -> list[ClassGroup]:
         groups.append(ClassGroup(name, rows, COLOURS[number % len(COLOURS)], marker))
     unknown = np.flatnonzero([label is None for label in labels])
     return groups + ([ClassGroup(None, unknown, UNKNOWN, "o")] if len(unknown) else [])
-
-
-def _shape(row: int, shape_id: str, place: FloatArray) -> dict[str, object]:
-    x, y = MARGIN + place * (SIDE - 2 * MARGIN)
-    # The y axis of SVG points down.
-    return {"number": row, "id": shape_id, "x": f"{x:.1f}", "y": f"{SIDE - y:.1f}"}
 
 
 def _pictures(catalogue: Catalogue, ids: list[str], up: str | None) -> list[str | None]:

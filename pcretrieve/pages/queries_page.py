@@ -7,40 +7,23 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterable
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
-from pcretrieve import __version__
-from pcretrieve.catalogue import Catalogue, CatalogueLike, Record, opened
+from pcretrieve import Answer, Catalogue, DistanceMatrix, PipelineOptions, Signature, __version__
+from pcretrieve.catalogue import CatalogueLike, opened
 from pcretrieve.errors import ShapeError
 from pcretrieve.formats import check_output
-from pcretrieve.matching import DistanceMatrix
-from pcretrieve.options import OptionsLike, PipelineOptions
+from pcretrieve.options import OptionsLike
 from pcretrieve.pages.html import write_page
 from pcretrieve.pages.thumbnails import Thumbnails
-from pcretrieve.query import Answer, Described, Question, answers
+from pcretrieve.query import Described, Question, answers
 from pcretrieve.retrieval import swapping_ranks
-from pcretrieve.values import Signature, Verdict
 
 DISTANCES = {
     "log": "log, the Euclidean distance of the logarithms of the values",
     "d1": "d1, the dissimilarity D1 of Ye and Yu",
     "d2": "d2, the dissimilarity D2 of Ye and Yu",
 }
-
-
-class _Panel(NamedTuple):
-    """One query as the template shows it.
-
-    swaps: list of (int, int), first and last rank of each run of ranks that could swap.
-    """
-
-    name: str
-    record: Record | None
-    picture: bytes | None
-    verdict: Verdict | None
-    answer: Answer
-    results: list[dict[str, Any]]
-    swaps: list[tuple[int, int]]
 
 
 def query_page(
@@ -102,9 +85,8 @@ def query_page(
         how = (matrix, timeout, memory, True, up)
         question = Question(chosen, k, labels, exclude_self, min_score, unit, *how)
         many = [queries] if isinstance(queries, (str, Path)) else [*queries]
-        check_output(
-            Path(path), [Path(store.location), *(Path(one) for one in many if isinstance(one, (str, Path)))]
-        )
+        files = [Path(one) for one in (store.location, *many) if isinstance(one, (str, Path))]
+        check_output(Path(path), files)
         outcomes = list(answers(store, many, question))
         written = write_query_page(path, store, outcomes, question, up=up)
         for name, outcome in outcomes:
@@ -121,15 +103,13 @@ def write_query_page(
     up: str | None = None,
 ) -> Path:
     """Write answers that are known already on a page; those that failed are listed at the end."""
-    panels: list[_Panel] = []
-    failures: list[tuple[str, ShapeError]] = []
-    thumbnails = Thumbnails(up)
+    panels, failures, thumbnails = [], [], Thumbnails(up)
     for name, outcome in outcomes:
         if isinstance(outcome, ShapeError):
             failures.append((name, outcome))
         else:
-            panels.append(_panel(catalogue, name, outcome, thumbnails))
-    names = [panel.name for panel in panels] + [name for name, _ in failures]
+            panels.append({"name": name} | _panel(catalogue, outcome, thumbnails))
+    names = [panel["name"] for panel in panels] + [name for name, _ in failures]
     return write_page(
         path,
         "query.html",
@@ -164,7 +144,8 @@ def settings_in_words(catalogue: Catalogue, question: Question) -> dict[str, str
     } | least
 
 
-def _panel(catalogue: Catalogue, name: str, answer: Answer, thumbnails: Thumbnails) -> _Panel:
+def _panel(catalogue: Catalogue, answer: Answer, thumbnails: Thumbnails) -> dict[str, Any]:
+    """One query as the template shows it; `swaps`: first and last of each run of ranks that could swap."""
     query, record, picture, verdict = answer.query, None, None, None
     if isinstance(query, str):
         record = catalogue.record(query)
@@ -176,4 +157,5 @@ def _panel(catalogue: Catalogue, name: str, answer: Answer, thumbnails: Thumbnai
         for row, found in zip(answer.rows(), answer.records, strict=True)
     ]
     swaps = [] if answer.rank_ranges is None else swapping_ranks(answer.rank_ranges)
-    return _Panel(name, record, picture, verdict, answer, results, swaps)
+    shown = {"answer": answer, "results": results, "swaps": swaps}
+    return shown | {"record": record, "picture": picture, "verdict": verdict}

@@ -13,31 +13,34 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from pcretrieve.catalogue import Catalogue, CatalogueLike, Record, opened
+from pcretrieve import (
+    Catalogue,
+    DistanceMatrix,
+    Evaluation,
+    PipelineOptions,
+    Record,
+    SignatureIndex,
+    evaluate,
+)
+from pcretrieve.catalogue import CatalogueLike, opened
 from pcretrieve.errors import InputError
 from pcretrieve.evaluation import (
-    Comparison,
     Confusion,
     QueryScores,
-    bootstrap_interval,
     check_known,
-    class_measures,
     compare_scores,
     confusion,
-    evaluate_rankings,
     precision_recall,
     query_scores,
-    rank_catalogue,
     result_scores,
 )
-from pcretrieve.matching import DistanceMatrix
-from pcretrieve.options import OptionsLike, PipelineOptions
+from pcretrieve.options import OptionsLike
 from pcretrieve.pages.html import line_of, write_page
-from pcretrieve.pages.map_page import class_groups, map_drawing
+from pcretrieve.pages.map_page import map_drawing
 from pcretrieve.pages.queries_page import settings_in_words
 from pcretrieve.pages.thumbnails import Thumbnails
 from pcretrieve.query import Question, without_labels
-from pcretrieve.retrieval import N_NEAR, Ranking, SignatureIndex, plane_map, reranked_neighbors
+from pcretrieve.retrieval import N_NEAR, Ranking, plane_map, reranked_neighbors
 
 # Side of the pictures, so that a page of 600 shapes stays below 3 MB.
 PIXELS = 88
@@ -53,34 +56,26 @@ MOST_LETTERS = 20
 LETTER = 0.36
 
 # The measures, explained for readers who do not know retrieval benchmarks.
-MEASURES = (
-    ("nn", "NN", "nearest neighbour", "How often the first shape found is of the query's class."),
-    (
-        "ft",
-        "FT",
+MEASURES = {
+    "NN": ("nearest neighbour", "How often the first shape found is of the query's class."),
+    "FT": (
         "first tier",
         "Fraction of the other shapes of the class that are among the first R, where R is their number.",
     ),
-    ("st", "ST", "second tier", "The same among the first 2R."),
-    (
-        "e",
-        "E",
+    "ST": ("second tier", "The same among the first 2R."),
+    "E": (
         "E-measure",
         "Harmonic mean of precision and recall of the first 32; below 1 even for a perfect ranking.",
     ),
-    (
-        "dcg",
-        "DCG",
+    "DCG": (
         "discounted cumulative gain",
         "How early the shapes of the class are ranked; the first ranks have the largest weights.",
     ),
-    (
-        "map",
-        "mAP",
+    "mAP": (
         "mean average precision",
         "Mean precision at the ranks of the other shapes of the class: the whole ranking in one number.",
     ),
-)
+}
 
 
 class _Card(NamedTuple):
@@ -147,28 +142,32 @@ def report(
     """
     with opened(catalogue) as store:
         chosen = PipelineOptions.of(options, store.options)
-        if matrix is None:
-            # As the measures: with a whitening fitted to labels, the queries that they call bad would look
-            # good.
-            chosen = without_labels(chosen)
+        # As the measures: with a whitening fitted to labels, the queries that they call bad would look good.
+        chosen = without_labels(chosen) if matrix is None else chosen.changed(retrieval={"rerank": "none"})
         other = None if versus is None else result_scores(versus)[0]
         records = {record.id: record for record in store.records()}
         ranking = _ranking(store, chosen, matrix)
         sizes = Counter(label for one in ranking.ids if (label := records[one].label) is not None)
         scores = measured = None
         if any(size > 1 for size in sizes.values()):
-            scores, measured = _measured(store, chosen, matrix)
+            evaluated = evaluate(store, options=chosen, matrix=matrix)
+            scores, measured = query_scores(evaluated.ranked.rankings), _measured(evaluated)
         elif other is not None:
             raise InputError(f"no class in {store.location} has two shapes: there are no measures to compare")
         precision = {} if scores is None else dict(zip(scores.ids, scores.ap.tolist(), strict=True))
         # The worst first, then those that have no average precision.
         queries = sorted(ranking.ids, key=lambda shape_id: precision.get(shape_id, 2.0))
         facts = {"shapes": str(len(ranking.ids)), "classes": str(len(sizes))}
-        facts |= _facts(store, chosen, matrix, measured)
+        facts |= _facts(store, Question(chosen, matrix=matrix), measured)
         if len(queries) > n_queries:
             facts["queries"] = f"the {n_queries} with the lowest average precision of {len(queries)}"
-        results = _Results(store, ranking, records, sizes, Thumbnails(up, PIXELS), k, chosen.retrieval.rerank)
-        panels = [results.panel(shape_id, precision.get(shape_id)) for shape_id in queries[:n_queries]]
+        thumbnails = Thumbnails(up, PIXELS)
+        panels = []
+        for one in queries[:n_queries]:
+            hits = _near(ranking, one, k, chosen.retrieval.rerank)
+            found = [(records[name], thumbnails.of(store, records[name]), gap) for name, gap in hits]
+            query = _Card(records[one], thumbnails.of(store, records[one]))
+            panels.append(_Panel(query, _judged(query.record.label, found, sizes), precision.get(one)))
         cards = [card for panel in panels for card in (panel.query, *panel.results)]
         shown = dict.fromkeys(card.picture for card in cards if card.picture is not None)
         return write_page(
@@ -181,7 +180,7 @@ def report(
             anchors={panel.query.record.id: f"q{number}" for number, panel in enumerate(panels)},
             pictures={picture: number for number, picture in enumerate(shown)},
             measured=measured,
-            comparison=_compared(other, scores),
+            comparison=None if other is None or scores is None else _compared(other, scores),
             compared_with=versus.location if isinstance(versus, Catalogue) else str(versus),
             drawing=_map(ranking, records),
             failures=[record for record in records.values() if record.status == "failed"],
@@ -198,20 +197,15 @@ def _ranking(catalogue: Catalogue, options: PipelineOptions, matrix: DistanceMat
     return SignatureIndex(table, options.retrieval, whitening=catalogue.whitening(options))
 
 
-def _facts(
-    catalogue: Catalogue,
-    options: PipelineOptions,
-    matrix: DistanceMatrix | None,
-    measured: dict[str, Any] | None,
-) -> dict[str, str]:
+def _facts(catalogue: Catalogue, question: Question, measured: dict[str, Any] | None) -> dict[str, str]:
     """How shapes are compared."""
-    facts = settings_in_words(catalogue, Question(options, matrix=matrix))
+    facts = settings_in_words(catalogue, question)
     for left_out in ("searched", "score"):
         facts.pop(left_out, None)
-    if matrix is None:
-        facts["scale"] = options.compared.scale
+    if question.matrix is None:
+        facts["scale"] = question.options.compared.scale
     else:
-        facts["distance"] = f"that of a matrix of {len(matrix)} shapes"
+        facts["distance"] = f"that of a matrix of {len(question.matrix)} shapes"
     if measured is not None and measured["whitening"]:
         # One that is fitted without labels is the same for the measures.
         is_same = measured["whitening"].startswith(facts["whitening"])
@@ -219,27 +213,23 @@ def _facts(
     return facts
 
 
-def _measured(
-    catalogue: Catalogue, options: PipelineOptions, matrix: DistanceMatrix | None
-) -> tuple[QueryScores, dict[str, Any]]:
-    """The scores of queries, and the measures as the template shows them."""
-    if matrix is not None:
-        options = options.changed(retrieval={"rerank": "none"})
-    found = rank_catalogue(catalogue, options, matrix=matrix)
-    ranked = found.rankings
-    scores, means, curve = query_scores(ranked), evaluate_rankings(ranked), precision_recall(ranked)
-    ends = bootstrap_interval(scores.columns).T.tolist()
-    return scores, {
-        "counts": means,
+def _measured(found: Evaluation) -> dict[str, Any]:
+    """The measures as the template shows them."""
+    curve = precision_recall(found.ranked.rankings)
+    means = (found.nn, found.ft, found.st, found.e, found.dcg, found.map)
+    return {
+        "counts": found,
         "rows": [
-            {"short": short, "name": name, "value": getattr(means, field), "meaning": meaning, "ends": pair}
-            for (field, short, name, meaning), pair in zip(MEASURES, ends, strict=True)
+            {"short": short, "name": name, "value": mean, "meaning": meaning, "ends": ends}
+            for (short, (name, meaning)), mean, ends in zip(
+                MEASURES.items(), means, found.interval.T.tolist(), strict=True
+            )
         ],
         "curve": line_of(curve.recall, 1 - curve.precision),
         "precision": curve.precision.tolist(),
-        "classes": sorted(class_measures(ranked), key=lambda one: (one.means[-1], one.label)),
-        "confusion": _confusion(confusion(ranked)),
-        "whitening": found.whitening,
+        "classes": sorted(found.classes, key=lambda one: (one.means[-1], one.label)),
+        "confusion": _confusion(confusion(found.ranked.rankings)),
+        "whitening": found.ranked.whitening,
     }
 
 
@@ -265,14 +255,12 @@ def _short(label: str) -> str:
     return label if len(label) <= MOST_LETTERS else label[: MOST_LETTERS - 1] + "…"
 
 
-def _compared(other: QueryScores | None, scores: QueryScores | None) -> dict[str, Any] | None:
+def _compared(other: QueryScores, scores: QueryScores) -> dict[str, Any]:
     """The measures of another result and of this one, and this minus the other with its interval."""
-    if other is None or scores is None:
-        return None
-    found: Comparison = compare_scores(other, scores)
+    found = compare_scores(other, scores)
     columns = (found.first, found.second, found.difference, *found.interval)
     rows = []
-    for (_, short, _, _), numbers in zip(MEASURES, np.transpose(columns).tolist(), strict=True):
+    for short, numbers in zip(MEASURES, np.transpose(columns).tolist(), strict=True):
         *_, low, high = numbers
         verdict = "better" if low > 0 else "worse" if high < 0 else "no difference shown"
         rows.append((short, *numbers, verdict))
@@ -283,38 +271,31 @@ def _compared(other: QueryScores | None, scores: QueryScores | None) -> dict[str
 def _map(ranking: Ranking, records: Mapping[str, Record]) -> dict[str, object] | None:
     if not isinstance(ranking, SignatureIndex) or len(ranking) > MOST_MAPPED:
         return None
-    groups = class_groups([records[shape_id].label for shape_id in ranking.ids])
-    return map_drawing(ranking.ids, groups, plane_map(ranking))
+    labels = [records[shape_id].label for shape_id in ranking.ids]
+    return map_drawing(ranking.ids, labels, plane_map(ranking))
 
 
-class _Results(NamedTuple):
-    """Where the results of queries are found; `sizes` of the classes."""
+def _near(ranking: Ranking, shape_id: str, k: int, rerank: str) -> list[tuple[str, float]]:
+    """The `k` shapes nearest to a shape of the gallery, and their distances."""
+    if isinstance(ranking, SignatureIndex) and rerank != "none":
+        wide = ranking.nearest(shape_id, max(k + 1, N_NEAR))
+        near = reranked_neighbors(ranking, wide, rerank, shape_id=shape_id)
+    else:
+        near = ranking.nearest(shape_id, k + 1)
+    hits = zip(near.ids, near.distances.tolist(), strict=True)
+    return [hit for hit in hits if hit[0] != shape_id][:k]
 
-    catalogue: Catalogue
-    ranking: Ranking
-    records: Mapping[str, Record]
-    sizes: Mapping[str, int]
-    thumbnails: Thumbnails
-    k: int
-    rerank: str
 
-    def panel(self, shape_id: str, score: float | None) -> _Panel:
-        """A query and its nearest shapes."""
-        index = self.ranking if isinstance(self.ranking, SignatureIndex) else None
-        method = "none" if index is None else self.rerank
-        near = self.ranking.nearest(shape_id, self.k + 1 if method == "none" else max(self.k + 1, N_NEAR))
-        if index is not None:
-            near = reranked_neighbors(index, near, method, shape_id=shape_id)
-        hits = [hit for hit in zip(near.ids, near.distances.tolist(), strict=True) if hit[0] != shape_id]
-        query, results = self.records[shape_id], []
-        n_others = 0 if query.label is None else self.sizes[query.label] - 1
-        for rank, (name, gap) in enumerate(hits[: self.k], start=1):
-            found, relevant = self.records[name], None
-            if query.label is not None and found.label is not None:
-                # After as many results as the class has other shapes, those of other classes are not wrong.
-                relevant = found.label == query.label or (False if rank <= n_others else None)
-            results.append(_Card(found, self._picture(found), gap, relevant))
-        return _Panel(_Card(query, self._picture(query)), results, score)
-
-    def _picture(self, record: Record) -> bytes | None:
-        return self.thumbnails.of(self.catalogue, record)
+def _judged(
+    label: str | None, found: list[tuple[Record, bytes | None, float]], sizes: Mapping[str, int]
+) -> list[_Card]:
+    """The results of a query of a class; `sizes` of the classes."""
+    n_others = 0 if label is None else sizes[label] - 1
+    cards = []
+    for rank, (record, picture, gap) in enumerate(found, start=1):
+        relevant = None
+        if label is not None and record.label is not None:
+            # After as many results as the class has other shapes, those of other classes are not wrong.
+            relevant = record.label == label or (False if rank <= n_others else None)
+        cards.append(_Card(record, picture, gap, relevant))
+    return cards

@@ -7,9 +7,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from pcretrieve import TriangleMesh
 from pcretrieve.draw import CLAY, Colour, body_axes
 from pcretrieve.pages.html import encoded
-from pcretrieve.values import FloatArray, TriangleMesh
+from pcretrieve.values import FloatArray
 
 #: Half of the side of the cube that the viewer can show, with room for outliers near the body; farther
 #: outliers are left out. Relative to the radius of the bounding ball of the body.
@@ -20,11 +21,7 @@ FULL_SCALE = 2**16 - 1
 
 
 class Cube(NamedTuple):
-    """The cube that a viewer can show.
-
-    centre: (3,) float64, its centre; unit of the scan.
-    half: half of its side; unit of the scan.
-    """
+    """The cube that a viewer can show: its centre (3,) and half of its side, in the unit of the scan."""
 
     centre: FloatArray
     half: float
@@ -51,10 +48,7 @@ class Cube(NamedTuple):
 
 
 def surface_scene(mesh: TriangleMesh, up: FloatArray | None) -> dict[str, Any]:
-    """A surface as the only layer, seen from its front.
-
-    up: (3,) float64 or None, the direction upwards; None: found from the surface.
-    """
+    """A surface as the only layer, seen from its front; without `up`, this is found from the surface."""
     cube, faces = Cube.around(mesh.vertices), encoded(mesh.faces.astype("<u4").tobytes())
     layer = cube.layer("surface", "surface", mesh.vertices, CLAY, width=0, faces=faces)
     axes = body_axes(mesh.vertices, mesh.faces, up).tolist()

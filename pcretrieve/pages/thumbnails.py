@@ -7,7 +7,7 @@ from threading import Lock
 
 import numpy as np
 
-from pcretrieve.catalogue import Catalogue, Record
+from pcretrieve import Catalogue, Record, TriangleMesh
 from pcretrieve.draw import (
     FEWEST_BODIES,
     NEAR_AXIS,
@@ -19,7 +19,7 @@ from pcretrieve.draw import (
     upward,
 )
 from pcretrieve.errors import ShapeError
-from pcretrieve.values import FloatArray, TriangleMesh
+from pcretrieve.values import FloatArray
 
 # Largest number of thumbnails in memory, of about 7 kB each.
 MOST_KEPT = 5_000
@@ -57,11 +57,7 @@ class Thumbnails:
         return picture
 
     def up(self, catalogue: Catalogue, mesh: TriangleMesh) -> FloatArray | None:
-        """The direction upwards of a surface.
-
-        Returns (3,) float64 or None: the axis that was given; else the direction that is known of the scan;
-            else the common axis of the catalogue; None: to be found from the surface.
-        """
+        """(3,) the direction upwards of a surface, as given, known of the scan or common; None if unknown."""
         if self._given is not None:
             return self._given
         return self._common_axis(catalogue) if mesh.up is None else mesh.up
@@ -87,18 +83,12 @@ class Thumbnails:
     def _common_axis(self, catalogue: Catalogue) -> FloatArray | None:
         if self._given is None and not self._has_asked:
             records = next(catalogue.pages(status="done"), [])
-            asked = records[:: -(-len(records) // N_ASKED) or 1]
-            found = [direction for one in asked if (direction := _direction(catalogue, one)) is not None]
-            self._common = common_axis(np.reshape(found, (-1, 3)))
+            kept = [catalogue.thumbnail(one.id) for one in records[:: -(-len(records) // N_ASKED) or 1]]
+            found = [direction_upwards(picture) for picture in kept if picture is not None]
+            self._common = common_axis(np.reshape([one for one in found if one is not None], (-1, 3)))
             # Of fewer bodies the next answer may be another one.
             self._has_asked = len(records) >= FEWEST_BODIES
             if self._common is not None:
                 with self._lock:
                     self._kept.clear()
         return self._common
-
-
-def _direction(catalogue: Catalogue, record: Record) -> FloatArray | None:
-    """The direction that is upwards in the picture that a catalogue keeps; None if it keeps none."""
-    kept = catalogue.thumbnail(record.id)
-    return None if kept is None else direction_upwards(kept)

@@ -13,7 +13,7 @@ from pcretrieve.catalogue import Catalogue
 from pcretrieve.errors import InputError, ShapeError
 from pcretrieve.options import PipelineOptions
 from pcretrieve.pages.html import Curves, curves
-from pcretrieve.pages.map_page import class_groups, map_drawing
+from pcretrieve.pages.map_page import map_drawing
 from pcretrieve.pages.scene import surface_scene
 from pcretrieve.pages.thumbnails import Thumbnails
 from pcretrieve.retrieval import SignatureIndex, plane_map
@@ -135,7 +135,7 @@ class Maps:
         drawing, ids = None, [index.ids[row] for row in rows.tolist()]
         if places is not None:
             labels = {origin.id: origin.label for origin in catalogue.origins()}
-            drawing = map_drawing(ids, class_groups([labels.get(name) for name in ids]), places)
+            drawing = map_drawing(ids, [labels.get(name) for name in ids], places)
         whitening = without_folders(index.whitening.reason)
         shown = {"drawing": drawing, "n_shown": len(ids), "n_shapes": len(index)}
         return shown | {"whitening": whitening}
