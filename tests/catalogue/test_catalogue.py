@@ -1,11 +1,14 @@
-"""The catalogue gives back what was put in, to several at once; what it lacks is computed."""
+"""The catalogue gives back what was put in, to several at once; signatures and indexes it lacks are computed.
+
+Stored indexes belong to a state of the catalogue, and give the results of newly computed indexes.
+"""
 
 from __future__ import annotations
 
+import shutil
 import sqlite3
 from collections.abc import Iterator
 from contextlib import closing
-from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
@@ -13,14 +16,15 @@ import numpy as np
 import pytest
 import shapes
 
-from pcretrieve import Catalogue, PipelineOptions
+from pcretrieve import Catalogue, PipelineOptions, SignatureIndex
 from pcretrieve.catalogue import Content, Record, sqlite
+from pcretrieve.catalogue import cache as gallery
 from pcretrieve.descriptors import describe
 from pcretrieve.errors import CatalogueError, InputError
 from pcretrieve.options import SignatureOptions
 from pcretrieve.pipeline.process import process
 from pcretrieve.retrieval import coordinates, fit_whitening
-from pcretrieve.values import Need, Shape
+from pcretrieve.values import Shape
 
 OPTIONS = PipelineOptions()
 N_SHAPES = 6
@@ -28,29 +32,24 @@ N_SHAPES = 6
 
 @cache
 def egg(number: int) -> Shape:
-    """What ingestion makes of an egg, one longer than the other."""
+    """What ingestion makes of an egg, one longer than the other; the last has two surfaces."""
     shape = process(shapes.ellipsoid((1, 1, 1 + number / 5), subdivisions=3), OPTIONS)
-    return replace(shape, surfaces=tuple(replace(surface, eigenpairs=None) for surface in shape.surfaces))
-
-
-def whitened(kind: str) -> PipelineOptions:
-    return OPTIONS.changed(retrieval={"whitening": kind})
+    surfaces = (*shape.surfaces, *egg(0).surfaces) if number == N_SHAPES - 1 else shape.surfaces
+    return Shape(surfaces, provenance=shape.provenance)
 
 
 @cache
 def content(number: int) -> Content:
-    shape = egg(number)
-    return Content(shape, describe(shape, OPTIONS.signature).values)
+    return Content(egg(number), describe(egg(number), OPTIONS.signature).values)
 
 
 def record(number: int) -> Record:
     label = "round" if number < N_SHAPES // 2 else "long"
-    steps = content(number).shape.provenance
-    return Record(f"egg{number}", f"/eggs/egg{number}.off", f"hash{number}", label, steps=steps)
+    return Record(f"egg{number}", f"/egg{number}.off", f"hash{number}", label, steps=egg(number).provenance)
 
 
-def filled(location: str) -> Catalogue:
-    store = Catalogue(location, create=True)
+def filled(location: str | Path, options: PipelineOptions = OPTIONS) -> Catalogue:
+    store = Catalogue(location, options, create=True)
     for number in range(N_SHAPES):
         store.put(record(number), content(number))
     return store
@@ -65,7 +64,7 @@ def catalogue(new_location: str) -> Iterator[Catalogue]:
 
 @pytest.fixture
 def in_file(tmp_path: Path) -> Iterator[Catalogue]:
-    with filled(str(tmp_path / "eggs.sqlite")) as store:
+    with filled(tmp_path / "eggs.sqlite") as store:
         yield store
 
 
@@ -87,6 +86,19 @@ def test_everything_outlives_the_process_in_one_file(in_file: Catalogue) -> None
         assert len(again) == N_SHAPES
 
 
+@pytest.mark.parametrize("keep", [(), ("meshes",), ("overlaps",), ("overlaps", "meshes")], ids=str)
+def test_what_options_name_is_stored_and_comes_back(keep: tuple[str, ...], tmp_path: Path) -> None:
+    with filled(tmp_path / "c.sqlite", OPTIONS.changed(catalogue={"keep": keep})) as store:
+        for number in range(N_SHAPES):
+            sizes = store.stored_bytes(f"egg{number}")
+            parts = {name for name, n_bytes in sizes.items() if n_bytes}
+            assert parts == {"record", "signatures", "spectra", "moments", *keep}
+            again, shape = store.shape(f"egg{number}", ("spectrum", "overlaps", "mesh")), egg(number)
+            for one, other in zip(again.surfaces, shape.surfaces, strict=True):
+                assert one.mesh == (other.mesh if "meshes" in keep else None)
+                assert (one.spectrum == other.spectrum) is bool(keep)
+
+
 @pytest.mark.parametrize(
     "options",
     [
@@ -106,19 +118,17 @@ def test_other_descriptors_are_made_from_the_stored_spectra(
         np.testing.assert_allclose(values, describe(egg(row), options).values, rtol=1e-9)
 
 
-# --- whitening ------------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("kind", ["pca", "within-class"])
 def test_a_whitening_is_fitted_anew_once_the_shapes_change(kind: str, catalogue: Catalogue) -> None:
+    options = OPTIONS.changed(retrieval={"whitening": kind})
+
     def fitted() -> bytes:
         """Also by other processes: the catalogue always gives the results of its present shapes."""
-        table = catalogue.signatures(whitened(kind))
-        expected = fit_whitening(
-            kind, coordinates(table.values), table.labels, options_digest=table.digest
-        ).to_arrays()
+        table = catalogue.signatures(options)
+        logs = coordinates(table.values, "logarithms")
+        expected = fit_whitening(kind, logs, table.labels, options_digest=table.digest).to_arrays()
         for _ in ("fitted", "read back"):
-            answer = catalogue.whitening(whitened(kind)).to_arrays()
+            answer = catalogue.whitening(options).to_arrays()
             for name, values in expected.items():
                 np.testing.assert_array_equal(answer[name], values)
         return np.asarray(expected["matrix"]).tobytes()
@@ -146,60 +156,123 @@ def test_readers_see_the_last_whole_state_while_somebody_writes(in_file: Catalog
 
 def test_two_writers_take_turns_or_say_so(in_file: Catalogue, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sqlite, "LOCK_TIMEOUT", 0.05)
+    words = "is locked by another process: wait until that has finished"
     with closing(sqlite3.connect(in_file.location)) as writer, Catalogue(in_file.location) as other:
         writer.execute("BEGIN IMMEDIATE")
-        with pytest.raises(
-            CatalogueError, match="is locked by another process: wait until that has finished"
-        ):
+        with pytest.raises(CatalogueError, match=words):
             other.remove("egg0")
         writer.rollback()
         other.remove("egg0")
     assert len(in_file) == N_SHAPES - 1
 
 
-# --- parts that options name ----------------------------------------------------------------------------
+# --- stored indexes -------------------------------------------------------------------------------------
 
-NEEDS: tuple[Need, ...] = ("spectrum", "overlaps", "mesh")
-
-
-def options_keeping(*parts: str) -> PipelineOptions:
-    return PipelineOptions().changed(catalogue={"keep": parts})
+FEW = PipelineOptions().changed(signature={"method": "r-bihdm", "n_values": 59})
+N_INDEXED = 40
 
 
-@cache
-def eggs(element: str = "linear") -> tuple[Shape, ...]:
-    """What processing makes of three eggs, the last of which has two surfaces."""
-    options = PipelineOptions().changed(spectral={"element": element})
-    first, second = (process(shapes.ellipsoid((1, 1, c), subdivisions=3), options) for c in (1.2, 1.5))
-    both = Shape((*first.surfaces, *second.surfaces), provenance=first.provenance)
-    return first, second, both
+def put_other(store: Catalogue, number: int) -> None:
+    """An egg with somebody else's signature."""
+    change = np.exp(np.random.default_rng(number).normal(size=59) * 0.3)
+    values = describe(egg(0), FEW.signature).values * change
+    label = f"kind{number % 5}"
+    store.put(Record(f"s{number:03}", f"/s{number:03}.off", f"h{number}", label), Content(egg(0), values))
 
 
-def keeping(path: Path, options: PipelineOptions) -> Catalogue:
-    store = Catalogue(path, options, create=True)
-    for number, shape in enumerate(eggs(options.spectral.element)):
-        record = Record(f"egg{number}", f"/egg{number}", f"hash{number}", "egg", steps=shape.provenance)
-        store.put(record, Content(shape, describe(shape, options.signature).values))
-    return store
+@pytest.fixture
+def indexed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Catalogue]:
+    """A small catalogue of which indexes are stored all the same."""
+    monkeypatch.setattr(gallery, "SMALLEST_KEPT", 1)
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    with Catalogue(tmp_path / "c.sqlite", FEW, create=True) as store:
+        for number in range(N_INDEXED):
+            put_other(store, number)
+        yield store
 
 
-def stored_parts(store: Catalogue) -> set[str]:
-    sizes = [store.stored_bytes(record.id) for record in store.records()]
-    return {name for size in sizes for name, n_bytes in size.items() if n_bytes}
+def asked(whitening: str = "none", distance: str = "log") -> PipelineOptions:
+    """Options by which the stored values are compared."""
+    retrieval = {"whitening": whitening, "distance": distance}
+    return FEW.changed(retrieval=retrieval, signature={"scale": "area"})
 
 
-ALWAYS = {"record", "signatures", "spectra", "moments"}
+def kept(store: Catalogue) -> list[Path]:
+    folder = Path(store.location).with_name("c.sqlite.gallery")
+    return sorted(folder.iterdir()) if folder.exists() else []
 
 
-@pytest.mark.parametrize(
-    "keep", [(), ("meshes",), ("overlaps",), ("overlaps", "meshes", "overlaps")], ids=str
-)
-def test_what_options_name_is_stored_and_comes_back(keep: tuple[str, ...], tmp_path: Path) -> None:
-    with keeping(tmp_path / "c.sqlite", options_keeping(*keep)) as store:
-        assert stored_parts(store) == ALWAYS.union(keep)
-        for number, shape in enumerate(eggs()):
-            again = store.shape(f"egg{number}", NEEDS)
-            assert len(again.surfaces) == len(shape.surfaces)
-            for one, other in zip(again.surfaces, shape.surfaces, strict=True):
-                assert one.mesh == (other.mesh if "meshes" in keep else None)
-                assert (one.spectrum == other.spectrum) is bool(keep)
+def assert_same(index: SignatureIndex, store: Catalogue, options: PipelineOptions) -> None:
+    table = store.signatures(options)
+    anew = SignatureIndex(table, options.retrieval, whitening=store.whitening(options))
+    for values in table.values[::7]:
+        for query in (values, values * 1.05):
+            assert index.query(query, 12) == anew.query(query, 12)
+
+
+WHITENINGS = ("none", "resolution", "neighbours", "pca", "within-class")
+
+
+@pytest.mark.parametrize(("distance", "whitening"), [("log", one) for one in WHITENINGS] + [("d1", "none")])
+def test_an_index_that_was_kept_answers_as_one_made_anew(
+    distance: str, whitening: str, indexed: Catalogue
+) -> None:
+    options = asked(whitening, distance)
+    assert_same(indexed.index(options), indexed, options)
+    assert len(kept(indexed)) == 1
+    with Catalogue(indexed.location) as other:
+        statements: list[str] = []
+        other.database._connection.set_trace_callback(statements.append)
+        index = other.index(options)
+        assert other.whitening(options) == index.whitening
+        assert not [text for text in statements if "signatures" in text], "it was computed again"
+        assert_same(index, indexed, options)
+
+
+def test_what_others_add_remove_and_label_is_noticed(indexed: Catalogue) -> None:
+    before, fitted = indexed.index(), indexed.whitening(asked("within-class"))
+    with Catalogue(indexed.location) as other:
+        put_other(other, N_INDEXED)
+        assert list(indexed.index().ids) == [*before.ids, f"s{N_INDEXED:03}"]
+        other.remove("s003")
+        assert "s003" not in indexed.index().ids
+        other.revise(labels={"/s004.off": "kind0"})
+        assert indexed.whitening(asked("within-class")) != fitted
+    assert_same(indexed.index(asked()), indexed, asked())
+
+
+def test_a_copy_that_is_restored_has_not_the_index_of_the_state_after_it(
+    indexed: Catalogue, tmp_path: Path
+) -> None:
+    """Both have seen as many writes."""
+    indexed.close()
+    shutil.copy(indexed.location, tmp_path / "backup")
+    with Catalogue(indexed.location) as store:
+        put_other(store, N_INDEXED)
+        store.index(asked())
+    shutil.copy(tmp_path / "backup", indexed.location)
+    with Catalogue(indexed.location) as store:
+        put_other(store, N_INDEXED + 1)
+        assert "s041" in store.index(asked()).nearest("s041", 50).ids
+        assert_same(store.index(asked()), store, asked())
+
+
+@pytest.mark.parametrize("array", ["gallery", "id_text"])
+@pytest.mark.parametrize("damage", ["truncated", "missing", "garbage", "one bit"])
+def test_one_that_is_damaged_is_found_and_made_anew(damage: str, array: str, indexed: Catalogue) -> None:
+    indexed.index(asked())
+    (folder,) = kept(indexed)
+    (file,) = folder.glob(f"{array}.npy")
+    data = file.read_bytes()
+    file.unlink()  # the index above has the old one mapped
+    if damage == "one bit":
+        file.write_bytes(data[:-1] + bytes([data[-1] ^ 1]))
+    elif damage != "missing":
+        file.write_bytes(data[: len(data) // 2] if damage == "truncated" else b"no array" * 100)
+    assert [path for path, _ in indexed.cache.faults()] == [folder]
+    with Catalogue(indexed.location) as other:
+        assert_same(other.index(asked()), indexed, asked())
+    with Catalogue(indexed.location) as other:
+        assert isinstance(other.index(asked()).to_arrays()["gallery"], np.ndarray)
+    assert kept(indexed) == [folder]
+    assert [*indexed.cache.faults()] == []

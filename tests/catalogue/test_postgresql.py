@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 from uuid import uuid4
@@ -15,7 +16,8 @@ from click.testing import CliRunner
 from postgresql_server import has_pgvector, programs
 
 from pcretrieve import Catalogue
-from pcretrieve.catalogue import Record, export_vectors, postgresql
+from pcretrieve.catalogue import Record, export_vectors
+from pcretrieve.catalogue import postgresql as postgresql_module
 from pcretrieve.catalogue.records import Entry
 from pcretrieve.catalogue.rows import Rows
 from pcretrieve.catalogue.vectors import VECTOR_TABLE, write_vectors
@@ -25,82 +27,77 @@ from pcretrieve.errors import CatalogueError, InputError
 pytestmark = pytest.mark.slow
 
 SETTINGS = {"options": "{}", "numbers_version": "7"}
+FAILURE = Entry(Record("a", "/a", "", status="failed"), {}, {})
 N_SHAPES = 400
 
 
-@pytest.fixture(scope="session")
-def url(postgresql: str) -> str:
-    return postgresql
+@pytest.fixture
+def schema() -> str:
+    return f'Some "bodies" {uuid4().hex}'
 
 
 @pytest.fixture
-def location(url: str) -> str:
-    return f'{url}?schema=Some "bodies" {uuid4().hex}'
-
-
-@pytest.fixture
-def server(url: str) -> Iterator[Any]:
+def server(postgresql: str) -> Iterator[Any]:
     """A connection of another program."""
     import psycopg
 
-    with psycopg.connect(url, autocommit=True) as connection:
+    with psycopg.connect(postgresql, autocommit=True) as connection:
         yield connection
 
 
-def quoted(location: str) -> str:
-    return location.partition("=")[2].replace('"', '""')
+def quoted(schema: str) -> str:
+    return '"{}"'.format(schema.replace('"', '""'))
 
 
-def failure(name: str) -> Entry:
-    return Entry(Record(name, f"/{name}", "", status="failed"), {}, {})
+def opened(url: str, schema: str, *, create: bool = False) -> Rows:
+    return Rows(f"{url}?schema={schema}", SETTINGS, create=create)
 
 
-def test_two_schemas_are_two_catalogues(url: str, server: Any) -> None:
+def test_two_schemas_are_two_catalogues(postgresql: str, server: Any) -> None:
     names = ["people", 'Some "people"', "people; DROP SCHEMA people"]
     for number, name in enumerate(names):
-        with Rows(f"{url}?schema={name}", SETTINGS, create=True) as rows:
-            for shape in range(number + 1):
-                rows.store(failure(f"{shape}"))
+        with opened(postgresql, name, create=True) as rows:
+            rows.add([replace(FAILURE, record=Record(f"{one}", f"/{one}", "")) for one in range(number + 1)])
     for number, name in enumerate(names):
-        with Rows(f"{url}?schema={name}", SETTINGS, create=False) as rows:
-            assert len(rows.records()) == number + 1
+        with opened(postgresql, name) as rows:
+            assert len(rows) == number + 1
     schemas = {name for (name,) in server.execute("SELECT nspname FROM pg_namespace").fetchall()}
     assert schemas >= set(names)
 
 
-def test_a_user_without_privileges_reads_or_is_told(location: str, url: str, server: Any) -> None:
-    with Rows(location, SETTINGS, create=True) as rows:
-        rows.store(failure("a"))
+def test_a_user_without_privileges_reads_or_is_told(postgresql: str, schema: str, server: Any) -> None:
+    with opened(postgresql, schema, create=True) as rows:
+        rows.store(FAILURE)
     reader = f"reader{uuid4().hex}"
     server.execute(f"CREATE ROLE {reader} LOGIN")
-    others = location.replace("tester", reader)
+    url = postgresql.replace("tester", reader)
     with pytest.raises(CatalogueError, match="there is no catalogue"):
-        Rows(others, SETTINGS, create=False)
+        opened(url, schema)
     with pytest.raises(CatalogueError, match=r"cannot be used by this user .*: grant the privileges"):
-        Rows(f"{url.replace('tester', reader)}?schema=new", SETTINGS, create=True)
-    server.execute(f'GRANT USAGE ON SCHEMA "{quoted(location)}" TO {reader}')
-    server.execute(f'GRANT SELECT ON ALL TABLES IN SCHEMA "{quoted(location)}" TO {reader}')
-    with Rows(others, SETTINGS, create=False) as rows:
-        assert [record.id for record in rows.records()] == ["a"]
+        opened(url, "new", create=True)
+    server.execute(f"GRANT USAGE ON SCHEMA {quoted(schema)} TO {reader}")
+    server.execute(f"GRANT SELECT ON ALL TABLES IN SCHEMA {quoted(schema)} TO {reader}")
+    with opened(url, schema) as rows:
+        assert rows.records() == [FAILURE.record]
         assert not rows.database.is_writable
         with pytest.raises(CatalogueError, match="cannot be used by this user"):
             rows.remove("a")
 
 
 def test_a_writer_waits_for_another_and_says_so(
-    location: str, url: str, monkeypatch: pytest.MonkeyPatch
+    postgresql: str, schema: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     import psycopg
 
-    monkeypatch.setattr(postgresql, "LOCK_TIMEOUT", 0.05)
-    with Rows(location, SETTINGS, create=True) as rows, psycopg.connect(url) as other:
-        other.execute(f"SELECT value FROM \"{quoted(location)}\".meta WHERE key = 'revision' FOR UPDATE")
-        assert len(rows.records()) == 0
+    monkeypatch.setattr(postgresql_module, "LOCK_TIMEOUT", 0.05)
+    with opened(postgresql, schema, create=True) as rows, psycopg.connect(postgresql) as other:
+        other.execute(f"SELECT value FROM {quoted(schema)}.meta WHERE key = 'revision' FOR UPDATE")
+        assert rows.records() == []
         with pytest.raises(CatalogueError, match="is locked by another process: wait until"):
-            rows.store(failure("a"))
+            rows.store(FAILURE)
         other.rollback()
-        rows.store(failure("a"))
-        assert len(rows.records()) == 1
+        rows.store(FAILURE)
+        assert rows.records() == [FAILURE.record]
 
 
 @pytest.mark.parametrize(
@@ -123,19 +120,14 @@ def test_a_server_that_is_not_there(url: str, said: str) -> None:
 # --- vectors --------------------------------------------------------------------------------------------
 
 
-@pytest.fixture(scope="module")
-def bodies(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    path = tmp_path_factory.mktemp("catalogue") / "bodies.sqlite"
-    synthetic_catalogue(path, OPTIONS, N_SHAPES, seed=3)
-    return path
-
-
 @pytest.mark.parametrize("whitening", ["none", "pca"])
-def test_the_database_gives_the_order_of_the_index(url: str, bodies: Path, whitening: str) -> None:
+def test_the_database_gives_the_order_of_the_index(postgresql: str, tmp_path: Path, whitening: str) -> None:
     if not has_pgvector(programs()):
         pytest.skip("the PostgreSQL server has no pgvector (Debian 13: postgresql-17-pgvector)")
     import psycopg
 
+    url, bodies = postgresql, tmp_path / "bodies.sqlite"
+    synthetic_catalogue(bodies, OPTIONS, N_SHAPES, seed=3)
     options = OPTIONS.changed(retrieval={"whitening": whitening})
     table = f"by_{whitening}"
     with Catalogue(bodies) as catalogue, psycopg.connect(url) as connection:

@@ -1,45 +1,43 @@
-"""What is stored comes back, by the same statements from an SQLite file and from a PostgreSQL database."""
+"""What is stored comes back, from a file as from a database; several catalogues are merged into one."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 import shapes
+from benchmarks.catalogue import OPTIONS
+from numpy.random import default_rng
 from processes import in_this_process
 
-from pcretrieve import Catalogue, PipelineOptions, evaluate, ingest
-from pcretrieve.catalogue.records import OWN, Entry, Origin, Record, settings_of
+from pcretrieve import Catalogue, PipelineOptions, evaluate, ingest, merge_catalogues
+from pcretrieve.catalogue import Merged, Record
+from pcretrieve.catalogue.records import OWN, Entry, Origin, settings_of
 from pcretrieve.catalogue.rows import Rows
-from pcretrieve.catalogue.tables import Payload
+from pcretrieve.catalogue.tables import PAYLOADS
 from pcretrieve.errors import CatalogueError, OptionError
 from pcretrieve.formats import write_mesh
 from pcretrieve.values import Step
 
 SETTINGS = {"options": "{}", "numbers_version": "7"}
 IDS = ("b", "d", "a", "c")
-ARRAYS: dict[Payload, bytes] = {"spectra": b"eigenvalues", "meshes": bytes(5000)}
 
 
-def record(name: str, **changes: object) -> Record:
+def done(name: str, **changes: Any) -> Entry:
     steps = (Step("read", 0.5, {"points": 7}, ("a note",)),)
     area = float(ord(name[0]) - ord("a") + 1)
-    whole = Record(name, f"/{name}.ply", f"hash-{name}", "label", steps=steps, area=area, n_faces=4, euler=2)
-    return replace(whole, **changes)  # type: ignore[arg-type]
+    record = Record(name, f"/{name}.ply", f"hash-{name}", "label", steps=steps, area=area, n_faces=4, euler=2)
+    bits = name[:1].encode() * 8
+    payloads = {payload: bits * number for number, payload in enumerate(PAYLOADS, 1)}
+    return Entry(replace(record, **changes), {OWN: bits, "other": bits * 2}, payloads)
 
 
-def failure(name: str) -> Record:
-    return Record(name, f"/{name}.ply", "", status="failed", stage="clean", error="Bad", message="why")
-
-
-def done(name: str, signed: str | None = None, **changes: object) -> Entry:
-    return Entry(record(name, **changes), {OWN: (signed or name).encode() * 16}, ARRAYS)
-
-
-def failed(name: str, **changes: object) -> Entry:
-    return Entry(replace(failure(name), **changes), {}, {})  # type: ignore[arg-type]
+def failed(name: str, **changes: Any) -> Entry:
+    record = Record(name, f"/{name}.ply", "", status="failed", stage="clean", error="Bad", message="why")
+    return Entry(replace(record, **changes), {}, {})
 
 
 @pytest.fixture
@@ -47,7 +45,7 @@ def rows(new_location: str) -> Iterator[Rows]:
     """Four finished shapes, put in another order than that of their ids, and a failed one."""
     with Rows(new_location, SETTINGS, create=True) as store:
         for name in IDS:
-            assert store.store(done(name)) == record(name)
+            assert store.store(done(name)) == done(name).record
         store.store(failed("e"))
         yield store
 
@@ -62,7 +60,7 @@ def test_records_are_found(rows: Rows, new_location: str, monkeypatch: pytest.Mo
     with Rows(new_location, {"options": "others"}, create=True) as again:
         assert again.settings() == rows.settings()
         assert again.records() == rows.records()
-    assert rows.records() == [record("a"), record("b"), record("c"), record("d"), failure("e")]
+    assert rows.records() == [*(done(name).record for name in "abcd"), failed("e").record]
     monkeypatch.setattr("pcretrieve.catalogue.rows.PAGE", 2)
     assert [ids(page) for page in rows.pages(offset=1, limit=3)] == [["b", "c"], ["d"]]
     assert [ids(page) for page in rows.pages(status="done")] == [["a", "b"], ["c", "d"]]
@@ -80,14 +78,27 @@ def test_records_are_found(rows: Rows, new_location: str, monkeypatch: pytest.Mo
     assert rows.labelled([]) == []
 
 
+def test_signatures_are_listed_in_the_order_of_ids(rows: Rows) -> None:
+    entry = rows.store(done("bb")), b"anew"
+    rows.keep("new", [entry, (done("a").record, b"of a"), (done("c", content_hash="old").record, b"late")])
+    for digest, has, packed in (
+        (OWN, [True] * 5, b"".join(bytes([bits]) * 8 for bits in b"abbcd")),
+        ("new", [True, False, True, False, False], b"of aanew"),
+        ("none", [False] * 5, b""),
+    ):
+        found = rows.listed(digest)
+        assert found.ids == ["a", "b", "bb", "c", "d"]
+        assert (found.has.tolist(), bytes(found.packed)) == (has, packed)
+
+
 def test_a_path_keeps_its_id_and_an_id_that_is_taken_gets_a_number(rows: Rows) -> None:
     again = rows.store(done("f", path="/a.ply", content_hash="new"))
     assert (again.id, again.content_hash) == ("a", "new")
     others = [rows.store(done("a", path=f"/{place}/a.ply")).id for place in range(20)]
     assert others == [f"a-{number}" for number in range(2, 22)]
-    assert rows.store(failed("b")) == record("b"), "a failure replaces a failure only"
+    assert rows.store(failed("b")) == done("b").record, "a failure replaces a failure only"
     assert rows.store(failed("e", message="again")).message == "again"
-    assert rows.store(done("e")) == record("e")
+    assert rows.store(done("e")) == done("e").record
 
 
 @pytest.mark.slow
@@ -124,3 +135,77 @@ def test_locations(tmp_path: Path) -> None:
         Catalogue("mysql://host/shapes", create=True)
     with pytest.raises(CatalogueError, match="there is no catalogue"):
         Catalogue(Path("sqlite://rows"))
+
+
+# --- merges ---------------------------------------------------------------------------------------------
+
+
+def part(path: Path, *entries: Entry) -> Path:
+    with Catalogue(path, OPTIONS, create=True) as store:
+        store.add(entries)
+    return path
+
+
+def content(location: str | Path) -> list[tuple[Record, dict[str, bytes], dict[Any, bytes]]]:
+    """Everything that a catalogue has, in ascending order of id."""
+    with Catalogue(location) as store:
+        entries = store.entries([origin.id for origin in store.origins()])
+        return [(one.record, dict(one.signatures), {**one.payloads}) for one in entries]
+
+
+def test_a_merge_goes_on_after_an_interruption(tmp_path: Path, new_location: str) -> None:
+    """The catalogue that has some of the shapes gets the others, and a second merge changes nothing."""
+    entries = [done("a"), failed("b"), done("c"), done("d", label=None)]
+    whole = part(tmp_path / "whole.sqlite", *entries)
+    merge_catalogues([part(tmp_path / "part.sqlite", *entries[:2])], new_location)
+    assert merge_catalogues([whole], new_location) == Merged(2, 2)
+    with Catalogue(new_location) as merged:
+        revision = merged.revision()
+        assert merge_catalogues([whole, whole], merged) == Merged(0, 4)
+        assert merged.revision() == revision
+    assert content(new_location) == content(whole)
+
+
+def test_parts_are_merged_in_any_grouping(tmp_path: Path) -> None:
+    """Parts with failures, repetitions and missing labels at random."""
+    rng = default_rng(7)
+    for trial in range(5):
+        place = iter(tmp_path / f"{trial}-{number}.sqlite" for number in range(8))
+        parts = []
+        for number in range(3):
+            names = [name for name in "abcdefgh" if rng.uniform() < 0.6]
+            entries = [
+                (done, failed)[rng.integers(2)](
+                    name, label=[None, name.upper()][rng.integers(2)], added=f"{number}"
+                )
+                for name in names
+            ]
+            parts.append(part(next(place), *entries))
+        left, right, one, two, whole = place
+        merge_catalogues(parts[:2], left)
+        merge_catalogues([left, parts[2]], one)
+        merge_catalogues(parts[1:], right)
+        merge_catalogues([parts[0], right], two)
+        merge_catalogues(parts, whole)
+        assert content(one) == content(two) == content(whole)
+
+
+CONFLICTS: list[tuple[dict[str, str], str]] = [
+    ({"content_hash": "new"}, r"/a.ply has different contents in .*part-0.sqlite and in .*part-1.sqlite"),
+    ({"label": "cat"}, r"/a.ply has the labels 'label' and 'cat' in .*part-0.sqlite and in .*part-1"),
+    ({"path": "/b.ply"}, r"'a' is /a.ply in .*part-0.sqlite and /b.ply in .*part-1.sqlite"),
+]
+
+
+def test_conflicts_are_named_and_nothing_is_stored(tmp_path: Path) -> None:
+    for number, (changes, said) in enumerate(CONFLICTS):
+        folder = tmp_path / f"{number}"
+        folder.mkdir()
+        first = part(folder / "part-0.sqlite", done("a"), done("c"))
+        second = part(folder / "part-1.sqlite", done("a", **changes), done("d"))
+        with pytest.raises(CatalogueError, match=f"with conflicts cannot be merged: {said}"):
+            merge_catalogues([first, second], folder / "all.sqlite")
+        assert content(folder / "all.sqlite") == []
+        with pytest.raises(CatalogueError, match=said):
+            merge_catalogues([second], first)
+        assert [record.id for record, *_ in content(first)] == ["a", "c"]

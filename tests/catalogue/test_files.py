@@ -1,0 +1,408 @@
+"""A file that is no catalogue, not the one that was meant, or damaged, is told; repairs lose nothing else."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import shutil
+import sqlite3
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import closing, contextmanager
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import pytest
+import shapes
+from click.testing import CliRunner, Result
+from processes import in_this_process, wait_for
+
+import pcretrieve as pr
+from pcretrieve import Catalogue
+from pcretrieve.catalogue import Record
+from pcretrieve.catalogue.records import RECORDS, checksum
+from pcretrieve.catalogue.tables import SCHEMA_VERSION
+from pcretrieve.cli.main import cli
+from pcretrieve.errors import CatalogueError
+from pcretrieve.formats import read_scan, write_mesh
+from pcretrieve.values import TriangleMesh
+
+N_SHAPES = 5
+
+# The user without rights, on Linux.
+NOBODY = 65534
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Some eggs, and a file that cannot be read."""
+    scans = tmp_path_factory.mktemp("files") / "scans"
+    scans.mkdir()
+    for number in range(N_SHAPES):
+        write_mesh(shapes.ellipsoid((1, 1.2, 1.5 + number / 5), subdivisions=3), scans / f"{number}.off")
+    (scans / "bad.off").write_text("OFF\n")
+    return scans
+
+
+@pytest.fixture(scope="module")
+def original(folder: Path) -> Path:
+    """Their catalogue, which each test copies."""
+    path = folder.with_name("original.sqlite")
+    pr.ingest(folder, path, executor=in_this_process)
+    return path
+
+
+@pytest.fixture
+def path(original: Path, tmp_path: Path) -> Path:
+    pr.backup(original, tmp_path / "c.sqlite")
+    return tmp_path / "c.sqlite"
+
+
+def execute(path: Path, *statements: str) -> None:
+    with closing(sqlite3.connect(path)) as connection, connection:
+        for statement in statements:
+            connection.execute(statement)
+
+
+def failure(name: str) -> Record:
+    return Record(name, f"/{name}.ply", "", status="failed", stage="read", error="Bad", message="why")
+
+
+def run(*arguments: str | Path) -> Result:
+    return CliRunner().invoke(cli, [*map(str, arguments)])
+
+
+def rows_of(location: str | Path) -> list[Any]:
+    """Everything that is stored of each shape."""
+    with Catalogue(location) as store:
+        entries = store.entries([record.id for record in store.records()])
+        return [(entry.record, dict(entry.signatures), dict(entry.payloads)) for entry in entries]
+
+
+# --- what is no catalogue, or not the one that was meant --------------------------------------------------
+
+
+def test_of_several_that_make_one_catalogue_each_gets_the_same(tmp_path: Path) -> None:
+    def voxel(number: int) -> float | str:
+        with Catalogue(tmp_path / "new.sqlite", create=True) as store:
+            store.put(failure(f"r{number}"))
+            return store.options.scan.voxel
+
+    with ThreadPoolExecutor(8) as several:
+        assert len(set(several.map(voxel, range(8)))) == 1
+    with Catalogue(tmp_path / "new.sqlite") as store:
+        assert len(store.records()) == 8
+
+
+def test_what_is_no_catalogue_is_left_as_it_is(tmp_path: Path) -> None:
+    for name, content in (("byte", b"x"), ("scan.ply", b"ply\nformat ascii 1.0\n" * 100)):
+        (tmp_path / name).write_bytes(content)
+    for version in (0, 1, 99):
+        mail = tmp_path / f"mail{version}.db"
+        execute(mail, "CREATE TABLE meta (a TEXT)", f"PRAGMA user_version = {version}")
+    for file in sorted(tmp_path.iterdir()):
+        before = file.read_bytes()
+        words = "is an SQLite file, but no catalogue" if file.suffix == ".db" else "is not a catalogue: give"
+        for create in (False, True):
+            with pytest.raises(CatalogueError, match=words):
+                Catalogue(file, create=create)
+            assert file.read_bytes() == before
+    with pytest.raises(CatalogueError, match="is a folder: name a file for --catalogue"):
+        Catalogue(tmp_path, create=True)
+    with pytest.raises(CatalogueError, match="make one with `pcretrieve ingest`"):
+        Catalogue(tmp_path / "c.sqlite")
+    assert not (tmp_path / "c.sqlite").exists()
+    with pytest.raises(CatalogueError, match=r"there is no folder .*nowhere to put a catalogue into"):
+        Catalogue(tmp_path / "nowhere" / "c.sqlite", create=True)
+
+
+def test_catalogues_of_other_versions(path: Path) -> None:
+    newer = rf"newer pcretrieve \(schema {SCHEMA_VERSION + 1}, this one knows {SCHEMA_VERSION}\): upgrade"
+    setting = "UPDATE meta SET value = '{}' WHERE key = 'schema_version'"
+    for change, said in (
+        (setting.format(SCHEMA_VERSION + 1), newer),
+        (setting.format(SCHEMA_VERSION - 1), "an older pcretrieve, .*: ingest into"),
+        ("DELETE FROM meta WHERE key = 'schema_version'", "by an older pcretrieve"),
+        ("INSERT INTO meta VALUES ('schema_version', 'x')", r"is damaged \(it has no version\)"),
+    ):
+        execute(path, change)
+        with pytest.raises(CatalogueError, match=said):
+            Catalogue(path)
+
+
+def test_numbers_of_another_version(path: Path) -> None:
+    execute(path, "UPDATE meta SET value = '6' WHERE key = 'numbers_version'")
+    with pytest.raises(CatalogueError, match=r"whose numbers differ \(version 6 there, 11 here\)"):
+        Catalogue(path)
+    with Catalogue(path, any_numbers=True) as stored:
+        assert [record.id for record in stored.records()] == [*map(str, range(N_SHAPES)), "bad"]
+        mesh = stored.mesh("2")
+    copy = path.with_name("egg2.off")
+    for arguments in (["list"], ["show", "2"], ["export", "2", "-o", str(copy)]):
+        done = run(*arguments, "-c", path)
+        assert done.exit_code == 0, done.output
+        assert "2" in done.output
+    exported = read_scan(copy)
+    assert isinstance(exported, TriangleMesh)
+    assert (exported.faces == mesh.faces).all()
+
+
+# --- files that are moved, removed or incomplete --------------------------------------------------------
+
+
+@pytest.mark.parametrize("how", ["removed", "replaced"])
+def test_nothing_is_written_to_a_file_that_is_not_there_any_more(how: str, path: Path) -> None:
+    with Catalogue(path) as store:
+        other = shutil.copy(path, path.with_name("copy.sqlite"))
+        path.unlink()
+        if how == "replaced":
+            Path(other).rename(path)
+        with pytest.raises(CatalogueError, match=r"was removed or replaced while it was in use: .* put the"):
+            store.put(failure("other"))
+        with pytest.raises(CatalogueError, match="was removed or replaced while it was in use"):
+            store.remove("2")
+
+
+@contextmanager
+def read_only(folder: Path) -> Iterator[None]:
+    """A folder in which this process, also that of root, may not write."""
+    folder.chmod(0o555)
+    user = os.geteuid()
+    try:
+        if user == 0:
+            os.seteuid(NOBODY)
+        yield
+    finally:
+        os.seteuid(user)
+        folder.chmod(0o755)
+
+
+def test_changes_that_are_in_the_log_alone_are_not_left_out() -> None:
+    """As a killed process leaves them, and where SQLite cannot apply them."""
+    with TemporaryDirectory(dir="/tmp") as place:  # that of pytest is closed to other users
+        folder = Path(place) / "folder"
+        folder.mkdir()
+        with Catalogue(Path(place) / "c.sqlite", create=True) as store:
+            store.put(failure("other"))
+            for suffix in ("", "-wal"):
+                shutil.copy(f"{store.location}{suffix}", folder)
+        Path(place).chmod(0o755)
+        words = r"is incomplete without its last changes in c\.sqlite-wal, .*: copy both files elsewhere"
+        with read_only(folder), pytest.raises(CatalogueError, match=words):
+            Catalogue(folder / "c.sqlite")
+
+
+def test_a_catalogue_that_may_not_be_written_can_be_read(original: Path) -> None:
+    with TemporaryDirectory(dir="/tmp") as place:
+        path = Path(shutil.copy(original, place))
+        path.chmod(0o644)
+        with read_only(Path(place)):
+            with Catalogue(path) as reader:
+                assert (len(reader), reader.mesh("2").euler_characteristic) == (N_SHAPES, 2)
+                with pytest.raises(CatalogueError, match="cannot be written to"):
+                    reader.remove("2")
+            with pytest.raises(CatalogueError, match="cannot be written to"):
+                Catalogue(path, create=True)
+
+
+# --- damage ---------------------------------------------------------------------------------------------
+
+
+def truncated(path: Path) -> None:
+    path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+
+
+def overwritten(path: Path) -> None:
+    data = bytearray(path.read_bytes())
+    data[4096:] = b"\x55" * (len(data) - 4096)
+    path.write_bytes(data)
+
+
+def flipped(column: str, position: int) -> str:
+    return f"CAST(substr({column}, 1, {position}) || x'ff' || substr({column}, {position + 2}) AS BLOB)"
+
+
+NOT_UTF8 = "UPDATE sqlite_master SET name = CAST(x'ce41' AS TEXT), sql = 'x' WHERE name = 'shapes'"
+FLIPPED_SIGNATURE = f"UPDATE signatures SET value = {flipped('value', 20)}"
+FLIPPED_MESH = f"UPDATE arrays SET meshes = {flipped('meshes', 2000)}"
+DAMAGES: dict[str, Callable[[Path], None] | tuple[str, ...]] = {
+    "truncated": truncated,
+    "overwritten": overwritten,
+    "a name that SQLite quotes and that is not UTF-8": ("PRAGMA writable_schema = ON", NOT_UTF8),
+    "no options": ("DELETE FROM meta",),
+    "options that are no JSON": ("UPDATE meta SET value = '{' WHERE key = 'options'",),
+    "options that are a list": ("UPDATE meta SET value = '[]' WHERE key = 'options'",),
+    "other steps": ("UPDATE provenance SET steps = '['",),
+    "no provenance": ("DELETE FROM provenance",),
+    "half a signature": ("UPDATE signatures SET value = substr(value, 1, length(value) / 2)",),
+    "a signature with a flipped byte": (FLIPPED_SIGNATURE,),
+    "no name of its state": ("DELETE FROM meta WHERE key = 'revision'",),
+    "bytes for a mesh": ("UPDATE arrays SET meshes = x'00112233'",),
+    "half a mesh": ("UPDATE arrays SET meshes = substr(meshes, 1, length(meshes) / 2)",),
+    "a mesh with a flipped byte": (FLIPPED_MESH,),
+    "eigenvalues for a mesh": ("UPDATE arrays SET meshes = spectra",),
+}
+
+
+def test_damaged_bytes_are_an_error(original: Path, tmp_path: Path) -> None:
+    for number, (name, damage) in enumerate(DAMAGES.items()):
+        path = Path(shutil.copy(original, tmp_path / f"{number}.sqlite"))
+        if isinstance(damage, tuple):
+            execute(path, *damage)
+        else:
+            damage(path)
+        with pytest.raises(CatalogueError) as raised, Catalogue(path) as store:
+            store.records()
+            store.signatures()
+            store.mesh("2")
+        assert "is damaged (" in str(raised.value), name
+        assert "): restore a copy, or" in str(raised.value), name
+
+
+# --- checks and repairs ---------------------------------------------------------------------------------
+
+
+def test_a_whole_catalogue_has_no_defects(path: Path) -> None:
+    found = pr.check(path, sample=2, repair=True)
+    assert (found.n_shapes, found.n_failed, found.n_recomputed, found.defects) == (N_SHAPES, 1, 2, ())
+    said = run("check", path, "--sample", "0")
+    assert said.exit_code == 0
+    assert said.stdout == f"{path}: 5 shapes, 1 failed, 0 signatures computed again, 0 defects\n"
+
+
+THIRD = "WHERE shape = (SELECT number FROM shapes WHERE id = '2')"
+LABEL = "a class that no other shape has"
+
+
+@pytest.mark.parametrize("bit", [0, 7])  # the second one leaves bytes that are not UTF-8
+def test_a_flipped_bit_of_a_record(
+    bit: int, path: Path, folder: Path, original: Path, tmp_path: Path
+) -> None:
+    """Wherever it is, the shape is named, and ingested again after the repair."""
+    with Catalogue(path) as store:
+        store.revise(labels={str(folder / "2.off"): LABEL})
+    execute(path, f"UPDATE provenance SET versions = '{{\"versions of shape 2\": 1}}' {THIRD}")
+    with closing(sqlite3.connect(path)) as connection, connection:
+        connection.row_factory = sqlite3.Row
+        (row,) = connection.execute(f"{RECORDS} WHERE id = '2'")
+        connection.execute("UPDATE shapes SET checksum = ? WHERE id = '2'", [checksum(dict(row))])
+    for number, text in enumerate((LABEL, "/scans/2.off", "versions of shape 2", f"{LABEL}done", None)):
+        copy = tmp_path / f"{number}.sqlite"
+        pr.backup(path, copy)
+        if text is None:
+            execute(copy, f"DELETE FROM provenance {THIRD}")
+        else:
+            data = bytearray(copy.read_bytes())
+            place = data.find(text.encode())
+            while place > 0:
+                data[place + len(text) - 1] ^= 1 << bit
+                place = data.find(text.encode(), place)
+            copy.write_bytes(data)
+        with pytest.raises(CatalogueError, match="is damaged "), Catalogue(copy) as store:
+            store.records()
+        assert not pr.check(copy, sample=0).is_whole
+        repaired = pr.check(copy, sample=0, repair=True)
+        assert repaired.defects[-1].shape_id == "2"
+        assert repaired.defects[-1].repair == "removed: ingest its file again"
+        assert repaired.is_whole
+        again = pr.ingest(folder, copy, executor=in_this_process)
+        assert [record.id for record in again.done] == ["2"]
+        for mended, whole in zip(rows_of(copy), rows_of(original), strict=True):
+            assert (mended[0].id, mended[0].path, *mended[1:]) == (whole[0].id, whole[0].path, *whole[1:])
+
+
+@pytest.mark.parametrize(
+    ("damage", "said"),
+    [
+        (f"{FLIPPED_SIGNATURE} {THIRD}", "its signature cannot be read: its checksum does not fit"),
+        (f"{FLIPPED_MESH} {THIRD}", "its arrays cannot be read: its checksum does not fit"),
+        (f"DELETE FROM signatures {THIRD}", "its signature is missing"),
+        (f"UPDATE arrays SET moments = NULL {THIRD}", "its moments are missing"),
+    ],
+)
+def test_a_shape_with_damaged_arrays_is_processed_again(
+    damage: str, said: str, path: Path, original: Path
+) -> None:
+    execute(path, damage)
+    (defect,) = pr.check(path, sample=0, repair=True).defects
+    assert (defect.shape_id, defect.message, defect.repair) == ("2", said, "set to be ingested again")
+    with Catalogue(path) as store:
+        assert (store.record("2").status, store.record("2").stage) == ("failed", "check")
+        assert pr.retry(store, stage="check", executor=in_this_process).done[0].id == "2"
+    assert [row[1:] for row in rows_of(path)] == [row[1:] for row in rows_of(original)]
+
+
+def test_rows_of_no_shape_are_removed(path: Path) -> None:
+    stray = "INSERT INTO signatures SELECT 'own', 99, value FROM signatures LIMIT 1"
+    execute(path, "INSERT INTO arrays (shape) VALUES (99)", stray)
+    before = rows_of(path)
+    found = run("check", path, "--sample", "0", "--json")
+    assert found.exit_code == 1
+    answer = json.loads(found.stdout)["result"]
+    assert not answer["is_whole"]
+    assert [defect["kind"] for defect in answer["defects"]] == ["orphan", "orphan"]
+    said = run("check", path, "--sample", "0", "--repair")
+    assert said.exit_code == 0
+    assert re.search("1 rows of arrays are of no shape  +removed\n", said.stdout)
+    assert pr.check(path, sample=0).defects == ()
+    assert rows_of(path) == before
+
+
+def test_a_damaged_sql_index_is_made_again(path: Path) -> None:
+    definition = "CREATE INDEX shapes_by_content ON shapes (label)"
+    change = f"UPDATE sqlite_master SET sql = '{definition}' WHERE name = 'shapes_by_content'"
+    execute(path, "PRAGMA writable_schema = ON", change)
+    found = pr.check(path, sample=0)
+    assert {defect.kind for defect in found.defects} == {"database"}
+    assert "missing from index shapes_by_content" in found.defects[0].message
+    assert all(defect.repair for defect in pr.check(path, sample=0, repair=True).defects)
+    assert pr.check(path, sample=0).is_whole
+
+
+# --- backup ---------------------------------------------------------------------------------------------
+
+
+WRITER = """
+import sys
+from dataclasses import replace
+from pcretrieve import Catalogue
+
+with Catalogue(sys.argv[1]) as store:
+    (entry,) = store.entries(["2"])
+    number = 0
+    while True:
+        number += 1
+        pair = [
+            replace(entry, record=replace(entry.record, id=f"{side}{number}", path=f"/{side}{number}"))
+            for side in "ab"
+        ]
+        store.add(pair)
+"""
+
+
+@pytest.mark.slow
+def test_a_backup_while_writing_goes_on_is_one_state(
+    path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Another process stores pairs of shapes meanwhile."""
+    monkeypatch.setattr("pcretrieve.catalogue.merge.PAGES_AT_ONCE", 100)
+    sizes = [20]
+    with subprocess.Popen([sys.executable, "-c", WRITER, str(path)]) as writer, Catalogue(path) as store:
+        try:
+            for number in range(2):
+                assert wait_for(lambda: len(store) > N_SHAPES + sizes[-1])
+                copy = tmp_path / f"copy{number}.sqlite"
+                pr.backup(path, copy)
+                assert pr.check(copy, sample=0).is_whole
+                with Catalogue(copy) as copied:
+                    sizes.append(len(copied) - N_SHAPES)
+                assert sizes[-1] % 2 == 0
+            assert wait_for(lambda: len(store) > N_SHAPES + sizes[-1])
+            assert writer.poll() is None
+        finally:
+            writer.kill()
+    assert sizes == sorted({*sizes})
