@@ -19,7 +19,6 @@ from scipy.sparse.csgraph import dijkstra
 from scipy.spatial.distance import cdist
 
 from pcretrieve.errors import DegenerateMeshError, OptionError, Stage
-from pcretrieve.surface.open3d import simplify
 from pcretrieve.values import FloatArray, IntArray, Shape, TriangleMesh
 
 # Number of faces to which a surface is simplified first.
@@ -46,7 +45,7 @@ def canonical_form(mesh: TriangleMesh) -> TriangleMesh:
 def coarser(mesh: TriangleMesh, n_faces: int) -> TriangleMesh:
     """A surface with about so many faces, or all of its faces if it has fewer."""
     # Imported here because the modules' numba functions are compiled on import.
-    from pcretrieve.surface.simplify import simplified
+    from pcretrieve.surface.simplify import decimated, simplified
     from pcretrieve.surface.topology import compact
 
     if len(mesh.faces) <= n_faces:
@@ -54,7 +53,8 @@ def coarser(mesh: TriangleMesh, n_faces: int) -> TriangleMesh:
     try:
         return simplified(mesh, n_faces)
     except DegenerateMeshError:  # open, or not a manifold
-        return compact(*simplify(mesh.vertices, mesh.faces, n_faces=n_faces))
+        coarse = decimated(mesh, n_faces)
+        return compact(coarse.vertices, coarse.faces)
 
 
 def geodesic_distances(mesh: TriangleMesh) -> FloatArray:

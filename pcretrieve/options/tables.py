@@ -170,9 +170,6 @@ class SurfaceOptions(Options):
     """Octree depth of the method poisson; its smallest cell is poisson_scale · longest side / 2^depth."""
     # Side of the cube of the method poisson; relative to the longest side of the bounding box.
     poisson_scale: ClassVar[float] = 1.1
-    # Fraction of the vertices, those with the lowest point density, that the method poisson removes before
-    # remeshing.
-    density_trim: ClassVar[float] = 0.0
     target_faces: Annotated[int, Field(ge=200)] = 10_000
     """Largest number of faces after simplification."""
     # Number of points sampled on a mesh with defects before it is reconstructed.

@@ -20,6 +20,9 @@ FEWEST_POINTS = 100
 # Smallest ratio of singular values of the centred points, below which the points are collinear or coplanar.
 SMALLEST_THICKNESS = 1e-3
 
+# Length of a mean of unit normals below which they cancel.
+CANCELLED = 1e-3
+
 # Edge of the voxels for averaging, relative to the diagonal: of dense clouds, which have at least DENSE
 # points for each occupied voxel of this edge, and of other clouds. See docs/decisions.md, DENSE_VOXEL.
 DENSE_VOXEL = 0.003
@@ -28,12 +31,7 @@ VOXEL = 0.0015
 
 
 def clean(cloud: PointCloud, options: ScanOptions) -> PointCloud:
-    """Filter a cloud: average the points in each voxel, and remove statistical outliers.
-
-    Returns PointCloud: the filtered points, with normals and viewpoints if there were any; unit of the file.
-        The step ``clean`` in the provenance has the numbers of points that were given, of voxels that have
-        any, of voxels that are kept, and of given points in voxels that are outliers.
-    """
+    """Filter a cloud: average the points in each voxel, and remove statistical outliers."""
     started = time.perf_counter()
     check_extent(cloud.points, Stage.CLEAN)
     thinned, voxel = _thinned(cloud, options.voxel)
@@ -53,13 +51,9 @@ def clean(cloud: PointCloud, options: ScanOptions) -> PointCloud:
 
 
 def outliers(cloud: PointCloud, options: ScanOptions) -> NDArray[np.bool_]:
-    """Find the points that `clean` removes: those in voxels that are outliers.
-
-    Returns (n,) bool: as many points as the step ``clean`` counts.
-    """
+    """(n,) mask of the points that `clean` removes: those in voxels that are outliers."""
     thinned, voxel = _thinned(cloud, options.voxel)
-    found: NDArray[np.bool_] = ~_inliers(thinned, options)[voxel]
-    return found
+    return np.asarray(~_inliers(thinned, options)[voxel])
 
 
 def _inliers(cloud: PointCloud, options: ScanOptions) -> NDArray[np.bool_]:
@@ -73,8 +67,7 @@ def _inliers(cloud: PointCloud, options: ScanOptions) -> NDArray[np.bool_]:
     limit = apart.mean() + options.outlier_std * apart.std(ddof=1)
     # Where the points are sparse, distances are exceptional, and no points are outliers for that reason.
     sparse = is_of_surface(neighbors, cell=DENSE_VOXEL * cloud.diagonal)
-    inliers: NDArray[np.bool_] = (distance > 0) & ((distance < limit) | sparse)
-    return inliers
+    return np.asarray((distance > 0) & ((distance < limit) | sparse))
 
 
 def _thinned(cloud: PointCloud, voxel: float | str) -> tuple[PointCloud, NDArray[np.intp]]:
@@ -82,19 +75,11 @@ def _thinned(cloud: PointCloud, voxel: float | str) -> tuple[PointCloud, NDArray
     if isinstance(voxel, str):
         n_voxels = len(np.unique(voxel_numbers(cloud.points, DENSE_VOXEL * cloud.diagonal)))
         voxel = DENSE_VOXEL if len(cloud.points) >= DENSE * n_voxels else VOXEL
-    return _averaged(cloud, voxel * cloud.diagonal) if voxel else (cloud, np.arange(len(cloud.points)))
+    return averaged(cloud, voxel * cloud.diagonal) if voxel else (cloud, np.arange(len(cloud.points)))
 
 
-def averaged(cloud: PointCloud, edge: float) -> PointCloud:
-    """Voxel-grid filter: the mean of the points in each voxel.
-
-    edge: edge of a voxel; unit of the points.
-    """
-    return _averaged(cloud, edge)[0]
-
-
-def _averaged(cloud: PointCloud, edge: float) -> tuple[PointCloud, NDArray[np.intp]]:
-    """As `averaged`, and the voxel of each point, (n,)."""
+def averaged(cloud: PointCloud, edge: float) -> tuple[PointCloud, NDArray[np.intp]]:
+    """Voxel-grid filter: the mean of the points in each voxel, and the voxel of each point, (n,)."""
     _, first, group, counts = np.unique(
         voxel_numbers(cloud.points, edge), return_index=True, return_inverse=True, return_counts=True
     )
@@ -103,28 +88,19 @@ def _averaged(cloud: PointCloud, edge: float) -> tuple[PointCloud, NDArray[np.in
         sums = [np.bincount(group, weights=values[:, axis]) for axis in range(3)]
         return np.column_stack(sums) / counts[:, None]
 
-    normals = cloud.normals
-    if normals is not None:
-        normals = average(normals)
+    normals = None
+    if cloud.normals is not None:
+        normals = average(cloud.normals)
         length = np.linalg.norm(normals, axis=1, keepdims=True)
         # Opposite normals in one voxel cancel (both sides of a thin sheet): the first normal is kept.
-        cancelled = length[:, 0] < SMALLEST_THICKNESS
-        normals = np.where(cancelled[:, None], cloud.normals[first], normals / np.maximum(length, 1e-300))  # type: ignore[index]
-    means = replace(
-        cloud,
-        points=average(cloud.points),
-        normals=normals,
-        # A mean of sensor positions is not a sensor position: the first position in the voxel is kept.
-        viewpoints=None if cloud.viewpoints is None else cloud.viewpoints[first],
-    )
-    return means, group
+        normals = np.where(length < CANCELLED, cloud.normals[first], normals / np.maximum(length, 1e-300))
+    # A mean of sensor positions is not a sensor position: the first position in the voxel is kept.
+    viewpoints = None if cloud.viewpoints is None else cloud.viewpoints[first]
+    return replace(cloud, points=average(cloud.points), normals=normals, viewpoints=viewpoints), group
 
 
 def check_extent(points: FloatArray, stage: str) -> None:
-    """Check that points can be those of a body.
-
-    points: (n, 3) float64, of a scan.
-    """
+    """Check that points can be those of a body."""
     if len(points) < FEWEST_POINTS:
         raise ReconstructionError(
             f"a scan needs at least {FEWEST_POINTS} points, got {len(points)}: scan more densely, or lower "

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from pcretrieve.errors import ReconstructionError, Stage
 from pcretrieve.options import ScanOptions
 from pcretrieve.points.clean import FEWEST_POINTS, check_extent
+from pcretrieve.points.grid import touching
 from pcretrieve.points.ground import Ground, ground_of
 from pcretrieve.values import FloatArray, PointCloud, Step, bounding_diagonal
 
@@ -21,9 +22,8 @@ SAME_RANGE = 1e-5
 MEASURED = 0.5
 FEWEST_READINGS = 2
 
-# Distance from the median point, in median distances, beyond which a point is an error. They are not
-# removed if there are more than this fraction of them, because they may be a second
-# body.
+# Distance from the median point, in median distances, beyond which a point is an error. They are not removed
+# if there are more than this fraction of them, because they may be a second body.
 FAR_AWAY = 20
 MOST_FAR_POINTS = 0.05
 
@@ -32,15 +32,9 @@ MOST_FAR_POINTS = 0.05
 STRAY_QUANTILE = 0.005
 STRAY_MARGIN = 0.25
 
-# Voxels are 26-adjacent if their indices are less than this apart: √3 < 1.8 < 2.
-TOUCHING = 1.8
-
 
 class Kept(NamedTuple):
-    """What a crop keeps.
-
-    points: (n,) bool, the points that are kept.
-    """
+    """What a crop keeps: (n,) a mask of the points; the ground; a note for each rule that removed points."""
 
     points: NDArray[np.bool_]
     ground: Ground | None
@@ -54,10 +48,9 @@ def crop(cloud: PointCloud, options: ScanOptions) -> PointCloud:
     of other components, and strays. All lengths of later stages are relative to the diagonal of the bounding
     box of the points that are left, which strays therefore cannot stretch.
 
-    Returns PointCloud: the points that are kept, with normals and viewpoints if there were any, and a step
-        ``crop`` in the provenance, which has a note for each rule that removed points. If the ground was
-        removed, its sizes include the point of the ground beneath the body, `ground_x` to `ground_z`, in the
-        unit of the file, and the unit normal of the ground, `up_x` to `up_z`.
+    If the ground was removed, the sizes of the step ``crop`` include the point of the ground beneath the
+    body, `ground_x` to `ground_z`, in the unit of the file, and the unit normal of the ground, `up_x` to
+    `up_z`.
     """
     started = time.perf_counter()
     kept = kept_points(cloud, options)
@@ -142,21 +135,15 @@ def _near(points: FloatArray) -> NDArray[np.bool_]:
         return np.ones(len(points), dtype=np.bool_)
     distance = np.linalg.norm(points - np.median(points, axis=0), axis=1)  # (n,)
     near: NDArray[np.bool_] = distance <= FAR_AWAY * np.median(distance)
-    return near if 0 < (~near).sum() <= MOST_FAR_POINTS * len(near) else np.ones(len(points), dtype=np.bool_)
+    return near if (~near).sum() <= MOST_FAR_POINTS * len(near) else np.ones_like(near)
 
 
 def _largest_piece(points: FloatArray, gap: float) -> NDArray[np.bool_]:
     """(n,) mask of the component with the most points, by 26-connected voxels of the edge `gap`."""
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import connected_components
-    from scipy.spatial import cKDTree
-
     if not gap:
         return np.ones(len(points), dtype=np.bool_)
     voxels, voxel = np.unique(np.floor(points / gap), axis=0, return_inverse=True)
-    touching = cKDTree(voxels).query_pairs(TOUCHING, output_type="ndarray")  # (t, 2)
-    graph = coo_array((np.ones(len(touching)), tuple(touching.T)), shape=(len(voxels), len(voxels)))
-    piece = connected_components(graph, directed=False)[1][voxel.ravel()]  # (n,)
+    piece = touching(voxels)[voxel.ravel()]  # (n,)
     return np.asarray(piece == np.bincount(piece).argmax())
 
 
@@ -166,5 +153,4 @@ def _without_strays(points: FloatArray) -> NDArray[np.bool_]:
         return np.ones(len(points), dtype=np.bool_)
     low, high = np.quantile(points, [STRAY_QUANTILE, 1 - STRAY_QUANTILE], axis=0)
     margin = STRAY_MARGIN * np.linalg.norm(high - low)
-    inside: NDArray[np.bool_] = ((points >= low - margin) & (points <= high + margin)).all(axis=1)
-    return inside
+    return np.asarray(((points >= low - margin) & (points <= high + margin)).all(axis=1))

@@ -64,21 +64,17 @@ GOLDEN = np.pi * (3 - np.sqrt(5))
 
 
 def local_spacings(neighbors: Neighborhoods) -> FloatArray:
-    """The spacing at each point: the square root of the area of surface for one point near it.
-
-    Returns (m,) float64: as in `pcretrieve.points.sampling.spacing`, which is its median; unit of the file.
-    """
+    """(m,) square roots of the area of surface for one point near each point; `spacing` is the median."""
     k = min(SPACING_NEIGHBORS, neighbors.distance.shape[1] - 1)
     return np.asarray(np.sqrt(np.pi / k) * neighbors.distance[:, k])
 
 
 def sparse_points(neighbors: Neighborhoods, *, cell: float, diagonal: float) -> Mask:
-    """The points whose spacing is so much larger than a voxel that points must be interpolated.
+    """(n,) mask of the points whose spacing is so much larger than a voxel that points must be interpolated.
 
-    cell: edge of the voxels, not smaller than the median of the spacings; unit of the file.
-    diagonal: of the scan; unit of the file.
-    Returns (n,) bool: the sparse points; none if they represent a small part of the surface, or are not on a
-        surface.
+    None are if they represent a small part of the surface, or are not on a surface.
+
+    cell: edge of the voxels, not smaller than the median of the spacings.
     """
     sparse = _many_sparse(local_spacings(neighbors), cell, diagonal)
     if sparse.any() and not _is_surface(neighbors, least=SPARSE * cell):
@@ -100,6 +96,12 @@ def _growth(neighbors: Neighborhoods) -> FloatArray:
     return np.asarray(np.log(np.maximum(ratio, 1)) / np.log(far / near))
 
 
+def _wide_spacings(neighbors: Neighborhoods) -> FloatArray:
+    """(n,) spacings by the distance of the neighbour `FARTHER`."""
+    far = min(FARTHER, neighbors.distance.shape[1] - 1)
+    return np.asarray(np.sqrt(np.pi / far) * neighbors.distance[:, far])
+
+
 def _is_surface(neighbors: Neighborhoods, *, least: float) -> bool:
     """Whether the points with at least some spacing are, in the median, on a surface."""
     # By the farther distance: a nearer one would select points whose distances grow slowly.
@@ -107,21 +109,13 @@ def _is_surface(neighbors: Neighborhoods, *, least: float) -> bool:
     return bool(sparse.sum() >= FEWEST and np.median(_growth(neighbors)[sparse]) > LEAST_GROWTH)
 
 
-def _wide_spacings(neighbors: Neighborhoods) -> FloatArray:
-    """(n,) spacings by the distance of the neighbour `FARTHER`."""
-    far = min(FARTHER, neighbors.distance.shape[1] - 1)
-    return np.asarray(np.sqrt(np.pi / far) * neighbors.distance[:, far])
-
-
 def is_of_surface(neighbors: Neighborhoods, *, cell: float) -> Mask:
-    """Whether points belong to a surface that is measured by few points.
+    """(n,) mask of the points that are not isolated; none, if the sparse points are not those of a surface.
 
     The number of points within a distance r of a point of a surface is proportional to r². Around outliers,
     which are in a volume, or isolated before a dense surface, it grows faster.
 
-    cell: smallest edge of later voxels; unit of the file.
-    Returns (n,) bool: points that are not isolated; none, if the sparse points of the scan are not those of a
-        surface.
+    cell: smallest edge of later voxels.
     """
     median = float(np.median(_wide_spacings(neighbors)))
     if not _is_surface(neighbors, least=UNCOMMON * max(cell, median)):
@@ -134,12 +128,10 @@ def disks(
 ) -> tuple[FloatArray, NDArray[np.intp]]:
     """Points on disks around sparse points, in their tangent planes.
 
-    points, normals: (n, 3) float64, coordinates, and unit normals of either sign.
-    spacings: (n,) float64, from `local_spacings`.
-    sparse: (n,) bool, from `sparse_points`.
-    step: distance between the points on a disk; unit of the file.
-    Returns points : (k, 3) float64: one for each voxel of the edge `step`; unit of the file.
-    Returns centres : (k,) int: the index of the sparse point of each disk.
+    normals: (n, 3) float64, unit normals of either sign.
+    step: distance between the points on a disk.
+    Returns points, centres: (k, 3) points, one for each voxel of the edge `step`; and (k,) indices of the
+        sparse points on whose disks they are.
     """
     centres = np.flatnonzero(sparse)
     radius = RADIUS * spacings[centres]
@@ -154,11 +146,8 @@ def disks(
     first /= np.linalg.norm(first, axis=1, keepdims=True)
     second = np.cross(normal, first)
     turn = GOLDEN * number
-    placed = (
-        points[centres[which]]
-        + (out * np.cos(turn))[:, None] * first[which]
-        + (out * np.sin(turn))[:, None] * second[which]
-    )
+    across, up = (out * np.cos(turn))[:, None], (out * np.sin(turn))[:, None]
+    placed = points[centres[which]] + across * first[which] + up * second[which]
     kept = _one_a_voxel(placed, step)
     return placed[kept], centres[which[kept]]
 
@@ -169,7 +158,7 @@ def interpolated(cloud: PointCloud, some: Neighborhoods, *, cell: float) -> Poin
     The points are on algebraic spheres that are fitted to the nearest points of the same side [1]_. Each has
     the position of the sensor of a sparse point nearby.
 
-    cell: edge of the voxels, and distance between the further points; unit of the file.
+    cell: edge of the voxels, and distance between the further points.
 
     References
     ----------
@@ -183,13 +172,12 @@ def interpolated(cloud: PointCloud, some: Neighborhoods, *, cell: float) -> Poin
     if not sparse.any():
         return cloud
     points, normals, centres = _on_spheres(cloud.points, cloud.normals, spacings, sparse, step=cell)
+    sensors = cloud.viewpoints
     return replace(
         cloud,
         points=np.concatenate([cloud.points, points]),
         normals=np.concatenate([cloud.normals, normals]),
-        viewpoints=None
-        if cloud.viewpoints is None
-        else np.concatenate([cloud.viewpoints, cloud.viewpoints[centres]]),
+        viewpoints=None if sensors is None else np.concatenate([sensors, sensors[centres]]),
     )
 
 

@@ -61,9 +61,6 @@ def ground_of(points: FloatArray, viewpoints: FloatArray | None = None) -> Groun
     All other points must be on one side of the plane, with the sensors; the lowest of them near the plane;
     and points of the plane must surround them.
 
-    points: (n, 3) float64, of a scan; unit of the file.
-    viewpoints: (n, 3) float64, optional, positions of the sensors.
-
     References
     ----------
     .. [1] M. A. Fischler and R. C. Bolles, "Random sample consensus", Communications of the ACM 24 (1981).
@@ -77,7 +74,7 @@ def ground_of(points: FloatArray, viewpoints: FloatArray | None = None) -> Groun
         return None
     close = neighborhoods(points, PLANE_NEIGHBORS + 1, of_some=True)
     thickness = max(THICKNESS * diagonal, THICKNESS_OF_NOISE * noise(points, close))
-    normals, offsets = planes_of(few - middle, rng)
+    normals, offsets = _planes(few - middle, rng)
     heights = normals @ (few - middle).T - offsets[:, None]  # (planes, s)
     on = (abs(heights) <= thickness).mean(axis=1)
     above = (heights > thickness).mean(axis=1)
@@ -103,12 +100,10 @@ def ground_of(points: FloatArray, viewpoints: FloatArray | None = None) -> Groun
     return Ground(place, up, height <= removed)
 
 
-def planes_of(points: FloatArray, rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
-    """Planes through three random points each, which are near each other.
+def _planes(points: FloatArray, rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
+    """Unit normals (p, 3) and offsets (p,) of planes through three random points that are near each other.
 
-    points: (n, 3) float64, coordinates, about the origin.
-    Returns normals : (p, 3) float64: unit normals; zero if the three points are collinear.
-    Returns offsets : (p,) float64: products of the normals with the points of the planes; unit of the points.
+    The normal is zero if the three points are collinear.
     """
     from scipy.spatial import cKDTree
 
@@ -128,12 +123,10 @@ def fitted_plane(
 ) -> tuple[FloatArray, FloatArray]:
     """The least-squares plane of its inliers, which are selected again in each of three steps.
 
-    points: (n, 3) float64, all points.
     inliers: (k, 3) float64, the inliers of the first step, at least three.
     up: (3,) float64, a vector on the side of the plane to which its normal shall point.
-    thickness: largest distance of an inlier from the plane; unit of the points.
-    Returns normal : (3,) float64: unit normal of the plane.
-    Returns heights : (n,) float64: signed distances of all points from the plane; unit of the points.
+    thickness: largest distance of an inlier from the plane.
+    Returns normal, heights: (3,) unit normal, and (n,) signed distances of all points from the plane.
     """
     height = np.zeros(len(points))
     for _ in range(3):

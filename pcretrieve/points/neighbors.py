@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 from numba import njit
@@ -29,28 +28,10 @@ MOST_CELLS = 64
 ROUNDING = 1e-9
 
 
-class Cells(NamedTuple):
-    """The points of a cloud, sorted by the cells of a grid.
-
-    low: (3,) float64, the corner of the grid.
-    order: (n,) int, numbers of the points, grouped by cell.
-    starts: (cells + 1,) int, position of the first point of each cell in `order`.
-    """
-
-    low: FloatArray
-    edge: float
-    shape: Shape
-    order: Index
-    starts: Index
-
-
 def nearest(points: FloatArray, places: FloatArray, k: int) -> tuple[FloatArray, Index]:
-    """Search for the points that are nearest to each place, by a grid of cells or a k-d tree.
+    """The points that are nearest to each of (m, 3) places, by a grid of cells or a k-d tree.
 
-    points: (n, 3) float64, the cloud; in any unit.
-    places: (m, 3) float64, the places, which may be points of the cloud; unit of the points.
-    Returns distance : (m, k) float64: distances, ascending; unit of the points.
-    Returns near : (m, k) int: numbers of the points.
+    Returns distance, near : (m, k): distances, ascending, and numbers of the points.
     """
     cells = _cells(points, k)
     if cells is not None:
@@ -62,8 +43,11 @@ def nearest(points: FloatArray, places: FloatArray, k: int) -> tuple[FloatArray,
     return np.asarray(distance), np.asarray(near)
 
 
-def _cells(points: FloatArray, k: int) -> Cells | None:
-    """The points in cells of a suitable edge; None if there is no such edge."""
+def _cells(points: FloatArray, k: int) -> tuple[FloatArray, float, Shape, Index, Index] | None:
+    """The points, sorted by the cells of a grid of a suitable edge; None if there is no such edge.
+
+    Returns low, edge and shape of the grid, and `order` and `starts` of `_sorted`.
+    """
     low, high = (np.array([bound(column) for column in points.T]) for bound in (np.min, np.max))
     x, y, z = high - low
     wanted = max(OCCUPANCY * k, LEAST_OCCUPANCY)
@@ -78,7 +62,7 @@ def _cells(points: FloatArray, k: int) -> Cells | None:
             return None
         a, b, c = numbers.astype(int).tolist()
         order, starts = _sorted(points, low, edge, (a, b, c))
-        cells = Cells(low, edge, (a, b, c), order, starts)
+        cells = low, edge, (a, b, c), order, starts
         crowd = np.diff(starts)
         edge *= float(np.sqrt(wanted * np.count_nonzero(crowd) / len(points)))
     return None if crowd.max() > MOST_CROWDED * wanted else cells
@@ -91,7 +75,7 @@ def _cell(x: float, low: float, edge: float, n: int) -> int:
 
 @njit(cache=True, error_model="numpy")
 def _sorted(points: FloatArray, low: FloatArray, edge: float, shape: Shape) -> tuple[Index, Index]:
-    """Numbers of the points, grouped by cell, and the position of the first one of each cell."""
+    """(n,) numbers of the points, grouped by cell; (cells + 1,) position of the first one of each cell."""
     cell = np.empty(len(points), dtype=np.intp)
     starts = np.zeros(shape[0] * shape[1] * shape[2] + 1, dtype=np.intp)
     for i in range(len(points)):
@@ -139,12 +123,10 @@ def _nearest(
                         first, last = starts[line + bottom], starts[line + top + 1]
                         n = _add((x, y, z), grouped, first, last, squares, found, n)
                         continue
-                    if c - ring >= 0:
-                        first, last = starts[line + bottom], starts[line + bottom + 1]
-                        n = _add((x, y, z), grouped, first, last, squares, found, n)
-                    if c + ring < shape[2]:
-                        first, last = starts[line + top], starts[line + top + 1]
-                        n = _add((x, y, z), grouped, first, last, squares, found, n)
+                    for end in (c - ring, c + ring):  # the rest of the line has been searched
+                        if 0 <= end < shape[2]:
+                            first, last = starts[line + end], starts[line + end + 1]
+                            n = _add((x, y, z), grouped, first, last, squares, found, n)
             # Points outside the block are at least this far away.
             gap = np.inf
             for at, corner, cell, size in (
@@ -201,12 +183,9 @@ Symmetric = tuple[float, float, float, float, float, float]
 
 @njit(cache=True)
 def plane_deviations(points: FloatArray, near: NDArray[np.intp]) -> FloatArray:
-    """Root mean square distances of neighbours from their least-squares planes.
+    """(m,) root mean square distances of (m, k) neighbours from their least-squares planes.
 
-    points: (n, 3) float64, coordinates.
-    near: (m, k) int, numbers of the neighbours of m points.
-    Returns (m,) float64: √(Σ d² / (k − 3)), since a plane has three degrees of freedom; with k ≤ 4, √(Σ d²).
-        Unit of the points.
+    They are √(Σ d² / (k − 3)), since a plane has three degrees of freedom; with k ≤ 4, √(Σ d²).
     """
     n, k = near.shape
     weight = np.ones(k)
@@ -233,16 +212,13 @@ def guided_planes(
     same_side: float,
     spread: float,
 ) -> FloatArray:
-    """Normals of weighted least-squares planes, with the orientation of a guide.
+    """(n, 3) unit normals of weighted least-squares planes, with the orientation of a guide.
 
     The weight of a neighbour is the product of a Gaussian of its distance and of the excess of the cosine
     between its guide and that of the point over a limit.
 
-    points: (n, 3) float64, coordinates.
     guide: (n, 3) float64, approximate unit direction to the outside at each point; zero if unknown.
-    near: (n, k) int, numbers of the neighbours of each point, the nearest first.
-    distance: (n, k) float64, their distances; unit of the points.
-    Returns (n, 3) float64: unit normals.
+    near, distance: (n, k), the neighbours of each point, the nearest first.
     """
     n, k = near.shape
     weight = np.empty(k)
@@ -307,16 +283,9 @@ def _smallest_eigenvector(matrix: Symmetric) -> tuple[float, float, float]:
     # A power of two, so that the scaled matrix has the same digits; squares of the entries do not underflow
     # then, as they would for points that nearly coincide.
     _, exponent = math.frexp(matrix[0] + matrix[1] + matrix[2])
-    xx, yy, zz = (
-        math.ldexp(matrix[0], -exponent),
-        math.ldexp(matrix[1], -exponent),
-        math.ldexp(matrix[2], -exponent),
-    )
-    xy, xz, yz = (
-        math.ldexp(matrix[3], -exponent),
-        math.ldexp(matrix[4], -exponent),
-        math.ldexp(matrix[5], -exponent),
-    )
+    unit = math.ldexp(1.0, -max(exponent, -1000))
+    xx, yy, zz = unit * matrix[0], unit * matrix[1], unit * matrix[2]
+    xy, xz, yz = unit * matrix[3], unit * matrix[4], unit * matrix[5]
     value = _smallest_eigenvalue((xx, yy, zz, xy, xz, yz))
     a, b, c = xx - value, yy - value, zz - value
     # It is perpendicular to all rows of A − λI: of the cross products of two rows, the longest is taken.
@@ -337,8 +306,7 @@ def _smallest_eigenvector(matrix: Symmetric) -> tuple[float, float, float]:
     return axis[0], axis[1], axis[2]
 
 
-# Number of neighbours for the spacing, number of neighbours for a plane, and number of points at which both
-# are measured.
+# Number of neighbours for the spacing and for a plane, and number of points at which both are measured.
 SPACING_NEIGHBORS = 6
 PLANE_NEIGHBORS = 8
 MEASURED = 5000
@@ -350,30 +318,21 @@ FLATTEST = 0.25
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Neighborhoods:
-    """The nearest neighbours of m points of a cloud.
-
-    distance: (m, k) float64, distances from the point, ascending; the first is that of the point itself,
-        zero. Unit of the file.
-    near: (m, k) int, numbers of the neighbours in the cloud.
-    """
+    """The (m, k) nearest neighbours of points of a cloud, of which the first is the point itself."""
 
     distance: FloatArray
     near: NDArray[np.intp]
 
     def some(self) -> Neighborhoods:
         """The neighbourhoods of about `MEASURED` of the points, at regular steps."""
-        step = _step(len(self.near))
+        step = max(1, len(self.near) // MEASURED)
         return Neighborhoods(self.distance[::step], self.near[::step])
 
 
 def neighborhoods(points: FloatArray, k: int, *, of_some: bool = False) -> Neighborhoods:
-    """Search for the nearest neighbours of points among themselves.
-
-    points: (n, 3) float64, at least two points.
-    Returns Neighborhoods: of all points, or of some; unit of the file.
-    """
-    asked = np.ascontiguousarray(points[:: _step(len(points))]) if of_some else points
-    return Neighborhoods(*nearest(points, asked, min(k, len(points))))
+    """The nearest neighbours of all points among themselves, or of some of them."""
+    places = np.ascontiguousarray(points[:: max(1, len(points) // MEASURED)]) if of_some else points
+    return Neighborhoods(*nearest(points, places, min(k, len(points))))
 
 
 def spacing(neighbors: Neighborhoods) -> float:
@@ -390,27 +349,14 @@ def noise(points: FloatArray, neighbors: Neighborhoods) -> float:
     """The noise of points: their root mean square distance from the plane of their neighbours.
 
     It is about 0.8 of the standard deviation of each coordinate, if the noise is isotropic.
-
-    points: (n, 3) float64, coordinates.
     """
     near = np.ascontiguousarray(neighbors.near[:, : PLANE_NEIGHBORS + 1])
-    deviations = plane_deviations(points, near)
-    return float(np.quantile(deviations, FLATTEST))
+    return float(np.quantile(plane_deviations(points, near), FLATTEST))
 
 
 def voxel_numbers(points: FloatArray, edge: float) -> NDArray[np.int64]:
-    """The number of the voxel that contains each point.
-
-    points: (n, 3) float64, at least one point.
-    edge: edge of the voxels; unit of the points.
-    Returns (n,) int64: equal for points in one voxel; ascending by the first, the second and the third
-        coordinate.
-    """
+    """(n,) number of the voxel of each point, ascending by the first, the second and the third coordinate."""
     index = np.floor((points - points.min(axis=0)) / edge).astype(np.int64)  # (n, 3)
     sides = index.max(axis=0) + 1
     number: NDArray[np.int64] = (index[:, 0] * sides[1] + index[:, 1]) * sides[2] + index[:, 2]
     return number
-
-
-def _step(n: int) -> int:
-    return max(1, n // MEASURED)

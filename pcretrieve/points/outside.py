@@ -16,15 +16,15 @@ MARGIN = 3
 # Largest distance to the points that is measured; in voxels. No function uses larger ones.
 FARTHEST = 12.0
 
-# Smallest distance of the outside from every point; in voxels. Points that sample a
-# surface with about one point in each voxel leave gaps, which this distance closes.
-# It is small enough for the outside to reach between fingers.
+# Smallest distance of the outside from every point; in voxels. Points that sample a surface with about one
+# point in each voxel leave gaps, which this distance closes. It is small enough for the outside to reach
+# between fingers.
 CLEARANCE = 1.8
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Outside:
-    """The outside of a body."""
+    """The outside of a body: its voxels, the depth of each voxel below it, and the distance to the points."""
 
     grid: Grid
     reached: Mask
@@ -59,10 +59,10 @@ def flood(
     flood fill continues from the voxels reached through those between walls and points, for as many steps as
     the walls are thick, so that it reaches the space between fingers too, which the walls had closed.
 
-    points: (n, 3) float64, coordinates; unit of the file.
-    cell: edge of a voxel, about the spacing of the points; unit of the file.
-    gap: radius of the largest hole that is closed; unit of the file.
-    shift: (3,) float64 or float, default 0.0, displacement of the grid in the negative directions; in voxels.
+    cell: edge of a voxel, about the spacing of the points.
+    gap: radius of the largest hole that is closed; unit of the points.
+    shift: as in `Grid.around`.
+    deepest: largest depth below the outside that is measured; in voxels.
     """
     wall = gap / cell
     grid = Grid.around(points, cell, int(np.ceil(wall)) + MARGIN, shift)
@@ -117,11 +117,9 @@ def _regrown(outside: Mask, distance: Voxels, n_steps: int, clearance: float) ->
 
 @njit(cache=True)
 def sampled(values: Voxels, at: FloatArray) -> FloatArray:
-    """Values on a grid, interpolated between the centres of voxels by trilinear interpolation.
+    """(n,) values at (n, 3) positions in voxels, by trilinear interpolation between the centres of voxels.
 
-    values: (a, b, c) float32, a value in each voxel; each side has at least two voxels.
-    at: (n, 3) float64, positions, in voxels. Positions outside the grid are moved to its border.
-    Returns (n,) float64: the values at the positions.
+    Positions outside the grid, whose sides have at least two voxels, are moved to its border.
     """
     found = np.empty(len(at))
     for i in range(len(at)):

@@ -7,9 +7,9 @@ from pcretrieve.surface.reconstruct import (
     sound_mesh,
     surfaces,
 )
-from pcretrieve.surface.remesh import remesh
 from pcretrieve.surface.repair import repaired
 from pcretrieve.surface.simplify import reduced
+from pcretrieve.surface.tetwild import remesh
 from pcretrieve.surface.topology import Defects, defects
 
 __all__ = [

@@ -7,8 +7,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pcretrieve.points.grid import Mask
-from pcretrieve.surface.topology import edges_of, joined_by
+from pcretrieve.points.grid import Mask, joined_by
+from pcretrieve.surface.topology import edges_of
 from pcretrieve.values import FloatArray, PointCloud, TriangleMesh
 
 # Distance to the nearest point beyond which a vertex is in a hole: relative to the diagonal, and in spacings

@@ -12,12 +12,12 @@ from pcretrieve.points.density import local_spacings
 from pcretrieve.points.grid import Grid, Mask, Voxels
 from pcretrieve.points.neighbors import SPACING_NEIGHBORS, nearest, neighborhoods
 from pcretrieve.points.outside import sampled
-from pcretrieve.surface import open3d
 from pcretrieve.surface.caps import NO_CAP, Capped, capped
 from pcretrieve.surface.field import normals_of
 from pcretrieve.surface.marching import Crossings, crossed, marched
+from pcretrieve.surface.poisson import poisson
 from pcretrieve.surface.repair import largest_component
-from pcretrieve.surface.topology import compact, defects
+from pcretrieve.surface.topology import defects
 from pcretrieve.values import FloatArray, PointCloud, TriangleMesh
 
 # Standard deviation of the Gaussian filter of the indicator function; in voxels.
@@ -244,10 +244,7 @@ def _grid(points: FloatArray, n: int) -> Grid:
 def _poisson_surface(cloud: PointCloud, depth: int) -> TriangleMesh:
     """The screened Poisson surface; if it is not closed, as where a body stands, that in a larger cube."""
     for scale in (FILL_SCALE, BASE_SCALE):
-        vertices, faces, _ = open3d.poisson(cloud.points, normals_of(cloud), depth=depth, scale=scale)
-        if not len(faces):
-            raise ReconstructionError(f"Poisson reconstruction of {len(cloud.points)} points gave no surface")
-        surface = compact(vertices, faces)
+        surface = poisson(cloud.points, normals_of(cloud), depth=depth, scale=scale)
         largest, _ = largest_component(surface, 1.0)
         if not (n_open := defects(largest).boundary_edges):
             return surface

@@ -17,10 +17,9 @@ from numba import njit
 from numpy.typing import NDArray
 
 from pcretrieve.options import SurfaceOptions
-from pcretrieve.points.grid import Mask, Voxels, distances
+from pcretrieve.points.grid import Mask, Voxels, distances, touching
 from pcretrieve.points.outside import FARTHEST, Outside
 from pcretrieve.surface.marching import marched
-from pcretrieve.surface.topology import joined_by
 from pcretrieve.values import TriangleMesh
 
 Links = NDArray[np.int32]
@@ -208,9 +207,6 @@ def _is_joined_by_corners(voxels: int) -> bool:
 # lower priority than the interior of a thin limb.
 SKIN_DEPTH = 0.3
 
-# Voxels are 26-adjacent if their centres are less than this apart: √3 < 1.8 < 2.
-CORNER = 1.8
-
 # Smallest thickness of a cut, relative to the greatest depth of the body, for its handle to be a true one.
 HANDLE = 0.6
 
@@ -257,7 +253,7 @@ def _with_handles(inside: Mask, body: Mask, depth: Voxels, genus: str | int, not
     # A contact is thin compared with the limbs, a true handle is not: ``auto`` restores the handles whose
     # cuts are at least `HANDLE` as deep as the body. Each component of the removed voxels is a cut.
     left_out = _voxels(inside & ~body)  # (k, 3)
-    cut_of = _pieces(left_out)
+    cut_of = touching(left_out)
     n_cuts = int(cut_of.max(initial=-1)) + 1
     thickness = np.zeros(n_cuts)
     np.maximum.at(thickness, cut_of, depth[tuple(left_out.T)])
@@ -280,16 +276,6 @@ def _with_handles(inside: Mask, body: Mask, depth: Voxels, genus: str | int, not
     elif genus != "auto" and made < int(genus):
         notes.append(f"only {made} of {genus} handles were found")
     return body
-
-
-def _pieces(cells: NDArray[np.intp]) -> NDArray[np.intp]:
-    """(k,) number of the 26-connected component of each of (k, 3) voxels."""
-    from scipy.spatial import cKDTree
-
-    if not len(cells):
-        return np.zeros(0, dtype=np.intp)
-    a, b = cKDTree(cells).query_pairs(CORNER, output_type="ndarray").T
-    return joined_by(a, b, len(cells))
 
 
 def _euler(body: Mask) -> int:

@@ -1,4 +1,4 @@
-"""Random points of a surface."""
+"""Points, or a mesh → the surfaces that are described: which meshes are kept, and points sampled on others."""
 
 from __future__ import annotations
 
@@ -8,22 +8,19 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from pcretrieve.errors import DegenerateMeshError, ReconstructionError, Stage
+from pcretrieve.errors import DegenerateMeshError, Stage
 from pcretrieve.options import SurfaceOptions
-from pcretrieve.surface import open3d
 from pcretrieve.surface.body import SurfaceMarks, body_surfaces
-from pcretrieve.surface.repair import ONE_SIDED, largest_component, outward, repaired, used_vertices
-from pcretrieve.surface.topology import Defects, compact, defects, orient_faces
-from pcretrieve.values import FloatArray, IntArray, PointCloud, Step, TriangleMesh
+from pcretrieve.surface.poisson import poisson_surface
+from pcretrieve.surface.repair import ONE_SIDED, outward, repaired, used_vertices
+from pcretrieve.surface.topology import Defects, defects, orient_faces
+from pcretrieve.values import FloatArray, PointCloud, Step, TriangleMesh
 
 
 def uniform_points(
     mesh: TriangleMesh, n: int, rng: np.random.Generator
 ) -> tuple[FloatArray, NDArray[np.intp]]:
-    """Random points of a surface, uniform by area [1]_.
-
-    Returns points : (n, 3) float64: in the unit of the mesh.
-    Returns faces : (n,) intp: number of the face that each point lies on.
+    """(n, 3) random points of a surface, uniform by area [1]_, and (n,) numbers of their faces.
 
     References
     ----------
@@ -81,65 +78,15 @@ def sampled(mesh: TriangleMesh, options: SurfaceOptions) -> PointCloud:
     return PointCloud(points, provenance=(*mesh.provenance, step))
 
 
-def poisson_surface(cloud: PointCloud, options: SurfaceOptions) -> TriangleMesh:
-    """Screened Poisson reconstruction of oriented points, simplified and repaired."""
-    if cloud.normals is None:
-        raise ReconstructionError("reconstruction needs points with normals, these have none")
-    started = time.perf_counter()
-    vertices, faces, density = open3d.poisson(
-        cloud.points, cloud.normals, depth=options.poisson_depth, scale=options.poisson_scale
-    )
-    if not len(faces):
-        raise ReconstructionError(f"Poisson reconstruction of {len(cloud.points)} points gave no surface")
-    n_raw = len(faces)
-    trimmed = _trimmed(vertices, faces, density, options.density_trim)
-    surface, dropped = largest_component(trimmed, options.max_discarded)
-    if len(surface.faces) > options.target_faces:
-        surface = TriangleMesh(
-            *open3d.simplify(surface.vertices, surface.faces, n_faces=options.target_faces)
-        )
-    final, notes = repaired(surface)
-    if options.reconstructions > 1:
-        notes = (*notes, "the method poisson makes one surface, so that the signature has no error bar")
-    if options.density_trim == 0 and (found := defects(final)):
-        raise ReconstructionError(
-            f"the points must surround a body, their surface has {found}: "
-            "scan the sides that are missing, or merge this view with others"
-        )
-    step = Step(
-        "surface",
-        time.perf_counter() - started,
-        {
-            "points": len(cloud.points),
-            "faces_poisson": n_raw,
-            "faces": len(final.faces),
-            "euler": final.euler_characteristic,
-        },
-        (*dropped, *notes),
-    )
-    return TriangleMesh(final.vertices, final.faces, (*cloud.provenance, step))
-
-
 def _n_non_manifold(found: Defects) -> int:
     return found.non_manifold_edges + found.non_manifold_vertices
-
-
-def _trimmed(vertices: FloatArray, faces: IntArray, density: FloatArray, share: float) -> TriangleMesh:
-    """The mesh without the fraction `share` of its vertices that have the lowest point density."""
-    if share == 0:
-        return compact(vertices, faces)
-    kept = density >= np.quantile(density, share)
-    return compact(vertices, faces[kept[faces].all(axis=1)])
 
 
 Reconstructed = tuple[TriangleMesh, SurfaceMarks | None]
 
 
 def surfaces(cloud: PointCloud, options: SurfaceOptions) -> Iterator[Reconstructed]:
-    """Reconstruct the surfaces of a cloud by the method of the options.
-
-    Yields mesh : TriangleMesh: with the provenance of the cloud and a step ``surface``; unit of the file.
-    """
+    """Reconstruct the surfaces of a cloud by the method of the options."""
     if options.method == "poisson":
         yield poisson_surface(cloud, options), None
     else:

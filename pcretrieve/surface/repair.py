@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from pcretrieve.errors import DegenerateMeshError, ReconstructionError
+from pcretrieve.points.grid import joined_by
 from pcretrieve.surface.topology import (
     Edges,
     Index,
@@ -13,7 +14,6 @@ from pcretrieve.surface.topology import (
     edges_of,
     face_groups,
     fans,
-    joined_by,
     orient_faces,
 )
 from pcretrieve.values import TriangleMesh

@@ -12,9 +12,10 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from pcretrieve.arrays import DOUBLE_OFFSET, Frame
+from pcretrieve.draw.open3d import open3d_mesh
 from pcretrieve.errors import DegenerateMeshError
 from pcretrieve.options import SurfaceOptions
-from pcretrieve.surface import open3d
 from pcretrieve.surface.repair import repaired
 from pcretrieve.surface.topology import compact, twins
 from pcretrieve.values import FloatArray, IntArray, Step, TriangleMesh
@@ -365,6 +366,21 @@ def _collapsed(
     return left
 
 
+# Surfaces with diagonals in this range are decimated in the caller's unit of length.
+ORDINARY = 1e-6, 1e6
+
+
+def decimated(mesh: TriangleMesh, n_faces: int) -> TriangleMesh:
+    """A surface with about `n_faces` faces, by Open3D, which keeps neither topology nor manifoldness."""
+    frame = Frame.around(mesh.vertices, offset=DOUBLE_OFFSET)
+    # Open3D compares determinants of quadrics with 1e-4 in any unit of length, so another unit gives other
+    # vertices. It computes in double precision here: ordinary lengths need no frame.
+    if ORDINARY[0] <= mesh.diagonal <= ORDINARY[1]:
+        frame = Frame(np.zeros(3), 1.0)
+    found = open3d_mesh(frame.inward(mesh.vertices), mesh.faces).simplify_quadric_decimation(n_faces)
+    return TriangleMesh(frame.outward(np.array(found.vertices)), np.array(found.triangles, dtype=np.int32))
+
+
 def reduced(mesh: TriangleMesh, options: SurfaceOptions) -> TriangleMesh:
     """A surface with at most `max_faces` faces.
 
@@ -373,15 +389,11 @@ def reduced(mesh: TriangleMesh, options: SurfaceOptions) -> TriangleMesh:
     if len(mesh.faces) <= options.max_faces:
         return mesh
     started = time.perf_counter()
-    # Imported here because the module's numba functions are compiled on import.
-
-    n = options.max_faces
     notes: tuple[str, ...] = ("simplified, because it had more faces than surface.max_faces",)
     try:
-        coarse = simplified(mesh, n)
+        coarse = simplified(mesh, options.max_faces)
     except DegenerateMeshError:  # open, or not a manifold
-        vertices, faces = open3d.simplify(mesh.vertices, mesh.faces, n_faces=n)
-        coarse, repairs = repaired(TriangleMesh(vertices, faces))
+        coarse, repairs = repaired(decimated(mesh, options.max_faces))
         notes = (*notes, *repairs)
     sizes: dict[str, float] = {"faces_in": len(mesh.faces), "faces": len(coarse.faces)}
     sizes["euler"] = coarse.euler_characteristic

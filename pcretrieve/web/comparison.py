@@ -54,12 +54,12 @@ def compared(catalogue: Catalogue, a: str, b: str, options: PipelineOptions) -> 
 
 def scene_document(catalogue: Catalogue, shape_id: str, thumbnails: Thumbnails) -> dict[str, Any]:
     """The surface of a shape for the viewer of a browser, simplified if it has too many faces."""
-    from pcretrieve.surface.open3d import simplify
+    from pcretrieve.surface.simplify import decimated
 
     mesh = mesh_of(catalogue, shape_id)
     up = thumbnails.up(catalogue, mesh)
     if len(mesh.faces) > MOST_FACES:
-        mesh = TriangleMesh(*simplify(mesh.vertices, mesh.faces, n_faces=MOST_FACES))
+        mesh = decimated(mesh, MOST_FACES)
     return surface_scene(mesh, up)
 
 

@@ -57,9 +57,9 @@ from pcretrieve.points.normals import estimate_normals, orient_by_tangent_planes
 from pcretrieve.retrieval import coordinates, is_measured, resolution_whitening
 from pcretrieve.spectral import eigenpairs, laplace_beltrami
 from pcretrieve.surface import defects, tetwild
-from pcretrieve.surface.open3d import poisson
+from pcretrieve.surface.poisson import poisson
 from pcretrieve.surface.reconstruct import uniform_points
-from pcretrieve.surface.remesh import boundary_faces
+from pcretrieve.surface.tetwild import boundary_faces
 from pcretrieve.surface.topology import compact
 from pcretrieve.values import FloatArray, PointCloud, Shape, SignatureTable, TriangleMesh
 from pcretrieve.values.files import write_file
@@ -640,9 +640,14 @@ def textbook_seconds(path: Path, timeout: float) -> float:
     ]
     normals = estimate_normals(points, n_neighbors=PLANE_NEIGHBORS)
     normals = orient_by_tangent_planes(points, normals, n_neighbors=TANGENT_NEIGHBORS)
-    vertices, faces, _ = poisson(points, normals, depth=DEPTH, scale=CUBE)
+    surface = poisson(points, normals, depth=DEPTH, scale=CUBE)
     nodes, tetrahedra = tetwild.tetrahedralize(
-        vertices, faces, edge_length=EDGE_LENGTH, envelope=ENVELOPE, optimize=True, timeout=timeout
+        surface.vertices,
+        surface.faces,
+        edge_length=EDGE_LENGTH,
+        envelope=ENVELOPE,
+        optimize=True,
+        timeout=timeout,
     )
     boundary = compact(nodes, boundary_faces(nodes, tetrahedra))
     if lapy.is_installed():

@@ -10,7 +10,7 @@ import shapes
 
 from pcretrieve.points.normals import estimate_normals, orient_by_tangent_planes
 from pcretrieve.points.register.groups import feature_histograms
-from pcretrieve.surface.open3d import simplify
+from pcretrieve.surface.simplify import decimated
 from pcretrieve.values import FloatArray
 from pcretrieve.values.conversion import geometry_arrays
 
@@ -72,7 +72,7 @@ def test_locked_arrays_go_in_and_stay_as_they_are() -> None:
     points = POINTS.copy()
     points.flags.writeable = False
     estimate_normals(points, n_neighbors=10)
-    simplify(BALL.vertices, BALL.faces, n_faces=300)
+    decimated(BALL, 300)
     assert (points == POINTS).all()
 
 

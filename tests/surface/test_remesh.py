@@ -11,7 +11,7 @@ import shapes
 from pcretrieve.errors import RemeshError
 from pcretrieve.options import RemeshOptions
 from pcretrieve.surface import defects, remesh
-from pcretrieve.surface.remesh import boundary_faces
+from pcretrieve.surface.tetwild import boundary_faces
 from pcretrieve.values import Step, TriangleMesh
 
 BODY = shapes.body(3)

@@ -7,8 +7,8 @@ import pytest
 import shapes
 from numpy.typing import NDArray
 
-from pcretrieve.surface.remesh import boundary_faces
 from pcretrieve.surface.repair import split_non_manifold
+from pcretrieve.surface.tetwild import boundary_faces
 from pcretrieve.surface.topology import Defects, compact, components, defects, orient_faces
 from pcretrieve.values import TriangleMesh
 

@@ -104,7 +104,7 @@ def merge_views(
             notes.append(f"view {number} shares only {shares[number]:.1%} of its points with the others")
     cloud = _joined([ready[number].cloud for number in sorted(placed)], all_poses[sorted(placed)])
     if options.voxel:
-        cloud = averaged(cloud, options.voxel * scale)
+        cloud, _ = averaged(cloud, options.voxel * scale)
     sizes = {"views": float(len(views)), "placed": float(len(placed)), "points": float(len(cloud.points))}
     step = Step("merge", time.perf_counter() - started, sizes, tuple(notes))
     pairs = [*combinations(keys, 2), *((key, view) for view, key in key_of.items() if key != view)]

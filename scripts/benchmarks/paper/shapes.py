@@ -25,9 +25,9 @@ from pcretrieve.options import RemeshOptions, RetrievalOptions, Scale, Signature
 from pcretrieve.points.grid import Mask
 from pcretrieve.retrieval import DistanceBlock
 from pcretrieve.retrieval.distances import coordinates, pairwise
-from pcretrieve.surface.remesh import remesh
 from pcretrieve.surface.repair import largest_component
 from pcretrieve.surface.simplify import simplified
+from pcretrieve.surface.tetwild import remesh
 from pcretrieve.surface.topology import compact
 from pcretrieve.values import (
     FloatArray,
