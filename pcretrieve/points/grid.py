@@ -48,6 +48,10 @@ class Grid:
         """(n, 3) coordinates of points in voxels, integer at the centres."""
         return (points - self.origin) / self.cell
 
+    def centres(self, at: NDArray[Any]) -> FloatArray:
+        """(n, 3) points at coordinates in voxels."""
+        return np.asarray(at * self.cell + self.origin, dtype=np.float64)
+
     def index(self, points: FloatArray) -> tuple[NDArray[np.intp], ...]:
         """Indices, for an array of `shape`, of the voxels that contain the points."""
         return tuple(np.rint(self.coordinates(points)).astype(np.intp).T)

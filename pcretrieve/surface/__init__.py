@@ -1,12 +1,7 @@
 """Oriented points, or a mesh with defects → closed surface: reconstruction, repair, remeshing."""
 
 from pcretrieve.surface.body import SurfaceMarks, body_surfaces
-from pcretrieve.surface.reconstruct import (
-    poisson_surface,
-    sampled,
-    sound_mesh,
-    surfaces,
-)
+from pcretrieve.surface.reconstruct import sampled, sound_mesh, surfaces
 from pcretrieve.surface.repair import repaired
 from pcretrieve.surface.simplify import reduced
 from pcretrieve.surface.tetwild import remesh
@@ -17,7 +12,6 @@ __all__ = [
     "SurfaceMarks",
     "body_surfaces",
     "defects",
-    "poisson_surface",
     "reduced",
     "remesh",
     "repaired",

@@ -2,13 +2,13 @@
 
 This is the surface method ``growth``. Its steps are:
 
-1. Flood fill finds the voxels outside the body (`flood`).
+1. Flood fill finds the voxels outside the body (`points.outside`).
 2. Voxels near the points get a signed distance to the surface (`field`).
-3. Voxels far from the points, in holes of the scan, are classified by a coarse surface (`coarse`, `filled`).
-4. Voxels between two parts of the body that touch are removed (`contacts`).
-5. Components that a hole of the scan has separated are connected (`pieces`).
-6. Topology-preserving region growing removes handles that the body does not have (`growth`, `handles`).
-7. The boundary of the voxels is triangulated, smoothed and simplified (`marching`, `smooth`, `simplify`).
+3. Voxels far from the points, in holes of the scan, are classified by a coarse surface (`coarse`, `caps`).
+4. Voxels between two parts of the body that touch are removed, unless the genus is ``free``; components that
+   a hole of the scan has separated are connected (`parts`).
+5. Topology-preserving region growing removes handles that the body does not have (`growth`).
+6. The boundary of the voxels is triangulated, smoothed and simplified (`marching`, `simplify`).
 """
 
 from __future__ import annotations
@@ -18,7 +18,6 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pcretrieve.errors import ReconstructionError
 from pcretrieve.options import SurfaceOptions
@@ -28,16 +27,15 @@ from pcretrieve.points.neighbors import PLANE_NEIGHBORS, Neighborhoods, neighbor
 from pcretrieve.points.outside import Outside, flood
 from pcretrieve.surface.caps import NO_CAP, Capped, base_of, points_on
 from pcretrieve.surface.coarse import coarse_surface, filled
-from pcretrieve.surface.field import LEAST_WEIGHT, distance_field, folded, hidden_below, normals_of
+from pcretrieve.surface.field import distance_field, folded, hidden_below, normals_of
 from pcretrieve.surface.growth import with_topology
 from pcretrieve.surface.marching import Crossings, crossed, marched, smoothed
 from pcretrieve.surface.parts import CONTINUED, contact_layer, joined, rims, walls
 from pcretrieve.surface.simplify import simplified
 from pcretrieve.values import FloatArray, PointCloud, Step, TriangleMesh
 
-# Largest fraction of the interior of the coarse surface that the flood fill may
-# reach. If it reaches more, it has leaked through a hole, and is repeated with the
-# radius of closed holes multiplied by each factor in turn.
+# Largest fraction of the interior of the coarse surface that the flood fill may reach. If it reaches more, it
+# has leaked through a hole, and is repeated with the radius of closed holes times each factor in turn.
 MOST_LEAKED = 0.02
 WIDER = (1.4, 2.0)
 
@@ -74,12 +72,10 @@ MARGIN = 0.02
 class SurfaceMarks:
     """Where the topology of a surface was changed.
 
-    cuts: (k, 3) float64, centres of the voxels that were removed to obtain the requested genus; unit of the
-        file.
-    bridges: (j, 3) float64, centres of the voxels that were added to connect a component to the body; unit of
-        the file.
+    cuts: (k, 3) float64, centres of the voxels that were removed to obtain the requested genus.
+    bridges: (j, 3) float64, centres of the voxels that were added to connect a component to the body.
     base: (p, 3) float64, points of the caps of the base on which the body stands, where no points were
-        measured; unit of the file.
+        measured.
     """
 
     cuts: FloatArray
@@ -87,24 +83,20 @@ class SurfaceMarks:
     base: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))
 
     def moved(self, by: FloatArray) -> SurfaceMarks:
-        """All places, translated by (3,) `by`."""
+        """All places, translated."""
         return SurfaceMarks(self.cuts + by, self.bridges + by, self.base + by)
 
 
 def body_surfaces(cloud: PointCloud, options: SurfaceOptions) -> Iterator[tuple[TriangleMesh, SurfaceMarks]]:
     """Reconstruct the surface of the body that oriented points enclose, on several grids.
 
-    Where the points are sparse beside the voxels, points are interpolated first (see `scan.density`).
-    Near the points a voxel is inside if the signed distance to the algebraic sphere fitted to the points is
-    negative. Elsewhere, in holes of the scan, it is inside if it is inside a coarse surface. A voxel
-    that the flood fill of the outside reaches is never inside. Components separated by holes are connected to
-    the body. Unless the genus is ``free``, voxels between parts that touch are removed (see `contacts`), and
-    topology-preserving region growing inside the remaining voxels gives the body its genus (see `growth`).
+    Where the points are sparse beside the voxels, points are interpolated first. Near the points a voxel is
+    inside if the signed distance to the algebraic sphere fitted to the points is negative. Elsewhere, in
+    holes of the scan, it is inside if it is inside a coarse surface. A voxel that the flood fill of the
+    outside reaches is never inside.
 
-    Each surface is made on a grid of another voxel edge and another origin. The surfaces differ where the
-    points do not determine the surface: where parts touch, and in thin parts.
-
-    Yields mesh : TriangleMesh: closed, connected, manifold and oriented outwards; unit of the file.
+    Each surface, closed, connected and manifold, is made on a grid of another voxel edge and another origin.
+    The surfaces differ where the points do not determine the surface: where parts touch, and in thin parts.
     """
     started = time.perf_counter()
     neighbors = neighborhoods(cloud.points, PLANE_NEIGHBORS + 1, of_some=True)
@@ -135,19 +127,17 @@ def _body_surface(
     for gap in (options.gap, *(options.gap * wider for wider in WIDER)):
         outside = flood(walled, cell=cell, gap=gap * cloud.diagonal, shift=shift, deepest=deepest)
         coarse_inside, coarse_crossings = filled(coarse.surface, outside.grid)
-        distance, weight = distance_field(cloud, outside)
-        known = weight > LEAST_WEIGHT
+        distance = distance_field(cloud, outside)
         # Far from the points only: near them the coarse surface can be inaccurate by a voxel.
-        core = coarse_inside & ~known
+        core = coarse_inside & np.isnan(distance)
         if (outside.reached & core).sum() <= MOST_LEAKED * core.sum():
             break
     else:
         outside = replace(outside, reached=np.zeros_like(outside.reached), depth=np.zeros_like(outside.depth))
-        distance, weight = distance_field(cloud, outside)
-        known = weight > LEAST_WEIGHT
+        distance = distance_field(cloud, outside)
         notes.append("the flood fill of the outside leaked into the body and was not used")
     grid = outside.grid
-    inside = np.where(known, distance < 0, coarse_inside) & ~outside.reached
+    inside = np.where(np.isnan(distance), coarse_inside, distance < 0) & ~outside.reached
     parted, crossed_links = np.zeros_like(inside), np.zeros((3, *grid.shape), dtype=bool)
     if options.genus != "free":
         folds = folded(cloud, outside, inside)
@@ -162,8 +152,7 @@ def _body_surface(
     if not inside.any():
         raise ReconstructionError(f"{len(cloud.points)} points enclose nothing")
     body, cuts = with_topology(inside, crossed_links, outside, options, notes)
-    known_distance = np.where(known, distance, np.nan)
-    mesh, is_invented = _surface(body, inside, parted, known_distance, coarse_crossings, grid)
+    mesh, is_invented = _surface(body, inside, parted, distance, coarse_crossings, grid)
     invented = _invented(mesh, is_invented)
     final = simplified(mesh, options.target_faces)
     step = Step(
@@ -182,8 +171,7 @@ def _body_surface(
         tuple(notes),
     )
     base = points_on(coarse.surface, base_of(coarse, cloud), cell)
-    marks = SurfaceMarks(_centres(cuts, grid), _centres(bridges, grid), base)
-    return final, marks, step
+    return final, SurfaceMarks(grid.centres(cuts), grid.centres(bridges), base), step
 
 
 def _cell(cloud: PointCloud, neighbors: Neighborhoods, options: SurfaceOptions) -> float:
@@ -216,14 +204,12 @@ def _surface(
     changes its sign as the body does, the vertex is at the linearly interpolated zero. Elsewhere it is at the
     crossing of the coarse surface, if there is one, else in the middle, and is smoothed afterwards.
 
-    body: (a, b, c) bool, the body after region growing.
-    inside: (a, b, c) bool, the body before it.
-    parted: (a, b, c) bool, the voxels removed by `contact_layer`.
-    distance: (a, b, c) float32, signed distance to the points; in voxels, NaN far from the points.
-    coarse_crossings: (3, a, b, c) float32, where the coarse surface crosses the grid lines, from `filled`.
-    Returns mesh : TriangleMesh: in the unit of the file.
-    Returns invented : (n,) bool: vertices that no points support. Vertices beside removed contact voxels do
-        not count, because there are points near them.
+    body, inside: the body after and before region growing.
+    parted: the voxels removed by `contact_layer`.
+    distance: signed distance to the points; in voxels, NaN far from the points.
+    coarse_crossings: where the coarse surface crosses the grid lines, from `filled`.
+    Returns mesh, invented: the surface, and (n,) a mask of the vertices that no points support. Vertices
+        beside removed contact voxels do not count, because there are points near them.
     """
     crossings, invented, unseen = [], [], []
     for axis, here in enumerate(crossed(body)):
@@ -244,7 +230,7 @@ def _surface(
     counted = np.concatenate(unseen)
     # The vertices after those on grid lines, inside cubes of the grid, are few.
     counted = np.pad(counted, (0, len(vertices) - len(counted)))
-    return TriangleMesh(moved * grid.cell + grid.origin, faces), counted
+    return TriangleMesh(grid.centres(moved), faces), counted
 
 
 def _invented(mesh: TriangleMesh, invented: Mask) -> float:
@@ -267,7 +253,3 @@ def _one_sidedness(mesh: TriangleMesh, invented: Mask) -> float:
     share = invented[mesh.faces].mean(axis=1)  # (m,)
     vectors = mesh.area_vectors
     return float(np.linalg.norm(share @ vectors) / np.linalg.norm(vectors, axis=1).sum())
-
-
-def _centres(cells: NDArray[np.intp], grid: Grid) -> FloatArray:
-    return np.asarray(cells * grid.cell + grid.origin, dtype=np.float64)

@@ -34,10 +34,7 @@ NEAR_PLANE = 0.02
 
 
 class Capped(NamedTuple):
-    """A surface with caps.
-
-    cap: (m,) int, number of the cap of each face; −1 for a face that is not in a large hole.
-    """
+    """A surface with caps: (m,) the number of the cap of each face, −1 for one that is in no large hole."""
 
     surface: TriangleMesh
     cap: NDArray[np.intp]
@@ -50,8 +47,7 @@ def capped(surface: TriangleMesh, cloud: PointCloud, *, spacing: float) -> Cappe
     its vertices is at the mean of its neighbours, so that the cap is in the convex hull of its rim, and flat
     if the rim is planar. The rim is moved to the points.
 
-    cloud: the points; unit of the surface.
-    spacing: of the points; unit of the surface.
+    spacing: of the points.
     """
     from scipy.sparse import csr_array, diags_array
     from scipy.sparse.linalg import splu
@@ -79,15 +75,14 @@ def capped(surface: TriangleMesh, cloud: PointCloud, *, spacing: float) -> Cappe
 
 
 def base_of(capped: Capped, cloud: PointCloud) -> Mask:
-    """The faces of a base: flat caps that face down.
+    """(m,) mask of the faces of a base: flat caps that face down.
 
     Down is away from the ground, if the stage `crop` has removed it. Otherwise it is the normal of the
     largest cap on which the body can stand: few points are beneath its plane, and the mean of the points is
     above the convex hull of the caps that are parallel to it and of the points that touch its plane.
 
-    cloud: the points; unit of the surface.
-    Returns (m,) bool: also the caps of a seat and of hands that rest on something, if they face down; none,
-        if the body cannot stand.
+    The caps of a seat and of hands that rest on something belong to it, if they face down. It has no faces if
+    the body cannot stand.
     """
     surface, cap = capped
     numbers = np.setdiff1d(cap, [NO_CAP])
@@ -125,12 +120,7 @@ def _stands(base: FloatArray, down: FloatArray, cloud: PointCloud) -> bool:
 
 
 def points_on(surface: TriangleMesh, faces: Mask, spacing: float) -> FloatArray:
-    """Points on some faces of a surface, on a regular grid of each face.
-
-    faces: (m,) bool, the faces that get points.
-    spacing: largest distance between neighbouring points; unit of the surface.
-    Returns (p, 3) float64: the points.
-    """
+    """(p, 3) points on some faces of a surface, on a regular grid of each face, at most a spacing apart."""
     corners = surface.vertices[surface.faces[faces]]  # (f, 3, 3)
     longest = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(initial=0.0)
     n = int(np.ceil(longest / spacing)) + 1

@@ -34,10 +34,8 @@ def indicator(points: FloatArray, normals: FloatArray, spacings: FloatArray, gri
     was not seen, χ is the solid angle of the other parts divided by 4π (generalized winding number [2]_):
     in a flat hole it is 1/2.
 
-    points, normals: (n, 3) float64, coordinates, inside the grid, and unit normals that point out of the
-        body.
     spacings: (n,) float64, the square root of the area of surface for each point. A point stands for an area
-        of at most one face of a voxel. Unit of the points.
+        of at most one face of a voxel.
     Returns (a, b, c) float32: about 1 inside and 0 outside. Exactly 0 at the corners of the grid.
 
     References
@@ -89,9 +87,9 @@ def filled(mesh: TriangleMesh, grid: Grid) -> tuple[Mask, Voxels]:
     rule). The side of an edge on which a line passes is computed identically for both faces at the edge, so
     that the line crosses exactly one of them. Rays cast in single precision do not guarantee this.
 
-    Returns inside : (a, b, c) bool: voxels whose centre is inside the mesh.
-    Returns crossings : (3, a, b, c) float32: for each axis and voxel, where the mesh crosses the line from
-        the centre of the voxel to the next centre: a fraction in [0, 1), NaN if it does not.
+    Returns inside, crossings: (a, b, c) mask of voxels whose centre is inside; and (3, a, b, c), for each
+        axis and voxel, where the mesh crosses the line from the centre of the voxel to the next centre: a
+        fraction in [0, 1), NaN if it does not.
     """
     at = grid.coordinates(mesh.vertices)
     crossings = np.full((3, *grid.shape), np.nan, dtype=np.float32)
@@ -195,10 +193,9 @@ def coarse_surface(cloud: PointCloud, options: SurfaceOptions, *, spacing: float
 
     It is a level set of the indicator function of the body. If the points have large holes, or sensors from
     which parts of the body were hidden, it is a screened Poisson surface instead, which bulges out of large
-    holes and is replaced by flat caps there.
+    holes and is replaced by flat caps there. Its largest component is closed.
 
-    spacing: of the points; unit of the file.
-    Returns Capped: the surface, of which the largest component is closed, and its caps; unit of the file.
+    spacing: of the points.
     """
     # See docs/decisions.md, LEVEL, for scans with sensor positions.
     surface = _level_set(cloud, 2**options.fill_depth) if cloud.viewpoints is None else None
@@ -218,7 +215,7 @@ def _level_set(cloud: PointCloud, n: int) -> TriangleMesh | None:
     is_open = any(np.take(body, side, axis).any() for axis in range(3) for side in (0, -1))
     if is_open or not body.any():
         return None
-    fringe = np.argwhere((values > FRINGE * at_points) & (values < at_points)) * grid.cell + grid.origin
+    fringe = grid.centres(np.argwhere((values > FRINGE * at_points) & (values < at_points)))
     if nearest(cloud.points, fringe, 1)[0].max(initial=0.0) > WIDE * cloud.diagonal:
         return None
     crossings = []
@@ -227,7 +224,7 @@ def _level_set(cloud: PointCloud, n: int) -> TriangleMesh | None:
         share = (level - at_low) / (at_high - at_low)
         crossings.append(Crossings(low, np.clip(share, LEAST_SHARE, 1 - LEAST_SHARE)))
     vertices, faces = marched(body, crossings)
-    return TriangleMesh(vertices * grid.cell + grid.origin, faces)
+    return TriangleMesh(grid.centres(vertices), faces)
 
 
 def _grid(points: FloatArray, n: int) -> Grid:

@@ -40,8 +40,10 @@ LEAST_FOLD = 100
 LEAST_OPEN = 0.135
 
 
-def distance_field(cloud: PointCloud, outside: Outside) -> tuple[Voxels, Voxels]:
+def distance_field(cloud: PointCloud, outside: Outside) -> Voxels:
     """Signed distance to the algebraic sphere that is fitted to the points near each voxel [1]_ [2]_.
+
+    In voxels; NaN far from the points.
 
     References
     ----------
@@ -55,20 +57,14 @@ def distance_field(cloud: PointCloud, outside: Outside) -> tuple[Voxels, Voxels]
 
 
 def normals_of(cloud: PointCloud) -> FloatArray:
-    """The normals of a cloud, which must have normals.
-
-    Returns (n, 3) float64: unit normals.
-    """
+    """The (n, 3) normals of a cloud, which must have normals."""
     if cloud.normals is None:
         raise ReconstructionError("reconstruction needs points with normals, these have none")
     return cloud.normals
 
 
 def folded(cloud: PointCloud, outside: Outside, inside: Mask) -> Mask:
-    """The points of folds, such as closed mouths: large components of hidden points that are hardly open.
-
-    Returns (n,) bool: the points of folds.
-    """
+    """(n,) mask of the points of folds, such as closed mouths: large, hardly open pieces of hidden points."""
     from scipy import ndimage
 
     grid = outside.grid
@@ -88,9 +84,8 @@ def folded(cloud: PointCloud, outside: Outside, inside: Mask) -> Mask:
         wider = tuple(slice(side.start - 1, side.stop + 1) for side in box)
         cells = pieces[wider] == piece
         rim = ndimage.binary_dilation(cells) & ~cells
-        closed[piece] = (
-            cells.sum() >= LEAST_FOLD and (rim & ~inside[nearby][wider]).sum() < LEAST_OPEN * rim.sum()
-        )
+        n_open = (rim & ~inside[nearby][wider]).sum()
+        closed[piece] = cells.sum() >= LEAST_FOLD and n_open < LEAST_OPEN * rim.sum()
     found = np.zeros(len(cloud.points), dtype=bool)
     found[hidden] = closed[pieces[tuple(places - low[:, None])]]
     return found
@@ -104,19 +99,14 @@ def _hidden(cloud: PointCloud, outside: Outside) -> Mask:
 
 
 def hidden_below(diagonal: float, cell: float) -> float:
-    """The depth below the outside from which points are hidden.
-
-    diagonal: diagonal of the bounding box; unit of the file.
-    cell: edge of a voxel; unit of the file.
-    """
+    """The depth below the outside from which points are hidden; in voxels."""
     return max(HIDDEN_CELLS, HIDDEN * diagonal / cell)
 
 
 @njit(cache=True, error_model="numpy")
-def _fitted(at: FloatArray, normals: FloatArray, to_points: Voxels) -> tuple[Voxels, Voxels]:
-    """Distances to the sphere u₀ + u·p + q p·p = 0 that is fitted near each voxel, and the weights."""
-    distance = np.zeros(to_points.shape, dtype=np.float32)
-    weight = np.zeros(to_points.shape, dtype=np.float32)
+def _fitted(at: FloatArray, normals: FloatArray, to_points: Voxels) -> Voxels:
+    """Distances to the sphere u₀ + u·p + q p·p = 0 that is fitted near each voxel."""
+    distance = np.full(to_points.shape, np.nan, dtype=np.float32)
     number = _numbers(to_points)
     weights, sums = _summed(at, normals, number)
     n_x, n_y, n_z = to_points.shape
@@ -124,7 +114,7 @@ def _fitted(at: FloatArray, normals: FloatArray, to_points: Voxels) -> tuple[Vox
         for y in range(n_y):
             for z in range(n_z):
                 k = number[x, y, z]
-                if k < 0 or weights[k] == 0:
+                if k < 0 or np.float32(weights[k]) <= np.float32(LEAST_WEIGHT):
                     continue
                 s, w = sums[k], weights[k]
                 # The sums relative to the centre of the voxel.
@@ -142,8 +132,7 @@ def _fitted(at: FloatArray, normals: FloatArray, to_points: Voxels) -> tuple[Vox
                 steepness = np.sqrt(u * u + v * v + t * t)
                 root = np.sqrt(max(steepness * steepness - 4 * u_0 * q, 0))
                 distance[x, y, z] = 2 * u_0 / (steepness + root + 1e-9)
-                weight[x, y, z] = w
-    return distance, weight
+    return distance
 
 
 @njit(cache=True)

@@ -1,4 +1,4 @@
-"""Points, or a mesh → the surfaces that are described: which meshes are kept, and points sampled on others."""
+"""Points, or a mesh → the surfaces that are described: meshes that are kept, points sampled on others."""
 
 from __future__ import annotations
 

@@ -1,8 +1,4 @@
-"""Surface → the same surface with fewer faces: edge collapse by quadric errors, compiled by numba.
-
-The compiled functions are in one module, because numba does not compile a function again when another file
-changes.
-"""
+"""Surface → the same surface with fewer faces: edge collapse by quadric errors, compiled by numba."""
 
 from __future__ import annotations
 
@@ -17,7 +13,7 @@ from pcretrieve.draw.open3d import open3d_mesh
 from pcretrieve.errors import DegenerateMeshError
 from pcretrieve.options import SurfaceOptions
 from pcretrieve.surface.repair import repaired
-from pcretrieve.surface.topology import compact, twins
+from pcretrieve.surface.topology import compact
 from pcretrieve.values import FloatArray, IntArray, Step, TriangleMesh
 
 # Weight of the squared distance along the surface, relative to the squared distance from it. A smaller weight
@@ -31,8 +27,7 @@ LEAST_WEIGHT = 1e-6
 # Cosine of the largest angle by which the normal of a face may turn in one collapse.
 LEAST_COSINE = 0.8
 
-# Smallest quality of a face (1 is equilateral, 0 is degenerate) after a collapse,
-# unless the quality before it was smaller.
+# Smallest quality of a face (1 is equilateral, 0 is degenerate) after a collapse, unless it was less before.
 LEAST_QUALITY = 0.5
 
 Keys = NDArray[np.int64]
@@ -52,8 +47,6 @@ def simplified(mesh: TriangleMesh, n_faces: int) -> TriangleMesh:
     over the original corners p_f, in faces f of normal n_f and area A_f, that have been collapsed into the
     vertex. The second term gives faces of even shape. The result does not depend on the unit of length.
 
-    Returns TriangleMesh: closed, manifold and oriented; unit of the input.
-
     References
     ----------
     .. [1] Garland and Heckbert, "Surface simplification using quadric error metrics", SIGGRAPH 1997.
@@ -61,7 +54,7 @@ def simplified(mesh: TriangleMesh, n_faces: int) -> TriangleMesh:
        l'Institut Mathématique 66, 1999.
     """
     vertices, corners = mesh.vertices.copy(), mesh.faces.flatten()  # (n, 3), (3m,): modified below
-    twin, n_bad = twins(corners, len(vertices))
+    twin, n_bad = _twins(corners, len(vertices))
     if n_bad:
         raise DegenerateMeshError(
             "a surface must be closed, manifold and oriented to be simplified, this one is not at "
@@ -74,9 +67,6 @@ def simplified(mesh: TriangleMesh, n_faces: int) -> TriangleMesh:
     return compact(vertices, faces)
 
 
-# Half-edges are numbered as in `edges`.
-
-
 @njit(cache=True)
 def _next(h: int) -> int:
     return h - 2 if h % 3 == 2 else h + 1
@@ -85,6 +75,47 @@ def _next(h: int) -> int:
 @njit(cache=True)
 def _previous(h: int) -> int:
     return h + 2 if h % 3 == 0 else h - 1
+
+
+@njit(cache=True)
+def _twins(corners: IntArray, n_vertices: int) -> tuple[IntArray, int]:
+    """The twins of half-edges, those in the opposite direction; and in how many places there is no manifold.
+
+    Half-edge 3 f + k is side k of face f, from corner k to corner k + 1 (modulo 3).
+    """
+    starts = np.zeros(n_vertices + 1, dtype=np.int32)
+    for v in corners:
+        starts[v + 1] += 1
+    starts = np.cumsum(starts)
+    fill = starts[:-1].copy()
+    leaving = np.empty(len(corners), dtype=np.int32)  # half-edges, grouped by their first vertex
+    for h in range(len(corners)):
+        leaving[fill[corners[h]]] = h
+        fill[corners[h]] += 1
+    twin = np.full(len(corners), -1, dtype=np.int32)
+    n_bad = 0
+    for h in range(len(corners)):
+        tail, head = corners[h], corners[_next(h)]
+        n_back = 0
+        for g in leaving[starts[head] : starts[head + 1]]:
+            if corners[_next(g)] == tail:
+                twin[h] = g
+                n_back += 1
+        # Of two half-edges with the same ends, each opposite half-edge has two twins.
+        n_bad += tail == head or n_back != 1
+    if n_bad:
+        return twin, n_bad
+    for v in range(n_vertices):
+        n_around = starts[v + 1] - starts[v]
+        if n_around:
+            first = leaving[starts[v]]
+            h = twin[_previous(first)]
+            n_fan = 1
+            while h != first:
+                h = twin[_previous(h)]
+                n_fan += 1
+            n_bad += n_fan != n_around
+    return twin, n_bad
 
 
 @njit(cache=True)
@@ -155,8 +186,8 @@ def _meeting(vertices: FloatArray, quadrics: FloatArray, u: int, v: int, place: 
 @njit(cache=True)
 def _key(cost: float, edge: int) -> int:
     """An integer that sorts by cost, then by edge number."""
-    # The cost is rounded to single precision, so that rounding errors of double
-    # precision do not affect the order.
+    # The cost is rounded to single precision, so that rounding errors of double precision do not affect the
+    # order.
     return int(np.int64(np.float32(cost).view(np.int32)) << 32 | edge)
 
 
@@ -334,8 +365,8 @@ def _collapsed(
             u, v = corners[h], corners[twin[h]]
             cost = _meeting(vertices, quadrics, u, v, place) + spent[u] + spent[v]
             if max(moved[u], moved[v]) > known[e]:
-                # Lazy update: costs never decrease, so that the first edge whose
-                # cost is up to date is the minimum.
+                # Lazy update: costs never decrease, so that the first edge whose cost is up to date is the
+                # minimum.
                 known[e] = step
                 heap[0] = _key(cost / area, e)
                 _sink(heap, size, 0)
@@ -345,13 +376,12 @@ def _collapsed(
         _sink(heap, size, 0)
         queued[e] = False
         label += 1
-        if (
-            h < 0
-            or not _keeps_topology(corners, twin, h, mark, label)
-            or not _keeps_shape(vertices, corners, twin, h, place)
+        if h < 0:
+            continue
+        if not _keeps_topology(corners, twin, h, mark, label) or not _keeps_shape(
+            vertices, corners, twin, h, place
         ):
-            if h >= 0:
-                is_rejected[u] = is_rejected[v] = True
+            is_rejected[u] = is_rejected[v] = True
             continue
         step += 1
         n_left -= 2
