@@ -4,21 +4,18 @@ from __future__ import annotations
 
 import hashlib
 import os
+from collections.abc import Callable
 from pathlib import Path
-from typing import NamedTuple
+from typing import IO, NamedTuple, TypeVar
 
 from pcretrieve.errors import ScanReadError
-from pcretrieve.formats import (
-    MARK,
-    check_file,
-    local_copy,
-    parts_of,
-    remote_version,
-    split_member,
-    url_of,
-)
+from pcretrieve.formats.format import check_file, url_of
+from pcretrieve.formats.registry import MARK, parts_of, split_member
+from pcretrieve.formats.remote import local_copy, remote_version
 
 CHUNK = 1 << 20  # bytes read at once
+
+Found = TypeVar("Found")
 
 
 class Stamp(NamedTuple):
@@ -64,21 +61,12 @@ def file_hash(file: Path) -> str:
         with local_copy(file) as copied:
             return file_hash(copied)
     digest = hashlib.sha256()
-    part = file
-    try:
-        check_file(file)
-        for part in [file, *(part.path for part in parts_of(file))]:
-            check_file(part)
-            with part.open("rb") as opened:
-                while chunk := opened.read(CHUNK):
-                    digest.update(chunk)
-    except ScanReadError as error:
-        if str(part) in error.message:
-            raise
-        raise ScanReadError(f"{part}: {error.message}") from error
-    # A path with a zero byte, from a binary file in place of a manifest, raises a ValueError.
-    except (OSError, ValueError) as error:
-        raise ScanReadError(f"cannot read {part}: {getattr(error, 'strerror', None) or error}") from error
+
+    def add(opened: IO[bytes]) -> None:
+        while chunk := opened.read(CHUNK):
+            digest.update(chunk)
+
+    _of_each_file(file, add)
     return digest.hexdigest()
 
 
@@ -91,15 +79,29 @@ def stamp_of(file: Path) -> Stamp | None:
     """
     if url_of(file) is not None:
         return None
-    found = []
     try:
-        check_file(file)
-        for part in (file, *(part.path for part in parts_of(file))):
-            check_file(part)
-            # Of the opened file, because a network file system may say what it knew of a file not opened.
-            with part.open("rb") as opened:
-                found.append(os.fstat(opened.fileno()))
-    except (ScanReadError, OSError, ValueError):
+        # Of the opened file, because a network file system may say what it knew of a file not opened.
+        found = _of_each_file(file, lambda opened: os.fstat(opened.fileno()))
+    except ScanReadError:
         return None
     text = "; ".join(f"{one.st_size} {one.st_mtime_ns} {one.st_ctime_ns} {one.st_ino}" for one in found)
     return Stamp(text, max(max(one.st_mtime, one.st_ctime) for one in found))
+
+
+def _of_each_file(file: Path, look: Callable[[IO[bytes]], Found]) -> list[Found]:
+    """What a function finds in a file and in its parts, one after the other."""
+    part, found = file, []
+    try:
+        check_file(file)
+        for part in [file, *(part.path for part in parts_of(file))]:
+            check_file(part)
+            with part.open("rb") as opened:
+                found.append(look(opened))
+    except ScanReadError as error:
+        if str(part) in error.message:
+            raise
+        raise ScanReadError(f"{part}: {error.message}") from error
+    # A path with a zero byte, from a binary file in place of a manifest, raises a ValueError.
+    except (OSError, ValueError) as error:
+        raise ScanReadError(f"cannot read {part}: {getattr(error, 'strerror', None) or error}") from error
+    return found

@@ -13,15 +13,15 @@ from pcretrieve.formats.format import url_of
 from pcretrieve.formats.registry import parts_of, split_member
 
 # What stores say of the content of a file, the best first: hashes, then the time of the last change.
-HASHES = ("ETag", "etag", "md5Hash", "Content-MD5", "Digest", "crc32c", "checksum")
-TIMES = ("LastModified", "Last-Modified", "updated", "mtime", "created")
+VERSIONS = (
+    *("ETag", "etag", "md5Hash", "Content-MD5", "Digest", "crc32c", "checksum"),
+    *("LastModified", "Last-Modified", "updated", "mtime", "created"),
+)
 
 
 def remote_files(path: Path) -> list[Path]:
     """The files that a URL names: by a pattern, in a folder and below, or one."""
-    url = _url(path)
-    try:
-        system, place = _opened(url)
+    with _store(path, InputError, "look into") as (system, place, _):
         if any(sign in place for sign in "*?["):
             found = [name for name in system.glob(place) if system.isfile(name)]
         elif system.isdir(place):
@@ -29,20 +29,13 @@ def remote_files(path: Path) -> list[Path]:
         else:
             found = [place] if system.exists(place) else []
         return [Path(str(system.unstrip_protocol(name))) for name in sorted(found)]
-    except PcretrieveError:
-        raise
-    # Stores have exceptions of many packages, which are not all an OSError.
-    except Exception as error:
-        raise InputError(f"cannot look into {url}: {_words(error)}") from error
 
 
 def remote_version(path: Path) -> str | None:
     """What the store says of the content of a file, without reading it."""
-    url = _url(path)
-    with _errors_of(url):
-        system, place = _opened(url)
+    with _store(path) as (system, place, url):
         about = system.info(place)
-    known = next((key for key in (*HASHES, *TIMES) if about.get(key)), None)
+    known = next((key for key in VERSIONS if about.get(key)), None)
     # Some servers compute what they call a hash from the size and the time of the last change.
     return None if known is None else f"{url} {known} {about[known]} {about.get('size')}"
 
@@ -65,51 +58,34 @@ def local_copy(path: Path) -> Iterator[Path]:
         try:
             yield Path(folder, path.name)
         except ShapeError as error:
-            error.message = error.message.replace(folder, _url(remote.parent))
+            error.message = error.message.replace(folder, str(url_of(remote.parent)))
             raise
 
 
 def _copy(path: Path, file: Path) -> None:
-    url = _url(path)
-    with _errors_of(url):
-        system, place = _opened(url)
+    with _store(path) as (system, place, _):
         system.get_file(place, str(file))
 
 
-def _url(path: Path) -> str:
-    url = url_of(path)
-    if url is None:
-        raise InputError(f"a URL must begin with its protocol, as in s3://, got {path}")
-    return url
-
-
-def _opened(url: str) -> tuple[Any, str]:
-    """The file system of a URL, and the path in it."""
-    try:
-        from fsspec.core import url_to_fs
-    except ImportError as error:
-        raise InputError(f"reading {url} needs fsspec: pip install 'pcretrieve[remote]'") from error
-    try:
-        system, path = url_to_fs(url)
-    except ImportError as error:
-        raise InputError(f"cannot read {url}: {error}: pip install 'pcretrieve[remote]'") from error
-    except ValueError as error:
-        raise InputError(f"cannot read {url}: {error}") from error
-    return system, path
-
-
 @contextmanager
-def _errors_of(url: str) -> Iterator[None]:
-    """Turn the errors of a store, which are exceptions of many packages, into errors of a scan."""
+def _store(
+    path: Path, kind: type[PcretrieveError] = ScanReadError, act: str = "read"
+) -> Iterator[tuple[Any, str, str]]:
+    """The file system of a URL, the path in it, and the URL. Errors of stores get one kind and a message."""
+    url = str(url_of(path))
     try:
-        yield
-    except PcretrieveError as error:
-        raise ScanReadError(error.message) from error
+        try:
+            from fsspec.core import url_to_fs
+
+            system, place = url_to_fs(url)
+        except ImportError as error:
+            raise kind(f"cannot {act} {url}, {error}: pip install 'pcretrieve[remote]'") from error
+        yield system, place, url
+    except PcretrieveError:
+        raise
+    # Stores have exceptions of many packages, which are not all an OSError.
     except Exception as error:
-        raise ScanReadError(f"cannot read {url}: {_words(error)}") from error
-
-
-def _words(error: Exception) -> str:
-    if isinstance(error, FileNotFoundError):
-        return "there is no such file"
-    return str(getattr(error, "strerror", None) or error or type(error).__name__)
+        words = getattr(error, "strerror", None) or error or type(error).__name__
+        if isinstance(error, FileNotFoundError):
+            words = "there is no such file"
+        raise kind(f"cannot {act} {url}: {words}") from error
