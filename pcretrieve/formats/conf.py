@@ -28,12 +28,11 @@ from pcretrieve.values import FloatArray
 if TYPE_CHECKING:
     from scipy.spatial.transform import Rotation
 
-# Numbers after the file name on a line `bmesh FILE tx ty tz qx qy qz qw`.
-N_POSE_NUMBERS = 7
-# Largest number of views: about half a minute of a sensor with thirty frames a second.
-MOST_VIEWS = 1000
-# Largest size of a .conf file: a path has at most 4096 bytes, and a line usually 100.
-MOST_CONF_BYTES = MOST_VIEWS * 4096
+# The line of a view, with seven numbers after the name of the file.
+LINE = "`bmesh FILE tx ty tz qx qy qz qw`"
+# Largest number of views: about half a minute of a sensor with thirty frames a second; and largest size of a
+# file that names them: a path has at most 4096 bytes.
+MOST_VIEWS, MOST_CONF_BYTES = 1000, 4_096_000
 # Distance of the conventional sensor of range scanners, in diagonals of the view: rays are nearly parallel.
 SENSOR_DISTANCE = 10.0
 
@@ -56,9 +55,7 @@ def read_poses(path: Path) -> list[tuple[Path, Rotation, FloatArray]]:
 
     check_file(path)
     if path.stat().st_size > MOST_CONF_BYTES:
-        raise ScanReadError(
-            f"a .conf file must have at most {MOST_CONF_BYTES} bytes, got {path.stat().st_size}"
-        )
+        raise ScanReadError(f"a .conf file must have at most {MOST_CONF_BYTES} bytes")
     named: dict[str, int] = {}
     poses = []
     for number, line in enumerate(text_lines(path), start=1):
@@ -67,13 +64,11 @@ def read_poses(path: Path) -> list[tuple[Path, Rotation, FloatArray]]:
             continue
         try:
             pose = [float(word) for word in words[2:]]
-            if len(pose) != N_POSE_NUMBERS or not np.isfinite(pose).all():
+            if len(pose) != 7 or not np.isfinite(pose).all():
                 raise ValueError(f"got {' '.join(words[2:]) or 'none'}")
             rotation = Rotation.from_quat(pose[3:]).inv()
         except ValueError as error:
-            raise ScanReadError(
-                f"line {number} must read `bmesh FILE tx ty tz qx qy qz qw`, seven finite numbers: {error}"
-            ) from error
+            raise ScanReadError(f"line {number} must read {LINE}, seven finite numbers: {error}") from error
         view = path.parent / words[1]
         # The real path, so that a view is found again under another name.
         earlier = named.setdefault(os.path.realpath(view), number)
@@ -85,9 +80,7 @@ def read_poses(path: Path) -> list[tuple[Path, Rotation, FloatArray]]:
             )
         poses.append((view, rotation, np.array(pose[:3])))
     if not poses:
-        raise ScanReadError(
-            "a .conf file must name its views by lines `bmesh FILE tx ty tz qx qy qz qw`, got none"
-        )
+        raise ScanReadError(f"a .conf file must name its views by lines {LINE}, got none")
     return poses
 
 
@@ -166,12 +159,13 @@ def image_poses(images: Sequence[Path], file: Path) -> list[FloatArray | None]:
     """
     from scipy.spatial.transform import Rotation
 
-    numbers = np.array(
-        [_numbers(line[-N_NUMBERS:], file) for line in _lines(file) if _has_pose(line)]
-    )  # (k, 8)
-    lengths = np.linalg.norm(numbers[:, 4:], axis=1)
-    if not (np.isfinite(numbers).all() and lengths.all()):
-        raise ScanReadError(f"the poses in {file.name} must be finite, with quaternions that are not zero")
+    lines = [line[-N_NUMBERS:] for line in _lines(file) if _has_pose(line)]
+    numbers = np.array([[_number(word) for word in line] for line in lines])  # (k, 8)
+    if not (np.isfinite(numbers).all() and numbers[:, 4:].any(axis=1).all()):
+        raise ScanReadError(
+            f"the lines of {file.name} must end in `t tx ty tz qx qy qz qw`, eight finite numbers with a "
+            "quaternion that is not zero"
+        )
     poses = np.tile(np.eye(4), (len(numbers), 1, 1))
     poses[:, :3, :3] = Rotation.from_quat(numbers[:, 4:]).as_matrix()
     poses[:, :3, 3] = numbers[:, 1:4]
@@ -186,14 +180,14 @@ def image_poses(images: Sequence[Path], file: Path) -> list[FloatArray | None]:
 
 def _times(folder: Path) -> dict[Path, float]:
     """The times of images: of the words ``time name`` in the lines of the lists of a folder."""
-    times = {}
-    for name in LISTS:
-        if (folder / name).is_file():
-            for line in _lines(folder / name):
-                for time, image in pairwise(line):
-                    if not np.isfinite(_number(image)):
-                        times[folder / image] = _number(time)
-    return times
+    return {
+        folder / image: _number(time)
+        for name in LISTS
+        if (folder / name).is_file()
+        for line in _lines(folder / name)
+        for time, image in pairwise(line)
+        if not np.isfinite(_number(image))
+    }
 
 
 def _lines(file: Path) -> list[list[str]]:
@@ -206,15 +200,6 @@ def _lines(file: Path) -> list[list[str]]:
 def _has_pose(words: Sequence[str]) -> bool:
     """Whether a line has a pose, alone or after the time and the name of an image."""
     return len(words) in (N_NUMBERS, N_NUMBERS + 2)
-
-
-def _numbers(words: Sequence[str], file: Path) -> list[float]:
-    try:
-        return [float(word) for word in words]
-    except ValueError as error:
-        raise ScanReadError(
-            f"a line of {file.name} must end in `t tx ty tz qx qy qz qw`, eight numbers: {' '.join(words)}"
-        ) from error
 
 
 def _number(word: str) -> float:

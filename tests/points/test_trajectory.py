@@ -128,9 +128,12 @@ def test_associations_have_poses_or_times(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("line", "words"),
     [
-        ("1 2 3 4 0 0 0 x", "a line of groundtruth.txt must end in `t tx ty tz qx qy qz qw`, eight numbers"),
-        ("1 2 3 4 0 0 0 0", "must be finite, with quaternions that are not zero"),
-        ("1 nan 3 4 0 0 0 1", "must be finite"),
+        (
+            "1 2 3 4 0 0 0 x",
+            "the lines of groundtruth.txt must end in `t tx ty tz qx qy qz qw`, eight finite",
+        ),
+        ("1 2 3 4 0 0 0 0", "with a quaternion that is not zero"),
+        ("1 nan 3 4 0 0 0 1", "eight finite numbers"),
     ],
 )
 def test_poses_that_cannot_be_read(line: str, words: str, tmp_path: Path) -> None:
