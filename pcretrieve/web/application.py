@@ -18,17 +18,15 @@ from urllib.parse import parse_qsl, quote, unquote
 from starlette.applications import Starlette
 from starlette.exceptions import HTTPException
 from starlette.requests import ClientDisconnect, Request
-from starlette.responses import HTMLResponse, JSONResponse, Response, StreamingResponse
+from starlette.responses import HTMLResponse, JSONResponse, RedirectResponse, Response, StreamingResponse
 from starlette.routing import Mount, Route
 from starlette.staticfiles import StaticFiles
 
-from pcretrieve.catalogue import Catalogue, Record
+from pcretrieve import Answer, Catalogue, PipelineOptions, Record
 from pcretrieve.errors import CatalogueError, InputError, PcretrieveError
 from pcretrieve.formats import mesh_bytes
-from pcretrieve.options import PipelineOptions
 from pcretrieve.pages.html import page_of
 from pcretrieve.pages.thumbnails import Thumbnails
-from pcretrieve.query import Answer
 from pcretrieve.web.comparison import Maps, compared, mesh_of, scene_document
 from pcretrieve.web.documents import (
     class_names,
@@ -43,12 +41,10 @@ from pcretrieve.web.documents import (
 )
 from pcretrieve.web.jobs import Job, Jobs
 from pcretrieve.web.requests import (
-    Busy,
     Listing,
     NotFound,
     Similar,
     TooLarge,
-    TooSlow,
     checked_suffix,
     received,
     upload_suffixes,
@@ -67,8 +63,6 @@ LINGER = 5.0
 
 # Largest size of a form; bytes.
 LONGEST_FORM = 10_000
-
-STATUSES = {NotFound: 404, TooLarge: 413, TooSlow: 408, Busy: 503}
 
 Found = TypeVar("Found")
 
@@ -135,7 +129,7 @@ class Site:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Asked:
+class _Asked:
     """A request that a reader of the catalogue answers."""
 
     site: Site
@@ -144,22 +138,22 @@ class Asked:
 
     @property
     def name(self) -> str:
-        """The name of a shape or a job in the path."""
         return _name(self.request)
 
     @property
     def fields(self) -> Mapping[str, str]:
-        """The fields of the address."""
         return self.request.query_params
 
     @property
+    def record(self) -> Record:
+        return record_of(self.catalogue, self.name)
+
+    @property
     def job(self) -> Job:
-        """The job that the path names."""
         return self.site.jobs.job(self.name)
 
     @property
     def similar(self) -> Similar:
-        """What is asked of neighbours."""
         return Similar.of(self.fields)
 
     def page(self, template: str, **context: Any) -> Response:
@@ -169,7 +163,7 @@ class Asked:
     def answer(self, job: Job | None = None) -> Answer:
         """The neighbours of the scan of a job, or else of the shape that the path names."""
         if job is None:
-            return similar_to(self.catalogue, self.name, self.similar, self.site.options)
+            return similar_to(self.catalogue, self.record.id, self.similar, self.site.options)
         if job.described is None:
             raise InputError(
                 f"the scan has no signature, it is {job.state}: ask for /scans/{job.id} until it is done"
@@ -195,7 +189,7 @@ class _Json(JSONResponse):
 # --- pages ------------------------------------------------------------------------------------------------
 
 
-def _collection(asked: Asked) -> Response:
+def _collection(asked: _Asked) -> Response:
     listing = Listing.of(asked.fields)
     return asked.page(
         "collection.html",
@@ -208,12 +202,8 @@ def _collection(asked: Asked) -> Response:
     )
 
 
-def _map(asked: Asked) -> Response:
-    return asked.page("search_map.html", **asked.site.maps.shown(asked.catalogue, asked.site.options))
-
-
-def _shape(asked: Asked) -> Response:
-    record = record_of(asked.catalogue, asked.name)
+def _shape(asked: _Asked) -> Response:
+    record = asked.record
     return asked.page(
         "shape.html",
         shape=shape_document(record),
@@ -223,12 +213,12 @@ def _shape(asked: Asked) -> Response:
     )
 
 
-def _compare(asked: Asked) -> Response:
+def _compare(asked: _Asked) -> Response:
     first, second = (asked.fields.get(name, "") for name in ("a", "b"))
     return asked.page("compare.html", **compared(asked.catalogue, first, second, asked.site.options))
 
 
-def _scan(asked: Asked) -> Response:
+def _scan(asked: _Asked) -> Response:
     job = asked.job
     described = job.described
     return asked.page(
@@ -242,7 +232,7 @@ def _scan(asked: Asked) -> Response:
     )
 
 
-def _inspection(asked: Asked) -> Response:
+def _inspection(asked: _Asked) -> Response:
     job = asked.job
     if job.page is None:
         raise NotFound(
@@ -256,87 +246,52 @@ def _inspection(asked: Asked) -> Response:
 # --- data -------------------------------------------------------------------------------------------------
 
 
-def _shapes(asked: Asked) -> Response:
-    return _Json(listing_document(asked.catalogue, Listing.of(asked.fields)))
-
-
-def _one(asked: Asked) -> Response:
-    return _Json(shape_document(record_of(asked.catalogue, asked.name)))
-
-
-def _similar(asked: Asked) -> Response:
-    record_of(asked.catalogue, asked.name)
-    return _Json(asked.found())
-
-
-def _similar_table(asked: Asked) -> Response:
-    record_of(asked.catalogue, asked.name)
-    return _table(asked.name, asked.answer())
+def _download(content: bytes, name: str, kind: str) -> Response:
+    headers = FRESH | {"content-disposition": f'attachment; filename="{name}"'}
+    return Response(content, headers=headers, media_type=kind)
 
 
 def _table(name: str, answer: Answer) -> Response:
-    headers = FRESH | {"content-disposition": 'attachment; filename="similar.csv"'}
-    return Response(
-        similar_csv(name, answer).encode("utf-8", "replace"), headers=headers, media_type="text/csv"
-    )
+    return _download(similar_csv(name, answer).encode("utf-8", "replace"), "similar.csv", "text/csv")
 
 
-def _thumbnail(asked: Asked) -> Response:
-    picture = asked.site.thumbnails.of(asked.catalogue, record_of(asked.catalogue, asked.name))
+def _thumbnail(asked: _Asked) -> Response:
+    picture = asked.site.thumbnails.of(asked.catalogue, asked.record)
     if picture is None:
         raise NotFound(f"the shape {asked.name!r} has no picture, because its mesh is not stored")
     return Response(picture, headers=KEPT, media_type="image/png")
 
 
-def _scene(asked: Asked) -> Response:
-    return _Json(scene_document(asked.catalogue, asked.name, asked.site.thumbnails))
-
-
-def _glb(asked: Asked) -> Response:
+def _glb(asked: _Asked) -> Response:
     """The surface of a shape as a binary glTF file, in the unit of the scan."""
-    headers = FRESH | {"content-disposition": 'attachment; filename="shape.glb"'}
     content = mesh_bytes(mesh_of(asked.catalogue, asked.name), "glb")
-    return Response(content, headers=headers, media_type="model/gltf-binary")
+    return _download(content, "shape.glb", "model/gltf-binary")
 
 
-def _scan_job(asked: Asked) -> Response:
-    return _Json(job_document(asked.job))
-
-
-def _scan_thumbnail(asked: Asked) -> Response:
+def _scan_thumbnail(asked: _Asked) -> Response:
     described = asked.job.described
     if described is None or described.picture is None:
         raise NotFound("the scan has no picture, because it has no surface")
     return Response(described.picture, headers=FRESH, media_type="image/png")
 
 
-def _scan_similar(asked: Asked) -> Response:
-    return _Json(asked.found(asked.job))
-
-
-def _scan_table(asked: Asked) -> Response:
-    job = asked.job
-    return _table(job.name, asked.answer(job))
-
-
 # --- uploaded scans ---------------------------------------------------------------------------------------
 
 
 async def _new_scan(request: Request) -> Response:
-    site, name = _site(request), request.query_params.get("name", "")
-    suffix = checked_suffix(name) if site.given_jobs else ""
-    job = site.jobs.begin(name)
+    name, jobs = request.query_params.get("name", ""), _site(request).jobs
+    suffix = checked_suffix(name)
+    job = jobs.begin(name)
     path = job.folder / f"scan{suffix}"
     try:
-        announced = request.headers.get("content-length")
-        await received(request.stream(), path, most_bytes=site.most_bytes, announced=announced)
+        await received(request, path, most_bytes=_site(request).most_bytes)
     except BaseException as error:
-        site.jobs.abandon(job)
+        jobs.abandon(job)
         if isinstance(error, ClientDisconnect):
             return Response(status_code=400)
         raise
     document = job_document(job)
-    site.jobs.submit(job, path)
+    jobs.submit(job, path)
     return _Json(document, 202, location=f"/scans/{job.id}")
 
 
@@ -354,8 +309,7 @@ async def _keep_scan_by_form(request: Request) -> Response:
         if len(body) > LONGEST_FORM:
             raise TooLarge(f"the form may have at most {LONGEST_FORM} bytes")
     record = await _kept(request, dict(parse_qsl(body.decode("utf-8", "replace"))))
-    address = f"/shape/{quote(record.id, safe='')}"
-    return Response(status_code=303, headers=FRESH | {"location": address})
+    return RedirectResponse(f"/shape/{quote(record.id, safe='')}", 303, headers=FRESH)
 
 
 async def _kept(request: Request, fields: Mapping[str, str]) -> Record:
@@ -387,24 +341,28 @@ async def _events(jobs: Jobs, job_id: str) -> AsyncIterator[str]:
 # --- addresses --------------------------------------------------------------------------------------------
 
 # Answers from the catalogue. The first are one search, which takes milliseconds, or less.
-SEARCHES: dict[str, Callable[[Asked], Response]] = {
+SEARCHES: dict[str, Callable[[_Asked], Response]] = {
     "/shape/{id}": _shape,
     "/scan/{id}": _scan,
-    "/shapes/{id}": _one,
-    "/shapes/{id}/similar": _similar,
-    "/shapes/{id}/similar.csv": _similar_table,
-    "/scans/{id}": _scan_job,
-    "/scans/{id}/similar": _scan_similar,
-    "/scans/{id}/similar.csv": _scan_table,
+    "/shapes/{id}": lambda asked: _Json(shape_document(asked.record)),
+    "/shapes/{id}/similar": lambda asked: _Json(asked.found()),
+    "/shapes/{id}/similar.csv": lambda asked: _table(asked.name, asked.answer()),
+    "/scans/{id}": lambda asked: _Json(job_document(asked.job)),
+    "/scans/{id}/similar": lambda asked: _Json(asked.found(asked.job)),
+    "/scans/{id}/similar.csv": lambda asked: _table(asked.job.name, asked.answer(asked.job)),
 }
-OTHERS: dict[str, Callable[[Asked], Response]] = {
+OTHERS: dict[str, Callable[[_Asked], Response]] = {
     "/": _collection,
-    "/map": _map,
+    "/map": lambda asked: asked.page(
+        "search_map.html", **asked.site.maps.shown(asked.catalogue, asked.site.options)
+    ),
     "/compare": _compare,
     "/scan/{id}/inspection": _inspection,
-    "/shapes": _shapes,
+    "/shapes": lambda asked: _Json(listing_document(asked.catalogue, Listing.of(asked.fields))),
     "/shapes/{id}/thumbnail.png": _thumbnail,
-    "/shapes/{id}/scene": _scene,
+    "/shapes/{id}/scene": lambda asked: _Json(
+        scene_document(asked.catalogue, asked.name, asked.site.thumbnails)
+    ),
     "/shapes/{id}/mesh.glb": _glb,
     "/scans/{id}/thumbnail.png": _scan_thumbnail,
 }
@@ -428,9 +386,9 @@ def application(site: Site) -> Starlette:
     return made
 
 
-def _read(answer: Callable[[Asked], Response], readers: Readers) -> Callable[[Request], Awaitable[Response]]:
+def _read(answer: Callable[[_Asked], Response], readers: Readers) -> Callable[[Request], Awaitable[Response]]:
     async def handler(request: Request) -> Response:
-        return await readers.read(lambda catalogue: answer(Asked(_site(request), catalogue, request)))
+        return await readers.read(lambda catalogue: answer(_Asked(_site(request), catalogue, request)))
 
     return handler
 
@@ -469,7 +427,7 @@ def _refusal(request: Request, status: int, message: str) -> Response:
 def _status(error: Exception) -> tuple[int, str]:
     """The status and the message for an error. What the caller cannot mend is logged, and not told."""
     if isinstance(error, InputError) and not isinstance(error, CatalogueError):
-        status = STATUSES.get(type(error), 400)
+        status = getattr(error, "status", 400)
         return status, without_folders(error.message) if status == 400 else error.message
     logger.error("a request failed: %s", error, exc_info=error)
     return 500, "the server failed to answer; its log says why"

@@ -4,20 +4,20 @@ from __future__ import annotations
 
 from concurrent.futures import Future, ThreadPoolExecutor
 from concurrent.futures import TimeoutError as NotYet
+from contextlib import suppress
 from threading import Lock
 from typing import Any
 
 import numpy as np
 
-from pcretrieve.catalogue import Catalogue
+from pcretrieve import Catalogue, PipelineOptions, SignatureIndex, TriangleMesh
 from pcretrieve.errors import InputError, ShapeError
-from pcretrieve.options import PipelineOptions
 from pcretrieve.pages.html import Curves, curves
 from pcretrieve.pages.map_page import map_drawing
 from pcretrieve.pages.scene import surface_scene
 from pcretrieve.pages.thumbnails import Thumbnails
-from pcretrieve.retrieval import SignatureIndex, plane_map
-from pcretrieve.values import FloatArray, TriangleMesh
+from pcretrieve.retrieval import plane_map
+from pcretrieve.values import FloatArray
 from pcretrieve.web.documents import record_of, shape_document, without_folders
 from pcretrieve.web.requests import NotFound
 
@@ -74,13 +74,9 @@ def mesh_of(catalogue: Catalogue, shape_id: str) -> TriangleMesh:
 
 def _rows(first: dict[str, Any], second: dict[str, Any]) -> list[tuple[str, str, str]]:
     """Properties of both shapes, as they are shown."""
+    names = {"area": "area", "vertices": "n_vertices", "faces": "n_faces", "Euler characteristic": "euler"}
     rows = []
-    for name, key in (
-        ("area", "area"),
-        ("vertices", "n_vertices"),
-        ("faces", "n_faces"),
-        ("Euler characteristic", "euler"),
-    ):
+    for name, key in names.items():
         one, other = ("unknown" if it[key] is None else f"{it[key]:,.6g}" for it in (first, second))
         rows.append((name, one, other))
     if first["area"] and second["area"]:
@@ -97,23 +93,12 @@ def _plots(catalogue: Catalogue, a: str, b: str) -> list[tuple[str, Curves]]:
         kind, signatures = "logarithms of the values", [np.log(values) for values in signatures]
     plots = [(f"Signatures, {kind}", curves(signatures))]
     plots.append((f"Second signature minus the first, {kind}", curves([signatures[1] - signatures[0]])))
-    spectra = [_spectrum(catalogue, shape_id) for shape_id in (a, b)]
-    stored = [spectrum for spectrum in spectra if spectrum is not None and len(spectrum)]
-    if len(stored) == len(spectra):
-        plots.append(("Spectra at unit area, logarithms of the eigenvalues", curves(stored)))
+    with suppress(ShapeError):  # spectra that are not stored
+        shapes = [catalogue.shape(shape_id, needs=("spectrum",)) for shape_id in (a, b)]
+        values = [shape.spectrum.eigenvalues for shape in shapes]
+        logs = [np.log(row[row > 0]) for row in values]
+        plots.append(("Spectra at unit area, logarithms of the eigenvalues", curves(logs)))
     return plots
-
-
-def _spectrum(catalogue: Catalogue, shape_id: str) -> FloatArray | None:
-    """(n,) logarithms of the eigenvalues above zero of the surface at unit area, if they are stored."""
-    try:
-        spectrum = catalogue.shape(shape_id, needs=("spectrum",)).surfaces[0].spectrum
-    except ShapeError:
-        return None
-    if spectrum is None:
-        return None
-    logs: FloatArray = np.log(spectrum.eigenvalues[spectrum.eigenvalues > 0])
-    return logs
 
 
 class Maps:
@@ -136,9 +121,12 @@ class Maps:
         if places is not None:
             labels = {origin.id: origin.label for origin in catalogue.origins()}
             drawing = map_drawing(ids, [labels.get(name) for name in ids], places)
-        whitening = without_folders(index.whitening.reason)
-        shown = {"drawing": drawing, "n_shown": len(ids), "n_shapes": len(index)}
-        return shown | {"whitening": whitening}
+        return {
+            "drawing": drawing,
+            "n_shown": len(ids),
+            "n_shapes": len(index),
+            "whitening": without_folders(index.whitening.reason),
+        }
 
     def close(self) -> None:
         """End the thread."""

@@ -9,10 +9,8 @@ from pathlib import Path
 from tempfile import gettempdir
 from typing import TYPE_CHECKING, Any
 
-from pcretrieve import __version__
-from pcretrieve.catalogue import Catalogue, Record
-from pcretrieve.options import PipelineOptions
-from pcretrieve.query import Answer, Described, Question, answer_to
+from pcretrieve import Answer, Catalogue, PipelineOptions, Record, __version__
+from pcretrieve.query import Described, Question, answer_to
 from pcretrieve.values.files import csv_text
 from pcretrieve.web.requests import Listing, NotFound, Similar
 

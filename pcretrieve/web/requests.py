@@ -6,7 +6,7 @@ import asyncio
 from collections.abc import AsyncIterable, Mapping
 from datetime import date
 from pathlib import Path, PurePosixPath
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 from urllib.parse import urlencode
 
 from pydantic import ConfigDict, Field
@@ -15,6 +15,9 @@ from typing_extensions import Self
 from pcretrieve.errors import InputError
 from pcretrieve.formats import missing_extra, suffixes
 from pcretrieve.options import Options
+
+if TYPE_CHECKING:
+    from starlette.requests import Request
 
 # Formats with all of a scan in one file. Left out are archives (.npz .3mf), and formats that name other files
 # of the computer that reads them (.conf .gltf .glb .txt).
@@ -29,17 +32,25 @@ RECEIVING_TIMEOUT = 600.0
 class NotFound(InputError):
     """There is nothing of this name."""
 
+    status = 404
+
 
 class TooLarge(InputError):
     """The body of a request has too many bytes."""
+
+    status = 413
 
 
 class TooSlow(InputError):
     """The body of a request has not arrived in time."""
 
+    status = 408
+
 
 class Busy(InputError):
     """Too many requests of this kind wait."""
+
+    status = 503
 
 
 class _Fields(Options):
@@ -94,15 +105,14 @@ def checked_suffix(name: str) -> str:
     return suffix
 
 
-async def received(
-    chunks: AsyncIterable[bytes], path: Path, *, most_bytes: int, announced: str | None
-) -> None:
+async def received(request: Request, path: Path, *, most_bytes: int) -> None:
     """Store the body of a request as a file."""
     message = f"a scan may have at most {most_bytes} bytes: reduce it, or use `pcretrieve query`"
-    if announced is not None and announced.isdecimal() and int(announced[:20]) > most_bytes:
+    announced = request.headers.get("content-length", "")
+    if announced.isdecimal() and int(announced[:20]) > most_bytes:
         raise TooLarge(message)
     try:
-        size = await asyncio.wait_for(_stored(chunks, path, most_bytes), RECEIVING_TIMEOUT)
+        size = await asyncio.wait_for(_stored(request.stream(), path, most_bytes), RECEIVING_TIMEOUT)
     except asyncio.TimeoutError as error:
         raise TooSlow(
             f"the scan has not arrived within {RECEIVING_TIMEOUT:g} s: reduce it, or use `pcretrieve query`"

@@ -10,10 +10,10 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from pcretrieve.catalogue import Catalogue
+from pcretrieve import Catalogue, PipelineOptions
 from pcretrieve.draw import upward
 from pcretrieve.errors import InputError
-from pcretrieve.options import OptionsLike, PipelineOptions
+from pcretrieve.options import OptionsLike
 from pcretrieve.retrieval import N_INTERPRETED
 
 if TYPE_CHECKING:
