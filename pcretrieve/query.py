@@ -132,9 +132,8 @@ class Answer(Value):
         The class that the neighbours vote for, weighted by their scores; the query itself does not vote. None
         if no class is known.
     rank_ranges : (k, 2) intp or None
-        The lowest and the highest rank that each neighbour has within the error bar of the query, as by
-        `pcretrieve.retrieval.rank_ranges`. None if the error bar is not known, and for ranks of a distance
-        matrix or of re-ranked lists.
+        The lowest and the highest rank that each neighbour has within the error bar of the query. None if the
+        error bar is not known, and for ranks of a distance matrix or of re-ranked lists.
     query : str, Described or None
         The query: its id in the catalogue, or its signature.
     """
@@ -246,8 +245,7 @@ def search(
         If the options require other spectra than the catalogue has.
     InputError
         If the catalogue has no shapes, or none of these classes; or, with `matrix`, does not have this query;
-        or if sizes are compared and one of the units, of the query and of the shapes, is known and the other
-        is not.
+        or if sizes are compared of which only one has a known unit.
     ShapeError
         If the scan cannot be read or has no usable surface.
     """
@@ -255,13 +253,11 @@ def search(
         chosen = PipelineOptions.of(options, store.options)
         question = Question(chosen, k, labels, exclude_self, min_score, unit, matrix)
         if not isinstance(query, (str, Path, Signature)):
-            query = _signature_of(store, query, question)
-        asked = _query_of(store, query, question)
-        ((_, outcome),) = _resolved(store, [asked], question)
+            query = described_scan(question.scan_options(store), False, None, query).signature
+        ((_, outcome),) = _resolved(store, [_query_of(store, query, question)], question)
         if isinstance(outcome, ShapeError):
             raise outcome
-        signature = outcome.signature if isinstance(outcome, Described) else outcome
-        return _cut(_ranked(store, signature, question, question.k), question)
+        return _cut(_ranked(store, outcome, question, question.k), question)
 
 
 def search_many(
@@ -287,14 +283,8 @@ def search_many(
     queries : iterable of str, Path or Signature
         Each as in `search`, or a folder, which stands for all scans in it. A str that is the id of a shape is
         that shape, also if there is a folder of this name.
-    k : int, default 10
-        This and the following parameters up to `min_score` are those of `search`, for each query.
-    options : OptionsLike, optional
-    matrix : DistanceMatrix, optional
-    unit : str, optional
-    labels : collection of str, optional
-    exclude_self : bool, default False
-    min_score : float, optional
+    k, options, matrix, unit, labels, exclude_self, min_score : object
+        As in `search`, for each query.
     timeout : float, optional
         Longest time for each scan, which is then processed in another process, not in this one; seconds.
     memory : float, optional
@@ -309,9 +299,7 @@ def search_many(
 
     Raises
     ------
-    CatalogueError
-        If the options require other spectra than the catalogue has.
-    InputError
+    CatalogueError, InputError
         As by `search`, before the first answer.
     """
     with opened(catalogue) as store:
@@ -334,21 +322,19 @@ def answers(
 
 def answer_to(catalogue: Catalogue, query: str | Described, question: Question) -> Answer:
     """Answer one query that is known already. No file is read, whatever the query is called."""
-    held, signature = (query, query) if isinstance(query, str) else (None, query.signature)
     has_ranges = question.matrix is None and question.options.retrieval.rerank == "none"
-    wide = _ranked(
-        catalogue, signature, question, max(2 * question.k, N_CANDIDATES) if has_ranges else question.k
-    )
+    k = max(2 * question.k, N_CANDIDATES) if has_ranges else question.k
+    wide = _ranked(catalogue, query, question, k)
     found = _cut(wide, question)
     records = tuple(catalogue.record(shape_id) for shape_id in found.ids)
     weights = np.ones(len(records)) if found.scores is None else found.scores
-    voters = [None if record.id == held else record.label for record in records]
+    voters = [None if record.id == query else record.label for record in records]
     ranges = None
     if has_ranges:
         index = catalogue.index(question.options)
         deviation = _deviation(catalogue, query, len(index.whitening.mean))
         if deviation is not None:
-            ranges = rank_ranges(index, signature, deviation, wide.ids)[: len(found)]
+            ranges = rank_ranges(index, _compared(query), deviation, wide.ids)[: len(found)]
     return Answer(found, records, class_vote(voters, weights), ranges, query)
 
 
@@ -376,10 +362,8 @@ def duplicates(
 
     Raises
     ------
-    CatalogueError
-        If the options require other spectra than the catalogue has.
-    InputError
-        If the catalogue has no shapes; without `threshold`, if the signatures are not compared by logarithms.
+    CatalogueError, InputError
+        As by `search`; and without `threshold`, if the signatures are not compared by logarithms.
     OptionError
         If the threshold is negative or not finite.
     """
@@ -434,10 +418,8 @@ def cluster(
 
     Raises
     ------
-    CatalogueError
-        If the options require other spectra than the catalogue has.
-    InputError
-        If the catalogue has no shapes.
+    CatalogueError, InputError
+        As by `search`.
     OptionError
         If `min_size` is less than 2.
     """
@@ -457,7 +439,7 @@ def without_labels(options: PipelineOptions) -> PipelineOptions:
     return options
 
 
-def described_scan(options: PipelineOptions, has_picture: bool, up: str | None, scan: Path) -> Described:
+def described_scan(options: PipelineOptions, has_picture: bool, up: str | None, scan: ScanLike) -> Described:
     """Process a scan, and draw a thumbnail of it on request, in which the axis `up` points upwards."""
     # Imported here, because shapes of the catalogue are found without the stages.
     from pcretrieve.pipeline.process import described_shape
@@ -488,16 +470,6 @@ def _described(
             yield scan, of_scan(scan)
         except ShapeError as error:
             yield scan, error
-
-
-def _signature_of(catalogue: Catalogue, scan: ScanLike, question: Question) -> Signature:
-    """The signature of an array or of geometry."""
-    from pcretrieve.descriptors import describe
-    from pcretrieve.pipeline.process import process
-
-    own, options = catalogue.options, question.options
-    own = own if question.unit is None else own.changed(scan={"unit": question.unit})
-    return replace(describe(process(scan, own), options.compared), digest=options.compared_digest)
 
 
 def _expanded(
@@ -581,35 +553,36 @@ def _resolved(
             yield name, query if isinstance(query, str) else Described(query)
 
 
-def _ranked(catalogue: Catalogue, query: str | Signature, question: Question, k: int) -> Neighbors:
+def _compared(query: str | Described) -> str | Signature:
+    return query if isinstance(query, str) else query.signature
+
+
+def _ranked(catalogue: Catalogue, query: str | Described, question: Question, k: int) -> Neighbors:
     """The `k` first results, without the query if it is to be left out."""
     among = None if question.labels is None else _labelled(catalogue, question.labels)
     # A query that is left out of its results is one of them before.
-    if question.matrix is not None and isinstance(query, str):
-        found = _of_matrix(question.matrix, query, among, k + question.exclude_self)
+    most = k + question.exclude_self
+    matrix = question.matrix
+    if matrix is not None and isinstance(query, str):
+        row = matrix.values[position_of(matrix.ids, query)]
+        chosen = [number for number, name in enumerate(matrix.ids) if among is None or name in among]
+        found = nearest_of([matrix.ids[number] for number in chosen], row[chosen], most)
     else:
-        found = _of_index(catalogue, query, question, among, k + question.exclude_self)
-    held = query if question.exclude_self and isinstance(query, str) else None
-    return _some(found, [row for row, name in enumerate(found.ids) if name != held][:k])
-
-
-def _of_matrix(matrix: DistanceMatrix, query: str, among: set[str] | None, k: int) -> Neighbors:
-    """The `k` first results by a distance matrix, among some shapes or all."""
-    row = matrix.values[position_of(matrix.ids, query)]
-    chosen = [number for number, name in enumerate(matrix.ids) if among is None or name in among]
-    return nearest_of([matrix.ids[number] for number in chosen], row[chosen], k)
+        found = _of_index(catalogue, query, question, among, most)
+    left_out = query if question.exclude_self else None
+    return _some(found, [row for row, name in enumerate(found.ids) if name != left_out][:k])
 
 
 def _of_index(
-    catalogue: Catalogue, query: str | Signature, question: Question, among: set[str] | None, k: int
+    catalogue: Catalogue, query: str | Described, question: Question, among: set[str] | None, k: int
 ) -> Neighbors:
     """The `k` first results by signatures, or more, among some shapes or all, with their scores."""
     index, method = catalogue.index(question.options), question.options.retrieval.rerank
     # The neighbourhoods of the results, among which a list is sorted again, need more shapes than asked for.
     most = k if method == "none" else max(k, N_NEAR)
-    found = index.query(query, most) if among is None else index.nearest_among(query, among, most)
-    held = query if isinstance(query, str) else None
-    ranked = reranked_neighbors(index, found, method, shape_id=held)
+    compared = _compared(query)
+    found = index.query(compared, most) if among is None else index.nearest_among(compared, among, most)
+    ranked = reranked_neighbors(index, found, method, shape_id=query if isinstance(query, str) else None)
     if index.scores is None:
         return ranked
     score_of = dict(zip(found.ids, index.scores.of(found.distances).tolist(), strict=True))
