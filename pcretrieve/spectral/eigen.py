@@ -20,10 +20,9 @@ from pcretrieve.errors import (
 from pcretrieve.spectral.krylov import BLOCK, basis_size, block_krylov
 from pcretrieve.values import Eigenpairs, FloatArray, LaplaceBeltrami
 
-# The shift σ of shift-invert iteration, times the area. S is singular, and S − σM is
-# factorised instead with σ < 0. |σ| is small enough that it is near to λ_1 (about 10
-# / area), and large enough that S − σM is well conditioned and θ_0 does not exceed
-# the other θ by orders of magnitude.
+# The shift σ of shift-invert iteration, times the area. S is singular, and S − σM is factorised instead with
+# σ < 0. |σ| is small enough that it is near to λ_1 (about 10 / area), and large enough that S − σM is well
+# conditioned and θ_0 does not exceed the other θ by orders of magnitude.
 RELATIVE_SHIFT = -1.0
 
 # Number of additional eigenpairs that ARPACK computes. Lanczos iteration with single vectors finds the copies
@@ -62,8 +61,7 @@ def eigenpairs(
     tolerance : float, default 1e-4
         Largest residual ‖T φ − θ φ‖ / θ of T = (S − σM)⁻¹M, with θ = 1/(λ − σ) and σ = −1/area; above 0, at
         most 1e-3. `Eigenpairs.largest_residual`, the residual of S φ = λ M φ, is of about the same size. The
-        error of eigenvalues is of the order of its square. ARPACK always
-        iterates to rounding accuracy.
+        error of eigenvalues is of the order of its square. ARPACK always iterates to rounding accuracy.
 
     Returns
     -------
@@ -95,17 +93,21 @@ def eigenpairs(
     _check_question(operator, n_pairs, tolerance)
     if solver not in ("krylov", "arpack"):
         raise OptionError(f"solver must be 'krylov' or 'arpack', got {solver!r}")
-    room = basis_size(n_pairs) + BLOCK
-    used = solver if operator.mass.shape[0] >= room else "dense"
+    used = solver if operator.mass.shape[0] >= basis_size(n_pairs) + BLOCK else "dense"
     try:
         # Overflow is detected in the results.
         with np.errstate(over="ignore", invalid="ignore"):
-            eigenvalues, vectors, iterations = BACKENDS[used](operator, n_pairs, tolerance)
+            shift = RELATIVE_SHIFT / operator.area
+            if used == "krylov":
+                found = block_krylov(operator, n_pairs, shift=shift, tolerance=tolerance)
+            else:
+                found = _arpack(operator, n_pairs, shift) if used == "arpack" else _dense(operator, n_pairs)
     except ArpackNoConvergence as error:
         raise SpectrumNotConverged(f"ARPACK must converge to rounding, did not: {error}") from error
     # SuperLU raises RuntimeError for a singular matrix; ArpackError is a RuntimeError too.
     except (LinAlgError, RuntimeError) as error:
         raise SpectrumError(f"the eigenvalue solver failed: {error}") from error
+    eigenvalues, vectors, iterations = found
     largest_residual = _check_answer(operator, eigenvalues, vectors)
 
     # The zero eigenvalue and its eigenvector are known exactly, and replace the computed ones.
@@ -144,30 +146,15 @@ def _check_question(operator: LaplaceBeltrami, n_pairs: int, tolerance: float) -
         raise SpectrumError(f"every unknown must have mass, got {n_massless} of {n} without")
 
 
-def _dense(operator: LaplaceBeltrami, n_pairs: int, _: float) -> tuple[FloatArray, FloatArray, int]:
-    eigenvalues, vectors = eigh(
-        operator.stiffness.toarray(),
-        operator.mass.toarray(),
-        subset_by_index=[0, n_pairs - 1],
-        check_finite=False,
-    )
+def _dense(operator: LaplaceBeltrami, n_pairs: int) -> tuple[FloatArray, FloatArray, int]:
+    stiffness, mass = operator.stiffness.toarray(), operator.mass.toarray()
+    eigenvalues, vectors = eigh(stiffness, mass, subset_by_index=[0, n_pairs - 1], check_finite=False)
     return eigenvalues, vectors, 0
 
 
-def _krylov(operator: LaplaceBeltrami, n_pairs: int, tolerance: float) -> tuple[FloatArray, FloatArray, int]:
-    return block_krylov(
-        operator.stiffness,
-        operator.mass,
-        n_pairs,
-        shift=RELATIVE_SHIFT / operator.area,
-        tolerance=tolerance,
-    )
-
-
-def _arpack(operator: LaplaceBeltrami, n_pairs: int, _: float) -> tuple[FloatArray, FloatArray, int]:
+def _arpack(operator: LaplaceBeltrami, n_pairs: int, shift: float) -> tuple[FloatArray, FloatArray, int]:
     stiffness, mass = operator.stiffness, operator.mass
     n = stiffness.shape[0]
-    shift = RELATIVE_SHIFT / operator.area
     # The shifted matrix is symmetric positive definite: diagonal pivots are stable, and minimum degree
     # ordering of the symmetric pattern causes less fill-in than the default ordering.
     factor = splu(
@@ -198,9 +185,6 @@ def _arpack(operator: LaplaceBeltrami, n_pairs: int, _: float) -> tuple[FloatArr
     )
     order = np.argsort(eigenvalues)[:n_pairs]
     return eigenvalues[order], vectors[:, order], n_solves
-
-
-BACKENDS = {"krylov": _krylov, "arpack": _arpack, "dense": _dense}
 
 
 def _check_answer(operator: LaplaceBeltrami, eigenvalues: FloatArray, vectors: FloatArray) -> float:

@@ -1,4 +1,9 @@
-"""The record that declares an element: a discretisation of the Laplace–Beltrami operator."""
+"""Surface → stiffness and mass matrices: linear, cubic and intrinsic Delaunay elements.
+
+A weak solution of Δφ + λφ = 0 satisfies ∫ ∇φ·∇ψ = λ ∫ φψ for all functions ψ. With a basis φ_1 … φ_n of a
+space of functions this is S x = λ M x, with the stiffness matrix S_ij = ∫ ∇φ_i·∇φ_j and the mass matrix
+M_ij = ∫ φ_i φ_j. An element is the choice of this space.
+"""
 
 from __future__ import annotations
 
@@ -14,10 +19,17 @@ from pcretrieve.errors import DegenerateMeshError, OptionError
 from pcretrieve.values import FloatArray, TriangleMesh
 
 Mass = Literal["consistent", "lumped"]
+Index = NDArray[np.integer]
 
 
 class Assembled(NamedTuple):
-    """The stiffness matrix, the mass matrix, and a mask of the rows whose nodes are on the boundary."""
+    """The matrices of an element, with one row for each node and the natural (Neumann) boundary condition.
+
+    stiffness: S, symmetric positive semi-definite, dimensionless, invariant to scaling. S·1 = 0, and the null
+        space is spanned by the constants on the components.
+    mass: M, symmetric positive definite; unit length². 1ᵀM·1 = area.
+    boundary: (n,) bool, the nodes on the boundary; all false for a cloud.
+    """
 
     stiffness: csc_array
     mass: csc_array
@@ -26,16 +38,14 @@ class Assembled(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Element:
-    """The declaration of an element, beside its function in pcretrieve or in another package.
+    """An element: one of `ELEMENTS`, or one's own, for `laplace_beltrami`.
 
     Attributes
     ----------
     name : str
         Value of the option `spectral.element`.
     assemble : function of TriangleMesh, or of PointCloud, that returns Assembled
-        The matrices with natural (Neumann) boundary conditions, S symmetric positive semi-definite and
-        invariant to scaling, M symmetric positive definite with 1ᵀM·1 = area, as in `LaplaceBeltrami`; the
-        mask may be all false for a cloud.
+        The matrices.
     needs : {"mesh", "points"}, default "mesh"
         What `assemble` is called with. For ``points``, no surface is reconstructed from a scan, and the
         boundary condition ``dirichlet`` is refused.
@@ -61,20 +71,22 @@ class Element:
             raise OptionError(f"masses of an element must be one or both of {known}, got {self.masses!r}")
 
 
-Index = NDArray[np.integer]
+class ReferenceElement(NamedTuple):
+    """The reference matrices of a finite element with q nodes on each triangle of area a.
 
+    Side k is from corner k to corner k + 1 (modulo 3), and D_k is the derivative along it, times its length.
 
-@dataclass(frozen=True, slots=True, eq=False)
-class ReferenceElement:
-    """The reference matrices of a finite element with q nodes on each triangle.
-
-    Side k is from corner k to corner k + 1 (modulo 3).
-
-    along: (q, q) float64, c_0 = (1/a) ∫ D_0 φ_i D_0 φ_j with the basis functions φ_i, dimensionless.
-    mass: (q, q) float64, (1/a) ∫ φ_i φ_j, dimensionless; J4 of Ye and Yu.
+    along: (q, q) float64, C_0 = (1/a) ∫ D_0 φ_i D_0 φ_j with the basis functions φ_i, dimensionless. C_1 and
+        C_2 are C_0 with the nodes permuted by `turn`.
+    mass: (q, q) float64, (1/a) ∫ φ_i φ_j, dimensionless; J4 of Ye and Yu [1]_, Tables 6 and 7.
     turn: (q,) int, the permutation of the nodes under the rotation of the triangle that maps corner k to
         corner k + 1.
     side: (r,) int, the nodes on side 0, including its corners.
+
+    References
+    ----------
+    .. [1] J. Ye and Y. Yu, "A fast modal space transform for robust nonrigid shape retrieval", The Visual
+       Computer 32 (2016), Appendix C.
     """
 
     along: FloatArray
@@ -83,11 +95,8 @@ class ReferenceElement:
     side: Index
 
 
-class Sides(NamedTuple):
-    """The (m, 3) edge numbers of the sides of each face, and the (e,) number of faces at each edge."""
-
-    edge: Index
-    use: Index
+# The (m, 3) edge numbers of the sides of each face, and the (e,) numbers of faces at each edge.
+Sides = tuple[Index, Index]
 
 
 def sides_of(mesh: TriangleMesh) -> Sides:
@@ -95,14 +104,13 @@ def sides_of(mesh: TriangleMesh) -> Sides:
     tail, head = mesh.faces.astype(np.int64), np.roll(mesh.faces, -1, axis=1)  # (m, 3) each
     key = np.minimum(tail, head) * len(mesh.vertices) + np.maximum(tail, head)
     _, edge, use = np.unique(key, return_inverse=True, return_counts=True)
-    return Sides(edge.reshape(-1, 3), use)
+    return edge.reshape(-1, 3), use
 
 
 def assembled(mesh: TriangleMesh, nodes: Index, element: ReferenceElement, sides: Sides) -> Assembled:
-    """Assemble the stiffness matrix and the consistent mass matrix of an element.
+    """The sums over all faces of ½ Σ_k cot γ_k C_k and of a J4, with the angle γ_k opposite to side k.
 
     nodes: (m, q) int, node numbers of each face. Every number from 0 to the largest occurs.
-    Returns Assembled: s, dimensionless, and M, unit length², with one row for each node.
     """
     corners = mesh.vertices[mesh.faces]  # (m, 3, 3)
     edges = np.roll(corners, -1, axis=1) - corners  # (m, 3, 3)
@@ -112,34 +120,27 @@ def assembled(mesh: TriangleMesh, nodes: Index, element: ReferenceElement, sides
     half_cotangents = -opposite / (4 * area[:, None])  # (m, 3)
 
     n = int(nodes.max()) + 1
+    edge, use = sides
     boundary = np.zeros(n, dtype=bool)
     along, side, back = [element.along], element.side, np.argsort(element.turn)
     for k in range(3):
-        boundary[nodes[sides.use[sides.edge[:, k]] == 1][:, side]] = True
+        boundary[nodes[use[edge[:, k]] == 1][:, side]] = True
         along.append(along[k][np.ix_(back, back)])
         side = element.turn[side]
-    stiffness, mass = _summed(
-        half_cotangents @ np.reshape(along[:3], (3, -1)), area[:, None] * element.mass.ravel(), nodes, n
-    )
-    return Assembled(stiffness, mass, boundary)
-
-
-def _summed(one: FloatArray, other: FloatArray, nodes: Index, n: int) -> tuple[csc_array, csc_array]:
-    """The (n, n) sums of the (m, q²) matrices of all faces, for two matrices of one pattern."""
     # Assembled as the real and the imaginary part of one matrix, so that its pattern is sorted once.
-    local = np.empty(one.shape, dtype=np.complex128)
-    local.real, local.imag = one, other
     q = nodes.shape[1]
+    local = np.empty((len(nodes), q * q), dtype=np.complex128)
+    local.real = half_cotangents @ np.reshape(along[:3], (3, -1))
+    local.imag = area[:, None] * element.mass.ravel()
     rows, columns = np.repeat(nodes, q, axis=1).ravel(), np.tile(nodes, (1, q)).ravel()
     total = csc_array(coo_array((local.ravel(), (rows, columns)), shape=(n, n)))
-    # Rounding depends on the order of summation where more than two faces meet: make
-    # the sum symmetric exactly.
+    # Rounding depends on the order of summation where more than two faces meet: make it exactly symmetric.
     total = csc_array((total + total.T) / 2)
-    first, second = (
+    stiffness, mass = (
         csc_array((part.copy(), total.indices, total.indptr), shape=(n, n))
         for part in (total.data.real, total.data.imag)
     )
-    return first, second
+    return Assembled(stiffness, mass, boundary)
 
 
 def check_faces(mesh: TriangleMesh) -> None:
@@ -163,26 +164,17 @@ def check_vertices(mesh: TriangleMesh) -> None:
 
 LINEAR_REFERENCE = ReferenceElement(
     along=np.array([[1.0, -1, 0], [-1, 1, 0], [0, 0, 0]]),
-    mass=np.array([[2, 1, 1], [1, 2, 1], [1, 1, 2]]) / 12,  # J4 of Table 6
+    mass=np.array([[2, 1, 1], [1, 2, 1], [1, 1, 2]]) / 12,
     turn=np.array([1, 2, 0]),
     side=np.array([0, 1]),
 )
 
 
 def linear(mesh: TriangleMesh) -> Assembled:
-    """Stiffness and mass of continuous functions that are linear on each face [1]_, Appendix C, Table 6.
+    """The matrices of continuous functions that are linear on each face, with one node for each vertex.
 
     The stiffness matrix is the cotangent matrix. The eigenvalues converge with order 2 in the edge length.
     With consistent mass on a flat surface they are upper bounds of the exact eigenvalues.
-
-    Returns Assembled: matrices of n rows, one for each vertex. S is symmetric positive semi-definite,
-        dimensionless, S·1 = 0, and its null space is spanned by the constants on the components. M is
-        symmetric positive definite, unit length², 1ᵀM·1 = area.
-
-    References
-    ----------
-    .. [1] J. Ye and Y. Yu, "A fast modal space transform for robust nonrigid shape retrieval", The Visual
-       Computer 32 (2016).
     """
     check_faces(mesh)
     return assembled(mesh, mesh.faces, LINEAR_REFERENCE, sides_of(mesh))
@@ -191,9 +183,8 @@ def linear(mesh: TriangleMesh) -> Assembled:
 LINEAR = Element("linear", linear)
 
 
-# The nodes are the corners 0, 1, 2; two nodes on each side, at one third and two
-# thirds of it; and the centre. The entries are exact rationals, which
-# tests/spectral/test_cubic.py derives from the basis functions.
+# The nodes are the corners 0, 1, 2; two on each side, at one third and two thirds of it; and the centre. The
+# entries are exact rationals, which tests/spectral/test_cubic.py derives from the basis functions.
 CUBIC_REFERENCE = ReferenceElement(
     along=np.array(
         [
@@ -231,19 +222,10 @@ CUBIC_REFERENCE = ReferenceElement(
 
 
 def cubic(mesh: TriangleMesh) -> Assembled:
-    """Stiffness and mass of continuous functions that are cubic on each face [1]_, Appendix C, Table 7.
+    """The matrices of continuous functions that are cubic on each face, with about 9 nodes for each vertex.
 
     The eigenvalues of a flat surface converge with order 6 in the edge length; with lumped mass, with order
     4. On a curved surface the flat faces limit the order to 2.
-
-    Returns Assembled: matrices of n + 2 e + m rows, about 9 n, in the order of `cubic_nodes`. S is symmetric
-        positive semi-definite, dimensionless, S·1 = 0, and its null space is spanned by the constants on the
-        components. M is symmetric positive definite, unit length², 1ᵀM·1 = area.
-
-    References
-    ----------
-    .. [1] J. Ye and Y. Yu, "A fast modal space transform for robust nonrigid shape retrieval", The Visual
-       Computer 32 (2016).
     """
     check_faces(mesh)
     sides = sides_of(mesh)
@@ -254,18 +236,52 @@ CUBIC = Element("cubic", cubic)
 
 
 def cubic_nodes(mesh: TriangleMesh, sides: Sides) -> Index:
-    """The numbers of the nodes of each face.
+    """(m, 10) numbers of the nodes of each face, in the order of `CUBIC_REFERENCE`.
 
     With n vertices and e edges, node i is vertex i; nodes n + 2 j and n + 2 j + 1 are on edge j, the first
     nearer to the vertex of lower number; node n + 2 e + f is the centre of face f.
-
-    Returns (m, 10) int32: node numbers, in the order of the nodes of `CUBIC_REFERENCE`.
     """
-    n, m = len(mesh.vertices), len(mesh.faces)
-    first = n + 2 * sides.edge  # (m, 3)
+    n, m, (edge, use) = len(mesh.vertices), len(mesh.faces), sides
+    first = n + 2 * edge  # (m, 3)
     # The two faces at an edge traverse it in opposite directions, but must number its nodes equally.
     down = mesh.faces > np.roll(mesh.faces, -1, axis=1)  # (m, 3)
     on_sides = np.stack([first + down, first + ~down], axis=2).reshape(m, 6)
-    centre = n + 2 * len(sides.use) + np.arange(m)
+    centre = n + 2 * len(use) + np.arange(m)
     # int32 halves the memory of the indices of the matrices, which have 100 entries for each face.
     return np.column_stack([mesh.faces, on_sides, centre]).astype(np.int32)
+
+
+def intrinsic_delaunay(mesh: TriangleMesh) -> Assembled:
+    """The matrices of linear elements on the intrinsic Delaunay triangulation [1]_, with lumped mass.
+
+    Edges are flipped within the surface, whose geometry does not change, until the triangulation is Delaunay.
+    No off-diagonal entry of the stiffness matrix is then positive, so that the maximum principle holds for
+    triangles of any shape, and the order of the error remains 2. If the triangulation is Delaunay from the
+    beginning, the stiffness matrix is that of `linear`. The flips are made in the tufted cover, which is a
+    manifold for every mesh: also with non-manifold edges, inconsistent orientation or duplicate faces.
+
+    References
+    ----------
+    .. [1] N. Sharp and K. Crane, "A Laplacian for nonmanifold triangle meshes", Computer Graphics Forum
+       39(5), 2020.
+    """
+    from robust_laplacian import mesh_laplacian
+
+    check_vertices(mesh)
+    folded = int((mesh.faces == np.roll(mesh.faces, 1, axis=1)).any(axis=1).sum())
+    if folded:
+        raise DegenerateMeshError(f"every face must have three corners, got {folded} that name one twice")
+    if mesh.flat_faces.all():
+        raise DegenerateMeshError("a surface must have an area, got only faces without")
+    try:
+        stiffness, mass = mesh_laplacian(mesh.vertices, mesh.faces)
+    except RuntimeError as error:
+        raise DegenerateMeshError(f"the surface has no intrinsic Delaunay triangulation: {error}") from error
+    edge, use = sides_of(mesh)
+    boundary = np.zeros(len(mesh.vertices), dtype=bool)
+    on_boundary = use[edge] == 1  # (m, 3)
+    boundary[mesh.faces[on_boundary]] = boundary[np.roll(mesh.faces, -1, axis=1)[on_boundary]] = True
+    return Assembled(csc_array(stiffness), csc_array(mass), boundary)
+
+
+INTRINSIC_DELAUNAY = Element("intrinsic-delaunay", intrinsic_delaunay, masses=("lumped",))

@@ -10,14 +10,14 @@ approximates the largest θ first, which are the smallest λ.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 
 import numpy as np
 from scipy.linalg import LinAlgError, eigh
-from scipy.sparse import csc_array, csr_array
+from scipy.sparse import csr_array
 
 from pcretrieve.errors import NegativeEigenvalues, NonFiniteSpectrum, SpectrumNotConverged
-from pcretrieve.values import FloatArray
+from pcretrieve.values import FloatArray, LaplaceBeltrami
 
 # Number of vectors in a block. An iteration finds at most as many copies of a multiple eigenvalue as the
 # block has vectors. The symmetry groups of bodies in space have irreducible representations of dimension 5 at
@@ -41,10 +41,9 @@ FALL_PER_BLOCK = 4
 # Largest number of vectors to which T is applied, in units of the size of the basis.
 LONGEST_RUN = 5
 
-# Largest loss of accuracy in one round of Gram–Schmidt orthogonalisation and
-# Cholesky QR, as a factor: the ratio of the lengths of the vectors before and after,
-# and the condition number of the block. Beyond it another round follows. Later
-# blocks lose a factor of about 2; the first ones, and those after a restart, more.
+# Largest loss of accuracy in one round of Gram–Schmidt orthogonalisation and Cholesky QR, as a factor: the
+# ratio of the lengths of the vectors before and after, and the condition number of the block. Beyond it
+# another round follows. Later blocks lose a factor of about 2; the first, and those after a restart, more.
 LARGEST_LOSS = 5.0
 MOST_ROUNDS = 6
 
@@ -52,8 +51,8 @@ MOST_ROUNDS = 6
 # reorthogonalisation). √ε would suffice for the eigenvalues, but would not save reorthogonalisations.
 LARGEST_LOST = 3e-11
 
-# Number of columns of the basis that a product overwrites at once, because a copy of
-# the basis would double the memory.
+# Number of columns of the basis that a product overwrites at once, because a copy of the basis would double
+# the memory.
 CHUNK = 4096
 
 
@@ -63,15 +62,14 @@ def basis_size(n_pairs: int) -> int:
 
 
 def block_krylov(
-    stiffness: csc_array, mass: csc_array, n_pairs: int, *, shift: float, tolerance: float
+    operator: LaplaceBeltrami, n_pairs: int, *, shift: float, tolerance: float
 ) -> tuple[FloatArray, FloatArray, int]:
     """Block Lanczos iteration [1]_ with partial reorthogonalisation [2]_ and thick restart [3]_.
 
-    stiffness, mass: (n, n) sparse, s and M, symmetric, such that S − σM is positive definite; n at least
-        `basis_size` + `BLOCK`.
+    operator: of at least `basis_size` + `BLOCK` rows.
     shift: σ, less than the smallest eigenvalue; unit length⁻².
-    Returns eigenvalues : (n_pairs,) float64: ascending; unit length⁻².
-    Returns vectors : (n, n_pairs) float64: m-orthonormal up to `LARGEST_LOST`; unit length⁻¹.
+    Returns eigenvalues, vectors, n_blocks: (n_pairs,) ascending; (n, n_pairs), M-orthonormal up to
+        `LARGEST_LOST`; and the number of blocks.
 
     References
     ----------
@@ -83,9 +81,9 @@ def block_krylov(
     .. [3] Wu and Simon, "Thick-restart Lanczos method for large symmetric eigenvalue problems", SIAM J.
        Matrix Anal. Appl. 22 (2000).
     """
-    n, size = mass.shape[0], basis_size(n_pairs)
-    by_rows = mass.T  # M in CSR format, since M is symmetric
-    solve = _cholesky((stiffness - shift * mass).T)
+    n, size = operator.mass.shape[0], basis_size(n_pairs)
+    mass = operator.mass.T  # M in CSR format, since M is symmetric
+    solve = _cholesky((operator.stiffness - shift * operator.mass).T)
     basis = np.empty((size + BLOCK, n))
     projected = np.zeros((size, size))  # QᵀMTQ
     lost = np.zeros((size, size))  # estimate of QᵀMQ − I
@@ -93,11 +91,11 @@ def block_krylov(
     # A fixed start block, for reproducible results. It is random, because it must have a component in every
     # eigenspace, which vectors with the symmetry of a surface have not.
     random = np.random.default_rng(0)
-    start = solve(by_rows @ random.standard_normal((n, BLOCK)))
+    start = solve(mass @ random.standard_normal((n, BLOCK)))
     # The last rows of QᵀMT block. The rows before them contain rounding errors and the effect of `lost` only.
     # They are set to zero, as they are for T projected onto an orthonormal basis of the same space [2]_.
     known = np.empty((0, BLOCK))
-    block, mapped, left, drift = _orthonormal(start, basis[:0], by_rows, known, known)
+    block, mapped, left, drift = _orthonormal(start, basis[:0], mass, known, known)
     width, look_at = 0, int(VECTORS_PER_PAIR_AT_FIRST_LOOK * n_pairs) + SPARE_VECTORS_AT_FIRST_LOOK
     for n_blocks in range(1, LONGEST_RUN * size // BLOCK + 1):
         new = slice(width, width + BLOCK)
@@ -110,12 +108,12 @@ def block_krylov(
         rows = slice(width - len(known), width)
         projected[rows, new] = known
         projected[new, rows] = known.T
-        # Estimate of QᵀM of the remainder of the image: the recurrence (4.19) of
-        # [2]_, from the symmetry of QᵀMTQ.
+        # Estimate of QᵀM of the remainder of the image: the recurrence (4.19) of [2]_, from the symmetry of
+        # QᵀMTQ.
         drift = projected[:width, :width] @ lost[:width, new] - lost[:width, rows] @ known
         drift += rounding * random.standard_normal(drift.shape)
         # T Q_new = Q_rows known + block left
-        block, mapped, left, drift = _orthonormal(image, basis[:width], by_rows, known, drift)
+        block, mapped, left, drift = _orthonormal(image, basis[:width], mass, known, drift)
         known = left.T
         full = width + BLOCK > size
         if width < look_at and not full:
@@ -133,12 +131,10 @@ def block_krylov(
         if full:
             width = (n_pairs + size) // 2
             turn = mixing[:, :width]
-            for part in _chunks(n):
-                basis[:width, part] = turn.T @ basis[: len(turn), part]
+            _turn(basis, lost, turn)
             projected[:] = 0
             projected[:width, :width] = np.diag(theta[:width])
             known = (outside * theta)[:, :width].T
-            lost[:width, :width] = turn.T @ lost[: len(turn), : len(turn)] @ turn
             drift = turn.T @ drift
         look_at = width + BLOCK * math.ceil(np.log(worst / tolerance) / np.log(FALL_PER_BLOCK))
     raise SpectrumNotConverged(
@@ -147,39 +143,36 @@ def block_krylov(
     )
 
 
+def _turn(basis: FloatArray, lost: FloatArray, turn: FloatArray) -> None:
+    """Replace the first vectors of the basis by their combinations, the columns of `turn`, in place."""
+    old, new = turn.shape
+    for first in range(0, basis.shape[1], CHUNK):
+        part = slice(first, first + CHUNK)
+        basis[:new, part] = turn.T @ basis[:old, part]
+    lost[:new, :new] = turn.T @ lost[:old, :old] @ turn
+
+
 def _combined(basis: FloatArray, mixing: FloatArray, outside: FloatArray) -> FloatArray:
     """The (n, n_pairs) eigenvectors: combinations of the basis, and of the block after it."""
     parts = np.concatenate([mixing, outside])  # (width + BLOCK, n_pairs)
     parts -= parts @ (outside.T @ outside) / 2  # M-orthonormal again, to first order
-    n = basis.shape[1]
-    vectors = np.empty((n, parts.shape[1]))
-    for part in _chunks(n):
+    vectors = np.empty((basis.shape[1], parts.shape[1]))
+    for first in range(0, len(vectors), CHUNK):
+        part = slice(first, first + CHUNK)
         vectors[part] = basis[: len(parts), part].T @ parts
     return vectors
-
-
-def _chunks(n: int) -> Iterator[slice]:
-    """Yield slices of the columns of the basis, for products in place."""
-    for first in range(0, n, CHUNK):
-        yield slice(first, first + CHUNK)
 
 
 def _orthonormal(
     block: FloatArray, basis: FloatArray, mass: csr_array, known: FloatArray, drift: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Orthogonalise a block against a basis, in the inner product of M.
+    """Orthogonalise an (n, BLOCK) block against a basis, in the inner product of M: block = Q known + X left.
 
-    block: (n, BLOCK) float64, the block.
-    basis: (width, n) float64, the basis, one vector in each row; Qᵀ are its last rows, as many as `known`
-        has.
-    mass: (n, n) sparse, m.
+    basis: (width, n) float64, one vector in each row; Qᵀ are its last rows, as many as `known` has.
     known: (k, BLOCK) float64, the component of the block along Q.
     drift: (width, BLOCK) float64, estimate of the component of the block along the basis, apart from `known`.
-    Returns block : (n, BLOCK) float64: x, M-orthonormal, with block = Q known + X left.
-    Returns mapped : (n, BLOCK) float64: m X.
-    Returns left : (BLOCK, BLOCK) float64: the coefficients of X.
-    Returns lost : (width, BLOCK) float64: estimate of the component of X along the basis, at most
-        `LARGEST_LOST`.
+    Returns X, M X, left, lost: X is M-orthonormal, and `lost`, (width, BLOCK), estimates its component along
+        the basis, at most `LARGEST_LOST`.
     """
     # Subtracted first: a later projection would multiply it by the loss of orthogonality of the basis.
     block = block - basis[len(basis) - len(known) :].T @ known  # (n, BLOCK)
@@ -214,15 +207,11 @@ def _cholesky(matrix: csr_array) -> Callable[[FloatArray], FloatArray]:
     """The inverse of a symmetric positive definite matrix, as a function; one triangle of it is read."""
     import cholespy  # only imported here: it loads CHOLMOD, and a GPU driver if there is one
 
+    rows, columns = matrix.indptr.astype(np.int32), matrix.indices.astype(np.int32)
     try:
-        solver = cholespy.CholeskySolverD(
-            matrix.shape[0],
-            matrix.indptr.astype(np.int32),
-            matrix.indices.astype(np.int32),
-            matrix.data,
-            # In CSC format the arrays would not be copied, and be freed by the solver.
-            cholespy.MatrixType.CSR,
-        )
+        # In CSC format the arrays would not be copied, and be freed by the solver.
+        kind = cholespy.MatrixType.CSR
+        solver = cholespy.CholeskySolverD(matrix.shape[0], rows, columns, matrix.data, kind)
     except ValueError as error:
         raise NegativeEigenvalues(
             f"S − σM must be positive definite for a σ below 0, got one that is not: {error}"

@@ -10,10 +10,9 @@ from scipy.sparse.csgraph import connected_components
 
 from pcretrieve.errors import DegenerateMeshError, InputError, OptionError, Stage, in_stage
 from pcretrieve.spectral.eigen import eigenpairs
-from pcretrieve.spectral.elements import CUBIC, LINEAR, Assembled, Element, Mass
-from pcretrieve.spectral.intrinsic_delaunay import INTRINSIC_DELAUNAY
+from pcretrieve.spectral.elements import CUBIC, INTRINSIC_DELAUNAY, LINEAR, Element, Mass
 from pcretrieve.spectral.points import POINTS
-from pcretrieve.values import Eigenpairs, LaplaceBeltrami, PointCloud, TriangleMesh
+from pcretrieve.values import Eigenpairs, LaplaceBeltrami, TriangleMesh
 from pcretrieve.values.conversion import GeometryLike, as_geometry
 
 #: The elements of pcretrieve by name.
@@ -35,11 +34,10 @@ def laplace_beltrami(
         What stands for a TriangleMesh, or for the element ``points`` a PointCloud (see `as_geometry`): a
         surface, with or without boundary, in which every vertex is in a face; or the points of one.
     element : str or Element, default "linear"
-        Discretisation, one's own or by name. ``linear``: linear Lagrange elements, order 2.
-        ``cubic``: cubic ones, order 6 on flat surfaces. ``intrinsic-delaunay``: linear elements on the
-        intrinsic Delaunay triangulation, for badly shaped and non-manifold triangles. ``points``: linear
-        elements on local triangulations of points. The sources are in
-        `pcretrieve.spectral.elements`, `.cubic`, `.intrinsic_delaunay` and `.points`.
+        Discretisation, one's own or by name. ``linear``: linear Lagrange elements, order 2. ``cubic``: cubic
+        ones, order 6 on flat surfaces. ``intrinsic-delaunay``: linear elements on the intrinsic Delaunay
+        triangulation, for badly shaped and non-manifold triangles. ``points``: linear elements on local
+        triangulations of points. The sources are in `pcretrieve.spectral.elements` and `.points`.
     mass : {"consistent", "lumped"}, optional
         ``consistent``: ∫ φ_i φ_j. ``lumped``: its row sums on the diagonal. With lumped mass the reduced
         matrix of R-BiHDM is exactly the projection of the dense kernel; consistent mass gives more accurate
@@ -69,23 +67,28 @@ def laplace_beltrami(
     geometry = as_geometry(surface)
     if isinstance(element, str):
         _one_of("element", element, tuple(ELEMENTS))
-    record = ELEMENTS[element] if isinstance(element, str) else element
+        element = ELEMENTS[element]
     _one_of("mass", mass, (None, "consistent", "lumped"))
     _one_of("boundary", boundary, ("neumann", "dirichlet"))
-    if mass not in (None, *record.masses):
-        raise OptionError(f"element {record.name!r} has {record.masses[0]} mass only, got mass={mass!r}")
-    if record.needs == "points" and boundary == "dirichlet":
-        raise OptionError(
-            f"element {record.name!r} has boundary='neumann' only: a cloud does not say where it ends"
-        )
-    assembled = _assembled(record, geometry)
+    name = element.name
+    if mass not in (None, *element.masses):
+        raise OptionError(f"element {name!r} has {element.masses[0]} mass only, got mass={mass!r}")
+    if element.needs == "points" and boundary == "dirichlet":
+        raise OptionError(f"element {name!r} has boundary='neumann' only: a cloud does not say where it ends")
+    if element.needs == "mesh" and not isinstance(geometry, TriangleMesh):
+        raise InputError(f"element {name!r} needs a TriangleMesh, got {type(geometry).__name__}")
+    if element.needs == "points" and isinstance(geometry, TriangleMesh):
+        raise InputError(f"element {name!r} needs a PointCloud or an (n, 3) array, got a TriangleMesh")
+    with in_stage(Stage.SPECTRUM):
+        assembled = element.assemble(geometry)
+        LaplaceBeltrami(assembled.stiffness, assembled.mass)  # raises, if it is not such an operator
 
     # The stiffness of a single edge can be zero (between two right angles). But the indicator function of a
     # proper subset of the nodes of a component has a non-zero gradient, so that not all entries between the
     # subset and its complement are zero: the graph of S has the components of the surface.
     n_components, component = connected_components(assembled.stiffness, directed=False)
     matrix = assembled.mass
-    if (mass or record.masses[0]) == "lumped":
+    if (mass or element.masses[0]) == "lumped":
         matrix = csc_array(diags_array(matrix.sum(axis=1)))
     if boundary == "neumann":
         return LaplaceBeltrami(assembled.stiffness, matrix, n_components=int(n_components))
@@ -105,18 +108,6 @@ def laplace_beltrami(
     return LaplaceBeltrami(stiffness, matrix, n_components=0, nodes=nodes)
 
 
-def _assembled(record: Element, surface: TriangleMesh | PointCloud) -> Assembled:
-    """The matrices of an element on a surface, or on a cloud."""
-    if record.needs == "mesh" and not isinstance(surface, TriangleMesh):
-        raise InputError(f"element {record.name!r} needs a TriangleMesh, got {type(surface).__name__}")
-    if record.needs == "points" and isinstance(surface, TriangleMesh):
-        raise InputError(f"element {record.name!r} needs a PointCloud or an (n, 3) array, got a TriangleMesh")
-    with in_stage(Stage.SPECTRUM):
-        assembled = record.assemble(surface)
-        LaplaceBeltrami(assembled.stiffness, assembled.mass)  # raises, if it is not such an operator
-        return assembled
-
-
 def _one_of(name: str, given: object, allowed: tuple[object, ...]) -> None:
     if given not in allowed:
         names = [repr(value) for value in allowed if value is not None]
@@ -127,8 +118,6 @@ def unit_eigenpairs(mesh: TriangleMesh, n_pairs: int, element: str = "linear") -
     """The lowest eigenpairs of a surface scaled to unit area, as all descriptors take them.
 
     At unit area tolerances mean the same for every surface: the matrix of R-BiHDM scales as length⁴.
-
-    mesh: in any unit and place.
     """
     vertices = (mesh.vertices - mesh.vertices.mean(axis=0)) / np.sqrt(mesh.area)
     return eigenpairs(laplace_beltrami(TriangleMesh(vertices, mesh.faces), element), n_pairs)

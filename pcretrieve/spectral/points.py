@@ -31,21 +31,17 @@ TURN_TOLERANCE = 1e-9
 
 
 def points(cloud: PointCloud) -> Assembled:
-    """Stiffness and mass of linear elements on Delaunay triangles in the tangent plane of each point [1]_.
+    """The matrices of linear elements on Delaunay triangles in the tangent plane of each point [1]_.
 
     If the cloud has normals, they are the normals of the tangent planes, and neighbours with opposite normals
     are not used, so that the two sides of a thin limb are not connected. The matrices of each triangle are
     divided by three, because each of its corners should generate it; if all three do, the result is that of
-    linear elements on the Delaunay triangulation. The area 1ᵀM·1 is too small at the boundary of an open
-    surface, and too large for noisy points.
+    linear elements on the Delaunay triangulation. 1ᵀM·1 approximates the area of the sampled surface; it is
+    too small at the boundary of an open surface, and too large for noisy points.
 
     The matrices that robust_laplacian makes of such triangles [2]_ are not used: they depend on the position
     of the cloud, through the rounding by which the copies of a triangle are ordered around its sides, and
     their eigenvalues are too small on random points.
-
-    Returns Assembled: matrices of one row for each point. S is symmetric positive semi-definite,
-        dimensionless, S·1 = 0, and its null space is spanned by the constants on the components. M is
-        symmetric positive definite, unit length²; 1ᵀM·1 approximates the area of the sampled surface.
 
     References
     ----------
@@ -74,10 +70,9 @@ POINTS = Element("points", points, needs="points", masses=("lumped", "consistent
 
 
 def star_mesh(cloud: PointCloud) -> TriangleMesh:
-    """A mesh of the Delaunay triangles that at least two of their corners generate, for display.
+    """A mesh, with small holes, of the Delaunay triangles that at least two corners generate, for display.
 
-    Returns TriangleMesh: a mesh with small holes, whose area is that of `points` within a few per cent. If
-        the cloud has normals, the faces are oriented by them.
+    If the cloud has normals, the faces are oriented by them.
     """
     faces = stars(cloud.points, cloud.normals)
     _, first, times = np.unique(np.sort(faces, axis=1), axis=0, return_index=True, return_counts=True)
@@ -97,10 +92,7 @@ def stars(positions: FloatArray, normals: FloatArray | None = None) -> IntArray:
     computed by gift wrapping for all points at once. If the point itself is a vertex of this hull, it is on a
     boundary, and the two sides at it give no triangles.
 
-    positions: (n, 3) float64, coordinates of the points.
-    normals: (n, 3) float64, optional, unit normals. Neighbours with opposite normals are not used.
-    Returns (t, 3) int32: numbers of the points of each triangle, of which the first has the triangle in its
-        star.
+    Returns (t, 3) int32: numbers of the points of each triangle, the first of which has it in its star.
     """
     n = len(positions)
     # (n, 1 + k); the first column is the point itself

@@ -33,20 +33,13 @@ MOST_STEPS = 30_000
 # of a set at once. FACES are the 6-neighbours of the centre, NEAR its 18-neighbours and EVERYTHING its
 # 26-neighbours; Y_LOW to Z_HIGH are the voxels that can be moved along an axis without leaving the
 # neighbourhood.
-_AROUND = np.array([[x, y, z] for x in range(3) for y in range(3) for z in range(3)])
-_BITS = 1 << np.arange(27)
-
-
-def _set(chosen: NDArray[np.bool_]) -> int:
-    return int(_BITS[chosen].sum())
-
-
-FACES = _set((_AROUND != 1).sum(axis=1) == 1)
-NEAR = _set(((_AROUND == 1).any(axis=1)) & (_AROUND != 1).any(axis=1))
-EVERYTHING = _set((_AROUND != 1).any(axis=1))
-Y_LOW, Y_HIGH = _set(_AROUND[:, 1] < 2), _set(_AROUND[:, 1] > 0)
-Z_LOW, Z_HIGH = _set(_AROUND[:, 2] < 2), _set(_AROUND[:, 2] > 0)
-
+_AROUND = [(x, y, z) for x in range(3) for y in range(3) for z in range(3)]
+_OFF = [sum(coordinate != 1 for coordinate in place) for place in _AROUND]  # from the centre, along some axes
+FACES = sum(1 << k for k in range(27) if _OFF[k] == 1)
+NEAR = sum(1 << k for k in range(27) if _OFF[k] in (1, 2))
+EVERYTHING = sum(1 << k for k in range(27) if _OFF[k])
+Y_LOW, Y_HIGH = (sum(1 << k for k in range(27) if _AROUND[k][1] != side) for side in (2, 0))
+Z_LOW, Z_HIGH = (sum(1 << k for k in range(27) if _AROUND[k][2] != side) for side in (2, 0))
 
 # The state of a voxel, as a set of bits: whether it may be added, was added, is adjacent to the region, is
 # adjacent to it by a link without a surfel, and waits in the queue 0 (the next bit is for the queue 1).
@@ -54,16 +47,11 @@ INSIDE, ADDED, ADJACENT, LINKED, WAITING = 1, 2, 4, 8, 16
 
 
 def grown(inside: Mask, priority: Voxels, walls: Mask) -> Mask:
-    """Grow a region without handles and cavities from the voxel of highest priority.
+    """Grow a region of genus 0, 6-connected and its complement 26-connected, in order of descending priority.
 
-    The region is 6-connected and its complement 26-connected.
-
-    inside: (a, b, c) bool, voxels that may be added; False on the border of the grid.
-    priority: (a, b, c) float32, voxels of the front are added in order of descending priority.
-    walls: (3, a, b, c) bool, whether the link from a voxel to the next along each axis crosses a surfel, from
-        `contacts.walls`. The region grows along such links only after all voxels that are reached by other
-        links.
-    Returns (a, b, c) bool: the region, of genus 0.
+    inside: voxels that may be added; False on the border of the grid.
+    walls: (3, a, b, c) bool, from `parts.walls`. The region grows along links that cross a surfel only after
+        all voxels that are reached by other links.
     """
     steps, seed = _steps(inside, priority)
     return _grown(steps, walls, seed)
@@ -214,13 +202,10 @@ HANDLE = 0.6
 def with_topology(
     inside: Mask, walls: Mask, outside: Outside, options: SurfaceOptions, notes: list[str]
 ) -> tuple[Mask, NDArray[np.intp]]:
-    """The body with the requested genus.
+    """The voxels of the body with the requested genus, and the (k, 3) voxels that were removed.
 
-    inside: (a, b, c) bool, voxels that may belong to the body; False on the border of the grid.
-    walls: (3, a, b, c) bool, whether the link from a voxel to the next along each axis crosses a surfel, from
-        `contacts.walls`.
-    Returns body : (a, b, c) bool: the voxels of the body.
-    Returns cuts : (k, 3) int: the voxels that were removed.
+    inside: voxels that may belong to the body; False on the border of the grid.
+    walls: (3, a, b, c) bool, from `parts.walls`.
     """
     if options.genus == "free":
         return inside, np.zeros((0, 3), dtype=np.intp)

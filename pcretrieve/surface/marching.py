@@ -15,11 +15,7 @@ from pcretrieve.values import FloatArray, IntArray
 
 
 class Crossings(NamedTuple):
-    """Where a surface crosses the links from a voxel to the next along one axis.
-
-    at: (k, 3) intp, the voxels at which the links begin, from `crossed`.
-    share: (k,) float64, or float for all, position of the crossing, as a fraction of the link.
-    """
+    """Where a surface crosses the links from (k, 3) voxels to the next along an axis, as a share of them."""
 
     at: NDArray[np.intp]
     share: FloatArray | float
@@ -33,9 +29,8 @@ NUMBER = {frozenset(edge): k for k, edge in enumerate(EDGES)}
 # Cubes with all corners in the body except two opposite ones.
 TUBES = {255 ^ (1 << k | 1 << (7 - k)) for k in range(4)}
 
-# Loops of at least this length are triangulated with a vertex in their middle. A
-# shorter loop crosses no face of its cube twice, so that none of its diagonals lies
-# in a face and coincides with a diagonal of the adjacent cube.
+# Loops of at least this length are triangulated with a vertex in their middle. A shorter loop crosses no face
+# of its cube twice, so that none of its diagonals lies in a face and coincides with one of the adjacent cube.
 LONG = 6
 
 # The number of such a vertex among those of a cube, after the vertices on its twelve edges. No cube has two.
@@ -57,10 +52,10 @@ def marched(body: Mask, crossings: Sequence[Crossings] = ()) -> tuple[FloatArray
     outside are connected through the cube. With these rules the surface is closed and manifold, and has the
     topology of the boundary, for every set of voxels.
 
-    body: (a, b, c) bool, the set; False on the border of the grid.
-    Returns vertices : (n, 3) float64: coordinates, in voxels. The vertices on links come first, in the order
-        of `crossed`.
-    Returns faces : (m, 3) int32: vertex numbers, counter-clockwise seen from outside.
+    body: the set; False on the border of the grid.
+    crossings: for each axis, the voxels from `crossed`; by default in the middle of the links.
+    Returns vertices, faces: coordinates, in voxels, first of the vertices on links, in the order of
+        `crossed`; and vertex numbers, counter-clockwise seen from outside.
 
     References
     ----------
@@ -142,11 +137,7 @@ def _triangulated(
 
 
 def crossed(body: Mask) -> list[NDArray[np.intp]]:
-    """The links between adjacent voxels of which one is in a set and the other is not.
-
-    body: (a, b, c) bool, the set of voxels.
-    Returns list of (k, 3) int, length 3: for each axis, the voxels at which these links begin.
-    """
+    """For each axis, the (k, 3) voxels of which the next is not in the set if they are, or the reverse."""
     return [_crossed(body, int(x), int(y), int(z)) for x, y, z in np.eye(3)]
 
 
@@ -196,7 +187,6 @@ def _table() -> tuple[IntArray, IntArray, IntArray]:
     return triangles, n_triangles, loops
 
 
-@cache
 def _loops(case: int) -> list[list[int]]:
     """Loops of crossed edges, counter-clockwise seen from outside, for the inner corners `case`."""
     inside = [bool(case >> k & 1) for k in range(8)]
@@ -223,15 +213,13 @@ def _loops(case: int) -> list[list[int]]:
     return loops
 
 
-@cache
 def _tube(case: int) -> list[list[int]]:
     """Triangles, as edges of the cube, of the tube between the loops around two opposite outer corners."""
     ends = _loops(case)
     triangles = []
     for loop, other in (ends, ends[::-1]):
         for first, last in zip(loop, loop[1:] + loop[:1], strict=True):
-            # The corner that both edges have in common is adjacent to the corner at
-            # the other end of the tube.
+            # The corner that both edges share is adjacent to the corner at the other end of the tube.
             corners = [*EDGES[first], *EDGES[last]]
             outer = max(corners, key=corners.count)
             across = outer ^ (EDGES[first][0] ^ EDGES[first][1]) ^ (EDGES[last][0] ^ EDGES[last][1])
@@ -259,12 +247,7 @@ SHRINK, SWELL = 0.5, -0.53
 
 
 def smoothed(vertices: FloatArray, faces: IntArray, moving: NDArray[np.intp], n_rounds: int) -> FloatArray:
-    """Smooth some vertices of a surface by Taubin's filter [1]_.
-
-    vertices: (n, 3) float64, coordinates of all vertices, in any unit.
-    faces: (m, 3) int32, vertex numbers of each face.
-    moving: (k,) int, the vertices that are smoothed; the others are fixed.
-    Returns (n, 3) float64: coordinates of all vertices, in the unit of the input.
+    """(n, 3) vertices of a surface, of which those with the numbers `moving` are smoothed [1]_.
 
     References
     ----------

@@ -55,12 +55,9 @@ MOST_CONTACTS = 0.08
 
 @njit(cache=True)
 def walls(at: FloatArray, normals: FloatArray, shape: tuple[int, int, int], radius: float = DISK) -> Mask:
-    """The links between adjacent voxels that cross the surfel of a point.
+    """(3, a, b, c) mask: for each axis and voxel, whether the link to the next voxel crosses a surfel.
 
-    at: (n, 3) float64, coordinates of the points, in voxels.
-    normals: (n, 3) float64, unit normals of the points; their sign does not matter.
-    Returns (3, a, b, c) bool: for each axis and voxel, whether the link to the next voxel along the axis
-        crosses a surfel.
+    at, normals: (n, 3) float64, positions of the surfels, in voxels, and unit normals of either sign.
     """
     walls = np.zeros((3, shape[0], shape[1], shape[2]), dtype=np.bool_)
     links = walls.reshape(3, -1)
@@ -89,11 +86,10 @@ def walls(at: FloatArray, normals: FloatArray, shape: tuple[int, int, int], radi
 def rims(at: FloatArray, normals: FloatArray, to_points: Voxels) -> tuple[FloatArray, FloatArray]:
     """Surfels half way between points that face each other across the narrow gap at the rim of a contact.
 
-    at: (n, 3) float64, coordinates of the points, in voxels.
-    normals: (n, 3) float64, unit normals of the points, which point out of the body.
-    to_points: (a, b, c) float32, distance to the nearest point; in voxels.
-    Returns middles, directions : (k, 3) float64: centres, in voxels, and unit normals of the surfels; at most
-        one in each voxel. They lie in the plane of symmetry of the two points and their normals.
+    at, normals: (n, 3) float64, positions of the points, in voxels, and unit normals out of the body.
+    to_points: distance of each voxel to the nearest point; in voxels.
+    Returns middles, directions: (k, 3) float64, positions and unit normals of the surfels; at most one in
+        each voxel. They lie in the plane of symmetry of the two points and their normals.
     """
     from scipy.spatial import cKDTree
 
@@ -126,10 +122,9 @@ def contact_layer(inside: Mask, walls: Mask, continued: Mask, to_points: Voxels)
     differ as much in their distance. This is repeated with the surfels that continue the walls inwards from
     the rims of contacts, and with `LONG_DETOUR`.
 
-    inside: (a, b, c) bool, voxels that may belong to the body; False on the border of the grid.
-    walls: (3, a, b, c) bool, the links that cross a surfel, from `walls`.
-    continued: (3, a, b, c) bool, the links that cross a surfel from `rims`.
-    to_points: (a, b, c) float32, distance to the nearest point; in voxels.
+    inside: voxels that may belong to the body; False on the border of the grid.
+    walls, continued: (3, a, b, c) bool, the links that cross a surfel of a point, and one from `rims`.
+    to_points: distance of each voxel to the nearest point; in voxels.
     Returns (a, b, c) bool: the voxels of the layer. All False if there are so many that noise is the cause.
     """
     middle = int(np.where(inside, to_points, -1).argmax())
@@ -231,10 +226,8 @@ def joined(
     A component with at least `LEAST_PIECE` of the points is connected to the body by a cylinder of voxels if
     it is near enough; other components are removed.
 
-    inside: (a, b, c) bool, the set of voxels; False on the border of the grid.
-    points: (n, 3) float64, the points of the scan; unit of the file.
-    Returns body : (a, b, c) bool: 6-connected, without cavities.
-    Returns bridges : (j, 3) int: the voxels that were added to connect components.
+    Returns body, bridges: the body, 6-connected and without cavities; and (j, 3) int, the voxels that were
+        added to connect components.
     """
     from scipy.ndimage import distance_transform_edt
 
@@ -262,7 +255,8 @@ def joined(
             notes.append(f"dropped a piece with {support[piece]:.1%} of the points, {gap:.3g} away")
             continue
         end = nearest[:, start[0], start[1], start[2]].astype(np.intp)
-        tube = _tube(start, end, radius=min(3.0, max(1.5, _thickness(pieces == piece))))
+        thickness = float(distance_transform_edt(pieces == piece).max())
+        tube = _tube(start, end, radius=min(3.0, max(1.5, thickness)))
         bridges.append(tube[~body[tuple(tube.T)] & (pieces[tuple(tube.T)] != piece)])
         body |= pieces == piece
         body[tuple(tube.T)] = True
@@ -281,13 +275,6 @@ def _pieces_at(pieces: NDArray[np.int32], at: FloatArray) -> NDArray[np.int32]:
         if found[i] == 0:
             found[i] = pieces[x - 1 : x + 2, y - 1 : y + 2, z - 1 : z + 2].max()
     return found
-
-
-def _thickness(piece: Mask) -> float:
-    """Largest distance of a voxel of the component from its complement; in voxels."""
-    from scipy.ndimage import distance_transform_edt
-
-    return float(distance_transform_edt(piece).max())
 
 
 def _tube(start: NDArray[np.intp], end: NDArray[np.intp], *, radius: float) -> NDArray[np.intp]:

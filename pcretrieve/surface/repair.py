@@ -1,4 +1,4 @@
-"""Splitting of non-manifold edges and vertices."""
+"""Any mesh → a connected, oriented manifold, without flat or repeated faces and small components."""
 
 from __future__ import annotations
 
@@ -65,9 +65,9 @@ def _pairs_around(mesh: TriangleMesh, edges: Edges, edge: int) -> Index:
     across = np.linalg.svd(axis[None])[2][1:]  # (2, 3): axes perpendicular to the edge
     across[1] *= np.sign(np.linalg.det([*across, axis]))
     x, y = across @ (mesh.vertices[apex] - mesh.vertices[low]).T  # (use,) each
-    # Seen against the axis, the interior is counter-clockwise of a face whose
-    # half-edge is opposite to the axis. Such a face opens a wedge, and the next free
-    # face of the other direction closes it, as parentheses match.
+    # Seen against the axis, the interior is counter-clockwise of a face whose half-edge is opposite to the
+    # axis. Such a face opens a wedge, and the next free face of the other direction closes it, as parentheses
+    # match.
     opened: list[int] = []
     unopened: list[int] = []
     pairs: list[tuple[int, int]] = []
@@ -139,9 +139,9 @@ def used_vertices(mesh: TriangleMesh) -> tuple[TriangleMesh, Notes]:
 def collapse_flat_faces(mesh: TriangleMesh) -> tuple[TriangleMesh, Notes]:
     """Collapse the shortest side of each degenerate face.
 
-    Removing the faces instead would leave slits between their neighbours. The side is collapsed to the
-    end that it shares with the longest side of the face. The other end lies on the longest side too, so that
-    the shape does not change.
+    Removing the faces instead would leave slits between their neighbours. The side is collapsed to the end
+    that it shares with the longest side of the face. The other end lies on the longest side too, so that the
+    shape does not change.
     """
     n_faces, flat = len(mesh.faces), mesh.flat_faces
     while flat.any():  # terminates: each round removes faces

@@ -77,12 +77,7 @@ def remesh(mesh: TriangleMesh, options: RemeshOptions, *, optimize: bool = False
 
 
 def boundary_faces(nodes: FloatArray, tetrahedra: IntArray) -> IntArray:
-    """The boundary of a tetrahedral mesh: the faces that belong to exactly one tetrahedron.
-
-    nodes: (p, 3) float64, coordinates of the nodes.
-    tetrahedra: (q, 4) int32, node numbers of each tetrahedron, in any orientation.
-    Returns (m, 3) int32: node numbers of each face, counter-clockwise seen from outside.
-    """
+    """The boundary of (q, 4) tetrahedra in any orientation: the faces of exactly one, outside in front."""
     a, b, c, d = (nodes[tetrahedra[:, k]] for k in range(4))
     negative = np.einsum("ij,ij->i", np.cross(b - a, c - a), d - a) < 0  # (q,)
     corners = np.where(negative[:, None], tetrahedra[:, [0, 2, 1, 3]], tetrahedra)
@@ -120,14 +115,11 @@ def tetrahedralize(
 ) -> tuple[FloatArray, IntArray]:
     """Generate a tetrahedral mesh inside a surface [1]_.
 
-    The result is not deterministic, because fTetWild takes its seed from the operating system.
+    The result is not deterministic, because fTetWild takes its seed from the operating system. For a surface
+    that is oriented inwards it is a mesh of a few nodes, without an error.
 
-    vertices: (n, 3) float64, coordinates.
-    faces: (m, 3) int32, vertex numbers of each face, oriented outwards. For a surface that is oriented
-        inwards the result is a mesh of a few nodes, without an error.
     timeout: time limit; seconds.
-    Returns nodes : (p, 3) float64: coordinates.
-    Returns tetrahedra : (q, 4) int32: node numbers of each tetrahedron.
+    Returns nodes, tetrahedra: (p, 3) coordinates, and (q, 4) node numbers.
 
     References
     ----------
