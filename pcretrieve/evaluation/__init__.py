@@ -5,13 +5,11 @@ measures and precision–recall curves go out.
 """
 
 from pcretrieve.evaluation.catalogue import (
-    RankedCatalogue,
     check_known,
     rank_catalogue,
     rank_matrix,
 )
 from pcretrieve.evaluation.comparison import (
-    Change,
     Comparison,
     compare_scores,
     read_scores,
@@ -19,11 +17,18 @@ from pcretrieve.evaluation.comparison import (
     write_evaluation,
 )
 from pcretrieve.evaluation.folds import evaluate_table, rank_table, rerank_table
-from pcretrieve.evaluation.front import Evaluation, calibrate, compare, evaluate, matrix
+from pcretrieve.evaluation.front import (
+    PUBLISHED,
+    Evaluation,
+    Published,
+    calibrate,
+    compare,
+    evaluate,
+    matrix,
+)
 from pcretrieve.evaluation.measures import (
     LEVEL,
     MEASURES,
-    ClassMeasures,
     Confusion,
     PrecisionRecall,
     QueryScores,
@@ -35,22 +40,18 @@ from pcretrieve.evaluation.measures import (
     precision_recall,
     query_scores,
 )
-from pcretrieve.evaluation.published import PUBLISHED, Published
 from pcretrieve.evaluation.rankings import Rankings, rank
 
 __all__ = [
     "LEVEL",
     "MEASURES",
     "PUBLISHED",
-    "Change",
-    "ClassMeasures",
     "Comparison",
     "Confusion",
     "Evaluation",
     "PrecisionRecall",
     "Published",
     "QueryScores",
-    "RankedCatalogue",
     "Rankings",
     "RetrievalMeasures",
     "bootstrap_interval",

@@ -35,8 +35,10 @@ from pcretrieve.values import FloatArray
 from pcretrieve.values.base import Value
 from pcretrieve.values.files import csv_text, write_file
 
-# Largest number of shapes in the message about classes that differ.
-QUOTED = 3
+# Columns of the file of queries, and the attributes of `QueryScores` in the same order.
+SCORES = (*MEASURES[:-1], "ap")
+# The first bytes of the file of a catalogue.
+SQLITE = b"SQLite format 3"
 
 
 class Change(NamedTuple):
@@ -73,28 +75,24 @@ class Comparison(Value):
 def compare_scores(first: QueryScores, second: QueryScores) -> Comparison:
     """Compare two results query by query."""
     row = {shape_id: number for number, shape_id in enumerate(second.ids)}
-    common = [number for number, shape_id in enumerate(first.ids) if shape_id in row]
-    if not common:
+    pairs = [(a, row[shape_id]) for a, shape_id in enumerate(first.ids) if shape_id in row]
+    if not pairs:
         raise InputError(
             f"two results must have queries in common, got none of {len(first.ids)} and {len(second.ids)}: "
             "compare results of the same shapes"
         )
-    other = [row[first.ids[number]] for number in common]
-    differing = [
-        first.ids[a] for a, b in zip(common, other, strict=True) if first.labels[a] != second.labels[b]
-    ]
-    if differing:
+    if differing := [first.ids[a] for a, b in pairs if first.labels[a] != second.labels[b]]:
         raise InputError(
             f"a query must have the same class in both results, {len(differing)} have another, such as "
-            f"{', '.join(differing[:QUOTED])}: give both the same labels"
+            f"{', '.join(differing[:3])}: give both the same labels"
         )
-    one, two = first.columns[common], second.columns[other]  # (Q, 6)
     changes = [
-        Change(first.ids[a], first.labels[a], float(first.ap[a]), float(second.ap[b]))
-        for a, b in zip(common, other, strict=True)
+        Change(first.ids[a], first.labels[a], float(first.ap[a]), float(second.ap[b])) for a, b in pairs
     ]
     changes.sort(key=lambda change: (-abs(change.second - change.first), change.shape_id))
-    both = {first.ids[number] for number in common}
+    rows, others = map(list, zip(*pairs, strict=True))
+    common = {first.ids[a] for a in rows}
+    one, two = first.columns[rows], second.columns[others]  # (Q, 6)
     return Comparison(
         first=one.mean(axis=0),
         second=two.mean(axis=0),
@@ -102,16 +100,9 @@ def compare_scores(first: QueryScores, second: QueryScores) -> Comparison:
         interval=bootstrap_interval(two - one),
         level=LEVEL,
         changes=tuple(changes),
-        only_first=tuple(shape_id for shape_id in first.ids if shape_id not in both),
-        only_second=tuple(shape_id for shape_id in second.ids if shape_id not in both),
+        only_first=tuple(shape_id for shape_id in first.ids if shape_id not in common),
+        only_second=tuple(shape_id for shape_id in second.ids if shape_id not in common),
     )
-
-
-# Columns of the file of queries, and the attributes of `QueryScores` in the same order.
-SCORES = (*MEASURES[:-1], "ap")
-
-# What the column of shapes without a class is named in the file of confusions.
-NO_CLASS = ""
 
 
 def write_evaluation(ranked: Rankings, folder: str | Path) -> tuple[Path, ...]:
@@ -121,33 +112,22 @@ def write_evaluation(ranked: Rankings, folder: str | Path) -> tuple[Path, ...]:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise InputError(f"cannot make the folder {folder}: {error.strerror}") from error
-    scores = query_scores(ranked)
-    confused = confusion(ranked)
-    queries = zip(
-        scores.ids,
-        scores.labels,
-        *scores.columns.T.tolist(),
-        ranked.nearest,
-        ranked.nearest_labels,
-        strict=True,
-    )
+    scores, confused, curve = query_scores(ranked), confusion(ranked), precision_recall(ranked)
+    near = ranked.nearest, ranked.nearest_labels
     files: dict[str, tuple[Sequence[object], Iterable[Sequence[object]]]] = {
-        "queries.csv": (("id", "label", *SCORES, "nearest", "nearest_label"), queries),
+        "queries.csv": (
+            ("id", "label", *SCORES, "nearest", "nearest_label"),
+            zip(scores.ids, scores.labels, *scores.columns.T.tolist(), *near, strict=True),
+        ),
         "classes.csv": (
             ("label", "n_queries", *MEASURES),
             ((one.label, one.n_queries, *one.means.tolist()) for one in class_measures(ranked)),
         ),
         "confusion.csv": (
-            ("label", *(NO_CLASS if label is None else label for label in confused.nearest)),
-            (
-                (label, *counts)
-                for label, counts in zip(confused.labels, confused.counts.tolist(), strict=True)
-            ),
+            ("label", *(label or "" for label in confused.nearest)),
+            zip(confused.labels, *confused.counts.T.tolist(), strict=True),
         ),
-        "precision_recall.csv": (
-            ("recall", "precision"),
-            zip(*(column.tolist() for column in precision_recall(ranked)), strict=True),
-        ),
+        "precision_recall.csv": (curve._fields, zip(*(column.tolist() for column in curve), strict=True)),
     }
     paths = []
     for name, (header, rows) in files.items():
@@ -176,10 +156,6 @@ def read_scores(path: str | Path) -> QueryScores:
     if not all(((column >= 0) & (column <= 1)).all() for column in columns):
         raise InputError(f"the measures in {path} must lie between 0 and 1, got others")
     return QueryScores(ids, labels, *columns)
-
-
-# The first bytes of the file of a catalogue.
-SQLITE = b"SQLite format 3"
 
 
 def result_scores(

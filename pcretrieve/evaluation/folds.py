@@ -53,11 +53,18 @@ class Fold(NamedTuple):
     whitening: Whitening
 
 
-def grouped_folds(
-    labels: Iterable[str | None], options: RetrievalOptions | None = None
-) -> tuple[tuple[str, ...], ...]:
+class Subset(NamedTuple):
+    """Shapes of a gallery that are ranked among each other.
+
+    members: (m,) intp, positions of the shapes in the gallery.
+    """
+
+    members: Positions
+    blocks: Iterable[DistanceBlock]
+
+
+def grouped_folds(labels: Iterable[str | None], options: RetrievalOptions) -> tuple[tuple[str, ...], ...]:
     """Assign classes, with all their shapes, to folds."""
-    options = options or RetrievalOptions()
     n_folds = options.n_folds
     sizes = Counter(label for label in labels if label is not None)
     shared = sorted(label for label, size in sizes.items() if size > 1)
@@ -72,9 +79,8 @@ def grouped_folds(
     return tuple(tuple(dealt[fold::n_folds]) for fold in range(n_folds))
 
 
-def within_class_folds(table: SignatureTable, options: RetrievalOptions | None = None) -> Iterator[Fold]:
+def within_class_folds(table: SignatureTable, options: RetrievalOptions) -> Iterator[Fold]:
     """The labelled shapes of each fold, with the within-class whitening of the other folds."""
-    options = options or RetrievalOptions()
     logs = table_coordinates(table, options.distance)
     for classes in grouped_folds(table.labels, options):
         scored = np.array([label in classes for label in table.labels])
@@ -90,38 +96,23 @@ def within_class_folds(table: SignatureTable, options: RetrievalOptions | None =
         yield Fold(np.flatnonzero(scored), whitening)
 
 
-def within_class_distances(
-    table: SignatureTable, options: RetrievalOptions | None = None
-) -> Iterator[DistanceBlock]:
+def within_class_distances(table: SignatureTable, options: RetrievalOptions) -> Iterator[DistanceBlock]:
     """Distances from each labelled shape to the whole table, after the whitening of its fold."""
-    options = options or RetrievalOptions()
     logs = table_coordinates(table, options.distance)
-    for fold in within_class_folds(table, options):
-        yield from pairwise_blocks(options.distance, fold.whitening.apply(logs), fold.queries)
+    for queries, whitening in within_class_folds(table, options):
+        yield from pairwise_blocks(options.distance, whitening.apply(logs), queries)
 
 
-def within_class_subsets(table: SignatureTable, options: RetrievalOptions | None = None) -> Iterator[Subset]:
+def within_class_subsets(table: SignatureTable, options: RetrievalOptions) -> Iterator[Subset]:
     """The shapes of each fold, and their distances after its whitening.
 
     Shapes of the fit are left out, because their classes are dense, since their labels were used, and would
     distort what re-ranking measures: neighbourhoods.
     """
-    options = options or RetrievalOptions()
     logs = table_coordinates(table, options.distance)
-    for fold in within_class_folds(table, options):
-        whitened = fold.whitening.apply(logs[fold.queries])
-        own = np.arange(len(fold.queries))
-        yield Subset(fold.queries, pairwise_blocks(options.distance, whitened, own))
-
-
-class Subset(NamedTuple):
-    """Shapes of a gallery that are ranked among each other.
-
-    members: (m,) intp, positions of the shapes in the gallery.
-    """
-
-    members: Positions
-    blocks: Iterable[DistanceBlock]
+    for queries, whitening in within_class_folds(table, options):
+        blocks = pairwise_blocks(options.distance, whitening.apply(logs[queries]), np.arange(len(queries)))
+        yield Subset(queries, blocks)
 
 
 def rank_subsets(
@@ -132,10 +123,9 @@ def rank_subsets(
     *,
     failed: Mapping[str, str | None] = NO_FAILURES,
 ) -> dict[str, Rankings]:
-    """Rank each labelled shape's subset of a gallery, by plain and by re-ranked lists.
+    """Rank each labelled shape's subset of a gallery, by plain lists ("none") and by those of each method.
 
-    Returns dict of str to Rankings: by the name of the method. Shapes behind the list that is sorted again
-        keep their ranks.
+    Shapes behind the list that is sorted again keep their ranks.
     """
     lists: list[tuple[Positions, NeighbourLists]] = []
 
@@ -154,14 +144,11 @@ def rank_subsets(
             lists.append((members, kept))
 
     plain = rank_sorted(plain_blocks(), ids, labels, failed=failed)
+    rankings = {"none": plain}
     # Ranks behind the lists are as before. Lists that are shorter have all shapes of their subset.
     behind = plain.hit_rank > N_RERANKED
     labelled = np.array([label is not None for label in labels], dtype=bool)
-    rankings = {}
-    for method in methods:
-        if method == "none":
-            rankings[method] = plain
-            continue
+    for method in (method for method in methods if method != "none"):
         again = (
             SortedBlock(members[queries], members[rerank(method, kept, queries)])
             for members, kept in lists
@@ -221,11 +208,11 @@ def rerank_table(
 
 def _is_within_class(table: SignatureTable, options: RetrievalOptions, whitening: Whitening | None) -> bool:
     """Whether a whitening is fitted by grouped folds."""
-    if (options.whitening if whitening is None else whitening.kind) != "within-class":
-        return False
-    if whitening is not None:
+    if whitening is None:
+        return options.whitening == "within-class"
+    if whitening.kind == "within-class":
         whitening.check_made_for(table.digest)
-    return True
+    return whitening.kind == "within-class"
 
 
 def _labels(index: SignatureIndex, table: SignatureTable) -> list[str | None]:

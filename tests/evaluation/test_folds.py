@@ -42,39 +42,32 @@ def distance_matrix(table: SignatureTable, distance: str) -> FloatArray:
     return matrix
 
 
-def test_every_class_is_in_one_fold() -> None:
+def test_every_class_is_in_one_fold_whatever_the_order_of_shapes() -> None:
+    """Classes of one are spread beside the others."""
     labels = [f"class {number % 13}" for number in range(50)]
-    folds = grouped_folds(labels)
+    folds = grouped_folds(labels, WITHIN_CLASS)
     assert sorted(name for fold in folds for name in fold) == sorted(set(labels))
     assert sorted(len(fold) for fold in folds) == [2, 2, 3, 3, 3]
-
-
-def test_classes_of_one_are_spread_beside_the_others() -> None:
-    folds = grouped_folds([*"aabbccddeeffgghhiijj", *"uvwxy", None])
+    assert folds == grouped_folds(labels[::-1], WITHIN_CLASS)
+    folds = grouped_folds([*"aabbccddeeffgghhiijj", *"uvwxy", None], WITHIN_CLASS)
     assert [sum(name in "abcdefghij" for name in fold) for fold in folds] == [2] * 5
     assert [sum(name in "uvwxy" for name in fold) for fold in folds] == [1] * 5
-
-
-def test_folds_are_always_the_same_whatever_the_order_of_shapes() -> None:
-    labels = [f"class {number % 13}" for number in range(50)]
-    assert grouped_folds(labels) == grouped_folds(labels[::-1])
 
 
 def test_the_whitening_has_seen_no_value_of_the_classes_it_is_scored_on() -> None:
     table = a_table()
     poison = np.random.default_rng(7)
-    for number, fold in enumerate(within_class_folds(table)):
+    folds = list(within_class_folds(table, WITHIN_CLASS))
+    for number, fold in enumerate(folds):
         values = table.values.copy()
         values[fold.queries] = poison.lognormal(0, 5, values[fold.queries].shape)
-        poisoned = list(within_class_folds(replace(table, values=values)))
+        poisoned = list(within_class_folds(replace(table, values=values), WITHIN_CLASS))
         assert (poisoned[number].queries == fold.queries).all()
         assert (poisoned[number].whitening.matrix == fold.whitening.matrix).all()
         assert (poisoned[number].whitening.mean == fold.whitening.mean).all()
         # All other folds are fitted on these values, so that the changed values did affect these fits.
         for other in range(5):
-            same = (
-                poisoned[other].whitening.matrix == list(within_class_folds(table))[other].whitening.matrix
-            ).all()
+            same = (poisoned[other].whitening.matrix == folds[other].whitening.matrix).all()
             assert same == (other == number)
 
 
@@ -90,25 +83,20 @@ def test_the_whitening_of_a_fold_is_that_of_the_other_folds() -> None:
         assert fold.whitening.options_digest == "3f2a"
 
 
-@pytest.mark.parametrize("distance", DISTANCES)
-def test_queries_are_ranked_against_the_whole_gallery(distance: str) -> None:
+def test_queries_are_ranked_against_the_whole_gallery() -> None:
     table = a_table()
-    matrix = distance_matrix(table, distance)
     logs = coordinates(table.values)
-    for fold in within_class_folds(table):
-        whitened = fold.whitening.apply(logs)
-        assert (matrix[fold.queries] == pairwise(distance, whitened[fold.queries], whitened)).all()
+    for distance in DISTANCES:
+        matrix = distance_matrix(table, distance)
+        for fold in within_class_folds(table, WITHIN_CLASS):
+            whitened = fold.whitening.apply(logs)
+            assert (matrix[fold.queries] == pairwise(distance, whitened[fold.queries], whitened)).all()
 
 
 def test_unlabelled_shapes_are_ranked_but_not_fitted_on() -> None:
     table = a_table()
-    stranger = SignatureTable(
-        (*table.ids, "stranger"),
-        np.vstack([table.values, np.full(8, 50.0)]),
-        "r-bihdm",
-        "3f2a",
-        (*table.labels, None),
-    )
+    values = np.vstack([table.values, np.full(8, 50.0)])
+    stranger = replace(table, ids=(*table.ids, "stranger"), values=values, labels=(*table.labels, None))
     alone, among = distance_matrix(table, "log"), distance_matrix(stranger, "log")
     assert among.shape == (61, 61)
     assert (among[:60, :60] == alone).all()
@@ -136,14 +124,7 @@ def test_within_class_whitening_finds_nothing_in_noise() -> None:
 @pytest.mark.parametrize("whitening", ["none", "pca", "within-class"])
 def test_evaluation_does_not_depend_on_the_order_of_shapes(whitening: str) -> None:
     table = a_table()
-    order = np.random.default_rng(5).permutation(60)
-    shuffled = SignatureTable(
-        tuple(table.ids[i] for i in order),
-        table.values[order],
-        "r-bihdm",
-        "3f2a",
-        tuple(table.labels[i] for i in order),
-    )
+    shuffled = table.select([table.ids[i] for i in np.random.default_rng(5).permutation(60)])
     assert asdict(evaluate_table(shuffled, RetrievalOptions(whitening=whitening))) == pytest.approx(
         asdict(evaluate_table(table, RetrievalOptions(whitening=whitening)))
     )

@@ -18,8 +18,6 @@ from pcretrieve.evaluation.rankings import Rankings, rank_gallery
 from pcretrieve.retrieval import DistanceBlock
 from pcretrieve.values import FloatArray
 
-MEASURES = ("nn", "ft", "st", "e", "dcg", "map")
-
 # Two classes, X = abc and Y = de, and the order in which each shape finds the others.
 LABELS = {"a": "X", "b": "X", "c": "X", "d": "Y", "e": "Y"}
 ORDERS = {"a": "bdce", "b": "deac", "c": "abde", "d": "eabc", "e": "adbc"}
@@ -129,33 +127,20 @@ def test_a_failed_shape_is_a_query_without_score_and_a_miss_for_its_class() -> N
     assert means.nn == pytest.approx(2 / 3)
 
 
-def test_a_class_larger_than_the_list_of_e() -> None:
-    """40 shapes in one class, 32 shown: the best E is below 1."""
-    n = 45
-    labels = ["A"] * 40 + [None] * 5
-    near = np.where(np.arange(n) < 40, 1.0, 2.0)
-    result = evaluate_rankings(
-        rank_gallery(
-            [DistanceBlock(np.arange(40), np.tile(near, (40, 1)))], [f"{i:02}" for i in range(n)], labels
-        )
-    )
-    assert result.e == pytest.approx(2 / (1 / 1 + 39 / 32))
-    assert (result.nn, result.ft, result.st, result.dcg, result.map) == pytest.approx((1, 1, 1, 1, 1))
+def test_classes_larger_than_the_list_of_e_and_than_the_second_tier() -> None:
+    """40 shapes of one class, 32 shown: E is below 1. Behind 5 others, 2R = 78 nearest are all 44."""
+    ids, labels = [f"{i:02}" for i in range(45)], ["A"] * 40 + [None] * 5
 
+    def of_class_at(own: float) -> RetrievalMeasures:
+        rows = np.tile(np.where(np.arange(45) < 40, own, 1.5), (40, 1))
+        return evaluate_rankings(rank_gallery([DistanceBlock(np.arange(40), rows)], ids, labels))
 
-def test_a_second_tier_longer_than_the_list() -> None:
-    """40 shapes in one class, all ranked behind the 5 others: 2R = 78 nearest are all 44."""
-    n = 45
-    labels = ["A"] * 40 + [None] * 5
-    far = np.where(np.arange(n) < 40, 2.0, 1.0)
-    result = evaluate_rankings(
-        rank_gallery(
-            [DistanceBlock(np.arange(40), np.tile(far, (40, 1)))], [f"{i:02}" for i in range(n)], labels
-        )
-    )
-    assert (result.nn, result.st) == (0, 1)
-    assert result.ft == pytest.approx(34 / 39)
-    assert result.e == pytest.approx(2 * 27 / (32 + 39))
+    near, far = of_class_at(1.0), of_class_at(2.0)
+    assert near.e == pytest.approx(2 / (1 / 1 + 39 / 32))
+    assert (near.nn, near.ft, near.st, near.dcg, near.map) == pytest.approx((1, 1, 1, 1, 1))
+    assert (far.nn, far.st) == (0, 1)
+    assert far.ft == pytest.approx(34 / 39)
+    assert far.e == pytest.approx(2 * 27 / (32 + 39))
 
 
 @pytest.mark.parametrize("seed", range(3))
