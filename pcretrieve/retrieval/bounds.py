@@ -81,10 +81,6 @@ N_LAST = 16
 N_BLOCKS = 2
 GROWTH = 16
 
-# Number of blocks whose bounds are computed together without compiled code: their arrays fit the second-level
-# cache.
-N_TOGETHER = 32
-
 
 class LowerBounds(NamedTuple):
     """The blocks of a table of points, of which each has at most S.
@@ -143,10 +139,14 @@ class LowerBounds(NamedTuple):
             and self.codes.shape == (n_blocks, n_axes, size)
         )
 
-    def candidates(self, point: FloatArray, k: int, radius: Callable[[Rows], float], scan: Scan) -> Positions:
-        """The rows (n,), ascending, that include the `k` nearest and all at equal distance.
+    @property
+    def cells(self) -> tuple[NDArray[np.uint8], Rows, FloatArray, FloatArray]:
+        """What `scan` reads of all blocks."""
+        return self.codes, self.rows, self.low, self.step
 
-        point: (L,) float64, the query.
+    def candidates(self, point: FloatArray, k: int, radius: Callable[[Rows], float], scan: Scan) -> Positions:
+        """The rows (n,), ascending, that include the `k` nearest to a point (L,) and all at equal distance.
+
         radius: function of (n,) rows that returns a distance within which at least `k` of them lie.
         """
         query = (point - self.mean) @ self.axes  # (D,)
@@ -156,7 +156,8 @@ class LowerBounds(NamedTuple):
         limit, start, n = math.inf, 0, N_BLOCKS
         while start < len(order) and to_blocks[order[start]] <= limit:
             chosen = order[start : start + n]
-            found = self._to_rows(query, chosen[to_blocks[chosen] <= limit], limit, scan)
+            near = chosen[to_blocks[chosen] <= limit]
+            found = scan(*self.cells, near, query, HALF_CELL, np.float32(limit))
             rows, to_rows = np.concatenate([rows, found[0]]), np.concatenate([to_rows, found[1]])
             start, n = start + n, GROWTH * n
             is_last = start >= len(order) or to_blocks[order[start]] > limit
@@ -166,8 +167,8 @@ class LowerBounds(NamedTuple):
             if N_FIRST * k < len(rows):
                 first = rows[np.argpartition(to_rows, N_FIRST * k - 1)[: N_FIRST * k]]
             limit = min(limit, self._limit(radius(first)))
-            near = ~(to_rows > limit)
-            rows, to_rows = rows[near], to_rows[near]
+            within = ~(to_rows > limit)
+            rows, to_rows = rows[within], to_rows[within]
         return np.sort(rows).astype(np.intp)
 
     def _to_blocks(self, query: FloatArray) -> FloatArray:
@@ -177,13 +178,6 @@ class LowerBounds(NamedTuple):
             bounds: FloatArray = (gaps**2).sum(axis=1)
         bounds[np.isnan(bounds)] = 0
         return bounds
-
-    def _to_rows(
-        self, query: FloatArray, chosen: Positions, limit: float, scan: Scan
-    ) -> tuple[Rows, Singles]:
-        """The rows (n,) in some blocks, and squares of lower bounds of their distances, up to a limit."""
-        cells = self.codes, self.rows, self.low, self.step
-        return scan(*cells, chosen, query, HALF_CELL, np.float32(limit))
 
     def _limit(self, radius: float) -> float:
         """The largest bound that a point within a radius can have."""
@@ -206,20 +200,15 @@ def scan(
 
     half: half the length of a cell, relative to it.
     """
-    near, bounds = [np.empty(0, np.int32)], [np.empty(0, np.float32)]
-    for first in range(0, len(blocks), N_TOGETHER):
-        part = blocks[first : first + N_TOGETHER]
-        offset = (low[part] - query + step[part] / 2).astype(np.float32)
-        single, ends = step[part].astype(np.float32), (half * step[part]).astype(np.float32)
-        total = np.zeros((len(part), codes.shape[2]), np.float32)
-        with np.errstate(over="ignore", invalid="ignore"):
-            for axis in range(codes.shape[1]):
-                apart = np.abs(codes[part, axis] * single[:, axis, np.newaxis] + offset[:, axis, np.newaxis])
-                total += np.maximum(apart - ends[:, axis, np.newaxis], 0) ** 2
-        within = ~(total > limit) & (rows[part] != NO_ROW)
-        near.append(rows[part][within])
-        bounds.append(total[within])
-    return np.concatenate(near), np.concatenate(bounds)
+    offset = (low[blocks] - query + step[blocks] / 2).astype(np.float32)
+    single, ends = step[blocks].astype(np.float32), (half * step[blocks]).astype(np.float32)
+    total = np.zeros((len(blocks), codes.shape[2]), np.float32)
+    with np.errstate(over="ignore", invalid="ignore"):
+        for axis in range(codes.shape[1]):
+            apart = np.abs(codes[blocks, axis] * single[:, axis, np.newaxis] + offset[:, axis, np.newaxis])
+            total += np.maximum(apart - ends[:, axis, np.newaxis], 0) ** 2
+    within = ~(total > limit) & (rows[blocks] != NO_ROW)
+    return rows[blocks][within], total[within]
 
 
 def _leaves(leading: NDArray[np.float32], members: Rows) -> Iterator[Rows]:

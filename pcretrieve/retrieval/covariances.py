@@ -50,11 +50,7 @@ LEAST_PAIRS = 10
 
 
 class Fit(NamedTuple):
-    """What a whitening is made of.
-
-    shapes: (n, L) float64, the shapes of the fit.
-    covariance: (L, L) float64, regularised; None if nothing can be learned.
-    """
+    """The shapes (n, L) of a whitening, and their regularised covariance; None if nothing can be learned."""
 
     shapes: FloatArray
     covariance: FloatArray | None
@@ -78,10 +74,7 @@ def inverse_square_root(covariance: FloatArray) -> FloatArray:
 
 
 def scatter_matrix(logs: FloatArray, mean: FloatArray) -> FloatArray:
-    """The outer products of many shapes (N, L) minus their mean, summed: (L, L), N − 1 times the covariance.
-
-    No centred copy of the table is made.
-    """
+    """N − 1 times the covariance (L, L) of many shapes (N, L), of which no centred copy is made."""
     scatter = np.zeros((len(mean), len(mean)))
     for start in range(0, len(logs), CHUNK):
         centred = logs[start : start + CHUNK] - mean
@@ -109,10 +102,7 @@ def _shrunk(covariance: FloatArray, intensity: float, *, one_unit: bool = True) 
 def within_class_covariance(
     logs: FloatArray, labels: Sequence[str | None] | None, shrinkage: Shrinkage, *, one_unit: bool
 ) -> Fit:
-    """The shapes in classes of at least two shapes, and their shrunk pooled covariance.
-
-    logs: (N, L) float64, log-signatures.
-    """
+    """Of log-signatures (N, L), those in classes of at least two, and their shrunk pooled covariance."""
     members = _members(labels or ())
     fitted = logs[np.concatenate(members)]  # class after class
     check_distinct("within-class", fitted)
@@ -183,11 +173,7 @@ def _likeliest_shrinkage(residuals: FloatArray, classes: Positions, *, one_unit:
 def neighbour_covariance(
     logs: FloatArray, shrinkage: Shrinkage, n_neighbors: int | Literal["auto"], prior: FloatArray | None
 ) -> Fit:
-    """The covariance of the differences of neighbours.
-
-    logs: (N, L) float64, log-signatures.
-    prior: (L, L) float64 or None, as in `fit_whitening`.
-    """
+    """The covariance of the differences of neighbours among log-signatures (N, L), or why there is none."""
     if len(logs) < LEAST_SHAPES:
         reason = f"none, because {len(logs)} shapes are too few to learn from neighbours ({LEAST_SHAPES})"
         return Fit(logs, None, 0.0, reason)

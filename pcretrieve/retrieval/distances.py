@@ -24,7 +24,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple, Protocol, get_args
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -77,11 +77,6 @@ class Distance:
     metrics: tuple[Metric, ...] = ("logarithms",)
     exceeds_log: bool = False
 
-    def __post_init__(self) -> None:
-        if wrong := sorted(set(self.metrics).difference(get_args(Metric))):
-            known = ", ".join(get_args(Metric))
-            raise OptionError(f"metrics of a distance must be of {known}, got {wrong[0]!r}")
-
 
 DISTANCES = {
     distance.name: distance
@@ -103,11 +98,7 @@ def known_distance(distance: str | Distance) -> Distance:
 
 
 def coordinates(values: ArrayLike, metric: Metric = "logarithms") -> FloatArray:
-    """The coordinates of signatures, of whose differences the distances are functions.
-
-    values: (…, L) array_like, signature values.
-    Returns (…, L) float64: the logarithms, the values themselves, or the square roots.
-    """
+    """The coordinates (…, L) of signatures (…, L): the logarithms, the values, or the square roots."""
     if metric == "logarithms":
         logs: FloatArray = np.log(_checked(values, "positive and finite", lambda x: np.isfinite(x) & (x > 0)))
         return logs
@@ -120,29 +111,26 @@ def coordinates(values: ArrayLike, metric: Metric = "logarithms") -> FloatArray:
 
 def table_coordinates(table: SignatureTable, distance: str | Distance) -> FloatArray:
     """The coordinates (N, L) of the signatures in a table, for a distance."""
-    check_comparable(table.kind, table.metric, distance)
+    check_comparable(table, distance)
     return coordinates(table.values, table.metric)
 
 
-def check_comparable(kind: str, metric: Metric, distance: str | Distance) -> None:
-    """Check that a distance is meaningful for signatures."""
+def check_comparable(table: SignatureTable, distance: str | Distance) -> None:
+    """OptionError if a distance is not meaningful for the signatures of a table."""
     asked = known_distance(distance)
-    if metric not in asked.metrics:
-        meaningful = ", ".join(name for name, each in DISTANCES.items() if metric in each.metrics)
+    if table.metric not in asked.metrics:
+        meaningful = ", ".join(name for name, each in DISTANCES.items() if table.metric in each.metrics)
         raise OptionError(
-            f"distance must be {meaningful} for {kind}, which is compared as {metric}, got {asked.name!r}"
+            f"distance must be {meaningful} for {table.kind}, which is compared as {table.metric}, got "
+            f"{asked.name!r}"
         )
 
 
 def pairwise(distance: str | Distance, queries: FloatArray, gallery: FloatArray) -> FloatArray:
-    """Distances of all queries to all shapes of the gallery.
+    """Distances (Q, N) of all queries (Q, L) to all shapes of the gallery (N, L), by their coordinates.
 
     The floating-point result for a pair depends on this pair alone: equal signatures have exactly equal
     distances, and d(a, b) = d(b, a) exactly.
-
-    queries: (Q, L) float64, coordinates, with or without whitening.
-    gallery: (N, L) float64, coordinates with the same whitening.
-    Returns (Q, N) float64: dimensionless.
     """
     between = known_distance(distance).between
     n_values = max(1, gallery.shape[1])
@@ -172,12 +160,7 @@ def _checked(values: ArrayLike, kind: str, holds: Callable[[FloatArray], NDArray
 
 
 class DistanceBlock(NamedTuple):
-    """Some rows of a distance matrix, so that the matrix need not be in memory as a whole.
-
-    queries: (q,) intp, positions of the queries in the gallery.
-    distances: (q, N) float64, distances from each query to every shape of the gallery, in the order of the
-        gallery, the query itself included.
-    """
+    """Distances (q, N) from some shapes (q,) of a gallery to all N, themselves included."""
 
     queries: Positions
     distances: FloatArray

@@ -111,7 +111,7 @@ class _MadeBy(NamedTuple):
     unit: SizeUnit | None
 
     def check(self, query: Signature) -> None:
-        """Check that a signature is comparable with those of the table.
+        """InputError if a signature is not comparable with those of the table.
 
         Sizes are not converted, because scans whose unit is known are converted to metres when they are read.
         """
@@ -120,16 +120,20 @@ class _MadeBy(NamedTuple):
                 f"signatures must be made by the same method and options as the table, "
                 f"{self.kind!r} {self.digest!r}, got {query.kind!r} {query.digest!r}"
             )
-        if (query.unit, self.unit) == ("unknown", "m"):
-            raise InputError(
-                "sizes must be in one unit to be compared: the shapes are in metres, the unit of the query "
-                f"is unknown; say the unit of the query by --unit (scan.unit), {INSTEAD}"
-            )
-        if (query.unit, self.unit) == ("m", "unknown"):
-            raise InputError(
-                "sizes must be in one unit to be compared: the query is in metres, the unit of the shapes is "
-                f"unknown; ingest the shapes into a new catalogue with --unit (scan.unit), {INSTEAD}"
-            )
+        units = {
+            (
+                "unknown",
+                "m",
+            ): "the shapes are in metres, the unit of the query is unknown; say the unit of the "
+            "query by --unit (scan.unit)",
+            (
+                "m",
+                "unknown",
+            ): "the query is in metres, the unit of the shapes is unknown; ingest the shapes into "
+            "a new catalogue with --unit (scan.unit)",
+        }
+        if wrong := units.get((str(query.unit), str(self.unit))):
+            raise InputError(f"sizes must be in one unit to be compared: {wrong}, {INSTEAD}")
 
 
 class SignatureIndex:
@@ -180,7 +184,7 @@ class SignatureIndex:
             raise InputError("an index needs at least 1 shape, got an empty table; ingest shapes first")
         options = options or RetrievalOptions()
         self._distance = distance or known_distance(options.distance)
-        check_comparable(table.kind, table.metric, self._distance)
+        check_comparable(table, self._distance)
         self._made_by = _MadeBy(table.kind, table.digest, table.metric, table.unit)
         self.whitening = whitening or table_whitening(table, options)
         self.whitening.check_made_for(table.digest)
@@ -267,14 +271,10 @@ class SignatureIndex:
         rows = np.arange(len(self)) if queries is None else queries
         yield from pairwise_blocks(self._distance, self.points, rows)
 
-    def between(self, ids: Sequence[str]) -> FloatArray:
-        """Distances (m, m) between some shapes of the table."""
-        points = self._rows(ids)
-        return pairwise(self._distance, points, points)
-
-    def around(self, drawn: FloatArray, ids: Sequence[str]) -> FloatArray:
-        """Distances (Q, m) of whitened coordinates (Q, L) to some shapes of the table."""
-        return pairwise(self._distance, drawn, self._rows(ids))
+    def between(self, ids: Sequence[str], points: FloatArray | None = None) -> FloatArray:
+        """Distances (Q, m) of whitened coordinates (Q, L), or (m, m) of some shapes, to these shapes."""
+        rows = self._rows(ids)
+        return pairwise(self._distance, rows if points is None else points, rows)
 
     def point_of(self, query: str | Signature | ArrayLike) -> FloatArray:
         """The whitened coordinates (1, L) of a shape of the table, or of a signature that is comparable."""
@@ -317,7 +317,7 @@ class SignatureIndex:
         return radius
 
     def to_arrays(self) -> dict[str, NDArray[Any]]:
-        """The contents as arrays by name, none of which holds objects: the input of `from_arrays`."""
+        """The contents as arrays by name, none of which holds objects; they may be mapped into memory."""
         arrays = {
             "distance": np.array(self.distance),
             "gallery": self.points,
@@ -334,23 +334,7 @@ class SignatureIndex:
 
     @classmethod
     def from_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> SignatureIndex:
-        """The index that `to_arrays` has written as arrays, which may be mapped into memory.
-
-        Parameters
-        ----------
-        arrays : mapping of str to array
-            The arrays, which are not copied.
-
-        Returns
-        -------
-        SignatureIndex
-            It gives the answers of the index before.
-
-        Raises
-        ------
-        InputError
-            If an array is missing or has the wrong shape.
-        """
+        """The inverse of `to_arrays`; InputError if an array is missing or has the wrong shape."""
         fitted, scored = (
             {name.removeprefix(prefix): array for name, array in arrays.items() if name.startswith(prefix)}
             for prefix in (WHITENING, SCORES)

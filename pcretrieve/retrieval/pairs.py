@@ -50,11 +50,7 @@ SHORTEST = 1e-4
 
 
 class NeighbourPairs(NamedTuple):
-    """Weighted pairs of near shapes.
-
-    first, second: (P,) intp, positions of the two shapes of each pair.
-    weights: (P,) float64, positive; for squared differences of log-signatures.
-    """
+    """Pairs of near shapes by their positions (P,), with weights (P,) for their squared differences."""
 
     first: Positions
     second: Positions
@@ -63,10 +59,7 @@ class NeighbourPairs(NamedTuple):
 
 
 def neighbour_pairs(logs: FloatArray, n_neighbors: int | Literal["auto"] = "auto") -> NeighbourPairs:
-    """Find the pairs of shapes that are among each other's nearest.
-
-    logs: (N, L) float64, log-signatures, one in each row.
-    """
+    """The pairs of shapes, given as log-signatures (N, L), that are among each other's nearest."""
     from scipy.sparse import triu
 
     rows = np.arange(len(logs)) if len(logs) <= LARGEST else near_groups(logs, LARGEST)
@@ -116,11 +109,7 @@ def _blocks(points: FloatArray) -> Iterator[DistanceBlock]:
 
 
 def near_groups(logs: FloatArray, largest: int) -> Positions:
-    """The shapes that are nearest to a few shapes chosen at random.
-
-    logs: (N, L) float64, log-signatures, one in each row.
-    Returns (n,) intp: their rows, ascending.
-    """
+    """The rows (n,), ascending, of the log-signatures (N, L) nearest to a few that are chosen at random."""
     seeds = np.random.default_rng(SEED).choice(len(logs), N_GROUPS, replace=False)
     size = largest // N_GROUPS
     squares = np.einsum("ij,ij->i", logs, logs)  # (N,)

@@ -50,11 +50,7 @@ EXPANDED = 2 / 3
 
 
 class NeighbourLists(NamedTuple):
-    """The nearest shapes of each of N shapes.
-
-    order: (N, K) intp, positions, nearest first. The first one is the shape itself.
-    distances: (N, K) float64, their distances.
-    """
+    """The positions (N, K) of the shapes nearest to each of N shapes, itself first, and their distances."""
 
     order: Positions
     distances: FloatArray
@@ -198,10 +194,7 @@ def k_reciprocal(
 
 
 def nearest_matrix(order: Positions, k: int) -> csr_array:
-    """The graph of nearest neighbours (N, N): 1 where the column is the row, or among its k nearest.
-
-    order: (N, K) intp, positions, nearest first; the first one is the shape itself.
-    """
+    """The graph (N, N) of lists (N, K): 1 where the column is the row, or among its k nearest."""
     from scipy.sparse import csr_array
 
     n = len(order)

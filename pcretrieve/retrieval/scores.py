@@ -58,9 +58,8 @@ TINY = float(np.finfo(np.float64).tiny)
 class MatchScores(Arrays):
     """The score of a distance: the share of pairs of one class among pairs that near.
 
-    distances: (m,) float64, ascending.
-    scores: (m,) float64, the score at each of these distances, between 0 and 1, not ascending. It is
-        interpolated between them, and constant before the first and behind the last.
+    It is between 0 and 1, known at some ascending distances (m,), interpolated between them, and constant
+    before the first and behind the last; it does not ascend.
     """
 
     distances: FloatArray
@@ -81,10 +80,8 @@ class MatchScores(Arrays):
 
 
 class _Sample(NamedTuple):
-    """Shapes whose pairs are counted.
+    """Shapes whose pairs are counted: their log-signatures (n, L), their classes, unless too few have one.
 
-    logs: (n, L) float64, their log-signatures.
-    labels: their classes; none if too few shapes have one.
     sizes: number of shapes of each class in the table.
     """
 

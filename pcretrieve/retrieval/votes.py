@@ -64,7 +64,7 @@ def rank_ranges(
     drawn = deviation * np.random.default_rng(SEED).normal(size=(N_DRAWS, len(deviation)))
     # The whitening is affine: a difference is mapped by its matrix alone.
     moved = point + drawn @ index.whitening.matrix.T
-    order = np.argsort(index.around(moved, ids), axis=1, kind="stable")
+    order = np.argsort(index.between(ids, moved), axis=1, kind="stable")
     ranks = np.argsort(order, axis=1) + 1  # (N_DRAWS, m)
     low = np.quantile(ranks, QUANTILES[0], axis=0, method="lower")
     high = np.quantile(ranks, QUANTILES[1], axis=0, method="higher")

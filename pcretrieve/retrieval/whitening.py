@@ -1,25 +1,21 @@
 """Whitening: an affine map of log-signatures after which all directions have the same variance.
 
 The matrix is the symmetric inverse square root W = s C^(−1/2) of a covariance C (ZCA whitening). Of all
-whitening matrices the symmetric one changes the coordinates least in the mean square [1]_. This matters for
-D₁ and D₂, which unlike the Euclidean distance depend on the coordinate axes: they compare values that are
-close to the original ones. The symmetric root is also independent of the sign and the order of the
-eigenvectors of C.
-
-The factor s preserves the total variance of the shapes of the fit. D₁ and D₂ are not homogeneous, so that
-without s they would be evaluated far from the magnitudes for which they were designed, and distances with
-different whitenings would not be comparable.
+whitening matrices it changes the coordinates least in the mean square [1]_. This matters for D₁ and D₂, which
+depend on the coordinate axes: they compare values that are close to the original ones. It is also independent
+of the sign and the order of the eigenvectors of C. The factor s preserves the total variance of the shapes of
+the fit. D₁ and D₂ are not homogeneous, so that without s they would be evaluated far from the magnitudes for
+which they were designed, and distances with different whitenings would not be comparable.
 
 C describes what should be ignored: the differences within classes (``within-class``), the differences of
 pairs that are probably of one class (``neighbours``), or, as a first approximation, all differences
 (``pca``). Whitening by the differences of nearest neighbours is unsupervised, in the manner of relevant
 component analysis [2]_ with the pairs in place of its equivalence constraints.
 
-``resolution`` is not fitted to the shapes that are compared, and therefore the same for every gallery.
-Whether fingers are separated and folds are open in a reconstructed surface depends more on the edge of the
-voxels than on the body. The effect of the edge on log-signatures was measured once, on simulated people,
-animals and hands: each body was scanned, and reconstructed with two voxel edges. The whitening reduces the
-weight of the directions in which the two log-signatures of a body differ (within-class covariance
+``resolution`` is the same for every gallery. Whether fingers are separated and folds are open in a surface
+depends more on the edge of the voxels than on the body. Its effect on log-signatures was measured once, on
+simulated people, animals and hands, which were scanned, and reconstructed with two voxel edges. The whitening
+reduces the weight of the directions in which the two log-signatures of a body differ (within-class covariance
 normalisation [3]_ with one class of two members for each body). It improves the rankings of scans, but not of
 bodies that differ mainly in the girth of their limbs, because the voxel edge changes this girth too. See
 docs/decisions.md, resolution_whitening.
@@ -97,7 +93,7 @@ N_MODES = 60
 
 
 class Arrays(Value):
-    """A value of numbers, texts and arrays, which is stored as arrays by name, none of which needs pickle."""
+    """A value that is stored as arrays by name, none of which needs pickle."""
 
     __slots__ = ()
 
@@ -159,23 +155,7 @@ class Whitening(Arrays):
             )
 
     def apply(self, logs: FloatArray) -> FloatArray:
-        """Whitened log-signatures.
-
-        Parameters
-        ----------
-        logs : (N, L) float64
-            Log-signatures, one in each row.
-
-        Returns
-        -------
-        (N, L) float64
-            W (x − mean) for each row x; the input array itself for ``none``.
-
-        Raises
-        ------
-        InputError
-            If the log-signatures do not have L values.
-        """
+        """W (x − mean) for each row x of log-signatures (N, L); for ``none`` the input array itself."""
         if logs.ndim != 2 or logs.shape[1] != len(self.mean):
             raise InputError(
                 f"log-signatures must have shape (N, {len(self.mean)}), as this whitening was fitted, "
@@ -318,10 +298,7 @@ def is_measured(options: SignatureOptions) -> bool:
 def resolution_whitening(
     options: SignatureOptions, *, shrinkage: Shrinkage = "auto", options_digest: str = ""
 ) -> Whitening:
-    """The whitening W = s (C + d c I)^(−1/2), with C the second moment of the changes caused by resolution.
-
-    shrinkage: d, in (0, 1], in units of c, the largest eigenvalue of C.
-    """
+    """W = s (C + d c I)^(−1/2): C second moment of the changes, c its largest eigenvalue, d the shrinkage."""
     used = checked_shrinkage("resolution", shrinkage)
     mean, change = _changes(options)
     covariance = change.T @ change / len(change)
@@ -336,11 +313,7 @@ def resolution_whitening(
 
 
 def resolution_covariance(options: SignatureOptions) -> FloatArray | None:
-    """The covariance of the changes caused by resolution, for `fit_whitening`.
-
-    Returns (L, L) float64, or None: of trace 1; zero in the row and the column of a size. None if it was not
-        measured for the options.
-    """
+    """The covariance (L, L) of the changes, of trace 1, zero for a size; None if it was not measured."""
     if not is_measured(options):
         return None
     _, change = _changes(options)

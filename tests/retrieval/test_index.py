@@ -165,7 +165,7 @@ def galleries() -> dict[str, FloatArray]:
 def bounds_of_all(made: LowerBounds, point: FloatArray, scan: Scan) -> FloatArray:
     """(N,) lower bounds; infinite for rows that are in no block."""
     query = (point - made.mean) @ made.axes
-    rows, found = made._to_rows(query, np.arange(len(made.rows)), np.inf, scan)
+    rows, found = scan(*made.cells, np.arange(len(made.rows)), query, bounds.HALF_CELL, np.float32(np.inf))
     every = np.full(int((made.rows >= 0).sum()), np.inf)
     every[rows] = found
     return every
@@ -199,5 +199,5 @@ def test_queries_beyond_single_precision_leave_nothing_out(scan: Scan) -> None:
     assert made._limit(1e30) == np.inf
     assert np.isfinite(bounds_of_all(made, gallery[3], scan)).all()
     query = (np.full(N_VALUES, 1e30) - made.mean) @ made.axes
-    rows, _ = made._to_rows(query, np.array([0]), np.inf, scan)
+    rows, _ = scan(*made.cells, np.array([0]), query, bounds.HALF_CELL, np.float32(np.inf))
     assert sorted(rows) == list(range(len(gallery)))
