@@ -49,6 +49,7 @@ from pcretrieve.values import (
     ModalSpectrum,
     Need,
     Shape,
+    Signature,
     SignatureTable,
     SizeUnit,
     Surface,
@@ -145,6 +146,13 @@ class Catalogue(Rows):
         with intact(self.location, f"the signature of {shape_id!r}"):
             values: FloatArray = unpacked_values(stored, 1, len(stored) // 8 - 1)[0]
             return values
+
+    def described(self, shape_id: str, options: PipelineOptions) -> Signature:
+        """The signature of a shape by other options, from what is stored; ShapeError if a part is missing."""
+        from pcretrieve.descriptors import DESCRIPTORS, describe
+
+        needs = DESCRIPTORS[options.signature.method].needs
+        return describe(self.shape(shape_id, needs), options.signature)
 
     def stored_bytes(self, shape_id: str) -> dict[str, int]:
         """The sizes in bytes of a shape's record, signatures and arrays; InputError if there is no shape."""

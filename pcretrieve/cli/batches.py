@@ -7,7 +7,7 @@ from dataclasses import asdict
 from functools import partial
 from pathlib import Path
 from shlex import quote
-from typing import TYPE_CHECKING, Any, NoReturn
+from typing import Any, NoReturn
 
 import click
 
@@ -17,20 +17,14 @@ from pcretrieve.cli import output as out
 from pcretrieve.cli.messages import (
     Progress,
     duration,
-    failure_facts,
+    failure_line,
     log_to,
-    record_line,
     say,
     shown_path,
     stop_waiting,
     without_password,
 )
 from pcretrieve.errors import CatalogueError
-
-if TYPE_CHECKING:
-    from pcretrieve.catalogue import Record
-    from pcretrieve.ingestion import BatchStatus, Executor
-    from pcretrieve.ingestion.run import Summary
 
 # Largest number of names in the message about names in a label file that match no scan.
 QUOTED = 5
@@ -54,7 +48,7 @@ QUOTED = 5
     rare=True,
 )
 @opt.workers_option
-@partial(opt.limit_options, unit="scan")
+@opt.limit_options
 @opt.option("--scheduler ADDRESS", "Process the scans on the Dask cluster of this scheduler.", rare=True)
 @opt.option(
     "--scheduler-file FILE",
@@ -124,14 +118,14 @@ def ingest_command(
         log_to(log_file)
     options = _new_options(config, surface, unit, no_meshes)
     if scheduler or scheduler_file or cluster:
-        chosen["executor"] = _cluster(scheduler, scheduler_file, cluster)
+        chosen["executor"] = pr.DaskExecutor(scheduler, scheduler_file, cluster == "local")
     with Progress("ingest", "none" if quiet and progress == "bar" else progress) as shown:
         try:
-            summary = pr.ingest(
-                paths, catalogue, options=options, on_start=shown.start, on_shape=shown.record, **chosen
-            )
+            chosen |= {"on_start": shown.start, "on_shape": partial(_advance, shown)}
+            summary = pr.ingest(paths, catalogue, options=options, **chosen)
         except (KeyboardInterrupt, SystemExit) as stop:
-            _stopped(stop, catalogue, shown)
+            shown.__exit__()
+            _stopped(stop, catalogue)
     if not quiet:
         _say_summary(summary, catalogue, chosen["labels"])
     if as_json:
@@ -154,21 +148,27 @@ def _new_options(
     return options
 
 
-def _cluster(scheduler: str | None, scheduler_file: Path | None, cluster: str | None) -> Executor:
-
-    return pr.DaskExecutor(scheduler, scheduler_file, cluster == "local")
-
-
-def _stopped(stop: BaseException, catalogue: str, shown: Progress | None = None) -> NoReturn:
+def _stopped(stop: BaseException, catalogue: str) -> NoReturn:
     """End the command after Ctrl-C or a signal, and say what is stored."""
-    if shown is not None:
-        shown.__exit__(None, None, None)
     try:
         with pr.Catalogue(catalogue) as store:
             say(f"stopped; {len(store)} shapes are in {catalogue}, and the same command goes on from there")
     except CatalogueError:  # there is none yet
         say("stopped")
     sys.exit(stop.code if isinstance(stop, SystemExit) else opt.EXIT_INTERRUPTED)
+
+
+def _advance(shown: Progress, record: pr.Record) -> None:
+    """Count a scan that a catalogue has now, and show it."""
+    facts = {"status": record.status, "seconds": round(record.seconds, 3)} | _facts(record)
+    is_failed = record.status == "failed"
+    shown.advance(facts, failure_line(record.id, record, record.path) if is_failed else None)
+
+
+def _facts(record: pr.Record) -> dict[str, object]:
+    """Id and path of a record, in JSON; of a failure with its stage, its kind and its message."""
+    facts: dict[str, object] = {"id": record.id, "path": record.path}
+    return facts | out.failure_facts(record) if record.status == "failed" else facts
 
 
 @opt.command("retry")
@@ -196,15 +196,15 @@ def retry_command(catalogue: str, progress: str, as_json: bool, **chosen: Any) -
     """
     with pr.Catalogue(catalogue) as store, Progress("retry", progress) as shown:
         options = store.options
-        summary = pr.retry(store, on_start=shown.start, on_shape=shown.record, **chosen)
-    _say_summary(summary, catalogue, None)
+        summary = pr.retry(store, on_start=shown.start, on_shape=partial(_advance, shown), **chosen)
+    _say_summary(summary, catalogue)
     if as_json:
         out.write_document(_summary_document(summary, catalogue), options=options)
     opt.exit_if(summary.failed)
 
 
 @opt.command("watch")
-@click.argument("folder", type=click.Path(path_type=Path))
+@click.argument("folder", type=opt.PATH)
 @opt.catalogue_option
 @opt.config_option
 @opt.surface_option
@@ -229,17 +229,19 @@ def watch_command(
     """
     stop_waiting()
     options = _new_options(config, surface, unit)
-    rounds = pr.watch(folder, catalogue, options=options, on_shape=_tell, **chosen)
     try:
         say(f"watching {folder} every {chosen['interval']:g} s, until Ctrl-C")
-        for summary in rounds:
-            _say_summary(summary, catalogue, None)
+        for summary in pr.watch(folder, catalogue, options=options, on_shape=_tell, **chosen):
+            _say_summary(summary, catalogue)
     except (KeyboardInterrupt, SystemExit) as stop:
         _stopped(stop, catalogue)
 
 
-def _tell(record: Record) -> None:
-    say(record_line(record) or f"done: [{record.id}] {shown_path(record.path)}")
+def _tell(record: pr.Record) -> None:
+    if record.status == "failed":
+        say(failure_line(record.id, record, record.path))
+    else:
+        say(f"done: [{record.id}] {shown_path(record.path)}")
 
 
 @opt.command("status")
@@ -262,16 +264,16 @@ def status_command(catalogue: str, as_json: bool) -> None:
     out.write_table((out.Column("NUMBER", "number"), out.Column("FAILURE")), rows)
 
 
-def _progress_lines(found: BatchStatus) -> list[str]:
+def _progress_lines(found: pr.BatchStatus) -> list[str]:
     if found.state == "none":
         return ["no ingest into it is known on this computer"]
     n_finished = found.n_done + found.n_failed + found.n_skipped
+    left = "" if found.seconds_left is None else f", about {duration(found.seconds_left)} left"
     lines = [
         f"ingest {found.state}: {n_finished} of {found.n_scans} scans: {found.n_done} done, "
         f"{found.n_failed} failed, {found.n_skipped} held already or duplicates",
         f"started {found.started}, last counted {found.updated}",
-        f"rate: {found.scans_per_second * 60:.3g} scans/min"
-        + ("" if found.seconds_left is None else f", about {duration(found.seconds_left)} left"),
+        f"rate: {found.scans_per_second * 60:.3g} scans/min{left}",
     ]
     if found.stages:
         shares = sorted(found.stages.items(), key=lambda stage: -stage[1])
@@ -281,9 +283,9 @@ def _progress_lines(found: BatchStatus) -> list[str]:
     return lines
 
 
-def _say_summary(summary: Summary, catalogue: str, labels: str | None) -> None:
+def _say_summary(summary: pr.Summary, catalogue: str, labels: str | None = None) -> None:
     """Print the summary of an ingest, or of what an ingest would do."""
-    for path, original in _duplicates(summary):
+    for path, original in summary.duplicates:
         say(f"skipped {path}: the same content as {original.id} ({original.path})")
     if summary.unknown_labels:
         quoted = ", ".join(summary.unknown_labels[:QUOTED])
@@ -293,15 +295,10 @@ def _say_summary(summary: Summary, catalogue: str, labels: str | None) -> None:
             + (f" and {more} more" if more > 0 else "")
         )
     failures = _failures(summary)
-    counts = [
-        f"{len(summary.planned)} to process" if summary.planned else f"{len(summary.done)} done",
-        f"{len(failures)} failed",
-        f"{len(_held(summary))} held already",
-        f"{len(summary.duplicates)} duplicates",
-    ]
+    done = f"{len(summary.planned)} to process" if summary.planned else f"{len(summary.done)} done"
     say(
-        f"{', '.join(counts)}: {catalogue}"
-        + ("; --retry-failed processes the failed shapes again" if failures else "")
+        f"{done}, {len(failures)} failed, {len(_held(summary))} held already, {len(summary.duplicates)} "
+        f"duplicates: {catalogue}{'; --retry-failed processes the failed shapes again' if failures else ''}"
     )
     if doubts := _doubts(summary):
         n_unusable = sum(record.verdict.judgement == "unusable" for record in doubts if record.verdict)
@@ -311,7 +308,7 @@ def _say_summary(summary: Summary, catalogue: str, labels: str | None) -> None:
         )
 
 
-def _summary_document(summary: Summary, catalogue: str) -> dict[str, object]:
+def _summary_document(summary: pr.Summary, catalogue: str) -> dict[str, object]:
     """The JSON document of an ingest, or of what an ingest would do."""
     return {
         "catalogue": without_password(catalogue),
@@ -319,27 +316,20 @@ def _summary_document(summary: Summary, catalogue: str) -> dict[str, object]:
         "done": [record.id for record in summary.done],
         "held": [record.id for record in _held(summary)],
         "doubtful": [record.id for record in _doubts(summary)],
-        "duplicates": [{"path": path, "id": original.id} for path, original in _duplicates(summary)],
-        "failed": [failure_facts(record) for record in _failures(summary)],
+        "duplicates": [{"path": path, "id": original.id} for path, original in summary.duplicates],
+        "failed": [_facts(record) for record in _failures(summary)],
         "unknown_labels": summary.unknown_labels,
     }
 
 
-def _failures(summary: Summary) -> list[Record]:
+def _failures(summary: pr.Summary) -> list[pr.Record]:
     """The scans that failed now, and those that failed before."""
     return [*summary.failed, *(record for record in summary.held if record.status == "failed")]
 
 
-def _held(summary: Summary) -> list[Record]:
+def _held(summary: pr.Summary) -> list[pr.Record]:
     return [record for record in summary.held if record.status == "done"]
 
 
-def _duplicates(summary: Summary) -> list[tuple[str, Record]]:
-    """The printable path of each duplicate, and the record of its original."""
-    from pcretrieve.ingestion.discover import printable
-
-    return [(printable(path), original) for path, original in summary.duplicates]
-
-
-def _doubts(summary: Summary) -> list[Record]:
+def _doubts(summary: pr.Summary) -> list[pr.Record]:
     return [record for record in (*summary.done, *summary.held) if record.is_doubtful]

@@ -208,7 +208,7 @@ def check_command(catalogue: str, sample: int, repair: bool, as_json: bool) -> N
     else:
         _write_check(catalogue, result)
     if not result.is_whole:
-        sys.exit(opt.EXIT_ERROR)
+        sys.exit(out.EXIT_ERROR)
 
 
 def _write_check(catalogue: str, result: pr.Check) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -13,11 +12,12 @@ import pcretrieve as pr
 from pcretrieve.cli import options as opt
 from pcretrieve.cli import output as out
 from pcretrieve.cli.messages import say, shown_path
-from pcretrieve.cli.scans import alone, each_scan, failure_document, output_files, scans_options
+from pcretrieve.cli.scans import each_scan, scans_options
+from pcretrieve.errors import ShapeError
 
 
 @opt.command("inspect")
-@click.argument("scan", type=click.Path(path_type=Path), metavar="SCAN|FOLDER")
+@click.argument("scan", type=opt.PATH, metavar="SCAN|FOLDER")
 @opt.option(
     "--output -o PAGE|FOLDER",
     "Write this HTML page; for a folder of scans, a folder.  [default: the scan's name with .html, here]",
@@ -64,126 +64,67 @@ def inspect_command(
     pcretrieve inspect scan.ply -o page.html --png sheet.png --rescans 0
     pcretrieve inspect scans/ -o pages/ --workers 2
     """
-    from pcretrieve.errors import InputError
-    from pcretrieve.formats import check_output, split_member
-    from pcretrieve.ingestion.discover import printable
-
+    is_alone = not scan.is_dir()
+    if not is_alone and (output is None or png is not None):
+        raise click.UsageError("name a folder for the pages of the scans with -o, and leave out --png")
     base = None
     if catalogue is not None:
         with pr.Catalogue(catalogue) as store:
             base = store.options
     options = opt.load_options(config, surface, base=base)
+    asked: dict[str, Any] = {"options": options, "n_rescans": rescans, "catalogue": catalogue, "png": png}
+    run |= {"output": output or Path(scan.stem + ".html"), "suffix": ".html", "is_alone": is_alone}
     run["timeout"] = timeout * (1 + rescans)
-    if scan.is_dir():
-        if output is None or png is not None:
-            raise click.UsageError("name a folder for the pages of the scans with -o, and leave out --png")
-        _inspect_folder(scan, output, options, rescans, catalogue, as_json, **run)
-        return
-    if not split_member(scan)[0].is_file():
-        raise InputError(f"there is no scan {printable(scan)}: name a file")
-    page = output or Path(scan.stem + ".html")
-    for target in (page, png):
-        if target is not None:
-            check_output(target, [scan])
-    limits = {"timeout": run["timeout"], "memory": run["memory"]}
-    found = alone(_inspected, options, rescans, catalogue, {scan: page}, png, scan, **limits)
-    _say_checks(found)
-    if as_json:
-        out.write_document(_document(found, page.absolute(), png), options=options)
-    else:
-        out.write_line(shown_path(printable(page.absolute())))
-    opt.exit_if(found.failure is not None)
-
-
-def _say_checks(found: pr.Inspection) -> None:
-    for check in found.checks:
-        advice = "" if check.verdict == "passed" else f": {check.words}"
-        say(f"{check.verdict:<6}  {check.name:<16}  {check.shown}{advice}", indent=26)
-    if found.shape_verdict is not None:
-        say(f"The shape is {found.shape_verdict}.")
-        say(found.next_body.source)
-    say(found.summary)
-
-
-def _inspect_folder(
-    folder: Path,
-    output: Path,
-    options: pr.PipelineOptions,
-    n_rescans: int,
-    catalogue: str | None,
-    as_json: bool,
-    **run: Any,
-) -> None:
-    """Write a page for each scan of a folder, and print page, verdict and summary when all have ended."""
-    from pcretrieve.ingestion.discover import discover, printable
-    from pcretrieve.values import Failure
-
-    scans = discover([folder])
-    pages = output_files(output, scans, folder, ".html")
-    inspected = partial(_document_of, options, n_rescans, catalogue, pages)
     documents = [
-        {"scan": printable(path)} | failure_document(found) if isinstance(found, Failure) else found
-        for path, found in each_scan("inspect", inspected, scans, **run)
+        {"scan": name} | out.failure_facts(found) if isinstance(found, ShapeError) else found
+        for name, found in each_scan("inspect", partial(_inspected, **asked), scan, **run)
     ]
+    if is_alone:
+        _say_checks(documents[0])
     if as_json:
-        out.write_document(documents, options=options)
+        out.write_document(documents[0] if is_alone else documents, options=options)
     else:
         for one in documents:
             if "page" in one:
-                out.write_line(f"{shown_path(str(one['page']))}  {one['verdict']}  {one['summary']}")
+                words = "" if is_alone else f"  {one['verdict']}  {one['summary']}"
+                out.write_line(shown_path(one["page"]) + words)
     opt.exit_if(any("page" not in one or one["failure"] is not None for one in documents))
 
 
-def _document_of(
-    options: pr.PipelineOptions, n_rescans: int, catalogue: str | None, pages: dict[Path, Path], scan: Path
-) -> dict[str, object]:
-    """The JSON document of an inspection, whose page is written, in a worker process."""
-    found = _inspected(options, n_rescans, catalogue, pages, None, scan)
-    return _document(found, pages[scan].absolute(), None)
-
-
-def _inspected(
-    options: pr.PipelineOptions,
-    n_rescans: int,
-    catalogue: str | None,
-    pages: dict[Path, Path],
-    png: Path | None,
-    scan: Path,
-) -> pr.Inspection:
-    """An inspection, whose page is written, in a worker process, which imports the stages."""
-    from pcretrieve.pages import write_inspection_png
-
-    found = pr.inspect(scan, options, n_rescans=n_rescans, page=pages[scan], catalogue=catalogue)
-    if png is not None:
-        write_inspection_png(found, png)
-    return found
-
-
-def _document(inspection: pr.Inspection, page: Path, png: Path | None) -> dict[str, object]:
-    """The JSON document of an inspection."""
-    signature, deviation = inspection.signature, inspection.rescan_deviation
-    judged = inspection.shape_verdict
+def _inspected(scan: Path, page: Path, **asked: Any) -> dict[str, Any]:
+    """Inspect a scan in a worker process, which writes the page. Returns what JSON has of it."""
+    found = pr.inspect(scan, page=page, **asked)
     return {
-        "scan": inspection.path,
-        "page": str(page),
-        "png": None if png is None else str(png),
-        "verdict": inspection.verdict,
-        "summary": inspection.summary,
-        "shape_verdict": None if judged is None else asdict(judged),
-        "next_body": asdict(inspection.next_body),
-        "checks": [asdict(check) for check in inspection.checks],
-        "cuts": inspection.cuts.tolist(),
-        "bridges": inspection.bridges.tolist(),
-        "signature": None if signature is None else signature.values.tolist(),
-        "rescan_deviation": None if deviation is None else deviation.tolist(),
-        "spread": inspection.spread,
-        "failure": None if inspection.failure is None else asdict(inspection.failure),
-        "steps": [asdict(step) for step in inspection.steps],
+        "scan": found.path,
+        "page": str(page.absolute()),
+        "png": asked["png"],
+        "verdict": found.verdict,
+        "summary": found.summary,
+        "shape_verdict": found.shape_verdict,
+        "next_body": found.next_body,
+        "checks": found.checks,
+        "cuts": found.cuts,
+        "bridges": found.bridges,
+        "signature": None if found.signature is None else found.signature.values,
+        "rescan_deviation": found.rescan_deviation,
+        "spread": found.spread,
+        "failure": found.failure,
+        "steps": found.steps,
     }
 
 
+def _say_checks(found: dict[str, Any]) -> None:
+    for check in found["checks"]:
+        advice = "" if check.verdict == "passed" else f": {check.words}"
+        say(f"{check.verdict:<6}  {check.name:<16}  {check.shown}{advice}", indent=26)
+    if found["shape_verdict"] is not None:
+        say(f"The shape is {found['shape_verdict']}.")
+        say(found["next_body"].source)
+    say(found["summary"])
+
+
 @opt.command("report-problem")
-@click.argument("scan", type=click.Path(path_type=Path), metavar="SCAN")
+@click.argument("scan", type=opt.PATH, metavar="SCAN")
 @opt.option("--output -o ZIP", "Write this file.  [default: SCAN-problem.zip]", opt.PATH)
 @opt.option("--with-scan", "Pack the scan too.")
 @opt.config_option
@@ -209,11 +150,8 @@ def report_problem_command(
     \b
     pcretrieve report-problem scan.ply
     """
-    from pcretrieve.formats import split_member
-    from pcretrieve.ingestion.discover import printable
-
     options = opt.load_options(config, surface, unit)
-    output = output or Path(f"{split_member(scan)[0].stem}-problem.zip")
+    output = output or Path(f"{scan.stem}-problem.zip")
     found = pr.report_problem(scan, output, options, with_scan=with_scan, **limits)
     failure = found["failure"]
     if isinstance(failure, dict):
@@ -222,6 +160,6 @@ def report_problem_command(
         say("the scan does not fail with these options; give those with which it failed")
     say(f"attach this file to your report; it has {'the' if with_scan else 'no'} points of the scan")
     if as_json:
-        out.write_document({"file": printable(output), "failure": failure}, options=options)
+        out.write_document({"file": output, "failure": failure}, options=options)
     else:
-        out.write_line(printable(output))
+        out.write_line(str(output))

@@ -19,8 +19,8 @@ import click
 
 from pcretrieve import __version__
 from pcretrieve.cli.messages import Printed, say, silence, stop_waiting, tell_of_waiting
-from pcretrieve.cli.options import EXIT_ERROR, EXIT_INTERRUPTED, exit_code
-from pcretrieve.cli.output import JSON_FLAG, write_error
+from pcretrieve.cli.options import EXIT_INTERRUPTED
+from pcretrieve.cli.output import EXIT_ERROR, JSON_FLAG, errors_as_json, exit_code
 from pcretrieve.errors import OptionError, PcretrieveError, did_you_mean
 
 # Shells report a program that was ended by a signal with this number plus the number of the signal.
@@ -84,10 +84,8 @@ class _LazyGroup(click.Group):
     ) -> tuple[str | None, click.Command | None, list[str]]:
         name = args[0]
         if name not in COMMANDS and not name.startswith("-") and not ctx.resilient_parsing:
-            error = click.UsageError(f"there is no command {name!r}{did_you_mean(name, COMMANDS)}", ctx)
-            if JSON_FLAG in args:
-                write_error(ctx, error, error.exit_code)
-            raise error
+            with errors_as_json(ctx, JSON_FLAG in args):
+                raise click.UsageError(f"there is no command {name!r}{did_you_mean(name, COMMANDS)}", ctx)
         return super().resolve_command(ctx, args)
 
 
@@ -126,12 +124,9 @@ def main() -> NoReturn:
     except click.ClickException as error:
         error.show()
         sys.exit(error.exit_code)
-    except OptionError as error:
-        # Without the stage, because options are not the fault of the stage that checks them.
-        say(f"Error: {error.message}")
-        sys.exit(exit_code(error))
     except PcretrieveError as error:
-        say(f"Error: {error}")
+        # Options are not the fault of the stage that checks them.
+        say(f"Error: {error.message if isinstance(error, OptionError) else error}")
         sys.exit(exit_code(error))
     except BrokenPipeError:
         # The program that reads the output has ended, as in `pcretrieve list | head`.

@@ -10,10 +10,10 @@ import shutil
 import sys
 import textwrap
 import time
-from contextlib import AbstractContextManager, nullcontext, suppress
+from collections.abc import Iterator
+from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
 from pathlib import Path
 from threading import Event, RLock, Thread
-from types import TracebackType
 from typing import TYPE_CHECKING, Any, TextIO
 
 import click
@@ -23,7 +23,7 @@ from pcretrieve.errors import InputError
 if TYPE_CHECKING:
     from tqdm import tqdm
 
-    from pcretrieve.catalogue import Record
+    import pcretrieve as pr
     from pcretrieve.values import Failure
 
 # What messages begin with that are red on a terminal.
@@ -107,44 +107,15 @@ def silence(stream: TextIO) -> None:
     os.close(nowhere)
 
 
-def failure_line(failure: Failure, path: str = "") -> str:
+def failure_line(name: str, failure: pr.ShapeError | pr.Record | Failure, path: str = "") -> str:
     """The message about a shape that failed; `path` is its file."""
-    message = failure.message.replace(path, shown_path(path)) if path else failure.message
-    file = "" if path in failure.message else f" ({shown_path(path)})"
-    return f"failed: [{failure.shape_id} / {failure.stage}] {message}{file}"
+    message = failure.message or ""
+    file = "" if path in message else f" ({shown_path(path)})"
+    shown = message.replace(path, shown_path(path)) if path else message
+    return f"failed: [{name} / {failure.stage}] {shown}{file}"
 
 
-def record_line(record: Record) -> str | None:
-    """The message about a stored shape, if it failed."""
-    from pcretrieve.values import Failure
-
-    if record.status != "failed":
-        return None
-    failure = Failure(record.id, str(record.stage), str(record.error), record.message or "")
-    return failure_line(failure, record.path)
-
-
-def log_to(path: Path) -> None:
-    """Append what the library logs, from the level INFO, to a file until the command ends."""
-    try:
-        handler = logging.FileHandler(path, encoding="utf-8")
-    except OSError as error:
-        raise InputError(f"cannot write the log file {path}: {error.strerror}; name another") from error
-    handler.setFormatter(_OneLine("%(asctime)s %(levelname)s %(name)s: %(message)s"))
-    level = _heard(handler)
-
-    def stop() -> None:
-        _unheard(handler, level)
-        handler.close()
-
-    click.get_current_context().call_on_close(stop)
-
-
-class _OneLine(logging.Formatter):
-    """Formats the message of each record in one line."""
-
-    def formatMessage(self, record: logging.LogRecord) -> str:
-        return escaped(super().formatMessage(record))
+# --- the log of the library ----------------------------------------------------------------------------
 
 
 class Printed(logging.Handler):
@@ -156,6 +127,13 @@ class Printed(logging.Handler):
             say(record.getMessage())
 
 
+class _OneLine(logging.Formatter):
+    """Formats the message of each record in one line."""
+
+    def formatMessage(self, record: logging.LogRecord) -> str:
+        return escaped(super().formatMessage(record))
+
+
 class _Latest(logging.Handler):
     """Keeps the latest message of the library, such as how many shapes of how many are stored."""
 
@@ -165,11 +143,39 @@ class _Latest(logging.Handler):
         self.message = record.getMessage()
 
 
+@contextmanager
+def _heard(handler: logging.Handler) -> Iterator[None]:
+    """Let a handler hear what the library logs, from the level INFO."""
+    logger = logging.getLogger("pcretrieve")
+    level = logger.level
+    logger.addHandler(handler)
+    logger.setLevel(logging.INFO)
+    try:
+        yield
+    finally:
+        logger.removeHandler(handler)
+        logger.setLevel(level)
+        handler.close()
+
+
+def log_to(path: Path) -> None:
+    """Append what the library logs to a file until the command ends."""
+    try:
+        handler = logging.FileHandler(path, encoding="utf-8")
+    except OSError as error:
+        raise InputError(f"cannot write the log file {path}: {error.strerror}; name another") from error
+    handler.setFormatter(_OneLine("%(asctime)s %(levelname)s %(name)s: %(message)s"))
+    click.get_current_context().with_resource(_heard(handler))
+
+
+# --- waiting and progress ------------------------------------------------------------------------------
+
+
 def tell_of_waiting(command: str) -> None:
     """Show what a command does in a line of the terminal, if there is one, until `stop_waiting` is called."""
     if sys.stderr.isatty():
         _answered.clear()
-        _waiting.append(Thread(target=_tell, args=(command, _Latest(logging.INFO)), daemon=True))
+        _waiting.append(Thread(target=_tell, args=(command,), daemon=True))
         _waiting[-1].start()
 
 
@@ -180,32 +186,18 @@ def stop_waiting() -> None:
         _waiting.pop().join(NEXT_WORD)  # it clears the line
 
 
-def _tell(command: str, latest: _Latest) -> None:
+def _tell(command: str) -> None:
     """Show the latest message, and for how long the command has been at work."""
-    started, level = time.monotonic(), _heard(latest)
-    if not _answered.wait(FIRST_WORD):
+    started, latest = time.monotonic(), _Latest(logging.INFO)
+    with _heard(latest):
+        if _answered.wait(FIRST_WORD):
+            return
         with suppress(OSError), bar(bar_format="{desc}", leave=False) as line:  # the terminal may be closed
             while not _answered.is_set():
                 text = f"{command}: {latest.message}, {time.monotonic() - started:.0f} s"
                 printable = "".join(sign if sign.isprintable() else "?" for sign in text)
                 line.set_description_str(printable[: shutil.get_terminal_size().columns - 1])
                 _answered.wait(NEXT_WORD)
-    _unheard(latest, level)
-
-
-def _heard(handler: logging.Handler) -> int:
-    """Let a handler hear what the library logs. Returns the level until now."""
-    logger = logging.getLogger("pcretrieve")
-    level = logger.level
-    logger.addHandler(handler)
-    logger.setLevel(logging.INFO)
-    return level
-
-
-def _unheard(handler: logging.Handler, level: int) -> None:
-    logger = logging.getLogger("pcretrieve")
-    logger.removeHandler(handler)
-    logger.setLevel(level)
 
 
 def bar(**settings: Any) -> tqdm[Any]:
@@ -226,7 +218,7 @@ def _between_bars() -> AbstractContextManager[Any]:
 class Progress:
     """Shows how many scans are finished, and how many failed: a bar, a line a minute, or JSON."""
 
-    def __init__(self, command: str, mode: str) -> None:
+    def __init__(self, command: str, mode: str = "bar") -> None:
         self._command, self._mode = command, mode
         self._n_done = self._n_failed = self._total = 0
         self._bar: tqdm[Any] | None = None
@@ -235,9 +227,7 @@ class Progress:
     def __enter__(self) -> Progress:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         if self._bar is not None:
             self._bar.close()
 
@@ -263,39 +253,13 @@ class Progress:
             self._bar.set_postfix(failed=self._n_failed, refresh=False)
             self._bar.update()
         elif self._mode == "bar" and time.monotonic() - self._said >= LINE_INTERVAL:
-            self._say_line()
-
-    def record(self, record: Record) -> None:
-        """Count a scan of which a catalogue has a record."""
-        self.advance(record_facts(record), record_line(record))
-
-    def _say_line(self) -> None:
-        self._said = time.monotonic()
-        seconds = self._said - self._started
-        left = duration(seconds / self._n_done * (self._total - self._n_done))
-        say(
-            f"{self._command}: {self._n_done} of {self._total} scans, {self._n_failed} failed, after "
-            f"{duration(seconds)}, {left} left"
-        )
-
-
-def record_facts(record: Record) -> dict[str, object]:
-    """The values of a record in a line of JSON; of a failure with its stage, its kind and its message."""
-    facts: dict[str, object] = {"status": record.status, "seconds": round(record.seconds, 3)}
-    if record.status == "failed":
-        return facts | failure_facts(record)
-    return facts | {"id": record.id, "path": record.path}
-
-
-def failure_facts(record: Record) -> dict[str, object]:
-    """What failed, in JSON."""
-    return {
-        "id": record.id,
-        "path": record.path,
-        "stage": record.stage,
-        "error": record.error,
-        "message": record.message,
-    }
+            self._said = time.monotonic()
+            seconds = self._said - self._started
+            left = duration(seconds / self._n_done * (self._total - self._n_done))
+            say(
+                f"{self._command}: {self._n_done} of {self._total} scans, {self._n_failed} failed, after "
+                f"{duration(seconds)}, {left} left"
+            )
 
 
 def duration(seconds: float) -> str:

@@ -18,14 +18,12 @@ from click.shell_completion import CompletionItem
 
 import pcretrieve as pr
 from pcretrieve.cli.messages import say
-from pcretrieve.cli.output import JSON_FLAG, print_text, write_document, write_error
-from pcretrieve.errors import OptionError, PcretrieveError
+from pcretrieve.cli.output import JSON_FLAG, errors_as_json, print_text, write_document
+from pcretrieve.errors import PcretrieveError
 from pcretrieve.plugins import DESCRIPTOR_NAMES
 
 Decorated = TypeVar("Decorated", bound=Callable[..., Any])
 
-EXIT_ERROR = 1
-EXIT_USAGE = 2
 EXIT_SOME_FAILED = 3
 EXIT_INTERRUPTED = 130
 
@@ -89,22 +87,13 @@ class Command(click.Command):
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
         """Parse; with ``--json``, an error is a document too."""
-        is_json = JSON_FLAG in args
-        try:
+        with errors_as_json(ctx, JSON_FLAG in args):
             return super().parse_args(ctx, args)
-        except click.UsageError as error:
-            if is_json:
-                write_error(ctx, error, error.exit_code)
-            raise
 
     def invoke(self, ctx: click.Context) -> Any:
         """Run; with ``--json``, an error is a document too."""
-        try:
+        with errors_as_json(ctx, ctx.params.get("as_json", False)):
             return super().invoke(ctx)
-        except (PcretrieveError, click.ClickException) as error:
-            if ctx.params.get("as_json"):
-                write_error(ctx, error, exit_code(error))
-            raise
 
     def _rare(self) -> list[str]:
         return [one.opts[0] for one in self.params if isinstance(one, Option) and one.is_rare]
@@ -134,13 +123,6 @@ def option(
     return click.option(
         *names, cls=Option, type=chosen, metavar=metavar, is_flag=is_flag or None, help=text, **settings
     )
-
-
-def exit_code(error: PcretrieveError | click.ClickException) -> int:
-    """The code with which a command ends after an error."""
-    if isinstance(error, click.ClickException):
-        return error.exit_code
-    return EXIT_USAGE if isinstance(error, OptionError) else EXIT_ERROR
 
 
 def exit_if(some_failed: object) -> None:
@@ -209,20 +191,9 @@ def _shapes(context: click.Context) -> list[tuple[str, str | None]]:
         return []
 
 
-class Method(click.ParamType):  # type: ignore[type-arg]  # generic since click 8.3 only
-    """The name of a descriptor: the help lists the names, the library checks them."""
-
-    name = "descriptor"
-
-    def get_metavar(self, param: click.Parameter, ctx: click.Context | None = None) -> str:
-        """What the help shows in place of the names, of which there may be many."""
-        return "NAME"
-
-    def shell_complete(
-        self, ctx: click.Context, param: click.Parameter, incomplete: str
-    ) -> list[CompletionItem]:
-        """The names that begin with what is typed."""
-        return _items(DESCRIPTOR_NAMES.all(), incomplete)
+def complete_methods(ctx: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem]:
+    """The descriptors that begin with what is typed."""
+    return _items(DESCRIPTOR_NAMES.all(), incomplete)
 
 
 def classes_of(
@@ -323,10 +294,10 @@ matrix_option = option(
     "ids of its rows, one in each line.",
 )
 method_option = option(
-    "--method",
+    "--method NAME",
     "Descriptor, or several joined by +.  [default: combined, or the catalogue's]",
-    Method(),
     rare=True,
+    shell_complete=complete_methods,
     details=lambda: f"Names: {', '.join(DESCRIPTOR_NAMES.all())}.",
 )
 n_values_option = option(
@@ -394,30 +365,26 @@ def on_catalogue(command: Callable[..., None]) -> Callable[..., None]:
     """Add the same, and give a command the opened catalogue, the options, and the distances of a matrix."""
 
     @wraps(command)
-    def opening(catalogue: str, **given: Any) -> None:
-        flags = taken(given)
-        if "matrix" in given:
-            given["matrix"] = read_distances(given["matrix"], flags)
+    def opening(catalogue: str, **values: Any) -> None:
+        flags = {name: values.pop(name) for name in COMPARISON if name in values}
+        if "matrix" in values:
+            values["matrix"] = read_distances(values["matrix"], flags)
         with opened(catalogue, flags) as (store, options):
-            command(store, options, **given)
+            command(store, options, **values)
 
     return comparison_options(opening)
 
 
-def taken(given: dict[str, Any]) -> dict[str, Any]:
-    """Take the values of `comparison_options` from those that a command was given."""
-    return {name: given.pop(name) for name in COMPARISON if name in given}
-
-
 def changes(flags: dict[str, Any]) -> dict[str, dict[str, Any]]:
     """The options that `comparison_options` change, by table, without ``--config``."""
-    given = {name: value for name, value in flags.items() if value is not None and name != "config"}
-    retrieval = {name: given.pop(name) for name in RETRIEVAL_FLAGS if name in given}
+    chosen = given(flags)
+    chosen.pop("config", None)
+    retrieval = {name: chosen.pop(name) for name in RETRIEVAL_FLAGS if name in chosen}
     # A whitening by name replaces a file that the configuration names, and vice versa.
     if "whitening" in retrieval:
         is_name = retrieval["whitening"] in WHITENING_NAMES
         retrieval["calibration"] = None if is_name else retrieval.pop("whitening")
-    return {"signature": given, "retrieval": retrieval}
+    return {"signature": chosen, "retrieval": retrieval}
 
 
 @contextmanager
@@ -440,10 +407,15 @@ def read_distances(path: Path | None, flags: dict[str, Any]) -> pr.DistanceMatri
     return pr.read_matrix(path)
 
 
+def given(flags: dict[str, Any]) -> dict[str, Any]:
+    """The values among these that a command was given."""
+    return {name: value for name, value in flags.items() if value is not None}
+
+
 def refuse(flags: dict[str, Any], reason: str) -> None:
     """End with a usage error if a command was given some of these options."""
-    if given := [f"--{name.replace('_', '-')}" for name, value in flags.items() if value is not None]:
-        raise click.UsageError(f"{reason}: leave out {', '.join(given)}")
+    if names := [f"--{name.replace('_', '-')}" for name in given(flags)]:
+        raise click.UsageError(f"{reason}: leave out {', '.join(names)}")
 
 
 def _warn_of_mixed_units(store: pr.Catalogue) -> None:

@@ -8,6 +8,7 @@ import shutil
 import sys
 import textwrap
 from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import fields, is_dataclass
 from itertools import islice, zip_longest
 from pathlib import Path
@@ -18,10 +19,13 @@ import click
 
 import pcretrieve as pr
 from pcretrieve.cli.messages import ESCAPES, broken, escaped, shown_path, stop_waiting, without_password
-from pcretrieve.errors import PcretrieveError
+from pcretrieve.errors import OptionError, PcretrieveError
 
 if TYPE_CHECKING:
     from pcretrieve.values import Failure
+
+EXIT_ERROR = 1
+EXIT_USAGE = 2
 
 #: The option of commands that print documents.
 JSON_FLAG = "--json"
@@ -199,18 +203,31 @@ def write_documents(results: Iterable[object], *, options: pr.PipelineOptions | 
         write_document([], options=options)
 
 
-def write_error(context: click.Context, error: PcretrieveError | click.ClickException, code: int) -> None:
-    """Print the document of a command that fails."""
-    facts = failure_facts(error) | {"exit_code": code}
-    if BEGUN in context.meta:
-        print_text("\n  ]," + _text(facts)[len("{") :])
-    else:
-        print_text(_text(_head(context, None) | facts))
+@contextmanager
+def errors_as_json(context: click.Context, is_json: bool) -> Iterator[None]:
+    """Print the document of a command that fails, and let its error through."""
+    try:
+        yield
+    except (PcretrieveError, click.ClickException) as error:
+        if is_json:
+            facts = failure_facts(error) | {"exit_code": exit_code(error)}
+            if BEGUN in context.meta:
+                print_text("\n  ]," + _text(facts)[len("{") :])
+            else:
+                print_text(_text(_head(context, None) | facts))
+        raise
+
+
+def exit_code(error: PcretrieveError | click.ClickException) -> int:
+    """The code with which a command ends after an error."""
+    if isinstance(error, click.ClickException):
+        return error.exit_code
+    return EXIT_USAGE if isinstance(error, OptionError) else EXIT_ERROR
 
 
 def failure_facts(
     failure: PcretrieveError | click.ClickException | pr.Record | Failure,
-) -> dict[str, object]:
+) -> dict[str, Any]:
     """What failed, for JSON: the name of the exception, the stage, if there is one, and the message."""
     kind = type(failure).__name__ if isinstance(failure, Exception) else failure.error
     return {"error": kind, "stage": getattr(failure, "stage", None), "message": failure.message}

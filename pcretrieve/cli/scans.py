@@ -5,25 +5,22 @@ from __future__ import annotations
 import math
 import sys
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import closing
 from dataclasses import asdict
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import Any, TypeVar
 
 import click
 
 import pcretrieve as pr
 from pcretrieve.cli import options as opt
 from pcretrieve.cli import output as out
-from pcretrieve.cli.messages import Progress, bar, failure_line, say, shown_path, stop_waiting
-from pcretrieve.errors import PcretrieveError, ShapeError, Stage
+from pcretrieve.cli.messages import Progress, failure_line, say, shown_path
+from pcretrieve.errors import ShapeError, Stage, in_stage
 
-if TYPE_CHECKING:
-    from pcretrieve.points.register import Merged
-    from pcretrieve.values import Failure
+Found = TypeVar("Found")
 
-Answer = TypeVar("Answer")
+MESH_SUFFIXES = (".ply", ".obj", ".off", ".stl", ".glb")
 
 
 def scans_options(command: opt.Decorated) -> opt.Decorated:
@@ -31,76 +28,34 @@ def scans_options(command: opt.Decorated) -> opt.Decorated:
     return opt.workers_option(opt.limit_options(opt.progress_option(command)))
 
 
-def alone(function: Callable[..., Answer], *arguments: Any, timeout: float, memory: float | None) -> Answer:
-    """Call a function in a process of its own, which may crash, hang or fill the memory."""
-    from pcretrieve.ingestion import alone as call_alone
-
-    return call_alone(function, *arguments, timeout=timeout, memory=memory)
-
-
 def each_scan(
     command: str,
-    function: Callable[[Path], Answer],
-    scans: Sequence[Path],
+    function: Callable[..., Found],
+    paths: Path | Sequence[str],
     *,
-    workers: int | None,
     progress: str | None,
-    **limits: Any,
-) -> Iterator[tuple[Path, Answer | Failure]]:
-    """Apply a function to scans in processes, in their order, and show progress if there are several."""
-    from pcretrieve.ingestion import in_processes
-    from pcretrieve.ingestion.discover import printable
+    is_alone: bool = False,
+    **run: Any,
+) -> Iterator[tuple[str, Found | ShapeError]]:
+    """`map_scans` with progress, if there are several scans; the error of a scan alone is raised."""
+    with Progress(command, progress or "none") as shown:
 
-    finished: dict[Path, Answer | Failure] = {}
-    n_yielded = 0
-    shown = Progress(command, (progress if len(scans) > 1 else None) or "none")
-    shown.start(len(scans))
-    running = in_processes(function, scans, workers=workers, **limits)
-    with closing(running), shown:
-        for path, outcome in running:
-            name = printable(path)
-            if isinstance(outcome, PcretrieveError):
-                finished[path] = failure = failure_of(Path(name).stem, outcome)
-                facts: dict[str, object] = {"status": "failed", "seconds": 0.0, "id": failure.shape_id}
-                facts |= {"path": name, "stage": failure.stage, "error": failure.error}
-                shown.advance(facts | {"message": failure.message}, failure_line(failure, name))
-            else:
-                finished[path] = outcome
+        def start(total: int) -> None:
+            if total > 1:
+                shown.start(total)
+
+        def advance(name: str, outcome: object) -> None:
+            if not isinstance(outcome, ShapeError):
                 shown.advance({"path": name, "status": "done"})
-            while n_yielded < len(scans) and scans[n_yielded] in finished:
-                yield scans[n_yielded], finished.pop(scans[n_yielded])
-                n_yielded += 1
+            elif not is_alone:
+                stem = Path(name).stem
+                facts = {"status": "failed", "seconds": 0.0, "id": stem, "path": name}
+                shown.advance(facts | out.failure_facts(outcome), failure_line(stem, outcome, name))
 
-
-def failure_of(shape_id: str, error: PcretrieveError) -> Failure:
-    """What is known of a scan that failed; errors that are not failures of a scan are raised."""
-    from pcretrieve.ingestion.discover import printable
-    from pcretrieve.values import Failure
-
-    if not isinstance(error, ShapeError):
-        raise error
-    stage = str(error.stage or Stage.WORKER)
-    return Failure(shape_id, stage, type(error).__name__, printable(error.message))
-
-
-def failure_document(failure: Failure) -> dict[str, object]:
-    """The JSON document of a failure, in place of that of a result."""
-    return {"error": failure.error, "stage": failure.stage, "message": failure.message}
-
-
-def output_files(folder: Path, scans: Sequence[Path], source: Path, suffix: str) -> dict[Path, Path]:
-    """Name a file for each scan of a folder, and make the folder in which the files are written."""
-    from pcretrieve.errors import InputError
-    from pcretrieve.ingestion.discover import printable, shape_ids
-
-    if folder.resolve().is_relative_to(source.resolve()):
-        raise InputError(f"{folder} is in {source}, whose files are read: name another folder with -o")
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(f"cannot make the folder {folder}: {error.strerror}; name another") from error
-    ids = shape_ids([printable(scan) for scan in scans], {})
-    return {scan: folder / f"{ids[printable(scan)]}{suffix}" for scan in scans}
+        for name, outcome in pr.map_scans(function, paths, on_start=start, on_scan=advance, **run):
+            if is_alone and isinstance(outcome, ShapeError):
+                raise outcome
+            yield name, outcome
 
 
 # --- merge ---------------------------------------------------------------------------------------------
@@ -142,99 +97,61 @@ def merge_command(
     pcretrieve merge frames/ --config depth-camera -o body.ply
     pcretrieve merge frames/ --sensor origin --max-range 1.5 -o body.ply
     """
-    from pcretrieve.formats import check_output
-    from pcretrieve.ingestion.discover import printable
-    from pcretrieve.ingestion.views import view_files
-
     if not paths:
         raise click.UsageError("name at least two views, or one .conf")
-    given = {name: value for name, value in chosen.items() if value is not None}
-    options = opt.load_options(config).changed(merge=given)
-    files, _ = view_files(paths)
-    check_output(output, files, "point")
-    stop_waiting()  # the process of the registration shows a bar
-    merged = alone(_merged, paths, options.merge, timeout=timeout * len(files), memory=memory)
-    pr.write_cloud(merged.cloud, output)
-    names = [printable(file) for file in files]
-    _say_residuals(merged, names, output)
-    if as_json:
-        out.write_document(_merge_document(merged, names, output), options=options)
-    opt.exit_if(merged.left_out)
-
-
-def _merged(paths: Sequence[str], options: pr.MergeOptions) -> Merged:
-    """Merge views in a worker process, which imports Open3D, and shows its progress on standard error."""
-    with bar(unit="pair", desc="merge", disable=None) as shown:
-
-        def on_pair(done: int, total: int) -> None:
-            shown.total = total
-            shown.update(done - shown.n)
-
-        return pr.merge_views(paths, options, on_pair=on_pair)
-
-
-def _say_residuals(merged: Merged, names: Sequence[str], output: Path) -> None:
-    """Print a table of the views, with their overlaps and residuals."""
-    say(f"{'view':<8}  {'overlap':>7}  {'rms':>10}  file")
-    for number, name in enumerate(names):
-        if number in merged.left_out:
-            say(f"{'left out':<8}  {'-':>7}  {'-':>10}  {name}")
-        else:
-            say(f"{'placed':<8}  {merged.shares[number]:7.1%}  {merged.rms(number):10.3g}  {name}")
+    options = opt.load_options(config).changed(merge=opt.given(chosen))
+    merged = pr.merge_views(paths, options.merge, output=output, timeout=timeout, memory=memory)
     (step,) = merged.cloud.provenance
+    views: list[dict[str, object]] = []
+    say(f"{'view':<8}  {'overlap':>7}  {'rms':>10}  file")
+    for number, name in enumerate(merged.names):
+        placed, rms = number not in merged.left_out, merged.rms(number)
+        if placed:
+            say(f"{'placed':<8}  {merged.shares[number]:7.1%}  {rms:10.3g}  {name}")
+        else:
+            say(f"{'left out':<8}  {'-':>7}  {'-':>10}  {name}")
+        pose = merged.poses[number] if placed else None
+        overlap = float(merged.shares[number])
+        views.append({"path": name, "placed": placed, "pose": pose, "overlap": overlap, "rms": _number(rms)})
     for note in step.notes:
         say(note)
     say(
-        f"placed {len(names) - len(merged.left_out)} of {len(names)} views, rms {merged.rms():.3g} "
+        f"placed {len(views) - len(merged.left_out)} of {len(views)} views, rms {merged.rms():.3g} "
         f"({merged.rms() / merged.scale:.2%} of a view's diagonal), {len(merged.cloud.points)} points, "
         f"{step.seconds:.1f} s: {output}"
     )
+    if as_json:
+        document = {
+            "cloud": output,
+            "points": len(merged.cloud.points),
+            "diagonal": merged.scale,
+            "rms": _number(merged.rms()),
+            "views": views,
+            "overlaps": [asdict(overlap) for overlap in merged.overlaps],
+            "notes": step.notes,
+            "seconds": round(step.seconds, 3),
+        }
+        out.write_document(document, options=options)
+    opt.exit_if(merged.left_out)
 
 
-def _merge_document(merged: Merged, names: Sequence[str], output: Path) -> dict[str, object]:
-    """The JSON document of merged views, with null for NaN, which JSON does not have."""
-
-    def number_or_none(value: float) -> float | None:
-        return value if math.isfinite(value) else None
-
-    (step,) = merged.cloud.provenance
-    return {
-        "cloud": str(output),
-        "points": len(merged.cloud.points),
-        "diagonal": merged.scale,
-        "rms": number_or_none(merged.rms()),
-        "views": [
-            {
-                "path": name,
-                "placed": number not in merged.left_out,
-                "pose": None if number in merged.left_out else merged.poses[number].tolist(),
-                "overlap": float(merged.shares[number]),
-                "rms": number_or_none(merged.rms(number)),
-            }
-            for number, name in enumerate(names)
-        ],
-        "overlaps": [asdict(overlap) for overlap in merged.overlaps],
-        "notes": list(step.notes),
-        "seconds": round(step.seconds, 3),
-    }
+def _number(value: float) -> float | None:
+    """A number of JSON, which has no NaN."""
+    return value if math.isfinite(value) else None
 
 
 # --- reconstruct ---------------------------------------------------------------------------------------
 
 
 @opt.command("reconstruct")
-@click.argument("scan", type=click.Path(path_type=Path), metavar="SCAN|FOLDER")
+@click.argument("scan", type=opt.PATH, metavar="SCAN|FOLDER")
 @opt.option(
     "--output -o MESH|FOLDER",
-    "Write this mesh (.ply .obj .off .stl .glb); for a folder of scans, a folder.",
+    f"Write this mesh ({' '.join(MESH_SUFFIXES)}); for a folder of scans, a folder.",
     opt.PATH,
     required=True,
 )
-@opt.option(
-    "--suffix SUFFIX",
-    "Format of the meshes of a folder of scans.  [default: .ply]",
-    (".ply", ".obj", ".off", ".stl", ".glb"),
-)
+@opt.option("--suffix SUFFIX", "Format of the meshes of a folder of scans.  [default: .ply]", MESH_SUFFIXES)
 @opt.option("--report", "Print each step, with what was repaired.")
 @opt.config_option
 @opt.surface_option
@@ -258,77 +175,46 @@ def reconstruct_command(
     pcretrieve reconstruct scan.ply -o body.obj --report
     pcretrieve reconstruct scans/ -o meshes/ --workers 2
     """
-    from pcretrieve.formats import check_output
-
-    options = opt.load_options(config, surface)
-    if scan.is_dir():
-        _reconstruct_folder(scan, output, suffix or ".ply", report, options, as_json, **run)
-        return
-    if suffix is not None:
+    options, is_alone = opt.load_options(config, surface), not scan.is_dir()
+    if is_alone and suffix is not None:
         raise click.UsageError("--suffix is for folders: give the suffix of the mesh with -o")
-    check_output(output, [scan], "mesh")
-    limits = {"timeout": run["timeout"], "memory": run["memory"]}
-    facts, steps = alone(_reconstructed, options, {scan: output}, scan, **limits)
+    run |= {"output": output, "suffix": suffix or ".ply", "kind": "mesh", "is_alone": is_alone}
+    # Printed at the end, because they would break a bar.
+    found = [
+        (name, out.failure_facts(outcome) if isinstance(outcome, ShapeError) else outcome)
+        for name, outcome in each_scan("reconstruct", partial(_reconstructed, options=options), scan, **run)
+    ]
+    made = [(name, facts) for name, facts in found if "mesh" in facts]
     if as_json:
-        out.write_document(facts | {"steps": [asdict(step) for step in steps]}, options=options)
-        return
-    if report:
-        out.write_steps(steps)
-    values = (f"{value:.6g}" if isinstance(value, float) else str(value) for value in facts.values())
-    say("  ".join(f"{name} {value}" for name, value in zip(facts, values, strict=True)))
-
-
-def _reconstruct_folder(
-    folder: Path,
-    output: Path,
-    suffix: str,
-    report: bool,
-    options: pr.PipelineOptions,
-    as_json: bool,
-    **run: Any,
-) -> None:
-    """Write the surface of each scan of a folder."""
-    from pcretrieve.ingestion.discover import discover, printable
-    from pcretrieve.values import Failure
-
-    scans = discover([folder])
-    files = output_files(output, scans, folder, suffix)
-    documents: list[dict[str, object]] = []
-    made: list[tuple[str, tuple[pr.Step, ...]]] = []  # printed at the end, because they would break a bar
-    for path, outcome in each_scan("reconstruct", partial(_reconstructed, options, files), scans, **run):
-        name = printable(path)
-        if isinstance(outcome, Failure):
-            documents.append({"scan": name} | failure_document(outcome))
-            continue
-        facts, steps = outcome
-        documents.append({"scan": name} | facts | {"steps": [asdict(step) for step in steps]})
-        made.append((name, steps))
-    if as_json:
-        out.write_document(documents, options=options)
+        documents = [{"scan": name} | facts for name, facts in found]
+        out.write_document(found[0][1] if is_alone else documents, options=options)
     elif report:
-        for name, steps in made:
-            out.write_line(shown_path(name))
-            out.write_steps(steps)
-    n_failed = len(scans) - len(made)
-    say(f"{len(made)} surfaces are in {output}, {n_failed} scans failed")
-    opt.exit_if(n_failed)
+        for name, facts in made:
+            if not is_alone:
+                out.write_line(shown_path(name))
+            out.write_steps(facts["steps"])
+    if not is_alone:
+        say(f"{len(made)} surfaces are in {output}, {len(found) - len(made)} scans failed")
+    elif not as_json:
+        facts = {name: value for name, value in found[0][1].items() if name != "steps"}
+        texts = (f"{value:.6g}" if isinstance(value, float) else str(value) for value in facts.values())
+        say("  ".join(f"{name} {text}" for name, text in zip(facts, texts, strict=True)))
+    opt.exit_if(len(found) - len(made))
 
 
-def _reconstructed(
-    options: pr.PipelineOptions, files: dict[Path, Path], scan: Path
-) -> tuple[dict[str, object], tuple[pr.Step, ...]]:
-    """Write the surface of a scan, in a worker process, which imports the stages."""
+def _reconstructed(scan: Path, file: Path, options: pr.PipelineOptions) -> dict[str, Any]:
+    """Write the surface of a scan, in a worker process, and measure it."""
     mesh = pr.reconstruct(scan, options)
-    pr.write_mesh(mesh, files[scan])
-    facts: dict[str, object] = {
-        "mesh": str(files[scan]),
+    pr.write_mesh(mesh, file)
+    return {
+        "mesh": str(file),
         "vertices": len(mesh.vertices),
         "faces": len(mesh.faces),
         "euler": mesh.euler_characteristic,
         "area": mesh.area,
         "volume": mesh.volume,
+        "steps": mesh.provenance,
     }
-    return facts, mesh.provenance
 
 
 # --- signature -----------------------------------------------------------------------------------------
@@ -357,7 +243,7 @@ def signature_command(
     unit: str | None,
     as_json: bool,
     workers: int | None,
-    progress: str,
+    progress: str | None,
     timeout: float,
     memory: float | None,
     **chosen: Any,
@@ -371,95 +257,77 @@ def signature_command(
     pcretrieve signature scans/ --method shape-dna --json
     pcretrieve signature --from-catalogue bodies.sqlite T12 T17 --method wks
     """
-    given = {name: value for name, value in chosen.items() if value is not None}
     if from_catalogue is not None:
         if config or surface or unit:
             raise click.UsageError(
                 "a catalogue has options of its own: leave out --config, --surface and --unit"
             )
         with pr.Catalogue(from_catalogue) as store:
-            options = store.options.changed(signature=given)
+            options = store.options.changed(signature=opt.given(chosen))
             n_failed = _write_signatures(_of_catalogue(store, paths, options), options, as_json)
     else:
         if not paths:
             raise click.UsageError("name at least one scan")
-        options = opt.load_options(config, surface, unit).changed(signature=given)
+        options = opt.load_options(config, surface, unit).changed(signature=opt.given(chosen))
         # On a terminal, the signatures themselves show the progress, and would break a bar.
-        is_shown = progress != "bar" or as_json or not sys.stdout.isatty()
-        limits = {"workers": workers, "timeout": timeout, "memory": memory}
-        rows = _of_scans(paths, options, progress=progress if is_shown else None, **limits)
-        n_failed = _write_signatures(rows, options, as_json)
+        if progress == "bar" and not as_json and sys.stdout.isatty():
+            progress = None
+        limits: dict[str, Any] = {"workers": workers, "timeout": timeout, "memory": memory}
+        described = partial(_described, options=options)
+        scans = each_scan("signature", described, paths, progress=progress, **limits)
+        n_failed = _write_signatures(_of_scans(scans), options, as_json)
     opt.exit_if(n_failed)
 
 
 def _write_signatures(
-    rows: Iterator[tuple[str, pr.Signature | Failure, dict[str, object]]],
-    options: pr.PipelineOptions,
-    as_json: bool,
+    rows: Iterator[tuple[str, dict[str, Any]]], options: pr.PipelineOptions, as_json: bool
 ) -> int:
     """Print signatures as they come, or one document. Returns the number of failures."""
-    from pcretrieve.values import Failure
-
-    found: list[dict[str, object]] = []
-    n_failed = 0
-    for name, outcome, facts in rows:
-        if isinstance(outcome, Failure):
-            n_failed += 1
-            found.append(facts | failure_document(outcome))
-            continue
-        facts |= {"kind": outcome.kind, "unit": outcome.unit, "values": outcome.values.tolist()}
-        if outcome.deviation is not None:
-            facts |= {"deviation": outcome.deviation.tolist()}
+    found: list[dict[str, Any]] = []
+    for name, facts in rows:
         found.append(facts)
-        if not as_json:
-            out.write_row([shown_path(name), *(f"{value:.9g}" for value in outcome.values)])
+        if not as_json and "values" in facts:
+            out.write_row([shown_path(name), *(f"{value:.9g}" for value in facts["values"])])
     if as_json:
         out.write_document(found, options=options)
-    return n_failed
+    return sum("values" not in facts for facts in found)
 
 
 def _of_scans(
-    paths: tuple[str, ...], options: pr.PipelineOptions, **run: Any
-) -> Iterator[tuple[str, pr.Signature | Failure, dict[str, object]]]:
-    """Name, and signature or failure of each scan, and what else is known of it."""
-    from pcretrieve.ingestion.discover import discover, printable
-
-    for path, outcome in each_scan("signature", partial(_described, options), discover(paths), **run):
-        name = printable(path)
-        if isinstance(outcome, tuple):
-            signature, seconds = outcome
-            yield name, signature, {"path": name, "seconds": round(seconds, 3)}
-        else:
-            yield name, outcome, {"path": name}
+    scans: Iterator[tuple[str, dict[str, Any] | ShapeError]],
+) -> Iterator[tuple[str, dict[str, Any]]]:
+    for path, outcome in scans:
+        facts = out.failure_facts(outcome) if isinstance(outcome, ShapeError) else outcome
+        yield path, {"path": path} | facts
 
 
-def _described(options: pr.PipelineOptions, path: Path) -> tuple[pr.Signature, float]:
-    """A signature and its seconds, in a worker process, which imports the stages."""
-    from pcretrieve.errors import in_stage
-
+def _described(path: Path, options: pr.PipelineOptions) -> dict[str, Any]:
+    """A signature and its seconds, in a worker process."""
     shape = pr.process(path, options)
     with in_stage(Stage.SIGNATURE):
         signature = pr.describe(shape, options.signature)
-    return signature, sum(step.seconds for step in shape.provenance)
+    return {"seconds": round(sum(step.seconds for step in shape.provenance), 3)} | _facts(signature)
+
+
+def _facts(signature: pr.Signature) -> dict[str, Any]:
+    """What JSON has of a signature."""
+    facts = {"kind": signature.kind, "unit": signature.unit, "values": signature.values.tolist()}
+    return facts if signature.deviation is None else facts | {"deviation": signature.deviation.tolist()}
 
 
 def _of_catalogue(
     store: pr.Catalogue, ids: tuple[str, ...], options: pr.PipelineOptions
-) -> Iterator[tuple[str, pr.Signature | Failure, dict[str, object]]]:
-    """Id, and signature or failure of each shape of a catalogue, and what else is known of it."""
-    from pcretrieve.descriptors import DESCRIPTORS
-    from pcretrieve.values import Failure
-
-    needs = DESCRIPTORS[options.signature.method].needs
+) -> Iterator[tuple[str, dict[str, Any]]]:
+    """Id of each shape of a catalogue, and its signature or failure."""
     for record in [store.record(shape_id) for shape_id in ids] or store.records(status="done"):
-        outcome: pr.Signature | Failure
-        if record.status == "failed":
-            outcome = Failure(record.id, str(record.stage), str(record.error), str(record.message))
-        else:
+        failure: pr.Record | ShapeError | None = record if record.status == "failed" else None
+        facts: dict[str, Any] = {"id": record.id, "path": record.path}
+        if failure is None:
             try:
-                outcome = pr.describe(store.shape(record.id, needs), options.signature)
+                facts |= _facts(store.described(record.id, options))
             except ShapeError as error:
-                outcome = failure_of(record.id, error)
-        if isinstance(outcome, Failure):
-            say(failure_line(outcome, record.path))
-        yield record.id, outcome, {"id": record.id, "path": record.path}
+                failure = error
+        if failure is not None:
+            say(failure_line(record.id, failure, record.path))
+            facts |= out.failure_facts(failure)
+        yield record.id, facts

@@ -222,7 +222,7 @@ def matrix_command(
         found = pr.matrix(store, options=options, matcher=matcher, on_failure=failures.append)
     pr.write_matrix(found, output)
     for one in failures:
-        say(failure_line(one))
+        say(failure_line(one.shape_id, one))
     ids = str(output.with_suffix(".ids"))
     say(f"{len(found)} shapes: distances in {output}, ids in {ids}")
     if as_json:

@@ -41,17 +41,7 @@ MEGABYTE = 1_000_000
 )
 @opt.up_option
 @opt.comparison_options
-def serve_command(
-    catalogue: str,
-    port: int,
-    read_only: bool,
-    keep: Path | None,
-    max_upload: int,
-    timeout: float,
-    memory: float,
-    up: str | None,
-    **comparison: Any,
-) -> None:
+def serve_command(catalogue: str, max_upload: int, **chosen: Any) -> None:
     """Show a catalogue in the browser of this computer, until Ctrl-C.
 
     Open the address that is printed. It contains a secret: whoever has it can see the shapes, and search by
@@ -62,20 +52,11 @@ def serve_command(
     pcretrieve serve --catalogue bodies.sqlite
     pcretrieve serve --catalogue bodies.sqlite --port 0 --keep scans/
     """
-    if read_only and keep is not None:
+    if chosen["read_only"] and chosen["keep"] is not None:
         raise click.UsageError("choose one of --read-only and --keep")
-    with opt.opened(catalogue, comparison) as (_, options):
+    flags = {name: chosen.pop(name) for name in opt.COMPARISON}
+    with opt.opened(catalogue, flags) as (_, options):
         pass
     say("Open the address in a browser; end the server with Ctrl-C.")
-    pr.serve(
-        catalogue,
-        options=options,
-        port=port,
-        read_only=read_only,
-        most_bytes=max_upload * MEGABYTE,
-        timeout=timeout,
-        memory=memory,
-        up=up,
-        keep=keep,
-        on_start=out.write_line,
-    )
+    chosen |= {"most_bytes": max_upload * MEGABYTE, "on_start": out.write_line}
+    pr.serve(catalogue, options=options, **chosen)

@@ -11,6 +11,7 @@ from pcretrieve.ingestion.problems import report_problem
 from pcretrieve.ingestion.progress import BatchStatus, status
 from pcretrieve.ingestion.recomputing import Check, check
 from pcretrieve.ingestion.run import Summary, ingest, retry
+from pcretrieve.ingestion.scans import map_scans
 
 __all__ = [
     "BatchStatus",
@@ -23,6 +24,7 @@ __all__ = [
     "check",
     "in_processes",
     "ingest",
+    "map_scans",
     "report_problem",
     "retry",
     "status",

@@ -71,7 +71,7 @@ class Plan:
     labels: dict[str, str] = field(default_factory=dict)
     stamps: dict[str, str] = field(default_factory=dict)
     held: list[Record] = field(default_factory=list)
-    duplicates: list[tuple[Path, Record]] = field(default_factory=list)
+    duplicates: list[tuple[str, Record]] = field(default_factory=list)
     process: list[tuple[Path, Record]] = field(default_factory=list)
     unreadable: list[Record] = field(default_factory=list)
 
@@ -161,7 +161,7 @@ class Planner:
             # The earlier result of a file stays in the catalogue until the original has been processed.
             if earlier is not None and original.status == "done" and identity not in self._queued:
                 made.removed.append(name)
-            made.duplicates.append((self.files[name], original))
+            made.duplicates.append((name, original))
             return
         self._queued[identity] = record = replace(self._record(name), content_hash=content, stamp=stamp)
         made.process.append((self.files[name], record))

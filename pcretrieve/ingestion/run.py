@@ -35,7 +35,7 @@ class Summary:
         The records of scans that were processed.
     held : list of Record
         Those of scans that the catalogue had already.
-    duplicates : list of (Path, Record)
+    duplicates : list of (str, Record)
         Skipped files with the same content as another file, and the record of the other file.
     unknown_labels : list of str
         Names in the label file that match no scan.
@@ -46,7 +46,7 @@ class Summary:
     done: list[Record] = field(default_factory=list)
     failed: list[Record] = field(default_factory=list)
     held: list[Record] = field(default_factory=list)
-    duplicates: list[tuple[Path, Record]] = field(default_factory=list)
+    duplicates: list[tuple[str, Record]] = field(default_factory=list)
     unknown_labels: list[str] = field(default_factory=list)
     planned: list[Record] = field(default_factory=list)
 

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -13,13 +14,17 @@ from pcretrieve.errors import InputError, ScanReadError
 from pcretrieve.formats import (
     ScanLike,
     as_scan,
+    check_output,
     image_poses,
     parts_of,
     read_scan,
     split_member,
     trajectory_file,
+    write_cloud,
 )
+from pcretrieve.formats.identity import printable
 from pcretrieve.ingestion.discover import discover
+from pcretrieve.ingestion.pool import alone
 from pcretrieve.options import MergeOptions, PipelineOptions
 from pcretrieve.points.register import Merged
 from pcretrieve.points.register import merge_views as merge_clouds
@@ -45,7 +50,9 @@ def merge_views(
     views: str | Path | Sequence[ScanLike],
     options: MergeOptions | Mapping[str, object] | str | Path | None = None,
     *,
-    on_pair: Callable[[int, int], None] | None = None,
+    output: str | Path | None = None,
+    timeout: float | None = None,
+    memory: float | None = None,
 ) -> Merged:
     """Register range scans of one body, and merge them into one cloud.
 
@@ -56,8 +63,12 @@ def merge_views(
     options : MergeOptions, mapping, str or Path, optional
         The parameters of the registration, or the name of a preset or of a TOML file that has them in the
         table ``[merge]``. By default the defaults.
-    on_pair : function, optional
-        Called with the number of pairs of views that have been matched, and the number of all pairs.
+    output : str or Path, optional
+        A file to which the cloud is written.
+    timeout : float, optional
+        Longest time for each view; seconds. Files are then merged in another process, not in this one.
+    memory : float, optional
+        Largest heap of that process; GiB.
 
     Returns
     -------
@@ -67,7 +78,7 @@ def merge_views(
     Raises
     ------
     InputError
-        If there are fewer than two views.
+        If there are fewer than two views, or the output cannot be written.
     OptionError
         If an option does not exist, or its value is not allowed.
     ReconstructionError
@@ -77,11 +88,24 @@ def merge_views(
         options = PipelineOptions.named(options).merge
     chosen = options if isinstance(options, MergeOptions) else MergeOptions(**(options or {}))
     named = [views] if isinstance(views, (str, Path)) else views
-    files = [view for view in named if isinstance(view, (str, Path))]
-    if len(files) == len(named):
-        read = read_views(files)
-        return merge_clouds(read.clouds, chosen, poses=read.poses, on_pair=on_pair)
-    return merge_clouds([as_cloud(as_scan(view)) for view in named], chosen, on_pair=on_pair)
+    paths = [view for view in named if isinstance(view, (str, Path))]
+    files = view_files(paths)[0] if len(paths) == len(named) else []
+    if output is not None:
+        check_output(Path(output), files, "point")
+    if not files:
+        merged = merge_clouds([as_cloud(as_scan(view)) for view in named], chosen)
+    elif timeout is None:
+        merged = _merged(paths, chosen)
+    else:
+        merged = alone(_merged, paths, chosen, timeout=timeout * len(files), memory=memory)
+    if output is not None:
+        write_cloud(merged.cloud, output)
+    return replace(merged, names=tuple(map(printable, files)))
+
+
+def _merged(paths: Sequence[str | Path], options: MergeOptions) -> Merged:
+    read = read_views(paths)
+    return merge_clouds(read.clouds, options, poses=read.poses)
 
 
 def view_files(paths: Sequence[str | Path]) -> tuple[list[Path], FloatArray | None]:

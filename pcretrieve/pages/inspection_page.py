@@ -17,6 +17,7 @@ from PIL import Image, ImageDraw, ImageFont
 from pcretrieve import Inspection, PointCloud
 from pcretrieve.catalogue import CatalogueLike, opened
 from pcretrieve.draw import CLAY, Colour, rgb
+from pcretrieve.formats import check_output, split_member
 from pcretrieve.options import OptionsLike
 from pcretrieve.pages.html import encoded, line_of, page_of, write_page
 from pcretrieve.pages.inspection_pictures import (
@@ -61,6 +62,7 @@ def inspect(
     *,
     n_rescans: int = 4,
     page: str | Path | None = None,
+    png: str | Path | None = None,
     catalogue: CatalogueLike | None = None,
 ) -> Inspection:
     """Process a scan, and check the result of each stage.
@@ -76,6 +78,8 @@ def inspect(
         the signature; 0 for none.
     page : str or Path, optional
         An HTML file to which a page with the results is written.
+    png : str or Path, optional
+        A PNG file to which the pictures of the page are written.
     catalogue : Catalogue, str or Path, optional
         Where the next body is looked for, with whose distance the error bar of the signature is compared; its
         options are then the defaults. Without a catalogue, this distance is that of people.
@@ -88,16 +92,22 @@ def inspect(
     Raises
     ------
     InputError
-        If `scan` cannot be converted to a cloud or a mesh, or the page cannot be written.
+        If `scan` cannot be converted to a cloud or a mesh, or a file cannot be written.
     CatalogueError
         If the options require other spectra than the catalogue has.
     """
     from pcretrieve.pipeline.inspecting import inspect_scan
 
+    read = [split_member(Path(scan))[0]] if isinstance(scan, (str, Path)) else []
+    for target in (page, png):
+        if target is not None:
+            check_output(Path(target), read)
     with nullcontext() if catalogue is None else opened(catalogue) as store:
         found = inspect_scan(scan, options, n_rescans=n_rescans, catalogue=store)
     if page is not None:
         write_inspection_page(found, page)
+    if png is not None:
+        write_inspection_png(found, png)
     return found
 
 

@@ -85,7 +85,7 @@ def test_a_scan_that_fails_gets_its_page(scan: str, stage: str, folder: Path) ->
 @pytest.mark.parametrize(
     ("arguments", "code", "words"),
     [
-        ("nowhere.ply", 1, "there is no scan nowhere.ply"),
+        ("nowhere.ply", 1, "there is no file or folder nowhere.ply"),
         ("folder.html", 2, "name a folder for the pages of the scans"),
         ("few.ply -o nowhere/page.html", 1, "there is no folder nowhere"),
         ("few.ply -o folder.html", 1, "is a folder"),

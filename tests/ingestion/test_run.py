@@ -67,7 +67,7 @@ def test_one_content_is_processed_once(folder: Path, catalogue: Catalogue) -> No
     seen: list[str] = []
     first = ingest(folder, catalogue, on_shape=lambda record: seen.append(record.id))
     assert ids([*first.done]) == ["a", "b"]
-    assert [(path.name, original.id) for path, original in first.duplicates] == [("copy.off", "a")]
+    assert [(Path(path).name, original.id) for path, original in first.duplicates] == [("copy.off", "a")]
     second = again(folder, catalogue)
     assert (ids([*second.held]), second.done, len(second.duplicates)) == (["a", "b"], [], 1)
     assert sorted(seen) == ["a", "a", "b"]  # once for each file
@@ -128,7 +128,7 @@ def test_a_file_out_of_reach_keeps_what_was_made_of_it(folder: Path, filled: Cat
     assert ids([*summary.failed]) == ["a", "b"]
     for record in summary.failed:
         assert "; the catalogue keeps what was made of this file on" in str(record.message)
-    assert [path.name for path, _ in summary.duplicates] == ["copy.off"]
+    assert [Path(path).name for path, _ in summary.duplicates] == ["copy.off"]
     assert filled.records() == before
     np.testing.assert_array_equal(filled.signatures().values, signatures)
     (folder / "a.off").unlink()

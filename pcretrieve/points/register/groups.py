@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from itertools import combinations
 from typing import NamedTuple
 
@@ -188,7 +188,6 @@ def largest_group(
     reach: float,
     options: MergeOptions,
     rng: np.random.Generator,
-    on_pair: Callable[[int, int], None] | None,
 ) -> dict[int, FloatArray]:
     """Match all pairs of views of different groups, and merge the groups that fit each other.
 
@@ -199,12 +198,10 @@ def largest_group(
     joined = [dict(group) for group in groups]
     matches: list[_Match] = []
     features: dict[int, FloatArray] = {}
-    n_done = 0
     for _ in range(ROUNDS):
         pairs = sorted(
             (min(i, j), max(i, j)) for group, other in combinations(joined, 2) for i in group for j in other
         )
-        n_all = n_done + len(pairs)
         for first, second in pairs:
             for number in (first, second):
                 if number not in features:
@@ -214,9 +211,6 @@ def largest_group(
                 (views[first], views[second]), (features[first], features[second]), cell, reach, options, rng
             )
             matches += _matches(views, first, second, motions, cell, reach, options)
-            n_done += 1
-            if on_pair is not None:
-                on_pair(n_done, n_all)
         joined = _grouped(views, matches, joined, reach, options)
     largest = max(joined, key=len)
     if len(largest) == 1:

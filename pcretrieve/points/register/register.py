@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import combinations
 
@@ -30,6 +30,7 @@ class Merged:
     shares: (v,) float64, fraction of the points of each view that another registered view measured too; 0 if
         it was left out.
     scale: median diagonal of the views, to which relative options refer; unit of the file.
+    names: the file of each view, if the views are files.
     """
 
     cloud: PointCloud
@@ -37,6 +38,7 @@ class Merged:
     shares: FloatArray
     overlaps: tuple[Overlap, ...]
     scale: float
+    names: tuple[str, ...] = ()
 
     @property
     def left_out(self) -> tuple[int, ...]:
@@ -51,11 +53,7 @@ class Merged:
 
 
 def merge_views(
-    views: Sequence[PointCloud],
-    options: MergeOptions,
-    *,
-    poses: FloatArray | None = None,
-    on_pair: Callable[[int, int], None] | None = None,
+    views: Sequence[PointCloud], options: MergeOptions, *, poses: FloatArray | None = None
 ) -> Merged:
     """Register range scans, each in a frame of its own and all in one unit, and merge them into one cloud.
 
@@ -63,8 +61,6 @@ def merge_views(
         ``options.refine`` is set, by key frames if views hardly differ, and no view is left out. Without them
         all poses are searched, and views that are not in the largest group are left out, with a note in the
         provenance.
-    on_pair: called with the number of pairs of views that have been matched, and the number of all pairs.
-        Pairs of views in different groups are matched twice.
     Returns Merged: equal views and options give equal results, bit for bit.
     """
     started = time.perf_counter()
@@ -80,7 +76,7 @@ def merge_views(
         found = tracks(ready, reach, options)
         starts = [track.key_poses for track in found]
         groups = [adjusted(ready, keys, fixed=[min(keys)], steps=COARSE, reach=reach) for keys in starts]
-        keys = largest_group(ready, groups, cell, reach, options, rng, on_pair)
+        keys = largest_group(ready, groups, cell, reach, options, rng)
         placed, key_of = followed(ready, keys, found, reach, options)
     else:
         placed = dict(enumerate(np.array(poses, dtype=np.float64)))
