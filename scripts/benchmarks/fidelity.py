@@ -9,6 +9,7 @@ condition, on one core.
 from __future__ import annotations
 
 import argparse
+import contextlib
 import csv
 import io
 import json
@@ -19,7 +20,6 @@ import tempfile
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import closing
-from dataclasses import asdict, dataclass, fields
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
@@ -43,7 +43,7 @@ from benchmarks.measuring import (
     use_one_core,
 )
 from benchmarks.sets import CONDITIONS, DEFECTS, SETS, Item, spread, write_scan
-from pcretrieve.arrays import DOUBLE_OFFSET, Frame, IntArray
+from pcretrieve.arrays import DOUBLE_OFFSET, Frame
 from pcretrieve.descriptors import describe
 from pcretrieve.draw.open3d import RayScene, open3d_cloud
 from pcretrieve.errors import BenchmarkError, InputError, PcretrieveError
@@ -68,7 +68,7 @@ EPILOG = """example:
   scripts/benchmark_fidelity --set humans --limit 10
   scripts/benchmark_fidelity --conditions typical-uniform harsh-rig --config mine.toml --name mine --csv f.csv
 
-conditions:
+--conditions:
   easy|typical|harsh - uniform|rig          points only, uniform or seen by nine cameras
   easy|typical|harsh - uniform|rig-sensors  the same, with the sensor position of each point
   defects                                   the clean mesh with holes, flipped and duplicate faces, and
@@ -109,40 +109,17 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 def _parser() -> argparse.ArgumentParser:
     parser = argument_parser(__doc__, EPILOG)
+    add_data(parser)
     add = parser.add_argument
     add("--set", action="append", choices=SETS, help="one set only; may be repeated (default: all)")
-    add_data(parser)
-    add(
-        "--conditions",
-        nargs="+",
-        choices=CONDITIONS,
-        default=["typical-uniform"],
-        metavar="NAME",
-        help="see below",
-    )
+    add("--conditions", nargs="+", choices=CONDITIONS, default=["typical-uniform"], metavar="NAME")
     add("--config", action="append", type=Path, default=[], metavar="TOML|PRESET", help="may be repeated")
-    add(
-        "--name",
-        action="append",
-        help="name of a configuration, in the order of --config (default: name of the file)",
-    )
+    add("--name", action="append", help="names of the configurations (default: those of the files)")
     add("--limit", type=positive, metavar="N", help="scan N meshes only, evenly spread over the set")
-    add(
-        "--rescans",
-        type=positive,
-        default=0,
-        metavar="N",
-        help="scan a few meshes N times and print the spread",
-    )
+    add("--rescans", type=positive, default=0, metavar="N", help="scan a few meshes N times, for the spread")
     add("--textbook", type=positive, default=0, metavar="K", help="time the textbook pipeline on K scans")
     add("--csv", type=Path, metavar="FILE", help="append the rows to this file")
-    add(
-        "--workers",
-        type=positive,
-        default=1,
-        metavar="N",
-        help="processes; times mean something for one only (default: 1)",
-    )
+    add("--workers", type=positive, default=1, metavar="N", help="processes; more than 1 spoil times")
     return parser
 
 
@@ -172,7 +149,7 @@ def _run(given: argparse.Namespace, configurations: dict[str, PipelineOptions]) 
                 scans = _scanned(name, items, condition, given, Path(folder))
                 for label, options in configurations.items():
                     row = _row(scans, label, options, truths[label], given.workers)
-                    yield from row.lines()
+                    yield from lines_of(row)
                     if given.csv:
                         append(given.csv, row)
 
@@ -230,153 +207,101 @@ def _row(scans: Scans, name: str, options: PipelineOptions, truth: Signatures, w
     errors = np.linalg.norm(np.log(found.relative / truth.relative[rows]), axis=1).tolist()
     stages = dict.fromkeys(stage for answer in done for stage in answer.stages)
     textbook = median(scans.textbook)
-    clean = retrieval(truth, scans.items, range(n), options)._asdict()
-    return Row(
-        set=scans.set,
-        condition=scans.condition,
-        name=name,
-        digest=options.digest,
-        scans=n,
-        failed=n - len(done),
-        normals_right=mean(answer.normals for answer in done if answer.normals is not None),
-        closed=sum(answer.closed for answer in done) / n,
-        euler_right=sum(answer.euler == SPHERE for answer in done) / n,
-        distance_mean=median(answer.mean for answer in done),
-        distance_hausdorff=median(answer.hausdorff for answer in done),
-        log_error_median=median(errors),
-        log_error_mean=mean(errors),
-        **retrieval(found, scans.items, rows, options)._asdict(),
+    clean = retrieval(truth, scans.items, range(n), options)
+    return {
+        "set": scans.set,
+        "condition": scans.condition,
+        "name": name,
+        "digest": options.digest,
+        "scans": n,
+        "failed": n - len(done),
+        "normals_right": mean(answer.normals for answer in done if answer.normals is not None),
+        "closed": sum(answer.closed for answer in done) / n,
+        "euler_right": sum(answer.euler == SPHERE for answer in done) / n,
+        "distance_mean": median(answer.mean for answer in done),
+        "distance_hausdorff": median(answer.hausdorff for answer in done),
+        "log_error_median": median(errors),
+        "log_error_mean": mean(errors),
+        **retrieval(found, scans.items, rows, options),
         **{f"clean_{measure}": value for measure, value in clean.items()},
-        seconds=median(answer.seconds for answer in done),
-        processor_seconds=median(answer.processor for answer in done),
-        stages=json.dumps({s: round(median(a.stages.get(s, 0.0) for a in done), 4) for s in stages}),
-        peak_mib=max((answer.peak for answer in done), default=NAN),
-        rescan_spread=relative_spread(repeats, found.values, [scans.items[k].label for k in rows]),
-        textbook_seconds=textbook,
-        textbook_ratio=textbook / median(a.seconds for k in scans.timed if (a := examined[k])),
-    )
+        "seconds": median(answer.seconds for answer in done),
+        "processor_seconds": median(answer.processor for answer in done),
+        "stages": json.dumps({s: round(median(a.stages.get(s, 0.0) for a in done), 4) for s in stages}),
+        "peak_mib": max((answer.peak for answer in done), default=NAN),
+        "rescan_spread": relative_spread(repeats, found.values, [scans.items[k].label for k in rows]),
+        "textbook_seconds": textbook,
+        "textbook_ratio": textbook / median(a.seconds for k in scans.timed if (a := examined[k])),
+    }
 
 
 NAN = float("nan")
 
+# Columns of the CSV file. Fractions are relative to all scans, including scans that failed, except for
+# `normals_right`. Distances are relative to the diagonal; distances and seconds are medians over the scans
+# that did not fail. Errors are of log-signatures with the scale relative; the spread of rescans is of
+# signatures by the options of the configuration. Values that were not or cannot be measured are NaN.
+COLUMNS = (
+    *("set", "condition", "name", "digest", "scans", "failed", "normals_right", "closed", "euler_right"),
+    *("distance_mean", "distance_hausdorff", "log_error_median", "log_error_mean"),
+    *("nn", "map", "nn_within", "map_within", "clean_nn", "clean_map", "clean_nn_within", "clean_map_within"),
+    *("seconds", "stages", "peak_mib", "rescan_spread", "textbook_seconds", "textbook_ratio"),
+    *("nn_relative", "map_relative", "nn_pca", "map_pca", "clean_nn_relative", "clean_map_relative"),
+    *("clean_nn_pca", "clean_map_pca", "nn_resolution", "map_resolution", "clean_nn_resolution"),
+    *("clean_map_resolution", "nn_sized", "map_sized", "clean_nn_sized", "clean_map_sized"),
+    "processor_seconds",
+)
 
-class Retrieval(NamedTuple):
-    """Nearest-neighbour score and mean average precision (mAP) of some signatures."""
-
-    nn: float
-    map: float
-    nn_relative: float
-    map_relative: float
-    nn_pca: float
-    map_pca: float
-    nn_within: float
-    map_within: float
-    nn_sized: float
-    map_sized: float
-    nn_resolution: float
-    map_resolution: float
-
-
-@dataclass(frozen=True, slots=True)
-class Row:
-    """One set under one condition with one choice of options: the columns of the CSV file.
-
-    Fractions are relative to all scans, including scans that failed, except for `normals_right`. Distances
-    are relative to the diagonal; distances and seconds are medians over the scans that did not fail. Errors
-    are of log-signatures with the scale relative; the spread of rescans is of signatures by the options of
-    the configuration. Values that were not or cannot be measured are NaN.
-    """
-
-    set: str
-    condition: str
-    name: str
-    digest: str
-    scans: int
-    failed: int
-    normals_right: float
-    closed: float
-    euler_right: float
-    distance_mean: float
-    distance_hausdorff: float
-    log_error_median: float
-    log_error_mean: float
-    nn: float
-    map: float
-    nn_within: float
-    map_within: float
-    clean_nn: float
-    clean_map: float
-    clean_nn_within: float
-    clean_map_within: float
-    seconds: float
-    stages: str
-    peak_mib: float
-    rescan_spread: float
-    textbook_seconds: float
-    textbook_ratio: float
-    nn_relative: float
-    map_relative: float
-    nn_pca: float
-    map_pca: float
-    clean_nn_relative: float
-    clean_map_relative: float
-    clean_nn_pca: float
-    clean_map_pca: float
-    nn_resolution: float
-    map_resolution: float
-    clean_nn_resolution: float
-    clean_map_resolution: float
-    nn_sized: float
-    map_sized: float
-    clean_nn_sized: float
-    clean_map_sized: float
-    processor_seconds: float
-
-    def lines(self) -> Iterator[str]:
-        """A line of `TABLE`, and further lines with the values that are not in the table."""
-        values = asdict(self)
-        yield TABLE.row(*(values[name] for name in SHOWN))
-        yield (
-            f"    clean meshes: NN {self.clean_nn:.3f}, mAP {self.clean_map:.3f}, "
-            f"within-class NN {self.clean_nn_within:.3f}, mAP {self.clean_map_within:.3f}"
-        )
-        stages = json.loads(self.stages)
-        total = sum(stages.values())
-        yield "    " + ", ".join(f"{stage} {s:.2f} s ({s / total:.1%})" for stage, s in stages.items())
-        if not is_missing(self.processor_seconds):
-            yield f"    processor time of a scan: {self.processor_seconds:.2f} s"
-        if not is_missing(self.rescan_spread):
-            yield f"    spread of rescans / distance to the nearest other class: {self.rescan_spread:.3f}"
-        if not is_missing(self.textbook_ratio):
-            ratio = f"{self.textbook_ratio:.1f} times as long as pcretrieve"
-            yield f"    textbook: median {self.textbook_seconds:.1f} s, {ratio}"
+# One set under one condition with one choice of options: its values by the names of the columns.
+Row = dict[str, Any]
 
 
-# Columns that are printed.
+def lines_of(row: Row) -> Iterator[str]:
+    """A line of `TABLE`, and further lines with the values that are not in the table."""
+    yield TABLE.row(*(row[name] for name in SHOWN))
+    yield (
+        "    clean meshes: NN {clean_nn:.3f}, mAP {clean_map:.3f}, "
+        "within-class NN {clean_nn_within:.3f}, mAP {clean_map_within:.3f}"
+    ).format_map(row)
+    stages = json.loads(row["stages"])
+    total = sum(stages.values())
+    yield "    " + ", ".join(f"{stage} {s:.2f} s ({s / total:.1%})" for stage, s in stages.items())
+    for name, text in (
+        ("processor_seconds", "processor time of a scan: {processor_seconds:.2f} s"),
+        ("rescan_spread", "spread of rescans / distance to the nearest other class: {rescan_spread:.3f}"),
+        (
+            "textbook_ratio",
+            "textbook: median {textbook_seconds:.1f} s, {textbook_ratio:.1f} times as long as pcretrieve",
+        ),
+    ):
+        if not is_missing(row[name]):
+            yield f"    {text.format_map(row)}"
+
+
+# Columns that are printed: titles and formats.
 SHOWN = {
     "condition": Column("condition", 23, align="<"),
     "name": Column("options", 12, align="<"),
-    "scans": Column("scans", 8),
-    "failed": Column("failed", 8),
-    "normals_right": Column("normals", 8, ".2%"),
-    "closed": Column("closed", 8, ".1%"),
-    "euler_right": Column("Euler", 8, ".1%"),
-    "distance_mean": Column("distance", 8, ".3%"),
-    "distance_hausdorff": Column("Hausd.", 8, ".2%"),
-    "log_error_median": Column("log err", 8, ".3f"),
-    "log_error_mean": Column("(mean)", 8, ".3f"),
-    "nn": Column("NN", 8, ".3f"),
-    "map": Column("mAP", 8, ".3f"),
-    "nn_relative": Column("rel. NN", 8, ".3f"),
-    "map_relative": Column("rel. mAP", 8, ".3f"),
-    "nn_pca": Column("pca NN", 8, ".3f"),
-    "map_pca": Column("pca mAP", 8, ".3f"),
-    "nn_within": Column("w-c NN", 8, ".3f"),
-    "map_within": Column("w-c mAP", 8, ".3f"),
-    "nn_resolution": Column("res. NN", 8, ".3f"),
-    "map_resolution": Column("res. mAP", 8, ".3f"),
-    "nn_sized": Column("size NN", 8, ".3f"),
-    "map_sized": Column("size mAP", 8, ".3f"),
+    **{name: Column(name, 8) for name in ("scans", "failed")},
+    **{
+        name: Column(title, 8, form)
+        for name, title, form in (
+            ("normals_right", "normals", ".2%"),
+            ("closed", "closed", ".1%"),
+            ("euler_right", "Euler", ".1%"),
+            ("distance_mean", "distance", ".3%"),
+            ("distance_hausdorff", "Hausd.", ".2%"),
+            ("log_error_median", "log err", ".3f"),
+            ("log_error_mean", "(mean)", ".3f"),
+        )
+    },
+    **{
+        f"{measure}{kind}": Column(f"{title}{shown}", 8, ".3f")
+        for kind, title in (
+            *(("", ""), ("_relative", "rel. "), ("_pca", "pca "), ("_within", "w-c ")),
+            *(("_resolution", "res. "), ("_sized", "size ")),
+        )
+        for measure, shown in (("nn", "NN"), ("map", "mAP"))
+    },
     "seconds": Column("time/s", 8, ".2f"),
     "peak_mib": Column("MiB", 8, ".0f"),
 }
@@ -387,49 +312,47 @@ def append(path: Path, row: Row) -> None:
     """Append a row to a CSV file. If the file does not exist, the header is written first."""
     before = path.read_bytes() if path.exists() else b""
     text = io.StringIO(newline="")
-    writer = csv.DictWriter(text, [field.name for field in fields(Row)], lineterminator="\n")
+    writer = csv.DictWriter(text, COLUMNS, lineterminator="\n")
     if not before:
         writer.writeheader()
-    writer.writerow(asdict(row))
+    writer.writerow(row)
     write_file(path, before + text.getvalue().encode())
 
 
 def retrieval(
     known: Signatures, items: Sequence[Item], rows: Sequence[int], options: PipelineOptions
-) -> Retrieval:
-    """Retrieval measures of the items of a set."""
+) -> dict[str, float]:
+    """Nearest-neighbour score and mean average precision (mAP) of the items of a set, in several ways."""
     labels = [item.label for item in items]
     failed = {f"failed {k}": labels[k] for k in set(range(len(items))).difference(rows)}
     names, classes = tuple(items[k].name for k in rows), tuple(labels[k] for k in rows)
-    ways: list[tuple[WhiteningKind, FloatArray]] = [
-        ("none", known.values),
-        ("none", known.relative),
-        ("pca", known.longer),
-        ("within-class", known.values),
-        ("none", known.sized),
-    ]
     form = options.changed(signature={"size_weight": 0}).signature
-    if is_measured(form):
-        ways.append(("resolution", known.values))
-    found = []
-    for whitening, values in ways:
+    ways: dict[str, tuple[WhiteningKind, FloatArray]] = {
+        "": ("none", known.values),
+        "_relative": ("none", known.relative),
+        "_pca": ("pca", known.longer),
+        "_within": ("within-class", known.values),
+        "_sized": ("none", known.sized),
+        "_resolution": ("resolution", known.values),
+    }
+    found: dict[str, float] = {}
+    for way, (whitening, values) in ways.items():
+        found |= {f"nn{way}": NAN, f"map{way}": NAN}
+        if whitening == "resolution" and not is_measured(form):
+            continue
         table = SignatureTable(names, values, kind="scan", labels=classes)
-        try:
+        with contextlib.suppress(InputError):  # too few shapes
             made = resolution_whitening(form) if whitening == "resolution" else None
             chosen = RetrievalOptions(whitening=whitening)
             measures = evaluate_table(table, chosen, whitening=made, failed=failed)
-            found += [measures.nn, measures.map]
-        except InputError:
-            found += [NAN, NAN]
-    return Retrieval(*found, *[NAN] * (len(Retrieval._fields) - len(found)))
+            found |= {f"nn{way}": measures.nn, f"map{way}": measures.map}
+    return found
 
 
 def relative_spread(repeats: list[list[FloatArray]], values: FloatArray, labels: list[str]) -> float:
     """Spread of the signatures of repeated scans, relative to the distance of the nearest other class.
 
-    repeats: list of lists of (L,) float64, signatures of the repeated scans of some bodies, a list for each
-        body.
-    values: (n, L) float64, signatures of one scan of every body.
+    repeats: signatures (L,) of the repeated scans of some bodies; values: (n, L), of one scan of each body.
     """
     logs = [coordinates(np.array(own)) for own in repeats if own]  # (r, L) each
     within = [d for own in logs for d in np.linalg.norm(own - own.mean(axis=0), axis=1).tolist()]
@@ -440,13 +363,11 @@ def relative_spread(repeats: list[list[FloatArray]], values: FloatArray, labels:
 
 
 def mean(values: Iterable[float]) -> float:
-    """Arithmetic mean."""
     found = list(values)
     return statistics.fmean(found) if found else NAN
 
 
 def median(values: Iterable[float]) -> float:
-    """Median."""
     found = list(values)
     return statistics.median(found) if found else NAN
 
@@ -474,10 +395,7 @@ class Signatures(NamedTuple):
 
 
 class Examination(NamedTuple):
-    """The result of one scan. Lengths are relative to the diagonal of the clean mesh.
-
-    peak: largest resident memory during these seconds, of the process and its descendants; MiB.
-    """
+    """The result of one scan. Lengths are relative to the diagonal of the clean mesh; the peak is in MiB."""
 
     signatures: Signatures
     seconds: float
@@ -538,12 +456,8 @@ def stacked(many: Sequence[Signatures]) -> Signatures:
 
 def _signatures(shape: Shape, options: PipelineOptions) -> Signatures:
     form, relative = {"size_weight": 0}, {"size_weight": 0, "scale": "relative"}
-    changes: list[dict[str, Any]] = [
-        form,
-        relative,
-        relative | {"n_values": N_LONGER},
-        {"size_weight": SIZE_WEIGHT},
-    ]
+    changes: list[dict[str, Any]] = [form, relative, relative | {"n_values": N_LONGER}]
+    changes.append({"size_weight": SIZE_WEIGHT})
     chosen = [options.changed(signature=change).signature for change in changes]
     return Signatures(*(describe(shape, signature).values for signature in chosen))
 
@@ -551,11 +465,7 @@ def _signatures(shape: Shape, options: PipelineOptions) -> Signatures:
 def _right_normals(
     path: Path, places: FloatArray, normals: FloatArray, options: PipelineOptions
 ) -> float | None:
-    """The fraction of the filtered points whose normal n agrees with the true normal m: n · m > 0.
-
-    places, normals: (n, 3) float64, points of the clean mesh, and their normals. The true normal of a
-        filtered point is that of the nearest of these points.
-    """
+    """The share of filtered points whose normal agrees with that of the nearest point of the clean mesh."""
     cloud = read_scan(path)
     if not isinstance(cloud, PointCloud):
         return None
@@ -609,35 +519,20 @@ PLANE_NEIGHBORS, CUBE = 30, 1.1
 EDGE_LENGTH, ENVELOPE = 0.05, 1e-3
 
 
-def statistical_inliers(points: FloatArray, *, n_neighbors: int, std_ratio: float) -> IntArray:
-    """Statistical outlier removal: the points whose mean distance to their neighbours is not exceptional.
-
-    points: (n, 3) float64, coordinates.
-    Returns (k,) int: positions of the points that are kept, ascending.
-    """
-    cloud = open3d_cloud(Frame.around(points, offset=DOUBLE_OFFSET).inward(points))
-    _, kept = cloud.remove_statistical_outlier(nb_neighbors=n_neighbors, std_ratio=std_ratio)
-    return np.sort(np.asarray(kept, dtype=np.int32))
-
-
 def textbook_seconds(path: Path, timeout: float) -> float:
     """Wall-clock time of a textbook pipeline, from a file of points to 61 eigenpairs.
 
     Its stages are statistical outlier removal, normals oriented by tangent planes, Poisson reconstruction,
-    fTetWild with its defaults, and LaPy on the boundary of the tetrahedra; if LaPy is not installed,
-    `eigenpairs`.
-
-    timeout: longest time that fTetWild may take; seconds.
-    Returns float: time in seconds.
+    fTetWild with its defaults, and LaPy on the boundary of the tetrahedra, or `eigenpairs` without LaPy.
     """
     tetwild.start()
     started = time.perf_counter()
     cloud = read_scan(path)
     if not isinstance(cloud, PointCloud):
         raise BenchmarkError(f"the textbook pipeline begins with points, got a mesh: {path}")
-    points = cloud.points[
-        statistical_inliers(cloud.points, n_neighbors=OUTLIER_NEIGHBORS, std_ratio=OUTLIER_RATIO)
-    ]
+    framed = open3d_cloud(Frame.around(cloud.points, offset=DOUBLE_OFFSET).inward(cloud.points))
+    _, kept = framed.remove_statistical_outlier(nb_neighbors=OUTLIER_NEIGHBORS, std_ratio=OUTLIER_RATIO)
+    points = cloud.points[np.sort(np.asarray(kept, dtype=np.int32))]
     normals = estimate_normals(points, n_neighbors=PLANE_NEIGHBORS)
     normals = orient_by_tangent_planes(points, normals, n_neighbors=TANGENT_NEIGHBORS)
     surface = poisson(points, normals, depth=DEPTH, scale=CUBE)

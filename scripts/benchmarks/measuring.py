@@ -209,13 +209,8 @@ def argument_parser(description: str | None, epilog: str | None = None) -> argpa
 
 def add_data(parser: argparse.ArgumentParser) -> None:
     """Add ``--data``, the folder that has a subfolder for each data set."""
-    parser.add_argument(
-        "--data",
-        type=Path,
-        default=Path("data"),
-        metavar="FOLDER",
-        help="folder of the data sets (default: %(default)s)",
-    )
+    shown = "folder of the data sets (default: %(default)s)"
+    parser.add_argument("--data", type=Path, default=Path("data"), metavar="FOLDER", help=shown)
 
 
 def positive(text: str) -> int:
@@ -235,12 +230,7 @@ def draw_curves(
     y_label: str,
     scale: Literal["log", "linear"] = "log",
 ) -> None:
-    """Write a picture of curves.
-
-    x: (n,) sequence of float, positive, if the axes are logarithmic.
-    curves: mapping of str to (n,) float64, values by the name of the curve, which may hold mathematical text;
-        positive, if the axes are logarithmic.
-    """
+    """Write a picture of curves (n,), by names that may hold mathematical text, over x (n,)."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(6, 4), layout="constrained")

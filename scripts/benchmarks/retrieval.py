@@ -214,29 +214,21 @@ def _no_match_rows(
         yield NO_MATCH_TABLE.row(*facts, found.precision, found.recall, found.matched, found.right)
 
 
-#: Number of random draws of the classes of the fit.
-N_DRAWS = 50
-
-SEED = 0
+# Random draws of the classes of the fit, and their seed.
+N_DRAWS, SEED = 50, 0
 
 
 def calibrated_measures(
-    table: SignatureTable,
-    n_classes: int,
-    options: RetrievalOptions | None = None,
-    *,
-    n_draws: int = N_DRAWS,
-    failed: Mapping[str, str | None] = NO_FAILURES,
+    table: SignatureTable, n_classes: int, *, failed: Mapping[str, str | None] = NO_FAILURES
 ) -> FloatArray:
-    """Retrieval measures of random draws of the classes of the fit.
-
-    Returns (n_draws, 6) float64: the measures of `benchmarks.tables.MEASURES`.
-    """
-    options = options or RetrievalOptions()
+    """(50, 6) retrieval measures, as in `MEASURES`, of random draws of the classes of the fit."""
+    options = RetrievalOptions()
     within = options.model_copy(update={"whitening": "within-class"})
     rng = np.random.default_rng(SEED)
+    classes = sorted({label for label in table.labels if label is not None})
     rows = []
-    for drawn in _draws(table, n_classes, n_draws, rng):
+    for _ in range(N_DRAWS):
+        drawn = {classes[number] for number in rng.choice(len(classes), n_classes, replace=False)}
         fitted = [shape_id for shape_id, label in zip(table.ids, table.labels, strict=True) if label in drawn]
         others = [shape_id for shape_id in table.ids if shape_id not in set(fitted)]
         whitening = replace(table_whitening(table.select(fitted), within), kind=CALIBRATED)
@@ -244,11 +236,3 @@ def calibrated_measures(
         measures = evaluate_table(table.select(others), options, whitening=whitening, failed=misses)
         rows.append(measure_values(measures))
     return np.array(rows)
-
-
-def _draws(
-    table: SignatureTable, n_classes: int, n_draws: int, rng: np.random.Generator
-) -> Iterator[set[str]]:
-    classes = sorted({label for label in table.labels if label is not None})
-    for _ in range(n_draws):
-        yield {classes[number] for number in rng.choice(len(classes), n_classes, replace=False)}

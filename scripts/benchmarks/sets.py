@@ -63,10 +63,7 @@ def left_out(part: str, folder: Path) -> str | None:
 
 
 def read_mesh(path: Path) -> TriangleMesh:
-    """Read a mesh of a set.
-
-    Returns TriangleMesh: the mesh; unit of the file.
-    """
+    """Read a mesh of a set."""
     mesh = read_scan(path)
     if not isinstance(mesh, TriangleMesh):
         raise BenchmarkError(f"{path} must hold a mesh, got points without faces")
@@ -84,10 +81,7 @@ def ingested(
 
 
 def spread(things: Sequence[Thing], n: int | None) -> list[tuple[int, Thing]]:
-    """Choose elements of a sequence at equal steps, from the first to the last.
-
-    Returns list of (int, object): position and value of each chosen element.
-    """
+    """Positions and values of n elements at equal steps, from the first to the last."""
     n = len(things) if n is None else min(n, len(things))
     return [(k, things[k]) for k in np.linspace(0, len(things) - 1, n).round().astype(int).tolist()]
 

@@ -16,7 +16,6 @@ of bag-of-features shape descriptors using sparse coding", 2014.
 
 from __future__ import annotations
 
-import argparse
 import io
 import warnings
 from collections.abc import Iterator, Sequence
@@ -29,6 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 from tqdm import tqdm
 
+from benchmarks.measuring import argument_parser
 from pcretrieve.descriptors import reduced_matrix
 from pcretrieve.descriptors.bags import SAMPLE as HEAT_SAMPLE
 from pcretrieve.descriptors.bags import heat_features
@@ -52,7 +52,7 @@ from pcretrieve.retrieval.whitening import SAMPLE as RESOLUTION_SAMPLE
 from pcretrieve.simulation.bodies import POSES, body, make_subject
 from pcretrieve.simulation.scanner import UniformOptions, scan_uniformly
 from pcretrieve.spectral import unit_eigenpairs
-from pcretrieve.values import FloatArray, Shape
+from pcretrieve.values import FloatArray
 from pcretrieve.values.files import write_file
 
 # Bodies of each family, and points of each of them.
@@ -63,11 +63,7 @@ POINTS_PER_SUBJECT = 60
 
 
 class PointFeatures(NamedTuple):
-    """Point descriptors of the points of one subject.
-
-    heat: (2, 60, 6) float64, heat kernel signatures, plain and scale-invariant; dimensionless.
-    wavelets: (60, 3) float64, spectral graph wavelet signatures; dimensionless.
-    """
+    """Heat kernel signatures (2, 60, 6), plain and scale-invariant, and wavelet signatures (60, 3)."""
 
     heat: FloatArray
     wavelets: FloatArray
@@ -89,10 +85,7 @@ def _write(room: str, name: str, sample: FloatArray) -> None:
 
 
 def features() -> Iterator[PointFeatures]:
-    """Point descriptors of random points of simulated bodies.
-
-    Points are drawn in proportion to area; the subjects of a family take poses in turn.
-    """
+    """Point descriptors of random points of simulated bodies, whose subjects take poses in turn."""
     rng = np.random.default_rng(0)
     for family, poses in POSES.items():
         for number in range(N_HEAT_SUBJECTS):
@@ -127,10 +120,7 @@ def resolution() -> None:
 
 
 def log_eigenvalues(family: str, number: int) -> FloatArray:
-    """Logarithms of the magnitudes of the eigenvalues of R-BiHDM, of one body with small and large voxels.
-
-    Returns (2, 61) float64: dimensionless: of the surface scaled to unit area.
-    """
+    """(2, 61) logarithms of the eigenvalues of R-BiHDM, of one body with small and large voxels."""
     rng = np.random.default_rng((RESOLUTION_SEED, list(POSES).index(family), number))
     poses = list(POSES[family].values())
     mesh = body(make_subject(family, rng), poses[number % len(poses)], rng)
@@ -138,17 +128,12 @@ def log_eigenvalues(family: str, number: int) -> FloatArray:
     rows = []
     for cell in CELLS:
         shape = process(cloud, PipelineOptions().changed(surface={"cell": cell, "reconstructions": 1}))
-        rows.append(_log_eigenvalues(shape))
+        rows.append(np.log(np.abs(np.linalg.eigvalsh(reduced_matrix(shape.spectrum, N_MODES)))))
     return np.array(rows)
 
 
 def _of_body(which: tuple[str, int]) -> FloatArray:
     return log_eigenvalues(*which)
-
-
-def _log_eigenvalues(shape: Shape) -> FloatArray:
-    magnitudes: FloatArray = np.abs(np.linalg.eigvalsh(reduced_matrix(shape.spectrum, N_MODES)))
-    return np.log(magnitudes)
 
 
 # Individuals of each family, and poses of each individual.
@@ -162,20 +147,13 @@ N_POINTS_OF_ATOMS = 40
 DICTIONARY_SEED = 2014
 
 
-class LabelledSurface(NamedTuple):
-    """The point descriptors of a body."""
-
-    points: SurfacePoints
-    label: str
-
-
 def dictionary() -> None:
     """Learn the dictionaries, and write them into the package."""
     _write("descriptors", ATOMS, dictionaries(list(surfaces(N_SUBJECTS, N_POSES))))
 
 
-def surfaces(n_subjects: int, n_poses: int) -> Iterator[LabelledSurface]:
-    """Simulated bodies of all families."""
+def surfaces(n_subjects: int, n_poses: int) -> Iterator[tuple[SurfacePoints, str]]:
+    """Point descriptors and labels of simulated bodies of all families."""
     for family, (name, poses) in enumerate(POSES.items()):
         for number in range(n_subjects):
             subject = make_subject(name, np.random.default_rng((DICTIONARY_SEED, family, number)))
@@ -183,22 +161,14 @@ def surfaces(n_subjects: int, n_poses: int) -> Iterator[LabelledSurface]:
                 rng = np.random.default_rng((DICTIONARY_SEED, family, number, turn))
                 pose = list(poses.values())[(number + turn * max(1, len(poses) // n_poses)) % len(poses)]
                 pairs = unit_eigenpairs(body(subject, pose, rng), N_MODES + 1)
-                yield LabelledSurface(surface_points(pairs), f"{name} {number}")
+                yield surface_points(pairs), f"{name} {number}"
 
 
-def dictionaries(bodies: Sequence[LabelledSurface], *, n_steps: int = 200) -> FloatArray:
-    """The dictionaries of surfaces.
-
-    Returns (2, 32, d) float64: the atoms that are learned without labels, and those that are learned from
-        these with labels.
-    """
+def dictionaries(bodies: Sequence[tuple[SurfacePoints, str]], *, n_steps: int = 200) -> FloatArray:
+    """(2, 32, d) the atoms learned without labels, and those learned from these with labels."""
     rng = np.random.default_rng(DICTIONARY_SEED)
-    points = np.concatenate(
-        [
-            points.features[rng.choice(len(points.shares), N_POINTS_OF_ATOMS, p=points.shares)]
-            for points, _ in bodies
-        ]
-    )
+    drawn = [rng.choice(len(points.shares), N_POINTS_OF_ATOMS, p=points.shares) for points, _ in bodies]
+    points = np.concatenate([points.features[rows] for (points, _), rows in zip(bodies, drawn, strict=True)])
     atoms = sparse_dictionary(points, N_ATOMS, PENALTY)
     labelled = supervised_dictionary(
         [points for points, _ in bodies], [label for _, label in bodies], atoms, rng, n_steps=n_steps
@@ -227,10 +197,7 @@ SMALLEST = 1e-4
 
 
 class Loss(NamedTuple):
-    """The loss of a dictionary, and its derivative.
-
-    gradient: (L, d) float64, its derivative by the atoms.
-    """
+    """The loss of a dictionary, and its derivative (L, d) by the atoms."""
 
     value: float
     gradient: FloatArray
@@ -242,11 +209,7 @@ N_PASSES = 100
 
 
 def sparse_dictionary(points: FloatArray, n_atoms: int, penalty: float) -> FloatArray:
-    """A dictionary in which points have sparse codes, by online learning (Mairal et al., 2010).
-
-    points: (N, d) float64, the points.
-    Returns (L, d) float64: the atoms, of unit length. Equal for equal points, number and penalty.
-    """
+    """(L, d) atoms of unit length by which points (N, d) have sparse codes, learned online (Mairal, 2010)."""
     from sklearn.decomposition import MiniBatchDictionaryLearning
     from sklearn.exceptions import ConvergenceWarning
 
@@ -257,8 +220,7 @@ def sparse_dictionary(points: FloatArray, n_atoms: int, penalty: float) -> Float
         # Codes of a duality gap of 1e-4 are exact enough: the next step changes the atoms.
         warnings.simplefilter("ignore", ConvergenceWarning)
         atoms = np.asarray(learning.fit(points).components_, dtype=np.float64)
-    unit: FloatArray = atoms / np.linalg.norm(atoms, axis=1, keepdims=True)
-    return unit
+    return np.asarray(atoms / np.linalg.norm(atoms, axis=1, keepdims=True))
 
 
 def supervised_dictionary(
@@ -271,9 +233,7 @@ def supervised_dictionary(
 ) -> FloatArray:
     """The atoms by which surfaces of one class are nearer to each other than to those of other classes.
 
-    atoms: (L, d) float64, the dictionary to begin with, of rows of unit length: as a rule one that was
-        learned without labels.
-    Returns (L, d) float64: the dictionary, of rows of unit length.
+    atoms: (L, d), the dictionary to begin with, as a rule one that was learned without labels.
     """
     classes = [np.flatnonzero(np.array(labels) == label) for label in sorted(set(labels))]
     classes = [members for members in classes if len(members) > 1]
@@ -309,9 +269,7 @@ def triplet_loss(
     """The hinge loss of all triplets of surfaces.
 
     The mean of max(0, μ + ‖h_q − h_p‖² − ‖h_q − h_n‖²) over all surfaces q, p of the class of q, and n of
-    another class, with h the square roots of the shares of the atoms.
-
-    atoms: (L, d) float64, the dictionary D.
+    another class, with h the square roots of the shares of the atoms (L, d).
     """
     features = np.concatenate([surface.features for surface in surfaces])  # (n, d)
     shares = np.concatenate([surface.shares for surface in surfaces])  # (n,)
@@ -383,8 +341,6 @@ ARRAYS = {"heat": heat, "resolution": resolution, "dictionary": dictionary}
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Compute one of the arrays."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = argument_parser(__doc__)
     parser.add_argument("which", choices=ARRAYS)
     ARRAYS[parser.parse_args(arguments).which]()

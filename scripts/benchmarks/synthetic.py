@@ -177,10 +177,7 @@ class WritingTimes(NamedTuple):
 
 
 def written_in(path: Path, n_shapes: int, n_repeats: int) -> WritingTimes:
-    """Add shapes to a catalogue, and remove them, several times.
-
-    Returns WritingTimes: median times; seconds.
-    """
+    """Median times of adding shapes to a catalogue, and removing them."""
     times = []
     with Catalogue(path) as catalogue:
         (page,) = catalogue.pages(limit=n_shapes)
@@ -200,10 +197,7 @@ def written_in(path: Path, n_shapes: int, n_repeats: int) -> WritingTimes:
 
 
 def merged_in(folder: Path, options: PipelineOptions, n_shapes: int, n_parts: int, seed: int) -> float:
-    """Merge the catalogues of a job array.
-
-    Returns float: wall-clock time; seconds.
-    """
+    """Seconds of merging the catalogues of a job array."""
     if n_shapes % (n_parts * CLASS_SIZE):
         raise BenchmarkError(
             f"the number of merged shapes must be a multiple of {n_parts * CLASS_SIZE}, got {n_shapes}"

@@ -20,7 +20,7 @@ import argparse
 import html
 import sys
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 
 from threadpoolctl import threadpool_limits
@@ -34,25 +34,8 @@ from pcretrieve.errors import PcretrieveError
 from pcretrieve.values import TriangleMesh
 from pcretrieve.values.files import write_file
 
-__all__ = ["main"]
-
 # Meshes of TOSCA that figure 7 and appendix A are repeated on.
 SHAPES = ("cat0", "david0", "horse0")
-
-# The sets that each part needs.
-PARTS: Mapping[str, tuple[str, ...]] = {
-    "figure1": ("shrec11",),
-    "table2": (),
-    "table3": ("shrec11",),
-    "table4": ("shrec11", "tosca"),
-    "table5": (),
-    "figure4": ("mpeg7",),
-    "figure5": ("shrec11",),
-    "figure6": (),
-    "figure7": ("tosca",),
-    "drift": ("tosca",),
-    "discrepancy": ("tosca",),
-}
 
 # Numbers of silhouettes of figure 4, and of meshes of figure 5, without --full.
 N_SILHOUETTES, N_PERTURBED = 280, 150
@@ -88,7 +71,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
             for part in given.only or PARTS:
                 started = time.monotonic()
                 lines: list[str] = []
-                print_lines(_kept(_lines(part, given), lines))
+                for line in _lines(part, given):
+                    print_lines([line])
+                    lines.append(line)
                 print_lines([f"({part}: {time.monotonic() - started:.0f} s)", ""])
                 sections.append(_section(part, lines, given.output))
         if given.output is not None:
@@ -96,13 +81,6 @@ def main(arguments: Sequence[str] | None = None) -> None:
             print_lines([f"wrote {given.output / 'paper.html'}"])
     except (PcretrieveError, OSError) as error:
         sys.exit(str(error))
-
-
-def _kept(lines: Iterator[str], kept: list[str]) -> Iterator[str]:
-    """The same lines, which are kept too."""
-    for line in lines:
-        kept.append(line)
-        yield line
 
 
 def _section(part: str, lines: Sequence[str], output: Path | None) -> str:
@@ -114,35 +92,40 @@ def _section(part: str, lines: Sequence[str], output: Path | None) -> str:
     return f"<section id={part}>\n<pre>{html.escape(chr(10).join(lines))}</pre>\n{''.join(shown)}\n</section>"
 
 
+def _output(given: argparse.Namespace, name: str) -> Path | None:
+    return None if given.output is None else given.output / name
+
+
+def _meshes(given: argparse.Namespace) -> dict[str, TriangleMesh]:
+    return {name: read_mesh(given.data / "tosca" / f"{name}.off") for name in SHAPES}
+
+
+def _figure_4(given: argparse.Namespace) -> Iterator[str]:
+    return figure_4(
+        given.data / "mpeg7", _output(given, "figure4.png"), None if given.full else N_SILHOUETTES
+    )
+
+
+# What prints each part, and the sets that it needs.
+PARTS: Mapping[str, tuple[Callable[[argparse.Namespace], Iterator[str]], tuple[str, ...]]] = {
+    "figure1": (lambda o: figure_1(o.data / "shrec11", _output(o, "figure1.png")), ("shrec11",)),
+    "table2": (lambda o: table_2(full=o.full), ()),
+    "table3": (lambda o: retrieval_tables("table3", o.data, o.output, full=o.full), ("shrec11",)),
+    "table4": (lambda o: retrieval_tables("table4", o.data, o.output, full=o.full), ("shrec11", "tosca")),
+    "table5": (lambda o: table_5(o.data, full=o.full), ()),
+    "figure4": (_figure_4, ("mpeg7",)),
+    "figure5": (lambda o: figure_5(o.data / "shrec11", None if o.full else N_PERTURBED), ("shrec11",)),
+    "figure6": (lambda o: figure_6(), ()),
+    "figure7": (lambda o: figure_7(_meshes(o), _output(o, "figure7.png")), ("tosca",)),
+    "drift": (lambda o: section_4_4(_first_poses(o.data / "tosca"), remeshed=o.full), ("tosca",)),
+    "discrepancy": (lambda o: appendix_a(_meshes(o)), ("tosca",)),
+}
+
+
 def _lines(part: str, given: argparse.Namespace) -> Iterator[str]:
-    data: Path = given.data
-    for name in PARTS[part]:
-        if missing := left_out(part, data / name):
-            yield missing
-            return
-    if part == "table2":
-        yield from table_2(full=given.full)
-    elif part in ("table3", "table4"):
-        yield from retrieval_tables(part, data, given.output, full=given.full)
-    elif part == "table5":
-        yield from table_5(data, full=given.full)
-    elif part == "figure1":
-        yield from figure_1(data / "shrec11", None if given.output is None else given.output / "figure1.png")
-    elif part == "figure4":
-        strips = None if given.output is None else given.output / "figure4.png"
-        yield from figure_4(data / "mpeg7", strips, None if given.full else N_SILHOUETTES)
-    elif part == "figure5":
-        yield from figure_5(data / "shrec11", None if given.full else N_PERTURBED)
-    elif part == "figure6":
-        yield from figure_6()
-    elif part == "drift":
-        yield from section_4_4(_first_poses(data / "tosca"), remeshed=given.full)
-    else:
-        meshes = {name: read_mesh(data / "tosca" / f"{name}.off") for name in SHAPES}
-        if part == "figure7":
-            yield from figure_7(meshes, None if given.output is None else given.output / "figure7.png")
-        else:
-            yield from appendix_a(meshes)
+    lines, needed = PARTS[part]
+    missing = [line for name in needed if (line := left_out(part, given.data / name))]
+    yield from missing[:1] or lines(given)
 
 
 def _first_poses(folder: Path) -> dict[str, tuple[TriangleMesh, TriangleMesh]]:

@@ -10,12 +10,13 @@ from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any, Literal, NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 
 from benchmarks.measuring import Column, Table, draw_curves, progress, timed
 from benchmarks.sets import SETS, described, ingested, pooled_vectors, read_mesh, spread, written_set
+from benchmarks.synthetic import quartered
 from pcretrieve.catalogue import Catalogue
 from pcretrieve.descriptors import DESCRIPTORS, describe
 from pcretrieve.errors import PcretrieveError, ShapeError
@@ -160,11 +161,7 @@ def retrieval_tables(part: str, data: Path, output: Path | None, *, full: bool) 
             with ingested(folder, Path(temporary) / f"{element}.sqlite", options, labels) as (catalogue, _):
                 systems = [system for system in _systems(full=full) if system.element == element]
                 for system in progress(systems, f"{part}, {element}"):
-                    ranked = (
-                        _matched(catalogue, system)
-                        if system.distance == "pairs"
-                        else _ranked(catalogue, system)
-                    )
+                    ranked = (_matched if system.distance == "pairs" else _ranked)(catalogue, system)
                     yield _row(system, ranked, published.get(system.title))
                     if system.in_figure:
                         curves[system.title] = precision_recall(ranked, n_points=N_LEVELS)
@@ -186,7 +183,7 @@ def _mixed(data: Path, folder: Path, limit: int | None) -> dict[str, str]:
     return labels
 
 
-def _ranked(catalogue: Catalogue, system: System) -> Rankings:
+def _ranked(catalogue: Catalogue, system: System | Row5) -> Rankings:
     options = SignatureOptions(method=system.method, n_values=system.n_values, scale=system.scale)
     shapes = described(catalogue, options)
     retrieval = RetrievalOptions(distance=system.distance, whitening="none")
@@ -325,14 +322,10 @@ def _cost(task: Task) -> Cost:
         return Cost(timed(lambda: describe(shape, options))[0], None)
     matcher = MATCHERS[task.method]
     first = matcher.prepare(warm)
-    learned = _unchanged if matcher.learn is None else matcher.learn([first])
+    learned = matcher.learn([first]) if matcher.learn else (lambda features: features)
     matcher.distance(learned(first), learned(first))
     seconds, features = timed(lambda: learned(matcher.prepare(shape)))
     return Cost(seconds, timed(lambda: matcher.distance(features, features))[0])
-
-
-def _unchanged(features: Any) -> Any:
-    return features
 
 
 @cache
@@ -352,21 +345,8 @@ def _person(size: int) -> TriangleMesh:
     # A closed surface without handles has 2 n − 4 faces; a refinement makes four of each.
     made = simplified(person, (2 * size - 4) // 4**n_refinements)
     for _ in range(n_refinements):
-        made = _refined(made)
+        made = quartered(made)
     return made
-
-
-def _refined(mesh: TriangleMesh) -> TriangleMesh:
-    """Each face divided into four at the midpoints of its edges."""
-    n = len(mesh.vertices)
-    edges = np.sort(mesh.faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)  # (3m, 2)
-    unique, number = np.unique(edges, axis=0, return_inverse=True)
-    (a, b, c), (ab, bc, ca) = mesh.faces.T, n + number.reshape(-1, 3).T
-    vertices = np.concatenate([mesh.vertices, mesh.vertices[unique].mean(axis=1)])
-    faces = np.concatenate(
-        [np.column_stack(corners) for corners in ((a, ab, ca), (b, bc, ab), (c, ca, bc), (ab, bc, ca))]
-    )
-    return TriangleMesh(vertices, faces)
 
 
 TRACKS = ("synthetic", "real")
@@ -389,8 +369,6 @@ class Row5(NamedTuple):
 
 
 class Track(NamedTuple):
-    """The meshes or scans of a track."""
-
     title: str
     folder: Path
     options: PipelineOptions
@@ -422,7 +400,9 @@ def table_5(data: Path, *, full: bool) -> Iterator[str]:
     A track is measured on its meshes where the folder of the data has a folder by the name of its layout,
     ``shrec14-synthetic`` or ``shrec14-real``; else on ten simulated people, as clean meshes or as scans.
     """
-    published = {name: _published(name) for name in TRACKS}
+    published = {
+        name: {row.method: row.measures[-1] for row in PUBLISHED[f"shrec14-{name}"]} for name in TRACKS
+    }
     yield "Table 5: mAP of people without whitening; in parentheses that of the paper, of SHREC'14"
     measured: dict[str, dict[Row5, float]] = {}
     with TemporaryDirectory() as temporary:
@@ -435,21 +415,19 @@ def table_5(data: Path, *, full: bool) -> Iterator[str]:
             yield f"{name}: {made.title}"
             file = Path(temporary) / f"{name}.sqlite"
             with ingested(made.folder, file, made.options, made.labels) as (catalogue, _):
-                measured[name] = {system: _map(catalogue, system) for system in progress(SYSTEMS, name)}
+                measured[name] = {
+                    system: evaluate_rankings(_ranked(catalogue, system)).map
+                    for system in progress(SYSTEMS, name)
+                }
     yield f"{'method':<16}{'L':<4}{'scale':<10}{'D':<5}" + "".join(f"{name:<16}" for name in TRACKS).rstrip()
     for system in SYSTEMS:
-        cells = [_cell(measured[name].get(system), published[name].get(system.published)) for name in TRACKS]
+        cells = [
+            _cell(measured[name].get(system), published[name].get(system.published or "")) for name in TRACKS
+        ]
         facts = f"{system.method:<16}{system.n_values:<4}{system.scale:<10}{system.distance:<5}"
         yield facts + "".join(f"{cell:<16}" for cell in cells).rstrip()
     if (data / "shrec14_csd").is_dir():
         yield from _vector_rows(data / "shrec14_csd")
-
-
-def _map(catalogue: Catalogue, system: Row5) -> float:
-    options = SignatureOptions(method=system.method, n_values=system.n_values, scale=system.scale)
-    shapes = described(catalogue, options)
-    retrieval = RetrievalOptions(distance=system.distance, whitening="none")
-    return evaluate_rankings(rank_table(shapes.table, retrieval, failed=shapes.failed)).map
 
 
 def _vector_rows(folder: Path) -> Iterator[str]:
@@ -466,10 +444,6 @@ def _vector_rows(folder: Path) -> Iterator[str]:
                 fitted = None if kind == "within-class" else table_whitening(table, retrieval)
                 cells.append(f"{evaluate_rankings(rank_table(table, retrieval, whitening=fitted)).map:.3f}")
             yield f"{metric:<16}{kind:<19}" + "".join(f"{cell:<16}" for cell in cells).rstrip()
-
-
-def _published(track: str) -> dict[str | None, float | None]:
-    return {row.method: row.measures[-1] for row in PUBLISHED[f"shrec14-{track}"]}
 
 
 def _cell(measured: float | None, published: float | None) -> str:

@@ -22,10 +22,7 @@ def unit_area_spectrum(mesh: TriangleMesh, n_modes: int) -> ModalSpectrum:
 
 
 def reduced_eigenvalues(spectrum: ModalSpectrum, n_modes: int) -> FloatArray:
-    """Eigenvalues of the reduced matrix of the squared biharmonic distance.
-
-    Returns (n_modes + 1,) float64: largest magnitude first; unit length⁴.
-    """
+    """(n_modes + 1,) eigenvalues of the reduced matrix, largest magnitude first; unit length⁴."""
     mu = np.linalg.eigvalsh(reduced_matrix(spectrum, n_modes))
     return np.asarray(mu[np.argsort(-np.abs(mu))], dtype=np.float64)
 
@@ -63,11 +60,9 @@ def drums(n_cuts: int = DRUM_CUTS) -> tuple[TriangleMesh, TriangleMesh]:
 
 
 def _unfolded(across: NDArray[np.integer]) -> FloatArray:
-    """Unfold seven triangles into the plane, each the mirror image of its neighbours.
+    """Corners (7, 3, 2) of seven triangles, unfolded into the plane, each the mirror image of its neighbours.
 
-    across: (3, 7) int, the triangle beyond the side opposite corner k of each triangle; at the border, the
-        triangle itself.
-    Returns (7, 3, 2) float64: corners of the triangles.
+    across: (3, 7), the triangle beyond the side opposite corner k of each triangle; at the border, itself.
     """
     corners = {0: np.array([[0.0, 0.0], [DRUM_LEG, 0.0], [0.0, DRUM_LEG]])}
     order = [0]
@@ -126,11 +121,7 @@ Element = Literal["linear", "cubic"]
 
 
 def drum_spectra(element: Element, n_cuts: int = DRUM_CUTS) -> FloatArray:
-    """The columns of figure 6, by one kind of finite elements.
-
-    Returns (10, 4) float64: λ_1 … λ_10 of either drum, unit length⁻², and μ_0 … μ_9 of either drum, unit
-        length⁴.
-    """
+    """The columns (10, 4) of figure 6, by one kind of finite elements."""
     columns = []
     for mesh in drums(n_cuts):
         pairs = eigenpairs(laplace_beltrami(mesh, element, boundary="neumann"), N_MODES + 1)
@@ -201,10 +192,9 @@ def figure_7(meshes: Mapping[str, TriangleMesh], plot: Path | None) -> Iterator[
 def truncation_errors(
     spectrum: ModalSpectrum, modes: tuple[int, ...], n_values: int = N_CONVERGING
 ) -> FloatArray:
-    """Errors of the reduced matrix of m modes against that of all modes, as the authors measure them.
+    """Largest (μ_m − μ)² / (μ_m μ) of the reduced matrices of m modes against that of all modes.
 
-    Returns (len(modes),) float64: largest (μ_m − μ)² / (μ_m μ) of these eigenvalues: about the square of the
-        relative error, and a term of the square of D2 (equation 11).
+    This is about the square of the relative error, and a term of the square of D2 (equation 11).
     """
     exact = reduced_eigenvalues(spectrum, len(spectrum.eigenvalues) - 1)[:n_values]
     cuts = np.array([reduced_eigenvalues(spectrum, m)[:n_values] for m in modes])  # (len(modes), n_values)
@@ -216,9 +206,7 @@ def convergence_rate(modes: tuple[int, ...], errors: FloatArray, n_reference: in
     """The exponent p of the law C m⁻ᵖ against infinitely many modes, fitted to errors against finitely many.
 
     An eigenvalue of m modes differs from that of M modes by a multiple of m^(−p/2) − M^(−p/2), of which the
-    errors are the squares.
-
-    errors: (len(modes),) float64, as by `truncation_errors`, against the matrix of M modes; positive.
+    errors, as by `truncation_errors`, are the squares.
     """
 
     def law(m: FloatArray, log_size: float, p: float) -> FloatArray:
@@ -272,10 +260,5 @@ def deformed(mesh: TriangleMesh, amount: float) -> TriangleMesh:
 
 
 def discrepancies(mu: FloatArray, after: FloatArray, alpha: float, p: float) -> FloatArray:
-    """Discrepancies of two spectra, as Theorem 6.2 defines them: d_n = Σ |μ_i|^−α |μ_i − μ'_i|^p over i ≤ n.
-
-    mu, after: (n,) float64, eigenvalues μ and μ' before and after a deformation.
-    Returns (n,) float64: d_1 … d_n.
-    """
-    sums: FloatArray = np.cumsum(np.abs(mu) ** -alpha * np.abs(mu - after) ** p)
-    return sums
+    """(n,) discrepancies of two spectra, by Theorem 6.2: d_n = Σ |μ_i|^−α |μ_i − μ'_i|^p over i ≤ n."""
+    return np.asarray(np.cumsum(np.abs(mu) ** -alpha * np.abs(mu - after) ** p))
