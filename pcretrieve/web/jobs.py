@@ -14,10 +14,9 @@ from pathlib import Path
 from threading import Lock
 from typing import Any, Literal
 
-from pcretrieve.catalogue import Record
+from pcretrieve import PipelineOptions, Record
 from pcretrieve.errors import MemoryExceeded, PcretrieveError, StageTimeout, WorkerDied, shape_error
 from pcretrieve.ingestion import TemporaryFolder, in_processes
-from pcretrieve.options import PipelineOptions
 from pcretrieve.query import Described
 from pcretrieve.web.keeping import Collection, described, inspection_page, stages_of
 from pcretrieve.web.requests import Busy, NotFound

@@ -16,8 +16,7 @@ from pcretrieve.query import Described, described_scan
 from pcretrieve.web.documents import without_folders
 
 if TYPE_CHECKING:
-    from pcretrieve import Inspection
-    from pcretrieve.catalogue import Record
+    from pcretrieve import Inspection, Record
 
 # An id that is the name of a file on every system, and no hidden one.
 ID = re.compile(r"\w[\w .+-]{0,99}(?<![ .])")

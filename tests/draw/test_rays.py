@@ -1,40 +1,42 @@
-"""Rays meet a surface where they should, in any unit and at any place."""
+"""Rays meet a surface where they should, in any unit and at any place; threads get one library."""
 
 from __future__ import annotations
+
+import subprocess
+import sys
 
 import numpy as np
 import pytest
 import shapes
 
 from pcretrieve.draw.open3d import RayScene
-from pcretrieve.values import FloatArray
 
 BALL = shapes.icosphere(3)
 # A unit that is a power of two changes no digit, however far single precision is from bearing it.
 UNITS = [2.0**-150, 2.0**-40, 2.0**10, 2.0**70, 2.0**150]
 
 
-@pytest.mark.parametrize("unit", UNITS)
-def test_rays_meet_the_same_in_any_unit(unit: float) -> None:
+def test_rays_meet_the_same_in_any_unit() -> None:
     rng = np.random.default_rng(0)
     origins, directions = 2 * rng.normal(size=(500, 3)), rng.normal(size=(500, 3))
-    here, there = (RayScene(scale * BALL.vertices, BALL.faces) for scale in (1.0, unit))
-    for found, expected in zip(
-        there.cast(unit * origins, unit * directions), here.cast(origins, directions), strict=True
-    ):
-        np.testing.assert_array_equal(found, expected)
-    unscaled = there.cast(unit * origins, directions)[0]
-    np.testing.assert_array_equal(unscaled / unit, here.cast(origins, directions)[0])
-    np.testing.assert_array_equal(there.distance(unit * origins) / unit, here.distance(origins))
+    here = RayScene(BALL.vertices, BALL.faces)
+    expected = here.cast(origins, directions)
+    for unit in UNITS:
+        there = RayScene(unit * BALL.vertices, BALL.faces)
+        for found, known in zip(there.cast(unit * origins, unit * directions), expected, strict=True):
+            np.testing.assert_array_equal(found, known)
+        unscaled = there.cast(unit * origins, directions)[0]
+        np.testing.assert_array_equal(unscaled / unit, expected[0])
+        np.testing.assert_array_equal(there.distance(unit * origins) / unit, here.distance(origins))
 
 
-@pytest.mark.parametrize("place", [np.array([2.0**20, -(2.0**24), 0]), np.array([0, 3e8, 1e9])], ids=str)
-def test_rays_meet_a_surface_far_from_the_origin(place: FloatArray) -> None:
+def test_rays_meet_a_surface_far_from_the_origin() -> None:
     """In single precision, its vertices would be 64 or more apart there, or coincide."""
-    scene = RayScene(BALL.vertices + place, BALL.faces)
-    distance, _, _ = scene.cast(np.array([[3.0, 0.1, 0.2]]) + place, np.array([[-1.0, 0.0, 0.0]]))
-    assert distance[0] == pytest.approx(3 - np.sqrt(1 - 0.05), abs=0.01)
-    assert scene.distance(place[None]) == pytest.approx(1, abs=0.02)
+    for place in (np.array([2.0**20, -(2.0**24), 0]), np.array([0, 3e8, 1e9])):
+        scene = RayScene(BALL.vertices + place, BALL.faces)
+        distance, _, _ = scene.cast(np.array([[3.0, 0.1, 0.2]]) + place, np.array([[-1.0, 0.0, 0.0]]))
+        assert distance[0] == pytest.approx(3 - np.sqrt(1 - 0.05), abs=0.01)
+        assert scene.distance(place[None]) == pytest.approx(1, abs=0.02)
 
 
 def test_rays_meet_the_sphere_where_they_should() -> None:
@@ -51,3 +53,27 @@ def test_rays_meet_the_sphere_where_they_should() -> None:
         hit = origins[ray] + distance[ray] * directions[ray]
         assert np.linalg.det(corners - hit) == pytest.approx(0, abs=1e-6)  # in the plane of that face
         assert normals[ray] @ hit > 0.9  # outwards, as its faces are
+
+
+THREADS = """
+import sys
+from concurrent.futures import ThreadPoolExecutor
+from threading import Barrier
+
+from pcretrieve.draw.open3d import library
+
+sys.setswitchinterval(1e-6)
+barrier = Barrier(8)
+
+def asked(_):
+    barrier.wait()
+    return library()
+
+with ThreadPoolExecutor(8) as threads:
+    assert len({id(found) for found in threads.map(asked, range(8))}) == 1
+"""
+
+
+def test_threads_that_ask_at_once_get_one_library() -> None:
+    done = subprocess.run([sys.executable, "-c", THREADS], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr

@@ -8,6 +8,7 @@ import pytest
 from numpy.typing import ArrayLike, NDArray
 from PIL import Image
 from scipy.spatial.transform import Rotation
+from shapes import icosphere, joined
 
 from pcretrieve import draw
 from pcretrieve.draw import MARGIN
@@ -38,33 +39,14 @@ def box(centre: tuple[float, float, float], sides: tuple[float, float, float]) -
     return surface(CUBE * sides + centre, [side[:k] + side[k + 1 :] for side in CUBE_SIDES for k in (1, 3)])
 
 
-def joined(*meshes: TriangleMesh) -> TriangleMesh:
-    first = np.cumsum([0, *(len(mesh.vertices) for mesh in meshes)])
-    return TriangleMesh(
-        np.concatenate([mesh.vertices for mesh in meshes]),
-        np.concatenate([mesh.faces + start for mesh, start in zip(meshes, first, strict=False)]),
-    )
-
-
-def sphere(n: int = 60) -> TriangleMesh:
-    """n circles of latitude, 2n meridians."""
-    theta, phi = np.meshgrid(np.linspace(0, np.pi, n), np.linspace(0, 2 * np.pi, 2 * n), indexing="ij")
-    vertices = np.stack([np.sin(theta) * np.cos(phi), np.cos(theta), np.sin(theta) * np.sin(phi)], axis=-1)
-    corner = np.arange(n * 2 * n).reshape(n, 2 * n)
-    a, b, c, d = (
-        part.ravel() for part in (corner[:-1, :-1], corner[:-1, 1:], corner[1:, 1:], corner[1:, :-1])
-    )
-    faces = np.concatenate([np.stack([a, b, c], axis=1), np.stack([a, c, d], axis=1)])
-    return TriangleMesh(vertices.reshape(-1, 3), faces)
-
-
 def pear() -> TriangleMesh:
     """A smooth body without any symmetry, its extents and skewnesses well apart."""
-    x, y, z = sphere().vertices.T
+    ball = icosphere(5)
+    x, y, z = ball.vertices.T
     moved = np.stack(
         [1.1 * x + 0.35 * y**2, 2 * y * (1.3 + 0.6 * y), 0.6 * z + 0.2 * x**2 + 0.1 * x * y], axis=1
     )
-    return TriangleMesh(moved, sphere().faces)
+    return TriangleMesh(moved, ball.faces)
 
 
 def horse() -> TriangleMesh:

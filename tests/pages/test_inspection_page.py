@@ -225,6 +225,3 @@ def test_worse_numbers_get_worse_verdicts() -> None:
         assert errors == sorted(set(errors))
         assert verdicts[0] == "passed" and verdicts[-1] == "failed" and "look" in verdicts
     assert [spread_check(spread).verdict for spread in (0.05, 0.3, 1)] == ["passed", "look", "failed"]
-
-
-# --- in a browser -------------------------------------------------------------------------------------
