@@ -1,104 +1,216 @@
-"""A query is a file, the id of a stored shape, or a signature, and reads no more than it must."""
+"""Queries are files, ids and signatures, one or several, in some classes or without themselves."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import csv
+import json
+import shutil
+from collections.abc import Sequence
 from dataclasses import replace
-from functools import cache
 from pathlib import Path
 
+import numpy as np
 import pytest
 import shapes
+from click.testing import CliRunner, Result
 
-from pcretrieve import Catalogue, PipelineOptions
+import pcretrieve as pr
 from pcretrieve.catalogue import Content, Record
+from pcretrieve.cli.main import cli
 from pcretrieve.descriptors import describe
-from pcretrieve.errors import InputError
-from pcretrieve.formats import write_mesh
-from pcretrieve.ingestion.discover import content_hash
-from pcretrieve.pipeline.process import process
-from pcretrieve.query import search
-from pcretrieve.values import Shape, Signature
+from pcretrieve.errors import InputError, OptionError, ScanReadError
+from pcretrieve.values import Neighbors, TriangleMesh
 
-OPTIONS = PipelineOptions()
-N_SHAPES = 6
+N_KINDS, N_EACH = 3, 4
+RERANKINGS = ("none", "local", "k-reciprocal")
 
 
-@cache
-def egg(number: int) -> Shape:
-    return process(shapes.ellipsoid((1, 1, 1 + number / 5), subdivisions=3), OPTIONS)
+def egg(kind: int, number: float) -> TriangleMesh:
+    return shapes.ellipsoid((1 + 0.1 * number, 1, 1.2 + 0.15 * kind), subdivisions=3)
 
 
-@pytest.fixture
-def catalogue(tmp_path: Path) -> Iterator[Catalogue]:
-    """Six eggs, of which the scan of the third is a file, and a failure."""
-    with Catalogue(tmp_path / "eggs.sqlite", create=True) as store:
-        for number in range(N_SHAPES):
-            values = describe(egg(number), OPTIONS.signature).values
-            store.put(
-                Record(f"egg{number}", f"/eggs/{number}.off", f"hash{number}"), Content(egg(number), values)
-            )
-        scan = tmp_path / "scan.off"
-        write_mesh(shapes.ellipsoid((1, 1, 1.4), subdivisions=3), scan)
-        stored = replace(store.record("egg2"), content_hash=content_hash(scan))
-        store.put(stored, Content(egg(2), describe(egg(2), OPTIONS.signature).values))
-        store.put(Record("broken", "/broken.ply", "", status="failed", stage="read", message="no scan"))
-        yield store
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Eggs of three kinds and a failure in a catalogue, and two scans in a folder that it does not have."""
+    folder = tmp_path_factory.mktemp("eggs")
+    for name in ("stored", "new"):
+        (folder / name).mkdir()
+    labels = {f"{kind}{number}": f"kind{kind}" for kind in range(N_KINDS) for number in range(N_EACH)}
+    for name in labels:
+        pr.write_mesh(egg(int(name[0]), int(name[1])), folder / "stored" / f"{name}.off")
+    (folder / "stored" / "broken.off").write_text("OFF\n1 1 0\n")
+    pr.ingest(folder / "stored", folder / "c.sqlite", labels=labels, workers=1)
+    for kind in range(2):
+        pr.write_mesh(egg(kind, 0.5), folder / "new" / f"new{kind}.off")
+    return folder
 
 
-def test_a_file_an_id_and_a_signature_are_answered_alike(catalogue: Catalogue, tmp_path: Path) -> None:
-    signature = Signature(describe(egg(2), OPTIONS.signature).values, "combined", OPTIONS.signature_digest)
-    expected = search(catalogue, "egg2", k=4)
-    assert expected.ids[0] == "egg2"
-    assert expected.distances[0] == 0
-    for query in (tmp_path / "scan.off", str(tmp_path / "scan.off"), signature):
-        assert search(catalogue, query, k=4) == expected
+@pytest.fixture(scope="module")
+def catalogue(folder: Path) -> Path:
+    return folder / "c.sqlite"
 
 
-def test_a_file_wins_over_an_id(
-    catalogue: Catalogue, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+def run(*arguments: object, code: int = 0) -> Result:
+    result = CliRunner().invoke(cli, [str(word) for word in arguments])
+    assert result.exit_code == code, result.output
+    return result
+
+
+def among(found: Neighbors, ids: Sequence[str], k: int) -> Neighbors:
+    """The first results that are some shapes."""
+    rows = [row for row, name in enumerate(found.ids) if name in ids][:k]
+    return Neighbors(tuple(found.ids[row] for row in rows), found.distances[rows])
+
+
+def test_a_file_an_id_and_a_signature_are_answered_alike(
+    catalogue: Path, folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    """A file wins over an id of its name, a folder does not."""
+    stored = folder / "stored" / "11.off"
+    expected = pr.search(catalogue, "11", k=4)
+    assert (expected.ids[0], expected.distances[0]) == ("11", 0)
+    for query in (stored, str(stored), pr.signature(stored)):
+        assert pr.search(catalogue, query, k=4) == expected
     monkeypatch.chdir(tmp_path)
-    (tmp_path / "scan.off").rename(tmp_path / "egg5")
-    assert search(catalogue, "egg5").ids[0] == "egg2"
-    (tmp_path / "egg5").rename(tmp_path / "egg5.off")
-    assert search(catalogue, "egg5").ids[0] == "egg5"
-    assert search(catalogue, "egg5.off").ids[0] == "egg2"
-    (tmp_path / "egg3").mkdir()
-    assert search(catalogue, "egg3").ids[0] == "egg3", "a folder is no scan"
+    shutil.copy(stored, "20")
+    assert pr.search(catalogue, "20").ids[0] == "11"
+    shutil.move("20", "20.off")
+    Path("20").mkdir()
+    assert [pr.search(catalogue, name).ids[0] for name in ("20", "20.off")] == ["20", "11"]
 
 
-@pytest.mark.parametrize(
-    ("query", "said"),
-    [
+def test_what_is_no_query(catalogue: Path, folder: Path) -> None:
+    for query, message in (
         ("nobody", "'nobody' is no file and no shape of .*; `pcretrieve list` names the shapes"),
-        ("broken", "shape 'broken' has no signature: it failed in read: no scan"),
-    ],
-)
-def test_what_is_no_query(query: str, said: str, catalogue: Catalogue) -> None:
-    with pytest.raises(InputError, match=said):
-        search(catalogue, query)
+        ("broken", "shape 'broken' has no signature: it failed in read: "),
+    ):
+        with pytest.raises(InputError, match=message):
+            pr.search(catalogue, query)
+        with pytest.raises(InputError, match=message):  # before the work
+            next(pr.search_many(catalogue, [folder / "new", query]))
+    with pytest.raises(InputError, match=r"a distance matrix ranks shapes .* does not hold .*new0\.off"):
+        next(pr.search_many(catalogue, ["11", folder / "new"], matrix=pr.matrix(catalogue)))
+    with pytest.raises(InputError, match="is of the class none or nothing; `pcretrieve list` shows"):
+        pr.search(catalogue, "11", labels=["nothing", "none"])
 
 
-def test_signatures_that_were_computed_are_kept(catalogue: Catalogue) -> None:
+def test_signatures_that_were_computed_are_kept(catalogue: Path, tmp_path: Path) -> None:
     """Asked again, by whomever, nothing of a shape is read; of one that is new, what is needed."""
-    options = OPTIONS.changed(signature={"method": "wks"})
-    first = catalogue.signatures(options)
-    with Catalogue(catalogue.location) as other:
+    shutil.copy(catalogue, tmp_path / "c.sqlite")
+    with pr.Catalogue(tmp_path / "c.sqlite") as first, pr.Catalogue(tmp_path / "c.sqlite") as other:
+        options = first.options.changed(signature={"method": "wks"})
+        table = first.signatures(options)
         statements: list[str] = []
         other.database._connection.set_trace_callback(statements.append)
-        assert other.signatures(options) == first
+        assert other.signatures(options) == table
         assert not [text for text in statements if "arrays" in text]
-        new = egg(N_SHAPES)
-        other.put(Record("new", "/new.off", "h"), Content(new, describe(new, OPTIONS.signature).values))
-        other.put(
-            replace(other.record("egg0"), content_hash="other content"),
-            Content(egg(1), describe(egg(1), OPTIONS.signature).values),
-        )
+        new = pr.process(egg(3, 0))
+        content = Content(new, describe(new, other.options.signature).values)
+        other.put(Record("new", "/new.off", "h"), content)
+        other.put(replace(other.record("00"), content_hash="other content"), content)
         statements.clear()
-        table = other.signatures(options)
-        assert (
-            len([text for text in statements if text.startswith('SELECT shape, "spectra", "moments"')]) == 2
-        )
-    expected = [describe(egg(number), options.signature).values for number in (1, 1, 2, 3, 4, 5, N_SHAPES)]
-    assert table.values.tolist() == [values.tolist() for values in expected]
+        again = other.signatures(options)
+        read = [text for text in statements if text.startswith('SELECT shape, "spectra", "moments"')]
+        assert len(read) == 2
+    expected = describe(new, options.signature).values.tolist()
+    assert again.values.tolist() == [expected, *table.values[1:].tolist(), expected]
+
+
+@pytest.mark.parametrize("distance", ["log", "d1", "d2"])
+def test_ranks_in_some_classes_are_those_among_all_shapes(distance: str, catalogue: Path) -> None:
+    options = {"retrieval": {"distance": distance}}
+    signature = pr.signature(shapes.ellipsoid((1.02, 1, 1.3), subdivisions=3))
+    some = [f"{kind}{number}" for kind in (0, 2) for number in range(N_EACH)]
+    for query in ("11", "01", signature):
+        everything = pr.search(catalogue, query, k=N_KINDS * N_EACH, options=options)
+        found = pr.search(catalogue, query, k=5, options=options, labels=["kind2", "kind0"])
+        assert found == among(everything, some, 5)
+
+
+@pytest.mark.parametrize("rerank", RERANKINGS)
+def test_a_query_can_be_left_out_of_its_results(rerank: str, catalogue: Path, folder: Path) -> None:
+    options = {"retrieval": {"rerank": rerank}}
+    with_itself = pr.search(catalogue, "11", k=4, options=options)
+    assert with_itself.ids[0] == "11"
+    without = pr.search(catalogue, "11", k=3, options=options, exclude_self=True)
+    assert without.ids == with_itself.ids[1:]
+    np.testing.assert_array_equal(without.distances, with_itself.distances[1:])
+    stored = folder / "stored" / "11.off"
+    assert pr.search(catalogue, stored, k=3, options=options, exclude_self=True) == without
+    other = folder / "new" / "new0.off"
+    assert pr.search(catalogue, other, exclude_self=True) == pr.search(catalogue, other)
+
+
+def test_many_queries_are_answered_like_each(catalogue: Path, folder: Path) -> None:
+    queries: list[str | Path] = ["11", folder / "new", str(folder / "stored" / "20.off")]
+    answers = dict(pr.search_many(catalogue, queries, k=3))
+    scans = [str(folder / "new" / f"new{kind}.off") for kind in range(2)]
+    assert list(answers) == ["11", *scans, queries[2]]
+    for name, answer in answers.items():
+        assert isinstance(answer, pr.Answer)
+        assert answer.neighbors == pr.search(catalogue, name, k=3)
+        assert answer.labels == tuple(f"kind{shape_id[0]}" for shape_id in answer.neighbors.ids)
+
+
+def test_what_is_printed_of_many(catalogue: Path, folder: Path) -> None:
+    asked: tuple[object, ...] = ("query", "11", folder / "new", "-c", catalogue, "-k", 2)
+    names = ["11", *(str(folder / "new" / f"new{kind}.off") for kind in range(2))]
+    expected = [pr.search(catalogue, name, k=2) for name in names]
+    lines = run(*asked).stdout.splitlines()
+    assert lines[::5] == names
+    assert {line.split()[4] for line in lines[1::5]} == {"ID"}
+    assert [line.split()[4] for line in lines if line.startswith("   ")] == [
+        name for found in expected for name in found.ids
+    ]
+    answers = pr.search_many(catalogue, names, k=2)
+    assert lines[4::5] == [str(answer) for _, answer in answers]
+    names, expected = ["11", "20"], [pr.search(catalogue, name, k=2) for name in ("11", "20")]
+    asked = ("query", *names, "-c", catalogue, "-k", 2)
+    documents = json.loads(run(*asked, "--json").stdout)["result"]
+    assert [document["query"] for document in documents] == names
+    for document, found in zip(documents, expected, strict=True):
+        assert [row["distance"] for row in document["results"]] == found.distances.tolist()
+    rows = list(csv.DictReader(run(*asked, "--csv").stdout.splitlines()))
+    assert [(row["query"], row["rank"], row["id"]) for row in rows] == [
+        (name, str(rank), shape_id)
+        for name, found in zip(names, expected, strict=True)
+        for rank, shape_id in enumerate(found.ids, start=1)
+    ]
+
+
+def test_a_scan_that_fails_does_not_stop_the_others(catalogue: Path, folder: Path) -> None:
+    broken = folder / "stored" / "broken.off"
+    queries = (folder / "new" / "new0.off", broken, "11")
+    done = run("query", *queries, "-c", catalogue, "-k", 1, "--json", code=3)
+    documents = json.loads(done.stdout)["result"]
+    assert ["results" in document for document in documents] == [True, False, True]
+    assert (documents[1]["error"], documents[1]["stage"]) == ("ScanReadError", "read")
+    assert f"failed: [broken.off / read] {documents[1]['message']}" in done.stderr
+    answers = dict(pr.search_many(catalogue, queries, k=1))
+    assert isinstance(answers[str(broken)], ScanReadError)
+    alone = CliRunner().invoke(cli, ["query", str(broken), "-c", str(catalogue)])
+    assert isinstance(alone.exception, ScanReadError)
+
+
+def test_scores_come_with_distances_and_least_ones_leave_no_match(catalogue: Path) -> None:
+    found = pr.search(catalogue, "11", k=12)
+    with pr.Catalogue(catalogue) as store:
+        scores = store.index().scores
+    assert scores is not None and found.scores is not None
+    np.testing.assert_array_equal(found.scores, scores.of(found.distances))
+    assert found.to_pandas().columns.tolist() == ["id", "distance", "score"]
+    again = pr.search(catalogue, "11", k=12, options={"retrieval": {"rerank": "k-reciprocal"}})
+    assert again.scores is not None
+    plain = dict(zip(found.ids, found.scores.tolist(), strict=True))
+    assert again.scores.tolist() == [plain[shape_id] for shape_id in again.ids]
+    least = float(found.scores[5])
+    kept = pr.search(catalogue, "11", k=12, min_score=least)
+    assert kept.ids == tuple(name for name in found.ids if plain[name] >= least) != found.ids
+    done = run("query", "11", "-c", catalogue, "--min-score", 1)
+    assert done.stdout == "no match\n"
+    assert f"score: {scores.reason}" in done.stderr
+    assert len(pr.search(catalogue, "11", min_score=1)) == 0
+    with pytest.raises(OptionError, match="min_score must be between 0 and 1, got 2"):
+        pr.search(catalogue, "11", min_score=2)
+    with pytest.raises(InputError, match="a least score needs calibrated scores"):
+        pr.search(catalogue, "11", min_score=0.5, matrix=pr.matrix(catalogue))

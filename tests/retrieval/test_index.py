@@ -24,7 +24,7 @@ from pcretrieve.retrieval import (
 from pcretrieve.retrieval.bounds import LowerBounds, Scan
 from pcretrieve.values import FloatArray, Signature, SignatureTable
 
-WHITENINGS = ("none", "pca", "within-class")
+WHITENINGS = ("none", "pca")
 SCANS = (bounds.scan, compiled.scan)
 
 
@@ -56,7 +56,7 @@ def by_brute_force(
     return tuple(shape for _, shape in ranked), [distance for distance, _ in ranked]
 
 
-@pytest.mark.parametrize("whitening", WHITENINGS[:2])
+@pytest.mark.parametrize("whitening", WHITENINGS)
 @pytest.mark.parametrize("distance", DISTANCES)
 def test_agrees_with_brute_force(distance: str, whitening: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """Before and after compiled code is loaded, also as arrays that are mapped, and as a pickle."""

@@ -1,22 +1,32 @@
-"""Calibrated scores: shares of pairs of one class that are true of shapes that were not counted."""
+"""Scores are true of shapes that were not counted; votes, ranks within error bars, near pairs, and maps."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import pytest
+from scipy.spatial.distance import cdist
 from sklearn.isotonic import IsotonicRegression
 
 from pcretrieve.errors import InputError
+from pcretrieve.options import RetrievalOptions
 from pcretrieve.retrieval import (
     MatchScores,
     SignatureIndex,
+    Vote,
     Whitening,
+    class_vote,
     fit_scores,
     fit_whitening,
+    near_pairs,
     pairwise,
+    plane_map,
+    rank_ranges,
     scores,
 )
-from pcretrieve.values import FloatArray, SignatureTable
+from pcretrieve.retrieval.clusters import GAP
+from pcretrieve.values import FloatArray, Signature, SignatureTable
 
 N_VALUES = 6
 
@@ -29,10 +39,14 @@ def classes(n_classes: int, n_each: int, seed: int, spread: float = 0.5) -> tupl
     return centres + noise, [f"{row // n_each:03}" for row in range(n_classes * n_each)]
 
 
-def table_of(logs: FloatArray, labels: list[str]) -> SignatureTable:
+def table_of(logs: FloatArray, labels: Sequence[str] = ()) -> SignatureTable:
     return SignatureTable(
         tuple(f"{row:04}" for row in range(len(logs))), np.exp(logs), "any", labels=tuple(labels)
     )
+
+
+def index_of(logs: FloatArray) -> SignatureIndex:
+    return SignatureIndex(table_of(logs), RetrievalOptions(whitening="none"))
 
 
 def fitted(logs: FloatArray, labels: list[str], kind: str = "none") -> tuple[MatchScores, Whitening]:
@@ -87,3 +101,62 @@ def test_scores_descend_and_are_kept_with_an_index() -> None:
     again = SignatureIndex.from_arrays(index.to_arrays())
     assert again.scores == found and again.scores.reason == found.reason
     assert SignatureIndex.from_arrays(plain.to_arrays()).scores is None
+
+
+def test_votes_are_weighted() -> None:
+    weights = np.array([0.5, 0.25, 0.5, 0.75])
+    assert class_vote(["cat", "dog", "dog", None], weights) == Vote("dog", 0.6, 0.25 / 1.25, 3)
+    assert class_vote(["cat", "dog"], np.ones(2)) == Vote("cat", 0.5, 0, 2)
+    assert class_vote(["cat"], np.ones(1)) == Vote("cat", 1, 1, 1)
+    assert class_vote([None], np.ones(1)) is None
+    assert class_vote(["cat"], np.zeros(1)) is None
+    assert class_vote([], np.zeros(0)) is None
+
+
+def test_ranks_swap_where_the_error_bar_covers_the_middle() -> None:
+    """The query is at 0, two shapes beyond the middle of their places are equally near."""
+    index = index_of(np.stack([[1.0, -1.1, 5.0, 5.05], np.zeros(4)], axis=1))
+    query = Signature(np.ones(2), "any")
+    for deviation, expected in (
+        ([0.001, 0.0], [[1, 1], [2, 2], [3, 3], [4, 4]]),
+        ([0.2, 0.0], [[1, 2], [1, 2], [3, 3], [4, 4]]),
+        ([5.0, 0.0], [[1, 3], [1, 4], [1, 3], [1, 4]]),
+        ([0.0, 3.0], [[1, 1], [2, 2], [3, 3], [4, 4]]),  # at right angles to the line
+    ):
+        ranges = rank_ranges(index, query, np.array(deviation), index.ids)
+        np.testing.assert_array_equal(ranges[:, 0] <= np.arange(1, 5), True)
+        np.testing.assert_array_equal(ranges[:, 1] >= np.arange(1, 5), True)
+        if max(deviation) < 1 or deviation[0] == 0:
+            np.testing.assert_array_equal(ranges, expected)
+        else:
+            assert (ranges[:, 1] - ranges[:, 0] >= 2).all()
+
+
+@pytest.mark.parametrize("n", [1, 2, 50, 1200])
+def test_near_pairs_are_those_of_all_pairs(n: int) -> None:
+    rng = np.random.default_rng(n)
+    logs, errors = rng.normal(size=(n, 3)), rng.exponential(0.05, size=n)
+    logs[: n // 10] = logs[0]  # equal ones
+    index = index_of(logs)
+    found = near_pairs(index, errors)
+    distances, limits = pairwise("log", logs, logs), np.hypot(errors[:, None], errors)
+    first, second = np.nonzero(np.triu(distances <= limits, k=1))
+    assert {(int(pair.first), int(pair.second)) for pair in found} == set(
+        zip(first.tolist(), second.tolist(), strict=True)
+    )
+    assert len(found) == len(first)
+    expected = np.sort(distances[first, second])
+    np.testing.assert_allclose([pair.distance for pair in found], expected, rtol=1e-12)
+    assert all(pair.distance <= pair.limit for pair in found)
+
+
+def test_a_map_keeps_neighbours_and_hides_none() -> None:
+    labels = np.repeat(np.arange(8), 10)
+    index = index_of(classes(8, 10, seed=0, spread=0.02)[0])
+    places = plane_map(index)
+    assert places.min() >= 0 and places.max() <= 1
+    np.testing.assert_allclose(np.ptp(places, axis=0).max(), 1)
+    apart = cdist(places, places) + 9 * np.eye(80)
+    assert (labels[apart.argmin(axis=1)] == labels).all()
+    assert apart.min() > 0.5 * GAP
+    np.testing.assert_array_equal(plane_map(index), places)
