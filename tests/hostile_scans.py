@@ -6,7 +6,7 @@ import struct
 from pathlib import Path
 
 import shapes
-from laser_files import with_other_xml, write_e57, write_las
+from scan_files import with_other_xml, write_e57, write_las
 
 HUGE = 999_999_999_999
 

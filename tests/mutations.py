@@ -1,13 +1,18 @@
-"""Damage to files, as transfers, editors and exporters do it, from a seed."""
+"""Damage to files, as transfers, editors and exporters do it, from a seed; read within limits."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
+import resource
+import signal
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from types import FrameType
 
 import numpy as np
 
-__all__ = ["altered", "mutated"]
+from pcretrieve.errors import PcretrieveError
 
 MOST_MUTATIONS = 4
 MOST_BYTES = 64  # inserted, removed, or repeated at once
@@ -85,18 +90,7 @@ MUTATIONS: tuple[Mutation, ...] = (
 
 
 def mutated(data: bytes, seed: int) -> bytes:
-    """A file with one to four damages.
-
-    Parameters
-    ----------
-    data : bytes
-    seed : int
-
-    Returns
-    -------
-    bytes
-        The same for the same file and seed.
-    """
+    """A file with one to four damages; the same for the same file and seed."""
     rng = np.random.default_rng(seed)
     for _ in range(int(rng.integers(1, MOST_MUTATIONS + 1))):
         data = MUTATIONS[int(rng.integers(len(MUTATIONS)))](data, rng)
@@ -104,19 +98,72 @@ def mutated(data: bytes, seed: int) -> bytes:
 
 
 def altered(data: bytes, seed: int) -> bytes:
-    """A file with one to four bits or words changed, as a disk or a memory does it: nothing moves.
-
-    Parameters
-    ----------
-    data : bytes
-    seed : int
-
-    Returns
-    -------
-    bytes
-        As many as before; the same for the same file and seed.
-    """
+    """A file with one to four bits or words changed, as a disk or a memory does it: nothing moves."""
     rng = np.random.default_rng(seed)
     for _ in range(int(rng.integers(1, MOST_MUTATIONS + 1))):
         data = (flipped, overwritten)[int(rng.integers(2))](data, rng)[: len(data)]
     return data
+
+
+# --- limits -------------------------------------------------------------------------------------------------
+
+MEMORY = 1 << 30  # what a file of a few kilobytes may take; bytes
+SECONDS = 5.0  # of processor time
+
+
+class HangError(BaseException):
+    """Raised where a call exceeds its time. Code that handles every `Exception` does not handle it."""
+
+
+@contextmanager
+def limited_memory(n_bytes: int = MEMORY) -> Iterator[None]:
+    """Let further allocations of more than so many bytes in total raise a MemoryError."""
+    status = Path("/proc/self/status").read_text(encoding="ascii")
+    (used,) = (int(line.split()[1]) << 10 for line in status.splitlines() if line.startswith("VmData"))
+    before = resource.getrlimit(resource.RLIMIT_DATA)
+    resource.setrlimit(resource.RLIMIT_DATA, (used + n_bytes, before[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_DATA, before)
+
+
+@contextmanager
+def limited_time(seconds: float) -> Iterator[None]:
+    """Raise a HangError after so many seconds of processor time, which other processes do not take."""
+
+    def stop(number: int, frame: FrameType | None) -> None:
+        raise HangError(f"not finished within {seconds:g} s")
+
+    before = signal.signal(signal.SIGVTALRM, stop)
+    signal.setitimer(signal.ITIMER_VIRTUAL, seconds)
+    try:
+        yield
+    finally:
+        signal.setitimer(signal.ITIMER_VIRTUAL, 0)
+        signal.signal(signal.SIGVTALRM, before)
+
+
+def read_damaged(
+    path: Path, contents: Callable[[int], bytes], read: Callable[[Path], object], n_seeds: int, *, named: str
+) -> tuple[int, list[str]]:
+    """Read a file that is damaged anew from each seed: the number of errors, and each fault with its seed.
+
+    named: what the message of each error must contain, unless the error names a shape of the file.
+    """
+    n_errors, faults = 0, []
+    with limited_memory():
+        for seed in range(n_seeds):
+            path.write_bytes(contents(seed))
+            try:
+                with limited_time(SECONDS):
+                    read(path)
+            except PcretrieveError as error:
+                n_errors += 1
+                found = named in error.message or error.shape_id is not None
+                if not found or "codec" in error.message:
+                    faults.append(f"seed {seed}, in other words: {error}")
+            except BaseException as error:  # noqa: BLE001 — whatever a reader lets pass is a fault
+                faults.append(f"seed {seed}: {type(error).__name__}: {error}")
+    path.unlink(missing_ok=True)
+    return n_errors, faults

@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 import shapes
-from scan_files import XYZ, pcd_header
+from scan_files import CUBE, XYZ, cloud, mesh, pcd_header
 
-from pcretrieve import PointCloud, TriangleMesh, read_scan
+from pcretrieve import PointCloud
 from pcretrieve.errors import InputError
 from pcretrieve.formats import is_scan, write_cloud, write_mesh
 from pcretrieve.surface import defects
@@ -20,27 +20,6 @@ POINTS = np.array([[1.5, 2, 3], [4, 5, -6], [7, 8.25, 9], [-1, 0, 2e-3], [0, 0, 
 BALL = shapes.icosphere(1)
 NORMALS = BALL.vertices / np.linalg.norm(BALL.vertices, axis=1, keepdims=True)
 CLOUD = PointCloud(BALL.vertices, NORMALS, 3 * NORMALS)
-CUBE = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], dtype=float)
-# Corners of each side, counter-clockwise from outside.
-SIDES = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
-HALVES = [half for a, b, c, d in SIDES for half in ((a, b, c), (a, c, d))]
-FACES: dict[str, list[tuple[int, ...]]] = {
-    "triangles": [*HALVES],
-    "quads": [*SIDES],
-    "mixed": [*SIDES[:3], *HALVES[6:]],
-}
-
-
-def cloud(path: Path) -> PointCloud:
-    found = read_scan(path)
-    assert isinstance(found, PointCloud)
-    return found
-
-
-def mesh(path: Path) -> TriangleMesh:
-    found = read_scan(path)
-    assert isinstance(found, TriangleMesh)
-    return found
 
 
 # --- text and arrays --------------------------------------------------------------------------------------
@@ -309,8 +288,9 @@ def test_what_is_written_is_read(tmp_path: Path) -> None:
         assert found.normals is None and found.viewpoints is None
     for suffix in (".ply", ".obj", ".off", ".stl", ".glb"):
         write_mesh(BALL, tmp_path / f"mesh{suffix}")
-        assert not defects(mesh(tmp_path / f"mesh{suffix}"))
-        assert mesh(tmp_path / f"mesh{suffix}").volume == pytest.approx(BALL.volume, rel=1e-5)
+        found_mesh = mesh(tmp_path / f"mesh{suffix}")
+        assert not defects(found_mesh)
+        assert found_mesh.volume == pytest.approx(BALL.volume, rel=1e-5)
 
 
 def test_what_cannot_be_written_leaves_nothing(tmp_path: Path) -> None:

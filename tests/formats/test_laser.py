@@ -6,6 +6,7 @@ import socket
 import struct
 import subprocess
 import sys
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +14,7 @@ import pytest
 import shapes
 from benchmarks.samples import write_conf, write_pcd
 from hostile_scans import laser_scan
-from laser_files import CAN_WRITE, with_other_xml, write_e57, write_las
+from scan_files import CAN_WRITE, cloud, needs, with_other_xml, write_e57, write_las
 from scipy.spatial.transform import Rotation
 
 from pcretrieve import PointCloud, read_scan
@@ -26,16 +27,6 @@ from pcretrieve.ingestion.views import read_views
 POINTS = shapes.points_on(shapes.ellipsoid(), 500)
 SINGLE = 1e-6
 LAS_STEP = 1e-4  # of the coordinates in the files of the tests
-
-
-def needs(suffix: str) -> pytest.MarkDecorator:
-    return pytest.mark.skipif(not CAN_WRITE[suffix], reason=f"needs what writes {suffix} files")
-
-
-def cloud(path: Path) -> PointCloud:
-    found = read_scan(path)
-    assert isinstance(found, PointCloud)
-    return found
 
 
 # --- LAS and LAZ ------------------------------------------------------------------------------------------
@@ -86,9 +77,12 @@ def test_damaged_headers_and_chunks(tmp_path: Path) -> None:
         with pytest.raises(ScanReadError, match=words):
             read_scan(path)
     for suffix in (".las", ".laz", ".e57") if CAN_WRITE[".e57"] else (".las", ".laz"):
-        (tmp_path / f"c{suffix}").write_bytes(laser_scan(tmp_path, suffix))
-        with pytest.raises(ScanReadError):
-            read_scan(tmp_path / f"c{suffix}")
+        for content in (laser_scan(tmp_path, suffix), b"1 2 3\n", bytes(4096)):
+            (tmp_path / f"c{suffix}").write_bytes(content)
+            with pytest.raises(ScanReadError, match="not a complete"):
+                read_scan(tmp_path / f"c{suffix}")
+            # pye57 removes files that it cannot write.
+            assert (tmp_path / f"c{suffix}").read_bytes() == content
 
 
 # --- E57 --------------------------------------------------------------------------------------------------
@@ -137,27 +131,31 @@ def test_scans_in_an_e57_file(tmp_path: Path) -> None:
     np.testing.assert_array_equal(views.poses, [np.eye(4), np.eye(4)])
 
 
+HEADS = {
+    '<!DOCTYPE e57Root [<!ENTITY a SYSTEM "file:///etc/passwd">]>': "has a document type",
+    '<!DOCTYPE e57Root SYSTEM "http://127.0.0.1:{port}/a.dtd">': "has a document type",
+    "<?xml version='1.0' encoding='UTF-16'?>": "its XML part is not UTF-8",
+    "+ADw-!DOCTYPE": "its XML part is not UTF-8",
+}
+
+
+def with_head(head: bytes, xml: bytes) -> bytes:
+    return head + xml[xml.index(b"<e57Root") :]
+
+
 @needs(".e57")
-@pytest.mark.parametrize(
-    ("head", "words"),
-    [
-        ('<!DOCTYPE e57Root [<!ENTITY a SYSTEM "file:///etc/passwd">]>', "has a document type"),
-        ('<!DOCTYPE e57Root SYSTEM "http://127.0.0.1:{port}/a.dtd">', "has a document type"),
-        ("<?xml version='1.0' encoding='UTF-16'?>", "its XML part is not UTF-8"),
-        ("+ADw-!DOCTYPE", "its XML part is not UTF-8"),
-    ],
-)
-def test_what_the_xml_of_an_e57_file_refers_to_is_not_opened(head: str, words: str, tmp_path: Path) -> None:
+def test_what_the_xml_of_an_e57_file_refers_to_is_not_opened(tmp_path: Path) -> None:
     path = tmp_path / "a.e57"
     write_e57(path, [{"points": POINTS}])
     whole = path.read_bytes()
-    path.write_bytes(with_other_xml(whole, lambda xml: xml[xml.index(b"<e57Root") :]))
+    path.write_bytes(with_other_xml(whole, partial(with_head, b"")))
     assert len(cloud(path).points) == len(POINTS)
     with socket.create_server(("127.0.0.1", 0)) as elsewhere:
-        dtd = head.format(port=elsewhere.getsockname()[1]).encode()
-        path.write_bytes(with_other_xml(whole, lambda xml: dtd + xml[xml.index(b"<e57Root") :]))
-        with pytest.raises(ScanReadError, match=words):
-            read_scan(path)
+        for head, words in HEADS.items():
+            dtd = head.format(port=elsewhere.getsockname()[1]).encode()
+            path.write_bytes(with_other_xml(whole, partial(with_head, dtd)))
+            with pytest.raises(ScanReadError, match=words):
+                read_scan(path)
         elsewhere.setblocking(False)
         with pytest.raises(BlockingIOError):
             elsewhere.accept()
@@ -170,6 +168,7 @@ def test_what_the_xml_of_an_e57_file_refers_to_is_not_opened(head: str, words: s
 
 WITHOUT = """
 import sys
+from functools import partial
 from pathlib import Path
 
 class Missing:

@@ -6,9 +6,9 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+from scan_files import cloud
 from scipy.spatial.transform import Rotation
 
-from pcretrieve import PointCloud, read_scan
 from pcretrieve.formats import members_of
 from pcretrieve.ingestion.views import read_views
 
@@ -40,12 +40,6 @@ def header(turn: Rotation, sensor: NDArray[np.float64], size: tuple[int, int] = 
 
 def body(readings: NDArray[np.float64]) -> str:
     return "".join("{:.9g} {:.9g} {:.9g} 0.5 1 2 3\n".format(*row) for row in readings)
-
-
-def cloud(path: Path) -> PointCloud:
-    found = read_scan(path)
-    assert isinstance(found, PointCloud)
-    return found
 
 
 def test_points_normals_and_the_sensor_in_the_common_frame(tmp_path: Path) -> None:

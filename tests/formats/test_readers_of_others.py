@@ -8,19 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 import shapes
+from scan_files import CUBE, cloud
 
 from pcretrieve import PointCloud, read_scan
 from pcretrieve.errors import InputError, ScanReadError
 from pcretrieve.formats import write_cloud, write_mesh
 from pcretrieve.ingestion.discover import content_hash, discover
-
-CUBE = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], dtype=float)
-
-
-def cloud(path: Path) -> PointCloud:
-    found = read_scan(path)
-    assert isinstance(found, PointCloud)
-    return found
 
 
 @pytest.fixture
@@ -36,7 +29,7 @@ def plugin(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     )
     (site / "gridscan.py").write_text(
         "import numpy as np\nfrom pcretrieve.formats import RawScan\n\n"
-        "def read_grid(path):\n    return RawScan(np.loadtxt(path), notes=('read as a grid',))\n"
+        "def read_grid(path):\n    return RawScan(np.loadtxt(path), notes=('read as a grid',), unit='km')\n"
     )
     monkeypatch.syspath_prepend(site)
     monkeypatch.delitem(sys.modules, "gridscan", raising=False)
@@ -46,8 +39,8 @@ def plugin(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 def test_an_installed_package_brings_a_reader(plugin: Path, tmp_path: Path) -> None:
     (tmp_path / "a.GRID").write_text("1 2 3\n4 5 6\n")
     found = cloud(tmp_path / "a.GRID")
-    np.testing.assert_array_equal(found.points, [[1, 2, 3], [4, 5, 6]])
-    assert found.provenance[0].notes == ("read as a grid",)
+    np.testing.assert_array_equal(found.points, [[1000, 2000, 3000], [4000, 5000, 6000]])
+    assert found.provenance[0].notes == ("read as a grid", "converted the coordinates from km to m")
 
 
 @pytest.mark.parametrize(
@@ -71,6 +64,7 @@ def test_an_installed_package_brings_a_reader(plugin: Path, tmp_path: Path) -> N
             "def read_grid(path): return RawScan([[1, 2, 3]], faces=[[0, 0, 0.5]])",
             "faces must be whole numbers",
         ),
+        ("def read_grid(path): return RawScan([[1, 2, 3]], unit='ell')", "the unit must be one of um, mm"),
     ],
 )
 def test_a_package_whose_reader_is_broken_fails_its_own_files_only(

@@ -20,8 +20,9 @@ from urllib.parse import quote
 
 import pytest
 import shapes
-from hostile_scans import HOSTILE, REFERENCES
+from hostile_scans import HOSTILE, REFERENCES, laser_scan
 from processes import PATIENCE, wait_for
+from scan_files import CAN_WRITE
 from search_server import Answer, Server, raw, running, status
 
 from pcretrieve import search, write_mesh
@@ -119,9 +120,11 @@ def egg(folder: Path) -> bytes:
 # --- files ------------------------------------------------------------------------------------------------
 
 
-def test_hostile_files_are_refused_in_words(target: Target) -> None:
-    for kind in HOSTILE:
-        name, body, words = HOSTILE[kind]
+def test_hostile_files_are_refused_in_words(target: Target, tmp_path: Path) -> None:
+    laser = [
+        (f"a{end}", laser_scan(tmp_path, end), "not a complete") for end in (".laz", ".e57") if CAN_WRITE[end]
+    ]
+    for name, body, words in (*HOSTILE.values(), *laser):
         job = target.outcome(name, body)
         assert job["state"] == "failed"
         assert job["error"] in ("ScanReadError", "ReconstructionError")
