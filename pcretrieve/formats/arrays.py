@@ -16,13 +16,13 @@ from numpy.typing import NDArray
 from pcretrieve.errors import ScanReadError
 from pcretrieve.formats.depth import camera_parts, depth_scan, has_camera
 from pcretrieve.formats.format import (
+    DEFLATE_RATIO,
     NORMAL_FIELDS,
     POINT_FIELDS,
     Damaged,
     Part,
     RawScan,
     are_normals,
-    member_bytes,
     scan_of_fields,
     without_zeros,
 )
@@ -60,8 +60,7 @@ def read_npz(path: Path) -> RawScan:
             """The first array of these names."""
             for name in known:
                 if name in members:
-                    data = member_bytes(archive, members[name])
-                    return _array(io.BytesIO(data), len(data))
+                    return _member(archive, members[name])
             return None
 
         found = array(POINTS if len(members) != 1 else tuple(members))
@@ -154,6 +153,16 @@ def _members(archive: zipfile.ZipFile) -> dict[str, zipfile.ZipInfo]:
         for info in archive.infolist()
         if info.filename.endswith(".npy")
     }
+
+
+def _member(archive: zipfile.ZipFile, info: zipfile.ZipInfo) -> NDArray[Any]:
+    """An array in an archive, whose size is checked before it is expanded."""
+    if info.file_size > DEFLATE_RATIO * (info.compress_size + 1):
+        raise ScanReadError(
+            f"its member {info.filename} declares {info.file_size} bytes in {info.compress_size}"
+        )
+    data = archive.read(info)
+    return _array(io.BytesIO(data), len(data))
 
 
 def _array(file: IO[bytes], n_bytes: int) -> NDArray[Any]:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 import stat
-import zipfile
 from collections.abc import Callable, Collection, Iterable, Sequence
 from importlib.util import find_spec
 from pathlib import Path
@@ -22,7 +21,7 @@ UNIT_TOLERANCE = 1e-2
 # Names of columns: of points, of normals in PLY files, and of positions of sensors, by PCL.
 POINT_FIELDS, NORMAL_FIELDS, SENSOR_FIELDS = "x y z", "nx ny nz", "vp_x vp_y vp_z"
 
-# Largest compression ratio of deflate, the usual method of archives.
+# Largest compression ratio of deflate, the usual method of archives and of images.
 DEFLATE_RATIO = 1032
 
 # A protocol has two letters at least, unlike the drives of Windows.
@@ -166,15 +165,6 @@ def check_text(path: Path, text: str) -> None:
         raise ScanReadError(f"not a text file, though its name ends in {path.suffix}")
 
 
-def member_bytes(archive: zipfile.ZipFile, info: zipfile.ZipInfo) -> bytes:
-    """The content of a member of an archive, whose size is checked before the member is read."""
-    if info.file_size > DEFLATE_RATIO * (info.compress_size + 1):
-        raise ScanReadError(
-            f"its member {info.filename} declares {info.file_size} bytes in {info.compress_size}"
-        )
-    return archive.read(info)
-
-
 def distinct_names(names: Iterable[str]) -> list[str]:
     """Convert the names of the scans in a file to distinct names that can be parts of a path."""
     found: dict[str, None] = {}
@@ -222,14 +212,12 @@ def without_zeros(scan: RawScan) -> RawScan:
     if n_missing < 2 or n_missing == len(missing):
         return scan
     sensors = scan.viewpoints
+    note = f"dropped {n_missing} of {len(missing)} points at zero: readings without an answer"
     return scan._replace(
         points=scan.points[~missing],
         normals=None if scan.normals is None else scan.normals[~missing],
         viewpoints=sensors if sensors is None or sensors.ndim == 1 else sensors[~missing],
-        notes=(
-            *scan.notes,
-            f"dropped {n_missing} of {len(missing)} points at zero: readings without an answer",
-        ),
+        notes=(*scan.notes, note),
     )
 
 

@@ -32,8 +32,7 @@ from pcretrieve.formats.meshes import (
 )
 from pcretrieve.formats.pcd import pcd_bytes, read_pcd
 from pcretrieve.formats.ply import ply_bytes, read_ply
-from pcretrieve.formats.ptx import ptx_names, read_ptx
-from pcretrieve.formats.text import is_table, read_text, xyzn_bytes
+from pcretrieve.formats.text import is_table, ptx_names, read_ptx, read_text, xyzn_bytes
 from pcretrieve.plugins import Names, Registry
 from pcretrieve.values import METRES
 

@@ -1,4 +1,4 @@
-"""Text files with one point on each line: XYZ, XYZN, XYZRGB, PTS, ASC, CSV, TXT.
+"""Text files with one point on each line: XYZ, XYZN, XYZRGB, PTS, ASC, CSV, TXT, and grids of points: PTX.
 
 How a table is written is found from the first lines. A row holds three or more numbers, separated by
 blanks, tabs, commas or semicolons; where commas are decimal points, by blanks or semicolons. The lines above
@@ -11,16 +11,18 @@ import codecs
 import io
 import re
 import warnings
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from itertools import islice
 from pathlib import Path
-from typing import NamedTuple
+from typing import IO, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pcretrieve.errors import InputError, ScanReadError
-from pcretrieve.formats.format import Damaged, RawScan, are_normals, check_text, without_zeros
-from pcretrieve.values import PointCloud
+from pcretrieve.formats.format import Damaged, RawScan, are_normals, check_text, joined, without_zeros
+from pcretrieve.formats.organised import organised_scan
+from pcretrieve.values import FloatArray, PointCloud
 
 # Bytes at the start of a file from which its layout is found.
 HEAD_BYTES = 1 << 16
@@ -71,18 +73,22 @@ def read_text(path: Path, *, normals: bool | None = None) -> RawScan:
     if not layout.named and (normals or (normals is None and layout.n_columns >= 6)):
         columns = (0, 1, 2, 3, 4, 5)
     with path.open(encoding=layout.encoding, errors="replace") as file:
-        for _ in range(layout.n_header_lines):
-            next(file)
+        _skip(file, layout.n_header_lines)
         # NumPy parses the lines as the file gives them, so that its text is never in memory as a whole.
         lines = file if layout.decimal == "." else (line.replace(layout.decimal, ".") for line in file)
-        table = number_rows(lines, columns, layout.separator)
+        table = _number_rows(lines, columns, layout.separator)
     if layout.promised is not None and layout.promised != len(table):
         raise Damaged(f"it declares {layout.promised:.0f} points and holds {len(table)}")
     keep = len(columns) == 6 and (layout.named or normals or are_normals(table[:, 3:]))
     return without_zeros(RawScan(table[:, :3], normals=table[:, 3:] if keep else None))
 
 
-def number_rows(
+def _skip(lines: Iterable[str], n: int) -> None:
+    for _ in islice(lines, n):
+        pass
+
+
+def _number_rows(
     lines: Iterable[str], columns: tuple[int, ...], separator: str | None = None
 ) -> NDArray[np.float64]:
     """(n, c) columns of a table of numbers."""
@@ -207,3 +213,86 @@ def xyzn_bytes(cloud: PointCloud) -> bytes:
     text = io.BytesIO()
     np.savetxt(text, np.concatenate([cloud.points, cloud.normals], axis=1), fmt="%.9g")
     return text.getvalue()
+
+
+# --- PTX: grids of readings, each with the pose of the sensor -----------------------------------------------
+
+# Lines of a header: columns, rows, the sensor and its three axes, and a matrix of four lines.
+N_HEADER_LINES = 10
+# Size of the shortest row, "0 0 0" and the end of the line; bytes.
+SHORTEST_ROW = 6
+# Largest difference of the rotation of a pose from an orthogonal matrix: files have six digits.
+POSE_TOLERANCE = 1e-3
+
+
+class Grid(NamedTuple):
+    """The size of a grid, and the motion from the frame of its sensor to that of the file."""
+
+    n_columns: int
+    n_rows: int
+    rotation: FloatArray  # (3, 3), for points in rows: p' = p R + t
+    translation: FloatArray  # (3,)
+
+
+def read_ptx(path: Path, name: str | None = None) -> RawScan:
+    """Read the scans in a PTX file as one, or the scan of a number.
+
+    The points are in the common frame of the file, with normals and the position of the sensor of each point.
+    Readings without an answer, which are zeros, are dropped with a note.
+    """
+    scans = []
+    # Bytes that are no text are no numbers either, and are reported as such.
+    with path.open(encoding="utf-8-sig", errors="replace") as file:
+        for number, header in enumerate(_headers(path, file), start=1):
+            if name in (None, str(number)):
+                scans.append(_scan(file, header))
+            else:
+                _skip(file, header.n_columns * header.n_rows)
+    return joined(scans)
+
+
+def ptx_names(path: Path) -> tuple[str, ...]:
+    """The numbers of the scans in a file."""
+    with path.open(encoding="utf-8-sig", errors="replace") as file:
+        names = []
+        for number, header in enumerate(_headers(path, file), start=1):
+            names.append(str(number))
+            _skip(file, header.n_columns * header.n_rows)
+    return tuple(names)
+
+
+def _headers(path: Path, file: IO[str]) -> Iterator[Grid]:
+    """Yield the header of each scan. The caller must read the rows before the next header."""
+    size, first = path.stat().st_size, True
+    while lines := [line for line in islice(file, N_HEADER_LINES) if first or line.strip()]:
+        first = False
+        try:
+            numbers = [[float(word) for word in line.split()] for line in lines]
+            (n_columns,), (n_rows,) = numbers[:2]
+            pose = np.array(numbers[6:])
+            if len(lines) < N_HEADER_LINES or pose.shape != (4, 4) or not np.isfinite(pose).all():
+                raise ValueError("it must be ten lines, of which the last four are a matrix")
+            if not (n_columns.is_integer() and n_rows.is_integer() and min(n_columns, n_rows) > 0):
+                raise ValueError(f"the size of the grid must be whole numbers, got {n_columns:g} {n_rows:g}")
+            if n_columns * n_rows * SHORTEST_ROW > size:
+                raise ValueError(f"it declares {n_columns * n_rows:.0f} rows in {size} bytes")
+            rotation = pose[:3, :3]
+            if np.abs(rotation @ rotation.T - np.eye(3)).max() > POSE_TOLERANCE:
+                raise ValueError("the matrix is not a rigid motion")
+        except ValueError as error:
+            raise Damaged(f"its header is damaged: {error}") from error
+        yield Grid(int(n_columns), int(n_rows), rotation, pose[3, :3])
+
+
+def _scan(file: IO[str], header: Grid) -> RawScan:
+    n = header.n_columns * header.n_rows
+    table = _number_rows(islice(file, n), (0, 1, 2))
+    if len(table) != n:
+        raise Damaged(f"its header declares {n} points, it holds {len(table)}")
+    measured = np.isfinite(table).all(axis=1) & table.any(axis=1)  # (n,)
+    points = table @ header.rotation + header.translation
+    size = header.n_columns, header.n_rows
+    try:
+        return organised_scan(points.reshape(*size, 3), measured.reshape(size), header.translation)
+    except ScanReadError as error:
+        raise ScanReadError(f"a scan of {size[0]} × {size[1]} readings: {error.message}") from error
