@@ -7,18 +7,18 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from pathlib import Path
-from typing import TypeAlias
 
 from pcretrieve.catalogue import CatalogueLike, Record, opened
 from pcretrieve.errors import InputError, ScanReadError
 from pcretrieve.formats import Part, is_scan, parts_of
 from pcretrieve.ingestion.discover import discover
+from pcretrieve.ingestion.plan import Processing
 from pcretrieve.ingestion.pool import Executor, in_processes
-from pcretrieve.ingestion.run import Processing, Summary, process_scans
+from pcretrieve.ingestion.run import Summary, process_scans
 from pcretrieve.options import OptionsLike, PipelineOptions
 
 # Inode, bytes, and time of the last change, nanoseconds.
-State: TypeAlias = tuple[int, int, int]
+State = tuple[int, int, int]
 
 
 def watch(
@@ -98,10 +98,10 @@ class Arrivals:
 
         A scan of several files is found when all its views are there.
         """
-        now = _states(self._folder)
+        now = self._states()
         still = {path for path, state in now.items() if self._seen.get(path) == state}
-        self._seen = now
         fresh = {path for path in still if self._given.get(path) != now[path]}
+        self._seen = now
         for path in fresh:
             self._given[path] = now[path]
             self._parts.pop(path, None)
@@ -117,15 +117,12 @@ class Arrivals:
                 found.add(path)
         return discover(sorted(found))
 
-
-def _states(folder: Path) -> dict[Path, State]:
-    """The state of each file in a folder that is not hidden; files that vanish meanwhile are left out."""
-    states = {}
-    for place, _, names in os.walk(folder):
-        for name in names:
-            path = Path(place, name)
-            with suppress(OSError):
-                if not name.startswith("."):
+    def _states(self) -> dict[Path, State]:
+        """The state of each file that is not hidden; files that vanish meanwhile are left out."""
+        states = {}
+        for place, _, names in os.walk(self._folder):
+            for path in (Path(place, name) for name in names if not name.startswith(".")):
+                with suppress(OSError):
                     found = path.stat()
                     states[path] = found.st_ino, found.st_size, found.st_mtime_ns
-    return states
+        return states

@@ -22,14 +22,14 @@ from pcretrieve.errors import (
     WorkerDied,
     in_stage,
 )
-from pcretrieve.options import PipelineOptions
+from pcretrieve.options import PipelineOptions, SurfaceOptions
 from pcretrieve.pipeline.process import process
 from pcretrieve.values import Step
 
-Changes = dict[str, dict[str, Any]]
+Changes = dict[str, Any]  # of options of the table `surface`
 
 # The edge of voxels with which a scan is tried again, in place of ``auto``: that of the second, coarser
-#: surface of noisy scans.
+# surface of noisy scans.
 COARSE_CELL = 0.006
 
 # Errors that may have been caused by the computer, or by earlier scans of the process, not by the scan alone.
@@ -38,7 +38,10 @@ PERHAPS_OF_THE_PROCESS = (StageTimeout, WorkerDied, MemoryExceeded, UnexpectedEr
 
 @dataclass(frozen=True, slots=True)
 class Attempt:
-    """A scan that is to be processed, and how its earlier attempts failed."""
+    """A scan that is to be processed, and how its earlier attempts failed.
+
+    n_taken: number of changes that were made, or left out, so far.
+    """
 
     path: Path
     record: Record
@@ -56,7 +59,7 @@ class Attempt:
 
 def work_on(options: PipelineOptions, attempt: Attempt) -> Content:
     """What the catalogue stores of one scan."""
-    return content_of(attempt.path, options.changed(**attempt.changes))
+    return content_of(attempt.path, options.changed(surface=attempt.changes))
 
 
 def content_of(path: Path, options: PipelineOptions) -> Content:
@@ -77,56 +80,33 @@ def next_attempt(attempt: Attempt, error: PcretrieveError, options: PipelineOpti
     """The next attempt at a scan that failed.
 
     Each attempt has one more of these changes: a process that is started after the failure; cheaper settings
-    (one surface, with larger voxels, and no optimisation of the remesher); the other method of surface
-    reconstruction, instead of cheaper settings. A change that cannot help is left out: a new process if a
-    stage has refused the scan, other settings if the scan cannot be read.
+    (one surface, with larger voxels); the other method of surface reconstruction, instead of cheaper
+    settings. A change that cannot help is left out: a new process if a stage has refused the scan, other
+    settings if the scan cannot be read.
     """
     if isinstance(error, InputError):
         return None
-    for number, made in list(enumerate((_new_process, _cheaper, _fallback), 1))[attempt.n_taken :]:
-        change = made(error, options)
+    given = options.surface
+    changes: list[Changes | None] = [{} if isinstance(error, PERHAPS_OF_THE_PROCESS) else None]
+    # In the mode ``keep``, no surface is reconstructed.
+    if not isinstance(error, ScanReadError) and given.mode != "keep":
+        changes += [_cheaper(given), {"method": "growth" if given.method == "poisson" else "poisson"}]
+    for number, change in list(enumerate(changes, 1))[attempt.n_taken :]:
         if change is not None:
-            words = ", ".join(_words(change, options)) or "in a new process"
-            note = f"{type(error).__name__} ({error.stage}): {error.message}; tried again {words}"
+            words = [
+                f"with surface.{name} = {value} instead of {getattr(given, name)}"
+                for name, value in change.items()
+                if getattr(given, name) != value
+            ]
+            tried = ", ".join(words) or "in a new process"
+            note = f"{type(error).__name__} ({error.stage}): {error.message}; tried again {tried}"
             return replace(attempt, changes=change, n_taken=number, notes=(*attempt.notes, note))
     return None
 
 
-def _new_process(error: PcretrieveError, options: PipelineOptions) -> Changes | None:
-    return {} if isinstance(error, PERHAPS_OF_THE_PROCESS) else None
-
-
-def _cheaper(error: PcretrieveError, options: PipelineOptions) -> Changes | None:
-    if isinstance(error, ScanReadError):
+def _cheaper(given: SurfaceOptions) -> Changes | None:
+    """One surface, with larger voxels; None if the options are so already."""
+    cell = COARSE_CELL if given.cell == "auto" else max(COARSE_CELL, given.cell)
+    if given.method != "growth" or (given.reconstructions, given.cell) == (1, cell):
         return None
-    change: Changes = {}
-    if _reconstructs(options) and options.surface.method == "growth":
-        cell = options.surface.cell
-        coarse = COARSE_CELL if cell == "auto" else cell
-        change["surface"] = {"reconstructions": 1, "cell": max(COARSE_CELL, coarse)}
-    return {
-        table: values
-        for table, values in change.items()
-        if any(getattr(getattr(options, table), name) != value for name, value in values.items())
-    } or None
-
-
-def _fallback(error: PcretrieveError, options: PipelineOptions) -> Changes | None:
-    if isinstance(error, ScanReadError) or not _reconstructs(options):
-        return None
-    return {"surface": {"method": "growth" if options.surface.method == "poisson" else "poisson"}}
-
-
-def _reconstructs(options: PipelineOptions) -> bool:
-    """Whether surfaces are reconstructed, at least of scans that are no closed meshes."""
-    return options.surface.mode != "keep"
-
-
-def _words(change: Changes, options: PipelineOptions) -> list[str]:
-    """Each changed option, its value, and that of the catalogue."""
-    return [
-        f"with {table}.{name} = {value} instead of {getattr(getattr(options, table), name)}"
-        for table, values in change.items()
-        for name, value in values.items()
-        if getattr(getattr(options, table), name) != value
-    ]
+    return {"reconstructions": 1, "cell": cell}

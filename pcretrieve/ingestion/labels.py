@@ -11,9 +11,10 @@ import io
 import logging
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from functools import cache, partial
 from pathlib import Path
 from types import MappingProxyType
+from typing import NamedTuple
 
 from pcretrieve.errors import BenchmarkError, InputError
 from pcretrieve.formats import split_member
@@ -35,17 +36,25 @@ N_FOLDERS = 3
 POSES_OF_FAUST = 10
 
 
-@dataclass(frozen=True, slots=True)
-class Layout:
-    """How a set names the classes of its shapes."""
+class Layout(NamedTuple):
+    """How a set names the classes of its shapes: in their paths, or in label files of some names."""
 
     name: str
-    class_of: Callable[[Path], str | None] | None = None
-    label_files: tuple[str, ...] = ()
-    n_shapes: int = 0
-    n_classes: int = 0
-    protocol: str = ""
+    place: Callable[[Path], str | None] | tuple[str, ...]
+    n_shapes: int
+    n_classes: int
+    details: str
     published: str = ""
+
+    @property
+    def protocol(self) -> str:
+        """How the set is evaluated."""
+        return f"each shape is a query in all others{self.details}"
+
+    @property
+    def source(self) -> str:
+        """Where the set is published, as the end of a message."""
+        return f" (published at {self.published})" if self.published else ""
 
 
 def _before_number(path: Path) -> str | None:
@@ -64,67 +73,30 @@ def _folder(path: Path) -> str | None:
     return path.parent.name or None
 
 
-ALL_QUERIES = "each shape is a query in all others"
-CARDIFF = "http://www.cs.cf.ac.uk/shaperetrieval/shrec14/"
 BESIDE = ("test.cla", "labels.csv")
+NIST = "https://www.itl.nist.gov/iad/vug/sharp/contest/2011/NonRigid/"
+CARDIFF = "http://www.cs.cf.ac.uk/shaperetrieval/shrec14/"
+TUEBINGEN = "https://faust-leaderboard.is.tuebingen.mpg.de/"
+TECHNION = "http://tosca.cs.technion.ac.il/book/resources_data.html"
+PRINCETON = "https://shape.cs.princeton.edu/benchmark/"
+OF_FAUST = ", 10 people in 10 poses: the training scans, or their registrations"
+OF_PSB = "; 907 models of the base classification, for training or for test"
 
 #: The layouts by name.
 LAYOUTS: Mapping[str, Layout] = MappingProxyType(
     {
         layout.name: layout
         for layout in (
+            Layout("shrec11", BESIDE, 600, 30, ", 20 of each class; watertight meshes, --surface keep", NIST),
+            Layout("shrec14-real", BESIDE, 400, 40, ", 40 people in 10 poses; --surface keep", CARDIFF),
+            Layout("shrec14-synthetic", BESIDE, 300, 15, ", 15 people in 20 poses; --surface keep", CARDIFF),
+            Layout("faust", _person, 100, 10, OF_FAUST, TUEBINGEN),
             Layout(
-                "shrec11",
-                label_files=BESIDE,
-                n_shapes=600,
-                n_classes=30,
-                protocol=f"{ALL_QUERIES}, 20 of each class; watertight meshes, --surface keep",
-                published="https://www.itl.nist.gov/iad/vug/sharp/contest/2011/NonRigid/",
+                "tosca", _before_number, 80, 9, "; high-resolution meshes, some of which are open", TECHNION
             ),
-            Layout(
-                "shrec14-real",
-                label_files=BESIDE,
-                n_shapes=400,
-                n_classes=40,
-                protocol=f"{ALL_QUERIES}, 40 people in 10 poses; --surface keep",
-                published=CARDIFF,
-            ),
-            Layout(
-                "shrec14-synthetic",
-                label_files=BESIDE,
-                n_shapes=300,
-                n_classes=15,
-                protocol=f"{ALL_QUERIES}, 15 people in 20 poses; --surface keep",
-                published=CARDIFF,
-            ),
-            Layout(
-                "faust",
-                class_of=_person,
-                n_shapes=100,
-                n_classes=10,
-                protocol=f"{ALL_QUERIES}, 10 people in 10 poses: the training scans, or their registrations",
-                published="https://faust-leaderboard.is.tuebingen.mpg.de/",
-            ),
-            Layout(
-                "tosca",
-                class_of=_before_number,
-                n_shapes=80,
-                n_classes=9,
-                protocol=f"{ALL_QUERIES}; high-resolution meshes, some of which are open",
-                published="http://tosca.cs.technion.ac.il/book/resources_data.html",
-            ),
-            Layout(
-                "psb",
-                label_files=("*.cla",),
-                protocol=f"{ALL_QUERIES}; 907 models of the base classification, for training or for test",
-                published="https://shape.cs.princeton.edu/benchmark/",
-            ),
-            Layout("folders", class_of=_folder, protocol=f"{ALL_QUERIES}; the class is the folder"),
-            Layout(
-                "csv",
-                label_files=("labels.csv",),
-                protocol=f"{ALL_QUERIES}; the classes are in labels.csv beside the scans",
-            ),
+            Layout("psb", ("*.cla",), 0, 0, OF_PSB, PRINCETON),
+            Layout("folders", _folder, 0, 0, "; the class is the folder"),
+            Layout("csv", ("labels.csv",), 0, 0, "; the classes are in labels.csv beside the scans"),
         )
     }
 )
@@ -133,20 +105,20 @@ LAYOUTS: Mapping[str, Layout] = MappingProxyType(
 def discover_labelled(
     arguments: Sequence[str | Path], labels: str | Path | None, beside: Iterable[str | Path] = ()
 ) -> tuple[list[Path], dict[str, str]]:
-    """Find the files of scans, and their classes."""
+    """Find the files of scans, and their classes; files in `beside` are known not to be scans."""
     layout = LAYOUTS.get(str(labels))
     files = [*beside]
-    if layout is not None:
+    if layout is None:
+        files += [labels] if labels is not None else []
+    elif isinstance(layout.place, tuple):
         folders = [Path(argument) for argument in arguments if Path(argument).is_dir()]
-        files += [file for folder in folders for name in layout.label_files for file in folder.rglob(name)]
-    elif labels is not None:
-        files.append(labels)
+        files += [file for folder in folders for name in layout.place for file in folder.rglob(name)]
     try:
         scans = discover(arguments, files)
     except InputError as error:
         if layout is None:
             raise
-        raise InputError(f"{error.message}{_where(layout)}") from error
+        raise InputError(f"{error.message}{layout.source}") from error
     return scans, {} if labels is None else labels_of(labels, scans)
 
 
@@ -156,52 +128,38 @@ def labels_of(labels: str | Path, scans: Iterable[str | Path]) -> dict[str, str]
     if layout is None:
         return read_labels(labels)
     paths = [str(path) for path in scans]
-    if layout.class_of is None:
-        found = _from_files(layout, paths)
+    if isinstance(layout.place, tuple):
+        found = _from_files(layout, layout.place, paths)
     else:
-        classes = {path: layout.class_of(split_member(Path(path))[0]) for path in paths}
+        classes = {path: layout.place(split_member(Path(path))[0]) for path in paths}
         found = {path: label for path, label in classes.items() if label is not None}
     if not found:
         raise BenchmarkError(
-            f"no path is one of the layout {layout.name}{_where(layout)}; give a label file, a CSV file with "
+            f"no path is one of the layout {layout.name}{layout.source}; give a label file, a CSV file with "
             "the columns file and class"
         )
-    n_classes = len(set(found.values()))
-    if layout.n_shapes and (len(found), n_classes) != (layout.n_shapes, layout.n_classes):
-        logger.warning(
-            "%s has %d shapes in %d classes, of which %d in %d are here%s",
-            layout.name,
-            layout.n_shapes,
-            layout.n_classes,
-            len(found),
-            n_classes,
-            _where(layout),
-        )
+    here, whole = (len(found), len({*found.values()})), (layout.n_shapes, layout.n_classes)
+    if layout.n_shapes and here != whole:
+        words = "%s has %d shapes in %d classes, of which %d in %d are here%s"
+        logger.warning(words, layout.name, *whole, *here, layout.source)
     return found
 
 
-def _where(layout: Layout) -> str:
-    return f" (published at {layout.published})" if layout.published else ""
-
-
-def _from_files(layout: Layout, paths: list[str]) -> dict[str, str]:
+def _from_files(layout: Layout, names: tuple[str, ...], paths: list[str]) -> dict[str, str]:
     """The classes in label files, of which each names scans in its own folder and below."""
-    file_of: dict[Path, Path] = {}
+    label_file = cache(partial(_label_file, layout, names))
     of_file: dict[Path, dict[str, str]] = {}
     for path in paths:
-        folder = split_member(Path(path))[0].parent
-        if folder not in file_of:
-            file_of[folder] = _label_file(layout, folder)
-        of_file.setdefault(file_of[folder], {})[path] = path
+        of_file.setdefault(label_file(split_member(Path(path))[0].parent), {})[path] = path
     found: dict[str, str] = {}
     for file, own in of_file.items():
         found |= match_labels(read_labels(file), own)[0]
     return found
 
 
-def _label_file(layout: Layout, folder: Path) -> Path:
+def _label_file(layout: Layout, names: tuple[str, ...], folder: Path) -> Path:
     for place in (folder, *folder.parents)[:N_FOLDERS]:
-        for pattern in layout.label_files:
+        for pattern in names:
             files = sorted(place.glob(pattern))
             if len(files) > 1:
                 named = ", ".join(file.name for file in files)
@@ -209,8 +167,8 @@ def _label_file(layout: Layout, folder: Path) -> Path:
             if files:
                 return files[0]
     raise BenchmarkError(
-        f"the layout {layout.name} has its classes in {' or '.join(layout.label_files)}, which is not in "
-        f"{folder}, nor in the two folders above{_where(layout)}"
+        f"the layout {layout.name} has its classes in {' or '.join(names)}, which is not in {folder}, nor in "
+        f"the two folders above{layout.source}"
     )
 
 
@@ -257,7 +215,7 @@ def match_labels(labels: Mapping[str, str], paths: Mapping[str, str]) -> tuple[d
         if not shapes:
             unknown.append(name)
         if len(shapes) > 1:
-            raise BenchmarkError(_several(name, [paths[shape_id] for shape_id in shapes]))
+            raise _ambiguous(name, [paths[shape_id] for shape_id in shapes])
         for shape_id in shapes:
             if matched.setdefault(shape_id, label) != label:
                 raise BenchmarkError(
@@ -266,13 +224,13 @@ def match_labels(labels: Mapping[str, str], paths: Mapping[str, str]) -> tuple[d
                 )
     if unlabelled := sorted(passed_over.keys() - matched.keys()):
         name = passed_over[unlabelled[0]]
-        raise BenchmarkError(_several(name, [paths[name], paths[unlabelled[0]]]))
+        raise _ambiguous(name, [paths[name], paths[unlabelled[0]]])
     return matched, unknown
 
 
-def _several(name: str, shapes: Sequence[str]) -> str:
-    """The message about a name that stands for several shapes, by their paths."""
-    return (
+def _ambiguous(name: str, shapes: Sequence[str]) -> BenchmarkError:
+    """A name stands for several shapes, given by their paths."""
+    return BenchmarkError(
         f"a label must stand for one shape, {name!r} stands for {len(shapes)}, such as "
         f"{', '.join(sorted(shapes)[:QUOTED])}: write out more of the path, or label one set at a time"
     )
@@ -280,21 +238,22 @@ def _several(name: str, shapes: Sequence[str]) -> str:
 
 def _table(path: Path, text: str) -> dict[str, str]:
     labels: dict[str, str] = {}
+    # Spreadsheets separate columns by semicolons where the comma is the decimal point.
+    head = text.partition("\n")[0]
+    separator = ";" if ";" in head and "," not in head else ","
     try:
-        # Spreadsheets separate columns by semicolons where the comma is the decimal point.
-        head = text.partition("\n")[0]
-        separator = ";" if ";" in head and "," not in head else ","
         rows = csv.DictReader(io.StringIO(text, newline=""), strict=True, delimiter=separator)
         header = {name.strip().lower(): name for name in rows.fieldnames or ()}
-        name = next((header[column] for column in NAME_COLUMNS if column in header), None)
-        label = next((header[column] for column in LABEL_COLUMNS if column in header), None)
-        if name is None or label is None:
+        names, labelled = (
+            [header[one] for one in few if one in header] for few in (NAME_COLUMNS, LABEL_COLUMNS)
+        )
+        if not (names and labelled):
             raise BenchmarkError(
                 f"the label file {path} must have a header with one of {', '.join(NAME_COLUMNS)} and one of "
                 f"{', '.join(LABEL_COLUMNS)}, got {', '.join(header) or 'nothing'}"
             )
         for row in rows:
-            shape, its_class = (row[name] or "").strip(), (row[label] or "").strip()
+            shape, its_class = (row[names[0]] or "").strip(), (row[labelled[0]] or "").strip()
             if shape and its_class and labels.setdefault(shape, its_class) != its_class:
                 raise BenchmarkError(
                     f"the label file {path} must give each shape one class, {shape!r} has "

@@ -6,8 +6,9 @@ record, and a file with new content is processed again.
 
 from __future__ import annotations
 
+import os
 import time
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache
 from importlib.metadata import version
@@ -21,6 +22,7 @@ from pcretrieve.formats import split_member, url_of
 from pcretrieve.formats.identity import file_hash, printable, scan_hash, stamp_of
 from pcretrieve.ingestion.discover import shape_ids
 from pcretrieve.ingestion.labels import match_labels
+from pcretrieve.ingestion.pool import Executor, in_processes
 
 Identity = tuple[str, str]  # suffix and SHA-256 of a file
 
@@ -53,62 +55,72 @@ def failed(record: Record, error: PcretrieveError) -> Record:
     )
 
 
+@dataclass(frozen=True, slots=True)
+class Processing:
+    """How scans are processed; the attributes are parameters of `ingest`."""
+
+    workers: int | None = None
+    timeout: float = 600.0
+    memory: float | None = None
+    executor: Executor = in_processes
+    retry_failed: bool = False
+    retries: int = 0
+    max_failures: int | None = None
+    on_shape: Callable[[Record], None] = lambda record: None
+
+
 @dataclass(slots=True, eq=False)
 class Plan:
-    """What an ingest does with some files. Paths are printable, as catalogues store them.
+    """What an ingest does with some files. Paths are printable, as catalogues store them."""
 
-    moved: new path by old path.
-    removed: paths whose records are removed.
-    labels, stamps: by path.
-    held: records of scans that the catalogue has already.
-    duplicates: files with the same content as another file, and the record of the other file.
-    process: scans that must be processed, and their new records; the id may still change.
-    unreadable: records of the failures of files that cannot be read.
-    """
-
-    moved: dict[str, str] = field(default_factory=dict)
-    removed: list[str] = field(default_factory=list)
-    labels: dict[str, str] = field(default_factory=dict)
-    stamps: dict[str, str] = field(default_factory=dict)
-    held: list[Record] = field(default_factory=list)
+    moved: dict[str, str] = field(default_factory=dict)  # new path by old path
+    removed: list[str] = field(default_factory=list)  # paths whose records are removed
+    labels: dict[str, str] = field(default_factory=dict)  # by path
+    stamps: dict[str, str] = field(default_factory=dict)  # by path
+    held: list[Record] = field(default_factory=list)  # of scans that the catalogue has already
+    # Files with the same content as another file, and the record of the other file.
     duplicates: list[tuple[str, Record]] = field(default_factory=list)
+    # Scans that must be processed, and their new records; the id may still change.
     process: list[tuple[Path, Record]] = field(default_factory=list)
-    unreadable: list[Record] = field(default_factory=list)
+    unreadable: list[Record] = field(default_factory=list)  # failures of files that cannot be read
 
     def apply(self, catalogue: Catalogue) -> None:
         """Write the changes to the records of a catalogue, and complete those of skipped scans by its own."""
         if self.moved or self.removed or self.labels or self.stamps:
             catalogue.revise(moved=self.moved, removed=self.removed, labels=self.labels, stamps=self.stamps)
-        originals = [original for _, original in self.duplicates]
-        stored = catalogue.several({record.id for record in (*self.held, *originals)})
+        known = [*self.held, *(original for _, original in self.duplicates)]
+        stored = catalogue.several({record.id for record in known})
         # An original that is still to be processed has a new content, and no provenance.
         whole = {(record.path, record.content_hash): record for record in stored}
-        self.held = [whole.get((record.path, record.content_hash), record) for record in self.held]
+        known = [whole.get((record.path, record.content_hash), record) for record in known]
+        n = len(self.held)
+        self.held, originals = known[:n], known[n:]
         self.duplicates = [
-            (path, whole.get((original.path, original.content_hash), original))
-            for path, original in self.duplicates
+            (path, original) for (path, _), original in zip(self.duplicates, originals, strict=True)
         ]
 
 
 class Planner:
     """Decides what must be done with each scan, file by file, and writes nothing.
 
-    timeout: longest time to read one file; seconds.
+    part: the scans of the shard that is processed; by default all. `names` are theirs.
     """
 
     def __init__(
         self,
         paths: Sequence[Path],
         records: Sequence[Record],
-        labels: Mapping[str, str],
-        *,
-        n_threads: int,
-        timeout: float,
-        retry_failed: bool,
+        how: Processing,
+        labels: Mapping[str, str] | None = None,
+        part: Collection[Path] | None = None,
     ) -> None:
+        labels = labels or {}
         self.files = {printable(path): path for path in paths}
-        self.contents = Contents(self.files, n_threads, timeout, records)
-        self._retry_failed = retry_failed
+        chosen = None if part is None else {*part}
+        self.names = [name for name, path in self.files.items() if chosen is None or path in chosen]
+        n_threads = how.workers or len(os.sched_getaffinity(0))
+        self.contents = Contents(self.files, n_threads, how.timeout, records)
+        self._retry_failed = how.retry_failed
         self._held = {record.path: record for record in records}
         self._ids = shape_ids(self.files, {record.id: record.path for record in records})
         matched, unknown = match_labels(labels, {self._ids[name]: name for name in self.files})
@@ -129,14 +141,25 @@ class Planner:
         """Names in the label file that match no scan, so far as files were planned."""
         return list(self._labels_left)
 
-    def plans(self, names: Sequence[str]) -> Iterator[Plan]:
+    def plans(self) -> Iterator[Plan]:
         """Yield plans for some files at a time; meanwhile, the contents of the next files are hashed."""
-        for start in range(0, len(names), FILES_AT_ONCE):
-            self.contents.expect(names[start : start + 2 * FILES_AT_ONCE])
+        for start in range(0, len(self.names), FILES_AT_ONCE):
+            self.contents.expect(self.names[start : start + 2 * FILES_AT_ONCE])
             made = Plan()
-            for name in names[start : start + FILES_AT_ONCE]:
+            for name in self.names[start : start + FILES_AT_ONCE]:
                 self._add(name, made)
             yield made
+
+    def changed(self, records: Iterable[Record]) -> set[str]:
+        """Paths of other shards whose files have changed, and may belong to another shard now."""
+        elsewhere = self.files.keys() - set(self.names)
+        return {
+            record.path
+            for record in records
+            if record.path in elsewhere
+            and isinstance(content := self.contents.of(record.path), str)
+            and content != record.content_hash
+        }
 
     def _add(self, name: str, made: Plan) -> None:
         """Decide what must be done with one file."""
@@ -198,14 +221,14 @@ def _identity(path: str, content: str) -> Identity:
 
 
 def _is_gone(path: str) -> bool:
-    if url_of(Path(path)) is not None:
-        return False  # unknown
+    """Whether there is no such file; false if that is unknown, as at a URL or without permission."""
     try:
-        split_member(Path(path))[0].stat()
+        if url_of(Path(path)) is None:
+            split_member(Path(path))[0].stat()
     except (FileNotFoundError, NotADirectoryError):
         return True
     except OSError:
-        return False  # not accessible, for example in a folder without permission
+        pass
     return False
 
 
@@ -222,11 +245,10 @@ class Contents:
     def __init__(
         self, scans: Mapping[str, Path], n_threads: int, timeout: float, records: Iterable[Record] = ()
     ) -> None:
-        self._scans = scans
+        self._files = {name: split_member(scan)[0] for name, scan in scans.items()}
+        self._scans, self._n_threads, self._timeout = scans, n_threads, timeout
         self._records = {record.path: record for record in records if record.stamp and record.content_hash}
         self._stamps_of_records = self._by_file()
-        self._n_threads = n_threads
-        self._timeout = timeout
         self._changed = Condition()  # guards the attributes below
         self._known: dict[Path, str | Exception | None] = {}  # None: a file that has not changed
         self._stamps: dict[Path, str] = {}
@@ -236,17 +258,16 @@ class Contents:
     def expect(self, names: Iterable[str]) -> None:
         """Begin to hash scans in the background."""
         with self._changed:
-            for name in names:
-                file, _ = split_member(self._scans[name])
-                if file not in self._known and file not in self._deadlines:
-                    self._expected[file] = None
+            files = (self._files[name] for name in names)
+            self._expected |= {
+                file: None for file in files if file not in self._known and file not in self._deadlines
+            }
             self._start()
 
     def of(self, name: str) -> str | ShapeError:
         """The SHA-256 hash of a scan, or the error of reading its file."""
         self.expect([name])
-        scan = self._scans[name]
-        file, _ = split_member(scan)
+        file = self._files[name]
         with self._changed:
             while file not in self._known:
                 self._changed.wait(min(self._deadlines.values()) - time.monotonic())
@@ -255,16 +276,15 @@ class Contents:
         if content is None:
             return self._records[name].content_hash
         if isinstance(content, str):
-            return scan_hash(scan, content)
+            return scan_hash(self._scans[name], content)
         if isinstance(content, ShapeError):
             return content
         raise content
 
     def stamp(self, name: str) -> str | None:
         """The stamp of a scan that `of` has hashed; None if it does not suffice to know the file again."""
-        file, _ = split_member(self._scans[name])
         with self._changed:
-            return self._stamps.get(file)
+            return self._stamps.get(self._files[name])
 
     def close(self) -> None:
         """Hash no more files."""
@@ -273,12 +293,10 @@ class Contents:
 
     def _by_file(self) -> dict[Path, str]:
         """The stamps of the files whose scans all have a record with the same stamp."""
-        if not self._records:
-            return {}
         found: dict[Path, set[str | None]] = {}
-        for name, scan in self._scans.items():
+        for name, file in self._files.items() if self._records else ():
             record = self._records.get(name)
-            found.setdefault(split_member(scan)[0], set()).add(record.stamp if record else None)
+            found.setdefault(file, set()).add(record.stamp if record else None)
         return {file: stamp for file, (stamp, *others) in found.items() if stamp and not others}
 
     def _start(self) -> None:

@@ -7,8 +7,6 @@ import json
 import logging
 import platform
 import zipfile
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import asdict
 from pathlib import Path
 
@@ -108,28 +106,16 @@ def _without_folder(text: str, file: Path) -> str:
 
 
 def _measured(scan: Path, options: PipelineOptions) -> tuple[dict[str, object], str]:
-    """What can be measured of a scan, and the log of its processing, in a worker process."""
-    with _logged() as log:
-        inspection = inspect_scan(scan, options, n_rescans=0)
+    """What can be measured of a scan, and the log of its processing, in a process of its own."""
+    log = io.StringIO()
+    handler = logging.StreamHandler(log)
+    handler.setFormatter(logging.Formatter("%(asctime)s %(levelname)s %(name)s: %(message)s"))
+    logger = logging.getLogger("pcretrieve")
+    logger.addHandler(handler)
+    logger.setLevel(logging.DEBUG)
+    inspection = inspect_scan(scan, options, n_rescans=0)
     return {
         "failure": None if inspection.failure is None else asdict(inspection.failure),
         "checks": [asdict(check) for check in inspection.checks],
         "steps": [asdict(step) for step in inspection.steps],
     }, log.getvalue()
-
-
-@contextmanager
-def _logged() -> Iterator[io.StringIO]:
-    """What the library logs meanwhile, of all levels."""
-    text = io.StringIO()
-    handler = logging.StreamHandler(text)
-    handler.setFormatter(logging.Formatter("%(asctime)s %(levelname)s %(name)s: %(message)s"))
-    logger = logging.getLogger("pcretrieve")
-    level = logger.level
-    logger.addHandler(handler)
-    logger.setLevel(logging.DEBUG)
-    try:
-        yield text
-    finally:
-        logger.setLevel(level)
-        logger.removeHandler(handler)

@@ -1,9 +1,9 @@
-"""What an ingest writes down about itself while it works, and what can be read from that at any time.
+"""The counts of the last ingest, which can be read at any time.
 
-A hidden file beside the catalogue, ``.bodies.sqlite.batch``, or a file in the cache folder of the user if the
-catalogue is no file, has the counts of the last ingest. It is one page, which is written by one call, so that
-it can be read at any moment and survives the death of the ingest. The ingest holds a lock on it, which the
-system releases when the process ends, however that happens.
+They are in a hidden file beside the catalogue, ``.bodies.sqlite.batch``, or in the cache folder of the user
+if the catalogue is no file. It is one page, which is written by one call: it can be read at any moment, and
+survives the death of the ingest. The ingest holds a lock on it, which the system releases when the
+process ends, however that happens.
 """
 
 from __future__ import annotations
@@ -35,9 +35,8 @@ INTERVAL = 1.0
 # Largest time that can be written as a date, at the end of the year 9999; seconds since 1970.
 LATEST = 253_402_300_799
 
-# Number of attempts to lock the file, which a reader may have locked for a moment, and the seconds between.
-ATTEMPTS = 3
-PAUSE = 0.05
+# Seconds before each attempt to lock the file, which a reader may have locked for a moment.
+PAUSES = (0.0, 0.05, 0.05)
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,7 +84,6 @@ class _Counts:
     state: State = "running"
     started: float = 0.0
     updated: float = 0.0
-    workers: int | None = None
     n_scans: int = 0
     n_done: int = 0
     n_failed: int = 0
@@ -129,13 +127,13 @@ def status(catalogue: CatalogueLike) -> BatchStatus:
         left = (counts.n_scans - counts.n_skipped - n_finished) / rate
     total = sum(counts.stages.values())
     return BatchStatus(
-        state=counts.state,
-        started=_iso(counts.started),
-        updated=_iso(counts.updated),
-        n_scans=counts.n_scans,
-        n_done=counts.n_done,
-        n_failed=counts.n_failed,
-        n_skipped=counts.n_skipped,
+        counts.state,
+        _iso(counts.started),
+        _iso(counts.updated),
+        counts.n_scans,
+        counts.n_done,
+        counts.n_failed,
+        counts.n_skipped,
         scans_per_second=rate,
         seconds_left=left,
         stages={name: share / total for name, share in counts.stages.items()} if total else {},
@@ -147,29 +145,30 @@ def status(catalogue: CatalogueLike) -> BatchStatus:
 class CountsFile:
     """The open file of a running ingest; without effect if another ingest has it, or it cannot be written."""
 
-    def __init__(self, location: str, n_scans: int, workers: int | None) -> None:
+    def __init__(self, location: str, n_scans: int) -> None:
         now = time.time()
-        self._counts = _Counts(started=now, updated=now, workers=workers, n_scans=n_scans)
+        self._counts = _Counts(started=now, updated=now, n_scans=n_scans)
         self._path = _path(location)
         self._descriptor: int | None = None
         self._written = 0.0
 
     def __enter__(self) -> CountsFile:
+        descriptor = None
         try:
             self._path.parent.mkdir(parents=True, exist_ok=True)
             descriptor = os.open(self._path, os.O_RDWR | os.O_CREAT, 0o666)
+            for pause in PAUSES:
+                time.sleep(pause)
+                with suppress(BlockingIOError):
+                    fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                    self._descriptor = descriptor
+                    self._write()
+                    return self
+            os.close(descriptor)
+            reason = "another ingest uses it"
         except OSError as error:
-            logger.info("the progress of the ingest is not written to %s: %s", self._path, error.strerror)
-            return self
-        for _ in range(ATTEMPTS):
-            with suppress(BlockingIOError):
-                fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-                self._descriptor = descriptor
-                self._write()
-                return self
-            time.sleep(PAUSE)
-        os.close(descriptor)
-        logger.info("the progress of the ingest is not written to %s, which another ingest uses", self._path)
+            reason = str(error.strerror)
+        logger.info("the progress of the ingest is not written to %s: %s", self._path, reason)
         return self
 
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
@@ -181,7 +180,7 @@ class CountsFile:
     def skip(self, n: int) -> None:
         """Count scans that the catalogue has already."""
         self._counts.n_skipped += n
-        self._write_now_and_then()
+        self._write(INTERVAL)
 
     def add(self, record: Record) -> None:
         """Count a scan that was processed, or that failed."""
@@ -192,17 +191,14 @@ class CountsFile:
             stages = self._counts.stages
             for step in record.steps:
                 stages[step.stage] = stages.get(step.stage, 0.0) + step.seconds
-        self._write_now_and_then()
+        self._write(INTERVAL)
 
-    def _write_now_and_then(self) -> None:
-        if time.monotonic() - self._written >= INTERVAL:
-            self._write()
-
-    def _write(self) -> None:
+    def _write(self, interval: float = 0.0) -> None:
+        """Write the counts, unless they were written less than an interval ago."""
+        if self._descriptor is None or time.monotonic() - self._written < interval:
+            return
         self._written = time.monotonic()
         self._counts.updated = time.time()
-        if self._descriptor is None:
-            return
         data = json.dumps(asdict(self._counts)).encode().ljust(PAGE)
         with suppress(OSError):  # a full disk is the concern of the catalogue
             os.pwrite(self._descriptor, data, 0)
@@ -233,6 +229,4 @@ def _path(location: str) -> Path:
 
 
 def _iso(seconds: float) -> str | None:
-    if not seconds:
-        return None
-    return datetime.fromtimestamp(seconds, timezone.utc).isoformat(timespec="seconds")
+    return datetime.fromtimestamp(seconds, timezone.utc).isoformat(timespec="seconds") if seconds else None

@@ -97,12 +97,13 @@ def check(
         is_broken = any(defect.kind == "database" and defect.repair is None for defect in defects)
         # A list, because repairs change the order of the finished shapes.
         chosen = [] if is_broken else list(_sample(store, sample, seed))
-        n_recomputed = 0
-        for record, fault in _recomputed(store, chosen, timeout=timeout):
-            n_recomputed += 1
-            if fault is not None:
-                done = set_to_be_ingested_again(store, record, fault) if repair else None
-                defects.append(Defect("signature", record.id, fault, done))
+        again, n_recomputed = partial(_again, store.options), 0
+        with closing(in_processes(again, _tasks(store, chosen), workers=1, timeout=timeout)) as outcomes:
+            for task, outcome in outcomes:
+                n_recomputed += 1
+                if (fault := _fault(task, outcome)) is not None:
+                    done = set_to_be_ingested_again(store, task.record, fault) if repair else None
+                    defects.append(Defect("signature", task.record.id, fault, done))
         n_failed = sum(store.failures().values())
         return Check(len(store), n_failed, n_recomputed, tuple(defects))
 
@@ -113,27 +114,15 @@ class _Task(NamedTuple):
     meshes: tuple[TriangleMesh, ...]  # none if the signature is computed from the file
 
 
-def _recomputed(
-    catalogue: Catalogue, records: Iterable[Record], *, timeout: float
-) -> Iterator[tuple[Record, str | None]]:
-    """Compute the signatures of stored shapes again, in another process.
-
-    Shapes whose surfaces are not stored, and whose files have changed or are not there, are left out, and so
-    are those of which a part is damaged.
-
-    timeout: longest time for one shape; seconds.
-    """
-    again = partial(_again, catalogue.options)
-    with closing(in_processes(again, _tasks(catalogue, records), workers=1, timeout=timeout)) as outcomes:
-        for task, outcome in outcomes:
-            if isinstance(outcome, PcretrieveError):
-                yield task.record, f"its signature cannot be computed again: {outcome.message}"
-                continue
-            size = np.maximum(np.abs(task.stored), np.abs(outcome))
-            difference = float((np.abs(task.stored - outcome) / np.where(size > 0, size, 1)).max())
-            source = "its stored surfaces" if task.meshes else "its file"
-            fault = f"its signature differs from that of {source} by {difference:.1%}"
-            yield task.record, fault if difference > TOLERANCE else None
+def _fault(task: _Task, outcome: FloatArray | PcretrieveError) -> str | None:
+    """What is wrong with a stored signature, given the one that was computed again."""
+    if isinstance(outcome, PcretrieveError):
+        return f"its signature cannot be computed again: {outcome.message}"
+    size = np.maximum(np.abs(task.stored), np.abs(outcome))
+    difference = float((np.abs(task.stored - outcome) / np.where(size > 0, size, 1)).max())
+    source = "its stored surfaces" if task.meshes else "its file"
+    differs = f"its signature differs from that of {source} by {difference:.1%}"
+    return differs if difference > TOLERANCE else None
 
 
 def _sample(store: Catalogue, number: int, seed: int | None) -> Iterator[Record]:
@@ -148,6 +137,7 @@ def _sample(store: Catalogue, number: int, seed: int | None) -> Iterator[Record]
 
 
 def _tasks(catalogue: Catalogue, records: Iterable[Record]) -> Iterator[_Task]:
+    """What is to be computed again, without shapes of which a part is damaged, or is not there any more."""
     # Imported here, because other functions do not need this slow import.
     from pcretrieve.spectral import ELEMENTS
 

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import logging
-import os
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
-from contextlib import closing
+from contextlib import closing, nullcontext
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 from pcretrieve.catalogue import Catalogue, CatalogueLike, Content, Record, opened
 from pcretrieve.errors import InputError, PcretrieveError
@@ -16,7 +16,7 @@ from pcretrieve.formats.identity import printable
 from pcretrieve.ingestion.attempts import Attempt, next_attempt, work_on
 from pcretrieve.ingestion.discover import scans_of
 from pcretrieve.ingestion.labels import discover_labelled
-from pcretrieve.ingestion.plan import Plan, Planner, failed
+from pcretrieve.ingestion.plan import Plan, Planner, Processing, failed
 from pcretrieve.ingestion.pool import Executor, in_processes, remove_abandoned
 from pcretrieve.ingestion.progress import CountsFile
 from pcretrieve.options import OptionsLike, PipelineOptions
@@ -56,20 +56,6 @@ class Summary:
         self.duplicates += made.duplicates
         for record in (*made.held, *(original for _, original in made.duplicates)):
             on_shape(record)
-
-
-@dataclass(frozen=True, slots=True)
-class Processing:
-    """How scans are processed; the attributes are parameters of `ingest`."""
-
-    workers: int | None = None
-    timeout: float = 600.0
-    memory: float | None = None
-    executor: Executor = in_processes
-    retry_failed: bool = False
-    retries: int = 0
-    max_failures: int | None = None
-    on_shape: Callable[[Record], None] = lambda record: None
 
 
 def ingest(
@@ -163,7 +149,14 @@ def ingest(
     how = Processing(workers, timeout, memory, executor, retry_failed, retries, max_failures, on_shape)
     on_start(len(part))
     if dry_run:
-        return _planned(scans, _records(catalogue, chosen), classes, part, how)
+        is_new = (
+            isinstance(catalogue, (str, Path))
+            and "://" not in str(catalogue)
+            and not Path(catalogue).exists()
+        )
+        with nullcontext() if is_new else opened(catalogue, chosen) as known:
+            planner = Planner(scans, [] if known is None else known.records(), how, classes, part)
+        return _planned(planner, on_shape)
     with opened(catalogue, chosen, create=True) as store:
         return process_scans(scans, store, how, labels=classes, part=part)
 
@@ -235,25 +228,18 @@ def process_scans(
     """
     remove_abandoned()  # also where nothing is left to do after a kill
     records = catalogue.outlines()
-    planner = _planner(paths, records, labels or {}, how)
+    planner = Planner(paths, records, how, labels, part)
+    limits: dict[str, Any] = {"workers": how.workers, "timeout": how.timeout, "memory": how.memory}
     with closing(planner.contents):
-        names = _names_of(part, planner)
-        elsewhere = planner.files.keys() - set(names)
-        # Shapes of other shards stay, unless their files have changed since, and belong to another shard now.
-        left = {record.path: record.content_hash for record in records if record.path in elsewhere}
-        now = {path: planner.contents.of(path) for path in left}
-        stale = {path for path, content in now.items() if content != left[path] and isinstance(content, str)}
-        if stale:
-            catalogue.revise(removed=stale)
-        with CountsFile(catalogue.location, len(names), how.workers) as counts:
-            run = _Run(catalogue, how, planner, counts)
-            attempts: Iterable[Attempt] = run.queue(names)
+        if changed := planner.changed(records):
+            catalogue.revise(removed=changed)
+        with CountsFile(catalogue.location, len(planner.names)) as counts:
+            run = _Run(catalogue, how, counts)
+            attempts: Iterable[Attempt] = run.queue(planner)
             while True:
-                work = partial(work_on, catalogue.options)
-                running = how.executor(
-                    work, attempts, workers=how.workers, timeout=how.timeout, memory=how.memory
-                )
-                with closing(running) as outcomes:
+                with closing(
+                    how.executor(partial(work_on, catalogue.options), attempts, **limits)
+                ) as outcomes:
                     for attempt, outcome in outcomes:
                         run.finish(attempt, outcome)
                 if not run.later:
@@ -267,17 +253,14 @@ def process_scans(
 class _Run:
     """One ingest: what was stored and skipped so far, and the scans that are tried again later."""
 
-    def __init__(self, catalogue: Catalogue, how: Processing, planner: Planner, counts: CountsFile) -> None:
-        self._catalogue = catalogue
-        self._how = how
-        self._planner = planner
-        self._counts = counts
+    def __init__(self, catalogue: Catalogue, how: Processing, counts: CountsFile) -> None:
+        self._catalogue, self._how, self._counts = catalogue, how, counts
         self.summary = Summary()
         self.later: list[Attempt] = []
 
-    def queue(self, names: Sequence[str]) -> Iterator[Attempt]:
+    def queue(self, planner: Planner) -> Iterator[Attempt]:
         """Yield the scans that must be processed; the results for other scans are stored."""
-        for made in self._planner.plans(names):
+        for made in planner.plans():
             made.apply(self._catalogue)
             self.summary.skip(made, self._how.on_shape)
             self._counts.skip(len(made.held) + len(made.duplicates))
@@ -302,13 +285,10 @@ class _Run:
 
     def _store(self, record: Record, content: Content | None) -> None:
         stored = self._catalogue.put(record, content)
-        if content is not None:
-            self.summary.done.append(stored)
-        else:
-            if stored.status != "failed":
-                kept = f"{record.message}; the catalogue keeps what was made of this file on {stored.added}"
-                stored = replace(record, id=stored.id, message=kept)
-            self.summary.failed.append(stored)
+        if content is None and stored.status != "failed":
+            kept = f"{record.message}; the catalogue keeps what was made of this file on {stored.added}"
+            stored = replace(record, id=stored.id, message=kept)
+        (self.summary.failed if content is None else self.summary.done).append(stored)
         log_steps(scan_name(stored.path), stored.steps)
         if content is None:
             logger.info("failed: [%s / %s] %s", stored.id, stored.stage, stored.message)
@@ -322,45 +302,15 @@ class _Run:
             )
 
 
-def _planned(
-    paths: Sequence[Path],
-    records: Sequence[Record],
-    labels: Mapping[str, str],
-    part: Collection[Path],
-    how: Processing,
-) -> Summary:
+def _planned(planner: Planner, on_shape: Callable[[Record], None]) -> Summary:
     """What an ingest would do; nothing is written."""
     summary = Summary()
-    planner = _planner(paths, records, labels, how)
     with closing(planner.contents):
-        for made in planner.plans(_names_of(part, planner)):
-            summary.skip(made, how.on_shape)
+        for made in planner.plans():
+            summary.skip(made, on_shape)
             summary.failed += made.unreadable
             summary.planned += (record for _, record in made.process)
             for record in (*made.unreadable, *(record for _, record in made.process)):
-                how.on_shape(record)
+                on_shape(record)
     summary.unknown_labels = planner.unknown_labels
     return summary
-
-
-def _records(catalogue: CatalogueLike, options: PipelineOptions | None) -> list[Record]:
-    """The records of a catalogue; none of a file that does not exist, which is not made."""
-    if not isinstance(catalogue, Catalogue) and "://" not in str(catalogue) and not Path(catalogue).exists():
-        return []
-    with opened(catalogue, options) as store:
-        return store.records()
-
-
-def _planner(
-    paths: Sequence[Path], records: Sequence[Record], labels: Mapping[str, str], how: Processing
-) -> Planner:
-    n_threads = how.workers or len(os.sched_getaffinity(0))
-    return Planner(
-        paths, records, labels, n_threads=n_threads, timeout=how.timeout, retry_failed=how.retry_failed
-    )
-
-
-def _names_of(part: Collection[Path] | None, planner: Planner) -> list[str]:
-    """The names of the files that are processed."""
-    chosen = None if part is None else {*part}
-    return [name for name, path in planner.files.items() if chosen is None or path in chosen]

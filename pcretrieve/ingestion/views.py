@@ -35,14 +35,9 @@ logger = logging.getLogger(__name__)
 
 
 class Views(NamedTuple):
-    """Range scans of one body.
+    """Range scans of one body; poses as `view_files` gives them."""
 
-    poses: (v, 4, 4) float64 or None, rigid motions of the views into a common frame, where the files give
-        them.
-    """
-
-    files: tuple[Path, ...]
-    clouds: tuple[PointCloud, ...]
+    clouds: list[PointCloud]
     poses: FloatArray | None
 
 
@@ -111,58 +106,41 @@ def _merged(paths: Sequence[str | Path], options: MergeOptions) -> Merged:
 def view_files(paths: Sequence[str | Path]) -> tuple[list[Path], FloatArray | None]:
     """Find the files of views, and their poses.
 
-    Returns poses : (v, 4, 4) float64 or None: rigid motions of the views into a common frame; None if the
-        files have no poses. If a trajectory does not have the poses of all images, a warning says so, and
-        there are none.
+    Returns poses : (v, 4, 4) float64 or None: rigid motions of the views into a common frame, if the files,
+        or a trajectory beside them, give those of all views.
     """
     files = discover(paths)
     for file in files:
         try:
-            views = parts_of(file)
+            views = [view for view in parts_of(file) if view.pose is not None]
         except (ScanReadError, OSError) as error:
             cause = error.message if isinstance(error, ScanReadError) else error.strerror
             raise ScanReadError(f"{file}: {cause}") from error
-        poses = [view.pose for view in views if view.pose is not None]
-        if poses and len(files) > 1:
+        if views and len(files) > 1:
             raise InputError(
                 f"a {file.suffix} names all views of its cloud, got {len(files)} files with {file}"
             )
-        if poses:
-            return [view.path for view in views if view.pose is not None], np.array(poses)
-    return files, _along_trajectory(files)
-
-
-def _along_trajectory(images: Sequence[Path]) -> FloatArray | None:
-    """The (v, 4, 4) poses of images on the trajectory beside them; None if it does not have all of them."""
-    file = trajectory_file(images)
-    if file is None:
-        return None
-    found = image_poses(images, file)
-    poses = [pose for pose in found if pose is not None]
-    if len(poses) < len(images):
-        logger.warning(
-            "%s has no pose at the time of %d of %d images: all poses are searched",
-            file,
-            len(images) - len(poses),
-            len(images),
-        )
-        return None
-    return np.array(poses)
+        if views:
+            return [view.path for view in views], np.array([view.pose for view in views])
+    trajectory = trajectory_file(files)
+    if trajectory is None:
+        return files, None
+    poses = [pose for pose in image_poses(files, trajectory) if pose is not None]
+    if len(poses) < len(files):
+        words = "%s has no pose at the time of %d of %d images: all poses are searched"
+        logger.warning(words, trajectory, len(files) - len(poses), len(files))
+        return files, None
+    return files, np.array(poses)
 
 
 def read_views(paths: Sequence[str | Path]) -> Views:
-    """Read range scans.
+    """Read range scans, in the unit of the files, and their poses.
 
-    Returns Views: the views; unit of the files.
+    Scans of one file are in its common frame, unless all sensors are at one place, as without poses.
     """
     files, poses = view_files(paths)
-    clouds = tuple(as_cloud(read_scan(file)) for file in files)
+    clouds = [as_cloud(read_scan(file)) for file in files]
     if poses is None and len(clouds) > 1 and len({split_member(file)[0] for file in files}) == 1:
-        poses = _common_frame(clouds)
-    return Views(tuple(files), clouds, poses)
-
-
-def _common_frame(clouds: Sequence[PointCloud]) -> FloatArray | None:
-    """The (v, 4, 4) poses of the scans in a file; None if all sensors are at one place, without poses."""
-    sensors = {tuple(cloud.viewpoints[0]) for cloud in clouds if cloud.viewpoints is not None}
-    return None if len(sensors) == 1 else np.tile(np.eye(4), (len(clouds), 1, 1))
+        sensors = {tuple(cloud.viewpoints[0]) for cloud in clouds if cloud.viewpoints is not None}
+        poses = None if len(sensors) == 1 else np.tile(np.eye(4), (len(clouds), 1, 1))
+    return Views(clouds, poses)
