@@ -6,7 +6,7 @@ and their distances.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
 from functools import partial
@@ -442,9 +442,10 @@ def without_labels(options: PipelineOptions) -> PipelineOptions:
 def described_scan(options: PipelineOptions, has_picture: bool, up: str | None, scan: ScanLike) -> Described:
     """Process a scan, and draw a thumbnail of it on request, in which the axis `up` points upwards."""
     # Imported here, because shapes of the catalogue are found without the stages.
-    from pcretrieve.pipeline.process import described_shape
+    from pcretrieve.pipeline.process import process, signature_of
 
-    signature, shape = described_shape(scan, options)
+    shape = process(scan, options)
+    signature = signature_of(shape, options, scan)
     mesh, picture = shape.surfaces[0].mesh, None
     if has_picture and mesh is not None:
         from pcretrieve.draw import thumbnail, upward
@@ -463,8 +464,13 @@ def _described(
         # Imported here, because it is not needed for shapes that the catalogue has.
         from pcretrieve.ingestion import in_processes
 
-        yield from in_processes(of_scan, scans, workers=1, timeout=question.timeout, memory=question.memory)
-        return
+        return in_processes(of_scan, scans, workers=1, timeout=question.timeout, memory=question.memory)
+    return _described_here(of_scan, scans)
+
+
+def _described_here(
+    of_scan: Callable[[Path], Described], scans: Sequence[Path]
+) -> Iterator[tuple[Path, Described | PcretrieveError]]:
     for scan in scans:
         try:
             yield scan, of_scan(scan)

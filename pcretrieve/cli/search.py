@@ -144,13 +144,11 @@ def _documents(outcomes: Outcomes, how: dict[str, str | None]) -> Iterator[dict[
             yield {"query": name} | found | how
 
 
-def _answers(outcomes: Outcomes) -> Iterator[tuple[str, pr.Answer]]:
-    return ((name, outcome) for name, outcome in outcomes if not isinstance(outcome, ShapeError))
-
-
 def _write_tables(outcomes: Outcomes, *, headed: bool) -> None:
     """A table of the results, below a line with the query if there are several, and the verdict."""
-    for name, answer in _answers(outcomes):
+    for name, answer in outcomes:
+        if isinstance(answer, ShapeError):
+            continue
         if headed:
             out.write_line(shown_path(name))
         columns = COLUMNS + ((DOUBT,) if any(record.is_doubtful for record in answer.records) else ())
@@ -184,7 +182,8 @@ def _write_csv(outcomes: Outcomes) -> None:
     """One row for each result of each query."""
     from pcretrieve.values.files import csv_text
 
-    rows = ({"query": name, **row} for name, answer in _answers(outcomes) for row in answer.rows())
+    answers = ((name, answer) for name, answer in outcomes if not isinstance(answer, ShapeError))
+    rows = ({"query": name, **row} for name, answer in answers for row in answer.rows())
     out.write_csv(csv_text(CSV_COLUMNS, ([row[column] for column in CSV_COLUMNS] for row in rows)))
 
 

@@ -20,7 +20,7 @@ from pcretrieve.ingestion.plan import Plan, Planner, Processing, failed
 from pcretrieve.ingestion.pool import Executor, in_processes, remove_abandoned
 from pcretrieve.ingestion.progress import CountsFile
 from pcretrieve.options import OptionsLike, PipelineOptions
-from pcretrieve.pipeline.stages import log_steps, scan_name
+from pcretrieve.pipeline.process import log_steps, scan_name
 
 logger = logging.getLogger(__name__)
 

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,11 +25,10 @@ from pcretrieve.errors import InputError, OptionError, ShapeError
 from pcretrieve.formats import ScanLike, as_scan
 from pcretrieve.formats.identity import content_hash, printable
 from pcretrieve.options import OptionsLike, PipelineOptions
-from pcretrieve.pipeline.process import placed, shape_of, signature
-from pcretrieve.pipeline.stages import Seen, stages
+from pcretrieve.pipeline.process import Seen, placed, shape_of, signature, stages
 from pcretrieve.points import outliers
 from pcretrieve.surface import sampled, sound_mesh
-from pcretrieve.values import Failure, FloatArray, PointCloud, Shape, Signature, TriangleMesh
+from pcretrieve.values import Failure, FloatArray, PointCloud, Signature, TriangleMesh
 
 if TYPE_CHECKING:
     from pcretrieve.catalogue import Catalogue
@@ -65,16 +63,48 @@ def inspect_scan(
     file = Path(scan) if isinstance(scan, (str, Path)) else None
     path = "" if file is None else printable(file)
     name = Path(path).name or "scan"
-    reached, failure = _Described(), None
+    seen, shape, described, failure = Seen(), None, None, None
+    deviation, spread, next_body = None, None, NextBody()
     try:
-        for described in _stages(scan, options, n_rescans):
-            reached = described
+        with placed(scan):
+            for reached in stages(scan, options):
+                seen = reached  # which stays if the next stage fails
+            shape = shape_of(seen, options)
+            described = replace(describe(shape, options.signature), digest=options.signature_digest)
+            if n_rescans and seen.scan is not None:
+                rescans = _rescans(seen.scan, options, n=n_rescans, share=RESCAN_SHARE, seed=0)
+                deviation, spread = _scatter(rescans)
     except ShapeError as error:
         failure = Failure(name, error.stage or "worker", type(error).__name__, error.message)
-    found = _inspection(name, path, reached, failure)
-    if catalogue is None or found.signature is None:
-        return found
-    return replace(found, next_body=_next_body(catalogue, found.signature, options, path=file))
+    found = findings_of(seen.cloud, seen.mesh, seen.marks, shape)
+    checks = [*found.checks]
+    if spread is not None:
+        checks.append(spread_check(spread))
+    if failure is not None:
+        checks.append(failure_check(failure) if described is None else rescan_check(failure))
+    if catalogue is not None and described is not None:
+        next_body = _next_body(catalogue, described, options, path=file)
+    cut_away, dropped = _removed(seen, options)
+    return Inspection(
+        name=name,
+        path=path,
+        checks=tuple(sorted(checks, key=lambda check: OUTCOMES.index(check.verdict))),
+        scan=seen.scan,
+        cut_away=cut_away,
+        dropped=dropped,
+        cloud=seen.cloud,
+        spacing=_median_spacing(seen.scan.points) if seen.scan and not seen.cloud else found.spacing,
+        mesh=seen.mesh,
+        filled=found.filled,
+        cuts=found.cuts,
+        bridges=found.bridges,
+        signature=described,
+        rescan_deviation=deviation,
+        spread=spread,
+        failure=failure if described is None else None,
+        steps=next((part.provenance for part in (seen.mesh, seen.cloud, seen.scan) if part is not None), ()),
+        next_body=next_body,
+    )
 
 
 def signature_spread(
@@ -155,115 +185,24 @@ def _scatter(logs: FloatArray) -> tuple[FloatArray, float]:
     return rescan_deviation, float(np.sqrt((rescan_deviation**2).sum()))
 
 
-class _Removed(NamedTuple):
-    """The points of a scan that were removed, (n,) bool each.
-
-    cut_away: (n,) bool, points that the stage `crop` removed.
-    dropped: (n,) bool, points that another stage removed.
-    """
-
-    cut_away: NDArray[np.bool_]
-    dropped: NDArray[np.bool_]
-
-    @classmethod
-    def none_of(cls, scan: PointCloud | None) -> _Removed:
-        """All points are left."""
-        n = 0 if scan is None else len(scan.points)
-        return cls(np.zeros(n, dtype=np.bool_), np.zeros(n, dtype=np.bool_))
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Described:
-    """The results up to some stage; attributes as in `Inspection`."""
-
-    seen: Seen = field(default_factory=Seen)
-    removed: _Removed = field(default_factory=lambda: _Removed.none_of(None))
-    shape: Shape | None = None
-    signature: Signature | None = None
-    rescan_deviation: FloatArray | None = None
-    spread: float | None = None
-
-
-def _stages(scan: object, options: PipelineOptions, n_rescans: int) -> Iterator[_Described]:
-    """The results of `pcretrieve.pipeline.process.signature` after each stage; then those of the rescans."""
-    with placed(scan):
-        so_far = _Described()
-        for seen in stages(scan, options):
-            so_far = _Described(seen, _removed_after(so_far.removed, so_far.seen, seen, options))
-            yield so_far
-        seen = so_far.seen
-        shape = shape_of(seen, options)
-        described = describe(shape, options.signature)
-        so_far = replace(so_far, shape=shape, signature=replace(described, digest=options.signature_digest))
-        yield so_far
-        if n_rescans and seen.scan is not None:
-            rescans = _rescans(seen.scan, options, n=n_rescans, share=RESCAN_SHARE, seed=0)
-            rescan_deviation, spread = _scatter(rescans)
-            yield replace(so_far, rescan_deviation=rescan_deviation, spread=spread)
-
-
-def _inspection(name: str, path: str, reached: _Described, failure: Failure | None) -> Inspection:
-    seen = reached.seen
-    scan, cloud, mesh = seen.scan, seen.cloud, seen.mesh
-    found = findings_of(cloud, mesh, seen.marks, reached.shape)
-    checks, spacing = list(found.checks), found.spacing
-    if cloud is None and scan is not None:
-        spacing = _median_spacing(scan.points)
-    if reached.spread is not None:
-        checks.append(spread_check(reached.spread))
-    if failure is not None and reached.signature is not None:
-        checks.append(rescan_check(failure))
-        failure = None
-    elif failure is not None:
-        checks.append(failure_check(failure))
-    steps = next((part.provenance for part in (mesh, cloud, scan) if part is not None), ())
-    return Inspection(
-        name=name,
-        path=path,
-        checks=tuple(sorted(checks, key=lambda check: OUTCOMES.index(check.verdict))),
-        scan=scan,
-        cut_away=reached.removed.cut_away,
-        dropped=reached.removed.dropped,
-        cloud=cloud,
-        spacing=spacing,
-        mesh=mesh,
-        filled=found.filled,
-        cuts=found.cuts,
-        bridges=found.bridges,
-        signature=reached.signature,
-        rescan_deviation=reached.rescan_deviation,
-        spread=reached.spread,
-        failure=failure,
-        steps=steps,
-    )
-
-
-def _removed_after(removed: _Removed, before: Seen, seen: Seen, options: PipelineOptions) -> _Removed:
-    """Find the points that have been removed after a stage."""
-    if seen.scan is not before.scan:
-        return _Removed.none_of(seen.scan)
-    if seen.scan is None or seen.cloud is None or seen.cloud is before.cloud:
-        return removed
-    stage = seen.steps[-1].stage
-    left = ~(removed.cut_away | removed.dropped)
-    points, given = seen.scan.points, seen.scan if before.cloud is None else before.cloud
-    if stage == "crop":  # does not move points
-        return removed._replace(cut_away=removed.cut_away | (left & (_distance(seen.cloud, points) > 0)))
-    dropped = removed.dropped.copy()
-    if stage == "clean" and len(given.points) == left.sum():
-        dropped[left] = outliers(given, options.scan)
-    elif stage == "clean":
-        reach = DROPPED * _median_spacing(seen.cloud.points)
-        dropped |= left & (_distance(seen.cloud, points) > reach)
-    return removed._replace(dropped=dropped)
+def _removed(seen: Seen, options: PipelineOptions) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """The points of a scan that the stage crop removed, and those that the stage clean removed, (n,) each."""
+    n = 0 if seen.scan is None else len(seen.scan.points)
+    cut_away, dropped = np.zeros(n, dtype=np.bool_), np.zeros(n, dtype=np.bool_)
+    if seen.scan is None or seen.cropped is None:
+        return cut_away, dropped
+    points = seen.scan.points
+    cut_away = _distance(seen.cropped, points) > 0  # crop does not move points
+    if seen.cleaned is not None and len(seen.cropped.points) == n - cut_away.sum():
+        dropped[~cut_away] = outliers(seen.cropped, options.scan)
+    elif seen.cleaned is not None:
+        reach = DROPPED * _median_spacing(seen.cleaned.points)
+        dropped = ~cut_away & (_distance(seen.cleaned, points) > reach)
+    return cut_away, dropped
 
 
 def _median_spacing(points: FloatArray) -> float:
-    """The median distance of points to their nearest neighbours; 0 if there are fewer than two.
-
-    points: (n, 3) float64, coordinates.
-    Returns float: in the unit of the points.
-    """
+    """The median distance of points to their nearest neighbours; 0 if there are fewer than two."""
     return float(np.median(cKDTree(points).query(points, k=[2])[0])) if len(points) > 1 else 0.0
 
 

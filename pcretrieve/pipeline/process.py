@@ -1,11 +1,20 @@
-"""One scan through all stages to its surface, its shape with spectra, or its signature."""
+"""One scan through all stages to its surface, its shape with spectra, or its signature.
+
+This is the only module that imports all stages. A mesh that is used without reconstruction (`surface.mode`)
+passes through none of those that make a surface. Stages that work in single precision get coordinates near
+the origin, because far from it they lose the shape.
+"""
 
 from __future__ import annotations
 
+import logging
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from functools import cache
+from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 from scipy.sparse import csc_array
@@ -14,11 +23,20 @@ from threadpoolctl import threadpool_limits
 
 from pcretrieve.checks import findings_of, verdict_of
 from pcretrieve.descriptors import describe
-from pcretrieve.errors import PcretrieveError, ReconstructionError, ShapeError, Stage, in_stage, shape_error
-from pcretrieve.formats import ScanLike
-from pcretrieve.options import OptionsLike, PipelineOptions
-from pcretrieve.pipeline.stages import Seen, log_steps, moved, scan_name, stages
-from pcretrieve.spectral import eigenpairs, laplace_beltrami, star_mesh, unit_eigenpairs
+from pcretrieve.errors import (
+    DegenerateMeshError,
+    PcretrieveError,
+    ReconstructionError,
+    ShapeError,
+    Stage,
+    in_stage,
+    shape_error,
+)
+from pcretrieve.formats import ScanLike, as_scan
+from pcretrieve.options import OptionsLike, PipelineOptions, SurfaceOptions
+from pcretrieve.points import clean, crop, oriented_normals
+from pcretrieve.spectral import ELEMENTS, eigenpairs, laplace_beltrami, star_mesh, unit_eigenpairs
+from pcretrieve.surface import SurfaceMarks, defects, reduced, remesh, sampled, sound_mesh, surfaces, tetwild
 from pcretrieve.values import (
     Eigenpairs,
     FloatArray,
@@ -31,6 +49,10 @@ from pcretrieve.values import (
     Surface,
     TriangleMesh,
 )
+
+_LOGGER = logging.getLogger("pcretrieve.pipeline")
+
+V = TypeVar("V", PointCloud, TriangleMesh)
 
 
 def signature(scan: ScanLike, options: OptionsLike = None) -> Signature:
@@ -53,16 +75,8 @@ def signature(scan: ScanLike, options: OptionsLike = None) -> Signature:
     ShapeError
         If the scan cannot be read or has no usable surface.
     """
-    return described_shape(scan, options)[0]
-
-
-def described_shape(scan: ScanLike, options: OptionsLike = None) -> tuple[Signature, Shape]:
-    """The signature of one scan, and the shape that it describes, with its verdict."""
     options = PipelineOptions.of(options)
-    shape = process(scan, options)
-    with placed(scan), in_stage(Stage.SIGNATURE):
-        described = describe(shape, options.signature)
-    return replace(described, digest=options.signature_digest), shape
+    return signature_of(process(scan, options), options, scan)
 
 
 def reconstruct(scan: ScanLike, options: OptionsLike = None) -> TriangleMesh:
@@ -140,6 +154,12 @@ def process(scan: ScanLike, options: OptionsLike = None) -> Shape:
         return shape
 
 
+def signature_of(shape: Shape, options: PipelineOptions, scan: ScanLike) -> Signature:
+    """The signature of the shape of a scan, by the same options."""
+    with placed(scan), in_stage(Stage.SIGNATURE):
+        return replace(describe(shape, options.signature), digest=options.signature_digest)
+
+
 def signature_of_surfaces(meshes: Sequence[TriangleMesh], options: PipelineOptions) -> FloatArray:
     """Compute the signature of a scan again from its surfaces, on one thread, as `process` does.
 
@@ -149,6 +169,139 @@ def signature_of_surfaces(meshes: Sequence[TriangleMesh], options: PipelineOptio
         shape = shape_of(Seen(mesh=meshes[0], others=tuple(meshes[1:])), options)
         with in_stage(Stage.SIGNATURE):
             return describe(shape, options.signature).values
+
+
+# --- from a scan to its surfaces ----------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Seen:
+    """The results of the stages of a scan, up to some stage; lengths are in the unit of the scan."""
+
+    scan: PointCloud | None = None
+    cropped: PointCloud | None = None
+    cleaned: PointCloud | None = None
+    cloud: PointCloud | None = None  # as the last stage left it
+    mesh: TriangleMesh | None = None
+    marks: SurfaceMarks | None = None
+    others: tuple[TriangleMesh, ...] = ()
+
+    @property
+    def surface(self) -> TriangleMesh:
+        """The first surface; TypeError if there is none yet."""
+        if self.mesh is None:
+            raise TypeError("there must be a surface after the last stage, there is none")
+        return self.mesh
+
+    @property
+    def steps(self) -> tuple[Step, ...]:
+        """The steps of all stages so far, in order."""
+        cloud = self.cloud if self.cloud is not None else self.scan
+        before = () if cloud is None else cloud.provenance
+        first = before if self.mesh is None else self.mesh.provenance
+        further = (mesh.provenance[len(before) :] for mesh in self.others)
+        return (*first, *(step for steps in further for step in steps))
+
+
+def stages(scan: object, options: PipelineOptions) -> Iterator[Seen]:
+    """Run the stages before the stage ``spectrum``, and log each of them when it has ended."""
+    _announce_compilation()
+    name, logged = scan_name(scan), 0
+    for seen in _stages(scan, options):
+        steps = seen.steps
+        log_steps(name, steps[logged:])
+        logged = len(steps)
+        yield seen
+
+
+def _stages(scan: object, options: PipelineOptions) -> Iterator[Seen]:
+    of_points = ELEMENTS[options.spectral.element].needs == "points"
+    with in_stage(Stage.READ):
+        value = as_scan(scan, options.scan.unit)
+    if isinstance(value, TriangleMesh):
+        yield Seen(scan=PointCloud(value.vertices, provenance=value.provenance))
+        with in_stage(Stage.SURFACE):
+            kept = None if of_points else sound_mesh(value, options.surface)
+            used = sampled(value, options.surface) if kept is None else _with_few_faces(kept, options.surface)
+        if isinstance(used, TriangleMesh):
+            yield Seen(mesh=used)
+            return
+        value = used
+    if options.remesh.method == "tetwild":
+        tetwild.start()
+    yield (seen := Seen(scan=value))
+    # Normals of a file are not shown before they are oriented, because they need not point outwards.
+    with in_stage(Stage.CROP):
+        cloud = crop(value, options.scan)
+        bare = replace(cloud, normals=None)
+    yield (seen := replace(seen, cropped=bare, cloud=bare))
+    with in_stage(Stage.CLEAN):
+        cloud = clean(cloud, options.scan)
+        bare = replace(cloud, normals=None)
+    yield (seen := replace(seen, cleaned=bare, cloud=bare))
+    with in_stage(Stage.ORIENT):
+        origin = cloud.points.mean(axis=0)
+        cloud = oriented_normals(moved(cloud, -origin), options.scan)
+    yield (seen := replace(seen, cloud=moved(cloud, origin)))
+    if not of_points:
+        yield from _of_surfaces(seen, cloud, origin, options)
+
+
+def _of_surfaces(
+    seen: Seen, cloud: PointCloud, origin: FloatArray, options: PipelineOptions
+) -> Iterator[Seen]:
+    """Yield the surfaces of points near the origin; the first before and after it is remeshed.
+
+    origin: (3,) float64, that of the points in the frame of the scan.
+    """
+    with in_stage(Stage.SURFACE):
+        made = surfaces(cloud, options.surface)
+        mesh, marks = next(made)
+    if unused := options.surface.unused:
+        ignored = f"surface.method = {options.surface.method!r} does not use {', '.join(unused)}"
+        mesh = mesh.after(Step("surface", 0.0, notes=(ignored,)))
+    seen = replace(seen, mesh=moved(mesh, origin), marks=None if marks is None else marks.moved(origin))
+    yield seen
+    yield (seen := replace(seen, mesh=moved(_remeshed(mesh, options), origin)))
+    try:
+        with in_stage(Stage.SURFACE):
+            for mesh, _ in made:
+                further = moved(_remeshed(mesh, options), origin)
+                yield (seen := replace(seen, others=(*seen.others, further)))
+    except ReconstructionError as error:
+        # One surface suffices for a signature; only the error bar needs two.
+        note = Step("surface", 0.0, notes=(f"no further surface could be made: {error.message}",))
+        yield replace(seen, mesh=seen.surface.after(note))
+
+
+def _remeshed(mesh: TriangleMesh, options: PipelineOptions) -> TriangleMesh:
+    with in_stage(Stage.REMESH):
+        result = remesh(mesh, options.remesh)
+    if wrong := defects(result):
+        raise DegenerateMeshError(f"the surface must be a closed manifold, it has defects: {wrong}")
+    return result
+
+
+def _with_few_faces(mesh: TriangleMesh, options: SurfaceOptions) -> TriangleMesh:
+    """A mesh that is used without reconstruction, with at most `max_faces` faces."""
+    if len(mesh.faces) <= options.max_faces:
+        return mesh
+    origin = mesh.vertices.mean(axis=0)
+    return moved(reduced(moved(mesh, -origin), options), origin)
+
+
+def moved(value: V, by: FloatArray) -> V:
+    """Translate points or a surface.
+
+    by: (3,) float64, the translation.
+    """
+    if isinstance(value, TriangleMesh):
+        return replace(value, vertices=value.vertices + by)
+    viewpoints = None if value.viewpoints is None else value.viewpoints + by
+    return replace(value, points=value.points + by, viewpoints=viewpoints)
+
+
+# --- from surfaces to spectra --------------------------------------------------------------------------
 
 
 def shape_of(seen: Seen, options: PipelineOptions) -> Shape:
@@ -161,8 +314,6 @@ def shape_of(seen: Seen, options: PipelineOptions) -> Shape:
         for mesh in (seen.surface, *seen.others):
             pairs = unit_eigenpairs(mesh, options.spectral.n_pairs, element)
             found.append((mesh, pairs))
-        before = 0 if seen.cloud is None else len(seen.cloud.provenance)
-        steps = [step for other in seen.others for step in other.provenance[before:]]
         mesh, pairs = found[0]
         step = Step("spectrum", time.perf_counter() - started, _sizes(pairs, mesh))
         # Descriptors of vertices are defined by the eigenfunctions of linear elements.
@@ -170,23 +321,7 @@ def shape_of(seen: Seen, options: PipelineOptions) -> Shape:
             Surface(mesh.area, _unit_spectrum(pairs), mesh, pairs if element == "linear" else None)
             for mesh, pairs in found
         )
-        return Shape(surfaces, seen.cloud, (*seen.surface.provenance, *steps, step))
-
-
-@contextmanager
-def placed(scan: object) -> Iterator[None]:
-    """Add the file name of the scan to the exceptions that are raised inside, and convert unexpected ones."""
-    name = scan_name(scan)
-    try:
-        yield
-    except PcretrieveError as error:
-        if isinstance(error, ShapeError):
-            error.shape_id = error.shape_id or name
-        raise
-    except Exception as error:
-        unexpected = shape_error(error)
-        unexpected.shape_id = name
-        raise unexpected from error
+        return Shape(surfaces, seen.cloud, (*seen.steps, step))
 
 
 def _unit_spectrum(pairs: Eigenpairs) -> ModalSpectrum:
@@ -232,3 +367,57 @@ def _largest_piece(
     stiffness, mass = (csc_array(full[:, kept][kept]) for full in (operator.stiffness, operator.mass))
     note = f"dropped {len(share) - 1} loose pieces with {1 - share.max():.1%} of the points"
     return cloud.select(kept), LaplaceBeltrami(stiffness, mass), (note,)
+
+
+# --- names and messages --------------------------------------------------------------------------------
+
+
+@contextmanager
+def placed(scan: object) -> Iterator[None]:
+    """Add the file name of the scan to the exceptions that are raised inside, and convert unexpected ones."""
+    name = scan_name(scan)
+    try:
+        yield
+    except PcretrieveError as error:
+        if isinstance(error, ShapeError):
+            error.shape_id = error.shape_id or name
+        raise
+    except Exception as error:
+        unexpected = shape_error(error)
+        unexpected.shape_id = name
+        raise unexpected from error
+
+
+def scan_name(scan: object) -> str | None:
+    """The name of a scan in messages."""
+    return Path(scan).name if isinstance(scan, (str, Path)) else None
+
+
+def log_steps(name: str | None, steps: Iterable[Step]) -> None:
+    """Log steps: each at the level INFO, and its notes on repairs and fallbacks at the level WARNING."""
+    scan = name or "scan"
+    for step in steps:
+        sizes = ", ".join(f"{what} {size:.6g}" for what, size in step.sizes.items())
+        _LOGGER.info("%s: %s in %.2f s%s", scan, step.stage, step.seconds, f": {sizes}" if sizes else "")
+        for note in step.notes:
+            _LOGGER.warning("%s: %s: %s", scan, step.stage, note)
+
+
+@cache
+def _announce_compilation() -> None:
+    """Log at the level INFO, once in a process, that numba compiles functions which it has not cached."""
+    from numba.core import event
+
+    class First(event.Listener):
+        announced = False
+
+        def on_start(self, event: object) -> None:
+            if not self.announced:
+                self.announced = True
+                logging.getLogger("pcretrieve.compilation").info(
+                    "compiling, once: later processes load the compiled functions from the cache of numba"
+                )
+
+        def on_end(self, event: object) -> None: ...
+
+    event.register("numba:compile", First())  # type: ignore[no-untyped-call]

@@ -18,6 +18,7 @@ from typing import Any
 import pytest
 import shapes
 from dask_cluster import DaskCluster, dask_cluster
+from processes import wait_for as until
 
 from pcretrieve import Catalogue, DaskExecutor, ingest
 from pcretrieve.errors import InputError, PcretrieveError, WorkerDied
@@ -37,8 +38,8 @@ def own_cluster(tmp_path: Path) -> Iterator[DaskCluster]:
         yield started
 
 
-def square(number: int) -> int:
-    return number**2
+def own_process(number: int) -> int:
+    return os.getpid()
 
 
 def end_dask_worker(number: int) -> int:
@@ -69,9 +70,14 @@ def lose_computer(cluster: DaskCluster) -> None:
     cluster.kill(cluster.workers[0])
 
 
+def stop_computer(cluster: DaskCluster) -> None:
+    """Stop all processes of a Dask worker, which then answers no more, and keeps its connections."""
+    os.killpg(cluster.workers[0].pid, signal.SIGSTOP)
+
+
 @pytest.mark.slow
-@pytest.mark.parametrize("lose", [lose_computer])
-def test_chunks_of_a_lost_computer_are_processed_by_another_one(
+@pytest.mark.parametrize("lose", [lose_computer, stop_computer])
+def test_items_of_a_lost_computer_are_processed_by_another_one(
     lose: Callable[[DaskCluster], None], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     # Time after which the scheduler gives up a worker that does not answer, by default five minutes.
@@ -84,10 +90,7 @@ def test_chunks_of_a_lost_computer_are_processed_by_another_one(
             found: list[tuple[int, object]] = []
             reader = threading.Thread(target=lambda: found.extend(outcomes))
             reader.start()
-            deadline = time.monotonic() + PATIENCE
-            while len(list(tmp_path.glob("go.begun*"))) < 2:
-                assert time.monotonic() < deadline
-                time.sleep(0.05)
+            assert until(lambda: len(list(tmp_path.glob("go.begun*"))) == 2)
             lose(own_cluster)
             file.touch()
             reader.join(PATIENCE)
@@ -99,11 +102,19 @@ def test_a_scheduler_that_ends_is_an_error_with_words(
     own_cluster: DaskCluster, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(cluster_module, "CONNECT_TIMEOUT", 5.0)
-    outcomes = DaskExecutor(scheduler_file=own_cluster.file)(square, iter(range(10**9)), **LIMITS)
+    outcomes = DaskExecutor(scheduler_file=own_cluster.file)(own_process, iter(range(10**9)), **LIMITS)
     next(outcomes)
     own_cluster.kill(own_cluster.scheduler)
     with pytest.raises(PcretrieveError, match="the scheduler has ended: the same command"):
         list(outcomes)
+
+
+@pytest.mark.slow
+def test_processes_stay_for_the_next_item_and_end_with_the_ingest(cluster: DaskCluster) -> None:
+    outcomes = dict(DaskExecutor(scheduler_file=cluster.file)(own_process, range(40), **LIMITS))
+    numbers = set(outcomes.values())
+    assert len(numbers) == 2, "one process for each thread of the cluster"
+    assert until(lambda: not any(Path(f"/proc/{number}").exists() for number in numbers))
 
 
 @pytest.mark.slow
@@ -112,43 +123,30 @@ def test_workers_of_other_versions_are_an_error(
 ) -> None:
     monkeypatch.setattr(cluster_module, "versions", lambda: {"pcretrieve": "0.0.1", "numpy": "1.0"})
     with pytest.raises(PcretrieveError, match=r"must have the versions .*pcretrieve \S+ instead of 0\.0\.1"):
-        list(DaskExecutor(scheduler_file=cluster.file)(square, range(3), **LIMITS))
+        list(DaskExecutor(scheduler_file=cluster.file)(own_process, range(3), **LIMITS))
 
 
-@pytest.mark.parametrize(
-    "given",
-    [{}, {"local": True, "scheduler": "tcp://127.0.0.1:8786"}, {"scheduler_file": Path("a"), "local": True}],
-)
-def test_one_cluster_must_be_given(given: dict[str, Any]) -> None:
-    with pytest.raises(InputError, match="must be given by one of"):
-        DaskExecutor(**given)
-
-
-# --- ingest ---------------------------------------------------------------------------------------------
-
-
-def scans(folder: Path, n: int) -> list[Path]:
-    folder.mkdir()
-    paths = [folder / f"egg{number}.off" for number in range(n)]
-    for number, path in enumerate(paths):
-        write_mesh(shapes.ellipsoid((1, 1 + number / 10, 2), subdivisions=3), path)
-    (folder / "flat.xyz").write_text("1 2 3\n" * 200)
-    return [*paths, folder / "flat.xyz"]
-
-
-def command(*arguments: object) -> list[str]:
-    return [sys.executable, "-m", "pcretrieve", "ingest", *map(str, arguments)]
+def test_one_cluster_must_be_given() -> None:
+    address = "tcp://127.0.0.1:8786"
+    two: list[dict[str, Any]] = [
+        {"local": True, "scheduler": address},
+        {"scheduler_file": Path("a"), "local": True},
+    ]
+    for given in ({}, *two):
+        with pytest.raises(InputError, match="must be given by one of"):
+            DaskExecutor(**given)
 
 
 @pytest.mark.slow
 def test_ingest_gives_the_same_catalogue_as_on_one_computer(cluster: DaskCluster, tmp_path: Path) -> None:
-    paths = scans(tmp_path / "scans", 4)
-    ended = subprocess.run(
-        command(*paths, "-c", tmp_path / "c.sqlite", "--scheduler-file", cluster.file, "--json"),
-        capture_output=True,
-        text=True,
-        check=False,
-    )
+    paths = [tmp_path / f"egg{number}.off" for number in range(4)]
+    for number, path in enumerate(paths):
+        write_mesh(shapes.ellipsoid((1, 1 + number / 10, 2), subdivisions=3), path)
+    paths.append(tmp_path / "flat.xyz")
+    paths[-1].write_text("1 2 3\n" * 200)
+    where = ["-c", tmp_path / "c.sqlite", "--scheduler-file", cluster.file, "--json"]
+    command = [sys.executable, "-m", "pcretrieve", "ingest", *map(str, [*paths, *where])]
+    ended = subprocess.run(command, capture_output=True, text=True, check=False)
     assert ended.returncode == 3, ended.stderr
     assert [row["id"] for row in json.loads(ended.stdout)["result"]["failed"]] == ["flat"]
     ingest(paths, tmp_path / "other.sqlite")

@@ -14,13 +14,13 @@ import sys
 import time
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
 import shapes
 from processes import PATIENCE, living, wait_for
+from stored import Everything, everything
 
 from pcretrieve import Catalogue, ingest
 from pcretrieve.catalogue import find_defects
@@ -31,8 +31,6 @@ N_KILLS = int(os.environ.get("PCRETRIEVE_KILLS", "3"))
 
 # At most two shapes for each kill; when all are stored, they are removed, and stored again.
 N_SHAPES = 2 * N_KILLS + 2
-
-Everything = dict[str, tuple[Any, ...]]
 
 EXECUTORS: dict[str, tuple[str, ...]] = {"local": ()}
 if "PCRETRIEVE_KILLS" in os.environ:  # a cluster takes five seconds to start
@@ -58,17 +56,6 @@ def undisturbed(scans: Path) -> Everything:
     return everything(str(location))
 
 
-def everything(location: str) -> Everything:
-    """The row, the signatures and the payloads of each shape, without times."""
-    with Catalogue(location) as store:
-        found = {}
-        for entry in store.entries([origin.id for origin in store.origins()]):
-            steps = tuple(replace(step, seconds=0.0) for step in entry.record.steps)
-            record = replace(entry.record, steps=steps, added="", stamp=None)
-            found[record.id] = (record, dict(entry.signatures), dict(entry.payloads))
-        return found
-
-
 def stored(location: str) -> Everything:
     """What is stored, none of which is damaged; nothing before there is a catalogue."""
     try:
@@ -81,31 +68,22 @@ def stored(location: str) -> Everything:
 
 
 def n_stored(location: str) -> int:
-    try:
-        with Catalogue(location) as store:
-            return len(store)
-    except CatalogueError:
-        return 0
+    with suppress(CatalogueError), Catalogue(location) as store:
+        return len(store)
+    return 0
 
 
 @pytest.fixture
 def start(scans: Path, new_location: str, tmp_path: Path) -> Callable[..., subprocess.Popen[str]]:
     """Starts an ingest in a process group of its own, with a folder of its own for temporary files."""
     (tmp_path / "temporary").mkdir()
+    command = [sys.executable, "-m", "pcretrieve", "ingest", str(scans), "-c", new_location, "--workers", "2"]
+    environment = os.environ | {"TMPDIR": str(tmp_path / "temporary")}
+    pipes: dict[str, Any] = {"stdout": subprocess.PIPE, "stderr": subprocess.STDOUT, "text": True}
 
     def started(*arguments: str) -> subprocess.Popen[str]:
-        return subprocess.Popen(
-            [
-                *(sys.executable, "-m", "pcretrieve", "ingest", str(scans), "-c", new_location),
-                *("--workers", "2", *arguments),
-            ],
-            cwd=tmp_path,
-            env=os.environ | {"TMPDIR": str(tmp_path / "temporary")},
-            stdout=subprocess.PIPE,
-            stderr=subprocess.STDOUT,
-            text=True,
-            start_new_session=True,
-        )
+        whole = [*command, *arguments]
+        return subprocess.Popen(whole, cwd=tmp_path, env=environment, start_new_session=True, **pipes)
 
     return started
 

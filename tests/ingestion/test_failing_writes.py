@@ -78,10 +78,10 @@ FAILING(int, fdatasync, (int file), (file))
 # Ingests the same scans again and again, each time with another write that fails; prints what went wrong.
 INGESTS = """
 import ctypes, errno, json, shutil, sys
-from dataclasses import replace
 from itertools import count
 from pathlib import Path
 from processes import in_this_process
+from stored import everything
 from pcretrieve.catalogue import Catalogue, find_defects, sqlite
 from pcretrieve.errors import CatalogueError
 from pcretrieve import ingest as ingest_scans
@@ -108,10 +108,7 @@ def ingest():
 def stored():
     with Catalogue(path) as store:
         assert find_defects(store) == [], find_defects(store)
-        entries = store.entries([record.id for record in store.records()])
-        return [
-            (replace(e.record, added="", stamp=None), dict(e.signatures), dict(e.payloads)) for e in entries
-        ]
+    return [*everything(str(path)).values()]
 
 def fresh():
     shutil.rmtree(folder, ignore_errors=True)

@@ -6,9 +6,7 @@ import json
 import os
 import subprocess
 import sys
-from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 import pytest
 import shapes
@@ -17,6 +15,7 @@ from packages import install
 from pcretrieve.formats import write_mesh
 
 PATIENCE = 300  # seconds
+TIMEOUT = 10  # of a scan; seconds
 
 # A reader of .vicious files, which does to its process what the file's name says.
 VICIOUS = """
@@ -83,9 +82,9 @@ EXPECTED = {
     "crash": ("WorkerDied", "worker", "ended with SIGSEGV"),
     "abort": ("WorkerDied", "worker", "ended with SIGABRT"),
     "alarm": ("WorkerDied", "worker", "ended with SIGALRM"),
-    "loop": ("StageTimeout", "worker", "not finished within 5 s: raise --timeout"),
-    "loop_in_native_code": ("StageTimeout", "worker", "not finished within 5 s: raise --timeout"),
-    "stop": ("StageTimeout", "worker", "not finished within 5 s: raise --timeout"),
+    "loop": ("StageTimeout", "worker", f"not finished within {TIMEOUT} s: raise --timeout"),
+    "loop_in_native_code": ("StageTimeout", "worker", f"not finished within {TIMEOUT} s: raise --timeout"),
+    "stop": ("StageTimeout", "worker", f"not finished within {TIMEOUT} s: raise --timeout"),
     "fill_30_gib": ("MemoryExceeded", "read", "than --memory allows: raise that, or thin the scan"),
     "close_output": ("ScanReadError", "read", "after the deed close_output"),
     "close_everything": ("WorkerDied", "worker", "ended with exit code 1"),
@@ -95,53 +94,32 @@ EXPECTED = {
 }
 
 
-def ingested(folder: Path, environment: Mapping[str, str]) -> dict[str, Any]:
-    """Ingest the scans of a folder with the package beside them; the JSON document."""
+@pytest.mark.slow
+def test_each_fault_is_one_row_with_words_and_the_batch_goes_on(tmp_path: Path) -> None:
+    """Two good scans come first and last by their names, and vicious ones between them."""
+    (tmp_path / "scans").mkdir()
+    for name, length in (("a", 1.5), ("z", 2.0)):
+        write_mesh(shapes.ellipsoid((1, 1, length), subdivisions=3), tmp_path / "scans" / f"{name}.off")
+    for deed in EXPECTED:
+        (tmp_path / "scans" / f"{deed}.vicious").write_text(deed)
+    with pytest.MonkeyPatch.context() as patch:
+        entry_points = "[pcretrieve.readers]\n.vicious = vicious:read\n"
+        install(tmp_path / "site", "vicious", {"vicious": VICIOUS}, entry_points, patch)
     command = [sys.executable, "-m", "pcretrieve", "ingest", "scans", "-c", "c.sqlite", "--json"]
-    path = os.pathsep.join([str(folder / "site"), *filter(None, sys.path)])
     done = subprocess.run(
-        [*command, "--workers", "2", "--timeout", "5", "--memory", "1"],
-        cwd=folder,
-        env={**os.environ, **environment, "PYTHONPATH": path},
+        [*command, "--workers", "2", "--timeout", f"{TIMEOUT}", "--memory", "1"],
+        cwd=tmp_path,
+        env={**os.environ, "PYTHONPATH": os.pathsep.join([str(tmp_path / "site"), *filter(None, sys.path)])},
         capture_output=True,
         timeout=PATIENCE,
         check=False,
     )
     assert done.returncode == 3, done.stderr[-3000:].decode(errors="replace")
-    answer: dict[str, Any] = json.loads(done.stdout)["result"]
-    return answer
-
-
-def write_scans(folder: Path, deeds: tuple[str, ...]) -> None:
-    """Two good scans, which come first and last by their names, and vicious ones between them."""
-    (folder / "scans").mkdir()
-    for name, length in (("a", 1.5), ("z", 2.0)):
-        write_mesh(shapes.ellipsoid((1, 1, length), subdivisions=3), folder / "scans" / f"{name}.off")
-    for deed in deeds:
-        (folder / "scans" / f"{deed}.vicious").write_text(deed)
-    with pytest.MonkeyPatch.context() as patch:
-        entry_points = "[pcretrieve.readers]\n.vicious = vicious:read\n"
-        install(folder / "site", "vicious", {"vicious": VICIOUS}, entry_points, patch)
-
-
-@pytest.fixture(scope="module")
-def answer(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
-    """One ingest of all of them."""
-    folder = tmp_path_factory.mktemp("faults")
-    write_scans(folder, (*EXPECTED,))
-    return ingested(folder, {})
-
-
-@pytest.mark.slow
-def test_the_batch_goes_on(answer: dict[str, Any]) -> None:
+    answer = json.loads(done.stdout)["result"]
     assert answer["done"] == ["a", "z"]
-    assert sorted(failure["id"] for failure in answer["failed"]) == sorted(EXPECTED)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("deed", EXPECTED)
-def test_each_fault_is_one_row_with_words(deed: str, answer: dict[str, Any]) -> None:
-    error, stage, words = EXPECTED[deed]
-    (failure,) = (failure for failure in answer["failed"] if failure["id"] == deed)
-    assert (failure["error"], failure["stage"]) == (error, stage), failure["message"]
-    assert words in failure["message"]
+    failed = {failure["id"]: failure for failure in answer["failed"]}
+    assert failed.keys() == EXPECTED.keys()
+    for deed, (error, stage, words) in EXPECTED.items():
+        failure = failed[deed]
+        assert (failure["error"], failure["stage"]) == (error, stage), failure["message"]
+        assert words in failure["message"]

@@ -1,4 +1,4 @@
-"""Label files, and which shape each of their names stands for."""
+"""Label files and layouts of published sets: the classes that they give, and to which shapes."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from pcretrieve.errors import BenchmarkError
-from pcretrieve.ingestion.labels import match_labels, read_labels
+from pcretrieve.ingestion.labels import labels_of, match_labels, read_labels
 
 CLA = "PSB 1\n2 3\n\ncat 0 2\n5\n12\n\ndog 0 1\n7\n"
 
@@ -16,7 +16,6 @@ CLA = "PSB 1\n2 3\n\ncat 0 2\n5\n12\n\ndog 0 1\n7\n"
     ("name", "text", "labels"),
     [
         ("a.csv", "file,class\na.ply,cat\nb.ply,dog\n", {"a.ply": "cat", "b.ply": "dog"}),
-        ("a.csv", "\ufeffClass;x,Path \r\n", None),
         ("a.csv", "\ufeffLabel, Name ,x\r\ncat,a.ply,1\r\n", {"a.ply": "cat"}),
         ("a.csv", 'id,category\n" a ","Katze, groß"\nb,\n,c\n\nd\n', {"a": "Katze, groß"}),
         ("a.csv", "file,class\na,cat\na,cat\n", {"a": "cat"}),
@@ -25,19 +24,15 @@ CLA = "PSB 1\n2 3\n\ncat 0 2\n5\n12\n\ndog 0 1\n7\n"
         ("a.cla", "PSB 1\n3 1\n\nanimal 0 0\n\ncat animal 1\n5\n\nempty 0 0\n", {"5": "cat"}),
     ],
 )
-def test_reading(name: str, text: str, labels: dict[str, str] | None, tmp_path: Path) -> None:
+def test_reading(name: str, text: str, labels: dict[str, str], tmp_path: Path) -> None:
     (tmp_path / name).write_text(text, encoding="utf-8", newline="")
-    if labels is None:
-        with pytest.raises(BenchmarkError, match="must have a header with one of file, path"):
-            read_labels(tmp_path / name)
-    else:
-        assert read_labels(tmp_path / name) == labels
+    assert read_labels(tmp_path / name) == labels
 
 
 @pytest.mark.parametrize(
     ("content", "words"),
     [
-        (b"", "got nothing"),
+        (b"", "must have a header with one of file, path, .* got nothing"),
         (b"cat,dog\n1,2\n", "got cat, dog"),
         (b"file,class\na,cat\na,dog\n", r"'a' has 'cat' and 'dog' \(line 3\)"),
         (b"\x89PNG\xff", "it is not UTF-8 text"),
@@ -57,18 +52,15 @@ def test_what_cannot_be_read(content: bytes, words: str, tmp_path: Path) -> None
     assert str(tmp_path / "labels") in raised.value.message
 
 
-PATHS = {
-    "stand": "/data/ann/stand.ply",
-    "stand-2": "/data/bob/stand.ply",
-    "T5": "/data/T5.obj",
-    "T15": "/data/T15.obj",
-    "Körper": "/data/über/Körper.ply",
-}
-
-
-@pytest.mark.parametrize(
-    ("name", "shape"),
-    [
+def test_a_name_stands_for_one_shape() -> None:
+    paths = {
+        "stand": "/data/ann/stand.ply",
+        "stand-2": "/data/bob/stand.ply",
+        "T5": "/data/T5.obj",
+        "T15": "/data/T15.obj",
+        "Körper": "/data/über/Körper.ply",
+    }
+    for name, shape in (
         ("stand", "stand"),  # an id comes before all paths that end so
         ("stand-2", "stand-2"),
         ("bob/stand.ply", "stand-2"),
@@ -77,7 +69,57 @@ PATHS = {
         ("T5.obj", "T5"),
         ("5", "T5"),  # and not T15
         ("Körper.ply", "Körper"),
-    ],
-)
-def test_a_name_stands_for_one_shape(name: str, shape: str) -> None:
-    assert match_labels({name: "x"}, PATHS) == ({shape: "x"}, [])
+    ):
+        assert match_labels({name: "x"}, paths) == ({shape: "x"}, []), name
+
+
+def test_one_label_file_for_two_sets_is_refused() -> None:
+    """The numbers are ids in the set that was ingested first; the other one got the next free ids."""
+    paths = {"0": "/Real/0.obj", "1": "/Real/1.obj", "0-2": "/Synthetic/0.obj", "1-2": "/Synthetic/1.obj"}
+    numbers = {"0": "ann", "1": "bob"}
+    with pytest.raises(
+        BenchmarkError, match=r"'0' stands for 2, such as /Real/0\.obj, /Synthetic/0\.obj: write"
+    ):
+        match_labels(numbers, paths)
+    both = numbers | {"0-2": "cyd", "1-2": "dan"}
+    assert match_labels(both, paths) == (both, [])
+
+
+# --- layouts --------------------------------------------------------------------------------------------
+
+
+def test_classes_in_names() -> None:
+    for layout, path, label in (
+        ("tosca", "/sets/tosca/cat10.off", "cat"),
+        ("tosca", "/sets/tosca/victoria0.mat", "victoria"),
+        ("faust", "/MPI-FAUST/training/scans/tr_scan_009.ply", "person0"),
+        ("faust", "/MPI-FAUST/training/registrations/tr_reg_090.ply", "person9"),
+        ("folders", "/bodies/ann/stand.ply", "ann"),
+        ("folders", "/bodies/ann/parts.glb#left", "ann"),
+    ):
+        assert labels_of(layout, [path]) == {path: label}
+    assert labels_of("tosca", ["/sets/tosca/readme.off", "/x/dog1.off"]) == {"/x/dog1.off": "dog"}
+    with pytest.raises(BenchmarkError, match=r"no path is one of the layout faust \(published at https"):
+        labels_of("faust", ["/MPI-FAUST/test/scans/test_scan_000.ply"])
+
+
+def write(path: Path, text: str = "") -> Path:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(text)
+    return path
+
+
+def test_a_label_file_beside_the_scans_or_above(tmp_path: Path) -> None:
+    """Two sets have one each, so that the same numbers are told apart."""
+    scans = []
+    for track in ("Real", "Synthetic"):
+        write(tmp_path / track / "test.cla", f"PSB 1\n2 3\n\n{track}-a 0 2\n0\n1\n\n{track}-b 0 1\n2\n")
+        scans += [write(tmp_path / track / "Data" / f"{number}.obj") for number in range(3)]
+    found = labels_of("psb", scans)
+    assert [found[str(path)] for path in scans] == [
+        *("Real-a", "Real-a", "Real-b"),
+        *("Synthetic-a", "Synthetic-a", "Synthetic-b"),
+    ]
+    write(tmp_path / "Real" / "train.cla", "PSB 1\n0 0\n")
+    with pytest.raises(BenchmarkError, match=r"needs one label file in .*Real, got test\.cla, train\.cla"):
+        labels_of("psb", scans)

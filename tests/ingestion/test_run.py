@@ -9,15 +9,16 @@ import subprocess
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 import shapes
 from processes import wait_for
+from stored import Everything, everything
 
-from pcretrieve import Catalogue, ingest
+from pcretrieve import Catalogue, ingest, merge_catalogues
 from pcretrieve.formats import write_mesh
-from pcretrieve.ingestion.run import Summary
 from pcretrieve.simulation import write_ply
 
 PATIENCE = 60  # seconds
@@ -56,10 +57,6 @@ def filled(folder: Path, catalogue: Catalogue) -> Catalogue:
     return catalogue
 
 
-def again(folder: Path, catalogue: Catalogue, **options: object) -> Summary:
-    return ingest(folder, catalogue, **options)  # type: ignore[arg-type]
-
-
 # --- files that stay, change, move ----------------------------------------------------------------------
 
 
@@ -68,7 +65,7 @@ def test_one_content_is_processed_once(folder: Path, catalogue: Catalogue) -> No
     first = ingest(folder, catalogue, on_shape=lambda record: seen.append(record.id))
     assert ids([*first.done]) == ["a", "b"]
     assert [(Path(path).name, original.id) for path, original in first.duplicates] == [("copy.off", "a")]
-    second = again(folder, catalogue)
+    second = ingest(folder, catalogue)
     assert (ids([*second.held]), second.done, len(second.duplicates)) == (["a", "b"], [], 1)
     assert sorted(seen) == ["a", "a", "b"]  # once for each file
 
@@ -77,7 +74,7 @@ def test_a_file_that_changed_is_processed_again(folder: Path, filled: Catalogue)
     """A duplicate of the old content of the file is then processed."""
     before = filled.signatures()
     egg(folder / "a.off", 3)
-    summary = again(folder, filled)
+    summary = ingest(folder, filled)
     assert (ids([*summary.done]), ids([*summary.held]), summary.duplicates) == (["a", "copy"], ["b"], [])
     after = filled.signatures()
     assert after.ids == ("a", "b", "copy")
@@ -89,7 +86,7 @@ def test_a_file_that_changed_is_processed_again(folder: Path, filled: Catalogue)
 def test_a_folder_that_moves_takes_its_shapes_along(folder: Path, filled: Catalogue) -> None:
     before = filled.record("b")
     moved = folder.rename(folder.parent / "nest")
-    summary = again(moved, filled)
+    summary = ingest(moved, filled)
     assert (summary.done, ids([*summary.held])) == ([], ["a", "b"])
     after = filled.record("b")
     assert after.path == str(moved / "b.off")
@@ -97,24 +94,24 @@ def test_a_folder_that_moves_takes_its_shapes_along(folder: Path, filled: Catalo
 
 
 def test_labels_reach_shapes_that_are_held_already(folder: Path, filled: Catalogue) -> None:
-    summary = again(folder, filled, labels={"a.off": "small", "nobody": "small"})
+    summary = ingest(folder, filled, labels={"a.off": "small", "nobody": "small"})
     assert [record.label for record in filled.records()] == ["small", "long"]
     assert summary.unknown_labels == ["nobody"]
     # An id stands for its shape still where the file has another name by now.
     (folder / "b.off").rename(folder / "c.off")
-    summary = again(folder, filled, labels={"b": "large", "nobody": "small"})
+    summary = ingest(folder, filled, labels={"b": "large", "nobody": "small"})
     assert filled.record("b").label == "large"
     assert summary.unknown_labels == ["nobody"]
 
 
 def test_a_failure_is_stored_until_it_is_retried(folder: Path, filled: Catalogue) -> None:
     (folder / "flat.xyz").write_text("1 2 3\n" * 200)
-    assert ids([*again(folder, filled).failed]) == ["flat"]
-    remembered = again(folder, filled)
+    assert ids([*ingest(folder, filled).failed]) == ["flat"]
+    remembered = ingest(folder, filled)
     assert (remembered.failed, "flat" in ids([*remembered.held])) == ([], True)
-    assert ids([*again(folder, filled, retry_failed=True).failed]) == ["flat"]
+    assert ids([*ingest(folder, filled, retry_failed=True).failed]) == ["flat"]
     (folder / "flat.xyz").unlink()
-    assert ids([*again(folder, filled).held]) == ["a", "b"]
+    assert ids([*ingest(folder, filled).held]) == ["a", "b"]
 
 
 def test_a_file_out_of_reach_keeps_what_was_made_of_it(folder: Path, filled: Catalogue) -> None:
@@ -124,7 +121,7 @@ def test_a_file_out_of_reach_keeps_what_was_made_of_it(folder: Path, filled: Cat
     (folder / "a.off").unlink()
     (folder / "a.off").symlink_to("away")
     (folder / "b.off").write_bytes((folder / "b.off").read_bytes()[:1000])  # half copied
-    summary = again(folder, filled)
+    summary = ingest(folder, filled)
     assert ids([*summary.failed]) == ["a", "b"]
     for record in summary.failed:
         assert "; the catalogue keeps what was made of this file on" in str(record.message)
@@ -133,7 +130,33 @@ def test_a_file_out_of_reach_keeps_what_was_made_of_it(folder: Path, filled: Cat
     np.testing.assert_array_equal(filled.signatures().values, signatures)
     (folder / "a.off").unlink()
     (folder / "a.off").write_bytes(content)
-    assert ids([*again(folder, filled).held]) == ["a"]
+    assert ids([*ingest(folder, filled).held]) == ["a"]
+
+
+# --- shards ---------------------------------------------------------------------------------------------
+
+
+@pytest.mark.slow
+def test_shards_make_together_what_one_ingest_makes(tmp_path: Path) -> None:
+    """Nine different eggs, in two folders with files of the same names, and a copy of one of them."""
+    folder = tmp_path / "scans"
+    for number in range(9):
+        path = folder / f"part{number % 2}" / f"egg{number // 2}.off"
+        path.parent.mkdir(parents=True, exist_ok=True)
+        egg(path, 1 + number / 9)
+    (folder / "zcopy.off").write_bytes((folder / "part0" / "egg1.off").read_bytes())
+    ingest(folder, tmp_path / "whole.sqlite", workers=1)
+    whole, found = everything(str(tmp_path / "whole.sqlite")), Everything()
+    for number in range(1, 4):
+        part = tmp_path / f"part-{number}.sqlite"
+        summary = ingest(folder, part, workers=1, shard=f"{number}/3")
+        stored = everything(str(part))
+        assert len(summary.done) == len(stored) < len(whole)
+        assert not found.keys() & stored.keys()
+        found |= stored
+    assert found == whole
+    merge_catalogues(sorted(tmp_path.glob("part-*.sqlite")), tmp_path / "all.sqlite")
+    assert [*everything(str(tmp_path / "all.sqlite")).items()] == [*whole.items()]
 
 
 # --- several ingests at once ----------------------------------------------------------------------------
@@ -150,14 +173,9 @@ def test_two_processes_that_ingest_at_once_store_every_shape_once(
         for number in range(4):
             egg(folder / f"{number}.off", 1 + (start + 2 * number) / 8)
     command = [sys.executable, "-m", "pcretrieve", "ingest", "-c", new_location, "--workers", "1", "--json"]
-    running = [
-        subprocess.Popen(
-            [*command, str(folders[0] if same else folder)],
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-        )
-        for folder in folders
-    ]
+    given = [str(folders[0] if same else folder) for folder in folders]
+    pipes: dict[str, Any] = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
+    running = [subprocess.Popen([*command, folder], **pipes) for folder in given]
     for process in running:
         said, errors = process.communicate(timeout=PATIENCE)
         assert process.returncode == 0, errors.decode()
