@@ -1,4 +1,4 @@
-"""What an inspection says of scans whose faults are known."""
+"""What an inspection says of scans whose faults are known, and of the next body in a catalogue."""
 
 from __future__ import annotations
 
@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 import shapes
 
-from pcretrieve import PipelineOptions, PointCloud, TriangleMesh, signature
+from pcretrieve import Catalogue, PipelineOptions, PointCloud, TriangleMesh, ingest, signature
 from pcretrieve.checks import Check, Inspection
+from pcretrieve.formats import write_mesh
 from pcretrieve.pipeline.inspecting import inspect_scan, signature_spread
 from pcretrieve.values import FloatArray
 
@@ -30,15 +31,11 @@ def check(inspection: Inspection, name: str) -> Check:
     return found
 
 
-@pytest.fixture(scope="module")
-def good() -> Inspection:
+def test_a_good_scan_passes() -> None:
     """A body seen from all sides, with a dozen outliers at the end."""
     outliers = 0.6 * BODY.diagonal * shapes.points_on(shapes.icosphere(2), 12, seed=7)
     points = np.concatenate([shapes.points_on(BODY, 20_000), outliers])
-    return inspect_scan(seen_from_far(points), OPTIONS, n_rescans=2)
-
-
-def test_a_good_scan_passes(good: Inspection) -> None:
+    good = inspect_scan(seen_from_far(points), OPTIONS, n_rescans=2)
     assert good.failure is None
     assert [(bad.name, bad.shown) for bad in good.checks if bad.verdict != "passed"] == []
     assert good.verdict == "passed"
@@ -90,15 +87,12 @@ def test_what_fails_is_shown_as_far_as_it_came(tmp_path: Path) -> None:
         assert seen.checks[0].verdict == "failed"
 
 
-@pytest.mark.parametrize(
-    "points",
-    [np.zeros((0, 3)), np.zeros((1, 3)), np.ones((500, 3)), np.linspace([0, 0, 0], [1, 2, 3], 500)],
-    ids=["none", "one", "equal", "line"],
-)
-def test_points_that_are_no_body(points: FloatArray) -> None:
-    seen = inspect_scan(points)
-    assert seen.failure is not None
-    assert seen.scan is not None and len(seen.scan.points) == len(points)
+def test_points_that_are_no_body() -> None:
+    line = np.linspace([0, 0, 0], [1, 2, 3], 500)
+    for points in (np.zeros((0, 3)), np.zeros((1, 3)), np.ones((500, 3)), line):
+        seen = inspect_scan(points)
+        assert seen.failure is not None
+        assert seen.scan is not None and len(seen.scan.points) == len(points)
 
 
 # --- the error bar ------------------------------------------------------------------------------------
@@ -119,3 +113,29 @@ def test_spread_is_the_rms_distance_to_the_mean() -> None:
         for _ in range(2)
     )
     np.testing.assert_allclose(deviation, abs(one - two) / 2, atol=1e-9)
+
+
+# --- the next body ------------------------------------------------------------------------------------
+
+
+def test_the_next_body_is_the_nearest_shape_of_another_class(tmp_path: Path) -> None:
+    options = PipelineOptions().changed(
+        signature={"method": "shape-dna", "n_values": 10}, spectral={"n_pairs": 20}
+    )
+    ball = shapes.icosphere(3)
+    lengths = {"a1": 2.0, "a2": 2.1, "b1": 2.4, "b2": 3.0, "new": 2.02}
+    bodies = {name: TriangleMesh(ball.vertices * [x, 1, 0.7], ball.faces) for name, x in lengths.items()}
+    for name, mesh in bodies.items():
+        write_mesh(mesh, tmp_path / f"{name}.off")
+    logs = {name: np.log(signature(bodies[name], options).values) for name in ("new", "a1", "b1")}
+    labels = {f"{name}.off": name[0] for name in lengths}
+    with Catalogue(tmp_path / "c.sqlite", options, create=True) as catalogue:
+        ingest(sorted(tmp_path.glob("[ab]*.off")), catalogue, labels=labels, workers=1)
+        seen = inspect_scan(tmp_path / "new.off", n_rescans=0, catalogue=catalogue)
+    assert (seen.next_body.id, seen.next_body.label) == ("b1", "b")
+    assert seen.next_body.distance == pytest.approx(np.linalg.norm(logs["new"] - logs["b1"]), rel=1e-4)
+    # By the options of the catalogue.
+    assert seen.signature is not None and seen.signature.kind == "shape-dna"
+    assert "b1 (class b)" in seen.next_body.source
+    apart = np.linalg.norm(logs["new"] - logs["a1"])
+    assert f"the nearest shape is a1 (class a), {apart:.2g} away" in seen.next_body.source

@@ -1,19 +1,25 @@
-"""What holds of the whole way from a scan to its signature."""
+"""What holds of the way from a scan to its signature: presets, places, units, errors, what is logged."""
 
 from __future__ import annotations
 
+import logging
 from pathlib import Path
 
 import numpy as np
 import pytest
 import shapes
+from click.testing import CliRunner
 
-from pcretrieve import PipelineOptions, PointCloud, TriangleMesh, reconstruct, signature
+from pcretrieve import Catalogue, PipelineOptions, PointCloud, TriangleMesh, reconstruct, signature
+from pcretrieve.cli.main import cli
 from pcretrieve.errors import ReconstructionError, ScanReadError
+from pcretrieve.formats import write_mesh
+from pcretrieve.options import PRESETS
 from pcretrieve.pipeline.process import process
+from pcretrieve.surface import defects
 
 POINTS = shapes.points_on(shapes.body(), 8000)
-
+HAND = Path(__file__).parents[2] / "scans" / "hand-1" / "hand-1_fist.ply"
 DATA = Path(__file__).parents[2].parent / "shared" / "data"
 
 
@@ -58,13 +64,10 @@ def test_an_error_names_its_scan_and_its_stage(tmp_path: Path) -> None:
         reconstruct(tmp_path / "few.xyz")
     assert (raised.value.shape_id, raised.value.stage) == ("few.xyz", "crop")
     assert str(raised.value).startswith("[few.xyz / crop] a scan needs at least 100 points, got 2")
-    with pytest.raises(ScanReadError, match=r"^\[gone\.ply / read\] cannot read .*gone\.ply"):
-        signature(tmp_path / "gone.ply")
-
-
-def test_an_empty_cloud() -> None:
     with pytest.raises(ReconstructionError, match="at least 100 points, got 0"):
         reconstruct(np.empty((0, 3)))
+    with pytest.raises(ScanReadError, match=r"^\[gone\.ply / read\] cannot read .*gone\.ply"):
+        signature(tmp_path / "gone.ply")
 
 
 @pytest.mark.slow
@@ -76,3 +79,77 @@ def test_the_dragon_has_a_surface() -> None:
     surface = reconstruct(DATA / "stanford_dragon" / "dragonStandRight.conf")
     assert surface.euler_characteristic == 2
     assert surface.provenance[-1].sizes["invented"] < 0.3
+
+
+@pytest.mark.parametrize("preset", sorted(set(PRESETS) - {"clean-mesh", "paper", "classic"}))
+def test_each_preset_makes_a_closed_surface_of_a_scan(preset: str) -> None:
+    shape = process(HAND, PipelineOptions.preset(preset))
+    assert len(shape.surfaces) == 2
+    assert not defects(shape.mesh)
+    assert shape.mesh.volume > 0
+    if preset == "body-scanner":
+        assert shape.mesh.euler_characteristic == 2
+
+
+def test_poisson_makes_the_same_body_and_says_what_it_does_not_use() -> None:
+    options = PipelineOptions().changed(surface={"method": "poisson", "gap": 0.03, "genus": "sphere"})
+    shape = process(POINTS, options)
+    assert not defects(shape.mesh)
+    assert shape.mesh.volume == pytest.approx(shapes.body().volume, rel=0.05)
+    assert len(shape.surfaces) == 1
+    notes = [note for step in shape.provenance for note in step.notes]
+    assert "surface.method = 'poisson' does not use surface.genus, surface.gap" in notes
+    assert "the method poisson makes one surface, so that the signature has no error bar" in notes
+    described = signature(POINTS, options)
+    assert described.deviation is None
+    assert (described.values > 0).all()
+
+
+def test_each_stage_is_logged_once_with_its_repairs(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    scan = tmp_path / "body.xyz"
+    np.savetxt(scan, [*POINTS, [300.0, 0, 0]])
+    with caplog.at_level(logging.INFO, logger="pcretrieve.pipeline"):
+        shape = process(scan, PipelineOptions())
+    records = [record for record in caplog.records if record.name == "pcretrieve.pipeline"]
+    stages = [record.getMessage().split()[1] for record in records if record.levelno == logging.INFO]
+    assert stages == [step.stage for step in shape.provenance]
+    assert stages[-4:] == ["surface", "surface", "spectrum", "checks"]
+    repairs = [record.getMessage() for record in records if record.levelno == logging.WARNING]
+    assert repairs == [f"body.xyz: {step.stage}: {note}" for step in shape.provenance for note in step.notes]
+    assert any("dropped 1 of 8001 points more than 20 median distances" in repair for repair in repairs)
+
+
+def test_bodies_of_one_size_have_one_size_in_the_signature_whatever_unit_their_files_have(
+    tmp_path: Path,
+) -> None:
+    """The same body in metres, and in millimetres in a file without a unit."""
+    body, metres, millimetres = shapes.body(2), tmp_path / "metres.glb", tmp_path / "millimetres.off"
+    write_mesh(body, metres)
+    write_mesh(TriangleMesh(1000 * body.vertices, body.faces), millimetres)
+    sized = {"signature": {"size_weight": 6}}
+    in_metres = signature(metres, sized).values
+    # A file that has a unit is not converted again.
+    for file in (metres, millimetres):
+        np.testing.assert_allclose(
+            signature(file, {**sized, "scan": {"unit": "mm"}}).values, in_metres, rtol=1e-4
+        )
+    assert signature(millimetres, sized).values[-1] > 1e6 * in_metres[-1]
+
+    catalogue = tmp_path / "bodies.sqlite"
+    arguments = [
+        "ingest",
+        str(metres),
+        str(millimetres),
+        "-c",
+        str(catalogue),
+        "--unit",
+        "mm",
+        "--workers",
+        "1",
+    ]
+    result = CliRunner().invoke(cli, arguments)
+    assert result.exit_code == 0, result.output
+    with Catalogue(catalogue) as store:
+        records = [store.record(shape_id) for shape_id in ("metres", "millimetres")]
+    assert [record.metres_per_unit for record in records] == [1, 1]
+    assert records[0].area == pytest.approx(records[1].area, rel=1e-4)
