@@ -293,35 +293,27 @@ class Catalogue(Rows):
 
     def _table(self, options: PipelineOptions) -> tuple[SignatureTable, str]:
         """The signatures by some options, and a name of the state of the catalogue that they belong to."""
-        from pcretrieve.descriptors import DESCRIPTORS
+        # Imported here, because other functions do not need this slow import.
+        from pcretrieve.descriptors import DESCRIPTORS, signature_length
 
         descriptor = DESCRIPTORS[options.signature.method]
         unit = self._unit_of_sizes(options)
-        revision, ids, labels, values = self._values(options)
-        made_by = descriptor.name, options.compared_digest
-        table = SignatureTable(tuple(ids), values, *made_by, tuple(labels), descriptor.metric, unit)
-        return table, revision
-
-    def _values(self, options: PipelineOptions) -> tuple[str, list[str], list[str | None], FloatArray]:
-        """Revision, ids, labels and signatures (N, L); those that are not stored are computed and stored."""
-        # Imported here, because other functions do not need this slow import.
-        from pcretrieve.descriptors import signature_length
-
         is_own = options.compared_digest == self.options.signature_digest
         digest = OWN if is_own else signatures_digest(options)
         n_values = signature_length(options.signature)
         with intact(self.location, "a signature"):
             revision, ids, labels, has, packed = self.listed(digest)
-            stored = unpacked_values(packed, int(has.sum()), n_values)
-        if len(stored) == len(ids):
-            return revision, ids, labels, stored
-        values = np.empty((len(ids), n_values))
-        values[has] = stored
-        missing = np.flatnonzero(~has)
-        made = self._described(digest, options, [ids[row] for row in missing])
-        for row, values_now in zip(missing, made, strict=True):
-            values[row] = values_now
-        return revision, ids, labels, values
+            values = stored = unpacked_values(packed, int(has.sum()), n_values)
+        if len(stored) < len(ids):
+            values = np.empty((len(ids), n_values))
+            values[has] = stored
+            missing = np.flatnonzero(~has)
+            made = self._described(digest, options, [ids[row] for row in missing])
+            for row, values_now in zip(missing, made, strict=True):
+                values[row] = values_now
+        made_by = descriptor.name, options.compared_digest
+        table = SignatureTable(tuple(ids), values, *made_by, tuple(labels), descriptor.metric, unit)
+        return table, revision
 
     def _described(self, digest: str, options: PipelineOptions, ids: Sequence[str]) -> list[FloatArray]:
         """Compute the signatures (L,) of some shapes, and store them if the catalogue can be written to."""
@@ -362,11 +354,7 @@ class Catalogue(Rows):
         return "unknown" if None in units else "m"
 
     def _made_index(self, options: PipelineOptions) -> tuple[SignatureIndex, str]:
-        """Compute the index of the signatures by some options, and name the state that it belongs to.
-
-        Except for within-class whitening, at most two arrays of the size of the table are in memory at a
-        time.
-        """
+        """Compute the index of the signatures by some options, and name the state that it belongs to."""
         table, revision = self._table(options)
         if not len(table):
             raise InputError("an index needs at least 1 shape, got an empty table; ingest shapes first")

@@ -117,19 +117,15 @@ def _shape_defects(catalogue: Catalogue, number: int, *, repair: bool) -> list[D
                 return [Defect("shape", entry.record.id, faults, done)]
     # Of a damaged record, not even the path and the id can be relied on, by which an ingest would replace it.
     except ChangedRow:
-        shape_id = _stored_id(catalogue, number)
+        try:
+            ((shape_id,),) = catalogue.database.execute("SELECT id FROM shapes WHERE number = ?", [number])
+        except ChangedRow:
+            shape_id = f"number {number}"
         if repair:
             catalogue.forget(number)
         done = "removed: ingest its file again" if repair else None
         return [Defect("shape", shape_id, "its record has changed since it was stored", done)]
     return []
-
-
-def _stored_id(catalogue: Catalogue, number: int) -> str:
-    try:
-        return str(catalogue.database.execute("SELECT id FROM shapes WHERE number = ?", [number])[0][0])
-    except ChangedRow:
-        return f"number {number}"
 
 
 def _faults(catalogue: Catalogue, entry: Entry) -> Iterator[str]:

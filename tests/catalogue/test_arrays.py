@@ -15,39 +15,35 @@ from pcretrieve.catalogue.arrays import (
 )
 
 RNG = np.random.default_rng(3)
-ODD = np.array([0.0, -0.0, np.inf, -np.inf, np.nan, 5e-324, 1.7e308, -1.0])
 
-ARRAYS: dict[str, NDArray[np.generic]] = {
-    "numbers of every kind": ODD,
-    "a large array": RNG.normal(size=(2, 40, 41)),
-    "one below the length of compressed ones": np.ones(SHORTEST_COMPRESSED // 8 - 1),
-    "faces": RNG.integers(0, 2**31 - 1, size=(500, 3)).astype(np.int32),
-    "columns of a larger array": RNG.normal(size=(90, 90))[:, ::2],
-    "big-endian numbers": RNG.normal(size=700).astype(">f8"),
-    "nothing": np.empty((0, 3)),
-    "one number": np.array(3.0),
-    "small integers": np.arange(-128, 128).astype(np.int8),
-}
+ARRAYS: tuple[NDArray[np.generic], ...] = (
+    np.array([0.0, -0.0, np.inf, -np.inf, np.nan, 5e-324, 1.7e308, -1.0]),
+    RNG.normal(size=(2, 40, 41)),
+    np.ones(SHORTEST_COMPRESSED // 8 - 1),
+    RNG.integers(0, 2**31 - 1, size=(500, 3)).astype(np.int32),
+    RNG.normal(size=(90, 90))[:, ::2],
+    RNG.normal(size=700).astype(">f8"),
+    np.empty((0, 3)),
+    np.array(3.0),
+    np.arange(-128, 128).astype(np.int8),
+)
 
 
-@pytest.mark.parametrize("name", ARRAYS)
-def test_every_bit_comes_back(name: str) -> None:
-    given = ARRAYS[name]
-    first, second = unpacked(packed([given, given]))
-    for found in (first, second):
+def test_every_bit_comes_back() -> None:
+    for found, given in zip(unpacked(packed(ARRAYS)), ARRAYS, strict=True):
         assert found.shape == given.shape
         assert found.dtype == given.dtype.newbyteorder("=")
         assert found.tobytes() == np.asarray(given, found.dtype).tobytes()
 
 
-@pytest.mark.parametrize("position", [0, 5, 8, 100, -5, -1])
-def test_a_changed_byte_is_noticed(position: int) -> None:
+def test_a_changed_byte_is_noticed() -> None:
     for pieces, unpack in (
         (packed([np.arange(50.0)]), unpacked),
         (packed([RNG.normal(size=(30, 30))]), unpacked),
         (packed_values(RNG.normal(size=23)), lambda blob: unpacked_values(blob, 1, 23)),
     ):
-        blob = bytearray(pieces)
-        blob[position] ^= 16
-        with pytest.raises(ValueError, match="checksum"):
-            unpack(bytes(blob))
+        for position in (0, 5, 8, 100, -5, -1):
+            blob = bytearray(pieces)
+            blob[position] ^= 16
+            with pytest.raises(ValueError, match="checksum"):
+                unpack(bytes(blob))
