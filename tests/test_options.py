@@ -1,5 +1,6 @@
 """Options: reading from TOML, digests, and invalid options."""
 
+import math
 import re
 from pathlib import Path
 from typing import Any
@@ -144,67 +145,48 @@ def test_a_missing_file(tmp_path: Path) -> None:
 # --- values -------------------------------------------------------------------------------------------
 
 
-BAD: dict[str, dict[str, tuple[Any, ...]]] = {
+BAD: dict[str, dict[str, list[Any]]] = {
     "scan": {
-        "min_range": (0.0,),
-        "max_range": (
-            -1.0,
-            float("inf"),
-        ),
-        "box": ([[0.0, 0.0, 0.0], [1.0, 0.0, 1.0]],),
-        "ground": ("below",),
-        "voxel": (
-            -0.1,
-            1.0,
-            float("nan"),
-        ),
-        "outlier_std": (0.0,),
-        "normal_neighbors": (2,),
-        "orientation": ("up",),
-        "flood_gap": (1.0,),
+        "min_range": [0.0],
+        "max_range": [-1.0, math.inf],
+        "box": [[[0.0, 0.0, 0.0], [1.0, 0.0, 1.0]]],
+        "ground": ["below"],
+        "voxel": [-0.1, 1.0, math.nan],
+        "outlier_std": [0.0],
+        "normal_neighbors": [2],
+        "orientation": ["up"],
+        "flood_gap": [1.0],
     },
     "surface": {
-        "mode": ("Auto",),
-        "max_faces": (100,),
-        "method": ("marching",),
-        "cell": (0.0,),
-        "gap": (-0.1,),
-        "poisson_depth": (
-            13,
-            7.5,
-        ),
-        "target_faces": (100,),
-        "max_discarded": (-0.1,),
+        "mode": ["Auto"],
+        "max_faces": [100],
+        "method": ["marching"],
+        "cell": [0.0],
+        "gap": [-0.1],
+        "poisson_depth": [13, 7.5],
+        "target_faces": [100],
+        "max_discarded": [-0.1],
     },
     "remesh": {
-        "method": ("tetgen",),
-        "edge_length": (0.0,),
-        "timeout": (
-            0,
-            float("inf"),
-        ),
+        "method": ["tetgen"],
+        "edge_length": [0.0],
+        "timeout": [0, math.inf],
     },
     "spectral": {
-        "element": ("quintic",),
-        "n_pairs": (2,),
+        "element": ["quintic"],
+        "n_pairs": [2],
     },
     "signature": {
-        "method": ("sift",),
-        "n_values": (0,),
-        "n_modes": (1,),
-        "scale": ("unit",),
-        "size_weight": (
-            -1,
-            21,
-        ),
+        "method": ["sift"],
+        "n_values": [0],
+        "n_modes": [1],
+        "scale": ["unit"],
+        "size_weight": [-1, 21],
     },
     "retrieval": {
-        "distance": ("l2",),
-        "whitening": ("zca",),
-        "shrinkage": (
-            0.0,
-            1.1,
-        ),
+        "distance": ["l2"],
+        "whitening": ["zca"],
+        "shrinkage": [0.0, 1.1],
     },
 }
 
