@@ -48,6 +48,10 @@ ROOMS = {
 }
 MOST_LINES, MOST_MODULES, MOST_ARROWS, MOST_OPTIONS = 41_700, 225, 160, 45
 
+# Rooms that pages and server use beside the front door.
+PAGES_BEHIND = {"catalogue", "evaluation", "formats", "pipeline", "query", "retrieval"}
+WEB_BEHIND = {"formats", "ingestion", "query", "retrieval", "surface"}
+
 # Slow to import: each is imported in functions.
 HEAVY = {
     *("cholespy", "cv2", "distributed", "fsspec", "laspy", "matplotlib", "open3d", "pandas", "potpourri3d"),
@@ -78,18 +82,16 @@ def test_modules_and_functions_can_be_read_at_once() -> None:
     small = [
         path for path in sources() if path.name not in faces and len(path.read_text("utf-8").split("\n")) < 40
     ]
-    assert len(small) <= 5, small
-    long = [f"{path}:{each.name}" for path in sources() for each in functions(path) if length(each) > 62]
+    assert small == []
+    long = [f"{path}:{each.name}" for path in sources() for each in functions(path) if length(each) > 60]
     assert long == []
     for path in sources():
         for each in functions(path):
             given = [*each.args.posonlyargs, *each.args.args, *each.args.kwonlyargs]
             # What a command takes is its options; a face takes keywords, each with its default.
             is_face = room(path) == "cli" or len(each.args.kwonlyargs) > 3
-            assert is_face or len([one for one in given if one.arg not in ("self", "cls")]) <= 10, (
-                path,
-                each.name,
-            )
+            n_given = len([one for one in given if one.arg not in ("self", "cls")])
+            assert is_face or n_given <= 8, (path, each.name)
 
 
 def test_data_flows_one_way() -> None:
@@ -99,11 +101,20 @@ def test_data_flows_one_way() -> None:
     assert len(found) <= MOST_ARROWS
 
 
-def test_docstrings_are_shorter_than_the_code() -> None:
-    # Estimators are the front door for scikit-learn: their docstrings are pages of the reference.
-    for name in (name for name, most in ROOMS.items() if most > 300 and name != "estimators"):
+def test_the_command_line_calls_the_front_door() -> None:
+    # `demo` writes simulated scans. Pages and server still look behind the door; they may do so no more.
+    behind = {"cli": {"simulation"}, "pages": PAGES_BEHIND, "web": WEB_BEHIND}
+    for face, also in behind.items():
+        seen = {other for one, other in arrows() if one == face}
+        assert seen <= {"errors", "values", "options", "plugins", "draw", "pages"} | also, face
+
+
+def test_docstrings_are_at_most_half_of_the_code() -> None:
+    # Of descriptors, formulas and sources are the larger part; of estimators, pages of the reference.
+    most = {"descriptors": 0.65, "estimators": 0.75}
+    for name in (name for name, lines in ROOMS.items() if lines > 300):
         here = [path for path in sources() if room(path) == name]
-        assert sum(map(docstring_lines, here)) <= sum(map(code_lines, here)) * 0.7, name
+        assert sum(map(docstring_lines, here)) <= sum(map(code_lines, here)) * most.get(name, 0.5), name
 
 
 def test_what_is_heavy_is_imported_when_it_is_used() -> None:
