@@ -94,6 +94,17 @@ def test_the_poses_of_a_conf_are_kept_if_asked(suffix: str, folder: Path) -> Non
         np.testing.assert_allclose(kept.viewpoints, direct.viewpoints, atol=1e-4)
 
 
+@pytest.mark.slow
+def test_the_largest_range_reaches_the_merge(folder: Path) -> None:
+    """Three quarters of the points lie within the third quartile of the distances from their sensors."""
+    scan = read_scan(folder / "body.conf")
+    assert isinstance(scan, PointCloud) and scan.viewpoints is not None
+    reach = np.quantile(np.linalg.norm(scan.points - scan.viewpoints, axis=1), 0.75)
+    result = run("body.conf", "-o", "near.ply", "--json", "--max-range", str(reach), cwd=folder)
+    assert result.returncode == 0
+    assert json.loads(result.stdout)["result"]["points"] == pytest.approx(0.75 * len(scan.points), rel=0.01)
+
+
 @pytest.mark.parametrize(
     ("arguments", "code", "words"),
     [

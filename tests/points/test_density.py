@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.spatial import cKDTree
 
 from pcretrieve import PointCloud
 from pcretrieve.points.density import interpolated, local_spacings, sparse_points
@@ -26,12 +27,6 @@ def thinned(points: FloatArray, ratio: float, seed: int = 2) -> FloatArray:
     return points[kept]
 
 
-def with_interpolated(points: FloatArray) -> PointCloud:
-    cloud = PointCloud(points, points, viewpoints=2 * points)
-    some = neighborhoods(points, 9, of_some=True)
-    return interpolated(cloud, some, cell=max(CELL, spacing(some)))
-
-
 def test_the_median_of_local_spacings_is_the_spacing() -> None:
     neighbors = neighborhoods(sphere(), 9)
     assert np.median(local_spacings(neighbors)) == pytest.approx(spacing(neighbors))
@@ -39,9 +34,11 @@ def test_the_median_of_local_spacings_is_the_spacing() -> None:
 
 
 @pytest.mark.parametrize(("n", "ratio", "error"), [(N, 10, 0.003), (N, 30, 0.006), (80_000, 100, 0.006)])
-def test_interpolated_points_are_on_the_surface(n: int, ratio: float, error: float) -> None:
+def test_interpolated_points_are_on_the_surface_and_leave_no_gap(n: int, ratio: float, error: float) -> None:
     points = thinned(sphere(n), ratio)
-    dense = with_interpolated(points)
+    cloud = PointCloud(points, points, viewpoints=2 * points)
+    some = neighborhoods(points, 9, of_some=True)
+    dense = interpolated(cloud, some, cell=max(CELL, spacing(some)))
     np.testing.assert_array_equal(dense.points[: len(points)], points)
     added, normals = dense.points[len(points) :], dense.normals
     assert normals is not None and dense.viewpoints is not None
@@ -50,14 +47,7 @@ def test_interpolated_points_are_on_the_surface(n: int, ratio: float, error: flo
     assert np.einsum("ij,ij->i", normals[len(points) :], added).min() > 0.9
     # The sensor of each is that of a sparse point nearby.
     assert np.einsum("ij,ij->i", dense.viewpoints, dense.points).min() > 0
-
-
-@pytest.mark.parametrize(("n", "ratio"), [(N, 10), (N, 30), (80_000, 100)])
-def test_no_gap_is_left(n: int, ratio: float) -> None:
-    """Every place of the sphere has a point as near as at the density of the dense half."""
-    from scipy.spatial import cKDTree
-
-    dense = with_interpolated(thinned(sphere(n), ratio))
+    # Every place of the sphere has a point as near as at the density of the dense half.
     gaps, _ = cKDTree(dense.points).query(sphere(3000, seed=9))
     assert np.quantile(gaps, 0.9) < 1.5 * CELL
 

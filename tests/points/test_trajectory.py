@@ -85,6 +85,7 @@ def error(poses: FloatArray, truth: FloatArray) -> float:
     return float(np.linalg.norm(moved(poses, points) - moved(truth, points), axis=2).max())
 
 
+@pytest.mark.slow
 def test_poses_of_a_folder_are_where_registration_starts(
     sequence: tuple[Path, FloatArray, FloatArray],
 ) -> None:

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import shapes
 from scipy.linalg import eigh
-from scipy.sparse import block_diag, csc_array
+from scipy.sparse import block_diag, csc_array, diags_array
 from scipy.sparse.linalg import eigsh
 
 from pcretrieve.errors import (
@@ -22,7 +22,7 @@ from pcretrieve.errors import (
     SpectrumNotConverged,
 )
 from pcretrieve.spectral import eigen, eigenpairs, krylov, laplace_beltrami
-from pcretrieve.values import Eigenpairs, FloatArray, LaplaceBeltrami
+from pcretrieve.values import FloatArray, LaplaceBeltrami
 
 Solver = Literal["krylov", "arpack"]
 
@@ -39,15 +39,6 @@ def solver(request: pytest.FixtureRequest) -> Solver:
 def n_pairs(request: pytest.FixtureRequest) -> int:
     n: int = request.param
     return n
-
-
-def residuals(operator: LaplaceBeltrami, pairs: Eigenpairs) -> FloatArray:
-    mapped = operator.mass @ pairs.eigenvectors[:, 1:]
-    residual = operator.stiffness @ pairs.eigenvectors[:, 1:] - pairs.eigenvalues[1:] * mapped
-    relative: FloatArray = np.linalg.norm(residual, axis=0) / (
-        pairs.eigenvalues[1:] * np.linalg.norm(mapped, axis=0)
-    )
-    return relative
 
 
 def dense_eigenvalues(operator: LaplaceBeltrami) -> FloatArray:
@@ -68,12 +59,14 @@ def test_orthonormal_ascending_and_from_zero(n_pairs: int, solver: Solver) -> No
     assert (phi[:, 0] == 1 / np.sqrt(pairs.area)).all()
 
 
-@pytest.mark.parametrize("tolerance", [1e-10])
-def test_residuals_are_what_was_asked_for(tolerance: float, n_pairs: int, solver: Solver) -> None:
-    pairs = eigenpairs(BODY, n_pairs, solver=solver, tolerance=tolerance)
-    largest = residuals(BODY, pairs).max()
+def test_residuals_are_what_was_asked_for(n_pairs: int, solver: Solver) -> None:
+    pairs = eigenpairs(BODY, n_pairs, solver=solver, tolerance=1e-10)
+    lam, phi = pairs.eigenvalues[1:], pairs.eigenvectors[:, 1:]
+    mapped = BODY.mass @ phi
+    size = lam * np.linalg.norm(mapped, axis=0)
+    largest = (np.linalg.norm(BODY.stiffness @ phi - lam * mapped, axis=0) / size).max()
     assert largest == pytest.approx(pairs.largest_residual, rel=0.5)
-    assert largest < 10 * tolerance
+    assert largest < 1e-9
 
 
 def test_the_same_bits_each_time(n_pairs: int, solver: Solver) -> None:
@@ -84,35 +77,26 @@ def test_the_same_bits_each_time(n_pairs: int, solver: Solver) -> None:
     assert (one.eigenvectors == two.eigenvectors).all()
 
 
-@pytest.mark.parametrize("mass", ["lumped"])
-def test_all_routes_agree(solver: Solver, mass: Literal["consistent", "lumped"]) -> None:
-    operator = laplace_beltrami(shapes.body(3), mass=mass)
+def test_all_routes_agree(solver: Solver) -> None:
+    operator = laplace_beltrami(shapes.body(3), mass="lumped")
     sparse, dense = eigenpairs(operator, 61, solver=solver, tolerance=1e-9), eigenpairs(operator, 250)
     np.testing.assert_allclose(sparse.eigenvalues[1:], dense.eigenvalues[1:61], rtol=1e-10)
     np.testing.assert_allclose(sparse.eigenvectors, dense.eigenvectors[:, :61], atol=1e-6)
 
 
-# --- orthogonality ------------------------------------------------------------------------------------
-
-
-def lack_of_orthogonality(operator: LaplaceBeltrami, n_pairs: int) -> float:
-    phi = eigenpairs(operator, n_pairs).eigenvectors
-    return float(np.abs(phi.T @ (operator.mass @ phi) - np.eye(n_pairs)).max())
-
-
-def test_it_is_kept_through_restarts(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_orthogonality_is_kept_through_restarts(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(krylov, "VECTORS_PER_PAIR", 1)
     monkeypatch.setattr(krylov, "SPARE_VECTORS", 6 * krylov.BLOCK)
-    assert eigenpairs(BODY, 61).iterations * krylov.BLOCK > 1.5 * krylov.basis_size(61)
-    assert lack_of_orthogonality(BODY, 61) < 1e-10
+    pairs = eigenpairs(BODY, 61)
+    assert pairs.iterations * krylov.BLOCK > 1.5 * krylov.basis_size(61)
+    phi = pairs.eigenvectors
+    np.testing.assert_allclose(phi.T @ (BODY.mass @ phi), np.eye(61), atol=1e-10)
 
 
-@pytest.mark.parametrize("scale", [1e4])
-def test_scaling_and_moving(scale: float, solver: Solver) -> None:
-    moved = eigenpairs(
-        laplace_beltrami(shapes.moved(shapes.body(3), seed=3, scale=scale)), solver=solver, tolerance=1e-9
-    )
-    here = eigenpairs(BODY, solver=solver, tolerance=1e-9)
+def test_scaling_and_moving(solver: Solver) -> None:
+    scale = 1e4
+    there = laplace_beltrami(shapes.moved(shapes.body(3), seed=3, scale=scale))
+    moved, here = (eigenpairs(each, solver=solver, tolerance=1e-9) for each in (there, BODY))
     np.testing.assert_allclose(moved.eigenvalues * scale**2, here.eigenvalues, rtol=1e-8)
     np.testing.assert_allclose(moved.eigenvectors * scale, here.eigenvectors, atol=1e-6)
 
@@ -122,17 +106,27 @@ def test_scaling_and_moving(scale: float, solver: Solver) -> None:
 # A Krylov space of one vector has one eigenvector of each multiple eigenvalue only.
 
 
-@pytest.mark.parametrize("n_pairs", [100])
-@pytest.mark.parametrize("mass", ["consistent"])
-def test_all_of_a_symmetric_surface_are_found(
-    n_pairs: int, mass: Literal["consistent", "lumped"], solver: Solver
-) -> None:
+def test_all_of_a_symmetric_surface_are_found(solver: Solver) -> None:
     # The 120 symmetries of the icosahedron make eigenvalues up to fivefold.
-    sphere = laplace_beltrami(shapes.icosphere(3), mass=mass)
+    sphere = laplace_beltrami(shapes.icosphere(3))
     for tolerance, error in ((1e-4, 1e-8), (1e-6, 1e-9)):
-        pairs = eigenpairs(sphere, n_pairs, solver=solver, tolerance=tolerance)
+        pairs = eigenpairs(sphere, 100, solver=solver, tolerance=tolerance)
         assert pairs.solver == solver
-        np.testing.assert_allclose(pairs.eigenvalues[1:], dense_eigenvalues(sphere)[1:n_pairs], rtol=error)
+        np.testing.assert_allclose(pairs.eigenvalues[1:], dense_eigenvalues(sphere)[1:100], rtol=error)
+
+
+def test_copies_beyond_the_block_are_found() -> None:
+    # Ten equal bodies with weak links: clusters of ten eigenvalues, more than a block has vectors.
+    ten = laplace_beltrami(shapes.joined(*[shapes.body(2)] * 10))
+    n = ten.mass.shape[0] // 10
+    links = np.where(np.arange(9 * n) % n == 0, 0.1, 0.0)
+    path = csc_array(np.diag(-links, n) + np.diag(-links, -n))
+    linked = LaplaceBeltrami(csc_array(ten.stiffness + path - diags_array(path.sum(axis=1))), ten.mass)
+    # The last cluster is not complete: with the larger tolerance its values, equal to five digits, are mixed.
+    for tolerance, error in ((1e-4, 1e-6), (1e-6, 1e-9)):
+        pairs = eigenpairs(linked, 61, tolerance=tolerance)
+        assert pairs.solver == "krylov"
+        np.testing.assert_allclose(pairs.eigenvalues[1:], dense_eigenvalues(linked)[1:61], rtol=error)
 
 
 # --- no zero mode -------------------------------------------------------------------------------------
@@ -159,22 +153,15 @@ def loose_end(operator: LaplaceBeltrami) -> LaplaceBeltrami:
     )
 
 
-@pytest.mark.parametrize("n", [1, -3])
-def test_one_pair_is_none(n: int) -> None:
-    with pytest.raises(OptionError, match=f"n_pairs must be at least 2, got {n}"):
-        eigenpairs(BODY, n)
-
-
-@pytest.mark.parametrize("tolerance", [0, 1e-2, np.nan])
-def test_tolerances_that_mean_nothing(tolerance: float) -> None:
-    with pytest.raises(OptionError, match=r"tolerance must be above 0 and at most 0\.001, got "):
-        eigenpairs(BODY, tolerance=tolerance)
-
-
-@pytest.mark.parametrize("name", ["dense"])
-def test_there_are_two_solvers(name: str) -> None:
-    with pytest.raises(OptionError, match=f"solver must be 'krylov' or 'arpack', got '{name}'"):
-        eigenpairs(BODY, solver=name)  # type: ignore[arg-type]
+def test_questions_without_an_answer() -> None:
+    for n in (1, -3):
+        with pytest.raises(OptionError, match=f"n_pairs must be at least 2, got {n}"):
+            eigenpairs(BODY, n)
+    for tolerance in (0, 1e-2, np.nan):
+        with pytest.raises(OptionError, match=r"tolerance must be above 0 and at most 0\.001, got "):
+            eigenpairs(BODY, tolerance=tolerance)
+    with pytest.raises(OptionError, match="solver must be 'krylov' or 'arpack', got 'dense'"):
+        eigenpairs(BODY, solver="dense")  # type: ignore[arg-type]
 
 
 def test_too_few_vertices() -> None:
@@ -190,9 +177,8 @@ def test_too_few_vertices() -> None:
 @pytest.mark.parametrize("level", [2, 3], ids=["dense", "sparse"])
 def test_two_components_that_say_they_are_one(level: int, solver: Solver) -> None:
     two = laplace_beltrami(shapes.joined(shapes.icosphere(level), shapes.icosphere(level)))
-    with pytest.raises(
-        ExtraZeroModes, match=r"at least 1e-06 after 1 zero modes, got .*: the surface is not"
-    ):
+    message = r"at least 1e-06 after 1 zero modes, got .*: the surface is not"
+    with pytest.raises(ExtraZeroModes, match=message):
         eigenpairs(replace(two, n_components=1), 100, solver=solver)
 
 
@@ -231,9 +217,8 @@ def test_a_stiffness_that_is_not_symmetric(solver: Solver) -> None:
 
 
 def test_a_tolerance_beyond_arithmetic() -> None:
-    with pytest.raises(
-        SpectrumNotConverged, match=r"residuals must fall below 1e-25, got .* after 82 blocks"
-    ):
+    message = r"residuals must fall below 1e-25, got .* after 82 blocks"
+    with pytest.raises(SpectrumNotConverged, match=message):
         eigenpairs(BODY, 12, tolerance=1e-25)
 
 

@@ -9,17 +9,14 @@ import pytest
 import shapes
 from scipy.linalg import eigh
 
-from pcretrieve.errors import DegenerateMeshError, InputError, OptionError
-from pcretrieve.spectral import eigenpairs, laplace_beltrami
+from pcretrieve.errors import DegenerateMeshError, InputError, OptionError, ShapeError, Stage
+from pcretrieve.spectral import Element, eigenpairs, laplace_beltrami
 from pcretrieve.spectral.operators import ELEMENTS
-from pcretrieve.values import FloatArray, IntArray, LaplaceBeltrami, PointCloud, TriangleMesh
+from pcretrieve.values import FloatArray, LaplaceBeltrami, PointCloud, TriangleMesh
 
 BOUNDED = {"square": shapes.square(5), "Möbius strip": shapes.mobius_strip(16, 3)}
 BOUNDARY_EDGES = {"square": 20, "Möbius strip": 32}
-SURFACES = {
-    "body": shapes.body(1),
-    **BOUNDED,
-}
+SURFACES = {"body": shapes.body(1), **BOUNDED}
 
 elements = pytest.mark.parametrize(
     "element", [name for name, element in ELEMENTS.items() if element.needs == "mesh"]
@@ -66,27 +63,24 @@ def test_stiffness_is_symmetric_semi_definite_and_kills_constants(mesh: Triangle
     assert eigenvalues[1] > 1e-6  # connected: the null space is spanned by the constants
 
 
-@pytest.mark.parametrize(
-    ("element", "mass"),
-    [
-        *(("linear", "consistent"), ("linear", "lumped"), ("cubic", "consistent"), ("cubic", "lumped")),
-        ("intrinsic-delaunay", "lumped"),
-    ],
-)
+@elements
 @surfaces
-def test_mass_is_symmetric_definite_and_adds_up_to_the_area(
-    mesh: TriangleMesh, element: Any, mass: Any
-) -> None:
-    operator = laplace_beltrami(mesh, element, mass=mass)
-    assert abs(operator.mass - operator.mass.T).max() == 0
-    assert np.linalg.eigvalsh(operator.mass.toarray())[0] > 0
-    assert operator.area == pytest.approx(mesh.area, rel=1e-13)
+def test_mass_is_symmetric_definite_and_adds_up_to_the_area(mesh: TriangleMesh, element: Any) -> None:
+    for mass in ELEMENTS[element].masses:
+        operator = laplace_beltrami(mesh, element, mass=mass)
+        assert abs(operator.mass - operator.mass.T).max() == 0
+        assert np.linalg.eigvalsh(operator.mass.toarray())[0] > 0
+        assert operator.area == pytest.approx(mesh.area, rel=1e-13)
+    lumped, whole = (
+        laplace_beltrami(mesh, element, mass=m).mass for m in ("lumped", ELEMENTS[element].masses[0])
+    )
+    assert lumped.nnz == lumped.shape[0]
+    np.testing.assert_allclose(lumped.diagonal(), whole.sum(axis=1), rtol=1e-12)
 
 
 @elements
-@pytest.mark.parametrize("scale", [1e3])
-def test_moving_leaves_both_and_scaling_squares_mass(element: Any, scale: float) -> None:
-    mesh = shapes.body(2)
+def test_moving_leaves_both_and_scaling_squares_mass(element: Any) -> None:
+    mesh, scale = shapes.body(2), 1e3
     here = laplace_beltrami(mesh, element)
     there = laplace_beltrami(shapes.moved(mesh, seed=0, scale=scale), element)
     assert abs(there.stiffness - here.stiffness).max() < 1e-10
@@ -172,70 +166,44 @@ def test_a_closed_surface_has_no_boundary_to_hold(element: Any) -> None:
 # --- refusals -----------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        (
-            {"element": "quintic"},
-            "element must be 'linear', 'cubic', 'intrinsic-delaunay' or 'points', got 'quintic'",
-        ),
+def test_options_that_do_not_exist() -> None:
+    names = "'linear', 'cubic', 'intrinsic-delaunay' or 'points'"
+    delaunay: Any = {"element": "intrinsic-delaunay", "mass": "consistent"}
+    cloud: Any = {"element": "points", "boundary": "dirichlet"}
+    refused: list[tuple[Any, str]] = [
+        ({"element": "quintic"}, f"element must be {names}, got 'quintic'"),
         ({"mass": "barycentric"}, "mass must be 'consistent' or 'lumped', got 'barycentric'"),
         ({"boundary": "robin"}, "boundary must be 'neumann' or 'dirichlet', got 'robin'"),
-        (
-            {"element": "intrinsic-delaunay", "mass": "consistent"},
-            "element 'intrinsic-delaunay' has lumped mass only, got mass='consistent'",
-        ),
-        ({"element": "points", "boundary": "dirichlet"}, "element 'points' has boundary='neumann' only"),
-    ],
-)
-def test_options_that_do_not_exist(options: Any, message: str) -> None:
-    with pytest.raises(OptionError, match=message):
-        laplace_beltrami(shapes.tetrahedron(), **options)
+        (delaunay, "element 'intrinsic-delaunay' has lumped mass only, got mass='consistent'"),
+        (cloud, "element 'points' has boundary='neumann' only"),
+    ]
+    for options, message in refused:
+        with pytest.raises(OptionError, match=message):
+            laplace_beltrami(shapes.tetrahedron(), **options)
 
 
-def test_an_element_of_a_surface_takes_no_cloud_and_the_other_way_round() -> None:
+def test_an_element_of_a_surface_takes_no_cloud() -> None:
     cloud = PointCloud(shapes.icosphere(2).vertices)
     with pytest.raises(InputError, match="element 'cubic' needs a TriangleMesh, got PointCloud"):
         laplace_beltrami(cloud, "cubic")
-    with pytest.raises(InputError, match=r"element 'points' needs a PointCloud or an .* got a TriangleMesh"):
-        laplace_beltrami(shapes.icosphere(2), "points")
 
 
 @elements
-@pytest.mark.parametrize(
-    ("faces", "message"),
-    [
-        (np.zeros((0, 3), dtype=np.int32), "a surface must have faces, got none"),
-        (np.array([[0, 1, 2]], dtype=np.int32), "every vertex must be in a face, got 2 that are in none"),
-    ],
-)
-def test_what_is_no_surface(faces: IntArray, message: str, element: Any) -> None:
-    with pytest.raises(DegenerateMeshError, match=message):
-        laplace_beltrami(TriangleMesh(np.eye(5, 3), faces), element)
-
-
-@pytest.mark.parametrize("element", ["linear", "cubic"])
-@pytest.mark.parametrize(
-    ("vertices", "faces", "message"),
-    [
-        (np.outer(range(3), [1, 2, 3]), [[0, 1, 2]], "every face must have an area, got 1 of 1 without"),
-        (np.eye(3), [[0, 1, 2], [0, 1, 1]], "every face must have an area, got 1 of 2 without"),
-    ],
-)
-def test_a_face_without_area_has_no_gradient(
-    vertices: FloatArray, faces: list[list[int]], message: str, element: Any
-) -> None:
-    with pytest.raises(DegenerateMeshError, match=message):
-        laplace_beltrami(TriangleMesh(vertices, np.array(faces, dtype=np.int32)), element)
-
-
-@pytest.mark.parametrize("element", ["linear", "cubic"])
-@surfaces
-def test_lumped_mass_is_the_row_sums(mesh: TriangleMesh, element: Any) -> None:
-    consistent = laplace_beltrami(mesh, element, mass="consistent").mass
-    lumped = laplace_beltrami(mesh, element, mass="lumped").mass
-    assert lumped.nnz == lumped.shape[0]
-    np.testing.assert_allclose(lumped.diagonal(), consistent.sum(axis=1), rtol=1e-12)
+def test_what_is_no_surface(element: Any) -> None:
+    empty, one = np.zeros((0, 3), dtype=np.int32), np.array([[0, 1, 2]], dtype=np.int32)
+    folded = np.array([[0, 1, 2], [0, 1, 1]], dtype=np.int32)
+    refused = [
+        (np.eye(5, 3), empty, "a surface must have faces, got none"),
+        (np.eye(5, 3), one, "every vertex must be in a face, got 2 that are in none"),
+    ]
+    if element != "intrinsic-delaunay":  # on a face without area there is no gradient
+        refused += [
+            (np.outer(range(3), [1.0, 2, 3]), one, "every face must have an area, got 1 of 1 without"),
+            (np.eye(3), folded, "every face must have an area, got 1 of 2 without"),
+        ]
+    for vertices, faces, message in refused:
+        with pytest.raises(DegenerateMeshError, match=message):
+            laplace_beltrami(TriangleMesh(vertices, faces), element)
 
 
 def test_a_surface_that_is_all_boundary() -> None:
@@ -243,3 +211,44 @@ def test_a_surface_that_is_all_boundary() -> None:
         laplace_beltrami(shapes.square(1), boundary="dirichlet")
     # Its cubic elements have nodes inside: four on the diagonal and in the middles of its two faces.
     assert laplace_beltrami(shapes.square(1), "cubic", boundary="dirichlet").mass.shape == (4, 4)
+
+
+# --- elements of one's own ----------------------------------------------------------------------------
+
+linear = ELEMENTS["linear"].assemble
+SOFT = Element("soft", lambda mesh: linear(mesh)._replace(stiffness=(linear(mesh).stiffness * 0.5).tocsc()))
+CLOUD = Element("cloud", ELEMENTS["points"].assemble, needs="points", masses=("consistent",))
+WEIGHTLESS = Element("weightless", lambda mesh: linear(mesh)._replace(mass=linear(mesh).mass * np.nan))
+
+
+def test_an_element_is_passed_as_an_object() -> None:
+    mesh = shapes.body(3)
+    soft, own = (laplace_beltrami(mesh, element) for element in (SOFT, "linear"))
+    assert abs(2 * soft.stiffness - own.stiffness).max() < 1e-12
+
+
+def test_an_element_has_what_it_declares_only() -> None:
+    points = shapes.points_on(shapes.body(), 3000)
+    lumped = laplace_beltrami(points, "points")
+    np.testing.assert_allclose(laplace_beltrami(points, CLOUD).mass.sum(), lumped.mass.sum())
+    with pytest.raises(OptionError, match="element 'cloud' has boundary='neumann' only"):
+        laplace_beltrami(points, CLOUD, boundary="dirichlet")
+    with pytest.raises(OptionError, match="element 'cloud' has consistent mass only, got mass='lumped'"):
+        laplace_beltrami(points, CLOUD, mass="lumped")
+    with pytest.raises(InputError, match=r"element 'cloud' needs a PointCloud or an \(n, 3\) array, got"):
+        laplace_beltrami(shapes.icosphere(2), CLOUD)
+    with pytest.raises(OptionError, match=r"element must be 'linear', .* or 'points', got 'cloud'"):
+        laplace_beltrami(points, "cloud")
+
+
+def test_matrices_that_are_not_finite_fail_the_shape() -> None:
+    with pytest.raises(ShapeError, match="stiffness and mass must be finite, got NaN or") as raised:
+        laplace_beltrami(shapes.tetrahedron(), WEIGHTLESS)
+    assert raised.value.stage == Stage.SPECTRUM
+
+
+def test_records_that_declare_what_does_not_exist() -> None:
+    with pytest.raises(OptionError, match="needs of an element must be 'mesh' or 'points', got 'voxels'"):
+        Element("x", linear, needs="voxels")  # type: ignore[arg-type]
+    with pytest.raises(OptionError, match=r"masses of an element must be one or both of .* got \(\)"):
+        Element("x", linear, masses=())

@@ -49,9 +49,3 @@ def test_a_fold_is_parted_in_one_layer_as_deep_as_it_goes(reach: int) -> None:
     legs, n = ndimage.label((block() & ~found)[3 : 3 + reach - DETOUR // 2])
     assert n == 2
     assert legs[0, 5, 6] != legs[0, -5, 6]
-
-
-def parts(layer: Mask) -> NDArray[np.intp]:
-    """Numbers of the pieces into which a layer parts the outer half of the fold."""
-    pieces, _ = ndimage.label((block() & ~layer)[3:11])
-    return np.asarray(pieces[pieces > 0])

@@ -8,11 +8,12 @@ import shapes
 from scipy.ndimage import gaussian_filter
 from skimage.measure import marching_cubes
 
+import pcretrieve as pr
 from pcretrieve.errors import DegenerateMeshError
 from pcretrieve.surface import defects
 from pcretrieve.surface.simplify import simplified
-from pcretrieve.surface.topology import components
-from pcretrieve.values import FloatArray, TriangleMesh
+from pcretrieve.surface.topology import compact, components
+from pcretrieve.values import FloatArray, Step, TriangleMesh
 
 
 def blob(seed: int, n: int = 24) -> TriangleMesh:
@@ -32,10 +33,6 @@ def smallest_angles(mesh: TriangleMesh) -> FloatArray:
     return smallest
 
 
-def same_topology(after: TriangleMesh, before: TriangleMesh) -> bool:
-    return defects(after) == defects(before) and after.euler_characteristic == before.euler_characteristic
-
-
 @pytest.mark.parametrize(
     "mesh", [shapes.icosphere(6), shapes.torus(160, 80), shapes.body(5)], ids=["sphere", "torus", "body"]
 )
@@ -49,23 +46,23 @@ def test_the_shape_stays(mesh: TriangleMesh) -> None:
     assert np.percentile(smallest_angles(small), 1) > 15
 
 
-@pytest.mark.parametrize("seed", range(3))
-def test_topology_stays_however_few_faces_are_wanted(seed: int) -> None:
-    mesh = blob(seed)
-    small = simplified(mesh, 50)
-    assert same_topology(small, mesh)
-    assert len(small.faces) < len(mesh.faces) / 10
-    piece, of_small = (np.bincount(components(each)) for each in (mesh, small))
-    assert len(piece) == len(of_small)
-    assert small.volume > 0.6 * mesh.volume > 0
+def test_topology_stays_however_few_faces_are_wanted() -> None:
+    for seed in range(3):
+        mesh = blob(seed)
+        small = simplified(mesh, 50)
+        assert defects(small) == defects(mesh)
+        assert small.euler_characteristic == mesh.euler_characteristic
+        assert len(small.faces) < len(mesh.faces) / 10
+        piece, of_small = (np.bincount(components(each)) for each in (mesh, small))
+        assert len(piece) == len(of_small)
+        assert small.volume > 0.6 * mesh.volume > 0
 
 
-@pytest.mark.parametrize("scale", [1e9])
-def test_the_unit_of_length_chooses_no_face(scale: float) -> None:
+def test_the_unit_of_length_chooses_no_face() -> None:
     mesh = blob(1)
-    small, scaled = simplified(mesh, 1000), simplified(TriangleMesh(scale * mesh.vertices, mesh.faces), 1000)
+    small, scaled = simplified(mesh, 1000), simplified(TriangleMesh(1e9 * mesh.vertices, mesh.faces), 1000)
     assert np.array_equal(small.faces, scaled.faces)
-    assert scaled.vertices == pytest.approx(scale * small.vertices, rel=1e-9)
+    assert scaled.vertices == pytest.approx(1e9 * small.vertices, rel=1e-9)
 
 
 @pytest.mark.parametrize(
@@ -86,14 +83,56 @@ def test_what_is_not_a_closed_manifold_is_refused(mesh: TriangleMesh, n_bad: int
         simplified(mesh, 2)
 
 
-def test_faces_that_disagree_are_refused() -> None:
+def test_faces_that_disagree_and_bodies_without_a_size_are_refused() -> None:
     mesh = shapes.icosphere(1)
     turned = np.concatenate([mesh.faces[:1, ::-1], mesh.faces[1:]])
     with pytest.raises(DegenerateMeshError, match=r"not at \d+ half-edges"):
         simplified(TriangleMesh(mesh.vertices, turned), 20)
-
-
-def test_a_body_without_a_size_is_refused() -> None:
-    mesh = shapes.icosphere(1)
     with pytest.raises(DegenerateMeshError, match="no face of 80 has an area"):
         simplified(TriangleMesh(np.ones_like(mesh.vertices), mesh.faces), 20)
+
+
+# --- meshes with too many faces -----------------------------------------------------------------------
+
+FINE = shapes.ellipsoid((1, 1.3, 1.9), subdivisions=5)  # 20,480 faces
+FEW = 5000
+
+
+def kept(mode: str, max_faces: int) -> pr.PipelineOptions:
+    return pr.PipelineOptions().changed(surface={"mode": mode, "max_faces": max_faces})
+
+
+def step_of(mesh: TriangleMesh) -> Step:
+    (step,) = (step for step in mesh.provenance if step.stage == "simplify")
+    return step
+
+
+@pytest.mark.parametrize("mode", ["auto", "keep"])
+def test_a_fine_mesh_has_the_signature_of_a_simplified_one(mode: str) -> None:
+    whole = pr.signature(FINE, kept(mode, len(FINE.faces)))
+    shape = pr.process(FINE, kept(mode, FEW))
+    assert FEW - 2 <= len(shape.mesh.faces) <= FEW
+    step = step_of(shape.mesh)
+    assert step.sizes == {"faces_in": len(FINE.faces), "faces": len(shape.mesh.faces), "euler": 2}
+    assert step.notes == ("simplified, because it had more faces than surface.max_faces",)
+    assert step in shape.provenance
+    assert shape.area == pytest.approx(FINE.area, rel=1e-3)
+    coarse = np.log(pr.signature(FINE, kept(mode, FEW)).values / whole.values)
+    assert 0 < np.abs(coarse).max() < 0.08
+
+
+def test_a_mesh_with_a_hole_stays_one() -> None:
+    half = compact(FINE.vertices, FINE.faces[FINE.vertices[FINE.faces][:, :, 2].mean(axis=1) > 0])
+    mesh = pr.reconstruct(half, kept("keep", FEW))
+    assert FEW - 100 < len(mesh.faces) <= FEW
+    assert step_of(mesh).sizes["euler"] == mesh.euler_characteristic == half.euler_characteristic == 1
+    assert mesh.area == pytest.approx(half.area, rel=2e-3)
+    full, coarse = (pr.signature(half, kept("keep", n)).values for n in (len(half.faces), FEW))
+    assert np.abs(np.log(coarse / full)).max() < 0.08
+
+
+def test_the_digest_of_the_default_does_not_name_max_faces() -> None:
+    default = pr.PipelineOptions()
+    assert kept("auto", FEW).digest != default.digest
+    older = default.model_dump(exclude={"surface": {"max_faces"}})
+    assert pr.PipelineOptions(**older).digest == default.digest == kept("auto", 200_000).digest

@@ -1,8 +1,9 @@
-"""The fTetWild server runs as long as its client, and ends with it, if either process is killed."""
+"""Remeshing: fTetWild's result is used only if it is the same body; its server ends with its client."""
 
 from __future__ import annotations
 
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -17,9 +18,10 @@ import pytest
 import shapes
 
 from pcretrieve.errors import RemeshError
-from pcretrieve.surface import tetwild
-from pcretrieve.surface.tetwild import tetrahedralize
-from pcretrieve.values import FloatArray, IntArray
+from pcretrieve.options import RemeshOptions
+from pcretrieve.surface import defects, tetwild
+from pcretrieve.surface.tetwild import boundary_faces, remesh, tetrahedralize
+from pcretrieve.values import FloatArray, IntArray, Step, TriangleMesh
 
 BALL = shapes.icosphere(2)
 
@@ -117,10 +119,8 @@ def client(tmp_path: Path) -> Iterator[subprocess.Popen[str]]:
 
 def test_a_ball_is_filled() -> None:
     nodes, tetrahedra = ball()
-    assert nodes.dtype == np.float64
-    assert tetrahedra.dtype == np.int32
-    assert nodes.shape[1:] == (3,)
-    assert tetrahedra.shape[1:] == (4,)
+    assert (nodes.dtype.name, tetrahedra.dtype.name) == ("float64", "int32")
+    assert (nodes.shape[1:], tetrahedra.shape[1:]) == ((3,), (4,))
     assert volume(nodes, tetrahedra) == pytest.approx(BALL.volume, rel=0.02)
 
 
@@ -191,3 +191,65 @@ def test_ctrl_c_in_the_terminal_is_not_its_business() -> None:
     os.kill(first, signal.SIGINT)
     assert len(ball()[1])
     assert own_server() == first
+
+
+# --- remeshing ----------------------------------------------------------------------------------------
+
+BODY = shapes.body(3)
+TETWILD = RemeshOptions(method="tetwild")
+KEPT = "kept the surface as it was before remeshing: "
+
+
+@pytest.mark.parametrize("mesh", [BODY, shapes.torus(24, 12)], ids=["body", "torus"])
+def test_a_closed_surface_keeps_topology_area_and_volume(mesh: TriangleMesh) -> None:
+    earlier = Step("surface", 1.0)
+    result = remesh(mesh.after(earlier), TETWILD)
+    assert not defects(result)
+    assert result.euler_characteristic == mesh.euler_characteristic
+    assert result.area == pytest.approx(mesh.area, rel=0.01)
+    assert result.volume == pytest.approx(mesh.volume, rel=0.01)
+    first, step = result.provenance
+    assert first == earlier
+    assert (step.stage, step.sizes) == ("remesh", {"faces_in": len(mesh.faces), "faces": len(result.faces)})
+    assert step.seconds > 0
+    assert not any(note.startswith(KEPT) for note in step.notes)
+
+
+@pytest.mark.parametrize(
+    ("mesh", "options", "why"),
+    [
+        (BODY, {"timeout": 1e-3}, r"fTetWild did not finish within 0\.001 s and was stopped"),
+        # For a body that is oriented inwards the result is almost empty, or oriented outwards.
+        (TriangleMesh(BODY.vertices, BODY.faces[:, ::-1]), {}, r"fTetWild gave no|it changed the"),
+    ],
+    ids=["no time", "inside out"],
+)
+def test_an_answer_that_cannot_be_used_is_refused_and_said_so(
+    mesh: TriangleMesh, options: dict[str, float], why: str
+) -> None:
+    result = remesh(mesh, TETWILD.model_copy(update=options))
+    assert (result.vertices == mesh.vertices).all() and (result.faces == mesh.faces).all()
+    (note,) = result.provenance[-1].notes
+    assert note.startswith(KEPT)
+    assert re.match(why, note.removeprefix(KEPT)), note
+
+
+def test_without_an_answer_a_surface_with_holes_is_an_error() -> None:
+    pricked = TriangleMesh(BODY.vertices, BODY.faces[1:])
+    message = (
+        r"the surface has defects \(3 boundary edges\) and could not be remeshed: fTetWild did not finish "
+        r"within 0\.001 s and was stopped"
+    )
+    with pytest.raises(RemeshError, match=message):
+        remesh(pricked, RemeshOptions(method="tetwild", timeout=1e-3))
+
+
+def test_the_boundary_of_tetrahedra_points_outwards_whatever_their_order() -> None:
+    # Two tetrahedra on one face, their corners in any order.
+    nodes = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1], [1, 1, 1]], dtype=float)
+    for rng in map(np.random.default_rng, range(4)):
+        both = np.array([rng.permutation([0, 1, 2, 3]), rng.permutation([1, 2, 3, 4])], dtype=np.int32)
+        surface = TriangleMesh(nodes, boundary_faces(nodes, both))
+        assert len(surface.faces) == 6
+        assert not defects(surface)
+        assert surface.volume == pytest.approx(1 / 6 + 1 / 3)

@@ -1,0 +1,123 @@
+"""Voxels: components, distances, the inside of a surface, and the outside of points."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+import shapes
+from scipy import ndimage
+
+from pcretrieve.points.grid import Grid, components, distances, interior
+from pcretrieve.points.outside import flood
+from pcretrieve.values import FloatArray, TriangleMesh
+
+CELL = 0.05
+
+
+@pytest.mark.parametrize("share", [0.0, 0.3, 1.0])
+def test_components_are_those_of_scipy_with_the_same_numbers(share: float) -> None:
+    for shape in ((1, 9, 30), (20, 31, 40)):
+        voxels = np.random.default_rng(0).random(shape) < share
+        for corners in (False, True):
+            labels, sizes = components(voxels, corners)
+            expected, n = ndimage.label(voxels, np.ones((3, 3, 3)) if corners else None)
+            np.testing.assert_array_equal(labels, expected)
+            np.testing.assert_array_equal(sizes, np.bincount(expected.ravel(), minlength=n + 1))
+
+
+@pytest.mark.parametrize("limit", [3.5, np.inf])
+def test_distances_are_exact_up_to_the_limit(limit: float) -> None:
+    for shape in ((1, 9, 20), (23, 31, 17)):
+        for share in (0.002, 0.1):
+            sources = np.random.default_rng(0).random(shape) < share
+            sources[0, 0, 0] = True
+            expected = np.minimum(ndimage.distance_transform_edt(~sources), limit).astype(np.float32)
+            np.testing.assert_array_equal(distances(sources, limit), expected)
+    assert (distances(np.zeros((3, 4, 5), dtype=bool), limit) == limit).all()  # without sources
+
+
+# --- the inside of a surface --------------------------------------------------------------------------
+
+
+def filled(mesh: TriangleMesh, around: TriangleMesh) -> tuple[np.ndarray, FloatArray]:
+    """The voxels inside a mesh, and the distance of each voxel from the origin."""
+    grid = Grid.around(around.vertices, CELL, margin=2)
+    return interior(mesh, grid), radii(grid)
+
+
+def radii(grid: Grid) -> FloatArray:
+    at = np.moveaxis(np.indices(grid.shape), 0, -1)
+    return np.asarray(np.linalg.norm(grid.centres(at), axis=-1))
+
+
+def test_voxels_of_a_ball_are_inside_whichever_way_it_is_oriented_and_those_of_a_cavity_are_not() -> None:
+    ball, inner = shapes.icosphere(4), shapes.icosphere(3, radius=0.6)
+    turned, cavity = (TriangleMesh(mesh.vertices, mesh.faces[:, ::-1]) for mesh in (ball, inner))
+    for mesh in (ball, turned):
+        inside, distance = filled(mesh, ball)
+        assert inside[distance < 0.99].all() and not inside[distance > 1].any()
+    inside, distance = filled(shapes.joined(ball, cavity), ball)
+    assert inside[(distance > 0.62) & (distance < 0.97)].all() and not inside[distance < 0.58].any()
+
+
+def test_lines_through_vertices_and_edges_are_counted_once() -> None:
+    """A cube whose vertices, edges and faces are on the lines of the grid."""
+    corners = np.array(np.meshgrid([0.0, 1.0], [0.0, 1.0], [0.0, 1.0], indexing="ij")).reshape(3, -1).T
+    faces = np.array(
+        [
+            *([0, 1, 3], [0, 3, 2], [4, 6, 7], [4, 7, 5], [0, 4, 5], [0, 5, 1]),
+            *([2, 3, 7], [2, 7, 6], [0, 2, 6], [0, 6, 4], [1, 5, 7], [1, 7, 3]),
+        ]
+    )
+    inside = interior(TriangleMesh(corners, faces), Grid(np.full(3, -0.5), 0.25, (9, 9, 9)))
+    assert inside[3:6, 3:6, 3:6].all(), "the voxels whose centres are inside, not on the surface"
+    inside[2:7, 2:7, 2:7] = False
+    assert not inside.any()
+
+
+def test_a_hole_is_closed_by_the_lines_along_two_other_axes() -> None:
+    ball = shapes.icosphere(4)
+    above = ball.vertices[ball.faces].mean(axis=1)[:, 2] > 0.95
+    inside, distance = filled(TriangleMesh(ball.vertices, ball.faces[~above]), ball)
+    assert above.any() and inside[distance < 0.9].all() and not inside[distance > 1].any()
+
+
+# --- the outside of points ----------------------------------------------------------------------------
+
+EDGE, GAP = 0.06, 0.2
+
+
+def shell(hole: float) -> FloatArray:
+    """Points on the unit ball without a cap, whose rim is a circle of radius `hole`."""
+    points = shapes.points_on(shapes.icosphere(4), 20_000)
+    return np.asarray(points[points[:, 2] < np.sqrt(1 - hole**2)])
+
+
+def test_the_flood_passes_holes_wider_than_the_gap_only() -> None:
+    middle = np.random.default_rng(0).uniform(-0.5, 0.5, (1000, 3))
+    for hole in (0.0, 0.6 * GAP):
+        outside = flood(shell(hole), cell=EDGE, gap=GAP)
+        assert not outside.reached[outside.grid.index(middle)].any()
+        # The space near the points is narrower than the walls, and is reached in the second pass.
+        assert outside.reached[radii(outside.grid) > 1 + 3 * EDGE].all()
+        assert not outside.reached[outside.distance <= 1.5].any()
+    outside = flood(shell(1.6 * GAP), cell=EDGE, gap=GAP)
+    assert outside.reached[outside.grid.index(np.zeros((1, 3)))].all()
+
+
+def test_depth_grows_and_direction_points_to_the_outside() -> None:
+    outside = flood(shell(0.0), cell=EDGE, gap=GAP)
+    rays = np.random.default_rng(1).standard_normal((500, 3))
+    rays /= np.linalg.norm(rays, axis=1, keepdims=True)
+    depths = [outside.depth_at(reach * rays) for reach in (1.3, 1.0, 0.9, 0.7)]
+    assert (depths[0] == 0).all()
+    assert all((deeper > shallower).all() for shallower, deeper in pairwise(depths))
+    # The depth is the distance to the outside, in voxels.
+    assert depths[3] - depths[1] == pytest.approx(0.3 / EDGE, abs=1)
+    for reach in (1.0, 0.8):
+        towards = outside.direction_at(reach * rays)
+        np.testing.assert_allclose(np.linalg.norm(towards, axis=1), 1)
+        assert np.einsum("ij,ij->i", towards, rays).min() > 0.7
+    assert (outside.direction_at(1.3 * rays) == 0).all()
