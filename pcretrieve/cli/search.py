@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Iterator
 from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -20,7 +21,8 @@ if TYPE_CHECKING:
     from pcretrieve.values import Failure
 
     # The name of each query, and its answer or its error.
-    Outcomes = Iterator[tuple[str, pr.Answer | ShapeError]]
+    Outcome = tuple[str, pr.Answer | ShapeError]
+    Outcomes = Iterator[Outcome]
 
 CSV_COLUMNS = ("query", "rank", "id", "label", "distance", "score", "path")
 
@@ -96,7 +98,7 @@ def query_command(
         found = iter(known)
     is_alone = len(queries) == 1 and not Path(queries[0]).is_dir()
     failures: list[ShapeError] = []
-    outcomes = _with_messages(found, failures, is_alone=is_alone)
+    outcomes = map(partial(_told, failures, is_alone), found)
     if as_json:
         how = _how(store, options, asked["matrix"])
         out.write_documents(_documents(outcomes, how), options=options)
@@ -109,19 +111,19 @@ def query_command(
     opt.exit_if(failures)
 
 
-def _with_messages(outcomes: Outcomes, failures: list[ShapeError], *, is_alone: bool) -> Outcomes:
-    """The outcomes; messages tell of failures and doubtful queries, and a failure alone is raised."""
-    for name, outcome in outcomes:
-        if isinstance(outcome, ShapeError):
-            if is_alone:
-                raise outcome
-            failures.append(outcome)
-            say(f"failed: {outcome}")
-        else:
-            verdict = getattr(outcome.query, "verdict", None)  # of a scan that the catalogue does not have
-            if verdict and not verdict.is_sound:
-                say(f"{shown_path(name)} is {verdict}")
-        yield name, outcome
+def _told(failures: list[ShapeError], is_alone: bool, found: Outcome) -> Outcome:
+    """An outcome; messages tell of failures and doubtful queries, and a failure alone is raised."""
+    name, outcome = found
+    if isinstance(outcome, ShapeError):
+        if is_alone:
+            raise outcome
+        failures.append(outcome)
+        say(f"failed: {outcome}")
+    else:
+        verdict = getattr(outcome.query, "verdict", None)  # of a scan that the catalogue does not have
+        if verdict and not verdict.is_sound:
+            say(f"{shown_path(name)} is {verdict}")
+    return found
 
 
 def _how(
