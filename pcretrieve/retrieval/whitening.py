@@ -266,21 +266,24 @@ def _pca(logs: FloatArray, shrinkage: Shrinkage) -> Fit:
     """All shapes, and their regularised covariance."""
     check_distinct("pca", logs)
     used = checked_shrinkage("pca", shrinkage)
-    covariance = covariance_of(logs)
-    covariance += used * np.linalg.eigvalsh(covariance)[-1] * np.eye(len(covariance))
-    _warn_of_noise(logs, inverse_square_root(covariance))
+    total = covariance_of(logs)
+    covariance = total + used * np.linalg.eigvalsh(total)[-1] * np.eye(len(total))
+    _warn_of_noise(logs, total, inverse_square_root(covariance))
     return Fit(logs, covariance, used, f"pca: the covariance of {len(logs)} shapes")
 
 
-def _warn_of_noise(logs: FloatArray, root: FloatArray) -> None:
-    """Warn if whitening by a covariance makes neighbours distant, as with bodies of one kind."""
+def _warn_of_noise(logs: FloatArray, total: FloatArray, root: FloatArray) -> None:
+    """Warn if whitening by `root` makes neighbours distant, as with bodies of one kind.
+
+    total: (L, L) float64, the covariance of the shapes.
+    """
     if len(logs) < LEAST_SHAPES:
         return
     pairs = neighbour_pairs(logs)
     if not len(pairs.weights):
         return
     difference = (logs[pairs.first] - logs[pairs.second]) @ root
-    share = (difference**2).sum(axis=1).mean() / 2 / (logs @ root).var(axis=0).sum()
+    share = (difference**2).sum(axis=1).mean() / 2 / np.trace(root @ total @ root)
     if share > PCA_NOISE:
         logger.warning(
             "PCA whitening is likely to make rankings worse here: after it, neighbouring shapes differ by "
