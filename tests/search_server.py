@@ -9,15 +9,16 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from http.client import HTTPConnection, HTTPResponse
 from pathlib import Path
 from typing import Any, NamedTuple
-from urllib.parse import urlsplit
+from urllib.parse import quote, urlsplit
 
 import shapes
+from processes import wait_for
 
-from pcretrieve import Catalogue, PipelineOptions, process
+from pcretrieve import Catalogue, PipelineOptions, process, write_mesh
 from pcretrieve.catalogue import Content, Record
 from pcretrieve.descriptors import describe
 from pcretrieve.values import Verdict
@@ -26,6 +27,11 @@ OPTIONS = PipelineOptions().changed(signature={"method": "r-bihdm", "n_values": 
 
 # A name that is no part of an address, and would be a tag of a page, as it is.
 NASTY = "a/<b> %2F?&#'\".."
+
+SECRETS = (
+    *(str(Path.cwd()), str(Path.home()) + "/", "/secret", "own folder"),
+    *("root:x:0", "Traceback", "site-packages"),
+)
 
 
 def write_eggs(path: Path) -> None:
@@ -44,6 +50,12 @@ def write_eggs(path: Path) -> None:
         store.put(replace(failed, error="ScanReadError", message="/secret/own folder/broken.off is empty"))
 
 
+def egg(folder: Path, width: float = 1.06) -> bytes:
+    """An egg that is not in the catalogue, which is `egg.off` in a folder too."""
+    write_mesh(shapes.ellipsoid((width, 1, 1.8), 3), folder / "egg.off")
+    return (folder / "egg.off").read_bytes()
+
+
 class Answer(NamedTuple):
     status: int
     headers: dict[str, str]
@@ -54,9 +66,13 @@ class Answer(NamedTuple):
         return json.loads(self.body)
 
 
-class Server(NamedTuple):
+@dataclass(frozen=True)
+class Server:
+    """A server, of which no answer may name a folder, a traceback, or what is in a file of the computer."""
+
     address: str
     process: subprocess.Popen[str]
+    secrets: tuple[str, ...]
 
     @property
     def port(self) -> int:
@@ -83,9 +99,25 @@ class Server(NamedTuple):
         try:
             connection.request(method, path, body, sent | (headers or {}))
             answer: HTTPResponse = connection.getresponse()
-            return Answer(answer.status, {k.lower(): v for k, v in answer.getheaders()}, answer.read())
+            found = Answer(answer.status, {k.lower(): v for k, v in answer.getheaders()}, answer.read())
         finally:
             connection.close()
+        told = found.body + str(found.headers).encode()
+        assert not [secret for secret in self.secrets if secret.encode() in told], told
+        return found
+
+    def send(self, name: str, body: bytes, **request: Any) -> Answer:
+        """The answer to an upload."""
+        return self.ask(f"/scans?name={quote(name, safe='')}", method="POST", body=body, **request)
+
+    def outcome(self, name: str, body: bytes, **request: Any) -> Any:
+        """The document of an uploaded scan, which was processed and inspected."""
+        begun = self.send(name, body, **request)
+        assert begun.status == 202, begun
+        address = begun.headers["location"]
+        assert wait_for(lambda: self.ask(address).json["inspection"] != "waiting")
+        assert b"<script>alert" not in self.ask(address.replace("scans", "scan")).body
+        return self.ask(address).json
 
 
 @contextmanager
@@ -102,6 +134,7 @@ def running(
     )
     command = [sys.executable, *program, "serve", "-c", str(catalogue), "--port", "0", *options]
     place = os.environ | ({} if temporary is None else {"TMPDIR": str(temporary)})
+    folders = [catalogue.parent] if temporary is None else [catalogue.parent, temporary]
     with subprocess.Popen(
         command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=place
     ) as process:
@@ -109,7 +142,7 @@ def running(
             assert process.stdout is not None
             address = process.stdout.readline().strip()
             assert address, process.stderr and process.stderr.read()
-            yield Server(address, process)
+            yield Server(address, process, SECRETS + tuple(map(str, folders)))
         finally:
             process.terminate()
             process.communicate(timeout=60)

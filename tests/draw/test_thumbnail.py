@@ -74,15 +74,19 @@ def pixels(png: bytes) -> NDArray[np.int64]:
 
 def on_white(png: bytes) -> FloatArray:
     """(size, size, 3) in [0, 1]."""
-    picture = pixels(png) / 255
-    alpha = picture[:, :, 3:]
-    return alpha * picture[:, :, :3] + (1 - alpha)
+    colours, alpha = np.split(pixels(png) / 255, [3], axis=2)
+    return alpha * colours + (1 - alpha)
+
+
+def rows_and_columns(png: bytes) -> list[NDArray[np.intp]]:
+    """The numbers of rows and of columns of a picture with something in them."""
+    seen = pixels(png)[:, :, 3] > 0
+    return [np.flatnonzero(seen.any(axis=axis)) for axis in (1, 0)]
 
 
 def test_the_longer_side_fills_the_frame_less_its_margin() -> None:
     for mesh in (pear(), horse(), person()):
-        seen = pixels(thumbnail(mesh, size=200))[:, :, 3] > 0
-        rows, columns = np.flatnonzero(seen.any(axis=1)), np.flatnonzero(seen.any(axis=0))
+        rows, columns = rows_and_columns(thumbnail(mesh, size=200))
         longer = max((rows, columns), key=np.ptp)
         assert abs(longer[0] - 200 * MARGIN) <= 1
         assert abs(longer[-1] + 1 - 200 * (1 - MARGIN)) <= 1
@@ -112,14 +116,12 @@ def test_what_is_up_can_be_said() -> None:
     np.testing.assert_allclose(axes @ axes.T, np.eye(3), atol=1e-12)
     assert np.linalg.det(axes) == pytest.approx(1)
     np.testing.assert_allclose(np.abs(axes[2] @ rotation.as_matrix()), [0, 0, 1], atol=1e-3)  # the broad side
-    lying = pixels(draw.thumbnail(mesh.vertices, mesh.faces, up=up))[:, :, 3] > 0
-    rows, columns = np.flatnonzero(lying.any(axis=1)), np.flatnonzero(lying.any(axis=0))
+    rows, columns = rows_and_columns(draw.thumbnail(mesh.vertices, mesh.faces, up=up))
     assert np.ptp(columns) > 1.5 * np.ptp(rows)
 
 
 def test_a_picture_says_how_it_was_drawn() -> None:
-    rotation = any_turn(3)
-    mesh = turned(person(), rotation)
+    mesh = turned(person(), any_turn(3))
     picture = thumbnail(mesh)
     direction = draw.direction_upwards(picture)
     assert direction is not None
@@ -133,22 +135,18 @@ def test_the_axis_along_which_most_bodies_stand() -> None:
     rng = np.random.default_rng(0)
     others = rng.normal(size=(40, 3))
     others /= np.linalg.norm(others, axis=1, keepdims=True)
-    common_axis = draw.common_axis
-    np.testing.assert_array_equal(common_axis(np.stack([*[near_z] * 30, *others])), z)
-    np.testing.assert_array_equal(common_axis(np.stack([-z] * 10)), -z)
-    assert common_axis(others) is None, "bodies in any direction"
-    assert common_axis(np.stack([z] * 20 + [y] * 10)) is None, "two axes"
-    assert common_axis(np.stack([z] * 9)) is None, "too few bodies"
-    assert common_axis(np.empty((0, 3))) is None
+    np.testing.assert_array_equal(draw.common_axis(np.stack([*[near_z] * 30, *others])), z)
+    np.testing.assert_array_equal(draw.common_axis(np.stack([-z] * 10)), -z)
+    two, few = np.stack([z] * 20 + [y] * 10), np.stack([z] * 9)
+    for directions in (others, two, few, np.empty((0, 3))):
+        assert draw.common_axis(directions) is None
 
 
 def test_a_scan_stands_on_the_ground_that_was_removed() -> None:
     mesh = person()
     assert mesh.up is None
-    sizes = {"up_x": 0.0, "up_y": 0.0, "up_z": -1.0}
-    scanned = replace(
-        mesh, provenance=(Step("read", 0.1), Step("crop", 0.1, sizes), Step("reconstruct", 0.1))
-    )
+    crop = Step("crop", 0.1, {"up_x": 0.0, "up_y": 0.0, "up_z": -1.0})
+    scanned = replace(mesh, provenance=(Step("read", 0.1), crop, Step("reconstruct", 0.1)))
     np.testing.assert_array_equal(scanned.up, [0, 0, -1])
 
 

@@ -8,17 +8,15 @@ import shutil
 import signal
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
-from urllib.parse import quote, urlencode
+from typing import TYPE_CHECKING
+from urllib.parse import urlencode
 
 import pytest
-import shapes
 from browsers import DESKTOP, PHONE, opened, origin, overflow, violations
 from click.testing import CliRunner
-from processes import wait_for
-from search_server import Server, running
+from search_server import Server, egg, running
 
-from pcretrieve import Catalogue, write_mesh
+from pcretrieve import Catalogue
 from pcretrieve.catalogue import find_defects
 from pcretrieve.cli.main import cli
 
@@ -26,21 +24,6 @@ if TYPE_CHECKING:
     from playwright.sync_api import Browser
 
 pytestmark = pytest.mark.slow
-
-
-def egg(width: float, folder: Path) -> bytes:
-    write_mesh(shapes.ellipsoid((width, 1, 1.8), 3), folder / "egg.off")
-    return (folder / "egg.off").read_bytes()
-
-
-def uploaded(server: Server, name: str, body: bytes) -> dict[str, Any]:
-    """The document of a job that has ended, and whose scan was inspected."""
-    begun = server.ask(f"/scans?name={quote(name)}", method="POST", body=body)
-    assert begun.status == 202, begun.body
-    address = begun.headers["location"]
-    assert wait_for(lambda: server.ask(address).json["inspection"] != "waiting")
-    document: dict[str, Any] = server.ask(address).json
-    return document
 
 
 def files_in(folder: Path) -> set[str]:
@@ -71,11 +54,14 @@ def keeper(collection: Path, folder: Path, tmp_path: Path) -> Iterator[Server]:
 
 
 def test_a_scan_is_inspected_beside_its_answer(server: Server, tmp_path: Path) -> None:
-    job = uploaded(server, "my <b>.off", egg(1.06, tmp_path))
+    job = server.outcome("my <b>.off", egg(tmp_path))
     assert (job["state"], job["inspection"], job["kept_as"]) == ("done", "done", None)
     page = server.ask(f"/scan/{job['job']}").body.decode()
     assert f'href="/scan/{job["job"]}/inspection"' in page
     assert "/keep" not in page, "this server keeps nothing"
+    refused = server.ask(f"/scans/{job['job']}/keep?id=mine", method="POST")
+    assert refused.status == 404
+    assert "this server keeps no scans: start it with --keep FOLDER" in refused.json["message"]
     picture = server.ask(f"/scans/{job['job']}/thumbnail.png")
     assert picture.headers["content-type"] == "image/png" and picture.body.startswith(b"\x89PNG")
     answer = server.ask(f"/scan/{job['job']}/inspection")
@@ -88,7 +74,7 @@ def test_a_scan_is_inspected_beside_its_answer(server: Server, tmp_path: Path) -
 
 
 def test_a_scan_that_fails_is_inspected_too(server: Server) -> None:
-    job = uploaded(server, "bad.off", b"OFF\n1 1 1\nnothing")
+    job = server.outcome("bad.off", b"OFF\n1 1 1\nnothing")
     assert (job["state"], job["inspection"]) == ("failed", "done")
     inspection = server.ask(f"/scan/{job['job']}/inspection").body.decode()
     assert "No signature, the read stage failed" in inspection
@@ -97,7 +83,7 @@ def test_a_scan_that_fails_is_inspected_too(server: Server) -> None:
 
 
 def test_inspections_are_accessible_and_fit(browser: Browser, server: Server, tmp_path: Path) -> None:
-    job = uploaded(server, "egg.off", egg(1.06, tmp_path))
+    job = server.outcome("egg.off", egg(tmp_path))
     for size, dark in ((DESKTOP, False), (PHONE, True)):
         with opened(browser, server.address, size, dark=dark) as page:
             for address in (f"/scan/{job['job']}", f"/scan/{job['job']}/inspection"):
@@ -117,7 +103,7 @@ def test_inspections_are_accessible_and_fit(browser: Browser, server: Server, tm
 def test_a_scan_is_kept_when_it_is_asked_for(
     browser: Browser, keeper: Server, collection: Path, folder: Path, tmp_path: Path
 ) -> None:
-    scan = egg(1.06, tmp_path)
+    scan = egg(tmp_path)
     with opened(browser, keeper.address) as page:
         page.locator("input[type=file]").set_input_files(tmp_path / "egg.off")
         page.get_by_role("link", name="Inspection of the scan").wait_for()
@@ -133,7 +119,7 @@ def test_a_scan_is_kept_when_it_is_asked_for(
         page.goto(f"{origin(keeper.address)}/?q=anna")
         page.get_by_text("1 shape", exact=True).wait_for()
     assert (folder / "anna sits.off").read_bytes() == scan
-    found = uploaded(keeper, "again.off", scan)
+    found = keeper.outcome("again.off", scan)
     nearest = keeper.ask(f"/scans/{found['job']}/similar?k=1").json["results"][0]
     assert (nearest["id"], nearest["label"]) == ("anna sits", "anna")
     assert nearest["distance"] == pytest.approx(0, abs=1e-6)
@@ -145,50 +131,27 @@ def test_a_scan_is_kept_when_it_is_asked_for(
 
 
 REFUSED: list[tuple[dict[str, str], str]] = [
-    ({"id": ""}, "a name must be letters"),
+    *(
+        ({"id": name}, "a name must be letters")
+        for name in ("", "../../evil", "/etc/passwd", ".hidden", "a*", "x" * 101, "a\0b")
+    ),
     ({}, "a name must be letters"),
-    ({"id": "../../evil"}, "a name must be letters"),
-    ({"id": "/etc/passwd"}, "a name must be letters"),
-    ({"id": ".hidden"}, "a name must be letters"),
-    ({"id": "a*"}, "a name must be letters"),
-    ({"id": "x" * 101}, "a name must be letters"),
-    ({"id": "a\0b"}, "a name must be letters"),
     ({"id": "Egg00"}, "there is a shape 'Egg00' already"),
     ({"id": "fine", "label": "a\nb"}, "a class must be"),
     ({"id": "fine", "label": "x" * 201}, "a class must be"),
 ]
 
 
-def test_names_and_classes_that_cannot_be(keeper: Server, folder: Path, tmp_path: Path) -> None:
-    job = uploaded(keeper, "egg.off", egg(1.06, tmp_path))
+def test_nobody_else_and_under_no_other_name_may_have_a_scan_kept(
+    keeper: Server, folder: Path, tmp_path: Path
+) -> None:
+    job = keeper.outcome("egg.off", egg(tmp_path))
     for fields, said in REFUSED:
         refused = keeper.ask(f"/scans/{job['job']}/keep?{urlencode(fields)}", method="POST")
         assert refused.status == 400, (fields, refused.body)
         assert said in refused.json["message"]
         by_form = keeper.ask(f"/scan/{job['job']}/keep", method="POST", body=urlencode(fields).encode())
         assert by_form.status == 400 and b"<main" in by_form.body, fields
-    assert files_in(folder) == set()
-    assert keeper.ask("/shapes").json["total"] == 13
-    assert keeper.ask(f"/scans/{job['job']}").json["kept_as"] is None
-
-
-def test_what_the_catalogue_has_or_cannot_have_is_not_kept(
-    keeper: Server, folder: Path, tmp_path: Path
-) -> None:
-    scan = egg(1.06, tmp_path)
-    first, second = uploaded(keeper, "a.off", scan), uploaded(keeper, "b.off", scan)
-    assert keeper.ask(f"/scans/{first['job']}/keep?id=one", method="POST").status == 201
-    refused = keeper.ask(f"/scans/{second['job']}/keep?id=two", method="POST")
-    assert (refused.status, refused.json["message"]) == (400, "the catalogue has this scan already, as 'one'")
-    bad = uploaded(keeper, "bad.off", b"OFF\n1 1 1\nnothing")
-    assert keeper.ask(f"/scans/{bad['job']}/keep?id=three", method="POST").status == 404
-    assert keeper.ask("/scans/none/keep?id=four", method="POST").status == 404
-    assert files_in(folder) == {"one.off"}
-    assert keeper.ask("/shapes?q=one").json["total"] == 1
-
-
-def test_nobody_else_may_have_a_scan_kept(keeper: Server, folder: Path, tmp_path: Path) -> None:
-    job = uploaded(keeper, "egg.off", egg(1.06, tmp_path))
     cookie = keeper.ask(f"/?token={keeper.token}", bearer=False).headers["set-cookie"].split(";")[0]
     for headers in ({}, {"Cookie": cookie}, {"Cookie": cookie, "Origin": "http://evil.example"}):
         for address in (f"/scans/{job['job']}/keep?id=evil", f"/scan/{job['job']}/keep"):
@@ -197,13 +160,27 @@ def test_nobody_else_may_have_a_scan_kept(keeper: Server, folder: Path, tmp_path
     long = keeper.ask(f"/scan/{job['job']}/keep", method="POST", body=b"id=" + b"x" * 20_000)
     assert long.status == 413
     assert files_in(folder) == set()
+    assert keeper.ask("/shapes").json["total"] == 13
+    assert keeper.ask(f"/scans/{job['job']}").json["kept_as"] is None
 
 
-def test_a_server_keeps_nothing_unless_it_was_told(server: Server, tmp_path: Path) -> None:
-    job = uploaded(server, "egg.off", egg(1.06, tmp_path))
-    refused = server.ask(f"/scans/{job['job']}/keep?id=mine", method="POST")
-    assert refused.status == 404
-    assert "this server keeps no scans: start it with --keep FOLDER" in refused.json["message"]
+def test_what_the_catalogue_has_or_cannot_have_is_not_kept_and_ends_with_the_server(
+    keeper: Server, folder: Path, tmp_path: Path
+) -> None:
+    scan = egg(tmp_path)
+    first, second = keeper.outcome("a.off", scan), keeper.outcome("b.off", scan)
+    assert keeper.ask(f"/scans/{first['job']}/keep?id=one", method="POST").status == 201
+    refused = keeper.ask(f"/scans/{second['job']}/keep?id=two", method="POST")
+    assert (refused.status, refused.json["message"]) == (400, "the catalogue has this scan already, as 'one'")
+    bad = keeper.outcome("bad.off", b"OFF\n1 1 1\nnothing")
+    assert keeper.ask(f"/scans/{bad['job']}/keep?id=three", method="POST").status == 404
+    assert keeper.ask("/scans/none/keep?id=four", method="POST").status == 404
+    assert files_in(folder) == {"one.off"}
+    assert keeper.ask("/shapes?q=one").json["total"] == 1
+    assert "scan.off" in files_in(tmp_path / "temporary"), "until it is too late to ask for it"
+    keeper.process.terminate()
+    keeper.process.wait(60)
+    assert files_in(tmp_path / "temporary") == set()
 
 
 def test_a_server_that_only_reads_cannot_keep(eggs: Path, tmp_path: Path) -> None:
@@ -212,22 +189,11 @@ def test_a_server_that_only_reads_cannot_keep(eggs: Path, tmp_path: Path) -> Non
     assert (done.exit_code, "choose one of --read-only and --keep" in done.stderr) == (2, True)
 
 
-# --- temporary files --------------------------------------------------------------------------------------
-
-
-def test_scans_are_removed_with_the_server(keeper: Server, tmp_path: Path) -> None:
-    uploaded(keeper, "egg.off", egg(1.06, tmp_path))
-    assert "scan.off" in files_in(tmp_path / "temporary"), "until it is too late to ask for it"
-    keeper.process.terminate()
-    keeper.process.wait(60)
-    assert files_in(tmp_path / "temporary") == set()
-
-
 def test_what_a_killed_server_leaves_is_removed_by_the_next(collection: Path, tmp_path: Path) -> None:
     temporary = tmp_path / "temporary"
     temporary.mkdir()
     with running(collection, "--keep", str(tmp_path), temporary=temporary) as server:
-        uploaded(server, "egg.off", egg(1.06, tmp_path))
+        server.outcome("egg.off", egg(tmp_path))
         assert "scan.off" in files_in(temporary)
         os.kill(server.process.pid, signal.SIGKILL)
         server.process.wait(60)
