@@ -5,30 +5,20 @@ and the verdict on the whole shape. The checks take a few hundredths of a second
 checked; an inspection adds rescans, and shows the findings.
 """
 
-from pcretrieve.checks.findings import Findings, findings_of
-from pcretrieve.checks.grading import NEXT_BODY, OUTCOMES, Check, Limits, Outcome, graded, verdict_of
+from pcretrieve.checks.findings import findings_of
+from pcretrieve.checks.grading import NEXT_BODY, OUTCOMES, Check, verdict_of
 from pcretrieve.checks.inspection import Inspection, NextBody, failure_check, rescan_check, spread_check
-from pcretrieve.checks.points import normal_checks, point_checks
-from pcretrieve.checks.surfaces import base_check, fit_checks, marks_check, mesh_check, surface_checks
+from pcretrieve.checks.surfaces import fit_checks, surface_checks
 
 __all__ = [
     "NEXT_BODY",
     "OUTCOMES",
     "Check",
-    "Findings",
     "Inspection",
-    "Limits",
     "NextBody",
-    "Outcome",
-    "base_check",
     "failure_check",
     "findings_of",
     "fit_checks",
-    "graded",
-    "marks_check",
-    "mesh_check",
-    "normal_checks",
-    "point_checks",
     "rescan_check",
     "spread_check",
     "surface_checks",

@@ -9,7 +9,6 @@ from typing import Literal
 
 import numpy as np
 
-from pcretrieve.errors import InputError
 from pcretrieve.values import Judgement, Verdict
 
 Outcome = Literal["passed", "look", "failed"]
@@ -44,13 +43,6 @@ class Check:
     shown: str
     words: str
     error: float = 0.0
-
-    def __post_init__(self) -> None:
-        if self.verdict not in OUTCOMES:
-            raise InputError(f"a verdict must be one of {', '.join(OUTCOMES)}, got {self.verdict!r}")
-        for name, number in (("value", self.value or 0), ("error", self.error)):
-            if not math.isfinite(number):
-                raise InputError(f"the {name} of a check must be finite, got {number} for {self.name!r}")
 
 
 def graded(

@@ -4,13 +4,12 @@ In come files, folders, globs and manifests; out comes one row of a catalogue fo
 executor, by default in isolated worker processes.
 """
 
-from pcretrieve.ingestion.arrivals import watch
 from pcretrieve.ingestion.cluster import DaskExecutor
 from pcretrieve.ingestion.pool import Executor, TemporaryFolder, alone, in_processes
 from pcretrieve.ingestion.problems import report_problem
 from pcretrieve.ingestion.progress import BatchStatus, status
 from pcretrieve.ingestion.recomputing import Check, check
-from pcretrieve.ingestion.run import Summary, ingest, retry
+from pcretrieve.ingestion.run import Summary, ingest, retry, watch
 from pcretrieve.ingestion.scans import map_scans
 
 __all__ = [

@@ -12,6 +12,7 @@ import re
 import stat
 from collections import Counter
 from collections.abc import Collection, Iterable, Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 
 from pcretrieve.errors import InputError, OptionError, ScanReadError
@@ -210,24 +211,17 @@ def _files_below(path: Path) -> list[Path]:
 
 def _scans_in(path: Path) -> tuple[Path, ...]:
     """The scans in a file of several, or the file itself; one at a URL is not copied to be looked into."""
-    if url_of(path) is not None:
-        return (path,)
-    try:
-        return members_of(path) or (path,)
-    except (ScanReadError, OSError):
-        return (path,)  # reading it as a scan will report why
+    with suppress(ScanReadError, OSError):  # reading it as a scan will report why
+        return (() if url_of(path) else members_of(path)) or (path,)
+    return (path,)
 
 
 def _parts(paths: Iterable[Path]) -> set[Path]:
     """The files that belong to scans, by their absolute names."""
     parts: set[Path] = set()
-    for path in paths:
-        if url_of(path) is not None:
-            continue
-        try:
+    for path in (path for path in paths if url_of(path) is None):
+        with suppress(ScanReadError, OSError):  # reading the file as a scan will report the error
             parts.update(_absolute(part.path) for part in parts_of(path))
-        except (ScanReadError, OSError):
-            continue  # reading the file as a scan will report the error
     return parts
 
 
@@ -241,15 +235,12 @@ def _absolute(path: Path) -> Path:
 def _shard_key(scan: Path) -> bytes:
     """A hash of the size and the ends of a file; of the path, if the file cannot be read."""
     file, name = split_member(scan)
-    digest = hashlib.sha256(os.fsencode(name or ""))
-    try:
+    with suppress(OSError, ValueError):
         status = file.stat()
-        if not stat.S_ISREG(status.st_mode):  # reading a pipe would wait
-            raise OSError
-        with file.open("rb") as opened:
-            digest.update(b"%d" % status.st_size + opened.read(END))
-            opened.seek(max(status.st_size - END, 0))
-            digest.update(opened.read(END))
-    except (OSError, ValueError):
-        digest = hashlib.sha256(os.fsencode(scan))
-    return digest.digest()
+        if stat.S_ISREG(status.st_mode):  # reading a pipe would wait
+            with file.open("rb") as opened:
+                first = opened.read(END)
+                opened.seek(max(status.st_size - END, 0))
+                ends = b"%d" % status.st_size + first + opened.read(END)
+            return hashlib.sha256(os.fsencode(name or "") + ends).digest()
+    return hashlib.sha256(os.fsencode(scan)).digest()

@@ -119,12 +119,10 @@ def status(catalogue: CatalogueLike) -> BatchStatus:
         counts = _read(_path(store.location))
         kinds = Counter({f"{error} in {stage}": n for (stage, error), n in store.failures().items()})
         n_shapes = len(store)
-    n_finished = counts.n_done + counts.n_failed
-    seconds = (time.time() if counts.state == "running" else counts.updated) - counts.started
+    n_finished, is_running = counts.n_done + counts.n_failed, counts.state == "running"
+    seconds = (time.time() if is_running else counts.updated) - counts.started
     rate = n_finished / seconds if seconds > 0 else 0.0
-    left = None
-    if counts.state == "running" and rate > 0:
-        left = (counts.n_scans - counts.n_skipped - n_finished) / rate
+    n_left = counts.n_scans - counts.n_skipped - n_finished
     total = sum(counts.stages.values())
     return BatchStatus(
         counts.state,
@@ -135,7 +133,7 @@ def status(catalogue: CatalogueLike) -> BatchStatus:
         counts.n_failed,
         counts.n_skipped,
         scans_per_second=rate,
-        seconds_left=left,
+        seconds_left=n_left / rate if is_running and rate > 0 else None,
         stages={name: share / total for name, share in counts.stages.items()} if total else {},
         failures=dict(kinds.most_common()),
         n_shapes=n_shapes,

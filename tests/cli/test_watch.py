@@ -14,7 +14,7 @@ from processes import living, wait_for
 
 from pcretrieve import Catalogue, CatalogueError, InputError
 from pcretrieve.formats import write_mesh
-from pcretrieve.ingestion.arrivals import Arrivals
+from pcretrieve.ingestion.run import Arrivals
 
 PATIENCE = 60  # seconds
 

@@ -166,7 +166,7 @@ def test_content_that_cannot_be_had(folder: Path) -> None:
         ("again.conf", r"again\.conf: each view must be named once, lines 1 and 3 name deep/\.\./a\.ply"),
         ("linked.conf", r"linked\.conf: each view must be named once, lines 1 and 2 name alias\.ply"),
         ("many.conf", r"many\.conf: a \.conf file must name at most 1000 views"),
-        ("long.conf", r"long\.conf: a \.conf file must have at most 4096000 bytes, got 4096001"),
+        ("long.conf", r"long\.conf: a \.conf file must have at most 4096000 bytes"),
     ):
         with pytest.raises(ScanReadError, match=words):
             content_hash(folder / name)
