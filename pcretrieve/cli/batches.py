@@ -1,4 +1,4 @@
-"""Commands that fill a catalogue with scans: ingest, status, retry, watch."""
+"""Commands that fill a catalogue with scans: ingest, status, retry, watch; and the demo of all."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import sys
 from dataclasses import asdict
 from functools import partial
 from pathlib import Path
-from shlex import quote
+from shlex import join, quote
 from typing import Any, NoReturn
 
 import click
@@ -16,6 +16,7 @@ from pcretrieve.cli import options as opt
 from pcretrieve.cli import output as out
 from pcretrieve.cli.messages import (
     Progress,
+    bar,
     duration,
     failure_line,
     log_to,
@@ -24,7 +25,7 @@ from pcretrieve.cli.messages import (
     stop_waiting,
     without_password,
 )
-from pcretrieve.errors import CatalogueError
+from pcretrieve.errors import CatalogueError, InputError
 
 # Largest number of names in the message about names in a label file that match no scan.
 QUOTED = 5
@@ -90,18 +91,11 @@ QUOTED = 5
 def ingest_command(
     paths: tuple[str, ...],
     catalogue: str,
-    config: Path | None,
-    surface: str | None,
-    unit: str | None,
-    no_meshes: bool,
-    scheduler: str | None,
-    scheduler_file: Path | None,
-    cluster: str | None,
     progress: str,
     quiet: bool,
     log_file: Path | None,
     as_json: bool,
-    **chosen: Any,
+    **values: Any,
 ) -> None:
     """Process scans, and store them in a catalogue.
 
@@ -116,36 +110,35 @@ def ingest_command(
         raise click.UsageError("name at least one scan")
     if log_file is not None:
         log_to(log_file)
-    options = _new_options(config, surface, unit, no_meshes)
-    if scheduler or scheduler_file or cluster:
-        chosen["executor"] = pr.DaskExecutor(scheduler, scheduler_file, cluster == "local")
+    options = _new_options(values)
+    if cluster := opt.taken(values, "scheduler", "scheduler_file", "cluster"):
+        is_local = cluster.pop("cluster", None) == "local"
+        values["executor"] = pr.DaskExecutor(**cluster, local=is_local)
     with Progress("ingest", "none" if quiet and progress == "bar" else progress) as shown:
         try:
-            chosen |= {"on_start": shown.start, "on_shape": partial(_advance, shown)}
-            summary = pr.ingest(paths, catalogue, options=options, **chosen)
+            values |= {"on_start": shown.start, "on_shape": partial(_advance, shown)}
+            summary = pr.ingest(paths, catalogue, options=options, **values)
         except (KeyboardInterrupt, SystemExit) as stop:
             shown.__exit__()
             _stopped(stop, catalogue)
     if not quiet:
-        _say_summary(summary, catalogue, chosen["labels"])
+        _say_summary(summary, catalogue, values["labels"])
     if as_json:
-        if not chosen["dry_run"]:
+        if not values["dry_run"]:
             with pr.Catalogue(catalogue) as store:
                 options = store.options
         out.write_document(_summary_document(summary, catalogue), options=options)
     opt.exit_if(_failures(summary))
 
 
-def _new_options(
-    config: Path | None, surface: str | None, unit: str | None, no_meshes: bool = False
-) -> pr.PipelineOptions | None:
+def _new_options(values: dict[str, Any]) -> pr.PipelineOptions | None:
     """The options of a new catalogue; None for those of the catalogue, if nothing was given."""
-    if not (config or surface or unit or no_meshes):
-        return None
-    options = opt.load_options(config, surface, unit)
-    if no_meshes:
+    without_meshes = values.pop("no_meshes", False)
+    is_given = without_meshes or any(values[name] for name in ("config", "surface", "unit"))
+    options = opt.load_options(values)
+    if without_meshes:
         options = options.changed(catalogue={"keep": set(options.catalogue.keep) - {"meshes"}})
-    return options
+    return options if is_given else None
 
 
 def _stopped(stop: BaseException, catalogue: str) -> NoReturn:
@@ -217,9 +210,7 @@ def retry_command(catalogue: str, progress: str, as_json: bool, **chosen: Any) -
 )
 @opt.workers_option
 @opt.limit_options
-def watch_command(
-    folder: Path, catalogue: str, config: Path | None, surface: str | None, unit: str | None, **chosen: Any
-) -> None:
+def watch_command(folder: Path, catalogue: str, **values: Any) -> None:
     """Ingest scans as soon as they arrive in a folder, until Ctrl-C.
 
     Scans that are there already come first. A file is read when it has stopped growing.
@@ -228,10 +219,10 @@ def watch_command(
     pcretrieve watch scanner/ --catalogue bodies.sqlite
     """
     stop_waiting()
-    options = _new_options(config, surface, unit)
+    options = _new_options(values)
     try:
-        say(f"watching {folder} every {chosen['interval']:g} s, until Ctrl-C")
-        for summary in pr.watch(folder, catalogue, options=options, on_shape=_tell, **chosen):
+        say(f"watching {folder} every {values['interval']:g} s, until Ctrl-C")
+        for summary in pr.watch(folder, catalogue, options=options, on_shape=_tell, **values):
             _say_summary(summary, catalogue)
     except (KeyboardInterrupt, SystemExit) as stop:
         _stopped(stop, catalogue)
@@ -261,7 +252,7 @@ def status_command(catalogue: str, as_json: bool) -> None:
         out.write_words(line)
     out.write_words(f"{catalogue}: {found.n_shapes} shapes, {sum(found.failures.values())} failed")
     rows = ((str(number), kind) for kind, number in found.failures.items())
-    out.write_table((out.Column("NUMBER", "number"), out.Column("FAILURE")), rows)
+    out.write_table({"NUMBER": "number", "FAILURE": "text"}, rows)
 
 
 def _progress_lines(found: pr.BatchStatus) -> list[str]:
@@ -333,3 +324,56 @@ def _held(summary: pr.Summary) -> list[pr.Record]:
 
 def _doubts(summary: pr.Summary) -> list[pr.Record]:
     return [record for record in (*summary.done, *summary.held) if record.is_doubtful]
+
+
+@opt.command("demo")
+@click.argument(
+    "folder", type=click.Path(path_type=Path), default=Path("pcretrieve-demo"), metavar="[FOLDER]"
+)
+def demo_command(folder: Path) -> None:
+    """Try everything on simulated scans: ingest, query, evaluate, and a page of the results.
+
+    The demo takes one or two minutes, and prints each command before it runs. All files are in FOLDER
+    (pcretrieve-demo by default): scans of people, an animal and a hand, their catalogue, and the page.
+
+    \b
+    pcretrieve demo
+    pcretrieve demo elsewhere
+    """
+    from pcretrieve.simulation.samples import DEMO_QUERY, DEMO_SAMPLES, write_samples
+
+    scans, catalogue, page = folder / "scans", folder / "bodies.sqlite", folder / "index.html"
+    n = len(DEMO_SAMPLES)
+    say(f"Simulating {n} scans of five bodies in {scans}, and a new scan of one of the bodies.")
+    stop_waiting()
+    with bar(total=n + 1, unit="scan", desc="simulate", disable=None, leave=False) as shown:
+        try:
+            write_samples(scans, DEMO_SAMPLES, on_scan=lambda path: shown.update())
+            (new,) = write_samples(folder / "new", [DEMO_QUERY], on_scan=lambda path: shown.update())
+        except OSError as error:
+            raise InputError(f"cannot write scans into {folder}: {error.strerror}; name another") from error
+
+    steps: dict[str, tuple[str | Path, ...]] = {
+        "Of each scan, a surface, a spectrum and a signature are computed and stored in a catalogue.": (
+            *("ingest", scans, "--labels", scans / "labels.csv", "--catalogue", catalogue),
+        ),
+        "The scans most similar to the new scan, nearest first, and the class that they vote for.": (
+            *("query", "--catalogue", catalogue, folder / "new" / new, "-k", "5"),
+        ),
+        "How well scans of one body find each other: each scan is a query, and the best score is 1.": (
+            *("evaluate", "--catalogue", catalogue),
+        ),
+        "The results with pictures, on an HTML page.": (
+            *("report", "--catalogue", catalogue, "--output", page),
+        ),
+    }
+    for purpose, words in steps.items():
+        arguments = [str(word) for word in words]
+        for line in ("", purpose, f"$ {join(['pcretrieve', *arguments])}"):
+            say(line)
+        context = click.get_current_context()
+        command = context.find_root().command
+        if code := command.main(arguments, prog_name="pcretrieve", standalone_mode=False):
+            context.exit(code)
+    say("")
+    say(f"Open this page in a browser: {page.resolve().as_uri()}")

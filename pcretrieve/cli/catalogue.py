@@ -18,10 +18,10 @@ from pcretrieve.errors import InputError
 
 MIB = 1 << 20
 
-ID, CLASS, FILE = out.Column("ID"), out.Column("CLASS"), out.Column("FILE", "path")
-ALL = (ID, out.Column("VERDICT"), CLASS, out.Column("EULER", "number"), out.Column("SECONDS", "number"), FILE)
-FAILED = (ID, out.Column("STAGE"), CLASS, FILE, out.Column("REASON", "words"))
-DOUBTFUL = (ID, out.Column("VERDICT"), CLASS, FILE, out.Column("REASON", "words"))
+START = {"ID": "text", "VERDICT": "text", "CLASS": "text"}
+ALL = START | {"EULER": "number", "SECONDS": "number", "FILE": "path"}
+DOUBTFUL = START | {"FILE": "path", "REASON": "words"}
+FAILED = {"STAGE" if name == "VERDICT" else name: kind for name, kind in DOUBTFUL.items()}
 
 
 @opt.command("list")
@@ -112,7 +112,7 @@ def show_command(shape_id: str, catalogue: str, as_json: bool) -> None:
     rows = [(name, str(value)) for name, value in shown.items() if value is not None]
     parts = ", ".join(f"{name} {size / 1000:.1f}" for name, size in stored.items() if size)
     rows.append(("stored", f"{sum(stored.values()) / 1000:.1f} kB" + (f": {parts}" if parts else "")))
-    out.write_table((out.Column(""), out.Column("", "words")), rows)
+    out.write_table({"": "text", " ": "words"}, rows)
     out.print_text("")
     out.write_steps(record.steps)
 
@@ -213,7 +213,7 @@ def check_command(catalogue: str, sample: int, repair: bool, as_json: bool) -> N
 
 def _write_check(catalogue: str, result: pr.Check) -> None:
     out.write_table(
-        (out.Column("SHAPE"), out.Column("DEFECT", "words"), out.Column("REPAIR", "words")),
+        {"SHAPE": "text", "DEFECT": "words", "REPAIR": "words"},
         ((one.shape_id or "-", one.message, one.repair or "not repaired") for one in result.defects),
     )
     if any(defect.kind == "database" and not defect.repair for defect in result.defects):
@@ -283,7 +283,8 @@ def export_command(
     if (output is None) == (to is None) or (to and signatures):
         raise click.UsageError("give either --output, or --to for signatures in a database")
     if of_meshes := not signatures and to is None:
-        opt.refuse(comparison, "meshes have no such options, which are for --signatures and --to")
+        reason = "meshes have no such options, which are for --signatures and --to"
+        opt.refuse(comparison, reason, *opt.COMPARISON)
     files: list[Path] = []
     with opt.opened(catalogue, comparison, any_numbers=of_meshes) as (store, options):
         if to is not None:

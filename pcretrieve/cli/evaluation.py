@@ -16,13 +16,10 @@ from pcretrieve.cli import output as out
 from pcretrieve.cli.messages import say
 
 # The columns of rows of measures, and of what they are the measures of.
-HEADINGS = ("NN", "FT", "ST", "E", "DCG", "mAP")
-COLUMNS = (*(out.Column(name, "number") for name in HEADINGS), out.Column("", "words"))
-MEASURES = tuple(name.lower() for name in HEADINGS)
-PRECISIONS = (
-    *(out.Column("ID"), out.Column("CLASS")),
-    *(out.Column(name, "number") for name in ("A", "B")),
-)
+COLUMNS = dict.fromkeys(("NN", "FT", "ST", "E", "DCG", "mAP"), "number")
+MEASURES = tuple(name.lower() for name in COLUMNS)
+COLUMNS |= {"": "words"}
+PRECISIONS = {"ID": "text", "CLASS": "text", "A": "number", "B": "number"}
 
 # The options of `compare` that are for both results.
 FOR_BOTH = ("labels", "n_changes", "as_json")
@@ -51,12 +48,11 @@ FOR_BOTH = ("labels", "n_changes", "as_json")
 def evaluate_command(
     catalogue: str | None,
     labels: str | None,
-    matrix: Path | None,
     sound_only: bool,
     per_class: bool,
     folder: Path | None,
     as_json: bool,
-    **comparison: Any,
+    **values: Any,
 ) -> None:
     """Measure how well scans of one class find each other.
 
@@ -70,23 +66,21 @@ def evaluate_command(
     pcretrieve evaluate --catalogue shrec11.sqlite --labels shrec11
     pcretrieve evaluate --matrix run1.txt --labels shrec11.cla
     """
-    reranks = {name: value for name, value in comparison.items() if name != "rerank"}
-    distances = opt.read_distances(matrix, reranks)
+    file, rerank = values["matrix"], values["rerank"]
+    matrix = opt.read_distances(values, *(name for name in opt.COMPARISON if name != "rerank"))
     options = None
-    if catalogue is None and (distances is None or labels is None):
+    if catalogue is None and (matrix is None or labels is None):
         catalogue = os.environ.get(opt.CATALOGUE_VARIABLE) or None
     if catalogue is not None:
-        with opt.opened(catalogue, comparison) as (store, options):
-            found = pr.evaluate(
-                store, options=options, labels=labels, matrix=distances, sound_only=sound_only
-            )
-    elif distances is None or labels is None:
+        with opt.opened(catalogue, values) as (store, options):
+            found = pr.evaluate(store, options=options, labels=labels, matrix=matrix, sound_only=sound_only)
+    elif matrix is None or labels is None:
         raise click.UsageError("give --catalogue, or both --matrix and --labels")
     elif sound_only:
         raise click.UsageError("--sound-only needs --catalogue, which has the verdicts")
     else:
-        found = pr.evaluate(distances, options=opt.changes(comparison), labels=labels)
-    how = _how(found, options, matrix, comparison["rerank"])
+        found = pr.evaluate(matrix, options=opt.changes(values), labels=labels)
+    how = _how(found, options, file, rerank)
     if folder is not None:
         found.write(folder)
         say(f"queries, classes, confusion and precision_recall: .csv files in {folder}")
@@ -226,14 +220,12 @@ def compare_command(
     say(f"{len(found.changes)} queries in both{left}")
 
 
-def _options_of(comparison: dict[str, tuple[Any, ...]], number: int) -> dict[str, dict[str, Any]]:
+def _options_of(values: dict[str, tuple[Any, ...]], number: int) -> dict[str, dict[str, Any]]:
     """What the flags change for one of both results, over the options of its catalogue."""
-    chosen = {}
-    for name, values in comparison.items():
-        if len(values) > 2:
-            raise click.UsageError(f"--{name.replace('_', '-')} is given at most twice, got {len(values)}")
-        chosen[name] = values[min(number, len(values) - 1)] if values else None
-    return opt.changes(chosen)
+    for name, given in values.items():
+        if len(given) > 2:
+            raise click.UsageError(f"--{name.replace('_', '-')} is given at most twice, got {len(given)}")
+    return opt.changes({name: (*given, *given[-1:], None, None)[number] for name, given in values.items()})
 
 
 def _comparison_document(found: pr.Comparison, n_changes: int) -> dict[str, object]:

@@ -47,10 +47,7 @@ def inspect_command(
     png: Path | None,
     rescans: int,
     catalogue: str | None,
-    config: Path | None,
-    surface: str | None,
     as_json: bool,
-    timeout: float,
     **run: Any,
 ) -> None:
     """Show what is wrong with a scan, and what to do about it, on an HTML page.
@@ -71,10 +68,10 @@ def inspect_command(
     if catalogue is not None:
         with pr.Catalogue(catalogue) as store:
             base = store.options
-    options = opt.load_options(config, surface, base=base)
+    options = opt.load_options(run, base)
     asked: dict[str, Any] = {"options": options, "n_rescans": rescans, "catalogue": catalogue, "png": png}
     run |= {"output": output or Path(scan.stem + ".html"), "suffix": ".html", "is_alone": is_alone}
-    run["timeout"] = timeout * (1 + rescans)
+    run["timeout"] *= 1 + rescans
     documents = [
         {"scan": name} | out.failure_facts(found) if isinstance(found, ShapeError) else found
         for name, found in each_scan("inspect", partial(_inspected, **asked), scan, **run)
@@ -133,14 +130,7 @@ def _say_checks(found: dict[str, Any]) -> None:
 @opt.limit_options
 @opt.json_option
 def report_problem_command(
-    scan: Path,
-    output: Path | None,
-    with_scan: bool,
-    config: Path | None,
-    surface: str | None,
-    unit: str | None,
-    as_json: bool,
-    **limits: Any,
+    scan: Path, output: Path | None, with_scan: bool, as_json: bool, **limits: Any
 ) -> None:
     """Pack one file to send to us when a scan fails. It does not contain the scan.
 
@@ -150,7 +140,7 @@ def report_problem_command(
     \b
     pcretrieve report-problem scan.ply
     """
-    options = opt.load_options(config, surface, unit)
+    options = opt.load_options(limits)
     output = output or Path(f"{scan.stem}-problem.zip")
     found = pr.report_problem(scan, output, options, with_scan=with_scan, **limits)
     failure = found["failure"]

@@ -31,7 +31,7 @@ STANDARD_ERROR = 2
 # The commands, each with its module and its line in the list of commands. A command is the function
 # `NAME_command`, with underscores for hyphens; its module is imported when the command or its help is called.
 COMMANDS = {
-    "demo": ("demo", "Try everything on simulated scans"),
+    "demo": ("batches", "Try everything on simulated scans"),
     "merge": ("scans", "Merge views of one body into one scan"),
     "reconstruct": ("scans", "Turn a scan into a closed surface"),
     "signature": ("scans", "Print the signatures of scans"),
@@ -50,7 +50,7 @@ COMMANDS = {
     "cluster": ("search", "Group similar shapes without classes"),
     "map": ("search", "Plot a 2-D map of shapes"),
     "report": ("evaluation", "Write a page of queries, results and measures"),
-    "serve": ("serve", "Show a catalogue in the browser"),
+    "serve": ("search", "Show a catalogue in the browser"),
     "list": ("catalogue", "List the shapes of a catalogue"),
     "show": ("catalogue", "Show how a shape was made"),
     "remove": ("catalogue", "Remove shapes from a catalogue"),

@@ -32,17 +32,9 @@ WARNING_WORDS = ("Error:", "failed:")
 # Characters that are printed as JSON escapes them: control characters, on which terminals act; separators of
 # lines; characters that reverse the direction of the text that follows; and halves of characters. Names of
 # files and classes may have any of them.
-ESCAPES = {
-    code: f"\\u{code:04x}"
-    for first, last in (
-        (0x00, 0x1F),
-        (0x7F, 0x9F),
-        (0x2028, 0x202E),
-        (0x2066, 0x2069),
-        (0xD800, 0xDFFF),
-    )
-    for code in range(first, last + 1)
-} | {ord(sign): escape for sign, escape in (("\n", "\\n"), ("\r", "\\r"), ("\t", "\\t"))}
+_RANGES = ((0x00, 0x1F), (0x7F, 0x9F), (0x2028, 0x202E), (0x2066, 0x2069), (0xD800, 0xDFFF))
+ESCAPES = {code: f"\\u{code:04x}" for first, last in _RANGES for code in range(first, last + 1)}
+ESCAPES |= {ord(sign): escape for sign, escape in (("\n", "\\n"), ("\r", "\\r"), ("\t", "\\t"))}
 
 # Time until people are told what they wait for, and between two states of that line; seconds.
 FIRST_WORD = 1.5

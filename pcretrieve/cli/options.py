@@ -9,7 +9,7 @@ import os
 import textwrap
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
-from functools import wraps
+from functools import partial, wraps
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -35,9 +35,10 @@ ALL = "pcretrieve.help_all"
 
 LABEL = "label="
 
-# The names of `comparison_options`: those that are options of retrieval, and all.
+# The names of `comparison_options`.
+SIGNATURE_FLAGS = ("method", "n_values", "scale", "size_weight")
 RETRIEVAL_FLAGS = ("distance", "whitening", "rerank")
-COMPARISON = ("config", "method", "n_values", "scale", "size_weight", *RETRIEVAL_FLAGS)
+COMPARISON = ("config", *SIGNATURE_FLAGS, *RETRIEVAL_FLAGS)
 
 WHITENING_NAMES = ("auto", "none", "resolution", "neighbours", "pca", "within-class")
 
@@ -59,13 +60,11 @@ class Option(click.Option):
         """Name and text of the option; nothing for a rare one in ``--help``."""
         if not ctx.meta.get(ALL):
             return None if self.is_rare else super().get_help_record(ctx)
-        short = self.help
-        details = self._details if isinstance(self._details, str) else self._details()
+        short, details = self.help, self._details if isinstance(self._details, str) else self._details()
         self.help = f"{short} {details}".strip()
-        try:
-            return super().get_help_record(ctx)
-        finally:
-            self.help = short
+        record = super().get_help_record(ctx)
+        self.help = short
+        return record
 
 
 class Command(click.Command):
@@ -99,9 +98,8 @@ class Command(click.Command):
         return [one.opts[0] for one in self.params if isinstance(one, Option) and one.is_rare]
 
 
-def command(name: str) -> Callable[[Callable[..., Any]], click.Command]:
-    """Make a command of a function, as `click.command` does."""
-    return click.command(name, cls=Command)
+#: Makes a command of a function.
+command = partial(click.command, cls=Command)
 
 
 def option(
@@ -151,30 +149,38 @@ _HELP_ALL = click.Option(
 # --- completion by the shell ---------------------------------------------------------------------------
 
 
-def complete_presets(ctx: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem]:
+Completed = list[CompletionItem]
+
+
+def complete_presets(ctx: click.Context, param: click.Parameter, incomplete: str) -> Completed:
     """The presets that begin with what is typed, and files."""
     from pcretrieve.options import PRESETS
 
     return _items(PRESETS, incomplete) or [CompletionItem(incomplete, type="file")]
 
 
-def complete_ids(ctx: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem]:
-    """The ids that begin with what is typed, of the catalogue of the command."""
+def complete_ids(ctx: click.Context, param: click.Parameter, incomplete: str) -> Completed:
+    """The ids in the catalogue of the command."""
     return _items((shape_id for shape_id, _ in _shapes(ctx)), incomplete)
 
 
-def complete_queries(ctx: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem]:
-    """The ids that begin with what is typed; if there are none, files."""
+def complete_queries(ctx: click.Context, param: click.Parameter, incomplete: str) -> Completed:
+    """The same; if there are none, files."""
     return complete_ids(ctx, param, incomplete) or [CompletionItem(incomplete, type="file")]
 
 
-def complete_labels(ctx: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem]:
-    """The conditions ``label=CLASS`` that begin with what is typed."""
+def complete_labels(ctx: click.Context, param: click.Parameter, incomplete: str) -> Completed:
+    """The conditions ``label=CLASS``."""
     labels = {label for _, label in _shapes(ctx) if label}
     return _items((LABEL + label for label in sorted(labels)), incomplete)
 
 
-def _items(names: Iterable[str], incomplete: str) -> list[CompletionItem]:
+def complete_methods(ctx: click.Context, param: click.Parameter, incomplete: str) -> Completed:
+    """The descriptors."""
+    return _items(DESCRIPTOR_NAMES.all(), incomplete)
+
+
+def _items(names: Iterable[str], incomplete: str) -> Completed:
     # Without control characters, of which the shell would make further lines.
     return [CompletionItem(name) for name in names if name.startswith(incomplete) and name.isprintable()]
 
@@ -182,18 +188,11 @@ def _items(names: Iterable[str], incomplete: str) -> list[CompletionItem]:
 def _shapes(context: click.Context) -> list[tuple[str, str | None]]:
     """Id and class of the shapes of the catalogue of a command; none, if it cannot be read."""
     location = context.params.get("catalogue") or os.environ.get(CATALOGUE_VARIABLE)
-    if not location:
-        return []
     try:
-        with pr.Catalogue(location) as store:
+        with pr.Catalogue(location or "") as store:
             return [(record.id, record.label) for record in store.outlines()]
     except (PcretrieveError, OSError):
         return []
-
-
-def complete_methods(ctx: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem]:
-    """The descriptors that begin with what is typed."""
-    return _items(DESCRIPTOR_NAMES.all(), incomplete)
 
 
 def classes_of(
@@ -237,7 +236,7 @@ labels_option = option("--labels CSV|LAYOUT", "Use these classes, not the stored
 up_option = option(
     "--up",
     "Turn pictures so that this axis of the files points up.  [default: found for each shape]",
-    click.Choice(["x", "-x", "y", "-y", "z", "-z"]),
+    ("x", "-x", "y", "-y", "z", "-z"),
     rare=True,
 )
 config_option = option(
@@ -270,17 +269,12 @@ def limit_options(command: Decorated, *, unit: str = "scan") -> Decorated:
     return timeout(memory(command))
 
 
-def load_options(
-    config: Path | None,
-    surface: str | None = None,
-    unit: str | None = None,
-    *,
-    base: pr.PipelineOptions | None = None,
-) -> pr.PipelineOptions:
-    """The options of a command with ``--config``, ``--surface`` and ``--unit``."""
-    options = pr.PipelineOptions.of(config, base)
-    if surface is not None:
-        options = options.changed(surface={"mode": surface})
+def load_options(values: dict[str, Any], base: pr.PipelineOptions | None = None) -> pr.PipelineOptions:
+    """Take ``--config``, ``--surface`` and ``--unit`` from the values of a command."""
+    options = pr.PipelineOptions.of(values.pop("config"), base)
+    if (mode := values.pop("surface", None)) is not None:
+        options = options.changed(surface={"mode": mode})
+    unit = values.pop("unit", None)
     return options if unit is None else options.changed(scan={"unit": unit})
 
 
@@ -301,10 +295,7 @@ method_option = option(
     details=lambda: f"Names: {', '.join(DESCRIPTOR_NAMES.all())}.",
 )
 n_values_option = option(
-    "--n-values L",
-    "Number of values of the descriptor.  [default: 59, or the catalogue's]",
-    COUNT,
-    rare=True,
+    "--n-values L", "Number of values of the descriptor.  [default: 59, or the catalogue's]", COUNT, rare=True
 )
 scale_option = option(
     "--scale",
@@ -349,7 +340,7 @@ _distance_option = option(
     "--distance",
     "Euclidean distance of log-signatures (log), or D1 or D2 of the paper.  [default: log, or the "
     "catalogue's]",
-    click.Choice(["log", "d1", "d2"]),
+    ("log", "d1", "d2"),
     rare=True,
 )
 
@@ -366,56 +357,54 @@ def on_catalogue(command: Callable[..., None]) -> Callable[..., None]:
 
     @wraps(command)
     def opening(catalogue: str, **values: Any) -> None:
-        flags = {name: values.pop(name) for name in COMPARISON if name in values}
         if "matrix" in values:
-            values["matrix"] = read_distances(values["matrix"], flags)
-        with opened(catalogue, flags) as (store, options):
+            values["matrix"] = read_distances(values, *COMPARISON)
+        with opened(catalogue, values) as (store, options):
             command(store, options, **values)
 
     return comparison_options(opening)
 
 
-def changes(flags: dict[str, Any]) -> dict[str, dict[str, Any]]:
-    """The options that `comparison_options` change, by table, without ``--config``."""
-    chosen = given(flags)
-    chosen.pop("config", None)
-    retrieval = {name: chosen.pop(name) for name in RETRIEVAL_FLAGS if name in chosen}
-    # A whitening by name replaces a file that the configuration names, and vice versa.
-    if "whitening" in retrieval:
-        is_name = retrieval["whitening"] in WHITENING_NAMES
-        retrieval["calibration"] = None if is_name else retrieval.pop("whitening")
-    return {"signature": chosen, "retrieval": retrieval}
-
-
 @contextmanager
 def opened(
-    catalogue: str, flags: dict[str, Any], *, any_numbers: bool = False
+    catalogue: str, values: dict[str, Any], *, any_numbers: bool = False
 ) -> Iterator[tuple[pr.Catalogue, pr.PipelineOptions]]:
-    """A catalogue, and the options with which a command compares its shapes."""
+    """A catalogue, and the options with which a command compares its shapes, taken from its values."""
     with pr.Catalogue(catalogue, any_numbers=any_numbers) as store:
-        options = load_options(flags.get("config"), base=store.options).changed(**changes(flags))
+        options = load_options(values, store.options).changed(**changes(values))
         if options.signature.compares_sizes:
             _warn_of_mixed_units(store)
         yield store, options
 
 
-def read_distances(path: Path | None, flags: dict[str, Any]) -> pr.DistanceMatrix | None:
-    """The distance matrix that ``--matrix`` names, in place of what flags determine."""
-    if path is None:
+def changes(values: dict[str, Any]) -> dict[str, dict[str, Any]]:
+    """The changed options of a comparison by table, taken from the values of a command."""
+    signature, retrieval = taken(values, *SIGNATURE_FLAGS), taken(values, *RETRIEVAL_FLAGS)
+    # A whitening by name replaces a file that the configuration names, and vice versa.
+    if "whitening" in retrieval:
+        is_name = retrieval["whitening"] in WHITENING_NAMES
+        retrieval["calibration"] = None if is_name else retrieval.pop("whitening")
+    return {"signature": signature, "retrieval": retrieval}
+
+
+def taken(values: dict[str, Any], *names: str) -> dict[str, Any]:
+    """Take some options from the values of a command, those that were given."""
+    found = {name: values.pop(name) for name in names}
+    return {name: value for name, value in found.items() if value is not None}
+
+
+def read_distances(values: dict[str, Any], *others: str) -> pr.DistanceMatrix | None:
+    """The distances of ``--matrix``, in place of what other options determine."""
+    if values["matrix"] is None:
         return None
-    refuse(flags, "a matrix holds distances already")
-    return pr.read_matrix(path)
+    refuse(values, "a matrix holds distances already", *others)
+    return pr.read_matrix(values["matrix"])
 
 
-def given(flags: dict[str, Any]) -> dict[str, Any]:
-    """The values among these that a command was given."""
-    return {name: value for name, value in flags.items() if value is not None}
-
-
-def refuse(flags: dict[str, Any], reason: str) -> None:
+def refuse(values: dict[str, Any], reason: str, *names: str) -> None:
     """End with a usage error if a command was given some of these options."""
-    if names := [f"--{name.replace('_', '-')}" for name in given(flags)]:
-        raise click.UsageError(f"{reason}: leave out {', '.join(names)}")
+    if given := [f"--{name.replace('_', '-')}" for name in names if values[name] is not None]:
+        raise click.UsageError(f"{reason}: leave out {', '.join(given)}")
 
 
 def _warn_of_mixed_units(store: pr.Catalogue) -> None:
@@ -430,7 +419,7 @@ def _warn_of_mixed_units(store: pr.Catalogue) -> None:
 @command("options")
 @config_option
 @json_option
-def options_command(config: Path | None, as_json: bool) -> None:
+def options_command(as_json: bool, **values: Any) -> None:
     """Print all settings of the pipeline with their units, as TOML for --config.
 
     \b
@@ -438,7 +427,7 @@ def options_command(config: Path | None, as_json: bool) -> None:
     """
     from pcretrieve.options import describe_options
 
-    options = load_options(config)
+    options = load_options(values)
     if as_json:
         write_document(None, options=options)
     else:

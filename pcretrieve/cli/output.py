@@ -7,12 +7,12 @@ import os
 import shutil
 import sys
 import textwrap
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import fields, is_dataclass
 from itertools import islice, zip_longest
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 from unicodedata import combining, east_asian_width
 
 import click
@@ -75,17 +75,13 @@ def write_csv(text: str) -> None:
     print_text(shown, nl=False, color=True)  # otherwise click removes what looks like codes of a terminal
 
 
-class Column(NamedTuple):
-    """A column of a table: its kind is text, number, path or words."""
-
-    heading: str
-    kind: str = "text"
+# The headings of a table, each with the kind of its cells: text, number, path or words.
+Columns = Mapping[str, str]
 
 
-def write_table(columns: Sequence[Column], rows: Iterable[Sequence[str]]) -> int:
+def write_table(columns: Columns, rows: Iterable[Sequence[str]]) -> int:
     """Print a table with headings, on a terminal as wide as it is; nothing, if there are no rows."""
     limit = shutil.get_terminal_size().columns if sys.stdout.isatty() else None
-    headings = [column.heading for column in columns]
     widths = [0] * len(columns)
     remaining, n_rows = iter(rows), 0
     while block := list(islice(remaining, BLOCK)):
@@ -93,11 +89,11 @@ def write_table(columns: Sequence[Column], rows: Iterable[Sequence[str]]) -> int
         # Later rows of long tables are at least as wide as the first ones.
         widths = [
             max(widest, *map(_width, column))
-            for widest, column in zip(widths, zip(headings, *cells, strict=True), strict=True)
+            for widest, column in zip(widths, zip(columns, *cells, strict=True), strict=True)
         ]
         shown = widths if limit is None else _fitted(columns, widths, limit)
-        has_heading = not n_rows and any(headings)
-        lines = list(_lines(columns, headings, shown, is_heading=True)) if has_heading else []
+        has_heading = not n_rows and any(heading.strip() for heading in columns)
+        lines = list(_lines(columns, [*columns], shown, is_heading=True)) if has_heading else []
         for row in cells:
             lines += _lines(columns, row, shown)
         print_text("\n".join(lines))
@@ -115,24 +111,25 @@ def write_steps(steps: Iterable[pr.Step]) -> None:
         )
         rows.append((step.stage, f"{step.seconds:.3f}", ", ".join(sizes)))
         rows += [("", "", note) for note in step.notes]
-    write_table((Column("STAGE"), Column("SECONDS", "number"), Column("SIZES AND NOTES", "words")), rows)
+    write_table({"STAGE": "text", "SECONDS": "number", "SIZES AND NOTES": "words"}, rows)
 
 
 def _lines(
-    columns: Sequence[Column], cells: Sequence[str], widths: Sequence[int], *, is_heading: bool = False
+    columns: Columns, cells: Sequence[str], widths: Sequence[int], *, is_heading: bool = False
 ) -> Iterator[str]:
     """The line of a row, or several lines, if words are broken."""
+    kinds = [*columns.values()]
     parts = [
         textwrap.wrap(cell, width, break_on_hyphens=False)
-        if column.kind == "words" and _width(cell) > width
+        if kind == "words" and _width(cell) > width
         else [_shortened(cell, width)]
-        for column, cell, width in zip(columns, cells, widths, strict=True)
+        for kind, cell, width in zip(kinds, cells, widths, strict=True)
     ]
     for line in zip_longest(*parts, fillvalue=""):
         padded = []
-        for column, text, width in zip(columns, line, widths, strict=True):
+        for kind, text, width in zip(kinds, line, widths, strict=True):
             blanks, cell = " " * (width - _width(text)), _styled(text, is_heading)
-            padded.append(blanks + cell if column.kind == "number" else cell + blanks)
+            padded.append(blanks + cell if kind == "number" else cell + blanks)
         yield GAP.join(padded).rstrip()
 
 
@@ -144,14 +141,14 @@ def _styled(text: str, is_heading: bool) -> str:
     return click.style(text, fg=colour, bold=is_heading or None)
 
 
-def _fitted(columns: Sequence[Column], widths: Sequence[int], limit: int) -> list[int]:
+def _fitted(columns: Columns, widths: Sequence[int], limit: int) -> list[int]:
     """Widths whose row has at most `limit` characters, if columns can be narrowed so far."""
     fitted = [*widths]
-    for kind, least in NARROWED:
-        for number, column in enumerate(columns):
+    for narrowed, least in NARROWED:
+        for number, (heading, kind) in enumerate(columns.items()):
             excess = sum(fitted) + len(GAP) * (len(fitted) - 1) - limit
-            if column.kind == kind and excess > 0 and fitted[number] > least:
-                fitted[number] = max(least, len(column.heading), fitted[number] - excess)
+            if kind == narrowed and excess > 0 and fitted[number] > least:
+                fitted[number] = max(least, len(heading), fitted[number] - excess)
     return fitted
 
 
@@ -234,25 +231,19 @@ def failure_facts(
 
 
 def _head(context: click.Context, options: pr.PipelineOptions | None) -> dict[str, Any]:
-    words = context.command_path.split()
     arguments = {}
-    for parameter in context.command.params:
-        value = context.params.get(str(parameter.name))
-        if value is not None and parameter.name != "as_json":
-            arguments[_name(parameter)] = without_password(value) if isinstance(value, str) else value
+    for one in context.command.params:
+        value = context.params.get(str(one.name))
+        if value is not None and one.name != "as_json":
+            # The name of an option as it is typed, without hyphens.
+            name = max(one.opts, key=len).lstrip("-").replace("-", "_")
+            arguments[name] = without_password(value) if isinstance(value, str) else value
     return {
-        "command": " ".join(words[1:]),
+        "command": context.command_path.partition(" ")[2],
         "version": pr.__version__,
         "arguments": arguments,
         "options": options,
     }
-
-
-def _name(parameter: click.Parameter) -> str:
-    """The name of an option as it is typed, without hyphens; that of an argument."""
-    if isinstance(parameter, click.Option):
-        return max(parameter.opts, key=len).lstrip("-").replace("-", "_")
-    return str(parameter.name)
 
 
 def _text(document: object) -> str:

@@ -77,15 +77,7 @@ def each_scan(
 @opt.config_option
 @partial(opt.limit_options, unit="view")
 @opt.json_option
-def merge_command(
-    paths: tuple[str, ...],
-    output: Path,
-    config: Path | None,
-    timeout: float,
-    memory: float | None,
-    as_json: bool,
-    **chosen: Any,
-) -> None:
+def merge_command(paths: tuple[str, ...], output: Path, as_json: bool, **values: Any) -> None:
     """Merge views of one body, taken from different sides, into one scan.
 
     VIEWS are files, folders, glob patterns, a Stanford .conf file, or a folder of the TUM RGB-D benchmark.
@@ -99,8 +91,9 @@ def merge_command(
     """
     if not paths:
         raise click.UsageError("name at least two views, or one .conf")
-    options = opt.load_options(config).changed(merge=opt.given(chosen))
-    merged = pr.merge_views(paths, options.merge, output=output, timeout=timeout, memory=memory)
+    merge = opt.taken(values, "refine", "sensor", "max_range", "background", "keep_largest")
+    options = opt.load_options(values).changed(merge=merge)
+    merged = pr.merge_views(paths, options.merge, output=output, **values)
     (step,) = merged.cloud.provenance
     views: list[dict[str, object]] = []
     say(f"{'view':<8}  {'overlap':>7}  {'rms':>10}  file")
@@ -158,14 +151,7 @@ def _number(value: float) -> float | None:
 @scans_options
 @opt.json_option
 def reconstruct_command(
-    scan: Path,
-    output: Path,
-    suffix: str | None,
-    report: bool,
-    config: Path | None,
-    surface: str | None,
-    as_json: bool,
-    **run: Any,
+    scan: Path, output: Path, suffix: str | None, report: bool, as_json: bool, **run: Any
 ) -> None:
     """Turn a scan into a closed surface, and write it to a mesh file.
 
@@ -175,7 +161,7 @@ def reconstruct_command(
     pcretrieve reconstruct scan.ply -o body.obj --report
     pcretrieve reconstruct scans/ -o meshes/ --workers 2
     """
-    options, is_alone = opt.load_options(config, surface), not scan.is_dir()
+    options, is_alone = opt.load_options(run), not scan.is_dir()
     if is_alone and suffix is not None:
         raise click.UsageError("--suffix is for folders: give the suffix of the mesh with -o")
     run |= {"output": output, "suffix": suffix or ".ply", "kind": "mesh", "is_alone": is_alone}
@@ -236,17 +222,7 @@ def _reconstructed(scan: Path, file: Path, options: pr.PipelineOptions) -> dict[
 @scans_options
 @opt.json_option
 def signature_command(
-    paths: tuple[str, ...],
-    from_catalogue: str | None,
-    config: Path | None,
-    surface: str | None,
-    unit: str | None,
-    as_json: bool,
-    workers: int | None,
-    progress: str | None,
-    timeout: float,
-    memory: float | None,
-    **chosen: Any,
+    paths: tuple[str, ...], from_catalogue: str | None, as_json: bool, progress: str | None, **values: Any
 ) -> None:
     """Print the signatures of scans, one line each: path, then values.
 
@@ -257,25 +233,26 @@ def signature_command(
     pcretrieve signature scans/ --method shape-dna --json
     pcretrieve signature --from-catalogue bodies.sqlite T12 T17 --method wks
     """
+    changes = {"signature": opt.taken(values, "n_modes", *opt.SIGNATURE_FLAGS)}
     if from_catalogue is not None:
-        if config or surface or unit:
-            raise click.UsageError(
-                "a catalogue has options of its own: leave out --config, --surface and --unit"
-            )
+        opt.refuse(values, "a catalogue has options of its own", "config", "surface", "unit")
         with pr.Catalogue(from_catalogue) as store:
-            options = store.options.changed(signature=opt.given(chosen))
+            options = store.options.changed(**changes)
             n_failed = _write_signatures(_of_catalogue(store, paths, options), options, as_json)
     else:
         if not paths:
             raise click.UsageError("name at least one scan")
-        options = opt.load_options(config, surface, unit).changed(signature=opt.given(chosen))
+        options = opt.load_options(values).changed(**changes)
         # On a terminal, the signatures themselves show the progress, and would break a bar.
         if progress == "bar" and not as_json and sys.stdout.isatty():
             progress = None
-        limits: dict[str, Any] = {"workers": workers, "timeout": timeout, "memory": memory}
         described = partial(_described, options=options)
-        scans = each_scan("signature", described, paths, progress=progress, **limits)
-        n_failed = _write_signatures(_of_scans(scans), options, as_json)
+        scans = each_scan("signature", described, paths, progress=progress, **values)
+        rows = (
+            (path, {"path": path} | (out.failure_facts(one) if isinstance(one, ShapeError) else one))
+            for path, one in scans
+        )
+        n_failed = _write_signatures(rows, options, as_json)
     opt.exit_if(n_failed)
 
 
@@ -291,14 +268,6 @@ def _write_signatures(
     if as_json:
         out.write_document(found, options=options)
     return sum("values" not in facts for facts in found)
-
-
-def _of_scans(
-    scans: Iterator[tuple[str, dict[str, Any] | ShapeError]],
-) -> Iterator[tuple[str, dict[str, Any]]]:
-    for path, outcome in scans:
-        facts = out.failure_facts(outcome) if isinstance(outcome, ShapeError) else outcome
-        yield path, {"path": path} | facts
 
 
 def _described(path: Path, options: pr.PipelineOptions) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""Commands that ask a catalogue which shapes are similar: query, matrix, duplicates, cluster, map."""
+"""Commands that ask a catalogue which shapes are similar: query, matrix, duplicates, cluster, map, serve."""
 
 from __future__ import annotations
 
@@ -24,19 +24,16 @@ if TYPE_CHECKING:
     Outcome = tuple[str, pr.Answer | ShapeError]
     Outcomes = Iterator[Outcome]
 
+MEGABYTE = 1_000_000
+
 CSV_COLUMNS = ("query", "rank", "id", "label", "distance", "score", "path")
 
-COLUMNS = (
-    *(out.Column(heading, "number") for heading in ("RANK", "DISTANCE", "SCORE")),
-    *(out.Column("CLASS"), out.Column("ID"), out.Column("FILE", "path")),
-)
+COLUMNS = {"RANK": "number", "DISTANCE": "number", "SCORE": "number"}
+COLUMNS |= {"CLASS": "text", "ID": "text", "FILE": "path"}
 # Of a result whose signature is doubtful or unusable; `show` and --json give the reasons.
-DOUBT = out.Column("VERDICT")
+DOUBT = {"VERDICT": "text"}
 
-PAIR = (
-    *(out.Column(heading, "number") for heading in ("DISTANCE", "LIMIT")),
-    *(out.Column("FIRST"), out.Column("SECOND")),
-)
+PAIR = {"DISTANCE": "number", "LIMIT": "number", "FIRST": "text", "SECOND": "text"}
 
 
 @opt.command("query")
@@ -153,23 +150,16 @@ def _write_tables(outcomes: Outcomes, *, headed: bool) -> None:
             continue
         if headed:
             out.write_line(shown_path(name))
-        columns = COLUMNS + ((DOUBT,) if any(record.is_doubtful for record in answer.records) else ())
-        rows = (
-            (
-                str(row["rank"]),
-                f"{row['distance']:#.4g}",
-                "-" if row["score"] is None else f"{row['score']:.2f}",
-                row["label"] or "-",
-                row["id"],
-                shown_path(row["path"]),
-                # Without its reasons, which are longer than the other columns together.
-                f"{record.verdict.judgement}, ± {record.verdict.uncertainty:.2g}"
-                if record.verdict and record.is_doubtful
-                else "",
-            )
-            for row, record in zip(answer.rows(), answer.records, strict=True)
-        )
-        out.write_table(columns, (cells[: len(columns)] for cells in rows))
+        columns = COLUMNS | (DOUBT if any(record.is_doubtful for record in answer.records) else {})
+        rows = []
+        for row, record in zip(answer.rows(), answer.records, strict=True):
+            score = "-" if row["score"] is None else f"{row['score']:.2f}"
+            # Without the reasons, which are longer than the other columns together.
+            doubt = str(record.verdict).partition(":")[0] if record.is_doubtful else ""
+            label, path = row["label"] or "-", shown_path(row["path"])
+            cells = (str(row["rank"]), f"{row['distance']:#.4g}", score, label, row["id"], path, doubt)
+            rows.append(cells[: len(columns)])
+        out.write_table(columns, rows)
         out.write_words(str(answer))
 
 
@@ -215,7 +205,7 @@ def matrix_command(
     pcretrieve evaluate --catalogue bodies.sqlite --matrix bodies.txt
     """
     if matcher is not None:
-        opt.refuse(comparison, "a matcher has no signatures")
+        opt.refuse(comparison, "a matcher has no signatures", *opt.COMPARISON)
     if comparison["rerank"] is not None:
         raise click.UsageError("distances are not re-ranked: leave out --rerank, and give it to `evaluate`")
     failures: list[Failure] = []
@@ -293,7 +283,7 @@ def cluster_command(
         out.write_document(document, options=options)
     elif output is None and sys.stdout.isatty():
         out.write_table(
-            (out.Column("ID"), out.Column("CLUSTER")),
+            {"ID": "text", "CLUSTER": "text"},
             ((name, label or "-") for name, label in labels.items()),
         )
     elif output is None:
@@ -320,3 +310,49 @@ def map_command(
     """
     page = pr.draw_map(store, output, options=options, up=up)
     out.write_page(page, as_json, options)
+
+
+@opt.command("serve")
+@opt.catalogue_option
+@opt.option("--port N", "Port at 127.0.0.1; 0 for any free one.", click.IntRange(0, 65535), default=8765)
+@opt.option("--read-only", "Take no scans from browsers.")
+@opt.option(
+    "--keep FOLDER",
+    "Let people keep their scans: files in this folder, shapes in the catalogue.",
+    click.Path(exists=True, file_okay=False, writable=True, path_type=Path),
+)
+@opt.option("--max-upload MB", "Refuse larger scans from browsers.", opt.COUNT, default=200)
+@opt.option(
+    "--timeout SECONDS",
+    "Give up on a scan from a browser after this time.",
+    click.FloatRange(min=1),
+    default=300,
+    rare=True,
+)
+@opt.option(
+    "--memory GIB",
+    "Give the process for scans from browsers no more memory than this.",
+    click.FloatRange(min=0.5),
+    default=4,
+    rare=True,
+)
+@opt.up_option
+@opt.comparison_options
+def serve_command(catalogue: str, max_upload: int, **chosen: Any) -> None:
+    """Show a catalogue in the browser of this computer, until Ctrl-C.
+
+    Open the address that is printed. It contains a secret: whoever has it can see the shapes, and search by
+    scans. Scans run in an isolated process, and are deleted unless you give --keep. From another computer,
+    use an SSH tunnel: ssh -L 8765:127.0.0.1:8765 HOST.
+
+    \b
+    pcretrieve serve --catalogue bodies.sqlite
+    pcretrieve serve --catalogue bodies.sqlite --port 0 --keep scans/
+    """
+    if chosen["read_only"] and chosen["keep"] is not None:
+        raise click.UsageError("choose one of --read-only and --keep")
+    with opt.opened(catalogue, chosen) as (_, options):
+        pass
+    say("Open the address in a browser; end the server with Ctrl-C.")
+    chosen |= {"most_bytes": max_upload * MEGABYTE, "on_start": out.write_line}
+    pr.serve(catalogue, options=options, **chosen)
