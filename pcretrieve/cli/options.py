@@ -195,14 +195,12 @@ def _shapes(context: click.Context) -> list[tuple[str, str | None]]:
         return []
 
 
-def classes_of(
-    context: click.Context, parameter: click.Parameter, conditions: tuple[str, ...]
-) -> list[str] | None:
-    """The classes of conditions ``label=CLASS`` on the shapes that are searched; None for all shapes."""
+def classes_of(context: click.Context, parameter: click.Parameter, conditions: tuple[str, ...]) -> list[str]:
+    """The classes of conditions ``label=CLASS`` on the shapes that are searched."""
     for condition in conditions:
         if not condition.startswith(LABEL):
             raise click.BadParameter(f"must be label=CLASS, got {condition!r}", context, parameter)
-    return [condition.removeprefix(LABEL) for condition in conditions] or None
+    return [condition.removeprefix(LABEL) for condition in conditions]
 
 
 # --- options of many commands --------------------------------------------------------------------------
@@ -371,7 +369,7 @@ def opened(
 ) -> Iterator[tuple[pr.Catalogue, pr.PipelineOptions]]:
     """A catalogue, and the options with which a command compares its shapes, taken from its values."""
     with pr.Catalogue(catalogue, any_numbers=any_numbers) as store:
-        options = load_options(values, store.options).changed(**changes(values))
+        options = pr.PipelineOptions.of(values.pop("config"), store.options).changed(**changes(values))
         if options.signature.compares_sizes:
             _warn_of_mixed_units(store)
         yield store, options

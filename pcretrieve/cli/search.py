@@ -86,6 +86,7 @@ def query_command(
     """
     if as_json and as_csv:
         raise click.UsageError("choose one of --json and --csv")
+    asked["labels"] = asked["labels"] or None
     found = pr.search_many(store, queries, options=options, **asked)
     if page is not None:
         known: list[tuple[str, pr.Answer | ShapeError]] = []

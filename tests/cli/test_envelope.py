@@ -3,19 +3,18 @@
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
 import shapes
-from click.testing import CliRunner, Result
+from click.testing import CliRunner
+from commands import program, run
 
 from pcretrieve import __version__
 from pcretrieve.cli.batches import _say_summary
-from pcretrieve.cli.main import COMMANDS, cli
+from pcretrieve.cli.main import COMMANDS
 from pcretrieve.cli.options import command, json_option
 from pcretrieve.cli.output import write_documents, write_words
 from pcretrieve.errors import CatalogueError
@@ -32,14 +31,8 @@ WITHOUT = {"demo", "serve", "watch", "catalogue"}
 N_EGGS = 4
 
 
-def run(*words: object) -> Result:
-    return CliRunner().invoke(cli, [str(word) for word in words], prog_name="pcretrieve")
-
-
-def document(*words: object, code: int = 0) -> dict[str, Any]:
-    done = run(*words, "--json")
-    assert done.exit_code == code, done.output
-    found: dict[str, Any] = json.loads(done.stdout)
+def document(*words: object, code: int | None = 0) -> dict[str, Any]:
+    found: dict[str, Any] = json.loads(run(*words, "--json", code=code).stdout)
     return found
 
 
@@ -54,9 +47,8 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (place / "scans" / "flat.xyz").write_text("1 2 3\n" * 200)
     rows = [f"e{number}.off,{'small' if number < 2 else 'large'}" for number in range(N_EGGS)]
     (place / "labels.csv").write_text("\n".join(["file,class", *rows]))
-    labels = "--labels", place / "labels.csv"
-    done = run("ingest", place / "scans", *labels, "-c", place / "c.sqlite", "--workers", 1, "--quiet")
-    assert done.exit_code == 3, done.output
+    words = ("ingest", place / "scans", "--labels", place / "labels.csv", "-c", place / "c.sqlite")
+    run(*words, "--workers", 1, "--quiet", code=3)
     return place
 
 
@@ -102,7 +94,7 @@ def test_every_document_has_one_head(name: str, folder: Path, monkeypatch: pytes
     words, code, keys, has_options = ASKED[name]
     monkeypatch.chdir(folder)
     if name == "remove":
-        assert run("backup", "c.sqlite", "fewer.sqlite").exit_code == 0
+        run("backup", "c.sqlite", "fewer.sqlite")
     found = document(*name.split(), *words.split(), code=code)
     assert [*found] == [*HEAD, "result"]
     assert (found["command"], found["version"]) == (name, __version__)
@@ -116,14 +108,11 @@ def test_every_document_has_one_head(name: str, folder: Path, monkeypatch: pytes
     assert "json" not in found["arguments"]
 
 
-def test_a_password_is_not_repeated() -> None:
+def test_passwords_are_not_repeated(capsys: pytest.CaptureFixture[str]) -> None:
+    """Neither in documents, nor in messages of an ingest, nor in results; other texts stay as they are."""
     found = document("status", "postgresql://ann:secret@localhost:1/none", code=1)
     assert found["arguments"] == {"catalogue": "postgresql://ann@localhost:1/none"}
     assert "secret" not in json.dumps(found)
-
-
-def test_messages_have_no_passwords(capsys: pytest.CaptureFixture[str]) -> None:
-    """Neither those of an ingest, nor results in words; other texts stay as they are."""
     _say_summary(Summary(), "postgresql://ann:secret@localhost:1/none", None)
     write_words("postgresql://ann:secret@localhost:1/none: 3 shapes; scans are at https://host:80/a@b:c")
     shown = capsys.readouterr()
@@ -132,9 +121,9 @@ def test_messages_have_no_passwords(capsys: pytest.CaptureFixture[str]) -> None:
     assert shown.out == "postgresql://ann@localhost:1/none: 3 shapes; scans are at https://host:80/a@b:c\n"
 
 
-@pytest.mark.parametrize(
-    ("words", "code", "error", "part"),
-    [
+def test_errors_are_documents_too(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(folder)
+    for words, code, error, part in (
         ("list -c none.sqlite", 1, "CatalogueError", "none.sqlite"),
         ("query none -c c.sqlite", 1, "InputError", "none"),
         ("query scans/flat.xyz -c c.sqlite", 1, "ReconstructionError", "points"),
@@ -143,20 +132,18 @@ def test_messages_have_no_passwords(capsys: pytest.CaptureFixture[str]) -> None:
         ("query", 2, "MissingParameter", ""),
         ("list -c c.sqlite --limit 0", 2, "BadParameter", "0"),
         ("lisst", 2, "UsageError", "list"),
-    ],
-)
-def test_errors_are_documents_too(words: str, code: int, error: str, part: str, folder: Path) -> None:
-    command = [sys.executable, "-m", "pcretrieve", *words.split(), "--json"]
-    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=120, check=False)
-    assert done.returncode == code, done.stderr
-    found = json.loads(done.stdout)
-    assert [*found] == [*HEAD, *ERROR]
-    assert (found["error"], found["exit_code"]) == (error, code)
-    assert part in found["message"]
-    assert "Error: " in done.stderr  # the message for people is where it always is
-    plain = subprocess.run(command[:-1], cwd=folder, capture_output=True, text=True, timeout=120, check=False)
-    if "--csv" not in words:
-        assert (plain.returncode, plain.stdout) == (code, "")
+    ):
+        found = document(*words.split(), code=None)
+        assert [*found] == [*HEAD, *ERROR]
+        assert (found["error"], found["exit_code"]) == (error, code)
+        assert part in found["message"]
+        if "--csv" not in words:
+            assert run(*words.split(), code=None).stdout == ""
+    # The exit code is that of the document, and the message for people is where it always is.
+    command = "query e0 -c c.sqlite --method nothing --json"
+    done = program(*command.split(), code=2)
+    assert json.loads(done.stdout)["error"] == "OptionError"
+    assert done.stderr.startswith("Error: ")
 
 
 @command("numbers")

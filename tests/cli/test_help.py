@@ -1,65 +1,119 @@
-"""The help of each command fits a screen, and `--help-all` leaves no option out."""
+"""What helps to type commands: help that fits a screen, suggestions, completion, the environment."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import os
+import subprocess
+import sys
+from pathlib import Path
 
 import click
 import pytest
-from click.testing import CliRunner
+import shapes
+from commands import refusal, run
 
+from pcretrieve import Catalogue, PipelineOptions, describe, process
+from pcretrieve.catalogue import Content, Record
 from pcretrieve.cli.main import COMMANDS, cli
 
-MOST_LINES = 40
-COLUMNS = 80
-
+MOST_LINES, COLUMNS = 40, 80
 NAMES = [(name,) for name in COMMANDS] + [("catalogue", "merge")]
 
 
 def shown(*words: str) -> str:
-    done = CliRunner().invoke(cli, words, terminal_width=COLUMNS, prog_name="pcretrieve")
-    assert done.exit_code == 0, done.output
-    return done.output
+    return run(*words, COLUMNS=str(COLUMNS)).stdout
 
 
-def found(words: tuple[str, ...]) -> click.Command:
+def flags(words: tuple[str, ...]) -> set[str]:
     command: click.Command = cli
     for word in words:
         assert isinstance(command, click.Group)
-        inner = command.get_command(click.Context(cli), word)
-        assert inner is not None
-        command = inner
-    return command
-
-
-def flags(words: tuple[str, ...]) -> Iterator[str]:
-    for parameter in found(words).params:
-        if isinstance(parameter, click.Option):
-            yield parameter.opts[0]
+        command = command.get_command(click.Context(cli), word) or command
+    return {one.opts[0] for one in command.params if isinstance(one, click.Option)}
 
 
 @pytest.mark.parametrize("words", [(), *NAMES], ids=" ".join)
-def test_the_help_fits_a_screen(words: tuple[str, ...]) -> None:
-    lines = shown(*words, "--help").splitlines()
-    assert len(lines) <= MOST_LINES
-    assert max(map(len, lines)) <= COLUMNS
-
-
-@pytest.mark.parametrize("words", NAMES, ids=" ".join)
-def test_all_options_are_named_and_explained(words: tuple[str, ...]) -> None:
+def test_the_help_fits_a_screen_and_names_and_explains_all_options(words: tuple[str, ...]) -> None:
     short = shown(*words, "--help")
-    assert {*flags(words)} <= {word.rstrip(",") for word in short.split()}
+    assert len(short.splitlines()) <= MOST_LINES
+    assert max(map(len, short.splitlines())) <= COLUMNS
+    if not words:
+        lines = short.split("Commands:\n")[1].splitlines()
+        assert [line.split()[0] for line in lines] == [*COMMANDS], "one line each"
+        return
+    assert flags(words) <= {word.rstrip(",") for word in short.split()}
     if "--help-all" in short:
         full = shown(*words, "--help-all")
         assert max(map(len, full.splitlines())) <= COLUMNS
         # Each option begins a line, after its short name.
-        lines = [line.split()[:2] for line in full.split("Options:")[1].splitlines()]
-        assert {*flags(words)} <= {word.rstrip(",") for line in lines for word in line}
+        begun = [line.split()[:2] for line in full.split("Options:")[1].splitlines()]
+        assert flags(words) <= {word.rstrip(",") for line in begun for word in line}
         assert "More options" not in full
     else:
         assert "More options" not in short
 
 
-def test_the_list_has_all_commands_in_one_line_each() -> None:
-    lines = shown("--help").split("Commands:\n")[1].splitlines()
-    assert [line.split()[0] for line in lines] == [*COMMANDS]
+@pytest.fixture(scope="module")
+def path(tmp_path_factory: pytest.TempPathFactory) -> str:
+    """A catalogue of two cats and a dog."""
+    options = PipelineOptions()
+    shape = process(shapes.icosphere(2), options)
+    with Catalogue(tmp_path_factory.mktemp("names") / "c.sqlite", create=True) as store:
+        for name, label in (("cat0", "cat"), ("cat1", "cat"), ("dog0", "dog")):
+            content = Content(shape, describe(shape, options.signature).values)
+            store.put(Record(name, f"/{name}.off", name, label=label), content)
+    return store.location
+
+
+def test_the_environment_names_the_catalogue(path: str, tmp_path: Path) -> None:
+    """The option, where it is given, has priority."""
+    listed = run("list", PCRETRIEVE_CATALOGUE=path).stdout
+    assert listed == run("list", "-c", path, PCRETRIEVE_CATALOGUE=str(tmp_path / "absent.sqlite")).stdout
+    run("list", PCRETRIEVE_CATALOGUE=None, code=2)
+    for command in ("status", "check"):
+        assert run(command, PCRETRIEVE_CATALOGUE=path).stdout == run(command, path).stdout != ""
+        run(command, PCRETRIEVE_CATALOGUE=None, code=2)
+    assert "failed" in str(run("retry", PCRETRIEVE_CATALOGUE=path, code=1).exception)
+
+
+def test_a_similar_name_is_suggested(path: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("PCRETRIEVE_CATALOGUE", path)
+    for words, said in (
+        ("qurey a", "there is no command 'qurey'; did you mean 'query'?"),
+        ("list --faield", "did you mean '--failed'?"),
+        ("show Cat1", "holds no shape 'Cat1'; `pcretrieve list` names them; did you mean 'cat1'?"),
+        ("query cat0 --filter label=ct", "`pcretrieve list` shows the classes; did you mean 'cat'?"),
+        ("query cat0 --filter cat", "must be label=CLASS, got 'cat'"),
+        ("query dgo0", "no file and no shape of"),
+        ("query dgo0", "did you mean 'dog0'?"),
+        (
+            "options --config bodyscanner",
+            "there is no preset or file 'bodyscanner'; the presets are body-scanner, handheld, depth-camera, "
+            "clean-mesh, paper, classic; did you mean 'body-scanner'?",
+        ),
+        ("query cat0 --method hpat", "did you mean 'hapt'?"),
+    ):
+        assert said.lower() in refusal(*words.split()).lower()
+
+
+def test_the_shell_completes(path: str) -> None:
+    for typed, completed in (
+        ("show c", ["cat0", "cat1"]),
+        ("query d", ["dog0"]),
+        ("query cat0 --filter l", ["label=cat", "label=dog"]),
+        ("query --config de", ["depth-camera"]),
+        ("query --method hks-bow-", ["hks-bow-spatial"]),
+        ("dup", ["duplicates"]),
+    ):
+        words = f"pcretrieve {typed}"
+        environment = {
+            "_PCRETRIEVE_COMPLETE": "bash_complete",
+            "COMP_WORDS": words,
+            "COMP_CWORD": str(len(words.split()) - 1),
+            "PCRETRIEVE_CATALOGUE": path,
+        }
+        program = [sys.executable, "-m", "pcretrieve"]
+        done = subprocess.run(
+            program, env=os.environ | environment, capture_output=True, text=True, check=True
+        )
+        assert [line.partition(",")[2] for line in done.stdout.split()] == completed

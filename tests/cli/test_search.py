@@ -1,78 +1,265 @@
-"""`pcretrieve query`, `evaluate`, `report`: which scale signatures are compared by, and that it is said."""
+"""Commands that compare shapes: by signatures, matrices and matchers; their measures, groups and maps."""
 
 from __future__ import annotations
 
 import json
 import re
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 import shapes
-from click.testing import CliRunner, Result
+from commands import refusal, result, run
+from PIL import Image
 
-from pcretrieve import Catalogue, PipelineOptions, ingest
-from pcretrieve.cli.main import cli
+import pcretrieve as pr
+from pcretrieve.catalogue import Content, Record
+from pcretrieve.evaluation import MEASURES, query_scores, rank_catalogue, read_scores
 from pcretrieve.formats import write_mesh
+from pcretrieve.matching import MATCHERS, PairwiseIndex, distance_matrix
 
-PCA = ("--whitening", "pca")
-N_CLASSES = 4
+N_KINDS, N_EACH = 4, 4
+PCA = ("--whitening", "pca", "--distance", "d1", "--n-values", 9)
+PLAIN = ("--whitening", "none")
 
 
 @pytest.fixture(scope="module")
-def files(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
-    """Eggs of four kinds, three that differ a little of each."""
-    folder, found = tmp_path_factory.mktemp("eggs"), []
-    for kind in range(N_CLASSES):
-        for number in range(3):
-            axes = (1 + 0.1 * number, 1, 1.2 + 0.15 * kind)
-            found.append(folder / f"{kind}{number}.off")
-            write_mesh(shapes.ellipsoid(axes, subdivisions=3), found[-1])
-    return found
-
-
-@pytest.fixture(scope="module", params=["area", "relative"])
-def catalogue(
-    request: pytest.FixtureRequest, files: list[Path], tmp_path_factory: pytest.TempPathFactory
-) -> Path:
-    """R-BiHDM, whose values have a scale: one by the default scale, and one that was told to be relative."""
-    path = tmp_path_factory.mktemp(request.param) / "c.sqlite"
-    built = {
-        "area": PipelineOptions().changed(signature={"method": "r-bihdm"}),
-        "relative": PipelineOptions().changed(signature={"method": "r-bihdm", "scale": "relative"}),
-    }
-    with Catalogue(path, built[request.param], create=True) as store:
-        ingest(files, store, labels={file.name: f"kind{file.name[0]}" for file in files})
-    return path
-
-
-def run(*arguments: object, code: int = 0) -> Result:
-    result = CliRunner().invoke(cli, [str(word) for word in arguments])
-    assert result.exit_code == code, result.output
-    return result
-
-
-def test_a_file_gives_commands_their_options_and_flags_override_it(
-    catalogue: Path, files: list[Path], tmp_path: Path
-) -> None:
-    mine = tmp_path / "mine.toml"
-    mine.write_text("[signature]\nn_values = 9\n[retrieval]\nwhitening = 'pca'\ndistance = 'd1'\n")
-    asked = ("evaluate", "-c", catalogue, "--json")
-    by_file = json.loads(run(*asked, "--config", mine).stdout)["result"]
-    assert (by_file["n_values"], by_file["whitening"], by_file["distance"]) == (9, "pca", "d1")
-    assert by_file == json.loads(run(*asked, *PCA, "--distance", "d1", "--n-values", 9).stdout)["result"]
-    overridden = run(*asked, "--config", mine, "--whitening", "auto", "--distance", "log", "--n-values", 59)
-    assert json.loads(overridden.stdout)["result"] == json.loads(run(*asked).stdout)["result"]
-    query = ("query", "-c", catalogue, files[0], "--json")
-    with_file, by_flags, plain = (
-        json.loads(run(*query, *chosen).stdout)["result"]
-        for chosen in (("--config", mine), (*PCA, "--distance", "d1", "--n-values", 9), ())
+def eggs(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A catalogue of eggs of four kinds, four of each."""
+    place = tmp_path_factory.mktemp("eggs")
+    labels = {}
+    for kind in range(N_KINDS):
+        for number in range(N_EACH):
+            axes = (1 + 0.1 * number, 1, 1.2 + 0.08 * kind)
+            write_mesh(shapes.ellipsoid(axes, subdivisions=3), place / f"{kind}{number}.off")
+            labels[f"{kind}{number}.off"] = f"kind{kind}"
+    (place / "labels.csv").write_text(
+        "\n".join(["file,class", *(f"{name},{label}" for name, label in labels.items())])
     )
-    assert with_file == by_flags != plain
+    pr.ingest(place, place / "eggs.sqlite", labels=labels, workers=1)
+    return place
+
+
+# --- options --------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("scale", ["area", "relative"])
+def test_a_file_gives_commands_their_options_and_flags_override_it(
+    scale: str, eggs: Path, tmp_path: Path
+) -> None:
+    """Of R-BiHDM, whose values have a scale: the default, and one that the catalogue was told."""
+    catalogue, mine = tmp_path / "c.sqlite", tmp_path / "mine.toml"
+    built = {"method": "r-bihdm"} | ({} if scale == "area" else {"scale": scale})
+    labels = {f"{kind}{number}.off": f"kind{kind}" for kind in range(N_KINDS) for number in range(3)}
+    files = [eggs / name for name in labels]
+    pr.ingest(files, catalogue, labels=labels, options={"signature": built}, workers=2)
+    mine.write_text("[signature]\nn_values = 9\n[retrieval]\nwhitening = 'pca'\ndistance = 'd1'\n")
+    asked = ("evaluate", "-c", catalogue)
+    by_file = result(*asked, "--config", mine)
+    assert (by_file["n_values"], by_file["whitening"], by_file["distance"]) == (9, "pca", "d1")
+    assert by_file == result(*asked, *PCA)
+    back = ("--whitening", "auto", "--distance", "log", "--n-values", 59)
+    assert result(*asked, "--config", mine, *back) == result(*asked)
+    query = ("query", "-c", catalogue, files[0])
+    assert result(*query, "--config", mine) == result(*query, *PCA) != result(*query)
     run("report", "-c", catalogue, "-o", tmp_path / "page.html", "--queries", 1, "--config", mine)
     page = (tmp_path / "page.html").read_text(encoding="utf-8")
-    for name, value in (
-        ("distance", "d1"),
-        ("whitening", "pca: the covariance"),
-        ("scale", by_file["scale"]),
-    ):
+    for name, value in {"distance": "d1", "whitening": "pca: the cov", "scale": by_file["scale"]}.items():
         assert re.search(rf"<dt>{name}</dt>\s*<dd>{value}", page), name
+
+
+def test_sizes_are_compared_in_one_unit_or_not_at_all(tmp_path: Path) -> None:
+    """Bodies of one form whose areas differ by 1.44; in metres as files say, and in a file without a unit."""
+    catalogue, query, sized = tmp_path / "c.sqlite", tmp_path / "query.off", ("--size-weight", 6)
+    body = shapes.ellipsoid((1, 1, 1.7), subdivisions=3)
+    for name, height in (("small.glb", 1.0), ("large.glb", 1.2), ("query.off", 120.0)):
+        write_mesh(pr.TriangleMesh(body.vertices * height, body.faces), tmp_path / name)
+    run("ingest", *sorted(tmp_path.glob("*.glb")), "-c", catalogue, "--workers", 1)
+    first, second = result("query", query, "-c", catalogue, *sized, "--unit", "cm")[0]["results"]
+    assert (first["id"], second["id"]) == ("large", "small")
+    assert first["distance"] < 0.05
+    assert second["distance"] == pytest.approx(6 * np.log(1.2**2), rel=0.01)
+    options = {"signature": {"size_weight": 6}}
+    known = pr.search(catalogue, query, options=options, unit="cm")
+    assert known.distances.tolist() == [first["distance"], second["distance"]]
+    assert pr.search(catalogue, pr.read_scan(query), options=options, unit="cm").ids == known.ids
+    signed = pr.signature(query, {**options, "scan": {"unit": "cm"}})
+    assert pr.search(catalogue, signed, options=options) == known
+    for flags in (sized, ("--scale", "absolute")):
+        said = refusal("query", query, "-c", catalogue, *flags)
+        assert "the shapes are in metres, the unit of the query is unknown; say the unit" in said
+    for unknown in (query, pr.signature(query, options), pr.read_scan(query)):
+        with pytest.raises(
+            pr.InputError, match=r"say the unit of the query by --unit \(scan.unit\), or comp"
+        ):
+            pr.search(catalogue, unknown, options=options)
+    run("ingest", query, "-c", catalogue, "--workers", 1)
+    labels = tmp_path / "labels.csv"
+    labels.write_text("file,class\nlarge,a\nsmall,a\nquery,a\n")
+    for command in (
+        ("query", "large"),
+        ("evaluate", "--labels", labels),
+        ("report", "-o", tmp_path / "page.html"),
+        ("matrix", "-o", tmp_path / "matrix.txt"),
+    ):
+        said = refusal(*command, "-c", catalogue, *sized)
+        assert "some shapes are in metres, the unit of others is unknown; ingest all" in said
+        run(*command, "-c", catalogue)
+
+
+def test_doubtful_shapes_are_summed_up_and_a_query_says_so(tmp_path: Path) -> None:
+    ball, body, catalogue = shapes.icosphere(3), shapes.body(3), tmp_path / "c.sqlite"
+    for name, mesh, first in (("open", ball, 12), ("whole", body, 0), ("other", body, 12)):
+        write_mesh(pr.TriangleMesh(mesh.vertices, mesh.faces[first:]), tmp_path / f"{name}.off")
+    scans = tmp_path / "open.off", tmp_path / "whole.off"
+    done = run("ingest", *scans, "-c", catalogue, "--surface", "keep", "--workers", 1, "--json")
+    assert "1 doubtful, 0 unusable by the checks of their scans: " in done.stderr
+    advice = done.stderr.split("`")[1].split()
+    assert advice == ["pcretrieve", "list", "--doubtful", "-c", str(catalogue)]
+    assert "closed surface: " in run(*advice[1:]).stdout
+    assert json.loads(done.stdout)["result"]["doubtful"] == ["open"]
+    asked = run("query", "-c", catalogue, tmp_path / "other.off")
+    assert "other.off is doubtful, ± 0.3: closed surface: " in asked.stderr
+    assert [line.split()[4] for line in asked.stdout.splitlines() if "  doubtful, ± " in line] == ["open"]
+
+
+# --- matrices and comparisons ---------------------------------------------------------------------------
+
+
+def test_a_matcher_makes_a_matrix_that_ranks(eggs: Path, tmp_path: Path) -> None:
+    path, catalogue = tmp_path / "heat.npy", tmp_path / "c.sqlite"
+    run("backup", eggs / "eggs.sqlite", catalogue)
+    (tmp_path / "broken.off").write_text("OFF\n")
+    (tmp_path / "labels.csv").write_text("file,class\nbroken,kind0\n")
+    ingest = ("ingest", tmp_path / "broken.off", "--labels", tmp_path / "labels.csv", "--workers", 1)
+    run(*ingest, "-c", catalogue, code=3)
+    asked = ("matrix", "-c", catalogue, "--matcher")
+    run(*asked, "heat-hausdorff", "-o", path)
+    made = pr.matrix(catalogue, matcher="heat-hausdorff")
+    with pr.Catalogue(catalogue) as store:
+        index = PairwiseIndex(MATCHERS["heat-hausdorff"], made.ids, store.shape)
+    assert pr.read_matrix(path) == replace(made, labels=()) == distance_matrix(index)
+    assert made.labels == tuple(f"kind{shape_id[0]}" for shape_id in made.ids)
+    found = result("evaluate", "-c", catalogue, "--matrix", path)
+    assert (found["n_queries"], found["n_failed"]) == (17, 1)
+    assert result("query", "-c", catalogue, eggs / "10.off", "--matrix", path)[0]["results"][0]["id"] == "10"
+    refused = refusal(*asked, "heat-hausdorff", "--n-values", 9, "-o", tmp_path / "no.txt")
+    assert "a matcher has no signatures: leave out --n-values" in refused
+    assert "'sift' is not one of 'heat-hausdorff', " in refusal(*asked, "sift", "-o", tmp_path / "no.txt")
+    assert not (tmp_path / "no.txt").exists()
+
+
+def test_re_ranking_is_a_row_more_and_works_by_a_matrix(eggs: Path, tmp_path: Path) -> None:
+    catalogue, labels = eggs / "eggs.sqlite", eggs / "labels.csv"
+    chosen = ("-c", catalogue, *PLAIN)
+    run("matrix", *chosen, "-o", tmp_path / "eggs.npy")
+    own = run("evaluate", *chosen, "--rerank", "local").stdout.splitlines()
+    assert own[1].endswith("  micro-average, plain")
+    assert own[2].endswith("  micro-average, local")
+    by_matrix = ("evaluate", "--matrix", tmp_path / "eggs.npy", "--rerank", "local")
+    assert run(*by_matrix, "--labels", labels).stdout.splitlines() == own
+    assert run(*by_matrix, "-c", catalogue).stdout.splitlines() == own
+    refused = refusal("matrix", *chosen, "--rerank", "local", "-o", tmp_path / "x.npy")
+    assert "distances are not re-ranked: leave out --rerank" in refused
+    np.save(tmp_path / "far.npy", np.where(np.eye(16) > 0, 0, np.inf))
+    (tmp_path / "far.ids").write_text((tmp_path / "eggs.ids").read_text())
+    far = ("evaluate", "--matrix", tmp_path / "far.npy", "--labels", labels)
+    assert run(*far, "--rerank", "none").stdout
+    said = refusal(*far, "--rerank", "local")
+    assert "re-ranking needs finite distances, got 240 that are infinite" in said
+
+
+def test_two_settings_matrices_and_files_give_one_comparison(eggs: Path, tmp_path: Path) -> None:
+    catalogue = eggs / "eggs.sqlite"
+    settings = {"one": ("--distance", "log"), "two": ("--distance", "d1", "--n-values", "5")}
+    for name, flags in settings.items():
+        run("matrix", "-c", catalogue, *PLAIN, *flags, "-o", tmp_path / f"{name}.txt")
+        run("evaluate", "-c", catalogue, *PLAIN, *flags, "--csv", tmp_path / name)
+    with pr.Catalogue(catalogue) as store:
+        chosen = store.options.changed(retrieval={"whitening": "none", "distance": "log"})
+        rankings = rank_catalogue(store, chosen).rankings
+    assert read_scores(tmp_path / "one" / "queries.csv") == query_scores(rankings)
+    plain = {"retrieval": {"whitening": "none"}}
+    short = {"retrieval": {"whitening": "none", "distance": "d1"}, "signature": {"n_values": 5}}
+    expected = pr.compare(catalogue, catalogue, options=plain, second_options=short)
+    assert (expected.difference != 0).any()
+    matrices = (tmp_path / "one.txt", tmp_path / "two.txt")
+    assert pr.compare(*matrices, labels=eggs / "labels.csv") == expected
+    files = (tmp_path / "one" / "queries.csv", tmp_path / "two" / "queries.csv")
+    assert pr.compare(*files) == expected
+    both = ("--distance", "log", "--distance", "d1", "--n-values", 59, "--n-values", 5)
+    found = result("compare", catalogue, catalogue, *PLAIN, *both, "--changes", 3)
+    assert found["difference"] == dict(zip(MEASURES, expected.difference.tolist(), strict=True))
+    assert found["low"] == dict(zip(MEASURES, expected.interval[0].tolist(), strict=True))
+    assert found["n_queries"] == 16
+    assert [one["id"] for one in found["changes"]] == [one.shape_id for one in expected.changes[:3]]
+    printed = run("compare", *files).stdout.splitlines()
+    assert printed[3].split()[:6] == [f"{value:+.3f}" for value in expected.difference]
+    assert printed[1].endswith(f"  A: {files[0]}")
+    change = expected.changes[0]
+    assert printed[6:8] == ["average precision of the most changed shapes:", "ID  CLASS       A       B"]
+    precisions = f"{change.first:.4f}", f"{change.second:.4f}"
+    assert printed[8].split() == [change.shape_id, change.label, *precisions]
+    said = refusal("compare", catalogue, matrices[0])
+    assert "a distance matrix has no classes: give labels" in said
+    said = refusal("compare", catalogue, catalogue, *("--distance", "d1") * 3)
+    assert "--distance is given at most twice, got 3" in said
+    assert "there is no catalogue" in refusal("compare", catalogue, tmp_path / "gone.sqlite")
+
+
+# --- duplicates and maps --------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def near(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Twelve eggs of three kinds; the fourth of each is almost the third, and not sound of the last kind."""
+    location, options = tmp_path_factory.mktemp("near") / "eggs.sqlite", pr.PipelineOptions()
+    with pr.Catalogue(location, create=True) as store:
+        for kind in range(3):
+            for number, width in enumerate((1, 1.04, 1.08, 1.0801)):
+                shape = pr.process(shapes.ellipsoid((width, 1, 1.3 + 0.5 * kind), 3))
+                sound = (kind, number) != (2, 3)
+                verdict = pr.Verdict("sound" if sound else "doubtful", 0.01 if sound else 0.5)
+                values = pr.describe(shape, options.signature).values
+                label = None if kind == 2 else f"<kind {kind}>"
+                name = f"{kind}{number}"
+                store.put(
+                    Record(name, f"/{name}.off", name, label),
+                    Content(replace(shape, verdict=verdict), values),
+                )
+    return location
+
+
+def test_duplicates_are_nearer_than_the_noise(near: Path) -> None:
+    pairs = pr.duplicates(near)
+    assert {(pair.first, pair.second) for pair in pairs} == {("02", "03"), ("12", "13")}
+    assert all(pair.limit == pytest.approx(0.01 * 2**0.5) for pair in pairs)
+    done = run("duplicates", "-c", near)
+    assert [line.split()[2:] for line in done.stdout.splitlines()[1:]] == [
+        [pair.first, pair.second] for pair in pairs
+    ]
+    assert done.stderr == "2 pairs\n"
+    assert result("duplicates", "-c", near) == [pair._asdict() for pair in pairs]
+
+
+def test_a_map_is_a_picture_or_a_page(near: Path, tmp_path: Path) -> None:
+    page, picture = tmp_path / "map.html", tmp_path / "map.png"
+    assert run("map", "-c", near, "-o", page).stdout == f"{page}\n"
+    assert pr.draw_map(near, picture) == picture
+    with Image.open(picture) as opened:
+        assert opened.size[0] > 600
+    text = page.read_text("utf-8")
+    assert len(re.findall(r'<path role="img" tabindex', text)) == 12
+    assert "&lt;kind 0&gt;" in text and "<kind 0>" not in text
+    assert text.count("class unknown") == 1
+    embedded = re.search(r'id="pictures">(.*?)</script>', text, re.DOTALL)
+    assert embedded is not None
+    pictures = json.loads(embedded[1])
+    assert len(pictures) == 12 and all(data.startswith("iVBOR") for data in pictures)
+    assert not re.search(r"(src|href)=\"(?!data:)", text), "it makes no requests"
+    for name in ("again.html", "once_more.html"):  # with the thumbnails that the first one kept
+        pr.draw_map(near, tmp_path / name)
+    assert (tmp_path / "again.html").read_bytes() == (tmp_path / "once_more.html").read_bytes()
+    with pytest.raises(pr.InputError, match=r"a picture \.png or a page \.html, got map\.gif"):
+        pr.draw_map(near, tmp_path / "map.gif")

@@ -1,0 +1,205 @@
+"""Standard streams: what a terminal shows, what a program reads, and what is closed or full."""
+
+from __future__ import annotations
+
+import fcntl
+import json
+import os
+import pty
+import re
+import struct
+import subprocess
+import sys
+import termios
+from contextlib import suppress
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+import shapes
+from commands import run
+
+from pcretrieve import Catalogue, PipelineOptions, Verdict, describe, process
+from pcretrieve.catalogue import Content, Record
+from pcretrieve.cli.output import write_table
+from pcretrieve.formats import write_mesh
+
+COLUMNS = 80
+DEEP = "/".join(f"a-folder-with-a-long-name-{number}" for number in range(4))
+REASON = "gaps: " + " ".join(["some are wide, others are wider"] * 4)
+FULL = Path("/dev/full")  # a device without space
+needs_full = pytest.mark.skipif(not FULL.exists(), reason="needs a device without space, /dev/full")
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Three ellipsoids in deep folders, one of them doubtful, and a failure."""
+    place, options = tmp_path_factory.mktemp("tables").resolve(), PipelineOptions()
+    with Catalogue(place / "c.sqlite", create=True) as store:
+        for number, verdict in enumerate((Verdict("sound", 0.1), Verdict("doubtful", 0.4, (REASON,)), None)):
+            shape = process(shapes.ellipsoid((1, 0.6 + 0.1 * number, 0.5), 3), options)
+            values = describe(shape, options.signature).values
+            path = str(place / DEEP / f"egg{number}.off")
+            record = Record(f"egg{number}", path, f"hash {number}", label="egg")
+            store.put(record, Content(replace(shape, verdict=verdict), values))
+        store.put(Record("bad", str(place / "bad.off"), "", status="failed", stage="read", message="no scan"))
+    return place
+
+
+def on_terminal(
+    folder: Path, *words: str, says: bool = False, code: int = 0, program: str = "", **environment: str
+) -> str:
+    """What a terminal of 80 columns gets, with its codes; messages too, if the command `says` them."""
+    ours, theirs = pty.openpty()
+    fcntl.ioctl(theirs, termios.TIOCSWINSZ, struct.pack("HHHH", 24, COLUMNS, 0, 0))
+    known = {name: value for name, value in os.environ.items() if name not in ("COLUMNS", "NO_COLOR")}
+    command = [sys.executable, *(("-c", program) if program else ("-m", "pcretrieve", *words))]
+    errors = theirs if says else subprocess.DEVNULL
+    with subprocess.Popen(
+        command, stdin=theirs, stdout=theirs, stderr=errors, cwd=folder, env=known | environment
+    ) as running:
+        os.close(theirs)
+        text = b""
+        with suppress(OSError), os.fdopen(ours, "rb", buffering=0) as screen:  # the other end is closed
+            while part := screen.read(4096):
+                text += part
+    assert running.returncode == code
+    return text.decode()
+
+
+def plain(line: str) -> str:
+    return re.sub(r"\x1b\[[0-9;]*m", "", line)
+
+
+# --- tables ---------------------------------------------------------------------------------------------
+
+
+def test_nothing_is_wider_than_the_terminal(folder: Path) -> None:
+    shown = {}
+    for words in ("list", "list --doubtful", "list --failed", "query egg0", "show egg1"):
+        lines = on_terminal(folder, *words.split(), "-c", "c.sqlite").splitlines()
+        assert max(len(plain(line)) for line in lines) <= COLUMNS
+        shown[words] = " ".join(" ".join(map(plain, lines)).split())
+    for words in ("list", "query egg0"):
+        # A path is relative, and keeps its name, when it is shortened.
+        assert re.search(r"a-fol[\w-]*…[\w/-]*/egg2\.off", shown[words]), shown
+        assert str(folder) not in shown[words]
+    doubtful = shown["list --doubtful"]
+    assert doubtful.count("wider") + doubtful.count("others") == 2 * REASON.count("wider")
+    # A path that is a result is not broken, so that a page can be opened from the terminal.
+    page = f"{'a page with blanks ' * 5}.html"
+    assert on_terminal(folder, "map", "-c", "c.sqlite", "-o", page).splitlines()[-1] == page
+
+
+def test_messages_are_broken_between_words(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """On a terminal; elsewhere each is one line."""
+    monkeypatch.chdir(folder)
+    query = ("query", "-c", "c.sqlite", "egg0")
+    asked = (*query, "--filter", "label=eggs")
+    lines = on_terminal(folder, *asked, says=True, code=1, NO_COLOR="1").splitlines()
+    assert len(lines) == 2
+    assert max(map(len, lines)) <= COLUMNS
+    assert " ".join(lines) == f"Error: {run(*asked, code=1).exception}"
+    # The verdict of a query is on standard output.
+    shown = on_terminal(folder, *query, COLUMNS="40").splitlines()[-2:]
+    assert max(map(len, shown)) <= 40
+    assert " ".join(shown) == run(*query).stdout.splitlines()[-1]
+
+
+def test_programs_get_whole_values_under_headings(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(folder)
+    lines = run("list", "-c", "c.sqlite").stdout.splitlines()
+    assert lines[0].split() == ["ID", "VERDICT", "CLASS", "EULER", "SECONDS", "FILE"]
+    assert [line.split()[-1] for line in lines[1:]] == ["bad.off", *(f"{DEEP}/egg{n}.off" for n in range(3))]
+    row = run("list", "-c", "c.sqlite", "--doubtful").stdout
+    assert row.endswith(f"  doubtful, ± 0.4: {REASON}\n")
+    rows = run("query", "-c", "c.sqlite", "egg0").stdout.splitlines()
+    assert rows[0].split() == ["RANK", "DISTANCE", "SCORE", "CLASS", "ID", "FILE", "VERDICT"]
+    assert [line[line.index("doubtful") :] for line in rows if "doubtful" in line] == ["doubtful, ± 0.4"]
+    starts = {line.index(word) for line, word in zip(rows, ("FILE", *[DEEP] * 3), strict=False)}
+    assert len(starts) == 1, "columns are aligned"
+    assert not any("\x1b" in line for line in (*lines, *rows))
+
+
+def test_colours_are_for_terminals_that_want_them(folder: Path) -> None:
+    asked = ("list", "-c", "c.sqlite")
+    coloured = on_terminal(folder, *asked).splitlines()
+    without = on_terminal(folder, *asked, NO_COLOR="1").splitlines()
+    assert "\x1b[33mdoubtful" in coloured[3]
+    assert "\x1b[31mfailed" in coloured[1]
+    assert not any("\x1b" in line for line in without)
+    assert [plain(line).rstrip() for line in coloured] == without
+
+
+def test_wide_characters_take_two_columns(capsys: pytest.CaptureFixture[str]) -> None:
+    rows = [("猫", "cat"), ("é", "e"), ("a\u0301", "a"), ("dog", "dog")]
+    write_table({"ID": "text", "NAME": "text"}, rows)
+    assert capsys.readouterr().out == "ID   NAME\n猫   cat\né    e\na\u0301    a\ndog  dog\n"
+
+
+# --- waiting --------------------------------------------------------------------------------------------
+
+WORKS = """
+import logging, time
+from pcretrieve.cli.messages import FIRST_WORD, NEXT_WORD, say, tell_of_waiting
+from pcretrieve.cli.output import write_line
+
+tell_of_waiting("count")
+time.sleep(FIRST_WORD + NEXT_WORD)
+logging.getLogger("pcretrieve.somewhere").info("counted: 1 of 2 \\033[31m" + 200 * "o")
+time.sleep(2 * NEXT_WORD)
+say("failed: the second")
+write_line("1")
+logging.getLogger("pcretrieve.somewhere").info("counted: 2 of 2")
+time.sleep(2 * NEXT_WORD)
+"""
+
+
+def test_the_line_of_waiting_has_the_latest_message_and_makes_place_for_others(tmp_path: Path) -> None:
+    shown = on_terminal(tmp_path, program=WORKS, says=True)
+    states = [state.strip() for state in shown.replace("\n", "\r").split("\r")]
+    assert any(state.startswith("count: at work, ") for state in states)
+    counted = next(state for state in states if state.startswith("count: counted: 1 of 2 ?[31mooo"))
+    assert len(counted) < COLUMNS
+    assert "2 of 2" not in shown, "nothing is said when results are shown"
+    assert "\x1b[31mfailed:\x1b[0m the second" in states
+    assert [state for state in states if state][-1] == "1"
+    assert "\r" + " " * 60 in shown[: shown.index("failed:")], "the line is cleared before the message"
+
+
+# --- streams that are closed, or on a full disk ---------------------------------------------------------
+
+
+def redirected(folder: Path, command: str) -> subprocess.CompletedProcess[str]:
+    """Run a command with redirections by the shell."""
+    program = f"{sys.executable} -m pcretrieve {command}"
+    return subprocess.run(
+        ["/bin/sh", "-c", program], cwd=folder, capture_output=True, text=True, timeout=120, check=False
+    )
+
+
+@pytest.mark.parametrize(
+    "redirection", ["2>&-", "0<&- 2>&-", ">&-", pytest.param(f"2>{FULL}", marks=needs_full)]
+)
+def test_what_cannot_be_printed_ends_no_batch(redirection: str, tmp_path: Path) -> None:
+    """Neither messages nor results, of one good scan and one that fails."""
+    (tmp_path / "scans").mkdir()
+    write_mesh(shapes.ellipsoid((1, 1, 2), subdivisions=3), tmp_path / "scans" / "egg.off")
+    (tmp_path / "scans" / "flat.xyz").write_text("1 2 3\n" * 200)
+    done = redirected(tmp_path, f"ingest scans -c c.sqlite --json {redirection}")
+    assert done.returncode == 3, done
+    if redirection == ">&-":
+        assert "1 done, 1 failed" in done.stderr and "Traceback" not in done.stderr
+        return
+    answer = json.loads(done.stdout)["result"]
+    assert answer["done"] == ["egg"]
+    assert [failure["id"] for failure in answer["failed"]] == ["flat"]
+
+
+@needs_full
+def test_results_that_cannot_be_printed_are_an_error(tmp_path: Path) -> None:
+    done = redirected(tmp_path, f"options >{FULL}")
+    assert done.returncode == 1
+    assert done.stderr == (
+        "Error: cannot print the result: No space left on device; print it to another place\n"
+    )

@@ -1,0 +1,41 @@
+"""Commands of pcretrieve that tests run: in this process, or in one of their own."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+from click.testing import CliRunner, Result
+
+from pcretrieve.cli.main import cli
+
+
+def run(*words: object, code: int | None = 0, **environment: str | None) -> Result:
+    """Run a command in this process: a new one takes seconds to import what it needs."""
+    done = CliRunner().invoke(cli, [str(word) for word in words], prog_name="pcretrieve", env=environment)
+    assert code in (None, done.exit_code), done.output
+    return done
+
+
+def refusal(*words: object) -> str:
+    """The message of a command that ends with an error."""
+    done = run(*words, code=None)
+    assert done.exit_code not in (0, 3), done.output
+    return f"{done.stderr}{done.exception}"
+
+
+def result(*words: object, code: int = 0) -> Any:
+    """The result in the JSON document of a command."""
+    return json.loads(run(*words, "--json", code=code).stdout)["result"]
+
+
+def program(*words: object, cwd: Path | None = None, code: int = 0) -> subprocess.CompletedProcess[str]:
+    """Run a command in a process of its own."""
+    command = [sys.executable, "-m", "pcretrieve", *map(str, words)]
+    done = subprocess.run(command, cwd=cwd, capture_output=True, text=True, timeout=300, check=False)
+    assert done.returncode == code, done.stderr
+    assert "Traceback" not in done.stderr
+    return done
