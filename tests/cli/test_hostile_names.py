@@ -13,6 +13,7 @@ from contextlib import closing
 from html.parser import HTMLParser
 from pathlib import Path
 
+import commands
 import pytest
 import shapes
 
@@ -118,9 +119,9 @@ def test_a_page_has_no_element_that_a_name_made(folder: Path) -> None:
     for command in ("report", "map"):
         pages = []
         for catalogue in ("tame.sqlite", "c.sqlite"):
-            page = f"{command}-{catalogue}.html"
-            run(folder, command, "-c", catalogue, "--whitening", "none", "-o", page)
-            pages.append(Page(folder / page))
+            page = folder / f"{command}-{catalogue}.html"
+            commands.run(command, "-c", folder / catalogue, "--whitening", "none", "-o", page)
+            pages.append(Page(page))
         expected, found = pages
         assert found.elements <= expected.elements
         assert found.attributes <= expected.attributes

@@ -17,7 +17,7 @@ from processes import living, wait_for
 
 import pcretrieve as pr
 from pcretrieve.formats import write_mesh
-from pcretrieve.ingestion.arrivals import Arrivals
+from pcretrieve.ingestion.run import Arrivals
 
 N_BAD = 3
 PATIENCE = 60  # seconds

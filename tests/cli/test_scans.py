@@ -43,6 +43,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 # --- signature and reconstruct --------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_signatures_are_those_of_the_single_scans_in_their_order(folder: Path, tmp_path: Path) -> None:
     done = run("signature", folder, "--workers", 2, code=3)
     assert done.stderr.startswith("signature: 4 scans\n")
@@ -84,6 +85,7 @@ def test_each_scan_of_a_folder_is_reconstructed(folder: Path, tmp_path: Path) ->
 # --- inspect and report-problem -------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_an_inspection_has_checks_numbers_and_pictures(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -141,17 +141,18 @@ def test_wide_characters_take_two_columns(capsys: pytest.CaptureFixture[str]) ->
 
 WORKS = """
 import logging, time
-from pcretrieve.cli.messages import FIRST_WORD, NEXT_WORD, say, tell_of_waiting
+from pcretrieve.cli import messages
 from pcretrieve.cli.output import write_line
 
-tell_of_waiting("count")
-time.sleep(FIRST_WORD + NEXT_WORD)
+messages.FIRST_WORD = messages.NEXT_WORD = 0.3  # seconds
+messages.tell_of_waiting("count")
+time.sleep(1)
 logging.getLogger("pcretrieve.somewhere").info("counted: 1 of 2 \\033[31m" + 200 * "o")
-time.sleep(2 * NEXT_WORD)
-say("failed: the second")
+time.sleep(1)
+messages.say("failed: the second")
 write_line("1")
 logging.getLogger("pcretrieve.somewhere").info("counted: 2 of 2")
-time.sleep(2 * NEXT_WORD)
+time.sleep(1)
 """
 
 
