@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -32,10 +33,14 @@ def result(*words: object, code: int = 0) -> Any:
     return json.loads(run(*words, "--json", code=code).stdout)["result"]
 
 
-def program(*words: object, cwd: Path | None = None, code: int = 0) -> subprocess.CompletedProcess[str]:
+def program(
+    *words: object, cwd: Path | None = None, code: int = 0, **environment: str
+) -> subprocess.CompletedProcess[str]:
     """Run a command in a process of its own."""
-    command = [sys.executable, "-m", "pcretrieve", *map(str, words)]
-    done = subprocess.run(command, cwd=cwd, capture_output=True, text=True, timeout=300, check=False)
+    command, known = [sys.executable, "-m", "pcretrieve", *map(str, words)], os.environ | environment
+    done = subprocess.run(
+        command, cwd=cwd, env=known, capture_output=True, text=True, timeout=300, check=False
+    )
     assert done.returncode == code, done.stderr
     assert "Traceback" not in done.stderr
     return done

@@ -42,22 +42,20 @@ QUOTED = 5
 @opt.config_option
 @opt.surface_option
 @opt.unit_option
-@opt.option(
+@opt.rare_option(
     "--no-meshes",
     "Leave meshes out of a new catalogue: a scan takes some 60 kB, not some 350 kB, but pages "
     "have no pictures, nothing can be exported, and only descriptors of the spectrum work.",
-    rare=True,
 )
 @opt.workers_option
 @opt.limit_options
-@opt.option("--scheduler ADDRESS", "Process the scans on the Dask cluster of this scheduler.", rare=True)
-@opt.option(
+@opt.rare_option("--scheduler ADDRESS", "Process the scans on the Dask cluster of this scheduler.")
+@opt.rare_option(
     "--scheduler-file FILE",
     "The same, by the file that `dask scheduler --scheduler-file` writes.",
     opt.PATH,
-    rare=True,
 )
-@opt.option("--cluster", "Start a Dask cluster on this computer, to try one.", ("local",), rare=True)
+@opt.rare_option("--cluster", "Start a Dask cluster on this computer, to try one.", ("local",))
 @opt.option("--retry-failed", "Process failed scans again too.")
 @opt.option(
     "--retries N",
@@ -67,11 +65,10 @@ QUOTED = 5
     details="After all other scans, at most N times: in a new process, then with cheaper settings, then "
     "by the other method of reconstruction. `pcretrieve show` tells what was changed.",
 )
-@opt.option(
+@opt.rare_option(
     "--max-failures N",
     "Stop after N scans have failed. The same command goes on from there.",
     opt.COUNT,
-    rare=True,
 )
 @opt.option("--dry-run", "Show what would be done, and do nothing.")
 @opt.progress_option
@@ -82,10 +79,9 @@ QUOTED = 5
     opt.PATH,
     details="With repairs and fallbacks.",
 )
-@opt.option(
+@opt.rare_option(
     "--shard I/N",
     "Process only part I of N, as one task of a job array; `catalogue merge` joins the catalogues.",
-    rare=True,
 )
 @opt.json_option
 def ingest_command(

@@ -48,7 +48,6 @@ FOR_BOTH = ("labels", "n_changes", "as_json")
 def evaluate_command(
     catalogue: str | None,
     labels: str | None,
-    sound_only: bool,
     per_class: bool,
     folder: Path | None,
     as_json: bool,
@@ -66,7 +65,7 @@ def evaluate_command(
     pcretrieve evaluate --catalogue shrec11.sqlite --labels shrec11
     pcretrieve evaluate --matrix run1.txt --labels shrec11.cla
     """
-    file, rerank = values["matrix"], values["rerank"]
+    file, rerank, sound_only = values["matrix"], values["rerank"], values["sound_only"]
     matrix = opt.read_distances(values, *(name for name in opt.COMPARISON if name != "rerank"))
     options = None
     if catalogue is None and (matrix is None or labels is None):

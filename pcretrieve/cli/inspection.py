@@ -28,6 +28,7 @@ from pcretrieve.errors import ShapeError
     "--rescans N",
     "Simulate so many rescans for the error bar of the signature.",
     opt.NUMBER,
+    into="n_rescans",
     default=4,
     details="Each has nine tenths of the points; the standard deviation of their signatures is shown.",
 )
@@ -42,13 +43,7 @@ from pcretrieve.errors import ShapeError
 @scans_options
 @opt.json_option
 def inspect_command(
-    scan: Path,
-    output: Path | None,
-    png: Path | None,
-    rescans: int,
-    catalogue: str | None,
-    as_json: bool,
-    **run: Any,
+    scan: Path, output: Path | None, png: Path | None, catalogue: str | None, as_json: bool, **run: Any
 ) -> None:
     """Show what is wrong with a scan, and what to do about it, on an HTML page.
 
@@ -69,9 +64,9 @@ def inspect_command(
         with pr.Catalogue(catalogue) as store:
             base = store.options
     options = opt.load_options(run, base)
-    asked: dict[str, Any] = {"options": options, "n_rescans": rescans, "catalogue": catalogue, "png": png}
+    asked = {"options": options, "n_rescans": run.pop("n_rescans"), "catalogue": catalogue, "png": png}
     run |= {"output": output or Path(scan.stem + ".html"), "suffix": ".html", "is_alone": is_alone}
-    run["timeout"] *= 1 + rescans
+    run["timeout"] *= 1 + asked["n_rescans"]
     documents = [
         {"scan": name} | out.failure_facts(found) if isinstance(found, ShapeError) else found
         for name, found in each_scan("inspect", partial(_inspected, **asked), scan, **run)

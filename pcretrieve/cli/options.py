@@ -123,6 +123,10 @@ def option(
     )
 
 
+#: An option that only ``--help-all`` explains.
+rare_option = partial(option, rare=True)
+
+
 def exit_if(some_failed: object) -> None:
     """End the command with the code for scans that failed, if there are any."""
     if some_failed:
@@ -223,19 +227,17 @@ catalogue_option = option(
 )
 json_option = option("--json", "Print one JSON document.", into="as_json")
 workers_option = option("--workers N", "Scans at a time.", COUNT, show_default="one per core")
-progress_option = option(
+progress_option = rare_option(
     "--progress",
     "Show a bar (a line a minute in a log file), one line of JSON for each scan, or nothing.",
     ("bar", "json", "none"),
     default="bar",
-    rare=True,
 )
 labels_option = option("--labels CSV|LAYOUT", "Use these classes, not the stored ones; see `ingest --help`.")
-up_option = option(
+up_option = rare_option(
     "--up",
     "Turn pictures so that this axis of the files points up.  [default: found for each shape]",
     ("x", "-x", "y", "-y", "z", "-z"),
-    rare=True,
 )
 config_option = option(
     "--config TOML|PRESET",
@@ -262,8 +264,8 @@ def limit_options(command: Decorated, *, unit: str = "scan") -> Decorated:
     """Options that limit time and memory of the processes in which a command works."""
     time, space = click.FloatRange(min=1), click.FloatRange(min=0.5)
     words = f"Give up after this time for each {unit}."
-    timeout = option("--timeout SECONDS", words, time, rare=True, default=600)
-    memory = option("--memory GIB", "Give a worker process no more memory than this.", space, rare=True)
+    timeout = rare_option("--timeout SECONDS", words, time, default=600)
+    memory = rare_option("--memory GIB", "Give a worker process no more memory than this.", space)
     return timeout(memory(command))
 
 
@@ -285,61 +287,54 @@ matrix_option = option(
     details="It is a square matrix, plain text or .npy. A file of the same name that ends in .ids has the "
     "ids of its rows, one in each line.",
 )
-method_option = option(
+method_option = rare_option(
     "--method NAME",
     "Descriptor, or several joined by +.  [default: combined, or the catalogue's]",
-    rare=True,
     shell_complete=complete_methods,
     details=lambda: f"Names: {', '.join(DESCRIPTOR_NAMES.all())}.",
 )
-n_values_option = option(
-    "--n-values L", "Number of values of the descriptor.  [default: 59, or the catalogue's]", COUNT, rare=True
+n_values_option = rare_option(
+    "--n-values L", "Number of values of the descriptor.  [default: 59, or the catalogue's]", COUNT
 )
-scale_option = option(
+scale_option = rare_option(
     "--scale",
     "Divide values by the area of the surface (area), by the first value (relative), or leave them, so that "
     "they depend on the size of bodies (absolute).  [default: auto, or the catalogue's]",
     ("auto", "area", "relative", "absolute"),
-    rare=True,
     details="auto is relative with --whitening pca, else area.",
 )
-size_weight_option = option(
+size_weight_option = rare_option(
     "--size-weight W",
     "Weight of the size of bodies beside their form; 6 is best for people.  [default: 0, or the catalogue's]",
     click.FloatRange(min=0, max=20),
-    rare=True,
     details="Adds a value, the area to the power of W. All files need one unit, or known units.",
 )
-_overlay_option = option(
+_overlay_option = rare_option(
     "--config TOML|PRESET",
     "Settings in place of the catalogue's: a file with the tables [signature] and [retrieval], or a preset.",
     PATH,
     shell_complete=complete_presets,
-    rare=True,
 )
-_rerank_option = option(
+_rerank_option = rare_option(
     "--rerank",
     "Sort the first hundred results again, but keep the first: by distances relative to those of near shapes "
     "(local), or by the neighbours that two shapes share (k-reciprocal).  [default: none, or the "
     "catalogue's]",
     ("none", "local", "k-reciprocal"),
-    rare=True,
 )
-_whitening_option = option(
+_whitening_option = rare_option(
     "--whitening NAME|FILE",
     "Differences that count less: those between near shapes (neighbours), within classes (within-class), "
     "between all shapes (pca), those that come from the resolution (resolution), those in a FILE of "
     "`calibrate`, or none.  [default: auto, or the catalogue's]",
-    rare=True,
     details="auto is within-class if there are enough labels, else neighbours; `evaluate` does not fit auto "
     "to labels. See docs/guide.md, Distances and whitening.",
 )
-_distance_option = option(
+_distance_option = rare_option(
     "--distance",
     "Euclidean distance of log-signatures (log), or D1 or D2 of the paper.  [default: log, or the "
     "catalogue's]",
     ("log", "d1", "d2"),
-    rare=True,
 )
 
 

@@ -213,7 +213,7 @@ def _reconstructed(scan: Path, file: Path, options: pr.PipelineOptions) -> dict[
 )
 @opt.method_option
 @opt.n_values_option
-@opt.option("--n-modes M", "Number of modes of the surface.  [default: 60]", click.IntRange(min=2), rare=True)
+@opt.rare_option("--n-modes M", "Number of modes of the surface.  [default: 60]", click.IntRange(min=2))
 @opt.scale_option
 @opt.size_weight_option
 @opt.config_option

@@ -323,19 +323,17 @@ def map_command(
     click.Path(exists=True, file_okay=False, writable=True, path_type=Path),
 )
 @opt.option("--max-upload MB", "Refuse larger scans from browsers.", opt.COUNT, default=200)
-@opt.option(
+@opt.rare_option(
     "--timeout SECONDS",
     "Give up on a scan from a browser after this time.",
     click.FloatRange(min=1),
     default=300,
-    rare=True,
 )
-@opt.option(
+@opt.rare_option(
     "--memory GIB",
     "Give the process for scans from browsers no more memory than this.",
     click.FloatRange(min=0.5),
     default=4,
-    rare=True,
 )
 @opt.up_option
 @opt.comparison_options

