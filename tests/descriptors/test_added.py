@@ -43,11 +43,6 @@ def center(shape, options):
     return Signature(shape.points.points.mean(axis=0), kind="center", metric="values")
 
 
-def bins(shape, options):
-    shares = shape.spectrum.eigenvalues[:3]  # the first is zero
-    return Signature(np.abs(shares) / shares.sum(), kind="bins", metric="histograms")
-
-
 def waves(shape, options):
     pairs = shape.eigenpairs
     return Signature([*pairs.eigenvectors.shape, pairs.area], kind="waves")
@@ -59,27 +54,15 @@ def hollow(shape, options):
 
 LOWEST = Descriptor("lowest", lowest, needs=("mesh",), length=three, metric="values")
 CENTER = Descriptor("center", center, needs=("points",), length=three, metric="values")
-BINS = Descriptor("bins", bins, needs=("spectrum",), has_size=False, length=three, metric="histograms")
 WAVES = Descriptor("waves", waves, needs=("eigenvectors",), length=three)
 HOLLOW = Descriptor("hollow", hollow, needs=("spectrum",), length=three)
 SLY = Descriptor("sly", lowest, needs=("spectrum",), length=three, metric="values")
 SHORT = Descriptor("short", extent, needs=("mesh",), length=lambda options: options.n_values + 1)
 MOODY = Descriptor("moody", lowest, needs=("mesh",), length=three)
 '''
-ENTRY_POINTS = """
-[pcretrieve.descriptors]
-extent = theirs:extent
-lowest = theirs:LOWEST
-center = theirs:CENTER
-bins = theirs:BINS
-waves = theirs:WAVES
-hollow = theirs:HOLLOW
-sly = theirs:SLY
-short = theirs:SHORT
-moody = theirs:MOODY
-misnamed = theirs:LOWEST
-number = theirs:np.pi
-"""
+RECORDS = ("lowest", "center", "waves", "hollow", "sly", "short", "moody")
+ENTRY_POINTS = "[pcretrieve.descriptors]\nextent = theirs:extent\n"
+ENTRY_POINTS += "".join(f"{name} = theirs:{name.upper()}\n" for name in RECORDS)
 
 
 @pytest.fixture(autouse=True)
