@@ -252,12 +252,10 @@ def search(
     with opened(catalogue) as store:
         chosen = PipelineOptions.of(options, store.options)
         question = Question(chosen, k, labels, exclude_self, min_score, unit, matrix)
-        if not isinstance(query, (str, Path, Signature)):
-            query = described_scan(question.scan_options(store), False, None, query).signature
-        ((_, outcome),) = _resolved(store, [_query_of(store, query, question)], question)
-        if isinstance(outcome, ShapeError):
-            raise outcome
-        return _cut(_ranked(store, outcome, question, question.k), question)
+        asked = _query_of(store, query, question) if isinstance(query, (str, Path, Signature)) else query
+        if not isinstance(asked, (str, Described)):
+            asked = described_scan(question.scan_options(store), False, None, asked)
+        return _cut(_ranked(store, asked, question, question.k), question)
 
 
 def search_many(
@@ -313,11 +311,16 @@ def answers(
 ) -> Iterator[tuple[str, Answer | ShapeError]]:
     """Answer several queries as `search_many`."""
     asked = [each for query in queries for each in _expanded(catalogue, query, question)]
-    for name, outcome in _resolved(catalogue, asked, question):
-        if isinstance(outcome, ShapeError):
-            yield name, outcome
+    scans = [query for _, query in asked if isinstance(query, Path)]
+    described = _described(scans, question, question.scan_options(catalogue))
+    for name, query in asked:
+        known = next(described)[1] if isinstance(query, Path) else query
+        if isinstance(known, ShapeError):
+            yield name, known
+        elif isinstance(known, PcretrieveError):
+            raise known
         else:
-            yield name, answer_to(catalogue, outcome, question)
+            yield name, answer_to(catalogue, known, question)
 
 
 def answer_to(catalogue: Catalogue, query: str | Described, question: Question) -> Answer:
@@ -480,7 +483,7 @@ def _described_here(
 
 def _expanded(
     catalogue: Catalogue, query: str | Path | Signature, question: Question
-) -> Iterator[tuple[str, str | Path | Signature]]:
+) -> Iterator[tuple[str, str | Path | Described]]:
     """The queries of a folder, or the one query that is given: their names, and what they name."""
     scans: list[str | Path | Signature] = [query]
     is_folder = not isinstance(query, Signature) and Path(query).is_dir()
@@ -489,28 +492,38 @@ def _expanded(
 
         scans = list(discover([str(query)]))
     for scan in scans:
+        name = scan.kind if isinstance(scan, Signature) else str(scan)
         try:
-            yield _query_of(catalogue, scan, question)
+            yield name, _query_of(catalogue, scan, question)
         except ScanReadError:
-            yield str(scan), Path(str(scan))  # reading it as a scan will report why
+            yield name, Path(name)  # reading it as a scan will report why
 
 
 def _query_of(
     catalogue: Catalogue, query: str | Path | Signature, question: Question
-) -> tuple[str, str | Path | Signature]:
-    """The name of a query, and the stored shape, the scan or the signature that it is."""
-    if isinstance(query, Signature):
-        return query.kind, query
-    path, name = Path(query), str(query)
+) -> str | Path | Described:
+    """The stored shape, the scan or the signature that a query is."""
+    found = Described(query) if isinstance(query, Signature) else _shape_or_scan(catalogue, query, question)
+    if question.matrix is not None and not isinstance(found, str):
+        name = query.kind if isinstance(query, Signature) else query
+        raise InputError(
+            f"a distance matrix ranks shapes of {catalogue.location} only, which does not hold {name}: leave "
+            "out the matrix, or ingest the scan and make the matrix again"
+        )
+    return found
+
+
+def _shape_or_scan(catalogue: Catalogue, query: str | Path, question: Question) -> str | Path:
+    path = Path(query)
     # Readers are imported for files only, because they are not needed to look up an id.
     if isinstance(query, str) and (path.is_dir() or not (path.exists() or _is_in_a_file(path))):
-        return name, _stored(catalogue, query)
+        return _stored(catalogue, query)
     if question.matrix is None and question.unit not in (None, catalogue.options.scan.unit):
-        return name, path  # sizes in another unit: a shape of the same content does not stand for the file
+        return path  # sizes in another unit: a shape of the same content does not stand for the file
     from pcretrieve.formats.identity import content_hash
 
     done = (record.id for record in catalogue.with_content(content_hash(path)) if record.status == "done")
-    return name, next(done, path)
+    return next(done, path)
 
 
 def _is_in_a_file(path: Path) -> bool:
@@ -535,28 +548,6 @@ def _stored(catalogue: Catalogue, shape_id: str) -> str:
             f"shape {shape_id!r} has no signature: it failed in {record.stage}: {record.message}"
         )
     return shape_id
-
-
-def _resolved(
-    catalogue: Catalogue, queries: Sequence[tuple[str, str | Path | Signature]], question: Question
-) -> Iterator[tuple[str, str | Described | ShapeError]]:
-    """For each query the id of its shape, or its signature, or why it has none."""
-    for name, query in queries:
-        if question.matrix is not None and not isinstance(query, str):
-            raise InputError(
-                f"a distance matrix ranks shapes of {catalogue.location} only, which does not hold {name}: "
-                "leave out the matrix, or ingest the scan and make the matrix again"
-            )
-    scans = [query for _, query in queries if isinstance(query, Path)]
-    outcomes = _described(scans, question, question.scan_options(catalogue))
-    for name, query in queries:
-        if isinstance(query, Path):
-            _, outcome = next(outcomes)
-            if isinstance(outcome, PcretrieveError) and not isinstance(outcome, ShapeError):
-                raise outcome
-            yield name, outcome
-        else:
-            yield name, query if isinstance(query, str) else Described(query)
 
 
 def _compared(query: str | Described) -> str | Signature:

@@ -103,7 +103,9 @@ def query_command(
     elif as_csv:
         _write_csv(outcomes)
     else:
-        _write_tables(outcomes, headed=not is_alone)
+        for name, answer in outcomes:
+            if not isinstance(answer, ShapeError):
+                _write_table(answer, None if is_alone else name)
         if asked["matrix"] is None:
             _say_how(store, options, asked["labels"])
     opt.exit_if(failures)
@@ -144,24 +146,21 @@ def _documents(outcomes: Outcomes, how: dict[str, str | None]) -> Iterator[dict[
             yield {"query": name} | found | how
 
 
-def _write_tables(outcomes: Outcomes, *, headed: bool) -> None:
+def _write_table(answer: pr.Answer, name: str | None) -> None:
     """A table of the results, below a line with the query if there are several, and the verdict."""
-    for name, answer in outcomes:
-        if isinstance(answer, ShapeError):
-            continue
-        if headed:
-            out.write_line(shown_path(name))
-        columns = COLUMNS | (DOUBT if any(record.is_doubtful for record in answer.records) else {})
-        rows = []
-        for row, record in zip(answer.rows(), answer.records, strict=True):
-            score = "-" if row["score"] is None else f"{row['score']:.2f}"
-            # Without the reasons, which are longer than the other columns together.
-            doubt = str(record.verdict).partition(":")[0] if record.is_doubtful else ""
-            label, path = row["label"] or "-", shown_path(row["path"])
-            cells = (str(row["rank"]), f"{row['distance']:#.4g}", score, label, row["id"], path, doubt)
-            rows.append(cells[: len(columns)])
-        out.write_table(columns, rows)
-        out.write_words(str(answer))
+    if name is not None:
+        out.write_line(shown_path(name))
+    columns = COLUMNS | (DOUBT if any(record.is_doubtful for record in answer.records) else {})
+    rows = []
+    for row, record in zip(answer.rows(), answer.records, strict=True):
+        score = "-" if row["score"] is None else f"{row['score']:.2f}"
+        # Without the reasons, which are longer than the other columns together.
+        doubt = str(record.verdict).partition(":")[0] if record.is_doubtful else ""
+        label, path = row["label"] or "-", shown_path(row["path"])
+        cells = (str(row["rank"]), f"{row['distance']:#.4g}", score, label, row["id"], path, doubt)
+        rows.append(cells[: len(columns)])
+    out.write_table(columns, rows)
+    out.write_words(str(answer))
 
 
 def _say_how(store: pr.Catalogue, options: pr.PipelineOptions, labels: list[str] | None) -> None:
