@@ -15,7 +15,7 @@ from mutations import altered, mutated, read_damaged
 
 from pcretrieve import Catalogue, PipelineOptions, calibrate, ingest, status
 from pcretrieve.catalogue import cache
-from pcretrieve.evaluation import rank_catalogue, read_scores, write_evaluation
+from pcretrieve.evaluation import evaluate, read_scores, write_evaluation
 from pcretrieve.formats import write_mesh
 from pcretrieve.ingestion.discover import discover
 from pcretrieve.ingestion.labels import read_labels
@@ -87,7 +87,7 @@ def written(folder: Path) -> dict[str, Target]:
                 store.index()
             else:
                 options = store.options.changed(retrieval={"whitening": "none"})
-                write_evaluation(rank_catalogue(store, options=options).rankings, folder)
+                write_evaluation(evaluate(store, options=options).ranked.rankings, folder)
                 table = store.signatures(options)
                 calibrate(store, folder / "metric.npz", options=store.options)
     distances = np.abs(table.values[:, :1] - table.values[:, 0])

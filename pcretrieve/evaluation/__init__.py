@@ -4,11 +4,7 @@ In come a catalogue, a table of signatures or a distance matrix, with the classe
 measures and precision–recall curves go out.
 """
 
-from pcretrieve.evaluation.catalogue import (
-    check_known,
-    rank_catalogue,
-    rank_matrix,
-)
+from pcretrieve.evaluation.catalogue import check_known
 from pcretrieve.evaluation.comparison import (
     Comparison,
     compare_scores,
@@ -27,14 +23,11 @@ from pcretrieve.evaluation.front import (
     matrix,
 )
 from pcretrieve.evaluation.measures import (
-    LEVEL,
     MEASURES,
     Confusion,
     PrecisionRecall,
     QueryScores,
     RetrievalMeasures,
-    bootstrap_interval,
-    class_measures,
     confusion,
     evaluate_rankings,
     precision_recall,
@@ -43,7 +36,6 @@ from pcretrieve.evaluation.measures import (
 from pcretrieve.evaluation.rankings import Rankings, rank
 
 __all__ = [
-    "LEVEL",
     "MEASURES",
     "PUBLISHED",
     "Comparison",
@@ -54,10 +46,8 @@ __all__ = [
     "QueryScores",
     "Rankings",
     "RetrievalMeasures",
-    "bootstrap_interval",
     "calibrate",
     "check_known",
-    "class_measures",
     "compare",
     "compare_scores",
     "confusion",
@@ -68,8 +58,6 @@ __all__ = [
     "precision_recall",
     "query_scores",
     "rank",
-    "rank_catalogue",
-    "rank_matrix",
     "rank_table",
     "read_scores",
     "rerank_table",

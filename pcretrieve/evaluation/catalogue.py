@@ -1,48 +1,70 @@
-"""Catalogue → rankings of its shapes, with the shapes that failed as misses."""
+"""Catalogue, table or distance matrix → rankings of its shapes, with the shapes that failed as misses."""
 
 from __future__ import annotations
 
 import logging
-from collections.abc import Mapping
+from collections.abc import Mapping, Set
 from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
-from pcretrieve.catalogue import Catalogue
+from pcretrieve.catalogue import Catalogue, CatalogueLike, opened
 from pcretrieve.errors import BenchmarkError, InputError
-from pcretrieve.evaluation.folds import Subset, rank_subsets, rank_table, rerank_table, unsupervised
-from pcretrieve.evaluation.rankings import Rankings, rank
+from pcretrieve.evaluation.folds import rerank_table, unsupervised
+from pcretrieve.evaluation.rankings import NO_FAILURES, Rankings, Subset, rank, rank_subsets
 from pcretrieve.ingestion.labels import labels_of, match_labels
 from pcretrieve.matching import DistanceMatrix
-from pcretrieve.options import PipelineOptions, RerankKind
-from pcretrieve.retrieval import resolution_covariance, table_whitening
+from pcretrieve.options import OptionsLike, PipelineOptions, RerankKind, RetrievalOptions
+from pcretrieve.retrieval import Whitening, resolution_covariance, table_whitening
 from pcretrieve.values import SignatureTable
 
 logger = logging.getLogger(__name__)
 
 
-class RankedCatalogue(NamedTuple):
-    """The rankings of the shapes of a catalogue, or of a distance matrix."""
+class RankedShapes(NamedTuple):
+    """The rankings of some shapes; `plain` without re-ranking.
+
+    options: with which the shapes of a catalogue were ranked.
+    """
 
     rankings: Rankings
-    n_failed: int
-    table: SignatureTable | None
-    whitening: str
     plain: Rankings
+    n_failed: int = 0
+    table: SignatureTable | None = None
+    whitening: str = ""
+    options: PipelineOptions | None = None
 
 
-def rank_catalogue(
-    catalogue: Catalogue,
-    options: PipelineOptions | None = None,
-    *,
+def rank_shapes(
+    shapes: CatalogueLike | SignatureTable | DistanceMatrix,
+    options: OptionsLike = None,
     labels: str | Path | None = None,
+    *,
     matrix: DistanceMatrix | None = None,
     sound_only: bool = False,
-) -> RankedCatalogue:
-    """Rank the shapes of a catalogue for each labelled shape."""
-    options = options or catalogue.options
+) -> RankedShapes:
+    """Rank shapes for each labelled shape among them."""
+    if isinstance(shapes, SignatureTable):
+        return RankedShapes(*_of_table(shapes, PipelineOptions.of(options).retrieval), table=shapes)
+    if isinstance(shapes, DistanceMatrix):
+        if labels is None:
+            raise BenchmarkError("a distance matrix has no classes: give labels, a file of classes")
+        classes = _classes_of_ids(labels, set(shapes.ids))
+        return _of_matrix(shapes, classes, {}, PipelineOptions.of(options).retrieval.rerank)
+    with opened(shapes) as store:
+        chosen = PipelineOptions.of(options, store.options)
+        return _of_catalogue(store, chosen, labels, matrix, sound_only)._replace(options=chosen)
+
+
+def _of_catalogue(
+    catalogue: Catalogue,
+    options: PipelineOptions,
+    labels: str | Path | None,
+    matrix: DistanceMatrix | None,
+    sound_only: bool,
+) -> RankedShapes:
     everything = catalogue.records()
     left = {record.id for record in everything if sound_only and record.is_doubtful}
     records = {record.id: record for record in everything if record.id not in left}
@@ -64,7 +86,7 @@ def rank_catalogue(
             matrix = matrix.select([shape_id for shape_id in matrix.ids if shape_id not in left])
         ranked_ids = set(matrix.ids)
         missing = {shape_id: classes[shape_id] for shape_id in records if shape_id not in ranked_ids}
-        return _ranked(matrix, classes, missing, options.retrieval.rerank)
+        return _of_matrix(matrix, classes, missing, options.retrieval.rerank)
     table = catalogue.signatures(options)
     if left:
         table = table.select([shape_id for shape_id in table.ids if shape_id not in left])
@@ -86,14 +108,20 @@ def rank_catalogue(
             if whitening.kind in ("none", "neighbours") and options.retrieval.whitening == "auto"
             else ""
         )
+    rankings = _of_table(table, retrieval, whitening, failed)
+    return RankedShapes(*rankings, len(failed), table, reason)
 
-    if retrieval.rerank == "none":
-        rankings = plain = rank_table(table, retrieval, whitening=whitening, failed=failed)
-    else:
-        methods = ("none", retrieval.rerank)
-        by_method = rerank_table(table, methods, retrieval, whitening=whitening, failed=failed)
-        rankings, plain = by_method[retrieval.rerank], by_method["none"]
-    return RankedCatalogue(rankings, len(failed), table, reason, plain)
+
+def _of_table(
+    table: SignatureTable,
+    options: RetrievalOptions,
+    whitening: Whitening | None = None,
+    failed: Mapping[str, str | None] = NO_FAILURES,
+) -> tuple[Rankings, Rankings]:
+    """The rankings with and without re-ranking."""
+    methods = ("none",) if options.rerank == "none" else ("none", options.rerank)
+    by_method = rerank_table(table, methods, options, whitening=whitening, failed=failed)
+    return by_method[options.rerank], by_method["none"]
 
 
 def check_known(matrix: DistanceMatrix, catalogue: Catalogue) -> None:
@@ -105,42 +133,37 @@ def check_known(matrix: DistanceMatrix, catalogue: Catalogue) -> None:
         )
 
 
-def rank_matrix(
-    matrix: DistanceMatrix, labels: str | Path, *, rerank: RerankKind = "none"
-) -> RankedCatalogue:
-    """Rank the shapes of a distance matrix for each labelled shape."""
-    ids = set(matrix.ids)
-    named: dict[str, str] = {}
-    for name, label in labels_of(labels, (f"/{shape_id}" for shape_id in matrix.ids)).items():
-        shape_id = name if name in ids else Path(name).stem
-        if named.setdefault(shape_id if shape_id in ids else name, label) != label:
-            raise BenchmarkError(
-                f"a shape must have one class, {shape_id!r} has {named[shape_id]!r} and {label!r} in {labels}"
-            )
-    classes = _classes(labels, named, {shape_id: f"/{shape_id}" for shape_id in ids})
-    return _ranked(matrix, classes, {}, rerank)
-
-
-def _ranked(
+def _of_matrix(
     matrix: DistanceMatrix,
     classes: Mapping[str, str | None],
     missing: Mapping[str, str | None],
     rerank: RerankKind,
-) -> RankedCatalogue:
+) -> RankedShapes:
     """The rankings by a matrix, in which some shapes are missing."""
     labels = [classes[shape_id] for shape_id in matrix.ids]
     if rerank == "none":
-        plain = again = rank(matrix, labels, failed=missing)
-    else:
-        if not np.isfinite(matrix.values).all():
-            raise InputError(
-                f"re-ranking needs finite distances, got {np.isinf(matrix.values).sum()} that are infinite: "
-                "rank without it"
+        plain = rank(matrix, labels, failed=missing)
+        return RankedShapes(plain, plain, len(missing))
+    if not np.isfinite(matrix.values).all():
+        raise InputError(
+            f"re-ranking needs finite distances, got {np.isinf(matrix.values).sum()} that are infinite: "
+            "rank without it"
+        )
+    everything = Subset(np.arange(len(matrix)), matrix.blocks())
+    by_method = rank_subsets([everything], matrix.ids, labels, (rerank,), failed=missing)
+    return RankedShapes(by_method[rerank], by_method["none"], len(missing))
+
+
+def _classes_of_ids(file: str | Path, ids: Set[str]) -> dict[str, str | None]:
+    """The classes of shapes by the labels in a file, which names ids or files."""
+    named: dict[str, str] = {}
+    for name, label in labels_of(file, (f"/{shape_id}" for shape_id in sorted(ids))).items():
+        shape_id = name if name in ids else Path(name).stem
+        if named.setdefault(shape_id if shape_id in ids else name, label) != label:
+            raise BenchmarkError(
+                f"a shape must have one class, {shape_id!r} has {named[shape_id]!r} and {label!r} in {file}"
             )
-        everything = Subset(np.arange(len(matrix)), matrix.blocks())
-        by_method = rank_subsets([everything], matrix.ids, labels, ("none", rerank), failed=missing)
-        plain, again = by_method["none"], by_method[rerank]
-    return RankedCatalogue(again, len(missing), None, "", plain)
+    return _classes(file, named, {shape_id: f"/{shape_id}" for shape_id in ids})
 
 
 def _classes(file: str | Path, labels: Mapping[str, str], paths: Mapping[str, str]) -> dict[str, str | None]:

@@ -15,9 +15,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pcretrieve.catalogue import CatalogueLike, opened
-from pcretrieve.errors import BenchmarkError, InputError
-from pcretrieve.evaluation.catalogue import rank_catalogue, rank_matrix
+from pcretrieve.catalogue import CatalogueLike
+from pcretrieve.errors import InputError
+from pcretrieve.evaluation.catalogue import rank_shapes
 from pcretrieve.evaluation.measures import (
     LEVEL,
     MEASURES,
@@ -166,13 +166,8 @@ def result_scores(
         return read_scores(result), None
     if isinstance(result, (str, Path)) and _is_matrix(Path(result)):
         result = read_matrix(result)
-    if isinstance(result, DistanceMatrix):
-        if labels is None:
-            raise BenchmarkError("a distance matrix has no classes: give labels, a file of classes")
-        return query_scores(rank_matrix(result, labels).rankings), None
-    with opened(result) as store:
-        chosen = PipelineOptions.of(options, store.options)
-        return query_scores(rank_catalogue(store, chosen, labels=labels).rankings), chosen
+    ranked = rank_shapes(result, options, labels)
+    return query_scores(ranked.rankings), ranked.options
 
 
 def _is_matrix(path: Path) -> bool:

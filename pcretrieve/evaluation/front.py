@@ -8,10 +8,9 @@ from pathlib import Path
 from typing import ClassVar, NamedTuple
 
 from pcretrieve.catalogue import CatalogueLike, opened
-from pcretrieve.errors import BenchmarkError, InputError
-from pcretrieve.evaluation.catalogue import RankedCatalogue, rank_catalogue, rank_matrix
+from pcretrieve.errors import InputError
+from pcretrieve.evaluation.catalogue import RankedShapes, rank_shapes
 from pcretrieve.evaluation.comparison import Comparison, compare_scores, result_scores, write_evaluation
-from pcretrieve.evaluation.folds import rank_table
 from pcretrieve.evaluation.measures import (
     LEVEL,
     ClassMeasures,
@@ -71,7 +70,7 @@ PUBLISHED: Mapping[str, tuple[Published, ...]] = {"shrec11": _SET, **_TRACKS}
 class Evaluation(RetrievalMeasures):
     """Means of the measures over all queries, and what else is known of the same rankings."""
 
-    ranked: RankedCatalogue = field(repr=False)
+    ranked: RankedShapes = field(repr=False)
     layout: str = field(default="", repr=False)
     level: ClassVar[float] = LEVEL
 
@@ -149,17 +148,7 @@ def evaluate(
     CatalogueError
         If the options require other spectra than the catalogue has.
     """
-    if isinstance(shapes, SignatureTable):
-        rankings = rank_table(shapes, PipelineOptions.of(options).retrieval)
-        ranked = RankedCatalogue(rankings, 0, shapes, "", rankings)
-    elif isinstance(shapes, DistanceMatrix):
-        if labels is None:
-            raise BenchmarkError("a distance matrix has no classes: give labels, a file of classes")
-        ranked = rank_matrix(shapes, labels, rerank=PipelineOptions.of(options).retrieval.rerank)
-    else:
-        with opened(shapes) as store:
-            chosen = PipelineOptions.of(options, store.options)
-            ranked = rank_catalogue(store, chosen, labels=labels, matrix=matrix, sound_only=sound_only)
+    ranked = rank_shapes(shapes, options, labels, matrix=matrix, sound_only=sound_only)
     return Evaluation(**asdict(evaluate_rankings(ranked.rankings)), ranked=ranked, layout=str(labels or ""))
 
 

@@ -7,22 +7,32 @@ shapes are queries, and which are relevant to a query, is defined in `pcretrieve
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
 
 from pcretrieve.errors import BenchmarkError, InputError
-from pcretrieve.retrieval import DistanceBlock, Positions, Ranking
+from pcretrieve.retrieval import N_RERANKED, DistanceBlock, NeighbourLists, Positions, Ranking, rerank
 from pcretrieve.values.base import Value
 
 #: The classes of failed shapes by id, if no shape failed.
 NO_FAILURES: Mapping[str, str | None] = MappingProxyType({})
 
 
-class SortedBlock(NamedTuple):
+class Subset(NamedTuple):
+    """Shapes of a gallery that are ranked among each other, and their distances.
+
+    members: (m,) intp, positions of the shapes in the gallery.
+    """
+
+    members: Positions
+    blocks: Iterable[DistanceBlock]
+
+
+class _SortedBlock(NamedTuple):
     """Some queries, and the gallery in the order of its distances from each of them.
 
     queries: (q,) intp, positions of the queries in the gallery.
@@ -76,16 +86,70 @@ def rank_gallery(
     failed: Mapping[str, str | None] = NO_FAILURES,
 ) -> Rankings:
     """Rank a gallery for each labelled shape by blocks of distances."""
-    in_order = (SortedBlock(block.queries, by_distance(block, ids)) for block in blocks)
-    return rank_sorted(in_order, ids, labels, failed=failed)
+    return rank_subsets([Subset(np.arange(len(ids)), blocks)], ids, labels, failed=failed)["none"]
 
 
-def by_distance(block: DistanceBlock, ids: Sequence[str]) -> Positions:
+def rank_subsets(
+    subsets: Iterable[Subset],
+    ids: Sequence[str],
+    labels: Sequence[str | None],
+    methods: Sequence[str] = ("none",),
+    *,
+    failed: Mapping[str, str | None] = NO_FAILURES,
+) -> dict[str, Rankings]:
+    """Rank each labelled shape's subset of a gallery, by plain lists ("none") and by those of each method.
+
+    Shapes behind the list that is sorted again keep their ranks.
+    """
+    again = [method for method in methods if method != "none"]
+    lists: list[tuple[Positions, NeighbourLists]] = []
+
+    def plain_blocks() -> Iterator[_SortedBlock]:
+        for members, blocks in subsets:
+            m = len(members)
+            length = min(N_RERANKED + 1, m) if again else 0  # with the shape itself
+            kept = NeighbourLists(np.empty((m, length), dtype=np.intp), np.empty((m, length)))
+            names = [ids[position] for position in members]
+            for block in blocks:
+                order = _by_distance(block, names)
+                nearest = order[:, :length]
+                kept.order[block.queries] = nearest
+                kept.distances[block.queries] = np.take_along_axis(block.distances, nearest, axis=1)
+                yield _SortedBlock(members[block.queries], members[order])
+            lists.append((members, kept))
+
+    plain = _rank_sorted(plain_blocks(), ids, labels, failed)
+    rankings = {"none": plain}
+    # Ranks behind the lists are as before. Lists that are shorter have all shapes of their subset.
+    behind = plain.hit_rank > N_RERANKED
+    labelled = np.array([label is not None for label in labels], dtype=bool)
+    for method in again:
+        blocks = (
+            _SortedBlock(members[queries], members[rerank(method, kept, queries)])
+            for members, kept in lists
+            for queries in [np.flatnonzero(labelled[members])]
+        )
+        first = _rank_sorted(blocks, ids, labels, failed)
+        hit_query = np.concatenate([first.hit_query, plain.hit_query[behind]])
+        hit_rank = np.concatenate([first.hit_rank, plain.hit_rank[behind]])
+        order = np.lexsort((hit_rank, hit_query))
+        rankings[method] = replace(first, hit_query=hit_query[order], hit_rank=hit_rank[order])
+    return rankings
+
+
+def _by_distance(block: DistanceBlock, ids: Sequence[str]) -> Positions:
     """Sort a gallery by its distances from some queries.
 
     Returns (q, N) intp: positions: first the query itself, then the nearest shapes, equal distances by id.
     """
-    _check_block(block, len(ids))
+    if block.distances.shape != (len(block.queries), len(ids)):
+        raise InputError(
+            f"distances must have shape ({len(block.queries)}, {len(ids)}), queries by gallery, "
+            f"got {block.distances.shape}"
+        )
+    usable = block.distances >= 0
+    if not usable.all():
+        raise InputError(f"distances must be 0 or more, got {(~usable).sum()} that are negative or NaN")
     by_id = np.array(sorted(range(len(ids)), key=ids.__getitem__), dtype=np.intp)  # (N,)
     columns = block.distances[:, by_id]  # (q, N): a stable sort then orders equal distances by identifier
     columns[block.queries[:, np.newaxis] == by_id] = -np.inf
@@ -93,12 +157,11 @@ def by_distance(block: DistanceBlock, ids: Sequence[str]) -> Positions:
     return order
 
 
-def rank_sorted(
-    blocks: Iterable[SortedBlock],
+def _rank_sorted(
+    blocks: Iterable[_SortedBlock],
     ids: Sequence[str],
     labels: Sequence[str | None],
-    *,
-    failed: Mapping[str, str | None] = NO_FAILURES,
+    failed: Mapping[str, str | None],
 ) -> Rankings:
     """The ranks of the relevant shapes in a gallery that is sorted for each query."""
     if len(ids) != len(labels):
@@ -150,14 +213,3 @@ def rank_sorted(
         n_failed=len(missed),
         n_single=sum(size for size in sizes.values() if size == 1),
     )
-
-
-def _check_block(block: DistanceBlock, n: int) -> None:
-    if block.distances.shape != (len(block.queries), n):
-        raise InputError(
-            f"distances must have shape ({len(block.queries)}, {n}), queries by gallery, "
-            f"got {block.distances.shape}"
-        )
-    usable = block.distances >= 0
-    if not usable.all():
-        raise InputError(f"distances must be 0 or more, got {(~usable).sum()} that are negative or NaN")

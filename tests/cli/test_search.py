@@ -15,7 +15,7 @@ from PIL import Image
 
 import pcretrieve as pr
 from pcretrieve.catalogue import Content, Record
-from pcretrieve.evaluation import MEASURES, query_scores, rank_catalogue, read_scores
+from pcretrieve.evaluation import MEASURES, query_scores, read_scores
 from pcretrieve.formats import write_mesh
 from pcretrieve.matching import MATCHERS, PairwiseIndex, distance_matrix
 
@@ -177,7 +177,7 @@ def test_two_settings_matrices_and_files_give_one_comparison(eggs: Path, tmp_pat
         run("evaluate", "-c", catalogue, *PLAIN, *flags, "--csv", tmp_path / name)
     with pr.Catalogue(catalogue) as store:
         chosen = store.options.changed(retrieval={"whitening": "none", "distance": "log"})
-        rankings = rank_catalogue(store, chosen).rankings
+        rankings = pr.evaluate(store, options=chosen).ranked.rankings
     assert read_scores(tmp_path / "one" / "queries.csv") == query_scores(rankings)
     plain = {"retrieval": {"whitening": "none"}}
     short = {"retrieval": {"whitening": "none", "distance": "d1"}, "signature": {"n_values": 5}}

@@ -1,45 +1,49 @@
-"""Grouped folds separate classes, and an evaluation uses them."""
+"""Grouped folds separate classes, an evaluation uses them, and re-ranking looks at no labels."""
 
 from dataclasses import asdict, replace
 
 import numpy as np
 import pytest
 
-from pcretrieve.evaluation.folds import (
-    evaluate_table,
-    grouped_folds,
-    rank_table,
-    within_class_distances,
-    within_class_folds,
-)
-from pcretrieve.evaluation.measures import evaluate_rankings
-from pcretrieve.evaluation.rankings import rank_gallery
+from pcretrieve.evaluation import evaluate_table, rank, rank_table, rerank_table
+from pcretrieve.evaluation.folds import grouped_folds, within_class_folds, within_class_subsets
+from pcretrieve.evaluation.rankings import Subset, rank_subsets
+from pcretrieve.matching import DistanceMatrix
 from pcretrieve.options import RetrievalOptions
-from pcretrieve.retrieval import DISTANCES, DistanceBlock, coordinates, fit_whitening, pairwise
+from pcretrieve.retrieval import (
+    DISTANCES,
+    DistanceBlock,
+    NeighbourLists,
+    coordinates,
+    fit_whitening,
+    pairwise,
+    rerank,
+)
 from pcretrieve.values import FloatArray, SignatureTable
 
 WITHIN_CLASS = RetrievalOptions(whitening="within-class")
 PLAIN = RetrievalOptions(whitening="none")
 
 
-def a_table(*, seed: int = 0, n_classes: int = 10, per_class: int = 6, n_values: int = 8) -> SignatureTable:
-    """Classes that differ where poses do not: the spread within classes hides that between them."""
-    rng = np.random.default_rng(seed)
-    centres = rng.normal(size=(n_classes, n_values)) * np.geomspace(0.3, 0.02, n_values)
-    poses = rng.normal(size=(n_classes * per_class, n_values)) * np.geomspace(0.02, 1.0, n_values)
-    values = np.exp(np.repeat(centres, per_class, axis=0) + poses - 3)
-    labels = [f"class {number}" for number in range(n_classes) for _ in range(per_class)]
-    return SignatureTable(
-        tuple(f"T{i:02}" for i in range(len(values))), values, "r-bihdm", "3f2a", tuple(labels)
+def table_of(logs: FloatArray, per_class: int) -> SignatureTable:
+    ids = tuple(f"T{row:03}" for row in range(len(logs)))
+    labels = tuple(f"class {row // per_class}" for row in range(len(logs)))
+    return SignatureTable(ids, np.exp(logs), "r-bihdm", "3f2a", labels)
+
+
+def a_table() -> SignatureTable:
+    """Ten classes that differ where poses do not: the spread within classes hides that between them."""
+    rng = np.random.default_rng(0)
+    centres = np.repeat(rng.normal(size=(10, 8)) * np.geomspace(0.3, 0.02, 8), 6, axis=0)
+    return table_of(centres + rng.normal(size=(60, 8)) * np.geomspace(0.02, 1.0, 8) - 3, 6)
+
+
+def round_classes(noise: float = 0.35) -> SignatureTable:
+    """Twenty classes with the same spread in all directions."""
+    rng = np.random.default_rng(0)
+    return table_of(
+        np.repeat(rng.normal(size=(20, 8)), 6, axis=0) + noise * rng.normal(size=(120, 8)), per_class=6
     )
-
-
-def distance_matrix(table: SignatureTable, distance: str) -> FloatArray:
-    """(N, N) with NaN where no query was made."""
-    matrix = np.full((len(table), len(table)), np.nan)
-    for queries, distances in within_class_distances(table, RetrievalOptions(distance=distance)):
-        matrix[queries] = distances
-    return matrix
 
 
 def test_every_class_is_in_one_fold_whatever_the_order_of_shapes() -> None:
@@ -54,53 +58,50 @@ def test_every_class_is_in_one_fold_whatever_the_order_of_shapes() -> None:
     assert [sum(name in "uvwxy" for name in fold) for fold in folds] == [1] * 5
 
 
-def test_the_whitening_has_seen_no_value_of_the_classes_it_is_scored_on() -> None:
-    table = a_table()
-    poison = np.random.default_rng(7)
-    folds = list(within_class_folds(table, WITHIN_CLASS))
-    for number, fold in enumerate(folds):
-        values = table.values.copy()
-        values[fold.queries] = poison.lognormal(0, 5, values[fold.queries].shape)
-        poisoned = list(within_class_folds(replace(table, values=values), WITHIN_CLASS))
-        assert (poisoned[number].queries == fold.queries).all()
-        assert (poisoned[number].whitening.matrix == fold.whitening.matrix).all()
-        assert (poisoned[number].whitening.mean == fold.whitening.mean).all()
-        # All other folds are fitted on these values, so that the changed values did affect these fits.
-        for other in range(5):
-            same = (poisoned[other].whitening.matrix == folds[other].whitening.matrix).all()
-            assert same == (other == number)
-
-
 def test_the_whitening_of_a_fold_is_that_of_the_other_folds() -> None:
     table = a_table()
-    logs = coordinates(table.values)
-    for fold in within_class_folds(table, RetrievalOptions(shrinkage=0.2)):
-        others = np.setdiff1d(np.arange(60), fold.queries)
-        expected = fit_whitening(
-            "within-class", logs[others], [table.labels[i] for i in others], shrinkage=0.2
-        )
-        np.testing.assert_allclose(fold.whitening.matrix, expected.matrix, rtol=1e-12)
-        assert fold.whitening.options_digest == "3f2a"
+    logs, poison = coordinates(table.values), np.random.default_rng(7)
+    folds = list(within_class_folds(table, RetrievalOptions(shrinkage=0.2)))
+    assert len(folds) == 5
+    for queries, whitening in folds:
+        others = np.setdiff1d(np.arange(60), queries)
+        labels = [table.labels[row] for row in others]
+        expected = fit_whitening("within-class", logs[others], labels, shrinkage=0.2)
+        np.testing.assert_allclose(whitening.matrix, expected.matrix, rtol=1e-12)
+        assert whitening.options_digest == "3f2a"
+    folds = list(within_class_folds(table, WITHIN_CLASS))
+    for number, (queries, _) in enumerate(folds):
+        values = table.values.copy()
+        values[queries] = poison.lognormal(0, 5, values[queries].shape)
+        poisoned = list(within_class_folds(replace(table, values=values), WITHIN_CLASS))
+        assert (poisoned[number][0] == queries).all()
+        # All other folds are fitted on these values, so that the changed values did affect these fits.
+        same = [
+            one.mean.tolist() == two.mean.tolist() and (one.matrix == two.matrix).all()
+            for (_, one), (_, two) in zip(poisoned, folds, strict=True)
+        ]
+        assert same == [other == number for other in range(5)]
 
 
-def test_queries_are_ranked_against_the_whole_gallery() -> None:
-    table = a_table()
-    logs = coordinates(table.values)
-    for distance in DISTANCES:
-        matrix = distance_matrix(table, distance)
-        for fold in within_class_folds(table, WITHIN_CLASS):
-            whitened = fold.whitening.apply(logs)
-            assert (matrix[fold.queries] == pairwise(distance, whitened[fold.queries], whitened)).all()
-
-
-def test_unlabelled_shapes_are_ranked_but_not_fitted_on() -> None:
+@pytest.mark.parametrize("distance", DISTANCES)
+def test_queries_are_ranked_against_the_whole_gallery_or_re_ranked_in_their_fold(distance: str) -> None:
+    """Shapes of a fit are dense, and would make others look isolated. A shape without label is no query."""
     table = a_table()
     values = np.vstack([table.values, np.full(8, 50.0)])
-    stranger = replace(table, ids=(*table.ids, "stranger"), values=values, labels=(*table.labels, None))
-    alone, among = distance_matrix(table, "log"), distance_matrix(stranger, "log")
-    assert among.shape == (61, 61)
-    assert (among[:60, :60] == alone).all()
-    assert np.isnan(among[60]).all()
+    table = replace(table, ids=(*table.ids, "stranger"), values=values, labels=(*table.labels, None))
+    options, logs = RetrievalOptions(distance=distance), coordinates(table.values)
+    seen = []
+    for among_fold in (False, True):
+        subsets = within_class_subsets(table, options, among_fold=among_fold)
+        for (queries, whitening), subset in zip(within_class_folds(table, options), subsets, strict=True):
+            seen += queries.tolist()
+            members = queries if among_fold else np.arange(61)
+            np.testing.assert_array_equal(subset.members, members)
+            for rows, distances in subset.blocks:
+                np.testing.assert_array_equal(members[rows], queries)
+                points = whitening.apply(logs[members])
+                assert (distances == pairwise(distance, points[rows], points)).all()
+    assert sorted(seen) == sorted([*range(60)] * 2)
 
 
 def test_within_class_whitening_finds_nothing_in_noise() -> None:
@@ -122,22 +123,57 @@ def test_within_class_whitening_finds_nothing_in_noise() -> None:
 
 
 @pytest.mark.parametrize("whitening", ["none", "pca", "within-class"])
-def test_evaluation_does_not_depend_on_the_order_of_shapes(whitening: str) -> None:
-    table = a_table()
-    shuffled = table.select([table.ids[i] for i in np.random.default_rng(5).permutation(60)])
-    assert asdict(evaluate_table(shuffled, RetrievalOptions(whitening=whitening))) == pytest.approx(
-        asdict(evaluate_table(table, RetrievalOptions(whitening=whitening)))
-    )
-
-
-@pytest.mark.parametrize("whitening", ["none", "pca"])
 @pytest.mark.parametrize("distance", DISTANCES)
-def test_whitening_without_labels_is_fitted_on_the_whole_gallery(distance: str, whitening: str) -> None:
+def test_an_evaluation_whitens_the_gallery_in_any_order(distance: str, whitening: str) -> None:
     table = a_table()
-    logs = coordinates(table.values)
-    whitened = fit_whitening(whitening, logs).apply(logs)
-    block = DistanceBlock(np.arange(60), pairwise(distance, whitened, whitened))
-    expected = rank_gallery([block], table.ids, table.labels)
     options = RetrievalOptions(distance=distance, whitening=whitening)
-    assert rank_table(table, options) == expected
-    assert evaluate_table(table, options) == evaluate_rankings(expected)
+    shuffled = table.select([table.ids[i] for i in np.random.default_rng(5).permutation(60)])
+    measured = asdict(evaluate_table(table, options))
+    assert asdict(evaluate_table(shuffled, options)) == pytest.approx(measured)
+    if whitening != "within-class":
+        points = fit_whitening(whitening, logs := coordinates(table.values)).apply(logs)
+        matrix = DistanceMatrix(table.ids, pairwise(distance, points, points))
+        assert rank_table(table, options) == rank(matrix, table.labels)
+
+
+# --- re-ranking -----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("whitening", ["none", "neighbours", "pca", "within-class"])
+def test_several_methods_at_once_rank_as_each_of_them(whitening: str) -> None:
+    """The nearest shape stays."""
+    table = round_classes()
+    options = RetrievalOptions(whitening=whitening)
+    found = rerank_table(table, ("none", "local", "k-reciprocal"), options)
+    for method in ("local", "k-reciprocal"):
+        assert found[method] == rank_table(table, options.model_copy(update={"rerank": method}))
+        assert found[method] != found["none"]
+        assert found[method].nearest == found["none"].nearest
+
+
+def test_overlapping_classes_are_ranked_better() -> None:
+    table = round_classes(noise=0.45)
+    plain = evaluate_table(table, PLAIN)
+    again = evaluate_table(table, RetrievalOptions(whitening="none", rerank="k-reciprocal"))
+    assert plain.map < 0.9
+    assert again.map > plain.map + 0.03
+
+
+def test_ranks_are_those_of_the_re_ranked_lists_and_then_of_the_distances() -> None:
+    """Over more shapes than are sorted again, with many equal distances, and some shapes without a class."""
+    rng = np.random.default_rng(4)
+    n = 150
+    distances = np.round(rng.random((n, n)), 1)
+    ids = [f"{number:03}" for number in range(n)]
+    labels = [None if number % 10 == 0 else f"class {number % 7}" for number in range(n)]
+    block = DistanceBlock(np.arange(n), distances)
+    found = rank_subsets([Subset(np.arange(n), [block])], ids, labels, ("none", "local"))
+    own_first = np.where(np.eye(n, dtype=bool), -1, distances)
+    nearest = np.argsort(own_first, axis=1, kind="stable")[:, :101]
+    again = rerank("local", NeighbourLists(nearest, np.take_along_axis(distances, nearest, axis=1)))
+    for number, query in enumerate(map(int, found["local"].ids)):
+        order = list(again[query])
+        rest = sorted(set(range(n)).difference(order), key=lambda other: (distances[query, other], other))
+        ranked = [labels[other] == labels[query] for other in order + rest]
+        expected = np.flatnonzero(ranked)[1:]
+        np.testing.assert_array_equal(found["local"].hit_rank[found["local"].hit_query == number], expected)

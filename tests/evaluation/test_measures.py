@@ -1,7 +1,6 @@
 """Rankings and measures, worked by hand."""
 
 from collections.abc import Iterator
-from dataclasses import asdict
 from math import log2
 
 import numpy as np
@@ -9,6 +8,7 @@ import pytest
 
 from pcretrieve.errors import InputError
 from pcretrieve.evaluation.measures import (
+    MEASURES,
     RetrievalMeasures,
     evaluate_rankings,
     precision_recall,
@@ -46,12 +46,6 @@ def by_rows(distances: FloatArray) -> Iterator[DistanceBlock]:
         yield DistanceBlock(np.array([row]), distances[row : row + 1])
 
 
-def random_benchmark(seed: int = 0, n: int = 60) -> tuple[FloatArray, list[str], list[str | None]]:
-    rng = np.random.default_rng(seed)
-    labels: list[str | None] = [f"class {number}" for number in rng.integers(0, 8, n)]
-    return rng.random((n, n)), [f"T{number}" for number in rng.permutation(n)], labels
-
-
 def test_hand_worked_scores() -> None:
     scores = query_scores(ranked(ORDERS, {**LABELS}))
     assert scores.ids == tuple("abcde")
@@ -65,49 +59,22 @@ def test_hand_worked_scores() -> None:
     # Ranks 1 and 2 gain 1 each, rank 3 gains 1 / log₂ 3 and rank 4 a half.
     np.testing.assert_allclose(scores.dcg, [(1 + third) / 2, (third + 1 / 2) / 2, 1, 1, 1])
     np.testing.assert_allclose(scores.ap, [(1 + 2 / 3) / 2, (1 / 3 + 2 / 4) / 2, 1, 1, 1 / 2])
+    means = measured(ORDERS, {**LABELS})
+    values = [getattr(means, name) for name in MEASURES]
+    assert values == pytest.approx(scores.columns.mean(axis=0).tolist())
+    assert means.map == pytest.approx(3 / 4)
+    assert (means.n_queries, means.n_failed, means.n_single) == (5, 0, 0)
 
 
-def test_hand_worked_means() -> None:
-    result = measured(ORDERS, {**LABELS})
-    assert result.nn == pytest.approx(3 / 5)
-    assert result.ft == pytest.approx(1 / 2)
-    assert result.st == pytest.approx(1)
-    assert result.e == pytest.approx((3 * 2 / 3 + 2 * 2 / 5) / 5)
-    assert result.dcg == pytest.approx((3 + (1 + 1 / log2(3)) / 2 + (1 / log2(3) + 1 / 2) / 2) / 5)
-    assert result.map == pytest.approx(3 / 4)
-    assert (result.n_queries, result.n_failed, result.n_single) == (5, 0, 0)
-
-
-def test_ties_are_broken_by_id() -> None:
-    ids, labels = ["d", "b", "c", "a"], ["X", "Y", "Y", "X"]
-    block = DistanceBlock(np.arange(4), np.ones((4, 4)))
-    result = rank_gallery([block], ids, labels)
-    # d finds a b c; b finds a c d; c finds a b d; a finds b c d.
-    assert result.ids == ("d", "b", "c", "a")
-    assert result.hit_rank.tolist() == [1, 2, 2, 3]
-
-
-def test_a_query_does_not_find_itself_even_among_copies() -> None:
-    distances = np.zeros((3, 3))
-    result = rank_gallery([DistanceBlock(np.arange(3), distances)], ["a", "b", "c"], ["Y", "X", "X"])
-    # b is found by c at rank 2 (a comes first), and c by b likewise; a is alone.
-    assert result.hit_rank.tolist() == [2, 2]
-    assert result.n_single == 1
-
-
-def test_a_class_of_one_is_no_query_but_stands_in_the_way() -> None:
-    result = measured({"a": "xb", "b": "xa", "x": "ab"}, {"a": "A", "b": "A", "x": "alone"})
-    assert (result.n_queries, result.n_single) == (2, 1)
-    assert (result.nn, result.st, result.map) == (0, 1, 1 / 2)
-
-
-def test_a_shape_without_label_is_no_query_but_stands_in_the_way() -> None:
-    with_strangers = {"a": "xyb", "b": "ayx", "x": "yab", "y": "xab"}
-    result = measured(with_strangers, {"a": "A", "b": "A"})
-    # Two shapes without a label have no class in common: x and y do not find each other.
-    assert (result.n_queries, result.n_single) == (2, 0)
+def test_shapes_that_are_no_queries_stand_in_the_way() -> None:
+    """A class of one, and shapes without a label, which have no class in common."""
+    alone = measured({"a": "xb", "b": "xa", "x": "ab"}, {"a": "A", "b": "A", "x": "alone"})
+    assert (alone.n_queries, alone.n_single) == (2, 1)
+    assert (alone.nn, alone.st, alone.map) == (0, 1, 1 / 2)
+    strangers = measured({"a": "xyb", "b": "ayx", "x": "yab", "y": "xab"}, {"a": "A", "b": "A"})
+    assert (strangers.n_queries, strangers.n_single) == (2, 0)
     # The second tier of a class of two has two places, and b is third on a's list.
-    assert (result.nn, result.st, result.map) == (1 / 2, 1 / 2, (1 / 3 + 1) / 2)
+    assert (strangers.nn, strangers.st, strangers.map) == (1 / 2, 1 / 2, (1 / 3 + 1) / 2)
 
 
 def test_a_failed_shape_is_a_query_without_score_and_a_miss_for_its_class() -> None:
@@ -143,45 +110,27 @@ def test_classes_larger_than_the_list_of_e_and_than_the_second_tier() -> None:
     assert far.e == pytest.approx(2 * 27 / (32 + 39))
 
 
-@pytest.mark.parametrize("seed", range(3))
-def test_a_perfect_ranking_scores_one(seed: int) -> None:
-    _, ids, labels = random_benchmark(seed)
-    names = np.array(labels, dtype=str)
-    distances = (names[:, np.newaxis] != names).astype(float)
-    result = evaluate_rankings(rank_gallery(by_rows(distances), ids, labels))
-    assert (result.nn, result.ft, result.st, result.dcg, result.map) == pytest.approx((1, 1, 1, 1, 1))
-    assert result.e < 1
-
-
-def test_blocks_of_any_size_and_order_give_the_same() -> None:
-    distances, ids, labels = random_benchmark()
-    at_once = rank_gallery([DistanceBlock(np.arange(60), distances)], ids, labels)
-    row_by_row = rank_gallery(by_rows(distances), ids, labels)
-    assert asdict(evaluate_rankings(at_once)) == asdict(evaluate_rankings(row_by_row))
-    assert (at_once.hit_rank == row_by_row.hit_rank).all()
-
-
 def test_ranks_are_those_of_sorting_by_distance_and_id() -> None:
-    distances, ids, labels = random_benchmark(n=200)
-    distances = np.round(distances, 1)
-    result = rank_gallery(by_rows(distances), ids, labels)
-    for query in range(200):
-        others = [i for i in range(200) if i != query]
-        others.sort(key=lambda i: (distances[query, i], ids[i]))
-        expected = [rank for rank, i in enumerate(others, start=1) if labels[i] == labels[query]]
-        assert result.hit_rank[result.hit_query == query].tolist() == expected
-
-
-def test_average_precision_agrees_with_scikit_learn() -> None:
+    """Whatever the blocks. The average precision is that of scikit-learn, and 1 for a perfect ranking."""
     from sklearn.metrics import average_precision_score
 
-    distances, ids, labels = random_benchmark()
+    rng = np.random.default_rng(0)
+    labels: list[str | None] = [f"class {number}" for number in rng.integers(0, 8, 200)]
+    ids, distances = [f"T{number}" for number in rng.permutation(200)], rng.random((200, 200))
+    result = rank_gallery(by_rows(np.round(distances, 1)), ids, labels)
+    assert rank_gallery([DistanceBlock(np.arange(200), np.round(distances, 1))], ids, labels) == result
     scores = query_scores(rank_gallery(by_rows(distances), ids, labels))
-    for query in range(60):
-        others = np.arange(60) != query
-        relevant = np.array([label == labels[query] for label in labels])[others]
-        expected = average_precision_score(relevant, -distances[query, others])
-        assert scores.ap[query] == pytest.approx(expected)
+    names = np.array(labels, dtype=str)
+    for query in range(200):
+        others = [i for i in range(200) if i != query]
+        precision = average_precision_score(names[others] == names[query], -distances[query, others])
+        assert scores.ap[query] == pytest.approx(precision)
+        others.sort(key=lambda i: (round(distances[query, i], 1), ids[i]))
+        expected = [rank for rank, i in enumerate(others, start=1) if labels[i] == labels[query]]
+        assert result.hit_rank[result.hit_query == query].tolist() == expected
+    perfect = rank_gallery(by_rows((names[:, np.newaxis] != names).astype(float)), ids, labels)
+    means = evaluate_rankings(perfect)
+    assert (means.nn, means.ft, means.st, means.dcg, means.map) == pytest.approx((1, 1, 1, 1, 1))
 
 
 def test_precision_recall_hand_worked() -> None:
@@ -192,7 +141,7 @@ def test_precision_recall_hand_worked() -> None:
     np.testing.assert_allclose(curve.precision, [1, 1, 1, (2 / 3 + 1 + 1) / 3, (2 / 3 + 1 + 1) / 3])
 
 
-@pytest.mark.parametrize("bad", [np.nan, -1.0, -np.inf])
-def test_distances_that_are_none(bad: float) -> None:
-    with pytest.raises(InputError, match="must be 0 or more, got 1 that are negative or NaN"):
-        rank_gallery([DistanceBlock(np.array([0]), np.array([[0, bad]]))], ["a", "b"], ["A", "A"])
+def test_distances_that_are_none() -> None:
+    for bad in (np.nan, -1.0, -np.inf):
+        with pytest.raises(InputError, match="must be 0 or more, got 1 that are negative or NaN"):
+            rank_gallery([DistanceBlock(np.array([0]), np.array([[0, bad]]))], ["a", "b"], ["A", "A"])

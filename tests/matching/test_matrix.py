@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from pcretrieve.errors import BenchmarkError, InputError
-from pcretrieve.evaluation import rank, rank_matrix
+from pcretrieve.evaluation import evaluate, rank
 from pcretrieve.matching import DistanceMatrix, distance_matrix, read_matrix, write_matrix
 from pcretrieve.options import RetrievalOptions
 from pcretrieve.retrieval import DISTANCES, Ranking, SignatureIndex
@@ -132,8 +132,8 @@ def test_where_a_matrix_cannot_be_written(tmp_path: Path) -> None:
 
 def test_labels_name_ids_or_files(tmp_path: Path) -> None:
     (tmp_path / "labels.csv").write_text("file,class\nscans/a.ply,X\nc,X\nb.off,Y\nd,Y\n")
-    ranked = rank_matrix(MATRIX, tmp_path / "labels.csv").rankings
+    ranked = evaluate(MATRIX, labels=tmp_path / "labels.csv").ranked.rankings
     assert dict(zip(ranked.ids, ranked.labels, strict=True)) == {"a": "X", "c": "X", "b": "Y", "d": "Y"}
     (tmp_path / "labels.csv").write_text("file,class\na.ply,X\na.off,Y\n")
     with pytest.raises(BenchmarkError, match="a shape must have one class, 'a' has 'X' and 'Y' in "):
-        rank_matrix(MATRIX, tmp_path / "labels.csv")
+        evaluate(MATRIX, labels=tmp_path / "labels.csv")
